@@ -1,0 +1,1 @@
+//! Trajectory errors, relations, map sharpness

@@ -1,0 +1,1 @@
+//! Pictures, clouds and trajectories for other programs

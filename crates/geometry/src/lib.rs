@@ -1,0 +1,26 @@
+//! Rigid transforms, time and interpolation.
+//!
+//! Conventions of the whole project live here:
+//! - `a_from_b` takes coordinates in frame b to coordinates in frame a, so that products read off:
+//!   `map_from_tracking = map_from_submap * submap_from_tracking`.
+//! - Metres, radians, seconds. Points and scans are `f32`, poses and optimisation are `f64`.
+//! - Time is a count of 100 ns ticks ([`Time`]).
+
+mod buffer;
+mod rigid2;
+mod rotation;
+mod time;
+mod transform;
+
+pub use buffer::{TransformBuffer, interpolate};
+pub use nalgebra;
+pub use rigid2::{Rigid2, normalize_angle};
+pub use rotation::{
+    angle_axis_from_quaternion, angular_distance, quaternion_from_angle_axis, roll_pitch_yaw,
+    rotation_between, rotation_from_roll_pitch_yaw, yaw,
+};
+pub use time::{Duration, Time};
+pub use transform::{
+    Point3f, Quaternion, Rigid3, Rigid3f, Vector2, Vector2f, Vector3, Vector3f, embed_3d, is_valid_pose,
+    pose_from_xyz_quaternion, project_2d, rotation_angle, to_f32, to_f64,
+};

@@ -1,0 +1,1 @@
+//! Maps as documents: pbstream and its messages, ROS map export

@@ -1,0 +1,1 @@
+//! Grids and scan matching: probability grids, TSDF, correlative and gradient matchers

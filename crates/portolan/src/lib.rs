@@ -1,0 +1,1 @@
+//! The public API of Portolan in one crate

@@ -1,0 +1,101 @@
+//! The interface of every recording format.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use portolan_geometry::Time;
+
+use crate::RecordedMessage;
+
+/// What one topic of a recording holds, as far as the container's index tells without reading every
+/// message.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TopicInfo {
+    /// Name.
+    pub topic: Arc<str>,
+    /// ROS type as `package/Type`.
+    pub type_name: Arc<str>,
+    /// Number of messages, if the index knows it.
+    pub count: Option<u64>,
+}
+
+/// A repair or loss while reading: counted and reported, never silent.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Repair {
+    /// What was wrong and what was done about it, one sentence.
+    pub what: String,
+    /// How often.
+    pub count: u64,
+    /// Whether data were lost by it.
+    pub lost_data: bool,
+}
+
+/// Why a recording could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// The file could not be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is of no known format.
+    #[error("{} is not a recording that Portolan knows: {detail}", path.display())]
+    UnknownFormat {
+        /// Which file.
+        path: PathBuf,
+        /// What was found, and what to do.
+        detail: String,
+    },
+    /// The file is damaged beyond what could be repaired.
+    #[error("{} is damaged at byte {offset}: {detail}", path.display())]
+    Damaged {
+        /// Which file.
+        path: PathBuf,
+        /// Where.
+        offset: u64,
+        /// What is wrong.
+        detail: String,
+    },
+    /// A URDF or another description could not be used.
+    #[error("{detail}")]
+    Description {
+        /// What is wrong and what to do.
+        detail: String,
+    },
+}
+
+/// A recording that can be read from start to end, any number of times. Memory stays independent of
+/// its length.
+pub trait Recording: Send {
+    /// For example "ROS 1 bag 2.0 (lz4)".
+    fn format(&self) -> String;
+
+    /// Topics in ascending order.
+    fn topics(&self) -> Vec<TopicInfo>;
+
+    /// First and last log time, if known without reading everything.
+    fn time_range(&self) -> Option<(Time, Time)>;
+
+    /// Size in bytes on disk, for progress.
+    fn size_bytes(&self) -> u64;
+
+    /// Starts reading from the beginning, messages in order of log time (ties in file order).
+    /// Only topics for which `wanted` returns true are decoded; the others are skipped unread.
+    fn read(&self, wanted: &dyn Fn(&TopicInfo) -> bool) -> Result<Box<dyn MessageReader>, RecordingError>;
+}
+
+/// One pass over a recording.
+pub trait MessageReader: Send {
+    /// The next message, or `None` at the end. Damage that can be survived is repaired and counted;
+    /// an error ends the pass.
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError>;
+
+    /// Bytes of the file consumed so far, for progress.
+    fn position_bytes(&self) -> u64;
+
+    /// What was repaired so far, in ascending order.
+    fn repairs(&self) -> Vec<Repair>;
+}

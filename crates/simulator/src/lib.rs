@@ -1,0 +1,1 @@
+//! Buildings, lidars, IMU, wheels and walks with exact truth

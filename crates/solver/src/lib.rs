@@ -1,0 +1,1 @@
+//! Least squares: small dense problems and block-sparse pose problems, with robust losses
