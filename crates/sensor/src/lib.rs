@@ -3,11 +3,24 @@
 //!
 //! Nothing here knows of files, topics or maps. Points are `f32` metres, poses `f64`.
 
+mod compressed_point_cloud;
+mod fixed_ratio_sampler;
 mod measurement;
 mod point_cloud;
+mod rounding;
+#[cfg(test)]
+mod test_clouds;
+mod voxel_filter;
 
+pub use compressed_point_cloud::{CompressedPointCloud, CompressedPointCloudError};
+pub use fixed_ratio_sampler::{FixedRatioSampler, InvalidRatio};
 pub use measurement::{
     FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, Measurement, OdometryData, SensorId,
     SensorKind, TimedPointCloudData,
 };
 pub use point_cloud::{PointCloud, RangeData, TimedPoint};
+pub use rounding::lround;
+pub use voxel_filter::{
+    adaptive_voxel_filter, adaptive_voxel_filter_indices, voxel_filter, voxel_filter_indices,
+    voxel_filter_points, voxel_filter_timed,
+};
