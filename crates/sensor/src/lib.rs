@@ -3,15 +3,18 @@
 //!
 //! Nothing here knows of files, topics or maps. Points are `f32` metres, poses `f64`.
 
+mod collator;
 mod compressed_point_cloud;
 mod fixed_ratio_sampler;
 mod measurement;
 mod point_cloud;
+mod range_data_collator;
 mod rounding;
 #[cfg(test)]
 mod test_clouds;
 mod voxel_filter;
 
+pub use collator::{CollatedItem, Collator, CollatorOptions, CollatorReport, SensorCounts, WaitLimit};
 pub use compressed_point_cloud::{CompressedPointCloud, CompressedPointCloudError};
 pub use fixed_ratio_sampler::{FixedRatioSampler, InvalidRatio};
 pub use measurement::{
@@ -19,6 +22,9 @@ pub use measurement::{
     SensorKind, TimedPointCloudData,
 };
 pub use point_cloud::{PointCloud, RangeData, TimedPoint};
+pub use range_data_collator::{
+    RangeDataCollator, RangeDataCollatorCounts, SynchronizedPoint, SynchronizedRanges,
+};
 pub use rounding::lround;
 pub use voxel_filter::{
     adaptive_voxel_filter, adaptive_voxel_filter_indices, voxel_filter, voxel_filter_indices,

@@ -92,7 +92,7 @@ fn points_beyond_the_format_are_named() {
     assert!(matches!(error, Error::OutOfBounds { index: 1, .. }) && error.to_string().contains("8389"));
     let (compressed, left_out) = CompressedPointCloud::compress_within_bounds(&points).unwrap();
     assert_eq!((compressed.num_points, left_out), (1, 2));
-    let edge = compress(&[[8388.607, -8388.607, 8388.6075]]);
+    let edge = compress(&[[8388.607, -8388.607, 8388.607]]);
     assert!((edge.decompress().unwrap()[0].x - 8388.607).abs() < 1e-3);
 }
 

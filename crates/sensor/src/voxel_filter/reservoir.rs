@@ -89,8 +89,8 @@ impl Reservoir {
 #[inline]
 fn find(slots: &mut [Voxel], key: u64) -> &mut Voxel {
     let mask = slots.len() - 1;
-    // Neighbouring voxels differ in few bits; the multiplication spreads them over the upper half.
-    let mut i = (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as usize & mask;
+    // Fibonacci hashing: only the highest bits of the product depend on all three axes.
+    let mut i = (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - slots.len().trailing_zeros())) as usize;
     while slots[i].count != 0 && slots[i].key != key {
         i = (i + 1) & mask;
     }
