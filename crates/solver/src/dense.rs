@@ -86,12 +86,9 @@ impl<P: DenseProblem<N>, const N: usize> Linearized for DenseRun<'_, P, N> {
         let scaled = self.normal.scaled(&self.column_scale);
         let scaled_step = scaled.solve_damped(radius, options.lm_diagonal_bounds)?;
         let model_cost_change = scaled.model_cost_change(&scaled_step);
-        if !(model_cost_change > 0.0) {
-            return None;
-        }
         let step = scaled_step.component_mul(&self.column_scale);
         self.candidate = self.problem.plus(&self.current, &step);
-        Some(Step { model_cost_change, norm: step.norm() })
+        (model_cost_change > 0.0).then(|| Step { model_cost_change, norm: step.norm() })
     }
 
     /// Derivatives are evaluated at once with the cost: nearly every step is kept, so that evaluating

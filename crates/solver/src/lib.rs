@@ -3,9 +3,19 @@
 //! Both kinds of problem are minimised by one trust-region loop ([`SolverOptions`], [`Summary`]) with the
 //! Levenberg–Marquardt rules of Ceres, on which the results of lidar mapping configurations depend.
 //! - [`solve_dense`]: one to eight parameters, fixed-size matrices, no allocation. For scan matching.
+//! - [`Problem`]: many variables on manifolds, [`factors`] between a few of them each, sparse Cholesky
+//!   factorisation. For pose graphs.
 
 mod dense;
+pub mod factors;
+mod loss;
+mod sparse;
 mod trust_region;
 
 pub use dense::{DenseProblem, NormalEquations, solve_dense};
-pub use trust_region::{SolverOptions, Summary, Termination};
+pub use loss::{Loss, LossValue};
+pub use sparse::{
+    Factor, FactorId, MAX_FACTOR_VARIABLES, Manifold, Problem, ProblemError, RotationFreedom,
+    TranslationFreedom, VariableId, jacobian_error,
+};
+pub use trust_region::{Progress, SolverOptions, Summary, Termination};

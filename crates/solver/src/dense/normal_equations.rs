@@ -1,5 +1,7 @@
 //! The normal equations of a small problem.
 
+use std::cmp::Ordering;
+
 use nalgebra::{SMatrix, SVector};
 
 /// `JᵀJ` and `Jᵀr`. Only the lower triangle of the matrix is read and written.
@@ -89,7 +91,7 @@ fn cholesky_solve<const N: usize>(
                 a[(i, j)] -= a[(i, k)] * a[(j, k)];
             }
         }
-        if !(a[(j, j)] > 0.0) {
+        if a[(j, j)].partial_cmp(&0.0) != Some(Ordering::Greater) {
             return None;
         }
         let pivot = a[(j, j)].sqrt();

@@ -1,0 +1,135 @@
+//! Factors that pull one variable towards a value.
+
+use nalgebra as na;
+use portolan_geometry::{Rigid2, Rigid3, normalize_angle};
+
+use super::rotation::{put, put_residual, read_se2, read_se3, vector_part_jacobian};
+use crate::sparse::{Factor, VariableId};
+
+/// A planar pose near a given one: `( w_t (t − t*), w_r norm(θ − θ*) )`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Se2Prior {
+    /// The planar pose.
+    pub variable: VariableId,
+    /// Where it is pulled.
+    pub pose: Rigid2,
+    /// Weight of the translation residual, 1/m.
+    pub translation_weight: f64,
+    /// Weight of the rotation residual, 1/rad.
+    pub rotation_weight: f64,
+}
+
+/// A pose near a given one: `( w_t (t − t*), 2 w_r vec(q*⁻¹ ⊗ q) )`, the quaternion taken with w ≥ 0, so that
+/// the rotation residual is about the rotation vector in the given frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Se3Prior {
+    /// The pose.
+    pub variable: VariableId,
+    /// Where it is pulled.
+    pub pose: Rigid3,
+    /// Weight of the translation residual, 1/m.
+    pub translation_weight: f64,
+    /// Weight of the rotation residual, 1/rad.
+    pub rotation_weight: f64,
+}
+
+/// Numbers near given ones: `w (x − x*)`, for up to four numbers of a Euclidean, planar or scalar variable.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EuclideanPrior {
+    /// The variable.
+    pub variable: VariableId,
+    /// Where it is pulled; as many numbers as the variable has.
+    pub target: na::Vector4<f64>,
+    /// How many of `target` count.
+    pub dimension: usize,
+    /// Weight of every component.
+    pub weight: f64,
+}
+
+impl Factor for Se2Prior {
+    fn variables(&self) -> &[VariableId] {
+        std::slice::from_ref(&self.variable)
+    }
+
+    fn residual_dimension(&self) -> usize {
+        3
+    }
+
+    fn evaluate(
+        &self,
+        parameters: &[&[f64]],
+        residual: &mut [f64],
+        jacobians: Option<&mut [&mut [f64]]>,
+    ) -> bool {
+        let Some(pose) = parameters.first().and_then(|p| read_se2(p)) else { return false };
+        let (t, r) = (self.translation_weight, self.rotation_weight);
+        let d = (pose.translation - self.pose.translation) * t;
+        residual.copy_from_slice(&[d.x, d.y, normalize_angle(pose.angle - self.pose.angle) * r]);
+        if let Some([jacobian]) = jacobians {
+            put(jacobian, 3, 0, 0, &na::Matrix3::from_diagonal(&na::Vector3::new(t, t, r)));
+        }
+        true
+    }
+}
+
+impl Factor for Se3Prior {
+    fn variables(&self) -> &[VariableId] {
+        std::slice::from_ref(&self.variable)
+    }
+
+    fn residual_dimension(&self) -> usize {
+        6
+    }
+
+    fn evaluate(
+        &self,
+        parameters: &[&[f64]],
+        residual: &mut [f64],
+        jacobians: Option<&mut [&mut [f64]]>,
+    ) -> bool {
+        let Some(pose) = parameters.first().and_then(|p| read_se3(p)) else { return false };
+        let mut error = self.pose.rotation.inverse() * pose.rotation;
+        if error.w < 0.0 {
+            error = na::Unit::new_unchecked(-error.into_inner());
+        }
+        let translation = pose.translation.vector - self.pose.translation.vector;
+        put_residual(residual, 0, &(translation * self.translation_weight));
+        put_residual(residual, 3, &(error.imag() * (2.0 * self.rotation_weight)));
+        if let Some([jacobian]) = jacobians {
+            let turned = self.pose.rotation.inverse().to_rotation_matrix().into_inner();
+            let by_rotation = vector_part_jacobian(&error) * turned * (2.0 * self.rotation_weight);
+            put(jacobian, 6, 0, 0, &(na::Matrix3::identity() * self.translation_weight));
+            put(jacobian, 6, 3, 3, &by_rotation);
+        }
+        true
+    }
+}
+
+impl Factor for EuclideanPrior {
+    fn variables(&self) -> &[VariableId] {
+        std::slice::from_ref(&self.variable)
+    }
+
+    fn residual_dimension(&self) -> usize {
+        self.dimension.min(4)
+    }
+
+    fn evaluate(
+        &self,
+        parameters: &[&[f64]],
+        residual: &mut [f64],
+        jacobians: Option<&mut [&mut [f64]]>,
+    ) -> bool {
+        let Some(x) = parameters.first().filter(|x| x.len() == self.residual_dimension()) else {
+            return false;
+        };
+        for ((r, x), target) in residual.iter_mut().zip(*x).zip(&self.target) {
+            *r = self.weight * (x - target);
+        }
+        if let Some([jacobian]) = jacobians {
+            let stride = self.residual_dimension() + 1;
+            jacobian.iter_mut().step_by(stride).for_each(|v| *v = self.weight);
+        }
+        true
+    }
+}

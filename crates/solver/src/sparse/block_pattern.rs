@@ -1,0 +1,255 @@
+//! Where the blocks of a symmetric sparse matrix are: fill-reducing order and storage.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::sparse::SymbolicSparseColMatRef;
+use faer::sparse::linalg::amd;
+
+use super::ProblemError;
+
+/// The lower triangle of a symmetric matrix of blocks, in the order of elimination. Blocks below the
+/// diagonal block of a column, and that block itself as a full square, make up one dense panel per block
+/// column: `values[base + c·height + row]` for column `c` of the panel. This is at the same time the
+/// ordinary compressed-column layout of the scalar matrix, so that the factorisation needs no copy.
+pub(crate) struct BlockPattern {
+    /// Position in the order of elimination of each block as numbered by the caller.
+    pub position: Vec<u32>,
+    /// Size of each block, by position; likewise all below.
+    pub dimensions: Vec<u32>,
+    /// First scalar row of each block, and the number of rows at the end.
+    pub starts: Vec<u32>,
+    /// Number of scalar rows in each block column.
+    pub heights: Vec<u32>,
+    /// First value of each block column, and the number of values at the end.
+    bases: Vec<u32>,
+    /// First entry of each block column in `rows`.
+    row_starts: Vec<u32>,
+    /// Block rows below the diagonal, ascending, with the scalar row within the panel.
+    rows: Vec<(u32, u32)>,
+}
+
+impl BlockPattern {
+    /// Orders blocks of the given dimensions, of which `pairs` (smaller number first, sorted, unique) are
+    /// coupled.
+    pub fn new(dimensions: &[u32], pairs: &[(u32, u32)]) -> Result<Self, ProblemError> {
+        let order = elimination_order(dimensions.len(), pairs)?;
+        let n = order.len();
+        let mut position = vec![0; n];
+        for (new, old) in order.iter().enumerate() {
+            position[*old as usize] = new as u32;
+        }
+        let permuted: Vec<u32> = order.iter().map(|old| dimensions[*old as usize]).collect();
+        let mut starts = Vec::with_capacity(n + 1);
+        let mut start = 0u32;
+        for d in &permuted {
+            starts.push(start);
+            start = start.checked_add(*d).ok_or(ProblemError::TooLarge("unknowns"))?;
+        }
+        starts.push(start);
+        let (row_starts, mut rows) = sort_into_columns(n, pairs, &position);
+        let (mut heights, mut bases) = (Vec::with_capacity(n), Vec::with_capacity(n + 1));
+        let mut base = 0u32;
+        for column in 0..n {
+            let mut height = permuted[column];
+            for (row, offset) in &mut rows[row_starts[column] as usize..row_starts[column + 1] as usize] {
+                *offset = height;
+                height += permuted[*row as usize];
+            }
+            heights.push(height);
+            bases.push(base);
+            let size = u64::from(height) * u64::from(permuted[column]);
+            base = u32::try_from(u64::from(base) + size)
+                .map_err(|_| ProblemError::TooLarge("normal equations"))?;
+        }
+        bases.push(base);
+        Ok(Self { position, dimensions: permuted, starts, heights, bases, row_starts, rows })
+    }
+
+    /// How many blocks there are on the diagonal.
+    pub fn block_count(&self) -> usize {
+        self.dimensions.len()
+    }
+
+    /// How many unknowns.
+    pub fn size(&self) -> usize {
+        self.starts.last().copied().unwrap_or_default() as usize
+    }
+
+    /// How many values are stored.
+    pub fn value_count(&self) -> usize {
+        self.bases.last().copied().unwrap_or_default() as usize
+    }
+
+    /// First value of the block column at a position.
+    pub fn base(&self, column: usize) -> usize {
+        self.bases[column] as usize
+    }
+
+    /// Blocks below the diagonal of a column: position and scalar row within the panel.
+    pub fn rows(&self, column: usize) -> &[(u32, u32)] {
+        &self.rows[self.row_starts[column] as usize..self.row_starts[column + 1] as usize]
+    }
+
+    /// Index of the first value of a block, `row ≥ column` by position.
+    pub fn block_offset(&self, row: u32, column: u32) -> Option<u32> {
+        let base = self.bases[column as usize];
+        if row == column {
+            return Some(base);
+        }
+        let rows = self.rows(column as usize);
+        rows.binary_search_by_key(&row, |r| r.0).ok().map(|i| base + rows[i].1)
+    }
+
+    /// Column starts and row indices of the scalar matrix as stored.
+    pub fn scalar_lower(&self) -> (Vec<u32>, Vec<u32>) {
+        let mut column_starts = Vec::with_capacity(self.size() + 1);
+        let mut row_indices = Vec::with_capacity(self.value_count());
+        column_starts.push(0);
+        for column in 0..self.block_count() {
+            for _ in 0..self.dimensions[column] {
+                row_indices.extend(self.starts[column]..self.starts[column + 1]);
+                for (row, _) in self.rows(column) {
+                    row_indices.extend(self.starts[*row as usize]..self.starts[*row as usize + 1]);
+                }
+                column_starts.push(row_indices.len() as u32);
+            }
+        }
+        (column_starts, row_indices)
+    }
+
+    /// Column starts and row indices of the transpose: what the symbolic factorisation asks for.
+    pub fn scalar_upper(&self) -> (Vec<u32>, Vec<u32>) {
+        let n = self.block_count();
+        let mut heights: Vec<u32> = self.dimensions.clone();
+        for column in 0..n {
+            for (row, _) in self.rows(column) {
+                heights[*row as usize] += self.dimensions[column];
+            }
+        }
+        let mut column_starts = Vec::with_capacity(self.size() + 1);
+        let mut next = Vec::with_capacity(n);
+        let mut total = 0;
+        for column in 0..n {
+            next.push(total);
+            for _ in 0..self.dimensions[column] {
+                column_starts.push(total);
+                total += heights[column];
+            }
+        }
+        column_starts.push(total);
+        let mut row_indices = vec![0; total as usize];
+        let mut put = |block: usize, row_block: usize| {
+            let first = next[block];
+            for c in 0..self.dimensions[block] {
+                for (k, row) in (self.starts[row_block]..self.starts[row_block + 1]).enumerate() {
+                    row_indices[(first + c * heights[block]) as usize + k] = row;
+                }
+            }
+            next[block] += self.dimensions[row_block];
+        };
+        for column in 0..n {
+            // Rows arrive in ascending order because columns are visited so; the diagonal is the last.
+            put(column, column);
+            for (row, _) in self.rows(column) {
+                put(*row as usize, column);
+            }
+        }
+        (column_starts, row_indices)
+    }
+}
+
+/// Approximate minimum degree order of the graph of blocks: `order[new] = old`.
+fn elimination_order(n: usize, pairs: &[(u32, u32)]) -> Result<Vec<u32>, ProblemError> {
+    if n == 0 {
+        return Ok(Vec::new());
+    }
+    let mut column_starts = vec![0u32; n + 1];
+    for (_, column) in pairs {
+        column_starts[*column as usize + 1] += 1;
+    }
+    for i in 0..n {
+        column_starts[i + 1] += column_starts[i];
+    }
+    let mut next = column_starts.clone();
+    let mut rows = vec![0u32; pairs.len()];
+    for (row, column) in pairs {
+        rows[next[*column as usize] as usize] = *row;
+        next[*column as usize] += 1;
+    }
+    let matrix = SymbolicSparseColMatRef::new_checked(n, n, &column_starts, None, &rows);
+    let (mut order, mut inverse) = (vec![0u32; n], vec![0u32; n]);
+    let request = amd::order_scratch::<u32>(n, pairs.len());
+    let mut memory = MemBuffer::try_new(request).map_err(|_| ProblemError::OutOfMemory)?;
+    let control = amd::Control::default();
+    amd::order(&mut order, &mut inverse, matrix, control, MemStack::new(&mut memory))
+        .map_err(|_| ProblemError::TooLarge("couplings"))?;
+    Ok(order)
+}
+
+/// Pairs as block columns of the lower triangle in the new order, rows ascending; offsets still zero.
+fn sort_into_columns(n: usize, pairs: &[(u32, u32)], position: &[u32]) -> (Vec<u32>, Vec<(u32, u32)>) {
+    let place = |(a, b): &(u32, u32)| {
+        let (a, b) = (position[*a as usize], position[*b as usize]);
+        (a.min(b), a.max(b))
+    };
+    let mut starts = vec![0u32; n + 1];
+    for pair in pairs {
+        starts[place(pair).0 as usize + 1] += 1;
+    }
+    for i in 0..n {
+        starts[i + 1] += starts[i];
+    }
+    let mut next = starts.clone();
+    let mut rows = vec![(0, 0); pairs.len()];
+    for pair in pairs {
+        let (column, row) = place(pair);
+        rows[next[column as usize] as usize] = (row, 0);
+        next[column as usize] += 1;
+    }
+    for column in 0..n {
+        rows[starts[column] as usize..starts[column + 1] as usize].sort_unstable();
+    }
+    (starts, rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn storage_is_the_lower_triangle_and_its_transpose_the_upper() {
+        let dimensions = [3, 1, 2, 3, 0];
+        let pairs = [(0, 1), (0, 3), (1, 2), (2, 3)];
+        let pattern = BlockPattern::new(&dimensions, &pairs).unwrap();
+        assert_eq!(pattern.size(), 9);
+        let (lower_starts, lower_rows) = pattern.scalar_lower();
+        let (upper_starts, upper_rows) = pattern.scalar_upper();
+        assert_eq!(lower_rows.len(), pattern.value_count());
+        let entries = |starts: &[u32], rows: &[u32]| {
+            let mut entries = Vec::new();
+            for column in 0..9 {
+                let range = starts[column] as usize..starts[column + 1] as usize;
+                assert!(rows[range.clone()].is_sorted());
+                entries.extend(rows[range].iter().map(|r| (*r, column as u32)));
+            }
+            entries
+        };
+        let mut lower: Vec<_> = entries(&lower_starts, &lower_rows);
+        let mut upper: Vec<_> = entries(&upper_starts, &upper_rows).iter().map(|(r, c)| (*c, *r)).collect();
+        lower.sort_unstable();
+        upper.sort_unstable();
+        assert_eq!(lower, upper);
+        for (a, b) in pairs {
+            let (a, b) = (pattern.position[a as usize], pattern.position[b as usize]);
+            let offset = pattern.block_offset(a.max(b), a.min(b)).unwrap() as usize;
+            assert_eq!(lower_rows[offset], pattern.starts[a.max(b) as usize]);
+        }
+        assert_eq!(pattern.block_offset(pattern.position[3], pattern.position[3]).map(|_| ()), Some(()));
+    }
+
+    #[test]
+    fn nothing_is_a_pattern_too() {
+        let pattern = BlockPattern::new(&[], &[]).unwrap();
+        assert_eq!((pattern.size(), pattern.value_count()), (0, 0));
+        assert_eq!(pattern.scalar_upper().0, [0]);
+    }
+}

@@ -1,0 +1,53 @@
+//! Factors: residuals that depend on a few variables.
+
+use std::any::Any;
+
+use super::problem::VariableId;
+
+/// Variables of one factor at most.
+pub const MAX_FACTOR_VARIABLES: usize = 8;
+
+/// A residual and its derivatives. Factors of one type are stored side by side: keep them small and free
+/// of allocations.
+pub trait Factor: Send + Sync + 'static {
+    /// The variables it depends on, each once, at most [`MAX_FACTOR_VARIABLES`].
+    fn variables(&self) -> &[VariableId];
+
+    /// How many residuals it has; always the same for one factor.
+    fn residual_dimension(&self) -> usize;
+
+    /// Writes the residual for the given numbers, one slice per variable in the layout of its
+    /// [`Manifold`](super::Manifold). When Jacobians are asked for, there is one per variable, cleared and
+    /// stored column by column: `residual_dimension()` rows,
+    /// [`tangent_dimension`](super::Manifold::tangent_dimension) columns. Returns false where the residual
+    /// cannot be evaluated; the solver then takes a shorter step.
+    fn evaluate(
+        &self,
+        parameters: &[&[f64]],
+        residual: &mut [f64],
+        jacobians: Option<&mut [&mut [f64]]>,
+    ) -> bool;
+}
+
+/// All factors of one type, seen without the type.
+pub(crate) trait Pool: Any + Send + Sync {
+    fn len(&self) -> usize;
+    fn factor(&self, index: usize) -> Option<&dyn Factor>;
+    fn as_any_mut(&mut self) -> &mut dyn Any;
+}
+
+pub(crate) struct TypedPool<F>(pub Vec<F>);
+
+impl<F: Factor> Pool for TypedPool<F> {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn factor(&self, index: usize) -> Option<&dyn Factor> {
+        self.0.get(index).map(|f| f as &dyn Factor)
+    }
+
+    fn as_any_mut(&mut self) -> &mut dyn Any {
+        self
+    }
+}
