@@ -1,0 +1,95 @@
+//! What can go wrong with grids.
+
+use thiserror::Error;
+
+/// Why a grid cannot be made or grown.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum GridError {
+    /// Limits that describe no grid.
+    #[error(
+        "a grid of {num_x_cells}×{num_y_cells} cells of {resolution} m with corner ({max_x}, {max_y}) is \
+         not possible: sizes must be positive and numbers finite"
+    )]
+    InvalidLimits {
+        /// Edge of a cell, metres.
+        resolution: f64,
+        /// Corner with the largest coordinates, metres.
+        max_x: f64,
+        /// Corner with the largest coordinates, metres.
+        max_y: f64,
+        /// Cells along −y.
+        num_x_cells: i64,
+        /// Cells along −x.
+        num_y_cells: i64,
+    },
+    /// The grid would need more cells than allowed.
+    #[error(
+        "a point at ({x} m, {y} m) needs a grid of more than {max_cells} cells: check the sensor's \
+         maximum range and the poses, or allow more cells"
+    )]
+    TooLarge {
+        /// Where the point is, metres.
+        x: f32,
+        /// Where the point is, metres.
+        y: f32,
+        /// The limit.
+        max_cells: usize,
+    },
+    /// A list of cells does not fit the limits.
+    #[error("the grid has {expected} cells but {found} {what} are given: the map is damaged")]
+    CellCount {
+        /// Which list.
+        what: &'static str,
+        /// Product of the sizes.
+        expected: u64,
+        /// Length of the list.
+        found: usize,
+    },
+    /// The bounds of the cell values are not usable.
+    #[error("cell values from {lower} to {upper} ({what}) are not a range: the map is damaged")]
+    InvalidBounds {
+        /// Which bounds.
+        what: &'static str,
+        /// Given lower bound.
+        lower: f32,
+        /// Given upper bound.
+        upper: f32,
+    },
+    /// Nothing can be drawn from a place that is not finite.
+    #[error("the origin of the range data is ({x}, {y}, {z}): it must be finite")]
+    InvalidOrigin {
+        /// Metres.
+        x: f32,
+        /// Metres.
+        y: f32,
+        /// Metres.
+        z: f32,
+    },
+}
+
+/// Why an inserter refuses its options.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum InserterOptionError {
+    /// A hit must make a cell more likely occupied.
+    #[error("hit_probability is {0}: it must be above 0.5 and below 1")]
+    HitProbability(f64),
+    /// A miss must make a cell less likely occupied.
+    #[error("miss_probability is {0}: it must be below 0.5 and above 0")]
+    MissProbability(f64),
+    /// A length or weight that must be positive.
+    #[error("{name} is {value}: it must be positive and finite")]
+    NotPositive {
+        /// Name of the option.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// A number that must not be negative.
+    #[error("{name} is {value}: it must be finite and not negative")]
+    Negative {
+        /// Name of the option.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
+}

@@ -1,0 +1,81 @@
+//! Either of the planar grids, for those who do not care which.
+
+use super::value::ValueCode;
+use super::{CellBox, CellIndex, MapLimits, ProbabilityGrid, Tsdf2d};
+
+/// A planar grid.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Grid2d {
+    /// Cells hold the probability of being occupied.
+    Probability(ProbabilityGrid),
+    /// Cells hold the distance to the nearest surface.
+    Tsdf(Tsdf2d),
+}
+
+impl Grid2d {
+    fn grid(&self) -> &super::CellGrid {
+        match self {
+            Self::Probability(g) => &g.grid,
+            Self::Tsdf(g) => &g.grid,
+        }
+    }
+
+    /// Where the grid lies.
+    pub fn limits(&self) -> &MapLimits {
+        &self.grid().limits
+    }
+
+    /// Codes of all cells, the first index running fastest.
+    pub fn cells(&self) -> &[u16] {
+        &self.grid().cells
+    }
+
+    /// Box of all cells ever changed; none as long as there is none.
+    pub fn known_cells_box(&self) -> Option<CellBox> {
+        self.grid().known_box
+    }
+
+    /// How the cells are coded; its bounds are the smallest and the largest correspondence cost.
+    pub fn code(&self) -> &ValueCode {
+        &self.grid().code
+    }
+
+    /// Whether something is known about a cell.
+    pub fn is_known(&self, cell: CellIndex) -> bool {
+        self.grid().is_known(cell)
+    }
+
+    /// How badly an obstacle fits into a cell: one minus probability, or signed distance in metres. The
+    /// largest cost where nothing is known and outside.
+    pub fn correspondence_cost(&self, cell: CellIndex) -> f32 {
+        match self {
+            Self::Probability(g) => g.correspondence_cost(cell),
+            Self::Tsdf(g) => g.correspondence_cost(cell),
+        }
+    }
+
+    /// Whether a scan is half inserted; such a grid must not be written to a file.
+    pub fn has_pending_update(&self) -> bool {
+        self.grid().has_pending_update()
+    }
+
+    /// A copy of the known part.
+    pub fn cropped(&self) -> Self {
+        match self {
+            Self::Probability(g) => Self::Probability(g.cropped()),
+            Self::Tsdf(g) => Self::Tsdf(g.cropped()),
+        }
+    }
+}
+
+impl From<ProbabilityGrid> for Grid2d {
+    fn from(grid: ProbabilityGrid) -> Self {
+        Self::Probability(grid)
+    }
+}
+
+impl From<Tsdf2d> for Grid2d {
+    fn from(grid: Tsdf2d) -> Self {
+        Self::Tsdf(grid)
+    }
+}

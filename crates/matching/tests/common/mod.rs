@@ -1,0 +1,81 @@
+//! What the tests of this crate share: the generator and the scenes of the golden vectors.
+
+use portolan_geometry::{Point3f, Vector2};
+use portolan_sensor::{PointCloud, RangeData};
+
+use portolan_matching::grid::{MapLimits, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions};
+
+/// The linear congruential generator of the golden vectors.
+pub struct Lcg(u32);
+
+impl Lcg {
+    pub fn new(seed: u32) -> Self {
+        Self(seed)
+    }
+
+    /// In [0, 1).
+    pub fn unit(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (self.0 >> 8) as f32 / 16_777_216.0
+    }
+
+    /// In [−a, a).
+    pub fn symmetric(&mut self, a: f32) -> f32 {
+        (self.unit() * 2.0 - 1.0) * a
+    }
+}
+
+/// A box-shaped room with niches, seen from (`ox`, `oy`).
+pub fn room(n: usize, ox: f32, oy: f32) -> RangeData {
+    let (x0, y0) = (f64::from(ox), f64::from(oy));
+    let points = (0..n).map(|i| {
+        let a = 2.0 * std::f64::consts::PI * i as f64 / n as f64;
+        let (c, s) = (a.cos(), a.sin());
+        let mut t = f64::INFINITY;
+        for (wall, start, direction) in [(6.0, x0, c), (-4.0, x0, c), (5.0, y0, s), (-3.0, y0, s)] {
+            if (wall > 0.0 && direction > 0.0) || (wall < 0.0 && direction < 0.0) {
+                t = t.min((wall - start) / direction);
+            }
+        }
+        if i % 50 < 8 {
+            t *= 0.6;
+        }
+        Point3f::new((x0 + t * c) as f32, (y0 + t * s) as f32, 0.0)
+    });
+    let returns = PointCloud::new(points.collect());
+    RangeData { origin: Point3f::new(ox, oy, 0.0), returns, misses: PointCloud::default() }
+}
+
+pub fn room1() -> RangeData {
+    room(360, 0.3, -0.2)
+}
+
+pub fn room2() -> RangeData {
+    room(300, 1.5, 0.7)
+}
+
+/// Limits of the grid the rooms are drawn on.
+pub fn room_limits() -> MapLimits {
+    let resolution = f64::from(0.05f32);
+    MapLimits::around(resolution, Vector2::new(f64::from(0.3f32), f64::from(-0.2f32))).unwrap()
+}
+
+pub fn default_inserter() -> ProbabilityInserter {
+    ProbabilityInserter::new(&ProbabilityInserterOptions::default()).unwrap()
+}
+
+/// Five times room 1, once room 2, cropped: grid G of the golden vectors.
+pub fn grid_g() -> ProbabilityGrid {
+    let mut grid = ProbabilityGrid::new(room_limits());
+    let inserter = default_inserter();
+    for _ in 0..5 {
+        inserter.insert(&room1(), &mut grid).unwrap();
+    }
+    inserter.insert(&room2(), &mut grid).unwrap();
+    grid.cropped()
+}
+
+/// CRC-32 of codes as little-endian bytes.
+pub fn crc_u16(codes: &[u16]) -> u32 {
+    crc32fast::hash(&codes.iter().flat_map(|c| c.to_le_bytes()).collect::<Vec<u8>>())
+}
