@@ -2,8 +2,15 @@
 //!
 //! One interface ([`Recording`]) over every format; one file or folder of modules per format.
 
+mod carmen;
+mod coreslam;
 mod message;
+mod repairs;
 mod source;
+mod text;
 
+pub use carmen::{CarmenLog, CarmenOptions, TimeColumn, looks_like_carmen};
+pub use coreslam::{CoreSlamLog, looks_like_coreslam};
 pub use message::*;
 pub use source::*;
+pub use text::open_text_log;

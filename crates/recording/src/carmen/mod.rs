@@ -1,0 +1,192 @@
+//! CARMEN logs (`.log`, `.clf`, also as `.gz` or `.bz2`), given as the ROS recording of the same
+//! robot would be: `/scan`, `/odom`, `/tf_static`.
+
+mod geometry;
+mod line;
+mod reader;
+mod reorder;
+mod survey;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use portolan_geometry::Time;
+
+use crate::text::TextFile;
+use crate::{MessageReader, Recording, RecordingError, TopicInfo};
+use line::{LaserKind, Line, PlanarPose, parse_line};
+use reader::CarmenReader;
+use survey::{Clock, Survey};
+
+/// Which of the two times of a line is its stamp.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TimeColumn {
+    /// When the message was sent.
+    #[default]
+    Ipc,
+    /// When the logger wrote it, counted from the start of the log.
+    Logger,
+}
+
+/// How to read a CARMEN log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CarmenOptions {
+    /// Where stamps come from. A column that stands still all the time is replaced by the other one.
+    pub time_column: TimeColumn,
+}
+
+/// One scanner of the log that becomes a topic.
+#[derive(Clone, Debug)]
+struct Scanner {
+    kind: LaserKind,
+    topic: Arc<str>,
+    frame: Arc<str>,
+    /// The scanner on the robot; none if the log does not say.
+    mounting: Option<PlanarPose>,
+    count: u64,
+}
+
+/// Where odometry comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum OdometrySource {
+    /// `ODOM` lines.
+    OwnLines,
+    /// Logs without those carry it in the lines of this scanner.
+    Scans(LaserKind),
+}
+
+/// What becomes of the lines; fixed after the first look at the log.
+#[derive(Debug)]
+struct Layout {
+    survey: Survey,
+    clock: Clock,
+    scanners: Vec<Scanner>,
+    odometry: Option<OdometrySource>,
+    first_time: Time,
+}
+
+/// A CARMEN log.
+pub struct CarmenLog {
+    file: TextFile,
+    layout: Arc<Layout>,
+    time_range: (Time, Time),
+}
+
+/// Whether text begins like a CARMEN log.
+pub fn looks_like_carmen(prefix: &[u8]) -> bool {
+    prefix.split(|b| *b == b'\n').take(2000).any(|line| {
+        line.starts_with(b"# CARMEN Logfile")
+            || line.starts_with(b"# message_name [message contents] ipc_timestamp")
+            || matches!(parse_line(line, false), Line::Odometry { .. } | Line::Laser { .. })
+    })
+}
+
+impl CarmenLog {
+    /// Opens a log and looks through it once. Fails if it holds neither a scan nor odometry.
+    pub fn open(path: &Path, options: CarmenOptions) -> Result<Self, RecordingError> {
+        let file = TextFile::open(path)?;
+        let survey = Survey::of(&file)?;
+        let clock = survey.clock(&options);
+        let Some(time_range) = survey.time_range(clock) else {
+            return Err(RecordingError::UnknownFormat {
+                path: path.to_owned(),
+                detail:
+                    "it has no complete FLASER, RLASER, ROBOTLASER, RAWLASER or ODOM line as CARMEN logs have"
+                        .to_owned(),
+            });
+        };
+        let scanners = scanners(&survey);
+        let odometry = if survey.odometry_lines > 0 {
+            Some(OdometrySource::OwnLines)
+        } else {
+            scanners
+                .iter()
+                .map(|s| s.kind)
+                .find(|k| !matches!(k, LaserKind::Raw(_)))
+                .map(OdometrySource::Scans)
+        };
+        let layout = Layout { survey, clock, scanners, odometry, first_time: time_range.0 };
+        Ok(Self { file, layout: Arc::new(layout), time_range })
+    }
+}
+
+/// Picks one source for each scanner: the newer and richer format where a log has both.
+fn scanners(survey: &Survey) -> Vec<Scanner> {
+    let mut by_number: BTreeMap<u8, LaserKind> = BTreeMap::new();
+    for kind in survey.kinds() {
+        let (number, rank) = rank(kind);
+        let entry = by_number.entry(number).or_insert(kind);
+        if rank < self::rank(*entry).1 {
+            *entry = kind;
+        }
+    }
+    let scanner = |(number, kind): (u8, LaserKind)| {
+        let (topic, frame) = match number {
+            1 => ("/scan".to_owned(), "laser".to_owned()),
+            2 => ("/rear_scan".to_owned(), "rear_laser".to_owned()),
+            n => (format!("/scan_{n}"), format!("laser_{n}")),
+        };
+        let mounting = survey.mounting(kind);
+        Scanner { kind, topic: topic.into(), frame: frame.into(), mounting, count: survey.scans(kind) }
+    };
+    by_number.into_iter().map(scanner).collect()
+}
+
+/// Number of the scanner, and which of its formats is best (lowest).
+fn rank(kind: LaserKind) -> (u8, u8) {
+    match kind {
+        LaserKind::Front => (1, 1),
+        LaserKind::Rear => (2, 1),
+        LaserKind::Robot(n) => (n, 0),
+        LaserKind::Raw(n) => (n, 2),
+    }
+}
+
+impl Layout {
+    fn topics(&self) -> Vec<TopicInfo> {
+        let info = |topic: &str, type_name: &str, count| TopicInfo {
+            topic: topic.into(),
+            type_name: type_name.into(),
+            count: Some(count),
+        };
+        let mut topics: Vec<TopicInfo> =
+            self.scanners.iter().map(|s| info(&s.topic, "sensor_msgs/LaserScan", s.count)).collect();
+        match self.odometry {
+            Some(OdometrySource::OwnLines) => {
+                topics.push(info("/odom", "nav_msgs/Odometry", self.survey.odometry_lines));
+            }
+            Some(OdometrySource::Scans(kind)) => {
+                topics.push(info("/odom", "nav_msgs/Odometry", self.survey.scans(kind)));
+            }
+            None => {}
+        }
+        if self.scanners.iter().any(|s| s.mounting.is_some()) {
+            topics.push(info("/tf_static", "tf2_msgs/TFMessage", 1));
+        }
+        topics.sort_by(|a, b| a.topic.cmp(&b.topic));
+        topics
+    }
+}
+
+impl Recording for CarmenLog {
+    fn format(&self) -> String {
+        format!("CARMEN log{}", self.file.compression_name())
+    }
+
+    fn topics(&self) -> Vec<TopicInfo> {
+        self.layout.topics()
+    }
+
+    fn time_range(&self) -> Option<(Time, Time)> {
+        Some(self.time_range)
+    }
+
+    fn size_bytes(&self) -> u64 {
+        self.file.size_bytes()
+    }
+
+    fn read(&self, wanted: &dyn Fn(&TopicInfo) -> bool) -> Result<Box<dyn MessageReader>, RecordingError> {
+        Ok(Box::new(CarmenReader::new(&self.file, self.layout.clone(), wanted)?))
+    }
+}

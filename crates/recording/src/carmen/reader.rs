@@ -1,0 +1,229 @@
+//! One pass over a CARMEN log: lines become messages in order of time.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use portolan_geometry::Time;
+
+use super::geometry::{MINIMUM_RANGE, scan_geometry};
+use super::line::{LaserLine, Line, PlanarPose, parse_line};
+use super::reorder::Reorder;
+use super::{Layout, OdometrySource};
+use crate::repairs::RepairLog;
+use crate::text::{Lines, TextFile};
+use crate::{
+    Header, LaserScan, Message, MessageReader, Odometry, Pose, RecordedMessage, RecordingError, Repair,
+    TfMessage, TopicInfo, TransformStamped,
+};
+
+const BAD_LINE: &str = "lines that could not be understood were left out";
+const BAD_TIME: &str = "lines with an unreadable time were left out";
+const OUT_OF_ORDER: &str = "lines out of order were put in order of time";
+const TOO_LATE: &str = "lines more than 10 s out of order stand where they were found";
+const REPEATED: &str = "second messages of a topic with the same time were left out";
+const OTHER_FORMAT: &str = "scans that the log also has in a better format were left out";
+const OVERLONG: &str = "lines longer than 1 MiB were left out";
+const MAX_UNUSED_KINDS: usize = 50;
+
+/// Messages that wait for their place, with the index of their topic.
+type Waiting = (usize, Message);
+
+pub(super) struct CarmenReader {
+    lines: Lines,
+    layout: Arc<Layout>,
+    /// Topics in the order in which messages of the same time stand: odometry, then the scanners.
+    topics: Vec<Arc<str>>,
+    wanted: Vec<bool>,
+    last_stamp: Vec<Option<Time>>,
+    frames: Frames,
+    static_transforms: Option<RecordedMessage>,
+    reorder: Reorder<Waiting>,
+    ended: bool,
+    unused: BTreeSet<String>,
+    repairs: RepairLog,
+}
+
+struct Frames {
+    odom: Arc<str>,
+    base: Arc<str>,
+}
+
+impl CarmenReader {
+    pub fn new(
+        file: &TextFile,
+        layout: Arc<Layout>,
+        wanted: &dyn Fn(&TopicInfo) -> bool,
+    ) -> Result<Self, RecordingError> {
+        let wanted_topics: BTreeSet<Arc<str>> =
+            layout.topics().iter().filter(|t| wanted(t)).map(|t| t.topic.clone()).collect();
+        let mut topics: Vec<Arc<str>> = vec!["/odom".into()];
+        topics.extend(layout.scanners.iter().map(|s| s.topic.clone()));
+        let frames = Frames { odom: "odom".into(), base: "base_link".into() };
+        let static_transforms =
+            if wanted_topics.contains("/tf_static") { static_transforms(&layout, &frames) } else { None };
+        let wanted: Vec<bool> = topics.iter().map(|t| wanted_topics.contains(t)).collect();
+        Ok(Self {
+            lines: file.lines()?,
+            ended: !wanted.contains(&true),
+            last_stamp: vec![None; topics.len()],
+            topics,
+            wanted,
+            frames,
+            static_transforms,
+            layout,
+            reorder: Reorder::default(),
+            unused: BTreeSet::new(),
+            repairs: RepairLog::default(),
+        })
+    }
+
+    /// Reads one line. False at the end.
+    fn advance(&mut self) -> Result<bool, RecordingError> {
+        // Taken apart, because the line borrows from `lines`.
+        let Self { lines, layout, wanted, frames, reorder, unused, repairs, .. } = self;
+        let Some(line) = lines.next_line()? else {
+            if let Some(damage) = lines.damage() {
+                repairs.lost(damage);
+            }
+            if lines.overlong() > 0 {
+                repairs.add(OVERLONG, true, lines.overlong());
+            }
+            return Ok(false);
+        };
+        let mut push =
+            |topic: usize, stamp: Time, message: Message, bytes: usize, repairs: &mut RepairLog| {
+                if reorder.push(stamp, topic as u32, bytes, (topic, message)) {
+                    repairs.repaired(OUT_OF_ORDER);
+                }
+            };
+        match parse_line(line, true) {
+            Line::Nothing | Line::Param { .. } => {}
+            Line::Bad => repairs.lost(BAD_LINE),
+            Line::Unused(name) => {
+                if unused.len() < MAX_UNUSED_KINDS {
+                    unused.insert(name.to_owned());
+                }
+            }
+            Line::Odometry { pose, times } => match layout.clock.stamp(times) {
+                None => repairs.lost(BAD_TIME),
+                Some(stamp) if wanted[0] && layout.odometry == Some(OdometrySource::OwnLines) => {
+                    push(0, stamp, odometry(stamp, pose, frames), 1024, repairs);
+                }
+                Some(_) => {}
+            },
+            Line::Laser { laser, times } => {
+                let Some(stamp) = layout.clock.stamp(times) else {
+                    repairs.lost(BAD_TIME);
+                    return Ok(true);
+                };
+                if let (Some((_, robot)), true) = (laser.poses, wanted[0])
+                    && layout.odometry == Some(OdometrySource::Scans(laser.kind))
+                {
+                    push(0, stamp, odometry(stamp, robot, frames), 1024, repairs);
+                }
+                match layout.scanners.iter().position(|s| s.kind == laser.kind) {
+                    None => repairs.repaired(OTHER_FORMAT),
+                    Some(index) if wanted[index + 1] => {
+                        let bytes = 256 + 4 * (laser.ranges.len() + laser.remissions.len());
+                        push(index + 1, stamp, laser_scan(stamp, laser, layout, index), bytes, repairs);
+                    }
+                    Some(_) => {}
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    fn pop(&mut self) -> Option<RecordedMessage> {
+        loop {
+            let (log_time, (topic, message), too_late) = self.reorder.pop(self.ended)?;
+            if too_late {
+                self.repairs.repaired(TOO_LATE);
+            }
+            let stamp = message.header().map(|h| h.stamp);
+            if stamp == self.last_stamp[topic] {
+                self.repairs.repaired(REPEATED);
+                continue;
+            }
+            self.last_stamp[topic] = stamp;
+            return Some(RecordedMessage { topic: self.topics[topic].clone(), log_time, message });
+        }
+    }
+}
+
+impl MessageReader for CarmenReader {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
+        if let Some(message) = self.static_transforms.take() {
+            return Ok(Some(message));
+        }
+        loop {
+            if let Some(message) = self.pop() {
+                return Ok(Some(message));
+            }
+            if self.ended {
+                return Ok(None);
+            }
+            self.ended = !self.advance()?;
+        }
+    }
+
+    fn position_bytes(&self) -> u64 {
+        self.lines.position_bytes()
+    }
+
+    fn repairs(&self) -> Vec<Repair> {
+        let mut repairs = self.repairs.clone();
+        for kind in &self.unused {
+            repairs.repaired(format!("lines of kind {kind} hold nothing that mapping uses"));
+        }
+        repairs.list()
+    }
+}
+
+fn static_transforms(layout: &Layout, frames: &Frames) -> Option<RecordedMessage> {
+    let transforms: Vec<TransformStamped> = layout
+        .scanners
+        .iter()
+        .filter_map(|scanner| {
+            let header = Header { stamp: layout.first_time, frame_id: frames.base.clone() };
+            let transform = planar_pose(scanner.mounting?);
+            Some(TransformStamped { header, child_frame_id: scanner.frame.clone(), transform })
+        })
+        .collect();
+    let message = Message::Tf(TfMessage { is_static: true, transforms: transforms.clone() });
+    let topic = "/tf_static".into();
+    (!transforms.is_empty()).then_some(RecordedMessage { topic, log_time: layout.first_time, message })
+}
+
+fn planar_pose([x, y, heading]: PlanarPose) -> Pose {
+    let (sin, cos) = (heading / 2.0).sin_cos();
+    Pose { position: [x, y, 0.0], orientation_xyzw: [0.0, 0.0, sin, cos] }
+}
+
+fn odometry(stamp: Time, pose: PlanarPose, frames: &Frames) -> Message {
+    Message::Odometry(Odometry {
+        header: Header { stamp, frame_id: frames.odom.clone() },
+        child_frame_id: frames.base.clone(),
+        pose: planar_pose(pose),
+        pose_covariance: vec![0.0; 36],
+        linear_velocity: [0.0; 3],
+        angular_velocity: [0.0; 3],
+        twist_covariance: vec![0.0; 36],
+    })
+}
+
+fn laser_scan(stamp: Time, laser: LaserLine, layout: &Layout, scanner: usize) -> Message {
+    let geometry = scan_geometry(laser.kind, laser.config.as_ref(), laser.count, &layout.survey);
+    Message::LaserScan(LaserScan {
+        header: Header { stamp, frame_id: layout.scanners[scanner].frame.clone() },
+        angle_min: geometry.start as f32,
+        angle_max: geometry.end(laser.count) as f32,
+        angle_increment: geometry.increment as f32,
+        time_increment: 0.0,
+        scan_time: 0.0,
+        range_min: MINIMUM_RANGE,
+        range_max: geometry.range_max,
+        ranges: laser.ranges,
+        intensities: laser.remissions,
+    })
+}

@@ -1,0 +1,269 @@
+//! The first look over a CARMEN log: what it holds, when, and where its scanners sit.
+
+use std::collections::BTreeMap;
+
+use portolan_geometry::{Time, normalize_angle};
+
+use super::line::{LaserKind, Line, LineTimes, PlanarPose, parse_line};
+use super::{CarmenOptions, TimeColumn};
+use crate::RecordingError;
+use crate::text::{Lines, TextFile};
+
+/// Times below this (September 2001) count from the start of some computer or program.
+const SHORTEST_UNIX_SECONDS: f64 = 1e9;
+/// Most parameters that are remembered.
+const MAX_PARAMS: usize = 20_000;
+/// A mounting may vary by rounding only (metres, radians).
+const MOUNTING_TOLERANCE: (f64, f64) = (0.01, 0.01);
+
+/// Which column of the log the stamps come from, and how they become times.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Clock {
+    column: TimeColumn,
+    shifted: bool,
+}
+
+impl Clock {
+    /// The stamp of a line.
+    ///
+    /// Unix times are read exactly. Times that count from a start are put 1,000,000,000 s later, by
+    /// the double-precision sum in nanoseconds: the stamps that ROS recordings made from such logs
+    /// carry, so that both forms map to the same bytes.
+    pub fn stamp(self, times: LineTimes) -> Option<Time> {
+        let text = match self.column {
+            TimeColumn::Ipc => times.ipc,
+            TimeColumn::Logger => times.logger?,
+        };
+        if !self.shifted {
+            return Time::from_unix_decimal(text);
+        }
+        let seconds: f64 = text.parse().ok()?;
+        let nanoseconds = (SHORTEST_UNIX_SECONDS + seconds) * 1e9;
+        nanoseconds.is_finite().then(|| Time::from_unix_nanoseconds(nanoseconds as i64))
+    }
+}
+
+/// Where the laser sits on the robot, as its poses tell.
+#[derive(Clone, Debug, Default)]
+struct Mounting {
+    first: PlanarPose,
+    sum: PlanarPose,
+    count: u64,
+    constant: bool,
+}
+
+impl Mounting {
+    fn add(&mut self, laser: PlanarPose, robot: PlanarPose) {
+        let (sin, cos) = robot[2].sin_cos();
+        let (dx, dy) = (laser[0] - robot[0], laser[1] - robot[1]);
+        let relative = [cos * dx + sin * dy, cos * dy - sin * dx, normalize_angle(laser[2] - robot[2])];
+        if self.count == 0 {
+            (self.first, self.constant) = (relative, true);
+        }
+        let difference = [
+            relative[0] - self.first[0],
+            relative[1] - self.first[1],
+            normalize_angle(relative[2] - self.first[2]),
+        ];
+        self.constant &= difference[0].hypot(difference[1]) < MOUNTING_TOLERANCE.0
+            && difference[2].abs() < MOUNTING_TOLERANCE.1;
+        for (sum, d) in self.sum.iter_mut().zip(difference) {
+            *sum += d;
+        }
+        self.count += 1;
+    }
+
+    /// The mounting to a tenth of a millimetre, if it was the same all the time. In corrected logs it
+    /// is not, because there the laser pose is the result of a mapping program.
+    fn constant(&self) -> Option<PlanarPose> {
+        let mean = |i: usize| self.first[i] + self.sum[i] / self.count as f64;
+        let round = |v: f64, step: f64| (v / step).round() * step;
+        (self.constant && self.count > 0)
+            .then(|| [round(mean(0), 1e-4), round(mean(1), 1e-4), normalize_angle(round(mean(2), 1e-5))])
+    }
+}
+
+#[derive(Clone, Debug, Default)]
+struct LaserSurvey {
+    count: u64,
+    mounting: Mounting,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct TimeSpan {
+    range: Option<(f64, f64)>,
+    small: u64,
+    large: u64,
+}
+
+impl TimeSpan {
+    fn add(&mut self, text: &str) {
+        let Ok(time) = text.parse::<f64>() else { return };
+        if !time.is_finite() {
+            return;
+        }
+        self.range = Some(self.range.map_or((time, time), |(a, b)| (a.min(time), b.max(time))));
+        *(if time < SHORTEST_UNIX_SECONDS { &mut self.small } else { &mut self.large }) += 1;
+    }
+
+    fn length(&self) -> f64 {
+        self.range.map_or(0.0, |(first, last)| last - first)
+    }
+}
+
+/// What the whole log holds.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Survey {
+    pub odometry_lines: u64,
+    pub params: BTreeMap<String, String>,
+    lasers: BTreeMap<LaserKind, LaserSurvey>,
+    ipc: TimeSpan,
+    logger: TimeSpan,
+}
+
+impl Survey {
+    /// Reads the log once without its ranges.
+    pub fn of(file: &TextFile) -> Result<Self, RecordingError> {
+        let mut survey = Self::default();
+        let mut lines: Lines = file.lines()?;
+        while let Some(line) = lines.next_line()? {
+            match parse_line(line, false) {
+                Line::Param { name, value } if survey.params.len() < MAX_PARAMS => {
+                    survey.params.insert(name.to_owned(), value.to_owned());
+                }
+                Line::Odometry { times, .. } => {
+                    survey.odometry_lines += 1;
+                    survey.add_times(times);
+                }
+                Line::Laser { laser, times } => {
+                    let entry = survey.lasers.entry(laser.kind).or_default();
+                    entry.count += 1;
+                    if let Some((laser_pose, robot_pose)) = laser.poses {
+                        entry.mounting.add(laser_pose, robot_pose);
+                    }
+                    survey.add_times(times);
+                }
+                _ => {}
+            }
+        }
+        Ok(survey)
+    }
+
+    fn add_times(&mut self, times: LineTimes) {
+        self.ipc.add(times.ipc);
+        if let Some(text) = times.logger {
+            self.logger.add(text);
+        }
+    }
+
+    /// Number of scans of one kind.
+    pub fn scans(&self, kind: LaserKind) -> u64 {
+        self.lasers.get(&kind).map_or(0, |l| l.count)
+    }
+
+    /// All kinds of scans there are.
+    pub fn kinds(&self) -> impl Iterator<Item = LaserKind> {
+        self.lasers.keys().copied()
+    }
+
+    /// The clock to use: as asked for, except that a column that stands still is not used.
+    pub fn clock(&self, options: &CarmenOptions) -> Clock {
+        let (chosen, other, other_column) = match options.time_column {
+            TimeColumn::Ipc => (&self.ipc, &self.logger, TimeColumn::Logger),
+            TimeColumn::Logger => (&self.logger, &self.ipc, TimeColumn::Ipc),
+        };
+        if chosen.length() <= 0.0 && other.length() > 0.0 {
+            return Clock { column: other_column, shifted: other.small > other.large };
+        }
+        Clock { column: options.time_column, shifted: chosen.small > chosen.large }
+    }
+
+    /// First and last stamp.
+    pub fn time_range(&self, clock: Clock) -> Option<(Time, Time)> {
+        let span = match clock.column {
+            TimeColumn::Ipc => &self.ipc,
+            TimeColumn::Logger => &self.logger,
+        };
+        let stamp = |seconds: f64| {
+            let text = format!("{seconds}");
+            clock.stamp(LineTimes { ipc: &text, logger: Some(&text) })
+        };
+        let (first, last) = span.range?;
+        Some((stamp(first)?, stamp(last)?))
+    }
+
+    /// Where the scanner sits on the robot: as its poses say all along, or else (in corrected logs) as
+    /// the parameters say, or else at the origin of the robot.
+    pub fn mounting(&self, kind: LaserKind) -> Option<PlanarPose> {
+        let (parameter, heading) = match kind {
+            LaserKind::Front | LaserKind::Robot(1) => ("robot_frontlaser_offset", 0.0),
+            LaserKind::Rear | LaserKind::Robot(2) => ("robot_rearlaser_offset", std::f64::consts::PI),
+            LaserKind::Robot(_) | LaserKind::Raw(_) => ("", 0.0),
+        };
+        let declared = self.number(parameter).map(|offset| [offset, 0.0, heading]);
+        let seen = self.lasers.get(&kind).and_then(|l| l.mounting.constant());
+        match (seen, declared) {
+            (Some(seen), Some(declared)) if agree(seen, declared) => Some(declared),
+            (Some(seen), _) => Some(seen),
+            (None, Some(declared)) => Some(declared),
+            (None, None) if matches!(kind, LaserKind::Raw(_)) => None,
+            (None, None) => Some([0.0, 0.0, heading]),
+        }
+    }
+
+    /// A parameter as a finite number.
+    pub fn number(&self, name: &str) -> Option<f64> {
+        self.params.get(name)?.parse().ok().filter(|v: &f64| v.is_finite())
+    }
+}
+
+fn agree(a: PlanarPose, b: PlanarPose) -> bool {
+    (a[0] - b[0]).hypot(a[1] - b[1]) < MOUNTING_TOLERANCE.0
+        && normalize_angle(a[2] - b[2]).abs() < MOUNTING_TOLERANCE.1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn survey(text: &str) -> Survey {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.log");
+        std::fs::write(&path, text).unwrap();
+        Survey::of(&TextFile::open(&path).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn the_mounting_comes_from_poses_parameters_or_nothing() {
+        let scan = |laser: &str, robot: &str, t: u32| format!("FLASER 1 1.0 {laser} {robot} {t}.0 h {t}.0\n");
+        let steady = scan("0.3 0 0", "0.1 0 0", 1) + &scan("1.0 1.2 1.570796", "1.0 1.0 1.570796", 2);
+        let mounting = survey(&steady).mounting(LaserKind::Front).unwrap();
+        assert!((mounting[0] - 0.2).abs() < 1e-9 && mounting[1].abs() < 1e-9 && mounting[2].abs() < 1e-9);
+        let corrected = scan("0.3 0 0", "0.1 0 0", 1) + &scan("3.0 0 0", "1.0 1.0 0", 2);
+        assert_eq!(survey(&corrected).mounting(LaserKind::Front), Some([0.0; 3]));
+        let declared = "PARAM robot_frontlaser_offset 0.15 h 0\n".to_owned() + &corrected;
+        assert_eq!(survey(&declared).mounting(LaserKind::Front), Some([0.15, 0.0, 0.0]));
+        assert_eq!(survey("").mounting(LaserKind::Raw(1)), None);
+    }
+
+    #[test]
+    fn unix_times_are_exact_and_others_are_shifted() {
+        let odom = |t: &str| format!("ODOM 0 0 0 0 0 0 {t} h 0.5\nODOM 0 0 0 0 0 0 {t}9 h 0.6\n");
+        let unix = survey(&odom("1071078718.4623101"));
+        let clock = unix.clock(&CarmenOptions::default());
+        assert_eq!(unix.time_range(clock).unwrap().0.unix_decimal(), "1071078718.4623101");
+        let boot = survey(&odom("70.179699"));
+        let clock = boot.clock(&CarmenOptions::default());
+        let stamp = clock.stamp(LineTimes { ipc: "70.179699", logger: None }).unwrap();
+        assert_eq!(stamp, Time::from_ros(1_000_000_070, 179_698_944));
+    }
+
+    #[test]
+    fn a_column_that_stands_still_is_not_used() {
+        let text = "ODOM 0 0 0 0 0 0 0 h 0.5\nODOM 0 0 0 0 0 0 0 h 0.6\n";
+        let log = survey(text);
+        let clock = log.clock(&CarmenOptions::default());
+        assert_eq!(clock.column, TimeColumn::Logger);
+        assert!(log.time_range(clock).unwrap().0 < log.time_range(clock).unwrap().1);
+    }
+}

@@ -1,0 +1,299 @@
+//! Text logs line by line: plain, gzip or bzip2, complete or cut off.
+//!
+//! Short logs (up to 64 MiB of text) are decompressed once and kept, because a recording is read
+//! more than once; longer ones are decompressed again in every pass.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Cursor, ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::{
+    CarmenLog, CarmenOptions, CoreSlamLog, Recording, RecordingError, looks_like_carmen, looks_like_coreslam,
+};
+
+/// Most text that is kept in memory.
+const CACHE_BYTES: u64 = 64 << 20;
+/// Longest line that is looked at; a scan of 100,000 beams has less.
+const LINE_BYTES: u64 = 1 << 20;
+/// How much is looked at to recognise a format.
+const PREFIX_BYTES: u64 = 1 << 17;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Compression {
+    None,
+    Gzip,
+    Bzip2,
+}
+
+/// A text file that can be read any number of times.
+#[derive(Clone, Debug)]
+pub(crate) struct TextFile {
+    path: PathBuf,
+    size_bytes: u64,
+    compression: Compression,
+    /// The whole text and what ended it early, unless it is too long.
+    cached: Option<(Arc<[u8]>, Option<String>)>,
+}
+
+impl TextFile {
+    /// Opens the file and reads it if it is short.
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        let mut text = Self::probe(path)?;
+        text.cached = text.read_if_short()?;
+        Ok(text)
+    }
+
+    /// Finds out size and compression only.
+    fn probe(path: &Path) -> Result<Self, RecordingError> {
+        let io_error = |source| RecordingError::Io { path: path.to_owned(), source };
+        let mut file = File::open(path).map_err(io_error)?;
+        let size_bytes = file.metadata().map_err(io_error)?.len();
+        let mut magic = Vec::with_capacity(3);
+        (&mut file).take(3).read_to_end(&mut magic).map_err(io_error)?;
+        let compression = match magic.as_slice() {
+            [0x1f, 0x8b, ..] => Compression::Gzip,
+            b"BZh" => Compression::Bzip2,
+            _ => Compression::None,
+        };
+        Ok(Self { path: path.to_owned(), size_bytes, compression, cached: None })
+    }
+
+    fn read_if_short(&self) -> Result<Option<(Arc<[u8]>, Option<String>)>, RecordingError> {
+        let (stream, _) = self.stream()?;
+        let mut bytes = Vec::new();
+        let result = stream.take(CACHE_BYTES + 1).read_to_end(&mut bytes);
+        if bytes.len() as u64 > CACHE_BYTES {
+            return Ok(None);
+        }
+        let damage = match result {
+            Ok(_) => None,
+            Err(error) => Some(self.damage(error)?),
+        };
+        Ok(Some((bytes.into(), damage)))
+    }
+
+    fn stream(&self) -> Result<(Box<dyn BufRead + Send>, Arc<AtomicU64>), RecordingError> {
+        let file = File::open(&self.path)
+            .map_err(|source| RecordingError::Io { path: self.path.clone(), source })?;
+        let position = Arc::new(AtomicU64::new(0));
+        let file = BufReader::with_capacity(1 << 16, Counted { file, position: position.clone() });
+        let stream: Box<dyn BufRead + Send> = match self.compression {
+            Compression::None => Box::new(file),
+            Compression::Gzip => Box::new(BufReader::new(flate2::bufread::MultiGzDecoder::new(file))),
+            Compression::Bzip2 => Box::new(BufReader::new(bzip2::bufread::MultiBzDecoder::new(file))),
+        };
+        Ok((stream, position))
+    }
+
+    /// Damage of a compressed file ends it, errors of the disk are errors.
+    fn damage(&self, error: std::io::Error) -> Result<String, RecordingError> {
+        let damaged = matches!(
+            error.kind(),
+            ErrorKind::UnexpectedEof | ErrorKind::InvalidData | ErrorKind::InvalidInput | ErrorKind::Other
+        );
+        if self.compression == Compression::None || !damaged {
+            return Err(RecordingError::Io { path: self.path.clone(), source: error });
+        }
+        Ok(format!("the compressed file is damaged or cut off ({error}); what follows is lost"))
+    }
+
+    /// Bytes on disk.
+    pub fn size_bytes(&self) -> u64 {
+        self.size_bytes
+    }
+
+    /// " (bzip2)" and the like, for the name of the format.
+    pub fn compression_name(&self) -> &'static str {
+        match self.compression {
+            Compression::None => "",
+            Compression::Gzip => " (gzip)",
+            Compression::Bzip2 => " (bzip2)",
+        }
+    }
+
+    /// Starts at the first line.
+    pub fn lines(&self) -> Result<Lines, RecordingError> {
+        let source = match &self.cached {
+            Some((bytes, _)) => Source::Memory(Cursor::new(bytes.clone())),
+            None => {
+                let (stream, position) = self.stream()?;
+                Source::Stream(stream, position)
+            }
+        };
+        Ok(Lines { file: self.clone(), source, line: Vec::new(), overlong: 0, damage: None })
+    }
+}
+
+/// Opens a text log of any format, compressed or not; `None` if it begins like none of them.
+pub fn open_text_log(path: &Path) -> Result<Option<Box<dyn Recording>>, RecordingError> {
+    let file = TextFile::probe(path)?;
+    let mut prefix = Vec::new();
+    // What cannot be decompressed is no text log.
+    let _ = file.stream()?.0.take(PREFIX_BYTES).read_to_end(&mut prefix);
+    if looks_like_carmen(&prefix) {
+        return Ok(Some(Box::new(CarmenLog::open(path, CarmenOptions::default())?)));
+    }
+    if looks_like_coreslam(&prefix) {
+        return Ok(Some(Box::new(CoreSlamLog::open(path)?)));
+    }
+    Ok(None)
+}
+
+struct Counted {
+    file: File,
+    position: Arc<AtomicU64>,
+}
+
+impl Read for Counted {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        self.position.fetch_add(count as u64, Ordering::Relaxed);
+        Ok(count)
+    }
+}
+
+enum Source {
+    Memory(Cursor<Arc<[u8]>>),
+    Stream(Box<dyn BufRead + Send>, Arc<AtomicU64>),
+}
+
+/// One pass over the lines of a text file.
+pub(crate) struct Lines {
+    file: TextFile,
+    source: Source,
+    line: Vec<u8>,
+    overlong: u64,
+    damage: Option<String>,
+}
+
+impl Lines {
+    /// The next line without its end, `None` after the last. Lines that are too long are passed over
+    /// and counted.
+    pub fn next_line(&mut self) -> Result<Option<&[u8]>, RecordingError> {
+        loop {
+            self.line.clear();
+            let stream: &mut dyn BufRead = match &mut self.source {
+                Source::Memory(cursor) => cursor,
+                Source::Stream(stream, _) => stream,
+            };
+            let read = stream.take(LINE_BYTES).read_until(b'\n', &mut self.line);
+            if let Err(error) = read {
+                self.damage = Some(self.file.damage(error)?);
+                return Ok(None);
+            }
+            if self.line.is_empty() {
+                if let Some((_, damage)) = &self.file.cached {
+                    self.damage.clone_from(damage);
+                }
+                return Ok(None);
+            }
+            if self.line.len() as u64 == LINE_BYTES && self.line.last() != Some(&b'\n') {
+                self.overlong += 1;
+                if let Err(error) = skip_line(stream) {
+                    self.damage = Some(self.file.damage(error)?);
+                    return Ok(None);
+                }
+                continue;
+            }
+            while matches!(self.line.last(), Some(b'\n' | b'\r')) {
+                self.line.pop();
+            }
+            return Ok(Some(&self.line));
+        }
+    }
+
+    /// How many lines were too long to look at.
+    pub fn overlong(&self) -> u64 {
+        self.overlong
+    }
+
+    /// What ended the file early, once the end is reached.
+    pub fn damage(&self) -> Option<&str> {
+        self.damage.as_deref()
+    }
+
+    /// Bytes of the file consumed so far.
+    pub fn position_bytes(&self) -> u64 {
+        match &self.source {
+            Source::Stream(_, position) => position.load(Ordering::Relaxed),
+            Source::Memory(cursor) => {
+                let share = cursor.position() as f64 / cursor.get_ref().len().max(1) as f64;
+                (share * self.file.size_bytes as f64) as u64
+            }
+        }
+    }
+}
+
+fn skip_line(stream: &mut dyn BufRead) -> std::io::Result<()> {
+    loop {
+        let buffer = stream.fill_buf()?;
+        let (used, done) = match buffer.iter().position(|b| *b == b'\n') {
+            Some(index) => (index + 1, true),
+            None => (buffer.len(), buffer.is_empty()),
+        };
+        stream.consume(used);
+        if done {
+            return Ok(());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    fn lines_of(bytes: &[u8]) -> (Vec<String>, Option<String>, u64) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("log");
+        std::fs::write(&path, bytes).unwrap();
+        let mut lines = TextFile::open(&path).unwrap().lines().unwrap();
+        let mut found = Vec::new();
+        while let Some(line) = lines.next_line().unwrap() {
+            found.push(String::from_utf8_lossy(line).into_owned());
+        }
+        (found, lines.damage().map(str::to_owned), lines.overlong())
+    }
+
+    #[test]
+    fn plain_and_compressed_text_reads_the_same() {
+        let text = b"one\r\ntwo\n\nthree";
+        let expected = ["one", "two", "", "three"];
+        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        gzip.write_all(text).unwrap();
+        let mut bzip = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::fast());
+        bzip.write_all(text).unwrap();
+        for bytes in [text.to_vec(), gzip.finish().unwrap(), bzip.finish().unwrap()] {
+            let (lines, damage, overlong) = lines_of(&bytes);
+            assert_eq!(lines, expected);
+            assert_eq!((damage, overlong), (None, 0));
+        }
+    }
+
+    #[test]
+    fn a_truncated_file_gives_what_is_there() {
+        let text: Vec<u8> =
+            (0..20_000).flat_map(|i| format!("line {}\n", i * 7919 % 10_007).into_bytes()).collect();
+        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        gzip.write_all(&text).unwrap();
+        let gzip = gzip.finish().unwrap();
+        let (lines, damage, _) = lines_of(&gzip[..gzip.len() / 2]);
+        assert!(lines.len() > 5000 && lines.len() < 15_000, "{}", lines.len());
+        assert!(damage.unwrap().contains("cut off"));
+        let mut bzip = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::fast());
+        bzip.write_all(&text).unwrap();
+        let bzip = bzip.finish().unwrap();
+        let (_, damage, _) = lines_of(&bzip[..bzip.len() / 2]);
+        assert!(damage.is_some());
+    }
+
+    #[test]
+    fn an_endless_line_is_passed_over() {
+        let mut text = vec![b'x'; 3 << 20];
+        text.extend_from_slice(b"\nshort\n");
+        let (lines, damage, overlong) = lines_of(&text);
+        assert_eq!((lines.as_slice(), damage, overlong), (["short".to_owned()].as_slice(), None, 1));
+    }
+}
