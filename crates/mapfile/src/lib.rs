@@ -1,1 +1,44 @@
-//! Maps as documents: pbstream and its messages, ROS map export
+//! Maps as documents: pbstream files and their messages, pictures of submaps, ROS map export.
+
+mod atomic_file;
+mod codes;
+mod error;
+mod frames;
+mod gzip;
+mod load_textures;
+mod map_reader;
+mod message;
+mod number;
+mod ordered;
+mod paint;
+mod point_cloud;
+mod pose;
+pub mod proto;
+mod reader;
+mod resample;
+mod ros_map;
+mod texture;
+mod texture_3d;
+mod wire;
+mod writer;
+
+pub use atomic_file::{AtomicFile, WriteError, write_atomically};
+pub use codes::{
+    CodeRange, MAX_CODE, MAX_CORRESPONDENCE_COST, MAX_PROBABILITY, MIN_CORRESPONDENCE_COST, MIN_PROBABILITY,
+    correspondence_cost_bounds, log_odds_byte,
+};
+pub use error::{PbstreamError, RecordError};
+pub use gzip::{GzipError, gunzip, gzip};
+pub use load_textures::{MapTextures, load_textures, submap_texture};
+pub use map_reader::{IgnoredMessages, MapMessage, MapReader};
+pub use message::{Message, MessageKind, RawMessage, kind_of};
+pub use number::format_general;
+pub use paint::{MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint};
+pub use point_cloud::{PointCloudError, compress as compress_points, decompress as decompress_points};
+pub use pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
+pub use reader::{PbstreamReader, ReadLimits};
+pub use ros_map::{ImageName, ros_map_yaml, write_pgm, write_ros_map};
+pub use texture::{MAX_TEXTURE_PIXELS, SubmapTexture, TextureError, texture_2d};
+pub use texture_3d::{texture_3d, xray_texture};
+pub use wire::{Fields, WireError, WireValue};
+pub use writer::{FORMAT_VERSION, PbstreamWriter};

@@ -1,0 +1,130 @@
+//! What can go wrong with a map file.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::gzip::GzipError;
+
+/// Why a map file could not be read or written. Texts say what to do where something can be done.
+#[derive(Debug, thiserror::Error)]
+pub enum PbstreamError {
+    /// The file could not be opened.
+    #[error("cannot open the map \"{}\": {source}", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file does not start with the magic number of pbstream files.
+    #[error("not a pbstream file: it starts with \"{found}\" instead of \"db01f55b7b1f1d7b\"")]
+    Magic {
+        /// The first bytes in hexadecimal.
+        found: String,
+    },
+    /// A record could not be read.
+    #[error("message {index} at byte {offset}: {problem}")]
+    Record {
+        /// Number of the record; the header is 0.
+        index: u64,
+        /// Position of the record's size field in the file.
+        offset: u64,
+        /// What is wrong with it.
+        problem: RecordError,
+    },
+    /// The first record is no header, or of a format that is not known.
+    #[error("Unsupported serialization format \"{version}\" (1 and 2 are known)")]
+    Version {
+        /// The version in the header.
+        version: u32,
+    },
+    /// The file ends before the header.
+    #[error("the map is empty: there is no header; the file was probably never written completely")]
+    MissingHeader,
+    /// The second message is missing.
+    #[error("Serialized stream misses PoseGraph.")]
+    MissingPoseGraph,
+    /// The second message is another one.
+    #[error(
+        "Serialized stream order corrupt. Expecting `PoseGraph` after `SerializationHeader`, but got \
+         field tag {tag}"
+    )]
+    PoseGraphOrder {
+        /// The field number found.
+        tag: u32,
+    },
+    /// The third message is missing.
+    #[error("Serialized stream misses `AllTrajectoryBuilderOptions`.")]
+    MissingOptions,
+    /// The third message is another one.
+    #[error(
+        "Serialized stream order corrupt. Expecting `AllTrajectoryBuilderOptions` after `PoseGraph`, but \
+         got field tag {tag}"
+    )]
+    OptionsOrder {
+        /// The field number found.
+        tag: u32,
+    },
+    /// Options and trajectories do not belong together.
+    #[error(
+        "the map has options for {options} trajectories but poses of {trajectories}; `repair` makes them \
+         agree"
+    )]
+    OptionsCount {
+        /// How many options.
+        options: usize,
+        /// How many trajectories.
+        trajectories: usize,
+    },
+    /// The map could not be written.
+    #[error("cannot write the map \"{}\": {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+/// What is wrong with one record.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// Reading failed.
+    #[error("reading failed: {0}")]
+    Io(#[from] io::Error),
+    /// The file ends within the eight bytes of a record's size.
+    #[error("the file ends within a record's size: it was cut off; `repair` keeps what is whole")]
+    TruncatedSize,
+    /// The stated size does not fit into what is left of the file.
+    #[error(
+        "the record says it has {stated} bytes but only {available} are left: the file was cut off or is \
+         damaged; `repair` keeps what is whole"
+    )]
+    Size {
+        /// Bytes according to the size field.
+        stated: u64,
+        /// Bytes that are there.
+        available: u64,
+    },
+    /// The record is larger than the limit.
+    #[error("the record has {stated} compressed bytes, more than the limit of {limit}")]
+    CompressedTooLarge {
+        /// Bytes according to the size field.
+        stated: u64,
+        /// The limit.
+        limit: u64,
+    },
+    /// The record cannot be unpacked.
+    #[error(transparent)]
+    Gzip(#[from] GzipError),
+    /// The record is not the message it should be.
+    #[error("not a valid message: {0}")]
+    Decode(#[from] prost::DecodeError),
+}
+
+impl RecordError {
+    /// Whether the records after this one can still be found.
+    pub fn is_local(&self) -> bool {
+        matches!(self, Self::Gzip(_) | Self::Decode(_))
+    }
+}

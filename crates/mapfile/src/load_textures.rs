@@ -1,0 +1,71 @@
+//! Textures of all submaps of a map file.
+
+use rayon::prelude::*;
+
+use crate::error::PbstreamError;
+use crate::map_reader::MapReader;
+use crate::paint::PlacedTexture;
+use crate::pose::{IdInFile, submap_id, submap_poses};
+use crate::proto::mapping::Submap;
+use crate::proto::mapping::serialized_data::Data;
+use crate::texture::{TextureError, texture_2d};
+use crate::texture_3d::texture_3d;
+
+/// Submaps whose textures are made together; bounds the number of decoded grids in memory.
+const BATCH: usize = 16;
+
+/// The textures of a map.
+#[derive(Debug, Default)]
+pub struct MapTextures {
+    /// Ascending by id, as they are to be painted.
+    pub textures: Vec<PlacedTexture>,
+    /// Submaps without a texture, and why.
+    pub skipped: Vec<(IdInFile, TextureError)>,
+}
+
+/// Reads the rest of a map and makes the texture of every submap. Submaps that cannot be shown are
+/// named in the result; the others follow (unlike in other programs, which stop painting there).
+pub fn load_textures(reader: &mut MapReader) -> Result<MapTextures, PbstreamError> {
+    let poses = submap_poses(reader.pose_graph());
+    let mut result = MapTextures::default();
+    let mut batch = Vec::new();
+    loop {
+        let message = reader.next_message()?;
+        let ended = message.is_none();
+        if let Some(Data::Submap(submap)) = message.map(|m| m.data) {
+            batch.push(submap);
+        }
+        if batch.len() >= BATCH || ended {
+            let place = |submap: &Submap| {
+                let id = submap_id(submap.submap_id.as_ref());
+                let map_from_submap = poses.get(&id).ok_or((id, TextureError::Pose("global")))?;
+                let texture = submap_texture(submap, map_from_submap).map_err(|e| (id, e))?;
+                Ok(PlacedTexture { id, map_from_submap: *map_from_submap, texture })
+            };
+            for placed in batch.par_iter().map(place).collect::<Vec<_>>() {
+                match placed {
+                    Ok(texture) => result.textures.push(texture),
+                    Err(skipped) => result.skipped.push(skipped),
+                }
+            }
+            batch.clear();
+        }
+        if ended {
+            break;
+        }
+    }
+    result.textures.sort_by_key(|t| t.id);
+    Ok(result)
+}
+
+/// The texture of a 2D or 3D submap; for 3D that of the fine grid, seen from above in the global map.
+pub fn submap_texture(
+    submap: &Submap,
+    map_from_submap: &portolan_geometry::Rigid3,
+) -> Result<crate::texture::SubmapTexture, TextureError> {
+    match (&submap.submap_2d, &submap.submap_3d) {
+        (Some(submap), _) => texture_2d(submap),
+        (None, Some(submap)) => texture_3d(submap, map_from_submap),
+        (None, None) => Err(TextureError::NoGrid),
+    }
+}

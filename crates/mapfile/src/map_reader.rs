@@ -1,0 +1,173 @@
+//! Reading a map: the header, the pose graph and the options at once, everything else one by one.
+
+use std::io::Read;
+use std::path::Path;
+
+use crate::error::PbstreamError;
+use crate::frames::FrameReader;
+use crate::message::{Message, RawMessage};
+use crate::proto::mapping::serialized_data::Data;
+use crate::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
+use crate::reader::{ReadLimits, Records, decode, open_frames};
+
+/// Messages that were left out while reading, because nothing can be done with them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct IgnoredMessages {
+    /// A second pose graph.
+    pub pose_graphs: u64,
+    /// Options for a second time.
+    pub options: u64,
+    /// Kinds that are not known here.
+    pub unknown: u64,
+}
+
+/// Reads a map in the order of the format: header, pose graph and options are there after opening, the
+/// other messages follow one by one, decoded ahead on all cores.
+pub struct MapReader {
+    header: SerializationHeader,
+    pose_graph: PoseGraph,
+    options: AllTrajectoryBuilderOptions,
+    records: Records<(RawMessage, Message)>,
+    ignored: IgnoredMessages,
+}
+
+/// One message of a map after the first three.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapMessage {
+    /// Number of the record; the header is 0.
+    pub index: u64,
+    /// Position of the record in the file.
+    pub offset: u64,
+    /// The content: never a pose graph or options.
+    pub data: Data,
+}
+
+impl MapReader {
+    /// Opens a map with the default limits.
+    ///
+    /// Errors: not a pbstream; an unknown version; pose graph or options missing, out of order or not
+    /// for the same number of trajectories; damage.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, PbstreamError> {
+        Self::open_with(path, ReadLimits::default())
+    }
+
+    /// Opens a map; errors as for [`MapReader::open`].
+    pub fn open_with(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
+        Self::start(open_frames(path.as_ref(), limits)?, limits)
+    }
+
+    /// Reads from any source; `length` is its whole length in bytes if it is known.
+    pub fn from_source(
+        source: impl Read + Send + 'static,
+        length: Option<u64>,
+        limits: ReadLimits,
+    ) -> Result<Self, PbstreamError> {
+        Self::start(FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?, limits)
+    }
+
+    fn start(frames: FrameReader, limits: ReadLimits) -> Result<Self, PbstreamError> {
+        let mut records = Records::new(frames, limits, decode);
+        let header = match records.next_record()? {
+            Some((_, Message::Header(header))) => header,
+            _ => return Err(PbstreamError::MissingHeader),
+        };
+        check_version(&header)?;
+        let pose_graph = match records.next_record()? {
+            Some((_, Message::Data(data))) => match *data {
+                Data::PoseGraph(pose_graph) => pose_graph,
+                other => {
+                    return Err(PbstreamError::PoseGraphOrder { tag: crate::message::kind_of(&other).tag() });
+                }
+            },
+            Some((_, other)) => return Err(PbstreamError::PoseGraphOrder { tag: other.kind().tag() }),
+            None => return Err(PbstreamError::MissingPoseGraph),
+        };
+        let options = match records.next_record()? {
+            Some((_, Message::Data(data))) => match *data {
+                Data::AllTrajectoryBuilderOptions(options) => options,
+                other => {
+                    return Err(PbstreamError::OptionsOrder { tag: crate::message::kind_of(&other).tag() });
+                }
+            },
+            Some((_, other)) => return Err(PbstreamError::OptionsOrder { tag: other.kind().tag() }),
+            None => return Err(PbstreamError::MissingOptions),
+        };
+        let counts = (options.options_with_sensor_ids.len(), pose_graph.trajectory.len());
+        if counts.0 != counts.1 {
+            return Err(PbstreamError::OptionsCount { options: counts.0, trajectories: counts.1 });
+        }
+        Ok(Self { header, pose_graph, options, records, ignored: IgnoredMessages::default() })
+    }
+
+    /// The first message.
+    pub fn header(&self) -> &SerializationHeader {
+        &self.header
+    }
+
+    /// The second message: global poses and constraints.
+    pub fn pose_graph(&self) -> &PoseGraph {
+        &self.pose_graph
+    }
+
+    /// The third message: one entry for each trajectory of the pose graph, in its order.
+    pub fn options(&self) -> &AllTrajectoryBuilderOptions {
+        &self.options
+    }
+
+    /// The next message after those three, or nothing at the end. Further pose graphs, options and
+    /// unknown kinds are left out and counted in [`MapReader::ignored`].
+    pub fn next_message(&mut self) -> Result<Option<MapMessage>, PbstreamError> {
+        while let Some((RawMessage { index, offset, .. }, message)) = self.records.next_record()? {
+            match message {
+                Message::Data(data) => match *data {
+                    Data::PoseGraph(_) => {
+                        self.ignored.pose_graphs += 1;
+                        tracing::warn!(
+                            index,
+                            "Found multiple serialized `PoseGraph`. Serialized stream \
+                                               likely corrupt! Keeping the first one."
+                        );
+                    }
+                    Data::AllTrajectoryBuilderOptions(_) => {
+                        self.ignored.options += 1;
+                        tracing::warn!(
+                            index,
+                            "Found multiple serialized `AllTrajectoryBuilderOptions`. \
+                                               Serialized stream likely corrupt! Keeping the first ones."
+                        );
+                    }
+                    data => return Ok(Some(MapMessage { index, offset, data })),
+                },
+                Message::Unknown(tag) => {
+                    self.ignored.unknown += 1;
+                    tracing::warn!(index, "Skipping unknown message type in stream: field tag {tag}");
+                }
+                Message::Header(_) => {}
+            }
+        }
+        Ok(None)
+    }
+
+    /// What was left out so far.
+    pub fn ignored(&self) -> IgnoredMessages {
+        self.ignored
+    }
+
+    /// Bytes read from the file so far (some ahead of the messages handed out), for progress.
+    pub fn bytes_read(&self) -> u64 {
+        self.records.bytes_read()
+    }
+
+    /// The length of the file, where it is known.
+    pub fn length(&self) -> Option<u64> {
+        self.records.length()
+    }
+}
+
+/// Versions 1 and 2 are known.
+pub(crate) fn check_version(header: &SerializationHeader) -> Result<(), PbstreamError> {
+    match header.format_version {
+        1 | 2 => Ok(()),
+        version => Err(PbstreamError::Version { version }),
+    }
+}

@@ -1,0 +1,120 @@
+//! Work done on other cores whose results come back in the order in which it was handed in.
+
+use std::collections::VecDeque;
+use std::mem;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+/// A queue of jobs. Threads of the rayon pool take jobs when they are free; who asks for a result that
+/// nobody has begun does the work itself. So there is no deadlock when the pool is busy or the caller
+/// is one of its threads, and the results do not depend on the number of threads.
+pub struct OrderedWorkers<I, O> {
+    jobs: VecDeque<Arc<Job<I, O>>>,
+    work: Arc<dyn Fn(I) -> O + Send + Sync>,
+}
+
+struct Job<I, O> {
+    state: Mutex<State<I, O>>,
+    finished: Condvar,
+}
+
+enum State<I, O> {
+    Waiting(I),
+    Running,
+    Done(O),
+    Taken,
+}
+
+impl<I: Send + 'static, O: Send + 'static> OrderedWorkers<I, O> {
+    /// Workers that turn inputs into outputs with `work`.
+    pub fn new(work: impl Fn(I) -> O + Send + Sync + 'static) -> Self {
+        Self { jobs: VecDeque::new(), work: Arc::new(work) }
+    }
+
+    /// Hands in a job. The caller bounds the number of jobs in flight.
+    pub fn push(&mut self, input: I) {
+        let job = Arc::new(Job { state: Mutex::new(State::Waiting(input)), finished: Condvar::new() });
+        self.jobs.push_back(Arc::clone(&job));
+        let work = Arc::clone(&self.work);
+        rayon::spawn(move || job.run(&*work));
+    }
+
+    /// How many jobs were handed in whose results were not taken.
+    pub fn len(&self) -> usize {
+        self.jobs.len()
+    }
+
+    /// The result of the oldest job; waits for it or does it.
+    pub fn pop(&mut self) -> Option<O> {
+        let job = self.jobs.pop_front()?;
+        job.run(&*self.work);
+        let mut state = job.lock();
+        loop {
+            match mem::replace(&mut *state, State::Taken) {
+                State::Done(output) => return Some(output),
+                other => *state = other,
+            }
+            state = job.finished.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+impl<I, O> Job<I, O> {
+    fn lock(&self) -> MutexGuard<'_, State<I, O>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Does the job unless somebody else has begun it.
+    fn run(&self, work: &(dyn Fn(I) -> O + Send + Sync)) {
+        let input = {
+            let mut state = self.lock();
+            match mem::replace(&mut *state, State::Running) {
+                State::Waiting(input) => input,
+                other => {
+                    *state = other;
+                    return;
+                }
+            }
+        };
+        let output = work(input);
+        *self.lock() = State::Done(output);
+        self.finished.notify_all();
+    }
+}
+
+impl<I, O> Drop for OrderedWorkers<I, O> {
+    /// Jobs that nobody has begun are not worth doing any more.
+    fn drop(&mut self) {
+        for job in &self.jobs {
+            let mut state = job.lock();
+            if matches!(*state, State::Waiting(_)) {
+                *state = State::Taken;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_come_in_order_on_any_pool() {
+        for threads in [1, 3] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let squares: Vec<u64> = pool.install(|| {
+                let mut workers = OrderedWorkers::new(|i: u64| i * i);
+                (0..100).for_each(|i| workers.push(i));
+                std::iter::from_fn(|| workers.pop()).collect()
+            });
+            assert_eq!(squares, (0..100).map(|i| i * i).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn unfinished_work_is_dropped() {
+        let mut workers = OrderedWorkers::new(|i: u64| i);
+        (0..1000).for_each(|i| workers.push(i));
+        assert_eq!(workers.pop(), Some(0));
+        drop(workers);
+    }
+}

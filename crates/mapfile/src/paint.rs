@@ -1,0 +1,236 @@
+//! Painting submaps into one picture of the map (`formats.md §8`).
+//!
+//! Works on plain inputs, so that submaps of a file and submaps that are just being built can be
+//! painted alike.
+
+use portolan_geometry::Rigid3;
+use rayon::prelude::*;
+
+use crate::pose::IdInFile;
+use crate::resample::Sampler;
+use crate::texture::SubmapTexture;
+
+/// Free margin around the submaps, pixels.
+const PADDING: f32 = 5.0;
+/// Rows that are painted together by one thread.
+const BAND: usize = 32;
+
+/// A texture and where it lies.
+#[derive(Clone, Debug)]
+pub struct PlacedTexture {
+    /// `(trajectory id, index)` of the submap; textures are painted in the order they are given, which
+    /// should be ascending.
+    pub id: IdInFile,
+    /// Pose of the submap in the global map.
+    pub map_from_submap: Rigid3,
+    /// What it looks like.
+    pub texture: SubmapTexture,
+}
+
+/// A rectangle in the map frame, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapArea {
+    /// Smallest x.
+    pub min_x: f64,
+    /// Smallest y.
+    pub min_y: f64,
+    /// Largest x.
+    pub max_x: f64,
+    /// Largest y.
+    pub max_y: f64,
+}
+
+/// How to paint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PaintOptions {
+    /// Edge of a pixel in metres.
+    pub resolution: f64,
+    /// Only this part of the map; otherwise everything with a margin of 5 pixels.
+    pub crop: Option<MapArea>,
+    /// Pictures of more pixels are refused. Painting takes two bytes for each.
+    pub max_pixels: u64,
+}
+
+impl Default for PaintOptions {
+    fn default() -> Self {
+        Self { resolution: 0.05, crop: None, max_pixels: 1 << 28 }
+    }
+}
+
+/// Why a map could not be painted.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PaintError {
+    /// There is no submap with a grid.
+    #[error("there is nothing to paint: no submap has a grid")]
+    Nothing,
+    /// The resolution must be positive and finite.
+    #[error("the resolution must be a positive number of metres, not {0}")]
+    Resolution(f64),
+    /// The rectangle to crop to is empty or not finite.
+    #[error("the area to paint is empty or not finite")]
+    Crop,
+    /// A texture lies nowhere.
+    #[error("submap ({}, {}) has no finite pose", .0.0, .0.1)]
+    Pose(IdInFile),
+    /// A texture does not have the pixels it should have.
+    #[error("the texture of submap ({}, {}) does not have width times height pixels", .0.0, .0.1)]
+    Texture(IdInFile),
+    /// The picture would be too large.
+    #[error(
+        "the picture would have {width} x {height} pixels, more than the limit of {limit}; take a \
+         resolution of {enough:.3} m or crop"
+    )]
+    TooLarge {
+        /// Columns.
+        width: f64,
+        /// Rows.
+        height: f64,
+        /// Most pixels allowed.
+        limit: u64,
+        /// A resolution that is coarse enough.
+        enough: f64,
+    },
+}
+
+/// A painted map, row by row from the top (largest y).
+#[derive(Clone, Debug, PartialEq)]
+pub struct PaintedMap {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Edge of a pixel in metres.
+    pub resolution: f64,
+    /// Where the origin of the map frame lies in the picture: pixels from the left and from the top.
+    pub origin: [f64; 2],
+    /// `(grey, known)` for each pixel. Grey runs from 0 (occupied) over 128 (not known) to 255 (free);
+    /// known is 0 where no submap has seen anything.
+    pub pixels: Vec<[u8; 2]>,
+}
+
+impl PaintedMap {
+    /// Grey values from 0 (occupied) to 255 (free): the image of ROS maps.
+    pub fn grey(&self) -> impl Iterator<Item = u8> + '_ {
+        self.pixels.iter().map(|p| p[0])
+    }
+
+    /// Occupancy in percent, −1 where not known; rows from the bottom (smallest y), as in
+    /// `nav_msgs/OccupancyGrid`.
+    pub fn occupancy(&self) -> Vec<i8> {
+        let rows = self.pixels.chunks(self.width.max(1)).rev();
+        rows.flatten().map(|pixel| occupancy(*pixel)).collect()
+    }
+
+    /// Position in the map frame, metres, of the lower left corner of the picture.
+    pub fn lower_left(&self) -> [f64; 2] {
+        [-self.origin[0] * self.resolution, (self.origin[1] - self.height as f64) * self.resolution]
+    }
+
+    /// Pixels from the left and from the top of a position in the map frame.
+    pub fn pixel_from_map(&self, position: [f64; 2]) -> [f64; 2] {
+        [position[0] / self.resolution + self.origin[0], self.origin[1] - position[1] / self.resolution]
+    }
+}
+
+fn occupancy([grey, known]: [u8; 2]) -> i8 {
+    if known == 0 {
+        return -1;
+    }
+    ((1.0 - f64::from(grey) / 255.0) * 100.0).round() as i8
+}
+
+/// Paints textures one over the other, in the order given, the same for any number of threads.
+///
+/// Textures that are seen exactly from the side (a submap tilted by a quarter turn) have no area and
+/// leave nothing.
+pub fn paint(textures: &[PlacedTexture], options: &PaintOptions) -> Result<PaintedMap, PaintError> {
+    let resolution = options.resolution;
+    if !resolution.is_finite() || resolution <= 0.0 {
+        return Err(PaintError::Resolution(resolution));
+    }
+    let slices = textures.iter().map(|t| Slice::new(t, resolution)).collect::<Result<Vec<_>, _>>()?;
+    let (size, origin) = match &options.crop {
+        Some(area) => cropped(area, resolution)?,
+        None => bounds(&slices).ok_or(PaintError::Nothing)?,
+    };
+    if size[0] * size[1] > options.max_pixels as f64 || size[0] > 1e9 || size[1] > 1e9 {
+        let enough = resolution * (size[0] * size[1] / options.max_pixels as f64).sqrt() * 1.01;
+        let [width, height] = size;
+        return Err(PaintError::TooLarge { width, height, limit: options.max_pixels, enough });
+    }
+    let (width, height) = (size[0] as usize, size[1] as usize);
+    let mut pixels = vec![[128, 0]; width * height];
+    let samplers: Vec<Sampler> = slices.iter().filter_map(|s| s.sampler(origin)).collect();
+    pixels.par_chunks_mut(width.max(1) * BAND).enumerate().for_each(|(band, rows)| {
+        for sampler in &samplers {
+            for (i, row) in rows.chunks_mut(width.max(1)).enumerate() {
+                sampler.paint_row(band * BAND + i, row);
+            }
+        }
+    });
+    Ok(PaintedMap { width, height, resolution, origin, pixels })
+}
+
+/// A texture with the affine map from its pixels to the picture, before the shift by the origin.
+struct Slice<'a> {
+    texture: &'a SubmapTexture,
+    /// Columns: per texture column, per texture row, offset.
+    picture_from_texture: [[f64; 2]; 3],
+}
+
+impl<'a> Slice<'a> {
+    fn new(placed: &'a PlacedTexture, resolution: f64) -> Result<Self, PaintError> {
+        let texture = &placed.texture;
+        if texture.width.checked_mul(texture.height) != Some(texture.pixels.len()) {
+            return Err(PaintError::Texture(placed.id));
+        }
+        let h = (placed.map_from_submap * texture.submap_from_slice).to_homogeneous();
+        let (r, s) = (texture.resolution / resolution, 1.0 / resolution);
+        let picture_from_texture = [
+            [r * h[(1, 0)], r * h[(0, 0)]],
+            [-r * h[(1, 1)], -r * h[(0, 1)]],
+            [s * h[(0, 3)], -s * h[(1, 3)]],
+        ];
+        if !picture_from_texture.as_flattened().iter().all(|v| v.is_finite()) {
+            return Err(PaintError::Pose(placed.id));
+        }
+        Ok(Self { texture, picture_from_texture })
+    }
+
+    fn corners(&self) -> [[f32; 2]; 4] {
+        let (w, h) = (self.texture.width as f64, self.texture.height as f64);
+        let [a, b, c] = self.picture_from_texture;
+        [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)]
+            .map(|(x, y)| [0, 1].map(|i| (a[i] * x + b[i] * y + c[i]) as f32))
+    }
+
+    fn sampler(&self, origin: [f64; 2]) -> Option<Sampler<'a>> {
+        let [a, b, c] = self.picture_from_texture;
+        let texture = self.texture;
+        Sampler::new(&texture.pixels, texture.width, texture.height, [a, b, [0, 1].map(|i| c[i] + origin[i])])
+    }
+}
+
+type SizeAndOrigin = ([f64; 2], [f64; 2]);
+
+/// Size of the picture and position of the map's origin in it, in single precision as the format has it.
+fn bounds(slices: &[Slice]) -> Option<SizeAndOrigin> {
+    let mut corners = slices.iter().flat_map(Slice::corners);
+    let first = corners.next()?;
+    let (min, max) = corners.fold((first, first), |(lo, hi), c| {
+        ([lo[0].min(c[0]), lo[1].min(c[1])], [hi[0].max(c[0]), hi[1].max(c[1])])
+    });
+    let size = [0, 1].map(|i| f64::from((max[i] - min[i]).ceil()) + 2.0 * f64::from(PADDING));
+    Some((size, [0, 1].map(|i| f64::from(PADDING - min[i]))))
+}
+
+fn cropped(area: &MapArea, resolution: f64) -> Result<SizeAndOrigin, PaintError> {
+    let size = [area.max_x - area.min_x, area.max_y - area.min_y];
+    if !size.iter().all(|s| s.is_finite() && *s > 0.0) {
+        return Err(PaintError::Crop);
+    }
+    Ok((
+        size.map(|s| (s / resolution - 1e-6).ceil().max(1.0)),
+        [-area.min_x / resolution, area.max_y / resolution],
+    ))
+}

@@ -1,0 +1,230 @@
+//! Reading a pbstream message by message, unpacking ahead on all cores.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+use crate::error::{PbstreamError, RecordError};
+use crate::frames::{Frame, FrameReader};
+use crate::gzip::{GzipError, gunzip};
+use crate::message::{Message, RawMessage};
+use crate::ordered::OrderedWorkers;
+
+/// A batch of records is unpacked as one job; smaller jobs cost more than they gain.
+const BATCH_BYTES: usize = 128 << 10;
+const BATCH_RECORDS: usize = 512;
+/// How much may be under way: eight batches and 4 MiB of compressed data.
+const MAX_BATCHES: usize = 8;
+const MAX_AHEAD_BYTES: usize = 4 << 20;
+/// What a batch may unpack to ahead of its turn; what is larger waits until it is asked for. So read-ahead
+/// never holds more than eight times this, even where every record is a gzip bomb.
+const MAX_BATCH_UNPACKED: usize = 32 << 20;
+
+/// Bounds on what a file may make the reader allocate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReadLimits {
+    /// Largest record as it stands in the file, bytes.
+    pub max_compressed_bytes: u64,
+    /// Largest message after unpacking, bytes. 512 MiB are the pose graph of a map with some millions of
+    /// constraints, or a grid with 100 million cells.
+    pub max_message_bytes: usize,
+}
+
+impl Default for ReadLimits {
+    fn default() -> Self {
+        Self { max_compressed_bytes: 512 << 20, max_message_bytes: 512 << 20 }
+    }
+}
+
+/// Reads the messages of a pbstream one by one, as bytes: nothing is lost, not even fields and messages
+/// that are unknown here.
+///
+/// An error within one record (damaged compression) does not end the iteration: the records after it
+/// follow. Where the file is cut off the error is the last item.
+pub struct PbstreamReader {
+    records: Records<RawMessage>,
+}
+
+impl PbstreamReader {
+    /// Opens a file with the default limits.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, PbstreamError> {
+        Self::open_with(path, ReadLimits::default())
+    }
+
+    /// Opens a file. Errors: not there, not readable, not a pbstream.
+    pub fn open_with(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
+        Ok(Self { records: Records::new(open_frames(path.as_ref(), limits)?, limits, Ok) })
+    }
+
+    /// Reads from any source; `length` is its whole length in bytes if it is known.
+    pub fn from_source(
+        source: impl Read + Send + 'static,
+        length: Option<u64>,
+        limits: ReadLimits,
+    ) -> Result<Self, PbstreamError> {
+        let frames = FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?;
+        Ok(Self { records: Records::new(frames, limits, Ok) })
+    }
+
+    /// The next message, or nothing at the end.
+    pub fn next_message(&mut self) -> Result<Option<RawMessage>, PbstreamError> {
+        self.records.next_record()
+    }
+
+    /// Bytes read from the file so far (some ahead of the messages handed out), for progress.
+    pub fn bytes_read(&self) -> u64 {
+        self.records.bytes_read()
+    }
+
+    /// The length of the file, where it is known.
+    pub fn length(&self) -> Option<u64> {
+        self.records.length()
+    }
+}
+
+impl Iterator for PbstreamReader {
+    type Item = Result<RawMessage, PbstreamError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.next_message().transpose()
+    }
+}
+
+/// Opens a file and checks its magic number.
+pub(crate) fn open_frames(path: &Path, limits: ReadLimits) -> Result<FrameReader, PbstreamError> {
+    let open = |source| PbstreamError::Open { path: path.to_owned(), source };
+    let file = File::open(path).map_err(open)?;
+    let metadata = file.metadata().map_err(open)?;
+    // Pipes have no length that could be trusted.
+    let length = metadata.is_file().then_some(metadata.len());
+    let source = Box::new(BufReader::with_capacity(256 << 10, file));
+    FrameReader::new(source, length, limits.max_compressed_bytes)
+}
+
+/// Decodes a message; the error says which.
+pub(crate) fn decode(raw: RawMessage) -> Result<(RawMessage, Message), PbstreamError> {
+    match raw.decode() {
+        Ok(message) => Ok((raw, message)),
+        Err(error) => {
+            Err(PbstreamError::Record { index: raw.index, offset: raw.offset, problem: error.into() })
+        }
+    }
+}
+
+type Unpacked<T> = Result<T, PbstreamError>;
+type Step<T> = fn(RawMessage) -> Unpacked<T>;
+
+/// Records unpacked, and turned into something by `step`, ahead of being asked for.
+pub(crate) struct Records<T> {
+    frames: FrameReader,
+    limits: ReadLimits,
+    step: Step<T>,
+    workers: OrderedWorkers<Vec<Frame>, Vec<Ahead<T>>>,
+    ready: VecDeque<Ahead<T>>,
+    /// Compressed sizes of the batches under way.
+    under_way: VecDeque<usize>,
+    /// The end of the file, or an error, behind everything under way.
+    end: Option<Result<(), PbstreamError>>,
+}
+
+enum Ahead<T> {
+    Done(Unpacked<T>),
+    /// Too large to unpack before its turn.
+    Later(Frame),
+}
+
+impl<T: Send + 'static> Records<T> {
+    pub(crate) fn new(frames: FrameReader, limits: ReadLimits, step: Step<T>) -> Self {
+        let work = move |batch: Vec<Frame>| unpack_batch(batch, limits, step);
+        Self {
+            frames,
+            limits,
+            step,
+            workers: OrderedWorkers::new(work),
+            ready: VecDeque::new(),
+            under_way: VecDeque::new(),
+            end: None,
+        }
+    }
+
+    pub(crate) fn next_record(&mut self) -> Result<Option<T>, PbstreamError> {
+        loop {
+            if let Some(record) = self.ready.pop_front() {
+                return match record {
+                    Ahead::Done(result) => result.map(Some),
+                    Ahead::Later(frame) => {
+                        unpack(&frame, self.limits.max_message_bytes).and_then(self.step).map(Some)
+                    }
+                };
+            }
+            self.read_ahead();
+            self.under_way.pop_front();
+            match self.workers.pop() {
+                Some(batch) => self.ready = batch.into(),
+                // The error is told once; after it comes the end.
+                None => {
+                    return match self.end.replace(Ok(())) {
+                        Some(Err(error)) => Err(error),
+                        _ => Ok(None),
+                    };
+                }
+            }
+        }
+    }
+
+    pub(crate) fn bytes_read(&self) -> u64 {
+        self.frames.position()
+    }
+
+    pub(crate) fn length(&self) -> Option<u64> {
+        self.frames.length()
+    }
+
+    fn read_ahead(&mut self) {
+        while self.end.is_none()
+            && self.workers.len() < MAX_BATCHES
+            && self.under_way.iter().sum::<usize>() < MAX_AHEAD_BYTES
+        {
+            let mut batch = Vec::new();
+            let mut bytes = 0;
+            while bytes < BATCH_BYTES && batch.len() < BATCH_RECORDS && self.end.is_none() {
+                match self.frames.next_frame() {
+                    Ok(Some(frame)) => {
+                        bytes += frame.payload.len();
+                        batch.push(frame);
+                    }
+                    Ok(None) => self.end = Some(Ok(())),
+                    Err(error) => self.end = Some(Err(error)),
+                }
+            }
+            if !batch.is_empty() {
+                self.under_way.push_back(bytes);
+                self.workers.push(batch);
+            }
+        }
+    }
+}
+
+fn unpack_batch<T>(batch: Vec<Frame>, limits: ReadLimits, step: Step<T>) -> Vec<Ahead<T>> {
+    let mut room = MAX_BATCH_UNPACKED;
+    let mut unpack_ahead = |frame: Frame| match unpack(&frame, room.min(limits.max_message_bytes)) {
+        Err(PbstreamError::Record { problem: RecordError::Gzip(GzipError::TooLarge { .. }), .. }) => {
+            Ahead::Later(frame)
+        }
+        Ok(raw) => {
+            room = room.saturating_sub(raw.bytes.len());
+            Ahead::Done(step(raw))
+        }
+        Err(error) => Ahead::Done(Err(error)),
+    };
+    batch.into_iter().map(&mut unpack_ahead).collect()
+}
+
+fn unpack(frame: &Frame, limit: usize) -> Result<RawMessage, PbstreamError> {
+    let Frame { index, offset, ref payload } = *frame;
+    match gunzip(payload, limit) {
+        Ok(bytes) => Ok(RawMessage { index, offset, bytes }),
+        Err(error) => Err(PbstreamError::Record { index, offset, problem: error.into() }),
+    }
+}

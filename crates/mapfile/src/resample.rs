@@ -1,0 +1,190 @@
+//! A texture seen through an affine map: bilinear sampling, averaged where the picture is coarser.
+
+/// Weights of the bilinear filter have this many bits, as in usual 8-bit image libraries.
+const WEIGHT_BITS: u32 = 7;
+/// Positions in the texture are whole numbers of this fraction of a pixel.
+const POSITION_BITS: u32 = 32;
+/// Positions are rounded to 2⁻¹⁶ before weights are cut off, so that a texture that lies on the pixels of the
+/// picture, but for rounding, is copied.
+const ROUND_POSITION: i64 = 1 << (POSITION_BITS - 17);
+/// A picture up to this much coarser than the texture is sampled once per pixel.
+const MAX_SCALE_WITHOUT_AVERAGE: f64 = 1.0 / 0.75;
+/// Most samples along an edge of one pixel.
+const MAX_SAMPLES: usize = 16;
+/// Textures are cut off beyond what positions can count.
+const MAX_EDGE: usize = 1 << 29;
+
+/// A colour with 8 bits for each part, premultiplied: grey, known, alpha.
+type Sample = [u32; 3];
+
+/// Paints one texture into rows of a picture.
+pub struct Sampler<'a> {
+    pixels: &'a [[u8; 2]],
+    width: usize,
+    height: usize,
+    /// Texture position (column, row) of picture position (x, y): columns for x, y, offset.
+    texture_from_picture: [[f64; 2]; 3],
+    /// Picture rows and columns that the texture can reach: `[first, end)`.
+    rows: [f64; 2],
+    /// Samples along each edge of a pixel.
+    samples: usize,
+}
+
+impl<'a> Sampler<'a> {
+    /// `picture_from_texture` holds the columns of the affine map for texture column, texture row and the
+    /// offset. None where the texture has no area in the picture.
+    pub fn new(
+        pixels: &'a [[u8; 2]],
+        width: usize,
+        height: usize,
+        picture_from_texture: [[f64; 2]; 3],
+    ) -> Option<Self> {
+        let [a, b, c] = picture_from_texture;
+        let determinant = a[0] * b[1] - b[0] * a[1];
+        let texture_from_picture = {
+            let x = [b[1] / determinant, -a[1] / determinant];
+            let y = [-b[0] / determinant, a[0] / determinant];
+            [x, y, [0, 1].map(|i| -(x[i] * c[0] + y[i] * c[1]))]
+        };
+        let finite = texture_from_picture.as_flattened().iter().all(|v| v.is_finite());
+        if !finite || width == 0 || height == 0 || width.max(height) > MAX_EDGE {
+            return None;
+        }
+        // The filter reaches half a texture pixel beyond the edge.
+        let (w, h) = (width as f64 + 1.0, height as f64 + 1.0);
+        let ys = [(-1.0, -1.0), (w, -1.0), (-1.0, h), (w, h)].map(|(x, y)| a[1] * x + b[1] * y + c[1]);
+        let rows = [
+            ys.iter().fold(f64::INFINITY, |m, y| m.min(*y)).floor(),
+            ys.iter().fold(f64::NEG_INFINITY, |m, y| m.max(*y)).ceil(),
+        ];
+        let [x, y, _] = texture_from_picture;
+        let scale = x[0].hypot(y[0]).max(x[1].hypot(y[1]));
+        let samples = if scale < MAX_SCALE_WITHOUT_AVERAGE {
+            1
+        } else {
+            (scale.ceil().min(MAX_SAMPLES as f64) as usize).max(2)
+        };
+        Some(Self { pixels, width, height, texture_from_picture, rows, samples })
+    }
+
+    /// Composites the texture over row `y` of the picture, whose pixels are `(grey, known)`.
+    pub fn paint_row(&self, y: usize, row: &mut [[u8; 2]]) {
+        if (y as f64) + 1.0 < self.rows[0] || (y as f64) > self.rows[1] {
+            return;
+        }
+        let Some((first, end)) = self.columns(y as f64, row.len()) else { return };
+        let Some(span) = row.get_mut(first..end) else { return };
+        if self.samples == 1 {
+            let (mut position, step) = (self.position(first as f64 + 0.5, y as f64 + 0.5), self.step(1.0));
+            for pixel in span {
+                over(pixel, self.bilinear(position));
+                position = [position[0] + step[0], position[1] + step[1]];
+            }
+        } else {
+            for (i, pixel) in span.iter_mut().enumerate() {
+                over(pixel, self.average((first + i) as f64, y as f64));
+            }
+        }
+    }
+
+    /// The picture columns of row `y` that the texture can reach: `[first, end)`.
+    fn columns(&self, y: f64, length: usize) -> Option<(usize, usize)> {
+        let [u, v, o] = self.texture_from_picture;
+        let sizes = [self.width as f64, self.height as f64];
+        let (mut low, mut high) = (0.0_f64, length as f64);
+        for i in [0, 1] {
+            // All y within the row; -1 and size + 1 bound what the filter reaches.
+            let at = [v[i] * y + o[i], v[i] * (y + 1.0) + o[i]];
+            let (least, most) = (at[0].min(at[1]), at[0].max(at[1]));
+            if u[i].abs() * length as f64 <= 1e-6 {
+                if most < -1.5 || least > sizes[i] + 1.5 {
+                    return None;
+                }
+                continue;
+            }
+            let mut ends = [(-1.0 - most) / u[i], (sizes[i] + 1.0 - least) / u[i]];
+            if u[i] < 0.0 {
+                ends = [(sizes[i] + 1.0 - least) / u[i], (-1.0 - most) / u[i]];
+            }
+            low = low.max(ends[0] - 1.0);
+            high = high.min(ends[1] + 1.0);
+        }
+        (low < high).then(|| (low.floor().max(0.0) as usize, (high.ceil() as usize).min(length)))
+    }
+
+    /// Fixed-point texture position of a picture position, moved by half a pixel to where the four
+    /// neighbours are the whole numbers around it.
+    fn position(&self, x: f64, y: f64) -> [i64; 2] {
+        let [u, v, o] = self.texture_from_picture;
+        [0, 1].map(|i| fixed(u[i] * x + v[i] * y + o[i] - 0.5))
+    }
+
+    fn step(&self, dx: f64) -> [i64; 2] {
+        self.texture_from_picture[0].map(|u| fixed(u * dx))
+    }
+
+    fn average(&self, x: f64, y: f64) -> Sample {
+        let n = self.samples;
+        let distance = 1.0 / n as f64;
+        let step = self.step(distance);
+        let mut sum = [0; 3];
+        for j in 0..n {
+            let mut position = self.position(x + 0.5 * distance, y + (j as f64 + 0.5) * distance);
+            for _ in 0..n {
+                let sample = self.bilinear(position);
+                sum = [0, 1, 2].map(|i| sum[i] + sample[i]);
+                position = [position[0] + step[0], position[1] + step[1]];
+            }
+        }
+        let count = (n * n) as u32;
+        sum.map(|s| (s + count / 2) / count)
+    }
+
+    /// Outside of the texture everything is transparent.
+    fn bilinear(&self, position: [i64; 2]) -> Sample {
+        let [x, y] = position.map(|v| v + ROUND_POSITION);
+        let (column, row) = (x >> POSITION_BITS, y >> POSITION_BITS);
+        let fraction = |v: i64| ((v >> (POSITION_BITS - WEIGHT_BITS)) & ((1 << WEIGHT_BITS) - 1)) as u32;
+        // Weights in 256ths.
+        let (dx, dy) = (fraction(x) << (8 - WEIGHT_BITS), fraction(y) << (8 - WEIGHT_BITS));
+        let weights = [(256 - dx) * (256 - dy), dx * (256 - dy), (256 - dx) * dy, dx * dy];
+        let neighbours = [(0, 0), (1, 0), (0, 1), (1, 1)];
+        let mut sum = [0; 3];
+        for (weight, (i, j)) in weights.into_iter().zip(neighbours) {
+            let colour = self.colour(column + i, row + j);
+            sum = [0, 1, 2].map(|k| sum[k] + weight * colour[k]);
+        }
+        sum.map(|s| s >> 16)
+    }
+
+    #[inline]
+    fn colour(&self, column: i64, row: i64) -> Sample {
+        let inside = (column as u64) < self.width as u64 && (row as u64) < self.height as u64;
+        if !inside {
+            return [0; 3];
+        }
+        match self.pixels.get(row as usize * self.width + column as usize) {
+            Some([value, alpha]) => {
+                let known = if (*value, *alpha) == (0, 0) { 0 } else { 255 };
+                [u32::from(*value), known, u32::from(*alpha)]
+            }
+            None => [0; 3],
+        }
+    }
+}
+
+fn fixed(v: f64) -> i64 {
+    (v * (1_i64 << POSITION_BITS) as f64).round() as i64
+}
+
+/// `source + destination * (1 - alpha)` for each part.
+#[inline]
+fn over(destination: &mut [u8; 2], [grey, known, alpha]: Sample) {
+    let keep = 255 - alpha.min(255);
+    let blend = |d: u8, s: u32| {
+        // d * keep / 255, rounded.
+        let product = u32::from(d) * keep + 128;
+        (s + ((product + (product >> 8)) >> 8)).min(255) as u8
+    };
+    *destination = [blend(destination[0], grey), blend(destination[1], known)];
+}

@@ -1,0 +1,97 @@
+//! Maps for ROS: a grey image and a description (`formats.md §7`).
+
+use std::ffi::OsString;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use crate::atomic_file::{AtomicFile, WriteError, write_atomically};
+use crate::number::format_general;
+use crate::paint::PaintedMap;
+
+/// How the description names its image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ImageName {
+    /// The path as it was given, with its folders: what the format says. Programs look for it relative
+    /// to the description, so it is found only for files without folders or with absolute paths.
+    #[default]
+    AsOpened,
+    /// The name alone; found wherever the two files are moved to together.
+    Beside,
+}
+
+/// Writes `<stem>.pgm` and `<stem>.yaml`; returns their names.
+pub fn write_ros_map(
+    stem: &Path,
+    map: &PaintedMap,
+    image_name: ImageName,
+) -> Result<(PathBuf, PathBuf), WriteError> {
+    let (image, description) = (with_ending(stem, ".pgm"), with_ending(stem, ".yaml"));
+    write_pgm(&image, map)?;
+    let name = match image_name {
+        ImageName::AsOpened => image.as_os_str(),
+        ImageName::Beside => image.file_name().unwrap_or(image.as_os_str()),
+    };
+    let text = ros_map_yaml(&name.to_string_lossy(), map.resolution, map.lower_left());
+    write_atomically(&description, text.as_bytes())?;
+    Ok((image, description))
+}
+
+/// Adds an ending; unlike an extension it does not replace what follows a dot in the name.
+fn with_ending(stem: &Path, ending: &str) -> PathBuf {
+    let mut name = OsString::from(stem);
+    name.push(ending);
+    PathBuf::from(name)
+}
+
+/// Writes the image of a ROS map: occupied is black, free white.
+pub fn write_pgm(path: &Path, map: &PaintedMap) -> Result<(), WriteError> {
+    let mut file = AtomicFile::create(path)?;
+    let grey: Vec<u8> = map.grey().collect();
+    let written = file
+        .write_all(pgm_header(map.resolution, map.width, map.height).as_bytes())
+        .and_then(|()| file.write_all(&grey));
+    match written {
+        Ok(()) => file.commit(),
+        Err(source) => Err(file.error(source)),
+    }
+}
+
+fn pgm_header(resolution: f64, width: usize, height: usize) -> String {
+    format!("P5\n# Cartographer map; {} m/pixel\n{width} {height}\n255\n", format_general(resolution, 6))
+}
+
+/// The description of a ROS map. `lower_left` is the position of the image's lower left corner, metres.
+pub fn ros_map_yaml(image: &str, resolution: f64, lower_left: [f64; 2]) -> String {
+    let [x, y] = lower_left.map(|v| format_general(v, 6));
+    format!(
+        "image: {image}\nresolution: {}\norigin: [{x}, {y}, 0.0]\nnegate: 0\noccupied_thresh: \
+         0.65\nfree_thresh: 0.196\n",
+        format_general(resolution, 6)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn writes_the_exact_layout() {
+        let folder = tempfile::tempdir().unwrap();
+        let map = PaintedMap {
+            width: 2,
+            height: 1,
+            resolution: 0.05,
+            origin: [5.25, 3.5],
+            pixels: vec![[0, 255], [255, 255]],
+        };
+        let stem = folder.path().join("my.map");
+        let (image, description) = write_ros_map(&stem, &map, ImageName::Beside).unwrap();
+        assert_eq!(
+            std::fs::read(image).unwrap(),
+            b"P5\n# Cartographer map; 0.05 m/pixel\n2 1\n255\n\x00\xff"
+        );
+        let expected = "image: my.map.pgm\nresolution: 0.05\norigin: [-0.2625, 0.125, 0.0]\nnegate: \
+                        0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
+        assert_eq!(std::fs::read_to_string(description).unwrap(), expected);
+    }
+}

@@ -1,0 +1,114 @@
+//! Protobuf fields without a schema: to name the kind of a message and to print unknown fields.
+
+/// The content of one field as it stands on the wire.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum WireValue<'a> {
+    /// Wire type 0.
+    Varint(u64),
+    /// Wire type 1.
+    Fixed64(u64),
+    /// Wire type 2: text, bytes, a message or packed numbers.
+    Bytes(&'a [u8]),
+    /// Wire type 5.
+    Fixed32(u32),
+}
+
+/// The fields of a serialised message in file order. Damaged data end the iteration with `Err`.
+#[derive(Clone, Debug)]
+pub struct Fields<'a> {
+    rest: &'a [u8],
+}
+
+/// The bytes are not a protobuf message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("not a protobuf message")]
+pub struct WireError;
+
+impl<'a> Fields<'a> {
+    /// The fields in `message`.
+    pub fn new(message: &'a [u8]) -> Self {
+        Self { rest: message }
+    }
+
+    fn field(&mut self) -> Option<(u32, WireValue<'a>)> {
+        let tag = varint(&mut self.rest)?;
+        let number = u32::try_from(tag >> 3).ok().filter(|n| (1..1 << 29).contains(n))?;
+        let value = match tag & 7 {
+            0 => WireValue::Varint(varint(&mut self.rest)?),
+            1 => WireValue::Fixed64(u64::from_le_bytes(*self.chunk::<8>()?)),
+            2 => {
+                let length = usize::try_from(varint(&mut self.rest)?).ok()?;
+                let (bytes, rest) = self.rest.split_at_checked(length)?;
+                self.rest = rest;
+                WireValue::Bytes(bytes)
+            }
+            5 => WireValue::Fixed32(u32::from_le_bytes(*self.chunk::<4>()?)),
+            _ => return None,
+        };
+        Some((number, value))
+    }
+
+    fn chunk<const N: usize>(&mut self) -> Option<&'a [u8; N]> {
+        let (chunk, rest) = self.rest.split_first_chunk::<N>()?;
+        self.rest = rest;
+        Some(chunk)
+    }
+}
+
+impl<'a> Iterator for Fields<'a> {
+    type Item = Result<(u32, WireValue<'a>), WireError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.rest.is_empty() {
+            return None;
+        }
+        let field = self.field();
+        if field.is_none() {
+            self.rest = &[];
+        }
+        Some(field.ok_or(WireError))
+    }
+}
+
+/// Takes one variable-length number from the front of `bytes`.
+pub fn varint(bytes: &mut &[u8]) -> Option<u64> {
+    let mut value = 0;
+    for shift in (0..64).step_by(7) {
+        let (byte, rest) = bytes.split_first()?;
+        *bytes = rest;
+        value |= u64::from(byte & 0x7f) << shift;
+        if byte & 0x80 == 0 {
+            return Some(value);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn reads_every_wire_type() {
+        let bytes = [8, 0xac, 2, 0x12, 1, b'x', 0x1d, 1, 0, 0, 0, 0x21, 2, 0, 0, 0, 0, 0, 0, 0];
+        let fields: Result<Vec<_>, _> = Fields::new(&bytes).collect();
+        assert_eq!(
+            fields.unwrap(),
+            [
+                (1, WireValue::Varint(300)),
+                (2, WireValue::Bytes(b"x")),
+                (3, WireValue::Fixed32(1)),
+                (4, WireValue::Fixed64(2))
+            ]
+        );
+        assert_eq!(Fields::new(&[0x12, 5, 1]).collect::<Vec<_>>(), [Err(WireError)]);
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_end(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            prop_assert!(Fields::new(&bytes).count() <= bytes.len());
+        }
+    }
+}
