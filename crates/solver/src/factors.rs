@@ -18,4 +18,5 @@ pub use information::square_root_information;
 pub use landmark::{Landmark2d, Landmark3d};
 pub use prior::{EuclideanPrior, Se2Prior, Se3Prior};
 pub use se2_between::{Se2Between, Se2BetweenInformation};
+pub(crate) use se3_between::se3_error;
 pub use se3_between::{Se3Between, Se3BetweenInformation};

@@ -5,9 +5,11 @@
 //! - [`solve_dense`]: one to eight parameters, fixed-size matrices, no allocation. For scan matching.
 //! - [`Problem`]: many variables on manifolds, [`factors`] between a few of them each, sparse Cholesky
 //!   factorisation. For pose graphs.
+//! - [`g2o`]: pose graphs from files, with initial values, optimised and judged.
 
 mod dense;
 pub mod factors;
+pub mod g2o;
 mod loss;
 mod sparse;
 mod trust_region;
@@ -15,7 +17,7 @@ mod trust_region;
 pub use dense::{DenseProblem, NormalEquations, solve_dense};
 pub use loss::{Loss, LossValue};
 pub use sparse::{
-    Factor, FactorId, MAX_FACTOR_VARIABLES, Manifold, Problem, ProblemError, RotationFreedom,
+    Covariance, Factor, FactorId, MAX_FACTOR_VARIABLES, Manifold, Problem, ProblemError, RotationFreedom,
     TranslationFreedom, VariableId, jacobian_error,
 };
 pub use trust_region::{Progress, SolverOptions, Summary, Termination};

@@ -2,6 +2,8 @@
 
 mod block_pattern;
 mod block_system;
+mod condition;
+mod covariance;
 mod factor;
 mod jacobian_check;
 mod linearization;
@@ -10,7 +12,11 @@ mod problem;
 mod products;
 mod solve;
 
+pub(crate) use block_system::BlockSystem;
+pub use covariance::Covariance;
 pub use factor::{Factor, MAX_FACTOR_VARIABLES};
 pub use jacobian_check::jacobian_error;
 pub use manifold::{Manifold, RotationFreedom, TranslationFreedom};
+pub(crate) use problem::se3_values;
 pub use problem::{FactorId, Problem, ProblemError, VariableId};
+pub(crate) use solve::Prepared;

@@ -25,8 +25,33 @@ impl Problem {
         options: &SolverOptions,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<Summary, ProblemError> {
+        let mut prepared = self.prepare()?;
+        self.solve_with(&mut prepared, options, observer)
+    }
+
+    /// Analyses the structure of the problem, for several solutions from different values. Adding variables
+    /// or factors and holding or freeing variables makes it useless.
+    pub(crate) fn prepare(&self) -> Result<Prepared, ProblemError> {
         let (linearization, system) = Linearization::new(self)?;
-        let mut run = SparseRun::new(self, linearization, system, observer);
+        Ok(Prepared { linearization, system })
+    }
+
+    /// [`Problem::solve`] with the structure known.
+    pub(crate) fn solve_prepared(
+        &mut self,
+        prepared: &mut Prepared,
+        options: &SolverOptions,
+    ) -> Result<Summary, ProblemError> {
+        self.solve_with(prepared, options, &mut |_| ControlFlow::Continue(()))
+    }
+
+    fn solve_with(
+        &mut self,
+        prepared: &mut Prepared,
+        options: &SolverOptions,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    ) -> Result<Summary, ProblemError> {
+        let mut run = SparseRun::new(self, prepared, observer);
         let initial_cost = run.start().ok_or(ProblemError::NotEvaluable)?;
         let summary = minimize(&mut run, initial_cost, options);
         let best = run.best;
@@ -45,10 +70,16 @@ impl Problem {
     }
 }
 
+/// The structure of a problem and room for its normal equations.
+pub(crate) struct Prepared {
+    pub linearization: Linearization,
+    pub system: BlockSystem,
+}
+
 struct SparseRun<'a> {
     problem: &'a Problem,
-    linearization: Linearization,
-    system: BlockSystem,
+    linearization: &'a mut Linearization,
+    system: &'a mut BlockSystem,
     observer: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     current: Vec<f64>,
     candidate: Vec<f64>,
@@ -64,8 +95,7 @@ struct SparseRun<'a> {
 impl<'a> SparseRun<'a> {
     fn new(
         problem: &'a Problem,
-        linearization: Linearization,
-        system: BlockSystem,
+        Prepared { linearization, system }: &'a mut Prepared,
         observer: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Self {
         let n = system.size();

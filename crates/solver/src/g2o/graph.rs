@@ -1,0 +1,157 @@
+//! Vertices and edges.
+
+use portolan_geometry::{Rigid2, Rigid3};
+
+use super::pose::GraphPose;
+use crate::ProblemError;
+
+/// A pose to be found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Vertex<P> {
+    /// Its number in the file.
+    pub id: i64,
+    /// Pose in the map.
+    pub pose: P,
+    /// Whether it is held where it is.
+    pub fixed: bool,
+}
+
+/// A measured relative pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Edge<P: GraphPose> {
+    /// Index of the vertex from which is measured.
+    pub from: u32,
+    /// Index of the vertex that is measured.
+    pub to: u32,
+    /// Pose of `to` seen from `from`.
+    pub measurement: P,
+    /// Inverse covariance of the error `z⁻¹ x_i⁻¹ x_j`.
+    pub information: P::Information,
+}
+
+/// A graph of poses of one kind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseGraph<P: GraphPose> {
+    /// In file order.
+    pub vertices: Vec<Vertex<P>>,
+    /// In file order.
+    pub edges: Vec<Edge<P>>,
+}
+
+/// A pose graph in the plane or in space.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Graph {
+    /// In the plane.
+    Planar(PoseGraph<Rigid2>),
+    /// In space.
+    Spatial(PoseGraph<Rigid3>),
+}
+
+/// Why a graph cannot be optimised.
+#[derive(Debug, thiserror::Error)]
+pub enum GraphError {
+    /// Nothing to optimise.
+    #[error("the graph has no vertices")]
+    NoVertices,
+    /// An edge points outside the list of vertices.
+    #[error("edge {edge} names vertex {vertex}, but there are only {count}")]
+    UnknownVertex {
+        /// Index of the edge.
+        edge: usize,
+        /// Index of the vertex.
+        vertex: u32,
+        /// How many vertices there are.
+        count: usize,
+    },
+    /// An edge from a vertex to itself.
+    #[error("edge {edge} leads from vertex {vertex} to itself; remove it")]
+    SelfEdge {
+        /// Index of the edge.
+        edge: usize,
+        /// Index of the vertex.
+        vertex: u32,
+    },
+    /// A pose, measurement or information matrix that is not finite.
+    #[error("{what} {index} contains a number that is not finite")]
+    NotFinite {
+        /// `vertex` or `edge`.
+        what: &'static str,
+        /// Its index.
+        index: usize,
+    },
+    /// The least-squares problem could not be built or solved.
+    #[error(transparent)]
+    Problem(#[from] ProblemError),
+}
+
+impl<P: GraphPose> Default for PoseGraph<P> {
+    fn default() -> Self {
+        Self { vertices: Vec::new(), edges: Vec::new() }
+    }
+}
+
+impl<P: GraphPose> PoseGraph<P> {
+    /// Whether all indices are in range and all numbers finite.
+    pub fn check(&self) -> Result<(), GraphError> {
+        let count = self.vertices.len();
+        if count == 0 {
+            return Err(GraphError::NoVertices);
+        }
+        if let Some(index) = self.vertices.iter().position(|v| !v.pose.is_finite()) {
+            return Err(GraphError::NotFinite { what: "vertex", index });
+        }
+        for (index, edge) in self.edges.iter().enumerate() {
+            let vertex = edge.from.max(edge.to);
+            if vertex as usize >= count {
+                return Err(GraphError::UnknownVertex { edge: index, vertex, count });
+            }
+            if edge.from == edge.to {
+                return Err(GraphError::SelfEdge { edge: index, vertex });
+            }
+            if !edge.measurement.is_finite() || !edge.information.as_ref().iter().all(|v| v.is_finite()) {
+                return Err(GraphError::NotFinite { what: "edge", index });
+            }
+        }
+        Ok(())
+    }
+
+    /// `eᵀΩe` of an edge at the current poses; zero if it points nowhere.
+    pub fn edge_chi2(&self, edge: &Edge<P>) -> f64 {
+        let (from, to) = (self.vertices.get(edge.from as usize), self.vertices.get(edge.to as usize));
+        match (from, to) {
+            (Some(from), Some(to)) => P::chi2(&from.pose, &to.pose, &edge.measurement, &edge.information),
+            _ => 0.0,
+        }
+    }
+
+    /// `Σ eᵀΩe` at the current poses.
+    pub fn chi2(&self) -> f64 {
+        self.edges.iter().map(|e| self.edge_chi2(e)).sum()
+    }
+}
+
+impl Graph {
+    /// How many vertices there are.
+    pub fn vertex_count(&self) -> usize {
+        match self {
+            Self::Planar(g) => g.vertices.len(),
+            Self::Spatial(g) => g.vertices.len(),
+        }
+    }
+
+    /// How many edges there are.
+    pub fn edge_count(&self) -> usize {
+        match self {
+            Self::Planar(g) => g.edges.len(),
+            Self::Spatial(g) => g.edges.len(),
+        }
+    }
+
+    /// `Σ eᵀΩe` at the current poses.
+    pub fn chi2(&self) -> f64 {
+        match self {
+            Self::Planar(g) => g.chi2(),
+            Self::Spatial(g) => g.chi2(),
+        }
+    }
+}

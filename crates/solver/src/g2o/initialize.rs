@@ -1,0 +1,90 @@
+//! Where the optimisation starts.
+
+use super::chordal;
+use super::connectivity::{Adjacency, walk};
+use super::graph::{GraphError, PoseGraph};
+use super::pose::GraphPose;
+
+/// How initial poses are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Initialization {
+    /// All of the others are tried for a few iterations; the lowest cost wins. Default.
+    #[default]
+    Automatic,
+    /// The poses as they are.
+    FromFile,
+    /// Measurements between vertices with consecutive numbers are followed first, the rest breadth-first.
+    Odometry,
+    /// Measurements are followed breadth-first from the anchors: short chains, so little drift.
+    SpanningTree,
+    /// Rotations by linear relaxation, then translations; good even when the poses are far off.
+    RotationsFirst,
+}
+
+impl Initialization {
+    /// What the automatic choice tries, in this order; the earlier wins a tie.
+    pub(super) const CANDIDATES: [Self; 4] =
+        [Self::FromFile, Self::RotationsFirst, Self::SpanningTree, Self::Odometry];
+}
+
+/// Sets the poses of all vertices that are not `held`. [`Initialization::Automatic`] leaves them.
+pub(super) fn initialize<P: GraphPose>(
+    graph: &mut PoseGraph<P>,
+    adjacency: &Adjacency,
+    held: &[bool],
+    how: Initialization,
+) -> Result<(), GraphError> {
+    match how {
+        Initialization::Automatic | Initialization::FromFile => Ok(()),
+        Initialization::SpanningTree => {
+            follow(graph, adjacency, held.to_vec());
+            Ok(())
+        }
+        Initialization::Odometry => {
+            let known = chain(graph, held);
+            follow(graph, adjacency, known);
+            Ok(())
+        }
+        Initialization::RotationsFirst => chordal::initialize(graph, held),
+    }
+}
+
+/// Poses by following measurements breadth-first from the known vertices. Parts without a known vertex
+/// keep their first pose.
+pub(super) fn follow<P: GraphPose>(graph: &mut PoseGraph<P>, adjacency: &Adjacency, mut known: Vec<bool>) {
+    let mut steps = Vec::with_capacity(graph.vertices.len());
+    walk(
+        graph,
+        adjacency,
+        &mut known,
+        |_| {},
+        |edge, forward, from, to| steps.push((edge, forward, from, to)),
+    );
+    for (edge, forward, from, to) in steps {
+        let measurement = graph.edges[edge as usize].measurement;
+        let step = if forward { measurement } else { measurement.inverted() };
+        graph.vertices[to as usize].pose = graph.vertices[from as usize].pose * step;
+    }
+}
+
+/// Follows edges from each number to the next, beginning at known vertices; returns what is known then.
+fn chain<P: GraphPose>(graph: &mut PoseGraph<P>, held: &[bool]) -> Vec<bool> {
+    let mut known = held.to_vec();
+    let mut consecutive: Vec<u32> = (0..graph.edges.len() as u32)
+        .filter(|i| {
+            let edge = &graph.edges[*i as usize];
+            let id = |v: u32| graph.vertices[v as usize].id;
+            id(edge.from).checked_add(1) == Some(id(edge.to))
+        })
+        .collect();
+    consecutive.sort_by_key(|i| (graph.vertices[graph.edges[*i as usize].from as usize].id, *i));
+    for index in consecutive {
+        let edge = &graph.edges[index as usize];
+        let (from, to, measurement) = (edge.from as usize, edge.to as usize, edge.measurement);
+        if known[from] && !known[to] {
+            graph.vertices[to].pose = graph.vertices[from].pose * measurement;
+            known[to] = true;
+        }
+    }
+    known
+}

@@ -1,0 +1,235 @@
+//! Optimisation of a graph.
+
+use super::connectivity::{Adjacency, anchors};
+use super::graph::{Graph, GraphError, PoseGraph};
+use super::initialize::{Initialization, initialize};
+use super::pose::GraphPose;
+use super::report::{EdgeChi2, Report};
+use crate::sparse::Prepared;
+use crate::{Loss, Problem, SolverOptions, Summary, VariableId};
+
+/// How a graph is optimised.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OptimizeOptions {
+    /// When to stop, and how bold the steps are. Default: 100 iterations, function tolerance 1e-9, and a first
+    /// step close to Gauss–Newton (radius 1e8), which suits pose graphs with a fair start.
+    pub solver: SolverOptions,
+    /// Where to start.
+    pub initialization: Initialization,
+    /// Iterations for each start that the automatic choice tries. Default 4.
+    pub trial_iterations: u32,
+    /// Robust loss of `√(eᵀΩe)`. Default none.
+    pub loss: Loss,
+    /// Whether edges between vertices with consecutive numbers (odometry) get the loss too. Default false.
+    pub loss_on_odometry: bool,
+    /// How many of the worst edges the report lists. Default 10.
+    pub worst_edges: usize,
+    /// Whether to estimate the condition of the normal equations; costs about one iteration. Default false.
+    pub estimate_condition: bool,
+}
+
+impl Default for OptimizeOptions {
+    fn default() -> Self {
+        Self {
+            solver: SolverOptions {
+                max_num_iterations: 100,
+                function_tolerance: 1e-9,
+                initial_trust_region_radius: 1e8,
+                ..Default::default()
+            },
+            initialization: Initialization::Automatic,
+            trial_iterations: 4,
+            loss: Loss::None,
+            loss_on_odometry: false,
+            worst_edges: 10,
+            estimate_condition: false,
+        }
+    }
+}
+
+/// Moves all vertices that are not fixed to the least `Σ ρ(eᵀΩe)`. Where a connected part has no fixed
+/// vertex, its first one is held; see [`Report::anchored`].
+pub fn optimize_graph(graph: &mut Graph, options: &OptimizeOptions) -> Result<Report, GraphError> {
+    match graph {
+        Graph::Planar(graph) => optimize_pose_graph(graph, options),
+        Graph::Spatial(graph) => optimize_pose_graph(graph, options),
+    }
+}
+
+/// [`optimize_graph`] for poses of one kind.
+pub fn optimize_pose_graph<P: GraphPose>(
+    graph: &mut PoseGraph<P>,
+    options: &OptimizeOptions,
+) -> Result<Report, GraphError> {
+    graph.check()?;
+    let adjacency = Adjacency::new(graph);
+    let (components, anchored) = anchors(graph, &adjacency);
+    let mut held: Vec<bool> = graph.vertices.iter().map(|v| v.fixed).collect();
+    for vertex in &anchored {
+        held[*vertex as usize] = true;
+    }
+    let mut optimizer = Optimizer::new(graph, &held, options)?;
+    let chi2_before = graph.chi2();
+    let starts = match options.initialization {
+        Initialization::Automatic => Initialization::CANDIDATES.to_vec(),
+        one => vec![one],
+    };
+    let start = optimizer.choose_start(graph, &adjacency, &held, &starts, options)?;
+    let summary = optimizer.finish(graph, &start, options)?;
+    let condition = if options.estimate_condition { optimizer.condition()? } else { None };
+    Ok(Report {
+        chi2_before,
+        chi2_initialized: start.chi2_initialized,
+        chi2_after: graph.chi2(),
+        iterations: start.iterations + summary.iterations,
+        termination: summary.termination,
+        initialization: start.how,
+        trials: start.trials,
+        worst_edges: worst_edges(graph, options.worst_edges),
+        residuals: optimizer.problem.residual_count(),
+        unknowns: optimizer.problem.degrees_of_freedom(),
+        components,
+        anchored: anchored.iter().map(|v| graph.vertices[*v as usize].id).collect(),
+        repaired_information: optimizer.repaired_information,
+        condition,
+    })
+}
+
+struct Optimizer {
+    problem: Problem,
+    prepared: Prepared,
+    variables: Vec<VariableId>,
+    repaired_information: usize,
+}
+
+/// The start that was chosen.
+struct Start<P> {
+    how: Initialization,
+    chi2_initialized: f64,
+    iterations: u32,
+    trials: Vec<(Initialization, f64)>,
+    poses: Vec<P>,
+}
+
+impl Optimizer {
+    fn new<P: GraphPose>(
+        graph: &PoseGraph<P>,
+        held: &[bool],
+        options: &OptimizeOptions,
+    ) -> Result<Self, GraphError> {
+        let mut problem = Problem::new();
+        problem.reserve_variables(graph.vertices.len(), 7);
+        let variables: Vec<VariableId> =
+            graph.vertices.iter().map(|v| v.pose.add_variable(&mut problem)).collect();
+        for (id, held) in variables.iter().zip(held) {
+            if *held {
+                problem.set_constant(*id);
+            }
+        }
+        let mut repaired_information = 0;
+        for edge in &graph.edges {
+            let (from, to) = (edge.from as usize, edge.to as usize);
+            let step = graph.vertices[to].id.checked_sub(graph.vertices[from].id);
+            let is_odometry = matches!(step, Some(-1 | 1));
+            let loss = if is_odometry && !options.loss_on_odometry { Loss::None } else { options.loss };
+            let pair = [variables[from], variables[to]];
+            let (_, repaired) = P::add_edge(&mut problem, pair, &edge.measurement, &edge.information, loss)?;
+            repaired_information += usize::from(repaired);
+        }
+        let prepared = problem.prepare()?;
+        Ok(Self { problem, prepared, variables, repaired_information })
+    }
+
+    fn write<P: GraphPose>(&mut self, poses: impl Iterator<Item = P>) -> Result<(), GraphError> {
+        for (id, pose) in self.variables.iter().zip(poses) {
+            pose.write_variable(&mut self.problem, *id)?;
+        }
+        Ok(())
+    }
+
+    fn read<P: GraphPose>(&self) -> Vec<P> {
+        self.variables.iter().map(|id| P::read_variable(&self.problem, *id)).collect()
+    }
+
+    /// Tries the starts for a few iterations; a start that cannot be formed is left out as long as another
+    /// one can.
+    fn choose_start<P: GraphPose>(
+        &mut self,
+        graph: &PoseGraph<P>,
+        adjacency: &Adjacency,
+        held: &[bool],
+        starts: &[Initialization],
+        options: &OptimizeOptions,
+    ) -> Result<Start<P>, GraphError> {
+        let single = starts.len() == 1;
+        let max_num_iterations = options.trial_iterations.min(options.solver.max_num_iterations);
+        let trial = SolverOptions { max_num_iterations, ..options.solver.clone() };
+        let mut best: Option<(f64, Start<P>)> = None;
+        let mut trials = Vec::new();
+        let mut first_error = None;
+        for how in starts {
+            let mut candidate = graph.clone();
+            if let Err(error) = initialize(&mut candidate, adjacency, held, *how) {
+                first_error.get_or_insert(error);
+                continue;
+            }
+            let chi2_initialized = candidate.chi2();
+            self.write(candidate.vertices.iter().map(|v| v.pose))?;
+            let mut start =
+                Start { how: *how, chi2_initialized, iterations: 0, trials: Vec::new(), poses: Vec::new() };
+            let mut cost = f64::INFINITY;
+            if !single {
+                match self.problem.solve_prepared(&mut self.prepared, &trial) {
+                    Ok(summary) => (cost, start.iterations) = (summary.final_cost, summary.iterations),
+                    Err(error) => {
+                        first_error.get_or_insert(error.into());
+                        continue;
+                    }
+                }
+                trials.push((*how, cost));
+            }
+            if best.as_ref().is_none_or(|(lowest, _)| cost < *lowest) {
+                start.poses = self.read();
+                best = Some((cost, start));
+            }
+        }
+        match (best, first_error) {
+            (Some((_, start)), _) => Ok(Start { trials, ..start }),
+            (None, Some(error)) => Err(error),
+            (None, None) => Err(GraphError::NoVertices),
+        }
+    }
+
+    fn finish<P: GraphPose>(
+        &mut self,
+        graph: &mut PoseGraph<P>,
+        start: &Start<P>,
+        options: &OptimizeOptions,
+    ) -> Result<Summary, GraphError> {
+        self.write(start.poses.iter().copied())?;
+        let max_num_iterations = options.solver.max_num_iterations.saturating_sub(start.iterations);
+        let rest = SolverOptions { max_num_iterations, ..options.solver.clone() };
+        let summary = self.problem.solve_prepared(&mut self.prepared, &rest)?;
+        for (vertex, pose) in graph.vertices.iter_mut().zip(self.read::<P>()) {
+            vertex.pose = pose;
+        }
+        Ok(summary)
+    }
+
+    fn condition(&mut self) -> Result<Option<f64>, GraphError> {
+        Ok(self.problem.condition_prepared(&mut self.prepared)?)
+    }
+}
+
+fn worst_edges<P: GraphPose>(graph: &PoseGraph<P>, count: usize) -> Vec<EdgeChi2> {
+    let id = |vertex: u32| graph.vertices[vertex as usize].id;
+    let mut edges: Vec<EdgeChi2> = graph
+        .edges
+        .iter()
+        .enumerate()
+        .map(|(edge, e)| EdgeChi2 { edge, from: id(e.from), to: id(e.to), chi2: graph.edge_chi2(e) })
+        .collect();
+    edges.sort_by(|a, b| b.chi2.total_cmp(&a.chi2).then(a.edge.cmp(&b.edge)));
+    edges.truncate(count);
+    edges
+}

@@ -1,0 +1,278 @@
+//! Reading g2o files.
+
+use std::collections::{BTreeMap, HashMap};
+use std::io::{self, BufRead};
+
+use portolan_geometry::{Rigid2, Rigid3};
+
+use super::connectivity::Adjacency;
+use super::graph::{Edge, Graph, PoseGraph, Vertex};
+use super::initialize::follow;
+use super::pose::GraphPose;
+
+/// Why a g2o file cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum G2oError {
+    /// The file could not be read.
+    #[error("the file cannot be read: {0}")]
+    Io(#[from] io::Error),
+    /// A line that does not say what its tag promises.
+    #[error("line {line}: {tag} needs {expected}; the file is damaged or cut off")]
+    Malformed {
+        /// From 1.
+        line: usize,
+        /// First word of the line.
+        tag: String,
+        /// What is needed.
+        expected: &'static str,
+    },
+    /// Poses of the plane and of space in one file.
+    #[error("line {line}: {tag} in a graph of the other dimension; split the file")]
+    MixedDimensions {
+        /// From 1.
+        line: usize,
+        /// First word of the line.
+        tag: String,
+    },
+    /// No vertex and no edge.
+    #[error("the file contains no vertices and edges (VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT)")]
+    Empty,
+    /// More than 4 billion vertices or edges.
+    #[error("the graph has more than 4 billion vertices or edges")]
+    TooLarge,
+}
+
+/// What was left out or mended while reading.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct G2oRepairs {
+    /// Lines of each tag that is not understood; beyond [`G2oRepairs::MAX_TAGS`] different tags under "…".
+    pub ignored_tags: BTreeMap<String, usize>,
+    /// Vertices given again; the first counts.
+    pub duplicate_vertices: usize,
+    /// Vertices with a number that is not finite, or with a quaternion without direction.
+    pub unusable_vertices: usize,
+    /// Vertices that only edges (or unusable lines) name; their poses follow from measurements.
+    pub created_vertices: usize,
+    /// Edges with a number that is not finite, or with a quaternion without direction; dropped.
+    pub unusable_edges: usize,
+    /// Edges from a vertex to itself; dropped.
+    pub self_edges: usize,
+    /// Quaternions whose norm was off by more than 0.001.
+    pub normalized_quaternions: usize,
+    /// FIX lines for vertices that do not exist.
+    pub unknown_fixed: usize,
+}
+
+impl G2oRepairs {
+    /// Different unknown tags that are remembered.
+    pub const MAX_TAGS: usize = 32;
+
+    /// Whether everything in the file was used as it is.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    fn ignore(&mut self, tag: &str) {
+        let known = self.ignored_tags.contains_key(tag) || self.ignored_tags.len() < Self::MAX_TAGS;
+        let tag: String = if known { tag.chars().take(64).collect() } else { "…".into() };
+        *self.ignored_tags.entry(tag).or_default() += 1;
+    }
+}
+
+/// Reads VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX; other tags are counted. Lines may come
+/// in any order.
+pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError> {
+    let mut reader = Reader::default();
+    let mut bytes = Vec::new();
+    let mut line = 0;
+    loop {
+        bytes.clear();
+        if input.read_until(b'\n', &mut bytes)? == 0 {
+            break;
+        }
+        line += 1;
+        reader.line(line, &String::from_utf8_lossy(&bytes))?;
+    }
+    reader.finish()
+}
+
+#[derive(Default)]
+struct Reader {
+    planar: Builder<Rigid2>,
+    spatial: Builder<Rigid3>,
+    fixed: Vec<i64>,
+    repairs: G2oRepairs,
+    numbers: Vec<f64>,
+}
+
+impl Reader {
+    fn line(&mut self, line: usize, text: &str) -> Result<(), G2oError> {
+        let mut words = text.split_ascii_whitespace();
+        let Some(tag) = words.next().filter(|t| !t.starts_with('#')) else { return Ok(()) };
+        let is_planar = [Rigid2::TAGS.0, Rigid2::TAGS.1].contains(&tag);
+        let is_spatial = [Rigid3::TAGS.0, Rigid3::TAGS.1].contains(&tag);
+        if (is_planar && !self.spatial.is_empty()) || (is_spatial && !self.planar.is_empty()) {
+            return Err(G2oError::MixedDimensions { line, tag: tag.into() });
+        }
+        let Self { planar, spatial, fixed, repairs, numbers } = self;
+        let done = if is_planar {
+            planar.line(tag, words, numbers, repairs)
+        } else if is_spatial {
+            spatial.line(tag, words, numbers, repairs)
+        } else if tag == "FIX" {
+            let ids: Option<Vec<i64>> = words.map(|w| w.parse().ok()).collect();
+            ids.filter(|ids| !ids.is_empty()).map(|ids| fixed.extend(ids)).ok_or("whole numbers of vertices")
+        } else {
+            repairs.ignore(tag);
+            Ok(())
+        };
+        done.map_err(|expected| G2oError::Malformed { line, tag: tag.into(), expected })
+    }
+
+    fn finish(mut self) -> Result<(Graph, G2oRepairs), G2oError> {
+        let graph = if !self.planar.is_empty() {
+            Graph::Planar(self.planar.finish(&self.fixed, &mut self.repairs)?)
+        } else if !self.spatial.is_empty() {
+            Graph::Spatial(self.spatial.finish(&self.fixed, &mut self.repairs)?)
+        } else {
+            return Err(G2oError::Empty);
+        };
+        Ok((graph, self.repairs))
+    }
+}
+
+/// An edge that still names its vertices by their numbers.
+struct RawEdge<P: GraphPose> {
+    from: i64,
+    to: i64,
+    measurement: P,
+    information: P::Information,
+}
+
+struct Builder<P: GraphPose> {
+    vertices: Vec<Vertex<P>>,
+    index_of: HashMap<i64, u32>,
+    edges: Vec<RawEdge<P>>,
+    seen: bool,
+}
+
+impl<P: GraphPose> Default for Builder<P> {
+    fn default() -> Self {
+        Self { vertices: Vec::new(), index_of: HashMap::new(), edges: Vec::new(), seen: false }
+    }
+}
+
+impl<P: GraphPose> Builder<P> {
+    fn is_empty(&self) -> bool {
+        !self.seen
+    }
+
+    /// Takes a line apart; on error says what is needed.
+    fn line<'a>(
+        &mut self,
+        tag: &str,
+        mut words: impl Iterator<Item = &'a str>,
+        numbers: &mut Vec<f64>,
+        repairs: &mut G2oRepairs,
+    ) -> Result<(), &'static str> {
+        self.seen = true;
+        let mut id =
+            || words.next().and_then(|w| w.parse::<i64>().ok()).ok_or("the whole number of a vertex");
+        let is_vertex = tag == P::TAGS.0;
+        let (from, to) = if is_vertex { (id()?, 0) } else { (id()?, id()?) };
+        numbers.clear();
+        for word in words {
+            numbers.push(word.parse().map_err(|_| "numbers")?);
+        }
+        let pose_length = if P::SPACE_DIMENSION == 2 { 3 } else { 7 };
+        if is_vertex {
+            if numbers.len() != pose_length {
+                return Err(if P::SPACE_DIMENSION == 2 { "id x y angle" } else { "id x y z qx qy qz qw" });
+            }
+            self.vertex(from, numbers, repairs);
+        } else {
+            if numbers.len() != pose_length + P::DIMENSION * (P::DIMENSION + 1) / 2 {
+                return Err("two ids, a pose and the upper triangle of the information matrix");
+            }
+            self.edge(from, to, numbers.split_at(pose_length), repairs);
+        }
+        Ok(())
+    }
+
+    fn vertex(&mut self, id: i64, numbers: &[f64], repairs: &mut G2oRepairs) {
+        let Some((pose, normalized)) = P::from_numbers(numbers) else {
+            repairs.unusable_vertices += 1;
+            return;
+        };
+        repairs.normalized_quaternions += usize::from(normalized);
+        if !self.add(Vertex { id, pose, fixed: false }) {
+            repairs.duplicate_vertices += 1;
+        }
+    }
+
+    /// Adds a vertex unless its number is taken.
+    fn add(&mut self, vertex: Vertex<P>) -> bool {
+        let index = self.vertices.len() as u32;
+        let is_new = !self.index_of.contains_key(&vertex.id);
+        if is_new {
+            self.index_of.insert(vertex.id, index);
+            self.vertices.push(vertex);
+        }
+        is_new
+    }
+
+    fn edge(&mut self, from: i64, to: i64, (pose, upper): (&[f64], &[f64]), repairs: &mut G2oRepairs) {
+        if from == to {
+            repairs.self_edges += 1;
+            return;
+        }
+        let (Some((measurement, normalized)), Some(information)) =
+            (P::from_numbers(pose), P::information_from_upper(upper))
+        else {
+            repairs.unusable_edges += 1;
+            return;
+        };
+        repairs.normalized_quaternions += usize::from(normalized);
+        self.edges.push(RawEdge { from, to, measurement, information });
+    }
+
+    fn finish(mut self, fixed: &[i64], repairs: &mut G2oRepairs) -> Result<PoseGraph<P>, G2oError> {
+        let given = self.vertices.len();
+        let raw = std::mem::take(&mut self.edges);
+        for edge in &raw {
+            for id in [edge.from, edge.to] {
+                self.add(Vertex { id, pose: P::identity(), fixed: false });
+            }
+        }
+        if self.vertices.is_empty() {
+            return Err(G2oError::Empty);
+        }
+        if u32::try_from(self.vertices.len().max(raw.len()).saturating_mul(2)).is_err() {
+            return Err(G2oError::TooLarge);
+        }
+        repairs.created_vertices = self.vertices.len() - given;
+        for id in fixed {
+            match self.index_of.get(id).and_then(|i| self.vertices.get_mut(*i as usize)) {
+                Some(vertex) => vertex.fixed = true,
+                None => repairs.unknown_fixed += 1,
+            }
+        }
+        let index = |id: &i64| self.index_of.get(id).copied().unwrap_or_default();
+        let edges = raw
+            .iter()
+            .map(|e| Edge {
+                from: index(&e.from),
+                to: index(&e.to),
+                measurement: e.measurement,
+                information: e.information,
+            })
+            .collect();
+        let mut graph = PoseGraph { vertices: self.vertices, edges };
+        if repairs.created_vertices > 0 {
+            let known = (0..graph.vertices.len()).map(|i| i < given).collect();
+            let adjacency = Adjacency::new(&graph);
+            follow(&mut graph, &adjacency, known);
+        }
+        Ok(graph)
+    }
+}
