@@ -8,9 +8,13 @@ mod message;
 mod repairs;
 mod source;
 mod text;
+mod tf;
+mod urdf;
 
 pub use carmen::{CarmenLog, CarmenOptions, TimeColumn, looks_like_carmen};
 pub use coreslam::{CoreSlamLog, looks_like_coreslam};
 pub use message::*;
 pub use source::*;
 pub use text::open_text_log;
+pub use tf::{TfError, TfInput, TfTree, frame_name};
+pub use urdf::{FixedJoint, RobotDescription, parse_urdf, read_urdf};

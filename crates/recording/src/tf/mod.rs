@@ -1,0 +1,315 @@
+//! The tree of transforms: static and moving frames, and lookups between any two of them.
+
+mod input;
+mod text;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use portolan_geometry::{Quaternion, Rigid3, Time, TransformBuffer};
+
+pub use input::{TfInput, frame_name};
+
+/// Most poses that are kept of one moving frame.
+const BUFFER_POSES: usize = 100_000;
+/// Most frames of a tree; only damaged recordings have more.
+const MAX_FRAMES: usize = 5000;
+
+/// Why a transform is not to be had, or was not taken into the tree.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TfError {
+    /// A frame nobody mentioned.
+    #[error(
+        "frame \"{frame}\" is not in the transform tree, which has {known}; give its place with a URDF, or choose another frame"
+    )]
+    UnknownFrame {
+        /// The frame.
+        frame: String,
+        /// The frames there are.
+        known: String,
+    },
+    /// Two frames in different trees.
+    #[error(
+        "no transforms connect \"{target}\" (below \"{target_root}\") with \"{origin}\" (below \"{origin_root}\"); give the missing one with a URDF"
+    )]
+    NotConnected {
+        /// Frame asked for.
+        target: String,
+        /// Frame it was asked from.
+        origin: String,
+        /// Root of the tree of the target.
+        target_root: String,
+        /// Root of the tree of the source.
+        origin_root: String,
+    },
+    /// A moving frame whose pose is not known at that time.
+    #[error("\"{child}\" in \"{parent}\" is known {span} but not at {time}")]
+    NotAtThisTime {
+        /// The moving frame.
+        child: String,
+        /// Its parent.
+        parent: String,
+        /// Time asked for.
+        time: Time,
+        /// "from … to …" or "nowhere".
+        span: String,
+    },
+    /// A transform that would close a loop.
+    #[error("the transforms {frames} form a loop; the last one is not used")]
+    Loop {
+        /// The frames from parent to child.
+        frames: String,
+    },
+    /// More frames than any robot has.
+    #[error("there are more than {MAX_FRAMES} frames; transforms of \"{frame}\" and later ones are not used")]
+    TooManyFrames {
+        /// The frame that was one too many.
+        frame: String,
+    },
+    /// A frame that would get a second parent.
+    #[error("\"{child}\" hangs below \"{parent}\" and also below \"{second}\"; the second is not used")]
+    SecondParent {
+        /// The frame.
+        child: String,
+        /// The parent it keeps.
+        parent: String,
+        /// The parent that was refused.
+        second: String,
+    },
+}
+
+#[derive(Clone, Debug)]
+enum Motion {
+    /// `parent_from_child`.
+    Static(Rigid3),
+    Moving(TransformBuffer),
+}
+
+#[derive(Clone, Debug)]
+struct Edge {
+    parent: usize,
+    motion: Motion,
+}
+
+#[derive(Clone, Debug)]
+struct Frame {
+    name: Arc<str>,
+    edge: Option<Edge>,
+}
+
+/// Frames and their places. Every frame has at most one parent.
+#[derive(Clone, Debug, Default)]
+pub struct TfTree {
+    frames: Vec<Frame>,
+    index: BTreeMap<Arc<str>, usize>,
+}
+
+impl TfTree {
+    /// A tree without frames.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Whether the frame was ever mentioned.
+    pub fn has_frame(&self, name: &str) -> bool {
+        self.index.contains_key(name)
+    }
+
+    /// All frames in ascending order.
+    pub fn frames(&self) -> impl Iterator<Item = &str> {
+        self.index.keys().map(|name| &**name)
+    }
+
+    /// Places `child` in `parent` for all times. What is already there stays: the first one counts.
+    pub fn insert_static(
+        &mut self,
+        parent: &str,
+        child: &str,
+        parent_from_child: Rigid3,
+    ) -> Result<(), TfError> {
+        let (parent, child) = self.edge_ends(parent, child)?;
+        if self.frames[child].edge.is_none() {
+            self.frames[child].edge = Some(Edge { parent, motion: Motion::Static(parent_from_child) });
+        }
+        Ok(())
+    }
+
+    /// Places `child` in `parent` at one time. A static frame stays as it is.
+    pub fn insert_moving(
+        &mut self,
+        parent: &str,
+        child: &str,
+        time: Time,
+        parent_from_child: Rigid3,
+    ) -> Result<(), TfError> {
+        let (parent, child) = self.edge_ends(parent, child)?;
+        let edge = self.frames[child].edge.get_or_insert_with(|| {
+            let motion = Motion::Moving(TransformBuffer::with_size_limit(BUFFER_POSES));
+            Edge { parent, motion }
+        });
+        if let Motion::Moving(buffer) = &mut edge.motion {
+            buffer.push(time, parent_from_child);
+        }
+        Ok(())
+    }
+
+    fn edge_ends(&mut self, parent: &str, child: &str) -> Result<(usize, usize), TfError> {
+        let (parent, child) = (self.frame(parent)?, self.frame(child)?);
+        match &self.frames[child].edge {
+            Some(edge) if edge.parent == parent => {}
+            Some(edge) => {
+                return Err(TfError::SecondParent {
+                    child: self.name(child),
+                    parent: self.name(edge.parent),
+                    second: self.name(parent),
+                });
+            }
+            None => {
+                let path = self.path_to_root(parent);
+                if let Some(position) = path.iter().position(|frame| *frame == child) {
+                    let mut names: Vec<String> =
+                        path[..=position].iter().rev().map(|f| self.name(*f)).collect();
+                    names.push(self.name(child));
+                    return Err(TfError::Loop { frames: names.join(" → ") });
+                }
+            }
+        }
+        Ok((parent, child))
+    }
+
+    fn frame(&mut self, name: &str) -> Result<usize, TfError> {
+        if let Some(index) = self.index.get(name) {
+            return Ok(*index);
+        }
+        if self.frames.len() >= MAX_FRAMES {
+            return Err(TfError::TooManyFrames { frame: name.to_owned() });
+        }
+        let name: Arc<str> = name.into();
+        self.frames.push(Frame { name: name.clone(), edge: None });
+        self.index.insert(name, self.frames.len() - 1);
+        Ok(self.frames.len() - 1)
+    }
+
+    fn name(&self, frame: usize) -> String {
+        self.frames[frame].name.to_string()
+    }
+
+    /// The frame itself, its parent and so on. Ends because insertion refuses loops.
+    fn path_to_root(&self, mut frame: usize) -> Vec<usize> {
+        let mut path = vec![frame];
+        while let Some(edge) = &self.frames[frame].edge {
+            frame = edge.parent;
+            path.push(frame);
+        }
+        path
+    }
+
+    fn known(&self, name: &str) -> Result<usize, TfError> {
+        self.index.get(name).copied().ok_or_else(|| TfError::UnknownFrame {
+            frame: name.to_owned(),
+            known: if self.index.is_empty() {
+                "no frames".to_owned()
+            } else {
+                self.frames().take(30).collect::<Vec<_>>().join(", ")
+            },
+        })
+    }
+
+    /// The paths from both frames up to, and not including, their common ancestor.
+    fn paths(&self, target: &str, source: &str) -> Result<(Vec<usize>, Vec<usize>), TfError> {
+        let mut up = self.path_to_root(self.known(target)?);
+        let mut down = self.path_to_root(self.known(source)?);
+        let roots = (up.last().copied(), down.last().copied());
+        if let ((Some(target_root), Some(source_root)), true) = (roots, roots.0 != roots.1) {
+            return Err(TfError::NotConnected {
+                target: target.to_owned(),
+                origin: source.to_owned(),
+                target_root: self.name(target_root),
+                origin_root: self.name(source_root),
+            });
+        }
+        while let (Some(a), Some(b)) = (up.last(), down.last())
+            && a == b
+        {
+            up.pop();
+            down.pop();
+        }
+        Ok((up, down))
+    }
+
+    /// `target_from_source` at `time`: takes coordinates in `source` to coordinates in `target`.
+    /// Moving frames are interpolated; times outside of what is known are an error.
+    pub fn lookup(&self, target: &str, source: &str, time: Time) -> Result<Rigid3, TfError> {
+        if target == source {
+            return Ok(Rigid3::identity());
+        }
+        let (up, down) = self.paths(target, source)?;
+        let ancestor_from_target = self.compose(&up, time)?;
+        let ancestor_from_source = self.compose(&down, time)?;
+        let mut result = ancestor_from_target.inverse() * ancestor_from_source;
+        result.rotation = Quaternion::new_normalize(*result.rotation.quaternion());
+        Ok(result)
+    }
+
+    /// `ancestor_from_frame` along a path of edges that begins at the frame.
+    fn compose(&self, path: &[usize], time: Time) -> Result<Rigid3, TfError> {
+        let mut result = Rigid3::identity();
+        for frame in path {
+            let Some(edge) = &self.frames[*frame].edge else { continue };
+            let parent_from_frame = match &edge.motion {
+                Motion::Static(transform) => *transform,
+                Motion::Moving(buffer) => buffer.lookup(time).ok_or_else(|| TfError::NotAtThisTime {
+                    child: self.name(*frame),
+                    parent: self.name(edge.parent),
+                    time,
+                    span: match (buffer.earliest_time(), buffer.latest_time()) {
+                        (Some(first), Some(last)) => format!("from {first} to {last}"),
+                        _ => "nowhere".to_owned(),
+                    },
+                })?,
+            };
+            result = parent_from_frame * result;
+        }
+        Ok(result)
+    }
+
+    /// Whether two frames belong to one tree, moving or not.
+    pub fn connected(&self, a: &str, b: &str) -> bool {
+        a == b || self.paths(a, b).is_ok()
+    }
+
+    /// `target_from_source` if no moving frame lies between the two.
+    pub fn lookup_static(&self, target: &str, source: &str) -> Option<Rigid3> {
+        if target == source {
+            return Some(Rigid3::identity());
+        }
+        let (up, down) = self.paths(target, source).ok()?;
+        let fixed = |path: &[usize]| {
+            path.iter().all(|f| !matches!(self.frames[*f].edge, Some(Edge { motion: Motion::Moving(_), .. })))
+        };
+        (fixed(&up) && fixed(&down)).then(|| self.lookup(target, source, Time::MIN).ok()).flatten()
+    }
+
+    /// Moving frames as (parent, child), in ascending order of the child.
+    pub fn moving_frames(&self) -> Vec<(&str, &str)> {
+        let moving = |index: &usize| match &self.frames[*index].edge {
+            Some(Edge { parent, motion: Motion::Moving(_) }) => {
+                Some((&*self.frames[*parent].name, &*self.frames[*index].name))
+            }
+            _ => None,
+        };
+        self.index.values().filter_map(moving).collect()
+    }
+
+    /// Forgets poses of moving frames before `time`, except the last one before it.
+    pub fn forget_before(&mut self, time: Time) {
+        for frame in &mut self.frames {
+            if let Some(Edge { motion: Motion::Moving(buffer), .. }) = &mut frame.edge {
+                buffer.forget_before(time);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
