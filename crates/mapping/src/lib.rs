@@ -1,1 +1,42 @@
-//! Local SLAM, submaps, constraints and the pose graph; one pose graph for 2D and 3D
+//! Local SLAM, submaps, constraints and the pose graph.
+//!
+//! One pose graph serves 2D and 3D ([`Space`]). The way of a scan: a local SLAM matches it against the
+//! newest submaps and inserts it; the [`PoseGraph`] relates it to submaps, finds it in older ones, and
+//! optimises; the [`Mapper`] wires both together on as many threads as there are.
+
+mod backend;
+mod collation;
+mod constraint;
+mod id;
+mod imu_tracker;
+mod local_slam;
+mod map;
+mod mapper;
+mod motion_filter;
+mod node;
+mod optimization;
+mod planar;
+mod pose_extrapolator;
+mod pose_graph;
+mod scan_matching_2d;
+mod space;
+mod submap_2d;
+
+pub use backend::{BackendProgress, MapperError};
+pub use constraint::{Constraint, ConstraintTag};
+pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
+pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, MatchingResult, Repairs};
+pub use map::{Map, ScanPose};
+pub use mapper::{EndedTrajectory, Mapper, MapperSettings};
+pub use node::{Node, NodeData};
+pub use optimization::{
+    LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary, TrajectorySensors,
+    optimize_2d,
+};
+pub use planar::Planar;
+pub use pose_graph::{
+    GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, PoseGraph, SearchCounts, SubmapEntry,
+    TrajectoryConnectivity, TrajectoryEntry, TrajectoryState, Trimmer,
+};
+pub use space::{MatchedPose, SearchRegion, Space};
+pub use submap_2d::{Inserter2d, Submap2d};

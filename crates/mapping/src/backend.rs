@@ -1,0 +1,172 @@
+//! Where the pose graph works: behind the mapper, in the order in which work was given.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Sender, bounded, unbounded};
+use rayon::ThreadPool;
+
+use crate::{OptimizationSummary, PoseGraph, SearchCounts, Space};
+
+/// Why mapping cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum MapperError {
+    /// Threads could not be started.
+    #[error("cannot start threads for mapping: {0}")]
+    Threads(String),
+    /// The pose graph has stopped because of an internal fault.
+    #[error("the pose graph has stopped because of an internal fault; please report it with the recording")]
+    PoseGraphStopped,
+    /// Options that contradict each other.
+    #[error("these options cannot be used together: {0}")]
+    Options(String),
+    /// A trajectory that does not exist or has ended.
+    #[error("trajectory {0} does not exist or has ended")]
+    NoSuchTrajectory(crate::TrajectoryId),
+}
+
+/// How far the pose graph is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BackendProgress {
+    /// Nodes in the graph.
+    pub nodes: usize,
+    /// Submaps in the graph.
+    pub submaps: usize,
+    /// Constraints in the graph.
+    pub constraints: usize,
+    /// Loop closures among them that were found in this run.
+    pub searches: SearchCounts,
+    /// Optimisations so far.
+    pub optimizations: u64,
+    /// How the last one went.
+    pub last_optimization: OptimizationSummary,
+    /// Pieces of work that wait.
+    pub backlog: usize,
+}
+
+type Work<S> = Box<dyn FnOnce(&mut PoseGraph<S>) + Send>;
+
+struct Shared {
+    backlog: AtomicUsize,
+    progress: Mutex<BackendProgress>,
+}
+
+/// Runs the pose graph: inline with one thread, else on a thread of its own.
+pub struct Backend<S: Space> {
+    place: Place<S>,
+    shared: Arc<Shared>,
+}
+
+enum Place<S: Space> {
+    Inline { graph: Box<PoseGraph<S>>, pool: ThreadPool },
+    Thread { sender: Option<Sender<Work<S>>>, handle: Option<JoinHandle<PoseGraph<S>>> },
+}
+
+impl<S: Space> Backend<S> {
+    /// Takes the graph to where it will work. `threads` is the number used for searching.
+    pub fn start(graph: PoseGraph<S>, threads: usize) -> Result<Self, MapperError> {
+        let threads = threads.max(1);
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|i| format!("search-{i}"))
+            .build()
+            .map_err(|e| MapperError::Threads(e.to_string()))?;
+        let shared =
+            Arc::new(Shared { backlog: AtomicUsize::new(0), progress: Mutex::new(BackendProgress::default()) });
+        if threads == 1 {
+            return Ok(Self { place: Place::Inline { graph: Box::new(graph), pool }, shared });
+        }
+        let (sender, receiver) = unbounded::<Work<S>>();
+        let worker_shared = Arc::clone(&shared);
+        let handle = std::thread::Builder::new()
+            .name("pose-graph".to_owned())
+            .spawn(move || {
+                let mut graph = graph;
+                for work in receiver {
+                    pool.install(|| work(&mut graph));
+                    worker_shared.backlog.fetch_sub(1, Ordering::AcqRel);
+                    publish(&worker_shared, &graph);
+                }
+                graph
+            })
+            .map_err(|e| MapperError::Threads(e.to_string()))?;
+        Ok(Self { place: Place::Thread { sender: Some(sender), handle: Some(handle) }, shared })
+    }
+
+    /// Gives work; it is done later, in order.
+    pub fn enqueue(&mut self, work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static) -> Result<(), MapperError> {
+        match &mut self.place {
+            Place::Inline { graph, pool } => {
+                pool.install(|| work(graph));
+                publish(&self.shared, graph);
+                Ok(())
+            }
+            Place::Thread { sender, .. } => {
+                self.shared.backlog.fetch_add(1, Ordering::AcqRel);
+                let sent = sender.as_ref().is_some_and(|s| s.send(Box::new(work)).is_ok());
+                if sent { Ok(()) } else { Err(MapperError::PoseGraphStopped) }
+            }
+        }
+    }
+
+    /// Does work after everything given before, and waits for its answer.
+    pub fn call<R: Send + 'static>(
+        &mut self,
+        work: impl FnOnce(&mut PoseGraph<S>) -> R + Send + 'static,
+    ) -> Result<R, MapperError> {
+        let (sender, receiver) = bounded(1);
+        self.enqueue(move |graph| {
+            // Nobody listens only when the caller is gone.
+            let _ = sender.send(work(graph));
+        })?;
+        receiver.recv().map_err(|_| MapperError::PoseGraphStopped)
+    }
+
+    /// Waits until at most `limit` pieces of work wait, at most `longest`.
+    pub fn wait_for_backlog(&self, limit: usize, longest: Duration) {
+        let start = Instant::now();
+        while self.shared.backlog.load(Ordering::Acquire) > limit && start.elapsed() < longest {
+            if let Place::Thread { handle: Some(handle), .. } = &self.place
+                && handle.is_finished()
+            {
+                return;
+            }
+            std::thread::sleep(Duration::from_micros(200));
+        }
+    }
+
+    /// How far it is.
+    pub fn progress(&self) -> BackendProgress {
+        let mut progress = *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        progress.backlog = self.shared.backlog.load(Ordering::Acquire);
+        progress
+    }
+
+    /// Finishes all work and gives the graph back.
+    pub fn into_graph(self) -> Result<PoseGraph<S>, MapperError> {
+        match self.place {
+            Place::Inline { graph, .. } => Ok(*graph),
+            Place::Thread { sender, handle } => {
+                drop(sender);
+                let handle = handle.ok_or(MapperError::PoseGraphStopped)?;
+                handle.join().map_err(|_| MapperError::PoseGraphStopped)
+            }
+        }
+    }
+}
+
+fn publish<S: Space>(shared: &Shared, graph: &PoseGraph<S>) {
+    let (optimizations, last_optimization) = graph.optimizations();
+    let progress = BackendProgress {
+        nodes: graph.state().nodes.len(),
+        submaps: graph.state().submaps.len(),
+        constraints: graph.state().constraints.len(),
+        searches: graph.search_counts(),
+        optimizations,
+        last_optimization,
+        backlog: 0,
+    };
+    *shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
+}

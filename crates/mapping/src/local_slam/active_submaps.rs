@@ -1,0 +1,99 @@
+//! Submaps that are being filled (`slam2d.md` §11.1): at any time the older one is matched against
+//! and both receive scans, so that every place is in two of them.
+
+use std::sync::Arc;
+
+use portolan_geometry::{Point3f, Rigid3};
+
+use crate::{InsertionSubmap, Space};
+
+/// A submap that takes scans.
+pub trait GrowingSubmap {
+    /// What a scan is inserted as.
+    type Scan;
+    /// Pose in the local map.
+    fn local_from_submap(&self) -> Rigid3;
+    /// Scans inserted so far.
+    fn num_range_data(&self) -> u32;
+    /// Where the scan was taken, in the local map.
+    fn scan_origin_in_local(scan: &Self::Scan) -> Point3f;
+    /// Inserts a scan given in the local map.
+    fn insert(&mut self, scan: &Self::Scan);
+    /// No more scans will come: makes it ready for searching.
+    fn finish(&mut self);
+}
+
+/// None, one or two submaps that are being filled, oldest first.
+pub struct ActiveSubmaps<S: Space> {
+    submaps: Vec<(u32, S::Submap)>,
+    next_index: u32,
+    scans_per_half: u32,
+}
+
+impl<S: Space> ActiveSubmaps<S>
+where
+    S::Submap: GrowingSubmap,
+{
+    /// Starts a new submap every `scans_per_half` scans; each receives twice as many.
+    pub fn new(scans_per_half: u32) -> Self {
+        Self { submaps: Vec::new(), next_index: 0, scans_per_half: scans_per_half.max(1) }
+    }
+
+    /// The submap to match against.
+    pub fn matching_submap(&self) -> Option<&S::Submap> {
+        self.submaps.first().map(|(_, submap)| submap)
+    }
+
+    /// All of them, oldest first.
+    pub fn iter(&self) -> impl Iterator<Item = (u32, &S::Submap)> {
+        self.submaps.iter().map(|(index, submap)| (*index, submap))
+    }
+
+    /// Inserts a scan; `create` makes a new submap at an origin in the local map, or
+    /// none where that is impossible. Returns the submaps
+    /// that took it, oldest first; a complete one comes with its grid and is given away.
+    pub fn insert(
+        &mut self,
+        scan: &<S::Submap as GrowingSubmap>::Scan,
+        create: impl FnOnce(Point3f) -> Option<S::Submap>,
+    ) -> Vec<InsertionSubmap<S>> {
+        let newest_is_half_full =
+            self.submaps.last().is_none_or(|(_, s)| s.num_range_data() >= self.scans_per_half);
+        if newest_is_half_full && let Some(submap) = create(S::Submap::scan_origin_in_local(scan)) {
+            self.submaps.push((self.next_index, submap));
+            self.next_index += 1;
+        }
+        for (_, submap) in &mut self.submaps {
+            submap.insert(scan);
+        }
+        let mut inserted: Vec<InsertionSubmap<S>> = self
+            .submaps
+            .iter()
+            .map(|(index, s)| InsertionSubmap {
+                index: *index,
+                local_from_submap: s.local_from_submap(),
+                finished: None,
+            })
+            .collect();
+        let oldest_is_full =
+            self.submaps.first().is_some_and(|(_, s)| s.num_range_data() >= 2 * self.scans_per_half);
+        if oldest_is_full {
+            let (_, mut full) = self.submaps.remove(0);
+            full.finish();
+            inserted[0].finished = Some(Arc::new(full));
+        }
+        inserted
+    }
+
+    /// Ends the trajectory: finishes what is being filled and gives it away.
+    pub fn finish(&mut self) -> Vec<InsertionSubmap<S>> {
+        std::mem::take(&mut self.submaps)
+            .into_iter()
+            .map(|(index, mut submap)| {
+                submap.finish();
+                let local_from_submap = submap.local_from_submap();
+                InsertionSubmap { index, local_from_submap, finished: Some(Arc::new(submap)) }
+            })
+            .collect()
+    }
+}

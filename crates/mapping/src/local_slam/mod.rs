@@ -1,0 +1,55 @@
+//! Local SLAM: from measurements to nodes in the local map, without loop closure.
+
+mod active_submaps;
+pub mod two_d;
+
+pub use active_submaps::{ActiveSubmaps, GrowingSubmap};
+
+use portolan_config::MotionFilterOptions;
+use portolan_geometry::{Rigid3, Time};
+use portolan_sensor::{ImuData, OdometryData, RangeData, SensorId, TimedPointCloudData};
+
+use crate::motion_filter::MotionFilter;
+use crate::{InsertedNode, InsertionSubmap, Space};
+
+/// What became of a scan.
+#[derive(Clone, Debug)]
+pub struct MatchingResult<S: Space> {
+    /// Time of its last point.
+    pub time: Time,
+    /// Where it was taken, in the local map.
+    pub local_from_tracking: Rigid3,
+    /// The scan itself in the local map.
+    pub range_data_in_local: RangeData,
+    /// The node, if the scan was different enough from the last one to be inserted.
+    pub inserted: Option<InsertedNode<S>>,
+}
+
+/// Counts of what was dropped or repaired, by reason.
+pub type Repairs = std::collections::BTreeMap<&'static str, u64>;
+
+/// The local SLAM of one trajectory.
+pub trait LocalSlam<S: Space>: Send {
+    /// A range measurement; gives a result when enough of them are together.
+    fn add_range_data(&mut self, sensor_id: &SensorId, data: TimedPointCloudData) -> Option<MatchingResult<S>>;
+
+    /// An IMU sample.
+    fn add_imu_data(&mut self, data: &ImuData);
+
+    /// An odometry pose.
+    fn add_odometry_data(&mut self, data: &OdometryData);
+
+    /// Ends the trajectory and hands over the submaps that were being filled.
+    fn finish(&mut self) -> Vec<InsertionSubmap<S>>;
+
+    /// Copies of the submaps that are being filled, with their indices.
+    fn active_submaps(&self) -> Vec<(u32, S::Submap)>;
+
+    /// What was dropped or repaired so far.
+    fn repairs(&self) -> Repairs;
+}
+
+/// The filter that the options describe.
+pub fn motion_filter(options: &MotionFilterOptions) -> MotionFilter {
+    MotionFilter::new(options.max_time_seconds, options.max_distance_meters, options.max_angle_radians)
+}

@@ -1,0 +1,301 @@
+//! Local SLAM in the plane (`slam2d.md` §5).
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use portolan_config::{AdaptiveVoxelFilterOptions, TrajectoryBuilder2dOptions};
+use portolan_geometry::{
+    Point3f, Quaternion, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
+};
+use portolan_matching::grid::InserterOptionError;
+use portolan_sensor::{
+    ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
+    TimedPointCloudData, adaptive_voxel_filter, voxel_filter,
+};
+
+use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter};
+use crate::motion_filter::MotionFilter;
+use crate::pose_extrapolator::PoseExtrapolator;
+use crate::scan_matching_2d::ScanMatcher2d;
+use crate::submap_2d::{Inserter2d, Submap2d};
+use crate::{InsertedNode, InsertionSubmap, NodeData, Planar};
+
+/// Settings beyond the reference's options.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LocalSlamExtras {
+    /// Predict from all odometry and gyroscope data of the gap between scans.
+    pub use_all_odometry: bool,
+}
+
+/// Local SLAM of one trajectory in 2D.
+pub struct LocalSlam2d {
+    options: TrajectoryBuilder2dOptions,
+    collator: RangeDataCollator,
+    extrapolator: Option<PoseExtrapolator>,
+    extras: LocalSlamExtras,
+    matcher: ScanMatcher2d,
+    inserter: Arc<Inserter2d>,
+    active_submaps: ActiveSubmaps<Planar>,
+    motion_filter: MotionFilter,
+    accumulated: Accumulation,
+    waiting_odometry: VecDeque<OdometryData>,
+    repairs: Repairs,
+}
+
+/// Range data gathered since the last match, in the local map as predicted.
+#[derive(Default)]
+struct Accumulation {
+    messages: u32,
+    returns: Vec<Point3f>,
+    misses: Vec<Point3f>,
+}
+
+impl LocalSlam2d {
+    /// Local SLAM for a trajectory with these range sensors.
+    pub fn new(
+        options: &TrajectoryBuilder2dOptions,
+        range_sensors: &[SensorId],
+        extras: LocalSlamExtras,
+    ) -> Result<Self, InserterOptionError> {
+        Ok(Self {
+            inserter: Arc::new(Inserter2d::new(&options.submaps)?),
+            collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
+            extrapolator: None,
+            extras,
+            matcher: ScanMatcher2d::new(options),
+            active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1)),
+            motion_filter: motion_filter(&options.motion_filter),
+            accumulated: Accumulation::default(),
+            waiting_odometry: VecDeque::new(),
+            repairs: Repairs::new(),
+            options: options.clone(),
+        })
+    }
+
+    fn count(&mut self, what: &'static str) {
+        *self.repairs.entry(what).or_default() += 1;
+    }
+
+    fn start_extrapolator(&mut self, time: Time) -> &mut PoseExtrapolator {
+        let options = &self.options.pose_extrapolator.constant_velocity;
+        let use_all_odometry = self.extras.use_all_odometry;
+        let waiting = &mut self.waiting_odometry;
+        self.extrapolator.get_or_insert_with(|| {
+            let mut extrapolator = PoseExtrapolator::new(
+                options.pose_queue_duration,
+                options.imu_gravity_time_constant,
+                use_all_odometry,
+            );
+            extrapolator.add_pose(time, Rigid3::identity());
+            for odometry in waiting.drain(..) {
+                let _ = extrapolator.add_odometry(&odometry);
+            }
+            extrapolator
+        })
+    }
+
+    /// One synchronised set of ranges: unwarp, gather, and match when enough is together.
+    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Option<MatchingResult<Planar>> {
+        if !self.options.use_imu_data {
+            let first = first_point_time(ranges);
+            self.start_extrapolator(first);
+        }
+        let oldest = first_point_time(ranges);
+        let Some(extrapolator) = self.extrapolator.as_mut() else {
+            self.count("scan before the first IMU sample");
+            return None;
+        };
+        if extrapolator.last_pose_time().is_some_and(|last| oldest < last) {
+            self.count("scan that starts before the last matched scan ends");
+            return None;
+        }
+        let last_pose = unwarp(ranges, extrapolator, &self.options, &mut self.accumulated);
+        self.accumulated.messages += 1;
+        let wanted = u32::try_from(self.options.num_accumulated_range_data).unwrap_or(1);
+        if self.accumulated.messages < wanted {
+            return None;
+        }
+        let accumulated = std::mem::take(&mut self.accumulated);
+        let gravity = extrapolator.estimate_gravity_orientation(ranges.time);
+        let scan = gravity_aligned(accumulated, &last_pose, &gravity, &self.options);
+        self.add_accumulated(ranges.time, &scan, gravity)
+    }
+
+    /// One whole scan in the gravity-aligned tracking frame: predict, match, insert.
+    fn add_accumulated(
+        &mut self,
+        time: Time,
+        scan: &RangeData,
+        gravity: Quaternion,
+    ) -> Option<MatchingResult<Planar>> {
+        if scan.returns.is_empty() {
+            self.count("scan without a single return");
+            return None;
+        }
+        let extrapolator = self.extrapolator.as_mut()?;
+        let predicted = extrapolator.extrapolate_pose(time);
+        let prediction = project_2d(&(predicted * gravity.inverse()));
+        let matching_cloud = filtered(&scan.returns, &self.options.adaptive_voxel_filter);
+        if matching_cloud.is_empty() {
+            self.count("scan without a return in matching range");
+            return None;
+        }
+        let matched = self.matcher.match_scan(prediction, &matching_cloud, self.active_submaps.matching_submap());
+        let pose = if matched.is_finite() { matched } else { prediction };
+        let local_from_tracking = embed_3d(&pose) * gravity;
+        if !is_valid_pose(&local_from_tracking) {
+            self.count("scan whose pose could not be determined");
+            return None;
+        }
+        self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
+        let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
+        let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
+            self.insert(time, &range_data_in_local, matching_cloud, local_from_tracking, gravity)
+        });
+        Some(MatchingResult { time, local_from_tracking, range_data_in_local, inserted })
+    }
+
+    fn insert(
+        &mut self,
+        time: Time,
+        range_data_in_local: &RangeData,
+        matching_cloud: PointCloud,
+        local_from_tracking: Rigid3,
+        gravity_alignment: Quaternion,
+    ) -> InsertedNode<Planar> {
+        let resolution = f64::from(self.options.submaps.grid_options_2d.resolution);
+        let inserter = &self.inserter;
+        let submaps = self
+            .active_submaps
+            .insert(range_data_in_local, |origin| Submap2d::new(origin, resolution, inserter).ok());
+        let data = Arc::new(NodeData {
+            time,
+            gravity_alignment,
+            filtered_gravity_aligned_point_cloud: matching_cloud,
+            high_resolution_point_cloud: PointCloud::default(),
+            low_resolution_point_cloud: PointCloud::default(),
+            rotational_scan_matcher_histogram: Vec::new(),
+            local_from_tracking,
+        });
+        InsertedNode { data, submaps }
+    }
+}
+
+fn first_point_time(ranges: &SynchronizedRanges) -> Time {
+    let relative = ranges.points.first().map_or(0.0, |p| f64::from(p.point.time));
+    ranges.time + portolan_geometry::Duration::from_seconds(relative)
+}
+
+/// Puts every point where it was measured from, by the predicted pose at its own time, and sorts it
+/// into returns and misses. Returns the pose at the last point.
+fn unwarp(
+    ranges: &SynchronizedRanges,
+    extrapolator: &mut PoseExtrapolator,
+    options: &TrajectoryBuilder2dOptions,
+    accumulated: &mut Accumulation,
+) -> Rigid3f {
+    let mut pose_time = f32::NAN;
+    let mut pose = Rigid3f::identity();
+    for p in &ranges.points {
+        // Beams of one firing share a time; a scan without times needs a single pose.
+        if p.point.time != pose_time {
+            pose_time = p.point.time;
+            let time = ranges.time + portolan_geometry::Duration::from_seconds(f64::from(pose_time));
+            pose = to_f32(&extrapolator.extrapolate_pose(time));
+        }
+        let origin = pose * ranges.origins[p.origin_index];
+        let hit = pose * p.point.position;
+        let delta = hit - origin;
+        let range = delta.norm();
+        if !(range >= options.min_range) {
+            continue;
+        }
+        if range <= options.max_range {
+            accumulated.returns.push(hit);
+        } else {
+            accumulated.misses.push(origin + delta * (options.missing_data_ray_length / range));
+        }
+    }
+    pose
+}
+
+/// The gathered points in the gravity-aligned tracking frame of the last point, cropped in height and
+/// thinned.
+fn gravity_aligned(
+    accumulated: Accumulation,
+    last_local_from_tracking: &Rigid3f,
+    gravity: &Quaternion,
+    options: &TrajectoryBuilder2dOptions,
+) -> RangeData {
+    let aligned_from_local =
+        to_f32(&Rigid3::from_parts(Default::default(), *gravity)) * last_local_from_tracking.inverse();
+    let range_data = RangeData {
+        origin: Point3f::from(last_local_from_tracking.translation.vector),
+        returns: PointCloud::new(accumulated.returns),
+        misses: PointCloud::new(accumulated.misses),
+    };
+    let cropped = range_data.transformed(&aligned_from_local).cropped_z(options.min_z, options.max_z);
+    RangeData {
+        origin: cropped.origin,
+        returns: voxel_filter(&cropped.returns, options.voxel_filter_size),
+        misses: voxel_filter(&cropped.misses, options.voxel_filter_size),
+    }
+}
+
+fn filtered(cloud: &PointCloud, options: &AdaptiveVoxelFilterOptions) -> PointCloud {
+    adaptive_voxel_filter(cloud, options.max_length, options.min_num_points as usize, options.max_range)
+}
+
+impl LocalSlam<Planar> for LocalSlam2d {
+    fn add_range_data(
+        &mut self,
+        sensor_id: &SensorId,
+        data: TimedPointCloudData,
+    ) -> Option<MatchingResult<Planar>> {
+        let synchronized = self.collator.add(&sensor_id.id, data)?;
+        if synchronized.points.is_empty() {
+            self.count("scan without points");
+            return None;
+        }
+        self.add_synchronized(&synchronized)
+    }
+
+    fn add_imu_data(&mut self, data: &ImuData) {
+        if !self.options.use_imu_data {
+            return;
+        }
+        let extrapolator = self.start_extrapolator(data.time);
+        if extrapolator.add_imu(data).is_err() {
+            self.count("IMU sample older than the last matched scan");
+        }
+    }
+
+    fn add_odometry_data(&mut self, data: &OdometryData) {
+        match self.extrapolator.as_mut() {
+            Some(extrapolator) => {
+                if extrapolator.add_odometry(data).is_err() {
+                    self.count("odometry pose older than the last matched scan");
+                }
+            }
+            // The first scan will want to know how the robot was moving.
+            None => {
+                self.waiting_odometry.push_back(*data);
+                if self.waiting_odometry.len() > 2 {
+                    self.waiting_odometry.pop_front();
+                }
+            }
+        }
+    }
+
+    fn finish(&mut self) -> Vec<InsertionSubmap<Planar>> {
+        self.active_submaps.finish()
+    }
+
+    fn active_submaps(&self) -> Vec<(u32, Submap2d)> {
+        self.active_submaps.iter().map(|(index, submap)| (index, submap.clone())).collect()
+    }
+
+    fn repairs(&self) -> Repairs {
+        self.repairs.clone()
+    }
+}

@@ -1,0 +1,281 @@
+//! The mapper: measurements in, a map out.
+//!
+//! Local SLAM runs where [`Mapper::add`] is called; the pose graph runs behind it on a thread of its
+//! own, with more threads for searching. What comes out does not depend on how many there are: the
+//! pose graph takes its work in the order in which local SLAM made it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use portolan_config::{Options, TrajectoryBuilderOptions};
+use portolan_sensor::{Measurement, SensorId, SensorKind};
+
+use crate::backend::{Backend, BackendProgress, MapperError};
+use crate::collation::SensorCollation;
+use crate::local_slam::{LocalSlam, MatchingResult, Repairs};
+use crate::map::{Map, ScanPose};
+use crate::motion_filter::MotionFilter;
+use crate::local_slam::motion_filter;
+use crate::{InitialTrajectoryPose, PoseGraph, Space, TrajectoryId, Trimmer};
+
+/// How the mapper works, apart from what it maps.
+#[derive(Clone, Copy, Debug)]
+pub struct MapperSettings {
+    /// Threads for searching and optimising; with one everything happens where it is called.
+    pub threads: usize,
+    /// Work that may wait behind local SLAM before [`Mapper::add`] waits.
+    pub max_backlog: usize,
+    /// How long [`Mapper::add`] may wait: for ever when reading a file, zero when live.
+    pub max_wait: Duration,
+}
+
+impl Default for MapperSettings {
+    fn default() -> Self {
+        Self { threads: 2, max_backlog: 400, max_wait: Duration::from_secs(3600) }
+    }
+}
+
+/// A trajectory being mapped.
+struct ActiveTrajectory<S: Space> {
+    options: TrajectoryBuilderOptions,
+    sensors: BTreeSet<SensorId>,
+    local_slam: S::LocalSlam,
+    odometry_filter: Option<MotionFilter>,
+    scans: Vec<ScanPose>,
+    last_node: Option<u32>,
+    next_node: u32,
+}
+
+/// Builds a map of any number of trajectories.
+pub struct Mapper<S: Space> {
+    options: Options,
+    settings: MapperSettings,
+    backend: Backend<S>,
+    collation: SensorCollation,
+    active: BTreeMap<TrajectoryId, ActiveTrajectory<S>>,
+    ended: BTreeMap<TrajectoryId, EndedTrajectory>,
+    next_trajectory: u32,
+    repairs: Repairs,
+}
+
+/// What stays of a trajectory for the map.
+#[derive(Clone, Debug)]
+pub struct EndedTrajectory {
+    /// Its options.
+    pub options: TrajectoryBuilderOptions,
+    /// Its sensors.
+    pub sensors: BTreeSet<SensorId>,
+    /// Every scan.
+    pub scans: Vec<ScanPose>,
+}
+
+impl<S: Space> Mapper<S> {
+    /// An empty map.
+    pub fn new(options: &Options, settings: MapperSettings) -> Result<Self, MapperError> {
+        let graph = PoseGraph::new(options.map_builder.pose_graph.clone());
+        Self::with_graph(options, settings, graph, BTreeMap::new())
+    }
+
+    /// Continues a map: `graph` holds its trajectories, `ended` what else is known of them.
+    pub fn with_graph(
+        options: &Options,
+        settings: MapperSettings,
+        graph: PoseGraph<S>,
+        ended: BTreeMap<TrajectoryId, EndedTrajectory>,
+    ) -> Result<Self, MapperError> {
+        let next_trajectory = graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);
+        Ok(Self {
+            backend: Backend::start(graph, settings.threads)?,
+            collation: SensorCollation::new(options.map_builder.collate_by_trajectory),
+            options: options.clone(),
+            settings,
+            active: BTreeMap::new(),
+            ended,
+            next_trajectory,
+            repairs: Repairs::new(),
+        })
+    }
+
+    /// Starts a trajectory with these sensors.
+    pub fn add_trajectory(
+        &mut self,
+        sensors: &BTreeSet<SensorId>,
+        initial_pose: Option<InitialTrajectoryPose>,
+    ) -> Result<TrajectoryId, MapperError> {
+        let id = TrajectoryId(self.next_trajectory);
+        self.next_trajectory += 1;
+        let options = self.options.trajectory_builder.clone();
+        let range_sensors: Vec<SensorId> =
+            sensors.iter().filter(|s| s.kind == SensorKind::Range).cloned().collect();
+        let trajectory = ActiveTrajectory {
+            local_slam: S::new_local_slam(&self.options, &range_sensors)?,
+            odometry_filter: options.pose_graph_odometry_motion_filter.as_ref().map(motion_filter),
+            sensors: sensors.clone(),
+            scans: Vec::new(),
+            last_node: None,
+            next_node: 0,
+            options,
+        };
+        self.collation.add_trajectory(id, sensors, &trajectory.options);
+        let keep = trajectory.options.pure_localization_trimmer.as_ref().map(|t| t.max_submaps_to_keep);
+        self.active.insert(id, trajectory);
+        self.backend.enqueue(move |graph| {
+            graph.add_trajectory(id, initial_pose);
+            if let Some(keep) = keep {
+                graph.add_trimmer(Trimmer::pure_localization(id, usize::try_from(keep).unwrap_or(0)));
+            }
+        })?;
+        Ok(id)
+    }
+
+    /// Takes a measurement. Returns what became of scans, this one or earlier ones that waited for
+    /// other sensors. Waits for the pose graph no longer than the settings say.
+    pub fn add(
+        &mut self,
+        id: TrajectoryId,
+        sensor_id: &SensorId,
+        measurement: Measurement,
+    ) -> Result<Vec<MatchingResult<S>>, MapperError> {
+        if !self.active.contains_key(&id) {
+            return Err(MapperError::NoSuchTrajectory(id));
+        }
+        let ready = self.collation.add(id, sensor_id, measurement);
+        let results = self.dispatch_all(ready)?;
+        self.backend.wait_for_backlog(self.settings.max_backlog, self.settings.max_wait);
+        Ok(results)
+    }
+
+    fn dispatch_all(
+        &mut self,
+        ready: Vec<(TrajectoryId, SensorId, Measurement)>,
+    ) -> Result<Vec<MatchingResult<S>>, MapperError> {
+        let mut results = Vec::new();
+        for (id, sensor_id, measurement) in ready {
+            results.extend(self.dispatch(id, &sensor_id, measurement)?);
+        }
+        Ok(results)
+    }
+
+    /// Gives a measurement, in its turn, to local SLAM and to the pose graph.
+    fn dispatch(
+        &mut self,
+        id: TrajectoryId,
+        sensor_id: &SensorId,
+        measurement: Measurement,
+    ) -> Result<Option<MatchingResult<S>>, MapperError> {
+        let Some(trajectory) = self.active.get_mut(&id) else { return Ok(None) };
+        match measurement {
+            Measurement::Range(data) => {
+                let Some(result) = trajectory.local_slam.add_range_data(sensor_id, data) else {
+                    return Ok(None);
+                };
+                trajectory.remember_scan(&result);
+                if let Some(inserted) = result.inserted.clone() {
+                    self.backend.enqueue(move |graph| {
+                        graph.add_node(id, inserted);
+                    })?;
+                }
+                return Ok(Some(result));
+            }
+            Measurement::Imu(data) => {
+                trajectory.local_slam.add_imu_data(&data);
+                if S::OPTIMIZES_WITH_IMU {
+                    self.backend.enqueue(move |graph| graph.add_imu_data(id, data))?;
+                }
+            }
+            Measurement::Odometry(data) => {
+                trajectory.local_slam.add_odometry_data(&data);
+                let similar = trajectory
+                    .odometry_filter
+                    .as_mut()
+                    .is_some_and(|filter| filter.is_similar(data.time, &data.odom_from_tracking));
+                if !similar {
+                    self.backend.enqueue(move |graph| graph.add_odometry_data(id, data))?;
+                }
+            }
+            Measurement::FixedFramePose(data) => {
+                self.backend.enqueue(move |graph| graph.add_fixed_frame_pose_data(id, data))?;
+            }
+            Measurement::Landmark(data) => {
+                self.backend.enqueue(move |graph| graph.add_landmark_data(id, data))?;
+            }
+        }
+        Ok(None)
+    }
+
+    /// Ends a trajectory: what waits is used, its submaps are completed.
+    pub fn finish_trajectory(&mut self, id: TrajectoryId) -> Result<Vec<MatchingResult<S>>, MapperError> {
+        let ready = self.collation.finish_trajectory(id);
+        let results = self.dispatch_all(ready)?;
+        let Some(mut trajectory) = self.active.remove(&id) else {
+            return Err(MapperError::NoSuchTrajectory(id));
+        };
+        let remaining = trajectory.local_slam.finish();
+        for (what, count) in trajectory.local_slam.repairs() {
+            *self.repairs.entry(what).or_default() += count;
+        }
+        self.ended.insert(
+            id,
+            EndedTrajectory {
+                options: trajectory.options,
+                sensors: trajectory.sensors,
+                scans: trajectory.scans,
+            },
+        );
+        self.backend.enqueue(move |graph| graph.finish_trajectory(id, remaining))?;
+        Ok(results)
+    }
+
+    /// How far the pose graph is.
+    pub fn progress(&self) -> BackendProgress {
+        self.backend.progress()
+    }
+
+    /// Gives access to the pose graph after everything given so far; waits for the answer.
+    pub fn with_pose_graph<R: Send + 'static>(
+        &mut self,
+        work: impl FnOnce(&mut PoseGraph<S>) -> R + Send + 'static,
+    ) -> Result<R, MapperError> {
+        self.backend.call(work)
+    }
+
+    /// What was dropped or repaired in ended trajectories and in ordering the sensors.
+    pub fn repairs(&self) -> Repairs {
+        let mut repairs = self.repairs.clone();
+        for (what, count) in self.collation.repairs() {
+            *repairs.entry(what).or_default() += count;
+        }
+        for trajectory in self.active.values() {
+            for (what, count) in trajectory.local_slam.repairs() {
+                *repairs.entry(what).or_default() += count;
+            }
+        }
+        repairs
+    }
+
+    /// Ends all trajectories, optimises for the last time, and gives the map.
+    pub fn finish(mut self) -> Result<(Map<S>, Repairs), MapperError> {
+        let active: Vec<TrajectoryId> = self.active.keys().copied().collect();
+        for id in active {
+            self.finish_trajectory(id)?;
+        }
+        self.backend.enqueue(PoseGraph::run_final_optimization)?;
+        let repairs = self.repairs();
+        let graph = self.backend.into_graph()?;
+        Ok((Map::new(self.options, graph, self.ended), repairs))
+    }
+}
+
+impl<S: Space> ActiveTrajectory<S> {
+    fn remember_scan(&mut self, result: &MatchingResult<S>) {
+        if result.inserted.is_some() {
+            self.last_node = Some(self.next_node);
+            self.next_node += 1;
+        }
+        self.scans.push(ScanPose {
+            time: result.time,
+            local_from_tracking: result.local_from_tracking,
+            last_node_index: self.last_node,
+        });
+    }
+}

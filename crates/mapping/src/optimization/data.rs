@@ -1,0 +1,165 @@
+//! Everything that is optimised or measured, by trajectory.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use portolan_geometry::{Quaternion, Rigid3, Time};
+use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkObservation, OdometryData};
+
+use crate::{NodeId, SubmapId, TrajectoryId};
+
+/// A node as the optimisation sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OptimizationNode {
+    /// Time of the scan.
+    pub time: Time,
+    /// Pose in the local map, in the frame that constraints use.
+    pub local_from_node: Rigid3,
+    /// Pose in the global map, in the frame that constraints use.
+    pub map_from_node: Rigid3,
+    /// Rotation from tracking to gravity-aligned.
+    pub gravity_alignment: Quaternion,
+}
+
+/// One observation of a landmark.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LandmarkSighting {
+    /// By which trajectory.
+    pub trajectory_id: TrajectoryId,
+    /// When.
+    pub time: Time,
+    /// What was seen.
+    pub observation: LandmarkObservation,
+}
+
+/// A landmark.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LandmarkNode {
+    /// In order of arrival.
+    pub sightings: Vec<LandmarkSighting>,
+    /// Pose in the global map, once known.
+    pub map_from_landmark: Option<Rigid3>,
+    /// A frozen landmark is not moved.
+    pub frozen: bool,
+}
+
+/// Pose of a trajectory's fixed frame in the global map, once known.
+pub type FixedFrameOrigin = Option<Rigid3>;
+
+/// Measurements of one trajectory, each by time (a stamp that is already there is not replaced).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TrajectorySensors {
+    /// IMU samples (3D only).
+    pub imu: BTreeMap<Time, ImuData>,
+    /// Odometry poses.
+    pub odometry: BTreeMap<Time, OdometryData>,
+    /// Fixed-frame poses.
+    pub fixed_frame: BTreeMap<Time, FixedFramePoseData>,
+}
+
+/// The state of the optimisation problem.
+#[derive(Clone, Debug, Default)]
+pub struct OptimizationData {
+    /// Global poses of submaps.
+    pub submaps: BTreeMap<SubmapId, Rigid3>,
+    /// Nodes.
+    pub nodes: BTreeMap<NodeId, OptimizationNode>,
+    /// Landmarks by name.
+    pub landmarks: BTreeMap<String, LandmarkNode>,
+    /// Measurements.
+    pub sensors: BTreeMap<TrajectoryId, TrajectorySensors>,
+    /// Fixed-frame origins.
+    pub fixed_frame_origins: BTreeMap<TrajectoryId, FixedFrameOrigin>,
+    /// Trajectories that are not moved.
+    pub frozen: BTreeSet<TrajectoryId>,
+    /// Iterations allowed beyond the options' number, for the final optimisation.
+    pub max_iterations_override: Option<u32>,
+}
+
+/// What an optimisation did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OptimizationSummary {
+    /// ½Σρ(r²) before.
+    pub initial_cost: f64,
+    /// ½Σρ(r²) after.
+    pub final_cost: f64,
+    /// Iterations made.
+    pub iterations: u32,
+    /// Whether a tolerance stopped it, not the number of iterations.
+    pub converged: bool,
+}
+
+impl OptimizationData {
+    /// The measurements of a trajectory, created empty when it is new.
+    pub fn sensors_mut(&mut self, trajectory_id: TrajectoryId) -> &mut TrajectorySensors {
+        self.sensors.entry(trajectory_id).or_default()
+    }
+
+    /// Forgets a node and the measurements that only mattered between its neighbours: strictly inside
+    /// the gap, except the first and the last, which interpolation at the neighbours needs.
+    pub fn trim_node(&mut self, node_id: NodeId) {
+        if self.nodes.remove(&node_id).is_none() {
+            return;
+        }
+        let trajectory_id = node_id.trajectory_id;
+        let previous = self.nodes.range(NodeId::new(trajectory_id, 0)..node_id).next_back().map(|(_, n)| n.time);
+        let next = self
+            .nodes
+            .range(node_id..=NodeId::new(trajectory_id, u32::MAX))
+            .next()
+            .map(|(_, n)| n.time);
+        let Some(sensors) = self.sensors.get_mut(&trajectory_id) else { return };
+        trim_gap(&mut sensors.imu, previous, next);
+        trim_gap(&mut sensors.odometry, previous, next);
+        trim_gap(&mut sensors.fixed_frame, previous, next);
+        if previous.is_none() && next.is_none() {
+            self.sensors.remove(&trajectory_id);
+        }
+    }
+}
+
+/// Removes what lies in the closed gap between two node times, but keeps its first and last entry
+/// towards an existing neighbour.
+fn trim_gap<T>(data: &mut BTreeMap<Time, T>, previous: Option<Time>, next: Option<Time>) {
+    let start = previous.unwrap_or(Time::MIN);
+    let end = next.unwrap_or(Time::MAX);
+    let inside: Vec<Time> = data.range(start..=end).map(|(t, _)| *t).collect();
+    let first_kept = usize::from(previous.is_some());
+    let last_kept = inside.len().saturating_sub(usize::from(next.is_some()));
+    for time in inside.get(first_kept..last_kept).unwrap_or_default() {
+        data.remove(time);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn trimming_keeps_what_interpolation_needs() {
+        let ms = |v: i64| Time::from_ticks(v * 10_000);
+        let mut data = OptimizationData::default();
+        let trajectory_id = TrajectoryId(0);
+        for (index, time) in [42, 46, 48].into_iter().enumerate() {
+            let node = OptimizationNode {
+                time: ms(time),
+                local_from_node: Rigid3::identity(),
+                map_from_node: Rigid3::identity(),
+                gravity_alignment: Quaternion::identity(),
+            };
+            data.nodes.insert(NodeId::new(trajectory_id, index as u32), node);
+        }
+        for time in [1, 41, 42, 43, 47, 48, 49, 5000] {
+            let odometry = OdometryData { time: ms(time), odom_from_tracking: Rigid3::identity() };
+            data.sensors_mut(trajectory_id).odometry.insert(ms(time), odometry);
+        }
+        let times = |data: &OptimizationData| -> Vec<i64> {
+            data.sensors[&trajectory_id].odometry.keys().map(|t| t.ticks() / 10_000).collect()
+        };
+        data.trim_node(NodeId::new(trajectory_id, 1));
+        assert_eq!(times(&data), [1, 41, 42, 48, 49, 5000]);
+        data.trim_node(NodeId::new(trajectory_id, 2));
+        assert_eq!(times(&data), [1, 41, 42]);
+        data.trim_node(NodeId::new(trajectory_id, 0));
+        assert!(data.sensors.is_empty());
+    }
+}

@@ -1,0 +1,100 @@
+//! The plane as a space to map in.
+
+use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
+use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector2, embed_3d, project_2d};
+use portolan_matching::CellBox;
+use crate::scan_matching_2d::FastCorrelativeMatcher2d;
+use portolan_sensor::SensorId;
+
+use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
+use crate::optimization::{OptimizationData, OptimizationSummary, optimize_2d};
+use crate::scan_matching_2d::{fast_matcher, gradient_matcher};
+use crate::submap_2d::Submap2d;
+use crate::{Constraint, MapperError, MatchedPose, NodeData, SearchRegion, Space};
+
+/// 2D mapping: poses (x, y, θ), grids of probabilities or signed distances.
+#[derive(Clone, Copy, Debug)]
+pub struct Planar;
+
+impl Space for Planar {
+    type Submap = Submap2d;
+    type Matcher = FastCorrelativeMatcher2d;
+    type LocalSlam = LocalSlam2d;
+
+    const OPTIMIZES_WITH_IMU: bool = false;
+
+    fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam2d, MapperError> {
+        let extras = LocalSlamExtras { use_all_odometry: options.portolan.use_all_odometry };
+        LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)
+            .map_err(|e| MapperError::Options(e.to_string()))
+    }
+
+    fn local_from_submap(submap: &Submap2d) -> Rigid3 {
+        submap.local_from_submap
+    }
+
+    fn graph_pose(pose: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3 {
+        embed_3d(&project_2d(&(pose * gravity_alignment.inverse())))
+    }
+
+    fn tracking_pose(graph_pose: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3 {
+        graph_pose * gravity_alignment
+    }
+
+    fn build_matcher(submap: &Submap2d, options: &ConstraintBuilderOptions) -> FastCorrelativeMatcher2d {
+        fast_matcher(&submap.grid, &options.fast_correlative_scan_matcher)
+    }
+
+    fn find_node(
+        matcher: &FastCorrelativeMatcher2d,
+        submap: &Submap2d,
+        node: &NodeData,
+        guess_submap_from_node: &Rigid3,
+        region: SearchRegion,
+        options: &ConstraintBuilderOptions,
+    ) -> Option<MatchedPose> {
+        let local_from_submap = project_2d(&submap.local_from_submap);
+        let cloud = &node.filtered_gravity_aligned_point_cloud;
+        let found = match region {
+            SearchRegion::Window => {
+                let guess: Rigid2 = local_from_submap * project_2d(guess_submap_from_node);
+                matcher.match_local(&guess, cloud, options.min_score as f32)
+            }
+            SearchRegion::WholeSubmap => {
+                matcher.match_full(cloud, options.global_localization_min_score as f32)
+            }
+        }?;
+        let refined = gradient_matcher(&options.ceres_scan_matcher).match_scan(
+            &found.pose.translation,
+            &found.pose,
+            cloud,
+            &submap.grid,
+        );
+        let pose = if refined.pose.is_finite() { refined.pose } else { found.pose };
+        let submap_from_node = embed_3d(&(local_from_submap.inverse() * pose));
+        Some(MatchedPose { submap_from_node, score: found.score })
+    }
+
+    fn optimize(
+        data: &mut OptimizationData,
+        constraints: &[Constraint],
+        options: &OptimizationProblemOptions,
+    ) -> OptimizationSummary {
+        optimize_2d(data, constraints, options)
+    }
+
+    fn known_cell_centers(submap: &Submap2d) -> Option<Vec<Vector2>> {
+        let submap_from_local = project_2d(&submap.local_from_submap).inverse();
+        let cells = submap.grid.known_cells_box().map(CellBox::cells).into_iter().flatten();
+        Some(
+            cells
+                .filter(|cell| submap.grid.is_known(*cell))
+                .map(|cell| submap_from_local.transform_point(&submap.grid.limits().cell_center(cell)))
+                .collect(),
+        )
+    }
+
+    fn cell_size(submap: &Submap2d) -> f64 {
+        submap.grid.limits().resolution()
+    }
+}

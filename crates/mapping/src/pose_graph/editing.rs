@@ -1,0 +1,165 @@
+//! Finishing, freezing and deleting trajectories, and taking over what a file holds
+//! (`slam2d.md` §14.4, `formats.md` §2.2).
+
+use std::sync::Arc;
+
+use portolan_geometry::{Rigid3, Time};
+
+use super::{PoseGraph, SubmapEntry, Trimmer, TrajectoryState};
+use crate::optimization::OptimizationNode;
+use crate::{Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
+
+impl<S: Space> PoseGraph<S> {
+    /// Ends a trajectory. `remaining` are the submaps that local SLAM was still filling; those that
+    /// come with a grid are complete from now on and nodes are searched in them too. Optimises.
+    pub fn finish_trajectory(&mut self, id: TrajectoryId, remaining: Vec<InsertionSubmap<S>>) {
+        let trajectory = self.state.trajectory_mut(id);
+        if trajectory.state != TrajectoryState::Active {
+            return;
+        }
+        trajectory.state = TrajectoryState::Finished;
+        for submap in remaining {
+            if let Some(grid) = submap.finished {
+                self.finish_submap(SubmapId::new(id, submap.index), grid);
+            }
+        }
+        for (_, entry) in self.state.submaps.iter_mut().filter(|(s, _)| s.trajectory_id == id) {
+            entry.searchable = true;
+        }
+        self.optimize();
+    }
+
+    /// Keeps the grid of a submap that is not complete, so that it can be saved and drawn.
+    pub fn set_unfinished_submap(&mut self, id: SubmapId, submap: Arc<S::Submap>) {
+        if let Some(entry) = self.state.submaps.get_mut(&id)
+            && !entry.insertion_finished
+        {
+            entry.submap = Some(submap);
+        }
+    }
+
+    /// Makes a trajectory a fixed part of the map. All frozen trajectories count as connected.
+    pub fn freeze_trajectory(&mut self, id: TrajectoryId) {
+        self.state.trajectory_mut(id).state = TrajectoryState::Frozen;
+        let frozen: Vec<TrajectoryId> = self.problem.frozen.iter().copied().collect();
+        for other in frozen {
+            if !self.state.connectivity.are_connected(id, other) {
+                self.state.connectivity.connect(id, other, Time::from_ticks(0));
+            }
+        }
+        self.problem.frozen.insert(id);
+    }
+
+    /// Removes a trajectory that is not active any more; done at the next optimisation. Says whether
+    /// there is such a trajectory.
+    pub fn delete_trajectory(&mut self, id: TrajectoryId) -> bool {
+        match self.state.trajectories.get_mut(&id) {
+            Some(t) if t.state != TrajectoryState::Active && t.state != TrajectoryState::Deleted => {
+                t.delete_requested = true;
+                true
+            }
+            _ => false,
+        }
+    }
+
+    pub(super) fn delete_requested_trajectories(&mut self) {
+        let requested: Vec<TrajectoryId> = self
+            .state
+            .trajectories
+            .iter()
+            .filter(|(_, t)| t.delete_requested)
+            .map(|(id, _)| *id)
+            .collect();
+        for id in requested {
+            for submap_id in self.submaps_of(id) {
+                self.trim_submap(submap_id);
+            }
+            self.mark_deleted(id);
+        }
+    }
+
+    pub(super) fn mark_deleted(&mut self, id: TrajectoryId) {
+        let trajectory = self.state.trajectory_mut(id);
+        trajectory.delete_requested = false;
+        trajectory.state = TrajectoryState::Deleted;
+        self.problem.sensors.remove(&id);
+        self.problem.fixed_frame_origins.remove(&id);
+        self.problem.frozen.remove(&id);
+    }
+
+    pub(super) fn submaps_of(&self, id: TrajectoryId) -> Vec<SubmapId> {
+        crate::id::of_trajectory(&self.state.submaps, id).map(|(id, _)| id).collect()
+    }
+
+    /// Starts keeping only the newest `keep` submaps of a trajectory.
+    pub fn localize_only(&mut self, id: TrajectoryId, keep: usize) {
+        self.add_trimmer(Trimmer::pure_localization(id, keep));
+    }
+
+    /// Takes over a submap of a file.
+    pub fn load_submap(&mut self, id: SubmapId, submap: Arc<S::Submap>, finished: bool, map_from_submap: Rigid3) {
+        self.state.trajectory_mut(id.trajectory_id);
+        let local_from_submap = S::local_from_submap(&submap);
+        self.state.submaps.insert(
+            id,
+            SubmapEntry {
+                submap: Some(submap),
+                local_from_submap,
+                searchable: true,
+                insertion_finished: finished,
+                node_ids: Default::default(),
+            },
+        );
+        self.problem.submaps.insert(id, map_from_submap);
+        self.state.optimized_submaps.insert(id, map_from_submap);
+    }
+
+    /// Takes over a node of a file.
+    pub fn load_node(&mut self, id: NodeId, data: Arc<NodeData>, map_from_tracking: Rigid3) {
+        let trajectory = self.state.trajectory_mut(id.trajectory_id);
+        trajectory.next_node_index = trajectory.next_node_index.max(id.index.saturating_add(1));
+        let gravity_alignment = data.gravity_alignment;
+        self.problem.nodes.insert(
+            id,
+            OptimizationNode {
+                time: data.time,
+                local_from_node: S::graph_pose(&data.local_from_tracking, &gravity_alignment),
+                map_from_node: S::graph_pose(&map_from_tracking, &gravity_alignment),
+                gravity_alignment,
+            },
+        );
+        self.state.nodes.insert(id, Node { data, map_from_tracking });
+    }
+
+    /// Takes over a constraint (in memory form) whose node and submap are loaded; with `membership_only`
+    /// just which node is in which submap, as for frozen maps. Says whether both ends exist.
+    pub fn load_constraint(&mut self, constraint: Constraint, membership_only: bool) -> bool {
+        if !self.state.nodes.contains_key(&constraint.node_id) {
+            return false;
+        }
+        let Some(entry) = self.state.submaps.get_mut(&constraint.submap_id) else { return false };
+        match constraint.tag {
+            ConstraintTag::IntraSubmap => {
+                entry.node_ids.insert(constraint.node_id);
+            }
+            ConstraintTag::InterSubmap if !membership_only => self.connect_by(&constraint),
+            ConstraintTag::InterSubmap => {}
+        }
+        if !membership_only {
+            self.state.constraints.push(constraint);
+        }
+        true
+    }
+
+    /// Sets the pose of a landmark.
+    pub fn set_landmark_pose(&mut self, id: &str, map_from_landmark: Rigid3, frozen: bool) {
+        let landmark = self.problem.landmarks.entry(id.to_owned()).or_default();
+        landmark.map_from_landmark = Some(map_from_landmark);
+        landmark.frozen = frozen;
+    }
+
+    /// Sets where the fixed frame of a trajectory lies in the global map.
+    pub fn set_fixed_frame_origin(&mut self, id: TrajectoryId, map_from_fixed: Rigid3) {
+        self.problem.fixed_frame_origins.insert(id, Some(map_from_fixed));
+    }
+}

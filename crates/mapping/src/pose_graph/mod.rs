@@ -1,0 +1,338 @@
+//! The pose graph: nodes and submaps joined by constraints, optimised now and then
+//! (`slam2d.md` §14). One for 2D and 3D.
+//!
+//! Everything here happens in the order in which it is asked for, so that results do not depend on
+//! threads: searching runs in parallel inside [`PoseGraph::add_node`] at the moments when an
+//! optimisation is due.
+
+mod connectivity;
+mod editing;
+mod search;
+mod state;
+mod trimming;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+pub use connectivity::TrajectoryConnectivity;
+pub use search::SearchCounts;
+pub use state::{GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState};
+pub use trimming::Trimmer;
+
+use portolan_config::PoseGraphOptions;
+use portolan_geometry::{Rigid3, Time};
+use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
+use search::{ConstraintSearch, Samplers};
+
+use crate::optimization::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
+use crate::{Constraint, ConstraintTag, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
+
+/// A submap into which local SLAM inserted a scan.
+#[derive(Clone, Debug)]
+pub struct InsertionSubmap<S: Space> {
+    /// Counted from zero within the trajectory.
+    pub index: u32,
+    /// Pose in the local map.
+    pub local_from_submap: Rigid3,
+    /// The grid, when this scan was the last one for it.
+    pub finished: Option<Arc<S::Submap>>,
+}
+
+/// A scan that local SLAM inserted.
+#[derive(Clone, Debug)]
+pub struct InsertedNode<S: Space> {
+    /// The node.
+    pub data: Arc<NodeData>,
+    /// The submaps that it was inserted into, oldest first.
+    pub submaps: Vec<InsertionSubmap<S>>,
+}
+
+/// The pose graph.
+pub struct PoseGraph<S: Space> {
+    options: PoseGraphOptions,
+    state: GraphState<S>,
+    problem: OptimizationData,
+    search: ConstraintSearch<S>,
+    global_samplers: Samplers<TrajectoryId>,
+    trimmers: Vec<Trimmer>,
+    nodes_since_optimization: i64,
+    optimizations: u64,
+    last_summary: OptimizationSummary,
+}
+
+impl<S: Space> PoseGraph<S> {
+    /// An empty graph.
+    pub fn new(options: PoseGraphOptions) -> Self {
+        let trimmers = options.overlapping_submaps_trimmer_2d.iter().map(Trimmer::overlapping).collect();
+        Self {
+            search: ConstraintSearch::new(options.constraint_builder.clone()),
+            global_samplers: Samplers::new(options.global_sampling_ratio),
+            options,
+            state: GraphState::default(),
+            problem: OptimizationData::default(),
+            trimmers,
+            nodes_since_optimization: 0,
+            optimizations: 0,
+            last_summary: OptimizationSummary::default(),
+        }
+    }
+
+    /// Everything in the graph.
+    pub fn state(&self) -> &GraphState<S> {
+        &self.state
+    }
+
+    /// Measurements, landmarks and fixed-frame origins.
+    pub fn problem(&self) -> &OptimizationData {
+        &self.problem
+    }
+
+    /// Pairs tried and found so far.
+    pub fn search_counts(&self) -> SearchCounts {
+        self.search.counts()
+    }
+
+    /// How often it was optimised, and how the last time went.
+    pub fn optimizations(&self) -> (u64, OptimizationSummary) {
+        (self.optimizations, self.last_summary)
+    }
+
+    /// Adds what removes superfluous submaps after each optimisation.
+    pub fn add_trimmer(&mut self, trimmer: Trimmer) {
+        self.trimmers.push(trimmer);
+    }
+
+    /// Makes a trajectory known, and where it starts if that is known.
+    pub fn add_trajectory(&mut self, id: TrajectoryId, initial_pose: Option<InitialTrajectoryPose>) {
+        let reference = initial_pose.as_ref().map(|p| (p.to_trajectory_id, p.time));
+        self.state.trajectory_mut(id).initial_pose = initial_pose;
+        if let Some((to, time)) = reference {
+            self.state.connectivity.connect(id, to, time);
+        }
+    }
+
+    /// Adds a node, relates it to its submaps, looks for it in finished submaps and, when it is time,
+    /// optimises.
+    pub fn add_node(&mut self, trajectory_id: TrajectoryId, inserted: InsertedNode<S>) -> NodeId {
+        let node_id = self.append_node(trajectory_id, &inserted.data);
+        let submap_ids = self.register_submaps(trajectory_id, &inserted);
+        self.place_node(node_id, &inserted, &submap_ids);
+        for submap_id in self.searchable_submaps() {
+            self.consider(node_id, submap_id);
+        }
+        if let (Some(oldest), Some(id)) = (inserted.submaps.first(), submap_ids.first())
+            && let Some(submap) = &oldest.finished
+        {
+            self.finish_submap(*id, Arc::clone(submap));
+        }
+        self.nodes_since_optimization += 1;
+        let due = i64::from(self.options.optimize_every_n_nodes);
+        if due > 0 && self.nodes_since_optimization > due {
+            self.optimize();
+        }
+        node_id
+    }
+
+    fn append_node(&mut self, trajectory_id: TrajectoryId, data: &Arc<NodeData>) -> NodeId {
+        let map_from_tracking = self.state.map_from_local(trajectory_id) * data.local_from_tracking;
+        let trajectory = self.state.trajectory_mut(trajectory_id);
+        let node_id = NodeId::new(trajectory_id, trajectory.next_node_index);
+        trajectory.next_node_index += 1;
+        self.state.nodes.insert(node_id, Node { data: Arc::clone(data), map_from_tracking });
+        node_id
+    }
+
+    /// Gives new submaps their identity and first global pose (`slam2d.md` §14.3, 1).
+    fn register_submaps(&mut self, trajectory_id: TrajectoryId, inserted: &InsertedNode<S>) -> Vec<SubmapId> {
+        let ids: Vec<SubmapId> =
+            inserted.submaps.iter().map(|s| SubmapId::new(trajectory_id, s.index)).collect();
+        for (id, submap) in ids.iter().zip(&inserted.submaps) {
+            self.state.submaps.entry(*id).or_insert_with(|| SubmapEntry {
+                submap: None,
+                local_from_submap: submap.local_from_submap,
+                searchable: false,
+                insertion_finished: false,
+                node_ids: Default::default(),
+            });
+            if self.problem.submaps.contains_key(id) {
+                continue;
+            }
+            let previous = crate::id::of_trajectory(&self.problem.submaps, trajectory_id).next_back();
+            let map_from_submap = match previous {
+                Some((previous_id, map_from_previous)) => {
+                    let local_from_previous = self.state.submaps[&previous_id].local_from_submap;
+                    map_from_previous * local_from_previous.inverse() * submap.local_from_submap
+                }
+                None => self.state.map_from_local(trajectory_id) * submap.local_from_submap,
+            };
+            self.problem.submaps.insert(*id, map_from_submap);
+        }
+        ids
+    }
+
+    /// Puts the node where its oldest submap says, and constrains it to each of its submaps.
+    fn place_node(&mut self, node_id: NodeId, inserted: &InsertedNode<S>, submap_ids: &[SubmapId]) {
+        let gravity_alignment = inserted.data.gravity_alignment;
+        let local_from_node = S::graph_pose(&inserted.data.local_from_tracking, &gravity_alignment);
+        let map_from_node = match (submap_ids.first(), inserted.submaps.first()) {
+            (Some(id), Some(submap)) => {
+                self.problem.submaps[id] * submap.local_from_submap.inverse() * local_from_node
+            }
+            _ => self.state.map_from_local(node_id.trajectory_id) * local_from_node,
+        };
+        self.problem.nodes.insert(
+            node_id,
+            OptimizationNode { time: inserted.data.time, local_from_node, map_from_node, gravity_alignment },
+        );
+        for (id, submap) in submap_ids.iter().zip(&inserted.submaps) {
+            if let Some(entry) = self.state.submaps.get_mut(id) {
+                entry.node_ids.insert(node_id);
+            }
+            self.state.constraints.push(Constraint {
+                submap_id: *id,
+                node_id,
+                submap_from_node: submap.local_from_submap.inverse() * local_from_node,
+                translation_weight: self.options.matcher_translation_weight,
+                rotation_weight: self.options.matcher_rotation_weight,
+                tag: ConstraintTag::IntraSubmap,
+                score: None,
+            });
+        }
+    }
+
+    fn searchable_submaps(&self) -> Vec<SubmapId> {
+        self.state.submaps.iter().filter(|(_, s)| s.searchable).map(|(id, _)| *id).collect()
+    }
+
+    /// A submap is complete: from now on nodes are searched in it, first of all those that were there
+    /// before.
+    fn finish_submap(&mut self, id: SubmapId, submap: Arc<S::Submap>) {
+        let Some(entry) = self.state.submaps.get_mut(&id) else { return };
+        entry.submap = Some(submap);
+        entry.insertion_finished = true;
+        entry.searchable = true;
+        let earlier: Vec<NodeId> = self.problem.nodes.keys().copied().collect();
+        for node_id in earlier {
+            self.consider(node_id, id);
+        }
+    }
+
+    /// Schedules the search for a node in a submap, nearby or everywhere, or not at all
+    /// (`slam2d.md` §14.3, ComputeConstraint).
+    fn consider(&mut self, node_id: NodeId, submap_id: SubmapId) {
+        let (Some(entry), Some(node)) = (self.state.submaps.get(&submap_id), self.state.nodes.get(&node_id))
+        else {
+            return;
+        };
+        if !entry.insertion_finished || entry.node_ids.contains(&node_id) {
+            return;
+        }
+        let Some(submap) = &entry.submap else { return };
+        if self.both_frozen(node_id, submap_id) {
+            return;
+        }
+        let (a, b) = (node_id.trajectory_id, submap_id.trajectory_id);
+        let time = node.data.time.max(self.state.time_of_last_node(entry).unwrap_or(Time::MIN));
+        let recently = portolan_geometry::Duration::from_seconds(
+            self.options.global_constraint_search_after_n_seconds,
+        );
+        if a == b || time < self.state.connectivity.last_connection_time(a, b) + recently {
+            let map_from_node = self.problem.nodes[&node_id].map_from_node;
+            let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
+            self.search.add_local((submap_id, submap), (node_id, &node.data), guess);
+        } else if self.global_samplers.pulse(a) {
+            self.search.add_global((submap_id, submap), (node_id, &node.data));
+        }
+    }
+
+    /// A constraint between two frozen trajectories would change nothing.
+    fn both_frozen(&self, node_id: NodeId, submap_id: SubmapId) -> bool {
+        let frozen = |id| self.state.trajectory_state(id) == TrajectoryState::Frozen;
+        frozen(node_id.trajectory_id) && frozen(submap_id.trajectory_id)
+    }
+
+    /// Tries the pairs that wait, adds what was found, optimises, and trims.
+    pub fn optimize(&mut self) {
+        let found = self.search.run();
+        for constraint in &found {
+            self.connect_by(constraint);
+        }
+        self.state.constraints.extend(found);
+        self.run_optimization();
+        self.delete_requested_trajectories();
+        self.run_trimmers();
+        self.nodes_since_optimization = 0;
+    }
+
+    /// Optimises once more, with as many iterations as the options allow at the end. Repeats as long
+    /// as searching from the improved poses finds more, but not for ever.
+    pub fn run_final_optimization(&mut self) {
+        self.problem.max_iterations_override = u32::try_from(self.options.max_num_final_iterations).ok();
+        self.optimize();
+        self.problem.max_iterations_override = None;
+    }
+
+    fn connect_by(&mut self, constraint: &Constraint) {
+        let (Some(node), Some(entry)) =
+            (self.state.nodes.get(&constraint.node_id), self.state.submaps.get(&constraint.submap_id))
+        else {
+            return;
+        };
+        let time = node.data.time.max(self.state.time_of_last_node(entry).unwrap_or(Time::MIN));
+        let (a, b) = (constraint.node_id.trajectory_id, constraint.submap_id.trajectory_id);
+        self.state.connectivity.connect(a, b, time);
+    }
+
+    fn run_optimization(&mut self) {
+        if self.problem.submaps.is_empty() || self.problem.nodes.is_empty() {
+            return;
+        }
+        self.last_summary =
+            S::optimize(&mut self.problem, &self.state.constraints, &self.options.optimization_problem);
+        self.optimizations += 1;
+        self.publish_poses();
+    }
+
+    /// Takes over optimised poses; nodes that the problem does not hold move with their trajectory.
+    fn publish_poses(&mut self) {
+        let trajectories: Vec<TrajectoryId> = self.state.trajectories.keys().copied().collect();
+        let old: BTreeMap<_, _> =
+            trajectories.iter().map(|id| (*id, self.state.map_from_local(*id))).collect();
+        self.state.optimized_submaps.clone_from(&self.problem.submaps);
+        let moved: BTreeMap<_, _> = trajectories
+            .iter()
+            .map(|id| (*id, self.state.map_from_local(*id) * old[id].inverse()))
+            .collect();
+        for (id, node) in &mut self.state.nodes {
+            if let Some(optimized) = self.problem.nodes.get(id) {
+                node.map_from_tracking =
+                    S::tracking_pose(&optimized.map_from_node, &optimized.gravity_alignment);
+            } else if let Some(correction) = moved.get(&id.trajectory_id) {
+                node.map_from_tracking = correction * node.map_from_tracking;
+            }
+        }
+    }
+
+    /// Adds an IMU sample (kept only where the optimisation uses it).
+    pub fn add_imu_data(&mut self, id: TrajectoryId, data: ImuData) {
+        self.problem.sensors_mut(id).imu.entry(data.time).or_insert(data);
+    }
+
+    /// Adds an odometry pose.
+    pub fn add_odometry_data(&mut self, id: TrajectoryId, data: OdometryData) {
+        self.problem.sensors_mut(id).odometry.entry(data.time).or_insert(data);
+    }
+
+    /// Adds a fixed-frame pose.
+    pub fn add_fixed_frame_pose_data(&mut self, id: TrajectoryId, data: FixedFramePoseData) {
+        self.problem.sensors_mut(id).fixed_frame.entry(data.time).or_insert(data);
+    }
+
+    /// Adds landmark observations.
+    pub fn add_landmark_data(&mut self, id: TrajectoryId, data: LandmarkData) {
+        for observation in data.observations {
+            let landmark = self.problem.landmarks.entry(observation.id.clone()).or_default();
+            landmark.sightings.push(LandmarkSighting { trajectory_id: id, time: data.time, observation });
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! What the pose graph holds.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use portolan_geometry::{Rigid3, Time};
+
+use crate::{Constraint, Node, NodeId, Space, SubmapId, TrajectoryConnectivity, TrajectoryId};
+
+/// Life of a trajectory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrajectoryState {
+    /// Still receives data.
+    Active,
+    /// Complete.
+    Finished,
+    /// A fixed part of the map.
+    Frozen,
+    /// Removed.
+    Deleted,
+}
+
+/// Where a new trajectory starts, relative to another one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InitialTrajectoryPose {
+    /// The trajectory that it refers to.
+    pub to_trajectory_id: TrajectoryId,
+    /// Pose of the new local map relative to the reference trajectory at `time`.
+    pub relative_pose: Rigid3,
+    /// Where on the reference trajectory (clamped to its ends).
+    pub time: Time,
+}
+
+/// A submap in the pose graph.
+#[derive(Clone, Debug)]
+pub struct SubmapEntry<S: Space> {
+    /// The grid, once local SLAM has handed it over.
+    pub submap: Option<Arc<S::Submap>>,
+    /// Pose in the local map.
+    pub local_from_submap: Rigid3,
+    /// Whether nodes may be searched in it.
+    pub searchable: bool,
+    /// Whether no scan will be inserted any more.
+    pub insertion_finished: bool,
+    /// Nodes inserted into it.
+    pub node_ids: BTreeSet<NodeId>,
+}
+
+/// Everything known of one trajectory besides its nodes and submaps.
+#[derive(Clone, Debug)]
+pub struct TrajectoryEntry {
+    /// Life.
+    pub state: TrajectoryState,
+    /// Where it starts, if it was told.
+    pub initial_pose: Option<InitialTrajectoryPose>,
+    /// Index that the next node gets.
+    pub next_node_index: u32,
+    /// Deletion was asked for and waits for the next optimisation.
+    pub delete_requested: bool,
+}
+
+impl Default for TrajectoryEntry {
+    fn default() -> Self {
+        Self {
+            state: TrajectoryState::Active,
+            initial_pose: None,
+            next_node_index: 0,
+            delete_requested: false,
+        }
+    }
+}
+
+/// Nodes, submaps, constraints and trajectories.
+#[derive(Clone, Debug)]
+pub struct GraphState<S: Space> {
+    /// Trajectories.
+    pub trajectories: BTreeMap<TrajectoryId, TrajectoryEntry>,
+    /// Submaps.
+    pub submaps: BTreeMap<SubmapId, SubmapEntry<S>>,
+    /// Nodes; in files the poses are those of the tracking frame.
+    pub nodes: BTreeMap<NodeId, Node>,
+    /// In order of arrival.
+    pub constraints: Vec<Constraint>,
+    /// Which trajectories hang together.
+    pub connectivity: TrajectoryConnectivity,
+    /// Submap poses as the last optimisation left them; those not in it follow their trajectory.
+    pub optimized_submaps: BTreeMap<SubmapId, Rigid3>,
+}
+
+impl<S: Space> Default for GraphState<S> {
+    fn default() -> Self {
+        Self {
+            trajectories: BTreeMap::new(),
+            submaps: BTreeMap::new(),
+            nodes: BTreeMap::new(),
+            constraints: Vec::new(),
+            connectivity: TrajectoryConnectivity::default(),
+            optimized_submaps: BTreeMap::new(),
+        }
+    }
+}
+
+impl<S: Space> GraphState<S> {
+    /// The trajectory, created active when it is new.
+    pub fn trajectory_mut(&mut self, id: TrajectoryId) -> &mut TrajectoryEntry {
+        self.connectivity.add(id);
+        self.trajectories.entry(id).or_default()
+    }
+
+    /// State of a trajectory; unknown ones count as deleted.
+    pub fn trajectory_state(&self, id: TrajectoryId) -> TrajectoryState {
+        self.trajectories.get(&id).map_or(TrajectoryState::Deleted, |t| t.state)
+    }
+
+    /// Whether any constraint of the node remains.
+    pub fn time_of_last_node(&self, submap: &SubmapEntry<S>) -> Option<Time> {
+        let last = submap.node_ids.iter().next_back()?;
+        self.nodes.get(last).map(|n| n.data.time)
+    }
+
+    /// Transform from the local map of a trajectory to the global map: by its last optimised submap,
+    /// else by its initial pose, else the identity (`slam2d.md` §14.4).
+    pub fn map_from_local(&self, trajectory_id: TrajectoryId) -> Rigid3 {
+        let optimized = crate::id::of_trajectory(&self.optimized_submaps, trajectory_id).next_back();
+        if let Some((id, map_from_submap)) = optimized
+            && let Some(entry) = self.submaps.get(&id)
+        {
+            return map_from_submap * entry.local_from_submap.inverse();
+        }
+        self.initial_map_from_local(trajectory_id).unwrap_or_else(Rigid3::identity)
+    }
+
+    fn initial_map_from_local(&self, trajectory_id: TrajectoryId) -> Option<Rigid3> {
+        let initial = self.trajectories.get(&trajectory_id)?.initial_pose.as_ref()?;
+        let reference: portolan_geometry::TransformBuffer =
+            crate::id::of_trajectory(&self.nodes, initial.to_trajectory_id)
+                .map(|(_, node)| (node.data.time, node.map_from_tracking))
+                .collect();
+        Some(reference.lookup_clamped(initial.time)? * initial.relative_pose)
+    }
+
+    /// Global pose of a submap: optimised, or where its trajectory puts it.
+    pub fn map_from_submap(&self, id: SubmapId) -> Option<Rigid3> {
+        let entry = self.submaps.get(&id)?;
+        Some(
+            self.optimized_submaps
+                .get(&id)
+                .copied()
+                .unwrap_or_else(|| self.map_from_local(id.trajectory_id) * entry.local_from_submap),
+        )
+    }
+}

@@ -1,0 +1,187 @@
+//! Removing submaps that are not needed any more (`slam2d.md` §14.7).
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use portolan_config::OverlappingSubmapsTrimmer2dOptions;
+use portolan_geometry::{Time, embed_3d, project_2d};
+
+use super::{PoseGraph, TrajectoryState};
+use crate::{ConstraintTag, NodeId, Space, SubmapId, TrajectoryId};
+
+/// Decides after each optimisation what to remove.
+#[derive(Clone, Debug)]
+pub enum Trimmer {
+    /// Keeps the newest submaps of one trajectory: localisation in a given map.
+    PureLocalization {
+        /// The trajectory.
+        trajectory_id: TrajectoryId,
+        /// How many submaps stay.
+        keep: usize,
+    },
+    /// Removes submaps whose area fresher submaps cover.
+    OverlappingSubmaps {
+        /// As documented with the option.
+        options: OverlappingSubmapsTrimmer2dOptions,
+        /// Submaps left after the last trimming.
+        count_after_last_trim: usize,
+    },
+}
+
+impl Trimmer {
+    /// Keeps the newest `keep` submaps (at least two).
+    pub fn pure_localization(trajectory_id: TrajectoryId, keep: usize) -> Self {
+        Self::PureLocalization { trajectory_id, keep: keep.max(2) }
+    }
+
+    /// Removes what fresher submaps cover.
+    pub fn overlapping(options: &OverlappingSubmapsTrimmer2dOptions) -> Self {
+        Self::OverlappingSubmaps { options: options.clone(), count_after_last_trim: 0 }
+    }
+}
+
+impl<S: Space> PoseGraph<S> {
+    pub(super) fn run_trimmers(&mut self) {
+        let trimmers = std::mem::take(&mut self.trimmers);
+        for trimmer in trimmers {
+            let rest = self.run_trimmer(trimmer);
+            self.trimmers.extend(rest);
+        }
+    }
+
+    /// Runs a trimmer once and gives it back unless its work is done.
+    fn run_trimmer(&mut self, trimmer: Trimmer) -> Option<Trimmer> {
+        match trimmer {
+            Trimmer::PureLocalization { trajectory_id, keep } => {
+                let finished = self.state.trajectory_state(trajectory_id) == TrajectoryState::Finished;
+                let keep = if finished { 0 } else { keep };
+                let submaps = self.submaps_of(trajectory_id);
+                for id in submaps.iter().take(submaps.len().saturating_sub(keep)) {
+                    self.trim_submap(*id);
+                }
+                if finished {
+                    self.mark_deleted(trajectory_id);
+                    return None;
+                }
+                Some(Trimmer::PureLocalization { trajectory_id, keep })
+            }
+            Trimmer::OverlappingSubmaps { options, count_after_last_trim } => {
+                let freshness = self.finished_submap_freshness();
+                let added = freshness.len().saturating_sub(count_after_last_trim);
+                if added <= usize::try_from(options.min_added_submaps_count).unwrap_or(0) {
+                    return Some(Trimmer::OverlappingSubmaps { options, count_after_last_trim });
+                }
+                let superfluous = self.covered_submaps(&freshness, &options);
+                for id in &superfluous {
+                    self.trim_submap(*id);
+                }
+                let count_after_last_trim = freshness.len() - superfluous.len();
+                Some(Trimmer::OverlappingSubmaps { options, count_after_last_trim })
+            }
+        }
+    }
+
+    /// Finished and optimised submaps with the time of their newest own node.
+    fn finished_submap_freshness(&self) -> BTreeMap<SubmapId, Option<Time>> {
+        let mut newest: BTreeMap<SubmapId, NodeId> = BTreeMap::new();
+        for c in self.state.constraints.iter().filter(|c| c.tag == ConstraintTag::IntraSubmap) {
+            let node = newest.entry(c.submap_id).or_insert(c.node_id);
+            *node = c.node_id.max(*node);
+        }
+        self.state
+            .submaps
+            .iter()
+            .filter(|(id, s)| s.insertion_finished && s.searchable && self.state.optimized_submaps.contains_key(id))
+            .map(|(id, _)| {
+                let time = newest.get(id).and_then(|n| self.state.nodes.get(n)).map(|n| n.data.time);
+                (*id, time)
+            })
+            .collect()
+    }
+
+    /// Submaps of which too little is seen: every cell of the map counts for its freshest submaps only.
+    fn covered_submaps(
+        &self,
+        freshness: &BTreeMap<SubmapId, Option<Time>>,
+        options: &OverlappingSubmapsTrimmer2dOptions,
+    ) -> Vec<SubmapId> {
+        let Some(cell_size) = freshness
+            .keys()
+            .find_map(|id| self.state.submaps[id].submap.as_ref().map(|s| S::cell_size(s)))
+        else {
+            return Vec::new();
+        };
+        let mut coverage: HashMap<(i64, i64), Vec<(Time, SubmapId)>> = HashMap::new();
+        for (id, time) in freshness {
+            let Some(time) = time else { continue };
+            for cell in self.covered_cells(*id, cell_size) {
+                coverage.entry(cell).or_default().push((*time, *id));
+            }
+        }
+        let counted = usize::try_from(options.fresh_submaps_count).unwrap_or(0);
+        let mut cells_of: BTreeMap<SubmapId, u64> = BTreeMap::new();
+        // The order of cells does not matter: only their number per submap does.
+        for submaps in coverage.values_mut() {
+            submaps.sort_unstable_by(|a, b| b.cmp(a));
+            for (_, id) in submaps.iter().take(counted) {
+                *cells_of.entry(*id).or_default() += 1;
+            }
+        }
+        let needed = options.min_covered_area / (cell_size * cell_size);
+        freshness
+            .keys()
+            .filter(|id| (cells_of.get(id).copied().unwrap_or(0) as f64) < needed.floor().max(1.0))
+            .copied()
+            .collect()
+    }
+
+    /// Cells of the global map that the submap knows.
+    fn covered_cells(&self, id: SubmapId, cell_size: f64) -> BTreeSet<(i64, i64)> {
+        let (Some(submap), Some(map_from_submap)) =
+            (&self.state.submaps[&id].submap, self.state.optimized_submaps.get(&id))
+        else {
+            return BTreeSet::new();
+        };
+        let map_from_submap = project_2d(&embed_3d(&project_2d(map_from_submap)));
+        S::known_cell_centers(submap)
+            .unwrap_or_default()
+            .iter()
+            .map(|center| {
+                let p = map_from_submap.transform_point(center) / cell_size;
+                (p.x.round() as i64, p.y.round() as i64)
+            })
+            .collect()
+    }
+
+    /// Removes a submap, the nodes that belong to no other submap, and every constraint of either.
+    pub(super) fn trim_submap(&mut self, id: SubmapId) {
+        let Some(entry) = self.state.submaps.remove(&id) else { return };
+        let orphans: BTreeSet<NodeId> = entry
+            .node_ids
+            .iter()
+            .filter(|node| !self.state.submaps.values().any(|s| s.node_ids.contains(node)))
+            .copied()
+            .collect();
+        let mut weakened: BTreeSet<SubmapId> = BTreeSet::new();
+        self.state.constraints.retain(|c| {
+            let goes = c.submap_id == id || orphans.contains(&c.node_id);
+            if goes && c.submap_id != id {
+                weakened.insert(c.submap_id);
+            }
+            !goes
+        });
+        for constraint in self.state.constraints.iter().filter(|c| c.is_loop_closure()) {
+            weakened.remove(&constraint.submap_id);
+        }
+        for submap_id in weakened {
+            self.search.delete_matcher(submap_id);
+        }
+        self.search.delete_matcher(id);
+        self.search.forget_tasks(|submap, node| submap == id || orphans.contains(&node));
+        self.problem.submaps.remove(&id);
+        self.state.optimized_submaps.remove(&id);
+        for node in orphans {
+            self.state.nodes.remove(&node);
+            self.problem.trim_node(node);
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! What differs between 2D and 3D, so that the pose graph exists once.
+
+use std::fmt::Debug;
+
+use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
+use portolan_geometry::{Quaternion, Rigid3, Vector2};
+use portolan_sensor::SensorId;
+
+use crate::local_slam::LocalSlam;
+use crate::optimization::{OptimizationData, OptimizationSummary};
+use crate::{Constraint, MapperError, NodeData};
+
+/// How far a node may be from where it is believed to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SearchRegion {
+    /// Within the search windows around the guess.
+    Window,
+    /// Anywhere in the submap.
+    WholeSubmap,
+}
+
+/// A node found in a submap.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MatchedPose {
+    /// Pose of the node (in the frame that constraints use) in the submap.
+    pub submap_from_node: Rigid3,
+    /// Score in [0, 1].
+    pub score: f32,
+}
+
+/// A space to map in: the planar or the full one. Poses cross this interface as [`Rigid3`].
+pub trait Space: Copy + Debug + Send + Sync + 'static {
+    /// A submap as local SLAM builds it.
+    type Submap: Clone + Debug + Send + Sync + 'static;
+    /// What is precomputed from a finished submap to find nodes in it.
+    type Matcher: Send + Sync + 'static;
+
+    /// The local SLAM of this space.
+    type LocalSlam: LocalSlam<Self>;
+
+    /// Whether the optimisation uses IMU samples, so that they are kept.
+    const OPTIMIZES_WITH_IMU: bool;
+
+    /// Local SLAM for a new trajectory with these range sensors; options that contradict each other
+    /// are an error.
+    fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<Self::LocalSlam, MapperError>;
+
+    /// Pose of the submap in the local map.
+    fn local_from_submap(submap: &Self::Submap) -> Rigid3;
+
+    /// The pose that constraints relate for a tracking frame at `pose`: in 2D its gravity-aligned
+    /// projection, in 3D the pose itself.
+    fn graph_pose(pose: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3;
+
+    /// The inverse of [`Space::graph_pose`].
+    fn tracking_pose(graph_pose: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3;
+
+    /// Precomputes what searching in this submap needs.
+    fn build_matcher(submap: &Self::Submap, options: &ConstraintBuilderOptions) -> Self::Matcher;
+
+    /// Looks for the node in the submap and refines what is found.
+    fn find_node(
+        matcher: &Self::Matcher,
+        submap: &Self::Submap,
+        node: &NodeData,
+        guess_submap_from_node: &Rigid3,
+        region: SearchRegion,
+        options: &ConstraintBuilderOptions,
+    ) -> Option<MatchedPose>;
+
+    /// Moves submaps, nodes, landmarks and fixed-frame origins to where the constraints and
+    /// measurements agree best.
+    fn optimize(
+        data: &mut OptimizationData,
+        constraints: &[Constraint],
+        options: &OptimizationProblemOptions,
+    ) -> OptimizationSummary;
+
+    /// Centres of the known cells of the submap in the submap's own frame, metres; `None` where
+    /// coverage is not defined (3D).
+    fn known_cell_centers(submap: &Self::Submap) -> Option<Vec<Vector2>>;
+
+    /// Edge length of the cells that [`Space::known_cell_centers`] lists, metres.
+    fn cell_size(submap: &Self::Submap) -> f64;
+}
