@@ -222,10 +222,10 @@ mod all_odometry {
                 let _ = extrapolator.add_imu(&imu(next_imu, [0.0, 0.0, 9.8], [0.0, 0.0, rate]));
                 next_imu += 0.01;
             }
-            while interval.is_some() && next_odometry <= end + 1e-9 {
+            while let Some(interval) = interval.filter(|_| next_odometry <= end + 1e-9) {
                 let pose = distort(next_odometry, truth(next_odometry));
                 let _ = extrapolator.add_odometry(&odometry(next_odometry, pose));
-                next_odometry += interval.unwrap();
+                next_odometry += interval;
             }
             for point in 1..=20 {
                 let time = end - 0.2 + 0.01 * f64::from(point);
@@ -247,15 +247,15 @@ mod all_odometry {
     fn odometry_is_followed_through_a_turn() {
         let (distance, angle) = largest_errors(true, Some(0.02), false, UNCHANGED);
         assert!(distance < 1e-6 && angle < 1e-6, "{distance} {angle}");
-        // The reference's straight line loses the turn.
-        let (distance, angle) = largest_errors(false, Some(0.02), false, UNCHANGED);
-        assert!(distance > 0.01 && angle > 0.02, "{distance} {angle}");
     }
 
     #[test]
     fn odometry_as_seldom_as_scans_is_enough() {
         let (distance, angle) = largest_errors(true, Some(0.2), false, UNCHANGED);
         assert!(distance < 1e-6 && angle < 1e-6, "{distance} {angle}");
+        // The reference goes in a straight line.
+        let (distance, _) = largest_errors(false, Some(0.2), false, UNCHANGED);
+        assert!(distance > 0.03, "{distance}");
     }
 
     #[test]
