@@ -7,7 +7,10 @@
 //! Everything here is a plain function of its arguments: no clocks, no randomness, no threads of its
 //! own, no interior mutability. Matchers are `Send + Sync` and may be shared by any number of threads.
 
+mod error;
+pub mod gradient;
 pub mod grid;
+mod planar_transform;
 
 #[cfg(test)]
 extern crate self as portolan_matching;
@@ -15,8 +18,11 @@ extern crate self as portolan_matching;
 #[path = "../tests/common/mod.rs"]
 mod testing;
 
+pub use error::MatcherOptionError;
+pub use gradient::{GradientMatch2d, GradientMatcher2d, GradientMatcherOptions2d};
 pub use grid::{
     CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, InsertReport, MapLimits,
     NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, Texture,
     Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts,
 };
+pub use planar_transform::PlanarTransform;

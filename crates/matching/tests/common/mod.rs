@@ -1,8 +1,9 @@
 //! What the tests of this crate share: the generator and the scenes of the golden vectors.
 
-use portolan_geometry::{Point3f, Vector2};
+use portolan_geometry::{Point3f, Rigid2, Vector2};
 use portolan_sensor::{PointCloud, RangeData};
 
+use portolan_matching::PlanarTransform;
 use portolan_matching::grid::{MapLimits, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions};
 
 /// The linear congruential generator of the golden vectors.
@@ -78,4 +79,15 @@ pub fn grid_g() -> ProbabilityGrid {
 /// CRC-32 of codes as little-endian bytes.
 pub fn crc_u16(codes: &[u16]) -> u32 {
     crc32fast::hash(&codes.iter().flat_map(|c| c.to_le_bytes()).collect::<Vec<u8>>())
+}
+
+/// Room 2 seen from (1.5, 0.7, 0.2): scan S of the golden vectors.
+pub fn golden_scan() -> PointCloud {
+    let pose = PlanarTransform::from_pose(&Rigid2::new(1.5, 0.7, 0.2)).inverse();
+    PointCloud::new(room2().returns.points.iter().map(|p| pose.apply(p)).collect())
+}
+
+/// Initial pose I of the golden vectors.
+pub fn golden_initial() -> Rigid2 {
+    Rigid2::new(1.53, 0.66, 0.17)
 }
