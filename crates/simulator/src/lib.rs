@@ -1,1 +1,37 @@
-//! Buildings, lidars, IMU, wheels and walks with exact truth
+//! Buildings, lidars, IMU, wheels and walks with exact truth.
+//!
+//! A [`Simulation`] draws a building from a seed ([`world`]), plans a smooth walk through it
+//! ([`motion`]), measures with its sensors while walking ([`sensors`]) and is a
+//! [`portolan_recording::Recording`], so that mapping can consume it like a file. It knows the exact
+//! pose at any time.
+//!
+//! The same options give the same bytes: random numbers are drawn per sensor and message from
+//! [`Random`], so the number of threads does not matter, and transcendental functions come from `libm`,
+//! so the platform does not matter.
+//!
+//! ```
+//! use portolan_simulator::{ScenarioOptions, Simulation};
+//! # fn main() -> Result<(), portolan_simulator::SimulatorError> {
+//! let options = ScenarioOptions { seed: 7, duration: Some(20.0), ..ScenarioOptions::default() };
+//! let simulation = Simulation::new(options)?;
+//! let map_from_base = simulation.truth_at(simulation.start_time());
+//! assert!(map_from_base.is_some());
+//! # Ok(())
+//! # }
+//! ```
+
+mod error;
+pub mod motion;
+mod output;
+mod random;
+mod scenario;
+pub mod sensors;
+mod simulation;
+mod truth;
+pub mod world;
+
+pub use error::SimulatorError;
+pub use random::Random;
+pub use scenario::ScenarioOptions;
+pub use simulation::Simulation;
+pub use truth::OccupancyPicture;

@@ -1,0 +1,43 @@
+//! What can be wrong with a request.
+
+/// Why nothing could be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulatorError {
+    /// There is no such kind of building.
+    #[error("there is no scene \"{name}\"; choose one of: {known}")]
+    UnknownScene {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// An option is out of bounds.
+    #[error("{option} must be {bounds}, but is {value}")]
+    OutOfBounds {
+        /// Which option.
+        option: &'static str,
+        /// What is allowed.
+        bounds: String,
+        /// What was given.
+        value: f64,
+    },
+    /// Two sensors would write to the same topic, or topics or frames have no name.
+    #[error("{detail}")]
+    BadNames {
+        /// What to change.
+        detail: String,
+    },
+    /// A fault could not be understood.
+    #[error(
+        "\"{text}\" is not a fault; write one of duplicate:SENSOR:N, backward:SENSOR:N:SECONDS, \
+         gap:SENSOR:FROM:TO, nan:N, empty:N, jump:SECONDS:X:Y:YAW, no-gravity, clock:SENSOR:SECONDS, \
+         no-tf:SENSOR, where SENSOR is scan, odom or imu and N is at least 2 (nan, empty: at least 1)"
+    )]
+    BadFault {
+        /// What was given.
+        text: String,
+    },
+    /// The robot fits nowhere.
+    #[error("the robot fits nowhere in this building; use a smaller robot_radius or less clutter")]
+    NoWay,
+}

@@ -1,0 +1,191 @@
+//! Where the walk goes: first a lap, then through every passage and into every open room, and home.
+
+use portolan_geometry::Vector2;
+
+use super::builder::{MotionLimits, Waypoint};
+use super::{Motion, Walk};
+use crate::random::Random;
+use super::graph::PassageGraph;
+use crate::world::{ClearanceGrid, FloorPlan, Person, WayCosts, WaySearch};
+
+/// Rooms are entered up to the roomiest spot this near to their middle, metres.
+const SPOT_RADIUS: f64 = 1.3;
+/// Junctions are passed this far from their middle at most, metres.
+const JITTER: f64 = 0.3;
+
+/// What a tour is planned from.
+pub(crate) struct TourRequest<'a> {
+    pub plan: &'a FloorPlan,
+    pub grid: &'a ClearanceGrid,
+    pub limits: MotionLimits,
+    /// Distance to surfaces to be kept in turns, metres.
+    pub needed_clearance: f64,
+    /// Seconds to stand at the start and at the end.
+    pub rest: f64,
+    /// Seconds the whole walk may take; none for one full tour.
+    pub duration: Option<f64>,
+}
+
+/// The walk of a tour that returns to its start. With a duration, the tour goes home early or starts
+/// over, and the walk stands at the end until the time is up; where not even the first leg and the way
+/// back fit in, the walk takes longer. None if there is nowhere to go.
+pub(crate) fn plan_tour(request: &TourRequest<'_>, random: &mut Random) -> Option<Walk> {
+    let mut tour = Tour::begin(request, random)?;
+    while tour.walk_once(random) {}
+    tour.go_home();
+    let mut walk = Walk::through(
+        &tour.waypoints,
+        &request.limits,
+        request.rest,
+        Some((request.grid, request.needed_clearance)),
+    )?;
+    if let Some(duration) = request.duration {
+        walk.push(super::walk::Span::Rest, duration - walk.duration());
+    }
+    Some(walk)
+}
+
+/// People who walk between random places of the plan.
+pub(crate) fn plan_people(
+    plan: &FloorPlan,
+    grid: &ClearanceGrid,
+    count: usize,
+    random: &mut Random,
+) -> Vec<Person> {
+    let mut people = Vec::new();
+    let mut ways = WaySearch::new(grid);
+    for _ in 0..8 * count {
+        if people.len() == count || plan.places.is_empty() {
+            break;
+        }
+        let mut spot = || {
+            let place = &plan.places[random.below(plan.places.len())];
+            let aside = Vector2::new(random.between(-0.6, 0.6), random.between(-0.6, 0.6));
+            grid.nearest_free(&(place.position + aside), 1.5)
+        };
+        let Some(ends) = (0..3).map(|_| spot()).collect::<Option<Vec<Vector2>>>() else { continue };
+        let Some(there) = ways.way(&ends[0], &ends[1]) else { continue };
+        let Some(on) = ways.way(&ends[1], &ends[2]) else { continue };
+        let corners: Vec<Vector2> = there.into_iter().chain(on.into_iter().skip(1)).collect();
+        let speed = random.between(0.7, 1.4);
+        people.extend(Person::new(corners, speed, random.between(0.0, 60.0)));
+    }
+    people
+}
+
+struct Tour<'a> {
+    request: &'a TourRequest<'a>,
+    /// Index of the junction where it begins and ends.
+    home: usize,
+    costs: WayCosts,
+    ways: WaySearch<'a>,
+    graph: PassageGraph,
+    waypoints: Vec<Waypoint>,
+    /// Upper bound of the time for the waypoints so far, seconds.
+    elapsed: f64,
+    legs: usize,
+}
+
+impl<'a> Tour<'a> {
+    /// Begins at the junction, in random order, from which most others can be reached.
+    fn begin(request: &'a TourRequest<'a>, random: &mut Random) -> Option<Self> {
+        let plan = request.plan;
+        let mut junctions: Vec<usize> = (0..plan.places.len()).filter(|i| !plan.places[*i].is_room).collect();
+        random.shuffle(&mut junctions);
+        let mut best: Option<(usize, usize, Vector2, WayCosts)> = None;
+        for home in junctions.iter().copied() {
+            let Some(spot) = request.grid.nearest_free(&plan.places[home].position, 1.0) else { continue };
+            let costs = request.grid.distances_from(&spot);
+            let is_reachable = |i: &&usize| {
+                let near = request.grid.nearest_free(&plan.places[**i].position, 1.0);
+                near.is_some_and(|p| costs.metres_to(request.grid, &p).is_some())
+            };
+            let reached = junctions.iter().filter(is_reachable).count();
+            if best.as_ref().is_none_or(|(_, most, _, _)| reached > *most) {
+                best = Some((home, reached, spot, costs));
+            }
+            if 2 * reached > junctions.len() {
+                break;
+            }
+        }
+        let (home, _, spot, costs) = best?;
+        let waypoints = vec![Waypoint { position: spot, stop: None }];
+        Some(Self {
+            request,
+            home,
+            costs,
+            ways: WaySearch::new(request.grid),
+            graph: PassageGraph::new(plan),
+            waypoints,
+            elapsed: 2.0 * request.rest,
+            legs: 0,
+        })
+    }
+
+    /// One tour; whether there is time for another.
+    fn walk_once(&mut self, random: &mut Random) -> bool {
+        let legs_before = self.legs;
+        for place in self.graph.itinerary(self.home, random) {
+            let Some(position) = self.spot_at(place, random) else { continue };
+            let is_room = self.request.plan.places[place].is_room;
+            let stop = (is_room && random.chance(0.6)).then(|| random.between(0.5, 4.0));
+            if !self.go_to(Waypoint { position, stop }) {
+                return false;
+            }
+        }
+        self.request.duration.is_some() && self.legs > legs_before
+    }
+
+    /// Adds a leg; false if time is up.
+    fn go_to(&mut self, target: Waypoint) -> bool {
+        let Some(leg) = self.leg_to(target) else { return true };
+        let alone = Walk::through(&leg, &self.request.limits, 0.0, None);
+        let seconds = alone.map_or(0.0, |walk| walk.duration());
+        if let Some(duration) = self.request.duration
+            && self.legs > 0
+            && self.elapsed + seconds + self.seconds_home(&target.position) > duration
+        {
+            return false;
+        }
+        self.elapsed += seconds;
+        self.waypoints.extend(leg.into_iter().skip(1));
+        self.legs += 1;
+        true
+    }
+
+    /// Waypoints from where the tour is to `target`, both included.
+    fn leg_to(&mut self, target: Waypoint) -> Option<Vec<Waypoint>> {
+        let here = self.waypoints.last()?.position;
+        let way = self.ways.way(&here, &target.position)?;
+        let mut leg: Vec<Waypoint> =
+            way.into_iter().map(|position| Waypoint { position, stop: None }).collect();
+        leg.last_mut()?.stop = target.stop;
+        Some(leg)
+    }
+
+    /// A generous estimate of the time to the start.
+    fn seconds_home(&self, from: &Vector2) -> f64 {
+        let metres = self.costs.metres_to(self.request.grid, from).unwrap_or(0.0);
+        1.15 * metres / self.request.limits.speed + 4.0
+    }
+
+    fn go_home(&mut self) {
+        if let Some(start) = self.waypoints.first().copied()
+            && let Some(leg) = self.leg_to(start)
+        {
+            self.waypoints.extend(leg.into_iter().skip(1));
+        }
+    }
+
+    /// Where to go at a place: rooms near their roomiest spot, junctions a little off the middle.
+    fn spot_at(&self, place: usize, random: &mut Random) -> Option<Vector2> {
+        let place = &self.request.plan.places[place];
+        let grid = self.request.grid;
+        if place.is_room {
+            return grid.roomiest(&place.position, SPOT_RADIUS, &self.costs);
+        }
+        let aside = Vector2::new(random.between(-JITTER, JITTER), random.between(-JITTER, JITTER));
+        let spot = grid.nearest_free(&(place.position + aside), 1.0)?;
+        self.costs.metres_to(grid, &spot).map(|_| spot)
+    }
+}

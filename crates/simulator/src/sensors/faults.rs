@@ -1,0 +1,326 @@
+//! Faults as real recordings have them, injected on purpose.
+
+use std::fmt;
+use std::str::FromStr;
+
+use portolan_geometry::{Duration, Rigid2, Time, normalize_angle};
+use portolan_recording::{Header, Message, Odometry, RecordedMessage};
+
+use crate::SimulatorError;
+
+/// Which sensor has the fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum FaultTarget {
+    /// All lidars.
+    Scan,
+    /// The wheels.
+    Odometry,
+    /// The IMU.
+    Imu,
+}
+
+/// One fault. Messages are counted per topic from 1; times are seconds since the start. In text the
+/// parts are joined by colons, as shown for each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Fault {
+    /// `duplicate:SENSOR:N`: every N-th message has the stamp of the one before.
+    DuplicateStamp {
+        /// Of which sensor.
+        target: FaultTarget,
+        /// N, at least 2.
+        every: u64,
+    },
+    /// `backward:SENSOR:N:SECONDS`: every N-th message is stamped that much too early.
+    BackwardStamp {
+        /// Of which sensor.
+        target: FaultTarget,
+        /// N, at least 2.
+        every: u64,
+        /// More than 0.
+        seconds: f64,
+    },
+    /// `gap:SENSOR:FROM:TO`: no messages in that time.
+    Gap {
+        /// Of which sensor.
+        target: FaultTarget,
+        /// Seconds since the start.
+        from: f64,
+        /// Seconds since the start, not included.
+        to: f64,
+    },
+    /// `nan:N`: every N-th scan has only NaN.
+    NanScan {
+        /// N, at least 1.
+        every: u64,
+    },
+    /// `empty:N`: every N-th scan has no ranges at all.
+    EmptyScan {
+        /// N, at least 1.
+        every: u64,
+    },
+    /// `jump:SECONDS:X:Y:YAW`: from that time on odometry continues from a pose that is off by this
+    /// much, in metres and radians in the frame of the robot.
+    OdometryJump {
+        /// Seconds since the start.
+        at: f64,
+        /// Metres ahead.
+        x: f64,
+        /// Metres to the left.
+        y: f64,
+        /// Radians to the left.
+        yaw: f64,
+    },
+    /// `no-gravity`: the IMU has taken gravity out of its accelerations.
+    ImuWithoutGravity,
+    /// `clock:SENSOR:SECONDS`: the stamps are late by this much (negative: early).
+    ClockOffset {
+        /// Of which sensor.
+        target: FaultTarget,
+        /// Added to stamps.
+        seconds: f64,
+    },
+    /// `no-tf:SENSOR`: the transform of its frame is not in the recording (`scan` and `imu`).
+    MissingTransform {
+        /// Of which sensor.
+        target: FaultTarget,
+    },
+}
+
+impl FaultTarget {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Scan => "scan",
+            Self::Odometry => "odom",
+            Self::Imu => "imu",
+        }
+    }
+}
+
+impl fmt::Display for FaultTarget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::DuplicateStamp { target, every } => write!(f, "duplicate:{target}:{every}"),
+            Self::BackwardStamp { target, every, seconds } => write!(f, "backward:{target}:{every}:{seconds}"),
+            Self::Gap { target, from, to } => write!(f, "gap:{target}:{from}:{to}"),
+            Self::NanScan { every } => write!(f, "nan:{every}"),
+            Self::EmptyScan { every } => write!(f, "empty:{every}"),
+            Self::OdometryJump { at, x, y, yaw } => write!(f, "jump:{at}:{x}:{y}:{yaw}"),
+            Self::ImuWithoutGravity => write!(f, "no-gravity"),
+            Self::ClockOffset { target, seconds } => write!(f, "clock:{target}:{seconds}"),
+            Self::MissingTransform { target } => write!(f, "no-tf:{target}"),
+        }
+    }
+}
+
+impl FromStr for Fault {
+    type Err = SimulatorError;
+    fn from_str(text: &str) -> Result<Self, SimulatorError> {
+        let parts: Vec<&str> = text.split(':').collect();
+        parse(&parts)
+            .filter(Fault::is_sensible)
+            .ok_or_else(|| SimulatorError::BadFault { text: text.to_owned() })
+    }
+}
+
+fn parse(parts: &[&str]) -> Option<Fault> {
+    let target = |i: usize| {
+        let name = parts.get(i)?;
+        [FaultTarget::Scan, FaultTarget::Odometry, FaultTarget::Imu].into_iter().find(|t| t.name() == *name)
+    };
+    let number = |i: usize| parts.get(i)?.parse::<f64>().ok();
+    let every = |i: usize| parts.get(i)?.parse::<u64>().ok();
+    let (fault, length) = match *parts.first()? {
+        "duplicate" => (Fault::DuplicateStamp { target: target(1)?, every: every(2)? }, 3),
+        "backward" => {
+            (Fault::BackwardStamp { target: target(1)?, every: every(2)?, seconds: number(3)? }, 4)
+        }
+        "gap" => (Fault::Gap { target: target(1)?, from: number(2)?, to: number(3)? }, 4),
+        "nan" => (Fault::NanScan { every: every(1)? }, 2),
+        "empty" => (Fault::EmptyScan { every: every(1)? }, 2),
+        "jump" => (Fault::OdometryJump { at: number(1)?, x: number(2)?, y: number(3)?, yaw: number(4)? }, 5),
+        "no-gravity" => (Fault::ImuWithoutGravity, 1),
+        "clock" => (Fault::ClockOffset { target: target(1)?, seconds: number(2)? }, 3),
+        "no-tf" => (Fault::MissingTransform { target: target(1)? }, 2),
+        _ => return None,
+    };
+    (parts.len() == length).then_some(fault)
+}
+
+impl Fault {
+    /// Whether its numbers can be used.
+    pub(crate) fn is_sensible(&self) -> bool {
+        match *self {
+            Self::DuplicateStamp { every, .. } => every >= 2,
+            Self::BackwardStamp { every, seconds, .. } => every >= 2 && seconds > 0.0 && seconds < 1e6,
+            Self::Gap { from, to, .. } => from.is_finite() && to.is_finite() && from < to,
+            Self::NanScan { every } | Self::EmptyScan { every } => every >= 1,
+            Self::OdometryJump { at, x, y, yaw } => [at, x, y, yaw].iter().all(|v| v.is_finite()),
+            Self::ClockOffset { seconds, .. } => seconds.is_finite() && seconds.abs() < 1e6,
+            Self::MissingTransform { target } => target != FaultTarget::Odometry,
+            Self::ImuWithoutGravity => true,
+        }
+    }
+}
+
+/// Puts faults into the messages of one topic, which must come in order.
+#[derive(Clone, Debug)]
+pub(crate) struct FaultFilter {
+    faults: Vec<Fault>,
+    target: FaultTarget,
+    count: u64,
+    last_stamp: Option<Time>,
+    /// Left factor of odometry after jumps, and which jumps have happened.
+    jump: Rigid2,
+    jumps_done: usize,
+    gravity: f64,
+}
+
+impl FaultFilter {
+    /// The faults that concern one sensor; `gravity` is what its IMU measures at rest.
+    pub fn new(faults: &[Fault], target: FaultTarget, gravity: f64) -> Self {
+        let concerns = |fault: &&Fault| match fault {
+            Fault::DuplicateStamp { target: t, .. }
+            | Fault::BackwardStamp { target: t, .. }
+            | Fault::Gap { target: t, .. }
+            | Fault::ClockOffset { target: t, .. }
+            | Fault::MissingTransform { target: t } => *t == target,
+            Fault::NanScan { .. } | Fault::EmptyScan { .. } => target == FaultTarget::Scan,
+            Fault::OdometryJump { .. } => target == FaultTarget::Odometry,
+            Fault::ImuWithoutGravity => target == FaultTarget::Imu,
+        };
+        let faults: Vec<Fault> = faults.iter().filter(concerns).copied().collect();
+        let jump = Rigid2::identity();
+        Self { faults, target, count: 0, last_stamp: None, jump, jumps_done: 0, gravity }
+    }
+
+    /// Whether a measurement at `seconds` since the start falls into a gap.
+    pub fn is_gap(&self, seconds: f64) -> bool {
+        self.faults.iter().any(|fault| {
+            matches!(fault, Fault::Gap { target, from, to }
+                if *target == self.target && (*from..*to).contains(&seconds))
+        })
+    }
+
+    /// The message with its faults, or none in a gap. Measured at `seconds` since the start.
+    pub fn apply(&mut self, mut recorded: RecordedMessage, seconds: f64) -> Option<RecordedMessage> {
+        if self.faults.is_empty() {
+            return Some(recorded);
+        }
+        if self.is_gap(seconds) {
+            return None;
+        }
+        self.count += 1;
+        let before = self.last_stamp;
+        self.spoil_content(&mut recorded.message, seconds);
+        if let Some(header) = header_mut(&mut recorded.message) {
+            self.spoil_stamp(header, before);
+            self.last_stamp = Some(header.stamp);
+        }
+        Some(recorded)
+    }
+
+    fn spoil_stamp(&self, header: &mut Header, before: Option<Time>) {
+        for fault in &self.faults {
+            match *fault {
+                Fault::ClockOffset { seconds, .. } => header.stamp += Duration::from_seconds(seconds),
+                Fault::BackwardStamp { every, seconds, .. } if self.count.is_multiple_of(every) => {
+                    header.stamp = header.stamp - Duration::from_seconds(seconds);
+                }
+                Fault::DuplicateStamp { every, .. } if self.count.is_multiple_of(every) => {
+                    header.stamp = before.unwrap_or(header.stamp);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn spoil_content(&mut self, message: &mut Message, seconds: f64) {
+        match message {
+            Message::LaserScan(scan) => {
+                for fault in &self.faults {
+                    match *fault {
+                        Fault::NanScan { every } if self.count.is_multiple_of(every) => {
+                            scan.ranges.fill(f32::NAN);
+                        }
+                        Fault::EmptyScan { every } if self.count.is_multiple_of(every) => {
+                            scan.ranges.clear();
+                            scan.intensities.clear();
+                        }
+                        _ => {}
+                    }
+                }
+            }
+            Message::Odometry(odometry) => self.jump(odometry, seconds),
+            Message::Imu(imu) if self.faults.contains(&Fault::ImuWithoutGravity) => {
+                imu.linear_acceleration[2] -= self.gravity;
+            }
+            _ => {}
+        }
+    }
+
+    /// Multiplies the pose from the left so that it jumps in its own frame when a jump is due.
+    fn jump(&mut self, odometry: &mut Odometry, seconds: f64) {
+        let [_, _, z, w] = odometry.pose.orientation_xyzw;
+        let [x, y, _] = odometry.pose.position;
+        let pose = Rigid2::new(x, y, 2.0 * libm::atan2(z, w));
+        let due: Vec<Rigid2> = self
+            .faults
+            .iter()
+            .filter_map(|fault| match *fault {
+                Fault::OdometryJump { at, x, y, yaw } if seconds >= at => Some(Rigid2::new(x, y, yaw)),
+                _ => None,
+            })
+            .collect();
+        for offset in due.iter().skip(self.jumps_done) {
+            self.jump = self.jump * pose * *offset * pose.inverse();
+        }
+        self.jumps_done = self.jumps_done.max(due.len());
+        if self.jumps_done > 0 {
+            let spoiled = self.jump * pose;
+            let (sine, cosine) = libm::sincos(0.5 * normalize_angle(spoiled.angle));
+            odometry.pose.position = [spoiled.translation.x, spoiled.translation.y, 0.0];
+            odometry.pose.orientation_xyzw = [0.0, 0.0, sine, cosine];
+        }
+    }
+}
+
+fn header_mut(message: &mut Message) -> Option<&mut Header> {
+    match message {
+        Message::LaserScan(m) => Some(&mut m.header),
+        Message::Imu(m) => Some(&mut m.header),
+        Message::Odometry(m) => Some(&mut m.header),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_are_read_as_they_are_written() {
+        for text in [
+            "duplicate:scan:50",
+            "backward:odom:20:0.25",
+            "gap:imu:10:15.5",
+            "nan:7",
+            "empty:9",
+            "jump:30:1:-0.5:0.3",
+            "no-gravity",
+            "clock:imu:-0.05",
+            "no-tf:scan",
+        ] {
+            assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
+        }
+        for text in ["", "gap:scan:5:4", "nan:0", "duplicate:scan:1", "no-tf:odom", "nan:3:4", "clock:wheel:1"] {
+            let error = text.parse::<Fault>().unwrap_err().to_string();
+            assert!(error.contains("duplicate:SENSOR:N"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! When sensors measure, and the interface of everything that makes messages.
+
+use portolan_geometry::{Duration, Time};
+use portolan_recording::RecordedMessage;
+
+const TICKS_PER_SECOND: f64 = 1e7;
+
+/// A source of messages in ascending order of log time.
+pub(crate) trait MessageStream: Send {
+    /// The next message, or none at the end.
+    fn next_message(&mut self) -> Option<RecordedMessage>;
+}
+
+/// True time: seconds of the walk to moments and back.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Clock {
+    pub start: Time,
+}
+
+impl Clock {
+    pub fn moment(&self, since_start: Duration) -> Time {
+        self.start + since_start
+    }
+
+    pub fn seconds(&self, moment: Time) -> f64 {
+        moment.seconds_since(self.start)
+    }
+}
+
+/// Measurements at a constant rate from the start of the walk.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Schedule {
+    rate: f64,
+    count: u64,
+}
+
+impl Schedule {
+    /// As many measurements as begin at 0 or later and take `each` seconds within `duration`.
+    pub fn new(rate: f64, duration: f64, each: f64) -> Self {
+        let available = duration - each;
+        let count = if available < 0.0 { 0 } else { (available * rate + 1e-6).floor() as u64 + 1 };
+        Self { rate, count }
+    }
+
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// When measurement `index` begins, to the nearest tick: sensors measure exactly when they say.
+    pub fn time_of(&self, index: u64) -> Duration {
+        Duration::from_ticks((index as f64 * TICKS_PER_SECOND / self.rate).round() as i64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn schedules_fill_the_duration() {
+        let schedule = Schedule::new(10.0, 300.0, 0.1);
+        assert_eq!(schedule.count(), 3000);
+        assert_eq!(schedule.time_of(7).ticks(), 7_000_000);
+        assert_eq!(Schedule::new(3.0, 1.0, 0.0).count(), 4);
+        assert_eq!(Schedule::new(3.0, 1.0, 0.0).time_of(1).ticks(), 3_333_333);
+        assert_eq!(Schedule::new(10.0, 0.05, 0.1).count(), 0);
+    }
+}

@@ -1,0 +1,158 @@
+//! A simulation: a building, a walk through it, and sensors; with the truth.
+
+use std::sync::Arc;
+
+use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_recording::LaserScan;
+
+use crate::motion::{Motion, MotionState, TourRequest, Walk, plan_people, plan_tour};
+use crate::random::Random;
+use crate::sensors::{Clock, Lidar, Schedule};
+use crate::world::{ClearanceGrid, FloorPlan, World, draw_plan};
+use crate::{ScenarioOptions, SimulatorError};
+
+/// Cell of the grid on which ways are planned, metres.
+const WAY_CELL: f64 = 0.1;
+
+/// A recording that is made while it is read, with its truth. Copies share everything.
+#[derive(Clone, Debug)]
+pub struct Simulation {
+    pub(crate) inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Inner {
+    pub options: ScenarioOptions,
+    pub plan: FloorPlan,
+    pub world: World,
+    pub walk: Arc<Walk>,
+    pub clock: Clock,
+    /// Seconds.
+    pub duration: f64,
+    pub lidars: Vec<(Lidar, Schedule)>,
+}
+
+impl Simulation {
+    /// Draws the building, plans the walk and puts people in; measurements are made when they are read.
+    pub fn new(options: ScenarioOptions) -> Result<Self, SimulatorError> {
+        options.check()?;
+        let building_seed = options.building_seed.unwrap_or(options.seed);
+        let plan = draw_plan(options.scene, &options.plan_style(), building_seed);
+        Self::in_plan(options, plan)
+    }
+
+    /// In a floor plan of one's own; `scene`, `size` and the style of the options are not used. The
+    /// tour follows the places and passages of the plan.
+    pub fn in_plan(options: ScenarioOptions, plan: FloorPlan) -> Result<Self, SimulatorError> {
+        options.check()?;
+        let grid = ClearanceGrid::new(&plan.shapes, plan.size, WAY_CELL, options.robot_radius);
+        let request = TourRequest {
+            plan: &plan,
+            grid: &grid,
+            limits: options.motion,
+            needed_clearance: options.robot_radius,
+            rest: options.rest,
+            duration: options.duration,
+        };
+        let walk = plan_tour(&request, &mut Random::new(options.seed, "walk", 0)).ok_or(SimulatorError::NoWay)?;
+        let people = options.people.unwrap_or(options.scene.default_people());
+        let people = plan_people(&plan, &grid, people, &mut Random::new(options.seed, "people", 0));
+        let world = World::new(plan.shapes.clone(), people);
+        Ok(Self::assemble(options, plan, world, walk))
+    }
+
+    /// With a world and a walk of one's own. The options decide on sensors, faults, seed and times.
+    pub fn with_walk(options: ScenarioOptions, plan: FloorPlan, walk: Walk) -> Result<Self, SimulatorError> {
+        options.check()?;
+        let world = World::new(plan.shapes.clone(), Vec::new());
+        Ok(Self::assemble(options, plan, world, walk))
+    }
+
+    fn assemble(options: ScenarioOptions, plan: FloorPlan, world: World, walk: Walk) -> Self {
+        let duration = options.duration.unwrap_or(walk.duration());
+        let lidars = options
+            .lidars
+            .iter()
+            .map(|lidar| {
+                let lidar = Lidar::new(lidar.clone(), options.seed);
+                let schedule = Schedule::new(lidar.options.rate, duration, lidar.sweep_time());
+                (lidar, schedule)
+            })
+            .collect();
+        let clock = Clock { start: options.start_time };
+        let walk = Arc::new(walk);
+        Self { inner: Arc::new(Inner { options, plan, world, walk, clock, duration, lidars }) }
+    }
+
+    /// What was asked for.
+    pub fn options(&self) -> &ScenarioOptions {
+        &self.inner.options
+    }
+
+    /// The floor plan with its places.
+    pub fn plan(&self) -> &FloorPlan {
+        &self.inner.plan
+    }
+
+    /// The building with its people.
+    pub fn world(&self) -> &World {
+        &self.inner.world
+    }
+
+    /// The exact motion; its time 0 is [`Simulation::start_time`].
+    pub fn walk(&self) -> &Walk {
+        &self.inner.walk
+    }
+
+    /// Length of the recording, seconds.
+    pub fn duration(&self) -> f64 {
+        self.inner.duration
+    }
+
+    /// True time at the start.
+    pub fn start_time(&self) -> Time {
+        self.inner.clock.start
+    }
+
+    /// True time at the end.
+    pub fn end_time(&self) -> Time {
+        self.inner.clock.moment(Duration::from_seconds(self.inner.duration))
+    }
+
+    /// The true pose of `base_link` in the map, to rounding; none outside the recording. Stamps of
+    /// sensors with a clock offset must be corrected by it first.
+    pub fn truth_at(&self, time: Time) -> Option<Rigid3> {
+        let is_within = (self.start_time()..=self.end_time()).contains(&time);
+        is_within.then(|| self.inner.walk.planar(self.inner.clock.seconds(time)).map_from_base())
+    }
+
+    /// Pose, velocities and accelerations at a time; none outside the recording.
+    pub fn motion_at(&self, time: Time) -> Option<MotionState> {
+        let is_within = (self.start_time()..=self.end_time()).contains(&time);
+        is_within.then(|| self.inner.walk.state(self.inner.clock.seconds(time)))
+    }
+
+    /// Pose of a lidar on the robot, by its place in the options.
+    pub fn base_from_lidar(&self, lidar: usize) -> Option<Rigid3> {
+        self.inner.lidars.get(lidar).map(|(l, _)| l.options.base_from_lidar())
+    }
+
+    /// How many scans a lidar makes, before any faults.
+    pub fn scan_count(&self, lidar: usize) -> u64 {
+        self.inner.lidars.get(lidar).map_or(0, |(_, schedule)| schedule.count())
+    }
+
+    /// Scan number `index` of a lidar, without faults; none beyond the end.
+    pub fn scan(&self, lidar: usize, index: u64) -> Option<LaserScan> {
+        let (lidar, schedule) = self.inner.lidars.get(lidar)?;
+        (index < schedule.count()).then(|| self.inner.scan(lidar, schedule, index))
+    }
+}
+
+impl Inner {
+    pub fn scan(&self, lidar: &Lidar, schedule: &Schedule, index: u64) -> LaserScan {
+        let since_start = schedule.time_of(index);
+        let stamp = self.clock.moment(since_start);
+        lidar.scan(&self.world, &self.walk, index, since_start.seconds(), stamp)
+    }
+}

@@ -1,0 +1,162 @@
+//! Floor plans: surfaces, places to go to, and the passages between them.
+
+use std::fmt;
+use std::str::FromStr;
+
+use portolan_geometry::Vector2;
+
+use super::shape::Shape;
+use super::{corridors, hall, office, warehouse};
+use crate::SimulatorError;
+use crate::random::Random;
+
+/// The kinds of building that can be drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Scene {
+    /// An office floor: corridors that form loops, rooms with doors and furniture, glass fronts.
+    #[default]
+    Office,
+    /// One long loop of smooth corridor: nothing but the corners tells where one is.
+    Corridors,
+    /// A large hall with pillars and kiosks: most beams reach nothing.
+    Hall,
+    /// Rows of racks with pallets: aisles that look alike.
+    Warehouse,
+}
+
+impl Scene {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Office, Self::Corridors, Self::Hall, Self::Warehouse];
+
+    /// The name by which it is chosen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Office => "office",
+            Self::Corridors => "corridors",
+            Self::Hall => "hall",
+            Self::Warehouse => "warehouse",
+        }
+    }
+
+    /// Width and height of the floor, metres, where nothing else is asked for.
+    pub fn default_size(self) -> [f64; 2] {
+        match self {
+            Self::Office => [40.0, 25.0],
+            Self::Corridors => [60.0, 24.0],
+            Self::Hall => [60.0, 40.0],
+            Self::Warehouse => [50.0, 30.0],
+        }
+    }
+
+    /// The smallest floor that can be drawn, metres.
+    pub fn minimum_size(self) -> [f64; 2] {
+        match self {
+            Self::Office => [26.0, 17.0],
+            Self::Corridors => [10.0, 10.0],
+            Self::Hall => [15.0, 12.0],
+            Self::Warehouse => [20.0, 15.0],
+        }
+    }
+
+    /// How many people walk about where nothing else is asked for.
+    pub fn default_people(self) -> usize {
+        match self {
+            Self::Office => 5,
+            Self::Corridors => 0,
+            Self::Hall => 10,
+            Self::Warehouse => 3,
+        }
+    }
+}
+
+impl fmt::Display for Scene {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Scene {
+    type Err = SimulatorError;
+    fn from_str(name: &str) -> Result<Self, SimulatorError> {
+        let known = Self::ALL.into_iter().find(|scene| scene.name() == name);
+        known.ok_or_else(|| SimulatorError::UnknownScene {
+            name: name.to_owned(),
+            known: Self::ALL.map(Self::name).join(", "),
+        })
+    }
+}
+
+/// How a plan is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanStyle {
+    /// Width and height of the floor inside its outer walls, metres.
+    pub size: [f64; 2],
+    /// Share of doors that are closed, in [0, 1].
+    pub closed_doors: f64,
+    /// How much stands about: 0 nothing, 1 as usual, 2 twice as likely.
+    pub clutter: f64,
+    /// Share of larger rooms with a glass front, in [0, 1].
+    pub glass: f64,
+}
+
+/// Somewhere to go.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Place {
+    /// For people, for example `room 12`.
+    pub name: String,
+    /// Metres in the map frame; furniture may stand there.
+    pub position: Vector2,
+    /// Whether one goes in and comes back, instead of passing through.
+    pub is_room: bool,
+}
+
+/// A way between two junctions, with the rooms along it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Passage {
+    /// Index of the place at one end.
+    pub from: usize,
+    /// Index of the place at the other end.
+    pub to: usize,
+    /// Indices of places reached from this passage, in order from `from` to `to`.
+    pub rooms: Vec<usize>,
+}
+
+/// A floor with everything fixed that stands on it. The outer walls enclose (0, 0) to `size`.
+#[derive(Clone, Debug, Default)]
+pub struct FloorPlan {
+    /// All surfaces.
+    pub shapes: Vec<Shape>,
+    /// Width and height, metres.
+    pub size: Vector2,
+    /// Where one can go; some may turn out to be locked or blocked.
+    pub places: Vec<Place>,
+    /// How the junctions among the places are connected.
+    pub passages: Vec<Passage>,
+}
+
+impl FloorPlan {
+    pub(crate) fn add_junction(&mut self, name: String, position: Vector2) -> usize {
+        self.places.push(Place { name, position, is_room: false });
+        self.places.len() - 1
+    }
+
+    pub(crate) fn add_room(&mut self, name: String, position: Vector2) -> usize {
+        self.places.push(Place { name, position, is_room: true });
+        self.places.len() - 1
+    }
+
+    pub(crate) fn add_passage(&mut self, from: usize, to: usize) {
+        self.passages.push(Passage { from, to, rooms: Vec::new() });
+    }
+}
+
+/// Draws the plan number `seed` of a scene; the same arguments give the same plan.
+pub fn draw_plan(scene: Scene, style: &PlanStyle, seed: u64) -> FloorPlan {
+    let mut random = Random::new(seed, scene.name(), 0);
+    match scene {
+        Scene::Office => office::draw(style, &mut random),
+        Scene::Corridors => corridors::draw(style),
+        Scene::Hall => hall::draw(style, &mut random),
+        Scene::Warehouse => warehouse::draw(style, &mut random),
+    }
+}
