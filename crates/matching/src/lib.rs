@@ -7,6 +7,7 @@
 //! Everything here is a plain function of its arguments: no clocks, no randomness, no threads of its
 //! own, no interior mutability. Matchers are `Send + Sync` and may be shared by any number of threads.
 
+pub mod correlative;
 mod error;
 pub mod gradient;
 pub mod grid;
@@ -16,8 +17,13 @@ mod planar_transform;
 extern crate self as portolan_matching;
 #[cfg(test)]
 #[path = "../tests/common/mod.rs"]
+#[allow(dead_code)]
 mod testing;
 
+pub use correlative::{
+    FastCorrelativeMatcher2d, FastCorrelativeOptions2d, MatchResult, RealTimeCorrelativeMatcher2d,
+    RealTimeCorrelativeOptions,
+};
 pub use error::MatcherOptionError;
 pub use gradient::{GradientMatch2d, GradientMatcher2d, GradientMatcherOptions2d};
 pub use grid::{

@@ -30,3 +30,4 @@ pub use texture::Texture;
 pub use tsdf::Tsdf2d;
 
 pub(crate) use cells::CellGrid;
+pub(crate) use insert_probability::is_finite;

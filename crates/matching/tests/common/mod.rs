@@ -4,7 +4,10 @@ use portolan_geometry::{Point3f, Rigid2, Vector2};
 use portolan_sensor::{PointCloud, RangeData};
 
 use portolan_matching::PlanarTransform;
-use portolan_matching::grid::{MapLimits, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions};
+use portolan_matching::grid::{
+    Grid2d, MapLimits, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, Tsdf2d,
+    TsdfInserter, TsdfInserterOptions,
+};
 
 /// The linear congruential generator of the golden vectors.
 pub struct Lcg(u32);
@@ -90,4 +93,27 @@ pub fn golden_scan() -> PointCloud {
 /// Initial pose I of the golden vectors.
 pub fn golden_initial() -> Rigid2 {
     Rigid2::new(1.53, 0.66, 0.17)
+}
+
+/// A room drawn a few times from random places on a grid of either kind, and a scan taken in it.
+pub fn random_room(lcg: &mut Lcg, tsdf: bool) -> (Grid2d, PointCloud) {
+    let mut place = || room(60 + (lcg.unit() * 100.0) as usize, lcg.symmetric(2.0), lcg.symmetric(2.0));
+    let scans = [place(), place(), place()];
+    let mut points = place().returns.points;
+    // Clutter that fits nowhere.
+    for (i, point) in points.iter_mut().enumerate() {
+        if i % 7 == 0 {
+            *point = Point3f::from(point.coords * 0.7);
+        }
+    }
+    let points = PointCloud::new(points);
+    if tsdf {
+        let inserter = TsdfInserter::new(&TsdfInserterOptions::default()).unwrap();
+        let mut grid = Tsdf2d::new(room_limits(), 0.3, 10.0).unwrap();
+        scans.iter().for_each(|s| assert!(inserter.insert(s, &mut grid).is_ok()));
+        return (grid.into(), points);
+    }
+    let mut grid = ProbabilityGrid::new(room_limits());
+    scans.iter().for_each(|s| assert!(default_inserter().insert(s, &mut grid).is_ok()));
+    (grid.into(), points)
 }

@@ -1,0 +1,184 @@
+//! Matching anywhere in a finished submap.
+
+use portolan_geometry::{Point3f, Rigid2};
+use portolan_sensor::PointCloud;
+
+use super::MatchResult;
+use super::joint_search::{JointSearch, Objective, Placement, Region, ShiftBounds};
+use super::max_pyramid::MaxPyramid;
+use super::rotated_scans::RotatedScans;
+use super::search_window::{MAX_LINEAR_STEPS, SearchWindow};
+use crate::MatcherOptionError;
+use crate::grid::value::CODE_COUNT;
+use crate::grid::{Grid2d, MapLimits, is_finite};
+
+mod order;
+
+/// Where a fast correlative matcher looks when it has a guess.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FastCorrelativeOptions2d {
+    /// Metres to either side along each axis, default 7.
+    pub linear_search_window: f64,
+    /// Radians to either side, default 30°.
+    pub angular_search_window: f64,
+    /// How many levels the search had in the reference, default 7. Here it only decides between
+    /// placements with exactly the same score.
+    pub branch_and_bound_depth: u32,
+}
+
+impl Default for FastCorrelativeOptions2d {
+    fn default() -> Self {
+        Self {
+            linear_search_window: 7.0,
+            angular_search_window: 30f64.to_radians(),
+            branch_and_bound_depth: 7,
+        }
+    }
+}
+
+/// Depths up to this make sense: windows of 2^23 cells.
+const MAX_DEPTH: u32 = 24;
+/// Widths of windows kept, up to 128 cells. The search starts with boxes half as wide.
+const NUM_LEVELS: u32 = 8;
+
+/// Finds the best placement of a scan on a planar grid by branch and bound, near a guess or anywhere.
+///
+/// Making one costs about as much as copying the grid eight times and takes that much memory in bytes;
+/// it does not refer to the grid any more.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FastCorrelativeMatcher2d {
+    options: FastCorrelativeOptions2d,
+    limits: MapLimits,
+    pyramid: MaxPyramid,
+    score: ByteScore,
+}
+
+/// From mean bytes to scores.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct ByteScore {
+    lowest: f32,
+    step: f32,
+}
+
+impl ByteScore {
+    #[inline]
+    fn of(&self, byte_sum: u32, num_points: usize) -> f32 {
+        self.lowest + byte_sum as f32 / num_points as f32 * self.step
+    }
+}
+
+impl FastCorrelativeMatcher2d {
+    /// Prepares a grid for searching.
+    ///
+    /// # Errors
+    /// If a window is negative or the depth out of bounds.
+    pub fn new(grid: &Grid2d, options: &FastCorrelativeOptions2d) -> Result<Self, MatcherOptionError> {
+        MatcherOptionError::check_not_negative(&[
+            ("linear_search_window", options.linear_search_window),
+            ("angular_search_window", options.angular_search_window),
+        ])?;
+        let depth = options.branch_and_bound_depth;
+        if !(1..=MAX_DEPTH).contains(&depth) {
+            let name = "branch_and_bound_depth";
+            return Err(MatcherOptionError::Depth { name, value: depth, max: MAX_DEPTH });
+        }
+        let (lowest, highest) = (1.0 - grid.code().upper(), 1.0 - grid.code().lower());
+        let table: Vec<u8> = (0..CODE_COUNT as u16)
+            .map(|code| {
+                let cost = grid.code().decode(code, grid.code().upper()).abs();
+                ((1.0 - cost - lowest) * (255.0 / (highest - lowest))).round() as u8
+            })
+            .collect();
+        let bytes: Vec<u8> = grid.cells().iter().map(|c| table[usize::from(*c) % CODE_COUNT]).collect();
+        let limits = *grid.limits();
+        let (num_x, num_y) = (limits.num_x_cells() as usize, limits.num_y_cells() as usize);
+        Ok(Self {
+            options: options.clone(),
+            limits,
+            pyramid: MaxPyramid::new(&bytes, num_x, num_y, NUM_LEVELS, 0),
+            score: ByteScore { lowest, step: (highest - lowest) / 255.0 },
+        })
+    }
+
+    /// The placement of `points` (metres, in the gravity-aligned tracking frame) around `initial` (in
+    /// the frame of the grid) with the largest score, if that is above `min_score`. The score is the
+    /// mean probability of the cells met, to 8 bits. Points that are not finite are left out.
+    pub fn match_local(
+        &self,
+        initial: &Rigid2,
+        points: &PointCloud,
+        min_score: f32,
+    ) -> Option<MatchResult<Rigid2>> {
+        let (linear, angular) = (self.options.linear_search_window, self.options.angular_search_window);
+        self.search(initial, points, min_score, linear, angular)
+    }
+
+    /// The same anywhere on the grid, at any angle.
+    pub fn match_full(&self, points: &PointCloud, min_score: f32) -> Option<MatchResult<Rigid2>> {
+        let half_size = 0.5
+            * self.limits.resolution()
+            * nalgebra::Vector2::new(
+                f64::from(self.limits.num_y_cells()),
+                f64::from(self.limits.num_x_cells()),
+            );
+        let centre = Rigid2 { translation: self.limits.max() - half_size, angle: 0.0 };
+        let everywhere = f64::from(MAX_LINEAR_STEPS) * self.limits.resolution();
+        self.search(&centre, points, min_score, everywhere, std::f64::consts::PI)
+    }
+
+    fn search(
+        &self,
+        initial: &Rigid2,
+        points: &PointCloud,
+        min_score: f32,
+        linear: f64,
+        angular: f64,
+    ) -> Option<MatchResult<Rigid2>> {
+        let points: Vec<Point3f> = points.points.iter().copied().filter(is_finite).collect();
+        if points.is_empty() || !initial.is_finite() || min_score.is_nan() {
+            return None;
+        }
+        let window = SearchWindow::new(&points, self.limits.resolution(), linear, angular);
+        let scans = RotatedScans::new(&points, initial, window, self.limits, [0, 0]);
+        let shifts = ShiftBounds::Overlap {
+            size: [self.limits.num_x_cells() as i32, self.limits.num_y_cells() as i32],
+            min_inside: self.min_points_inside(points.len(), min_score)?,
+        };
+        let objective = MeanByte { score: self.score, num_points: points.len() };
+        let max_exponent = NUM_LEVELS - 2;
+        let mut search = JointSearch::new(&self.pyramid, scans, window, shifts, objective, max_exponent);
+        let (score, placements) = search.run(min_score);
+        let placement = order::first_of(&placements, self, &mut search.scans)?;
+        Some(MatchResult { score, pose: window.pose(initial, &placement) })
+    }
+
+    /// How many points must be inside the grid for a score above `min_score`; none if all are too few.
+    fn min_points_inside(&self, num_points: usize, min_score: f32) -> Option<usize> {
+        let enough = |inside: usize| self.score.of(255 * inside as u32, num_points) > min_score;
+        let (mut low, mut high) = (0, num_points);
+        while low < high {
+            let middle = low.midpoint(high);
+            if enough(middle) { high = middle } else { low = middle + 1 }
+        }
+        enough(low).then_some(low)
+    }
+}
+
+/// The mean of the bytes met, as a score.
+struct MeanByte {
+    score: ByteScore,
+    num_points: usize,
+}
+
+impl Objective for MeanByte {
+    fn bound(&self, byte_sum: u32, _region: &Region) -> f32 {
+        self.score.of(byte_sum, self.num_points)
+    }
+
+    fn score(&self, _placement: Placement, byte_sum: u32, _scans: &mut RotatedScans) -> f32 {
+        self.score.of(byte_sum, self.num_points)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,26 @@
+//! Matching by search: every placement of a scan within a window, without looking at most of them.
+//!
+//! All searches share one idea. Scans turned by neighbouring angles put each point into nearly the same
+//! cell, and the best value in a window of cells bounds the value in each of them. So a bound of the
+//! score of a whole box of placements (some angles × some shifts) costs as much as the score of one
+//! placement. Boxes are split eightfold as long as their bound is not below the best score found.
+
+mod joint_search;
+mod max_pyramid;
+mod rotated_scans;
+mod search_window;
+
+mod fast2d;
+mod real_time2d;
+
+pub use fast2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d};
+pub use real_time2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
+
+/// What a correlative matcher found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MatchResult<Pose> {
+    /// How well the scan fits, between 0 and 1; what it means is said by each matcher.
+    pub score: f32,
+    /// The pose of the scan in the frame of the grid.
+    pub pose: Pose,
+}

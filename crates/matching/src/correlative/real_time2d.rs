@@ -1,0 +1,179 @@
+//! Matching near a guess while the grid is still being drawn.
+
+use portolan_geometry::{Point3f, Rigid2};
+use portolan_sensor::PointCloud;
+
+use super::MatchResult;
+use super::joint_search::{JointSearch, Objective, Placement, Region, ShiftBounds};
+use super::max_pyramid::MaxPyramid;
+use super::rotated_scans::RotatedScans;
+use super::search_window::SearchWindow;
+use crate::MatcherOptionError;
+use crate::grid::{CellBox, CellIndex, Grid2d, MapLimits, is_finite};
+
+mod probability;
+mod signed_distance;
+
+/// Where a real-time correlative matcher looks, and how much it prefers to stay where it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RealTimeCorrelativeOptions {
+    /// Metres to either side along each axis, default 0.1.
+    pub linear_search_window: f64,
+    /// Radians to either side, default 20°.
+    pub angular_search_window: f64,
+    /// How fast scores fall with the distance from the initial pose, 1/m, default 0.1.
+    pub translation_delta_cost_weight: f64,
+    /// How fast scores fall with the angle from the initial pose, 1/rad, default 0.1.
+    pub rotation_delta_cost_weight: f64,
+}
+
+impl Default for RealTimeCorrelativeOptions {
+    fn default() -> Self {
+        Self {
+            linear_search_window: 0.1,
+            angular_search_window: 20f64.to_radians(),
+            translation_delta_cost_weight: 0.1,
+            rotation_delta_cost_weight: 0.1,
+        }
+    }
+}
+
+impl RealTimeCorrelativeOptions {
+    pub(crate) fn check(&self) -> Result<(), MatcherOptionError> {
+        MatcherOptionError::check_not_negative(&[
+            ("linear_search_window", self.linear_search_window),
+            ("angular_search_window", self.angular_search_window),
+            ("translation_delta_cost_weight", self.translation_delta_cost_weight),
+            ("rotation_delta_cost_weight", self.rotation_delta_cost_weight),
+        ])
+    }
+}
+
+/// Finds the best placement of a scan on a planar grid within a small window, as if every placement had
+/// been scored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RealTimeCorrelativeMatcher2d {
+    options: RealTimeCorrelativeOptions,
+}
+
+impl RealTimeCorrelativeMatcher2d {
+    /// # Errors
+    /// If an option is negative.
+    pub fn new(options: &RealTimeCorrelativeOptions) -> Result<Self, MatcherOptionError> {
+        options.check()?;
+        Ok(Self { options: options.clone() })
+    }
+
+    /// The placement of `points` (metres, in the gravity-aligned tracking frame) with the largest score
+    /// around `initial`; among equals the one with the smallest angle, then the smallest cell indices.
+    /// Points that are not finite are left out; without points there is no result.
+    ///
+    /// On a probability grid a placement scores the mean probability of the cells the points meet, on a
+    /// distance field the weighted mean of how near the surface they are; both times
+    /// `exp(−(‖translation‖ w_t + |angle| w_r)²)` of the offset from `initial`.
+    pub fn match_scan(
+        &self,
+        initial: &Rigid2,
+        points: &PointCloud,
+        grid: &Grid2d,
+    ) -> Option<MatchResult<Rigid2>> {
+        let points: Vec<Point3f> = points.points.iter().copied().filter(is_finite).collect();
+        if points.is_empty() || !initial.is_finite() {
+            return None;
+        }
+        let window = SearchWindow::new(
+            &points,
+            grid.limits().resolution(),
+            self.options.linear_search_window,
+            self.options.angular_search_window,
+        );
+        let tile = searched_part(grid, initial, &points, &window);
+        let first_cell = [tile.min.x, tile.min.y];
+        let scans = RotatedScans::new(&points, initial, window, *grid.limits(), first_cell);
+        let penalty = Penalty::new(&self.options, window);
+        let (score, placement) = match grid {
+            Grid2d::Probability(g) => probability::best(g, tile, scans, window, penalty),
+            Grid2d::Tsdf(g) => signed_distance::best(g, tile, scans, window, penalty),
+        }?;
+        Some(MatchResult { score, pose: window.pose(initial, &placement) })
+    }
+}
+
+/// How much scores fall with the offset from the initial pose.
+#[derive(Clone, Copy, Debug)]
+struct Penalty {
+    translation_weight: f64,
+    rotation_weight: f64,
+    window: SearchWindow,
+}
+
+impl Penalty {
+    fn new(options: &RealTimeCorrelativeOptions, window: SearchWindow) -> Self {
+        Self {
+            translation_weight: options.translation_delta_cost_weight,
+            rotation_weight: options.rotation_delta_cost_weight,
+            window,
+        }
+    }
+
+    /// The factor of a placement.
+    fn factor(&self, placement: &Placement) -> f64 {
+        let [x, y] = self.window.shift(placement.x, placement.y);
+        let angle = self.window.angle(placement.scan);
+        (-(x.hypot(y) * self.translation_weight + angle.abs() * self.rotation_weight).powi(2)).exp()
+    }
+
+    /// The largest factor of all placements of a region: that of the one nearest to the initial pose.
+    fn largest_factor(&self, region: &Region) -> f64 {
+        let nearest = |first: i32, last: i32, centre: i32| centre.clamp(first, last);
+        let (first, last) = (region.first, region.last);
+        self.factor(&Placement {
+            scan: nearest(first.scan, last.scan, self.window.num_angular),
+            x: nearest(first.x, last.x, 0),
+            y: nearest(first.y, last.y, 0),
+        })
+    }
+}
+
+/// The cells that any placement can meet and about which something is known.
+fn searched_part(grid: &Grid2d, initial: &Rigid2, points: &[Point3f], window: &SearchWindow) -> CellBox {
+    let limits: &MapLimits = grid.limits();
+    let known = grid.known_cells_box().unwrap_or(CellBox::of(CellIndex::default()));
+    let turn = window.angle(window.num_scans() - 1);
+    let margin = f64::from(window.num_linear) + 2.0;
+    let [mut low, mut high] = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
+    let (sin, cos) = initial.angle.sin_cos();
+    for point in points {
+        let (px, py) = (f64::from(point.x), f64::from(point.y));
+        // No point leaves its place by more than twice its range or by more than the arc.
+        let reach = px.hypot(py) * turn.min(2.0) / limits.resolution() + margin;
+        let x = initial.translation.x + cos * px - sin * py;
+        let y = initial.translation.y + sin * px + cos * py;
+        let cell = [limits.max().y - y, limits.max().x - x].map(|d| d / limits.resolution() - 0.5);
+        for axis in 0..2 {
+            low[axis] = low[axis].min(cell[axis] - reach);
+            high[axis] = high[axis].max(cell[axis] + reach);
+        }
+    }
+    // Casts saturate; a part without any cell shrinks to one.
+    let clamp = |v: f64, min: i32, max: i32| (v as i32).clamp(min, max);
+    CellBox {
+        min: CellIndex::new(
+            clamp(low[0].floor(), known.min.x, known.max.x),
+            clamp(low[1].floor(), known.min.y, known.max.y),
+        ),
+        max: CellIndex::new(
+            clamp(high[0].ceil(), known.min.x, known.max.x),
+            clamp(high[1].ceil(), known.min.y, known.max.y),
+        ),
+    }
+}
+
+/// Boxes that hold a whole small window, and the levels of the pyramid that takes. Larger windows are
+/// searched in several boxes.
+fn max_exponent(window: &SearchWindow) -> u32 {
+    (2 * window.num_linear as u32 + 1).next_power_of_two().trailing_zeros().clamp(2, 5)
+}
+
+#[cfg(test)]
+mod tests;
