@@ -12,11 +12,12 @@ mod prior;
 mod rotation;
 mod se2_between;
 mod se3_between;
+mod se3_information;
 
 pub use imu::{ImuAcceleration, ImuRotation};
 pub use information::square_root_information;
 pub use landmark::{Landmark2d, Landmark3d};
 pub use prior::{EuclideanPrior, Se2Prior, Se3Prior};
 pub use se2_between::{Se2Between, Se2BetweenInformation};
-pub(crate) use se3_between::se3_error;
-pub use se3_between::{Se3Between, Se3BetweenInformation};
+pub use se3_between::Se3Between;
+pub use se3_information::{Se3BetweenInformation, Se3ErrorConvention};

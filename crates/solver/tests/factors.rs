@@ -6,6 +6,9 @@ use portolan_solver::factors::*;
 use portolan_solver::{Factor, Manifold, Problem, VariableId, jacobian_error};
 use proptest::prelude::*;
 
+const CONVENTIONS: [Se3ErrorConvention; 3] =
+    [Se3ErrorConvention::Logarithm, Se3ErrorConvention::DoubledQuaternion, Se3ErrorConvention::Quaternion];
+
 const TOLERANCE: f64 = 2e-8;
 
 fn ids<const N: usize>() -> [VariableId; N] {
@@ -76,7 +79,10 @@ proptest! {
         let variables = [spatial(&a), spatial(&b)];
         check(&Se3Between { variables: ids(), measurement, translation_weight: 2.0, rotation_weight: 0.7 }, &variables)?;
         let square_root_information = na::Matrix6::from_fn(|i, j| root[(6 * i + j) % 32]);
-        check(&Se3BetweenInformation { variables: ids(), measurement, square_root_information }, &variables)?;
+        for convention in CONVENTIONS {
+            let factor = Se3BetweenInformation { variables: ids(), measurement, square_root_information, convention };
+            check(&factor, &variables)?;
+        }
         let [variable] = ids();
         let pose = near(&b, &noise);
         check(&Se3Prior { variable, pose, translation_weight: 2.0, rotation_weight: 0.7 }, &variables[1..])?;
@@ -150,7 +156,8 @@ fn residuals_vanish_where_the_measurement_is_met() {
     assert!(weighted.evaluate(&[&a, &b], &mut residual, None));
     assert!(residual.iter().all(|r| r.abs() < 1e-12));
     let square_root_information = na::Matrix6::identity();
-    let full = Se3BetweenInformation { variables: ids(), measurement, square_root_information };
+    let convention = Se3ErrorConvention::default();
+    let full = Se3BetweenInformation { variables: ids(), measurement, square_root_information, convention };
     assert!(full.evaluate(&[&a, &b], &mut residual, None));
     assert!(residual.iter().all(|r| r.abs() < 1e-12));
     assert!(!full.evaluate(&[&a, &b[..3]], &mut residual, None));

@@ -1,9 +1,8 @@
 //! Relative poses in space.
 
-use nalgebra as na;
 use portolan_geometry::Rigid3;
 
-use super::rotation::{inverse_left_jacobian, log, put, put_residual, read_se3, skew, vector_part_jacobian};
+use super::rotation::{inverse_left_jacobian, log, put, put_residual, read_se3, skew};
 use crate::sparse::{Factor, VariableId};
 
 /// A measured pose `from_from_to` with one weight for translation and one for rotation (the residual of
@@ -20,19 +19,6 @@ pub struct Se3Between {
     pub translation_weight: f64,
     /// Weight of the rotation residual, 1/rad.
     pub rotation_weight: f64,
-}
-
-/// A measured relative pose with its information matrix in the convention of g2o's EDGE_SE3:QUAT:
-/// `e = z⁻¹ x_i⁻¹ x_j` as (x, y, z, qx, qy, qz) with the quaternion's w ≥ 0, cost `½ eᵀΩe`. The vector part is
-/// about half the rotation vector; it is not doubled.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Se3BetweenInformation {
-    /// The two poses i and j.
-    pub variables: [VariableId; 2],
-    /// Pose j seen from pose i.
-    pub measurement: Rigid3,
-    /// `S` with `SᵀS = Ω`; see [`square_root_information`](super::square_root_information).
-    pub square_root_information: na::Matrix6<f64>,
 }
 
 /// Derivatives by the tangents of both poses, column by column.
@@ -94,60 +80,4 @@ impl Factor for Se3Between {
         weighted_residual((&from, &to), &self.measurement, weights, residual, pair);
         true
     }
-}
-
-impl Factor for Se3BetweenInformation {
-    fn variables(&self) -> &[VariableId] {
-        &self.variables
-    }
-
-    fn residual_dimension(&self) -> usize {
-        6
-    }
-
-    fn evaluate(
-        &self,
-        parameters: &[&[f64]],
-        residual: &mut [f64],
-        jacobians: Option<&mut [&mut [f64]]>,
-    ) -> bool {
-        let &[from, to] = parameters else { return false };
-        let (Some(from), Some(to)) = (read_se3(from), read_se3(to)) else { return false };
-        let d = to.translation.vector - from.translation.vector;
-        let measured = self.measurement.rotation;
-        let turned = (from.rotation * measured).inverse();
-        let translation =
-            turned * d - measured.inverse_transform_vector(&self.measurement.translation.vector);
-        let mut rotation = turned * to.rotation;
-        if rotation.w < 0.0 {
-            rotation = na::Unit::new_unchecked(-rotation.into_inner());
-        }
-        let root = &self.square_root_information;
-        let mut error = na::Vector6::zeros();
-        error.fixed_rows_mut::<3>(0).copy_from(&translation);
-        error.fixed_rows_mut::<3>(3).copy_from(&rotation.imag());
-        residual.copy_from_slice((root * error).as_slice());
-        if let Some([by_from, by_to]) = jacobians {
-            let turned = turned.to_rotation_matrix().into_inner();
-            let by_rotation = vector_part_jacobian(&rotation) * turned;
-            let upper = root.fixed_columns::<3>(0) * turned;
-            let lower = root.fixed_columns::<3>(3) * by_rotation;
-            // The frame i turns about its own origin: the translation error sees it with the lever d.
-            let lever: na::Matrix6x3<f64> = upper * (skew(&d) * 2.0) - lower;
-            by_to[..18].copy_from_slice(upper.as_slice());
-            by_to[18..].copy_from_slice(lower.as_slice());
-            by_from[..18].copy_from_slice((-upper).as_slice());
-            by_from[18..].copy_from_slice(lever.as_slice());
-        }
-        true
-    }
-}
-
-/// The error of [`Se3BetweenInformation`] before weighting.
-pub(crate) fn se3_error(from: &Rigid3, to: &Rigid3, measurement: &Rigid3) -> na::Vector6<f64> {
-    let error = measurement.inverse() * (from.inverse() * to);
-    let q = error.rotation.quaternion();
-    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
-    let (t, v) = (error.translation.vector, q.imag() * sign);
-    na::Vector6::new(t.x, t.y, t.z, v.x, v.y, v.z)
 }

@@ -4,6 +4,7 @@ use portolan_geometry::{Rigid2, Rigid3};
 
 use super::pose::GraphPose;
 use crate::ProblemError;
+use crate::factors::Se3ErrorConvention;
 
 /// A pose to be found.
 #[derive(Clone, Debug, PartialEq)]
@@ -116,17 +117,19 @@ impl<P: GraphPose> PoseGraph<P> {
     }
 
     /// `eᵀΩe` of an edge at the current poses; zero if it points nowhere.
-    pub fn edge_chi2(&self, edge: &Edge<P>) -> f64 {
+    pub fn edge_chi2(&self, edge: &Edge<P>, convention: Se3ErrorConvention) -> f64 {
         let (from, to) = (self.vertices.get(edge.from as usize), self.vertices.get(edge.to as usize));
         match (from, to) {
-            (Some(from), Some(to)) => P::chi2(&from.pose, &to.pose, &edge.measurement, &edge.information),
+            (Some(from), Some(to)) => {
+                P::chi2([&from.pose, &to.pose], &edge.measurement, &edge.information, convention)
+            }
             _ => 0.0,
         }
     }
 
     /// `Σ eᵀΩe` at the current poses.
-    pub fn chi2(&self) -> f64 {
-        self.edges.iter().map(|e| self.edge_chi2(e)).sum()
+    pub fn chi2(&self, convention: Se3ErrorConvention) -> f64 {
+        self.edges.iter().map(|e| self.edge_chi2(e, convention)).sum()
     }
 }
 
@@ -148,10 +151,10 @@ impl Graph {
     }
 
     /// `Σ eᵀΩe` at the current poses.
-    pub fn chi2(&self) -> f64 {
+    pub fn chi2(&self, convention: Se3ErrorConvention) -> f64 {
         match self {
-            Self::Planar(g) => g.chi2(),
-            Self::Spatial(g) => g.chi2(),
+            Self::Planar(g) => g.chi2(convention),
+            Self::Spatial(g) => g.chi2(convention),
         }
     }
 }

@@ -22,9 +22,13 @@ pub enum Initialization {
 }
 
 impl Initialization {
-    /// What the automatic choice tries, in this order; the earlier wins a tie.
-    pub(super) const CANDIDATES: [Self; 4] =
-        [Self::FromFile, Self::RotationsFirst, Self::SpanningTree, Self::Odometry];
+    /// What is tried, in this order; the earlier wins a tie.
+    pub(super) fn candidates(&self) -> &[Self] {
+        match self {
+            Self::Automatic => &[Self::FromFile, Self::RotationsFirst, Self::SpanningTree, Self::Odometry],
+            one => std::slice::from_ref(one),
+        }
+    }
 }
 
 /// Sets the poses of all vertices that are not `held`. [`Initialization::Automatic`] leaves them.

@@ -1,12 +1,20 @@
 //! Optimisation of a graph.
 
+use std::ops::ControlFlow;
+
 use super::connectivity::{Adjacency, anchors};
 use super::graph::{Graph, GraphError, PoseGraph};
 use super::initialize::{Initialization, initialize};
 use super::pose::GraphPose;
 use super::report::{EdgeChi2, Report};
+use crate::factors::Se3ErrorConvention;
 use crate::sparse::Prepared;
 use crate::{Loss, Problem, SolverOptions, Summary, VariableId};
+
+/// Starts whose chi2 differs by a smaller fraction are taken as the same.
+const SAME_START: f64 = 1e-3;
+/// A start whose cost after two iterations is so many times the lowest one's is not tried further.
+const HOPELESS: f64 = 2.0;
 
 /// How a graph is optimised.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,6 +26,8 @@ pub struct OptimizeOptions {
     pub initialization: Initialization,
     /// Iterations for each start that the automatic choice tries. Default 4.
     pub trial_iterations: u32,
+    /// What the six numbers of an error in space are. Default: the logarithm of SE(3).
+    pub convention: Se3ErrorConvention,
     /// Robust loss of `√(eᵀΩe)`. Default none.
     pub loss: Loss,
     /// Whether edges between vertices with consecutive numbers (odometry) get the loss too. Default false.
@@ -39,6 +49,7 @@ impl Default for OptimizeOptions {
             },
             initialization: Initialization::Automatic,
             trial_iterations: 4,
+            convention: Se3ErrorConvention::default(),
             loss: Loss::None,
             loss_on_odometry: false,
             worst_edges: 10,
@@ -69,23 +80,19 @@ pub fn optimize_pose_graph<P: GraphPose>(
         held[*vertex as usize] = true;
     }
     let mut optimizer = Optimizer::new(graph, &held, options)?;
-    let chi2_before = graph.chi2();
-    let starts = match options.initialization {
-        Initialization::Automatic => Initialization::CANDIDATES.to_vec(),
-        one => vec![one],
-    };
-    let start = optimizer.choose_start(graph, &adjacency, &held, &starts, options)?;
+    let chi2_before = graph.chi2(options.convention);
+    let start = optimizer.choose_start(graph, &adjacency, &held, options)?;
     let summary = optimizer.finish(graph, &start, options)?;
     let condition = if options.estimate_condition { optimizer.condition()? } else { None };
     Ok(Report {
         chi2_before,
         chi2_initialized: start.chi2_initialized,
-        chi2_after: graph.chi2(),
+        chi2_after: graph.chi2(options.convention),
         iterations: start.iterations + summary.iterations,
         termination: summary.termination,
         initialization: start.how,
-        trials: start.trials,
-        worst_edges: worst_edges(graph, options.worst_edges),
+        trials: std::mem::take(&mut optimizer.trials),
+        worst_edges: worst_edges(graph, options),
         residuals: optimizer.problem.residual_count(),
         unknowns: optimizer.problem.degrees_of_freedom(),
         components,
@@ -100,14 +107,15 @@ struct Optimizer {
     prepared: Prepared,
     variables: Vec<VariableId>,
     repaired_information: usize,
+    trials: Vec<(Initialization, f64)>,
 }
 
-/// The start that was chosen.
+/// A start, after its trial if there was one.
 struct Start<P> {
     how: Initialization,
     chi2_initialized: f64,
     iterations: u32,
-    trials: Vec<(Initialization, f64)>,
+    cost: f64,
     poses: Vec<P>,
 }
 
@@ -133,11 +141,12 @@ impl Optimizer {
             let is_odometry = matches!(step, Some(-1 | 1));
             let loss = if is_odometry && !options.loss_on_odometry { Loss::None } else { options.loss };
             let pair = [variables[from], variables[to]];
-            let (_, repaired) = P::add_edge(&mut problem, pair, &edge.measurement, &edge.information, loss)?;
+            let (z, information) = (&edge.measurement, &edge.information);
+            let (_, repaired) = P::add_edge(&mut problem, pair, z, information, options.convention, loss)?;
             repaired_information += usize::from(repaired);
         }
         let prepared = problem.prepare()?;
-        Ok(Self { problem, prepared, variables, repaired_information })
+        Ok(Self { problem, prepared, variables, repaired_information, trials: Vec::new() })
     }
 
     fn write<P: GraphPose>(&mut self, poses: impl Iterator<Item = P>) -> Result<(), GraphError> {
@@ -151,53 +160,61 @@ impl Optimizer {
         self.variables.iter().map(|id| P::read_variable(&self.problem, *id)).collect()
     }
 
-    /// Tries the starts for a few iterations; a start that cannot be formed is left out as long as another
-    /// one can.
+    /// Tries the starts for a few iterations, the one with the least cost first; a start is given up when it
+    /// stays far above the best so far. One that cannot be formed is left out as long as another one can.
     fn choose_start<P: GraphPose>(
         &mut self,
         graph: &PoseGraph<P>,
         adjacency: &Adjacency,
         held: &[bool],
-        starts: &[Initialization],
         options: &OptimizeOptions,
     ) -> Result<Start<P>, GraphError> {
-        let single = starts.len() == 1;
-        let max_num_iterations = options.trial_iterations.min(options.solver.max_num_iterations);
-        let trial = SolverOptions { max_num_iterations, ..options.solver.clone() };
-        let mut best: Option<(f64, Start<P>)> = None;
-        let mut trials = Vec::new();
-        let mut first_error = None;
-        for how in starts {
+        let mut starts = Vec::new();
+        let mut error = None;
+        for how in options.initialization.candidates() {
             let mut candidate = graph.clone();
-            if let Err(error) = initialize(&mut candidate, adjacency, held, *how) {
-                first_error.get_or_insert(error);
+            if let Err(e) = initialize(&mut candidate, adjacency, held, *how) {
+                error.get_or_insert(e);
                 continue;
             }
-            let chi2_initialized = candidate.chi2();
-            self.write(candidate.vertices.iter().map(|v| v.pose))?;
-            let mut start =
-                Start { how: *how, chi2_initialized, iterations: 0, trials: Vec::new(), poses: Vec::new() };
-            let mut cost = f64::INFINITY;
-            if !single {
-                match self.problem.solve_prepared(&mut self.prepared, &trial) {
-                    Ok(summary) => (cost, start.iterations) = (summary.final_cost, summary.iterations),
-                    Err(error) => {
-                        first_error.get_or_insert(error.into());
-                        continue;
-                    }
+            let chi2_initialized = candidate.chi2(options.convention);
+            let is_same = |s: &Start<P>| (s.chi2_initialized / chi2_initialized - 1.0).abs() < SAME_START;
+            if !starts.iter().any(is_same) {
+                let poses = candidate.vertices.iter().map(|v| v.pose).collect();
+                starts.push(Start { how: *how, chi2_initialized, iterations: 0, cost: f64::INFINITY, poses });
+            }
+        }
+        starts.sort_by(|a, b| a.chi2_initialized.total_cmp(&b.chi2_initialized));
+        if starts.len() > 1 {
+            let mut lowest = f64::INFINITY;
+            for start in &mut starts {
+                if let Err(e) = self.try_start(start, lowest, options) {
+                    error.get_or_insert(e);
                 }
-                trials.push((*how, cost));
+                lowest = lowest.min(start.cost);
             }
-            if best.as_ref().is_none_or(|(lowest, _)| cost < *lowest) {
-                start.poses = self.read();
-                best = Some((cost, start));
-            }
+            self.trials = starts.iter().map(|s| (s.how, s.cost)).collect();
         }
-        match (best, first_error) {
-            (Some((_, start)), _) => Ok(Start { trials, ..start }),
-            (None, Some(error)) => Err(error),
-            (None, None) => Err(GraphError::NoVertices),
-        }
+        let best = starts.into_iter().reduce(|best, s| if s.cost < best.cost { s } else { best });
+        best.ok_or_else(|| error.unwrap_or(GraphError::NoVertices))
+    }
+
+    fn try_start<P: GraphPose>(
+        &mut self,
+        start: &mut Start<P>,
+        lowest: f64,
+        options: &OptimizeOptions,
+    ) -> Result<(), GraphError> {
+        let max_num_iterations = options.trial_iterations.min(options.solver.max_num_iterations);
+        let trial = SolverOptions { max_num_iterations, ..options.solver.clone() };
+        self.write(start.poses.iter().copied())?;
+        let summary = self.problem.solve_with(&mut self.prepared, &trial, &mut |progress| {
+            let hopeless = progress.iteration >= 2 && progress.cost > HOPELESS * lowest;
+            if hopeless { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })?;
+        (start.cost, start.iterations) = (summary.final_cost, summary.iterations);
+        start.poses = self.read();
+        Ok(())
     }
 
     fn finish<P: GraphPose>(
@@ -221,15 +238,20 @@ impl Optimizer {
     }
 }
 
-fn worst_edges<P: GraphPose>(graph: &PoseGraph<P>, count: usize) -> Vec<EdgeChi2> {
+fn worst_edges<P: GraphPose>(graph: &PoseGraph<P>, options: &OptimizeOptions) -> Vec<EdgeChi2> {
     let id = |vertex: u32| graph.vertices[vertex as usize].id;
     let mut edges: Vec<EdgeChi2> = graph
         .edges
         .iter()
         .enumerate()
-        .map(|(edge, e)| EdgeChi2 { edge, from: id(e.from), to: id(e.to), chi2: graph.edge_chi2(e) })
+        .map(|(edge, e)| EdgeChi2 {
+            edge,
+            from: id(e.from),
+            to: id(e.to),
+            chi2: graph.edge_chi2(e, options.convention),
+        })
         .collect();
     edges.sort_by(|a, b| b.chi2.total_cmp(&a.chi2).then(a.edge.cmp(&b.edge)));
-    edges.truncate(count);
+    edges.truncate(options.worst_edges);
     edges
 }

@@ -6,7 +6,9 @@ use std::ops::Mul;
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, normalize_angle};
 
-use crate::factors::{Se2BetweenInformation, Se3BetweenInformation, se3_error, square_root_information};
+use crate::factors::{
+    Se2BetweenInformation, Se3BetweenInformation, Se3ErrorConvention, square_root_information,
+};
 use crate::{FactorId, Loss, Problem, ProblemError, VariableId};
 
 /// A pose that can be a vertex: [`Rigid2`] or [`Rigid3`].
@@ -35,8 +37,13 @@ pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Outp
     fn to_numbers(&self) -> Vec<f64>;
     /// A symmetric matrix from its upper triangle, row by row.
     fn information_from_upper(upper: &[f64]) -> Option<Self::Information>;
-    /// `eᵀΩe` of an edge.
-    fn chi2(from: &Self, to: &Self, measurement: &Self, information: &Self::Information) -> f64;
+    /// `eᵀΩe` of an edge; the convention matters in space only.
+    fn chi2(
+        ends: [&Self; 2],
+        measurement: &Self,
+        information: &Self::Information,
+        convention: Se3ErrorConvention,
+    ) -> f64;
     /// Mean information per component of translation and of rotation.
     fn mean_information(information: &Self::Information) -> (f64, f64);
     /// Row `i`, column `j` of the rotation matrix.
@@ -59,6 +66,7 @@ pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Outp
         variables: [VariableId; 2],
         measurement: &Self,
         information: &Self::Information,
+        convention: Se3ErrorConvention,
         loss: Loss,
     ) -> Result<(FactorId, bool), ProblemError>;
 }
@@ -114,7 +122,12 @@ impl GraphPose for Rigid2 {
         symmetric(upper).map(InformationMatrix)
     }
 
-    fn chi2(from: &Self, to: &Self, measurement: &Self, information: &Self::Information) -> f64 {
+    fn chi2(
+        [from, to]: [&Self; 2],
+        measurement: &Self,
+        information: &Self::Information,
+        _: Se3ErrorConvention,
+    ) -> f64 {
         let error = measurement.inverse() * (from.inverse() * *to);
         let angle = normalize_angle(error.angle);
         let error = na::Vector3::new(error.translation.x, error.translation.y, angle);
@@ -163,6 +176,7 @@ impl GraphPose for Rigid2 {
         variables: [VariableId; 2],
         measurement: &Self,
         information: &Self::Information,
+        _: Se3ErrorConvention,
         loss: Loss,
     ) -> Result<(FactorId, bool), ProblemError> {
         let (root, repaired) = square_root_information(&information.0).ok_or(ProblemError::NotEvaluable)?;
@@ -209,8 +223,13 @@ impl GraphPose for Rigid3 {
         symmetric(upper).map(InformationMatrix)
     }
 
-    fn chi2(from: &Self, to: &Self, measurement: &Self, information: &Self::Information) -> f64 {
-        let error = se3_error(from, to, measurement);
+    fn chi2(
+        [from, to]: [&Self; 2],
+        measurement: &Self,
+        information: &Self::Information,
+        convention: Se3ErrorConvention,
+    ) -> f64 {
+        let error = convention.error(&(measurement.inverse() * (from.inverse() * to)));
         (error.transpose() * information.0 * error).x
     }
 
@@ -263,11 +282,13 @@ impl GraphPose for Rigid3 {
         variables: [VariableId; 2],
         measurement: &Self,
         information: &Self::Information,
+        convention: Se3ErrorConvention,
         loss: Loss,
     ) -> Result<(FactorId, bool), ProblemError> {
         let (root, repaired) = square_root_information(&information.0).ok_or(ProblemError::NotEvaluable)?;
+        let measurement = *measurement;
         let factor =
-            Se3BetweenInformation { variables, measurement: *measurement, square_root_information: root };
+            Se3BetweenInformation { variables, measurement, square_root_information: root, convention };
         Ok((problem.add_factor(factor, loss)?, repaired))
     }
 }

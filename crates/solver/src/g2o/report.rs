@@ -31,7 +31,7 @@ pub struct Report {
     pub termination: Termination,
     /// The start that was used.
     pub initialization: Initialization,
-    /// Cost (half of chi2, robust loss applied) after the trial of each start.
+    /// Cost (half of chi2, robust loss applied) after the trial of each start; empty when there was one only.
     pub trials: Vec<(Initialization, f64)>,
     /// Edges by falling chi2, as many as asked for.
     pub worst_edges: Vec<EdgeChi2>,

@@ -9,6 +9,9 @@ use faer::{Conj, MatMut, Par};
 use super::ProblemError;
 use super::block_pattern::BlockPattern;
 
+/// Pivots below this fraction of the diagonal are rounding, see [`BlockSystem::smallest_pivot_ratio`].
+pub(crate) const SINGULAR_PIVOT: f64 = 1e-14;
+
 /// `A x = b` with a symmetric positive definite `A` of blocks, in the order of elimination. The pattern is
 /// analysed once; the values are refilled as often as wanted without allocation.
 pub(crate) struct BlockSystem {
@@ -53,11 +56,6 @@ impl BlockSystem {
     /// Number of unknowns.
     pub fn size(&self) -> usize {
         self.pattern.size()
-    }
-
-    /// Number of non-zeros of the factor, fill and padding included.
-    pub fn factor_size(&self) -> usize {
-        self.factor.len()
     }
 
     /// Sets all values to zero.
@@ -105,6 +103,22 @@ impl BlockSystem {
         let (values, diagonal) = (&mut self.values, &self.diagonal);
         Self::for_each_diagonal(&self.pattern, |i, at| values[at] = diagonal[i]);
         result.is_ok()
+    }
+
+    /// Smallest ratio of a squared pivot of the last factor to the undamped diagonal: how much of an unknown
+    /// remains once those before it are known. Rounding alone leaves about 1e-16.
+    pub fn smallest_pivot_ratio(&self) -> f64 {
+        let factor = supernodal::SupernodalLltRef::new(&self.symbolic, &self.factor);
+        let mut smallest = f64::INFINITY;
+        for index in 0..self.symbolic.n_supernodes() {
+            let supernode = factor.supernode(index);
+            let values = supernode.val();
+            for k in 0..values.ncols() {
+                let pivot = values[(k, k)];
+                smallest = smallest.min(pivot * pivot / self.diagonal[supernode.start() + k]);
+            }
+        }
+        smallest
     }
 
     /// Solves with the last factor, in place.

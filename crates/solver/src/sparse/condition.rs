@@ -1,5 +1,6 @@
 //! How well the normal equations determine the unknowns.
 
+use super::block_system::SINGULAR_PIVOT;
 use super::problem::{Problem, ProblemError};
 use super::solve::Prepared;
 
@@ -21,7 +22,10 @@ impl Problem {
             return Err(ProblemError::NotEvaluable);
         }
         let root: Vec<f64> = system.diagonal().iter().map(|d| d.sqrt()).collect();
-        if root.contains(&0.0) || !system.factorize(&vec![0.0; n]) {
+        if root.contains(&0.0)
+            || !system.factorize(&vec![0.0; n])
+            || system.smallest_pivot_ratio() <= SINGULAR_PIVOT
+        {
             return Ok(Some(f64::INFINITY));
         }
         // A start with all frequencies and without symmetry.

@@ -2,6 +2,7 @@
 
 use nalgebra::DMatrix;
 
+use super::block_system::SINGULAR_PIVOT;
 use super::linearization::CONSTANT;
 use super::problem::{Problem, ProblemError, VariableId};
 
@@ -40,7 +41,7 @@ impl Problem {
         if !linearization.linearize(self, &self.values, system, &mut gradient) {
             return Err(ProblemError::NotEvaluable);
         }
-        if n > 0 && !system.factorize(&vec![0.0; n]) {
+        if n > 0 && !(system.factorize(&vec![0.0; n]) && system.smallest_pivot_ratio() > SINGULAR_PIVOT) {
             return Err(ProblemError::Singular);
         }
         let mut unknowns = Vec::new();

@@ -45,7 +45,7 @@ impl Problem {
         self.solve_with(prepared, options, &mut |_| ControlFlow::Continue(()))
     }
 
-    fn solve_with(
+    pub(crate) fn solve_with(
         &mut self,
         prepared: &mut Prepared,
         options: &SolverOptions,
