@@ -1,0 +1,165 @@
+//! Checks: every value within its bounds, and options that must fit each other.
+
+use crate::catalogue::walk;
+use crate::error::ConfigError;
+use crate::node::{NodeRef, Section};
+use crate::options::{
+    GridType2d, MapBuilderOptions, MapBuilderServerOptions, Options, RangeDataInserterType2d,
+};
+use crate::value::Value;
+
+/// Plane or space.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dimension {
+    /// The plane.
+    Two,
+    /// Space.
+    Three,
+}
+
+/// What is wrong with a tree, divided by whether it matters.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Findings {
+    /// Faults that make the configuration unusable.
+    pub errors: Vec<ConfigError>,
+    /// Faults in tables that the chosen dimension does not use.
+    pub unused: Vec<ConfigError>,
+}
+
+impl MapBuilderOptions {
+    /// The dimension that is switched on; exactly one must be.
+    pub fn dimension(&self) -> Result<Dimension, ConfigError> {
+        match (self.use_trajectory_builder_2d, self.use_trajectory_builder_3d) {
+            (true, false) => Ok(Dimension::Two),
+            (false, true) => Ok(Dimension::Three),
+            (two, _) => Err(ConfigError::Inconsistent {
+                paths: vec![
+                    "map_builder.use_trajectory_builder_2d".to_owned(),
+                    "map_builder.use_trajectory_builder_3d".to_owned(),
+                ],
+                message: format!(
+                    "exactly one of map_builder.use_trajectory_builder_2d and use_trajectory_builder_3d must \
+                     be true, but {} are",
+                    if two { "both" } else { "none" }
+                ),
+            }),
+        }
+    }
+}
+
+impl Options {
+    /// Checks every value against its bounds and the options that must fit each other. Tables of the
+    /// dimension that is not in use are not checked.
+    pub fn validate(&self) -> Result<(), Vec<ConfigError>> {
+        let errors = self.findings().errors;
+        if errors.is_empty() { Ok(()) } else { Err(errors) }
+    }
+
+    pub(crate) fn findings(&self) -> Findings {
+        let dimension = self.map_builder.dimension();
+        let mut findings = bounds_findings(self, dimension.as_ref().ok().copied());
+        match dimension {
+            Ok(Dimension::Two) => self.check_2d(&mut findings.errors),
+            Ok(Dimension::Three) => {}
+            Err(error) => findings.errors.push(error),
+        }
+        self.check_sensors(&mut findings.errors);
+        findings
+    }
+
+    fn check_2d(&self, errors: &mut Vec<ConfigError>) {
+        const TABLE: &str = "trajectory_builder.trajectory_builder_2d";
+        let builder = &self.trajectory_builder.trajectory_builder_2d;
+        if builder.pose_extrapolator.use_imu_based {
+            errors.push(ConfigError::Inconsistent {
+                paths: vec![format!("{TABLE}.pose_extrapolator.use_imu_based")],
+                message: format!("{TABLE}.pose_extrapolator.use_imu_based must be false in 2D"),
+            });
+        }
+        let grid = builder.submaps.grid_options_2d.grid_type;
+        let inserter = builder.submaps.range_data_inserter.range_data_inserter_type;
+        let fits = matches!(
+            (grid, inserter),
+            (GridType2d::ProbabilityGrid, RangeDataInserterType2d::ProbabilityGrid)
+                | (GridType2d::Tsdf, RangeDataInserterType2d::Tsdf)
+        );
+        if !fits {
+            let paths = [
+                format!("{TABLE}.submaps.grid_options_2d.grid_type"),
+                format!("{TABLE}.submaps.range_data_inserter.range_data_inserter_type"),
+            ];
+            let message = format!(
+                "{} = \"{}\" does not fit {} = \"{}\"; take PROBABILITY_GRID with \
+                 PROBABILITY_GRID_INSERTER_2D or TSDF with TSDF_INSERTER_2D",
+                paths[0],
+                grid.name(),
+                paths[1],
+                inserter.name()
+            );
+            errors.push(ConfigError::Inconsistent { paths: paths.to_vec(), message });
+        }
+    }
+
+    fn check_sensors(&self, errors: &mut Vec<ConfigError>) {
+        let bridge = &self.bridge;
+        if bridge.num_laser_scans == 0
+            && bridge.num_multi_echo_laser_scans == 0
+            && bridge.num_point_clouds == 0
+        {
+            let paths = ["num_laser_scans", "num_multi_echo_laser_scans", "num_point_clouds"];
+            errors.push(ConfigError::Inconsistent {
+                paths: paths.map(str::to_owned).to_vec(),
+                message: format!("at least one of {} must be 1 or more", paths.join(", ")),
+            });
+        }
+    }
+}
+
+impl MapBuilderServerOptions {
+    /// Checks every value against its bounds and the options that must fit each other.
+    pub fn validate(&self) -> Result<(), Vec<ConfigError>> {
+        let errors = self.findings().errors;
+        if errors.is_empty() { Ok(()) } else { Err(errors) }
+    }
+
+    pub(crate) fn findings(&self) -> Findings {
+        let dimension = self.map_builder.dimension();
+        let mut findings = bounds_findings(self, dimension.as_ref().ok().copied());
+        findings.errors.extend(dimension.err());
+        findings
+    }
+}
+
+fn bounds_findings(section: &dyn Section, dimension: Option<Dimension>) -> Findings {
+    let mut findings = Findings::default();
+    walk(section, &mut |visit| {
+        let NodeRef::Leaf(leaf) = &visit.node else { return };
+        let Value::Number(value) = leaf.to_value() else { return };
+        if !visit.present || visit.spec.bounds.contain(value) {
+            return;
+        }
+        let error = ConfigError::OutOfBounds {
+            path: visit.path.to_owned(),
+            value,
+            bounds: visit.spec.bounds,
+            place: None,
+        };
+        let unused = dimension.is_some_and(|dimension| !is_used(visit.path, dimension));
+        if unused { &mut findings.unused } else { &mut findings.errors }.push(error);
+    });
+    findings
+}
+
+/// Whether a dimension reads an option, by the tables it stands in.
+fn is_used(path: &str, dimension: Dimension) -> bool {
+    const MATCHERS_2D: [&str; 2] = ["fast_correlative_scan_matcher", "ceres_scan_matcher"];
+    let in_constraints = path.contains(".constraint_builder.");
+    !path.split('.').any(|segment| match dimension {
+        Dimension::Two => segment.ends_with("_3d") && segment != "use_trajectory_builder_3d",
+        Dimension::Three => {
+            segment == "trajectory_builder_2d"
+                || segment == "overlapping_submaps_trimmer_2d"
+                || (in_constraints && MATCHERS_2D.contains(&segment))
+        }
+    })
+}

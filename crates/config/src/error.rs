@@ -1,0 +1,262 @@
+//! What can be wrong with a configuration.
+
+use std::path::PathBuf;
+
+use crate::bounds::Bounds;
+
+/// Where in a Lua file something is written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// File as it was named or found.
+    pub file: String,
+    /// Line, from 1, if known.
+    pub line: Option<usize>,
+}
+
+impl std::fmt::Display for Place {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.line {
+            Some(line) => write!(f, "{}:{line}", self.file),
+            None => f.write_str(&self.file),
+        }
+    }
+}
+
+/// A configuration that cannot be used, and what to do about it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ConfigError {
+    /// The file could not be read.
+    #[error("cannot read the configuration {}: {reason}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The words of the operating system.
+        reason: String,
+    },
+    /// No directory has the file, nor is there a built-in one.
+    #[error(
+        "{}File '{name}' was not found. Searched: {}; built in are: {}",
+        at(place),
+        if searched.is_empty() { "no directory".to_owned() } else { searched.join(", ") },
+        crate::lua::built_in_names().join(", ")
+    )]
+    FileNotFound {
+        /// The name as given to `include` or `read`.
+        name: String,
+        /// The directories searched.
+        searched: Vec<String>,
+        /// Where it was asked for.
+        place: Option<Place>,
+    },
+    /// The interpreter refused the file or failed while running it.
+    #[error("{}{message}{}", at(place), hint.as_ref().map(|hint| format!(" ({hint})")).unwrap_or_default())]
+    Lua {
+        /// Where, if the interpreter said so.
+        place: Option<Place>,
+        /// Its message.
+        message: String,
+        /// What probably helps.
+        hint: Option<String>,
+    },
+    /// The file ran too long or took too much memory.
+    #[error(
+        "{}the configuration was stopped: {limit}; it should only compute values and return a table",
+        at(place)
+    )]
+    Limit {
+        /// Where it was, if known.
+        place: Option<Place>,
+        /// Which limit was reached.
+        limit: String,
+    },
+    /// The file did not return a table.
+    #[error(
+        "{file}: Topmost item on Lua stack is not a table! (it is {found}; end the file with `return options`)"
+    )]
+    NotATable {
+        /// The file.
+        file: String,
+        /// What it returned.
+        found: String,
+    },
+    /// The returned table cannot be taken apart.
+    #[error("{file}: {path}: {reason}")]
+    Unusable {
+        /// The file.
+        file: String,
+        /// Key path within the returned table.
+        path: String,
+        /// Why.
+        reason: String,
+    },
+    /// A key that no option has.
+    #[error("{}unknown option `{path}`{}", at(place), nearest.as_ref().map(|key| format!("; did you mean `{key}`?")).unwrap_or_default())]
+    UnknownKey {
+        /// The path as given.
+        path: String,
+        /// The nearest known path.
+        nearest: Option<String>,
+        /// Where it is written.
+        place: Option<Place>,
+    },
+    /// A short path that fits several options.
+    #[error("`{path}` fits several options: {}", candidates.join(", "))]
+    Ambiguous {
+        /// The path as given.
+        path: String,
+        /// The full paths it fits.
+        candidates: Vec<String>,
+    },
+    /// A table without which the rest makes no sense is missing.
+    #[error("{file}: Key '{key}' not in dictionary: {advice}")]
+    MissingTable {
+        /// The file.
+        file: String,
+        /// The missing key.
+        key: String,
+        /// What the file seems to be.
+        advice: String,
+    },
+    /// A value of another type.
+    #[error("{}`{path}` must be {expected}, but is {found}", at(place))]
+    WrongType {
+        /// Full path of the option.
+        path: String,
+        /// Type of the option.
+        expected: String,
+        /// What was given.
+        found: String,
+        /// Where it is written.
+        place: Option<Place>,
+    },
+    /// A value out of bounds.
+    #[error("{}`{path}` = {value} is out of bounds, it must be {bounds}", at(place))]
+    OutOfBounds {
+        /// Full path of the option.
+        path: String,
+        /// The value.
+        value: f64,
+        /// What is allowed.
+        bounds: Bounds,
+        /// Where it is written.
+        place: Option<Place>,
+    },
+    /// Options that do not fit each other.
+    #[error("{message}")]
+    Inconsistent {
+        /// The options concerned.
+        paths: Vec<String>,
+        /// What is wrong.
+        message: String,
+    },
+    /// A setting that is no `path=value`.
+    #[error("`{text}` is no setting; write it as path=value, for example constraint_builder.min_score=0.6")]
+    NoSetting {
+        /// The setting as given.
+        text: String,
+    },
+    /// A dictionary was asked for a key that it does not have.
+    #[error("Key '{key}' not in dictionary:\n{dictionary}")]
+    MissingKey {
+        /// The key.
+        key: String,
+        /// The dictionary in the text form of the reference.
+        dictionary: String,
+    },
+    /// A count that is negative.
+    #[error("Key '{key}': {value} is negative.")]
+    Negative {
+        /// The key.
+        key: String,
+        /// The value.
+        value: i32,
+    },
+    /// A key of a dictionary was never read, or more than once.
+    #[error("Key '{key}' was used the wrong number of times.{}", if *times == 0 { " (nothing reads it: is it misspelt?)" } else { "" })]
+    WrongUse {
+        /// Path of the key.
+        key: String,
+        /// How often it was read.
+        times: u32,
+    },
+    /// Text that is no JSON.
+    #[error("no valid JSON: {reason}")]
+    Json {
+        /// Words of the parser.
+        reason: String,
+    },
+    /// Several errors of one file, in the order of the options.
+    #[error("{} errors in the configuration:\n{}", errors.len(), errors.iter().map(|error| format!("  {error}")).collect::<Vec<_>>().join("\n"))]
+    Several {
+        /// The errors.
+        errors: Vec<ConfigError>,
+    },
+}
+
+impl ConfigError {
+    /// Nothing for no errors, the error itself for one, [`ConfigError::Several`] for more.
+    pub fn combine(mut errors: Vec<ConfigError>) -> Result<(), ConfigError> {
+        match errors.len() {
+            0 => Ok(()),
+            1 => Err(errors.remove(0)),
+            _ => Err(Self::Several { errors }),
+        }
+    }
+}
+
+fn at(place: &Option<Place>) -> String {
+    place.as_ref().map(|place| format!("{place}: ")).unwrap_or_default()
+}
+
+/// Something in a configuration that was survived and should be told.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ConfigWarning {
+    /// A key the reference demands is missing.
+    #[error("{file}: `{path}` is missing, its default is used: {default}")]
+    DefaultUsed {
+        /// The main file.
+        file: String,
+        /// Full path of the option or table.
+        path: String,
+        /// The default.
+        default: String,
+    },
+    /// A key of another version of the program.
+    #[error("{}`{path}` is from another version: {outcome}", at(place))]
+    OtherVersion {
+        /// Full path as written.
+        path: String,
+        /// What was made of it.
+        outcome: String,
+        /// Where it is written.
+        place: Option<Place>,
+    },
+    /// A fault that was only to be warned about.
+    #[error("ignored: {error}")]
+    Ignored {
+        /// The fault.
+        error: ConfigError,
+    },
+    /// A number with a fraction where an integer is read.
+    #[error("{}`{path}` = {value} is read as {integer}", at(place))]
+    Truncated {
+        /// Full path of the option.
+        path: String,
+        /// The value written.
+        value: f64,
+        /// The value used.
+        integer: i32,
+        /// Where it is written.
+        place: Option<Place>,
+    },
+    /// Values without a key in a table of options.
+    #[error("{file}: {count} value(s) without a key in `{path}` are ignored")]
+    Unkeyed {
+        /// The main file.
+        file: String,
+        /// Full path of the table.
+        path: String,
+        /// How many.
+        count: usize,
+    },
+}

@@ -1,0 +1,22 @@
+//! A short name for a whole configuration.
+
+use crate::options::Options;
+
+/// FNV-1a offset basis and prime of 128 bits.
+const OFFSET: u128 = 0x6c62_272e_07bb_0142_62b8_2175_6295_c58d;
+const PRIME: u128 = 0x0000_0000_0100_0000_0000_0000_0000_013b;
+
+impl Options {
+    /// 32 hexadecimal digits that depend on every value and on nothing else (FNV-1a, 128 bits, of the
+    /// lines `path = value`). The same on every machine; another version of the program with more options
+    /// gives another one.
+    pub fn fingerprint(&self) -> String {
+        let mut hash = OFFSET;
+        for entry in self.entries() {
+            for byte in format!("{entry}\n").bytes() {
+                hash = (hash ^ u128::from(byte)).wrapping_mul(PRIME);
+            }
+        }
+        format!("{hash:032x}")
+    }
+}
