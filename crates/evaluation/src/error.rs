@@ -1,0 +1,83 @@
+//! What can go wrong in an evaluation.
+
+use thiserror::Error;
+
+/// Why an evaluation is not possible.
+#[derive(Debug, Error)]
+pub enum EvaluationError {
+    /// Reading or writing failed.
+    #[error("reading or writing failed: {0}")]
+    Io(#[from] std::io::Error),
+    /// A line of a text file is not what the format asks for.
+    #[error("line {line}: {reason}")]
+    BadLine {
+        /// Counted from one.
+        line: usize,
+        /// What is wrong and what is expected.
+        reason: String,
+    },
+    /// A binary relations file is damaged.
+    #[error("damaged relations file at byte {position}: {reason}")]
+    BadRelations {
+        /// Where.
+        position: usize,
+        /// What is wrong.
+        reason: &'static str,
+    },
+    /// Poses and times of a KITTI recording do not belong together.
+    #[error("{poses} poses but {times} times: pass the times.txt of the same sequence")]
+    UnequalLengths {
+        /// Lines of the pose file.
+        poses: usize,
+        /// Lines of the times file.
+        times: usize,
+    },
+    /// A trajectory without poses.
+    #[error("the {0} trajectory has no poses")]
+    EmptyTrajectory(&'static str),
+    /// Mean and deviation need two relations.
+    #[error("{0} relations are too few: at least 2 are needed for mean and standard deviation")]
+    TooFewRelations(usize),
+    /// The relations belong to another time.
+    #[error(
+        "none of the {relations} relations ({relations_start} to {relations_end}) lies within the trajectory ({start} to {end}): are they of another recording, or counted from another time?"
+    )]
+    NoRelationInTime {
+        /// How many.
+        relations: usize,
+        /// First time of any relation, Unix seconds.
+        relations_start: String,
+        /// Last time of any relation, Unix seconds.
+        relations_end: String,
+        /// First pose, Unix seconds.
+        start: String,
+        /// Last pose, Unix seconds.
+        end: String,
+    },
+    /// No pose of the estimate has a counterpart.
+    #[error(
+        "no pose of the estimate ({estimate_start} to {estimate_end}) lies within the truth ({truth_start} to {truth_end}): bring both to the same clock, or raise the tolerance"
+    )]
+    NothingAssociated {
+        /// First pose of the estimate, Unix seconds.
+        estimate_start: String,
+        /// Last pose of the estimate, Unix seconds.
+        estimate_end: String,
+        /// First pose of the truth, Unix seconds.
+        truth_start: String,
+        /// Last pose of the truth, Unix seconds.
+        truth_end: String,
+    },
+    /// The trajectory is too short for a step or segment.
+    #[error("no two poses are {0} apart: choose a shorter step")]
+    StepTooLong(String),
+    /// A step that is no step.
+    #[error("a step of {0} is not above zero")]
+    BadStep(f64),
+    /// Coordinates beyond what can be computed with.
+    #[error("the positions are too large to align (beyond 1e100 m): are they damaged?")]
+    CannotAlign,
+    /// A map that relations cannot be made from.
+    #[error("cannot make relations from this map: {0}")]
+    BadMap(String),
+}

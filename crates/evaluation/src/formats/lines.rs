@@ -1,0 +1,51 @@
+//! Lines of a text file from anywhere.
+
+use std::io::{BufRead, Read};
+
+use crate::EvaluationError;
+
+/// No line of numbers is longer than this.
+const MAX_LINE: u64 = 1 << 16;
+
+/// Reads line by line without believing in the length of any.
+pub(crate) struct Lines<R> {
+    reader: R,
+    number: usize,
+    buffer: Vec<u8>,
+}
+
+pub(crate) fn bad_line(line: usize, reason: impl Into<String>) -> EvaluationError {
+    EvaluationError::BadLine { line, reason: reason.into() }
+}
+
+impl<R: BufRead> Lines<R> {
+    pub fn new(reader: R) -> Self {
+        Self { reader, number: 0, buffer: Vec::new() }
+    }
+
+    /// The next line with its number, without line ends and surrounding blanks.
+    pub fn next_line(&mut self) -> Result<Option<(usize, &str)>, EvaluationError> {
+        self.buffer.clear();
+        self.number += 1;
+        let read = self.reader.by_ref().take(MAX_LINE).read_until(b'\n', &mut self.buffer)?;
+        if read == 0 {
+            return Ok(None);
+        }
+        if read as u64 == MAX_LINE {
+            return Err(bad_line(self.number, "longer than 64 KiB: this is not a file of numbers"));
+        }
+        let text = std::str::from_utf8(&self.buffer)
+            .map_err(|_| bad_line(self.number, "not text: this is not a file of numbers"))?;
+        Ok(Some((self.number, text.trim_start_matches('\u{feff}').trim())))
+    }
+
+    /// The next line that is neither blank nor a comment (`#` or `%` at its beginning).
+    pub fn next_data(&mut self) -> Result<Option<(usize, String)>, EvaluationError> {
+        while let Some((number, line)) = self.next_line()? {
+            if !line.is_empty() && !line.starts_with(['#', '%']) {
+                return Ok(Some((number, line.to_owned())));
+            }
+        }
+        Ok(None)
+    }
+}

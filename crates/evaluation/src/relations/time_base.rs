@@ -1,0 +1,121 @@
+//! Relations whose times are counted from elsewhere.
+
+use std::fmt;
+
+use portolan_geometry::{Duration, Time};
+
+use super::Relation;
+use crate::{EvaluationError, Trajectory};
+
+/// CARMEN logs count seconds from the start of the logger or of the computer. Recordings that were
+/// converted from them carry a billion seconds more, because zero times mean "now" elsewhere.
+const CARMEN_OFFSET: Duration = Duration::from_ticks(10_000_000_000_000_000);
+
+/// Says that the times of relations were shifted, and how well they fit now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimeBaseNotice {
+    /// What was added to their times.
+    pub offset: Duration,
+    /// Relations that lie within the trajectory now.
+    pub inside: usize,
+    /// All relations.
+    pub count: usize,
+}
+
+impl fmt::Display for TimeBaseNotice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "The times of the relations were shifted by {:+.0} s to those of the trajectory; {} of {} relations lie within it.",
+            self.offset.seconds(),
+            self.inside,
+            self.count
+        )
+    }
+}
+
+/// Brings relations to the clock of a trajectory. As long as any of them lies within it nothing
+/// changes. If none does, but most do when their times are a billion seconds later (CARMEN times and a
+/// converted recording) or earlier, they are shifted and the notice says so. If nothing helps it is an
+/// error: clamped to the ends of the trajectory they would say nothing.
+pub fn in_time_base(
+    trajectory: &Trajectory,
+    relations: &[Relation],
+) -> Result<(Vec<Relation>, Option<TimeBaseNotice>), EvaluationError> {
+    let span = trajectory.span().ok_or(EvaluationError::EmptyTrajectory("estimated"))?;
+    if relations.is_empty() || count_inside(span, relations, Duration::ZERO) > 0 {
+        return Ok((relations.to_vec(), None));
+    }
+    for offset in [CARMEN_OFFSET, Duration::ZERO - CARMEN_OFFSET] {
+        let inside = count_inside(span, relations, offset);
+        if 2 * inside >= relations.len() {
+            let shift = |r: &Relation| Relation { time1: r.time1 + offset, time2: r.time2 + offset, ..*r };
+            let notice = TimeBaseNotice { offset, inside, count: relations.len() };
+            return Ok((relations.iter().map(shift).collect(), Some(notice)));
+        }
+    }
+    let times = || relations.iter().flat_map(|r| [r.time1, r.time2]);
+    let text = |time: Option<Time>| time.map(Time::unix_decimal).unwrap_or_default();
+    Err(EvaluationError::NoRelationInTime {
+        relations: relations.len(),
+        relations_start: text(times().min()),
+        relations_end: text(times().max()),
+        start: span.0.unix_decimal(),
+        end: span.1.unix_decimal(),
+    })
+}
+
+/// Relations that touch the trajectory when shifted: either time will do, because logs often begin a
+/// little before the first node and end a little after the last.
+fn count_inside(span: (Time, Time), relations: &[Relation], offset: Duration) -> usize {
+    let inside = |time: Time| (span.0..=span.1).contains(&(time + offset));
+    relations.iter().filter(|r| inside(r.time1) || inside(r.time2)).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::TimedPose;
+    use portolan_geometry::Rigid3;
+
+    fn trajectory(start: f64) -> Trajectory {
+        let pose = |i: i32| TimedPose {
+            time: Time::from_unix_seconds(start + f64::from(i)),
+            map_from_tracking: Rigid3::identity(),
+        };
+        Trajectory::new((0..100).map(pose)).0
+    }
+
+    fn relations(start: f64) -> Vec<Relation> {
+        let relation = |i: i32| Relation {
+            time1: Time::from_unix_seconds(start + f64::from(i)),
+            time2: Time::from_unix_seconds(start + f64::from(i) + 0.5),
+            expected_1_from_2: Rigid3::identity(),
+            covered_distance: 0.0,
+        };
+        (0..90).map(relation).collect()
+    }
+
+    #[test]
+    fn carmen_times_are_recognised_both_ways() {
+        let (shifted, notice) = in_time_base(&trajectory(1_000_000_090.0), &relations(90.0)).unwrap();
+        assert_eq!(shifted[0].time1, Time::from_unix_seconds(1_000_000_090.0));
+        let notice = notice.unwrap().to_string();
+        assert!(notice.contains("+1000000000 s") && notice.contains("90 of 90"), "{notice}");
+        let (_, notice) = in_time_base(&trajectory(90.0), &relations(1_000_000_090.0)).unwrap();
+        assert!(notice.unwrap().to_string().contains("-1000000000 s"));
+    }
+
+    #[test]
+    fn a_common_clock_is_left_alone() {
+        let given = relations(150.0);
+        assert_eq!(in_time_base(&trajectory(90.0), &given).unwrap(), (given, None));
+        assert_eq!(in_time_base(&trajectory(90.0), &[]).unwrap(), (vec![], None));
+    }
+
+    #[test]
+    fn another_recording_is_an_error() {
+        let error = in_time_base(&trajectory(500_000.0), &relations(90.0)).unwrap_err().to_string();
+        assert!(error.contains("none of the 90 relations (90.0000000 to 179.5000000)"), "{error}");
+    }
+}
