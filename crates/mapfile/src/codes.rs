@@ -14,6 +14,12 @@ pub const MAX_CORRESPONDENCE_COST: f32 = 1.0 - MIN_PROBABILITY;
 /// The largest code; 0 means unknown, 1 to this the range of values.
 pub const MAX_CODE: i32 = 32767;
 
+/// The code of a cell without the update marker in its highest bit, which belongs to running programs
+/// and means nothing in files; none where it is no 16-bit number.
+pub fn without_marker(cell: i32) -> Option<usize> {
+    u16::try_from(cell).ok().map(|c| usize::from(c & 0x7fff))
+}
+
 /// How codes 1 to 32767 lie between two bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CodeRange {
@@ -76,6 +82,8 @@ pub fn probability_grid_pixels(min_cost: f32, max_cost: f32) -> Vec<[u8; 2]> {
 }
 
 #[cfg(test)]
+// Golden values are written as they were printed.
+#[allow(clippy::excessive_precision)]
 mod tests {
     use super::*;
 

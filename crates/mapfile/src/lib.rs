@@ -1,13 +1,22 @@
 //! Maps as documents: pbstream files and their messages, pictures of submaps, ROS map export.
 
 mod atomic_file;
+mod check;
+mod check_data;
+mod check_graph;
 mod codes;
 mod error;
 mod frames;
+mod grid_check;
 mod gzip;
+mod info;
+mod info_text;
 mod load_textures;
 mod map_reader;
+mod mend;
+mod mend_graph;
 mod message;
+mod migrate;
 mod number;
 mod ordered;
 mod paint;
@@ -15,29 +24,37 @@ mod point_cloud;
 mod pose;
 pub mod proto;
 mod reader;
+mod repair;
 mod resample;
 mod ros_map;
+mod salvage;
+mod text_format;
 mod texture;
 mod texture_3d;
 mod wire;
 mod writer;
 
 pub use atomic_file::{AtomicFile, WriteError, write_atomically};
+pub use check::{Finding, FindingKind, Severity, validate};
 pub use codes::{
     CodeRange, MAX_CODE, MAX_CORRESPONDENCE_COST, MAX_PROBABILITY, MIN_CORRESPONDENCE_COST, MIN_PROBABILITY,
     correspondence_cost_bounds, log_odds_byte,
 };
 pub use error::{PbstreamError, RecordError};
 pub use gzip::{GzipError, gunzip, gzip};
+pub use info::{ConstraintCounts, Extent, GridInfo, MapInfo, SensorInfo, TrajectoryInfo, info};
 pub use load_textures::{MapTextures, load_textures, submap_texture};
 pub use map_reader::{IgnoredMessages, MapMessage, MapReader};
 pub use message::{Message, MessageKind, RawMessage, kind_of};
+pub use migrate::{MigrateError, MigrateOptions, MigrateReport, migrate};
 pub use number::format_general;
 pub use paint::{MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint};
 pub use point_cloud::{PointCloudError, compress as compress_points, decompress as decompress_points};
 pub use pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 pub use reader::{PbstreamReader, ReadLimits};
+pub use repair::{Repair, RepairError, RepairReport, repair};
 pub use ros_map::{ImageName, ros_map_yaml, write_pgm, write_ros_map};
+pub use text_format::message_to_text;
 pub use texture::{MAX_TEXTURE_PIXELS, SubmapTexture, TextureError, texture_2d};
 pub use texture_3d::{texture_3d, xray_texture};
 pub use wire::{Fields, WireError, WireValue};

@@ -98,6 +98,8 @@ pub fn decompress(cloud: &CompressedPointCloud) -> Result<Vec<Point3f>, PointClo
 }
 
 #[cfg(test)]
+// Golden values are written as they were printed.
+#[allow(clippy::excessive_precision)]
 mod tests {
     use super::*;
     use proptest::prelude::*;

@@ -3,7 +3,7 @@
 use nalgebra::Translation3;
 use portolan_geometry::{Quaternion, Rigid3};
 
-use crate::codes::{self, CodeRange, MAX_CODE};
+use crate::codes::{self, CodeRange};
 use crate::gzip::gzip;
 use crate::pose::{pose_from_proto, pose_to_proto};
 use crate::proto::mapping::grid2_d::Grid;
@@ -51,7 +51,7 @@ pub enum TextureError {
     /// The box of known cells does not lie in the grid.
     #[error("the box of known cells does not lie in the grid")]
     KnownCellsBox,
-    /// A code outside of 0 to 32767.
+    /// A code outside of 0 to 65535 (the highest bit is a marker that files should not have).
     #[error("the grid has the cell value {0}, which is outside of 0 to 32767")]
     CellValue(i32),
     /// A pose is missing or not valid.
@@ -118,7 +118,7 @@ pub fn texture_2d(submap: &Submap2D) -> Result<SubmapTexture, TextureError> {
 }
 
 fn lookup(table: &[[u8; 2]], code: i32) -> Option<Result<[u8; 2], TextureError>> {
-    let pixel = usize::try_from(code).ok().and_then(|c| table.get(c)).copied();
+    let pixel = codes::without_marker(code).and_then(|c| table.get(c)).copied();
     Some(pixel.ok_or(TextureError::CellValue(code)))
 }
 
@@ -202,14 +202,12 @@ impl TsdfPixels {
     }
 
     fn pixel(&self, distance: i32, weight: i32) -> Option<Result<[u8; 2], TextureError>> {
-        for code in [distance, weight] {
-            if !(0..=MAX_CODE).contains(&code) {
-                return Some(Err(TextureError::CellValue(code)));
-            }
-        }
-        if distance == 0 || weight == 0 {
-            return None;
-        }
+        let without_marker = |code| codes::without_marker(code).ok_or(TextureError::CellValue(code));
+        let (distance, weight) = match (without_marker(distance), without_marker(weight)) {
+            (Ok(0), Ok(_)) | (Ok(_), Ok(0)) => return None,
+            (Ok(distance), Ok(weight)) => (distance as i32, weight as i32),
+            (Err(error), _) | (_, Err(error)) => return Some(Err(error)),
+        };
         let t = (self.distances.value(distance).abs() / self.truncation_distance).sqrt();
         let w = self.weights.value(weight) / self.max_weight;
         Some(Ok(codes::pixel((w * (255.0 * t - 128.0)).round() as i32)))

@@ -75,7 +75,7 @@ fn occupied_voxels(
     let indices = grid.x_indices.iter().zip(&grid.y_indices).zip(&grid.z_indices);
     let mut voxels = Vec::new();
     for (((x, y), z), code) in indices.zip(&grid.values) {
-        let probability = usize::try_from(*code).ok().and_then(|c| PROBABILITIES.get(c));
+        let probability = codes::without_marker(*code).and_then(|c| PROBABILITIES.get(c));
         let probability = *probability.ok_or(TextureError::CellValue(*code))?;
         if probability < OBSTRUCTED {
             continue;

@@ -1,5 +1,7 @@
 //! Painted maps against those of the reference program (`vectors.md §14`).
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
 mod common;
 
 use common::shared;

@@ -1,5 +1,9 @@
 //! Textures of grids that are built here by the rules alone (`vectors.md §5, §8`).
 
+// Golden values are written as they were printed.
+#![allow(clippy::excessive_precision)]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
 use std::collections::BTreeMap;
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -50,7 +54,7 @@ fn cloud_b() -> Vec<Vector3<f32>> {
     };
     (0..2000)
         .map(|i| {
-            let (a, h) = (draw(3.14159265), draw(1.0));
+            let (a, h) = (draw(std::f32::consts::PI), draw(1.0));
             let (mut x, y, mut z) = (8.0 * a.cos(), 5.0 * a.sin(), 2.0 * h);
             if i % 3 == 0 {
                 x = if x > 0.0 { 6.0 } else { -6.0 };
@@ -68,7 +72,7 @@ fn hybrid_grid(resolution: f32, points: &[Vector3<f32>], times: usize) -> Hybrid
     let cell = |p: &Vector3<f32>| p.map(|v| (v / resolution).round() as i32);
     let origin = cell(&Vector3::new(0.25, -0.5, 0.125));
     let mut cells: BTreeMap<[i32; 9], ([i32; 3], u16)> = BTreeMap::new();
-    let mut update = |cells: &mut BTreeMap<_, _>, c: Vector3<i32>, table: &[u16]| {
+    let update = |cells: &mut BTreeMap<_, _>, c: Vector3<i32>, table: &[u16]| {
         let key = [
             c.z >> 6,
             c.y >> 6,

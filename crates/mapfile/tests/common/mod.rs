@@ -1,5 +1,7 @@
 //! What several integration tests need.
-#![allow(dead_code)]
+#![allow(dead_code, clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+pub mod small_map;
 
 use std::path::PathBuf;
 

@@ -1,0 +1,284 @@
+//! From format version 1 to 2 (`formats.md §2.3`).
+//!
+//! Version 2 added to 3D submaps the histogram that rotational matching needs; here it is summed up from
+//! the histograms of the nodes in them. Unlike the reference program this also takes 2D maps, where the
+//! versions differ only in the header.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::f32::consts::PI;
+use std::path::Path;
+
+use portolan_geometry::{Quaternion, yaw};
+use prost::Message as _;
+use serde::Serialize;
+
+use crate::error::PbstreamError;
+use crate::map_reader::MapReader;
+use crate::message::{MessageKind, RawMessage};
+use crate::pose::{IdInFile, node_id, pose_from_proto, submap_id};
+use crate::proto::mapping::pose_graph::constraint::Tag;
+use crate::proto::mapping::serialized_data::Data;
+use crate::proto::mapping::{PoseGraph, SerializedData, Submap, Submap3D};
+use crate::proto::transform::Quaterniond;
+use crate::reader::{PbstreamReader, ReadLimits};
+use crate::writer::{FORMAT_VERSION, PbstreamWriter};
+
+/// How to migrate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MigrateOptions {
+    /// Whether submaps that are not finished are kept.
+    pub include_unfinished_submaps: bool,
+    /// Bounds of reading.
+    pub limits: ReadLimits,
+}
+
+impl Default for MigrateOptions {
+    fn default() -> Self {
+        Self { include_unfinished_submaps: true, limits: ReadLimits::default() }
+    }
+}
+
+/// What was done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct MigrateReport {
+    /// Version of the input.
+    pub from_version: u32,
+    /// Submaps that got a histogram.
+    pub histograms: u64,
+    /// Submaps left out because they are not finished.
+    pub unfinished_submaps: u64,
+    /// Messages written.
+    pub messages: u64,
+}
+
+/// Why a map cannot be migrated.
+#[derive(Debug, thiserror::Error)]
+pub enum MigrateError {
+    /// Reading or writing failed.
+    #[error(transparent)]
+    File(#[from] PbstreamError),
+    /// Trajectory ids must be 0, 1, 2, … in this order.
+    #[error("trajectory number {index} of the map has the id {id}; `repair` or `edit` the map first")]
+    TrajectoryId {
+        /// Place in the file.
+        index: usize,
+        /// The id there.
+        id: i32,
+    },
+    /// 2D and 3D submaps in one map.
+    #[error("submap ({}, {}) is 2D in a 3D map: Converting to the new submap format only makes sense for 3D.",
+        .0.0, .0.1)]
+    MixedDimensions(IdInFile),
+    /// A rotation is missing or not valid.
+    #[error("a pose of {what} ({}, {}) is missing or not valid; `repair` the map first", id.0, id.1)]
+    Pose {
+        /// Node or submap.
+        what: &'static str,
+        /// Its id.
+        id: IdInFile,
+    },
+}
+
+/// Writes `input` in format version 2 to `output`. Messages that need no change are copied byte for byte.
+pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<MigrateReport, MigrateError> {
+    let plan = Plan::make(input, options)?;
+    let mut report = MigrateReport { from_version: plan.from_version, ..MigrateReport::default() };
+    let mut reader = PbstreamReader::open_with(input, options.limits)?;
+    let mut writer = PbstreamWriter::create(output)?;
+    while let Some(raw) = reader.next_message()? {
+        match raw.kind() {
+            MessageKind::Header => writer.write_header(FORMAT_VERSION)?,
+            MessageKind::PoseGraph if !plan.unfinished.is_empty() => {
+                writer.write_bytes(without_submaps(raw, &plan.unfinished))?;
+            }
+            MessageKind::Submap => {
+                if let Some(bytes) = plan.submap(raw, &mut report) {
+                    writer.write_bytes(bytes)?;
+                }
+            }
+            _ => writer.write_bytes(raw.bytes)?,
+        }
+    }
+    report.messages = writer.messages();
+    writer.finish()?;
+    Ok(report)
+}
+
+/// What is to be done, known after reading the map once.
+struct Plan {
+    from_version: u32,
+    histograms: BTreeMap<IdInFile, Vec<f32>>,
+    unfinished: BTreeSet<IdInFile>,
+}
+
+/// What is needed of a node.
+struct NodeTurn {
+    histogram: Vec<f32>,
+    /// Gravity-aligned frame of the node in the local map.
+    local_from_gravity_aligned: Quaternion,
+}
+
+impl Plan {
+    fn make(input: &Path, options: MigrateOptions) -> Result<Self, MigrateError> {
+        let mut reader = MapReader::open_with(input, options.limits)?;
+        for (index, trajectory) in reader.pose_graph().trajectory.iter().enumerate() {
+            if usize::try_from(trajectory.trajectory_id) != Ok(index) {
+                return Err(MigrateError::TrajectoryId { index, id: trajectory.trajectory_id });
+            }
+        }
+        let from_version = reader.header().format_version;
+        let mut submaps: BTreeMap<IdInFile, Quaternion> = BTreeMap::new();
+        let mut nodes: BTreeMap<IdInFile, NodeTurn> = BTreeMap::new();
+        let (mut unfinished, mut first_2d) = (BTreeSet::new(), None);
+        while let Some(message) = reader.next_message()? {
+            match message.data {
+                Data::Submap(submap) => {
+                    let id = submap_id(submap.submap_id.as_ref());
+                    let finished = submap.submap_2d.as_ref().map(|s| s.finished);
+                    if finished.is_some() {
+                        first_2d.get_or_insert(id);
+                    }
+                    if !finished.or(submap.submap_3d.as_ref().map(|s| s.finished)).unwrap_or(true) {
+                        unfinished.insert(id);
+                    }
+                    if let Some(submap) = submap.submap_3d {
+                        let pose = pose_from_proto(submap.local_pose.as_ref());
+                        let pose = pose.ok_or(MigrateError::Pose { what: "submap", id })?;
+                        submaps.insert(id, pose.rotation);
+                    }
+                }
+                Data::Node(node) if from_version == 1 => {
+                    let id = node_id(node.node_id.as_ref());
+                    let Some(data) = node.node_data else { continue };
+                    if data.rotational_scan_matcher_histogram.is_empty() {
+                        continue;
+                    }
+                    let pose = pose_from_proto(data.local_pose.as_ref());
+                    let (Some(pose), Some(gravity)) = (pose, rotation(data.gravity_alignment)) else {
+                        return Err(MigrateError::Pose { what: "node", id });
+                    };
+                    nodes.insert(
+                        id,
+                        NodeTurn {
+                            histogram: data.rotational_scan_matcher_histogram,
+                            local_from_gravity_aligned: pose.rotation * gravity.inverse(),
+                        },
+                    );
+                }
+                _ => {}
+            }
+        }
+        if let Some(id) = first_2d.filter(|_| !submaps.is_empty()) {
+            return Err(MigrateError::MixedDimensions(id));
+        }
+        if options.include_unfinished_submaps {
+            unfinished.clear();
+        }
+        let histograms = if from_version == 1 && !submaps.is_empty() {
+            sum_histograms(reader.pose_graph(), &submaps, &nodes)
+        } else {
+            BTreeMap::new()
+        };
+        Ok(Self { from_version, histograms, unfinished })
+    }
+
+    fn submap(&self, raw: RawMessage, report: &mut MigrateReport) -> Option<Vec<u8>> {
+        let mut message = SerializedData::decode(&*raw.bytes).ok()?;
+        let typed_is_all = message.encode_to_vec() == raw.bytes;
+        let Some(Data::Submap(submap)) = &mut message.data else { return Some(raw.bytes) };
+        let id = submap_id(submap.submap_id.as_ref());
+        if self.unfinished.contains(&id) {
+            report.unfinished_submaps += 1;
+            return None;
+        }
+        let (Some(histogram), Some(submap)) = (self.histograms.get(&id), &mut submap.submap_3d) else {
+            return Some(raw.bytes);
+        };
+        report.histograms += 1;
+        if typed_is_all {
+            submap.rotational_scan_matcher_histogram.clone_from(histogram);
+            return Some(message.encode_to_vec());
+        }
+        // There are fields that are not known here. A message appended to a message is merged into it,
+        // so that they survive.
+        let addition =
+            Submap3D { rotational_scan_matcher_histogram: histogram.clone(), ..Submap3D::default() };
+        let addition = Submap { submap_3d: Some(addition), ..Submap::default() };
+        let mut bytes = raw.bytes;
+        bytes.extend(SerializedData { data: Some(Data::Submap(addition)) }.encode_to_vec());
+        Some(bytes)
+    }
+}
+
+fn rotation(q: Option<Quaterniond>) -> Option<Quaternion> {
+    let pose = crate::proto::transform::Rigid3d { translation: None, rotation: q };
+    pose_from_proto(Some(&pose)).map(|p| p.rotation)
+}
+
+/// The pose graph without some submaps and the constraints to them.
+fn without_submaps(raw: RawMessage, left_out: &BTreeSet<IdInFile>) -> Vec<u8> {
+    let Ok(SerializedData { data: Some(Data::PoseGraph(mut graph)) }) = SerializedData::decode(&*raw.bytes)
+    else {
+        return raw.bytes;
+    };
+    for trajectory in &mut graph.trajectory {
+        let t = trajectory.trajectory_id;
+        trajectory.submap.retain(|s| !left_out.contains(&(t, s.submap_index)));
+    }
+    graph.constraint.retain(|c| !left_out.contains(&submap_id(c.submap_id.as_ref())));
+    SerializedData { data: Some(Data::PoseGraph(graph)) }.encode_to_vec()
+}
+
+/// For each submap the sum of the histograms of the nodes in it, each turned into the submap.
+fn sum_histograms(
+    graph: &PoseGraph,
+    submaps: &BTreeMap<IdInFile, Quaternion>,
+    nodes: &BTreeMap<IdInFile, NodeTurn>,
+) -> BTreeMap<IdInFile, Vec<f32>> {
+    let mut sums: BTreeMap<IdInFile, Vec<f32>> = BTreeMap::new();
+    for constraint in graph.constraint.iter().filter(|c| c.tag() == Tag::IntraSubmap) {
+        let submap = submap_id(constraint.submap_id.as_ref());
+        let (Some(local_from_submap), Some(node)) =
+            (submaps.get(&submap), nodes.get(&node_id(constraint.node_id.as_ref())))
+        else {
+            continue;
+        };
+        let submap_from_node = local_from_submap.inverse() * node.local_from_gravity_aligned;
+        let turned = rotate_histogram(&node.histogram, yaw(&submap_from_node) as f32);
+        let sum = sums.entry(submap).or_default();
+        if sum.len() < turned.len() {
+            sum.resize(turned.len(), 0.0);
+        }
+        sum.iter_mut().zip(turned).for_each(|(s, t)| *s += t);
+    }
+    sums
+}
+
+/// A histogram of directions (half a turn has as many buckets as the histogram) turned by `angle`
+/// radians, interpolated between buckets (`slam3d.md §4`).
+fn rotate_histogram(histogram: &[f32], angle: f32) -> Vec<f32> {
+    let n = histogram.len();
+    let turn = -angle * n as f32 / PI;
+    let whole = (turn - 0.5).round();
+    let fraction = turn - whole;
+    let shift = (whole as i64).rem_euclid(n.max(1) as i64) as usize;
+    let at = |i: usize| histogram.get(i % n.max(1)).copied().unwrap_or(0.0);
+    (0..n).map(|i| fraction * at(i + 1 + shift) + (1.0 - fraction) * at(i + shift)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn histograms_turn_by_buckets() {
+        let histogram = [1.0, 2.0, 3.0, 4.0];
+        assert_eq!(rotate_histogram(&histogram, 0.0), histogram);
+        let turned = rotate_histogram(&histogram, PI / 4.0);
+        let expected = [4.0, 1.0, 2.0, 3.0];
+        assert!(turned.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{turned:?}");
+        let half = rotate_histogram(&histogram, -PI / 8.0);
+        assert!(half.iter().zip([1.5, 2.5, 3.5, 2.5]).all(|(a, b)| (a - b).abs() < 1e-5), "{half:?}");
+        assert_eq!(rotate_histogram(&[], 1.0), []);
+    }
+}

@@ -1,0 +1,329 @@
+//! Saving what is whole of a damaged map.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::path::Path;
+
+use prost::Message as _;
+use serde::Serialize;
+
+use crate::error::PbstreamError;
+use crate::mend::{Mended, SensorTimes, mend, trajectory_of};
+use crate::mend_graph::{Parts, mend_pose_graph};
+use crate::message::{Message, RawMessage};
+use crate::pose::{IdInFile, node_id, submap_id};
+use crate::proto::mapping::serialized_data::Data;
+use crate::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
+use crate::reader::ReadLimits;
+use crate::salvage::Salvage;
+use crate::writer::{FORMAT_VERSION, PbstreamWriter};
+
+/// A kind of repair.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Repair {
+    /// Records, or bytes between records, that could not be read.
+    DamagedRecords,
+    /// The header was missing or damaged; one was made.
+    HeaderMade,
+    /// The pose graph was lost: one was made from the local maps. Loop closures and constraints are gone.
+    PoseGraphMade,
+    /// Options were missing for some trajectories; empty ones were made.
+    OptionsMade,
+    /// A message that cannot be decoded or is there for a second time.
+    MessageDropped,
+    /// A trajectory that was there twice.
+    TrajectoryDropped,
+    /// A submap whose grid or pose cannot be used, or that the pose graph does not know.
+    SubmapDropped,
+    /// A node whose content cannot be used, or that the pose graph does not know.
+    NodeDropped,
+    /// A pose in the pose graph whose submap is not there, or that is not valid.
+    SubmapPoseDropped,
+    /// A pose in the pose graph whose node is not there, that is not valid or not in order of time.
+    NodePoseDropped,
+    /// A constraint to something that is not there, or not valid.
+    ConstraintDropped,
+    /// A landmark without a valid pose.
+    LandmarkDropped,
+    /// Sensor data that are not valid, belong to no trajectory or come too late.
+    SensorDataDropped,
+    /// A point cloud that cannot be unpacked; the node is kept without it.
+    PointCloudDropped,
+    /// A histogram that is not finite; the node or submap is kept without it.
+    HistogramDropped,
+    /// Cells with impossible values became unknown.
+    CellsMended,
+    /// A rotation was made one again.
+    QuaternionNormalised,
+}
+
+impl Repair {
+    /// Whether data are lost by it.
+    pub fn loses_data(self) -> bool {
+        !matches!(self, Self::HeaderMade | Self::QuaternionNormalised)
+    }
+}
+
+/// What was done to a map.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct RepairReport {
+    /// Messages written.
+    pub messages: u64,
+    /// Bytes of the input that could not be used.
+    pub lost_bytes: u64,
+    /// How often what was done; empty if the map was good.
+    pub repairs: BTreeMap<Repair, u64>,
+}
+
+impl RepairReport {
+    fn add(&mut self, repair: Repair) {
+        *self.repairs.entry(repair).or_default() += 1;
+    }
+
+    /// Whether anything was lost.
+    pub fn loses_data(&self) -> bool {
+        self.repairs.keys().any(|r| r.loses_data())
+    }
+}
+
+/// Why a map cannot be repaired.
+#[derive(Debug, thiserror::Error)]
+pub enum RepairError {
+    /// The input could not be read.
+    #[error("cannot read the map: {0}")]
+    Read(#[from] io::Error),
+    /// Nothing of a map is in the file.
+    #[error("there is no whole submap and no whole node in the file: nothing can be saved")]
+    Nothing,
+    /// The output could not be written.
+    #[error(transparent)]
+    Write(#[from] PbstreamError),
+}
+
+/// Writes to `output` what is whole of `input`: a map in which every id is found, every pose is valid
+/// and every size is true. Messages that are good are copied byte for byte.
+///
+/// The input is read twice; memory grows with the pose graph, not with grids or point clouds. Input and
+/// output may be the same file.
+pub fn repair(input: &Path, output: &Path, limits: ReadLimits) -> Result<RepairReport, RepairError> {
+    let mut report = RepairReport::default();
+    let survey = Survey::take(input, limits, &mut report)?;
+    if survey.parts.nodes.is_empty() && survey.parts.submaps.is_empty() {
+        return Err(RepairError::Nothing);
+    }
+    let start = survey.start(&mut report);
+    let mut writer = PbstreamWriter::create(output)?;
+    start.messages.iter().try_for_each(|m| writer.write_bytes(m.clone()))?;
+    let mut salvage = Salvage::open(input, limits)?;
+    let mut rest = Rest::new(&start.graph);
+    while let Some(raw) = salvage.next_message()? {
+        if let Some(bytes) = rest.message(raw, &mut report) {
+            writer.write_bytes(bytes)?;
+        }
+    }
+    report.messages = writer.messages();
+    writer.finish()?;
+    Ok(report)
+}
+
+/// What a damaged file has to offer.
+#[derive(Default)]
+struct Survey {
+    version: Option<u32>,
+    graph: Option<(PoseGraph, Vec<u8>)>,
+    options: Option<(AllTrajectoryBuilderOptions, Vec<u8>)>,
+    parts: Parts,
+}
+
+/// The first three messages of the repaired map.
+struct Start {
+    graph: PoseGraph,
+    messages: [Vec<u8>; 3],
+}
+
+impl Survey {
+    fn take(input: &Path, limits: ReadLimits, report: &mut RepairReport) -> Result<Self, RepairError> {
+        let mut survey = Self::default();
+        let mut salvage = Salvage::open(input, limits)?;
+        while let Some(raw) = salvage.next_message()? {
+            if let Some(header) = header(&raw) {
+                survey.version.get_or_insert(header.format_version);
+            } else if let Some(data) = decode(&raw) {
+                survey.data(data, raw.bytes);
+            }
+        }
+        report.lost_bytes = salvage.lost_bytes;
+        if salvage.damaged > 0 {
+            report.repairs.insert(Repair::DamagedRecords, salvage.damaged);
+        }
+        Ok(survey)
+    }
+
+    fn data(&mut self, mut data: Data, bytes: Vec<u8>) {
+        if matches!(data, Data::Submap(_) | Data::Node(_)) {
+            if !matches!(mend(&mut data), Mended::Dropped(_)) {
+                self.part(&data);
+            }
+            return;
+        }
+        match data {
+            Data::PoseGraph(graph) if self.graph.is_none() => self.graph = Some((graph, bytes)),
+            Data::AllTrajectoryBuilderOptions(options) if self.options.is_none() => {
+                self.options = Some((options, bytes));
+            }
+            _ => {}
+        }
+    }
+
+    fn part(&mut self, data: &Data) {
+        match data {
+            Data::Submap(submap) => {
+                let pose = submap.submap_2d.as_ref().map(|s| s.local_pose);
+                let pose = pose.or(submap.submap_3d.as_ref().map(|s| s.local_pose)).flatten();
+                self.parts.submaps.entry(submap_id(submap.submap_id.as_ref())).or_insert(pose);
+            }
+            Data::Node(node) => {
+                let node_data = node.node_data.as_ref();
+                let value = node_data.map_or((0, None), |d| (d.timestamp, d.local_pose));
+                self.parts.nodes.entry(node_id(node.node_id.as_ref())).or_insert(value);
+            }
+            _ => {}
+        }
+    }
+
+    fn start(&self, report: &mut RepairReport) -> Start {
+        let format_version = self.version.unwrap_or_else(|| {
+            report.add(Repair::HeaderMade);
+            FORMAT_VERSION
+        });
+        let graph = self.graph.clone().filter(|(graph, _)| !graph.trajectory.is_empty());
+        let (before, graph_bytes) = graph.unwrap_or_else(|| {
+            report.add(Repair::PoseGraphMade);
+            (self.parts.pose_graph(), Vec::new())
+        });
+        let (options_before, options_bytes) = self.options.clone().unwrap_or_default();
+        let (mut graph, mut options) = (before.clone(), options_before.clone());
+        let mut repairs = Vec::new();
+        mend_pose_graph(&mut graph, &mut options, &self.parts, &mut repairs);
+        repairs.into_iter().for_each(|r| report.add(r));
+        // What needs no repair stays as it is, unknown fields included.
+        let unless_same = |same: bool, bytes: Vec<u8>, data: Data| {
+            if same && !bytes.is_empty() { bytes } else { encode(data) }
+        };
+        let messages = [
+            SerializationHeader { format_version }.encode_to_vec(),
+            unless_same(graph == before, graph_bytes, Data::PoseGraph(graph.clone())),
+            unless_same(options == options_before, options_bytes, Data::AllTrajectoryBuilderOptions(options)),
+        ];
+        Start { graph, messages }
+    }
+}
+
+/// The messages after the first three.
+struct Rest {
+    trajectories: BTreeSet<i32>,
+    nodes: BTreeSet<IdInFile>,
+    submaps: BTreeSet<IdInFile>,
+    times: SensorTimes,
+    has_graph: bool,
+    has_options: bool,
+    has_header: bool,
+}
+
+impl Rest {
+    fn new(graph: &PoseGraph) -> Self {
+        let of = |t: &crate::proto::mapping::Trajectory| t.trajectory_id;
+        let nodes = graph.trajectory.iter().flat_map(|t| t.node.iter().map(move |n| (of(t), n.node_index)));
+        let submaps =
+            graph.trajectory.iter().flat_map(|t| t.submap.iter().map(move |s| (of(t), s.submap_index)));
+        Self {
+            trajectories: graph.trajectory.iter().map(of).collect(),
+            nodes: nodes.collect(),
+            submaps: submaps.collect(),
+            times: SensorTimes::default(),
+            has_graph: false,
+            has_options: false,
+            has_header: false,
+        }
+    }
+
+    /// What to write of a message.
+    fn message(&mut self, raw: RawMessage, report: &mut RepairReport) -> Option<Vec<u8>> {
+        if header(&raw).is_some() {
+            if std::mem::replace(&mut self.has_header, true) {
+                report.add(Repair::MessageDropped);
+            }
+            return None;
+        }
+        let Some(mut data) = decode(&raw) else {
+            // An unknown kind survives; what is no message at all does not.
+            if matches!(numbered(&raw).decode(), Ok(Message::Unknown(_))) {
+                return Some(raw.bytes);
+            }
+            report.add(Repair::MessageDropped);
+            return None;
+        };
+        match mend(&mut data) {
+            Mended::Unchanged => self.keep(&data, report).then_some(raw.bytes),
+            Mended::Changed(repairs) => self.keep(&data, report).then(|| {
+                repairs.into_iter().for_each(|r| report.add(r));
+                encode(data)
+            }),
+            Mended::Dropped(repair) => {
+                report.add(repair);
+                None
+            }
+        }
+    }
+
+    fn keep(&mut self, data: &Data, report: &mut RepairReport) -> bool {
+        let dropped = match data {
+            Data::PoseGraph(_) => {
+                let second = std::mem::replace(&mut self.has_graph, true);
+                if second {
+                    report.add(Repair::MessageDropped);
+                }
+                return false;
+            }
+            Data::AllTrajectoryBuilderOptions(_) => {
+                let second = std::mem::replace(&mut self.has_options, true);
+                if second {
+                    report.add(Repair::MessageDropped);
+                }
+                return false;
+            }
+            // Taken out, so that a second one of the same id is dropped.
+            Data::Submap(s) => {
+                (!self.submaps.remove(&submap_id(s.submap_id.as_ref()))).then_some(Repair::SubmapDropped)
+            }
+            Data::Node(n) => {
+                (!self.nodes.remove(&node_id(n.node_id.as_ref()))).then_some(Repair::NodeDropped)
+            }
+            _ => {
+                let known = trajectory_of(data).is_none_or(|t| self.trajectories.contains(&t));
+                (!known || !self.times.is_next(data)).then_some(Repair::SensorDataDropped)
+            }
+        };
+        dropped.inspect(|r| report.add(*r)).is_none()
+    }
+}
+
+fn encode(data: Data) -> Vec<u8> {
+    crate::proto::mapping::SerializedData { data: Some(data) }.encode_to_vec()
+}
+
+/// The header is recognised by its content, because records before it may be lost.
+fn header(raw: &RawMessage) -> Option<SerializationHeader> {
+    let header = SerializationHeader::decode(&*raw.bytes).ok()?;
+    (matches!(header.format_version, 1 | 2) && header.encoded_len() == raw.bytes.len()).then_some(header)
+}
+
+/// As any message but the header.
+fn numbered(raw: &RawMessage) -> RawMessage {
+    RawMessage { index: raw.index.max(1), ..raw.clone() }
+}
+
+fn decode(raw: &RawMessage) -> Option<Data> {
+    crate::proto::mapping::SerializedData::decode(&*raw.bytes).ok()?.data
+}
