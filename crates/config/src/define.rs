@@ -55,13 +55,9 @@ macro_rules! options {
 
             fn specs(&self) -> &'static [$crate::node::OptionSpec] {
                 const SPECS: &[$crate::node::OptionSpec] = &[$(
-                    $crate::node::OptionSpec {
-                        key: stringify!($field),
-                        doc: concat!($($doc, "\n"),+),
-                        $(unit: $unit, bounds: $bounds,)?
-                        $(mark: $crate::define::mark!($mark),)?
-                        ..$crate::node::OptionSpec::PLAIN
-                    },
+                    $crate::node::OptionSpec::new(stringify!($field), concat!($($doc, "\n"),+))
+                        $(.with($unit, $bounds))?
+                        $(.marked($crate::define::mark!($mark)))?,
                 )*];
                 SPECS
             }

@@ -35,10 +35,10 @@ pub enum ConfigError {
     },
     /// No directory has the file, nor is there a built-in one.
     #[error(
-        "{}File '{name}' was not found. Searched: {}; built in are: {}",
+        "{}File '{name}' was not found. Searched: {}; {}",
         at(place),
         if searched.is_empty() { "no directory".to_owned() } else { searched.join(", ") },
-        crate::lua::built_in_names().join(", ")
+        built_in_hint(name)
     )]
     FileNotFound {
         /// The name as given to `include` or `read`.
@@ -201,6 +201,15 @@ impl ConfigError {
             1 => Err(errors.remove(0)),
             _ => Err(Self::Several { errors }),
         }
+    }
+}
+
+/// The built-in file that was probably meant, or all of them.
+fn built_in_hint(name: &str) -> String {
+    let names = crate::lua::built_in_names();
+    match crate::nearest::nearest(name, names.iter().copied()) {
+        Some(near) => format!("did you mean the built-in `{near}`?"),
+        None => format!("built in are: {}", names.join(", ")),
     }
 }
 

@@ -94,7 +94,7 @@ impl Loader {
     ) -> Result<LoadedConfig<T>, ConfigError> {
         let file = &evaluation.file;
         let mut table = evaluation.table.clone();
-        for key in required.iter().filter(|key| !table.entries.contains_key(**key)) {
+        if let Some(key) = required.iter().find(|key| !table.entries.contains_key(**key)) {
             let (file, key) = (file.clone(), (*key).to_owned());
             return Err(ConfigError::MissingTable { file, key, advice: advice(&table).to_owned() });
         }

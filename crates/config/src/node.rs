@@ -33,8 +33,20 @@ pub struct OptionSpec {
 }
 
 impl OptionSpec {
-    /// The values of an entry that does not say otherwise.
-    pub const PLAIN: Self = Self { key: "", doc: "", unit: "", bounds: Bounds::ANY, mark: Mark::Required };
+    /// An entry without unit and bounds that the reference demands.
+    pub(crate) const fn new(key: &'static str, doc: &'static str) -> Self {
+        Self { key, doc, unit: "", bounds: Bounds::ANY, mark: Mark::Required }
+    }
+
+    /// The same with unit and bounds.
+    pub(crate) const fn with(self, unit: &'static str, bounds: Bounds) -> Self {
+        Self { unit, bounds, ..self }
+    }
+
+    /// The same with another mark.
+    pub(crate) const fn marked(self, mark: Mark) -> Self {
+        Self { mark, ..self }
+    }
 }
 
 /// A single value.

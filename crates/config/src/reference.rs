@@ -19,7 +19,7 @@ pub fn reference() -> String {
     for table in catalogue().iter().filter(|doc| doc.is_table) {
         let title = format!("`{}`", table.path);
         let absent = if table.default == "absent" {
-            " Absent by default; the values below apply when the table is given without them."
+            " The values below apply when the table is given without them."
         } else {
             ""
         };
@@ -60,7 +60,7 @@ fn default_cell(option: &OptionDoc) -> String {
     if option.is_table {
         return option.default.clone();
     }
-    let unit = if option.unit.is_empty() { String::new() } else { format!(" {}", option.unit) };
+    let unit = if option.is_number() { format!(" {}", option.unit) } else { String::new() };
     format!("`{}`{unit}", option.default)
 }
 

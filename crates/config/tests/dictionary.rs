@@ -1,5 +1,7 @@
 //! The Lua dictionary: reading rules, bookkeeping, text form.
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
 use portolan_config::ConfigError;
 use portolan_config::lua::{Dictionary, Limits, dump, evaluate_text, print_configuration};
 

@@ -1,5 +1,7 @@
 //! Strictness, messages and merging when a robot's file is loaded.
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
 use portolan_config::{ConfigError, ConfigWarning, Loader, Options, Strictness};
 
 /// A robot's file with lines added before the end.

@@ -1,5 +1,7 @@
 //! Single options by path, listings, other forms.
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
 use portolan_config::{ConfigError, Options, Value, catalogue, explain, explain_all};
 
 fn set(setting: &str) -> Result<Options, ConfigError> {

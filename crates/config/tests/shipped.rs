@@ -1,5 +1,7 @@
 //! The configuration files that are part of the program.
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
 use std::path::Path;
 
 use portolan_config::lua::{Evaluation, Limits, built_in_names, dump, evaluate_file, evaluate_text};

@@ -1,5 +1,7 @@
 //! Configurations of real robots load.
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
 use std::path::{Path, PathBuf};
 
 use portolan_config::{ConfigWarning, LoadedConfig, Options};

@@ -94,7 +94,7 @@ pub fn evaluate_text(
 
 /// The number a Lua expression such as `math.rad(20)` stands for.
 pub(crate) fn evaluate_number(expression: &str) -> Option<f64> {
-    let limits = Limits { time: Duration::from_secs(1), memory: 16 << 20 };
+    let limits = Limits { time: Duration::from_secs(5), memory: 16 << 20 };
     let text = format!("return {{ {expression}\n}}");
     let evaluation = evaluate_text("expression", &text, &[], limits).ok()?;
     match evaluation.table.array.as_slice() {

@@ -23,13 +23,14 @@ options! {
         /// Solver iterations of the last optimisation, when all data is in. Raise it when that one still
         /// improves at its limit.
         max_num_final_iterations: usize = 200, "iterations", Bounds::at_least(1.0);
-        /// Share of the nodes that are matched against whole submaps of other trajectories (and of their
-        /// own after a long time apart). Raise it to relocalise sooner; each such match is expensive.
+        /// Share of the nodes that are matched against whole submaps of other trajectories with which there
+        /// is no recent constraint. Raise it to relocalise sooner; each such match is expensive.
         global_sampling_ratio: f64 = 0.003, "ratio", Bounds::UNIT;
         /// Log histograms of the residuals after each optimisation, 3D only.
         log_residual_histograms: bool = true, "", Bounds::ANY;
-        /// When two trajectories had no common constraint for so long, search the whole submap instead of
-        /// a window. Raise it when such searches cost too much time.
+        /// When two trajectories had no common constraint for so long, nodes of one are matched against the
+        /// whole submaps of the other instead of within a window. Raise it when such searches cost too much
+        /// time.
         global_constraint_search_after_n_seconds: f64 = 10.0, "s", Bounds::at_least(0.0).or_infinite();
         /// Drops 2D submaps that newer ones cover; absent: none is dropped.
         overlapping_submaps_trimmer_2d: Option<OverlappingSubmapsTrimmer2dOptions> = None;
