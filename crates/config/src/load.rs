@@ -67,7 +67,8 @@ impl Loader {
         Ok(config)
     }
 
-    /// Reads JSON as written by [`Options::to_json`]. Everything may be left out.
+    /// Reads JSON as written by [`Options::to_json`]. What is left out keeps its default; only a table that
+    /// may be absent (a trimmer, an intensity table) is absent when the table around it is given without it.
     pub fn load_json(&self, name: &str, text: &str) -> Result<LoadedConfig, ConfigError> {
         let mut reader = self.reader(name, &|_| None);
         let mut options = Options::default();
