@@ -5,6 +5,7 @@ mod block_system;
 mod condition;
 mod covariance;
 mod factor;
+mod factor_view;
 mod jacobian_check;
 mod linearization;
 mod manifold;

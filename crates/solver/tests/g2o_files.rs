@@ -1,5 +1,7 @@
 //! Reading and writing g2o files: round trips, repairs, damage of all kinds.
 
+#![allow(clippy::unwrap_used, clippy::panic)]
+
 use portolan_geometry::{Rigid2, Rigid3};
 use portolan_solver::g2o::{
     G2oError, Graph, GraphError, Initialization, OptimizeOptions, PoseGraph, optimize_graph, read_g2o,

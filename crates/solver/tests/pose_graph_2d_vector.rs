@@ -1,6 +1,8 @@
 //! The optimisation problem of vectors.md §10, built from the factors of this crate: all residuals of a
 //! planar pose graph with known costs and result.
 
+#![allow(clippy::unwrap_used, clippy::panic)]
+
 use portolan_geometry::{
     Quaternion, Rigid2, Rigid3, Vector3, embed_3d, project_2d, rotation_from_roll_pitch_yaw,
 };

@@ -1,6 +1,8 @@
 //! The optimisation problem of vectors.md §11, built from the factors of this crate: a pose graph in space
 //! with IMU, gravity, calibration, landmark and fixed frame, with known costs and result.
 
+#![allow(clippy::unwrap_used, clippy::panic)]
+
 use portolan_geometry::{
     Quaternion, Rigid3, Vector3, quaternion_from_angle_axis, rotation_from_roll_pitch_yaw, yaw,
 };

@@ -1,5 +1,7 @@
 //! Standard pose graphs reach their published optima. Needs the shared data directory.
 
+#![allow(clippy::unwrap_used, clippy::print_stderr)]
+
 use std::fs::File;
 use std::io::BufReader;
 use std::path::PathBuf;

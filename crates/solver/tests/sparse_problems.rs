@@ -1,6 +1,8 @@
 //! Behaviour of the sparse solver: classic functions, robust losses, constants, degenerate problems,
 //! cancelling, covariance, any number of threads.
 
+#![allow(clippy::unwrap_used, clippy::panic)]
+
 use std::ops::ControlFlow;
 
 use nalgebra as na;
@@ -14,8 +16,10 @@ use portolan_solver::{
 /// Two residuals of one or two scalar variables, given by a function and its derivatives.
 struct Scalars<const N: usize> {
     variables: [VariableId; N],
-    f: fn([f64; N]) -> ([f64; 2], [[f64; 2]; N]),
+    f: Function<N>,
 }
+
+type Function<const N: usize> = fn([f64; N]) -> ([f64; 2], [[f64; 2]; N]);
 
 impl<const N: usize> Factor for Scalars<N> {
     fn variables(&self) -> &[VariableId] {
@@ -291,7 +295,8 @@ fn wrong_use_is_told() {
     let x = problem.add_scalar(1.0);
     let other = {
         let mut other = Problem::new();
-        (0..5).map(|_| other.add_scalar(0.0)).next_back().unwrap()
+        let ids: [VariableId; 5] = std::array::from_fn(|_| other.add_scalar(0.0));
+        ids[4]
     };
     let unknown = problem.add_factor(prior(other, 0.0, 1.0), Loss::None);
     assert!(matches!(unknown, Err(ProblemError::UnknownVariable { variable: 4, count: 1 })));

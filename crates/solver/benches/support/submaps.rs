@@ -36,8 +36,8 @@ pub fn submap_graph(nodes: usize) -> SubmapGraph {
     };
     for i in 0..nodes {
         let newest = i / half;
-        for submap in newest.saturating_sub(1)..=newest {
-            graph.intra.push((submap, i, drift(submaps[submap]).inverse() * drift(i)));
+        for (submap, first) in submaps.iter().enumerate().take(newest + 1).skip(newest.saturating_sub(1)) {
+            graph.intra.push((submap, i, drift(*first).inverse() * drift(i)));
         }
         if i % 10 == 0 && i as f64 > per_round {
             let submap = (i - per_round as usize) / half;

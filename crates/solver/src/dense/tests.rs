@@ -128,3 +128,23 @@ fn nonmonotonic_steps_never_return_worse_than_monotonic_start() {
         assert!(summary.final_cost <= summary.initial_cost && (cost - summary.final_cost).abs() < 1e-12);
     }
 }
+
+#[test]
+fn normal_equations_that_stay_indefinite_are_given_up() {
+    struct Indefinite;
+    impl DenseProblem<1> for Indefinite {
+        type State = f64;
+        fn evaluate(&mut self, x: &f64, normal: Option<&mut NormalEquations<1>>) -> Option<f64> {
+            if let Some(normal) = normal {
+                normal.hessian[(0, 0)] = -1.0;
+                normal.gradient[0] = *x;
+            }
+            Some(1.0)
+        }
+        fn plus(&self, x: &f64, delta: &Vector1<f64>) -> f64 {
+            x + delta[0]
+        }
+    }
+    let (x, summary) = solve_dense(&mut Indefinite, 3.0, &SolverOptions::default());
+    assert_eq!((x, summary.termination, summary.iterations), (3.0, Termination::InvalidSteps, 5));
+}

@@ -128,11 +128,11 @@ impl BlockPattern {
         let mut column_starts = Vec::with_capacity(self.size() + 1);
         let mut next = Vec::with_capacity(n);
         let mut total = 0;
-        for column in 0..n {
+        for (dimension, height) in self.dimensions.iter().zip(&heights) {
             next.push(total);
-            for _ in 0..self.dimensions[column] {
+            for _ in 0..*dimension {
                 column_starts.push(total);
-                total += heights[column];
+                total += height;
             }
         }
         column_starts.push(total);

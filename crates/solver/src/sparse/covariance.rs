@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::block_system::SINGULAR_PIVOT;
-use super::linearization::CONSTANT;
+use super::factor_view::CONSTANT;
 use super::problem::{Problem, ProblemError, VariableId};
 
 /// Joint covariance of some variables: the corresponding blocks of `(JᵀJ)⁻¹`, in the tangent space of each

@@ -3,7 +3,8 @@
 use std::ops::ControlFlow;
 
 use super::block_system::BlockSystem;
-use super::linearization::{CONSTANT, Linearization};
+use super::factor_view::CONSTANT;
+use super::linearization::Linearization;
 use super::problem::{FactorId, Problem, ProblemError};
 use crate::trust_region::{Linearized, Progress, SolverOptions, Step, Summary, minimize};
 

@@ -1,0 +1,65 @@
+//! What the solver reports.
+
+/// Why the solver stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Termination {
+    /// The cost hardly changes any more.
+    FunctionTolerance,
+    /// The gradient vanishes.
+    GradientTolerance,
+    /// The parameters hardly change any more.
+    ParameterTolerance,
+    /// The trust region vanished: no direction lowers the cost.
+    TrustRegionTooSmall,
+    /// `max_num_iterations` steps were tried.
+    MaxIterations,
+    /// The caller asked to stop.
+    Cancelled,
+    /// Too many steps in a row could not be computed: the normal equations stay singular.
+    InvalidSteps,
+    /// The problem could not be evaluated where it had to be (cost or derivatives not finite).
+    EvaluationFailed,
+}
+
+impl Termination {
+    /// Whether a minimum was reached as far as the tolerances can tell.
+    pub fn is_convergence(self) -> bool {
+        use Termination::*;
+        matches!(self, FunctionTolerance | GradientTolerance | ParameterTolerance | TrustRegionTooSmall)
+    }
+
+    /// Whether the result is at least usable: not worse than the start, and not for lack of evaluation.
+    pub fn is_usable(self) -> bool {
+        !matches!(self, Self::InvalidSteps | Self::EvaluationFailed)
+    }
+}
+
+/// What the solver did. Costs are `½ Σ ρ(‖r‖²)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Summary {
+    /// Cost of the state given; NaN if it could not be evaluated.
+    pub initial_cost: f64,
+    /// Cost of the state returned.
+    pub final_cost: f64,
+    /// Steps tried.
+    pub iterations: u32,
+    /// Steps that were kept.
+    pub successful_steps: u32,
+    /// Why it stopped.
+    pub termination: Termination,
+}
+
+/// The state of the loop after one iteration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Steps tried so far.
+    pub iteration: u32,
+    /// Cost of the current state.
+    pub cost: f64,
+    /// Largest absolute component of the gradient.
+    pub gradient_max_norm: f64,
+    /// Radius of the next step.
+    pub trust_region_radius: f64,
+    /// Whether the step just tried was kept.
+    pub step_is_successful: bool,
+}
