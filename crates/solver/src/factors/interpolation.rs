@@ -24,9 +24,12 @@ pub(super) fn interpolate(first: &Rigid3, second: &Rigid3, factor: f64) -> Inter
     let dot = q0.coords.dot(&q1.coords);
     let sign = if dot < 0.0 { -1.0 } else { 1.0 };
     let cosine = dot.abs();
-    let weights = slerp_weights(cosine, factor);
+    // Near equality the chord tells the angle far better than its cosine.
+    let chord = (q0.coords - q1.coords * sign).norm();
+    let weights = slerp_weights(cosine, 2.0 * (chord / 2.0).min(1.0).asin(), factor);
     let blended = q0 * weights.first + q1 * (sign * weights.second);
-    // The blend has unit norm up to 1e-10 of linear weights, which the change below takes along.
+    // Linear weights leave the norm a little below one.
+    let norm = blended.norm();
     let rotation = Quaternion::new_normalize(blended);
     let along = q0 * weights.first_by_cosine + q1 * (sign * weights.second_by_cosine);
     let turn = |k: usize, of: &na::Quaternion<f64>, other: &na::Quaternion<f64>, weight: f64| {
@@ -34,7 +37,7 @@ pub(super) fn interpolate(first: &Rigid3, second: &Rigid3, factor: f64) -> Inter
         axis[k] = 1.0;
         let moved = na::Quaternion::from_parts(0.0, axis) * of;
         let change = moved * weight + along * (sign * moved.coords.dot(&other.coords));
-        (change * rotation.quaternion().conjugate()).imag()
+        (change * rotation.quaternion().conjugate()).imag() / norm
     };
     let columns = |of, other, weight| {
         Matrix3::from_columns(&[
@@ -60,13 +63,12 @@ struct SlerpWeights {
     second_by_cosine: f64,
 }
 
-/// Weights of the two quaternions by the cosine of the angle between them, with derivatives.
-fn slerp_weights(cosine: f64, factor: f64) -> SlerpWeights {
+/// Weights of the two quaternions by the angle between them, with derivatives by its cosine.
+fn slerp_weights(cosine: f64, angle: f64, factor: f64) -> SlerpWeights {
     let (f, g) = (factor, 1.0 - factor);
     if cosine >= LINEAR_ABOVE {
         return SlerpWeights { first: g, second: f, first_by_cosine: 0.0, second_by_cosine: 0.0 };
     }
-    let angle = cosine.acos();
     let sine = angle.sin();
     // d sin(m a)/sin(a) / d cos(a) = (sin(m a) cos(a) − m cos(m a) sin(a)) / sin³(a)
     let by_cosine = |m: f64| ((m * angle).sin() * cosine - m * (m * angle).cos() * sine) / sine.powi(3);
