@@ -22,7 +22,7 @@ use thiserror::Error;
 
 use crate::imu_tracker::ImuTracker;
 use odometry_queue::{OdometryQueue, thin_out};
-use screw_motion::fraction_of_motion;
+use screw_motion::ScrewMotion;
 
 /// Most IMU samples that are kept while no pose arrives.
 const IMU_CAPACITY: usize = 20_000;
@@ -87,7 +87,7 @@ pub struct PoseExtrapolator {
     linear_velocity_from_odometry: Vector3,
     angular_velocity_from_odometry: Vector3,
     /// Motion over the pose queue and the seconds that it took.
-    recent_motion: Option<(Rigid3, f64)>,
+    recent_motion: Option<(ScrewMotion, f64)>,
     last_extrapolated_time: Option<Time>,
     /// The last prediction, as long as nothing new is known.
     cached: Option<(Time, Rigid3)>,
@@ -178,7 +178,7 @@ impl PoseExtrapolator {
         let motion = old.inverse() * new;
         self.linear_velocity_from_poses = (new.translation.vector - old.translation.vector) / seconds;
         self.angular_velocity_from_poses = angle_axis_from_quaternion(&motion.rotation) / seconds;
-        self.recent_motion = Some((motion, seconds));
+        self.recent_motion = Some((ScrewMotion::to(&motion), seconds));
     }
 
     /// Takes an IMU sample, in order of time and not older than the last pose.
@@ -294,48 +294,59 @@ impl PoseExtrapolator {
             self.last_extrapolated_time = Some(time);
             return pose;
         }
-        // A tracker cannot go back: for an earlier time than before start again from the last pose.
-        let can_go_on = trackers.extrapolation.time() <= time;
-        let start = if can_go_on { trackers.extrapolation } else { trackers.main };
-        let extrapolation = self.advanced(start, time);
-        self.trackers = Some(Trackers { extrapolation, ..trackers });
-        let turned = trackers.main.orientation().inverse() * extrapolation.orientation();
         let pose = if self.use_all_odometry {
-            self.follow_measurements(last_time, &last, time, &turned)
+            self.follow_measurements(last_time, &last, trackers, time)
         } else {
-            self.go_straight_on(last_time, &last, time, &turned)
+            self.go_straight_on(last_time, &last, trackers, time)
         };
         self.last_extrapolated_time = Some(time);
         self.cached = Some((time, pose));
         pose
     }
 
+    /// How the tracking frame turned since the last pose, as the trackers see it.
+    fn turned(&mut self, trackers: Trackers, time: Time) -> Quaternion {
+        // A tracker cannot go back: for an earlier time than before start again from the last pose.
+        let can_go_on = trackers.extrapolation.time() <= time;
+        let start = if can_go_on { trackers.extrapolation } else { trackers.main };
+        let extrapolation = self.advanced(start, time);
+        self.trackers = Some(Trackers { extrapolation, ..trackers });
+        trackers.main.orientation().inverse() * extrapolation.orientation()
+    }
+
     /// The reference's prediction: constant velocity in the local map.
-    fn go_straight_on(&self, last_time: Time, last: &Rigid3, time: Time, turned: &Quaternion) -> Rigid3 {
+    fn go_straight_on(&mut self, last_time: Time, last: &Rigid3, trackers: Trackers, time: Time) -> Rigid3 {
         let velocity = if self.odometry.len() < 2 {
-            &self.linear_velocity_from_poses
+            self.linear_velocity_from_poses
         } else {
-            &self.linear_velocity_from_odometry
+            self.linear_velocity_from_odometry
         };
         let translation = last.translation.vector + velocity * time.seconds_since(last_time);
-        Rigid3::from_parts(na::Translation3::from(translation), last.rotation * turned)
+        Rigid3::from_parts(na::Translation3::from(translation), last.rotation * self.turned(trackers, time))
     }
 
     /// Our prediction: the motion that odometry measured, or else that of the last poses continued;
     /// turned as the gyroscope measured, if there is one.
-    fn follow_measurements(&self, last_time: Time, last: &Rigid3, time: Time, turned: &Quaternion) -> Rigid3 {
+    fn follow_measurements(
+        &mut self,
+        last_time: Time,
+        last: &Rigid3,
+        trackers: Trackers,
+        time: Time,
+    ) -> Rigid3 {
         let motion = self.odometry.motion(last_time, time).unwrap_or_else(|| match &self.recent_motion {
-            Some((motion, seconds)) => fraction_of_motion(motion, time.seconds_since(last_time) / seconds),
+            Some((motion, seconds)) => motion.fraction(time.seconds_since(last_time) / seconds),
             None => Rigid3::identity(),
         });
         let gyroscope_is_awake = self.imu.back().is_some_and(|newest| time - newest.time <= IMU_TIMEOUT);
         if !gyroscope_is_awake {
             return last * motion;
         }
+        let turned = self.turned(trackers, time);
         // The chord of an arc points half as far round as the arc turns.
         let difference = angle_axis_from_quaternion(&(turned * motion.rotation.inverse()));
         let chord = quaternion_from_angle_axis(&(difference / 2.0)) * motion.translation.vector;
-        last * Rigid3::from_parts(na::Translation3::from(chord), *turned)
+        last * Rigid3::from_parts(na::Translation3::from(chord), turned)
     }
 
     /// A pose from before the last, as far back as the queue goes.

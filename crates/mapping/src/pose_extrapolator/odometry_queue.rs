@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use portolan_geometry::{Duration, Rigid3, Time, rotation_angle};
 use portolan_sensor::OdometryData;
 
-use super::screw_motion::fraction_of_motion;
+use super::screw_motion::ScrewMotion;
 
 /// Odometry is given up when it has been silent for this long, or for three of its usual intervals.
 const TIMEOUT: Duration = Duration::from_ticks(5_000_000);
@@ -29,11 +29,28 @@ pub(super) struct OdometryQueue {
     data: VecDeque<OdometryData>,
     /// How much is kept from before the last pose.
     history: Duration,
+    /// The piece of motion that was asked for last: the points of a scan ask for the same again.
+    last_piece: Option<Piece>,
+}
+
+/// A screw motion that holds for a span of time.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    /// The time from whose pose the motion is seen.
+    from: Time,
+    /// Span for which the motion is valid.
+    start: Time,
+    end: Time,
+    anchor: Time,
+    from_from_anchor: Rigid3,
+    motion: ScrewMotion,
+    /// Seconds of the whole motion, negative if it leads back.
+    seconds: f64,
 }
 
 impl OdometryQueue {
     pub fn new(history: Duration) -> Self {
-        Self { data: VecDeque::new(), history }
+        Self { data: VecDeque::new(), history, last_piece: None }
     }
 
     pub fn len(&self) -> usize {
@@ -50,6 +67,7 @@ impl OdometryQueue {
 
     /// Appends a pose, which must be newer than all others.
     pub fn push(&mut self, data: OdometryData) {
+        self.last_piece = None;
         self.data.push_back(data);
         thin_out(&mut self.data, CAPACITY);
     }
@@ -73,11 +91,13 @@ impl OdometryQueue {
     }
 
     pub fn clear(&mut self) {
+        self.last_piece = None;
         self.data.clear();
     }
 
     /// Forgets what lies before the last pose, except two poses and the history.
     pub fn trim(&mut self, last_pose_time: Time) {
+        self.last_piece = None;
         let needed_from = last_pose_time - self.history;
         while self.data.len() > 2 && self.data.get(1).is_some_and(|d| d.time <= needed_from) {
             self.data.pop_front();
@@ -87,38 +107,64 @@ impl OdometryQueue {
     /// How the robot moved from one time to a later one, seen from its pose at the first: between
     /// odometry poses interpolated, outside with the velocity at that end. None if odometry does not
     /// cover that time well enough.
-    pub fn motion(&self, from: Time, to: Time) -> Option<Rigid3> {
+    pub fn motion(&mut self, from: Time, to: Time) -> Option<Rigid3> {
         let (oldest, newest) = (self.oldest()?.time, self.newest()?.time);
         let usual = newest - self.data.get(self.data.len().checked_sub(2)?)?.time;
         let timeout = TIMEOUT.max(usual + usual + usual);
         if to - newest > timeout || oldest - from > timeout {
             return None;
         }
-        Some(self.pose_at(from)?.inverse() * self.pose_at(to)?)
+        let known = self.last_piece.filter(|p| p.from == from && p.start <= to && to <= p.end);
+        let piece = known.or_else(|| self.piece(from, to))?;
+        self.last_piece = Some(piece);
+        Some(piece.from_from_anchor * piece.motion_at(to))
     }
 
-    /// Where odometry says the robot was. Needs two poses.
-    fn pose_at(&self, time: Time) -> Option<Rigid3> {
+    /// The piece of motion around `to`, seen from the pose at `from`.
+    fn piece(&self, from: Time, to: Time) -> Option<Piece> {
+        let (anchor, piece) = self.piece_around(from)?;
+        let odom_from_from = anchor.odom_from_tracking * piece.motion_at(from);
+        let (anchor, piece) = self.piece_around(to)?;
+        Some(Piece { from, from_from_anchor: odom_from_from.inverse() * anchor.odom_from_tracking, ..piece })
+    }
+
+    /// The motion around a time, and the odometry pose that it starts at. Needs two poses.
+    fn piece_around(&self, time: Time) -> Option<(&OdometryData, Piece)> {
         let after = self.data.partition_point(|d| d.time < time);
-        let (start, end) = if after == 0 {
-            let baseline_end = self.oldest()?.time + VELOCITY_BASELINE;
-            let end = self.data.partition_point(|d| d.time < baseline_end).clamp(1, self.data.len() - 1);
-            (self.data.front()?, self.data.get(end)?)
+        let (oldest, newest) = (self.oldest()?, self.newest()?);
+        let (anchor, other, span) = if after == 0 {
+            let other = self.data.partition_point(|d| d.time < oldest.time + VELOCITY_BASELINE);
+            let other = other.clamp(1, self.data.len().checked_sub(1)?.max(1));
+            (oldest, self.data.get(other)?, (Time::MIN, oldest.time))
         } else if after == self.data.len() {
-            let newest = self.newest()?;
-            let baseline = VELOCITY_BASELINE.max(time - newest.time);
-            let start = self.data.partition_point(|d| d.time <= newest.time - baseline).saturating_sub(1);
-            (newest, self.data.get(start)?)
+            let other = self.data.partition_point(|d| d.time <= newest.time - VELOCITY_BASELINE);
+            (newest, self.data.get(other.saturating_sub(1))?, (newest.time, Time::MAX))
         } else {
-            (self.data.get(after - 1)?, self.data.get(after)?)
+            let (anchor, other) = (self.data.get(after - 1)?, self.data.get(after)?);
+            (anchor, other, (anchor.time, other.time))
         };
-        let span = end.time.seconds_since(start.time);
-        if span == 0.0 {
+        let seconds = other.time.seconds_since(anchor.time);
+        if seconds == 0.0 {
             return None;
         }
-        let motion = start.odom_from_tracking.inverse() * end.odom_from_tracking;
-        let fraction = time.seconds_since(start.time) / span;
-        Some(start.odom_from_tracking * fraction_of_motion(&motion, fraction))
+        let motion = anchor.odom_from_tracking.inverse() * other.odom_from_tracking;
+        let piece = Piece {
+            from: anchor.time,
+            start: span.0,
+            end: span.1,
+            anchor: anchor.time,
+            from_from_anchor: Rigid3::identity(),
+            motion: ScrewMotion::to(&motion),
+            seconds,
+        };
+        Some((anchor, piece))
+    }
+}
+
+impl Piece {
+    /// From the anchor to a time.
+    fn motion_at(&self, time: Time) -> Rigid3 {
+        self.motion.fraction(time.seconds_since(self.anchor) / self.seconds)
     }
 }
 

@@ -4,15 +4,29 @@ use portolan_geometry::{
     Rigid3, Vector3, angle_axis_from_quaternion, nalgebra as na, quaternion_from_angle_axis,
 };
 
-/// The motion that is `fraction` of `motion` done with constant linear and angular velocity in the
-/// moving frame: `exp(fraction · log(motion))` of SE(3). A planar robot that keeps its wheels turning
-/// goes this way, on an arc. Fractions beyond one and below zero go on and back.
-pub(super) fn fraction_of_motion(motion: &Rigid3, fraction: f64) -> Rigid3 {
-    let rotation = angle_axis_from_quaternion(&motion.rotation);
-    let velocity = inverse_left_jacobian(&rotation, &motion.translation.vector);
-    let part = rotation * fraction;
-    let translation = left_jacobian(&part, &(velocity * fraction));
-    Rigid3::from_parts(na::Translation3::from(translation), quaternion_from_angle_axis(&part))
+/// A rigid motion with constant linear and angular velocity in the moving frame: the logarithm in SE(3)
+/// of where it leads. A planar robot that keeps its wheels turning goes this way, on an arc.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ScrewMotion {
+    /// Rotation vector of the whole motion, radians.
+    rotation: Vector3,
+    /// Way of the whole motion as the moving frame sees it, metres.
+    velocity: Vector3,
+}
+
+impl ScrewMotion {
+    /// The screw motion that leads to `motion`, turning by less than half a turn.
+    pub fn to(motion: &Rigid3) -> Self {
+        let rotation = angle_axis_from_quaternion(&motion.rotation);
+        Self { rotation, velocity: inverse_left_jacobian(&rotation, &motion.translation.vector) }
+    }
+
+    /// Where a fraction of the motion leads. Fractions beyond one and below zero go on and back.
+    pub fn fraction(&self, fraction: f64) -> Rigid3 {
+        let rotation = self.rotation * fraction;
+        let translation = left_jacobian(&rotation, &(self.velocity * fraction));
+        Rigid3::from_parts(na::Translation3::from(translation), quaternion_from_angle_axis(&rotation))
+    }
 }
 
 /// `V(ω) v = v + (1−cos θ)/θ² ω×v + (θ−sin θ)/θ³ ω×(ω×v)`: where constant velocity v leads while
@@ -49,7 +63,7 @@ mod tests {
     fn half_of_an_arc_is_the_shorter_arc() {
         // A quarter of a circle of radius 2, driven to the left.
         let quarter = Rigid3::new(Vector3::new(2.0, 2.0, 0.0), Vector3::z() * std::f64::consts::FRAC_PI_2);
-        let half = fraction_of_motion(&quarter, 0.5);
+        let half = ScrewMotion::to(&quarter).fraction(0.5);
         let expected = Vector3::new(2.0_f64.sqrt(), 2.0 - 2.0_f64.sqrt(), 0.0);
         assert!((half.translation.vector - expected).norm() < 1e-12);
     }
@@ -62,7 +76,8 @@ mod tests {
         ) {
             let w = Vector3::from(w) * if tiny { 1e-5 } else { 1.0 };
             let motion = Rigid3::new(Vector3::from(t), w);
-            let whole = fraction_of_motion(&motion, a) * fraction_of_motion(&motion, 1.0 - a);
+            let screw = ScrewMotion::to(&motion);
+            let whole = screw.fraction(a) * screw.fraction(1.0 - a);
             prop_assert!((whole.to_homogeneous() - motion.to_homogeneous()).norm() < 1e-7);
         }
     }

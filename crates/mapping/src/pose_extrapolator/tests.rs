@@ -198,7 +198,8 @@ mod all_odometry {
     /// Straight on for a second, then a tight curve, then straight again.
     fn truth(seconds: f64) -> Rigid3 {
         let straight = |s: f64| planar(0.8 * s, 0.0, 0.0);
-        let turn = |s: f64| fraction_of_motion(&planar(0.5, 0.5, std::f64::consts::FRAC_PI_2), s);
+        let quarter = ScrewMotion::to(&planar(0.5, 0.5, std::f64::consts::FRAC_PI_2));
+        let turn = |s: f64| quarter.fraction(s);
         straight(seconds.min(1.0))
             * turn((seconds - 1.0).clamp(0.0, 1.0))
             * straight((seconds - 2.0).max(0.0))
@@ -281,7 +282,8 @@ mod all_odometry {
 
     #[test]
     fn without_measurements_an_arc_goes_on() {
-        let circle = |time: f64| fraction_of_motion(&planar(0.5, 0.5, std::f64::consts::FRAC_PI_2), time);
+        let quarter = ScrewMotion::to(&planar(0.5, 0.5, std::f64::consts::FRAC_PI_2));
+        let circle = |time: f64| quarter.fraction(time);
         let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, true);
         for scan in 0..10 {
             let time = 0.2 * f64::from(scan);
