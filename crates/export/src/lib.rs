@@ -1,1 +1,21 @@
-//! Pictures, clouds and trajectories for other programs
+//! Pictures, clouds and trajectories for other programs.
+//!
+//! All writers give a file its name only when it is complete.
+
+mod colour;
+mod font;
+mod map_lines;
+mod overlay;
+mod picture;
+mod png_file;
+mod raster;
+mod tum;
+
+pub use colour::{Rgb, hsv, mix, palette, rgb, to_bytes};
+pub use font::{draw_text, text_width};
+pub use map_lines::{constraint_lines, trajectory_lines};
+pub use overlay::{ConstraintLine, TrajectoryLine};
+pub use picture::{MAX_EDGE, MapContent, Picture, PictureError, PictureOptions, draw_map};
+pub use png_file::{write_grey_map, write_picture};
+pub use raster::{Frame, MapColours};
+pub use tum::{tum_line, write_tum};

@@ -48,7 +48,9 @@ pub use map_reader::{IgnoredMessages, MapMessage, MapReader};
 pub use message::{Message, MessageKind, RawMessage, kind_of};
 pub use migrate::{MigrateError, MigrateOptions, MigrateReport, migrate};
 pub use number::format_general;
-pub use paint::{MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint};
+pub use paint::{
+    EvidenceMap, MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint, sum_evidence,
+};
 pub use point_cloud::{PointCloudError, compress as compress_points, decompress as decompress_points};
 pub use pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 pub use reader::{PbstreamReader, ReadLimits};

@@ -7,7 +7,7 @@ use portolan_geometry::Rigid3;
 use rayon::prelude::*;
 
 use crate::pose::IdInFile;
-use crate::resample::Sampler;
+use crate::resample::{Sample, Sampler, add_evidence, over};
 use crate::texture::SubmapTexture;
 
 /// Free margin around the submaps, pixels.
@@ -139,11 +139,54 @@ fn occupancy([grey, known]: [u8; 2]) -> i8 {
     ((1.0 - f64::from(grey) / 255.0) * 100.0).round() as i8
 }
 
+/// The evidence of all submaps, row by row from the top (largest y).
+#[derive(Clone, Debug, PartialEq)]
+pub struct EvidenceMap {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Edge of a pixel in metres.
+    pub resolution: f64,
+    /// Where the origin of the map frame lies in the picture: pixels from the left and from the top.
+    pub origin: [f64; 2],
+    /// Sums of log odds: above 0 free, below occupied, 0 not known. One submap gives −127 (probability
+    /// 0.9) to 63 (0.1, counted half).
+    pub evidence: Vec<i16>,
+}
+
 /// Paints textures one over the other, in the order given, the same for any number of threads.
 ///
 /// Textures that are seen exactly from the side (a submap tilted by a quarter turn) have no area and
 /// leave nothing.
 pub fn paint(textures: &[PlacedTexture], options: &PaintOptions) -> Result<PaintedMap, PaintError> {
+    let (layout, pixels) = blend_all(textures, options, [128, 0], over)?;
+    let Layout { width, height, origin } = layout;
+    Ok(PaintedMap { width, height, resolution: options.resolution, origin, pixels })
+}
+
+/// Adds up what all submaps say about each place, in the manner of a Bayesian filter. Where submaps
+/// disagree a painted map shows the last one and no certainty; this shows what most of the evidence is
+/// for. For pictures; other programs expect [`paint`].
+pub fn sum_evidence(textures: &[PlacedTexture], options: &PaintOptions) -> Result<EvidenceMap, PaintError> {
+    let (layout, evidence) = blend_all(textures, options, 0, add_evidence)?;
+    let Layout { width, height, origin } = layout;
+    Ok(EvidenceMap { width, height, resolution: options.resolution, origin, evidence })
+}
+
+/// Size of a picture and position of the map's origin in it.
+struct Layout {
+    width: usize,
+    height: usize,
+    origin: [f64; 2],
+}
+
+fn blend_all<P: Copy + Send>(
+    textures: &[PlacedTexture],
+    options: &PaintOptions,
+    ground: P,
+    blend: impl Fn(&mut P, Sample) + Sync,
+) -> Result<(Layout, Vec<P>), PaintError> {
     let resolution = options.resolution;
     if !resolution.is_finite() || resolution <= 0.0 {
         return Err(PaintError::Resolution(resolution));
@@ -159,16 +202,16 @@ pub fn paint(textures: &[PlacedTexture], options: &PaintOptions) -> Result<Paint
         return Err(PaintError::TooLarge { width, height, limit: options.max_pixels, enough });
     }
     let (width, height) = (size[0] as usize, size[1] as usize);
-    let mut pixels = vec![[128, 0]; width * height];
+    let mut pixels = vec![ground; width * height];
     let samplers: Vec<Sampler> = slices.iter().filter_map(|s| s.sampler(origin)).collect();
     pixels.par_chunks_mut(width.max(1) * BAND).enumerate().for_each(|(band, rows)| {
         for sampler in &samplers {
             for (i, row) in rows.chunks_mut(width.max(1)).enumerate() {
-                sampler.paint_row(band * BAND + i, row);
+                sampler.paint_row(band * BAND + i, row, &blend);
             }
         }
     });
-    Ok(PaintedMap { width, height, resolution, origin, pixels })
+    Ok((Layout { width, height, origin }, pixels))
 }
 
 /// A texture with the affine map from its pixels to the picture, before the shift by the origin.

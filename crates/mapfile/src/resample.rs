@@ -15,7 +15,7 @@ const MAX_SAMPLES: usize = 16;
 const MAX_EDGE: usize = 1 << 29;
 
 /// A colour with 8 bits for each part, premultiplied: grey, known, alpha.
-type Sample = [u32; 3];
+pub type Sample = [u32; 3];
 
 /// Paints one texture into rows of a picture.
 pub struct Sampler<'a> {
@@ -67,8 +67,8 @@ impl<'a> Sampler<'a> {
         Some(Self { pixels, width, height, texture_from_picture, rows, samples })
     }
 
-    /// Composites the texture over row `y` of the picture, whose pixels are `(grey, known)`.
-    pub fn paint_row(&self, y: usize, row: &mut [[u8; 2]]) {
+    /// Brings the texture into row `y` of the picture; `blend` brings one sample into one pixel.
+    pub fn paint_row<P>(&self, y: usize, row: &mut [P], blend: impl Fn(&mut P, Sample)) {
         if (y as f64) + 1.0 < self.rows[0] || (y as f64) > self.rows[1] {
             return;
         }
@@ -77,12 +77,12 @@ impl<'a> Sampler<'a> {
         if self.samples == 1 {
             let (mut position, step) = (self.position(first as f64 + 0.5, y as f64 + 0.5), self.step(1.0));
             for pixel in span {
-                over(pixel, self.bilinear(position));
+                blend(pixel, self.bilinear(position));
                 position = [position[0] + step[0], position[1] + step[1]];
             }
         } else {
             for (i, pixel) in span.iter_mut().enumerate() {
-                over(pixel, self.average((first + i) as f64, y as f64));
+                blend(pixel, self.average((first + i) as f64, y as f64));
             }
         }
     }
@@ -177,9 +177,9 @@ fn fixed(v: f64) -> i64 {
     (v * (1_i64 << POSITION_BITS) as f64).round() as i64
 }
 
-/// `source + destination * (1 - alpha)` for each part.
+/// The OVER operator: `source + destination * (1 - alpha)` for each part of a pixel `(grey, known)`.
 #[inline]
-fn over(destination: &mut [u8; 2], [grey, known, alpha]: Sample) {
+pub fn over(destination: &mut [u8; 2], [grey, known, alpha]: Sample) {
     let keep = 255 - alpha.min(255);
     let blend = |d: u8, s: u32| {
         // d * keep / 255, rounded.
@@ -187,4 +187,11 @@ fn over(destination: &mut [u8; 2], [grey, known, alpha]: Sample) {
         (s + ((product + (product >> 8)) >> 8)).min(255) as u8
     };
     *destination = [blend(destination[0], grey), blend(destination[1], known)];
+}
+
+/// Adds up evidence: free counts up, occupied down. Free space counts half, because a wall that is a
+/// little out of place in one submap is free space in the other.
+#[inline]
+pub fn add_evidence(sum: &mut i16, [grey, _, alpha]: Sample) {
+    *sum = sum.saturating_add((grey / 2) as i16 - alpha as i16);
 }

@@ -1,0 +1,38 @@
+//! PNG files.
+
+use std::io;
+use std::path::Path;
+
+use portolan_mapfile::{AtomicFile, PaintedMap, WriteError};
+
+use crate::picture::Picture;
+
+/// Writes a picture.
+pub fn write_picture(path: &Path, picture: &Picture) -> Result<(), WriteError> {
+    write_png(path, png::ColorType::Rgb, [picture.frame.width, picture.frame.height], &picture.rgb)
+}
+
+/// Writes the grey values of a painted map: what ROS maps hold, as PNG.
+pub fn write_grey_map(path: &Path, map: &PaintedMap) -> Result<(), WriteError> {
+    let grey: Vec<u8> = map.grey().collect();
+    write_png(path, png::ColorType::Grayscale, [map.width, map.height], &grey)
+}
+
+fn write_png(path: &Path, colour: png::ColorType, size: [usize; 2], data: &[u8]) -> Result<(), WriteError> {
+    let mut file = AtomicFile::create(path)?;
+    match encode(&mut file, colour, size, data) {
+        Ok(()) => file.commit(),
+        Err(source) => Err(file.error(source)),
+    }
+}
+
+fn encode(sink: impl io::Write, colour: png::ColorType, size: [usize; 2], data: &[u8]) -> io::Result<()> {
+    let [width, height] = size.map(|s| u32::try_from(s).unwrap_or(u32::MAX));
+    let mut encoder = png::Encoder::new(sink, width, height);
+    encoder.set_color(colour);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(data)?;
+    writer.finish()?;
+    Ok(())
+}

@@ -1,0 +1,38 @@
+//! Trajectories as text: one pose a line, `time x y z qx qy qz qw`.
+
+use std::io::Write;
+use std::path::Path;
+
+use portolan_geometry::{Rigid3, Time};
+use portolan_mapfile::{AtomicFile, WriteError};
+
+/// Writes a trajectory. Times are Unix seconds with seven exact places, positions metres and quaternions
+/// with nine.
+pub fn write_tum<'a>(
+    path: &Path,
+    poses: impl IntoIterator<Item = &'a (Time, Rigid3)>,
+) -> Result<(), WriteError> {
+    let mut file = AtomicFile::create(path)?;
+    for (time, pose) in poses {
+        if let Err(source) = writeln!(file, "{}", tum_line(*time, pose)) {
+            return Err(file.error(source));
+        }
+    }
+    file.commit()
+}
+
+/// One line of such a file, without its end.
+pub fn tum_line(time: Time, pose: &Rigid3) -> String {
+    let (t, q) = (&pose.translation, pose.rotation.quaternion());
+    format!(
+        "{} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}",
+        time.unix_decimal(),
+        t.x,
+        t.y,
+        t.z,
+        q.i,
+        q.j,
+        q.k,
+        q.w
+    )
+}
