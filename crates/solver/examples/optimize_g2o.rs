@@ -1,6 +1,7 @@
 //! Optimises g2o files: `cargo run --release -p portolan-solver --example optimize_g2o -- a.g2o b.g2o`.
 //! `--city=10000` optimises a made-up city of so many poses in space instead of a file.
-//! Options: `--init=automatic|file|odometry|tree|rotations`, `--radius=1e8`, `--condition`, `--out=result.g2o`.
+//! Options, before the files: `--init=automatic|file|odometry|tree|rotations`, `--radius=1e8`, `--condition`,
+//! `--out=result.g2o`.
 
 #![allow(clippy::print_stdout)]
 

@@ -90,7 +90,9 @@ proptest! {
     }
 
     #[test]
-    fn landmarks(a in se3(), noise in se3(), landmark in se3(), seen in se3(), factor in 0.0..1.0f64, far in any::<bool>()) {
+    fn landmarks(
+        a in se3(), noise in se3(), landmark in se3(), seen in se3(), factor in 0.0..1.0f64, far in any::<bool>(),
+    ) {
         let b = if far { a * noise } else { near(&a, &Rigid3::from_parts(noise.translation, noise.rotation.powf(1e-3))) };
         let tracking = Landmark3d {
             variables: ids(), interpolation_factor: factor, tracking_from_landmark: Rigid3::identity(),
@@ -107,7 +109,10 @@ proptest! {
     }
 
     #[test]
-    fn planar_landmarks(a in se2(), turn in -2.0..2.0f64, gravity in prop::array::uniform2(0.0..0.3f64), landmark in se3(), seen in se3(), factor in 0.0..1.0f64) {
+    fn planar_landmarks(
+        a in se2(), turn in -2.0..2.0f64, gravity in prop::array::uniform2(0.0..0.3f64),
+        landmark in se3(), seen in se3(), factor in 0.0..1.0f64,
+    ) {
         let b = a * Rigid2::new(0.4, -0.1, turn);
         let gravity_alignments = gravity.map(|g| quaternion_from_angle_axis(&Vector3::new(g, -0.5 * g, 0.0)));
         let mut planar_factor = Landmark2d {
@@ -120,7 +125,10 @@ proptest! {
     }
 
     #[test]
-    fn imu(a in se3(), b in se3(), c in se3(), delta in rotation(0.5), calibration in rotation(1.5), dv in vector(3.0), g in 0.0..12.0f64) {
+    fn imu(
+        a in se3(), b in se3(), c in se3(), delta in rotation(0.5), calibration in rotation(1.5),
+        dv in vector(3.0), g in 0.0..12.0f64,
+    ) {
         let rotation = ImuRotation { variables: ids(), first_from_second: delta, weight: 3.0 };
         let calibrated = rotation_variable(&calibration);
         check(&rotation, &[spatial(&a), spatial(&b), calibrated.clone()])?;

@@ -200,7 +200,10 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
     #[test]
-    fn no_damage_panics(spatial in any::<bool>(), cut in 0usize..2000, flips in prop::collection::vec((0usize..2000, any::<u8>()), 0..6)) {
+    fn no_damage_panics(
+        spatial in any::<bool>(), cut in 0usize..2000,
+        flips in prop::collection::vec((0usize..2000, any::<u8>()), 0..6),
+    ) {
         let mut bytes = if spatial { SPATIAL } else { PLANAR }.as_bytes().to_vec();
         for (at, value) in flips {
             let length = bytes.len();

@@ -211,6 +211,29 @@ fn constants_stay_and_restrictions_hold() {
 }
 
 #[test]
+fn a_factor_without_residuals_does_nothing() {
+    struct Nothing([VariableId; 2]);
+    impl Factor for Nothing {
+        fn variables(&self) -> &[VariableId] {
+            &self.0
+        }
+        fn residual_dimension(&self) -> usize {
+            0
+        }
+        fn evaluate(&self, _: &[&[f64]], _: &mut [f64], _: Option<&mut [&mut [f64]]>) -> bool {
+            true
+        }
+    }
+    let mut problem = Problem::new();
+    let ids = [problem.add_scalar(1.0), problem.add_scalar(2.0)];
+    problem.add_factor(prior(ids[0], 5.0, 1.0), Loss::None).unwrap();
+    problem.add_factor(prior(ids[1], 6.0, 1.0), Loss::None).unwrap();
+    problem.add_factor(Nothing(ids), Loss::Huber(1.0)).unwrap();
+    let summary = problem.solve(&tight()).unwrap();
+    assert!(summary.final_cost < 1e-12 && (problem.scalar(ids[1]) - 6.0).abs() < 1e-6);
+}
+
+#[test]
 fn gravity_stays_positive() {
     let mut problem = Problem::new();
     let g = problem.add_nonnegative(9.8);

@@ -16,8 +16,8 @@ pub enum Se3ErrorConvention {
     Logarithm,
     /// `(t, 2 vec(q))` with w ≥ 0: nearly the rotation vector, but large errors count less.
     DoubledQuaternion,
-    /// `(t, vec(q))` with w ≥ 0: what the program g2o itself computes for EDGE_SE3:QUAT. A quarter of the weight
-    /// of rotations compared with the others.
+    /// `(t, vec(q))` with w ≥ 0: what the program g2o itself computes for EDGE_SE3:QUAT. Rotations count a
+    /// quarter of what they count with the others.
     Quaternion,
 }
 

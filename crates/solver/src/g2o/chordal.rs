@@ -1,5 +1,5 @@
-//! Rotations first: initial values from two linear problems (Carlone et al., "Initialization techniques for 3D
-//! SLAM", ICRA 2015, section III-B).
+//! Rotations first: initial values from two linear problems (Carlone et al., "Initialization techniques for
+//! 3D SLAM", ICRA 2015, section III-B).
 //!
 //! 1. Rotation matrices are found as matrices, without their constraints: `min Σ w_r ‖R_j − R_i R_ij‖²`, and
 //!    then projected. The rows of all R decouple and share one matrix.

@@ -19,8 +19,8 @@ const HOPELESS: f64 = 2.0;
 /// How a graph is optimised.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OptimizeOptions {
-    /// When to stop, and how bold the steps are. Default: 100 iterations, function tolerance 1e-9, and a first
-    /// step close to Gauss–Newton (radius 1e8), which suits pose graphs with a fair start.
+    /// When to stop, and how bold the steps are. Default: 100 iterations, function tolerance 1e-9, and a
+    /// first step close to Gauss–Newton (radius 1e8), which suits pose graphs with a fair start.
     pub solver: SolverOptions,
     /// Where to start.
     pub initialization: Initialization,

@@ -11,7 +11,8 @@ use nalgebra as na;
 use crate::factors::Se3ErrorConvention;
 use crate::{FactorId, Loss, Problem, ProblemError, VariableId};
 
-/// A pose that can be a vertex: [`Rigid2`] or [`Rigid3`].
+/// A pose that can be a vertex: [`Rigid2`](portolan_geometry::Rigid2) or
+/// [`Rigid3`](portolan_geometry::Rigid3).
 pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Output = Self> {
     /// Symmetric matrix of the size of the error.
     type Information: Copy + PartialEq + Debug + Send + Sync + AsRef<[f64]> + 'static;

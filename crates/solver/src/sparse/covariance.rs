@@ -7,8 +7,8 @@ use super::factor_view::CONSTANT;
 use super::problem::{Problem, ProblemError, VariableId};
 
 /// Joint covariance of some variables: the corresponding blocks of `(JᵀJ)⁻¹`, in the tangent space of each
-/// variable's freedoms. Rotations are half-angle vectors: multiply by 2 (variances by 4) for radians. Meaningful
-/// when the residuals are weighted by their standard deviations.
+/// variable's freedoms. Rotations are half-angle vectors: multiply by 2 (variances by 4) for radians.
+/// Meaningful when the residuals are weighted by their standard deviations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Covariance {
     starts: Vec<usize>,
@@ -16,8 +16,8 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// The block of the `i`-th and the `j`-th variable as asked for; empty for constant variables, none beyond
-    /// the end.
+    /// The block of the `i`-th and the `j`-th variable as asked for; empty for constant variables, none
+    /// beyond the end.
     pub fn block(&self, i: usize, j: usize) -> Option<DMatrix<f64>> {
         let range = |k: usize| Some((*self.starts.get(k)?, *self.starts.get(k + 1)?));
         let ((row, row_end), (column, column_end)) = (range(i)?, range(j)?);

@@ -74,7 +74,7 @@ impl<'a> FactorView<'a> {
         let variables = self.factor.variables();
         let tangent: usize = variables.iter().map(|v| self.variable(*v).manifold.tangent_dimension()).sum();
         let Some(split) = scratch.len().checked_sub(rows * (1 + tangent)) else { return false };
-        let (mut blocks, work) = scratch.split_at_mut(split);
+        let (blocks, work) = scratch.split_at_mut(split);
         work.fill(0.0);
         let (residual, mut rest) = work.split_at_mut(rows);
         let mut jacobians: [&mut [f64]; MAX_FACTOR_VARIABLES] = Default::default();
@@ -90,36 +90,25 @@ impl<'a> FactorView<'a> {
         let squared_norm = residual.iter().map(|r| r * r).sum();
         let correction = (*self.loss != Loss::None)
             .then(|| Correction::new(&self.loss.evaluate(squared_norm), squared_norm));
-        let mut free: [(u32, &[f64]); MAX_FACTOR_VARIABLES] = Default::default();
+        let mut free: [FreeJacobian<'_>; MAX_FACTOR_VARIABLES] = Default::default();
         let mut free_count = 0;
         for ((jacobian, id), x) in jacobians.into_iter().zip(variables).zip(parameters) {
-            let at = position[id.0 as usize];
-            if at == CONSTANT {
+            let position = position[id.0 as usize];
+            if position == CONSTANT {
                 continue;
             }
-            let restricted = self.variable(*id).manifold.restrict(x, rows, jacobian);
+            let variable = self.variable(*id);
+            let jacobian = variable.manifold.restrict(x, rows, jacobian);
             if let Some(correction) = &correction {
-                correction.apply_to_jacobian(residual, restricted);
+                correction.apply_to_jacobian(residual, jacobian);
             }
-            free[free_count] = (at, restricted);
+            free[free_count] = FreeJacobian { position, columns: variable.degrees_of_freedom(), jacobian };
             free_count += 1;
         }
         if let Some(correction) = &correction {
             correction.apply_to_residual(residual);
         }
-        for (i, (at, jacobian)) in free[..free_count].iter().enumerate() {
-            for (other_at, other) in &free[..=i] {
-                // The block goes below the diagonal: its rows belong to the later variable.
-                let (row, column) = if at >= other_at { (jacobian, other) } else { (other, jacobian) };
-                let (block, after) =
-                    blocks.split_at_mut(row.len() / rows.max(1) * (column.len() / rows.max(1)));
-                products::transposed_product(rows, row, column, block);
-                blocks = after;
-            }
-            let (gradient, after) = blocks.split_at_mut(jacobian.len() / rows.max(1));
-            products::transposed_product(rows, jacobian, residual, gradient);
-            blocks = after;
-        }
+        write_products(&free[..free_count], residual, blocks);
         true
     }
 
@@ -159,6 +148,30 @@ impl<'a> FactorView<'a> {
             gradient[start..start + own.len()].iter_mut().zip(own).for_each(|(g, v)| *g += v);
             rest = after;
         }
+    }
+}
+
+/// The Jacobian by the degrees of freedom of one variable.
+#[derive(Default)]
+struct FreeJacobian<'a> {
+    position: u32,
+    columns: usize,
+    jacobian: &'a [f64],
+}
+
+/// Writes `JᵀJ` by blocks, each below the diagonal: its rows belong to the later variable; and `Jᵀr`.
+fn write_products(free: &[FreeJacobian<'_>], residual: &[f64], mut blocks: &mut [f64]) {
+    let rows = residual.len();
+    for (i, own) in free.iter().enumerate() {
+        for other in &free[..=i] {
+            let (row, column) = if own.position >= other.position { (own, other) } else { (other, own) };
+            let (block, after) = blocks.split_at_mut(row.columns * column.columns);
+            products::transposed_product(rows, row.jacobian, column.jacobian, block);
+            blocks = after;
+        }
+        let (gradient, after) = blocks.split_at_mut(own.columns);
+        products::transposed_product(rows, own.jacobian, residual, gradient);
+        blocks = after;
     }
 }
 

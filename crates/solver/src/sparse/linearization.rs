@@ -111,11 +111,12 @@ impl Linearization {
         let wave_size = self.buffer.len() / self.chunk_size.max(1) * CHUNK;
         for wave in self.active.chunks(wave_size.max(1)) {
             if self.parallel {
+                let mut costs = [Some(0.0); WAVE];
                 let buffers = self.buffer.par_chunks_mut(self.chunk_size);
-                let costs: Vec<Option<f64>> =
-                    buffers.zip(wave.par_chunks(CHUNK)).map(|(b, chunk)| chunk_cost(b, chunk)).collect();
-                for chunk in costs {
-                    cost += chunk?;
+                let work = buffers.zip(wave.par_chunks(CHUNK)).zip(costs.par_iter_mut());
+                work.for_each(|((buffer, chunk), cost)| *cost = chunk_cost(buffer, chunk));
+                for chunk in costs.iter().take(wave.len().div_ceil(CHUNK)) {
+                    cost += (*chunk)?;
                 }
             } else {
                 cost += chunk_cost(&mut self.buffer, wave)?;
@@ -135,17 +136,14 @@ impl Linearization {
         system.clear();
         gradient.fill(0.0);
         let position = &self.position;
-        let evaluate = |buffer: &mut [f64], chunk: &[ActiveFactor]| -> bool {
+        let evaluate = |buffer: &mut [f64], chunk: &[ActiveFactor]| {
             let mut rest = buffer;
-            for active in chunk {
+            chunk.iter().all(|active| {
                 let Some(view) = FactorView::new(problem, values, active.id) else { return false };
-                let (own, after) = rest.split_at_mut(view.scratch_size());
-                if !view.normal_blocks(position, own) {
-                    return false;
-                }
+                let (own, after) = std::mem::take(&mut rest).split_at_mut(view.scratch_size());
                 rest = after;
-            }
-            true
+                view.normal_blocks(position, own)
+            })
         };
         let wave_size = self.buffer.len() / self.chunk_size.max(1) * CHUNK;
         for wave in self.active.chunks(wave_size.max(1)) {
@@ -161,8 +159,8 @@ impl Linearization {
             if !good {
                 return false;
             }
-            for (buffer, chunk) in self.buffer.chunks(self.chunk_size).zip(wave.chunks(CHUNK)) {
-                let mut rest = buffer;
+            // One after the other in the order of factors: the sums are the same for any number of threads.
+            for (mut rest, chunk) in self.buffer.chunks(self.chunk_size).zip(wave.chunks(CHUNK)) {
                 for active in chunk {
                     let Some(view) = FactorView::new(problem, values, active.id) else { return false };
                     let (own, after) = rest.split_at(view.scratch_size());

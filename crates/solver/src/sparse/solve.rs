@@ -14,7 +14,8 @@ impl Problem {
     ///
     /// The result is the same for any number of threads of the rayon pool in which this runs. Directions
     /// that no factor determines do not move; when the normal equations stay singular at any damping, the
-    /// start is kept and the summary says [`Termination::InvalidSteps`].
+    /// start is kept and the summary says
+    /// [`Termination::InvalidSteps`](crate::Termination::InvalidSteps).
     pub fn solve(&mut self, options: &SolverOptions) -> Result<Summary, ProblemError> {
         self.solve_observed(options, &mut |_| ControlFlow::Continue(()))
     }
