@@ -4,7 +4,7 @@ use std::io::{BufRead, Write};
 
 use portolan_geometry::{Quaternion, Rigid3, Time, nalgebra as na};
 
-use super::{Lines, bad_line, both, parse_number, parse_time};
+use super::{Lines, bad_line, parse_number, parse_time};
 use crate::EvaluationError;
 use crate::trajectory::{TimedPose, Trajectory, TrajectoryRepairs};
 
@@ -65,9 +65,8 @@ pub fn kitti_trajectory(
     if poses.len() != times.len() {
         return Err(EvaluationError::UnequalLengths { poses: poses.len(), times: times.len() });
     }
-    let both_of = |(time, pose): (&Time, &Rigid3)| TimedPose { time: *time, map_from_tracking: *pose };
-    let (trajectory, repairs) = Trajectory::new(times.iter().zip(poses).map(both_of));
-    Ok((trajectory, both(repairs, TrajectoryRepairs::default())))
+    let timed = |(time, pose): (&Time, &Rigid3)| TimedPose { time: *time, map_from_tracking: *pose };
+    Ok(Trajectory::new(times.iter().zip(poses).map(timed)))
 }
 
 /// Writes the poses of a trajectory without their times.
