@@ -56,7 +56,7 @@ pub use pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, sub
 pub use reader::{PbstreamReader, ReadLimits};
 pub use repair::{Repair, RepairError, RepairReport, repair};
 pub use ros_map::{ImageName, ros_map_yaml, write_pgm, write_ros_map};
-pub use text_format::message_to_text;
+pub use text_format::{message_to_text, pose_graph_to_text};
 pub use texture::{MAX_TEXTURE_PIXELS, SubmapTexture, TextureError, texture_2d};
 pub use texture_3d::{texture_3d, xray_texture};
 pub use wire::{Fields, WireError, WireValue};

@@ -77,7 +77,10 @@ impl<'a> Sampler<'a> {
         if self.samples == 1 {
             let (mut position, step) = (self.position(first as f64 + 0.5, y as f64 + 0.5), self.step(1.0));
             for pixel in span {
-                blend(pixel, self.bilinear(position));
+                let sample = self.bilinear(position);
+                if sample != [0; 3] {
+                    blend(pixel, sample);
+                }
                 position = [position[0] + step[0], position[1] + step[1]];
             }
         } else {
@@ -141,35 +144,47 @@ impl<'a> Sampler<'a> {
     }
 
     /// Outside of the texture everything is transparent.
+    #[inline]
     fn bilinear(&self, position: [i64; 2]) -> Sample {
         let [x, y] = position.map(|v| v + ROUND_POSITION);
-        let (column, row) = (x >> POSITION_BITS, y >> POSITION_BITS);
+        let neighbours = self.neighbours(x >> POSITION_BITS, y >> POSITION_BITS);
+        if neighbours == [[0, 0]; 4] {
+            return [0; 3];
+        }
         let fraction = |v: i64| ((v >> (POSITION_BITS - WEIGHT_BITS)) & ((1 << WEIGHT_BITS) - 1)) as u32;
         // Weights in 256ths.
         let (dx, dy) = (fraction(x) << (8 - WEIGHT_BITS), fraction(y) << (8 - WEIGHT_BITS));
         let weights = [(256 - dx) * (256 - dy), dx * (256 - dy), (256 - dx) * dy, dx * dy];
-        let neighbours = [(0, 0), (1, 0), (0, 1), (1, 1)];
         let mut sum = [0; 3];
-        for (weight, (i, j)) in weights.into_iter().zip(neighbours) {
-            let colour = self.colour(column + i, row + j);
+        for (weight, [value, alpha]) in weights.into_iter().zip(neighbours) {
+            let known = if value == 0 && alpha == 0 { 0 } else { 255 };
+            let colour = [u32::from(value), known, u32::from(alpha)];
             sum = [0, 1, 2].map(|k| sum[k] + weight * colour[k]);
         }
         sum.map(|s| s >> 16)
     }
 
+    /// The pixels at a column and a row, right of it, below it, and right below it.
     #[inline]
-    fn colour(&self, column: i64, row: i64) -> Sample {
+    fn neighbours(&self, column: i64, row: i64) -> [[u8; 2]; 4] {
+        let inside = (column as u64) < self.width as u64 - 1 && (row as u64) < self.height as u64 - 1;
+        if inside {
+            let start = row as usize * self.width + column as usize;
+            let upper = self.pixels.get(start..start + 2);
+            let lower = self.pixels.get(start + self.width..start + self.width + 2);
+            if let (Some([a, b]), Some([c, d])) = (upper, lower) {
+                return [*a, *b, *c, *d];
+            }
+        }
+        [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| self.pixel(column + i, row + j))
+    }
+
+    fn pixel(&self, column: i64, row: i64) -> [u8; 2] {
         let inside = (column as u64) < self.width as u64 && (row as u64) < self.height as u64;
         if !inside {
-            return [0; 3];
+            return [0, 0];
         }
-        match self.pixels.get(row as usize * self.width + column as usize) {
-            Some([value, alpha]) => {
-                let known = if (*value, *alpha) == (0, 0) { 0 } else { 255 };
-                [u32::from(*value), known, u32::from(*alpha)]
-            }
-            None => [0; 3],
-        }
+        self.pixels.get(row as usize * self.width + column as usize).copied().unwrap_or_default()
     }
 }
 

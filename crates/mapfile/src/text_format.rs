@@ -13,6 +13,7 @@ use prost_types::{DescriptorProto, EnumDescriptorProto, FileDescriptorSet};
 use crate::message::RawMessage;
 use crate::number::format_general;
 use crate::proto::DESCRIPTORS;
+use crate::proto::mapping::PoseGraph;
 use crate::wire::{Fields, WireValue, varint};
 
 /// Unknown data that look like messages within messages are not followed deeper.
@@ -71,6 +72,11 @@ pub fn message_to_text(bytes: &[u8], message_type: &str) -> String {
     let mut text = String::new();
     print_message(bytes, Some(&format!(".{message_type}")), 0, &mut text);
     text
+}
+
+/// A pose graph as text.
+pub fn pose_graph_to_text(pose_graph: &PoseGraph) -> String {
+    mapping_to_text(pose_graph, "PoseGraph")
 }
 
 /// A message of the package `cartographer.mapping.proto` as text.

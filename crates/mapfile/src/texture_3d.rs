@@ -39,20 +39,17 @@ pub fn xray_texture(grid: &HybridGrid, map_from_submap: &Rigid3) -> Result<Subma
             c.add(index.z, *probability);
         }
     }
-    let resolution = f64::from(grid.resolution);
+    // In single precision, as the coordinates of voxels.
+    let corner = |index: i32| f64::from(index as f32 * grid.resolution);
     let map_from_slice = Rigid3::from_parts(
-        Translation3::new(
-            f64::from(area.max.x) * resolution,
-            f64::from(area.max.y) * resolution,
-            map_from_submap.translation.z,
-        ),
+        Translation3::new(corner(area.max.x), corner(area.max.y), map_from_submap.translation.z),
         Quaternion::identity(),
     );
     Ok(SubmapTexture {
         pixels: columns.iter().map(Column::pixel).collect(),
         width,
         height,
-        resolution,
+        resolution: f64::from(grid.resolution),
         submap_from_slice: map_from_submap.inverse() * map_from_slice,
     })
 }

@@ -127,6 +127,8 @@ fn xray_of_hybrid_grids() {
     assert!((slice.rotation.w - 0.988771078).abs() < 1e-9 && (slice.rotation.k + 0.149438132).abs() < 1e-9);
     let low = xray_texture(&hybrid_grid(0.45, &cloud, 3), &map_from_submap).unwrap();
     assert_eq!((low.width, low.height, checksum(&low)), (30, 37, 0x896f_1784));
+    let slice = low.submap_from_slice.translation.vector;
+    assert!((slice - Vector3::new(9.578349323, 3.893292533, 0.0)).norm() < 1e-8);
     let message = high.to_proto().unwrap();
     assert_eq!(gunzip(&message.cells, 1 << 20).unwrap(), high.pixels.as_flattened());
 }
