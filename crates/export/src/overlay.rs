@@ -87,13 +87,15 @@ pub fn draw_trajectories(pixmap: &mut PixmapMut, frame: &Frame, lines: &[Traject
     }
 }
 
-/// Strokes a line through map positions; steps of less than half a pixel are joined.
+/// Strokes a line through map positions; steps of less than half a pixel are joined, and the line is
+/// interrupted where a position is not finite or far outside of the picture.
 fn stroke_line(pixmap: &mut PixmapMut, frame: &Frame, points: &[[f64; 2]], paint: &Paint, width: f32) {
     let mut builder = PathBuilder::new();
     let mut last: Option<(f32, f32)> = None;
     for (i, point) in points.iter().enumerate() {
         let (x, y) = frame.pixel(*point);
         if !(x.is_finite() && y.is_finite() && x.abs() < 1e6 && y.abs() < 1e6) {
+            last = None;
             continue;
         }
         match last {

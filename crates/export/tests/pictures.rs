@@ -87,6 +87,9 @@ fn sizes_and_crops_are_obeyed() {
     let part = drawn(&map, &options);
     assert_eq!((part.frame.width, part.frame.height), (500, 300));
     assert_eq!(part.frame.pixel([0.0, 0.0]), (250.0, 150.0));
+    // Much of the trajectory is far outside.
+    let options = PictureOptions { crop: Some(crop), resolution: Some(0.005), ..PictureOptions::default() };
+    assert_eq!(drawn(&map, &options).frame.width, 2000);
 }
 
 #[test]
@@ -142,14 +145,16 @@ fn far_away_submaps_only_make_the_picture_coarse() {
         resolution: 0.05,
         submap_from_slice: Rigid3::identity(),
     };
-    let textures = [0.0, 1e9].map(|x| PlacedTexture {
-        id: (0, 0),
-        map_from_submap: Rigid3::translation(x, 0.0, 0.0),
-        texture: texture.clone(),
-    });
-    let content = MapContent { textures: &textures, ..MapContent::default() };
-    let picture = draw_map(&content, &PictureOptions::default()).unwrap();
-    assert_eq!(picture.frame.width, 2400);
+    for far in [1e5, 1e9, 1e12, 1e17] {
+        let textures = [0.0, far].map(|x| PlacedTexture {
+            id: (0, 0),
+            map_from_submap: Rigid3::translation(x, 0.0, 0.0),
+            texture: texture.clone(),
+        });
+        let content = MapContent { textures: &textures, ..MapContent::default() };
+        let picture = draw_map(&content, &PictureOptions::default()).unwrap();
+        assert_eq!(picture.frame.width, 2400);
+    }
 }
 
 #[test]

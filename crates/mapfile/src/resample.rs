@@ -81,7 +81,7 @@ impl<'a> Sampler<'a> {
                 if sample != [0; 3] {
                     blend(pixel, sample);
                 }
-                position = [position[0] + step[0], position[1] + step[1]];
+                position = advance(position, step);
             }
         } else {
             for (i, pixel) in span.iter_mut().enumerate() {
@@ -136,7 +136,7 @@ impl<'a> Sampler<'a> {
             for _ in 0..n {
                 let sample = self.bilinear(position);
                 sum = [0, 1, 2].map(|i| sum[i] + sample[i]);
-                position = [position[0] + step[0], position[1] + step[1]];
+                position = advance(position, step);
             }
         }
         let count = (n * n) as u32;
@@ -146,7 +146,7 @@ impl<'a> Sampler<'a> {
     /// Outside of the texture everything is transparent.
     #[inline]
     fn bilinear(&self, position: [i64; 2]) -> Sample {
-        let [x, y] = position.map(|v| v + ROUND_POSITION);
+        let [x, y] = position.map(|v| v.saturating_add(ROUND_POSITION));
         let neighbours = self.neighbours(x >> POSITION_BITS, y >> POSITION_BITS);
         if neighbours == [[0, 0]; 4] {
             return [0; 3];
@@ -186,6 +186,11 @@ impl<'a> Sampler<'a> {
         }
         self.pixels.get(row as usize * self.width + column as usize).copied().unwrap_or_default()
     }
+}
+
+/// Saturates, because textures may lie absurdly far away.
+fn advance(position: [i64; 2], step: [i64; 2]) -> [i64; 2] {
+    [position[0].saturating_add(step[0]), position[1].saturating_add(step[1])]
 }
 
 fn fixed(v: f64) -> i64 {
