@@ -73,8 +73,10 @@ impl<S: Space> Backend<S> {
             .thread_name(|i| format!("search-{i}"))
             .build()
             .map_err(|e| MapperError::Threads(e.to_string()))?;
-        let shared =
-            Arc::new(Shared { backlog: AtomicUsize::new(0), progress: Mutex::new(BackendProgress::default()) });
+        let shared = Arc::new(Shared {
+            backlog: AtomicUsize::new(0),
+            progress: Mutex::new(BackendProgress::default()),
+        });
         if threads == 1 {
             return Ok(Self { place: Place::Inline { graph: Box::new(graph), pool }, shared });
         }
@@ -96,7 +98,10 @@ impl<S: Space> Backend<S> {
     }
 
     /// Gives work; it is done later, in order.
-    pub fn enqueue(&mut self, work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static) -> Result<(), MapperError> {
+    pub fn enqueue(
+        &mut self,
+        work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,
+    ) -> Result<(), MapperError> {
         match &mut self.place {
             Place::Inline { graph, pool } => {
                 pool.install(|| work(graph));

@@ -30,8 +30,8 @@ pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Mapper, MapperSettings};
 pub use node::{Node, NodeData};
 pub use optimization::{
-    LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary, TrajectorySensors,
-    optimize_2d,
+    LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
+    TrajectorySensors, optimize_2d,
 };
 pub use planar::Planar;
 pub use pose_graph::{

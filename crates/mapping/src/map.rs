@@ -31,7 +31,11 @@ pub struct Map<S: Space> {
 
 impl<S: Space> Map<S> {
     /// Puts the parts together.
-    pub fn new(options: Options, graph: PoseGraph<S>, trajectories: BTreeMap<TrajectoryId, EndedTrajectory>) -> Self {
+    pub fn new(
+        options: Options,
+        graph: PoseGraph<S>,
+        trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
+    ) -> Self {
         Self { options, graph, trajectories }
     }
 

@@ -12,10 +12,10 @@ use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
+use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, MatchingResult, Repairs};
 use crate::map::{Map, ScanPose};
 use crate::motion_filter::MotionFilter;
-use crate::local_slam::motion_filter;
 use crate::{InitialTrajectoryPose, PoseGraph, Space, TrajectoryId, Trimmer};
 
 /// How the mapper works, apart from what it maps.

@@ -1,14 +1,13 @@
 //! The plane as a space to map in.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector2, embed_3d, project_2d};
-use portolan_matching::CellBox;
-use crate::scan_matching_2d::FastCorrelativeMatcher2d;
+use portolan_geometry::{Quaternion, Rigid3, Vector2, embed_3d, project_2d};
+use portolan_matching::{CellBox, FastCorrelativeMatcher2d, GradientMatcher2d};
 use portolan_sensor::SensorId;
 
 use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
 use crate::optimization::{OptimizationData, OptimizationSummary, optimize_2d};
-use crate::scan_matching_2d::{fast_matcher, gradient_matcher};
+use crate::scan_matching_2d::{fast_matcher_options, gradient_matcher};
 use crate::submap_2d::Submap2d;
 use crate::{Constraint, MapperError, MatchedPose, NodeData, SearchRegion, Space};
 
@@ -16,9 +15,15 @@ use crate::{Constraint, MapperError, MatchedPose, NodeData, SearchRegion, Space}
 #[derive(Clone, Copy, Debug)]
 pub struct Planar;
 
+/// What finds nodes in one finished submap.
+pub struct PlanarMatcher {
+    search: FastCorrelativeMatcher2d,
+    refinement: GradientMatcher2d,
+}
+
 impl Space for Planar {
     type Submap = Submap2d;
-    type Matcher = FastCorrelativeMatcher2d;
+    type Matcher = PlanarMatcher;
     type LocalSlam = LocalSlam2d;
 
     const OPTIMIZES_WITH_IMU: bool = false;
@@ -26,7 +31,6 @@ impl Space for Planar {
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam2d, MapperError> {
         let extras = LocalSlamExtras { use_all_odometry: options.portolan.use_all_odometry };
         LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)
-            .map_err(|e| MapperError::Options(e.to_string()))
     }
 
     fn local_from_submap(submap: &Submap2d) -> Rigid3 {
@@ -41,12 +45,16 @@ impl Space for Planar {
         graph_pose * gravity_alignment
     }
 
-    fn build_matcher(submap: &Submap2d, options: &ConstraintBuilderOptions) -> FastCorrelativeMatcher2d {
-        fast_matcher(&submap.grid, &options.fast_correlative_scan_matcher)
+    fn build_matcher(submap: &Submap2d, options: &ConstraintBuilderOptions) -> Option<PlanarMatcher> {
+        let settings = fast_matcher_options(&options.fast_correlative_scan_matcher);
+        Some(PlanarMatcher {
+            search: FastCorrelativeMatcher2d::new(&submap.grid, &settings).ok()?,
+            refinement: gradient_matcher(&options.ceres_scan_matcher).ok()?,
+        })
     }
 
     fn find_node(
-        matcher: &FastCorrelativeMatcher2d,
+        matcher: &PlanarMatcher,
         submap: &Submap2d,
         node: &NodeData,
         guess_submap_from_node: &Rigid3,
@@ -57,20 +65,16 @@ impl Space for Planar {
         let cloud = &node.filtered_gravity_aligned_point_cloud;
         let found = match region {
             SearchRegion::Window => {
-                let guess: Rigid2 = local_from_submap * project_2d(guess_submap_from_node);
-                matcher.match_local(&guess, cloud, options.min_score as f32)
+                let guess = local_from_submap * project_2d(guess_submap_from_node);
+                matcher.search.match_local(&guess, cloud, options.min_score as f32)
             }
             SearchRegion::WholeSubmap => {
-                matcher.match_full(cloud, options.global_localization_min_score as f32)
+                matcher.search.match_full(cloud, options.global_localization_min_score as f32)
             }
         }?;
-        let refined = gradient_matcher(&options.ceres_scan_matcher).match_scan(
-            &found.pose.translation,
-            &found.pose,
-            cloud,
-            &submap.grid,
-        );
-        let pose = if refined.pose.is_finite() { refined.pose } else { found.pose };
+        let refined =
+            matcher.refinement.match_scan(found.pose.translation, &found.pose, cloud, &submap.grid).pose;
+        let pose = if refined.is_finite() { refined } else { found.pose };
         let submap_from_node = embed_3d(&(local_from_submap.inverse() * pose));
         Some(MatchedPose { submap_from_node, score: found.score })
     }

@@ -1,21 +1,74 @@
-//! stub
-use portolan_config::*;
-use portolan_geometry::*;
-use portolan_matching::Grid2d;
+//! Matchers as the options describe them, and matching a scan against the submap that is being filled
+//! (`slam2d.md` §5, 10).
+
+use portolan_config::{
+    CeresScanMatcher2dOptions, FastCorrelativeScanMatcher2dOptions, TrajectoryBuilder2dOptions,
+};
+use portolan_geometry::Rigid2;
+use portolan_matching::{
+    FastCorrelativeOptions2d, GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError,
+    RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions,
+};
 use portolan_sensor::PointCloud;
+use portolan_solver::SolverOptions;
+
 use crate::submap_2d::Submap2d;
-pub struct ScanMatcher2d;
+
+/// Correlative search around the prediction, if asked for, then descent along the gradient.
+pub struct ScanMatcher2d {
+    correlative: Option<RealTimeCorrelativeMatcher2d>,
+    gradient: GradientMatcher2d,
+}
+
 impl ScanMatcher2d {
-    pub fn new(_: &TrajectoryBuilder2dOptions) -> Self { Self }
-    pub fn match_scan(&self, prediction: Rigid2, _cloud: &PointCloud, _submap: Option<&Submap2d>) -> Rigid2 { prediction }
+    /// With the options of local SLAM; weights that are not positive are an error.
+    pub fn new(options: &TrajectoryBuilder2dOptions) -> Result<Self, MatcherOptionError> {
+        let o = &options.real_time_correlative_scan_matcher;
+        let correlative = options
+            .use_online_correlative_scan_matching
+            .then(|| {
+                RealTimeCorrelativeMatcher2d::new(&RealTimeCorrelativeOptions {
+                    linear_search_window: o.linear_search_window,
+                    angular_search_window: o.angular_search_window,
+                    translation_delta_cost_weight: o.translation_delta_cost_weight,
+                    rotation_delta_cost_weight: o.rotation_delta_cost_weight,
+                })
+            })
+            .transpose()?;
+        Ok(Self { correlative, gradient: gradient_matcher(&options.ceres_scan_matcher)? })
+    }
+
+    /// The pose of the scan in the local map. Without a submap the prediction is all there is.
+    pub fn match_scan(&self, prediction: Rigid2, cloud: &PointCloud, submap: Option<&Submap2d>) -> Rigid2 {
+        let Some(submap) = submap else { return prediction };
+        let searched = self.correlative.as_ref().and_then(|m| m.match_scan(&prediction, cloud, &submap.grid));
+        let initial = searched.map_or(prediction, |found| found.pose);
+        self.gradient.match_scan(prediction.translation, &initial, cloud, &submap.grid).pose
+    }
 }
-pub struct FastCorrelativeMatcher2d;
-pub struct GradientMatcher2d;
-pub struct M { pub pose: Rigid2, pub score: f32 }
-impl FastCorrelativeMatcher2d {
-  pub fn match_local(&self, _: &Rigid2, _: &PointCloud, _: f32) -> Option<M> { None }
-  pub fn match_full(&self, _: &PointCloud, _: f32) -> Option<M> { None }
+
+/// The gradient matcher that the options describe.
+pub fn gradient_matcher(
+    options: &CeresScanMatcher2dOptions,
+) -> Result<GradientMatcher2d, MatcherOptionError> {
+    let solver = &options.ceres_solver_options;
+    GradientMatcher2d::new(&GradientMatcherOptions2d {
+        occupied_space_weight: options.occupied_space_weight,
+        translation_weight: options.translation_weight,
+        rotation_weight: options.rotation_weight,
+        solver: SolverOptions {
+            max_num_iterations: u32::try_from(solver.max_num_iterations).unwrap_or(u32::MAX),
+            use_nonmonotonic_steps: solver.use_nonmonotonic_steps,
+            ..SolverOptions::default()
+        },
+    })
 }
-impl GradientMatcher2d { pub fn match_scan(&self, _: &Vector2, p: &Rigid2, _: &PointCloud, _: &Grid2d) -> M { M{pose:*p, score:0.} } }
-pub fn fast_matcher(_: &Grid2d, _: &FastCorrelativeScanMatcher2dOptions) -> FastCorrelativeMatcher2d { FastCorrelativeMatcher2d }
-pub fn gradient_matcher(_: &CeresScanMatcher2dOptions) -> GradientMatcher2d { GradientMatcher2d }
+
+/// The settings of the search for constraints.
+pub fn fast_matcher_options(options: &FastCorrelativeScanMatcher2dOptions) -> FastCorrelativeOptions2d {
+    FastCorrelativeOptions2d {
+        linear_search_window: options.linear_search_window,
+        angular_search_window: options.angular_search_window,
+        branch_and_bound_depth: u32::try_from(options.branch_and_bound_depth).unwrap_or(u32::MAX),
+    }
+}

@@ -55,8 +55,8 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
     /// The inverse of [`Space::graph_pose`].
     fn tracking_pose(graph_pose: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3;
 
-    /// Precomputes what searching in this submap needs.
-    fn build_matcher(submap: &Self::Submap, options: &ConstraintBuilderOptions) -> Self::Matcher;
+    /// Precomputes what searching in this submap needs; none if the options make no sense.
+    fn build_matcher(submap: &Self::Submap, options: &ConstraintBuilderOptions) -> Option<Self::Matcher>;
 
     /// Looks for the node in the submap and refines what is found.
     fn find_node(

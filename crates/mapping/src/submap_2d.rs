@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use portolan_config::{GridType2d, RangeDataInserterType2d, Submaps2dOptions};
 use portolan_geometry::{Point3f, Rigid3, Vector2};
+use portolan_matching::grid::InserterOptionError;
 use portolan_matching::{
     Grid2d, GridError, InsertReport, MapLimits, NormalEstimationOptions, ProbabilityGrid,
     ProbabilityInserter, ProbabilityInserterOptions, Tsdf2d, TsdfInserter, TsdfInserterOptions,
 };
-use portolan_matching::grid::InserterOptionError;
 use portolan_sensor::RangeData;
 
 use crate::GrowingSubmap;

@@ -31,7 +31,11 @@ pub type Repairs = std::collections::BTreeMap<&'static str, u64>;
 /// The local SLAM of one trajectory.
 pub trait LocalSlam<S: Space>: Send {
     /// A range measurement; gives a result when enough of them are together.
-    fn add_range_data(&mut self, sensor_id: &SensorId, data: TimedPointCloudData) -> Option<MatchingResult<S>>;
+    fn add_range_data(
+        &mut self,
+        sensor_id: &SensorId,
+        data: TimedPointCloudData,
+    ) -> Option<MatchingResult<S>>;
 
     /// An IMU sample.
     fn add_imu_data(&mut self, data: &ImuData);

@@ -7,7 +7,6 @@ use portolan_config::{AdaptiveVoxelFilterOptions, TrajectoryBuilder2dOptions};
 use portolan_geometry::{
     Point3f, Quaternion, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
 };
-use portolan_matching::grid::InserterOptionError;
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
     TimedPointCloudData, adaptive_voxel_filter, voxel_filter,
@@ -18,7 +17,7 @@ use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_2d::ScanMatcher2d;
 use crate::submap_2d::{Inserter2d, Submap2d};
-use crate::{InsertedNode, InsertionSubmap, NodeData, Planar};
+use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
 
 /// Settings beyond the reference's options.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,13 +55,14 @@ impl LocalSlam2d {
         options: &TrajectoryBuilder2dOptions,
         range_sensors: &[SensorId],
         extras: LocalSlamExtras,
-    ) -> Result<Self, InserterOptionError> {
+    ) -> Result<Self, MapperError> {
+        let contradiction = |e: &dyn std::error::Error| MapperError::Options(e.to_string());
         Ok(Self {
-            inserter: Arc::new(Inserter2d::new(&options.submaps)?),
+            inserter: Arc::new(Inserter2d::new(&options.submaps).map_err(|e| contradiction(&e))?),
             collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
             extrapolator: None,
             extras,
-            matcher: ScanMatcher2d::new(options),
+            matcher: ScanMatcher2d::new(options).map_err(|e| contradiction(&e))?,
             active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1)),
             motion_filter: motion_filter(&options.motion_filter),
             accumulated: Accumulation::default(),
@@ -140,7 +140,8 @@ impl LocalSlam2d {
             self.count("scan without a return in matching range");
             return None;
         }
-        let matched = self.matcher.match_scan(prediction, &matching_cloud, self.active_submaps.matching_submap());
+        let matched =
+            self.matcher.match_scan(prediction, &matching_cloud, self.active_submaps.matching_submap());
         let pose = if matched.is_finite() { matched } else { prediction };
         let local_from_tracking = embed_3d(&pose) * gravity;
         if !is_valid_pose(&local_from_tracking) {
@@ -149,9 +150,8 @@ impl LocalSlam2d {
         }
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
-        let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
-            self.insert(time, &range_data_in_local, matching_cloud, local_from_tracking, gravity)
-        });
+        let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking))
+            .then(|| self.insert(time, &range_data_in_local, matching_cloud, local_from_tracking, gravity));
         Some(MatchingResult { time, local_from_tracking, range_data_in_local, inserted })
     }
 

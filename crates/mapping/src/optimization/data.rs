@@ -101,12 +101,10 @@ impl OptimizationData {
             return;
         }
         let trajectory_id = node_id.trajectory_id;
-        let previous = self.nodes.range(NodeId::new(trajectory_id, 0)..node_id).next_back().map(|(_, n)| n.time);
-        let next = self
-            .nodes
-            .range(node_id..=NodeId::new(trajectory_id, u32::MAX))
-            .next()
-            .map(|(_, n)| n.time);
+        let previous =
+            self.nodes.range(NodeId::new(trajectory_id, 0)..node_id).next_back().map(|(_, n)| n.time);
+        let next =
+            self.nodes.range(node_id..=NodeId::new(trajectory_id, u32::MAX)).next().map(|(_, n)| n.time);
         let Some(sensors) = self.sensors.get_mut(&trajectory_id) else { return };
         trim_gap(&mut sensors.imu, previous, next);
         trim_gap(&mut sensors.odometry, previous, next);

@@ -1,6 +1,6 @@
 //! The optimisation problem in the plane (`slam2d.md` §14.6).
 
-use std::collections::{BTreeMap};
+use std::collections::BTreeMap;
 
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::{Rigid2, Rigid3, embed_3d, interpolate, project_2d};
@@ -68,7 +68,14 @@ impl PlanarProblem {
 
     /// `measured` is the pose of b in a. Errors of `add_factor` are impossible here: the variables are
     /// this problem's own and different.
-    fn add_between(&mut self, a: VariableId, b: VariableId, measured: Rigid2, weights: (f64, f64), loss: Loss) {
+    fn add_between(
+        &mut self,
+        a: VariableId,
+        b: VariableId,
+        measured: Rigid2,
+        weights: (f64, f64),
+        loss: Loss,
+    ) {
         let factor = factors::Se2Between {
             variables: [a, b],
             measurement: measured,
@@ -86,7 +93,8 @@ impl PlanarProblem {
             else {
                 continue;
             };
-            let loss = if constraint.is_loop_closure() { Loss::Huber(options.huber_scale) } else { Loss::None };
+            let loss =
+                if constraint.is_loop_closure() { Loss::Huber(options.huber_scale) } else { Loss::None };
             let weights = (constraint.translation_weight, constraint.rotation_weight);
             self.add_between(*submap, *node, project_2d(&constraint.submap_from_node), weights, loss);
         }
@@ -158,7 +166,9 @@ impl PlanarProblem {
         };
         for (trajectory_id, sensors) in &data.sensors {
             for (node_id, node) in of_trajectory(&data.nodes, *trajectory_id) {
-                let Some(fixed_from_tracking) = fixed_frame_at(&sensors.fixed_frame, node.time) else { continue };
+                let Some(fixed_from_tracking) = fixed_frame_at(&sensors.fixed_frame, node.time) else {
+                    continue;
+                };
                 let measured = project_2d(&fixed_from_tracking);
                 let origin = *self.fixed_frames.entry(*trajectory_id).or_insert_with(|| {
                     let known = data.fixed_frame_origins.get(trajectory_id).copied().flatten();
@@ -174,7 +184,11 @@ impl PlanarProblem {
         }
     }
 
-    fn solve(&mut self, data: &OptimizationData, options: &OptimizationProblemOptions) -> OptimizationSummary {
+    fn solve(
+        &mut self,
+        data: &OptimizationData,
+        options: &OptimizationProblemOptions,
+    ) -> OptimizationSummary {
         let solver = &options.ceres_solver_options;
         let iterations = u32::try_from(solver.max_num_iterations).unwrap_or(u32::MAX);
         let settings = SolverOptions {

@@ -5,9 +5,11 @@ use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time};
 
-use super::{PoseGraph, SubmapEntry, Trimmer, TrajectoryState};
+use super::{PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
 use crate::optimization::OptimizationNode;
-use crate::{Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
+use crate::{
+    Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId,
+};
 
 impl<S: Space> PoseGraph<S> {
     /// Ends a trajectory. `remaining` are the submaps that local SLAM was still filling; those that
@@ -63,13 +65,8 @@ impl<S: Space> PoseGraph<S> {
     }
 
     pub(super) fn delete_requested_trajectories(&mut self) {
-        let requested: Vec<TrajectoryId> = self
-            .state
-            .trajectories
-            .iter()
-            .filter(|(_, t)| t.delete_requested)
-            .map(|(id, _)| *id)
-            .collect();
+        let requested: Vec<TrajectoryId> =
+            self.state.trajectories.iter().filter(|(_, t)| t.delete_requested).map(|(id, _)| *id).collect();
         for id in requested {
             for submap_id in self.submaps_of(id) {
                 self.trim_submap(submap_id);
@@ -97,7 +94,13 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Takes over a submap of a file.
-    pub fn load_submap(&mut self, id: SubmapId, submap: Arc<S::Submap>, finished: bool, map_from_submap: Rigid3) {
+    pub fn load_submap(
+        &mut self,
+        id: SubmapId,
+        submap: Arc<S::Submap>,
+        finished: bool,
+        map_from_submap: Rigid3,
+    ) {
         self.state.trajectory_mut(id.trajectory_id);
         let local_from_submap = S::local_from_submap(&submap);
         self.state.submaps.insert(

@@ -233,9 +233,8 @@ impl<S: Space> PoseGraph<S> {
         }
         let (a, b) = (node_id.trajectory_id, submap_id.trajectory_id);
         let time = node.data.time.max(self.state.time_of_last_node(entry).unwrap_or(Time::MIN));
-        let recently = portolan_geometry::Duration::from_seconds(
-            self.options.global_constraint_search_after_n_seconds,
-        );
+        let recently =
+            portolan_geometry::Duration::from_seconds(self.options.global_constraint_search_after_n_seconds);
         if a == b || time < self.state.connectivity.last_connection_time(a, b) + recently {
             let map_from_node = self.problem.nodes[&node_id].map_from_node;
             let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
@@ -299,10 +298,8 @@ impl<S: Space> PoseGraph<S> {
         let old: BTreeMap<_, _> =
             trajectories.iter().map(|id| (*id, self.state.map_from_local(*id))).collect();
         self.state.optimized_submaps.clone_from(&self.problem.submaps);
-        let moved: BTreeMap<_, _> = trajectories
-            .iter()
-            .map(|id| (*id, self.state.map_from_local(*id) * old[id].inverse()))
-            .collect();
+        let moved: BTreeMap<_, _> =
+            trajectories.iter().map(|id| (*id, self.state.map_from_local(*id) * old[id].inverse())).collect();
         for (id, node) in &mut self.state.nodes {
             if let Some(optimized) = self.problem.nodes.get(id) {
                 node.map_from_tracking =

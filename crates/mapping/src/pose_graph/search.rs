@@ -37,7 +37,7 @@ pub struct SearchCounts {
     pub whole_submap_found: u64,
 }
 
-type MatcherCell<S> = Arc<OnceLock<<S as Space>::Matcher>>;
+type MatcherCell<S> = Arc<OnceLock<Option<<S as Space>::Matcher>>>;
 
 /// Collects pairs, and tries all of them at the next [`ConstraintSearch::run`].
 ///
@@ -131,7 +131,7 @@ impl<S: Space> ConstraintSearch<S> {
             .zip(&cells)
             .map(|(task, cell)| {
                 let matcher = cell.get_or_init(|| S::build_matcher(&task.submap, options));
-                find_constraint::<S>(matcher, task, options)
+                find_constraint::<S>(matcher.as_ref()?, task, options)
             })
             .collect();
         for (task, result) in tasks.iter().zip(&found) {
@@ -165,7 +165,8 @@ impl<S: Space> ConstraintSearch<S> {
         if self.matchers.len() <= MAX_KEPT_MATCHERS {
             return;
         }
-        let mut by_use: Vec<(u64, SubmapId)> = self.matchers.iter().map(|(id, (used, _))| (*used, *id)).collect();
+        let mut by_use: Vec<(u64, SubmapId)> =
+            self.matchers.iter().map(|(id, (used, _))| (*used, *id)).collect();
         by_use.sort_unstable();
         for (_, id) in &by_use[..by_use.len() - MAX_KEPT_MATCHERS] {
             self.matchers.remove(id);
@@ -218,14 +219,8 @@ fn find_constraint<S: Space>(
     task: &SearchTask<S>,
     options: &ConstraintBuilderOptions,
 ) -> Option<Constraint> {
-    let found = S::find_node(
-        matcher,
-        &task.submap,
-        &task.node,
-        &task.guess_submap_from_node,
-        task.region,
-        options,
-    )?;
+    let found =
+        S::find_node(matcher, &task.submap, &task.node, &task.guess_submap_from_node, task.region, options)?;
     if options.log_matches {
         log_match(task.node_id, task.submap_id, task.region, &task.guess_submap_from_node, &found);
     }

@@ -90,7 +90,9 @@ impl<S: Space> PoseGraph<S> {
         self.state
             .submaps
             .iter()
-            .filter(|(id, s)| s.insertion_finished && s.searchable && self.state.optimized_submaps.contains_key(id))
+            .filter(|(id, s)| {
+                s.insertion_finished && s.searchable && self.state.optimized_submaps.contains_key(id)
+            })
             .map(|(id, _)| {
                 let time = newest.get(id).and_then(|n| self.state.nodes.get(n)).map(|n| n.data.time);
                 (*id, time)
@@ -104,9 +106,8 @@ impl<S: Space> PoseGraph<S> {
         freshness: &BTreeMap<SubmapId, Option<Time>>,
         options: &OverlappingSubmapsTrimmer2dOptions,
     ) -> Vec<SubmapId> {
-        let Some(cell_size) = freshness
-            .keys()
-            .find_map(|id| self.state.submaps[id].submap.as_ref().map(|s| S::cell_size(s)))
+        let Some(cell_size) =
+            freshness.keys().find_map(|id| self.state.submaps[id].submap.as_ref().map(|s| S::cell_size(s)))
         else {
             return Vec::new();
         };
