@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time};
 
-use super::{PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
+use super::{InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
 use crate::optimization::OptimizationNode;
 use crate::{
     Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId,
@@ -91,6 +91,13 @@ impl<S: Space> PoseGraph<S> {
     /// Starts keeping only the newest `keep` submaps of a trajectory.
     pub fn localize_only(&mut self, id: TrajectoryId, keep: usize) {
         self.add_trimmer(Trimmer::pure_localization(id, keep));
+    }
+
+    /// Takes over a trajectory of a file. It is complete: it receives no more data, but may be frozen or
+    /// deleted.
+    pub fn load_trajectory(&mut self, id: TrajectoryId, initial_pose: Option<InitialTrajectoryPose>) {
+        self.add_trajectory(id, initial_pose);
+        self.state.trajectory_mut(id).state = TrajectoryState::Finished;
     }
 
     /// Takes over a submap of a file.
