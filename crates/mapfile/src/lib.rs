@@ -5,6 +5,7 @@ mod check;
 mod check_data;
 mod check_graph;
 mod codes;
+mod convert;
 mod error;
 mod frames;
 mod grid_check;
@@ -39,6 +40,11 @@ pub use check::{Finding, FindingKind, Severity, validate};
 pub use codes::{
     CodeRange, MAX_CODE, MAX_CORRESPONDENCE_COST, MAX_PROBABILITY, MIN_CORRESPONDENCE_COST, MIN_PROBABILITY,
     correspondence_cost_bounds, log_odds_byte,
+};
+pub use convert::{
+    LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings, MapSpace, WriteReport,
+    builder_options_from_proto, builder_options_to_proto, load_map, read_map_2d, submap_textures_2d,
+    trajectory_options_from_proto, trajectory_options_to_proto, write_graph, write_map, write_map_2d,
 };
 pub use error::{PbstreamError, RecordError};
 pub use gzip::{GzipError, gunzip, gzip};

@@ -279,6 +279,6 @@ mod tests {
         assert!(turned.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{turned:?}");
         let half = rotate_histogram(&histogram, -PI / 8.0);
         assert!(half.iter().zip([1.5, 2.5, 3.5, 2.5]).all(|(a, b)| (a - b).abs() < 1e-5), "{half:?}");
-        assert_eq!(rotate_histogram(&[], 1.0), []);
+        assert!(rotate_histogram(&[], 1.0).is_empty());
     }
 }

@@ -1,0 +1,27 @@
+//! Between map files and maps in memory (`formats.md` §2.1, §2.2, §4).
+//!
+//! One writer and one reader for 2D and 3D ([`MapSpace`]); what differs is the content of a submap.
+
+mod error;
+mod grid;
+mod option_message;
+// One message has a deprecated field, which is read but not written.
+#[allow(deprecated)]
+mod option_tables;
+mod pose_graph;
+mod read;
+mod sensors;
+mod textures;
+mod trajectory_options;
+mod values;
+mod write;
+
+pub use error::MapConversionError;
+pub use grid::MapSpace;
+pub use read::{LoadedMap, LoadedTrajectories, MapLoadSettings, load_map, read_map_2d};
+pub use textures::submap_textures_2d;
+pub use trajectory_options::{
+    builder_options_from_proto, builder_options_to_proto, trajectory_options_from_proto,
+    trajectory_options_to_proto,
+};
+pub use write::{WriteReport, write_graph, write_map, write_map_2d};

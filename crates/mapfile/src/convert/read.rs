@@ -1,0 +1,341 @@
+//! Reading a map into a pose graph (`formats.md` §2.2).
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use portolan_config::{Options, PoseGraphOptions};
+use portolan_geometry::{Rigid3, Time};
+use portolan_mapping::{
+    Constraint, ConstraintTag, EndedTrajectory, InitialTrajectoryPose, Map, NodeData, NodeId, Planar,
+    PoseGraph, Repairs, ScanPose, SubmapId, TrajectoryId, of_trajectory,
+};
+
+use super::MapConversionError;
+use super::grid::MapSpace;
+use super::pose_graph::pose_in_memory;
+use super::sensors::load_sensor_data;
+use super::trajectory_options::{initial_pose_from_proto, trajectory_options_from_proto};
+use super::values::{cloud_from_proto, pose_in_file, rotation_in_file};
+use crate::map_reader::MapReader;
+use crate::pose::{IdInFile, node_id, submap_id};
+use crate::proto::mapping as m;
+use crate::proto::mapping::pose_graph::constraint::Tag;
+use crate::proto::mapping::serialized_data::Data;
+use crate::reader::ReadLimits;
+
+/// How to read a map.
+#[derive(Clone, Debug, Default)]
+pub struct MapLoadSettings {
+    /// Options of the pose graph that the map goes into; files do not have them.
+    pub pose_graph: PoseGraphOptions,
+    /// Whether the trajectories become a fixed part of the map. Their constraints and measurements are
+    /// not taken over then, only which node lies in which submap.
+    pub frozen: bool,
+    /// Bounds on memory.
+    pub limits: ReadLimits,
+}
+
+/// A map as a file holds it.
+pub struct LoadedMap<S: MapSpace> {
+    /// Nodes, submaps, constraints, measurements.
+    pub graph: PoseGraph<S>,
+    /// Options and sensors of each trajectory; its nodes as scans.
+    pub trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
+    /// What became of the trajectories: number in the file, number in the graph.
+    pub trajectory_ids: BTreeMap<i32, TrajectoryId>,
+    /// Version of the file's format.
+    pub format_version: u32,
+    /// What was put right or left out, by reason.
+    pub repairs: Repairs,
+}
+
+impl<S: MapSpace> LoadedMap<S> {
+    /// As a finished map; `options` count for what is added later.
+    pub fn into_map(self, options: Options) -> Map<S> {
+        Map::new(options, self.graph, self.trajectories)
+    }
+}
+
+/// What [`load_map`] adds to a graph, apart from what lies in the graph.
+#[derive(Clone, Debug, Default)]
+pub struct LoadedTrajectories {
+    /// Options and sensors of each trajectory; its nodes as scans.
+    pub trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
+    /// What became of the trajectories: number in the file, number in the graph.
+    pub trajectory_ids: BTreeMap<i32, TrajectoryId>,
+    /// What was put right or left out, by reason.
+    pub repairs: Repairs,
+}
+
+/// Reads a 2D map, format version 1 or 2.
+///
+/// # Errors
+/// If the file is damaged or no pbstream; a 3D map; trajectories twice; grids, poses or clouds that cannot
+/// be. Parts that do not belong together are left out and counted instead.
+pub fn read_map_2d(
+    path: impl AsRef<Path>,
+    settings: &MapLoadSettings,
+) -> Result<LoadedMap<Planar>, MapConversionError> {
+    let mut reader = MapReader::open_with(path, settings.limits)?;
+    let mut graph = PoseGraph::new(settings.pose_graph.clone());
+    let loaded = load_map(&mut reader, &mut graph, settings.frozen)?;
+    Ok(LoadedMap {
+        graph,
+        trajectories: loaded.trajectories,
+        trajectory_ids: loaded.trajectory_ids,
+        format_version: reader.header().format_version,
+        repairs: loaded.repairs,
+    })
+}
+
+/// Adds the map of a freshly opened reader to a graph, with trajectory numbers after those that the graph
+/// has. With `frozen` it becomes a fixed part of the map.
+///
+/// # Errors
+/// As [`read_map_2d`]; the graph may have a part of the map then and should be dropped.
+pub fn load_map<S: MapSpace>(
+    reader: &mut MapReader,
+    graph: &mut PoseGraph<S>,
+    frozen: bool,
+) -> Result<LoadedTrajectories, MapConversionError> {
+    let mut loading = Loading::start(reader, graph, frozen)?;
+    while let Some(message) = reader.next_message()? {
+        match message.data {
+            Data::Submap(submap) => loading.submap(submap)?,
+            Data::Node(node) => loading.node(node)?,
+            Data::TrajectoryData(data) => loading.trajectory_data(&data),
+            data if !frozen => {
+                load_sensor_data(
+                    data,
+                    &loading.result.trajectory_ids,
+                    loading.graph,
+                    &mut loading.result.repairs,
+                );
+            }
+            _ => {}
+        }
+    }
+    let ignored = reader.ignored();
+    loading.count("second pose graph", ignored.pose_graphs);
+    loading.count("second list of options", ignored.options);
+    loading.count("message of an unknown kind", ignored.unknown);
+    loading.constraints(&reader.pose_graph().constraint)?;
+    loading.landmark_poses(&reader.pose_graph().landmark_poses);
+    Ok(loading.finish())
+}
+
+/// A map on its way from a file into a graph.
+struct Loading<'a, S: MapSpace> {
+    graph: &'a mut PoseGraph<S>,
+    frozen: bool,
+    /// Global poses by the ids of the file; they leave as their submaps and nodes come.
+    submap_poses: BTreeMap<IdInFile, Rigid3>,
+    node_poses: BTreeMap<IdInFile, Rigid3>,
+    result: LoadedTrajectories,
+}
+
+impl<'a, S: MapSpace> Loading<'a, S> {
+    fn start(
+        reader: &MapReader,
+        graph: &'a mut PoseGraph<S>,
+        frozen: bool,
+    ) -> Result<Self, MapConversionError> {
+        let (submap_poses, node_poses) = global_poses(reader.pose_graph())?;
+        let result = LoadedTrajectories::default();
+        let mut loading = Self { graph, frozen, submap_poses, node_poses, result };
+        loading.trajectories(reader)?;
+        Ok(loading)
+    }
+
+    fn count(&mut self, what: &'static str, count: u64) {
+        if count > 0 {
+            *self.result.repairs.entry(what).or_default() += count;
+        }
+    }
+
+    /// Gives the trajectories new numbers and makes them known.
+    fn trajectories(&mut self, reader: &MapReader) -> Result<(), MapConversionError> {
+        let mut next = self.graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);
+        let options = &reader.options().options_with_sensor_ids;
+        for (trajectory, options) in reader.pose_graph().trajectory.iter().zip(options) {
+            let id = TrajectoryId(next);
+            next += 1;
+            if self.result.trajectory_ids.insert(trajectory.trajectory_id, id).is_some() {
+                return Err(MapConversionError::DuplicateTrajectory(trajectory.trajectory_id));
+            }
+            let (options, sensors) = trajectory_options_from_proto(options, &mut self.result.repairs);
+            self.result.trajectories.insert(id, EndedTrajectory { options, sensors, scans: Vec::new() });
+            self.graph.load_trajectory(id, None);
+        }
+        // Only now all of them are known, so that they can refer to each other.
+        for (trajectory, options) in reader.pose_graph().trajectory.iter().zip(options) {
+            let Some(id) = self.result.trajectory_ids.get(&trajectory.trajectory_id).copied() else {
+                continue;
+            };
+            let initial = initial_pose_from_proto(options).map(|(to, relative_pose, time)| {
+                let to_trajectory_id = self.result.trajectory_ids.get(&to).copied()?;
+                Some(InitialTrajectoryPose { to_trajectory_id, relative_pose: relative_pose?, time })
+            });
+            match initial {
+                Some(Some(initial)) => self.graph.load_trajectory(id, Some(initial)),
+                Some(None) => self.count("start relative to a trajectory that the map does not have", 1),
+                None => {}
+            }
+            if self.frozen {
+                self.graph.freeze_trajectory(id);
+            }
+        }
+        Ok(())
+    }
+
+    /// The id in the graph.
+    fn ids(&self, what: &'static str, id: IdInFile) -> Result<(TrajectoryId, u32), MapConversionError> {
+        let trajectory = self.result.trajectory_ids.get(&id.0);
+        let index = u32::try_from(id.1).ok();
+        trajectory.copied().zip(index).ok_or(MapConversionError::Id { what, id })
+    }
+
+    fn submap(&mut self, message: m::Submap) -> Result<(), MapConversionError> {
+        let id_in_file = submap_id(message.submap_id.as_ref());
+        let Some(map_from_submap) = self.submap_poses.remove(&id_in_file) else {
+            self.count("submap that is there twice or has no pose in the pose graph", 1);
+            return Ok(());
+        };
+        let (trajectory_id, index) = self.ids("submap", id_in_file)?;
+        let (submap, finished) = S::submap_from_proto(message, id_in_file, &mut self.result.repairs)?;
+        let id = SubmapId::new(trajectory_id, index);
+        self.graph.load_submap(id, Arc::new(submap), finished, map_from_submap);
+        Ok(())
+    }
+
+    fn node(&mut self, message: m::Node) -> Result<(), MapConversionError> {
+        let id_in_file = node_id(message.node_id.as_ref());
+        let Some(map_from_tracking) = self.node_poses.remove(&id_in_file) else {
+            self.count("node that is there twice or has no pose in the pose graph", 1);
+            return Ok(());
+        };
+        let (trajectory_id, index) = self.ids("node", id_in_file)?;
+        let data = node_data(message, id_in_file)?;
+        self.graph.load_node(NodeId::new(trajectory_id, index), Arc::new(data), map_from_tracking);
+        Ok(())
+    }
+
+    fn trajectory_data(&mut self, data: &m::TrajectoryData) {
+        let Some(origin) = &data.fixed_frame_origin_in_map else { return };
+        match (self.result.trajectory_ids.get(&data.trajectory_id), pose_in_file(Some(origin))) {
+            (Some(id), Some(pose)) => self.graph.set_fixed_frame_origin(*id, pose),
+            _ => self.count("fixed-frame origin that is not valid or of no trajectory", 1),
+        }
+    }
+
+    /// After all nodes, because in 2D their rotation is needed.
+    fn constraints(&mut self, constraints: &[m::pose_graph::Constraint]) -> Result<(), MapConversionError> {
+        for constraint in constraints {
+            if !self.constraint(constraint)? {
+                self.count("constraint to a node or submap that the map does not have", 1);
+            }
+        }
+        Ok(())
+    }
+
+    fn constraint(&mut self, constraint: &m::pose_graph::Constraint) -> Result<bool, MapConversionError> {
+        let submap = submap_id(constraint.submap_id.as_ref());
+        let node = node_id(constraint.node_id.as_ref());
+        let (Ok((submap_trajectory, submap_index)), Ok((node_trajectory, node_index))) =
+            (self.ids("submap", submap), self.ids("node", node))
+        else {
+            return Ok(false);
+        };
+        let node_id = NodeId::new(node_trajectory, node_index);
+        let Some(gravity_alignment) =
+            self.graph.state().nodes.get(&node_id).map(|n| n.data.gravity_alignment)
+        else {
+            return Ok(false);
+        };
+        let pose = pose_in_file(constraint.relative_pose.as_ref());
+        let pose = pose.ok_or(MapConversionError::Pose { what: "constraint to node", id: node })?;
+        let tag = match Tag::try_from(constraint.tag) {
+            Ok(Tag::IntraSubmap) => ConstraintTag::IntraSubmap,
+            Ok(Tag::InterSubmap) => ConstraintTag::InterSubmap,
+            Err(_) => {
+                self.count("constraint of an unknown kind taken for a loop closure", 1);
+                ConstraintTag::InterSubmap
+            }
+        };
+        let constraint = Constraint {
+            submap_id: SubmapId::new(submap_trajectory, submap_index),
+            node_id,
+            submap_from_node: pose_in_memory::<S>(pose, &gravity_alignment),
+            translation_weight: constraint.translation_weight,
+            rotation_weight: constraint.rotation_weight,
+            tag,
+            score: None,
+        };
+        Ok(self.graph.load_constraint(constraint, self.frozen))
+    }
+
+    /// Landmarks that have a pose keep it.
+    fn landmark_poses(&mut self, landmarks: &[m::pose_graph::LandmarkPose]) {
+        for landmark in landmarks {
+            match pose_in_file(landmark.global_pose.as_ref()) {
+                Some(pose) => self.graph.set_landmark_pose(&landmark.landmark_id, pose, true),
+                None => self.count("landmark without a valid pose", 1),
+            }
+        }
+    }
+
+    fn finish(mut self) -> LoadedTrajectories {
+        self.count("pose of a submap that the map does not have", self.submap_poses.len() as u64);
+        self.count("pose of a node that the map does not have", self.node_poses.len() as u64);
+        for (id, trajectory) in &mut self.result.trajectories {
+            trajectory.scans = of_trajectory(&self.graph.state().nodes, *id)
+                .map(|(node_id, node)| ScanPose {
+                    time: node.data.time,
+                    local_from_tracking: node.data.local_from_tracking,
+                    last_node_index: Some(node_id.index),
+                })
+                .collect();
+        }
+        self.result
+    }
+}
+
+type Poses = BTreeMap<IdInFile, Rigid3>;
+
+/// The global poses of submaps and of nodes.
+fn global_poses(graph: &m::PoseGraph) -> Result<(Poses, Poses), MapConversionError> {
+    let mut submaps = Poses::new();
+    let mut nodes = Poses::new();
+    for trajectory in &graph.trajectory {
+        for submap in &trajectory.submap {
+            let id = (trajectory.trajectory_id, submap.submap_index);
+            let pose = pose_in_file(submap.pose.as_ref());
+            submaps.insert(id, pose.ok_or(MapConversionError::Pose { what: "submap", id })?);
+        }
+        for node in &trajectory.node {
+            let id = (trajectory.trajectory_id, node.node_index);
+            let pose = pose_in_file(node.pose.as_ref());
+            nodes.insert(id, pose.ok_or(MapConversionError::Pose { what: "node", id })?);
+        }
+    }
+    Ok((submaps, nodes))
+}
+
+/// What does not change of a node.
+fn node_data(message: m::Node, node: IdInFile) -> Result<NodeData, MapConversionError> {
+    let what = "node";
+    let data = message.node_data.ok_or(MapConversionError::Content { what, id: node })?;
+    let no_pose = || MapConversionError::Pose { what, id: node };
+    let cloud =
+        |cloud| cloud_from_proto(cloud).map_err(|source| MapConversionError::PointCloud { node, source });
+    Ok(NodeData {
+        time: Time::from_ticks(data.timestamp),
+        gravity_alignment: rotation_in_file(data.gravity_alignment.as_ref()).ok_or_else(no_pose)?,
+        filtered_gravity_aligned_point_cloud: cloud(data.filtered_gravity_aligned_point_cloud)?,
+        high_resolution_point_cloud: cloud(data.high_resolution_point_cloud)?,
+        low_resolution_point_cloud: cloud(data.low_resolution_point_cloud)?,
+        rotational_scan_matcher_histogram: data.rotational_scan_matcher_histogram,
+        local_from_tracking: pose_in_file(data.local_pose.as_ref()).ok_or_else(no_pose)?,
+    })
+}

@@ -1,0 +1,208 @@
+//! Measurements, as files hold them one by one (`formats.md` §2, order of messages ≥ 3).
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use portolan_geometry::Time;
+use portolan_mapping::{PoseGraph, Repairs, Space, TrajectoryId};
+use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, OdometryData};
+
+use super::values::{id_to_proto, pose_in_file};
+use super::{MapConversionError, WriteReport};
+use crate::error::PbstreamError;
+use crate::pose::pose_to_proto;
+use crate::proto::mapping as m;
+use crate::proto::mapping::serialized_data::Data;
+use crate::proto::sensor::{self, landmark_data};
+use crate::proto::transform::{Quaterniond, Vector3d};
+
+/// What 2D maps, which do not estimate it, have as gravity, m/s².
+const GRAVITY_CONSTANT: f64 = 9.8;
+
+type Write<'a> = &'a mut dyn FnMut(Data) -> Result<(), PbstreamError>;
+
+/// Writes trajectory data, IMU, odometry, fixed-frame and landmark data of these trajectories.
+pub(super) fn write_sensors<S: Space>(
+    graph: &PoseGraph<S>,
+    trajectories: &[TrajectoryId],
+    write: Write<'_>,
+    report: &mut WriteReport,
+) -> Result<(), MapConversionError> {
+    let mut ids: Vec<(TrajectoryId, i32)> = Vec::new();
+    for id in trajectories {
+        ids.push((*id, id_to_proto(id.0)?));
+    }
+    ids.sort_unstable();
+    for (id, trajectory_id) in &ids {
+        let origin = graph.problem().fixed_frame_origins.get(id).copied().flatten();
+        write(Data::TrajectoryData(m::TrajectoryData {
+            trajectory_id: *trajectory_id,
+            gravity_constant: GRAVITY_CONSTANT,
+            imu_calibration: Some(Quaterniond { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }),
+            fixed_frame_origin_in_map: origin.map(|pose| pose_to_proto(&pose)),
+        }))?;
+    }
+    write_streams(graph, &ids, write)?;
+    write_landmarks(graph, &ids, write, report)
+}
+
+fn write_streams<S: Space>(
+    graph: &PoseGraph<S>,
+    ids: &[(TrajectoryId, i32)],
+    write: Write<'_>,
+) -> Result<(), MapConversionError> {
+    let sensors =
+        || ids.iter().filter_map(|(id, file_id)| Some((*file_id, graph.problem().sensors.get(id)?)));
+    for (trajectory_id, sensors) in sensors() {
+        for data in sensors.imu.values() {
+            let imu_data = Some(imu_to_proto(data));
+            write(Data::ImuData(m::ImuData { trajectory_id, imu_data }))?;
+        }
+    }
+    for (trajectory_id, sensors) in sensors() {
+        for data in sensors.odometry.values() {
+            let pose = Some(pose_to_proto(&data.odom_from_tracking));
+            let odometry_data = Some(sensor::OdometryData { timestamp: data.time.ticks(), pose });
+            write(Data::OdometryData(m::OdometryData { trajectory_id, odometry_data }))?;
+        }
+    }
+    for (trajectory_id, sensors) in sensors() {
+        for data in sensors.fixed_frame.values() {
+            let pose = data.fixed_from_tracking.as_ref().map(pose_to_proto);
+            let fixed_frame_pose_data =
+                Some(sensor::FixedFramePoseData { timestamp: data.time.ticks(), pose });
+            write(Data::FixedFramePoseData(m::FixedFramePoseData { trajectory_id, fixed_frame_pose_data }))?;
+        }
+    }
+    Ok(())
+}
+
+/// One message for each observation. Those by deleted trajectories could not be read again and are left
+/// out.
+fn write_landmarks<S: Space>(
+    graph: &PoseGraph<S>,
+    ids: &[(TrajectoryId, i32)],
+    write: Write<'_>,
+    report: &mut WriteReport,
+) -> Result<(), MapConversionError> {
+    let ids: BTreeMap<TrajectoryId, i32> = ids.iter().copied().collect();
+    for (name, landmark) in &graph.problem().landmarks {
+        for sighting in &landmark.sightings {
+            let Some(trajectory_id) = ids.get(&sighting.trajectory_id).copied() else {
+                report.landmark_sightings_left_out += 1;
+                continue;
+            };
+            let seen = &sighting.observation;
+            let observation = landmark_data::LandmarkObservation {
+                id: name.clone().into_bytes(),
+                landmark_to_tracking_transform: Some(pose_to_proto(&seen.tracking_from_landmark)),
+                translation_weight: seen.translation_weight,
+                rotation_weight: seen.rotation_weight,
+            };
+            let landmark_data = Some(sensor::LandmarkData {
+                timestamp: sighting.time.ticks(),
+                landmark_observations: vec![observation],
+            });
+            write(Data::LandmarkData(m::LandmarkData { trajectory_id, landmark_data }))?;
+        }
+    }
+    Ok(())
+}
+
+/// Takes a measurement of a file into the graph. What cannot be used is counted by its reason.
+pub(super) fn load_sensor_data<S: Space>(
+    data: Data,
+    trajectory_ids: &BTreeMap<i32, TrajectoryId>,
+    graph: &mut PoseGraph<S>,
+    repairs: &mut Repairs,
+) {
+    let trajectory_id = match &data {
+        Data::ImuData(d) => d.trajectory_id,
+        Data::OdometryData(d) => d.trajectory_id,
+        Data::FixedFramePoseData(d) => d.trajectory_id,
+        Data::LandmarkData(d) => d.trajectory_id,
+        _ => return,
+    };
+    let dropped = match trajectory_ids.get(&trajectory_id) {
+        None => Some("measurement of a trajectory that the map does not have"),
+        Some(id) => add_measurement(data, *id, graph).err(),
+    };
+    if let Some(reason) = dropped {
+        *repairs.entry(reason).or_default() += 1;
+    }
+}
+
+fn add_measurement<S: Space>(
+    data: Data,
+    id: TrajectoryId,
+    graph: &mut PoseGraph<S>,
+) -> Result<(), &'static str> {
+    match data {
+        Data::ImuData(m::ImuData { imu_data: Some(imu), .. }) => {
+            let imu = imu_from_proto(&imu).ok_or("IMU sample that is not finite")?;
+            is_new(graph.problem().sensors.get(&id).is_none_or(|s| !s.imu.contains_key(&imu.time)))?;
+            graph.add_imu_data(id, imu);
+        }
+        Data::OdometryData(m::OdometryData { odometry_data: Some(odometry), .. }) => {
+            let odom_from_tracking =
+                pose_in_file(odometry.pose.as_ref()).ok_or("odometry without a valid pose")?;
+            let time = Time::from_ticks(odometry.timestamp);
+            is_new(graph.problem().sensors.get(&id).is_none_or(|s| !s.odometry.contains_key(&time)))?;
+            graph.add_odometry_data(id, OdometryData { time, odom_from_tracking });
+        }
+        Data::FixedFramePoseData(m::FixedFramePoseData { fixed_frame_pose_data: Some(fixed), .. }) => {
+            let fixed_from_tracking = match &fixed.pose {
+                None => None,
+                pose => Some(pose_in_file(pose.as_ref()).ok_or("fixed-frame pose that is not valid")?),
+            };
+            let time = Time::from_ticks(fixed.timestamp);
+            is_new(graph.problem().sensors.get(&id).is_none_or(|s| !s.fixed_frame.contains_key(&time)))?;
+            graph.add_fixed_frame_pose_data(id, FixedFramePoseData { time, fixed_from_tracking });
+        }
+        Data::LandmarkData(m::LandmarkData { landmark_data: Some(landmarks), .. }) => {
+            let time = Time::from_ticks(landmarks.timestamp);
+            let seen = landmarks.landmark_observations.into_iter().map(observation_from_proto);
+            let observations = seen.collect::<Option<_>>().ok_or("landmark sighting without a valid pose")?;
+            graph.add_landmark_data(id, LandmarkData { time, observations });
+        }
+        _ => return Err("measurement without content"),
+    }
+    Ok(())
+}
+
+/// Of several measurements with the same stamp the first one counts.
+fn is_new(new: bool) -> Result<(), &'static str> {
+    if new { Ok(()) } else { Err("measurement with a stamp that is there already") }
+}
+
+fn observation_from_proto(seen: landmark_data::LandmarkObservation) -> Option<LandmarkObservation> {
+    Some(LandmarkObservation {
+        // Names may be any bytes; those that are no text stay distinct.
+        id: String::from_utf8(seen.id).unwrap_or_else(|e| e.as_bytes().escape_ascii().to_string()),
+        tracking_from_landmark: pose_in_file(seen.landmark_to_tracking_transform.as_ref())?,
+        translation_weight: seen.translation_weight,
+        rotation_weight: seen.rotation_weight,
+    })
+}
+
+fn imu_to_proto(data: &ImuData) -> sensor::ImuData {
+    let vector = |v: &Vector3<f64>| Some(Vector3d { x: v.x, y: v.y, z: v.z });
+    sensor::ImuData {
+        timestamp: data.time.ticks(),
+        linear_acceleration: vector(&data.linear_acceleration),
+        angular_velocity: vector(&data.angular_velocity),
+    }
+}
+
+fn imu_from_proto(data: &sensor::ImuData) -> Option<ImuData> {
+    let vector = |v: Option<Vector3d>| {
+        let v = v.unwrap_or_default();
+        let v = Vector3::new(v.x, v.y, v.z);
+        v.iter().all(|c| c.is_finite()).then_some(v)
+    };
+    Some(ImuData {
+        time: Time::from_ticks(data.timestamp),
+        linear_acceleration: vector(data.linear_acceleration)?,
+        angular_velocity: vector(data.angular_velocity)?,
+    })
+}

@@ -1,0 +1,40 @@
+//! Pictures of submaps that are in memory.
+
+use portolan_mapping::{Map, Planar};
+use portolan_matching::Texture;
+use rayon::prelude::*;
+
+use super::values::id_for_errors;
+use crate::paint::PlacedTexture;
+use crate::texture::SubmapTexture;
+
+/// The textures of all submaps that have a grid, ascending by id: what [`crate::paint`] takes, without
+/// the way through a file.
+pub fn submap_textures_2d(map: &Map<Planar>) -> Vec<PlacedTexture> {
+    let state = map.graph.state();
+    let submaps: Vec<_> = state
+        .submaps
+        .iter()
+        .filter_map(|(id, entry)| Some((*id, entry.submap.as_ref()?, state.map_from_submap(*id)?)))
+        .collect();
+    let place = |(id, submap, map_from_submap): &(_, &std::sync::Arc<portolan_mapping::Submap2d>, _)| {
+        let id: portolan_mapping::SubmapId = *id;
+        PlacedTexture {
+            id: id_for_errors(id.trajectory_id, id.index),
+            map_from_submap: *map_from_submap,
+            texture: texture_in_memory(&Texture::of_grid(&submap.grid, &submap.local_from_submap)),
+        }
+    };
+    submaps.par_iter().map(place).collect()
+}
+
+fn texture_in_memory(texture: &Texture) -> SubmapTexture {
+    let (pixels, _) = texture.value_alpha.as_chunks::<2>();
+    SubmapTexture {
+        pixels: pixels.to_vec(),
+        width: texture.width as usize,
+        height: texture.height as usize,
+        resolution: texture.resolution,
+        submap_from_slice: texture.submap_from_slice,
+    }
+}
