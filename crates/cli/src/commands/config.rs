@@ -1,0 +1,65 @@
+//! `portolan config`: the options, their meaning and their files.
+
+mod check;
+mod explain;
+mod show;
+
+use std::path::PathBuf;
+
+use portolan_config::reference;
+
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::output::{print, write_file};
+use crate::progress::say;
+
+/// Show, explain and check options; Cartographer's Lua files load unchanged.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  \
+    portolan config explain constraint_builder.min_score\n  \
+    portolan config show --config backpack_2d.lua --changed\n  \
+    portolan config check my_robot.lua\n  \
+    portolan config reference -o options.md")]
+pub struct ConfigArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(clap::Subcommand)]
+enum What {
+    Show(show::ShowArgs),
+    Explain(explain::ExplainArgs),
+    Reference(ReferenceArgs),
+    Check(check::CheckArgs),
+}
+
+/// Print the page of all options with defaults, units, bounds and meanings (Markdown).
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  portolan config reference -o options.md")]
+struct ReferenceArgs {
+    /// Write it into a file instead.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+pub fn run(args: &ConfigArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    match &args.what {
+        What::Show(args) => show::run(args, global),
+        What::Explain(args) => explain::run(args),
+        What::Reference(args) => write_reference(args, global),
+        What::Check(args) => check::run(args, global),
+    }
+}
+
+fn write_reference(args: &ReferenceArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    match &args.output {
+        Some(path) => {
+            write_file(path, |out| out.write_all(reference().as_bytes()))?;
+            if !global.quiet {
+                say(&format!("Wrote {}", path.display()));
+            }
+        }
+        None => print(&reference())?,
+    }
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,35 @@
+//! `portolan evaluate`: how good a trajectory or a map is.
+
+mod generate;
+mod input;
+mod relations;
+mod trajectory;
+
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+
+/// Measure a map or a trajectory against relations or against the truth.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  \
+    portolan evaluate relations aces.pbstream aces.relations\n  \
+    portolan evaluate trajectory walk_map/trajectory.tum walk.truth.tum --rpe 1\n  \
+    portolan evaluate generate old.pbstream -o old.relations --min-covered-distance 20")]
+pub struct EvaluateArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(clap::Subcommand)]
+enum What {
+    Relations(relations::RelationsArgs),
+    Trajectory(trajectory::TrajectoryArgs),
+    Generate(generate::GenerateArgs),
+}
+
+pub fn run(args: &EvaluateArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    match &args.what {
+        What::Relations(args) => relations::run(args, global),
+        What::Trajectory(args) => trajectory::run(args, global),
+        What::Generate(args) => generate::run(args, global),
+    }
+}

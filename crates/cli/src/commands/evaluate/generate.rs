@@ -1,0 +1,100 @@
+//! `portolan evaluate generate`.
+
+use std::path::{Path, PathBuf};
+
+use portolan_evaluation::{
+    GenerateOptions, MapConstraint, MapGraph, generate_relations, write_binary_relations,
+    write_text_relations,
+};
+use portolan_mapfile::proto::mapping::pose_graph::{Constraint, constraint::Tag};
+use portolan_mapfile::{IdInFile, node_id, pose_from_proto, submap_id};
+
+use super::input::{nodes, read_pose_graph, trajectory_of};
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::output::{print, write_file};
+use crate::progress::say;
+
+/// Make relations of the loop closures of a map, to compare other maps of the same recording with.
+///
+/// Does what cartographer_autogenerate_ground_truth does: loop closures that span enough of the way and
+/// agree with the optimised map are taken for true. They are as good as the map, no better.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  \
+    portolan evaluate generate good.pbstream -o good.relations --min-covered-distance 20\n  \
+    portolan evaluate relations new.pbstream good.relations")]
+pub struct GenerateArgs {
+    /// Map (.pbstream) of one trajectory.
+    map: PathBuf,
+    /// File to write the relations to.
+    #[arg(short, long, value_name = "RELATIONS")]
+    output: PathBuf,
+    /// Metres of way between both ends of a relation.
+    #[arg(long, value_name = "METRES", default_value_t = 100.0)]
+    min_covered_distance: f64,
+    /// Loop closures further off the optimised map are left out.
+    #[arg(long, value_name = "METRES", default_value_t = 0.15)]
+    outlier_threshold_meters: f64,
+    /// Loop closures turned further off the optimised map are left out.
+    #[arg(long, value_name = "RADIANS", default_value_t = 0.02)]
+    outlier_threshold_radians: f64,
+    /// Write text, `time1 time2 x y z roll pitch yaw`, instead of Cartographer's binary form.
+    #[arg(long)]
+    text: bool,
+}
+
+pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let options = GenerateOptions {
+        min_covered_distance: args.min_covered_distance,
+        outlier_threshold_meters: args.outlier_threshold_meters,
+        outlier_threshold_radians: args.outlier_threshold_radians,
+    };
+    let map = read_map_graph(&args.map)?;
+    let generated =
+        generate_relations(&map, &options).map_err(|error| CliError::in_file(&args.map, error))?;
+    if !global.quiet {
+        say(&format!("Writing {} relations to '{}'.", generated.relations.len(), args.output.display()));
+    }
+    write_file(&args.output, |out| match args.text {
+        true => write_text_relations(&generated.relations, out),
+        false => write_binary_relations(&generated.relations, out),
+    })?;
+    print(&generated.summary())?;
+    Ok(Outcome::Done)
+}
+
+fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
+    let pose_graph = read_pose_graph(path)?;
+    let submaps = &trajectory_of(path, &pose_graph, 0)?.submap;
+    let map_from_submap = submaps.iter().map(|submap| {
+        let missing = || CliError::in_file(path, format!("submap {} has no valid pose", submap.submap_index));
+        pose_from_proto(submap.pose.as_ref()).ok_or_else(missing)
+    });
+    Ok(MapGraph {
+        nodes: nodes(path, &pose_graph, 0)?,
+        map_from_submap: map_from_submap.collect::<Result<_, _>>()?,
+        constraints: pose_graph
+            .constraint
+            .iter()
+            .map(|constraint| map_constraint(path, constraint))
+            .collect::<Result<_, _>>()?,
+    })
+}
+
+fn map_constraint(path: &Path, constraint: &Constraint) -> Result<MapConstraint, CliError> {
+    let (submap, node) = (submap_id(constraint.submap_id.as_ref()), node_id(constraint.node_id.as_ref()));
+    let bad = |what: &str| {
+        CliError::in_file(path, format!("the constraint of submap {submap:?} and node {node:?} has {what}"))
+    };
+    let id = |id: IdInFile| match (u32::try_from(id.0), u32::try_from(id.1)) {
+        (Ok(trajectory), Ok(index)) => Ok((trajectory, index)),
+        _ => Err(bad("a negative id")),
+    };
+    Ok(MapConstraint {
+        submap: id(submap)?,
+        node: id(node)?,
+        is_intra: constraint.tag() == Tag::IntraSubmap,
+        submap_from_node: pose_from_proto(constraint.relative_pose.as_ref())
+            .ok_or_else(|| bad("no valid pose"))?,
+    })
+}

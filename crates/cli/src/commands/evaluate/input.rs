@@ -1,0 +1,172 @@
+//! Trajectories and relations from files of any format, told apart by content.
+
+use std::path::Path;
+
+use portolan_evaluation::{
+    EvaluationError, Relation, TimedPose, Trajectory, TrajectoryRepairs, kitti_trajectory, read_csv,
+    read_kitti_poses, read_kitti_times, read_relations, read_tum,
+};
+use portolan_geometry::{Duration, Time};
+use portolan_mapfile::proto::mapping::{self, PoseGraph};
+use portolan_mapfile::{MapReader, pose_from_proto};
+
+use crate::error::CliError;
+use crate::output::{counted, is_map};
+use crate::progress::say;
+
+/// Seconds between the scans of KITTI recordings.
+const KITTI_PERIOD: f64 = 0.1;
+
+/// Where a trajectory comes from.
+pub struct TrajectorySource<'a> {
+    /// The file: a map, TUM, KITTI poses, or a table with a line of names.
+    pub path: &'a Path,
+    /// Which trajectory of a map.
+    pub trajectory_id: i32,
+    /// Times of KITTI poses, one a line.
+    pub times: Option<&'a Path>,
+    /// Whether nothing is to be said about repairs.
+    pub quiet: bool,
+}
+
+impl TrajectorySource<'_> {
+    /// Reads the trajectory; says on stderr what was put right.
+    pub fn read(&self) -> Result<Trajectory, CliError> {
+        let (trajectory, repairs) = if is_map(self.path)? {
+            let pose_graph = read_pose_graph(self.path)?;
+            Trajectory::new(nodes(self.path, &pose_graph, self.trajectory_id)?)
+        } else {
+            self.read_text()?
+        };
+        if trajectory.is_empty() {
+            return Err(CliError::in_file(self.path, "the trajectory has no poses"));
+        }
+        if !self.quiet {
+            tell_repairs(self.path, &repairs);
+        }
+        Ok(trajectory)
+    }
+
+    fn read_text(&self) -> Result<(Trajectory, TrajectoryRepairs), CliError> {
+        let text = read_bytes(self.path)?;
+        let read = match text_format(&text) {
+            TextFormat::Tum => read_tum(&*text),
+            TextFormat::Csv => read_csv(&*text),
+            TextFormat::Kitti => {
+                let poses = read_kitti_poses(&*text).map_err(|error| CliError::in_file(self.path, error))?;
+                kitti_trajectory(&poses, &self.kitti_times(poses.len())?)
+            }
+        };
+        read.map_err(|error| CliError::in_file(self.path, error))
+    }
+
+    fn kitti_times(&self, count: usize) -> Result<Vec<Time>, CliError> {
+        if let Some(path) = self.times {
+            return read_kitti_times(&*read_bytes(path)?).map_err(|error| CliError::in_file(path, error));
+        }
+        if !self.quiet {
+            say(&format!(
+                "{}: KITTI poses without times; taken as {KITTI_PERIOD} s apart from time 0 (give times.txt with \
+                 --times)",
+                self.path.display()
+            ));
+        }
+        Ok((0..count).map(|i| Time::from_unix_seconds(i as f64 * KITTI_PERIOD)).collect())
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum TextFormat {
+    Tum,
+    Kitti,
+    Csv,
+}
+
+/// By the first line that is no comment: twelve numbers are a KITTI pose; commas separate the columns of
+/// a table, whose line of names may begin like a comment.
+fn text_format(text: &[u8]) -> TextFormat {
+    let mut lines = text.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii).filter(|line| !line.is_empty());
+    match lines.find(|line| !line.starts_with(b"#")) {
+        Some(line) if line.contains(&b',') => TextFormat::Csv,
+        Some(line) if line.split(u8::is_ascii_whitespace).filter(|f| !f.is_empty()).count() == 12 => {
+            TextFormat::Kitti
+        }
+        _ => TextFormat::Tum,
+    }
+}
+
+/// The second message of a map.
+pub fn read_pose_graph(path: &Path) -> Result<PoseGraph, CliError> {
+    let reader = MapReader::open(path).map_err(|error| CliError::in_file(path, error))?;
+    Ok(reader.pose_graph().clone())
+}
+
+/// One trajectory of a map.
+pub fn trajectory_of<'a>(
+    path: &Path,
+    pose_graph: &'a PoseGraph,
+    id: i32,
+) -> Result<&'a mapping::Trajectory, CliError> {
+    pose_graph.trajectory.iter().find(|t| t.trajectory_id == id).ok_or_else(|| {
+        let ids: Vec<String> = pose_graph.trajectory.iter().map(|t| t.trajectory_id.to_string()).collect();
+        CliError::in_file(
+            path,
+            format!("there is no trajectory {id} in this map; it has: {}", ids.join(", ")),
+        )
+    })
+}
+
+/// The poses of all nodes of a trajectory, in the order of the file.
+pub fn nodes(path: &Path, pose_graph: &PoseGraph, id: i32) -> Result<Vec<TimedPose>, CliError> {
+    let pose = |node: &mapping::trajectory::Node| {
+        let invalid = || {
+            let reason = format!("node ({id}, {}) has no valid pose; see `portolan check`", node.node_index);
+            CliError::in_file(path, reason)
+        };
+        let map_from_tracking = pose_from_proto(node.pose.as_ref()).ok_or_else(invalid)?;
+        Ok(TimedPose { time: Time::from_ticks(node.timestamp), map_from_tracking })
+    };
+    trajectory_of(path, pose_graph, id)?.node.iter().map(pose).collect()
+}
+
+/// Relations, text or binary.
+pub fn read_relations_file(path: &Path) -> Result<Vec<Relation>, CliError> {
+    read_relations(&read_bytes(path)?).map_err(|error: EvaluationError| CliError::in_file(path, error))
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>, CliError> {
+    std::fs::read(path).map_err(|source| CliError::File { path: path.to_owned(), source })
+}
+
+fn tell_repairs(path: &Path, repairs: &TrajectoryRepairs) {
+    let told = [
+        (repairs.unsorted, "came after a later one: put in order"),
+        (repairs.duplicate_stamps, "at the time of another: the first was kept"),
+        (repairs.invalid_poses, "with values that are no pose: left out"),
+        (repairs.renormalized_quaternions, "with a quaternion of a length other than one: normalised"),
+    ];
+    for (count, what) in told.into_iter().filter(|(count, _)| *count > 0) {
+        say(&format!("{}: {} {what}", path.display(), counted(count as u64, "pose", "poses")));
+    }
+}
+
+/// Seconds as a duration; a number that is none, or not above zero, is wrong usage.
+pub fn positive_seconds(option: &str, seconds: f64) -> Result<Duration, CliError> {
+    if seconds > 0.0 && seconds < 1e9 {
+        return Ok(Duration::from_seconds(seconds));
+    }
+    Err(CliError::Usage(format!("{option} must be seconds above 0, but is {seconds}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_formats_are_told_apart() {
+        assert_eq!(text_format(b"# time x\n1 2 3 4 0 0 0 1\n"), TextFormat::Tum);
+        assert_eq!(text_format(b"\n1 0 0 5 0 1 0 6 0 0 1 7\n"), TextFormat::Kitti);
+        assert_eq!(text_format(b"# time,x,y\n1,2,3\n"), TextFormat::Csv);
+        assert_eq!(text_format(b""), TextFormat::Tum);
+    }
+}

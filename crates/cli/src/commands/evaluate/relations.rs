@@ -1,0 +1,100 @@
+//! `portolan evaluate relations`.
+
+use std::path::PathBuf;
+
+use portolan_evaluation::{RelationReport, TimeBaseNotice, in_time_base, relation_errors};
+use serde::Serialize;
+
+use super::input::{TrajectorySource, read_relations_file};
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::output::{counted, print, print_json, write_file};
+use crate::progress::say;
+
+/// Relations within this error count as right, metres.
+const GOOD: f64 = 0.2;
+
+/// Compare the motions of a trajectory with known ones.
+///
+/// The result is that of cartographer_compute_relations_metrics: mean and standard deviation over all
+/// relations. Poses are interpolated at the times of the relations; outside the trajectory its nearest end
+/// is taken, and how often is told. Relations counted from the start of a CARMEN log are shifted to the
+/// clock of the trajectory, with a notice.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  portolan evaluate relations aces.pbstream aces.relations\n  \
+    portolan evaluate relations trajectory.tum aces.relations --csv errors.csv")]
+pub struct RelationsArgs {
+    /// Map (.pbstream), or trajectory: TUM, KITTI poses, or a table with a line of names.
+    #[arg(value_name = "MAP_OR_TRAJECTORY")]
+    estimate: PathBuf,
+    /// Relations: lines `time1 time2 x y z roll pitch yaw`, or the binary form of `evaluate generate`.
+    relations: PathBuf,
+    /// Also write the error of each relation as a table.
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Which trajectory of a map.
+    #[arg(long, value_name = "ID", default_value_t = 0)]
+    trajectory: i32,
+    /// Times of KITTI poses.
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// Print JSON, with more figures.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    #[serde(flatten)]
+    report: &'a RelationReport,
+    /// 0 to 1.
+    share_within_0_2_metres: f64,
+    /// Seconds that were added to the times of the relations.
+    time_shift: f64,
+}
+
+pub fn run(args: &RelationsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let source = TrajectorySource {
+        path: &args.estimate,
+        trajectory_id: args.trajectory,
+        times: args.times.as_deref(),
+        quiet: global.quiet,
+    };
+    let trajectory = source.read()?;
+    let relations = read_relations_file(&args.relations)?;
+    let (relations, notice) = in_time_base(&trajectory, &relations)?;
+    let report = relation_errors(&trajectory, &relations)?;
+    if let Some(path) = &args.csv {
+        write_file(path, |out| report.write_csv(out))?;
+    }
+    if !global.quiet {
+        remark(&report, notice.as_ref());
+    }
+    if args.json {
+        let time_shift = notice.map_or(0.0, |notice| notice.offset.seconds());
+        let share_within_0_2_metres = report.share_within(GOOD);
+        print_json(&Report { report: &report, share_within_0_2_metres, time_shift })?;
+    } else {
+        print(&format!("Result:\n{report}"))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn remark(report: &RelationReport, notice: Option<&TimeBaseNotice>) {
+    if let Some(notice) = notice {
+        say(&notice.to_string());
+    }
+    if report.outside_trajectory > 0 {
+        say(&format!(
+            "{} outside the trajectory; its nearest end was taken instead",
+            counted(report.outside_trajectory as u64, "relation reaches", "relations reach")
+        ));
+    }
+    say(&format!(
+        "{}: {:.1} % within {GOOD} m, median {:.4} m and {:.4} deg",
+        counted(report.count as u64, "relation", "relations"),
+        100.0 * report.share_within(GOOD),
+        report.translation.median,
+        report.rotation_degrees.median
+    ));
+}

@@ -1,0 +1,163 @@
+//! `portolan evaluate trajectory`.
+
+use std::path::PathBuf;
+
+use portolan_evaluation::{
+    AbsoluteErrors, Alignment, Association, Drift, KITTI_LENGTHS, KITTI_STRIDE, RelativeErrors, Step,
+    Trajectory, absolute_errors, drift, relative_errors,
+};
+use serde::Serialize;
+
+use super::input::{TrajectorySource, positive_seconds};
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::output::{print, print_json};
+use crate::progress::say;
+
+/// Heights that differ by less are those of a motion in the plane, metres.
+const FLAT: f64 = 1e-6;
+
+/// Compare a trajectory with the true one: absolute and relative errors.
+///
+/// Both files may be a map (.pbstream), TUM (`time x y z qx qy qz qw`), KITTI poses (twelve numbers a line,
+/// with --times) or a table with a line of names; the content tells. Both must be of one clock.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  portolan evaluate trajectory walk_map/trajectory.tum walk.truth.tum\n  \
+    portolan evaluate trajectory walk.pbstream walk.truth.tum --align se3 --rpe-distance 10 --json\n  \
+    portolan evaluate trajectory 00.txt poses/00.txt --times 00/times.txt --drift"
+)]
+pub struct TrajectoryArgs {
+    /// What is to be measured.
+    estimate: PathBuf,
+    /// The truth.
+    truth: PathBuf,
+    /// How both maps are laid over each other before errors are taken: by least squares in the plane (se2)
+    /// or in space (se3), by the first pose, or not at all. Default: se2 if the estimate never leaves its
+    /// plane, else se3. In the plane heights, roll and pitch are not compared.
+    #[arg(long, value_enum)]
+    align: Option<Align>,
+    /// Compare with the true pose nearest in time, at most so many seconds away, instead of interpolating
+    /// the truth.
+    #[arg(long, value_name = "SECONDS", conflicts_with = "max_gap")]
+    nearest: Option<f64>,
+    /// Do not interpolate over gaps of the truth longer than this.
+    #[arg(long, value_name = "SECONDS")]
+    max_gap: Option<f64>,
+    /// Relative errors over so many seconds; may be given several times. Default: 1.
+    #[arg(long, value_name = "SECONDS")]
+    rpe: Vec<f64>,
+    /// Relative errors over so many metres of the true way; may be given several times.
+    #[arg(long, value_name = "METRES")]
+    rpe_distance: Vec<f64>,
+    /// Also the drift over segments of 100 to 800 m, as the KITTI benchmark measures it.
+    #[arg(long)]
+    drift: bool,
+    /// Which trajectory of a map.
+    #[arg(long, value_name = "ID", default_value_t = 0)]
+    trajectory: i32,
+    /// Times of KITTI poses, one a line.
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Align {
+    /// In the plane.
+    Se2,
+    /// In space.
+    Se3,
+    /// By the first pose.
+    First,
+    /// Not at all.
+    None,
+}
+
+#[derive(Serialize)]
+struct Report {
+    absolute: AbsoluteErrors,
+    relative: Vec<RelativeErrors>,
+    drift: Option<Drift>,
+}
+
+pub fn run(args: &TrajectoryArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let read = |path| {
+        let times = args.times.as_deref();
+        TrajectorySource { path, trajectory_id: args.trajectory, times, quiet: global.quiet }.read()
+    };
+    let (estimate, truth) = (read(&args.estimate)?, read(&args.truth)?);
+    let association = association(args)?;
+    let alignment = alignment(args.align, &estimate);
+    let absolute = absolute_errors(&truth, &estimate, association, alignment)?;
+    let relative = |step| relative_errors(&truth, &estimate, association, step);
+    let report = Report {
+        relative: relative_steps(args).into_iter().map(relative).collect::<Result<_, _>>()?,
+        drift: match args.drift {
+            true => Some(drift(&truth, &estimate, association, &KITTI_LENGTHS, KITTI_STRIDE)?),
+            false => None,
+        },
+        absolute,
+    };
+    if !global.quiet && report.absolute.count < report.absolute.estimate_poses {
+        say(&format!(
+            "{} of {} poses of the estimate have no counterpart in the truth and were not compared",
+            report.absolute.estimate_poses - report.absolute.count,
+            report.absolute.estimate_poses
+        ));
+    }
+    if args.json {
+        print_json(&report)?
+    } else {
+        print(&report.text())?
+    }
+    Ok(Outcome::Done)
+}
+
+fn association(args: &TrajectoryArgs) -> Result<Association, CliError> {
+    Ok(match (args.nearest, args.max_gap) {
+        (Some(seconds), _) => Association::Nearest { tolerance: positive_seconds("--nearest", seconds)? },
+        (None, Some(seconds)) => {
+            Association::Interpolate { max_gap: Some(positive_seconds("--max-gap", seconds)?) }
+        }
+        (None, None) => Association::default(),
+    })
+}
+
+fn alignment(asked: Option<Align>, estimate: &Trajectory) -> Alignment {
+    match asked {
+        Some(Align::Se2) => Alignment::Se2,
+        Some(Align::Se3) => Alignment::Se3,
+        Some(Align::First) => Alignment::FirstPose,
+        Some(Align::None) => Alignment::None,
+        None if is_flat(estimate) => Alignment::Se2,
+        None => Alignment::Se3,
+    }
+}
+
+fn is_flat(trajectory: &Trajectory) -> bool {
+    let heights = trajectory.poses().iter().map(|pose| pose.map_from_tracking.translation.z);
+    let (low, high) = heights.fold((f64::MAX, f64::MIN), |(low, high), z| (low.min(z), high.max(z)));
+    high - low < FLAT
+}
+
+fn relative_steps(args: &TrajectoryArgs) -> Vec<Step> {
+    let seconds = args.rpe.iter().map(|seconds| Step::Time(*seconds));
+    let mut steps: Vec<Step> =
+        seconds.chain(args.rpe_distance.iter().map(|metres| Step::Distance(*metres))).collect();
+    if steps.is_empty() {
+        steps.push(Step::Time(1.0));
+    }
+    steps
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let mut parts = vec![self.absolute.to_string()];
+        parts.extend(self.relative.iter().map(ToString::to_string));
+        parts.extend(self.drift.iter().map(ToString::to_string));
+        parts.join("\n")
+    }
+}

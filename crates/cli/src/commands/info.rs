@@ -1,0 +1,82 @@
+//! `portolan info`: what recordings and maps hold.
+
+mod describe;
+mod map;
+mod recording;
+mod recording_text;
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::output::{is_map, print, print_json};
+
+/// Show what recordings and maps hold.
+///
+/// Of a recording: topics with types, counts, rates and frames, duration, and the tree of transforms. Of a
+/// map (.pbstream): trajectories with nodes, submaps, path and duration, constraints, grids and extent. The
+/// content of a file tells what it is. Exit code 3 if parts of a file could not be read.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  portolan info walk.bag\n  portolan info old.pbstream --options\n  \
+    portolan info *.mcap --json\n  portolan info old.pbstream --all | less")]
+pub struct InfoArgs {
+    /// Recordings and maps.
+    #[arg(required = true, value_name = "PATH")]
+    paths: Vec<PathBuf>,
+    /// Print every message of a map as protobuf text.
+    #[arg(long, conflicts_with = "json")]
+    all: bool,
+    /// Also print the options that a map was made with.
+    #[arg(long, conflicts_with = "json")]
+    options: bool,
+    /// Print JSON: an array with one object for each path.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is known about one path.
+#[derive(Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+enum Info {
+    Map(map::MapReport),
+    Recording(recording::RecordingReport),
+}
+
+pub fn run(args: &InfoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let mut reports = Vec::new();
+    let mut outcome = Outcome::Done;
+    for (index, path) in args.paths.iter().enumerate() {
+        let info = if is_map(path)? {
+            Info::Map(map::read(path)?)
+        } else {
+            Info::Recording(recording::read(path, global.quiet)?)
+        };
+        if let Info::Recording(report) = &info
+            && report.repairs.iter().any(|repair| repair.lost_data)
+        {
+            outcome = Outcome::DataLost;
+        }
+        if args.json {
+            reports.push(info);
+            continue;
+        }
+        if index > 0 {
+            print("\n")?;
+        }
+        match &info {
+            Info::Map(report) => {
+                print(&report.text(args.options))?;
+                if args.all {
+                    map::print_messages(path)?;
+                }
+            }
+            Info::Recording(report) => print(&report.text())?,
+        }
+    }
+    if args.json {
+        print_json(&reports)?;
+    }
+    Ok(outcome)
+}

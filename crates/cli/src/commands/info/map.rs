@@ -1,0 +1,133 @@
+//! What a map holds.
+
+use std::path::Path;
+
+use portolan_geometry::Time;
+use portolan_mapfile::{Extent, MapInfo, MapReader, PbstreamReader, TrajectoryInfo, info};
+use serde::Serialize;
+
+use super::describe::{duration, size, utc};
+use crate::error::CliError;
+use crate::output::print;
+
+/// Summary of a map file.
+#[derive(Serialize)]
+pub struct MapReport {
+    path: String,
+    /// Bytes.
+    size: u64,
+    #[serde(flatten)]
+    info: MapInfo,
+}
+
+/// Reads a map and sums it up.
+pub fn read(path: &Path) -> Result<MapReport, CliError> {
+    let failed = |error| CliError::in_file(path, format!("{error}; see `portolan check`"));
+    let mut reader = MapReader::open(path).map_err(failed)?;
+    let info = info(&mut reader).map_err(failed)?;
+    Ok(MapReport { path: path.display().to_string(), size: reader.bytes_read(), info })
+}
+
+/// Prints every message as protobuf text.
+pub fn print_messages(path: &Path) -> Result<(), CliError> {
+    let failed = |error| CliError::in_file(path, error);
+    let mut reader = PbstreamReader::open(path).map_err(failed)?;
+    while let Some(message) = reader.next_message().map_err(failed)? {
+        let kind = message.kind().name();
+        print(&format!(
+            "# message {} at byte {}: {kind}\n{}",
+            message.index,
+            message.offset,
+            message.to_text()
+        ))?;
+    }
+    Ok(())
+}
+
+impl MapReport {
+    /// For people; lines that Cartographer's tool prints stand there in its words.
+    pub fn text(&self, with_options: bool) -> String {
+        let info = &self.info;
+        let mut text = format!("{}: map, {}, {}\n", self.path, grids(info), size(self.size));
+        text.push_str(&format!("Header: format_version: {}\n", info.format_version));
+        for (trajectory, line) in info.trajectories.iter().zip(info.trajectory_lines()) {
+            text.push_str(&format!("{line}\n{}", trajectory_text(trajectory)));
+            if with_options {
+                text.push_str("  options\n");
+                trajectory.options.lines().for_each(|line| text.push_str(&format!("    {line}\n")));
+            }
+        }
+        let constraints = info.constraints;
+        text.push_str(&format!(
+            "Constraints: {} of nodes in their own submaps, {} loop closures, {} between trajectories\n",
+            constraints.intra_submap, constraints.inter_submap, constraints.inter_trajectory
+        ));
+        if info.landmarks > 0 {
+            text.push_str(&format!("Landmarks: {}\n", info.landmarks));
+        }
+        text.push_str(&extent("Nodes", info.bounding_box.as_ref()));
+        text.push_str(&extent("Mapped", info.mapped_extent.as_ref()));
+        info.counter_lines().for_each(|line| text.push_str(&format!("{line}\n")));
+        let ignored = info.ignored;
+        let count = ignored.pose_graphs + ignored.options + ignored.unknown;
+        if count > 0 {
+            text.push_str(&format!("{count} messages were left out; see `portolan check`\n"));
+        }
+        text
+    }
+}
+
+fn grids(info: &MapInfo) -> String {
+    let grids = &info.grids;
+    let kinds = [
+        (grids.probability_grids, "probability grids"),
+        (grids.tsdfs, "TSDF grids"),
+        (grids.hybrid_grids, "pairs of hybrid grids"),
+    ];
+    let mut parts: Vec<String> =
+        kinds.iter().filter(|(count, _)| *count > 0).map(|(count, kind)| format!("{count} {kind}")).collect();
+    if parts.is_empty() {
+        parts.push("no grids".to_owned());
+    }
+    let resolutions: Vec<&str> = grids.resolutions.keys().map(String::as_str).collect();
+    if !resolutions.is_empty() {
+        parts.push(format!("cells of {} m", resolutions.join(" and ")));
+    }
+    parts.join(", ")
+}
+
+fn trajectory_text(trajectory: &TrajectoryInfo) -> String {
+    let mut lines = Vec::new();
+    if let Some(start) = &trajectory.start_time {
+        let date = Time::from_unix_decimal(start).map(utc).unwrap_or_default();
+        lines.push(format!("start     {date} UTC ({start})"));
+    }
+    lines.push(format!("duration  {}", duration(trajectory.duration)));
+    lines.push(format!("path      {:.2} m", trajectory.path_length));
+    lines.push(format!("finished  {} of {} submaps", trajectory.finished_submaps, trajectory.submaps));
+    let sensors: Vec<String> = trajectory.sensors.iter().map(|s| format!("{} ({})", s.id, s.kind)).collect();
+    if !sensors.is_empty() {
+        lines.push(format!("sensors   {}", sensors.join(", ")));
+    }
+    let kept: Vec<String> = trajectory.sensor_data.iter().map(|(kind, n)| format!("{n} {kind}")).collect();
+    if !kept.is_empty() {
+        lines.push(format!("kept      {}", kept.join(", ")));
+    }
+    if let Some(gravity) = trajectory.gravity_constant {
+        lines.push(format!("gravity   {gravity:.4} m/s^2"));
+    }
+    if trajectory.has_fixed_frame {
+        lines.push("fixed frame (GNSS) placed in the map".to_owned());
+    }
+    lines.iter().map(|line| format!("  {line}\n")).collect()
+}
+
+fn extent(what: &str, extent: Option<&Extent>) -> String {
+    let Some(Extent { min, max }) = extent else { return String::new() };
+    let axes: Vec<String> = ["x", "y", "z"]
+        .iter()
+        .zip(min.iter().zip(max))
+        .map(|(axis, (min, max))| format!("{axis} {min:.2} to {max:.2}"))
+        .collect();
+    format!("{what}: {} m\n", axes.join(", "))
+}

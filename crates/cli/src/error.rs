@@ -1,0 +1,65 @@
+//! How a command ends.
+
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+
+/// A command that did what it was asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Completely.
+    Done,
+    /// But some of the input could not be used.
+    DataLost,
+}
+
+/// A command that could not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum CliError {
+    /// The command line asks for something impossible.
+    #[error("{0}")]
+    Usage(String),
+    /// Anything else, as a sentence that says what to do.
+    #[error("{0}")]
+    Failed(String),
+    /// A file could not be read or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A recording.
+    #[error(transparent)]
+    Recording(#[from] portolan_recording::RecordingError),
+    /// Mapping.
+    #[error(transparent)]
+    Mapper(#[from] portolan_mapping::MapperError),
+    /// Results could not be printed.
+    #[error("cannot write to the standard output: {0}")]
+    Output(#[from] std::io::Error),
+}
+
+impl CliError {
+    /// A file that cannot be used, and why.
+    pub fn in_file(path: &Path, reason: impl Display) -> Self {
+        Self::Failed(format!("{}: {reason}", path.display()))
+    }
+
+    /// Nobody reads the output any more, as with `portolan info … | head`.
+    pub fn is_closed_pipe(&self) -> bool {
+        matches!(self, Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe)
+    }
+}
+
+impl From<portolan_mapfile::WriteError> for CliError {
+    fn from(error: portolan_mapfile::WriteError) -> Self {
+        Self::File { path: error.path, source: error.source }
+    }
+}
+
+impl From<portolan_evaluation::EvaluationError> for CliError {
+    fn from(error: portolan_evaluation::EvaluationError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}

@@ -1,0 +1,64 @@
+//! `portolan check`.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{portolan, portolan_with_code, shared, simulated};
+
+#[test]
+fn a_good_recording_has_no_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = simulated(folder.path(), "good.bag", &[]);
+    let run = portolan_with_code(0, &["check", &path]);
+    assert!(run.stdout.contains("nothing wrong was found"), "{}", run.stdout);
+}
+
+#[test]
+fn faults_are_named_with_effect_and_advice() {
+    let folder = tempfile::tempdir().unwrap();
+    let faults = [
+        ("no-gravity", "m/s^2", 1),
+        ("gap:scan:4:7", "gap of 3.", 1),
+        ("duplicate:imu:100", "repeats the stamp", 0),
+        ("backward:scan:20:0.5", "jumps back", 1),
+        ("no-tf:scan", "no transform connects \"laser\"", 1),
+        ("empty:10", "without any return", 0),
+    ];
+    for (index, (fault, finding, code)) in faults.into_iter().enumerate() {
+        let path = simulated(folder.path(), &format!("{index}.bag"), &["--fault", fault]);
+        let run = portolan_with_code(code, &["check", &path]);
+        assert!(run.stdout.contains(finding), "{fault}: {}", run.stdout);
+        assert!(run.stdout.contains("effect: ") && run.stdout.contains("to do:  "), "{}", run.stdout);
+    }
+}
+
+#[test]
+fn a_damaged_bag_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = simulated(folder.path(), "whole.bag", &[]);
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes.truncate(bytes.len() / 2);
+    let damaged = common::text(&folder.path().join("damaged.bag"));
+    std::fs::write(&damaged, bytes).unwrap();
+    let run = portolan_with_code(1, &["check", "--json", &damaged]);
+    let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert!(json[0]["errors"].as_u64().unwrap() > 0, "{}", run.stdout);
+    assert_eq!(json[0]["findings"][0]["severity"], "error");
+    let run = portolan(&["info", &damaged]);
+    assert!(matches!(run.code, Some(0 | 3)) && run.stdout.contains("while reading"), "{}", run.stdout);
+}
+
+#[test]
+fn maps_are_checked() {
+    let Some(path) = shared("data/maps/reference/small_2d.pbstream") else { return };
+    let run = portolan_with_code(0, &["check", &path]);
+    assert!(run.stdout.contains("map"), "{}", run.stdout);
+    let folder = tempfile::tempdir().unwrap();
+    let damaged = common::text(&folder.path().join("damaged.pbstream"));
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes.truncate(bytes.len() - 100);
+    std::fs::write(&damaged, bytes).unwrap();
+    let run = portolan_with_code(1, &["check", &damaged]);
+    assert!(run.stdout.contains("error: message") && run.stderr.contains("found"), "{}", run.stdout);
+    portolan_with_code(1, &["info", &damaged]);
+}

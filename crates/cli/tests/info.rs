@@ -1,0 +1,74 @@
+//! `portolan info`.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{portolan_with_code, shared, simulated};
+
+#[test]
+fn a_simulated_recording_tells_its_topics() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.bag", "a.mcap"] {
+        let path = simulated(folder.path(), name, &[]);
+        let run = portolan_with_code(0, &["info", &path]);
+        for part in ["/scan", "sensor_msgs/LaserScan", "10.00 Hz", "90 beams", "base_link", "└─ laser"] {
+            assert!(run.stdout.contains(part), "{part} in {}", run.stdout);
+        }
+        let run = portolan_with_code(0, &["info", "--json", &path]);
+        let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+        assert_eq!(json[0]["kind"], "recording");
+        let topics = json[0]["topics"].as_array().unwrap();
+        let imu = topics.iter().find(|topic| topic["topic"] == "/imu").unwrap();
+        assert_eq!((&imu["type"], imu["frames"][0].as_str()), (&"sensor_msgs/Imu".into(), Some("imu_link")));
+        assert!(imu["count"].as_u64().unwrap() >= 1199);
+    }
+}
+
+#[test]
+fn a_recording_of_the_world() {
+    let Some(path) = shared("data/lidar2d/aces/aces.bag") else { return };
+    let run = portolan_with_code(0, &["info", "--json", &path]);
+    let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    let total: u64 = json[0]["topics"].as_array().unwrap().iter().map(|t| t["count"].as_u64().unwrap()).sum();
+    assert_eq!(json[0]["messages"].as_u64().unwrap(), total);
+    assert!(total > 7000);
+}
+
+#[test]
+fn maps_tell_what_the_reference_tells() {
+    let expected = [
+        ("aces", "Trajectory id: 0 has #nodes 2786 has #submaps 70", "#odometry_data: 7374"),
+        ("corridor_imu", "Trajectory id: 0 has #nodes 727 has #submaps 10", "#imu_data: 14980"),
+        ("small_tsdf", "Trajectory id: 0 has #nodes 27 has #submaps 3", "#submap_2d_grid: 3"),
+    ];
+    for (name, trajectory, counter) in expected {
+        let Some(path) = shared(&format!("data/maps/reference/{name}.pbstream")) else { return };
+        let run = portolan_with_code(0, &["info", &path]);
+        assert!(run.stdout.contains("Header: format_version: 2\n"), "{}", run.stdout);
+        assert!(run.stdout.contains(&format!("{trajectory}\n")), "{}", run.stdout);
+        assert!(
+            run.stdout.contains(&format!("SerializedData package contains {counter}\n")),
+            "{}",
+            run.stdout
+        );
+    }
+    let Some(path) = shared("data/maps/reference/small_2d.pbstream") else { return };
+    let run = portolan_with_code(0, &["info", "--json", &path, &path]);
+    let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert_eq!((json.as_array().unwrap().len(), &json[1]["kind"]), (2, &"map".into()));
+    assert_eq!(json[0]["trajectories"][0]["nodes"], 27);
+    let run = portolan_with_code(0, &["info", "--all", &path]);
+    assert_eq!(run.stdout.matches("\n# message ").count(), 3 + 27 + 3 + 129 + 1);
+}
+
+#[test]
+fn what_is_neither_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = common::text(&folder.path().join("notes.txt"));
+    std::fs::write(&path, "nothing of interest\n").unwrap();
+    let run = portolan_with_code(1, &["info", &path]);
+    assert!(run.stderr.contains("notes.txt") && run.stdout.is_empty(), "{}", run.stderr);
+    let missing = common::text(&folder.path().join("missing.bag"));
+    assert!(portolan_with_code(1, &["info", &missing]).stderr.contains("missing.bag"));
+    portolan_with_code(2, &["info"]);
+}

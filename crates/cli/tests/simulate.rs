@@ -1,0 +1,47 @@
+//! `portolan simulate`.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{portolan, portolan_with_code, simulated};
+
+#[test]
+fn the_same_options_give_the_same_bytes() {
+    let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    for name in ["x.bag", "x.mcap"] {
+        let first = std::fs::read(simulated(a.path(), name, &["--threads", "1"])).unwrap();
+        assert!(first.len() > 10_000 && first == std::fs::read(simulated(b.path(), name, &[])).unwrap());
+    }
+    let truth = std::fs::read_to_string(a.path().join("x.truth.tum")).unwrap();
+    assert_eq!(truth.lines().count(), 1201);
+    assert!(
+        std::fs::read_to_string(a.path().join("x.walls.csv")).unwrap().starts_with("x0,y0,x1,y1,material\n")
+    );
+    let mut names: Vec<_> = std::fs::read_dir(a.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["x.bag", "x.mcap", "x.truth.tum", "x.walls.csv"]);
+}
+
+#[test]
+fn wrong_usage_is_refused_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = common::text(&folder.path().join("x.bag"));
+    let wrong: [&[&str]; 6] = [
+        &["mall"],
+        &["--seconds", "-1"],
+        &["--fault", "nonsense"],
+        &["--size", "40"],
+        &["--speed", "1000"],
+        &["--truth-rate", "0"],
+    ];
+    for arguments in wrong {
+        let mut all = vec!["simulate", "-o", &output];
+        all.extend(arguments);
+        let run = portolan_with_code(2, &all);
+        assert!(!run.stderr.is_empty(), "{arguments:?}");
+    }
+    portolan_with_code(2, &["simulate", "-o", "walk.xyz", "--seconds", "5"]);
+    let nowhere = common::text(&folder.path().join("no/such/folder/x.bag"));
+    assert_eq!(portolan(&["simulate", "-o", &nowhere, "--seconds", "2"]).code, Some(1));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
