@@ -6,6 +6,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use common::small_map::SmallMap;
 use common::{all_maps, shared};
 use portolan_config::{Options, PoseGraphOptions};
 use portolan_geometry::{Rigid3, rotation_angle};
@@ -17,6 +18,7 @@ use portolan_mapfile::{
     load_textures, pose_from_proto, read_map_2d, submap_textures_2d, validate, write_map_2d,
 };
 use portolan_mapping::{Mapper, MapperSettings, Planar, PoseGraph, Repairs, TrajectoryId, TrajectoryState};
+use proptest::prelude::*;
 use tempfile::TempDir;
 
 /// All messages of a map.
@@ -183,12 +185,16 @@ fn compare_nodes(a: &Contents, b: &Contents, loaded: &Loaded) {
 }
 
 #[test]
-fn options_of_the_reference_come_back_unchanged() {
+fn maps_of_the_reference_come_back_unchanged() {
     let folder = TempDir::new().unwrap();
     for name in ["aces", "small_2d", "small_tsdf"] {
         let Some(path) = shared(&format!("data/maps/reference/{name}.pbstream")) else { continue };
         let (again, _) = saved_again(&path, &folder, "again.pbstream");
-        assert_eq!(contents(&path).options, contents(&again).options, "{name}");
+        let (a, b) = (contents(&path), contents(&again));
+        assert_eq!(a.options, b.options, "{name}");
+        // Only constraints are turned back and forth.
+        assert_eq!(a.graph.trajectory, b.graph.trajectory, "{name}");
+        assert!(a.rest == b.rest, "{name}: the other messages differ in content or order");
         let findings = validate(&mut PbstreamReader::open(&again).unwrap());
         assert!(findings.is_empty(), "{findings:?}");
     }
@@ -216,7 +222,7 @@ fn maps_are_added_behind_each_other_and_continued() {
         ended.extend(loaded.trajectories);
     }
     let nodes = graph.state().nodes.len();
-    assert!(nodes > 0 && nodes % 2 == 0);
+    assert!(nodes > 0 && nodes.is_multiple_of(2));
     let settings = MapperSettings { threads: 1, ..MapperSettings::default() };
     let mut mapper = Mapper::with_graph(&Options::for_2d(), settings, graph, ended).unwrap();
     assert_eq!(mapper.add_trajectory(&Default::default(), None).unwrap(), TrajectoryId(2));
@@ -325,5 +331,39 @@ fn truncated_files_are_errors() {
     for length in [0, 7, 9, 200, bytes.len() / 2, bytes.len() - 1] {
         std::fs::write(&cut, &bytes[..length]).unwrap();
         assert!(read_map_2d(&cut, &MapLoadSettings::default()).is_err(), "{length}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    /// Whatever the messages say, reading ends with an error or a map that can be written and read.
+    #[test]
+    fn damaged_messages_never_panic(
+        which in 1..12_usize,
+        flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
+        cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
+    ) {
+        let folder = TempDir::new().unwrap();
+        let [whole, damaged, again] = ["a", "b", "c"].map(|name| folder.path().join(name));
+        SmallMap::new(false).write(&whole);
+        let mut writer = PbstreamWriter::create(&damaged).unwrap();
+        for message in PbstreamReader::open(&whole).unwrap() {
+            let mut message = message.unwrap();
+            if message.index as usize == which && !message.bytes.is_empty() {
+                for (at, mask) in &flips {
+                    let at = at.index(message.bytes.len());
+                    message.bytes[at] ^= mask;
+                }
+                message.bytes.truncate(cut.map_or(usize::MAX, |c| c.index(message.bytes.len())));
+            }
+            writer.write_bytes(message.bytes).unwrap();
+        }
+        writer.finish().unwrap();
+        if let Ok(loaded) = read_map_2d(&damaged, &MapLoadSettings::default())
+            && write_map_2d(&loaded.into_map(Options::for_2d()), &again, true).is_ok()
+        {
+            prop_assert!(read_map_2d(&again, &MapLoadSettings::default()).is_ok());
+        }
     }
 }

@@ -167,7 +167,7 @@ fn tilted_scanners_come_back_byte_by_byte_too() {
         let mut data = (*node.data).clone();
         let tilt = 0.001 * f64::from(id.index);
         data.gravity_alignment = rotation_from_roll_pitch_yaw(0.1 + tilt, -0.2, 0.0);
-        data.local_from_tracking = data.local_from_tracking * data.gravity_alignment;
+        data.local_from_tracking *= data.gravity_alignment;
         tilted.load_node(
             *id,
             std::sync::Arc::new(data.clone()),

@@ -1,6 +1,7 @@
 //! Reading a map into a pose graph (`formats.md` §2.2).
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -141,9 +142,10 @@ impl<'a, S: MapSpace> Loading<'a, S> {
         graph: &'a mut PoseGraph<S>,
         frozen: bool,
     ) -> Result<Self, MapConversionError> {
-        let (submap_poses, node_poses) = global_poses(reader.pose_graph())?;
+        let (submap_poses, node_poses, duplicates) = global_poses(reader.pose_graph())?;
         let result = LoadedTrajectories::default();
         let mut loading = Self { graph, frozen, submap_poses, node_poses, result };
+        loading.count("second pose of a submap or node", duplicates);
         loading.trajectories(reader)?;
         Ok(loading)
     }
@@ -156,11 +158,12 @@ impl<'a, S: MapSpace> Loading<'a, S> {
 
     /// Gives the trajectories new numbers and makes them known.
     fn trajectories(&mut self, reader: &MapReader) -> Result<(), MapConversionError> {
-        let mut next = self.graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);
+        let first = self.graph.state().trajectories.keys().last().map_or(0, |id| id.0.saturating_add(1));
         let options = &reader.options().options_with_sensor_ids;
-        for (trajectory, options) in reader.pose_graph().trajectory.iter().zip(options) {
-            let id = TrajectoryId(next);
-            next += 1;
+        for (number, (trajectory, options)) in
+            (first..).zip(reader.pose_graph().trajectory.iter().zip(options))
+        {
+            let id = TrajectoryId(number);
             if self.result.trajectory_ids.insert(trajectory.trajectory_id, id).is_some() {
                 return Err(MapConversionError::DuplicateTrajectory(trajectory.trajectory_id));
             }
@@ -179,7 +182,10 @@ impl<'a, S: MapSpace> Loading<'a, S> {
             });
             match initial {
                 Some(Some(initial)) => self.graph.load_trajectory(id, Some(initial)),
-                Some(None) => self.count("start relative to a trajectory that the map does not have", 1),
+                Some(None) => self.count(
+                    "start that is not valid or relative to a trajectory that the map does not have",
+                    1,
+                ),
                 None => {}
             }
             if self.frozen {
@@ -232,7 +238,10 @@ impl<'a, S: MapSpace> Loading<'a, S> {
     /// After all nodes, because in 2D their rotation is needed.
     fn constraints(&mut self, constraints: &[m::pose_graph::Constraint]) -> Result<(), MapConversionError> {
         for constraint in constraints {
-            if !self.constraint(constraint)? {
+            let weights = [constraint.translation_weight, constraint.rotation_weight];
+            if !weights.iter().all(|w| w.is_finite() && *w >= 0.0) {
+                self.count("constraint with impossible weights", 1);
+            } else if !self.constraint(constraint)? {
                 self.count("constraint to a node or submap that the map does not have", 1);
             }
         }
@@ -303,23 +312,31 @@ impl<'a, S: MapSpace> Loading<'a, S> {
 
 type Poses = BTreeMap<IdInFile, Rigid3>;
 
-/// The global poses of submaps and of nodes.
-fn global_poses(graph: &m::PoseGraph) -> Result<(Poses, Poses), MapConversionError> {
+/// The global poses of submaps and of nodes, and how many are there twice (the first ones count).
+fn global_poses(graph: &m::PoseGraph) -> Result<(Poses, Poses, u64), MapConversionError> {
     let mut submaps = Poses::new();
     let mut nodes = Poses::new();
+    let mut duplicates = 0;
+    let mut add = |poses: &mut Poses, what, id, pose: Option<Rigid3>| {
+        let pose = pose.ok_or(MapConversionError::Pose { what, id })?;
+        if let Entry::Vacant(place) = poses.entry(id) {
+            place.insert(pose);
+        } else {
+            duplicates += 1;
+        }
+        Ok::<(), MapConversionError>(())
+    };
     for trajectory in &graph.trajectory {
         for submap in &trajectory.submap {
             let id = (trajectory.trajectory_id, submap.submap_index);
-            let pose = pose_in_file(submap.pose.as_ref());
-            submaps.insert(id, pose.ok_or(MapConversionError::Pose { what: "submap", id })?);
+            add(&mut submaps, "submap", id, pose_in_file(submap.pose.as_ref()))?;
         }
         for node in &trajectory.node {
             let id = (trajectory.trajectory_id, node.node_index);
-            let pose = pose_in_file(node.pose.as_ref());
-            nodes.insert(id, pose.ok_or(MapConversionError::Pose { what: "node", id })?);
+            add(&mut nodes, "node", id, pose_in_file(node.pose.as_ref()))?;
         }
     }
-    Ok((submaps, nodes))
+    Ok((submaps, nodes, duplicates))
 }
 
 /// What does not change of a node.

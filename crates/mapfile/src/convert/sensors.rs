@@ -162,7 +162,9 @@ fn add_measurement<S: Space>(
         Data::LandmarkData(m::LandmarkData { landmark_data: Some(landmarks), .. }) => {
             let time = Time::from_ticks(landmarks.timestamp);
             let seen = landmarks.landmark_observations.into_iter().map(observation_from_proto);
-            let observations = seen.collect::<Option<_>>().ok_or("landmark sighting without a valid pose")?;
+            let observations = seen
+                .collect::<Option<_>>()
+                .ok_or("landmark sighting without a valid pose or with impossible weights")?;
             graph.add_landmark_data(id, LandmarkData { time, observations });
         }
         _ => return Err("measurement without content"),
@@ -176,6 +178,9 @@ fn is_new(new: bool) -> Result<(), &'static str> {
 }
 
 fn observation_from_proto(seen: landmark_data::LandmarkObservation) -> Option<LandmarkObservation> {
+    if ![seen.translation_weight, seen.rotation_weight].iter().all(|w| w.is_finite() && *w >= 0.0) {
+        return None;
+    }
     Some(LandmarkObservation {
         // Names may be any bytes; those that are no text stay distinct.
         id: String::from_utf8(seen.id).unwrap_or_else(|e| e.as_bytes().escape_ascii().to_string()),
