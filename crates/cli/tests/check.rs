@@ -18,10 +18,12 @@ fn faults_are_named_with_effect_and_advice() {
     let folder = tempfile::tempdir().unwrap();
     let faults = [
         ("no-gravity", "m/s^2", 1),
-        ("gap:scan:4:7", "gap of 3.", 1),
+        ("gap:scan:4:7", "gap of 3.", 0),
         ("duplicate:imu:100", "repeats the stamp", 0),
         ("backward:scan:20:0.5", "jumps back", 1),
         ("no-tf:scan", "no transform connects \"laser\"", 1),
+        ("clock:scan:0.8", "but /", 1),
+        ("clock:imu:0.2", "/imu", 0),
         ("empty:10", "without any return", 0),
     ];
     for (index, (fault, finding, code)) in faults.into_iter().enumerate() {

@@ -37,6 +37,20 @@ const NO_RANGES: Kind = Kind {
     effect: "there is nothing to make a map of",
     advice: "record a topic of type sensor_msgs/LaserScan, MultiEchoLaserScan or PointCloud2",
 };
+const COMMON_OFFSET: Kind = Kind {
+    name: "common offset",
+    severity: Severity::Warning,
+    effect: "none, because all sensors are alike; poses get the times of the stamps",
+    advice: "nothing, unless the poses are to be compared with something on another clock",
+};
+const DIFFERENT_CLOCKS: Kind = Kind {
+    name: "different clocks",
+    severity: Severity::Warning,
+    effect: "measurements of these sensors are brought together at different moments",
+    advice: "synchronise the clocks of the sensors",
+};
+const VERY_DIFFERENT_CLOCKS: Kind =
+    Kind { name: "very different clocks", severity: Severity::Error, ..DIFFERENT_CLOCKS };
 /// Parent frame whose children are results of mapping.
 const MAP_FRAME: &str = "map";
 
@@ -142,6 +156,7 @@ impl Check {
 
     fn finish(mut self, repairs: &[Repair]) -> Vec<Finding> {
         self.check_frames();
+        self.check_clocks();
         if !self.streams.values().any(Stream::is_range) {
             self.findings.add(&NO_RANGES, "", || "there is no laser scan and no point cloud".to_owned());
         }
@@ -151,6 +166,27 @@ impl Check {
         }
         repairs.iter().for_each(|repair| findings.push(repaired(repair)));
         findings.finish()
+    }
+
+    /// All sensors should be stamped by clocks that agree, whatever the recorder's clock is.
+    fn check_clocks(&mut self) {
+        let mut lags: Vec<(f64, &Arc<str>)> =
+            self.streams.iter().filter_map(|(topic, stream)| Some((stream.mean_lag()?, topic))).collect();
+        lags.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (Some((least, early)), Some((most, late))) = (lags.first(), lags.last()) else { return };
+        let kind = match most - least {
+            difference if difference > 0.5 => &VERY_DIFFERENT_CLOCKS,
+            difference if difference > 0.1 => &DIFFERENT_CLOCKS,
+            _ if least.abs() > 0.5 => {
+                let what = || format!("stamps are {least:.3} s before the times of recording");
+                return self.findings.add(&COMMON_OFFSET, "", what);
+            }
+            _ => return,
+        };
+        let what = || {
+            format!("{late} is stamped {most:.3} s before it was recorded, but {early} {least:.3} s before")
+        };
+        self.findings.add(kind, "", what);
     }
 
     /// Every frame must be connected with the first sensor frame, and come on one topic.

@@ -19,10 +19,11 @@ const SAME_STAMP: Kind = Kind {
 };
 const REPEATED: Kind = Kind {
     name: "repeated",
-    severity: Severity::Error,
+    severity: Severity::Warning,
     effect: "the sensor seems to stand still, which pulls the map out of shape",
     advice: "record the sensor itself instead of a node that repeats its last message",
 };
+const OFTEN_REPEATED: Kind = Kind { name: "often repeated", severity: Severity::Error, ..REPEATED };
 const OVERLAP: Kind = Kind {
     name: "overlap",
     severity: Severity::Warning,
@@ -35,13 +36,12 @@ const UNSET: Kind = Kind {
     effect: "the time of recording is used instead, which jitters",
     advice: "let the driver stamp its messages",
 };
-const LATE: Kind = Kind {
-    name: "late",
+const JITTER: Kind = Kind {
+    name: "jitter",
     severity: Severity::Warning,
-    effect: "sensors of other clocks do not fit in time",
-    advice: "synchronise the clocks of sensor and computer",
+    effect: "stamps or the times of recording are unreliable; measurements may be placed at wrong times",
+    advice: "let the driver stamp by the clock of the sensor, and look for a busy computer or network",
 };
-const VERY_LATE: Kind = Kind { name: "very late", severity: Severity::Error, ..LATE };
 const GAP: Kind = Kind {
     name: "gap",
     severity: Severity::Warning,
@@ -54,7 +54,10 @@ const MEAN_ACCELERATION: Kind = Kind {
     effect: "the direction of gravity, which everything in space hangs on, is wrong",
     advice: "the acceleration must include gravity and be in m/s^2; in the plane leave the IMU out (--no-imu)",
 };
-const LONG_GAP: Kind = Kind { name: "long gap", severity: Severity::Error, ..GAP };
+/// Seconds.
+const MAX_JITTER: f64 = 0.5;
+/// More repeated measurements than this share are an error.
+const OFTEN: f64 = 0.01;
 
 /// What a stream carries.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -79,11 +82,19 @@ pub struct Stream {
     /// Longest time between stamps and when it began, seconds.
     longest_gap: Option<(f64, Time)>,
     fingerprint: Option<u64>,
+    /// When a measurement first came again, and how many did.
+    repeated: Option<(Time, u64)>,
+    lag: Lag,
     /// Sum of the lengths of accelerations, m/s², and their number.
     acceleration: (f64, u64),
 }
 
 impl Stream {
+    /// Mean time from stamp to recording, seconds; none for streams without stamps.
+    pub fn mean_lag(&self) -> Option<f64> {
+        self.lag.mean()
+    }
+
     /// Whether it carries scans or clouds.
     pub fn is_range(&self) -> bool {
         self.content == Content::Range
@@ -113,10 +124,10 @@ impl Stream {
             findings.add(&UNSET, topic, || format!("messages on {topic} have no stamp"));
             return;
         }
-        self.check_clock(topic, recorded.log_time, header.stamp, findings);
+        self.lag.add(recorded.log_time.seconds_since(header.stamp));
         let is_later = self.check_order(topic, header.stamp, findings);
         if self.is_range() {
-            self.check_repetition(topic, header.stamp, message, findings);
+            self.check_repetition(header.stamp, message);
             if is_later {
                 self.check_overlap(header.stamp, message);
             }
@@ -126,21 +137,6 @@ impl Stream {
             self.first.get_or_insert(header.stamp);
             self.last = Some(header.stamp);
         }
-    }
-
-    fn check_clock(&self, topic: &str, log_time: Time, stamp: Time, findings: &mut Findings) {
-        let difference = log_time.seconds_since(stamp);
-        let kind = match difference.abs() {
-            d if d > 0.5 => &VERY_LATE,
-            d if d > 0.1 => &LATE,
-            _ => return,
-        };
-        findings.add(kind, topic, || {
-            format!(
-                "{topic} was stamped {difference:.3} s before it was recorded (at {})",
-                stamp.unix_decimal()
-            )
-        });
     }
 
     /// Whether the stamp is after the last one.
@@ -159,12 +155,11 @@ impl Stream {
         gap > 0.0
     }
 
-    fn check_repetition(&mut self, topic: &str, stamp: Time, message: &Message, findings: &mut Findings) {
+    fn check_repetition(&mut self, stamp: Time, message: &Message) {
         let fingerprint = fingerprint(message);
         if fingerprint.is_some() && fingerprint == self.fingerprint {
-            findings.add(&REPEATED, topic, || {
-                format!("{topic} sends exactly the same measurement again at {}", stamp.unix_decimal())
-            });
+            let (_, count) = self.repeated.get_or_insert((stamp, 0));
+            *count += 1;
         }
         self.fingerprint = fingerprint;
     }
@@ -185,6 +180,21 @@ impl Stream {
         if self.longest_overlap > 1e-4 {
             findings.add(&OVERLAP, topic, || {
                 format!("sweeps on {topic} end up to {:.4} s after the next one begins", self.longest_overlap)
+            });
+        }
+        let spread = self.lag.spread();
+        if spread > MAX_JITTER {
+            let what = || format!("the time from stamp to recording of {topic} varies by {spread:.3} s");
+            findings.add(&JITTER, topic, what);
+        }
+        if let Some((at, count)) = self.repeated {
+            let often = count as f64 > OFTEN * self.count as f64;
+            findings.add(if often { &OFTEN_REPEATED } else { &REPEATED }, topic, || {
+                format!(
+                    "{count} of {} measurements on {topic} are exactly those before, the first at {}",
+                    self.count,
+                    at.unix_decimal()
+                )
             });
         }
         self.check_mean_acceleration(topic, findings);
@@ -209,22 +219,42 @@ impl Stream {
             return;
         }
         let usual = (last.seconds_since(first) - gap) / (self.count - 2) as f64;
-        let (short, long) = match self.content {
-            Content::Imu => (0.05, 0.5),
-            Content::Range | Content::Other => (0.1, 1.0),
-        };
+        let limit = if self.content == Content::Imu { 0.05 } else { 0.1 };
         // What a slow sensor does all the time is no gap.
-        let kind = match gap {
-            gap if gap > long && gap > 5.0 * usual => &LONG_GAP,
-            gap if gap > short && gap > 2.5 * usual => &GAP,
-            _ => return,
-        };
-        findings.add(kind, topic, || {
+        if gap < limit || gap < 2.5 * usual {
+            return;
+        }
+        findings.add(&GAP, topic, || {
             format!(
                 "{topic} has a gap of {gap:.3} s after {}; usually a message comes every {usual:.3} s",
                 at.unix_decimal()
             )
         });
+    }
+}
+
+/// Times from stamp to recording, seconds.
+#[derive(Default)]
+struct Lag {
+    count: u64,
+    sum: f64,
+    bounds: Option<(f64, f64)>,
+}
+
+impl Lag {
+    fn add(&mut self, lag: f64) {
+        self.count += 1;
+        self.sum += lag;
+        let (low, high) = self.bounds.unwrap_or((lag, lag));
+        self.bounds = Some((low.min(lag), high.max(lag)));
+    }
+
+    fn mean(&self) -> Option<f64> {
+        (self.count > 0).then(|| self.sum / self.count as f64)
+    }
+
+    fn spread(&self) -> f64 {
+        self.bounds.map_or(0.0, |(low, high)| high - low)
     }
 }
 
