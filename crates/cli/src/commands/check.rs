@@ -1,6 +1,7 @@
 //! `portolan check`: what is wrong with recordings and maps, what follows, and what to do.
 
 mod finding;
+mod fingerprint;
 mod map;
 mod recording;
 mod stream;

@@ -4,6 +4,7 @@ use portolan_geometry::Time;
 use portolan_recording::{Header, LaserScan, Message, RecordedMessage};
 
 use super::finding::{Findings, Kind, Severity};
+use super::fingerprint::fingerprint;
 
 const BACKWARDS: Kind = Kind {
     name: "backwards",
@@ -262,46 +263,4 @@ impl Lag {
 fn sweep_seconds(scan: &LaserScan) -> f64 {
     let seconds = f64::from(scan.time_increment) * scan.ranges.len().saturating_sub(1) as f64;
     if (0.0..1e3).contains(&seconds) { seconds } else { 0.0 }
-}
-
-/// A number that equal measurements share (FNV-1a); none for a measurement without any return, which may
-/// well come again.
-fn fingerprint(message: &Message) -> Option<u64> {
-    let mut hash = Fingerprint::default();
-    match message {
-        Message::LaserScan(scan) => scan.ranges.iter().for_each(|range| hash.range(*range)),
-        Message::MultiEchoLaserScan(scan) => {
-            scan.ranges.iter().flatten().for_each(|range| hash.range(*range));
-        }
-        Message::PointCloud2(cloud) => {
-            hash.returns = cloud.data.iter().any(|byte| *byte != 0);
-            let words = cloud.data.chunks(8);
-            words.for_each(|word| hash.word(word.iter().fold(0, |all, byte| all << 8 | u64::from(*byte))));
-        }
-        _ => return None,
-    }
-    hash.returns.then_some(hash.hash)
-}
-
-struct Fingerprint {
-    hash: u64,
-    returns: bool,
-}
-
-impl Default for Fingerprint {
-    fn default() -> Self {
-        Self { hash: 0xcbf2_9ce4_8422_2325, returns: false }
-    }
-}
-
-impl Fingerprint {
-    fn word(&mut self, word: u64) {
-        self.hash = (self.hash ^ word).wrapping_mul(0x0100_0000_01b3);
-        self.hash ^= self.hash >> 29;
-    }
-
-    fn range(&mut self, range: f32) {
-        self.returns |= range.is_finite() && range > 0.0;
-        self.word(u64::from(range.to_bits()));
-    }
 }

@@ -15,7 +15,7 @@ pub struct ScenarioArgs {
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Seed of the building alone, to walk through the same building several times.
-    #[arg(long, value_name = "N")]
+    #[arg(long, help_heading = "Building", value_name = "N")]
     building_seed: Option<u64>,
     /// Length of the recording. Default: one full tour of the building.
     #[arg(long, value_name = "SECONDS")]
@@ -24,48 +24,48 @@ pub struct ScenarioArgs {
     #[arg(long, value_name = "MINUTES", conflicts_with = "seconds")]
     minutes: Option<f64>,
     /// Width and height of the floor, metres: `40x25`. Default: what suits the building.
-    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    #[arg(long, help_heading = "Building", value_name = "WxH", value_parser = parse_size)]
     size: Option<[f64; 2]>,
     /// How many people walk about. Default: what suits the building.
-    #[arg(long, value_name = "N")]
+    #[arg(long, help_heading = "Building", value_name = "N")]
     people: Option<usize>,
     /// Share of doors that are closed, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.2)]
+    #[arg(long, help_heading = "Building", value_name = "SHARE", default_value_t = 0.2)]
     closed_doors: f64,
     /// How much furniture stands about: 0 none, 1 as usual, at most 3.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, help_heading = "Building", value_name = "FACTOR", default_value_t = 1.0)]
     clutter: f64,
     /// Share of larger rooms with a glass front, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.35)]
+    #[arg(long, help_heading = "Building", value_name = "SHARE", default_value_t = 0.35)]
     glass: f64,
     /// Speed of the robot, m/s.
-    #[arg(long, value_name = "M/S", default_value_t = 0.8)]
+    #[arg(long, help_heading = "Robot and sensors", value_name = "M/S", default_value_t = 0.8)]
     speed: f64,
     /// Scans per second.
-    #[arg(long, value_name = "HZ", default_value_t = 10.0)]
+    #[arg(long, help_heading = "Robot and sensors", value_name = "HZ", default_value_t = 10.0)]
     scan_rate: f64,
     /// Beams of a scan.
-    #[arg(long, value_name = "N", default_value_t = 360)]
+    #[arg(long, help_heading = "Robot and sensors", value_name = "N", default_value_t = 360)]
     beams: usize,
     /// Angle that a scan covers, degrees.
-    #[arg(long, value_name = "DEGREES", default_value_t = 360.0)]
+    #[arg(long, help_heading = "Robot and sensors", value_name = "DEGREES", default_value_t = 360.0)]
     field_of_view: f64,
     /// Range of the lidar, metres.
-    #[arg(long, value_name = "METRES", default_value_t = 12.0)]
+    #[arg(long, help_heading = "Robot and sensors", value_name = "METRES", default_value_t = 12.0)]
     range: f64,
     /// Record no wheel odometry.
-    #[arg(long)]
+    #[arg(long, help_heading = "Robot and sensors")]
     no_odometry: bool,
     /// Record no IMU.
-    #[arg(long)]
+    #[arg(long, help_heading = "Robot and sensors")]
     no_imu: bool,
     /// Exact sensors and nobody walking about.
-    #[arg(long, conflicts_with = "people")]
+    #[arg(long, help_heading = "Robot and sensors", conflicts_with = "people")]
     exact: bool,
     /// Something that goes wrong; may be given several times: duplicate:SENSOR:N, backward:SENSOR:N:SECONDS,
     /// gap:SENSOR:FROM:TO, nan:N, empty:N, jump:SECONDS:X:Y:YAW, no-gravity, clock:SENSOR:SECONDS,
     /// no-tf:SENSOR, where SENSOR is scan, odom or imu and N means every N-th message.
-    #[arg(long, value_name = "FAULT")]
+    #[arg(long, help_heading = "Robot and sensors", value_name = "FAULT")]
     fault: Vec<Fault>,
 }
 
