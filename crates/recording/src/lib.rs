@@ -4,6 +4,9 @@
 
 mod carmen;
 mod coreslam;
+mod ingest;
+mod inspect;
+mod memory;
 mod message;
 mod repairs;
 mod source;
@@ -13,6 +16,13 @@ mod urdf;
 
 pub use carmen::{CarmenLog, CarmenOptions, TimeColumn, looks_like_carmen};
 pub use coreslam::{CoreSlamLog, looks_like_coreslam};
+pub use ingest::{
+    ConfiguredSensors, Dimension, GeodeticPosition, ImuStatistics, IngestError, IngestOptions, Ingestion, Inventory, Notice,
+    PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor, PointTime, PointTimeOrigin, RangeStatistics,
+    SamplingRatios, SensorPlan, SensorStatistics, TopicSurvey, plan,
+};
+pub use inspect::{CheckReport, Finding, Histogram, PlanDescription, RecordingInfo, RepairDescription, Severity, TopicDescription, check, findings_to_text, info};
+pub use memory::MemoryRecording;
 pub use message::*;
 pub use source::*;
 pub use text::open_text_log;

@@ -66,6 +66,11 @@ impl TfInput {
         }
     }
 
+    /// Counts something that does no harm.
+    pub(crate) fn note(&mut self, what: String) {
+        self.repairs.repaired(what);
+    }
+
     /// What could not be used so far.
     pub(crate) fn repairs(&self) -> &RepairLog {
         &self.repairs

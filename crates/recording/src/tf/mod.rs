@@ -301,6 +301,16 @@ impl TfTree {
         self.index.values().filter_map(moving).collect()
     }
 
+    /// Mean interval between the known poses of a moving frame, seconds.
+    pub fn moving_interval(&self, child: &str) -> Option<f64> {
+        let Some(Edge { motion: Motion::Moving(buffer), .. }) = &self.frames[*self.index.get(child)?].edge
+        else {
+            return None;
+        };
+        let span = buffer.latest_time()?.seconds_since(buffer.earliest_time()?);
+        (span > 0.0).then(|| span / (buffer.len() - 1) as f64)
+    }
+
     /// Forgets poses of moving frames before `time`, except the last one before it.
     pub fn forget_before(&mut self, time: Time) {
         for frame in &mut self.frames {

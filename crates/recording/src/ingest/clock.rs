@@ -1,0 +1,151 @@
+//! The stamps of one sensor: unset, repeated, backward and jumping ones.
+
+use portolan_geometry::{Duration, Time};
+
+/// A stamp this far from where the recording's own clock puts it is a jump.
+const JUMP: Duration = Duration::from_ticks(10 * 10_000_000);
+/// Jumps agree if they are this near to each other.
+const AGREEMENT: Duration = Duration::from_ticks(10_000_000);
+/// So many messages in a row with the same jump mean that the clock was set.
+const JUMPS_OF_A_SET_CLOCK: u32 = 3;
+
+/// What to do with a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stamp {
+    /// Use it with this stamp.
+    Good(Time),
+    /// Its stamp was not set: use it with this one, the time of recording.
+    Unset(Time),
+    /// The clock was set before this message: use it with this stamp, which goes on as before.
+    ClockSet(Time),
+    /// Its stamp jumped; leave it out.
+    Jump,
+}
+
+/// Follows the stamps of one sensor against the times of recording.
+#[derive(Clone, Debug)]
+pub(crate) struct SensorClock {
+    /// Added to every stamp.
+    shift: Duration,
+    /// Time of recording minus stamp, of the last good message.
+    lag: Option<Duration>,
+    /// Lag of the last jump and how many in a row had it.
+    jump: Option<(Duration, u32)>,
+}
+
+impl SensorClock {
+    /// `shift` is added to stamps; `usual_lag` is the time of recording minus the shifted stamp, as
+    /// far as known beforehand. Stamps of zero count as unset where that is not their usual lag.
+    pub fn new(shift: Duration, usual_lag: Option<Duration>) -> Self {
+        Self { shift, lag: usual_lag, jump: None }
+    }
+
+    /// Judges the next stamp.
+    pub fn judge(&mut self, stamp: Time, log_time: Time) -> Stamp {
+        let is_zero = stamp == Time::UNIX_EPOCH;
+        let stamp = stamp + self.shift;
+        let lag = log_time - stamp;
+        if let (true, Some(usual)) = (is_zero, self.lag)
+            && !near(lag, usual, JUMP)
+        {
+            return Stamp::Unset(log_time - usual);
+        }
+        let usual = *self.lag.get_or_insert(lag);
+        if near(lag, usual, JUMP) {
+            (self.lag, self.jump) = (Some(lag), None);
+            return Stamp::Good(stamp);
+        }
+        let count = match self.jump {
+            Some((jump, count)) if near(jump, lag, AGREEMENT) => count + 1,
+            _ => 1,
+        };
+        self.jump = Some((lag, count));
+        if count < JUMPS_OF_A_SET_CLOCK {
+            return Stamp::Jump;
+        }
+        // From here on stamps count from the new time of that clock.
+        let correction = lag - usual;
+        self.shift = self.shift + correction;
+        self.jump = None;
+        Stamp::ClockSet(stamp + correction)
+    }
+}
+
+fn near(a: Duration, b: Duration, tolerance: Duration) -> bool {
+    let difference = a - b;
+    difference <= tolerance && difference >= Duration::ZERO - tolerance
+}
+
+/// Keeps the times of a sensor strictly ascending.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Ascending(Option<Time>);
+
+/// How a time compares with the one before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// Later.
+    Later,
+    /// The same.
+    Same,
+    /// Earlier.
+    Backward,
+}
+
+impl Ascending {
+    /// Whether `time` comes after all before it; then it becomes the one to beat.
+    pub fn check(&mut self, time: Time) -> Order {
+        match self.0 {
+            Some(last) if time < last => Order::Backward,
+            Some(last) if time == last => Order::Same,
+            _ => {
+                self.0 = Some(time);
+                Order::Later
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: i64) -> Time {
+        Time::from_ros(1_700_000_000 + seconds, 0)
+    }
+
+    #[test]
+    fn a_single_jump_is_left_out() {
+        let mut clock = SensorClock::new(Duration::ZERO, None);
+        assert_eq!(clock.judge(at(0), at(0)), Stamp::Good(at(0)));
+        assert_eq!(clock.judge(at(1_000_000_000), at(1)), Stamp::Jump);
+        assert_eq!(clock.judge(at(-5000), at(2)), Stamp::Jump);
+        assert_eq!(clock.judge(at(3), at(3)), Stamp::Good(at(3)));
+        assert_eq!(clock.judge(Time::from_ros(0, 0), at(4)), Stamp::Unset(at(4)));
+        assert_eq!(clock.judge(at(1005), at(1005)), Stamp::Good(at(1005)));
+    }
+
+    #[test]
+    fn a_clock_that_was_set_goes_on_as_before() {
+        let mut clock = SensorClock::new(Duration::ZERO, None);
+        clock.judge(at(0), at(0));
+        let verdicts: Vec<Stamp> = (1..6).map(|s| clock.judge(at(s - 3600), at(s))).collect();
+        assert_eq!(
+            verdicts,
+            [Stamp::Jump, Stamp::Jump, Stamp::ClockSet(at(3)), Stamp::Good(at(4)), Stamp::Good(at(5))]
+        );
+    }
+
+    #[test]
+    fn a_known_lag_catches_a_wrong_first_stamp() {
+        let mut clock = SensorClock::new(Duration::ZERO, Some(Duration::ZERO));
+        assert_eq!(clock.judge(at(90_000_000), at(0)), Stamp::Jump);
+        assert_eq!(clock.judge(at(1), at(1)), Stamp::Good(at(1)));
+    }
+
+    #[test]
+    fn times_ascend() {
+        let mut order = Ascending::default();
+        let orders = [5, 5, 4, 6].map(|s| order.check(at(s)));
+        assert_eq!(orders, [Order::Later, Order::Same, Order::Backward, Order::Later]);
+    }
+}

@@ -1,0 +1,163 @@
+use std::f64::consts::PI;
+
+use super::*;
+use crate::ingest::options::ConfiguredSensors;
+use crate::ingest::test_messages::{cloud, fixed, imu, moving, named, odometry, scan};
+use crate::{MemoryRecording, Message, RecordedMessage};
+
+/// A second of messages of every topic, at 20 Hz.
+fn recording(topics: &[(&str, &dyn Fn(f64) -> Message)]) -> MemoryRecording {
+    let mut messages: Vec<RecordedMessage> = Vec::new();
+    for i in 0..60 {
+        let time = 0.05 * f64::from(i);
+        messages.extend(topics.iter().map(|(topic, message)| named(topic, time, message(time))));
+    }
+    MemoryRecording::new(messages)
+}
+
+fn planned(recording: &MemoryRecording, options: &IngestOptions) -> Result<SensorPlan, PlanError> {
+    plan(&Inventory::of(recording, options).unwrap(), options)
+}
+
+fn topics(plan: &SensorPlan) -> Vec<&str> {
+    plan.range.iter().map(|r| &*r.source.topic).collect()
+}
+
+#[test]
+fn two_connected_scanners_and_odometry_are_used_together() {
+    let recording = recording(&[
+        ("/front", &|t| scan(t, "front_laser")),
+        ("/rear", &|t| scan(t, "rear_laser")),
+        ("/front_filtered", &|t| scan(t, "front_laser")),
+        ("/vertical", &|t| scan(t, "vertical_laser")),
+        ("/lost", &|t| scan(t, "nowhere")),
+        ("/odom", &|t| odometry(t, t)),
+        ("/odometry/filtered", &|t| odometry(t, t)),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("base_link", "front_laser", [0.3, 0.0, 0.0], 0.0),
+                ("base_link", "rear_laser", [-0.3, 0.0, 0.0], PI),
+                ("base_link", "vertical_laser", [0.0, 0.0, PI / 2.0], 99.0),
+            ]))
+        }),
+    ]);
+    let plan = planned(&recording, &IngestOptions::default()).unwrap();
+    assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/front", "/rear"], "base_link"));
+    assert_eq!(plan.dimension, Dimension::Two);
+    assert!(matches!(&plan.odometry, Some(PlannedOdometry::Topic(o)) if &*o.topic == "/odom"));
+    let text: String = plan.notices.iter().map(|n| format!("{} [{}]\n", n.what, n.change)).collect();
+    for expected in [
+        "/front_filtered is not used",
+        "/vertical is not used: its plane leans 90°",
+        "/lost is not used",
+        "--odom /odometry/filtered",
+    ] {
+        assert!(text.contains(expected), "{expected}: {text}");
+    }
+    let options = IngestOptions { range_topics: vec!["lost".into()], ..IngestOptions::default() };
+    assert_eq!(planned(&recording, &options).unwrap().tracking_frame, "nowhere");
+    let options = IngestOptions { range_topics: vec!["/odom".into()], ..IngestOptions::default() };
+    assert!(planned(&recording, &options).unwrap_err().to_string().contains("nav_msgs/Odometry"));
+    let options = IngestOptions { range_topics: vec!["/none".into()], ..IngestOptions::default() };
+    assert!(planned(&recording, &options).unwrap_err().to_string().contains("/front, /front_filtered"));
+    let options = IngestOptions { tracking_frame: Some("wheel".into()), ..IngestOptions::default() };
+    assert!(planned(&recording, &options).unwrap_err().to_string().contains("rear_laser"));
+}
+
+#[test]
+fn a_lidar_with_an_imu_in_g() {
+    let recording = recording(&[
+        ("/points", &|t| cloud(t, "lidar")),
+        ("/camera/scan", &|t| scan(t, "camera")),
+        ("/imu/data", &|t| imu(t, [0.0, 0.0, 1.0])),
+        ("/broken_imu", &|t| imu(t, [0.0, 0.0, 0.01])),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("imu_link", "lidar", [0.0, 0.0, 0.2], 0.0),
+                ("lidar", "camera", [0.0; 3], 0.0),
+            ]))
+        }),
+    ]);
+    let plan = planned(&recording, &IngestOptions::default()).unwrap();
+    assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/points"], "imu_link"));
+    assert_eq!(plan.dimension, Dimension::Three);
+    assert_eq!(plan.imu.as_ref().unwrap().acceleration_scale, 9.80665);
+    let point_time = plan.range[0].point_time.unwrap();
+    assert_eq!(point_time.unit, 1.0);
+    let flat =
+        IngestOptions { dimension: Some(Dimension::Two), use_imu: Some(false), ..IngestOptions::default() };
+    let plan = planned(&recording, &flat).unwrap();
+    assert_eq!((topics(&plan), plan.imu.is_some()), (vec!["/camera/scan"], false));
+}
+
+#[test]
+fn names_of_a_configuration_are_found_or_remapped() {
+    let recording = recording(&[
+        ("/base_scan", &|t| scan(t, "laser")),
+        ("/robot/odom", &|t| odometry(t, t)),
+        ("/tf", &|t| Message::Tf(moving("base_link", "laser", t, [0.1, 0.0, 0.0]))),
+    ]);
+    let configured =
+        ConfiguredSensors { num_laser_scans: 1, use_odometry: true, ..ConfiguredSensors::default() };
+    let mut options = IngestOptions { configured: Some(configured), ..IngestOptions::default() };
+    let plan = planned(&recording, &options).unwrap();
+    assert_eq!(topics(&plan), ["/base_scan"]);
+    assert_eq!(&*plan.range[0].source.sensor.id, "scan");
+    assert!(plan.notices.iter().any(|n| n.what.contains("expects \"scan\"")));
+    assert!(plan.odometry.is_some());
+    options.remappings = vec![("scan".into(), "base_scan".into()), ("odom".into(), "/robot/odom".into())];
+    let plan = planned(&recording, &options).unwrap();
+    let names: Vec<_> = plan.sensors().iter().map(|s| s.id.to_string()).collect();
+    assert_eq!(names, ["odom", "scan"]);
+    assert!(plan.notices.is_empty(), "{:?}", plan.notices);
+    options.remappings[0].1 = "/nothing".into();
+    assert!(planned(&recording, &options).is_err());
+    options = IngestOptions { configured: Some(ConfiguredSensors::default()), ..IngestOptions::default() };
+    assert!(planned(&recording, &options).unwrap_err().to_string().contains("num_laser_scans"));
+}
+
+#[test]
+fn odometry_in_transforms_and_results_of_mapping() {
+    let recording = recording(&[
+        ("/scan", &|t| scan(t, "laser")),
+        ("/tf", &|t| Message::Tf(moving("odom", "base_link", t, [t, 0.0, 0.0]))),
+        ("/tf2", &|t| Message::Tf(moving("map", "odom", t, [t, 0.0, 0.0]))),
+        ("/tf_static", &|_| Message::Tf(fixed(&[("base_link", "laser", [0.1, 0.0, 0.0], 0.0)]))),
+    ]);
+    let inventory = Inventory::of(&recording, &IngestOptions::default()).unwrap();
+    assert!(inventory.repairs.iter().any(|r| r.what.contains("output of a mapping program")));
+    let plan = plan(&inventory, &IngestOptions::default()).unwrap();
+    assert!(
+        matches!(&plan.odometry, Some(PlannedOdometry::Transforms { child, .. }) if &**child == "base_link")
+    );
+    assert!((plan.odometry_interval.unwrap() - 0.05).abs() < 1e-6);
+}
+
+#[test]
+fn a_lone_scanner_and_nothing_at_all() {
+    let lone = recording(&[("/scan", &|t| scan(t, "laser")), ("/odom", &|t| odometry(t, t))]);
+    let plan = planned(&lone, &IngestOptions::default()).unwrap();
+    assert_eq!((plan.tracking_frame.as_str(), plan.odometry.is_some()), ("laser", false));
+    assert!(
+        plan.notices
+            .iter()
+            .any(|n| n.what.contains("odometry /odom is not used") && n.change.contains("--urdf"))
+    );
+    let nothing = recording(&[("/odom", &|t| odometry(t, t))]);
+    let error = planned(&nothing, &IngestOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("/odom (nav_msgs/Odometry)"), "{error}");
+    let unnamed = recording(&[("/scan", &|t| scan(t, ""))]);
+    assert_eq!(planned(&unnamed, &IngestOptions::default()).unwrap().tracking_frame, "base_link");
+}
+
+#[test]
+fn clocks_that_are_far_apart_are_joined() {
+    let recording = recording(&[
+        ("/scan", &|t| scan(t, "laser")),
+        ("/odom", &|t| odometry(t - 3600.0, t)),
+        ("/tf_static", &|_| Message::Tf(fixed(&[("base_link", "laser", [0.1, 0.0, 0.0], 0.0)]))),
+    ]);
+    let plan = planned(&recording, &IngestOptions::default()).unwrap();
+    let Some(PlannedOdometry::Topic(odometry)) = &plan.odometry else { panic!() };
+    assert!((odometry.clock_shift.seconds() - 3600.0).abs() < 1e-3);
+}

@@ -1,0 +1,209 @@
+//! Choosing the IMU and the frame whose motion is wanted.
+
+use portolan_sensor::SensorKind;
+
+use super::request::Request;
+use super::{Chosen, PlanError, PlannedImu, SensorPlan};
+use crate::ingest::options::{Dimension, IngestOptions};
+use crate::ingest::statistics::ImuStatistics;
+use crate::ingest::survey::Inventory;
+use crate::tf::frame_name;
+
+/// Standard gravity, m/s².
+const GRAVITY: f64 = 9.80665;
+/// Half of the accelerations of an IMU that measures gravity are within these, m/s².
+const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
+/// Slower IMUs are of no use.
+const MIN_RATE: f64 = 10.0;
+/// The IMU sits at the tracking frame if it is nearer than this, metres.
+const SAME_PLACE: f64 = 1e-5;
+/// Frames of robots by convention, best first.
+const BASE_FRAMES: [&str; 6] = ["base_link", "base_footprint", "base", "base_frame", "robot_base", "chassis"];
+
+/// An IMU that may be used.
+pub(super) struct ImuChoice<'a> {
+    chosen: Chosen<'a>,
+    acceleration_scale: f64,
+}
+
+impl ImuChoice<'_> {
+    fn frame(&self) -> &str {
+        self.chosen.frame()
+    }
+}
+
+/// The IMU: the one asked for, or the best of those that are plausible.
+pub(super) fn choose_imu<'a>(
+    inventory: &'a Inventory,
+    request: &Request<'a>,
+    range: &[Chosen],
+    plan: &mut SensorPlan,
+) -> Result<Option<ImuChoice<'a>>, PlanError> {
+    if let Some(chosen) = &request.imu {
+        let statistics = chosen.survey.imu.clone().unwrap_or_default();
+        let acceleration_scale = scale(&statistics);
+        return Ok(Some(ImuChoice { chosen: chosen.clone(), acceleration_scale }));
+    }
+    if !request.find_imu {
+        return Ok(None);
+    }
+    let mut candidates: Vec<Chosen> = inventory
+        .topics
+        .iter()
+        .filter(|t| &*t.info.type_name == "sensor_msgs/Imu" && t.seen > 0)
+        .map(Chosen::named_after_topic)
+        .collect();
+    candidates
+        .sort_by_key(|c| (rank(c.topic()), std::cmp::Reverse(c.survey.info.count.unwrap_or(c.survey.seen))));
+    let mut choice: Option<ImuChoice> = None;
+    for chosen in candidates {
+        if let Some(used) = &choice {
+            plan.note(
+                format!("{} is used as IMU, not {}", used.chosen.topic(), chosen.topic()),
+                format!("--imu {}", chosen.topic()),
+            );
+            continue;
+        }
+        match objection(&chosen, inventory, range) {
+            Some(why) => plan.note(
+                format!("the IMU {} is not used: {why}", chosen.topic()),
+                format!("--imu {}", chosen.topic()),
+            ),
+            None => {
+                let acceleration_scale = scale(&chosen.survey.imu.clone().unwrap_or_default());
+                choice = Some(ImuChoice { chosen, acceleration_scale });
+            }
+        }
+    }
+    if choice.is_none() && plan.dimension == Dimension::Three {
+        plan.note("mapping in space without an IMU: level is what it was at the start", "--imu <topic>");
+    }
+    Ok(choice)
+}
+
+/// `imu` before `imu/data` before all others.
+fn rank(topic: &str) -> u32 {
+    match topic.trim_start_matches('/') {
+        "imu" => 0,
+        name if name.ends_with("imu/data") => 1,
+        name if name.ends_with("imu") => 2,
+        _ => 3,
+    }
+}
+
+fn scale(statistics: &ImuStatistics) -> f64 {
+    let in_g = (0.8..1.2).contains(&statistics.median_acceleration);
+    if in_g { GRAVITY } else { 1.0 }
+}
+
+/// Why an IMU that nobody asked for had better not be used.
+fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option<String> {
+    let statistics = chosen.survey.imu.clone().unwrap_or_default();
+    let acceleration = statistics.median_acceleration * scale(&statistics);
+    if statistics.is_partial {
+        return Some("it says that it lacks acceleration or angular velocity".to_owned());
+    }
+    if !PLAUSIBLE_GRAVITY.contains(&acceleration) {
+        return Some(format!(
+            "it measures {acceleration:.2} m/s² most of the time, which does not include gravity"
+        ));
+    }
+    if statistics.messages < 2 || statistics.rate < MIN_RATE {
+        return Some(format!("it has only {:.1} samples a second", statistics.rate));
+    }
+    let frame = chosen.frame();
+    let connected = range.iter().any(|r| frame.is_empty() || inventory.tree.connected(frame, r.frame()));
+    (!connected).then(|| {
+        format!("no transforms connect its frame \"{frame}\" with that of the range sensor (give them with --urdf)")
+    })
+}
+
+/// The tracking frame: the one asked for; that of the IMU, or the frame of the robot at the same place;
+/// a frame of the robot that is connected with the range sensor; or that of the range sensor.
+pub(super) fn choose_frame(
+    inventory: &Inventory,
+    options: &IngestOptions,
+    request: &Request,
+    range: &[Chosen],
+    imu: Option<&ImuChoice>,
+    plan: &mut SensorPlan,
+) -> Result<String, PlanError> {
+    let tree = &inventory.tree;
+    let primary = range.first().map_or("", |c| c.frame());
+    if let Some(frame) = options.tracking_frame.as_deref().map(frame_name) {
+        return if tree.has_frame(frame) || frame == primary || imu.is_some_and(|i| i.frame() == frame) {
+            Ok(frame.to_owned())
+        } else {
+            let known: Vec<&str> = tree.frames().take(30).collect();
+            let known = if known.is_empty() { primary.to_owned() } else { known.join(", ") };
+            let detail = format!(
+                "tracking frame \"{frame}\" is not among the frames of the recording ({known}); choose one of them, or give its place with --urdf"
+            );
+            Err(PlanError::Frame { detail })
+        };
+    }
+    let odometry_child = odometry_child(inventory, request);
+    let bases = || BASE_FRAMES.into_iter().chain(odometry_child.as_deref());
+    if let Some(frame) = imu.map(|i| i.frame().to_owned()).filter(|f| !f.is_empty()) {
+        let same_place = |base: &&str| {
+            tree.has_frame(base)
+                && tree.lookup_static(base, &frame).is_some_and(|t| t.translation.vector.norm() < SAME_PLACE)
+        };
+        return Ok(bases().find(same_place).map_or(frame.clone(), str::to_owned));
+    }
+    let fits = |base: &&str| !primary.is_empty() && tree.has_frame(base) && tree.connected(base, primary);
+    if let Some(base) = bases().find(fits) {
+        return Ok(base.to_owned());
+    }
+    if primary.is_empty() {
+        return Ok(odometry_child.unwrap_or_else(|| "base_link".to_owned()));
+    }
+    plan.note(
+        format!("no transforms tell where \"{primary}\" is on the robot; its own motion is mapped"),
+        "--urdf <robot description> or --tracking-frame",
+    );
+    Ok(primary.to_owned())
+}
+
+fn odometry_child(inventory: &Inventory, request: &Request) -> Option<String> {
+    let asked_for = request.odometry.as_ref().map(|c| c.survey);
+    let any = || inventory.topics.iter().filter(|_| request.find_odometry).find(|t| t.child_frame.is_some());
+    let child = asked_for.or_else(any)?.child_frame.as_deref()?;
+    (!child.is_empty()).then(|| child.to_owned())
+}
+
+/// Plans the IMU.
+pub(super) fn connect_imu(inventory: &Inventory, imu: Option<ImuChoice>, plan: &mut SensorPlan) {
+    let Some(ImuChoice { chosen, acceleration_scale }) = imu else { return };
+    let topic = chosen.topic().to_owned();
+    let tracking = plan.tracking_frame.clone();
+    let frame = if chosen.frame().is_empty() {
+        plan.note(format!("{topic} names no frame; it is taken to be at \"{tracking}\""), "--tracking-frame");
+        tracking.clone()
+    } else {
+        chosen.frame().to_owned()
+    };
+    if !inventory.tree.connected(&tracking, &frame) {
+        plan.note(
+            format!(
+                "the IMU {topic} is not used: no transforms connect its frame \"{frame}\" with \"{tracking}\""
+            ),
+            "--urdf <robot description> or --tracking-frame",
+        );
+        return;
+    }
+    if acceleration_scale != 1.0 {
+        plan.note(format!("{topic} measures accelerations in g; they are multiplied by {GRAVITY}"), "");
+    }
+    let distance =
+        inventory.tree.lookup_static(&tracking, &frame).map_or(0.0, |t| t.translation.vector.norm());
+    if distance > SAME_PLACE {
+        plan.note(
+            format!("the IMU is {distance:.3} m away from \"{tracking}\"; accelerations while turning are off by up to that times the square of the turn rate"),
+            format!("--tracking-frame {frame}"),
+        );
+    }
+    let source = chosen.planned(SensorKind::Imu, &frame);
+    let statistics = chosen.survey.imu.clone().unwrap_or_default();
+    plan.imu = Some(PlannedImu { source, acceleration_scale, statistics });
+}

@@ -1,0 +1,242 @@
+//! Point clouds of any layout as timed points.
+
+use portolan_geometry::{Point3f, Time};
+use portolan_sensor::TimedPoint;
+
+use super::point_time::{PointTime, PointTimeOrigin, TIME_FIELDS, TimeSpan};
+use super::timed_points::TimedPoints;
+use crate::{FieldType, PointCloud2, PointField};
+
+/// Coordinates beyond this are no measurements, metres.
+const HUGE: f32 = 1e6;
+
+/// Why a cloud cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CloudError {
+    /// There is no x, y or z of a number type.
+    #[error("clouds without fields x, y and z were left out")]
+    NoCoordinates,
+    /// A field does not lie within its point.
+    #[error("clouds with fields beyond the end of a point were left out")]
+    FieldOutside,
+}
+
+/// Counts of what was dropped or missing in a cloud.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CloudFaults {
+    /// Points with a coordinate or time that is not finite, or farther than 1,000 km.
+    pub not_finite: u64,
+    /// Points at exactly (0, 0, 0): no return.
+    pub zero: u64,
+    /// Points that the header promised and the data do not have.
+    pub missing: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Field {
+    offset: usize,
+    field_type: FieldType,
+}
+
+fn size_of(field_type: FieldType) -> usize {
+    match field_type {
+        FieldType::Int8 | FieldType::Uint8 => 1,
+        FieldType::Int16 | FieldType::Uint16 => 2,
+        FieldType::Int32 | FieldType::Uint32 | FieldType::Float32 => 4,
+        FieldType::Float64 => 8,
+    }
+}
+
+impl Field {
+    fn find(fields: &[PointField], name: &str, step: usize) -> Result<Option<Self>, CloudError> {
+        let Some(field) = fields.iter().find(|f| f.name == name && f.count > 0) else { return Ok(None) };
+        let Some(field_type) = field.field_type else { return Ok(None) };
+        let offset = field.offset as usize;
+        if offset.checked_add(size_of(field_type)).is_none_or(|end| end > step) {
+            return Err(CloudError::FieldOutside);
+        }
+        Ok(Some(Self { offset, field_type }))
+    }
+
+    fn bytes<const N: usize>(&self, point: &[u8], is_bigendian: bool) -> [u8; N] {
+        let mut bytes = [0; N];
+        if let Some(source) = point.get(self.offset..self.offset + N) {
+            bytes.copy_from_slice(source);
+        }
+        if is_bigendian {
+            bytes.reverse();
+        }
+        bytes
+    }
+
+    /// The value as a double; integers of 32 bits fit without loss.
+    fn value(&self, point: &[u8], big: bool) -> f64 {
+        match self.field_type {
+            FieldType::Int8 => f64::from(i8::from_le_bytes(self.bytes(point, big))),
+            FieldType::Uint8 => f64::from(u8::from_le_bytes(self.bytes(point, big))),
+            FieldType::Int16 => f64::from(i16::from_le_bytes(self.bytes(point, big))),
+            FieldType::Uint16 => f64::from(u16::from_le_bytes(self.bytes(point, big))),
+            FieldType::Int32 => f64::from(i32::from_le_bytes(self.bytes(point, big))),
+            FieldType::Uint32 => f64::from(u32::from_le_bytes(self.bytes(point, big))),
+            FieldType::Float32 => f64::from(f32::from_le_bytes(self.bytes(point, big))),
+            FieldType::Float64 => f64::from_le_bytes(self.bytes(point, big)),
+        }
+    }
+
+    /// The value as a single.
+    fn single(&self, point: &[u8], big: bool) -> f32 {
+        match self.field_type {
+            FieldType::Float32 => f32::from_le_bytes(self.bytes(point, big)),
+            _ => self.value(point, big) as f32,
+        }
+    }
+}
+
+/// Where the values of a point are.
+#[derive(Clone, Debug)]
+pub(crate) struct CloudLayout {
+    xyz: [Field; 3],
+    time: Option<Field>,
+    intensity: Option<Field>,
+    step: usize,
+    is_bigendian: bool,
+}
+
+impl CloudLayout {
+    /// Finds the fields of a cloud by their names; order and types may be any.
+    pub fn of(cloud: &PointCloud2) -> Result<Self, CloudError> {
+        let step = cloud.point_step as usize;
+        let find = |name: &str| Field::find(&cloud.fields, name, step);
+        let coordinate = |name: &str| find(name)?.ok_or(CloudError::NoCoordinates);
+        let mut time = None;
+        for name in TIME_FIELDS {
+            if time.is_none() {
+                time = find(name)?;
+            }
+        }
+        Ok(Self {
+            xyz: [coordinate("x")?, coordinate("y")?, coordinate("z")?],
+            time,
+            intensity: find("intensity")?,
+            step,
+            is_bigendian: cloud.is_bigendian,
+        })
+    }
+
+    /// Whether there is a time field.
+    pub fn has_time(&self) -> bool {
+        self.time.is_some()
+    }
+
+    /// Calls `visit` with every point that is there; returns how many are missing.
+    fn for_each<'a>(&self, cloud: &'a PointCloud2, mut visit: impl FnMut(&'a [u8])) -> u64 {
+        let (width, height) = (u64::from(cloud.width), u64::from(cloud.height));
+        let promised = width.saturating_mul(height);
+        let packed_row = width.saturating_mul(self.step as u64);
+        let row_step = u64::from(cloud.row_step);
+        let mut seen = 0;
+        if height <= 1 || row_step <= packed_row {
+            for point in cloud.data.chunks_exact(self.step).take(promised.try_into().unwrap_or(usize::MAX)) {
+                visit(point);
+                seen += 1;
+            }
+        } else {
+            // Rows with padding. A row step larger than the data ends the loop by itself.
+            for row in cloud.data.chunks(row_step as usize).take(height as usize) {
+                for point in row.chunks_exact(self.step).take(width as usize) {
+                    visit(point);
+                    seen += 1;
+                }
+            }
+        }
+        promised - seen
+    }
+
+    /// Calls `visit` with every `stride`-th point as it stands.
+    pub fn sample(&self, cloud: &PointCloud2, stride: usize, mut visit: impl FnMut(Point3f)) {
+        let mut index = 0;
+        self.for_each(cloud, |point| {
+            if index % stride.max(1) == 0 {
+                let [x, y, z] = self.xyz.map(|field| field.single(point, self.is_bigendian));
+                visit(Point3f::new(x, y, z));
+            }
+            index += 1;
+        });
+    }
+
+    /// The time values of a cloud, to find out what they mean.
+    pub fn time_span(&self, cloud: &PointCloud2) -> Option<TimeSpan> {
+        let field = self.time?;
+        let (mut least, mut largest) = (f64::INFINITY, f64::NEG_INFINITY);
+        self.for_each(cloud, |point| {
+            let value = field.value(point, self.is_bigendian);
+            if value.is_finite() {
+                (least, largest) = (least.min(value), largest.max(value));
+            }
+        });
+        let (stamp, span) = (cloud.header.stamp, largest - least);
+        (least <= largest).then_some(TimeSpan { field_type: field.field_type, stamp, least, largest, span })
+    }
+
+    /// Points, with times as `point_time` says (none: all at the stamp).
+    pub fn points(
+        &self,
+        stamp: Time,
+        cloud: &PointCloud2,
+        point_time: Option<PointTime>,
+        with_intensities: bool,
+    ) -> (TimedPoints, CloudFaults) {
+        let available = cloud.data.len() / self.step.max(1);
+        let mut result = TimedPoints::with_capacity(available, with_intensities);
+        let mut faults = CloudFaults::default();
+        let times = self
+            .time
+            .zip(point_time)
+            .map(|(field, time)| (field, time.unit, self.time_reference(cloud, time)));
+        let big = self.is_bigendian;
+        faults.missing = self.for_each(cloud, |point| {
+            let [x, y, z] = self.xyz.map(|field| field.single(point, big));
+            let time = times.map_or(0.0, |(field, unit, reference)| {
+                ((field.value(point, big) - reference) * unit) as f32
+            });
+            if x == 0.0 && y == 0.0 && z == 0.0 {
+                faults.zero += 1;
+            } else if x.abs() < HUGE && y.abs() < HUGE && z.abs() < HUGE && time.is_finite() {
+                result.points.push(TimedPoint { position: Point3f::new(x, y, z), time });
+                if with_intensities {
+                    result.intensities.push(self.intensity.map_or(1.0, |f| f.single(point, big)));
+                }
+            } else {
+                faults.not_finite += 1;
+            }
+        });
+        result.rebase(self.base_time(stamp, point_time, times.map(|(_, _, reference)| reference)));
+        (result, faults)
+    }
+
+    /// The value that counts as zero: that of the first point for clocks, so that no digits are lost.
+    fn time_reference(&self, cloud: &PointCloud2, time: PointTime) -> f64 {
+        match time.origin {
+            PointTimeOrigin::Stamp => 0.0,
+            PointTimeOrigin::Epoch | PointTimeOrigin::OtherClock => {
+                self.time_span(cloud).map_or(0.0, |s| s.least)
+            }
+        }
+    }
+
+    fn base_time(&self, stamp: Time, time: Option<PointTime>, reference: Option<f64>) -> Time {
+        match (time, reference) {
+            (Some(PointTime { unit, origin: PointTimeOrigin::Epoch }), Some(reference)) if unit == 1.0 => {
+                Time::from_unix_seconds(reference)
+            }
+            (Some(PointTime { unit, origin: PointTimeOrigin::Epoch }), Some(reference)) => {
+                Time::from_unix_nanoseconds((reference * (unit * 1e9).round()) as i64)
+            }
+            _ => stamp,
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "point_cloud2_tests.rs"]
+pub(crate) mod tests;

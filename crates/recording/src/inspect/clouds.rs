@@ -1,0 +1,102 @@
+//! Point clouds of one topic.
+
+use super::finding::{Findings, Kind, Severity};
+use crate::PointCloud2;
+use crate::ingest::point_cloud2::{CloudError, CloudFaults, CloudLayout};
+use crate::ingest::point_time::{PointTime, PointTimeOrigin};
+
+const UNUSABLE: Kind = Kind {
+    name: "unusable cloud",
+    severity: Severity::Error,
+    effect: "clouds that cannot be understood are left out",
+    to_do: "clouds need fields x, y and z of a number type that lie within point_step",
+};
+const MISSING: Kind = Kind {
+    name: "missing points",
+    severity: Severity::Error,
+    effect: "the points that are not there are missing in the map",
+    to_do: "mend the driver: width, height, point_step and row_step must fit the data",
+};
+const NO_TIME: Kind = Kind {
+    name: "no time",
+    severity: Severity::Warning,
+    effect: "motion during a sweep cannot be undone; fast motion blurs the map",
+    to_do: "let the driver add a time field (time, t, timestamp or offset_time)",
+};
+const TIMES_FROM_START: Kind = Kind {
+    name: "times from start",
+    severity: Severity::Info,
+    effect: "none: times are counted to the last point, and the message gets that time",
+    to_do: "",
+};
+const OTHER_CLOCK: Kind = Kind {
+    name: "other clock",
+    severity: Severity::Warning,
+    effect: "the first point of a cloud is taken to be measured at the stamp",
+    to_do: "synchronise the clock of the lidar with that of the computer (PTP), or stamp with its time",
+};
+const NOT_FINITE: Kind =
+    Kind { name: "no points", severity: Severity::Info, effect: "these points are left out", to_do: "" };
+
+/// Point clouds of one topic.
+#[derive(Debug, Default)]
+pub(crate) struct CloudChecks {
+    not_finite: u64,
+    zero: u64,
+}
+
+impl CloudChecks {
+    /// A cloud that cannot be understood.
+    pub fn add_error(topic: &str, error: CloudError, findings: &mut Findings) {
+        findings.add(&UNUSABLE, topic, || error.to_string());
+    }
+
+    /// A cloud, and what was wrong with its points.
+    pub fn add(
+        &mut self,
+        topic: &str,
+        cloud: &PointCloud2,
+        layout: &CloudLayout,
+        time: Option<PointTime>,
+        faults: CloudFaults,
+        findings: &mut Findings,
+    ) {
+        self.not_finite += faults.not_finite;
+        self.zero += faults.zero;
+        if faults.missing > 0 {
+            findings.add(&MISSING, topic, || {
+                format!("a cloud promises {} points more than it has", faults.missing)
+            });
+        }
+        match (layout.has_time(), time) {
+            (true, Some(PointTime { origin: PointTimeOrigin::Stamp, unit })) => {
+                if let Some(span) = layout.time_span(cloud).filter(|s| s.largest != 0.0) {
+                    let last = span.largest * unit;
+                    findings.add(&TIMES_FROM_START, topic, || {
+                        format!("range data whose last point has relative time {last:.6} s, should be zero")
+                    });
+                }
+            }
+            (true, Some(PointTime { origin: PointTimeOrigin::OtherClock, .. })) => {
+                findings.add(&OTHER_CLOCK, topic, || {
+                    "times of points are of another clock than stamps".to_owned()
+                });
+            }
+            (true, Some(_)) => {}
+            (true, None) => {
+                findings.add(&NO_TIME, topic, || "the time field of clouds tells nothing".to_owned())
+            }
+            (false, _) => findings.add(&NO_TIME, topic, || "clouds have no time for each point".to_owned()),
+        }
+    }
+
+    /// Findings about the whole topic.
+    pub fn finish(self, topic: &str, findings: &mut Findings) {
+        let (not_finite, zero) = (self.not_finite, self.zero);
+        if not_finite + zero > 0 {
+            findings.add(&NOT_FINITE, topic, || {
+                format!("{not_finite} points that are not a number or beyond 1,000 km, {zero} at (0, 0, 0)")
+            });
+        }
+    }
+}

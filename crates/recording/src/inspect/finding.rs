@@ -1,0 +1,148 @@
+//! Findings about a recording, counted by kind and topic.
+
+use std::collections::BTreeMap;
+
+/// How bad a finding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// Good to know.
+    Info,
+    /// The map may be worse than it could be.
+    Warning,
+    /// Data are lost, or the map will be wrong.
+    Error,
+}
+
+/// Something about a recording that mapping cares about.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Finding {
+    /// How bad it is.
+    pub severity: Severity,
+    /// The topic; empty if it is about the whole recording.
+    pub topic: String,
+    /// How often it was seen.
+    pub count: u64,
+    /// What it is, with the numbers of the first (or worst) case.
+    pub what: String,
+    /// What it does to mapping.
+    pub effect_on_slam: String,
+    /// What to do about it.
+    pub what_to_do: String,
+}
+
+/// A kind of finding: all that does not depend on the case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Kind {
+    pub name: &'static str,
+    pub severity: Severity,
+    pub effect: &'static str,
+    pub to_do: &'static str,
+}
+
+/// More findings than this of all topics together are only counted.
+const MAX_FINDINGS: usize = 500;
+
+/// Collects findings: one for each kind and topic.
+#[derive(Debug, Default)]
+pub(crate) struct Findings {
+    list: Vec<Finding>,
+    index: BTreeMap<(Kind, String), usize>,
+    dropped: u64,
+}
+
+impl Findings {
+    /// Takes a finding; of several of a kind and topic the first text is kept.
+    pub fn add(&mut self, kind: &Kind, topic: &str, what: impl FnOnce() -> String) {
+        let key = (*kind, topic.to_owned());
+        if let Some(finding) = self.index.get(&key).and_then(|i| self.list.get_mut(*i)) {
+            finding.count += 1;
+            return;
+        }
+        if self.list.len() >= MAX_FINDINGS {
+            self.dropped += 1;
+            return;
+        }
+        self.index.insert(key, self.list.len());
+        self.list.push(Finding {
+            severity: kind.severity,
+            topic: topic.to_owned(),
+            count: 1,
+            what: what(),
+            effect_on_slam: kind.effect.to_owned(),
+            what_to_do: kind.to_do.to_owned(),
+        });
+    }
+
+    /// Takes a finding as it is.
+    pub fn push(&mut self, finding: Finding) {
+        if self.list.len() < MAX_FINDINGS {
+            self.list.push(finding);
+        } else {
+            self.dropped += 1;
+        }
+    }
+
+    /// The worst first, otherwise in the order in which they were seen.
+    pub fn finish(mut self) -> Vec<Finding> {
+        if self.dropped > 0 {
+            self.list.push(Finding {
+                severity: Severity::Warning,
+                topic: String::new(),
+                count: self.dropped,
+                what: "there are more findings than are listed".to_owned(),
+                effect_on_slam: "not known".to_owned(),
+                what_to_do: "solve those that are listed first".to_owned(),
+            });
+        }
+        self.list.sort_by_key(|f| std::cmp::Reverse(f.severity));
+        self.list
+    }
+}
+
+impl Finding {
+    /// Three lines for people.
+    pub fn to_text(&self) -> String {
+        let severity = match self.severity {
+            Severity::Info => "info",
+            Severity::Warning => "warning",
+            Severity::Error => "error",
+        };
+        let about = if self.topic.is_empty() { String::new() } else { format!("{}: ", self.topic) };
+        let times = if self.count > 1 { format!(" ({} times)", self.count) } else { String::new() };
+        let mut text = format!("{severity}: {about}{}{times}\n", self.what);
+        for (label, line) in [("effect", &self.effect_on_slam), ("to do", &self.what_to_do)] {
+            if !line.is_empty() {
+                text.push_str(&format!("  {label}: {line}\n"));
+            }
+        }
+        text
+    }
+}
+
+/// All findings for people.
+pub fn findings_to_text(findings: &[Finding]) -> String {
+    findings.iter().map(Finding::to_text).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn findings_are_counted_and_sorted() {
+        let note = Kind { name: "a", severity: Severity::Info, effect: "none", to_do: "" };
+        let fault = Kind { name: "b", severity: Severity::Error, effect: "bad", to_do: "mend it" };
+        let mut findings = Findings::default();
+        findings.add(&note, "/scan", || "first".into());
+        findings.add(&note, "/scan", || "second".into());
+        findings.add(&fault, "/imu", || "broken".into());
+        let list = findings.finish();
+        assert_eq!((list[0].what.as_str(), list[1].what.as_str(), list[1].count), ("broken", "first", 2));
+        let text = findings_to_text(&list);
+        assert_eq!(
+            text,
+            "error: /imu: broken\n  effect: bad\n  to do: mend it\ninfo: /scan: first (2 times)\n  effect: none\n"
+        );
+    }
+}

@@ -1,0 +1,135 @@
+//! IMU samples of one topic (checks 1 and 13 of `spec/tools.md` §2.6), units and direction of gravity.
+
+use portolan_geometry::{Rigid3, Vector3};
+
+use super::finding::{Findings, Kind, Severity};
+use crate::Imu;
+use crate::ingest::statistics::is_partial;
+
+const ACCELERATION: Kind = Kind {
+    name: "acceleration",
+    severity: Severity::Warning,
+    effect: "level and motion are misjudged during such shocks",
+    to_do: "accelerations must be in m/s² and include gravity; mount the sensor on dampers if it is shaken",
+};
+const MEAN_ACCELERATION: Kind = Kind {
+    name: "mean acceleration",
+    severity: Severity::Error,
+    effect: "level is misjudged; in space the map bends or the scale of motion is wrong",
+    to_do: "acceleration data should include gravity and be given in m/s²",
+};
+const IN_G: Kind = Kind {
+    name: "in g",
+    severity: Severity::Warning,
+    effect: "none: such accelerations are multiplied by 9.80665",
+    to_do: "let the driver send m/s²",
+};
+const NOT_A_NUMBER: Kind = Kind {
+    name: "not a number",
+    severity: Severity::Error,
+    effect: "these samples are left out",
+    to_do: "mend the driver",
+};
+const PARTIAL: Kind = Kind {
+    name: "partial",
+    severity: Severity::Error,
+    effect: "samples that lack acceleration or angular velocity are left out",
+    to_do: "use an IMU that measures both, or map in the plane without it",
+};
+const DEGREES: Kind = Kind {
+    name: "gyroscope in degrees",
+    severity: Severity::Error,
+    effect: "rotation is overestimated 57 times; there is no sensible map",
+    to_do: "angular velocities must be in rad/s; convert the recording or mend the driver",
+};
+const UPSIDE_DOWN: Kind = Kind {
+    name: "upside down",
+    severity: Severity::Warning,
+    effect: "the map comes out upside down, or motion is mirrored in the plane",
+    to_do: "at rest the acceleration must point up (+9.8 along the axis that points up); give the mounting of the IMU in the transforms",
+};
+const LEANING: Kind = Kind {
+    name: "leaning",
+    severity: Severity::Warning,
+    effect: "the map is level, but the robot seems to lean; in the plane scans are projected wrongly",
+    to_do: "give the mounting of the IMU in the transforms",
+};
+
+/// Robots do not turn faster than this for long, rad/s.
+const FAST_TURN: f64 = 12.0;
+
+/// IMU samples of one topic.
+#[derive(Debug, Default)]
+pub(crate) struct ImuChecks {
+    count: u64,
+    sum: Vector3,
+    sum_of_norms: f64,
+    fast: u64,
+}
+
+impl ImuChecks {
+    pub fn add(&mut self, topic: &str, imu: &Imu, findings: &mut Findings) {
+        let (acceleration, rate) =
+            (Vector3::from(imu.linear_acceleration), Vector3::from(imu.angular_velocity));
+        let (frame, stamp) = (&imu.header.frame_id, imu.header.stamp);
+        if is_partial(imu) {
+            return findings.add(&PARTIAL, topic, || {
+                "samples say that they lack acceleration or angular velocity (covariance −1)".to_owned()
+            });
+        }
+        let norm = acceleration.norm();
+        if !norm.is_finite() || !rate.norm().is_finite() {
+            return findings
+                .add(&NOT_A_NUMBER, topic, || format!("samples of frame_id {frame} are not numbers"));
+        }
+        self.count += 1;
+        self.sum += acceleration;
+        self.sum_of_norms += norm;
+        self.fast += u64::from(rate.norm() > FAST_TURN);
+        if !(3.0..=30.0).contains(&norm) && !(0.3..=3.0).contains(&norm) {
+            findings.add(&ACCELERATION, topic, || {
+                format!(
+                    "frame_id {frame} time {}: IMU linear acceleration is {norm:.3} m/s^2, expected is [3, 30] m/s^2. (It should include gravity and be given in m/s^2.) linear_acceleration {:.3} {:.3} {:.3}",
+                    stamp.unix_nanoseconds(), acceleration.x, acceleration.y, acceleration.z
+                )
+            });
+        }
+    }
+
+    /// The direction that it shows as up, in its own frame.
+    pub fn up(&self) -> Option<Vector3> {
+        self.sum.try_normalize(1e-9)
+    }
+
+    /// Findings about the whole topic; `base_from_imu` is its mounting, if known.
+    pub fn finish(&self, topic: &str, base_from_imu: Option<&Rigid3>, findings: &mut Findings) {
+        if self.count == 0 {
+            return;
+        }
+        let mean = self.sum_of_norms / self.count as f64;
+        if (0.9..1.1).contains(&mean) {
+            findings.add(&IN_G, topic, || {
+                format!("average IMU linear acceleration is {mean:.4}: it seems to be in g")
+            });
+        } else if !(9.5..=10.5).contains(&mean) {
+            findings.add(&MEAN_ACCELERATION, topic, || {
+                format!("average IMU linear acceleration is {mean:.4} m/s^2, expected is [9.5, 10.5] m/s^2. Linear acceleration data should include gravity and be given in m/s^2")
+            });
+        }
+        if self.fast * 10 > self.count {
+            let share = 100 * self.fast / self.count;
+            findings.add(&DEGREES, topic, || {
+                format!("{share}% of the angular velocities are above {FAST_TURN} rad/s; they seem to be in degrees")
+            });
+        }
+        let (Some(up), Some(mounting)) = (self.up(), base_from_imu) else { return };
+        let up_in_base = mounting.rotation * up;
+        let lean = up_in_base.z.clamp(-1.0, 1.0).acos().to_degrees();
+        let kind = if lean > 135.0 { &UPSIDE_DOWN } else { &LEANING };
+        if lean > 20.0 {
+            findings.add(kind, topic, || {
+                format!("on average \"up\" leans {lean:.0}° against the z axis of the tracking frame ({:.2} {:.2} {:.2})", up_in_base.x, up_in_base.y, up_in_base.z)
+            });
+        }
+    }
+}

@@ -1,0 +1,20 @@
+//! What a recording holds, and what is wrong with it.
+
+mod check;
+mod clouds;
+mod finding;
+mod histogram;
+mod imu;
+mod info;
+mod odometry;
+mod rotation;
+mod scans;
+mod stamps;
+
+pub use check::{CheckReport, check};
+pub use finding::{Finding, Severity, findings_to_text};
+pub use histogram::Histogram;
+pub use info::{PlanDescription, RecordingInfo, RepairDescription, TopicDescription, info};
+
+#[cfg(test)]
+mod tests;
