@@ -33,9 +33,12 @@ pub(crate) struct TextFile {
     path: PathBuf,
     size_bytes: u64,
     compression: Compression,
-    /// The whole text and what ended it early, unless it is too long.
-    cached: Option<(Arc<[u8]>, Option<String>)>,
+    /// The whole text, unless it is too long.
+    cached: Option<CachedText>,
 }
+
+/// Text in memory, and what ended it early.
+type CachedText = (Arc<[u8]>, Option<String>);
 
 impl TextFile {
     /// Opens the file and reads it if it is short.
@@ -60,7 +63,7 @@ impl TextFile {
         Ok(Self { path: path.to_owned(), size_bytes, compression, cached: None })
     }
 
-    fn read_if_short(&self) -> Result<Option<(Arc<[u8]>, Option<String>)>, RecordingError> {
+    fn read_if_short(&self) -> Result<Option<CachedText>, RecordingError> {
         let (stream, _) = self.stream()?;
         let mut bytes = Vec::new();
         let result = stream.take(CACHE_BYTES + 1).read_to_end(&mut bytes);

@@ -1,5 +1,7 @@
 //! Text logs of real robots, and text that is none.
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)] // tests say what is wrong that way
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 

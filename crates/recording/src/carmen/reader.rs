@@ -227,3 +227,60 @@ fn laser_scan(stamp: Time, laser: LaserLine, layout: &Layout, scanner: usize) ->
         intensities: laser.remissions,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::carmen::{CarmenLog, CarmenOptions, TimeColumn};
+    use crate::{Message, RecordedMessage, Recording, Repair};
+
+    fn read(text: &str, time_column: TimeColumn) -> (Vec<RecordedMessage>, Vec<Repair>) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.log");
+        std::fs::write(&path, text).unwrap();
+        let log = CarmenLog::open(&path, CarmenOptions { time_column }).unwrap();
+        let topics = log.topics();
+        assert!(topics.is_sorted_by(|a, b| a.topic < b.topic));
+        let mut reader = log.read(&|_| true).unwrap();
+        let messages = std::iter::from_fn(|| reader.next_message().unwrap()).collect();
+        (messages, reader.repairs())
+    }
+
+    fn topics(messages: &[RecordedMessage]) -> Vec<&str> {
+        messages.iter().map(|m| &*m.topic).collect()
+    }
+
+    #[test]
+    fn odometry_comes_from_scans_where_there_is_no_other() {
+        let text = "FLASER 2 1.0 2.0 0.2 0 0 0.1 0 0 1300000001.5 host 1.5\n\
+                    RLASER 2 1.0 2.0 0 0 3.1415926 0.1 0 0 1300000001.2 host 1.6\n\
+                    FLASER 2 1.0 2.0 1.1 1.1 1.5707963 1.1 1 1.5707963 1300000002.5 host 2.5\n";
+        let (messages, repairs) = read(text, TimeColumn::Ipc);
+        assert_eq!(topics(&messages), ["/tf_static", "/rear_scan", "/odom", "/scan", "/odom", "/scan"]);
+        assert_eq!(messages[2].log_time.unix_decimal(), "1300000001.5000000");
+        let Message::Tf(tf) = &messages[0].message else { panic!() };
+        assert!((tf.transforms[0].transform.position[0] - 0.1).abs() < 1e-9);
+        assert!((tf.transforms[1].transform.position[0] + 0.1).abs() < 1e-9);
+        assert!((tf.transforms[1].transform.orientation_xyzw[2].abs() - 1.0).abs() < 1e-6);
+        assert_eq!((repairs.len(), repairs[0].lost_data), (1, false));
+        let (messages, _) = read(text, TimeColumn::Logger);
+        assert_eq!(topics(&messages), ["/tf_static", "/odom", "/scan", "/rear_scan", "/odom", "/scan"]);
+        assert_eq!(messages[1].log_time.unix_decimal(), "1000000001.5000000");
+    }
+
+    #[test]
+    fn the_newer_format_is_preferred_and_tells_its_geometry() {
+        let robot = "ROBOTLASER1 0 -2.0 4.0 2.0 8.0 0.01 1 3 1.0 8.0 9.0 3 7 8 9 0.1 0 0 0 0 0 0 0 0 0 0";
+        let text = format!(
+            "FLASER 3 1 2 3 0 0 0 0 0 0 5.0 host 0.0\n{robot} 5.0 host 0.0\nTRUEPOS 0 0 0 0 0 0 5.1 h 1\nbroken \u{1}\n"
+        );
+        let (messages, repairs) = read(&text, TimeColumn::Ipc);
+        assert_eq!(topics(&messages), ["/tf_static", "/odom", "/scan"]);
+        let Message::LaserScan(scan) = &messages[2].message else { panic!() };
+        assert_eq!((scan.angle_min, scan.angle_max, scan.angle_increment), (-2.0, 2.0, 2.0));
+        assert_eq!(scan.ranges, [1.0, 8.0, 9.0]);
+        assert_eq!(scan.intensities, [7.0, 8.0, 9.0]);
+        assert!(scan.range_max < 8.0, "a reading of the maximum saw nothing");
+        assert!(repairs.iter().any(|r| r.what.contains("TRUEPOS")));
+        assert!(repairs.iter().any(|r| r.lost_data && r.what.contains("could not be understood")));
+    }
+}

@@ -29,6 +29,8 @@ pub(crate) struct SensorClock {
     shift: Duration,
     /// Time of recording minus stamp, of the last good message.
     lag: Option<Duration>,
+    /// Last good stamp.
+    last: Option<Time>,
     /// Lag of the last jump and how many in a row had it.
     jump: Option<(Duration, u32)>,
 }
@@ -37,7 +39,7 @@ impl SensorClock {
     /// `shift` is added to stamps; `usual_lag` is the time of recording minus the shifted stamp, as
     /// far as known beforehand. Stamps of zero count as unset where that is not their usual lag.
     pub fn new(shift: Duration, usual_lag: Option<Duration>) -> Self {
-        Self { shift, lag: usual_lag, jump: None }
+        Self { shift, lag: usual_lag, last: None, jump: None }
     }
 
     /// Judges the next stamp.
@@ -51,8 +53,10 @@ impl SensorClock {
             return Stamp::Unset(log_time - usual);
         }
         let usual = *self.lag.get_or_insert(lag);
-        if near(lag, usual, JUMP) {
-            (self.lag, self.jump) = (Some(lag), None);
+        // Stamps that go on as before are good even if the recording paused or ran at another speed.
+        let goes_on = self.last.is_some_and(|last| stamp >= last && stamp - last <= JUMP);
+        if goes_on || near(lag, usual, JUMP) {
+            (self.lag, self.last, self.jump) = (Some(lag), Some(stamp), None);
             return Stamp::Good(stamp);
         }
         let count = match self.jump {
@@ -66,7 +70,7 @@ impl SensorClock {
         // From here on stamps count from the new time of that clock.
         let correction = lag - usual;
         self.shift = self.shift + correction;
-        self.jump = None;
+        (self.last, self.jump) = (Some(stamp + correction), None);
         Stamp::ClockSet(stamp + correction)
     }
 }
@@ -133,6 +137,14 @@ mod tests {
             verdicts,
             [Stamp::Jump, Stamp::Jump, Stamp::ClockSet(at(3)), Stamp::Good(at(4)), Stamp::Good(at(5))]
         );
+    }
+
+    #[test]
+    fn a_pause_of_the_recording_is_no_jump() {
+        let mut clock = SensorClock::new(Duration::ZERO, None);
+        clock.judge(at(0), at(0));
+        assert_eq!(clock.judge(at(1), at(3601)), Stamp::Good(at(1)));
+        assert_eq!(clock.judge(at(2), at(3602)), Stamp::Good(at(2)));
     }
 
     #[test]

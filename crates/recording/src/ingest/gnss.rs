@@ -61,10 +61,10 @@ mod tests {
         assert!((at(0.0, 0.0, 10.0).to_ecef().x - 6_378_147.0).abs() < 1e-6);
         for longitude in [0.0, 60.0, -170.0] {
             assert!(
-                (at(90.0, longitude, 0.0).to_ecef() - Vector3::new(0.0, 0.0, 6_356_752.3142)).norm() < 1e-4
+                (at(90.0, longitude, 0.0).to_ecef() - Vector3::new(0.0, 0.0, 6_356_752.314_2)).norm() < 1e-4
             );
         }
-        assert!((at(-90.0, 60.0, 20.0).to_ecef().z + 6_356_772.3142).abs() < 1e-4);
+        assert!((at(-90.0, 60.0, 20.0).to_ecef().z + 6_356_772.314_2).abs() < 1e-4);
         let munich = at(48.137_214_9, 11.574_802_4, 517.1).to_ecef();
         for (value, expected) in munich.iter().zip([4_177_983.0, 855_702.0, 4_727_457.0]) {
             assert!((value / expected - 1.0).abs() < 1e-6);

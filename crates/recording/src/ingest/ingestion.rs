@@ -126,6 +126,10 @@ impl Ingestion {
         let start = inventory.first_time.map_or(Time::MIN, |first| first + options.skip);
         let mut repairs = RepairLog::default();
         repairs.merge(&inventory.repairs);
+        if !needs_tf {
+            // Otherwise they are read again and counted then.
+            repairs.merge(&inventory.moving_repairs);
+        }
         Ok(Self {
             plan,
             source: ReadAhead::new(reader, inventory.tree.clone(), tf, needs_tf),

@@ -226,7 +226,7 @@ impl CloudLayout {
 
     fn base_time(&self, stamp: Time, time: Option<PointTime>, reference: Option<f64>) -> Time {
         match (time, reference) {
-            (Some(PointTime { unit, origin: PointTimeOrigin::Epoch }), Some(reference)) if unit == 1.0 => {
+            (Some(PointTime { unit: 1.0, origin: PointTimeOrigin::Epoch }), Some(reference)) => {
                 Time::from_unix_seconds(reference)
             }
             (Some(PointTime { unit, origin: PointTimeOrigin::Epoch }), Some(reference)) => {

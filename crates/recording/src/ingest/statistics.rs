@@ -181,7 +181,7 @@ impl RangeSampler {
             self.elevation = (self.elevation.0.min(elevation), self.elevation.1.max(elevation));
         });
         self.readings.push(total);
-        self.returns.push(if seen == 0 { 0 } else { total * returns / seen });
+        self.returns.push((total * returns).checked_div(seen).unwrap_or(0));
         self.time_spans.extend(layout.time_span(cloud));
     }
 

@@ -53,8 +53,10 @@ pub struct Inventory {
     /// Static transforms of the whole recording and of the robot description, moving ones of the first
     /// look.
     pub tree: TfTree,
-    /// What was wrong with transforms.
+    /// What was wrong with static transforms and the robot description.
     pub repairs: Vec<Repair>,
+    /// What was wrong with the moving transforms of the first look.
+    pub moving_repairs: Vec<Repair>,
     /// First time of recording.
     pub first_time: Option<Time>,
 }
@@ -112,22 +114,25 @@ impl Inventory {
         if options.use_recorded_transforms {
             read_static_transforms(recording, &mut tree, &mut tf)?;
         }
+        let mut moving_tf = TfInput::new(&options.map_frame);
         let mut survey = Look::new(recording);
         let use_tf = options.use_recorded_transforms;
         let wanted = |t: &TopicInfo| is_understood(&t.type_name) && (use_tf || !is_tf(&t.type_name));
         let mut reader = recording.read(&wanted)?;
         while let Some(message) = reader.next_message()? {
-            if let Message::Tf(transforms) = &message.message {
-                if !transforms.is_static {
-                    tf.insert(&mut tree, transforms);
-                }
+            if let Message::Tf(transforms) = &message.message
+                && !transforms.is_static
+            {
+                moving_tf.insert(&mut tree, transforms);
             }
             if survey.add(&message.topic, message.log_time, &message.message) {
                 break;
             }
         }
         survey.find_late_topics(recording)?;
-        Ok(survey.finish(tree, tf))
+        let mut inventory = survey.finish(tree, &tf);
+        inventory.moving_repairs = moving_tf.repairs().list();
+        Ok(inventory)
     }
 
     /// The survey of one topic; a leading slash makes no difference.
@@ -219,7 +224,7 @@ impl Look {
         Ok(())
     }
 
-    fn finish(mut self, tree: TfTree, tf: TfInput) -> Inventory {
+    fn finish(mut self, tree: TfTree, tf: &TfInput) -> Inventory {
         let topics = self.topics.into_iter().map(|info| {
             let look = self.looks.remove(&info.topic).unwrap_or_default();
             look.finish(info)
@@ -228,6 +233,7 @@ impl Look {
             topics: topics.collect(),
             tree,
             repairs: tf.repairs().list(),
+            moving_repairs: Vec::new(),
             first_time: self.first_time,
         }
     }

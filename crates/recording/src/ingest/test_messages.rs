@@ -25,7 +25,7 @@ pub(crate) fn scan(seconds: f64, frame: &str) -> Message {
         header: header(seconds, frame),
         angle_min: -1.57,
         angle_max: 1.57,
-        angle_increment: 3.14 / 89.0,
+        angle_increment: 2.0 * 1.57 / 89.0,
         time_increment: 0.0,
         scan_time: 0.05,
         range_min: 0.1,

@@ -105,7 +105,7 @@ pub fn info(
         }
         _ => count_messages(recording, progress)?,
     };
-    repairs.extend(inventory.repairs.iter().cloned());
+    repairs.extend(inventory.repairs.iter().chain(&inventory.moving_repairs).cloned());
     let duration = range.map_or(0.0, |(first, last)| last.seconds_since(first));
     let (plan, obstacle) = match describe_plan(&inventory, options) {
         Ok(plan) => (Some(plan), None),

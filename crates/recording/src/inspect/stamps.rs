@@ -126,7 +126,7 @@ impl Stamps {
         self.lags.add(log_time.seconds_since(stamp));
         let Some(last) = self.last.replace(stamp) else { return };
         let interval = stamp.seconds_since(last);
-        if (interval - log_interval).abs() > 10.0 {
+        if (interval - log_interval).abs() > 10.0 && !(0.0..10.0).contains(&interval) {
             findings.add(&JUMP, topic, || {
                 format!(
                     "the stamp jumps by {interval:.3} s at {last}, while {log_interval:.3} s were recorded"

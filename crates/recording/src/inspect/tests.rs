@@ -52,10 +52,10 @@ fn a_good_recording_has_nothing_worth_a_warning() {
 #[test]
 fn faults_of_stamps() {
     let mut messages = robot(scans(100, |i, message| match i {
-        20 => message.header.stamp = message.header.stamp - portolan_geometry::Duration::from_seconds(0.5),
-        40 => message.header.stamp = message.header.stamp - portolan_geometry::Duration::from_seconds(0.05),
+        20 => message.header.stamp -= portolan_geometry::Duration::from_seconds(0.5),
+        40 => message.header.stamp -= portolan_geometry::Duration::from_seconds(0.05),
         50 => message.header.stamp = portolan_geometry::Time::from_ros(0, 0),
-        80 => message.header.stamp = message.header.stamp + portolan_geometry::Duration::from_seconds(1e8),
+        80 => message.header.stamp += portolan_geometry::Duration::from_seconds(1e8),
         _ => {}
     }));
     messages.retain(|m| {

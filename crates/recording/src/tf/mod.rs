@@ -12,6 +12,8 @@ pub use input::{TfInput, frame_name};
 
 /// Most poses that are kept of one moving frame.
 const BUFFER_POSES: usize = 100_000;
+/// Poses that differ by less are the same (metres, radians).
+const SAME_PLACE: f64 = 1e-9;
 /// Most frames of a tree; only damaged recordings have more.
 const MAX_FRAMES: usize = 5000;
 
@@ -82,7 +84,33 @@ pub enum TfError {
 enum Motion {
     /// `parent_from_child`.
     Static(Rigid3),
-    Moving(TransformBuffer),
+    Moving(Moving),
+}
+
+/// Poses of a frame that comes again and again.
+#[derive(Clone, Debug)]
+struct Moving {
+    buffer: TransformBuffer,
+    /// The pose, as long as it was always the same: fixed frames are often sent like moving ones.
+    unchanged: Option<Rigid3>,
+}
+
+impl Moving {
+    fn push(&mut self, time: Time, parent_from_child: Rigid3) {
+        let is_first = self.buffer.is_empty();
+        let same = |pose: &Rigid3| {
+            let difference = pose.inverse() * parent_from_child;
+            difference.translation.vector.norm() < SAME_PLACE && difference.rotation.angle() < SAME_PLACE
+        };
+        self.unchanged =
+            if is_first { Some(parent_from_child) } else { self.unchanged.filter(|pose| same(pose)) };
+        self.buffer.push(time, parent_from_child);
+    }
+
+    /// Interpolated; a frame that never moved is where it is at any time.
+    fn lookup(&self, time: Time) -> Option<Rigid3> {
+        self.buffer.lookup(time).or(self.unchanged)
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -144,11 +172,11 @@ impl TfTree {
     ) -> Result<(), TfError> {
         let (parent, child) = self.edge_ends(parent, child)?;
         let edge = self.frames[child].edge.get_or_insert_with(|| {
-            let motion = Motion::Moving(TransformBuffer::with_size_limit(BUFFER_POSES));
-            Edge { parent, motion }
+            let buffer = TransformBuffer::with_size_limit(BUFFER_POSES);
+            Edge { parent, motion: Motion::Moving(Moving { buffer, unchanged: None }) }
         });
-        if let Motion::Moving(buffer) = &mut edge.motion {
-            buffer.push(time, parent_from_child);
+        if let Motion::Moving(moving) = &mut edge.motion {
+            moving.push(time, parent_from_child);
         }
         Ok(())
     }
@@ -238,7 +266,8 @@ impl TfTree {
     }
 
     /// `target_from_source` at `time`: takes coordinates in `source` to coordinates in `target`.
-    /// Moving frames are interpolated; times outside of what is known are an error.
+    /// Moving frames are interpolated; times outside of what is known are an error, unless the frame has
+    /// never moved so far.
     pub fn lookup(&self, target: &str, source: &str, time: Time) -> Result<Rigid3, TfError> {
         if target == source {
             return Ok(Rigid3::identity());
@@ -258,11 +287,11 @@ impl TfTree {
             let Some(edge) = &self.frames[*frame].edge else { continue };
             let parent_from_frame = match &edge.motion {
                 Motion::Static(transform) => *transform,
-                Motion::Moving(buffer) => buffer.lookup(time).ok_or_else(|| TfError::NotAtThisTime {
+                Motion::Moving(moving) => moving.lookup(time).ok_or_else(|| TfError::NotAtThisTime {
                     child: self.name(*frame),
                     parent: self.name(edge.parent),
                     time,
-                    span: match (buffer.earliest_time(), buffer.latest_time()) {
+                    span: match (moving.buffer.earliest_time(), moving.buffer.latest_time()) {
                         (Some(first), Some(last)) => format!("from {first} to {last}"),
                         _ => "nowhere".to_owned(),
                     },
@@ -303,7 +332,8 @@ impl TfTree {
 
     /// Mean interval between the known poses of a moving frame, seconds.
     pub fn moving_interval(&self, child: &str) -> Option<f64> {
-        let Some(Edge { motion: Motion::Moving(buffer), .. }) = &self.frames[*self.index.get(child)?].edge
+        let Some(Edge { motion: Motion::Moving(Moving { buffer, .. }), .. }) =
+            &self.frames[*self.index.get(child)?].edge
         else {
             return None;
         };
@@ -314,8 +344,8 @@ impl TfTree {
     /// Forgets poses of moving frames before `time`, except the last one before it.
     pub fn forget_before(&mut self, time: Time) {
         for frame in &mut self.frames {
-            if let Some(Edge { motion: Motion::Moving(buffer), .. }) = &mut frame.edge {
-                buffer.forget_before(time);
+            if let Some(Edge { motion: Motion::Moving(moving), .. }) = &mut frame.edge {
+                moving.buffer.forget_before(time);
             }
         }
     }

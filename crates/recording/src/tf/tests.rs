@@ -61,6 +61,17 @@ fn old_poses_are_forgotten() {
 }
 
 #[test]
+fn a_frame_that_never_moved_is_where_it_is_at_any_time() {
+    let mut tree = TfTree::new();
+    for t in [5, 6] {
+        tree.insert_moving("base_link", "laser", at(t), pose(0.5, 0.0, 0.1)).unwrap();
+    }
+    assert!(tree.lookup("base_link", "laser", at(1)).is_ok());
+    tree.insert_moving("base_link", "laser", at(7), pose(0.6, 0.0, 0.1)).unwrap();
+    assert!(tree.lookup("base_link", "laser", at(1)).is_err());
+}
+
+#[test]
 fn the_tree_is_written_as_text() {
     let text = robot().to_text();
     assert_eq!(

@@ -251,7 +251,7 @@ pub fn plan(inventory: &Inventory, options: &IngestOptions) -> Result<SensorPlan
     plan.tracking_frame =
         tracking::choose_frame(inventory, options, &request, &range, imu.as_ref(), &mut plan)?;
     range::connect(inventory, &request, range, &mut plan)?;
-    tracking::connect_imu(inventory, imu, &mut plan);
+    tracking::connect_imu(inventory, imu, &mut plan)?;
     odometry::choose(inventory, &request, &mut plan)?;
     let other = |chosen: &Option<Chosen>, kind| chosen.as_ref().map(|c| c.planned(kind, c.frame()));
     plan.nav_sat = other(&request.nav_sat, SensorKind::FixedFramePose);

@@ -77,15 +77,11 @@ impl<'a> Request<'a> {
         let use_nav_sat = options.nav_sat_topic.is_some()
             || options.use_nav_sat.or(configured.map(|c| c.use_nav_sat)).unwrap_or(false);
         let wanted = |wish: Option<bool>, configured: bool| wish.unwrap_or(configured);
-        let (want_odometry, want_imu, want_nav_sat, want_landmarks) = (
-            wanted(options.use_odometry, configured.is_some_and(|c| c.use_odometry)),
-            wanted(options.use_imu, configured.is_some_and(|c| c.use_imu)),
-            use_nav_sat,
-            wanted(options.use_landmarks, configured.is_some_and(|c| c.use_landmarks)),
-        );
+        let want_imu = wanted(options.use_imu, configured.is_some_and(|c| c.use_imu));
+        let want_landmarks = wanted(options.use_landmarks, configured.is_some_and(|c| c.use_landmarks));
         request.odometry = single(&mut finder, ODOMETRY, &options.odometry_topic, use_odometry, false)?;
-        request.imu = single(&mut finder, IMU, &options.imu_topic, use_imu, false)?;
-        request.nav_sat = single(&mut finder, NAV_SAT, &options.nav_sat_topic, use_nav_sat, want_nav_sat)?;
+        request.imu = single(&mut finder, IMU, &options.imu_topic, use_imu, want_imu)?;
+        request.nav_sat = single(&mut finder, NAV_SAT, &options.nav_sat_topic, use_nav_sat, use_nav_sat)?;
         request.landmarks =
             single(&mut finder, LANDMARKS, &options.landmark_topic, use_landmarks, want_landmarks)?;
         if use_landmarks && request.landmarks.is_none() {
@@ -96,8 +92,6 @@ impl<'a> Request<'a> {
         }
         request.find_odometry = use_odometry && request.odometry.is_none();
         request.find_imu = use_imu && request.imu.is_none();
-        finder.warn_if_missing(want_odometry && request.find_odometry, ODOMETRY);
-        finder.warn_if_missing(want_imu && request.find_imu, IMU);
         request.notices = finder.notices;
         Ok(request)
     }
@@ -172,21 +166,17 @@ impl<'a> Finder<'a, '_> {
             return Ok(Some(Chosen::named_after_topic(survey)));
         }
         match self.of_kind(kind).as_slice() {
+            [] => {
+                let what = format!("{} was asked for, but the recording has no such topic", kind.name);
+                self.notices.push(Notice { what, change: String::new() });
+                Ok(None)
+            }
             [only] => Ok(Some(Chosen::named_after_topic(only))),
             _ => Err(PlanError::NoTopic {
-                asked: format!("a {} was asked for", kind.name),
+                asked: format!("a {} was asked for and there are several", kind.name),
                 topic: kind.default_name.to_owned(),
                 available: self.available(kind),
             }),
-        }
-    }
-
-    fn warn_if_missing(&mut self, wanted: bool, kind: Kind) {
-        if wanted && self.of_kind(kind).is_empty() {
-            self.notices.push(Notice {
-                what: format!("{} was asked for, but the recording has no such topic", kind.name),
-                change: String::new(),
-            });
         }
     }
 

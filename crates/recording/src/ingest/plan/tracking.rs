@@ -24,6 +24,7 @@ const BASE_FRAMES: [&str; 6] = ["base_link", "base_footprint", "base", "base_fra
 pub(super) struct ImuChoice<'a> {
     chosen: Chosen<'a>,
     acceleration_scale: f64,
+    asked_for: bool,
 }
 
 impl ImuChoice<'_> {
@@ -42,7 +43,7 @@ pub(super) fn choose_imu<'a>(
     if let Some(chosen) = &request.imu {
         let statistics = chosen.survey.imu.clone().unwrap_or_default();
         let acceleration_scale = scale(&statistics);
-        return Ok(Some(ImuChoice { chosen: chosen.clone(), acceleration_scale }));
+        return Ok(Some(ImuChoice { chosen: chosen.clone(), acceleration_scale, asked_for: true }));
     }
     if !request.find_imu {
         return Ok(None);
@@ -71,7 +72,7 @@ pub(super) fn choose_imu<'a>(
             ),
             None => {
                 let acceleration_scale = scale(&chosen.survey.imu.clone().unwrap_or_default());
-                choice = Some(ImuChoice { chosen, acceleration_scale });
+                choice = Some(ImuChoice { chosen, acceleration_scale, asked_for: false });
             }
         }
     }
@@ -143,7 +144,9 @@ pub(super) fn choose_frame(
         };
     }
     let odometry_child = odometry_child(inventory, request);
-    let bases = || BASE_FRAMES.into_iter().chain(odometry_child.as_deref());
+    // Also as `robot/base_link`.
+    let named = |base: &'static str| tree.frames().filter(move |f| f.rsplit('/').next() == Some(base));
+    let bases = || BASE_FRAMES.into_iter().flat_map(named).chain(odometry_child.as_deref());
     if let Some(frame) = imu.map(|i| i.frame().to_owned()).filter(|f| !f.is_empty()) {
         let same_place = |base: &&str| {
             tree.has_frame(base)
@@ -173,8 +176,12 @@ fn odometry_child(inventory: &Inventory, request: &Request) -> Option<String> {
 }
 
 /// Plans the IMU.
-pub(super) fn connect_imu(inventory: &Inventory, imu: Option<ImuChoice>, plan: &mut SensorPlan) {
-    let Some(ImuChoice { chosen, acceleration_scale }) = imu else { return };
+pub(super) fn connect_imu(
+    inventory: &Inventory,
+    imu: Option<ImuChoice>,
+    plan: &mut SensorPlan,
+) -> Result<(), PlanError> {
+    let Some(ImuChoice { chosen, acceleration_scale, asked_for }) = imu else { return Ok(()) };
     let topic = chosen.topic().to_owned();
     let tracking = plan.tracking_frame.clone();
     let frame = if chosen.frame().is_empty() {
@@ -184,13 +191,16 @@ pub(super) fn connect_imu(inventory: &Inventory, imu: Option<ImuChoice>, plan: &
         chosen.frame().to_owned()
     };
     if !inventory.tree.connected(&tracking, &frame) {
+        let why = format!("no transforms connect its frame \"{frame}\" with \"{tracking}\"");
+        if asked_for {
+            let detail = format!("{topic}: {why}; give them with --urdf, or choose another --tracking-frame");
+            return Err(PlanError::Frame { detail });
+        }
         plan.note(
-            format!(
-                "the IMU {topic} is not used: no transforms connect its frame \"{frame}\" with \"{tracking}\""
-            ),
+            format!("the IMU {topic} is not used: {why}"),
             "--urdf <robot description> or --tracking-frame",
         );
-        return;
+        return Ok(());
     }
     if acceleration_scale != 1.0 {
         plan.note(format!("{topic} measures accelerations in g; they are multiplied by {GRAVITY}"), "");
@@ -206,4 +216,5 @@ pub(super) fn connect_imu(inventory: &Inventory, imu: Option<ImuChoice>, plan: &
     let source = chosen.planned(SensorKind::Imu, &frame);
     let statistics = chosen.survey.imu.clone().unwrap_or_default();
     plan.imu = Some(PlannedImu { source, acceleration_scale, statistics });
+    Ok(())
 }
