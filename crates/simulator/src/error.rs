@@ -37,7 +37,16 @@ pub enum SimulatorError {
         /// What was given.
         text: String,
     },
+    /// A floor plan of one's own cannot be used.
+    #[error("the floor plan cannot be used: {detail}")]
+    BadPlan {
+        /// What to change.
+        detail: String,
+    },
     /// The robot fits nowhere.
-    #[error("the robot fits nowhere in this building; use a smaller robot_radius or less clutter")]
+    #[error(
+        "the robot fits at no junction of this building; use a smaller robot_radius or less clutter, \
+         or give the plan junctions"
+    )]
     NoWay,
 }

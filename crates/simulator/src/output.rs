@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_recording::{
-    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, Repair, TfMessage,
-    TopicInfo, TransformStamped,
+    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, RecordingWriter,
+    Repair, TfMessage, TopicInfo, TransformStamped,
 };
 use rayon::prelude::*;
 
@@ -82,7 +82,8 @@ impl Inner {
             return schedule.count();
         }
         let filter = self.fault_filter(target);
-        (0..schedule.count()).filter(|index| !filter.is_gap(schedule.time_of(*index).seconds())).count() as u64
+        (0..schedule.count()).filter(|index| !filter.is_gap(schedule.time_of(*index).seconds())).count()
+            as u64
     }
 
     /// The transforms from the robot to its sensors that are not missing on purpose.
@@ -139,6 +140,19 @@ impl Recording for Simulation {
     }
 }
 
+impl Simulation {
+    /// Writes all messages to a bag or MCAP file; how many. The caller finishes the file.
+    pub fn write_messages(&self, writer: &mut dyn RecordingWriter) -> Result<u64, RecordingError> {
+        let mut reader = self.read(&|_| true)?;
+        let mut count = 0;
+        while let Some(message) = reader.next_message()? {
+            writer.write(&message)?;
+            count += 1;
+        }
+        Ok(count)
+    }
+}
+
 /// One pass over the messages of a simulation.
 struct SimulationReader {
     /// In ascending order of topic; ties in time go to the first.
@@ -184,7 +198,9 @@ fn open(inner: &Arc<Inner>, source: Source) -> (Box<dyn MessageStream>, Option<F
     let (walk, clock, seed) = (Arc::clone(&inner.walk), inner.clock, inner.options.seed);
     match source {
         Source::Transforms => (Box::new(TransformStream::new(inner)), None),
-        Source::Lidar(lidar) => (Box::new(LidarStream::new(Arc::clone(inner), lidar)), Some(FaultTarget::Scan)),
+        Source::Lidar(lidar) => {
+            (Box::new(LidarStream::new(Arc::clone(inner), lidar)), Some(FaultTarget::Scan))
+        }
         Source::Odometry => {
             let options = inner.options.odometry.clone().unwrap_or_default();
             let schedule = inner.schedule(options.rate);

@@ -119,6 +119,10 @@ mod tests {
         let drawn = [random.bits(), random.bits()];
         let mut again = Random::new(42, "scan", 0);
         assert_eq!(drawn, [again.bits(), again.bits()]);
-        assert_eq!(mix(0x9E37_79B9_7F4A_7C15), 0xE220_A839_7B1D_CDAF, "first output of SplitMix64 with seed 0");
+        assert_eq!(
+            mix(0x9E37_79B9_7F4A_7C15),
+            0xE220_A839_7B1D_CDAF,
+            "first output of SplitMix64 with seed 0"
+        );
     }
 }

@@ -75,6 +75,7 @@ impl Default for ScenarioOptions {
 
 /// Longest recording, seconds.
 const LONGEST: f64 = 86_400.0;
+const FULL_CIRCLE: f64 = std::f64::consts::TAU;
 
 impl ScenarioOptions {
     /// The usual options for a scene and a seed.
@@ -162,7 +163,7 @@ fn within(option: &'static str, value: f64, low: f64, high: f64) -> Result<(), S
 fn check_lidar(lidar: &LidarOptions) -> Result<(), SimulatorError> {
     within("lidar.rate", lidar.rate, 0.1, 1000.0)?;
     within("lidar.beams", lidar.beams as f64, 2.0, 100_000.0)?;
-    within("lidar.field_of_view", lidar.field_of_view, 1e-3, 6.2832)?;
+    within("lidar.field_of_view", lidar.field_of_view, 1e-3, FULL_CIRCLE + 1e-4)?;
     within("lidar.range_min", lidar.range_min, 0.0, 10.0)?;
     within("lidar.range_max", lidar.range_max, lidar.range_min.max(0.1), 500.0)?;
     within("lidar.range_noise", lidar.range_noise, 0.0, 10.0)?;

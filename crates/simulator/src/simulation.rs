@@ -45,6 +45,7 @@ impl Simulation {
     /// tour follows the places and passages of the plan.
     pub fn in_plan(options: ScenarioOptions, plan: FloorPlan) -> Result<Self, SimulatorError> {
         options.check()?;
+        plan.check()?;
         let grid = ClearanceGrid::new(&plan.shapes, plan.size, WAY_CELL, options.robot_radius);
         let request = TourRequest {
             plan: &plan,
@@ -54,7 +55,8 @@ impl Simulation {
             rest: options.rest,
             duration: options.duration,
         };
-        let walk = plan_tour(&request, &mut Random::new(options.seed, "walk", 0)).ok_or(SimulatorError::NoWay)?;
+        let walk =
+            plan_tour(&request, &mut Random::new(options.seed, "walk", 0)).ok_or(SimulatorError::NoWay)?;
         let people = options.people.unwrap_or(options.scene.default_people());
         let people = plan_people(&plan, &grid, people, &mut Random::new(options.seed, "people", 0));
         let world = World::new(plan.shapes.clone(), people);
@@ -64,6 +66,7 @@ impl Simulation {
     /// With a world and a walk of one's own. The options decide on sensors, faults, seed and times.
     pub fn with_walk(options: ScenarioOptions, plan: FloorPlan, walk: Walk) -> Result<Self, SimulatorError> {
         options.check()?;
+        plan.check()?;
         let world = World::new(plan.shapes.clone(), Vec::new());
         Ok(Self::assemble(options, plan, world, walk))
     }

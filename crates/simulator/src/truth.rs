@@ -40,11 +40,7 @@ impl Simulation {
             let corners = corners(shape);
             for pair in corners.windows(2) {
                 let name = shape.material.name();
-                writeln!(
-                    out,
-                    "{:.6},{:.6},{:.6},{:.6},{name}",
-                    pair[0].x, pair[0].y, pair[1].x, pair[1].y
-                )?;
+                writeln!(out, "{:.6},{:.6},{:.6},{:.6},{name}", pair[0].x, pair[0].y, pair[1].x, pair[1].y)?;
             }
         }
         Ok(())

@@ -55,13 +55,19 @@ enum Corner {
 impl Walk {
     /// The walk through `waypoints`, standing `rest` seconds at both ends. Turns are kept where
     /// `clearance`, if given, says that there are at least `needed` metres. Waypoints that are
-    /// passed are cut a little, those with a stop are reached exactly.
+    /// passed are cut a little, those with a stop are reached exactly. None without waypoints, and where
+    /// waypoints are not finite or limits not above zero.
     pub fn through(
         waypoints: &[Waypoint],
         limits: &MotionLimits,
         rest: f64,
         clearance: Option<(&ClearanceGrid, f64)>,
     ) -> Option<Self> {
+        let limit_values = [limits.speed, limits.acceleration, limits.turn_rate, limits.turn_acceleration];
+        let is_finite = |p: &Waypoint| p.position.x.is_finite() && p.position.y.is_finite();
+        if !limit_values.iter().all(|l| l.is_finite() && *l > 0.0) || !waypoints.iter().all(is_finite) {
+            return None;
+        }
         let points = merge_near(waypoints);
         let first = points.first()?;
         let heading = points.get(1).map_or(0.0, |next| angle_of(&(next.position - first.position)));
@@ -77,7 +83,13 @@ impl Walk {
     }
 
     /// Adds everything from the rest at waypoint `first` to the next rest, and tells where that is.
-    fn add_move(&mut self, points: &[Waypoint], corners: &[Corner], first: usize, limits: &MotionLimits) -> usize {
+    fn add_move(
+        &mut self,
+        points: &[Waypoint],
+        corners: &[Corner],
+        first: usize,
+        limits: &MotionLimits,
+    ) -> usize {
         let mut last = first + 1;
         // corners[i] belongs to waypoint i + 1.
         while matches!(corners.get(last - 1), Some(Corner::Turn { .. })) {
@@ -157,6 +169,14 @@ fn pivot_time(angle: f64, limits: &MotionLimits) -> f64 {
     by_rate.max(by_acceleration)
 }
 
+/// Seconds that a walk through `before`, `here` and `after` loses at `here` by turning on the spot, if it
+/// must.
+pub(super) fn turning_time(before: &Vector2, here: &Waypoint, after: &Vector2, limits: &MotionLimits) -> f64 {
+    let angle = angle_between(&(here.position - before), &(after - here.position));
+    let must_stand = here.stop.is_some() || angle.abs() > SHARPEST_TURN;
+    if must_stand { pivot_time(angle, limits) } else { 0.0 }
+}
+
 /// Merges waypoints that are too near for a straight line between them; stops stay.
 fn merge_near(waypoints: &[Waypoint]) -> Vec<Waypoint> {
     let mut points: Vec<Waypoint> = Vec::with_capacity(waypoints.len());
@@ -181,7 +201,8 @@ fn plan_corners(
     let mut corners: Vec<Corner> = points
         .windows(3)
         .map(|three| {
-            let (before, after) = (three[1].position - three[0].position, three[2].position - three[1].position);
+            let (before, after) =
+                (three[1].position - three[0].position, three[2].position - three[1].position);
             let angle = angle_between(&before, &after);
             if let Some(seconds) = three[1].stop {
                 return Corner::Stop { seconds, angle };

@@ -160,7 +160,8 @@ mod tests {
             assert!(places.contains(&6), "the room");
             assert_eq!(places[3], 0, "the first lap is the small loop");
             let walked = |a: usize, b: usize| {
-                let junctions: Vec<usize> = [0].into_iter().chain(places.iter().copied()).filter(|p| *p != 6).collect();
+                let junctions: Vec<usize> =
+                    [0].into_iter().chain(places.iter().copied()).filter(|p| *p != 6).collect();
                 junctions.windows(2).any(|w| (w[0], w[1]) == (a, b) || (w[0], w[1]) == (b, a))
             };
             for (a, b) in [(0, 1), (1, 2), (3, 4), (4, 5), (0, 3), (1, 4), (2, 5)] {

@@ -2,10 +2,10 @@
 
 use portolan_geometry::Vector2;
 
-use super::builder::{MotionLimits, Waypoint};
+use super::builder::{MotionLimits, Waypoint, turning_time};
+use super::graph::PassageGraph;
 use super::{Motion, Walk};
 use crate::random::Random;
-use super::graph::PassageGraph;
 use crate::world::{ClearanceGrid, FloorPlan, Person, WayCosts, WaySearch};
 
 /// Rooms are entered up to the roomiest spot this near to their middle, metres.
@@ -32,16 +32,12 @@ pub(crate) struct TourRequest<'a> {
 pub(crate) fn plan_tour(request: &TourRequest<'_>, random: &mut Random) -> Option<Walk> {
     let mut tour = Tour::begin(request, random)?;
     while tour.walk_once(random) {}
-    tour.go_home();
-    let mut walk = Walk::through(
-        &tour.waypoints,
-        &request.limits,
-        request.rest,
-        Some((request.grid, request.needed_clearance)),
-    )?;
-    if let Some(duration) = request.duration {
-        walk.push(super::walk::Span::Rest, duration - walk.duration());
+    let mut walk = tour.walk_home()?;
+    let Some(duration) = request.duration else { return Some(walk) };
+    while walk.duration() > duration && tour.drop_last_leg() {
+        walk = tour.walk_home()?;
     }
+    walk.push(super::walk::Span::Rest, duration - walk.duration());
     Some(walk)
 }
 
@@ -81,9 +77,10 @@ struct Tour<'a> {
     ways: WaySearch<'a>,
     graph: PassageGraph,
     waypoints: Vec<Waypoint>,
-    /// Upper bound of the time for the waypoints so far, seconds.
+    /// How many waypoints there are after each leg.
+    leg_ends: Vec<usize>,
+    /// Estimated time for the waypoints so far, seconds.
     elapsed: f64,
-    legs: usize,
 }
 
 impl<'a> Tour<'a> {
@@ -117,14 +114,14 @@ impl<'a> Tour<'a> {
             ways: WaySearch::new(request.grid),
             graph: PassageGraph::new(plan),
             waypoints,
+            leg_ends: Vec::new(),
             elapsed: 2.0 * request.rest,
-            legs: 0,
         })
     }
 
     /// One tour; whether there is time for another.
     fn walk_once(&mut self, random: &mut Random) -> bool {
-        let legs_before = self.legs;
+        let legs_before = self.leg_ends.len();
         for place in self.graph.itinerary(self.home, random) {
             let Some(position) = self.spot_at(place, random) else { continue };
             let is_room = self.request.plan.places[place].is_room;
@@ -133,24 +130,40 @@ impl<'a> Tour<'a> {
                 return false;
             }
         }
-        self.request.duration.is_some() && self.legs > legs_before
+        self.request.duration.is_some() && self.leg_ends.len() > legs_before
     }
 
     /// Adds a leg; false if time is up.
     fn go_to(&mut self, target: Waypoint) -> bool {
         let Some(leg) = self.leg_to(target) else { return true };
-        let alone = Walk::through(&leg, &self.request.limits, 0.0, None);
-        let seconds = alone.map_or(0.0, |walk| walk.duration());
+        let seconds = self.seconds_for(&leg);
         if let Some(duration) = self.request.duration
-            && self.legs > 0
+            && !self.leg_ends.is_empty()
             && self.elapsed + seconds + self.seconds_home(&target.position) > duration
         {
             return false;
         }
         self.elapsed += seconds;
         self.waypoints.extend(leg.into_iter().skip(1));
-        self.legs += 1;
+        self.leg_ends.push(self.waypoints.len());
         true
+    }
+
+    /// A leg walked on its own, from rest to rest, and turning towards it.
+    fn seconds_for(&self, leg: &[Waypoint]) -> f64 {
+        let limits = &self.request.limits;
+        let alone = Walk::through(leg, limits, 0.0, self.clearance()).map_or(0.0, |walk| walk.duration());
+        let before = self.waypoints.iter().rev().nth(1);
+        match (before, self.waypoints.last(), leg.get(1)) {
+            (Some(before), Some(here), Some(after)) => {
+                alone + turning_time(&before.position, here, &after.position, limits)
+            }
+            _ => alone,
+        }
+    }
+
+    fn clearance(&self) -> Option<(&'a ClearanceGrid, f64)> {
+        Some((self.request.grid, self.request.needed_clearance))
     }
 
     /// Waypoints from where the tour is to `target`, both included.
@@ -169,12 +182,20 @@ impl<'a> Tour<'a> {
         1.15 * metres / self.request.limits.speed + 4.0
     }
 
-    fn go_home(&mut self) {
-        if let Some(start) = self.waypoints.first().copied()
-            && let Some(leg) = self.leg_to(start)
-        {
-            self.waypoints.extend(leg.into_iter().skip(1));
-        }
+    /// The walk through all legs and back to the start.
+    fn walk_home(&mut self) -> Option<Walk> {
+        let mut waypoints = self.waypoints.clone();
+        let start = *waypoints.first()?;
+        let way_home = self.leg_to(start).unwrap_or_default();
+        waypoints.extend(way_home.into_iter().skip(1));
+        Walk::through(&waypoints, &self.request.limits, self.request.rest, self.clearance())
+    }
+
+    /// Forgets the last leg, unless it is the only one.
+    fn drop_last_leg(&mut self) -> bool {
+        let (Some(_), Some(end)) = (self.leg_ends.pop(), self.leg_ends.last()) else { return false };
+        self.waypoints.truncate(*end);
+        true
     }
 
     /// Where to go at a place: rooms near their roomiest spot, junctions a little off the middle.

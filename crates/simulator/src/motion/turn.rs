@@ -9,11 +9,8 @@ use super::smooth;
 const KNOTS: usize = 32;
 /// Gauss-Legendre nodes and weights of order 3 on [−1, 1]; over 1/32 of a turn the error is below
 /// 1e-13 of its length.
-const NODES: [(f64, f64); 3] = [
-    (-0.774_596_669_241_483_4, 5.0 / 9.0),
-    (0.0, 8.0 / 9.0),
-    (0.774_596_669_241_483_4, 5.0 / 9.0),
-];
+const NODES: [(f64, f64); 3] =
+    [(-0.774_596_669_241_483_4, 5.0 / 9.0), (0.0, 8.0 / 9.0), (0.774_596_669_241_483_4, 5.0 / 9.0)];
 
 /// A turn of unit length that starts at the origin along x.
 #[derive(Clone, Debug)]

@@ -38,11 +38,7 @@ pub(crate) enum Span {
     /// Straight on, while the speed goes smoothly from the first to the second value.
     Straight(f64, f64),
     /// A turn of the given length with constant speed.
-    Turn {
-        shape: UnitTurn,
-        length: f64,
-        speed: f64,
-    },
+    Turn { shape: UnitTurn, length: f64, speed: f64 },
 }
 
 #[derive(Clone, Debug)]
@@ -98,16 +94,13 @@ impl Walk {
         self.spans.push(timed);
     }
 
-    /// Where it ends.
-    pub(crate) fn end(&self) -> &PlanarState {
-        &self.end
-    }
-
     /// Pose and derivatives at `time` seconds; the start before 0, the end after the duration.
     pub fn planar(&self, time: f64) -> PlanarState {
         let after = self.spans.partition_point(|s| s.start_time <= time);
         match self.spans.get(after.saturating_sub(1)) {
-            Some(span) if time < self.end_time => span.state((time - span.start_time).clamp(0.0, span.duration)),
+            Some(span) if time < self.end_time => {
+                span.state((time - span.start_time).clamp(0.0, span.duration))
+            }
             _ => self.end,
         }
     }
@@ -116,7 +109,13 @@ impl Walk {
 impl TimedSpan {
     fn state(&self, elapsed: f64) -> PlanarState {
         let share = elapsed / self.duration;
-        let still = PlanarState { speed: 0.0, acceleration: 0.0, turn_rate: 0.0, turn_acceleration: 0.0, ..self.start };
+        let still = PlanarState {
+            speed: 0.0,
+            acceleration: 0.0,
+            turn_rate: 0.0,
+            turn_acceleration: 0.0,
+            ..self.start
+        };
         match &self.span {
             Span::Rest => still,
             Span::Pivot(angle) => PlanarState {

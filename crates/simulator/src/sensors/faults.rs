@@ -106,7 +106,9 @@ impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::DuplicateStamp { target, every } => write!(f, "duplicate:{target}:{every}"),
-            Self::BackwardStamp { target, every, seconds } => write!(f, "backward:{target}:{every}:{seconds}"),
+            Self::BackwardStamp { target, every, seconds } => {
+                write!(f, "backward:{target}:{every}:{seconds}")
+            }
             Self::Gap { target, from, to } => write!(f, "gap:{target}:{from}:{to}"),
             Self::NanScan { every } => write!(f, "nan:{every}"),
             Self::EmptyScan { every } => write!(f, "empty:{every}"),
@@ -137,9 +139,7 @@ fn parse(parts: &[&str]) -> Option<Fault> {
     let every = |i: usize| parts.get(i)?.parse::<u64>().ok();
     let (fault, length) = match *parts.first()? {
         "duplicate" => (Fault::DuplicateStamp { target: target(1)?, every: every(2)? }, 3),
-        "backward" => {
-            (Fault::BackwardStamp { target: target(1)?, every: every(2)?, seconds: number(3)? }, 4)
-        }
+        "backward" => (Fault::BackwardStamp { target: target(1)?, every: every(2)?, seconds: number(3)? }, 4),
         "gap" => (Fault::Gap { target: target(1)?, from: number(2)?, to: number(3)? }, 4),
         "nan" => (Fault::NanScan { every: every(1)? }, 2),
         "empty" => (Fault::EmptyScan { every: every(1)? }, 2),
@@ -230,7 +230,7 @@ impl FaultFilter {
             match *fault {
                 Fault::ClockOffset { seconds, .. } => header.stamp += Duration::from_seconds(seconds),
                 Fault::BackwardStamp { every, seconds, .. } if self.count.is_multiple_of(every) => {
-                    header.stamp = header.stamp - Duration::from_seconds(seconds);
+                    header.stamp -= Duration::from_seconds(seconds);
                 }
                 Fault::DuplicateStamp { every, .. } if self.count.is_multiple_of(every) => {
                     header.stamp = before.unwrap_or(header.stamp);
@@ -318,7 +318,9 @@ mod tests {
         ] {
             assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
         }
-        for text in ["", "gap:scan:5:4", "nan:0", "duplicate:scan:1", "no-tf:odom", "nan:3:4", "clock:wheel:1"] {
+        for text in
+            ["", "gap:scan:5:4", "nan:0", "duplicate:scan:1", "no-tf:odom", "nan:3:4", "clock:wheel:1"]
+        {
             let error = text.parse::<Fault>().unwrap_err().to_string();
             assert!(error.contains("duplicate:SENSOR:N"), "{error}");
         }

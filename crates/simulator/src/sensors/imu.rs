@@ -133,7 +133,8 @@ impl<M: Motion> MessageStream for ImuStream<M> {
         let state = self.motion.state(since_start.seconds());
         let (omega, force) = exact_sample(&state, &o.base_from_imu, o.gravity);
         let (per_sample, per_step) = (o.rate.sqrt(), (1.0 / o.rate).sqrt());
-        let (gyroscope_noise, force_noise) = (o.gyroscope_noise * per_sample, o.accelerometer_noise * per_sample);
+        let (gyroscope_noise, force_noise) =
+            (o.gyroscope_noise * per_sample, o.accelerometer_noise * per_sample);
         let omega = omega + self.gyroscope_bias + gaussian_vector(&mut random) * gyroscope_noise;
         let force = force + self.accelerometer_bias + gaussian_vector(&mut random) * force_noise;
         self.gyroscope_bias += gaussian_vector(&mut random) * (o.gyroscope_bias_walk * per_step);

@@ -174,7 +174,8 @@ impl Lidar {
         let base_from_lidar = options.base_from_lidar();
         let directions_in_base = (0..options.beams)
             .map(|i| {
-                let (sine, cosine) = libm::sincos(f64::from(angle_min) + i as f64 * f64::from(angle_increment));
+                let (sine, cosine) =
+                    libm::sincos(f64::from(angle_min) + i as f64 * f64::from(angle_increment));
                 (base_from_lidar.rotation * na::Vector3::new(cosine, sine, 0.0)).xy()
             })
             .collect();
@@ -211,7 +212,8 @@ impl Lidar {
             self.options.range_max + 2.0,
         );
         let mut ranges = Vec::with_capacity(self.options.beams);
-        let mut intensities = Vec::with_capacity(if self.options.intensities { self.options.beams } else { 0 });
+        let mut intensities =
+            Vec::with_capacity(if self.options.intensities { self.options.beams } else { 0 });
         for (i, direction) in self.directions_in_base.iter().enumerate() {
             let beam_time = time + i as f64 * f64::from(self.time_increment);
             let state = walk.planar(beam_time);

@@ -6,8 +6,8 @@ mod lidar;
 mod odometry;
 mod stream;
 
-pub use faults::{Fault, FaultTarget};
 pub(crate) use faults::FaultFilter;
+pub use faults::{Fault, FaultTarget};
 pub use imu::ImuOptions;
 pub(crate) use imu::ImuStream;
 pub(crate) use lidar::Lidar;

@@ -118,11 +118,8 @@ impl OdometryStream {
         seed: u64,
     ) -> Self {
         let mut random = Random::new(seed, "wheels", 0);
-        let mut wheel = || Wheel {
-            size_error: options.wheel_size_error * random.gaussian(),
-            turned: 0.0,
-            counted: 0.0,
-        };
+        let mut wheel =
+            || Wheel { size_error: options.wheel_size_error * random.gaussian(), turned: 0.0, counted: 0.0 };
         let wheels = [wheel(), wheel()];
         let assumed_separation =
             options.wheel_separation * (1.0 + options.wheel_separation_error * random.gaussian()).max(0.1);

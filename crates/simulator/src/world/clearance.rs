@@ -13,6 +13,8 @@ const FAR: f64 = 1.0;
 const COMFORTABLE: f64 = 0.6;
 /// Costs are counted in tenths of a millimetre, so that sums do not depend on rounding.
 const COST_PER_METRE: f64 = 10_000.0;
+/// Cells grow where there would be more of them along one side.
+const MAX_CELLS_A_SIDE: f64 = 4000.0;
 const UNREACHED: u32 = u32::MAX;
 const STEPS: [(i32, i32); 8] = [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)];
 
@@ -31,8 +33,9 @@ impl ClearanceGrid {
     /// Measures clearance between (0, 0) and `size` for a robot that needs `needed` metres to every
     /// surface.
     pub fn new(shapes: &[Shape], size: Vector2, cell_size: f64, needed: f64) -> Self {
-        let columns = (size.x / cell_size).ceil() as usize;
-        let rows = (size.y / cell_size).ceil() as usize;
+        let cell_size = cell_size.max(size.x.max(size.y) / MAX_CELLS_A_SIDE);
+        let columns = ((size.x / cell_size).ceil() as usize).max(1);
+        let rows = ((size.y / cell_size).ceil() as usize).max(1);
         let distances = vec![FAR as f32; columns * rows];
         let mut grid =
             Self { minimum: Vector2::zeros(), cell_size, columns, rows, distances, needed: needed as f32 };
@@ -64,7 +67,8 @@ impl ClearanceGrid {
 
     fn cell_of(&self, point: &Vector2) -> Option<usize> {
         let cell = (point - self.minimum) / self.cell_size;
-        let inside = cell.x >= 0.0 && cell.y >= 0.0 && cell.x < self.columns as f64 && cell.y < self.rows as f64;
+        let inside =
+            cell.x >= 0.0 && cell.y >= 0.0 && cell.x < self.columns as f64 && cell.y < self.rows as f64;
         inside.then(|| cell.y as usize * self.columns + cell.x as usize)
     }
 

@@ -17,7 +17,8 @@ pub(super) fn draw(style: &PlanStyle) -> FloorPlan {
     draft.aligned_box(inset, size - inset, Material::Wall);
     let mut plan = FloorPlan { shapes: draft.into_shapes(), size, ..FloorPlan::default() };
     let half = 0.5 * WIDTH;
-    let corners = [(half, half), (size.x - half, half), (size.x - half, size.y - half), (half, size.y - half)];
+    let corners =
+        [(half, half), (size.x - half, half), (size.x - half, size.y - half), (half, size.y - half)];
     for (i, (x, y)) in corners.into_iter().enumerate() {
         plan.add_junction(format!("corner {i}"), Vector2::new(x, y));
     }

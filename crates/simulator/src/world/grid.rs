@@ -10,6 +10,9 @@ use super::shape::{Hit, Material, Outline, Ray, Shape, cross};
 /// How many panes in front of a solid hit are told; further ones count as perfectly clear.
 const MAX_PANES: usize = 6;
 
+/// Cells grow where there would be more of them than this.
+const MAX_CELLS: f64 = 4e6;
+
 /// Shapes count as inside a cell when they come this near, so that rounding along cell borders loses
 /// no hit. Metres.
 const BORDER: f64 = 1e-6;
@@ -65,17 +68,21 @@ pub struct ShapeGrid {
 }
 
 impl ShapeGrid {
-    /// Sorts the shapes into cells of `cell_size` metres.
-    pub fn new(shapes: Vec<Shape>, cell_size: f64) -> Self {
+    /// Sorts the shapes into cells of about `cell_size` metres. Shapes that are not finite are left out.
+    pub fn new(mut shapes: Vec<Shape>, cell_size: f64) -> Self {
+        shapes.retain(|shape| (shape.bounds().1 - shape.bounds().0).norm().is_finite());
         let (mut minimum, mut maximum) = (Vector2::zeros(), Vector2::zeros());
         for (i, (low, high)) in shapes.iter().map(Shape::bounds).enumerate() {
             (minimum, maximum) = if i == 0 { (low, high) } else { (minimum.inf(&low), maximum.sup(&high)) };
         }
         let margin = Vector2::new(0.01, 0.01);
         (minimum, maximum) = (minimum - margin, maximum + margin);
+        let extent = maximum - minimum;
+        let cell_size = cell_size.max(1e-3).max(extent.x.max(extent.y) / MAX_CELLS.sqrt());
         let columns = ((maximum.x - minimum.x) / cell_size).ceil() as usize;
         let rows = ((maximum.y - minimum.y) / cell_size).ceil() as usize;
-        let mut grid = Self { minimum, cell_size, columns, rows, starts: Vec::new(), members: Vec::new(), shapes };
+        let mut grid =
+            Self { minimum, cell_size, columns, rows, starts: Vec::new(), members: Vec::new(), shapes };
         grid.sort_into_cells();
         grid
     }
@@ -240,7 +247,11 @@ mod tests {
                     1 => {
                         // Aligned with cell borders now and then.
                         let at = at.map(f64::round);
-                        Shape::segment(at, at + Vector2::new(0.0, random.between(-4.0, 4.0).round()), material)
+                        Shape::segment(
+                            at,
+                            at + Vector2::new(0.0, random.between(-4.0, 4.0).round()),
+                            material,
+                        )
                     }
                     _ => {
                         let to = Vector2::new(random.between(-4.0, 4.0), random.between(-4.0, 4.0));
@@ -259,6 +270,8 @@ mod tests {
             .map(|h| h.range)
             .collect();
         panes.sort_by(f64::total_cmp);
+        // Coinciding panes count as one.
+        panes.dedup();
         panes.truncate(MAX_PANES);
         (solid, panes)
     }

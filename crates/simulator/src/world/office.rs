@@ -147,6 +147,7 @@ impl Office<'_> {
     fn draw_outer_walls(&mut self) {
         let half = 0.5 * OUTER_WALL;
         let (w, h) = (self.plan.size.x, self.plan.size.y);
+        self.draw_facade_columns();
         for (x0, y0, x1, y1) in [
             (-OUTER_WALL, -half, w + OUTER_WALL, -half),
             (-OUTER_WALL, h + half, w + OUTER_WALL, h + half),
@@ -154,6 +155,24 @@ impl Office<'_> {
             (w + half, 0.0, w + half, h),
         ] {
             self.draft.wall(Vector2::new(x0, y0), Vector2::new(x1, y1), OUTER_WALL, &[]);
+        }
+    }
+
+    /// Columns of the façade stand out into the rooms at a constant pitch.
+    fn draw_facade_columns(&mut self) {
+        let size = self.plan.size;
+        let (width, depth) = (self.random.between(0.3, 0.45), self.random.between(0.1, 0.25));
+        for (length, axis, across, far) in
+            [(size.x, Vector2::x(), Vector2::y(), size.y), (size.y, Vector2::y(), Vector2::x(), size.x)]
+        {
+            let columns = (length / 5.4).round();
+            for i in 1..columns as usize {
+                let at = axis * (length * i as f64 / columns);
+                for offset in [0.5 * depth, far - 0.5 * depth] {
+                    let centre = at + across * offset;
+                    self.draft.solid_box(centre, Vector2::new(width, depth), axis, Material::Wall);
+                }
+            }
         }
     }
 
@@ -176,8 +195,13 @@ impl Office<'_> {
         // A block with smaller rooms, mostly locked: stairs, lifts, toilets.
         let scale = if self.random.chance(0.3) { 0.65 } else { 1.0 };
         let front = (0.0, size.x);
-        let south =
-            Strip { frame: along_x, length: size.x, depth: split, front, corridor: Corridor::Horizontal(row) };
+        let south = Strip {
+            frame: along_x,
+            length: size.x,
+            depth: split,
+            front,
+            corridor: Corridor::Horizontal(row),
+        };
         self.draw_strip(&south, scale);
         let middle = along_x.moved(0.0, split);
         let thickness = if two_rows { PARTITION } else { CORRIDOR_WALL };
@@ -261,7 +285,8 @@ impl Office<'_> {
         let width = to - from;
         let facing = (from.max(strip.front.0) - from + 0.2, to.min(strip.front.1) - from - 0.2);
         let kind = Room::kind_for(width, self.random);
-        let door_width = if kind == RoomKind::Meeting && width > 6.0 { 1.3 } else { self.random.between(0.88, 1.0) };
+        let door_width =
+            if kind == RoomKind::Meeting && width > 6.0 { 1.3 } else { self.random.between(0.88, 1.0) };
         let room_for_door = facing.1 - facing.0 - door_width;
         let door = (room_for_door > 0.0).then(|| {
             let hinged_left = self.random.chance(0.5);
@@ -357,7 +382,8 @@ impl Office<'_> {
             let low = if i == 0 { f64::NEG_INFINITY } else { stops[i] };
             let high = if i + 2 == stops.len() { f64::INFINITY } else { stops[i + 1] };
             self.plan.add_passage(junction(i), junction(i + 1));
-            let here = self.doors.iter().filter(|(_, c, along)| *c == corridor && (low..high).contains(along));
+            let here =
+                self.doors.iter().filter(|(_, c, along)| *c == corridor && (low..high).contains(along));
             let rooms: Vec<usize> = here.map(|(room, _, _)| *room).collect();
             if let Some(passage) = self.plan.passages.last_mut() {
                 passage.rooms = rooms;

@@ -134,7 +134,40 @@ pub struct FloorPlan {
     pub passages: Vec<Passage>,
 }
 
+/// Longest side of a floor, metres.
+const LONGEST_SIDE: f64 = 200.0;
+
 impl FloorPlan {
+    /// Checks sizes and indices of a plan from outside.
+    pub(crate) fn check(&self) -> Result<(), SimulatorError> {
+        let bad = |detail: String| Err(SimulatorError::BadPlan { detail });
+        let is_size = |side: f64| (1.0..=LONGEST_SIDE).contains(&side);
+        if !is_size(self.size.x) || !is_size(self.size.y) {
+            return bad(format!("its sides must be from 1 to {LONGEST_SIDE} m"));
+        }
+        let reach = Vector2::new(LONGEST_SIDE, LONGEST_SIDE);
+        let is_near = |p: &Vector2| {
+            (-reach.x..=2.0 * reach.x).contains(&p.x) && (-reach.y..=2.0 * reach.y).contains(&p.y)
+        };
+        let has_bounds = |shape: &Shape| {
+            let (low, high) = shape.bounds();
+            is_near(&low) && is_near(&high)
+        };
+        if let Some(index) = self.shapes.iter().position(|shape| !has_bounds(shape)) {
+            return bad(format!("surface {index} is not a finite one on or near the floor"));
+        }
+        if let Some(place) = self.places.iter().find(|place| !is_near(&place.position)) {
+            return bad(format!("place \"{}\" is not on or near the floor", place.name));
+        }
+        let ends = |passage: &Passage| [passage.from, passage.to];
+        let mut indices =
+            self.passages.iter().flat_map(|p| ends(p).into_iter().chain(p.rooms.iter().copied()));
+        match indices.find(|index| *index >= self.places.len()) {
+            Some(index) => bad(format!("a passage names place {index}, but there are {}", self.places.len())),
+            None => Ok(()),
+        }
+    }
+
     pub(crate) fn add_junction(&mut self, name: String, position: Vector2) -> usize {
         self.places.push(Place { name, position, is_room: false });
         self.places.len() - 1

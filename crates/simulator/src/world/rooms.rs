@@ -75,7 +75,9 @@ impl Room {
         furnisher.reserve(Rect::new(middle.x - 0.4, middle.y - 0.4, middle.x + 0.4, middle.y + 0.1));
         match self.kind {
             RoomKind::Office => furnish_office(&mut furnisher, clutter),
-            RoomKind::Meeting => furnish_meeting(&mut furnisher, self.door.map_or(0.5 * self.width, |d| d.centre)),
+            RoomKind::Meeting => {
+                furnish_meeting(&mut furnisher, self.door.map_or(0.5 * self.width, |d| d.centre))
+            }
             RoomKind::Storage => furnish_storage(&mut furnisher, clutter),
             RoomKind::Kitchen => furnish_kitchen(&mut furnisher, clutter),
         }
@@ -196,7 +198,13 @@ fn furnish_kitchen(room: &mut Furnisher<'_>, clutter: f64) {
 }
 
 /// An area of desk clusters with screens between them, where most walls are missing.
-pub(crate) fn furnish_open_plan(draft: &mut Draft, random: &mut Random, frame: Frame, size: Vector2, clutter: f64) {
+pub(crate) fn furnish_open_plan(
+    draft: &mut Draft,
+    random: &mut Random,
+    frame: Frame,
+    size: Vector2,
+    clutter: f64,
+) {
     let inside = Rect::new(0.0, 0.0, size.x, size.y).grown(-0.1);
     let mut room = Furnisher::new(draft, random, frame, inside);
     let columns = ((size.x - 1.0) / 4.6).floor().max(1.0);

@@ -123,8 +123,11 @@ impl Shape {
             Outline::Segment { start, along } => {
                 let length_squared = along.norm_squared();
                 let to_point = point - start;
-                let share =
-                    if length_squared > 0.0 { (to_point.dot(&along) / length_squared).clamp(0.0, 1.0) } else { 0.0 };
+                let share = if length_squared > 0.0 {
+                    (to_point.dot(&along) / length_squared).clamp(0.0, 1.0)
+                } else {
+                    0.0
+                };
                 (to_point - along * share).norm()
             }
             Outline::Circle { centre, radius } => (point - centre).norm() - radius,
