@@ -85,7 +85,10 @@ pub struct CoreSlamLog {
 impl CoreSlamLog {
     /// Opens a log and looks through it once. Fails if no line is one of CoreSLAM.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let file = TextFile::open(path)?;
+        Self::of(TextFile::open(path)?)
+    }
+
+    pub(crate) fn of(file: TextFile) -> Result<Self, RecordingError> {
         let mut lines = file.lines()?;
         let mut time_range: Option<(Time, Time)> = None;
         let mut count = 0;
@@ -98,7 +101,7 @@ impl CoreSlamLog {
         }
         let Some(time_range) = time_range else {
             return Err(RecordingError::UnknownFormat {
-                path: path.to_owned(),
+                path: file.path().to_owned(),
                 detail: format!(
                     "no line has {HEADER_COLUMNS} values and {BEAMS} ranges as CoreSLAM logs have"
                 ),

@@ -17,14 +17,17 @@ mod urdf;
 pub use carmen::{CarmenLog, CarmenOptions, TimeColumn, looks_like_carmen};
 pub use coreslam::{CoreSlamLog, looks_like_coreslam};
 pub use ingest::{
-    ConfiguredSensors, Dimension, GeodeticPosition, ImuStatistics, IngestError, IngestOptions, Ingestion, Inventory, Notice,
-    PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor, PointTime, PointTimeOrigin, RangeStatistics,
-    SamplingRatios, SensorPlan, SensorStatistics, TopicSurvey, plan,
+    ConfiguredSensors, Dimension, GeodeticPosition, ImuStatistics, IngestError, IngestOptions, Ingestion,
+    Inventory, Notice, PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor, PointTime,
+    PointTimeOrigin, RangeStatistics, SamplingRatios, SensorPlan, SensorStatistics, TopicSurvey, plan,
 };
-pub use inspect::{CheckReport, Finding, Histogram, PlanDescription, RecordingInfo, RepairDescription, Severity, TopicDescription, check, findings_to_text, info};
+pub use inspect::{
+    CheckReport, Finding, Histogram, PlanDescription, RecordingInfo, RepairDescription, Severity,
+    TopicDescription, check, findings_to_text, info,
+};
 pub use memory::MemoryRecording;
 pub use message::*;
 pub use source::*;
-pub use text::open_text_log;
+pub use text::{open_text_log, open_text_log_bytes};
 pub use tf::{TfError, TfInput, TfTree, frame_name};
 pub use urdf::{FixedJoint, RobotDescription, parse_urdf, read_urdf};

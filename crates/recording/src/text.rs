@@ -27,6 +27,16 @@ enum Compression {
     Bzip2,
 }
 
+impl Compression {
+    fn of(bytes: &[u8]) -> Self {
+        match bytes {
+            [0x1f, 0x8b, ..] => Self::Gzip,
+            [b'B', b'Z', b'h', ..] => Self::Bzip2,
+            _ => Self::None,
+        }
+    }
+}
+
 /// A text file that can be read any number of times.
 #[derive(Clone, Debug)]
 pub(crate) struct TextFile {
@@ -55,12 +65,44 @@ impl TextFile {
         let size_bytes = file.metadata().map_err(io_error)?.len();
         let mut magic = Vec::with_capacity(3);
         (&mut file).take(3).read_to_end(&mut magic).map_err(io_error)?;
-        let compression = match magic.as_slice() {
-            [0x1f, 0x8b, ..] => Compression::Gzip,
-            b"BZh" => Compression::Bzip2,
-            _ => Compression::None,
-        };
+        let compression = Compression::of(&magic);
         Ok(Self { path: path.to_owned(), size_bytes, compression, cached: None })
+    }
+
+    /// Decompresses bytes in memory.
+    fn from_bytes(name: &Path, bytes: &[u8]) -> Result<Self, RecordingError> {
+        let compression = Compression::of(bytes);
+        let mut text = Vec::new();
+        let stream: Box<dyn Read> = match compression {
+            Compression::None => Box::new(bytes),
+            Compression::Gzip => Box::new(flate2::bufread::MultiGzDecoder::new(bytes)),
+            Compression::Bzip2 => Box::new(bzip2::bufread::MultiBzDecoder::new(bytes)),
+        };
+        let mut file =
+            Self { path: name.to_owned(), size_bytes: bytes.len() as u64, compression, cached: None };
+        let damage = match stream.take(CACHE_BYTES).read_to_end(&mut text) {
+            Ok(_) if text.len() as u64 == CACHE_BYTES => Some("text beyond 64 MiB was not read".to_owned()),
+            Ok(_) => None,
+            Err(error) => Some(file.damage(error)?),
+        };
+        file.cached = Some((text.into(), damage));
+        Ok(file)
+    }
+
+    /// The log of whatever format the beginning of the text is of.
+    fn into_log(self, prefix: &[u8]) -> Result<Option<Box<dyn Recording>>, RecordingError> {
+        if looks_like_carmen(prefix) {
+            return Ok(Some(Box::new(CarmenLog::of(self, CarmenOptions::default())?)));
+        }
+        if looks_like_coreslam(prefix) {
+            return Ok(Some(Box::new(CoreSlamLog::of(self)?)));
+        }
+        Ok(None)
+    }
+
+    /// Where the file is, for messages.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     fn read_if_short(&self) -> Result<Option<CachedText>, RecordingError> {
@@ -135,13 +177,19 @@ pub fn open_text_log(path: &Path) -> Result<Option<Box<dyn Recording>>, Recordin
     let mut prefix = Vec::new();
     // What cannot be decompressed is no text log.
     let _ = file.stream()?.0.take(PREFIX_BYTES).read_to_end(&mut prefix);
-    if looks_like_carmen(&prefix) {
-        return Ok(Some(Box::new(CarmenLog::open(path, CarmenOptions::default())?)));
-    }
-    if looks_like_coreslam(&prefix) {
-        return Ok(Some(Box::new(CoreSlamLog::open(path)?)));
+    if looks_like_carmen(&prefix) || looks_like_coreslam(&prefix) {
+        return TextFile::open(path)?.into_log(&prefix);
     }
     Ok(None)
+}
+
+/// As [`open_text_log`], for a file whose bytes lie in memory; `name` is used in messages. Text beyond
+/// 64 MiB is a counted loss.
+pub fn open_text_log_bytes(name: &Path, bytes: &[u8]) -> Result<Option<Box<dyn Recording>>, RecordingError> {
+    let file = TextFile::from_bytes(name, bytes)?;
+    let prefix: Vec<u8> =
+        file.cached.iter().flat_map(|(text, _)| text.iter().take(PREFIX_BYTES as usize)).copied().collect();
+    file.into_log(&prefix)
 }
 
 struct Counted {

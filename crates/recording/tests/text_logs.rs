@@ -5,7 +5,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use portolan_recording::{Message, RecordedMessage, Recording, Repair, open_text_log};
+use portolan_recording::{Message, RecordedMessage, Recording, Repair, open_text_log, open_text_log_bytes};
 use proptest::prelude::*;
 
 /// A file of the shared data, or a word on stderr about what is skipped without it.
@@ -117,10 +117,7 @@ proptest! {
             bytes = encoder.finish().unwrap();
             bytes.truncate((bytes.len() as f64 * cut) as usize);
         }
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.clf");
-        std::fs::write(&path, bytes).unwrap();
-        if let Ok(Some(log)) = open_text_log(&path) {
+        if let Ok(Some(log)) = open_text_log_bytes(Path::new("a.clf"), &bytes) {
             read_all(&*log);
         }
     }

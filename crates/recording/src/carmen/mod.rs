@@ -85,12 +85,15 @@ pub fn looks_like_carmen(prefix: &[u8]) -> bool {
 impl CarmenLog {
     /// Opens a log and looks through it once. Fails if it holds neither a scan nor odometry.
     pub fn open(path: &Path, options: CarmenOptions) -> Result<Self, RecordingError> {
-        let file = TextFile::open(path)?;
+        Self::of(TextFile::open(path)?, options)
+    }
+
+    pub(crate) fn of(file: TextFile, options: CarmenOptions) -> Result<Self, RecordingError> {
         let survey = Survey::of(&file)?;
         let clock = survey.clock(&options);
         let Some(time_range) = survey.time_range(clock) else {
             return Err(RecordingError::UnknownFormat {
-                path: path.to_owned(),
+                path: file.path().to_owned(),
                 detail:
                     "it has no complete FLASER, RLASER, ROBOTLASER, RAWLASER or ODOM line as CARMEN logs have"
                         .to_owned(),
