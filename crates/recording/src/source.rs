@@ -59,6 +59,28 @@ pub enum RecordingError {
         /// What is wrong.
         detail: String,
     },
+    /// The file is of a known format but in a form that cannot be read.
+    #[error("cannot read {}: {detail}", path.display())]
+    Unsupported {
+        /// Which file.
+        path: PathBuf,
+        /// Why, and what to do.
+        detail: String,
+    },
+    /// A recording could not be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A message or a format cannot be written.
+    #[error("{detail}")]
+    Unwritable {
+        /// Which one, and why.
+        detail: String,
+    },
     /// A URDF or another description could not be used.
     #[error("{detail}")]
     Description {

@@ -1,0 +1,209 @@
+//! From bytes to messages: the layout of every understood type.
+
+use std::sync::Arc;
+
+use super::wire_reader::{DecodeError, WireReader};
+use super::{Encoding, MessageKind, is_static_tf_topic};
+use crate::{
+    FieldType, Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, MultiEchoLaserScan, NavSatFix,
+    Odometry, PointCloud2, PointField, Pose, PoseStamped, TfMessage, TransformStamped,
+};
+
+/// Decodes messages and shares the names of frames between them, so that a name is not allocated anew
+/// for every message.
+#[derive(Default)]
+pub(crate) struct Decoder {
+    frames: Vec<Arc<str>>,
+}
+
+/// A recording has few frames; one with more gets its further names unshared.
+const MAX_SHARED_FRAMES: usize = 64;
+
+type Decoded<T> = Result<T, DecodeError>;
+
+impl Decoder {
+    /// Decodes one message. Leading slashes of frame names are removed.
+    pub(crate) fn decode(
+        &mut self,
+        kind: MessageKind,
+        encoding: Encoding,
+        topic: &str,
+        bytes: &[u8],
+    ) -> Decoded<Message> {
+        let mut reader = WireReader::new(encoding, bytes)?;
+        let r = &mut reader;
+        let message = match kind {
+            MessageKind::LaserScan => Message::LaserScan(self.laser_scan(r)?),
+            MessageKind::MultiEchoLaserScan => Message::MultiEchoLaserScan(self.multi_echo_laser_scan(r)?),
+            MessageKind::PointCloud2 => Message::PointCloud2(self.point_cloud(r)?),
+            MessageKind::Imu => Message::Imu(self.imu(r)?),
+            MessageKind::Odometry => Message::Odometry(self.odometry(r)?),
+            MessageKind::NavSatFix => Message::NavSatFix(self.nav_sat_fix(r)?),
+            MessageKind::Tf => Message::Tf(self.tf(r, is_static_tf_topic(topic))?),
+            MessageKind::PoseStamped => {
+                Message::PoseStamped(PoseStamped { header: self.header(r)?, pose: pose(r)? })
+            }
+            MessageKind::LandmarkList => Message::LandmarkList(self.landmark_list(r)?),
+        };
+        reader.finish()?;
+        Ok(message)
+    }
+
+    fn frame(&mut self, r: &mut WireReader<'_>) -> Decoded<Arc<str>> {
+        let name = r.string()?;
+        let name = name.trim_start_matches('/');
+        if let Some(known) = self.frames.iter().find(|known| &***known == name) {
+            return Ok(known.clone());
+        }
+        let name: Arc<str> = name.into();
+        if self.frames.len() < MAX_SHARED_FRAMES {
+            self.frames.push(name.clone());
+        }
+        Ok(name)
+    }
+
+    fn header(&mut self, r: &mut WireReader<'_>) -> Decoded<Header> {
+        if !r.is_cdr() {
+            let _sequence_number = r.u32()?;
+        }
+        Ok(Header { stamp: r.time()?, frame_id: self.frame(r)? })
+    }
+
+    fn laser_scan(&mut self, r: &mut WireReader<'_>) -> Decoded<LaserScan> {
+        Ok(LaserScan {
+            header: self.header(r)?,
+            angle_min: r.f32()?,
+            angle_max: r.f32()?,
+            angle_increment: r.f32()?,
+            time_increment: r.f32()?,
+            scan_time: r.f32()?,
+            range_min: r.f32()?,
+            range_max: r.f32()?,
+            ranges: r.f32_sequence()?,
+            intensities: r.f32_sequence()?,
+        })
+    }
+
+    fn multi_echo_laser_scan(&mut self, r: &mut WireReader<'_>) -> Decoded<MultiEchoLaserScan> {
+        Ok(MultiEchoLaserScan {
+            header: self.header(r)?,
+            angle_min: r.f32()?,
+            angle_max: r.f32()?,
+            angle_increment: r.f32()?,
+            time_increment: r.f32()?,
+            scan_time: r.f32()?,
+            range_min: r.f32()?,
+            range_max: r.f32()?,
+            ranges: sequence(r, 4, WireReader::f32_sequence)?,
+            intensities: sequence(r, 4, WireReader::f32_sequence)?,
+        })
+    }
+
+    fn point_cloud(&mut self, r: &mut WireReader<'_>) -> Decoded<PointCloud2> {
+        Ok(PointCloud2 {
+            header: self.header(r)?,
+            height: r.u32()?,
+            width: r.u32()?,
+            fields: sequence(r, 13, point_field)?,
+            is_bigendian: r.bool()?,
+            point_step: r.u32()?,
+            row_step: r.u32()?,
+            data: r.byte_sequence()?,
+            is_dense: r.bool()?,
+        })
+    }
+
+    fn imu(&mut self, r: &mut WireReader<'_>) -> Decoded<Imu> {
+        Ok(Imu {
+            header: self.header(r)?,
+            orientation_xyzw: r.f64_array()?,
+            orientation_covariance: r.f64_array()?,
+            angular_velocity: r.f64_array()?,
+            angular_velocity_covariance: r.f64_array()?,
+            linear_acceleration: r.f64_array()?,
+            linear_acceleration_covariance: r.f64_array()?,
+        })
+    }
+
+    fn odometry(&mut self, r: &mut WireReader<'_>) -> Decoded<Odometry> {
+        Ok(Odometry {
+            header: self.header(r)?,
+            child_frame_id: self.frame(r)?,
+            pose: pose(r)?,
+            pose_covariance: r.f64_array::<36>()?.to_vec(),
+            linear_velocity: r.f64_array()?,
+            angular_velocity: r.f64_array()?,
+            twist_covariance: r.f64_array::<36>()?.to_vec(),
+        })
+    }
+
+    fn nav_sat_fix(&mut self, r: &mut WireReader<'_>) -> Decoded<NavSatFix> {
+        Ok(NavSatFix {
+            header: self.header(r)?,
+            status: r.i8()?,
+            service: r.u16()?,
+            latitude_degrees: r.f64()?,
+            longitude_degrees: r.f64()?,
+            altitude: r.f64()?,
+            position_covariance: r.f64_array()?,
+            position_covariance_type: r.u8()?,
+        })
+    }
+
+    fn tf(&mut self, r: &mut WireReader<'_>, is_static: bool) -> Decoded<TfMessage> {
+        let transforms = sequence(r, 72, |r| {
+            Ok(TransformStamped {
+                header: self.header(r)?,
+                child_frame_id: self.frame(r)?,
+                transform: pose(r)?,
+            })
+        })?;
+        Ok(TfMessage { is_static, transforms })
+    }
+
+    fn landmark_list(&mut self, r: &mut WireReader<'_>) -> Decoded<LandmarkList> {
+        Ok(LandmarkList { header: self.header(r)?, landmarks: sequence(r, 76, landmark_entry)? })
+    }
+}
+
+/// A sequence of composite elements that take at least `element_bytes` each.
+fn sequence<'a, T>(
+    r: &mut WireReader<'a>,
+    element_bytes: usize,
+    mut element: impl FnMut(&mut WireReader<'a>) -> Decoded<T>,
+) -> Decoded<Vec<T>> {
+    let length = r.sequence_length(element_bytes)?;
+    (0..length).map(|_| element(r)).collect()
+}
+
+fn pose(r: &mut WireReader<'_>) -> Decoded<Pose> {
+    Ok(Pose { position: r.f64_array()?, orientation_xyzw: r.f64_array()? })
+}
+
+fn point_field(r: &mut WireReader<'_>) -> Decoded<PointField> {
+    Ok(PointField {
+        name: r.string()?.into_owned(),
+        offset: r.u32()?,
+        field_type: match r.u8()? {
+            1 => Some(FieldType::Int8),
+            2 => Some(FieldType::Uint8),
+            3 => Some(FieldType::Int16),
+            4 => Some(FieldType::Uint16),
+            5 => Some(FieldType::Int32),
+            6 => Some(FieldType::Uint32),
+            7 => Some(FieldType::Float32),
+            8 => Some(FieldType::Float64),
+            _ => None,
+        },
+        count: r.u32()?,
+    })
+}
+
+fn landmark_entry(r: &mut WireReader<'_>) -> Decoded<LandmarkEntry> {
+    Ok(LandmarkEntry {
+        id: r.string()?.into_owned(),
+        tracking_from_landmark: pose(r)?,
+        translation_weight: r.f64()?,
+        rotation_weight: r.f64()?,
+    })
+}

@@ -1,0 +1,74 @@
+//! The serialised form of ROS messages.
+//!
+//! ROS 1 and ROS 2 lay the same fields out in the same order and differ only in primitives: alignment,
+//! the terminating NUL of strings, the sequence number of headers. Those differences live in
+//! [`WireReader`] and [`WireWriter`]; the layout of each message is written once for decoding
+//! (`decode.rs`) and once for encoding (`encode.rs`).
+
+mod decode;
+mod definitions;
+mod encode;
+mod wire_reader;
+mod wire_writer;
+
+pub(crate) use decode::Decoder;
+pub(crate) use definitions::{Dialect, definition, md5sum};
+pub(crate) use encode::encode;
+
+/// How messages of a connection are serialised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Encoding {
+    /// ROS 1: little endian, packed.
+    Ros1,
+    /// OMG CDR (XCDR1) with its four-byte encapsulation header.
+    Cdr,
+    /// Something else: its messages are listed, not decoded.
+    Unknown,
+}
+
+/// The message types that are decoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum MessageKind {
+    LaserScan,
+    MultiEchoLaserScan,
+    PointCloud2,
+    Imu,
+    Odometry,
+    NavSatFix,
+    Tf,
+    PoseStamped,
+    LandmarkList,
+}
+
+impl MessageKind {
+    /// The kind of a type given as `package/Type`.
+    pub(crate) fn from_type_name(type_name: &str) -> Option<Self> {
+        Some(match type_name {
+            "sensor_msgs/LaserScan" => Self::LaserScan,
+            "sensor_msgs/MultiEchoLaserScan" => Self::MultiEchoLaserScan,
+            "sensor_msgs/PointCloud2" => Self::PointCloud2,
+            "sensor_msgs/Imu" => Self::Imu,
+            "nav_msgs/Odometry" => Self::Odometry,
+            "sensor_msgs/NavSatFix" => Self::NavSatFix,
+            "tf2_msgs/TFMessage" | "tf/tfMessage" => Self::Tf,
+            "geometry_msgs/PoseStamped" => Self::PoseStamped,
+            "cartographer_ros_msgs/LandmarkList" => Self::LandmarkList,
+            _ => return None,
+        })
+    }
+}
+
+/// `package/Type` for any of the spellings `package/msg/Type`, `package::msg::dds_::Type_`.
+pub(crate) fn normalized_type_name(name: &str) -> String {
+    if name.contains("::") {
+        let parts: Vec<&str> =
+            name.split("::").filter(|part| !matches!(*part, "msg" | "dds_" | "")).collect();
+        return parts.join("/").trim_end_matches('_').to_owned();
+    }
+    name.replacen("/msg/", "/", 1)
+}
+
+/// Whether a topic carries static transforms: `/tf_static`, also inside a namespace.
+pub(crate) fn is_static_tf_topic(topic: &str) -> bool {
+    topic.rsplit('/').next() == Some("tf_static")
+}

@@ -1,0 +1,95 @@
+//! Topics of a container and the decoding of their messages.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::codec::{Decoder, Encoding, MessageKind, normalized_type_name};
+use crate::container::{Compression, decompress};
+use crate::repairs::RepairLog;
+use crate::{Message, TopicInfo};
+
+/// One publisher of one topic (a connection of a bag, a channel of an MCAP file).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Connection {
+    pub(crate) topic: Arc<str>,
+    /// `package/Type`.
+    pub(crate) type_name: Arc<str>,
+    pub(crate) encoding: Encoding,
+}
+
+impl Connection {
+    pub(crate) fn new(topic: &str, type_name: &str, encoding: Encoding) -> Self {
+        Self { topic: topic.into(), type_name: normalized_type_name(type_name).into(), encoding }
+    }
+
+    /// What its messages are decoded to, if they are understood.
+    pub(crate) fn kind(&self) -> Option<MessageKind> {
+        if self.encoding == Encoding::Unknown { None } else { MessageKind::from_type_name(&self.type_name) }
+    }
+}
+
+/// Topics in ascending order, from connections and their message counts.
+pub(crate) fn topics<'a>(connections: impl Iterator<Item = (&'a Connection, Option<u64>)>) -> Vec<TopicInfo> {
+    let mut topics: BTreeMap<(&Arc<str>, &Arc<str>), Option<u64>> = BTreeMap::new();
+    for (connection, count) in connections {
+        let sum = topics.entry((&connection.topic, &connection.type_name)).or_insert(Some(0));
+        *sum = sum.zip(count).map(|(a, b)| a.saturating_add(b));
+    }
+    let info = |((topic, type_name), count): ((&Arc<str>, &Arc<str>), Option<u64>)| TopicInfo {
+        topic: topic.clone(),
+        type_name: type_name.clone(),
+        count,
+    };
+    topics.into_iter().map(info).collect()
+}
+
+/// Decodes messages of connections; what cannot be decoded is counted with its topic.
+#[derive(Default)]
+pub(crate) struct MessageDecoder {
+    decoder: Decoder,
+    unpacked: Vec<u8>,
+}
+
+/// A message may unpack to this size; beyond, ROS itself gives up.
+const MAX_MESSAGE_BYTES: u64 = 1 << 30;
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+impl MessageDecoder {
+    /// The message, or `None` if it had to be dropped.
+    pub(crate) fn decode(
+        &mut self,
+        connection: &Connection,
+        payload: &[u8],
+        repairs: &mut RepairLog,
+    ) -> Option<Message> {
+        let Some(kind) = connection.kind() else {
+            return Some(Message::Other { type_name: connection.type_name.clone(), bytes: payload.len() });
+        };
+        let mut payload = Cow::Borrowed(payload);
+        // ROS 2 recorders can compress message by message. No CDR message starts like this.
+        if connection.encoding == Encoding::Cdr && payload.starts_with(&ZSTD_MAGIC) {
+            let mut unpacked = std::mem::take(&mut self.unpacked);
+            if decompress(Compression::Zstd, &payload, MAX_MESSAGE_BYTES, &mut unpacked).is_err() {
+                repairs.lost(format!(
+                    "a message on {} was dropped: its zstd compression is damaged",
+                    connection.topic
+                ));
+                return None;
+            }
+            payload = Cow::Owned(unpacked);
+        }
+        let decoded = self.decoder.decode(kind, connection.encoding, &connection.topic, &payload);
+        if let Cow::Owned(buffer) = payload {
+            self.unpacked = buffer;
+        }
+        decoded
+            .map_err(|error| {
+                repairs.lost(format!(
+                    "a message on {} ({}) was dropped: {error}",
+                    connection.topic, connection.type_name
+                ));
+            })
+            .ok()
+    }
+}

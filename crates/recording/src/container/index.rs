@@ -1,0 +1,172 @@
+//! Where the messages of a container lie.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use super::connection::topics;
+use super::{Compression, Connection, FileBytes, decompress};
+use crate::repairs::RepairLog;
+use crate::{RecordingError, TopicInfo};
+
+/// A chunk, or a run of records outside of chunks.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Segment {
+    /// Where its (compressed) bytes start in the file.
+    pub(crate) offset: u64,
+    /// How many there are.
+    pub(crate) stored_bytes: u64,
+    /// Size after decompression, as the file says.
+    pub(crate) unpacked_bytes: u64,
+    pub(crate) compression: Compression,
+    /// CRC-32 of the decompressed bytes; zero if there is none.
+    pub(crate) crc: u32,
+    /// Log time of its earliest message, nanoseconds since the Unix epoch.
+    pub(crate) first: u64,
+    /// Log time of its latest message.
+    pub(crate) last: u64,
+    /// Connections with messages in it, ascending; `None` if not known.
+    pub(crate) connections: Option<Arc<[u32]>>,
+}
+
+/// Larger segments are not loaded: a lying size must not take all memory. Uncompressed data never form
+/// segments larger than this unless one message alone is.
+pub(crate) const MAX_SEGMENT_BYTES: u64 = 1 << 30;
+
+/// Everything known about a container before its messages are read.
+#[derive(Debug, Default)]
+pub(crate) struct ChunkIndex {
+    pub(crate) connections: BTreeMap<u32, Connection>,
+    /// Messages per connection.
+    pub(crate) counts: BTreeMap<u32, u64>,
+    /// In order of their first log time (ties in file order), once opening is done.
+    pub(crate) segments: Vec<Segment>,
+    pub(crate) repairs: RepairLog,
+}
+
+impl ChunkIndex {
+    /// Adds a segment; equal lists of connections are stored once.
+    pub(crate) fn push(&mut self, mut segment: Segment) {
+        if let (Some(list), Some(Segment { connections: Some(previous), .. })) =
+            (&mut segment.connections, self.segments.last())
+            && list == previous
+        {
+            *list = previous.clone();
+        }
+        self.segments.push(segment);
+    }
+
+    /// Adds to the message count of a connection.
+    pub(crate) fn count(&mut self, connection: u32, messages: u64) {
+        let count = self.counts.entry(connection).or_default();
+        *count = count.saturating_add(messages);
+    }
+
+    /// Puts segments into reading order.
+    pub(crate) fn sort(&mut self) {
+        self.segments.sort_by_key(|segment| (segment.first, segment.offset));
+    }
+
+    /// First and last log time.
+    pub(crate) fn time_range(&self) -> Option<(u64, u64)> {
+        let first = self.segments.iter().map(|segment| segment.first).min()?;
+        let last = self.segments.iter().map(|segment| segment.last).max()?;
+        Some((first, last))
+    }
+
+    /// Topics in ascending order.
+    pub(crate) fn topics(&self) -> Vec<TopicInfo> {
+        topics(
+            self.connections
+                .iter()
+                .map(|(id, connection)| (connection, Some(self.counts.get(id).copied().unwrap_or_default()))),
+        )
+    }
+
+    /// Compressions that occur, for the description of the format.
+    pub(crate) fn compressions(&self) -> String {
+        let kinds: BTreeSet<Compression> = self.segments.iter().map(|s| s.compression).collect();
+        kinds.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// Collects messages outside of chunks into segments of bounded size.
+#[derive(Default)]
+pub(crate) struct LooseRun {
+    current: Option<Segment>,
+    connections: BTreeSet<u32>,
+}
+
+/// Size at which a run of loose messages becomes a segment.
+const LOOSE_SEGMENT_BYTES: u64 = 1 << 20;
+
+impl LooseRun {
+    /// Adds the message record at `offset` of the file.
+    pub(crate) fn add(
+        &mut self,
+        index: &mut ChunkIndex,
+        (offset, bytes): (u64, u64),
+        (connection, nanoseconds): (u32, u64),
+    ) {
+        let fits = self.current.as_ref().is_some_and(|run| {
+            run.offset + run.stored_bytes == offset && run.stored_bytes < LOOSE_SEGMENT_BYTES
+        });
+        if !fits {
+            self.flush(index);
+        }
+        let run = self.current.get_or_insert(Segment {
+            offset,
+            stored_bytes: 0,
+            unpacked_bytes: 0,
+            compression: Compression::None,
+            crc: 0,
+            first: u64::MAX,
+            last: 0,
+            connections: None,
+        });
+        run.stored_bytes += bytes;
+        run.unpacked_bytes = run.stored_bytes;
+        run.first = run.first.min(nanoseconds);
+        run.last = run.last.max(nanoseconds);
+        self.connections.insert(connection);
+        index.count(connection, 1);
+    }
+
+    /// Ends the current run.
+    pub(crate) fn flush(&mut self, index: &mut ChunkIndex) {
+        let connections = std::mem::take(&mut self.connections);
+        if let Some(mut run) = self.current.take() {
+            run.connections = Some(connections.into_iter().collect());
+            index.push(run);
+        }
+    }
+}
+
+/// Reads and decompresses a segment into `into`. Damage is counted; what can be had is kept.
+pub(crate) fn load(
+    segment: &Segment,
+    file: &mut FileBytes,
+    packed: &mut Vec<u8>,
+    into: &mut Vec<u8>,
+    repairs: &mut RepairLog,
+) -> Result<(), RecordingError> {
+    into.clear();
+    if segment.stored_bytes.max(segment.unpacked_bytes) > MAX_SEGMENT_BYTES {
+        repairs.lost("a chunk of more than 1 GiB was skipped");
+        return Ok(());
+    }
+    let mut sound = true;
+    if segment.compression == Compression::None {
+        file.read(segment.offset, segment.stored_bytes, into)?;
+    } else {
+        file.read(segment.offset, segment.stored_bytes, packed)?;
+        sound = decompress(segment.compression, packed, segment.unpacked_bytes, into).is_ok();
+    }
+    if !sound {
+        repairs.lost("the compressed data of a chunk are damaged; what could be decompressed was kept");
+    } else if (into.len() as u64) < segment.unpacked_bytes {
+        repairs.lost("a chunk is shorter than it should be; its whole records were kept");
+    } else if segment.crc != 0 && crc32fast::hash(into) != segment.crc {
+        repairs.lost("the checksum of a chunk is wrong; its readable messages were kept");
+    }
+    Ok(())
+}

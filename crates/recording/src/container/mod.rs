@@ -1,0 +1,18 @@
+//! What bags and MCAP files have in common: a file of records, most of them inside compressed chunks.
+//!
+//! Opening yields a [`ChunkIndex`] (from the file's own index or by scanning); reading merges the
+//! messages of its segments in order of log time ([`ChunkedRecording`]).
+
+mod bytes;
+mod compression;
+mod connection;
+mod index;
+mod reader;
+mod walk;
+
+pub(crate) use bytes::{FileBytes, Source};
+pub(crate) use compression::{Compression, decompress};
+pub(crate) use connection::{Connection, MessageDecoder, topics};
+pub(crate) use index::{ChunkIndex, LooseRun, MAX_SEGMENT_BYTES, Segment, load};
+pub(crate) use reader::ChunkedRecording;
+pub(crate) use walk::{Content, Record, RecordFormat, walk};

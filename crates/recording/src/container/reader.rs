@@ -1,0 +1,267 @@
+//! Reading the messages of a container in order of log time with bounded memory.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::ops::Range;
+use std::sync::Arc;
+
+use portolan_geometry::Time;
+
+use super::{ChunkIndex, Content, FileBytes, MessageDecoder, RecordFormat, Segment, Source, load, walk};
+use crate::repairs::RepairLog;
+use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
+
+/// A bag or MCAP file whose index is known.
+pub(crate) struct ChunkedRecording {
+    pub(crate) source: Source,
+    pub(crate) size_bytes: u64,
+    /// Format and compressions.
+    pub(crate) description: String,
+    pub(crate) format: Arc<dyn RecordFormat>,
+    pub(crate) index: Arc<ChunkIndex>,
+}
+
+impl Recording for ChunkedRecording {
+    fn format(&self) -> String {
+        self.description.clone()
+    }
+
+    fn topics(&self) -> Vec<TopicInfo> {
+        self.index.topics()
+    }
+
+    fn time_range(&self) -> Option<(Time, Time)> {
+        self.index.time_range().map(|(first, last)| (time(first), time(last)))
+    }
+
+    fn size_bytes(&self) -> u64 {
+        self.size_bytes
+    }
+
+    fn read(&self, wanted: &dyn Fn(&TopicInfo) -> bool) -> Result<Box<dyn MessageReader>, RecordingError> {
+        let topics = self.topics();
+        let chosen: BTreeSet<_> = topics
+            .iter()
+            .filter(|topic| wanted(topic))
+            .map(|topic| (&topic.topic, &topic.type_name))
+            .collect();
+        let connections = self.index.connections.iter();
+        let wanted =
+            connections.filter(|(_, c)| chosen.contains(&(&c.topic, &c.type_name))).map(|(id, _)| *id);
+        Ok(Box::new(ChunkReader {
+            file: self.source.open()?,
+            format: self.format.clone(),
+            index: self.index.clone(),
+            wanted: wanted.collect(),
+            cursor: 0,
+            open: BTreeMap::new(),
+            queue: BinaryHeap::new(),
+            resident_bytes: 0,
+            spare: Vec::new(),
+            packed: Vec::new(),
+            last_time: 0,
+            position_bytes: 0,
+            decoder: MessageDecoder::default(),
+            repairs: self.index.repairs.clone(),
+        }))
+    }
+}
+
+/// Log time from nanoseconds since the Unix epoch.
+pub(crate) fn time(nanoseconds: u64) -> Time {
+    Time::from_unix_nanoseconds(i64::try_from(nanoseconds).unwrap_or(i64::MAX))
+}
+
+/// A message within a loaded segment.
+#[derive(Clone)]
+struct Entry {
+    nanoseconds: u64,
+    connection: u32,
+    payload: Range<u32>,
+}
+
+/// A segment some of whose messages are still to come.
+struct OpenSegment {
+    /// In order of log time.
+    entries: Vec<Entry>,
+    next: usize,
+    /// Dropped when memory is short and loaded again when its turn comes.
+    data: Option<Vec<u8>>,
+}
+
+/// Chunks that overlap in time are held decompressed at the same time up to this sum.
+const MAX_RESIDENT_BYTES: usize = 256 << 20;
+
+/// Merges segments. Segments are opened in order of their first log time, each as soon as it may hold
+/// the next message, so that usually only one or two are in memory.
+struct ChunkReader {
+    file: FileBytes,
+    format: Arc<dyn RecordFormat>,
+    index: Arc<ChunkIndex>,
+    wanted: BTreeSet<u32>,
+    /// Next segment to open.
+    cursor: usize,
+    open: BTreeMap<usize, OpenSegment>,
+    /// Log time of the next message, place in the file, and number of every open segment.
+    queue: BinaryHeap<Reverse<(u64, u64, usize)>>,
+    resident_bytes: usize,
+    /// Memory of closed segments, for the next ones.
+    spare: Vec<Vec<u8>>,
+    packed: Vec<u8>,
+    last_time: u64,
+    position_bytes: u64,
+    decoder: MessageDecoder,
+    repairs: RepairLog,
+}
+
+impl MessageReader for ChunkReader {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
+        loop {
+            self.open_due_segments()?;
+            let Some(Reverse((nanoseconds, _, number))) = self.queue.pop() else {
+                self.position_bytes = self.file.length();
+                return Ok(None);
+            };
+            let message = self.decode_next(number)?;
+            self.advance(number);
+            let Some(message) = message else { continue };
+            if nanoseconds < self.last_time {
+                self.repairs.repaired(
+                    "a message came later than the index of the recording promised: it is out of order",
+                );
+            }
+            self.last_time = self.last_time.max(nanoseconds);
+            return Ok(Some(message));
+        }
+    }
+
+    fn position_bytes(&self) -> u64 {
+        self.position_bytes
+    }
+
+    fn repairs(&self) -> Vec<Repair> {
+        self.repairs.list()
+    }
+}
+
+impl ChunkReader {
+    /// Opens every segment that may hold a message at or before the next one queued.
+    fn open_due_segments(&mut self) -> Result<(), RecordingError> {
+        let index = self.index.clone();
+        while let Some(segment) = index.segments.get(self.cursor) {
+            if self.queue.peek().is_some_and(|Reverse((next, ..))| segment.first > *next) {
+                break;
+            }
+            let number = self.cursor;
+            self.cursor += 1;
+            self.position_bytes = self.position_bytes.max(segment.offset + segment.stored_bytes);
+            // Messages of unknown connections are looked at because their loss must be counted.
+            let is_wanted = |list: &Arc<[u32]>| {
+                list.iter().any(|id| self.wanted.contains(id) || !index.connections.contains_key(id))
+            };
+            if segment.connections.as_ref().is_none_or(is_wanted) {
+                self.open_segment(number, segment)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn open_segment(&mut self, number: usize, segment: &Segment) -> Result<(), RecordingError> {
+        let mut data = self.spare.pop().unwrap_or_default();
+        load(segment, &mut self.file, &mut self.packed, &mut data, &mut self.repairs)?;
+        let mut entries = Vec::new();
+        let mut undescribed = 0;
+        let gaps = walk(&*self.format, &data, |record| {
+            let Content::Message { connection, nanoseconds, payload } = record.content else { return };
+            if self.wanted.contains(&connection) {
+                let payload = payload.start as u32..payload.end as u32;
+                entries.push(Entry { nanoseconds, connection, payload });
+            } else if !self.index.connections.contains_key(&connection) {
+                undescribed += 1;
+            }
+        });
+        if gaps > 0 {
+            self.repairs.add("damaged records were skipped", true, gaps);
+        }
+        if undescribed > 0 {
+            let what = "messages of a topic that is nowhere described were dropped";
+            self.repairs.add(what, true, undescribed);
+        }
+        entries.sort_by_key(|entry| entry.nanoseconds); // stable: ties stay in file order
+        let Some(first) = entries.first().map(|entry| entry.nanoseconds) else {
+            self.spare.push(data);
+            return Ok(());
+        };
+        self.queue.push(Reverse((first, segment.offset, number)));
+        self.resident_bytes += data.capacity();
+        self.open.insert(number, OpenSegment { entries, next: 0, data: Some(data) });
+        self.make_room(number);
+        Ok(())
+    }
+
+    /// Decodes the next message of an open segment.
+    fn decode_next(&mut self, number: usize) -> Result<Option<RecordedMessage>, RecordingError> {
+        self.reload(number)?;
+        let Some(open) = self.open.get(&number) else { return Ok(None) };
+        let Some(entry) = open.entries.get(open.next) else { return Ok(None) };
+        let Some(connection) = self.index.connections.get(&entry.connection) else { return Ok(None) };
+        let range = entry.payload.start as usize..entry.payload.end as usize;
+        let Some(payload) = open.data.as_ref().and_then(|data| data.get(range)) else {
+            self.repairs.lost("the file changed while it was read");
+            return Ok(None);
+        };
+        let message = self.decoder.decode(connection, payload, &mut self.repairs);
+        Ok(message.map(|message| RecordedMessage {
+            topic: connection.topic.clone(),
+            log_time: time(entry.nanoseconds),
+            message,
+        }))
+    }
+
+    /// Queues an open segment for its next message, or closes it.
+    fn advance(&mut self, number: usize) {
+        let Some(open) = self.open.get_mut(&number) else { return };
+        open.next += 1;
+        if let (Some(entry), Some(segment)) = (open.entries.get(open.next), self.index.segments.get(number)) {
+            self.queue.push(Reverse((entry.nanoseconds, segment.offset, number)));
+            return;
+        }
+        if let Some(data) = self.open.remove(&number).and_then(|closed| closed.data) {
+            self.resident_bytes -= data.capacity();
+            if self.spare.len() < 2 && data.capacity() <= MAX_RESIDENT_BYTES / 16 {
+                self.spare.push(data);
+            }
+        }
+    }
+
+    /// Loads the bytes of an open segment again if they were dropped.
+    fn reload(&mut self, number: usize) -> Result<(), RecordingError> {
+        let (Some(open), Some(segment)) = (self.open.get_mut(&number), self.index.segments.get(number))
+        else {
+            return Ok(());
+        };
+        if open.data.is_some() {
+            return Ok(());
+        }
+        let mut data = Vec::new();
+        let mut counted_before = RepairLog::default();
+        load(segment, &mut self.file, &mut self.packed, &mut data, &mut counted_before)?;
+        self.resident_bytes += data.capacity();
+        open.data = Some(data);
+        self.make_room(number);
+        Ok(())
+    }
+
+    /// Drops the bytes of segments that are needed last until the rest fits; `keep` stays.
+    fn make_room(&mut self, keep: usize) {
+        while self.resident_bytes > MAX_RESIDENT_BYTES {
+            let next_time = |open: &OpenSegment| open.entries.get(open.next).map(|entry| entry.nanoseconds);
+            let others =
+                self.open.iter_mut().filter(|(number, open)| **number != keep && open.data.is_some());
+            let Some((_, last)) = others.max_by_key(|(_, open)| next_time(open)) else { break };
+            if let Some(data) = last.data.take() {
+                self.resident_bytes -= data.capacity();
+            }
+        }
+    }
+}

@@ -1,0 +1,220 @@
+//! Opening recordings of any format, told apart by content.
+
+use std::io::{self, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::container::Source;
+use crate::merge::MergedRecording;
+use crate::repairs::RepairLog;
+use crate::ros2::{db3, folder, mcap};
+use crate::{Recording, RecordingError, open_text_log, open_text_log_bytes, ros1};
+
+/// What can be opened, for error messages.
+const SUPPORTED: &str = "supported are ROS 1 bags (format 2.0), ROS 2 bags (MCAP or SQLite, a file or a folder \
+    with metadata.yaml), the same wrapped in zstd, gzip or bzip2, and CARMEN and CoreSLAM logs";
+
+/// How much of a file is looked at to tell its format.
+const PREFIX_BYTES: usize = 64;
+
+/// Opens a recording: a bag, an MCAP file, an SQLite database of ROS 2, a text log, any of them compressed
+/// as a whole, or a folder with the files of one recording. Extensions do not matter.
+///
+/// # Errors
+/// Fails if the file cannot be read, is of no known format, is encrypted, or holds nothing readable.
+pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn Recording>, RecordingError> {
+    let path = path.as_ref();
+    if path.is_dir() {
+        return open_folder(path);
+    }
+    let source = Source::File(path.into());
+    let prefix = source.open()?.peek(0, PREFIX_BYTES)?.to_vec();
+    if let Some(recording) = open_container(&source, &prefix)? {
+        return Ok(recording);
+    }
+    if let Some(wrapper) = Wrapper::sniff(&prefix)
+        && container_of(&wrapped_prefix(path, wrapper)?).is_some()
+    {
+        return open_wrapped(path, wrapper);
+    }
+    match open_text_log(path)? {
+        Some(recording) => Ok(recording),
+        None => Err(unknown(path, &prefix)),
+    }
+}
+
+/// Opens several recordings as one, for example the parts of a split bag: merged by log time, at equal
+/// times in the order given.
+///
+/// # Errors
+/// Fails if one of them cannot be opened, or if there is none.
+pub fn open_all<P: AsRef<Path>>(paths: &[P]) -> Result<Box<dyn Recording>, RecordingError> {
+    match paths {
+        [] => Err(RecordingError::Description { detail: "no recording was named".to_owned() }),
+        [path] => open(path),
+        paths => {
+            let parts = paths.iter().map(open).collect::<Result<_, _>>()?;
+            Ok(Box::new(MergedRecording::new(parts, Vec::new())))
+        }
+    }
+}
+
+/// Opens a bag, MCAP file, database or text log whose bytes lie in memory. `name` is used in messages.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_bytes(name: impl AsRef<Path>, bytes: Arc<[u8]>) -> Result<Box<dyn Recording>, RecordingError> {
+    let name = name.as_ref();
+    let prefix = bytes.get(..PREFIX_BYTES).unwrap_or(&bytes).to_vec();
+    let source = Source::Memory { name: name.into(), bytes };
+    if let Some(recording) = open_container(&source, &prefix)? {
+        return Ok(recording);
+    }
+    let Source::Memory { bytes, .. } = source else { return Err(unknown(name, &prefix)) };
+    open_text_log_bytes(name, &bytes)?.ok_or_else(|| unknown(name, &prefix))
+}
+
+#[derive(Clone, Copy)]
+enum Container {
+    Bag,
+    Mcap,
+    Db3,
+}
+
+fn container_of(prefix: &[u8]) -> Option<Container> {
+    if ros1::sniff(prefix) {
+        Some(Container::Bag)
+    } else if mcap::sniff(prefix) {
+        Some(Container::Mcap)
+    } else if db3::sniff(prefix) {
+        Some(Container::Db3)
+    } else {
+        None
+    }
+}
+
+fn open_container(source: &Source, prefix: &[u8]) -> Result<Option<Box<dyn Recording>>, RecordingError> {
+    Ok(match container_of(prefix) {
+        Some(Container::Bag) => Some(ros1::open(source.clone())?),
+        Some(Container::Mcap) => Some(mcap::open(source.clone())?),
+        Some(Container::Db3) => Some(db3::open(source.clone())?),
+        None => None,
+    })
+}
+
+/// Opens the files of a folder. A file that cannot be read is a counted loss unless all are.
+fn open_folder(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
+    let Some(found) = folder::files(path, &is_container)? else {
+        return Err(RecordingError::UnknownFormat {
+            path: path.to_owned(),
+            detail: format!("the folder holds no file of a known format; {SUPPORTED}"),
+        });
+    };
+    let mut repairs = RepairLog::default();
+    repairs.merge(&found.repairs);
+    let (mut parts, mut first_error) = (Vec::new(), None);
+    for file in &found.files {
+        match open(file) {
+            Ok(part) => parts.push(part),
+            Err(error) => {
+                repairs.lost(format!("a file of the recording was left out: {error}"));
+                first_error.get_or_insert(error);
+            }
+        }
+    }
+    match first_error {
+        Some(error) if parts.is_empty() => Err(error),
+        _ => Ok(Box::new(MergedRecording::new(parts, repairs.list()))),
+    }
+}
+
+/// Whether a file is a bag, MCAP file or database, wrapped or not.
+fn is_container(path: &Path) -> bool {
+    let prefix =
+        Source::File(path.into()).open().and_then(|mut file| Ok(file.peek(0, PREFIX_BYTES)?.to_vec()));
+    let Ok(prefix) = prefix else { return false };
+    let inner = Wrapper::sniff(&prefix).and_then(|wrapper| wrapped_prefix(path, wrapper).ok());
+    container_of(&prefix).is_some() || inner.is_some_and(|inner| container_of(&inner).is_some())
+}
+
+/// Compression of a whole file.
+#[derive(Clone, Copy)]
+enum Wrapper {
+    Zstd,
+    Gzip,
+    Bzip2,
+}
+
+impl Wrapper {
+    fn sniff(prefix: &[u8]) -> Option<Self> {
+        match prefix {
+            [0x28, 0xb5, 0x2f, 0xfd, ..] => Some(Self::Zstd),
+            [0x1f, 0x8b, ..] => Some(Self::Gzip),
+            [b'B', b'Z', b'h', ..] => Some(Self::Bzip2),
+            _ => None,
+        }
+    }
+
+    fn reader(self, path: &Path) -> io::Result<Box<dyn Read>> {
+        let file = BufReader::with_capacity(1 << 16, std::fs::File::open(path)?);
+        Ok(match self {
+            Self::Zstd => Box::new(zstd::stream::read::Decoder::with_buffer(file)?),
+            Self::Gzip => Box::new(flate2::bufread::MultiGzDecoder::new(file)),
+            Self::Bzip2 => Box::new(bzip2::bufread::MultiBzDecoder::new(file)),
+        })
+    }
+}
+
+/// The first decompressed bytes of a file; fewer if it is damaged.
+fn wrapped_prefix(path: &Path, wrapper: Wrapper) -> Result<Vec<u8>, RecordingError> {
+    let mut prefix = Vec::new();
+    let reader = wrapper.reader(path).map_err(|error| io_error(path, error))?;
+    // What cannot be decompressed is no container.
+    let _ = reader.take(PREFIX_BYTES as u64).read_to_end(&mut prefix);
+    Ok(prefix)
+}
+
+/// Containers are read at random places, so that a compressed one is unpacked into a temporary file first.
+fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, RecordingError> {
+    let mut repairs = RepairLog::default();
+    let mut unpacked = tempfile::NamedTempFile::new().map_err(|error| io_error(path, error))?;
+    let mut reader = wrapper.reader(path).map_err(|error| io_error(path, error))?;
+    let mut block = vec![0; 1 << 16];
+    loop {
+        match reader.read(&mut block) {
+            Ok(0) => break,
+            Ok(count) => io::Write::write_all(&mut unpacked, block.get(..count).unwrap_or_default())
+                .map_err(|error| io_error(path, error))?,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(_) => {
+                repairs
+                    .lost("the compressed file is damaged or cut off; what could be decompressed was read");
+                break;
+            }
+        }
+    }
+    let file = Arc::new(unpacked.into_temp_path());
+    let source = Source::Unpacked { original: path.into(), file };
+    let prefix = source.open()?.peek(0, PREFIX_BYTES)?.to_vec();
+    let recording = open_container(&source, &prefix)?.ok_or_else(|| unknown(path, &prefix))?;
+    Ok(Box::new(MergedRecording::new(vec![recording], repairs.list())))
+}
+
+fn io_error(path: &Path, source: io::Error) -> RecordingError {
+    RecordingError::Io { path: path.to_owned(), source }
+}
+
+fn unknown(path: &Path, prefix: &[u8]) -> RecordingError {
+    let found = match prefix {
+        [] => "the file is empty",
+        [0xdb, 0x01, 0xf5, 0x5b, ..] => "it is a map (pbstream), not a recording",
+        [0xd4, 0xc3, 0xb2, 0xa1, ..] | [0xa1, 0xb2, 0xc3, 0xd4, ..] | [0x0a, 0x0d, 0x0d, 0x0a, ..] => {
+            "it is a capture of network packets"
+        }
+        prefix if prefix.starts_with(b"version https://git-lfs") => {
+            "it is only the pointer of a git LFS file (run `git lfs pull`)"
+        }
+        _ => "its content is of no known format",
+    };
+    RecordingError::UnknownFormat { path: PathBuf::from(path), detail: format!("{found}; {SUPPORTED}") }
+}

@@ -1,0 +1,276 @@
+//! From a bag to the segments that hold its messages.
+//!
+//! The file is always walked record by record; a whole index at its end only spares reading the index
+//! records behind each chunk. So there is one way of opening bags, whether they are whole or damaged.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::record::{BagFormat, Head, Op, parse_head, peek_head};
+use super::tail::{Tail, TailState, parse_connection, read_connection};
+use crate::RecordingError;
+use crate::container::{
+    ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment, load,
+    walk,
+};
+use crate::repairs::RepairLog;
+
+/// Finds everything between `start` and the index.
+pub(crate) fn scan(file: &mut FileBytes, start: u64, tail: Tail) -> Result<ChunkIndex, RecordingError> {
+    let mut scan = Scan {
+        file,
+        index: ChunkIndex { connections: tail.connections, ..ChunkIndex::default() },
+        chunks: tail.chunks,
+        chunks_end: tail.chunks_end,
+        loose: LooseRun::default(),
+        pending: None,
+        visited_chunks: 0,
+    };
+    match tail.state {
+        TailState::Whole => {}
+        TailState::Missing => scan
+            .index
+            .repairs
+            .repaired("the recording was not ended properly and has no index; the file was scanned instead"),
+        TailState::Damaged => {
+            scan.index.repairs.repaired("the index is damaged; the file was scanned instead");
+        }
+    }
+    scan.run(start)?;
+    let mut index = scan.index;
+    index.sort();
+    Ok(index)
+}
+
+struct Scan<'a> {
+    file: &'a mut FileBytes,
+    index: ChunkIndex,
+    chunks: BTreeMap<u64, super::tail::ChunkInfo>,
+    chunks_end: u64,
+    loose: LooseRun,
+    pending: Option<PendingChunk>,
+    visited_chunks: usize,
+}
+
+/// A chunk whose index records are being read.
+struct PendingChunk {
+    segment: Segment,
+    counts: BTreeMap<u32, u64>,
+    sound: bool,
+}
+
+/// Size of an index record as every known writer writes it, without its entries of 12 bytes each.
+const INDEX_RECORD_BYTES: u64 = 55;
+/// More index for one chunk (millions of messages) is not believed.
+const MAX_INDEX_BYTES: u64 = 1 << 26;
+
+impl Scan<'_> {
+    fn run(&mut self, start: u64) -> Result<(), RecordingError> {
+        let mut at = start;
+        while at < self.chunks_end {
+            let Some(head) = peek_head(self.file, at)? else {
+                match self.find_record(at + 1)? {
+                    Some(next) => {
+                        self.index.repairs.lost("unreadable bytes between records were skipped");
+                        at = next;
+                        continue;
+                    }
+                    None => {
+                        self.index.repairs.lost("the file ends in the middle of a record");
+                        break;
+                    }
+                }
+            };
+            if head.op != Op::Index {
+                self.finish_pending()?;
+            }
+            at = self.record(at, &head)?;
+        }
+        self.finish_pending()?;
+        self.loose.flush(&mut self.index);
+        if self.visited_chunks < self.chunks.len() {
+            self.index.repairs.lost("chunks that the index mentions are not there");
+        }
+        Ok(())
+    }
+
+    /// Takes one record in; returns where the next one starts.
+    fn record(&mut self, at: u64, head: &Head) -> Result<u64, RecordingError> {
+        let end = at + head.record_bytes();
+        let fits = end <= self.chunks_end;
+        match head.op {
+            Op::Chunk => return self.chunk(at, head),
+            Op::Index => return self.index_record(at, head),
+            Op::Message if !fits => {}
+            Op::Message => {
+                self.loose.add(&mut self.index, (at, head.record_bytes()), (head.connection, head.time));
+            }
+            Op::Connection if fits => {
+                if !read_connection(self.file, at, head, &mut self.index.connections)? {
+                    self.index.repairs.lost("the description of a topic is malformed");
+                }
+            }
+            Op::Connection | Op::BagHeader | Op::ChunkInfo => {}
+        }
+        if fits {
+            return Ok(end);
+        }
+        // Its length is a lie, or the file ends here: look for more behind its header.
+        let next = self.find_record(at + head.data_start)?;
+        self.index.repairs.lost("a record that claims to be longer than the file was skipped");
+        Ok(next.unwrap_or(self.chunks_end))
+    }
+
+    fn chunk(&mut self, at: u64, head: &Head) -> Result<u64, RecordingError> {
+        let data = at + head.data_start;
+        let mut stored_bytes = head.data_bytes;
+        let Some(compression) = head.compression else {
+            self.index.repairs.lost("a chunk with an unknown compression was skipped");
+            return Ok((at + head.record_bytes()).min(self.chunks_end));
+        };
+        let next_chunk = self.chunks.range(at + 1..).next().map_or(self.chunks_end, |(offset, _)| *offset);
+        let lies = data + stored_bytes > next_chunk
+            || (compression == Compression::None && stored_bytes != u64::from(head.size));
+        if compression == Compression::None && (lies || stored_bytes > MAX_SEGMENT_BYTES) {
+            // Its records are as good outside of it.
+            if lies {
+                self.index.repairs.repaired("a chunk of a wrong length was read record by record");
+            }
+            return Ok(data);
+        }
+        if lies {
+            stored_bytes = self.find_record(data)?.unwrap_or(self.chunks_end).min(next_chunk) - data;
+        }
+        let segment = Segment {
+            offset: data,
+            stored_bytes,
+            unpacked_bytes: u64::from(head.size), // the same as stored if it is not compressed
+            compression,
+            crc: 0,
+            first: u64::MAX,
+            last: 0,
+            connections: None,
+        };
+        let end = data + stored_bytes;
+        if let Some(info) = self.chunks.get(&at) {
+            self.visited_chunks += 1;
+            let entries: u64 = info.counts.iter().map(|(_, n)| INDEX_RECORD_BYTES + 12 * u64::from(*n)).sum();
+            let next = end + entries;
+            if next == self.chunks_end || self.chunks.contains_key(&next) {
+                let (first, last) = (info.first, info.last);
+                let counts = info.counts.iter().map(|(id, n)| (*id, u64::from(*n))).collect();
+                self.push(Segment { first, last, ..segment }, &counts);
+                return Ok(next);
+            }
+        }
+        self.pending = Some(PendingChunk { segment, counts: BTreeMap::new(), sound: true });
+        Ok(end)
+    }
+
+    /// Takes in the index record of one connection of the chunk before it.
+    fn index_record(&mut self, at: u64, head: &Head) -> Result<u64, RecordingError> {
+        let data = at + head.data_start;
+        let entry_bytes = 12 * u64::from(head.count);
+        let mut end = data + head.data_bytes;
+        if entry_bytes != head.data_bytes {
+            // Some recorders wrote a wrong length: see at which of the two places a record follows.
+            let right = data + entry_bytes;
+            let follows = right == self.chunks_end || peek_head(self.file, right)?.is_some();
+            if follows {
+                end = right;
+            }
+            self.index
+                .repairs
+                .repaired("an index record with a wrong length was read by its number of entries");
+        }
+        let Some(pending) = &mut self.pending else { return Ok(end) };
+        let mut entries = Vec::new();
+        if entry_bytes <= MAX_INDEX_BYTES {
+            self.file.read(data, entry_bytes.min(end - data), &mut entries)?;
+        }
+        if entries.len() as u64 != entry_bytes || end > self.chunks_end {
+            pending.sound = false;
+        }
+        for time in entries.chunks_exact(12).filter_map(|entry| super::record::time_value(entry.get(..8)?)) {
+            pending.segment.first = pending.segment.first.min(time);
+            pending.segment.last = pending.segment.last.max(time);
+        }
+        *pending.counts.entry(head.connection).or_default() += u64::from(head.count);
+        Ok(end)
+    }
+
+    /// Ends the chunk before the current record. Without sound index records, or if they name unknown
+    /// connections, it is decompressed to see what is in it.
+    fn finish_pending(&mut self) -> Result<(), RecordingError> {
+        let Some(mut pending) = self.pending.take() else { return Ok(()) };
+        let known = |id: &u32| self.index.connections.contains_key(id);
+        if !pending.sound || pending.counts.is_empty() || !pending.counts.keys().all(known) {
+            self.look_inside(&mut pending)?;
+        }
+        if !pending.counts.is_empty() {
+            self.push(pending.segment, &pending.counts);
+        }
+        Ok(())
+    }
+
+    fn look_inside(&mut self, pending: &mut PendingChunk) -> Result<(), RecordingError> {
+        let (mut packed, mut data) = (Vec::new(), Vec::new());
+        let segment = &mut pending.segment;
+        let mut damage = RepairLog::default();
+        load(segment, self.file, &mut packed, &mut data, &mut damage)?;
+        pending.counts.clear();
+        (segment.first, segment.last) = (u64::MAX, 0);
+        let connections = &mut self.index.connections;
+        let gaps = walk(&BagFormat, &data, |record| match record.content {
+            Content::Message { connection, nanoseconds, .. } => {
+                segment.first = segment.first.min(nanoseconds);
+                segment.last = segment.last.max(nanoseconds);
+                *pending.counts.entry(connection).or_default() += 1;
+            }
+            Content::Description(range) => {
+                let Some(bytes) = data.get(range) else { return };
+                let described = parse_head(bytes).and_then(|head| {
+                    let connection = parse_connection(&head.topic, bytes.get(head.data_start as usize..)?)?;
+                    Some((head.connection, connection))
+                });
+                if let Some((id, connection)) = described {
+                    connections.entry(id).or_insert(connection);
+                }
+            }
+            Content::Other => {}
+        });
+        // Otherwise the pass that reads the chunk counts what is wrong with it.
+        if pending.counts.is_empty() && (gaps > 0 || !damage.list().is_empty()) {
+            self.index.repairs.lost("a chunk from which nothing could be read was skipped");
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, mut segment: Segment, counts: &BTreeMap<u32, u64>) {
+        let counts = counts.iter().filter(|(_, messages)| **messages > 0);
+        let connections: Arc<[u32]> = counts.clone().map(|(id, _)| *id).collect();
+        counts.for_each(|(id, messages)| self.index.count(*id, *messages));
+        if !connections.is_empty() {
+            segment.connections = Some(connections);
+            self.index.push(segment);
+        }
+    }
+
+    /// Where the next record starts that looks sound, at or behind `from`.
+    fn find_record(&mut self, from: u64) -> Result<Option<u64>, RecordingError> {
+        // Blocks overlap by more than a header, and grow because most often the next record is near.
+        const OVERLAP: u64 = 1 << 11;
+        let mut block_bytes = 1 << 13;
+        let mut block = Vec::new();
+        let mut at = from;
+        while at < self.chunks_end {
+            self.file.read(at, self.chunks_end.saturating_sub(at).min(block_bytes), &mut block)?;
+            if let Some(found) = BagFormat.find_record(&block, 0) {
+                return Ok(Some(at + found as u64));
+            }
+            at += block_bytes - OVERLAP;
+            block_bytes = (2 * block_bytes).min(1 << 18);
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,177 @@
+//! Reading the messages of a database in order of log time.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use portolan_geometry::Time;
+
+use super::database::{Database, MessageRow};
+use crate::container::{Connection, MessageDecoder};
+use crate::repairs::RepairLog;
+use crate::{MessageReader, RecordedMessage, RecordingError, Repair};
+
+/// So many places of messages are fetched at once; their data one by one.
+const BATCH: i64 = 512;
+/// A damaged table is given up after so many unreadable rows in a row.
+const MAX_UNREADABLE_ROWS: u32 = 1 << 16;
+
+/// How the next messages are found.
+enum Order {
+    /// The database's index of times; last key delivered.
+    Index((i64, i64)),
+    /// A sorted temporary table; last place delivered.
+    Sorted(i64),
+    /// Damage: row by row from this row, leaving out what came at or before the key.
+    Rows {
+        after: i64,
+        delivered: (i64, i64),
+    },
+    Done,
+}
+
+/// One pass over a database.
+pub(super) struct Db3Reader {
+    database: Database,
+    /// Topics by number; `None` for those not wanted.
+    topics: BTreeMap<i64, Option<Connection>>,
+    order: Order,
+    batch: VecDeque<MessageRow>,
+    decoder: MessageDecoder,
+    time_range: Option<(i64, i64)>,
+    size_bytes: u64,
+    last_time: i64,
+    repairs: RepairLog,
+}
+
+impl Db3Reader {
+    pub(super) fn new(
+        database: Database,
+        topics: BTreeMap<i64, Option<Connection>>,
+        time_range: Option<(i64, i64)>,
+        size_bytes: u64,
+        repairs: RepairLog,
+    ) -> Self {
+        let start = (i64::MIN, i64::MIN);
+        let order = if database.has_time_index() {
+            Order::Index(start)
+        } else if database.sort_by_time().is_ok() {
+            Order::Sorted(i64::MIN)
+        } else {
+            Order::Rows { after: i64::MIN, delivered: start }
+        };
+        Self {
+            database,
+            topics,
+            order,
+            batch: VecDeque::new(),
+            decoder: MessageDecoder::default(),
+            time_range,
+            size_bytes,
+            last_time: i64::MIN,
+            repairs,
+        }
+    }
+
+    /// Fetches further places of messages; none at the end.
+    fn fill(&mut self) {
+        let delivered = match &mut self.order {
+            Order::Index(after) => match self.database.batch_by_index(*after, BATCH) {
+                Ok(batch) => {
+                    *after = batch.last().map_or(*after, |last| (last.timestamp, last.row));
+                    self.batch = batch.into();
+                    return;
+                }
+                Err(_) => *after,
+            },
+            Order::Sorted(after) => match self.database.batch_by_order(*after, BATCH) {
+                Ok(batch) => {
+                    *after = batch.last().map_or(*after, |(place, _)| *place);
+                    self.batch = batch.into_iter().map(|(_, row)| row).collect();
+                    return;
+                }
+                // Rows behind the last one delivered: what came before is in order of time.
+                Err(_) => (self.last_time, i64::MAX),
+            },
+            Order::Rows { .. } => return self.fill_by_rows(),
+            Order::Done => return,
+        };
+        self.repairs.lost("the database is damaged; what is readable in it was read row by row");
+        self.order = Order::Rows { after: i64::MIN, delivered };
+        self.fill_by_rows();
+    }
+
+    fn fill_by_rows(&mut self) {
+        let Order::Rows { after, delivered } = &mut self.order else { return };
+        let mut unreadable = 0;
+        while (self.batch.len() as i64) < BATCH {
+            match self.database.next_row(*after) {
+                Ok(Some(row)) => {
+                    *after = row.row;
+                    unreadable = 0;
+                    if (row.timestamp, row.row) > *delivered {
+                        self.batch.push_back(row);
+                    }
+                }
+                Err(_) if unreadable < MAX_UNREADABLE_ROWS => {
+                    unreadable += 1;
+                    *after = (*after).max(0).saturating_add(1);
+                }
+                Ok(None) | Err(_) => {
+                    self.order = Order::Done;
+                    return;
+                }
+            }
+        }
+    }
+
+    fn decode(&mut self, row: MessageRow) -> Option<RecordedMessage> {
+        let Some(connection) = self.topics.get(&row.topic) else {
+            self.repairs.lost("messages of a topic that is nowhere described were dropped");
+            return None;
+        };
+        let connection = connection.as_ref()?;
+        let (decoder, repairs) = (&mut self.decoder, &mut self.repairs);
+        let decoded = self.database.with_data(row.row, |data| decoder.decode(connection, data, repairs));
+        let Ok(message) = decoded else {
+            self.repairs
+                .lost(format!("a message on {} could not be read from the database", connection.topic));
+            return None;
+        };
+        let log_time = Time::from_unix_nanoseconds(row.timestamp);
+        message.map(|message| RecordedMessage { topic: connection.topic.clone(), log_time, message })
+    }
+}
+
+impl MessageReader for Db3Reader {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
+        loop {
+            if self.batch.is_empty() {
+                self.fill();
+            }
+            let Some(row) = self.batch.pop_front() else {
+                self.order = Order::Done;
+                self.last_time = i64::MAX;
+                return Ok(None);
+            };
+            let message = self.decode(row);
+            if row.timestamp < self.last_time {
+                self.repairs.repaired("a message of a damaged database came out of order");
+            }
+            self.last_time = self.last_time.max(row.timestamp);
+            if message.is_some() {
+                return Ok(message);
+            }
+        }
+    }
+
+    /// Rows do not tell where they lie; time tells how far the pass is.
+    fn position_bytes(&self) -> u64 {
+        let Some((first, last)) = self.time_range.filter(|(first, last)| first < last) else { return 0 };
+        let (first, last) = (first as f64, last as f64);
+        let share = ((self.last_time as f64 - first) / (last - first)).clamp(0.0, 1.0);
+        (share * self.size_bytes as f64) as u64
+    }
+
+    fn repairs(&self) -> Vec<Repair> {
+        self.repairs.list()
+    }
+}

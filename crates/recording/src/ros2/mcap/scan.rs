@@ -1,0 +1,337 @@
+//! From an MCAP file to the segments that hold its messages.
+//!
+//! As with bags, the file is always walked record by record, and a whole summary only spares looking at
+//! the message indexes behind each chunk.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use super::record::{
+    CHANNEL, CHUNK, Channels, ChunkHead, DATA_END, FOOTER, MESSAGE, MESSAGE_HEAD_BYTES, MESSAGE_INDEX,
+    McapFormat, PeekedRecord, RECORD_HEAD_BYTES, SCHEMA, Text, peek,
+};
+use super::summary::{ChunkPlace, Summary, SummaryState};
+use crate::RecordingError;
+use crate::container::{
+    ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment, load,
+    walk,
+};
+use crate::repairs::RepairLog;
+
+/// Enough of a record to see what it is.
+const PEEK_BYTES: usize = 256;
+/// Larger schemas and channels are not believed.
+const MAX_DESCRIPTION_BYTES: u64 = 1 << 24;
+
+/// Finds everything between `start` and the summary; also returns the channels that exist.
+pub(crate) fn scan(
+    file: &mut FileBytes,
+    start: u64,
+    summary: Summary,
+) -> Result<(ChunkIndex, BTreeSet<u16>), RecordingError> {
+    // Counts of all channels come from the statistics, or from looking at every message index.
+    let trusted = summary.statistics.as_ref().is_some_and(|statistics| {
+        let counted: u64 = statistics.counts.values().fold(0, |sum, n| sum.saturating_add(*n));
+        statistics.chunk_count as usize == summary.chunks.len() && counted == statistics.message_count
+    });
+    let mut scan = Scan {
+        file,
+        index: ChunkIndex::default(),
+        end: summary.data_end,
+        summary,
+        trusted,
+        loose: LooseRun::default(),
+        pending: None,
+        visited_chunks: 0,
+    };
+    match scan.summary.state {
+        SummaryState::Whole | SummaryState::Absent => {}
+        SummaryState::CutOff => {
+            let what =
+                "the recording was not ended properly and has no summary; the file was scanned instead";
+            scan.index.repairs.repaired(what);
+        }
+        SummaryState::Damaged => {
+            scan.index.repairs.repaired("the summary is damaged; the file was scanned instead");
+        }
+    }
+    scan.run(start)?;
+    let Scan { mut index, summary, .. } = scan;
+    index.connections = summary.channels.connections;
+    if let (true, Some(statistics)) = (trusted, summary.statistics) {
+        index.counts = statistics.counts;
+    }
+    index.sort();
+    let channels = index.connections.keys().filter_map(|id| u16::try_from(*id).ok()).collect();
+    Ok((index, channels))
+}
+
+struct Scan<'a> {
+    file: &'a mut FileBytes,
+    index: ChunkIndex,
+    summary: Summary,
+    trusted: bool,
+    end: u64,
+    loose: LooseRun,
+    pending: Option<PendingChunk>,
+    visited_chunks: usize,
+}
+
+/// A chunk whose message indexes are being read.
+struct PendingChunk {
+    segment: Segment,
+    counts: BTreeMap<u32, u64>,
+    sound: bool,
+}
+
+impl Scan<'_> {
+    fn run(&mut self, start: u64) -> Result<(), RecordingError> {
+        let mut at = start;
+        while at < self.end {
+            let record = peek(self.file, at, PEEK_BYTES)?;
+            let left = self.end - at;
+            let known = |op| (1..=DATA_END).contains(&op) || op >= 0x80;
+            let record = match record.filter(|record| known(record.op)) {
+                Some(record) if record.op == CHUNK || record.record_bytes <= left => record,
+                _ => match self.find_record(at + 1)? {
+                    Some(next) => {
+                        self.index.repairs.lost("unreadable bytes between records were skipped");
+                        at = next;
+                        continue;
+                    }
+                    None => {
+                        self.index.repairs.lost("the file ends in the middle of a record");
+                        break;
+                    }
+                },
+            };
+            if record.op != MESSAGE_INDEX {
+                self.finish_pending()?;
+            }
+            if matches!(record.op, DATA_END | FOOTER) {
+                break;
+            }
+            at = self.record(at, &record)?;
+        }
+        self.finish_pending()?;
+        self.loose.flush(&mut self.index);
+        if self.visited_chunks < self.summary.chunks.len() {
+            self.index.repairs.lost("chunks that the summary mentions are not there");
+        }
+        Ok(())
+    }
+
+    /// Takes one record in; returns where the next one starts.
+    fn record(&mut self, at: u64, record: &PeekedRecord) -> Result<u64, RecordingError> {
+        let end = at.saturating_add(record.record_bytes);
+        match record.op {
+            CHUNK => return self.chunk(at, record),
+            MESSAGE_INDEX => self.message_index(record),
+            SCHEMA | CHANNEL => {
+                let length = record.record_bytes - RECORD_HEAD_BYTES as u64;
+                let mut content = Vec::new();
+                if length <= MAX_DESCRIPTION_BYTES {
+                    self.file.read(at + RECORD_HEAD_BYTES as u64, length, &mut content)?;
+                }
+                let channels = &mut self.summary.channels;
+                let sound = if record.op == SCHEMA {
+                    channels.add_schema(&content)
+                } else {
+                    channels.add_channel(&content)
+                };
+                if !sound {
+                    self.index.repairs.lost("the description of a topic is malformed");
+                }
+            }
+            MESSAGE => {
+                let mut text = Text::new(&record.content);
+                match (text.u16(), text.u32(), text.u64(), text.u64()) {
+                    (Some(channel), Some(_), Some(time), Some(_)) => {
+                        let place = (at, record.record_bytes);
+                        self.loose.add(&mut self.index, place, (u32::from(channel), time));
+                    }
+                    _ => self.index.repairs.lost("damaged records were skipped"),
+                }
+            }
+            _ => {} // attachments, metadata
+        }
+        Ok(end)
+    }
+
+    fn chunk(&mut self, at: u64, record: &PeekedRecord) -> Result<u64, RecordingError> {
+        let content = at + RECORD_HEAD_BYTES as u64;
+        let Some(head) = ChunkHead::parse(&record.content) else {
+            self.index.repairs.lost("unreadable bytes between records were skipped");
+            return Ok(self.find_record(at + 1)?.unwrap_or(self.end));
+        };
+        let data = content + head.records_start;
+        let place = self.summary.chunks.get(&at).cloned();
+        self.visited_chunks += usize::from(place.is_some());
+        let next_chunk = self.summary.chunks.range(at + 1..).next().map_or(self.end, |(offset, _)| *offset);
+        // The length stands twice in a chunk: an intact one agrees with itself and with what follows.
+        let record_end = at.saturating_add(record.record_bytes);
+        let mut data_end = data.saturating_add(head.records_bytes);
+        let lies = data_end != record_end || data_end > next_chunk;
+        let Some(compression) = head.compression else {
+            self.index.repairs.lost("a chunk with an unknown compression was skipped");
+            return Ok(record_end.min(next_chunk));
+        };
+        if compression == Compression::None && (lies || head.records_bytes > MAX_SEGMENT_BYTES) {
+            // Its records are as good outside of it.
+            if lies {
+                self.index.repairs.repaired("a chunk of a wrong length was read record by record");
+            }
+            return Ok(data);
+        }
+        if lies {
+            let whole =
+                [data_end, record_end].into_iter().filter(|end| (data..=next_chunk).contains(end)).min();
+            data_end = match whole {
+                Some(end) => end,
+                None => self.find_record(data)?.unwrap_or(self.end).min(next_chunk),
+            };
+        }
+        let segment = Segment {
+            offset: data,
+            stored_bytes: data_end - data,
+            unpacked_bytes: head.unpacked_bytes,
+            compression,
+            crc: head.crc,
+            first: head.first,
+            last: head.last,
+            connections: None,
+        };
+        // A chunk without messages has no times either.
+        let has_times = head.last > 0;
+        let sound = |place: &ChunkPlace| {
+            self.trusted
+                && !lies
+                && place.chunk_bytes == record.record_bytes
+                && (has_times || !place.channels.is_empty())
+        };
+        if let Some(place) = place.filter(sound) {
+            let next = data_end.saturating_add(place.message_index_bytes);
+            // Without message indexes it is not known which channels a chunk holds.
+            let connections = (!place.channels.is_empty()).then(|| Arc::from(place.channels));
+            if next <= next_chunk {
+                self.index.push(Segment { connections, ..segment });
+                return Ok(next);
+            }
+        }
+        self.pending = Some(PendingChunk { segment, counts: BTreeMap::new(), sound: !lies });
+        Ok(data_end)
+    }
+
+    /// Takes in the message index of one channel of the chunk before it.
+    fn message_index(&mut self, record: &PeekedRecord) {
+        let Some(pending) = &mut self.pending else { return };
+        let mut text = Text::new(&record.content);
+        let content_bytes = record.record_bytes - RECORD_HEAD_BYTES as u64;
+        match (text.u16(), text.u32()) {
+            (Some(channel), Some(bytes)) if u64::from(bytes) + 6 == content_bytes && bytes % 16 == 0 => {
+                *pending.counts.entry(u32::from(channel)).or_default() += u64::from(bytes) / 16;
+            }
+            _ => pending.sound = false,
+        }
+    }
+
+    /// Ends the chunk before the current record. Without sound message indexes, or if they name unknown
+    /// channels, it is decompressed to see what is in it.
+    fn finish_pending(&mut self) -> Result<(), RecordingError> {
+        let Some(mut pending) = self.pending.take() else { return Ok(()) };
+        let known = |id: &u32| self.summary.channels.connections.contains_key(id);
+        if !pending.sound || pending.counts.is_empty() || !pending.counts.keys().all(known) {
+            self.look_inside(&mut pending)?;
+        }
+        let counts = pending.counts.iter().filter(|(_, messages)| **messages > 0);
+        let connections: Arc<[u32]> = counts.clone().map(|(id, _)| *id).collect();
+        counts.for_each(|(id, messages)| self.index.count(*id, *messages));
+        if !connections.is_empty() {
+            pending.segment.connections = Some(connections);
+            self.index.push(pending.segment);
+        }
+        Ok(())
+    }
+
+    fn look_inside(&mut self, pending: &mut PendingChunk) -> Result<(), RecordingError> {
+        let (mut packed, mut data) = (Vec::new(), Vec::new());
+        let segment = &mut pending.segment;
+        let mut damage = RepairLog::default();
+        load(segment, self.file, &mut packed, &mut data, &mut damage)?;
+        pending.counts.clear();
+        (segment.first, segment.last) = (u64::MAX, 0);
+        let channels = &mut self.summary.channels;
+        let format = McapFormat { channels: BTreeSet::new() };
+        let gaps = walk(&format, &data, |record| match record.content {
+            Content::Message { connection, nanoseconds, .. } => {
+                segment.first = segment.first.min(nanoseconds);
+                segment.last = segment.last.max(nanoseconds);
+                *pending.counts.entry(connection).or_default() += 1;
+            }
+            Content::Description(range) => {
+                channels.add_record(data.get(range).unwrap_or_default());
+            }
+            Content::Other => {}
+        });
+        // Otherwise the pass that reads the chunk counts what is wrong with it.
+        if pending.counts.is_empty() && (gaps > 0 || !damage.list().is_empty()) {
+            self.index.repairs.lost("a chunk from which nothing could be read was skipped");
+        }
+        Ok(())
+    }
+
+    /// Where the next record starts that looks sound, at or behind `from`.
+    fn find_record(&mut self, from: u64) -> Result<Option<u64>, RecordingError> {
+        const OVERLAP: u64 = 1 << 10;
+        let mut block_bytes = 1 << 13;
+        let mut block = Vec::new();
+        let mut at = from;
+        while at < self.end {
+            let left = self.end.saturating_sub(at);
+            self.file.read(at, left.min(block_bytes), &mut block)?;
+            let connections = self.summary.channels.connections.keys();
+            let channels = connections.filter_map(|id| u16::try_from(*id).ok()).collect();
+            let format = McapFormat { channels };
+            if let Some(found) =
+                (0..block.len()).find(|place| plausible(&block[*place..], left - *place as u64, &format))
+            {
+                return Ok(Some(at + found as u64));
+            }
+            at += block_bytes - OVERLAP;
+            block_bytes = (2 * block_bytes).min(1 << 18);
+        }
+        Ok(None)
+    }
+}
+
+/// Whether bytes outside of chunks look like the start of a record, given how much of the file is left.
+fn plausible(bytes: &[u8], left: u64, format: &McapFormat) -> bool {
+    let mut text = Text::new(bytes);
+    let Some([op @ SCHEMA..=MESSAGE_INDEX | op @ DATA_END]) = text.take(1) else { return false };
+    let Some(length) = text.u64().filter(|length| *length <= left.saturating_sub(RECORD_HEAD_BYTES as u64))
+    else {
+        return false;
+    };
+    match *op {
+        CHUNK => ChunkHead::parse(text.rest()).is_some_and(|head| {
+            head.compression.is_some()
+                && head.first <= head.last
+                && head.records_start.saturating_add(head.records_bytes) == length
+        }),
+        MESSAGE_INDEX => {
+            let (channel, bytes) = (text.u16(), text.u32());
+            channel.is_some() && bytes.is_some_and(|bytes| u64::from(bytes) + 6 == length && bytes % 16 == 0)
+        }
+        DATA_END => length == 4,
+        MESSAGE => {
+            let known = text.u16().is_some_and(|channel| format.channels.contains(&channel));
+            known
+                && length >= MESSAGE_HEAD_BYTES as u64
+                && format.record(bytes, 0).is_none_or(|record| {
+                    matches!(bytes.get(record.end), None | Some(&(SCHEMA..=MESSAGE_INDEX | DATA_END)))
+                })
+        }
+        _ => matches!(format.record(bytes, 0), Some(record) if Channels::default()
+            .add_record(bytes.get(..record.end).unwrap_or_default())),
+    }
+}
