@@ -1,4 +1,5 @@
 //! Wheels and IMU against the truth.
+#![allow(clippy::unwrap_used)] // helpers of tests fail as tests do
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{

@@ -1,4 +1,5 @@
 //! Scans against geometry that can be computed by hand.
+#![allow(clippy::unwrap_used)] // helpers of tests fail as tests do
 
 use portolan_geometry::{Vector2, Vector3, nalgebra as na};
 use portolan_recording::LaserScan;
@@ -147,7 +148,8 @@ fn range_noise_has_the_asked_deviation() {
 
 #[test]
 fn missing_returns_are_written_as_asked() {
-    let expected: [(NoReturn, fn(f32) -> bool); 4] = [
+    type Check = fn(f32) -> bool;
+    let expected: [(NoReturn, Check); 4] = [
         (NoReturn::Infinity, |r| r == f32::INFINITY),
         (NoReturn::BeyondMaximum, |r| r == 3.5),
         (NoReturn::Zero, |r| r == 0.0),
@@ -251,4 +253,32 @@ fn a_moving_robot_smears_a_scan_only_with_motion_distortion() {
     let difference = instant.ranges.iter().zip(&swept.ranges).map(largest).fold(0.0, f64::max);
     assert!(difference > 0.05, "{difference}");
     assert!((instant.ranges[0] - swept.ranges[0]).abs() < 1e-6, "the first beam is fired at the stamp");
+}
+
+#[test]
+fn beams_meet_walls_or_the_legs_of_people_where_they_are_at_that_time() {
+    let quiet =
+        ScenarioOptions { duration: Some(60.0), ..ScenarioOptions::new(Scene::Hall, 4) }.without_noise();
+    let simulation = Simulation::new(ScenarioOptions { people: Some(40), ..quiet }).unwrap();
+    assert_eq!(simulation.world().people().len(), 40);
+    let shapes = simulation.world().fixed().shapes();
+    let mut on_legs = 0;
+    for index in (0..simulation.scan_count(0)).step_by(31) {
+        let scan = simulation.scan(0, index).unwrap();
+        let start = scan.header.stamp.seconds_since(simulation.start_time());
+        let returns = scan.ranges.iter().enumerate().filter(|(_, r)| r.is_finite()).map(|(beam, _)| beam);
+        for (beam, point) in returns.zip(undistorted(&simulation, &scan)) {
+            let time = start + beam as f64 * f64::from(scan.time_increment);
+            let robot = simulation.walk().planar(time).position;
+            let legs: Vec<_> =
+                simulation.world().people().iter().flat_map(|person| person.legs(time, &robot)).collect();
+            let nearest = |shapes: &[portolan_simulator::world::Shape]| {
+                shapes.iter().map(|s| s.distance(&point).abs()).fold(f64::INFINITY, f64::min)
+            };
+            let (wall, leg) = (nearest(shapes), nearest(&legs));
+            assert!(wall.min(leg) < 1e-5, "scan {index} beam {beam}: {wall} m, {leg} m");
+            on_legs += usize::from(leg < 1e-5);
+        }
+    }
+    assert!(on_legs > 50, "{on_legs}");
 }

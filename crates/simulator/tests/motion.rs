@@ -118,3 +118,27 @@ fn stops_are_reached_and_odd_waypoints_survived() {
     assert!(Walk::through(&[waypoint(f64::NAN, 0.0, None)], &limits, 1.0, None).is_none());
     assert_eq!(Walk::through(&points[..1], &limits, 1.0, None).unwrap().duration(), 2.0);
 }
+
+#[test]
+fn small_and_crowded_and_large_buildings_can_be_walked() {
+    for scene in Scene::ALL {
+        for seed in 0..4 {
+            let small = ScenarioOptions {
+                size: Some(scene.minimum_size()),
+                clutter: [0.0, 3.0][seed as usize % 2],
+                closed_doors: [0.0, 1.0][seed as usize / 2],
+                ..ScenarioOptions::new(scene, seed)
+            };
+            let simulation = Simulation::new(small).unwrap();
+            let metres = simulation.walk().planar(simulation.duration()).travelled;
+            assert!(metres > 5.0, "{scene} {seed}: {metres} m");
+        }
+        let large = ScenarioOptions {
+            size: Some([120.0, 90.0]),
+            duration: Some(200.0),
+            ..ScenarioOptions::new(scene, 1)
+        };
+        let simulation = Simulation::new(large).unwrap();
+        assert!(simulation.walk().planar(200.0).travelled > 40.0);
+    }
+}

@@ -1,4 +1,5 @@
 //! The simulation as a recording: order, determinism, files, faults.
+#![allow(clippy::unwrap_used)] // helpers of tests fail as tests do
 
 use portolan_geometry::Vector2;
 use portolan_recording::{LaserScan, Message, RecordedMessage, Recording, RecordingFormat, create, open};

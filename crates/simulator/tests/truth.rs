@@ -1,4 +1,5 @@
 //! Truth as files.
+#![allow(clippy::unwrap_used)] // helpers of tests fail as tests do
 
 use portolan_geometry::Vector2;
 use portolan_simulator::motion::Motion;

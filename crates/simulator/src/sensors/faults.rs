@@ -302,6 +302,16 @@ fn header_mut(message: &mut Message) -> Option<&mut Header> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn any_text_is_a_fault_or_an_error(text in "[a-z-]{0,10}(:[-a-z0-9.]{0,6}){0,5}") {
+            if let Ok(fault) = text.parse::<Fault>() {
+                prop_assert_eq!(fault.to_string().parse::<Fault>().ok(), Some(fault));
+            }
+        }
+    }
 
     #[test]
     fn faults_are_read_as_they_are_written() {

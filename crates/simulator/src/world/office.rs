@@ -219,7 +219,7 @@ impl Office<'_> {
         let half = 1.5_f64.min(0.25 * size.x);
         let gap = [Opening { from: entrance - half, to: entrance + half }];
         self.draft.wall(frame.origin, frame.point(size.x, 0.0), CORRIDOR_WALL, &gap);
-        if self.random.chance(0.5) {
+        if self.random.chance(0.5) || self.style.glass <= 0.0 {
             self.draft.wall(frame.point(0.0, size.y), frame.point(size.x, size.y), CORRIDOR_WALL, &gap);
         } else {
             self.draft.wall(frame.point(0.0, size.y), frame.point(entrance, size.y), CORRIDOR_WALL, &[]);
