@@ -28,12 +28,14 @@ pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
 pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, MatchingResult, Repairs};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Mapper, MapperSettings};
+pub use motion_filter::MotionFilter;
 pub use node::{Node, NodeData};
 pub use optimization::{
     LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
     TrajectorySensors, optimize_2d,
 };
 pub use planar::Planar;
+pub use pose_extrapolator::{ExtrapolatorCounts, ExtrapolatorError, PoseExtrapolator};
 pub use pose_graph::{
     GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, PoseGraph, SearchCounts, SubmapEntry,
     TrajectoryConnectivity, TrajectoryEntry, TrajectoryState, Trimmer,

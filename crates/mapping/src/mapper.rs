@@ -162,21 +162,11 @@ impl<S: Space> Mapper<S> {
         id: TrajectoryId,
         sensor_id: &SensorId,
         measurement: Measurement,
-    ) -> Result<Option<MatchingResult<S>>, MapperError> {
-        let Some(trajectory) = self.active.get_mut(&id) else { return Ok(None) };
+    ) -> Result<Vec<MatchingResult<S>>, MapperError> {
+        let Some(trajectory) = self.active.get_mut(&id) else { return Ok(Vec::new()) };
+        let mut results = Vec::new();
         match measurement {
-            Measurement::Range(data) => {
-                let Some(result) = trajectory.local_slam.add_range_data(sensor_id, data) else {
-                    return Ok(None);
-                };
-                trajectory.remember_scan(&result);
-                if let Some(inserted) = result.inserted.clone() {
-                    self.backend.enqueue(move |graph| {
-                        graph.add_node(id, inserted);
-                    })?;
-                }
-                return Ok(Some(result));
-            }
+            Measurement::Range(data) => results = trajectory.local_slam.add_range_data(sensor_id, data),
             Measurement::Imu(data) => {
                 trajectory.local_slam.add_imu_data(&data);
                 if S::OPTIMIZES_WITH_IMU {
@@ -184,7 +174,7 @@ impl<S: Space> Mapper<S> {
                 }
             }
             Measurement::Odometry(data) => {
-                trajectory.local_slam.add_odometry_data(&data);
+                results = trajectory.local_slam.add_odometry_data(&data);
                 let similar = trajectory
                     .odometry_filter
                     .as_mut()
@@ -200,13 +190,34 @@ impl<S: Space> Mapper<S> {
                 self.backend.enqueue(move |graph| graph.add_landmark_data(id, data))?;
             }
         }
-        Ok(None)
+        self.pass_on(id, &results)?;
+        Ok(results)
+    }
+
+    /// Remembers where scans were taken and gives the inserted ones to the pose graph.
+    fn pass_on(&mut self, id: TrajectoryId, results: &[MatchingResult<S>]) -> Result<(), MapperError> {
+        for result in results {
+            if let Some(trajectory) = self.active.get_mut(&id) {
+                trajectory.remember_scan(result);
+            }
+            if let Some(inserted) = result.inserted.clone() {
+                self.backend.enqueue(move |graph| {
+                    graph.add_node(id, inserted);
+                })?;
+            }
+        }
+        Ok(())
     }
 
     /// Ends a trajectory: what waits is used, its submaps are completed.
     pub fn finish_trajectory(&mut self, id: TrajectoryId) -> Result<Vec<MatchingResult<S>>, MapperError> {
         let ready = self.collation.finish_trajectory(id);
-        let results = self.dispatch_all(ready)?;
+        let mut results = self.dispatch_all(ready)?;
+        if let Some(trajectory) = self.active.get_mut(&id) {
+            let late = trajectory.local_slam.flush();
+            self.pass_on(id, &late)?;
+            results.extend(late);
+        }
         let Some(mut trajectory) = self.active.remove(&id) else {
             return Err(MapperError::NoSuchTrajectory(id));
         };

@@ -30,18 +30,17 @@ pub type Repairs = std::collections::BTreeMap<&'static str, u64>;
 
 /// The local SLAM of one trajectory.
 pub trait LocalSlam<S: Space>: Send {
-    /// A range measurement; gives a result when enough of them are together.
-    fn add_range_data(
-        &mut self,
-        sensor_id: &SensorId,
-        data: TimedPointCloudData,
-    ) -> Option<MatchingResult<S>>;
+    /// A range measurement. Gives what became of scans whose turn has come, this one or earlier ones.
+    fn add_range_data(&mut self, sensor_id: &SensorId, data: TimedPointCloudData) -> Vec<MatchingResult<S>>;
 
     /// An IMU sample.
     fn add_imu_data(&mut self, data: &ImuData);
 
-    /// An odometry pose.
-    fn add_odometry_data(&mut self, data: &OdometryData);
+    /// An odometry pose. Gives what became of scans that waited for it.
+    fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<S>>;
+
+    /// Matches what still waits for odometry that will not come.
+    fn flush(&mut self) -> Vec<MatchingResult<S>>;
 
     /// Ends the trajectory and hands over the submaps that were being filled.
     fn finish(&mut self) -> Vec<InsertionSubmap<S>>;

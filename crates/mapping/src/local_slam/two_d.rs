@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use portolan_config::{AdaptiveVoxelFilterOptions, TrajectoryBuilder2dOptions};
 use portolan_geometry::{
-    Point3f, Quaternion, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
+    Duration, Point3f, Quaternion, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
 };
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
@@ -18,6 +18,12 @@ use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_2d::ScanMatcher2d;
 use crate::submap_2d::{Inserter2d, Submap2d};
 use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
+
+/// An odometry source that reported nothing for so long is not waited for.
+const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
+
+/// How much newer the newest scan may be than one that still waits for odometry.
+const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 
 /// Settings beyond the reference's options.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,7 +43,11 @@ pub struct LocalSlam2d {
     active_submaps: ActiveSubmaps<Planar>,
     motion_filter: MotionFilter,
     accumulated: Accumulation,
+    /// Odometry that came before the first scan.
     waiting_odometry: VecDeque<OdometryData>,
+    last_odometry_time: Option<Time>,
+    /// Scans that wait for the odometry pose after them.
+    waiting_ranges: VecDeque<SynchronizedRanges>,
     repairs: Repairs,
 }
 
@@ -67,6 +77,8 @@ impl LocalSlam2d {
             motion_filter: motion_filter(&options.motion_filter),
             accumulated: Accumulation::default(),
             waiting_odometry: VecDeque::new(),
+            last_odometry_time: None,
+            waiting_ranges: VecDeque::new(),
             repairs: Repairs::new(),
             options: options.clone(),
         })
@@ -92,6 +104,26 @@ impl LocalSlam2d {
             }
             extrapolator
         })
+    }
+
+    /// Whether a scan had better wait: between two odometry poses the motion is known, beyond the last
+    /// one it can only be guessed. A source that has fallen silent is not waited for.
+    fn waits_for_odometry(&self, time: Time) -> bool {
+        self.extras.use_all_odometry
+            && self.last_odometry_time.is_some_and(|last| last < time && time - last <= ODOMETRY_TIMEOUT)
+    }
+
+    /// Matches the scans whose odometry has come, and those that waited too long.
+    fn match_waiting(&mut self, newest: Time) -> Vec<MatchingResult<Planar>> {
+        let mut results = Vec::new();
+        while let Some(oldest) = self.waiting_ranges.front() {
+            if self.waits_for_odometry(oldest.time) && newest - oldest.time <= LONGEST_WAIT {
+                break;
+            }
+            let Some(ranges) = self.waiting_ranges.pop_front() else { break };
+            results.extend(self.add_synchronized(&ranges));
+        }
+        results
     }
 
     /// One synchronised set of ranges: unwarp, gather, and match when enough is together.
@@ -183,7 +215,7 @@ impl LocalSlam2d {
 
 fn first_point_time(ranges: &SynchronizedRanges) -> Time {
     let relative = ranges.points.first().map_or(0.0, |p| f64::from(p.point.time));
-    ranges.time + portolan_geometry::Duration::from_seconds(relative)
+    ranges.time + Duration::from_seconds(relative)
 }
 
 /// Puts every point where it was measured from, by the predicted pose at its own time, and sorts it
@@ -200,7 +232,7 @@ fn unwarp(
         // Beams of one firing share a time; a scan without times needs a single pose.
         if p.point.time != pose_time {
             pose_time = p.point.time;
-            let time = ranges.time + portolan_geometry::Duration::from_seconds(f64::from(pose_time));
+            let time = ranges.time + Duration::from_seconds(f64::from(pose_time));
             pose = to_f32(&extrapolator.extrapolate_pose(time));
         }
         let origin = pose * ranges.origins[p.origin_index];
@@ -251,13 +283,15 @@ impl LocalSlam<Planar> for LocalSlam2d {
         &mut self,
         sensor_id: &SensorId,
         data: TimedPointCloudData,
-    ) -> Option<MatchingResult<Planar>> {
-        let synchronized = self.collator.add(&sensor_id.id, data)?;
-        if synchronized.points.is_empty() {
+    ) -> Vec<MatchingResult<Planar>> {
+        let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
+        if ranges.points.is_empty() {
             self.count("scan without points");
-            return None;
+            return Vec::new();
         }
-        self.add_synchronized(&synchronized)
+        let newest = ranges.time;
+        self.waiting_ranges.push_back(ranges);
+        self.match_waiting(newest)
     }
 
     fn add_imu_data(&mut self, data: &ImuData) {
@@ -270,7 +304,7 @@ impl LocalSlam<Planar> for LocalSlam2d {
         }
     }
 
-    fn add_odometry_data(&mut self, data: &OdometryData) {
+    fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Planar>> {
         match self.extrapolator.as_mut() {
             Some(extrapolator) => {
                 if extrapolator.add_odometry(data).is_err() {
@@ -285,6 +319,13 @@ impl LocalSlam<Planar> for LocalSlam2d {
                 }
             }
         }
+        self.last_odometry_time = self.last_odometry_time.max(Some(data.time));
+        self.match_waiting(data.time)
+    }
+
+    fn flush(&mut self) -> Vec<MatchingResult<Planar>> {
+        self.last_odometry_time = None;
+        self.match_waiting(Time::MAX)
     }
 
     fn finish(&mut self) -> Vec<InsertionSubmap<Planar>> {

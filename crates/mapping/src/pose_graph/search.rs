@@ -110,11 +110,6 @@ impl<S: Space> ConstraintSearch<S> {
         });
     }
 
-    /// How many pairs wait.
-    pub fn pending(&self) -> usize {
-        self.tasks.len()
-    }
-
     /// Pairs tried and found so far.
     pub fn counts(&self) -> SearchCounts {
         self.counts

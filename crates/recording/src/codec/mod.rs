@@ -72,3 +72,6 @@ pub(crate) fn normalized_type_name(name: &str) -> String {
 pub(crate) fn is_static_tf_topic(topic: &str) -> bool {
     topic.rsplit('/').next() == Some("tf_static")
 }
+
+#[cfg(test)]
+mod tests;

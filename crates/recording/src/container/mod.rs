@@ -7,6 +7,7 @@ mod bytes;
 mod compression;
 mod connection;
 mod index;
+mod loader;
 mod reader;
 mod walk;
 

@@ -2,12 +2,12 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
-use std::ops::Range;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
 
-use super::{ChunkIndex, Content, FileBytes, MessageDecoder, RecordFormat, Segment, Source, load, walk};
+use super::loader::{Entry, LoadedSegment, Loader, Plan};
+use super::{ChunkIndex, MessageDecoder, RecordFormat, Segment, Source};
 use crate::repairs::RepairLog;
 use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
 
@@ -48,17 +48,19 @@ impl Recording for ChunkedRecording {
         let connections = self.index.connections.iter();
         let wanted =
             connections.filter(|(_, c)| chosen.contains(&(&c.topic, &c.type_name))).map(|(id, _)| *id);
-        Ok(Box::new(ChunkReader {
-            file: self.source.open()?,
+        let plan = Plan {
+            source: self.source.clone(),
             format: self.format.clone(),
             index: self.index.clone(),
             wanted: wanted.collect(),
+        };
+        Ok(Box::new(ChunkReader {
+            loader: Loader::new(plan)?,
+            index: self.index.clone(),
             cursor: 0,
             open: BTreeMap::new(),
             queue: BinaryHeap::new(),
             resident_bytes: 0,
-            spare: Vec::new(),
-            packed: Vec::new(),
             last_time: 0,
             position_bytes: 0,
             decoder: MessageDecoder::default(),
@@ -70,14 +72,6 @@ impl Recording for ChunkedRecording {
 /// Log time from nanoseconds since the Unix epoch.
 pub(crate) fn time(nanoseconds: u64) -> Time {
     Time::from_unix_nanoseconds(i64::try_from(nanoseconds).unwrap_or(i64::MAX))
-}
-
-/// A message within a loaded segment.
-#[derive(Clone)]
-struct Entry {
-    nanoseconds: u64,
-    connection: u32,
-    payload: Range<u32>,
 }
 
 /// A segment some of whose messages are still to come.
@@ -95,19 +89,14 @@ const MAX_RESIDENT_BYTES: usize = 256 << 20;
 /// Merges segments. Segments are opened in order of their first log time, each as soon as it may hold
 /// the next message, so that usually only one or two are in memory.
 struct ChunkReader {
-    file: FileBytes,
-    format: Arc<dyn RecordFormat>,
+    loader: Loader,
     index: Arc<ChunkIndex>,
-    wanted: BTreeSet<u32>,
     /// Next segment to open.
     cursor: usize,
     open: BTreeMap<usize, OpenSegment>,
     /// Log time of the next message, place in the file, and number of every open segment.
     queue: BinaryHeap<Reverse<(u64, u64, usize)>>,
     resident_bytes: usize,
-    /// Memory of closed segments, for the next ones.
-    spare: Vec<Vec<u8>>,
-    packed: Vec<u8>,
     last_time: u64,
     position_bytes: u64,
     decoder: MessageDecoder,
@@ -119,7 +108,7 @@ impl MessageReader for ChunkReader {
         loop {
             self.open_due_segments()?;
             let Some(Reverse((nanoseconds, _, number))) = self.queue.pop() else {
-                self.position_bytes = self.file.length();
+                self.position_bytes = self.loader.file_bytes();
                 return Ok(None);
             };
             let message = self.decode_next(number)?;
@@ -155,11 +144,7 @@ impl ChunkReader {
             let number = self.cursor;
             self.cursor += 1;
             self.position_bytes = self.position_bytes.max(segment.offset + segment.stored_bytes);
-            // Messages of unknown connections are looked at because their loss must be counted.
-            let is_wanted = |list: &Arc<[u32]>| {
-                list.iter().any(|id| self.wanted.contains(id) || !index.connections.contains_key(id))
-            };
-            if segment.connections.as_ref().is_none_or(is_wanted) {
+            if self.loader.plan().needs(segment) {
                 self.open_segment(number, segment)?;
             }
         }
@@ -167,29 +152,10 @@ impl ChunkReader {
     }
 
     fn open_segment(&mut self, number: usize, segment: &Segment) -> Result<(), RecordingError> {
-        let mut data = self.spare.pop().unwrap_or_default();
-        load(segment, &mut self.file, &mut self.packed, &mut data, &mut self.repairs)?;
-        let mut entries = Vec::new();
-        let mut undescribed = 0;
-        let gaps = walk(&*self.format, &data, |record| {
-            let Content::Message { connection, nanoseconds, payload } = record.content else { return };
-            if self.wanted.contains(&connection) {
-                let payload = payload.start as u32..payload.end as u32;
-                entries.push(Entry { nanoseconds, connection, payload });
-            } else if !self.index.connections.contains_key(&connection) {
-                undescribed += 1;
-            }
-        });
-        if gaps > 0 {
-            self.repairs.add("damaged records were skipped", true, gaps);
-        }
-        if undescribed > 0 {
-            let what = "messages of a topic that is nowhere described were dropped";
-            self.repairs.add(what, true, undescribed);
-        }
-        entries.sort_by_key(|entry| entry.nanoseconds); // stable: ties stay in file order
+        let LoadedSegment { data, entries, damage } = self.loader.next(number)?;
+        self.repairs.merge(&damage.list());
         let Some(first) = entries.first().map(|entry| entry.nanoseconds) else {
-            self.spare.push(data);
+            self.loader.recycle(data);
             return Ok(());
         };
         self.queue.push(Reverse((first, segment.offset, number)));
@@ -228,24 +194,18 @@ impl ChunkReader {
         }
         if let Some(data) = self.open.remove(&number).and_then(|closed| closed.data) {
             self.resident_bytes -= data.capacity();
-            if self.spare.len() < 2 && data.capacity() <= MAX_RESIDENT_BYTES / 16 {
-                self.spare.push(data);
-            }
+            self.loader.recycle(data);
         }
     }
 
     /// Loads the bytes of an open segment again if they were dropped.
     fn reload(&mut self, number: usize) -> Result<(), RecordingError> {
-        let (Some(open), Some(segment)) = (self.open.get_mut(&number), self.index.segments.get(number))
-        else {
-            return Ok(());
-        };
+        let Some(open) = self.open.get_mut(&number) else { return Ok(()) };
         if open.data.is_some() {
             return Ok(());
         }
-        let mut data = Vec::new();
-        let mut counted_before = RepairLog::default();
-        load(segment, &mut self.file, &mut self.packed, &mut data, &mut counted_before)?;
+        // What is wrong with it was counted when it was loaded first.
+        let data = self.loader.load_now(number)?.data;
         self.resident_bytes += data.capacity();
         open.data = Some(data);
         self.make_room(number);

@@ -188,7 +188,7 @@ impl RecordFormat for BagFormat {
                 Content::Message { connection: head.connection, nanoseconds: head.time, payload: start..end }
             }
             Op::Connection => Content::Description(at..end),
-            _ => Content::Other,
+            _ => return None, // nothing else lies in chunks
         };
         Some(Record { end, content })
     }

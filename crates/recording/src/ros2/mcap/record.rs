@@ -146,7 +146,7 @@ impl Channels {
         true
     }
 
-    /// Takes in the content of a channel record; false if it is malformed.
+    /// Takes in the content of a channel record; false if it is malformed or its schema is not known.
     pub(crate) fn add_channel(&mut self, content: &[u8]) -> bool {
         let mut text = Text::new(content);
         let (Some(id), Some(schema), Some(topic), Some(encoding), Some(_metadata)) =
@@ -159,7 +159,11 @@ impl Channels {
             b"cdr" => Encoding::Cdr,
             _ => Encoding::Unknown,
         };
-        let type_name = self.schemas.get(&schema).map_or("unknown", String::as_str);
+        let type_name = match (schema, self.schemas.get(&schema)) {
+            (_, Some(name)) => name.as_str(),
+            (0, None) => "unknown", // channels of schemaless encodings
+            (_, None) => return false,
+        };
         self.connections.entry(u32::from(id)).or_insert_with(|| Connection::new(&topic, type_name, encoding));
         true
     }

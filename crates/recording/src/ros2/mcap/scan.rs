@@ -203,11 +203,17 @@ impl Scan<'_> {
         };
         // A chunk without messages has no times either.
         let has_times = head.last > 0;
+        let known = |id: &u32| self.summary.channels.connections.contains_key(id);
         let sound = |place: &ChunkPlace| {
             self.trusted
                 && !lies
                 && place.chunk_bytes == record.record_bytes
                 && (has_times || !place.channels.is_empty())
+                && match (place.channels.as_slice(), &self.summary.statistics) {
+                    // Without message indexes it may hold any channel.
+                    ([], Some(statistics)) => statistics.counts.keys().all(known),
+                    (channels, _) => channels.iter().all(known),
+                }
         };
         if let Some(place) = place.filter(sound) {
             let next = data_end.saturating_add(place.message_index_bytes);

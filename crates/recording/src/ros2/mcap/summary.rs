@@ -100,7 +100,8 @@ fn parse(section: &[u8], summary: &mut Summary) -> Option<()> {
         let content = text.take(length)?;
         match op {
             SCHEMA if !summary.channels.add_schema(content) => return None,
-            CHANNEL if !summary.channels.add_channel(content) => return None,
+            // Summaries may leave out schemas; such channels are found in the chunks.
+            CHANNEL => drop(summary.channels.add_channel(content)),
             CHUNK_INDEX => {
                 let (offset, place) = chunk_place(content)?;
                 summary.chunks.insert(offset, place);

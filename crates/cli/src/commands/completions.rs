@@ -1,0 +1,17 @@
+//! `portolan completions`: tab completion for shells.
+
+use crate::error::{CliError, Outcome};
+
+/// Print the completion script of a shell: `source <(portolan completions bash)`.
+#[derive(clap::Args)]
+pub struct CompletionsArgs {
+    /// Which shell.
+    shell: clap_complete::Shell,
+}
+
+pub fn run(args: &CompletionsArgs) -> Result<Outcome, CliError> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut crate::command_line(), "portolan", &mut script);
+    std::io::Write::write_all(&mut std::io::stdout().lock(), &script)?;
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,270 @@
+//! `portolan map`: from a recording to a map.
+
+use std::path::{Path, PathBuf};
+
+use portolan::pipeline::{MappedRecording, PipelineProgress, map_recording};
+use portolan_config::{Loader, Options};
+use portolan_geometry::Duration;
+use portolan_mapping::MapperSettings;
+use portolan_recording::{ConfiguredSensors, IngestOptions, Recording, SamplingRatios, open_all, read_urdf};
+
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::interrupt;
+use crate::output::print;
+use crate::progress::{Progress, say};
+use crate::results::{Written, write_results};
+
+/// Make a map of a recording: loop-closed map, trajectory, pictures and a report.
+///
+/// Nothing needs to be configured: topics, frames and settings are chosen from the recording, and the
+/// choice is printed. RECORDING is a ROS 1 bag, a ROS 2 bag (MCAP, db3, or their folder), a CARMEN log,
+/// or a CoreSLAM file; several are read as one, in order.
+#[derive(clap::Args, Clone, Debug)]
+#[command(after_help = "Examples:\n  portolan map walk.bag -o walk\n  \
+    portolan map robot.mcap --scan /front/scan --no-odometry\n  \
+    portolan map log.clf.bz2 --config my_robot.lua --set pose_graph.optimize_every_n_nodes=40")]
+pub struct MapArgs {
+    /// Recordings, read as one in the order given.
+    #[arg(required = true, value_name = "RECORDING")]
+    pub recordings: Vec<PathBuf>,
+
+    /// Folder for the results; created if missing. Default: the recording's name with `_map`.
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+
+    #[command(flatten)]
+    pub sensors: SensorArgs,
+
+    #[command(flatten)]
+    pub config: ConfigArgs,
+
+    /// Also write the pose of every scan, not only of inserted ones (`all_poses.tum`).
+    #[arg(long)]
+    pub all_poses: bool,
+
+    /// Leave out the first seconds of the recording.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    pub skip: f64,
+
+    /// Stop after so many seconds of the recording.
+    #[arg(long, value_name = "SECONDS")]
+    pub duration: Option<f64>,
+}
+
+/// Which topics and frames are which sensors; found without being told.
+#[derive(clap::Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Sensors (found without being told)")]
+pub struct SensorArgs {
+    /// Topic of a laser scan; may be given several times.
+    #[arg(long, value_name = "TOPIC")]
+    pub scan: Vec<String>,
+    /// Topic of a point cloud; may be given several times.
+    #[arg(long, value_name = "TOPIC")]
+    pub points: Vec<String>,
+    /// Topic of odometry.
+    #[arg(long, value_name = "TOPIC")]
+    pub odom: Option<String>,
+    /// Topic of the IMU.
+    #[arg(long, value_name = "TOPIC")]
+    pub imu: Option<String>,
+    /// Use no odometry.
+    #[arg(long, conflicts_with = "odom")]
+    pub no_odometry: bool,
+    /// Use no IMU.
+    #[arg(long, conflicts_with = "imu")]
+    pub no_imu: bool,
+    /// Frame whose motion is wanted: that of the IMU if one is used.
+    #[arg(long, value_name = "FRAME")]
+    pub tracking_frame: Option<String>,
+    /// Read another topic in place of a name, as in ROS: `--remap scan:=/front/scan`.
+    #[arg(long, value_name = "NAME:=TOPIC")]
+    pub remap: Vec<String>,
+    /// Robot description whose fixed joints say where the sensors are.
+    #[arg(long, value_name = "FILE")]
+    pub urdf: Option<PathBuf>,
+}
+
+/// Settings; defaults are chosen from the recording.
+#[derive(clap::Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Settings (chosen from the recording without being told)")]
+pub struct ConfigArgs {
+    /// Cartographer configuration in Lua; used as it is, instead of settings chosen from the recording.
+    #[arg(long, value_name = "FILE.lua")]
+    pub config: Option<PathBuf>,
+    /// Folder to look for included Lua files in; may be given several times.
+    #[arg(long, value_name = "DIR")]
+    pub config_dir: Vec<PathBuf>,
+    /// Change one option: `--set pose_graph.constraint_builder.min_score=0.6`.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
+    std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
+    let recording = open_all(&args.recordings)?;
+    let configured = load_options(&args.config)?;
+    let ingest = ingest_options(&args, configured.as_ref())?;
+    interrupt::watch();
+    let start = std::time::Instant::now();
+    let mapped = map_with_progress(recording.as_ref(), &ingest, configured, &args.config.set, global)?;
+    let seconds = start.elapsed().as_secs_f64();
+    let written = write_results(&mapped, &folder, seconds, args.all_poses)?;
+    print(&summary(&mapped, &written, seconds))?;
+    Ok(if mapped.reading_repairs.iter().any(|r| r.lost_data) { Outcome::DataLost } else { Outcome::Done })
+}
+
+/// Beside the working directory's other results: the recording's name with `_map`.
+fn default_folder(recording: &Path) -> PathBuf {
+    let name = recording.file_name().map_or_else(|| "recording".into(), |n| n.to_string_lossy());
+    PathBuf::from(format!("{}_map", name.split('.').next().unwrap_or("recording")))
+}
+
+fn load_options(config: &ConfigArgs) -> Result<Option<Options>, CliError> {
+    let Some(path) = &config.config else { return Ok(None) };
+    let loader = Loader { directories: config.config_dir.clone(), ..Loader::default() };
+    let loaded = loader.load(path).map_err(|e| CliError::Failed(e.to_string()))?;
+    for warning in &loaded.warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(Some(loaded.options))
+}
+
+/// What the command line and a configuration say of the sensors.
+fn ingest_options(args: &MapArgs, configured: Option<&Options>) -> Result<IngestOptions, CliError> {
+    let sensors = &args.sensors;
+    let mut ingest = IngestOptions {
+        range_topics: sensors.scan.iter().chain(&sensors.points).cloned().collect(),
+        odometry_topic: sensors.odom.clone(),
+        imu_topic: sensors.imu.clone(),
+        tracking_frame: sensors.tracking_frame.clone(),
+        skip: Duration::from_seconds(args.skip.max(0.0)),
+        length: args.duration.map(Duration::from_seconds),
+        ..IngestOptions::default()
+    };
+    if let Some(options) = configured {
+        configure_ingest(&mut ingest, options);
+    }
+    if sensors.no_odometry {
+        ingest.use_odometry = Some(false);
+    }
+    if sensors.no_imu {
+        ingest.use_imu = Some(false);
+    }
+    for remapping in &sensors.remap {
+        let Some((from, to)) = remapping.split_once(":=") else {
+            return Err(CliError::Usage(format!("--remap takes NAME:=TOPIC, not {remapping}")));
+        };
+        ingest.remappings.push((from.to_owned(), to.to_owned()));
+    }
+    if let Some(path) = &sensors.urdf {
+        ingest.description = Some(read_urdf(path)?);
+    }
+    Ok(ingest)
+}
+
+/// A robot configuration names its sensors and samples them.
+fn configure_ingest(ingest: &mut IngestOptions, options: &Options) {
+    let bridge = &options.bridge;
+    ingest.configured = Some(ConfiguredSensors {
+        num_laser_scans: bridge.num_laser_scans,
+        num_multi_echo_laser_scans: bridge.num_multi_echo_laser_scans,
+        num_point_clouds: bridge.num_point_clouds,
+        use_odometry: bridge.use_odometry,
+        use_imu: options.trajectory_builder.trajectory_builder_2d.use_imu_data,
+        use_nav_sat: bridge.use_nav_sat,
+        use_landmarks: bridge.use_landmarks,
+    });
+    ingest.sampling = SamplingRatios {
+        rangefinder: bridge.rangefinder_sampling_ratio,
+        odometry: bridge.odometry_sampling_ratio,
+        fixed_frame_pose: bridge.fixed_frame_pose_sampling_ratio,
+        imu: bridge.imu_sampling_ratio,
+        landmarks: bridge.landmarks_sampling_ratio,
+    };
+    ingest.num_subdivisions_per_laser_scan = bridge.num_subdivisions_per_laser_scan;
+    ingest.ignore_out_of_order = bridge.ignore_out_of_order;
+    if ingest.tracking_frame.is_none() && !bridge.tracking_frame.is_empty() {
+        ingest.tracking_frame = Some(bridge.tracking_frame.clone());
+    }
+}
+
+/// Maps with a bar that tells how far it is.
+pub fn map_with_progress(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    configured: Option<Options>,
+    settings: &[String],
+    global: &GlobalArgs,
+) -> Result<MappedRecording, CliError> {
+    let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
+    let start = std::time::Instant::now();
+    let mut rejected: Option<String> = None;
+    let mapper_settings = MapperSettings { threads: global.thread_count(), ..MapperSettings::default() };
+    let mapped = map_recording(
+        recording,
+        ingest,
+        configured,
+        &mut |options, plan| {
+            for notice in plan.notices.iter().filter(|_| !global.quiet) {
+                say(&format!("{} {}", notice.what, notice.change));
+            }
+            for setting in settings {
+                if let Err(error) = options.set(setting) {
+                    rejected.get_or_insert(error.to_string());
+                }
+            }
+        },
+        mapper_settings,
+        &mut |state| {
+            if progress.is_due() {
+                progress.update(state.position_bytes, state.total_bytes, describe(state, start));
+            }
+            !interrupt::interrupted()
+        },
+    );
+    progress.finish();
+    match rejected {
+        Some(error) => Err(CliError::Usage(error)),
+        None => mapped.map_err(|e| CliError::Failed(e.to_string())),
+    }
+}
+
+fn describe(state: &PipelineProgress, start: std::time::Instant) -> String {
+    format!(
+        "{:.0} s of the recording, {:.0}x real time, {} nodes, {} constraints, {} waiting",
+        state.recording_seconds,
+        state.recording_seconds / start.elapsed().as_secs_f64().max(1e-3),
+        state.backend.nodes,
+        state.backend.constraints,
+        state.backend.backlog,
+    )
+}
+
+/// What was made, for people.
+pub fn summary(mapped: &MappedRecording, written: &Written, seconds: f64) -> String {
+    let state = mapped.map.graph.state();
+    let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
+    let mut text = format!(
+        "{} scans, {} nodes, {} submaps, {loops} loop closures; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
+        mapped.scans,
+        state.nodes.len(),
+        state.submaps.len(),
+        mapped.recording_seconds,
+        mapped.recording_seconds / seconds.max(1e-3),
+    );
+    for repair in &mapped.reading_repairs {
+        text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
+    }
+    for (what, count) in &mapped.mapping_repairs {
+        text += &format!("repaired: {what} ({count}x)\n");
+    }
+    if mapped.interrupted {
+        text += "stopped before the end of the recording; what was mapped is saved\n";
+    }
+    for file in &written.files {
+        text += &format!("{}\n", file.display());
+    }
+    text.trim_end().to_owned()
+}

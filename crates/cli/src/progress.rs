@@ -1,0 +1,72 @@
+//! Progress on stderr: a bar on a terminal, a line now and then elsewhere, nothing when quiet.
+
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// How often a line is printed when stderr is not a terminal.
+const LINE_INTERVAL: Duration = Duration::from_secs(10);
+
+/// Progress of one long piece of work.
+pub struct Progress {
+    bar: Option<ProgressBar>,
+    title: String,
+    lines: bool,
+    last_line: Instant,
+    last_update: Instant,
+}
+
+impl Progress {
+    /// Work of `total` units (bytes, seconds, …), shown as a share.
+    pub fn start(title: &str, total: u64, quiet: bool) -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let bar = (!quiet && terminal).then(|| {
+            let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::stderr_with_hz(8));
+            if let Ok(style) =
+                ProgressStyle::with_template("{prefix} [{bar:30}] {percent:>3}% {msg} left {eta}")
+            {
+                bar.set_style(style.progress_chars("=> "));
+            }
+            bar.set_prefix(title.to_owned());
+            bar
+        });
+        let now = Instant::now();
+        Self { bar, title: title.to_owned(), lines: !quiet && !terminal, last_line: now, last_update: now }
+    }
+
+    /// Whether it is time to make a new message; making one costs more than asking.
+    pub fn is_due(&mut self) -> bool {
+        let due = self.last_update.elapsed() >= Duration::from_millis(100);
+        if due {
+            self.last_update = Instant::now();
+        }
+        due && (self.bar.is_some() || self.lines)
+    }
+
+    /// Shows how far it is and what is to be said about it.
+    pub fn update(&mut self, position: u64, total: u64, message: String) {
+        if let Some(bar) = &self.bar {
+            bar.set_length(total);
+            bar.set_position(position);
+            bar.set_message(message);
+        } else if self.lines && self.last_line.elapsed() >= LINE_INTERVAL {
+            self.last_line = Instant::now();
+            let percent = if total == 0 { 0 } else { 100 * position / total };
+            say(&format!("{} {percent}% {message}", self.title));
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(self) {
+        if let Some(bar) = self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+/// A line on stderr.
+#[allow(clippy::print_stderr)] // progress and remarks belong there
+pub fn say(line: &str) {
+    eprintln!("{line}");
+}

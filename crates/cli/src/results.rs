@@ -1,0 +1,121 @@
+//! What mapping leaves in its folder.
+
+use std::path::{Path, PathBuf};
+
+use portolan::pipeline::MappedRecording;
+use portolan_export::{
+    ConstraintLine, MapContent, PictureOptions, TrajectoryLine, draw_map, write_picture, write_tum,
+};
+use portolan_geometry::{Rigid3, Time};
+use portolan_mapfile::{ImageName, PaintOptions, paint, submap_textures_2d, write_map_2d, write_ros_map};
+use portolan_mapping::{Map, Planar, TrajectoryId};
+
+use crate::error::CliError;
+use crate::output::write_file;
+
+/// Cell size of the ROS map, metres.
+const ROS_MAP_RESOLUTION: f64 = 0.05;
+
+/// Files that were written.
+pub struct Written {
+    /// In order.
+    pub files: Vec<PathBuf>,
+}
+
+/// Writes map, trajectory, pictures and report.
+pub fn write_results(
+    mapped: &MappedRecording,
+    folder: &Path,
+    seconds: f64,
+    all_poses: bool,
+) -> Result<Written, CliError> {
+    let map = &mapped.map;
+    let mut files = Vec::new();
+    let mut file = |name: &str| {
+        let path = folder.join(name);
+        files.push(path.clone());
+        path
+    };
+    let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
+    write_map_2d(map, &file("map.pbstream"), true).map_err(|e| failed(&e))?;
+    write_tum(&file("trajectory.tum"), &poses(map, false)).map_err(|e| failed(&e))?;
+    if all_poses {
+        write_tum(&file("all_poses.tum"), &poses(map, true)).map_err(|e| failed(&e))?;
+    }
+    let textures = submap_textures_2d(map);
+    let content = MapContent {
+        textures: &textures,
+        trajectories: &trajectory_lines(map),
+        constraints: &constraint_lines(map),
+    };
+    let picture = draw_map(&content, &PictureOptions::default()).map_err(|e| failed(&e))?;
+    write_picture(&file("map.png"), &picture).map_err(|e| failed(&e))?;
+    let options = PaintOptions { resolution: ROS_MAP_RESOLUTION, ..PaintOptions::default() };
+    let painted = paint(&textures, &options).map_err(|e| failed(&e))?;
+    write_ros_map(&folder.join("map"), &painted, ImageName::Beside).map_err(|e| failed(&e))?;
+    file("map.pgm");
+    file("map.yaml");
+    let report = serde_json::to_vec_pretty(&report(mapped, seconds)).map_err(|e| failed(&e))?;
+    write_file(&file("report.json"), |out| out.write_all(&report))?;
+    Ok(Written { files })
+}
+
+fn trajectory_ids(map: &Map<Planar>) -> impl Iterator<Item = TrajectoryId> + '_ {
+    map.graph.state().trajectories.keys().copied()
+}
+
+fn poses(map: &Map<Planar>, every_scan: bool) -> Vec<(Time, Rigid3)> {
+    trajectory_ids(map)
+        .flat_map(|id| if every_scan { map.scan_poses(id) } else { map.node_poses(id) })
+        .collect()
+}
+
+fn trajectory_lines(map: &Map<Planar>) -> Vec<TrajectoryLine> {
+    trajectory_ids(map)
+        .map(|id| TrajectoryLine {
+            index: id.0 as usize,
+            points: map.node_poses(id).iter().map(|(_, p)| [p.translation.x, p.translation.y]).collect(),
+        })
+        .collect()
+}
+
+fn constraint_lines(map: &Map<Planar>) -> Vec<ConstraintLine> {
+    let state = map.graph.state();
+    let loops = state.constraints.iter().filter(|c| c.is_loop_closure());
+    loops
+        .filter_map(|c| {
+            let from = state.map_from_submap(c.submap_id)?.translation;
+            let to = state.nodes.get(&c.node_id)?.map_from_tracking.translation;
+            let between_trajectories = c.submap_id.trajectory_id != c.node_id.trajectory_id;
+            Some(ConstraintLine { from: [from.x, from.y], to: [to.x, to.y], between_trajectories })
+        })
+        .collect()
+}
+
+fn report(mapped: &MappedRecording, seconds: f64) -> serde_json::Value {
+    let state = mapped.map.graph.state();
+    let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
+    let reading: Vec<_> = mapped
+        .reading_repairs
+        .iter()
+        .map(|r| serde_json::json!({ "what": r.what, "count": r.count, "lost_data": r.lost_data }))
+        .collect();
+    let sensors: Vec<String> =
+        mapped.plan.sensors().iter().map(|s| format!("{:?} {}", s.kind, s.id)).collect();
+    serde_json::json!({
+        "scans": mapped.scans,
+        "nodes": state.nodes.len(),
+        "submaps": state.submaps.len(),
+        "constraints": state.constraints.len(),
+        "loop_closures": loops,
+        "recording_seconds": mapped.recording_seconds,
+        "wall_seconds": seconds,
+        "real_time_factor": mapped.recording_seconds / seconds.max(1e-3),
+        "interrupted": mapped.interrupted,
+        "tracking_frame": mapped.plan.tracking_frame,
+        "sensors": sensors,
+        "options_fingerprint": mapped.map.options.fingerprint(),
+        "options": mapped.map.options,
+        "repairs": { "reading": reading, "mapping": mapped.mapping_repairs },
+    })
+}

@@ -1,0 +1,60 @@
+//! Settings chosen from what the sensors are, so that nobody needs to write a configuration.
+
+use portolan_config::Options;
+use portolan_recording::{RangeStatistics, SensorPlan, SensorStatistics};
+
+/// Beams that lie further apart than this on a typical wall, metres, do not fill cells of 5 cm.
+const SPARSE_BEAM_SPACING: f64 = 0.05;
+
+/// Options for planar mapping with these sensors.
+pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
+    let mut options = Options::for_2d();
+    let range = statistics.range.first().map(|(_, r)| r);
+    set_local_slam(&mut options, plan, range);
+    set_pose_graph(&mut options);
+    options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
+    options.bridge.use_odometry = plan.odometry.is_some();
+    options
+}
+
+fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&RangeStatistics>) {
+    let local = &mut options.trajectory_builder.trajectory_builder_2d;
+    local.use_imu_data = plan.imu.is_some();
+    if let Some(range) = range {
+        let spacing = range.angular_resolution * range.median_range;
+        local.submaps.grid_options_2d.resolution = if spacing > SPARSE_BEAM_SPACING { 0.1 } else { 0.05 };
+        // A reading at the scanner's "nothing seen" mark is no wall.
+        let mark = range.saturation_range.unwrap_or(range.max_range);
+        if mark.is_finite() && mark > 1.0 {
+            local.max_range = (0.98 * mark).min(60.0) as f32;
+        }
+    }
+    local.use_online_correlative_scan_matching = true;
+    let moves_unseen = plan.odometry.is_none();
+    let search = &mut local.real_time_correlative_scan_matcher;
+    search.linear_search_window = if moves_unseen { 0.3 } else { 0.15 };
+    search.angular_search_window = if moves_unseen { 25.0_f64 } else { 10.0 }.to_radians();
+    search.translation_delta_cost_weight = 1.0;
+    search.rotation_delta_cost_weight = if moves_unseen { 0.1 } else { 1.0 };
+    local.ceres_scan_matcher.occupied_space_weight = 10.0;
+    local.ceres_scan_matcher.translation_weight = if moves_unseen { 1.0 } else { 10.0 };
+    local.ceres_scan_matcher.rotation_weight = 1.0;
+    local.motion_filter.max_distance_meters = 0.1;
+    local.motion_filter.max_angle_radians = 0.25_f64.to_radians();
+    local.submaps.num_range_data = 40;
+    let inserter = &mut local.submaps.range_data_inserter.probability_grid_range_data_inserter;
+    inserter.hit_probability = 0.7;
+    inserter.miss_probability = 0.4;
+}
+
+fn set_pose_graph(options: &mut Options) {
+    let graph = &mut options.map_builder.pose_graph;
+    // Odometry has already steered local SLAM; as a constraint of its own it would count twice.
+    graph.optimization_problem.odometry_translation_weight = 0.0;
+    graph.optimization_problem.odometry_rotation_weight = 0.0;
+    let search = &mut graph.constraint_builder;
+    search.sampling_ratio = 0.03;
+    search.min_score = 0.6;
+    search.fast_correlative_scan_matcher.linear_search_window = 4.0;
+    search.fast_correlative_scan_matcher.angular_search_window = 20.0_f64.to_radians();
+}

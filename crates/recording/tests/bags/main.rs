@@ -1,0 +1,8 @@
+//! Bags of ROS 1 and ROS 2: round trips, other people's files, damage.
+
+mod damage;
+mod database;
+mod foreign_mcap;
+mod real_recordings;
+mod round_trip;
+mod sample;
