@@ -1,7 +1,7 @@
 //! From a bag to the segments that hold its messages.
 //!
-//! The file is always walked record by record; a whole index at its end only spares reading the index
-//! records behind each chunk. So there is one way of opening bags, whether they are whole or damaged.
+//! The file is always walked record by record; a whole index at its end only spares reading the entries of
+//! the index records behind each chunk. So there is one way of opening bags, whole or damaged.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -55,12 +55,14 @@ struct Scan<'a> {
 /// A chunk whose index records are being read.
 struct PendingChunk {
     segment: Segment,
+    /// Messages per connection.
     counts: BTreeMap<u32, u64>,
+    /// Whether its index records are.
     sound: bool,
+    /// Whether the index at the end of the file tells all about it.
+    known: bool,
 }
 
-/// Size of an index record as every known writer writes it, without its entries of 12 bytes each.
-const INDEX_RECORD_BYTES: u64 = 55;
 /// More index for one chunk (millions of messages) is not believed.
 const MAX_INDEX_BYTES: u64 = 1 << 26;
 
@@ -69,17 +71,8 @@ impl Scan<'_> {
         let mut at = start;
         while at < self.chunks_end {
             let Some(head) = peek_head(self.file, at)? else {
-                match self.find_record(at + 1)? {
-                    Some(next) => {
-                        self.index.repairs.lost("unreadable bytes between records were skipped");
-                        at = next;
-                        continue;
-                    }
-                    None => {
-                        self.index.repairs.lost("the file ends in the middle of a record");
-                        break;
-                    }
-                }
+                at = self.skip_unreadable(at)?;
+                continue;
             };
             if head.op != Op::Index {
                 self.finish_pending()?;
@@ -92,6 +85,28 @@ impl Scan<'_> {
             self.index.repairs.lost("chunks that the index mentions are not there");
         }
         Ok(())
+    }
+
+    /// Where to go on behind bytes at `at` that are no record.
+    fn skip_unreadable(&mut self, at: u64) -> Result<u64, RecordingError> {
+        let next_chunk = self.next_known_chunk(at);
+        if self.pending.as_ref().is_some_and(|pending| pending.known) {
+            self.index
+                .repairs
+                .repaired("the index of a chunk is damaged; the index of the file was used instead");
+            return Ok(next_chunk);
+        }
+        let next = self.find_record(at + 1)?;
+        self.index.repairs.lost(match next {
+            Some(_) => "unreadable bytes between records were skipped",
+            None => "the file ends in the middle of a record",
+        });
+        Ok(next.unwrap_or(self.chunks_end).min(next_chunk))
+    }
+
+    /// The next chunk behind `at` that the index mentions, or the end of the chunks.
+    fn next_known_chunk(&self, at: u64) -> u64 {
+        self.chunks.range(at + 1..).next().map_or(self.chunks_end, |(offset, _)| *offset)
     }
 
     /// Takes one record in; returns where the next one starts.
@@ -118,7 +133,7 @@ impl Scan<'_> {
         // Its length is a lie, or the file ends here: look for more behind its header.
         let next = self.find_record(at + head.data_start)?;
         self.index.repairs.lost("a record that claims to be longer than the file was skipped");
-        Ok(next.unwrap_or(self.chunks_end))
+        Ok(next.unwrap_or(self.chunks_end).min(self.next_known_chunk(at)))
     }
 
     fn chunk(&mut self, at: u64, head: &Head) -> Result<u64, RecordingError> {
@@ -128,7 +143,7 @@ impl Scan<'_> {
             self.index.repairs.lost("a chunk with an unknown compression was skipped");
             return Ok((at + head.record_bytes()).min(self.chunks_end));
         };
-        let next_chunk = self.chunks.range(at + 1..).next().map_or(self.chunks_end, |(offset, _)| *offset);
+        let next_chunk = self.next_known_chunk(at);
         let lies = data + stored_bytes > next_chunk
             || (compression == Compression::None && stored_bytes != u64::from(head.size));
         if compression == Compression::None && (lies || stored_bytes > MAX_SEGMENT_BYTES) {
@@ -151,20 +166,16 @@ impl Scan<'_> {
             last: 0,
             connections: None,
         };
-        let end = data + stored_bytes;
-        if let Some(info) = self.chunks.get(&at) {
-            self.visited_chunks += 1;
-            let entries: u64 = info.counts.iter().map(|(_, n)| INDEX_RECORD_BYTES + 12 * u64::from(*n)).sum();
-            let next = end + entries;
-            if next == self.chunks_end || self.chunks.contains_key(&next) {
-                let (first, last) = (info.first, info.last);
-                let counts = info.counts.iter().map(|(id, n)| (*id, u64::from(*n))).collect();
-                self.push(Segment { first, last, ..segment }, &counts);
-                return Ok(next);
-            }
+        let mut pending = PendingChunk { segment, counts: BTreeMap::new(), sound: !lies, known: false };
+        let info = self.chunks.get(&at);
+        self.visited_chunks += usize::from(info.is_some());
+        if let Some(info) = info.filter(|_| !lies) {
+            pending.known = true;
+            (pending.segment.first, pending.segment.last) = (info.first, info.last);
+            pending.counts = info.counts.iter().map(|(id, messages)| (*id, u64::from(*messages))).collect();
         }
-        self.pending = Some(PendingChunk { segment, counts: BTreeMap::new(), sound: true });
-        Ok(end)
+        self.pending = Some(pending);
+        Ok(data + stored_bytes)
     }
 
     /// Takes in the index record of one connection of the chunk before it.
@@ -183,12 +194,13 @@ impl Scan<'_> {
                 .repairs
                 .repaired("an index record with a wrong length was read by its number of entries");
         }
-        let Some(pending) = &mut self.pending else { return Ok(end) };
+        end = end.min(self.next_known_chunk(at));
+        let Some(pending) = self.pending.as_mut().filter(|pending| !pending.known) else { return Ok(end) };
         let mut entries = Vec::new();
         if entry_bytes <= MAX_INDEX_BYTES {
-            self.file.read(data, entry_bytes.min(end - data), &mut entries)?;
+            self.file.read(data, entry_bytes.min(end.saturating_sub(data)), &mut entries)?;
         }
-        if entries.len() as u64 != entry_bytes || end > self.chunks_end {
+        if entries.len() as u64 != entry_bytes {
             pending.sound = false;
         }
         for time in entries.chunks_exact(12).filter_map(|entry| super::record::time_value(entry.get(..8)?)) {
@@ -204,7 +216,8 @@ impl Scan<'_> {
     fn finish_pending(&mut self) -> Result<(), RecordingError> {
         let Some(mut pending) = self.pending.take() else { return Ok(()) };
         let known = |id: &u32| self.index.connections.contains_key(id);
-        if !pending.sound || pending.counts.is_empty() || !pending.counts.keys().all(known) {
+        let complete = pending.sound && !pending.counts.is_empty() && pending.counts.keys().all(known);
+        if !pending.known && !complete {
             self.look_inside(&mut pending)?;
         }
         if !pending.counts.is_empty() {

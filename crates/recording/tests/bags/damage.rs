@@ -13,7 +13,7 @@ static RECORDINGS: LazyLock<(Vec<RecordedMessage>, Vec<Vec<u8>>)> = LazyLock::ne
     // Large enough for several chunks.
     for message in &mut messages {
         if let Message::PointCloud2(cloud) = &mut message.message {
-            cloud.data = (0..30_000u32).map(|i| (i * i >> 7) as u8).collect();
+            cloud.data = (0..30_000u32).map(|i| ((i * i) >> 7) as u8).collect();
         }
     }
     let data = FORMATS.iter().map(|format| bytes(*format, &messages)).collect();

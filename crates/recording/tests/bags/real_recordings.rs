@@ -65,7 +65,11 @@ fn bz2_chunks_are_read() {
 #[test]
 fn a_bag_with_a_damaged_index_is_recovered() {
     let Some(path) = shared("ros_bags/scan_tools_demo.bag") else { return };
-    let (messages, _) = read_all(&*open(path).unwrap());
+    let (messages, repairs) = read_all(&*open(path).unwrap());
+    assert!(
+        repairs.iter().any(|repair| repair.what.contains("index")) && !repairs[0].lost_data,
+        "{repairs:?}"
+    );
     // 278 in the chunk before the damage and 82 behind it; they follow each other at 10 Hz.
     assert_eq!(messages.len(), 278 + 82);
     let stamps: Vec<_> = messages.iter().map(|m| m.message.header().unwrap().stamp).collect();
