@@ -70,6 +70,7 @@ impl Default for Rigid2 {
     }
 }
 
+#[allow(clippy::suspicious_arithmetic_impl)] // angles of a product add up
 impl Mul for Rigid2 {
     type Output = Self;
     fn mul(self, rhs: Self) -> Self {

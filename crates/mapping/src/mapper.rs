@@ -122,7 +122,7 @@ impl<S: Space> Mapper<S> {
         self.backend.enqueue(move |graph| {
             graph.add_trajectory(id, initial_pose);
             if let Some(keep) = keep {
-                graph.add_trimmer(Trimmer::pure_localization(id, usize::try_from(keep).unwrap_or(0)));
+                graph.add_trimmer(Trimmer::pure_localization(id, keep));
             }
         })?;
         Ok(id)

@@ -239,7 +239,7 @@ fn unwarp(
         let hit = pose * p.point.position;
         let delta = hit - origin;
         let range = delta.norm();
-        if !(range >= options.min_range) {
+        if range.is_nan() || range < options.min_range {
             continue;
         }
         if range <= options.max_range {
@@ -275,7 +275,7 @@ fn gravity_aligned(
 }
 
 fn filtered(cloud: &PointCloud, options: &AdaptiveVoxelFilterOptions) -> PointCloud {
-    adaptive_voxel_filter(cloud, options.max_length, options.min_num_points as usize, options.max_range)
+    adaptive_voxel_filter(cloud, options.max_length, options.min_num_points, options.max_range)
 }
 
 impl LocalSlam<Planar> for LocalSlam2d {

@@ -67,7 +67,7 @@ impl<S: Space> PoseGraph<S> {
             Trimmer::OverlappingSubmaps { options, count_after_last_trim } => {
                 let freshness = self.finished_submap_freshness();
                 let added = freshness.len().saturating_sub(count_after_last_trim);
-                if added <= usize::try_from(options.min_added_submaps_count).unwrap_or(0) {
+                if added <= options.min_added_submaps_count {
                     return Some(Trimmer::OverlappingSubmaps { options, count_after_last_trim });
                 }
                 let superfluous = self.covered_submaps(&freshness, &options);
@@ -118,7 +118,7 @@ impl<S: Space> PoseGraph<S> {
                 coverage.entry(cell).or_default().push((*time, *id));
             }
         }
-        let counted = usize::try_from(options.fresh_submaps_count).unwrap_or(0);
+        let counted = options.fresh_submaps_count;
         let mut cells_of: BTreeMap<SubmapId, u64> = BTreeMap::new();
         // The order of cells does not matter: only their number per submap does.
         for submaps in coverage.values_mut() {

@@ -38,12 +38,12 @@ impl Default for FastCorrelativeOptions2d {
 
 /// Depths up to this make sense: windows of 2^23 cells.
 const MAX_DEPTH: u32 = 24;
-/// The search starts with boxes of 2^6 cells; the widest windows kept are twice as wide.
-const MAX_EXPONENT: u32 = 6;
+/// Widths of windows kept, up to 128 cells. The search starts with boxes half as wide.
+const NUM_LEVELS: u32 = 8;
 
 /// Finds the best placement of a scan on a planar grid by branch and bound, near a guess or anywhere.
 ///
-/// Making one costs about as much as copying the grid 14 times and takes that much memory in bytes;
+/// Making one costs about as much as copying the grid eight times and takes that much memory in bytes;
 /// it does not refer to the grid any more.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FastCorrelativeMatcher2d {
@@ -95,7 +95,7 @@ impl FastCorrelativeMatcher2d {
         Ok(Self {
             options: options.clone(),
             limits,
-            pyramid: MaxPyramid::new(&bytes, num_x, num_y, MAX_EXPONENT + 1, 0),
+            pyramid: MaxPyramid::new(&bytes, num_x, num_y, NUM_LEVELS, 0),
             score: ByteScore { lowest, step: (highest - lowest) / 255.0 },
         })
     }
@@ -145,7 +145,8 @@ impl FastCorrelativeMatcher2d {
             min_inside: self.min_points_inside(points.len(), min_score)?,
         };
         let objective = MeanByte { score: self.score, num_points: points.len() };
-        let mut search = JointSearch::new(&self.pyramid, scans, window, shifts, objective, MAX_EXPONENT);
+        let max_exponent = NUM_LEVELS - 2;
+        let mut search = JointSearch::new(&self.pyramid, scans, window, shifts, objective, max_exponent);
         let (score, placements) = search.run(min_score);
         let placement = order::first_of(&placements, self, &mut search.scans)?;
         Some(MatchResult { score, pose: window.pose(initial, &placement) })

@@ -1,7 +1,5 @@
 //! Branch and bound over angle and shift together.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
 use std::ops::Range;
 
 use super::max_pyramid::MaxPyramid;
@@ -44,9 +42,6 @@ pub(crate) enum ShiftBounds {
 /// for: on a plateau there would be no end of them.
 const MAX_TIED_BOXES: u32 = 1 << 16;
 
-/// How many boxes may wait at the same time: some 30 MB.
-const MAX_WAITING: usize = 1 << 20;
-
 /// Points with the same uncertainty of place within a group of angles.
 #[derive(Clone, Debug)]
 struct Segment {
@@ -57,28 +52,9 @@ struct Segment {
     level: usize,
 }
 
-/// A box that waits to be split. The greatest is split next: that with the largest bound, among equals
-/// the smallest box, then the first one.
-#[derive(Clone, Copy, Debug, PartialEq)]
 struct Node {
-    bound: f32,
-    exponent: u32,
     first: Placement,
-}
-
-impl Eq for Node {}
-
-impl Ord for Node {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let by_bound = self.bound.total_cmp(&other.bound);
-        by_bound.then(other.exponent.cmp(&self.exponent)).then(other.first.cmp(&self.first))
-    }
-}
-
-impl PartialOrd for Node {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
+    bound: f32,
 }
 
 /// The best placements by some objective.
@@ -133,11 +109,14 @@ impl<'a, O: Objective> JointSearch<'a, O> {
     /// in the order of scan, x and y. Empty if there is none.
     pub fn run(&mut self, min_score: f32) -> (f32, Vec<Placement>) {
         self.best = min_score;
-        let mut waiting = BinaryHeap::from(self.roots());
-        while let Some(node) = waiting.pop()
-            && self.is_promising(node.bound)
-        {
-            self.split(&node, &mut waiting);
+        let exponent = self.segments.len() - 1;
+        let mut roots = self.roots(exponent);
+        sort_by_bound(&mut roots);
+        for root in roots {
+            if !self.is_promising(root.bound) {
+                break;
+            }
+            self.expand(&root, exponent);
         }
         let mut placements = std::mem::take(&mut self.best_placements);
         placements.sort_unstable();
@@ -150,95 +129,95 @@ impl<'a, O: Objective> JointSearch<'a, O> {
     }
 
     /// All boxes of the window that may hold something better than the score to beat.
-    fn roots(&mut self) -> Vec<Node> {
-        let exponent = self.segments.len() as u32 - 1;
-        let width = 1usize << exponent;
+    fn roots(&mut self, exponent: usize) -> Vec<Node> {
+        let width = 1i32 << exponent;
         let mut roots = Vec::new();
-        for scan in (0..self.window.num_scans()).step_by(width) {
+        for scan in (0..self.window.num_scans()).step_by(width as usize) {
             let [x_range, y_range] = self.shifts_of_group(scan, exponent);
-            for x in x_range.clone().step_by(2 * width) {
-                for y in y_range.clone().step_by(2 * width) {
-                    let first = Placement { scan, x, y };
-                    self.for_four_boxes(first, exponent, [x_range.end, y_range.end], |n| roots.push(n));
+            for x in x_range.clone().step_by(2 * width as usize) {
+                for y in y_range.clone().step_by(2 * width as usize) {
+                    self.four_nodes(Placement { scan, x, y }, exponent, [&x_range, &y_range], &mut roots);
                 }
             }
         }
         roots
     }
 
-    /// Hands on the promising ones of the four boxes at `first` and its neighbours along x and y, as far
-    /// as they start before `end`. Boxes of one placement are scored at once instead.
-    fn for_four_boxes(
+    /// Appends the promising ones of the four boxes at `first` and its neighbours along x and y. Boxes of
+    /// one placement are scored at once instead.
+    fn four_nodes(
         &mut self,
         first: Placement,
-        exponent: u32,
-        end: [i32; 2],
-        mut hand_on: impl FnMut(Node),
+        exponent: usize,
+        [x_range, y_range]: [&Range<i32>; 2],
+        nodes: &mut Vec<Node>,
     ) {
         let width = 1i32 << exponent;
         let sums = self.group_sums(first, exponent);
         for (i, sum) in sums.into_iter().enumerate() {
             let x = first.x + width * (i as i32 >> 1);
             let y = first.y + width * (i as i32 & 1);
-            if x >= end[0] || y >= end[1] {
+            if x >= x_range.end || y >= y_range.end {
                 continue;
             }
             let last = Placement {
                 scan: (first.scan + width).min(self.window.num_scans()) - 1,
-                x: (x + width).min(end[0]) - 1,
-                y: (y + width).min(end[1]) - 1,
+                x: (x + width).min(x_range.end) - 1,
+                y: (y + width).min(y_range.end) - 1,
             };
             let region = Region { first: Placement { x, y, ..first }, last };
             let bound = self.objective.bound(sum, &region);
-            if self.is_promising(bound) {
-                match exponent {
-                    0 => self.score_leaf(region.first, sum),
-                    _ => hand_on(Node { bound, exponent, first: region.first }),
-                }
+            if !self.is_promising(bound) {
+                continue;
+            }
+            if exponent == 0 {
+                self.score_leaf(region.first, sum);
+            } else {
+                nodes.push(Node { first: region.first, bound });
             }
         }
     }
 
-    /// Splits a box along all axes. Its parts wait, too, unless very many do: then they are split at
-    /// once, which finds the same but keeps memory in bounds.
-    fn split(&mut self, node: &Node, waiting: &mut BinaryHeap<Node>) {
+    fn expand(&mut self, node: &Node, exponent: usize) {
+        if exponent == 0 {
+            return;
+        }
         if node.bound == self.best {
             self.tied_boxes += 1;
         }
-        let exponent = node.exponent - 1;
-        let end = [node.first.x, node.first.y].map(|first| self.end_of_window(first, node.exponent));
-        let mut parts = Vec::new();
-        for scan in [node.first.scan, node.first.scan + (1i32 << exponent)] {
+        let child = exponent - 1;
+        let half = 1i32 << child;
+        let x_range = node.first.x..self.end_of_window(node.first.x, exponent);
+        let y_range = node.first.y..self.end_of_window(node.first.y, exponent);
+        let mut children = Vec::with_capacity(8);
+        for scan in [node.first.scan, node.first.scan + half] {
             if scan < self.window.num_scans() {
                 let first = Placement { scan, ..node.first };
-                if waiting.len() < MAX_WAITING {
-                    self.for_four_boxes(first, exponent, end, |n| waiting.push(n));
-                } else {
-                    self.for_four_boxes(first, exponent, end, |n| parts.push(n));
-                }
+                self.four_nodes(first, child, [&x_range, &y_range], &mut children);
             }
         }
-        parts.sort_unstable();
-        for part in parts.iter().rev() {
-            if self.is_promising(part.bound) {
-                self.split(part, waiting);
+        sort_by_bound(&mut children);
+        for node in children {
+            if !self.is_promising(node.bound) {
+                break;
             }
+            self.expand(&node, child);
         }
     }
 
     /// Where shifts of a box that starts at `first` end.
-    fn end_of_window(&self, first: i32, exponent: u32) -> i32 {
+    fn end_of_window(&self, first: i32, exponent: usize) -> i32 {
         (first + (1i32 << exponent)).min(self.window.num_linear + 1)
     }
 
     /// Largest sums of bytes that any placement can have in the four boxes at `first`.
-    fn group_sums(&mut self, first: Placement, exponent: u32) -> [u32; 4] {
+    fn group_sums(&mut self, first: Placement, exponent: usize) -> [u32; 4] {
         let width = 1i32 << exponent;
         // The scan in the middle is at most half a group away from all others.
         let middle = (first.scan + width / 2).min(self.window.num_scans() - 1);
         let cells = self.scans.cells(middle);
         let mut sums = [0; 4];
-        for segment in &self.segments[exponent as usize] {
+        for segment in &self.segments[exponent] {
             let (x, y) = (first.x - segment.smear, first.y - segment.smear);
             let level = self.pyramid.level(segment.level);
             let part = level.four_sums(&cells[segment.points.clone()], x, y, width);
@@ -270,11 +249,11 @@ impl<'a, O: Objective> JointSearch<'a, O> {
     }
 
     /// The shifts of all scans of a group, in x and y.
-    fn shifts_of_group(&mut self, scan: i32, exponent: u32) -> [Range<i32>; 2] {
+    fn shifts_of_group(&mut self, scan: i32, exponent: usize) -> [Range<i32>; 2] {
         let n = self.window.num_linear;
         let ShiftBounds::Overlap { size, min_inside } = self.shifts else { return [-n..n + 1, -n..n + 1] };
         let middle = (scan + (1i32 << exponent) / 2).min(self.window.num_scans() - 1);
-        let smear = self.segments[exponent as usize].iter().map(|s| s.smear).max().unwrap_or(0);
+        let smear = self.segments[exponent].iter().map(|s| s.smear).max().unwrap_or(0);
         overlap(self.scans.cells(middle), size, min_inside, smear, &mut self.scratch)
             .map(|r| r.start.max(-n)..r.end.min(n + 1))
     }
@@ -313,11 +292,16 @@ fn segments_for(scans: &RotatedScans, window: &SearchWindow, exponent: u32) -> V
         let arc = half_group * window.angular_step * f64::from(*range) / window.resolution;
         let smear = if exponent == 0 { 0 } else { (arc + scans.rounding_error()).ceil().min(1e6) as i32 };
         let width = (1u32 << exponent) + 2 * smear as u32;
-        let level = MaxPyramid::level_for(width);
+        let level = width.next_power_of_two().trailing_zeros() as usize;
         match segments.last_mut() {
-            Some(s) if s.level == level => (s.points.end, s.smear) = (i + 1, smear),
+            Some(s) if s.smear == smear => s.points.end = i + 1,
             _ => segments.push(Segment { points: i..i + 1, smear, level }),
         }
     }
     segments
+}
+
+/// Best first; equal ones stay in order.
+fn sort_by_bound(nodes: &mut [Node]) {
+    nodes.sort_by(|a, b| b.bound.total_cmp(&a.bound));
 }

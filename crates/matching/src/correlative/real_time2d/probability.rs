@@ -18,7 +18,7 @@ pub(super) fn best(
     let exponent = max_exponent(&window);
     let bytes = upper_bounds(grid, tile);
     let pyramid =
-        MaxPyramid::new(&bytes, tile.num_x_cells() as usize, tile.num_y_cells() as usize, exponent + 1, 0);
+        MaxPyramid::new(&bytes, tile.num_x_cells() as usize, tile.num_y_cells() as usize, exponent + 2, 0);
     let objective = MeanProbability { grid, tile, penalty, num_points: scans.num_points() as f32 };
     let mut search = JointSearch::new(&pyramid, scans, window, ShiftBounds::Window, objective, exponent);
     let (score, placements) = search.run(f32::NEG_INFINITY);

@@ -26,7 +26,7 @@ pub(super) fn best(
     let code = ExcessCode::new(tsdf, (f64::from(known_score) - 1e-4).max(0.0));
     let bytes: Vec<u8> = tile.cells().map(|c| code.encode(code.excess(tsdf, c))).collect();
     let (num_x, num_y) = (tile.num_x_cells() as usize, tile.num_y_cells() as usize);
-    let pyramid = MaxPyramid::new(&bytes, num_x, num_y, exponent + 1, code.encode(0.0));
+    let pyramid = MaxPyramid::new(&bytes, num_x, num_y, exponent + 2, code.encode(0.0));
     let objective = CanExceed { nearness, code, num_points: scans.num_points() as f64 };
     let mut search = JointSearch::new(&pyramid, scans, window, ShiftBounds::Window, objective, exponent);
     let (score, placements) = search.run(f32::NEG_INFINITY);
