@@ -4,7 +4,7 @@ use portolan_geometry::{Point3f, Rigid2};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
-use super::joint_search::{JointSearch, Objective, Placement, Region, ShiftBounds};
+use super::joint_search::{Best, JointSearch, Objective, Region, SearchOptions, ShiftBounds};
 use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
 use super::search_window::{MAX_LINEAR_STEPS, SearchWindow};
@@ -38,12 +38,12 @@ impl Default for FastCorrelativeOptions2d {
 
 /// Depths up to this make sense: windows of 2^23 cells.
 const MAX_DEPTH: u32 = 24;
-/// Widths of windows kept, up to 128 cells. The search starts with boxes half as wide.
-const NUM_LEVELS: u32 = 8;
+/// The search starts with boxes of 2^6 cells; the widest windows kept are twice as wide.
+const MAX_EXPONENT: u32 = 6;
 
 /// Finds the best placement of a scan on a planar grid by branch and bound, near a guess or anywhere.
 ///
-/// Making one costs about as much as copying the grid eight times and takes that much memory in bytes;
+/// Making one costs about as much as copying the grid 14 times and takes that much memory in bytes;
 /// it does not refer to the grid any more.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FastCorrelativeMatcher2d {
@@ -95,7 +95,7 @@ impl FastCorrelativeMatcher2d {
         Ok(Self {
             options: options.clone(),
             limits,
-            pyramid: MaxPyramid::new(&bytes, num_x, num_y, NUM_LEVELS, 0),
+            pyramid: MaxPyramid::new(&bytes, num_x, num_y, MAX_EXPONENT + 1, 0),
             score: ByteScore { lowest, step: (highest - lowest) / 255.0 },
         })
     }
@@ -145,8 +145,8 @@ impl FastCorrelativeMatcher2d {
             min_inside: self.min_points_inside(points.len(), min_score)?,
         };
         let objective = MeanByte { score: self.score, num_points: points.len() };
-        let max_exponent = NUM_LEVELS - 2;
-        let mut search = JointSearch::new(&self.pyramid, scans, window, shifts, objective, max_exponent);
+        let options = SearchOptions { max_exponent: MAX_EXPONENT, leaf_exponent: 0 };
+        let mut search = JointSearch::new(&self.pyramid, scans, window, shifts, objective, options);
         let (score, placements) = search.run(min_score);
         let placement = order::first_of(&placements, self, &mut search.scans)?;
         Some(MatchResult { score, pose: window.pose(initial, &placement) })
@@ -175,8 +175,8 @@ impl Objective for MeanByte {
         self.score.of(byte_sum, self.num_points)
     }
 
-    fn score(&self, _placement: Placement, byte_sum: u32, _scans: &mut RotatedScans) -> f32 {
-        self.score.of(byte_sum, self.num_points)
+    fn score(&self, region: &Region, byte_sum: u32, _scans: &mut RotatedScans, best: &mut Best) {
+        best.offer(region.first, self.score.of(byte_sum, self.num_points));
     }
 }
 

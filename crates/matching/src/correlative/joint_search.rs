@@ -1,5 +1,7 @@
 //! Branch and bound over angle and shift together.
 
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
 use std::ops::Range;
 
 use super::max_pyramid::MaxPyramid;
@@ -25,8 +27,62 @@ pub(crate) struct Region {
 pub(crate) trait Objective {
     /// No placement of `region` scores more, if none has a larger sum than `byte_sum`.
     fn bound(&self, byte_sum: u32, region: &Region) -> f32;
-    /// The score of a placement whose sum is `byte_sum`.
-    fn score(&self, placement: Placement, byte_sum: u32, scans: &mut RotatedScans) -> f32;
+    /// Offers the placements of `region`, all of the same scan, with their scores. If it is a single
+    /// placement, `byte_sum` is its sum.
+    fn score(&self, region: &Region, byte_sum: u32, scans: &mut RotatedScans, best: &mut Best);
+}
+
+/// The largest score so far and the placements that have it.
+#[derive(Clone, Debug)]
+pub(crate) struct Best {
+    score: f32,
+    placements: Vec<Placement>,
+    /// How many boxes were split whose bound only equalled the best score.
+    tied_boxes: u32,
+}
+
+impl Best {
+    /// Nothing yet; only scores above `min_score` count.
+    pub fn above(min_score: f32) -> Self {
+        Self { score: min_score, placements: Vec::new(), tied_boxes: 0 }
+    }
+
+    /// Whether something with this bound may still change the result.
+    #[inline]
+    pub fn is_promising(&self, bound: f32) -> bool {
+        bound > self.score || (bound == self.score && self.collects_ties())
+    }
+
+    fn collects_ties(&self) -> bool {
+        !self.placements.is_empty() && self.tied_boxes < MAX_TIED_BOXES && self.placements.len() < MAX_TIES
+    }
+
+    /// Takes a placement into account.
+    pub fn offer(&mut self, placement: Placement, score: f32) {
+        if score > self.score {
+            self.score = score;
+            self.placements.clear();
+            self.tied_boxes = 0;
+            self.placements.push(placement);
+        } else if score == self.score && self.collects_ties() {
+            self.placements.push(placement);
+        }
+    }
+
+    /// The best score, and in order of scan, x and y the placements that have it.
+    pub fn finish(mut self) -> (f32, Vec<Placement>) {
+        self.placements.sort_unstable();
+        (self.score, self.placements)
+    }
+}
+
+/// How boxes of placements are made.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SearchOptions {
+    /// The search starts with boxes of 2^this angles by as many shifts in x and y.
+    pub max_exponent: u32,
+    /// Shifts are not split below 2^this; then whole boxes of one scan are scored.
+    pub leaf_exponent: u32,
 }
 
 /// Which shifts are searched.
@@ -41,6 +97,11 @@ pub(crate) enum ShiftBounds {
 /// After this many boxes whose bound only equals the best score, equal placements are no longer looked
 /// for: on a plateau there would be no end of them.
 const MAX_TIED_BOXES: u32 = 1 << 16;
+/// After this many equal placements no more are collected.
+const MAX_TIES: usize = 1 << 16;
+
+/// How many boxes may wait at the same time: some 30 MB.
+const MAX_WAITING: usize = 1 << 20;
 
 /// Points with the same uncertainty of place within a group of angles.
 #[derive(Clone, Debug)]
@@ -52,9 +113,28 @@ struct Segment {
     level: usize,
 }
 
+/// A box that waits to be split. The greatest is split next: that with the largest bound, among equals
+/// the smallest box, then the first one.
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Node {
-    first: Placement,
     bound: f32,
+    exponent: u32,
+    first: Placement,
+}
+
+impl Eq for Node {}
+
+impl Ord for Node {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let by_bound = self.bound.total_cmp(&other.bound);
+        by_bound.then(other.exponent.cmp(&self.exponent)).then(other.first.cmp(&self.first))
+    }
+}
+
+impl PartialOrd for Node {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
 }
 
 /// The best placements by some objective.
@@ -66,27 +146,25 @@ pub(crate) struct JointSearch<'a, O> {
     objective: O,
     /// For boxes of 2^i angles by 2^i by 2^i shifts.
     segments: Vec<Vec<Segment>>,
-    /// Score to beat, or best score found.
-    best: f32,
-    best_placements: Vec<Placement>,
-    tied_boxes: u32,
+    leaf_exponent: u32,
+    best: Best,
     scratch: Vec<i32>,
 }
 
 impl<'a, O: Objective> JointSearch<'a, O> {
-    /// A search with boxes of at most 2^`max_exponent` steps along each axis.
+    /// Prepares a search.
     pub fn new(
         pyramid: &'a MaxPyramid,
         scans: RotatedScans,
         window: SearchWindow,
         shifts: ShiftBounds,
         objective: O,
-        max_exponent: u32,
+        options: SearchOptions,
     ) -> Self {
         let mut segments = Vec::new();
-        for exponent in 0..=max_exponent {
-            let next = segments_for(&scans, &window, exponent);
-            if next.iter().any(|s| s.level >= pyramid.num_levels()) {
+        for exponent in 0..=options.max_exponent {
+            let next = segments_for(&scans, &window, exponent, options.leaf_exponent);
+            if exponent > 0 && next.iter().any(|s| s.level >= pyramid.num_levels()) {
                 break;
             }
             segments.push(next);
@@ -98,9 +176,8 @@ impl<'a, O: Objective> JointSearch<'a, O> {
             shifts,
             objective,
             segments,
-            best: f32::NEG_INFINITY,
-            best_placements: Vec::new(),
-            tied_boxes: 0,
+            leaf_exponent: options.leaf_exponent,
+            best: Best::above(f32::NEG_INFINITY),
             scratch: Vec::new(),
         }
     }
@@ -108,116 +185,111 @@ impl<'a, O: Objective> JointSearch<'a, O> {
     /// The best score above `min_score` and all placements that have it (some, if there are very many),
     /// in the order of scan, x and y. Empty if there is none.
     pub fn run(&mut self, min_score: f32) -> (f32, Vec<Placement>) {
-        self.best = min_score;
-        let exponent = self.segments.len() - 1;
-        let mut roots = self.roots(exponent);
-        sort_by_bound(&mut roots);
-        for root in roots {
-            if !self.is_promising(root.bound) {
-                break;
-            }
-            self.expand(&root, exponent);
+        self.best = Best::above(min_score);
+        let mut waiting = BinaryHeap::from(self.roots());
+        while let Some(node) = waiting.pop()
+            && self.best.is_promising(node.bound)
+        {
+            self.split(&node, &mut waiting);
         }
-        let mut placements = std::mem::take(&mut self.best_placements);
-        placements.sort_unstable();
-        (self.best, placements)
+        self.best.clone().finish()
     }
 
-    fn is_promising(&self, bound: f32) -> bool {
-        let ties_count = !self.best_placements.is_empty() && self.tied_boxes < MAX_TIED_BOXES;
-        if ties_count { bound >= self.best } else { bound > self.best }
+    /// Shifts along each axis in a box.
+    fn num_shifts(&self, exponent: u32) -> i32 {
+        1 << exponent.max(self.leaf_exponent)
     }
 
     /// All boxes of the window that may hold something better than the score to beat.
-    fn roots(&mut self, exponent: usize) -> Vec<Node> {
-        let width = 1i32 << exponent;
+    fn roots(&mut self) -> Vec<Node> {
+        let exponent = self.segments.len() as u32 - 1;
+        let width = self.num_shifts(exponent) as usize;
         let mut roots = Vec::new();
-        for scan in (0..self.window.num_scans()).step_by(width as usize) {
+        for scan in (0..self.window.num_scans()).step_by(1 << exponent) {
             let [x_range, y_range] = self.shifts_of_group(scan, exponent);
-            for x in x_range.clone().step_by(2 * width as usize) {
-                for y in y_range.clone().step_by(2 * width as usize) {
-                    self.four_nodes(Placement { scan, x, y }, exponent, [&x_range, &y_range], &mut roots);
+            for x in x_range.clone().step_by(2 * width) {
+                for y in y_range.clone().step_by(2 * width) {
+                    let first = Placement { scan, x, y };
+                    self.for_four_boxes(first, exponent, [x_range.end, y_range.end], |n| roots.push(n));
                 }
             }
         }
         roots
     }
 
-    /// Appends the promising ones of the four boxes at `first` and its neighbours along x and y. Boxes of
-    /// one placement are scored at once instead.
-    fn four_nodes(
+    /// Hands on the promising ones of the four boxes at `first` and its neighbours along x and y, as far
+    /// as they start before `end`. Boxes of one placement are scored at once instead.
+    fn for_four_boxes(
         &mut self,
         first: Placement,
-        exponent: usize,
-        [x_range, y_range]: [&Range<i32>; 2],
-        nodes: &mut Vec<Node>,
+        exponent: u32,
+        end: [i32; 2],
+        mut hand_on: impl FnMut(Node),
     ) {
-        let width = 1i32 << exponent;
+        let width = self.num_shifts(exponent);
         let sums = self.group_sums(first, exponent);
         for (i, sum) in sums.into_iter().enumerate() {
             let x = first.x + width * (i as i32 >> 1);
             let y = first.y + width * (i as i32 & 1);
-            if x >= x_range.end || y >= y_range.end {
+            if x >= end[0] || y >= end[1] {
                 continue;
             }
             let last = Placement {
-                scan: (first.scan + width).min(self.window.num_scans()) - 1,
-                x: (x + width).min(x_range.end) - 1,
-                y: (y + width).min(y_range.end) - 1,
+                scan: (first.scan + (1i32 << exponent)).min(self.window.num_scans()) - 1,
+                x: (x + width).min(end[0]) - 1,
+                y: (y + width).min(end[1]) - 1,
             };
             let region = Region { first: Placement { x, y, ..first }, last };
             let bound = self.objective.bound(sum, &region);
-            if !self.is_promising(bound) {
-                continue;
-            }
-            if exponent == 0 {
-                self.score_leaf(region.first, sum);
-            } else {
-                nodes.push(Node { first: region.first, bound });
+            if self.best.is_promising(bound) {
+                match exponent {
+                    0 => self.score_leaf(&region, sum),
+                    _ => hand_on(Node { bound, exponent, first: region.first }),
+                }
             }
         }
     }
 
-    fn expand(&mut self, node: &Node, exponent: usize) {
-        if exponent == 0 {
-            return;
+    /// Splits a box along all axes. Its parts wait, too, unless very many do: then they are split at
+    /// once, which finds the same but keeps memory in bounds.
+    fn split(&mut self, node: &Node, waiting: &mut BinaryHeap<Node>) {
+        if node.bound == self.best.score {
+            self.best.tied_boxes += 1;
         }
-        if node.bound == self.best {
-            self.tied_boxes += 1;
-        }
-        let child = exponent - 1;
-        let half = 1i32 << child;
-        let x_range = node.first.x..self.end_of_window(node.first.x, exponent);
-        let y_range = node.first.y..self.end_of_window(node.first.y, exponent);
-        let mut children = Vec::with_capacity(8);
-        for scan in [node.first.scan, node.first.scan + half] {
+        let exponent = node.exponent - 1;
+        let end = [node.first.x, node.first.y].map(|first| self.end_of_window(first, node.exponent));
+        let mut parts = Vec::new();
+        for scan in [node.first.scan, node.first.scan + (1i32 << exponent)] {
             if scan < self.window.num_scans() {
                 let first = Placement { scan, ..node.first };
-                self.four_nodes(first, child, [&x_range, &y_range], &mut children);
+                if waiting.len() < MAX_WAITING {
+                    self.for_four_boxes(first, exponent, end, |n| waiting.push(n));
+                } else {
+                    self.for_four_boxes(first, exponent, end, |n| parts.push(n));
+                }
             }
         }
-        sort_by_bound(&mut children);
-        for node in children {
-            if !self.is_promising(node.bound) {
-                break;
+        parts.sort_unstable();
+        for part in parts.iter().rev() {
+            if self.best.is_promising(part.bound) {
+                self.split(part, waiting);
             }
-            self.expand(&node, child);
         }
     }
 
     /// Where shifts of a box that starts at `first` end.
-    fn end_of_window(&self, first: i32, exponent: usize) -> i32 {
-        (first + (1i32 << exponent)).min(self.window.num_linear + 1)
+    fn end_of_window(&self, first: i32, exponent: u32) -> i32 {
+        (first + self.num_shifts(exponent)).min(self.window.num_linear + 1)
     }
 
     /// Largest sums of bytes that any placement can have in the four boxes at `first`.
-    fn group_sums(&mut self, first: Placement, exponent: usize) -> [u32; 4] {
-        let width = 1i32 << exponent;
+    fn group_sums(&mut self, first: Placement, exponent: u32) -> [u32; 4] {
+        let width = self.num_shifts(exponent);
         // The scan in the middle is at most half a group away from all others.
-        let middle = (first.scan + width / 2).min(self.window.num_scans() - 1);
+        let middle = (first.scan + (1i32 << exponent) / 2).min(self.window.num_scans() - 1);
         let cells = self.scans.cells(middle);
         let mut sums = [0; 4];
-        for segment in &self.segments[exponent] {
+        for segment in &self.segments[exponent as usize] {
             let (x, y) = (first.x - segment.smear, first.y - segment.smear);
             let level = self.pyramid.level(segment.level);
             let part = level.four_sums(&cells[segment.points.clone()], x, y, width);
@@ -226,18 +298,9 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         sums
     }
 
-    fn score_leaf(&mut self, placement: Placement, byte_sum: u32) {
-        if !self.is_searched(placement) {
-            return;
-        }
-        let score = self.objective.score(placement, byte_sum, &mut self.scans);
-        if score > self.best {
-            self.best = score;
-            self.best_placements.clear();
-            self.tied_boxes = 0;
-        }
-        if score == self.best && (self.best_placements.is_empty() || self.is_promising(score)) {
-            self.best_placements.push(placement);
+    fn score_leaf(&mut self, region: &Region, byte_sum: u32) {
+        if self.is_searched(region.first) {
+            self.objective.score(region, byte_sum, &mut self.scans, &mut self.best);
         }
     }
 
@@ -249,11 +312,11 @@ impl<'a, O: Objective> JointSearch<'a, O> {
     }
 
     /// The shifts of all scans of a group, in x and y.
-    fn shifts_of_group(&mut self, scan: i32, exponent: usize) -> [Range<i32>; 2] {
+    fn shifts_of_group(&mut self, scan: i32, exponent: u32) -> [Range<i32>; 2] {
         let n = self.window.num_linear;
         let ShiftBounds::Overlap { size, min_inside } = self.shifts else { return [-n..n + 1, -n..n + 1] };
         let middle = (scan + (1i32 << exponent) / 2).min(self.window.num_scans() - 1);
-        let smear = self.segments[exponent].iter().map(|s| s.smear).max().unwrap_or(0);
+        let smear = self.segments[exponent as usize].iter().map(|s| s.smear).max().unwrap_or(0);
         overlap(self.scans.cells(middle), size, min_inside, smear, &mut self.scratch)
             .map(|r| r.start.max(-n)..r.end.min(n + 1))
     }
@@ -283,7 +346,12 @@ fn overlap(
     })
 }
 
-fn segments_for(scans: &RotatedScans, window: &SearchWindow, exponent: u32) -> Vec<Segment> {
+fn segments_for(
+    scans: &RotatedScans,
+    window: &SearchWindow,
+    exponent: u32,
+    leaf_exponent: u32,
+) -> Vec<Segment> {
     let half_group = f64::from((1u32 << exponent) >> 1);
     let mut segments: Vec<Segment> = Vec::new();
     for (i, range) in scans.ranges().iter().enumerate() {
@@ -291,17 +359,12 @@ fn segments_for(scans: &RotatedScans, window: &SearchWindow, exponent: u32) -> V
         // less than one cell to what is not a whole number.
         let arc = half_group * window.angular_step * f64::from(*range) / window.resolution;
         let smear = if exponent == 0 { 0 } else { (arc + scans.rounding_error()).ceil().min(1e6) as i32 };
-        let width = (1u32 << exponent) + 2 * smear as u32;
-        let level = width.next_power_of_two().trailing_zeros() as usize;
+        let width = (1u32 << exponent.max(leaf_exponent)) + 2 * smear as u32;
+        let level = MaxPyramid::level_for(width);
         match segments.last_mut() {
-            Some(s) if s.smear == smear => s.points.end = i + 1,
+            Some(s) if s.level == level => (s.points.end, s.smear) = (i + 1, smear),
             _ => segments.push(Segment { points: i..i + 1, smear, level }),
         }
     }
     segments
-}
-
-/// Best first; equal ones stay in order.
-fn sort_by_bound(nodes: &mut [Node]) {
-    nodes.sort_by(|a, b| b.bound.total_cmp(&a.bound));
 }

@@ -1,6 +1,6 @@
-//! The largest byte in every window of a grid, for windows of 1, 2, 4, … cells.
+//! The largest byte in every window of a grid, for windows of 1, 2, 3, 4, 6, 8, 12, … cells.
 
-/// For each power of two w the grid of `max over [x, x+w) × [y, y+w)` of a grid of bytes, with one byte
+/// For each width w, powers of two and one and a half times that, the grid of `max over [x, x+w) × [y, y+w)` of a grid of bytes, with one byte
 /// for all cells outside.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct MaxPyramid {
@@ -19,19 +19,35 @@ pub(crate) struct Level {
 }
 
 impl MaxPyramid {
-    /// From `num_x`×`num_y` bytes, x running fastest, with windows up to 2^(`num_levels` − 1).
-    pub fn new(bytes: &[u8], num_x: usize, num_y: usize, num_levels: u32, outside: u8) -> Self {
+    /// From `num_x`×`num_y` bytes, x running fastest, with windows up to 2^`max_exponent` cells.
+    pub fn new(bytes: &[u8], num_x: usize, num_y: usize, max_exponent: u32, outside: u8) -> Self {
         debug_assert_eq!(bytes.len(), num_x * num_y);
         let mut base = Level::filled(1, num_x, num_y, outside);
         for (row, source) in base.bytes.chunks_exact_mut(num_x + 1).zip(bytes.chunks_exact(num_x.max(1))) {
             row[..num_x].copy_from_slice(source);
         }
         let mut levels = vec![base];
-        for _ in 1..num_levels.max(1) {
-            let next = levels[levels.len() - 1].doubled();
+        for exponent in 0..max_exponent {
+            let last = &levels[levels.len() - 1];
+            let power = if exponent == 0 { last } else { &levels[2 * exponent as usize - 1] };
+            let next = power.widened(power.window);
+            let between = (exponent > 0).then(|| power.widened(power.window / 2));
+            levels.extend(between);
             levels.push(next);
         }
         Self { levels }
+    }
+
+    /// Index of the narrowest windows of at least `width` cells: widths 1, 2, 3, 4, 6, 8, 12, ….
+    pub fn level_for(width: u32) -> usize {
+        let power = width.next_power_of_two();
+        let index = 2 * power.trailing_zeros() as usize;
+        match index {
+            0 => 0,
+            2 => 1,
+            _ if width <= power / 4 * 3 => index - 2,
+            _ => index - 1,
+        }
     }
 
     /// How many widths there are.
@@ -39,16 +55,15 @@ impl MaxPyramid {
         self.levels.len()
     }
 
-    /// Windows of width 2^`index`, or the widest there are.
+    /// Windows by their index in ascending order of width; the widest for any larger index.
     pub fn level(&self, index: usize) -> &Level {
         &self.levels[index.min(self.levels.len() - 1)]
     }
 
     /// The largest byte in the window of any power of two.
     pub fn window_max(&self, x: i32, y: i32, exponent: u32) -> u8 {
-        let widest = self.levels.len() as u32 - 1;
-        let level = self.level(exponent as usize);
-        if exponent <= widest {
+        let level = self.level(Self::level_for(1u32 << exponent.min(30)));
+        if level.window >> exponent.min(30) != 0 {
             return level.at(x, y);
         }
         let (width, num_x, num_y) = (level.window, level.num_columns as i32, level.num_rows as i32);
@@ -72,25 +87,25 @@ impl Level {
         Self { window, num_columns: num_columns as u32, num_rows: num_rows as u32, outside, bytes }
     }
 
-    /// Windows of twice the width: the larger of two windows side by side, first along rows, then along
-    /// columns. Element by element, whatever the width.
-    fn doubled(&self) -> Self {
-        let width = self.window as usize;
+    /// Windows wider by `more` cells, at most their width: the larger of two overlapping windows, first
+    /// along rows, then along columns. Element by element, whatever the width.
+    fn widened(&self, more: i32) -> Self {
+        let shift = more as usize;
         let (columns, rows) = (self.num_columns as usize, self.num_rows as usize);
-        let mut wide = Self::filled(2 * self.window, columns + width, rows + width, self.outside);
-        let (stride, wide_stride) = (columns + 1, columns + width + 1);
+        let mut wide = Self::filled(self.window + more, columns + shift, rows + shift, self.outside);
+        let (stride, wide_stride) = (columns + 1, columns + shift + 1);
         for (target, source) in
             wide.bytes.chunks_exact_mut(wide_stride).zip(self.bytes.chunks_exact(stride)).take(rows)
         {
             target[..columns].copy_from_slice(&source[..columns]);
-            raise(&mut target[..width.min(columns)], [self.outside].iter().cycle());
-            raise(&mut target[width..width + columns], source.iter());
+            raise(&mut target[..shift.min(columns)], [self.outside].iter().cycle());
+            raise(&mut target[shift..shift + columns], source.iter());
         }
         // From the last row on, so that the rows above are still those of the first step.
-        for row in (0..rows + width).rev() {
+        for row in (0..rows + shift).rev() {
             let (above, below) = wide.bytes.split_at_mut(row * wide_stride);
-            let target = &mut below[..columns + width];
-            match row.checked_sub(width) {
+            let target = &mut below[..columns + shift];
+            match row.checked_sub(shift) {
                 Some(source) => raise(target, above[source * wide_stride..].iter()),
                 None => raise(target, [self.outside].iter().cycle()),
             }
@@ -146,11 +161,11 @@ mod tests {
     use super::*;
     use crate::testing::Lcg;
 
-    fn check(num_x: usize, num_y: usize, exponents: &[u32], num_levels: u32, outside: u8) {
+    fn check(num_x: usize, num_y: usize, exponents: &[u32], max_exponent: u32, outside: u8) {
         let mut lcg = Lcg::new(5);
         let bytes: Vec<u8> =
             (0..num_x * num_y).map(|_| (lcg.unit() * lcg.unit() * lcg.unit() * 256.0) as u8).collect();
-        let pyramid = MaxPyramid::new(&bytes, num_x, num_y, num_levels, outside);
+        let pyramid = MaxPyramid::new(&bytes, num_x, num_y, max_exponent, outside);
         for exponent in exponents {
             let width = 1i32 << exponent;
             for y in -width - 1..num_y as i32 + 2 {
@@ -170,18 +185,35 @@ mod tests {
     #[test]
     fn every_window_has_its_maximum() {
         for outside in [0, 100] {
-            check(31, 17, &[0, 1, 2, 3, 4, 5, 6], 4, outside);
-            check(4, 4, &[0, 1, 5], 3, outside);
-            check(1, 1, &[0, 3], 1, outside);
+            check(31, 17, &[0, 1, 2, 3, 4, 5, 6], 3, outside);
+            check(4, 4, &[0, 1, 5], 2, outside);
+            check(1, 1, &[0, 3], 0, outside);
+        }
+    }
+
+    #[test]
+    fn windows_between_the_powers_of_two_have_their_maximum() {
+        let bytes: Vec<u8> = (0..143u32).map(|i| (i * 89 % 251) as u8).collect();
+        let pyramid = MaxPyramid::new(&bytes, 13, 11, 4, 0);
+        assert_eq!(pyramid.num_levels(), 8);
+        for (index, width) in [1i32, 2, 3, 4, 6, 8, 12, 16].into_iter().enumerate() {
+            assert_eq!(MaxPyramid::level_for(width as u32), index);
+            assert_eq!(MaxPyramid::level_for(width as u32 + 1), index + 1);
+            for (x, y) in (-17..14).flat_map(|x| (-17..12).map(move |y| (x, y))) {
+                let range = |first: i32, size: i32| first.max(0)..(first + width).min(size).max(first.max(0));
+                let cells = range(y, 11).flat_map(|y| range(x, 13).map(move |x| y * 13 + x));
+                let expected = cells.map(|i| bytes[i as usize]).max().unwrap_or(0);
+                assert_eq!(pyramid.level(index).at(x, y), expected, "{x} {y} {width}");
+            }
         }
     }
 
     #[test]
     fn sums_are_sums() {
         let bytes: Vec<u8> = (0..60).collect();
-        let pyramid = MaxPyramid::new(&bytes, 10, 6, 3, 0);
+        let pyramid = MaxPyramid::new(&bytes, 10, 6, 2, 0);
         let cells = [[0, 0], [3, 4], [-7, 2], [9, 5], [100, -100]];
-        for index in 0..3 {
+        for index in 0..4 {
             let level = pyramid.level(index);
             let sums = level.four_sums(&cells, -1, 1, 2);
             for (i, (dx, dy)) in [(0, 0), (0, 2), (2, 0), (2, 2)].into_iter().enumerate() {

@@ -4,15 +4,17 @@ use portolan_geometry::{Point3f, Rigid2};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
-use super::joint_search::{JointSearch, Objective, Placement, Region, ShiftBounds};
+use super::joint_search::{Best, JointSearch, Objective, Placement, Region, SearchOptions, ShiftBounds};
 use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
 use super::search_window::SearchWindow;
 use crate::MatcherOptionError;
 use crate::grid::{CellBox, CellIndex, Grid2d, MapLimits, is_finite};
 
+mod exhaustive;
 mod probability;
 mod signed_distance;
+mod tile;
 
 /// Where a real-time correlative matcher looks, and how much it prefers to stay where it is.
 #[derive(Clone, Debug, PartialEq)]
@@ -135,10 +137,9 @@ impl Penalty {
     }
 }
 
-/// The cells that any placement can meet and about which something is known.
+/// The cells of the grid that any placement can meet.
 fn searched_part(grid: &Grid2d, initial: &Rigid2, points: &[Point3f], window: &SearchWindow) -> CellBox {
     let limits: &MapLimits = grid.limits();
-    let known = grid.known_cells_box().unwrap_or(CellBox::of(CellIndex::default()));
     let turn = window.angle(window.num_scans() - 1);
     let margin = f64::from(window.num_linear) + 2.0;
     let [mut low, mut high] = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
@@ -156,23 +157,20 @@ fn searched_part(grid: &Grid2d, initial: &Rigid2, points: &[Point3f], window: &S
         }
     }
     // Casts saturate; a part without any cell shrinks to one.
-    let clamp = |v: f64, min: i32, max: i32| (v as i32).clamp(min, max);
-    CellBox {
-        min: CellIndex::new(
-            clamp(low[0].floor(), known.min.x, known.max.x),
-            clamp(low[1].floor(), known.min.y, known.max.y),
-        ),
-        max: CellIndex::new(
-            clamp(high[0].ceil(), known.min.x, known.max.x),
-            clamp(high[1].ceil(), known.min.y, known.max.y),
-        ),
-    }
+    let last = [limits.num_x_cells(), limits.num_y_cells()].map(|n| n as i32 - 1);
+    let [min, max] = [low.map(f64::floor), high.map(f64::ceil)]
+        .map(|v| CellIndex::new((v[0] as i32).clamp(0, last[0]), (v[1] as i32).clamp(0, last[1])));
+    CellBox { min, max }
 }
 
-/// Boxes that hold a whole small window, and the levels of the pyramid that takes. Larger windows are
-/// searched in several boxes.
+/// Up to this many cells to either side all placements are scored: bounds would cost as much.
+const SMALL_WINDOW: i32 = 3;
+/// Boxes of 8 by 8 shifts of one scan are scored as a whole.
+const LEAF_EXPONENT: u32 = 3;
+
+/// Boxes that hold the whole window unless that is large.
 fn max_exponent(window: &SearchWindow) -> u32 {
-    (2 * window.num_linear as u32 + 1).next_power_of_two().trailing_zeros().clamp(2, 5)
+    (2 * window.num_linear as u32 + 1).next_power_of_two().trailing_zeros().clamp(LEAF_EXPONENT, 5)
 }
 
 #[cfg(test)]

@@ -26,6 +26,8 @@ pub(crate) struct RotatedScans {
     /// Where the cells of a scan start in `cells`; none if not computed yet.
     starts: Vec<Option<u32>>,
     cells: Vec<[i32; 2]>,
+    /// Cells of one scan in the order of the given scan.
+    ordered: Vec<[i32; 2]>,
 }
 
 impl RotatedScans {
@@ -54,6 +56,7 @@ impl RotatedScans {
             positions,
             starts: vec![None; window.num_scans() as usize],
             cells: Vec::new(),
+            ordered: Vec::new(),
         }
     }
 
@@ -73,13 +76,16 @@ impl RotatedScans {
     }
 
     /// The cells of all points in scan `k`, in the order of the given scan.
-    pub fn cells_in_given_order(&mut self, k: i32) -> impl Iterator<Item = [i32; 2]> {
-        let start = match self.starts[k as usize] {
-            Some(start) => start as usize,
-            None => self.compute(k),
-        };
-        let cells = &self.cells[start..];
-        self.positions.iter().map(|position| cells[*position as usize])
+    pub fn cells_in_given_order(&mut self, k: i32) -> &[[i32; 2]] {
+        let mut ordered = std::mem::take(&mut self.ordered);
+        ordered.resize(self.points.len(), [0; 2]);
+        let positions = std::mem::take(&mut self.positions);
+        let cells = self.cells(k);
+        for (cell, position) in ordered.iter_mut().zip(&positions) {
+            *cell = cells[*position as usize];
+        }
+        (self.ordered, self.positions) = (ordered, positions);
+        &self.ordered
     }
 
     /// Cells by which rounding may move a point between two computations of the same place.
@@ -131,7 +137,7 @@ mod tests {
         let points: Vec<_> = points.iter().map(|p| Point3f::new(p.0, p.1, 0.0)).collect();
         let window = SearchWindow::new(&points, 0.05, 0.0, 0.0);
         let mut scans = RotatedScans::new(&points, &Rigid2::identity(), window, limits, [0, 0]);
-        let cells: Vec<_> = scans.cells_in_given_order(0).collect();
+        let cells = scans.cells_in_given_order(0);
         assert_eq!(cells, [[1, 0], [1, 1], [1, 2], [1, 3], [2, 3], [3, 3], [4, 3]]);
     }
 

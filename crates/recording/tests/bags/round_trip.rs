@@ -78,6 +78,22 @@ fn messages_at_the_same_time_stay_in_file_order() {
 }
 
 #[test]
+fn messages_larger_than_a_chunk_are_kept_whole() {
+    let mut messages = recorded(3);
+    for message in &mut messages {
+        if let Message::PointCloud2(cloud) = &mut message.message {
+            cloud.data = (0..3_000_000u32).map(|i| (i >> 5) as u8).collect();
+        }
+    }
+    for format in FORMATS {
+        let recording = open_bytes("test", bytes(format, &messages).into()).unwrap();
+        let (found, repairs) = read_all(&*recording);
+        assert_same(&found, &messages);
+        assert_eq!(repairs, []);
+    }
+}
+
+#[test]
 fn an_empty_recording_is_a_recording() {
     for format in FORMATS {
         let recording = open_bytes("test", bytes(format, &[]).into()).unwrap();

@@ -1,4 +1,5 @@
 use super::*;
+use crate::correlative::joint_search::Placement;
 use crate::grid::{CellIndex, ProbabilityGrid};
 use crate::testing::{Lcg, golden_scan, grid_g, random_room};
 use portolan_geometry::Vector2;

@@ -38,7 +38,7 @@ fn exhaustive(
     let n = window.num_linear;
     let mut best: Option<(f32, Placement)> = None;
     for scan in 0..window.num_scans() {
-        let cells: Vec<_> = scans.cells_in_given_order(scan).collect();
+        let cells = scans.cells_in_given_order(scan).to_vec();
         for x in -n..=n {
             for y in -n..=n {
                 let placement = Placement { scan, x, y };

@@ -11,8 +11,13 @@ use crate::{MessageReader, RecordedMessage, RecordingError, Repair};
 
 /// So many places of messages are fetched at once; their data one by one.
 const BATCH: i64 = 512;
-/// A damaged table is given up after so many unreadable rows in a row.
-const MAX_UNREADABLE_ROWS: u32 = 1 << 16;
+/// So many unreadable rows in a row are tried one by one; behind them steps get longer, because whole
+/// branches of the table are gone.
+const UNREADABLE_ROWS: u32 = 256;
+/// Each step is tried so often before it is doubled.
+const TRIES_PER_STEP: u32 = 64;
+/// Steps beyond this end the table.
+const MAX_STEP: i64 = 1 << 32;
 
 /// How the next messages are found.
 enum Order {
@@ -111,9 +116,9 @@ impl Db3Reader {
                         self.batch.push_back(row);
                     }
                 }
-                Err(_) if unreadable < MAX_UNREADABLE_ROWS => {
+                Err(_) if step_over(unreadable) <= MAX_STEP => {
+                    *after = (*after).max(0).saturating_add(step_over(unreadable));
                     unreadable += 1;
-                    *after = (*after).max(0).saturating_add(1);
                 }
                 Ok(None) | Err(_) => {
                     self.order = Order::Done;
@@ -139,6 +144,11 @@ impl Db3Reader {
         let log_time = Time::from_unix_nanoseconds(row.timestamp);
         message.map(|message| RecordedMessage { topic: connection.topic.clone(), log_time, message })
     }
+}
+
+/// How many rows to go on after so many unreadable ones.
+fn step_over(unreadable: u32) -> i64 {
+    1i64.checked_shl(unreadable.saturating_sub(UNREADABLE_ROWS) / TRIES_PER_STEP).unwrap_or(i64::MAX)
 }
 
 impl MessageReader for Db3Reader {

@@ -1,0 +1,42 @@
+//! Drawing one scan into a submap, as a scan is drawn into two submaps during mapping.
+
+#[path = "../tests/common/mod.rs"]
+#[allow(dead_code)]
+mod common;
+#[path = "../tests/common/recording.rs"]
+#[allow(dead_code)]
+mod recording;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use portolan_matching::{ProbabilityGrid, Tsdf2d, TsdfInserter, TsdfInserterOptions};
+
+fn insert(c: &mut Criterion) {
+    let mut group = c.benchmark_group("insert");
+    let inserter = common::default_inserter();
+    for beams in [180, 360, 1000] {
+        let scan = common::room(beams, 1.5, 0.7);
+        let mut grid = ProbabilityGrid::new(common::room_limits());
+        group.bench_function(format!("room of 10 m by 8 m, {beams} beams"), |b| {
+            b.iter(|| inserter.insert(&scan, &mut grid).unwrap());
+        });
+        let mut tsdf = Tsdf2d::new(common::room_limits(), 0.3, 10.0).unwrap();
+        let tsdf_inserter = TsdfInserter::new(&TsdfInserterOptions::default()).unwrap();
+        group.bench_function(format!("room of 10 m by 8 m, {beams} beams, distance field"), |b| {
+            b.iter(|| tsdf_inserter.insert(&scan, &mut tsdf).unwrap());
+        });
+    }
+    if let Some(scans) = recording::posed_scans("fr079") {
+        let mut grid = recording::submap(&scans[700..790], &inserter);
+        let scan = scans[745].range_data_in_map();
+        group.bench_function(format!("corridor (fr079), {} returns", scan.returns.len()), |b| {
+            b.iter(|| inserter.insert(&scan, &mut grid).unwrap());
+        });
+        group.bench_function("the first scan of a submap, which makes it grow (fr079)", |b| {
+            b.iter(|| recording::submap(&scans[700..701], &inserter));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, insert);
+criterion_main!(benches);
