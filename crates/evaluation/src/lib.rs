@@ -1,5 +1,5 @@
 //! How good a trajectory is: absolute and relative errors against a truth, drift per metre, and
-//! agreement with relations.
+//! agreement with relations; how sharp a cloud is ([`cloud`]).
 //!
 //! Positions are metres, times [`portolan_geometry::Time`]; a pose is the moving (tracking) frame in
 //! the map. Reports can be printed (`Display`) and serialised.
@@ -7,6 +7,7 @@
 mod absolute;
 mod alignment;
 mod association;
+pub mod cloud;
 mod error;
 mod formats;
 mod histogram;

@@ -1,0 +1,79 @@
+//! Distance of points to true surfaces.
+
+use std::fmt;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::SolidBox;
+
+/// Distances of the points of a cloud to the true surfaces, metres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SurfaceErrors {
+    /// Points that were measured.
+    pub count: usize,
+    /// Mean distance.
+    pub mean: f64,
+    /// Root of the mean square.
+    pub rms: f64,
+    /// Median.
+    pub median: f64,
+    /// 95 of 100 points are nearer.
+    pub percentile_95: f64,
+    /// Share of points within 5 cm, 0 to 1.
+    pub within_5_cm: f64,
+}
+
+/// Measures points (in the frame of the boxes) against boxes; none if there are no points or no boxes.
+pub fn surface_errors(points: &[[f64; 3]], boxes: &[SolidBox]) -> Option<SurfaceErrors> {
+    if points.is_empty() || boxes.is_empty() {
+        return None;
+    }
+    let nearest = |p: &[f64; 3]| boxes.iter().map(|b| b.surface_distance(*p)).fold(f64::INFINITY, f64::min);
+    let mut distances: Vec<f64> = points.par_iter().map(nearest).collect();
+    distances.par_sort_unstable_by(f64::total_cmp);
+    let count = distances.len();
+    let quantile = |q: f64| {
+        let place = q * (count - 1) as f64;
+        let (low, high) = (distances[place.floor() as usize], distances[place.ceil() as usize]);
+        low + (high - low) * place.fract()
+    };
+    Some(SurfaceErrors {
+        count,
+        mean: distances.iter().sum::<f64>() / count as f64,
+        rms: (distances.iter().map(|d| d * d).sum::<f64>() / count as f64).sqrt(),
+        median: quantile(0.5),
+        percentile_95: quantile(0.95),
+        within_5_cm: distances.partition_point(|d| *d < 0.05) as f64 / count as f64,
+    })
+}
+
+impl fmt::Display for SurfaceErrors {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "Distance to the true surfaces of {} points", self.count)?;
+        write!(
+            f,
+            "  mean {:.2} cm  rms {:.2} cm  median {:.2} cm  95 % {:.2} cm  within 5 cm {:.1} %",
+            100.0 * self.mean,
+            100.0 * self.rms,
+            100.0 * self.median,
+            100.0 * self.percentile_95,
+            100.0 * self.within_5_cm
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_of_known_distances() {
+        let floor = SolidBox { low: [-10.0, -10.0, -1.0], high: [10.0, 10.0, 0.0] };
+        let points: Vec<[f64; 3]> = (0..=10).map(|i| [0.0, 0.0, f64::from(i) * 0.01]).collect();
+        let errors = surface_errors(&points, &[floor]).unwrap();
+        assert!((errors.mean - 0.05).abs() < 1e-12 && (errors.median - 0.05).abs() < 1e-12);
+        assert!((errors.percentile_95 - 0.095).abs() < 1e-12);
+        assert!(surface_errors(&[], &[floor]).is_none() && surface_errors(&points, &[]).is_none());
+    }
+}

@@ -1,0 +1,11 @@
+//! Nearest neighbours: a static kd-tree, a voxel map that grows, reduction by voxels, normals.
+
+mod kd_tree;
+mod normals;
+mod reduce;
+mod voxel_map;
+
+pub use kd_tree::{KdTree, Neighbour};
+pub use normals::{LocalSurface, local_surfaces};
+pub use reduce::{VoxelRepresentative, reduce};
+pub use voxel_map::VoxelMap;

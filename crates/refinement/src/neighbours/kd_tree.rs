@@ -1,0 +1,261 @@
+//! A static kd-tree of points: buckets of permuted points, split at the median of the widest axis.
+//!
+//! The shape of the tree follows from the number of points alone, so that a node needs no pointers:
+//! node `i` has children `2i+1` and `2i+2`, and each half holds half of the points. Eight bytes a node
+//! and sixteen a point; with buckets of 8 to 16 points that is less than 18 bytes a point.
+
+use rayon::prelude::*;
+
+/// Most points in a leaf.
+const BUCKET: usize = 16;
+/// Subtrees of fewer points are built on one thread.
+const PARALLEL: usize = 16_384;
+
+/// A point that was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Neighbour {
+    /// Its index in the points the tree was built from.
+    pub index: u32,
+    /// Its squared distance, square metres.
+    pub squared_distance: f32,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Node {
+    split: f32,
+    axis: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    position: [f32; 3],
+    index: u32,
+}
+
+/// A static kd-tree over points (metres, any frame). Points that are not finite are left out.
+#[derive(Clone, Debug, Default)]
+pub struct KdTree {
+    nodes: Vec<Node>,
+    entries: Vec<Entry>,
+    depth: u32,
+}
+
+impl KdTree {
+    /// Builds a tree; large ones on all threads of the current pool. The result does not depend on
+    /// the number of threads.
+    pub fn new(points: &[[f32; 3]]) -> Self {
+        let finite = points.iter().enumerate().filter(|(_, p)| p.iter().all(|v| v.is_finite()));
+        let mut entries: Vec<Entry> = finite.map(|(i, p)| Entry { position: *p, index: i as u32 }).collect();
+        entries.shrink_to_fit();
+        let mut depth = 0;
+        while entries.len() >> depth > BUCKET {
+            depth += 1;
+        }
+        let mut nodes = vec![Node::default(); (1 << depth) - 1];
+        let levels = level_slices(&mut nodes, depth);
+        build(&mut entries, levels);
+        Self { nodes, entries, depth }
+    }
+
+    /// How many points it holds.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Whether it holds none.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// Bytes in use.
+    pub fn memory_bytes(&self) -> usize {
+        self.nodes.capacity() * size_of::<Node>() + self.entries.capacity() * size_of::<Entry>()
+    }
+
+    /// The nearest point within `max_distance` (metres); of several equally near that of the lowest index.
+    pub fn nearest(&self, query: [f32; 3], max_distance: f32) -> Option<Neighbour> {
+        self.nearest_where(query, max_distance, |_| true)
+    }
+
+    /// The nearest point within `max_distance` of those that `accept` takes (by index).
+    pub fn nearest_where(
+        &self,
+        query: [f32; 3],
+        max_distance: f32,
+        mut accept: impl FnMut(u32) -> bool,
+    ) -> Option<Neighbour> {
+        let mut best: Option<Neighbour> = None;
+        let limit = max_distance * max_distance;
+        self.visit(query, limit, |candidate, limit| {
+            let better = match best {
+                Some(b) => (candidate.squared_distance, candidate.index) < (b.squared_distance, b.index),
+                None => candidate.squared_distance <= *limit,
+            };
+            if better && accept(candidate.index) {
+                best = Some(candidate);
+                *limit = candidate.squared_distance;
+            }
+        });
+        best
+    }
+
+    /// The `count` nearest points within `max_distance`, nearest first (ties by index), into `found`,
+    /// whose capacity is used again.
+    pub fn k_nearest(&self, query: [f32; 3], count: usize, max_distance: f32, found: &mut Vec<Neighbour>) {
+        found.clear();
+        if count == 0 {
+            return;
+        }
+        let key = |n: &Neighbour| (n.squared_distance, n.index);
+        self.visit(query, max_distance * max_distance, |candidate, limit| {
+            if candidate.squared_distance > *limit {
+                return;
+            }
+            let place = found.partition_point(|n| key(n) < key(&candidate));
+            if place < count {
+                found.insert(place, candidate);
+                found.truncate(count);
+                if let Some(last) = found.get(count - 1) {
+                    *limit = last.squared_distance;
+                }
+            }
+        });
+    }
+
+    /// Calls `found` with every point within `radius` (metres), in an order that depends only on the points.
+    pub fn within(&self, query: [f32; 3], radius: f32, mut found: impl FnMut(Neighbour)) {
+        self.visit(query, radius * radius, |candidate, limit| {
+            if candidate.squared_distance <= *limit {
+                found(candidate);
+            }
+        });
+    }
+
+    /// Calls `candidate` with every point of every bucket that the current limit of the squared distance
+    /// does not exclude; `candidate` may lower the limit.
+    fn visit(&self, query: [f32; 3], mut limit: f32, mut candidate: impl FnMut(Neighbour, &mut f32)) {
+        // Node, its number of levels below, its range of points, and its distance per axis.
+        struct Pending {
+            node: usize,
+            level: u32,
+            start: usize,
+            end: usize,
+            offsets: [f32; 3],
+        }
+        const DEEPEST: usize = 40;
+        let mut stack: [Pending; DEEPEST] =
+            std::array::from_fn(|_| Pending { node: 0, level: 0, start: 0, end: 0, offsets: [0.0; 3] });
+        stack[0].end = self.entries.len();
+        let mut height = usize::from(!self.entries.is_empty());
+        while height > 0 {
+            height -= 1;
+            let Pending { mut node, mut level, mut start, mut end, offsets } = std::mem::replace(
+                &mut stack[height],
+                Pending { node: 0, level: 0, start: 0, end: 0, offsets: [0.0; 3] },
+            );
+            if squared_norm(offsets) > limit {
+                continue;
+            }
+            while level < self.depth {
+                let Node { split, axis } = self.nodes[node];
+                let middle = start + (end - start) / 2;
+                let difference = query[axis as usize] - split;
+                let mut far_offsets = offsets;
+                far_offsets[axis as usize] = difference;
+                level += 1;
+                let (near, far);
+                let (far_start, far_end);
+                if difference < 0.0 {
+                    (near, far) = (2 * node + 1, 2 * node + 2);
+                    (far_start, far_end) = (middle, end);
+                    end = middle;
+                } else {
+                    (near, far) = (2 * node + 2, 2 * node + 1);
+                    (far_start, far_end) = (start, middle);
+                    start = middle;
+                }
+                if squared_norm(far_offsets) <= limit && height < DEEPEST {
+                    stack[height] =
+                        Pending { node: far, level, start: far_start, end: far_end, offsets: far_offsets };
+                    height += 1;
+                }
+                node = near;
+            }
+            for entry in &self.entries[start..end] {
+                let d: [f32; 3] = std::array::from_fn(|k| entry.position[k] - query[k]);
+                candidate(Neighbour { index: entry.index, squared_distance: squared_norm(d) }, &mut limit);
+            }
+        }
+    }
+}
+
+fn squared_norm(v: [f32; 3]) -> f32 {
+    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+}
+
+/// The nodes of each level, root first.
+fn level_slices(nodes: &mut [Node], depth: u32) -> Vec<&mut [Node]> {
+    let mut rest = nodes;
+    let mut levels = Vec::with_capacity(depth as usize);
+    for level in 0..depth {
+        let (own, below) = rest.split_at_mut(1 << level);
+        levels.push(own);
+        rest = below;
+    }
+    levels
+}
+
+fn build(entries: &mut [Entry], levels: Vec<&mut [Node]>) {
+    let mut levels = levels.into_iter();
+    let Some([node]) = levels.next() else { return };
+    let axis = widest_axis(entries);
+    let middle = entries.len() / 2;
+    let order =
+        |a: &Entry, b: &Entry| a.position[axis].total_cmp(&b.position[axis]).then(a.index.cmp(&b.index));
+    let (_, median, _) = entries.select_nth_unstable_by(middle, order);
+    *node = Node { split: median.position[axis], axis: axis as u32 };
+    let (mut left_levels, mut right_levels) = (Vec::new(), Vec::new());
+    for level in levels {
+        let (left, right) = level.split_at_mut(level.len() / 2);
+        left_levels.push(left);
+        right_levels.push(right);
+    }
+    let parallel = entries.len() > PARALLEL;
+    let (left, right) = entries.split_at_mut(middle);
+    if parallel {
+        rayon::join(|| build(left, left_levels), || build(right, right_levels));
+    } else {
+        build(left, left_levels);
+        build(right, right_levels);
+    }
+}
+
+fn widest_axis(entries: &[Entry]) -> usize {
+    let bounds = |entries: &[Entry]| {
+        entries.iter().fold(([f32::MAX; 3], [f32::MIN; 3]), |(low, high), e| {
+            (
+                std::array::from_fn(|k| low[k].min(e.position[k])),
+                std::array::from_fn(|k| high[k].max(e.position[k])),
+            )
+        })
+    };
+    let (low, high): ([f32; 3], [f32; 3]) = if entries.len() > PARALLEL {
+        entries.par_chunks(PARALLEL).map(bounds).reduce(
+            || ([f32::MAX; 3], [f32::MIN; 3]),
+            |a, b| (std::array::from_fn(|k| a.0[k].min(b.0[k])), std::array::from_fn(|k| a.1[k].max(b.1[k]))),
+        )
+    } else {
+        bounds(entries)
+    };
+    let extent = |k: usize| high[k] - low[k];
+    let mut axis = 0;
+    for k in 1..3 {
+        if extent(k) > extent(axis) {
+            axis = k;
+        }
+    }
+    axis
+}
+
+#[cfg(test)]
+mod tests;

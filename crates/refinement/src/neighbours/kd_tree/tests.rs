@@ -1,0 +1,68 @@
+use super::*;
+use proptest::prelude::*;
+
+fn brute(points: &[[f32; 3]], query: [f32; 3]) -> Vec<Neighbour> {
+    let mut all: Vec<Neighbour> = points
+        .iter()
+        .enumerate()
+        .map(|(i, p)| Neighbour {
+            index: i as u32,
+            squared_distance: squared_norm(std::array::from_fn(|k| p[k] - query[k])),
+        })
+        .collect();
+    all.sort_by(|a, b| a.squared_distance.total_cmp(&b.squared_distance).then(a.index.cmp(&b.index)));
+    all
+}
+
+/// Few distinct coordinates, so that ties and equal splits are frequent.
+fn coordinate() -> impl Strategy<Value = f32> {
+    prop_oneof![(-8i32..8).prop_map(|v| v as f32 * 0.5), -4.0f32..4.0]
+}
+
+proptest! {
+    #[test]
+    fn agrees_with_brute_force(
+        points in prop::collection::vec([coordinate(), coordinate(), coordinate()], 0..300),
+        query in [coordinate(), coordinate(), coordinate()],
+        k in 1usize..20, radius in 0.1f32..3.0,
+    ) {
+        let tree = KdTree::new(&points);
+        let all = brute(&points, query);
+        prop_assert_eq!(tree.nearest(query, f32::INFINITY), all.first().copied());
+        let mut found = Vec::new();
+        tree.k_nearest(query, k, f32::INFINITY, &mut found);
+        prop_assert_eq!(&found[..], &all[..k.min(all.len())]);
+        let mut near = Vec::new();
+        tree.within(query, radius, |n| near.push(n));
+        near.sort_by(|a, b| a.squared_distance.total_cmp(&b.squared_distance).then(a.index.cmp(&b.index)));
+        let expected: Vec<_> = all.into_iter().filter(|n| n.squared_distance <= radius * radius).collect();
+        prop_assert_eq!(near, expected);
+    }
+}
+
+#[test]
+fn conditions_and_limits_are_kept() {
+    let points: Vec<[f32; 3]> = (0..1000).map(|i| [i as f32 * 0.125, 0.0, 0.0]).collect();
+    let tree = KdTree::new(&points);
+    let odd = tree.nearest_where([62.5, 0.0, 0.0], 1.0, |i| i % 2 == 1).unwrap();
+    assert_eq!(odd.index, 499);
+    assert!(tree.nearest([62.5, 2.0, 0.0], 1.0).is_none());
+    assert!(KdTree::new(&[]).nearest([0.0; 3], 1.0).is_none());
+    assert_eq!(KdTree::new(&[[f32::NAN; 3], [1.0; 3]]).len(), 1);
+}
+
+#[test]
+fn threads_do_not_change_the_tree() {
+    let mut state = 1u32;
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / 1e6
+    };
+    let points: Vec<[f32; 3]> = (0..60_000).map(|_| [random(), random(), random()]).collect();
+    let order = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| KdTree::new(&points)).entries.iter().map(|e| e.index).collect::<Vec<_>>()
+    };
+    assert_eq!(order(1), order(4));
+    assert!(KdTree::new(&points).memory_bytes() <= 18 * points.len());
+}
