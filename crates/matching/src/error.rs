@@ -31,6 +31,16 @@ pub enum MatcherOptionError {
         /// The largest value.
         max: u32,
     },
+    /// One value for each of several things is needed.
+    #[error("{name} is given {found} times: it must be given {expected} times")]
+    Count {
+        /// Name of the option.
+        name: &'static str,
+        /// How many are needed.
+        expected: usize,
+        /// How many there are.
+        found: usize,
+    },
 }
 
 impl MatcherOptionError {

@@ -25,9 +25,13 @@ pub use correlative::{
     RealTimeCorrelativeOptions,
 };
 pub use error::MatcherOptionError;
-pub use gradient::{GradientMatch2d, GradientMatcher2d, GradientMatcherOptions2d};
+pub use gradient::{
+    CloudInGrid, GradientMatch2d, GradientMatch3d, GradientMatcher2d, GradientMatcher3d,
+    GradientMatcherOptions2d, GradientMatcherOptions3d, IntensityCostOptions,
+};
 pub use grid::{
-    CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, InsertReport, MapLimits,
+    CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, HybridGrid, HybridGridParts,
+    HybridGridRepairs, HybridInserter, HybridInserterOptions, InsertReport, IntensityGrid, MapLimits,
     NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, Texture,
     Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts,
 };

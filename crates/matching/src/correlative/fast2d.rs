@@ -100,6 +100,11 @@ impl FastCorrelativeMatcher2d {
         })
     }
 
+    /// Memory that it takes, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.pyramid.memory_bytes()
+    }
+
     /// The placement of `points` (metres, in the gravity-aligned tracking frame) around `initial` (in
     /// the frame of the grid) with the largest score, if that is above `min_score`. The score is the
     /// mean probability of the cells met, to 8 bits. Points that are not finite are left out.

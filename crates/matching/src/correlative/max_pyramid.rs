@@ -50,6 +50,11 @@ impl MaxPyramid {
         }
     }
 
+    /// Memory that it takes, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.levels.iter().map(|level| level.bytes.len()).sum()
+    }
+
     /// How many widths there are.
     pub fn num_levels(&self) -> usize {
         self.levels.len()

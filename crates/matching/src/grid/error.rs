@@ -22,6 +22,9 @@ pub enum GridError {
         /// Cells along −x.
         num_y_cells: i64,
     },
+    /// The edge of a cell in space that is none.
+    #[error("cells with an edge of {0} m are not possible: it must be positive and finite")]
+    InvalidResolution(f32),
     /// The grid would need more cells than allowed.
     #[error(
         "a point at ({x} m, {y} m) needs a grid of more than {max_cells} cells: check the sensor's \
@@ -55,8 +58,8 @@ pub enum GridError {
         /// Given upper bound.
         upper: f32,
     },
-    /// Nothing can be drawn from a place that is not finite.
-    #[error("the origin of the range data is ({x}, {y}, {z}): it must be finite")]
+    /// Nothing can be drawn from a place that is not finite, or too far away for a grid in space.
+    #[error("the origin of the range data is ({x}, {y}, {z}): it must be finite and within the grid")]
     InvalidOrigin {
         /// Metres.
         x: f32,
@@ -92,4 +95,17 @@ pub enum InserterOptionError {
         /// Its value.
         value: f64,
     },
+}
+
+impl InserterOptionError {
+    /// Checks what hits and misses say.
+    pub(crate) fn check_probabilities(hit: f64, miss: f64) -> Result<(), Self> {
+        if !(hit > 0.5 && hit < 1.0) {
+            return Err(Self::HitProbability(hit));
+        }
+        if !(miss < 0.5 && miss > 0.0) {
+            return Err(Self::MissProbability(miss));
+        }
+        Ok(())
+    }
 }

@@ -42,6 +42,8 @@ pub struct InsertReport {
     pub hits: usize,
     /// Points left out because they are not finite.
     pub not_finite: usize,
+    /// Points left out because they are beyond the reach of a grid in space.
+    pub outside: usize,
 }
 
 /// Draws range data into probability grids.
@@ -60,12 +62,7 @@ impl ProbabilityInserter {
     /// If a probability is out of its bounds.
     pub fn new(options: &ProbabilityInserterOptions) -> Result<Self, InserterOptionError> {
         let (hit, miss) = (options.hit_probability, options.miss_probability);
-        if !(hit > 0.5 && hit < 1.0) {
-            return Err(InserterOptionError::HitProbability(hit));
-        }
-        if !(miss < 0.5 && miss > 0.0) {
-            return Err(InserterOptionError::MissProbability(miss));
-        }
+        InserterOptionError::check_probabilities(hit, miss)?;
         Ok(Self {
             hit_table: UpdateTable::for_correspondence_costs(odds(hit as f32)),
             miss_table: UpdateTable::for_correspondence_costs(odds(miss as f32)),
@@ -118,7 +115,7 @@ impl ProbabilityInserter {
         }
         grid.finish_update();
         let not_finite = hits.len() + misses.len() - num_hits - num_misses;
-        Ok(InsertReport { hits: num_hits, not_finite })
+        Ok(InsertReport { hits: num_hits, not_finite, outside: 0 })
     }
 }
 
@@ -218,7 +215,7 @@ mod tests {
     fn hits_and_misses_land_where_they_should() {
         let (mut grid, inserter, data) = small_scan();
         let report = inserter.insert(&data, &mut grid).unwrap();
-        assert_eq!(report, InsertReport { hits: 4, not_finite: 0 });
+        assert_eq!(report, InsertReport { hits: 4, ..Default::default() });
         assert_eq!((grid.limits().num_x_cells(), grid.limits().num_y_cells()), (5, 5));
         for (y, row) in ["?????", "?HMMM", "??HMM", "???HM", "????H"].iter().enumerate() {
             for (x, state) in row.chars().enumerate() {

@@ -127,7 +127,7 @@ impl TsdfInserter {
             self.insert_hit(origin.xy().coords, point.xy().coords, normals.get(i).copied(), tsdf);
         }
         tsdf.finish_update();
-        Ok(InsertReport { hits: finite, not_finite: range_data.returns.len() - finite })
+        Ok(InsertReport { hits: finite, not_finite: range_data.returns.len() - finite, outside: 0 })
     }
 
     /// Sorts the returns and estimates normals, if any weight or distance needs them.

@@ -1,12 +1,12 @@
 //! What the tests of this crate share: the generator and the scenes of the golden vectors.
 
-use portolan_geometry::{Point3f, Rigid2, Vector2};
+use portolan_geometry::{Point3f, Rigid2, Rigid3, Vector2, rotation_from_roll_pitch_yaw, to_f32};
 use portolan_sensor::{PointCloud, RangeData};
 
 use portolan_matching::PlanarTransform;
 use portolan_matching::grid::{
-    Grid2d, MapLimits, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, Tsdf2d,
-    TsdfInserter, TsdfInserterOptions,
+    Grid2d, HybridGrid, HybridInserter, HybridInserterOptions, MapLimits, ProbabilityGrid,
+    ProbabilityInserter, ProbabilityInserterOptions, Tsdf2d, TsdfInserter, TsdfInserterOptions,
 };
 
 /// The linear congruential generator of the golden vectors.
@@ -116,4 +116,77 @@ pub fn random_room(lcg: &mut Lcg, tsdf: bool) -> (Grid2d, PointCloud) {
     let mut grid = ProbabilityGrid::new(room_limits());
     scans.iter().for_each(|s| assert!(default_inserter().insert(s, &mut grid).is_ok()));
     (grid.into(), points)
+}
+
+/// Cloud B of the golden vectors.
+pub fn cloud_b() -> PointCloud {
+    oval_hall(21, 2000)
+}
+
+/// Random points of an oval wall with two flat ends, above a floor.
+pub fn oval_hall(seed: u32, n: usize) -> PointCloud {
+    let mut lcg = Lcg::new(seed);
+    let points = (0..n).map(|i| {
+        let (a, h) = (lcg.symmetric(std::f32::consts::PI), lcg.symmetric(1.0));
+        let (mut x, y, mut z) = (8.0 * a.cos(), 5.0 * a.sin(), 2.0 * h);
+        if i % 3 == 0 {
+            x = if x > 0.0 { 6.0 } else { -6.0 };
+        }
+        if i % 7 == 0 {
+            z = -2.0;
+        }
+        Point3f::from([x, y, z].map(|v| (v * 1024.0).round() / 1024.0))
+    });
+    PointCloud::new(points.collect())
+}
+
+/// Cloud B seen from its origin.
+pub fn range_data_b() -> RangeData {
+    RangeData { origin: Point3f::new(0.25, -0.5, 0.125), returns: cloud_b(), misses: PointCloud::default() }
+}
+
+/// Cloud B drawn a few times with the default options.
+pub fn drawn_cloud_b(resolution: f32, times: usize) -> HybridGrid {
+    let mut grid = HybridGrid::new(resolution).unwrap();
+    let inserter = HybridInserter::new(&HybridInserterOptions::default()).unwrap();
+    for _ in 0..times {
+        inserter.insert(&range_data_b(), f32::INFINITY, &mut grid, None).unwrap();
+    }
+    grid
+}
+
+/// CRC-32 of indices and codes of all known cells in the order of map files.
+pub fn crc_cells(grid: &HybridGrid) -> u32 {
+    let mut bytes = Vec::new();
+    grid.for_each_cell(|[x, y, z], code| {
+        bytes.extend([x, y, z, i32::from(code)].into_iter().flat_map(i32::to_le_bytes));
+    });
+    crc32fast::hash(&bytes)
+}
+
+/// Bytes that the cells of a grid take in a map file before compression: three zigzag varints and one
+/// plain one per cell.
+pub fn stored_bytes(grid: &HybridGrid) -> usize {
+    let varint = |v: u32| (32 - (v | 1).leading_zeros() as usize).div_ceil(7);
+    let mut bytes = 0;
+    grid.for_each_cell(|cell, code| {
+        bytes += cell.iter().map(|i| varint((i << 1 ^ i >> 31) as u32)).sum::<usize>();
+        bytes += varint(u32::from(code));
+    });
+    bytes
+}
+
+/// Cloud B seen from a pose in it, and that pose: the scan of the golden vectors.
+pub fn golden_scan_3d() -> PointCloud {
+    cloud_b().transformed(&to_f32(&golden_pose_3d().inverse()))
+}
+
+/// Where the scan of the golden vectors was taken.
+pub fn golden_pose_3d() -> Rigid3 {
+    Rigid3::from_parts([0.4, -0.3, 0.1].into(), rotation_from_roll_pitch_yaw(0.0, 0.0, 0.1))
+}
+
+/// Initial pose I of the golden vectors in space.
+pub fn golden_initial_3d() -> Rigid3 {
+    Rigid3::from_parts([0.5, -0.2, 0.05].into(), rotation_from_roll_pitch_yaw(0.005, -0.004, 0.09))
 }

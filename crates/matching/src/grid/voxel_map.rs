@@ -1,0 +1,296 @@
+//! Values of cells in space, of which few are known: what all hybrid grids share.
+//!
+//! Space is cut into blocks of 4×4×4 cells. A block with known cells has a leaf: one bit for each cell
+//! that is known and a list with only their values. A surface seen by a lidar takes 3 to 5 bytes per
+//! known cell that way, less than in a map file (6 to 9), where blocks of values would take 20 and more.
+
+use std::fmt;
+
+mod arena;
+mod leaf_index;
+
+use arena::{Arena, push_tight};
+use leaf_index::{LeafIndex, MAX_LEAVES};
+
+/// Indices of a cell in space along x, y, z. Cell (0, 0, 0) is centred at the origin of the grid.
+pub type VoxelIndex = [i32; 3];
+
+/// Cells have indices from minus this up to this minus one along each axis (`formats.md` §4.6).
+pub const MAX_VOXEL_INDEX: i32 = 8192;
+
+/// Cells along each edge of a leaf's block.
+const LEAF_EDGE: i32 = 4;
+
+/// The known cells of one block; bit `16 z + 4 y + x` of the mask is the cell (x, y, z) of the block.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, packed(4))]
+struct Leaf {
+    mask: u64,
+    /// Where its values are, in the order of the bits.
+    start: u32,
+}
+
+/// From cells to values of type `T`. Cells never set have no value.
+#[derive(Clone)]
+pub(crate) struct VoxelMap<T> {
+    index: LeafIndex,
+    leaves: Vec<Leaf>,
+    values: Arena<T>,
+    num_cells: usize,
+    /// The last leaf changed: neighbouring points hit neighbouring cells.
+    recent: (u64, usize),
+    /// All cells are within ±(32 << this) of the origin: how far the reference's grid has grown.
+    root_bits: u32,
+}
+
+/// No block has this key.
+const NO_KEY: u64 = u64::MAX;
+
+impl<T: Copy + Default> Default for VoxelMap<T> {
+    fn default() -> Self {
+        Self::with_capacity(0, 0, 0)
+    }
+}
+
+/// Whether a cell can exist.
+#[inline]
+pub(crate) fn is_possible(cell: VoxelIndex) -> bool {
+    cell.iter().all(|i| (-MAX_VOXEL_INDEX..MAX_VOXEL_INDEX).contains(i))
+}
+
+/// The key of the block that holds a possible cell: 12 bits per axis, z highest.
+#[inline]
+fn key_of(cell: VoxelIndex) -> u64 {
+    let [x, y, z] = cell.map(|i| ((i + MAX_VOXEL_INDEX) / LEAF_EDGE) as u64);
+    z << 24 | y << 12 | x
+}
+
+#[inline]
+fn bit_of([x, y, z]: VoxelIndex) -> u64 {
+    1 << ((z & 3) << 4 | (y & 3) << 2 | (x & 3))
+}
+
+/// The first cell of a block.
+fn first_cell(key: u64) -> VoxelIndex {
+    [0, 12, 24].map(|shift| ((key >> shift & 0xfff) as i32) * LEAF_EDGE - MAX_VOXEL_INDEX)
+}
+
+/// Sorts blocks in the order of map files: by cubes of 64 cells, within them by cubes of 8 cells, within
+/// them by z, y and x.
+fn file_order(key: u64) -> u64 {
+    let [x, y, z] = [0, 12, 24].map(|shift| key >> shift & 0xfff);
+    let level = |shift: u32, bits: u32| {
+        let part = |v: u64| v >> shift & ((1 << bits) - 1);
+        part(z) << (2 * bits) | part(y) << bits | part(x)
+    };
+    level(4, 8) << 12 | level(1, 3) << 3 | level(0, 1)
+}
+
+impl<T: Copy + Default> VoxelMap<T> {
+    fn with_capacity(leaves: usize, values: usize, root_bits: u32) -> Self {
+        Self {
+            index: LeafIndex::with_capacity(leaves),
+            leaves: Vec::with_capacity(leaves),
+            values: Arena::with_capacity(values),
+            num_cells: 0,
+            recent: (NO_KEY, 0),
+            root_bits: root_bits.max(1),
+        }
+    }
+
+    /// How many cells are known.
+    pub fn num_cells(&self) -> usize {
+        self.num_cells
+    }
+
+    /// Edge of the cube of cells that the reference would have reserved: 64 cells, doubled until all
+    /// known cells are inside, at least 128.
+    pub fn extent(&self) -> u32 {
+        64 << self.root_bits
+    }
+
+    /// The value of a cell that is known.
+    #[inline]
+    pub fn get(&self, cell: VoxelIndex) -> Option<T> {
+        if !is_possible(cell) {
+            return None;
+        }
+        let leaf = self.leaves[self.index.get(key_of(cell))?];
+        self.value_in(leaf, bit_of(cell))
+    }
+
+    #[inline]
+    fn value_in(&self, leaf: Leaf, bit: u64) -> Option<T> {
+        let mask = leaf.mask;
+        if mask & bit == 0 {
+            return None;
+        }
+        let rank = (mask & (bit - 1)).count_ones();
+        Some(self.values.at((leaf.start + rank) as usize))
+    }
+
+    /// The values of the eight cells from `low` to `low + (1, 1, 1)`; the first bit of the position counts
+    /// along x, the second along y, the third along z.
+    #[inline]
+    pub fn corners(&self, low: VoxelIndex) -> [Option<T>; 8] {
+        let high = low.map(|i| i.saturating_add(1));
+        if !is_possible(low) || !is_possible(high) {
+            return [0, 1, 2, 3, 4, 5, 6, 7].map(|c| self.get(corner(low, c)));
+        }
+        // Along which axes the two cells are in different blocks.
+        let across = [0, 1, 2].map(|a| usize::from(low[a] & 3 == 3) << a).into_iter().sum::<usize>();
+        let mut leaves = [None; 8];
+        for (side, leaf) in leaves.iter_mut().enumerate() {
+            if side & !across == 0 {
+                *leaf = self.index.get(key_of(corner(low, side))).map(|l| self.leaves[l]);
+            }
+        }
+        [0, 1, 2, 3, 4, 5, 6, 7].map(|c| {
+            let leaf = leaves[c & across]?;
+            self.value_in(leaf, bit_of(corner(low, c)))
+        })
+    }
+
+    /// The value of a cell to be changed, with the number of its leaf; a cell not known so far becomes
+    /// known with the default value. None for cells that cannot be.
+    #[inline]
+    pub fn entry(&mut self, cell: VoxelIndex) -> Option<(usize, &mut T)> {
+        if !is_possible(cell) {
+            return None;
+        }
+        let key = key_of(cell);
+        if self.recent.0 != key {
+            let found = match self.index.get(key) {
+                Some(leaf) => leaf,
+                None => self.add_leaf(key)?,
+            };
+            self.recent = (key, found);
+        }
+        let (number, bit) = (self.recent.1, bit_of(cell));
+        let leaf = self.leaves[number];
+        let mask = leaf.mask;
+        let rank = (mask & (bit - 1)).count_ones() as usize;
+        let mut start = leaf.start;
+        if mask & bit == 0 {
+            start = self.values.insert(start, mask.count_ones() as usize, rank, T::default())?;
+            self.leaves[number] = Leaf { mask: mask | bit, start };
+            self.num_cells += 1;
+        }
+        Some((number, self.values.at_mut(start as usize + rank)))
+    }
+
+    #[cold]
+    fn add_leaf(&mut self, key: u64) -> Option<usize> {
+        let number = self.leaves.len();
+        if number >= MAX_LEAVES {
+            return None;
+        }
+        let start = self.values.allocate(0)?;
+        push_tight(&mut self.leaves, Leaf { mask: 0, start });
+        self.index.insert(key, number);
+        for i in first_cell(key) {
+            while !(-(32 << self.root_bits)..32 << self.root_bits).contains(&i) {
+                self.root_bits += 1;
+            }
+        }
+        Some(number)
+    }
+
+    /// All values of the leaf with a number, to be changed.
+    pub fn leaf_values_mut(&mut self, number: usize) -> &mut [T] {
+        let leaf = self.leaves[number];
+        let mask = leaf.mask;
+        self.values.list_mut(leaf.start, mask.count_ones() as usize)
+    }
+
+    /// Hands on every known cell in the order of memory, which is the same for the same history.
+    pub fn for_each(&self, mut visit: impl FnMut(VoxelIndex, T)) {
+        for (key, number) in self.index.iter() {
+            let (first, leaf) = (first_cell(key), self.leaves[number]);
+            let mut mask = leaf.mask;
+            for value in self.values.list(leaf.start, mask.count_ones() as usize) {
+                let bit = mask.trailing_zeros() as i32;
+                mask &= mask - 1;
+                visit([first[0] + (bit & 3), first[1] + (bit >> 2 & 3), first[2] + (bit >> 4)], *value);
+            }
+        }
+    }
+
+    /// Keys and numbers of all leaves in the order of map files.
+    fn sorted_leaves(&self) -> Vec<(u64, usize)> {
+        let mut leaves: Vec<(u64, usize)> = self.index.iter().collect();
+        leaves.sort_unstable_by_key(|(key, _)| file_order(*key));
+        leaves
+    }
+
+    /// Hands on every known cell in the order of map files (`formats.md` §4.6).
+    pub fn for_each_in_file_order(&self, mut visit: impl FnMut(VoxelIndex, T)) {
+        let leaves = self.sorted_leaves();
+        let cube = |key: u64| file_order(key) >> 3;
+        for of_cube in leaves.chunk_by(|a, b| cube(a.0) == cube(b.0)) {
+            let mut at = [None; 8];
+            for (key, number) in of_cube {
+                at[(file_order(*key) & 7) as usize] = Some((first_cell(*key), self.leaves[*number]));
+            }
+            for (z, y, side) in (0..8).flat_map(|z| (0..8).flat_map(move |y| [(z, y, 0), (z, y, 1)])) {
+                let Some((first, leaf)) = at[(z >> 2) << 2 | (y >> 2) << 1 | side] else { continue };
+                for x in 0..4 {
+                    let cell = [first[0] + x, first[1] + (y as i32 & 3), first[2] + (z as i32 & 3)];
+                    if let Some(value) = self.value_in(leaf, bit_of(cell)) {
+                        visit(cell, value);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The same map without spare room, neighbours close to each other in memory.
+    #[must_use]
+    pub fn compacted(&self) -> Self {
+        let leaves = self.sorted_leaves();
+        let count = |number: usize| ({ self.leaves[number].mask }).count_ones() as usize;
+        let values = leaves.iter().map(|(_, n)| Arena::<T>::capacity_for(count(*n))).sum();
+        let mut compact = Self::with_capacity(leaves.len(), values, self.root_bits);
+        for (key, number) in leaves {
+            let Some(start) = compact.values.allocate(count(number)) else { break };
+            let values = self.values.list(self.leaves[number].start, count(number));
+            compact.values.list_mut(start, values.len()).copy_from_slice(values);
+            compact.index.insert(key, compact.leaves.len());
+            compact.leaves.push(Leaf { mask: self.leaves[number].mask, start });
+        }
+        compact.num_cells = self.num_cells;
+        compact
+    }
+
+    /// Memory taken, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.index.memory_bytes()
+            + self.leaves.capacity() * size_of::<Leaf>()
+            + self.values.memory_bytes()
+            + size_of::<Self>()
+    }
+}
+
+/// Corner `c` of a cube of cells.
+#[inline]
+fn corner(low: VoxelIndex, c: usize) -> VoxelIndex {
+    [0, 1, 2].map(|axis| low[axis].saturating_add((c >> axis & 1) as i32))
+}
+
+impl<T: Copy + Default + PartialEq> PartialEq for VoxelMap<T> {
+    /// Whether the same cells are known and have the same values.
+    fn eq(&self, other: &Self) -> bool {
+        let mut equal = self.num_cells == other.num_cells && self.root_bits == other.root_bits;
+        self.for_each(|cell, value| equal = equal && other.get(cell) == Some(value));
+        equal
+    }
+}
+
+impl<T> fmt::Debug for VoxelMap<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "VoxelMap({} cells in {} leaves)", self.num_cells, self.leaves.len())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,99 @@
+//! Where the leaf of a block of cells is: a hash table in one list of numbers.
+
+/// Bits of a slot that hold the number of the leaf; the others hold the key of the block.
+const LEAF_BITS: u32 = 28;
+const LEAF_MASK: u64 = (1 << LEAF_BITS) - 1;
+const FREE: u64 = u64::MAX;
+const MIN_SLOTS: usize = 16;
+
+/// So many leaves there can be, the last number left out because it marks free slots.
+pub(super) const MAX_LEAVES: usize = (1 << LEAF_BITS) - 1;
+
+/// From keys of blocks (36 bits) to numbers of leaves. Open addressing with linear probing; at most two
+/// thirds full, grown by half so that little memory is idle.
+#[derive(Clone, Debug)]
+pub(super) struct LeafIndex {
+    slots: Vec<u64>,
+    len: usize,
+}
+
+impl LeafIndex {
+    pub fn with_capacity(num_leaves: usize) -> Self {
+        let slots = (num_leaves + num_leaves / 2 + 1).max(MIN_SLOTS);
+        Self { slots: vec![FREE; slots], len: 0 }
+    }
+
+    /// Where the search for a key starts. Multiplication spreads the key over the high bits, which are
+    /// then scaled to the size of the table.
+    #[inline]
+    fn home(&self, key: u64) -> usize {
+        let hash = key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
+        ((hash * self.slots.len() as u64) >> 32) as usize
+    }
+
+    /// The slot of a key, or the free one where it belongs.
+    #[inline]
+    fn slot(&self, key: u64) -> usize {
+        let mut i = self.home(key);
+        loop {
+            let slot = self.slots[i];
+            if slot >> LEAF_BITS == key || slot == FREE {
+                return i;
+            }
+            i += 1;
+            if i == self.slots.len() {
+                i = 0;
+            }
+        }
+    }
+
+    #[inline]
+    pub fn get(&self, key: u64) -> Option<usize> {
+        let slot = self.slots[self.slot(key)];
+        (slot != FREE).then_some((slot & LEAF_MASK) as usize)
+    }
+
+    /// Adds a key that is not there yet.
+    pub fn insert(&mut self, key: u64, leaf: usize) {
+        if 3 * (self.len + 1) > 2 * self.slots.len() {
+            let larger = vec![FREE; self.slots.len() + self.slots.len() / 2];
+            let old = std::mem::replace(&mut self.slots, larger);
+            for slot in old.into_iter().filter(|s| *s != FREE) {
+                let free = self.slot(slot >> LEAF_BITS);
+                self.slots[free] = slot;
+            }
+        }
+        let free = self.slot(key);
+        self.slots[free] = key << LEAF_BITS | leaf as u64;
+        self.len += 1;
+    }
+
+    /// All keys with their leaves, in no order that means anything.
+    pub fn iter(&self) -> impl Iterator<Item = (u64, usize)> + '_ {
+        let taken = self.slots.iter().filter(|s| **s != FREE);
+        taken.map(|slot| (slot >> LEAF_BITS, (slot & LEAF_MASK) as usize))
+    }
+
+    pub fn memory_bytes(&self) -> usize {
+        self.slots.capacity() * size_of::<u64>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_key_is_found_and_no_other() {
+        let mut index = LeafIndex::with_capacity(0);
+        let key = |i: u64| i * i * 7919 % (1 << 36);
+        for i in 0..2000u64 {
+            if index.get(key(i)).is_none() {
+                index.insert(key(i), i as usize);
+            }
+        }
+        assert!((0..2000).all(|i| index.get(key(i)).is_some_and(|j| key(j as u64) == key(i))));
+        assert_eq!(index.get((1 << 36) - 1), None);
+        assert_eq!(index.iter().count(), index.len);
+    }
+}
