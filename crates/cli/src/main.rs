@@ -3,6 +3,7 @@
 mod commands;
 mod error;
 mod interrupt;
+mod memory;
 mod output;
 mod progress;
 mod results;

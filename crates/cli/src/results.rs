@@ -8,9 +8,10 @@ use portolan_export::{
 };
 use portolan_geometry::{Rigid3, Time};
 use portolan_mapfile::{ImageName, PaintOptions, paint, submap_textures_2d, write_map_2d, write_ros_map};
-use portolan_mapping::{Map, Planar, TrajectoryId};
+use portolan_mapping::{LatencyHistogram, Map, Planar, TrajectoryId};
 
 use crate::error::CliError;
+use crate::memory::resident_and_peak_bytes;
 use crate::output::write_file;
 
 /// Cell size of the ROS map, metres.
@@ -30,6 +31,7 @@ pub fn write_results(
     all_poses: bool,
 ) -> Result<Written, CliError> {
     let map = &mapped.map;
+    let memory_while_mapping = resident_and_peak_bytes();
     let mut files = Vec::new();
     let mut file = |name: &str| {
         let path = folder.join(name);
@@ -55,7 +57,7 @@ pub fn write_results(
     write_ros_map(&folder.join("map"), &painted, ImageName::Beside).map_err(|e| failed(&e))?;
     file("map.pgm");
     file("map.yaml");
-    let report = serde_json::to_vec_pretty(&report(mapped, seconds)).map_err(|e| failed(&e))?;
+    let report = serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping)).map_err(|e| failed(&e))?;
     write_file(&file("report.json"), |out| out.write_all(&report))?;
     Ok(Written { files })
 }
@@ -92,7 +94,25 @@ fn constraint_lines(map: &Map<Planar>) -> Vec<ConstraintLine> {
         .collect()
 }
 
-fn report(mapped: &MappedRecording, seconds: f64) -> serde_json::Value {
+/// Milliseconds that local SLAM took for a scan, as quantiles and as a histogram.
+fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
+    let ms = |time: std::time::Duration| (1e6 * time.as_secs_f64()).round() / 1e3;
+    let bins: Vec<_> = times.bins().map(|(bound, count)| serde_json::json!([ms(bound), count])).collect();
+    serde_json::json!({
+        "scans": times.count(),
+        "total_ms": ms(times.total()),
+        "median_ms": ms(times.quantile(0.5)),
+        "p99_ms": ms(times.quantile(0.99)),
+        "longest_ms": ms(times.longest()),
+        "histogram_upper_bound_ms_and_count": bins,
+    })
+}
+
+fn report(
+    mapped: &MappedRecording,
+    seconds: f64,
+    memory_while_mapping: Option<(u64, u64)>,
+) -> serde_json::Value {
     let state = mapped.map.graph.state();
     let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
     let reading: Vec<_> = mapped
@@ -111,6 +131,11 @@ fn report(mapped: &MappedRecording, seconds: f64) -> serde_json::Value {
         "recording_seconds": mapped.recording_seconds,
         "wall_seconds": seconds,
         "real_time_factor": mapped.recording_seconds / seconds.max(1e-3),
+        "local_slam": scan_times(&mapped.scan_times),
+        "memory_bytes": {
+            "peak_while_mapping": memory_while_mapping.map(|(_, peak)| peak),
+            "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
+        },
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,

@@ -5,13 +5,14 @@
 //! pose graph takes its work in the order in which local SLAM made it.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use portolan_config::{Options, TrajectoryBuilderOptions};
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
+use crate::latency::LatencyHistogram;
 use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, MatchingResult, Repairs};
 use crate::map::{Map, ScanPose};
@@ -56,6 +57,7 @@ pub struct Mapper<S: Space> {
     ended: BTreeMap<TrajectoryId, EndedTrajectory>,
     next_trajectory: u32,
     repairs: Repairs,
+    scan_times: LatencyHistogram,
 }
 
 /// What stays of a trajectory for the map.
@@ -93,6 +95,7 @@ impl<S: Space> Mapper<S> {
             ended,
             next_trajectory,
             repairs: Repairs::new(),
+            scan_times: LatencyHistogram::default(),
         })
     }
 
@@ -165,6 +168,7 @@ impl<S: Space> Mapper<S> {
     ) -> Result<Vec<MatchingResult<S>>, MapperError> {
         let Some(trajectory) = self.active.get_mut(&id) else { return Ok(Vec::new()) };
         let mut results = Vec::new();
+        let start = Instant::now();
         match measurement {
             Measurement::Range(data) => results = trajectory.local_slam.add_range_data(sensor_id, data),
             Measurement::Imu(data) => {
@@ -189,6 +193,10 @@ impl<S: Space> Mapper<S> {
             Measurement::Landmark(data) => {
                 self.backend.enqueue(move |graph| graph.add_landmark_data(id, data))?;
             }
+        }
+        if let Ok(matched @ 1..) = u32::try_from(results.len()) {
+            let each = start.elapsed() / matched;
+            (0..matched).for_each(|_| self.scan_times.add(each));
         }
         self.pass_on(id, &results)?;
         Ok(results)
@@ -235,6 +243,11 @@ impl<S: Space> Mapper<S> {
         );
         self.backend.enqueue(move |graph| graph.finish_trajectory(id, remaining))?;
         Ok(results)
+    }
+
+    /// How long local SLAM took for each scan that it matched.
+    pub fn scan_times(&self) -> &LatencyHistogram {
+        &self.scan_times
     }
 
     /// How far the pose graph is.

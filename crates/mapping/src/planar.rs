@@ -53,6 +53,10 @@ impl Space for Planar {
         })
     }
 
+    fn matcher_bytes(matcher: &PlanarMatcher) -> usize {
+        matcher.search.memory_bytes()
+    }
+
     fn find_node(
         matcher: &PlanarMatcher,
         submap: &Submap2d,

@@ -58,6 +58,9 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
     /// Precomputes what searching in this submap needs; none if the options make no sense.
     fn build_matcher(submap: &Self::Submap, options: &ConstraintBuilderOptions) -> Option<Self::Matcher>;
 
+    /// Memory that a matcher takes, bytes.
+    fn matcher_bytes(matcher: &Self::Matcher) -> usize;
+
     /// Looks for the node in the submap and refines what is found.
     fn find_node(
         matcher: &Self::Matcher,

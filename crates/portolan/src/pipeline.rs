@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use portolan_config::Options;
 use portolan_geometry::Time;
-use portolan_mapping::{BackendProgress, Map, Mapper, MapperError, MapperSettings, Planar, Repairs};
+use portolan_mapping::{BackendProgress, LatencyHistogram, Map, Mapper, MapperError, MapperSettings, Planar, Repairs};
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
     SensorPlan, plan,
@@ -30,6 +30,9 @@ pub enum PipelineError {
         "the recording has no planar scanner, and mapping in 3D is not built yet; name a planar topic with --scan"
     )]
     NeedsThreeDimensions,
+    /// A setting that was to be changed.
+    #[error("{0}")]
+    Setting(String),
     /// Nothing was mapped.
     #[error("not a single scan could be used; `portolan check` tells what is wrong with the recording")]
     NoScans,
@@ -58,6 +61,8 @@ pub struct MappedRecording {
     pub scans: u64,
     /// Seconds from the first to the last measurement.
     pub recording_seconds: f64,
+    /// How long local SLAM took for each matched scan.
+    pub scan_times: LatencyHistogram,
     /// Repairs while reading.
     pub reading_repairs: Vec<Repair>,
     /// Repairs while mapping.
@@ -67,13 +72,13 @@ pub struct MappedRecording {
 }
 
 /// Maps a recording in the plane. Without `options` they are chosen from the recording; `adjust` sees
-/// them before they are used. `observe` is called now and then and stops everything cleanly by
+/// them before they are used and may refuse. `observe` is called now and then and stops everything cleanly by
 /// returning false.
 pub fn map_recording(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     options: Option<Options>,
-    adjust: &mut dyn FnMut(&mut Options, &SensorPlan),
+    adjust: &mut dyn FnMut(&mut Options, &SensorPlan) -> Result<(), PipelineError>,
     settings: MapperSettings,
     observe: &mut dyn FnMut(&PipelineProgress) -> bool,
 ) -> Result<MappedRecording, PipelineError> {
@@ -83,7 +88,7 @@ pub fn map_recording(
         return Err(PipelineError::NeedsThreeDimensions);
     }
     let mut options = options.unwrap_or_else(|| automatic::options_2d(&plan, &plan.statistics()));
-    adjust(&mut options, &plan);
+    adjust(&mut options, &plan)?;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let mut mapper = Mapper::<Planar>::new(&options, settings)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
@@ -104,6 +109,7 @@ pub fn map_recording(
         }
     }
     scans += mapper.finish_trajectory(trajectory_id)?.len() as u64;
+    let scan_times = mapper.scan_times().clone();
     let (map, mapping_repairs) = mapper.finish()?;
     if scans == 0 {
         return Err(PipelineError::NoScans);
@@ -113,6 +119,7 @@ pub fn map_recording(
         plan,
         scans,
         recording_seconds: span.map_or(0.0, |(first, last)| last.seconds_since(first)),
+        scan_times,
         reading_repairs: ingestion.repairs(),
         mapping_repairs,
         interrupted,

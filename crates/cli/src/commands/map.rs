@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan::pipeline::{MappedRecording, PipelineProgress, map_recording};
+use portolan::pipeline::{MappedRecording, PipelineError, PipelineProgress, map_recording};
 use portolan_config::{Loader, Options};
 use portolan_geometry::Duration;
 use portolan_mapping::MapperSettings;
@@ -11,6 +11,7 @@ use portolan_recording::{ConfiguredSensors, IngestOptions, Recording, SamplingRa
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
+use crate::memory::resident_and_peak_bytes;
 use crate::output::print;
 use crate::progress::{Progress, say};
 use crate::results::{Written, write_results};
@@ -200,7 +201,6 @@ pub fn map_with_progress(
 ) -> Result<MappedRecording, CliError> {
     let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
     let start = std::time::Instant::now();
-    let mut rejected: Option<String> = None;
     let mapper_settings = MapperSettings { threads: global.thread_count(), ..MapperSettings::default() };
     let mapped = map_recording(
         recording,
@@ -211,10 +211,9 @@ pub fn map_with_progress(
                 say(&format!("{} {}", notice.what, notice.change));
             }
             for setting in settings {
-                if let Err(error) = options.set(setting) {
-                    rejected.get_or_insert(error.to_string());
-                }
+                options.set(setting).map_err(|e| PipelineError::Setting(e.to_string()))?;
             }
+            Ok(())
         },
         mapper_settings,
         &mut |state| {
@@ -225,15 +224,17 @@ pub fn map_with_progress(
         },
     );
     progress.finish();
-    match rejected {
-        Some(error) => Err(CliError::Usage(error)),
-        None => mapped.map_err(|e| CliError::Failed(e.to_string())),
-    }
+    mapped.map_err(|error| match error {
+        PipelineError::Setting(message) => CliError::Usage(message),
+        other => CliError::Failed(other.to_string()),
+    })
 }
 
 fn describe(state: &PipelineProgress, start: std::time::Instant) -> String {
+    let memory = resident_and_peak_bytes()
+        .map_or_else(String::new, |(resident, _)| format!(", {} MB", resident / 1_000_000));
     format!(
-        "{:.0} s of the recording, {:.0}x real time, {} nodes, {} constraints, {} waiting",
+        "{:.0} s of the recording, {:.0}x real time, {} nodes, {} constraints, {} waiting{memory}",
         state.recording_seconds,
         state.recording_seconds / start.elapsed().as_secs_f64().max(1e-3),
         state.backend.nodes,
@@ -254,6 +255,17 @@ pub fn summary(mapped: &MappedRecording, written: &Written, seconds: f64) -> Str
         mapped.recording_seconds,
         mapped.recording_seconds / seconds.max(1e-3),
     );
+    let times = &mapped.scan_times;
+    if times.count() > 0 {
+        text += &format!(
+            "local SLAM {:.2} ms a scan, 99 % within {:.2} ms",
+            1e3 * times.total().as_secs_f64() / times.count() as f64,
+            1e3 * times.quantile(0.99).as_secs_f64(),
+        );
+        text += &resident_and_peak_bytes()
+            .map_or_else(String::new, |(_, peak)| format!("; memory at most {} MB", peak / 1_000_000));
+        text += "\n";
+    }
     for repair in &mapped.reading_repairs {
         text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
     }

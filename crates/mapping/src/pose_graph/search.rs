@@ -2,7 +2,7 @@
 //! (`slam2d.md` §13).
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::Rigid3;
@@ -11,8 +11,9 @@ use rayon::prelude::*;
 
 use crate::{Constraint, ConstraintTag, NodeData, NodeId, SearchRegion, Space, SubmapId};
 
-/// Matchers that are kept between searches; building one takes milliseconds, keeping one megabytes.
-const MAX_KEPT_MATCHERS: usize = 48;
+/// Memory for matchers that are kept between searches, bytes. Building one takes a millisecond or two,
+/// keeping one a few megabytes.
+const MATCHER_CACHE_BYTES: usize = 12 << 20;
 
 /// A pair to try.
 struct SearchTask<S: Space> {
@@ -37,8 +38,6 @@ pub struct SearchCounts {
     pub whole_submap_found: u64,
 }
 
-type MatcherCell<S> = Arc<OnceLock<Option<<S as Space>::Matcher>>>;
-
 /// Collects pairs, and tries all of them at the next [`ConstraintSearch::run`].
 ///
 /// Results come in the order in which the pairs were added, so that they do not depend on the number
@@ -47,8 +46,7 @@ pub struct ConstraintSearch<S: Space> {
     options: ConstraintBuilderOptions,
     tasks: Vec<SearchTask<S>>,
     samplers: Samplers<SubmapId>,
-    matchers: BTreeMap<SubmapId, (u64, MatcherCell<S>)>,
-    rounds: u64,
+    matchers: MatcherCache<S>,
     counts: SearchCounts,
 }
 
@@ -59,8 +57,7 @@ impl<S: Space> ConstraintSearch<S> {
             samplers: Samplers::new(options.sampling_ratio),
             options,
             tasks: Vec::new(),
-            matchers: BTreeMap::new(),
-            rounds: 0,
+            matchers: MatcherCache::default(),
             counts: SearchCounts::default(),
         }
     }
@@ -119,28 +116,31 @@ impl<S: Space> ConstraintSearch<S> {
     /// order in which the pairs were added.
     pub fn run(&mut self) -> Vec<Constraint> {
         let tasks = std::mem::take(&mut self.tasks);
-        let cells: Vec<MatcherCell<S>> = tasks.iter().map(|t| self.matcher_cell(t.submap_id)).collect();
-        let options = &self.options;
-        let found: Vec<Option<Constraint>> = tasks
+        let mut by_submap: BTreeMap<SubmapId, Vec<usize>> = BTreeMap::new();
+        for (index, task) in tasks.iter().enumerate() {
+            by_submap.entry(task.submap_id).or_default().push(index);
+        }
+        // One submap after the other, so that only as many matchers are in memory as there are threads.
+        let groups: Vec<(SubmapId, Vec<usize>)> = by_submap.into_iter().collect();
+        let (matchers, options) = (&self.matchers, &self.options);
+        let mut found: Vec<(usize, Option<Constraint>)> = groups
             .par_iter()
-            .zip(&cells)
-            .map(|(task, cell)| {
-                let matcher = cell.get_or_init(|| S::build_matcher(&task.submap, options));
-                find_constraint::<S>(matcher.as_ref()?, task, options)
+            .with_max_len(1)
+            .flat_map_iter(|(submap_id, members)| {
+                let matcher = matchers.get_or_build(*submap_id, &tasks[members[0]].submap, options);
+                let found: Vec<_> = members
+                    .par_iter()
+                    .map(|i| (*i, find_constraint::<S>(matcher.as_deref(), &tasks[*i], options)))
+                    .collect();
+                found
             })
             .collect();
-        for (task, result) in tasks.iter().zip(&found) {
-            self.count(task.region, result.is_some());
+        found.sort_unstable_by_key(|(index, _)| *index);
+        for (index, result) in &found {
+            self.count(tasks[*index].region, result.is_some());
         }
-        self.drop_old_matchers();
-        found.into_iter().flatten().collect()
-    }
-
-    fn matcher_cell(&mut self, submap_id: SubmapId) -> MatcherCell<S> {
-        let rounds = self.rounds;
-        let entry = self.matchers.entry(submap_id).or_default();
-        entry.0 = rounds;
-        Arc::clone(&entry.1)
+        self.matchers.shrink();
+        found.into_iter().filter_map(|(_, result)| result).collect()
     }
 
     fn count(&mut self, region: SearchRegion, found: bool) {
@@ -154,20 +154,6 @@ impl<S: Space> ConstraintSearch<S> {
         *hits += u64::from(found);
     }
 
-    /// Keeps the most recently used matchers; ties go to the newer submap.
-    fn drop_old_matchers(&mut self) {
-        self.rounds += 1;
-        if self.matchers.len() <= MAX_KEPT_MATCHERS {
-            return;
-        }
-        let mut by_use: Vec<(u64, SubmapId)> =
-            self.matchers.iter().map(|(id, (used, _))| (*used, *id)).collect();
-        by_use.sort_unstable();
-        for (_, id) in &by_use[..by_use.len() - MAX_KEPT_MATCHERS] {
-            self.matchers.remove(id);
-        }
-    }
-
     /// Forgets what was precomputed for a submap, and restarts its sampling.
     pub fn delete_matcher(&mut self, submap_id: SubmapId) {
         self.matchers.remove(&submap_id);
@@ -177,6 +163,67 @@ impl<S: Space> ConstraintSearch<S> {
     /// Drops waiting pairs of a submap that is about to go.
     pub fn forget_tasks(&mut self, mut concerns: impl FnMut(SubmapId, NodeId) -> bool) {
         self.tasks.retain(|task| !concerns(task.submap_id, task.node_id));
+    }
+}
+
+/// The most recently used matchers. What it holds decides only how long a search takes.
+struct MatcherCache<S: Space> {
+    kept: Mutex<KeptMatchers<S>>,
+}
+
+struct KeptMatchers<S: Space> {
+    uses: u64,
+    by_submap: BTreeMap<SubmapId, (u64, Arc<S::Matcher>)>,
+}
+
+impl<S: Space> Default for MatcherCache<S> {
+    fn default() -> Self {
+        Self { kept: Mutex::new(KeptMatchers { uses: 0, by_submap: BTreeMap::new() }) }
+    }
+}
+
+impl<S: Space> MatcherCache<S> {
+    fn lock(&self) -> MutexGuard<'_, KeptMatchers<S>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn get_or_build(
+        &self,
+        id: SubmapId,
+        submap: &S::Submap,
+        options: &ConstraintBuilderOptions,
+    ) -> Option<Arc<S::Matcher>> {
+        let kept = self.lock().by_submap.get(&id).map(|(_, matcher)| Arc::clone(matcher));
+        let matcher = match kept {
+            Some(matcher) => matcher,
+            None => Arc::new(S::build_matcher(submap, options)?),
+        };
+        let mut kept = self.lock();
+        kept.uses += 1;
+        let used = kept.uses;
+        kept.by_submap.insert(id, (used, Arc::clone(&matcher)));
+        kept.shrink();
+        Some(matcher)
+    }
+
+    fn shrink(&self) {
+        self.lock().shrink();
+    }
+
+    fn remove(&self, id: &SubmapId) {
+        self.lock().by_submap.remove(id);
+    }
+}
+
+impl<S: Space> KeptMatchers<S> {
+    /// Drops those that were not used for longest until the rest fits.
+    fn shrink(&mut self) {
+        let mut total: usize = self.by_submap.values().map(|(_, m)| S::matcher_bytes(m)).sum();
+        while total > MATCHER_CACHE_BYTES {
+            let oldest = self.by_submap.iter().min_by_key(|(_, (used, _))| *used).map(|(id, _)| *id);
+            let Some((_, matcher)) = oldest.and_then(|id| self.by_submap.remove(&id)) else { break };
+            total -= S::matcher_bytes(&matcher);
+        }
     }
 }
 
@@ -210,12 +257,12 @@ impl<K: Ord> Samplers<K> {
 }
 
 fn find_constraint<S: Space>(
-    matcher: &S::Matcher,
+    matcher: Option<&S::Matcher>,
     task: &SearchTask<S>,
     options: &ConstraintBuilderOptions,
 ) -> Option<Constraint> {
     let found =
-        S::find_node(matcher, &task.submap, &task.node, &task.guess_submap_from_node, task.region, options)?;
+        S::find_node(matcher?, &task.submap, &task.node, &task.guess_submap_from_node, task.region, options)?;
     if options.log_matches {
         log_match(task.node_id, task.submap_id, task.region, &task.guess_submap_from_node, &found);
     }

@@ -12,9 +12,11 @@ mod search_window;
 
 mod fast2d;
 mod real_time2d;
+mod rotational;
 
 pub use fast2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d};
 pub use real_time2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
+pub use rotational::{histogram_similarity, rotate_histogram, rotational_histogram};
 
 /// What a correlative matcher found.
 #[derive(Clone, Copy, Debug, PartialEq)]
