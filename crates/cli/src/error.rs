@@ -63,3 +63,9 @@ impl From<portolan_evaluation::EvaluationError> for CliError {
         Self::Failed(error.to_string())
     }
 }
+
+impl From<portolan_mapfile::EditError> for CliError {
+    fn from(error: portolan_mapfile::EditError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}

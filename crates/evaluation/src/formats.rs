@@ -1,11 +1,13 @@
 //! Trajectories as text files.
 
 mod csv;
+mod geojson;
 mod kitti;
 mod lines;
 mod tum;
 
-pub use csv::{read_csv, write_csv};
+pub use csv::{read_csv, write_csv, write_csv_all};
+pub use geojson::{read_geojson, write_geojson};
 pub use kitti::{kitti_trajectory, read_kitti_poses, read_kitti_times, write_kitti};
 pub use tum::{read_tum, write_tum};
 

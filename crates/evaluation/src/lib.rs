@@ -10,6 +10,7 @@ mod association;
 pub mod cloud;
 mod error;
 mod formats;
+mod geodetic;
 mod histogram;
 mod number;
 mod relations;
@@ -22,9 +23,10 @@ pub use alignment::{Alignment, align};
 pub use association::{Association, PosePair, associate};
 pub use error::EvaluationError;
 pub use formats::{
-    kitti_trajectory, read_csv, read_kitti_poses, read_kitti_times, read_tum, write_csv, write_kitti,
-    write_tum,
+    kitti_trajectory, read_csv, read_geojson, read_kitti_poses, read_kitti_times, read_tum, write_csv,
+    write_csv_all, write_geojson, write_kitti, write_tum,
 };
+pub use geodetic::{Geodetic, LocalFrame};
 pub use histogram::Histogram;
 pub use relations::{
     GenerateOptions, GeneratedRelations, MapConstraint, MapGraph, Relation, RelationError, RelationReport,

@@ -6,6 +6,7 @@ mod check_data;
 mod check_graph;
 mod codes;
 mod convert;
+mod edit;
 mod error;
 mod frames;
 mod grid_check;
@@ -45,6 +46,10 @@ pub use convert::{
     LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings, MapSpace, WriteReport,
     builder_options_from_proto, builder_options_to_proto, load_map, read_map_2d, submap_textures_2d,
     trajectory_options_from_proto, trajectory_options_to_proto, write_graph, write_map, write_map_2d,
+};
+pub use edit::{
+    EditError, EditReport, FoundLoop, LoopResidual, LoopWeights, MapDimension, MapDraft, MapOptimization,
+    PoseReplacement, Walls, find_walls,
 };
 pub use error::{PbstreamError, RecordError};
 pub use gzip::{GzipError, gunzip, gzip};

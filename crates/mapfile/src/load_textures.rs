@@ -1,5 +1,6 @@
 //! Textures of all submaps of a map file.
 
+use portolan_geometry::Rigid3;
 use rayon::prelude::*;
 
 use crate::error::PbstreamError;
@@ -27,6 +28,14 @@ pub struct MapTextures {
 /// named in the result; the others follow (unlike in other programs, which stop painting there).
 pub fn load_textures(reader: &mut MapReader) -> Result<MapTextures, PbstreamError> {
     let poses = submap_poses(reader.pose_graph());
+    load_placed_textures(reader, &|id| Some((id, poses.get(&id).copied())))
+}
+
+/// [`load_textures`] with ids and poses from elsewhere; submaps without an id are left out.
+pub(crate) fn load_placed_textures(
+    reader: &mut MapReader,
+    placement: &(dyn Fn(IdInFile) -> Option<(IdInFile, Option<Rigid3>)> + Sync),
+) -> Result<MapTextures, PbstreamError> {
     let mut result = MapTextures::default();
     let mut batch = Vec::new();
     loop {
@@ -37,12 +46,18 @@ pub fn load_textures(reader: &mut MapReader) -> Result<MapTextures, PbstreamErro
         }
         if batch.len() >= BATCH || ended {
             let place = |submap: &Submap| {
-                let id = submap_id(submap.submap_id.as_ref());
-                let map_from_submap = poses.get(&id).ok_or((id, TextureError::Pose("global")))?;
-                let texture = submap_texture(submap, map_from_submap).map_err(|e| (id, e))?;
-                Ok(PlacedTexture { id, map_from_submap: *map_from_submap, texture })
+                let (id, pose) = placement(submap_id(submap.submap_id.as_ref()))?;
+                let Some(map_from_submap) = pose else {
+                    return Some(Err((id, TextureError::Pose("global"))));
+                };
+                let texture = submap_texture(submap, &map_from_submap);
+                Some(texture.map_err(|e| (id, e)).map(|texture| PlacedTexture {
+                    id,
+                    map_from_submap,
+                    texture,
+                }))
             };
-            for placed in batch.par_iter().map(place).collect::<Vec<_>>() {
+            for placed in batch.par_iter().filter_map(place).collect::<Vec<_>>() {
                 match placed {
                     Ok(texture) => result.textures.push(texture),
                     Err(skipped) => result.skipped.push(skipped),
@@ -61,7 +76,7 @@ pub fn load_textures(reader: &mut MapReader) -> Result<MapTextures, PbstreamErro
 /// The texture of a 2D or 3D submap; for 3D that of the fine grid, seen from above in the global map.
 pub fn submap_texture(
     submap: &Submap,
-    map_from_submap: &portolan_geometry::Rigid3,
+    map_from_submap: &Rigid3,
 ) -> Result<crate::texture::SubmapTexture, TextureError> {
     match (&submap.submap_2d, &submap.submap_3d) {
         (Some(submap), _) => texture_2d(submap),

@@ -70,6 +70,63 @@ impl<'a> Iterator for Fields<'a> {
     }
 }
 
+/// All content of the length-delimited fields of one number, one after the other: protobuf merges messages
+/// that are there several times by joining their bytes.
+pub(crate) fn joined(message: &[u8], number: u32) -> Vec<u8> {
+    let mut joined = Vec::new();
+    for (found, value) in Fields::new(message).map_while(Result::ok) {
+        if let (true, WireValue::Bytes(bytes)) = (found == number, value) {
+            joined.extend_from_slice(bytes);
+        }
+    }
+    joined
+}
+
+/// The last variable-length number of a field; zero where there is none, as protobuf has it.
+pub(crate) fn last_varint(message: &[u8], number: u32) -> u64 {
+    let fields = Fields::new(message).map_while(Result::ok);
+    let values = fields.filter_map(|(found, value)| match value {
+        WireValue::Varint(v) if found == number => Some(v),
+        _ => None,
+    });
+    values.last().unwrap_or(0)
+}
+
+/// The message without all fields of one number; what is left is copied byte for byte.
+pub(crate) fn without_field(message: &[u8], number: u32) -> Vec<u8> {
+    let mut kept = Vec::with_capacity(message.len());
+    let mut fields = Fields::new(message);
+    loop {
+        let before = fields.rest;
+        let Some(Ok((found, _))) = fields.next() else { return kept };
+        if found != number {
+            kept.extend_from_slice(&before[..before.len() - fields.rest.len()]);
+        }
+    }
+}
+
+/// Appends a variable-length number.
+pub(crate) fn put_varint(out: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+/// Appends a field with a variable-length number, also where it is zero.
+pub(crate) fn put_varint_field(out: &mut Vec<u8>, number: u32, value: u64) {
+    put_varint(out, u64::from(number) << 3);
+    put_varint(out, value);
+}
+
+/// Appends a length-delimited field.
+pub(crate) fn put_bytes_field(out: &mut Vec<u8>, number: u32, content: &[u8]) {
+    put_varint(out, u64::from(number) << 3 | 2);
+    put_varint(out, content.len() as u64);
+    out.extend_from_slice(content);
+}
+
 /// Takes one variable-length number from the front of `bytes`.
 pub fn varint(bytes: &mut &[u8]) -> Option<u64> {
     let mut value = 0;
@@ -103,6 +160,20 @@ mod tests {
             ]
         );
         assert_eq!(Fields::new(&[0x12, 5, 1]).collect::<Vec<_>>(), [Err(WireError)]);
+    }
+
+    #[test]
+    fn fields_are_taken_out_and_put_in() {
+        let mut message = Vec::new();
+        put_varint_field(&mut message, 1, 300);
+        put_bytes_field(&mut message, 2, b"ab");
+        put_varint_field(&mut message, 1, 0);
+        put_bytes_field(&mut message, 2, b"cd");
+        assert_eq!(joined(&message, 2), b"abcd");
+        assert_eq!((last_varint(&message, 1), last_varint(&message, 7)), (0, 0));
+        let rest = without_field(&message, 1);
+        assert_eq!(rest, [0x12, 2, b'a', b'b', 0x12, 2, b'c', b'd']);
+        assert_eq!(without_field(&rest, 9), rest);
     }
 
     proptest! {

@@ -1,7 +1,7 @@
 //! `portolan evaluate`: how good a trajectory or a map is.
 
 mod generate;
-mod input;
+pub mod input;
 mod relations;
 mod trajectory;
 

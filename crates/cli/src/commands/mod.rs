@@ -1,13 +1,20 @@
 //! One file per verb.
 
+mod argument;
 mod check;
 mod completions;
 mod config;
+mod convert;
 mod demo;
+mod edit;
 mod evaluate;
 mod info;
 mod man;
 mod map;
+mod migrate;
+mod optimize;
+mod render;
+mod repair;
 mod simulate;
 
 use crate::GlobalArgs;
@@ -22,6 +29,12 @@ pub enum Command {
     Check(check::CheckArgs),
     Config(config::ConfigArgs),
     Evaluate(evaluate::EvaluateArgs),
+    Render(Box<render::RenderArgs>),
+    Edit(Box<edit::EditArgs>),
+    Convert(Box<convert::ConvertArgs>),
+    Optimize(Box<optimize::OptimizeArgs>),
+    Repair(repair::RepairArgs),
+    Migrate(migrate::MigrateArgs),
     Simulate(simulate::SimulateArgs),
     Completions(completions::CompletionsArgs),
     Man(man::ManArgs),
@@ -36,6 +49,12 @@ pub fn run(command: Command, global: &GlobalArgs) -> Result<Outcome, CliError> {
         Command::Check(args) => check::run(&args, global),
         Command::Config(args) => config::run(&args, global),
         Command::Evaluate(args) => evaluate::run(&args, global),
+        Command::Render(args) => render::run(&args, global),
+        Command::Edit(args) => edit::run(&args, global),
+        Command::Convert(args) => convert::run(&args, global),
+        Command::Optimize(args) => optimize::run(&args, global),
+        Command::Repair(args) => repair::run(&args),
+        Command::Migrate(args) => migrate::run(&args),
         Command::Simulate(args) => simulate::run(&args, global),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&args),

@@ -95,18 +95,27 @@ pub fn read_csv(reader: impl BufRead) -> Result<(Trajectory, TrajectoryRepairs),
 /// Writes a table `time,x,y,z,qx,qy,qz,qw,yaw`.
 pub fn write_csv(trajectory: &Trajectory, mut writer: impl Write) -> std::io::Result<()> {
     writeln!(writer, "time,x,y,z,qx,qy,qz,qw,yaw")?;
-    for pose in trajectory.poses() {
-        let t = pose.map_from_tracking.translation;
-        let [x, y, z, w] = crate::quaternion_xyzw(&pose.map_from_tracking);
-        writeln!(
-            writer,
-            "{},{:.6},{:.6},{:.6},{x:.9},{y:.9},{z:.9},{w:.9},{:.9}",
-            pose.time.unix_decimal(),
-            t.x,
-            t.y,
-            t.z,
-            yaw(&pose.map_from_tracking.rotation)
-        )?;
+    trajectory.poses().iter().try_for_each(|pose| writeln!(writer, "{}", row(pose)))
+}
+
+/// Writes several trajectories with their numbers: a table `time,x,y,z,qx,qy,qz,qw,yaw,trajectory_id`.
+pub fn write_csv_all(trajectories: &[(i32, Trajectory)], mut writer: impl Write) -> std::io::Result<()> {
+    writeln!(writer, "time,x,y,z,qx,qy,qz,qw,yaw,trajectory_id")?;
+    for (id, trajectory) in trajectories {
+        trajectory.poses().iter().try_for_each(|pose| writeln!(writer, "{},{id}", row(pose)))?;
     }
     Ok(())
+}
+
+fn row(pose: &TimedPose) -> String {
+    let t = pose.map_from_tracking.translation;
+    let [x, y, z, w] = crate::quaternion_xyzw(&pose.map_from_tracking);
+    format!(
+        "{},{:.6},{:.6},{:.6},{x:.9},{y:.9},{z:.9},{w:.9},{:.9}",
+        pose.time.unix_decimal(),
+        t.x,
+        t.y,
+        t.z,
+        yaw(&pose.map_from_tracking.rotation)
+    )
 }

@@ -18,6 +18,7 @@ mod write;
 
 pub use error::MapConversionError;
 pub use grid::MapSpace;
+pub(crate) use read::node_data;
 pub use read::{LoadedMap, LoadedTrajectories, MapLoadSettings, load_map, read_map_2d};
 pub use textures::submap_textures_2d;
 pub use trajectory_options::{

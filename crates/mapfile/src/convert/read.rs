@@ -340,7 +340,7 @@ fn global_poses(graph: &m::PoseGraph) -> Result<(Poses, Poses, u64), MapConversi
 }
 
 /// What does not change of a node.
-fn node_data(message: m::Node, node: IdInFile) -> Result<NodeData, MapConversionError> {
+pub(crate) fn node_data(message: m::Node, node: IdInFile) -> Result<NodeData, MapConversionError> {
     let what = "node";
     let data = message.node_data.ok_or(MapConversionError::Content { what, id: node })?;
     let no_pose = || MapConversionError::Pose { what, id: node };

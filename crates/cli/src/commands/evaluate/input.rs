@@ -138,7 +138,8 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, CliError> {
     std::fs::read(path).map_err(|source| CliError::File { path: path.to_owned(), source })
 }
 
-fn tell_repairs(path: &Path, repairs: &TrajectoryRepairs) {
+/// Says on stderr what was put right.
+pub fn tell_repairs(path: &Path, repairs: &TrajectoryRepairs) {
     let told = [
         (repairs.unsorted, "came after a later one: put in order"),
         (repairs.duplicate_stamps, "at the time of another: the first was kept"),

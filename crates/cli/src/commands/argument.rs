@@ -1,0 +1,45 @@
+//! Arguments that several verbs have in common: ids, points, areas.
+
+use portolan_mapfile::{IdInFile, MapArea};
+
+/// Numbers separated by commas, as many as `names` has.
+pub fn numbers<const N: usize>(text: &str, names: &str) -> Result<[f64; N], String> {
+    let values: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse::<f64>().ok().filter(|v| v.is_finite()))
+        .collect::<Option<_>>()
+        .ok_or_else(|| format!("expected {names}, not \"{text}\""))?;
+    values.try_into().map_err(|_| format!("expected {names}, not \"{text}\""))
+}
+
+/// A rectangle in the map, metres.
+pub fn area(text: &str) -> Result<MapArea, String> {
+    let [x1, y1, x2, y2] = numbers::<4>(text, "X1,Y1,X2,Y2")?;
+    let area = MapArea { min_x: x1.min(x2), min_y: y1.min(y2), max_x: x1.max(x2), max_y: y1.max(y2) };
+    if area.min_x < area.max_x && area.min_y < area.max_y {
+        return Ok(area);
+    }
+    Err(format!("the rectangle {text} is empty"))
+}
+
+/// Trajectory and index of a submap or node: `0,12`, or `12` for trajectory 0.
+pub fn id(text: &str) -> Result<IdInFile, String> {
+    let bad = || format!("expected TRAJECTORY,INDEX, not \"{text}\"");
+    let (trajectory, index) = text.split_once(',').unwrap_or(("0", text));
+    let number = |part: &str| part.trim().parse::<i32>().ok().filter(|v| *v >= 0).ok_or_else(bad);
+    Ok((number(trajectory)?, number(index)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_and_areas() {
+        assert_eq!((id("3,12"), id("7")), (Ok((3, 12)), Ok((0, 7))));
+        assert!(id("a,1").is_err() && id("-1,2").is_err());
+        let found = area("3,4,-1,2").unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!((found.min_x, found.min_y, found.max_x, found.max_y), (-1.0, 2.0, 3.0, 4.0));
+        assert!(area("0,0,0,1").is_err() && area("0,0,1").is_err() && area("0,0,nan,1").is_err());
+    }
+}

@@ -1,0 +1,79 @@
+//! `portolan convert`: trajectories and pose graphs from one format to another.
+
+mod format;
+mod graph;
+mod trajectories;
+
+use std::path::PathBuf;
+
+use portolan_evaluation::Geodetic;
+
+use super::argument;
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use format::Format;
+
+/// Convert trajectories, pose graphs and maps into one another.
+///
+/// Trajectories: TUM (.tum), KITTI poses (.kitti, times beside them), tables (.csv), GeoJSON (.geojson), and
+/// those of maps (.pbstream). Pose graphs: g2o (.g2o) and the constraints of maps. The content tells what the
+/// input is, the ending of the output what to write.
+///
+/// Into a map (`--into MAP -o NEW.pbstream`) go the poses of a trajectory, for example after a refinement, or
+/// those of a g2o file that was made from this map.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  portolan convert house.pbstream -o house.tum\n  \
+    portolan convert house.pbstream -o house.geojson --origin 48.137,11.575,520\n  \
+    portolan convert poses.txt --times times.txt -o poses.csv\n  \
+    portolan convert house.pbstream -o house.g2o\n  \
+    portolan convert house_optimised.g2o --into house.pbstream -o house_new.pbstream")]
+pub struct ConvertArgs {
+    /// Trajectory, pose graph or map.
+    input: PathBuf,
+    /// File to write.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// What to write, if the ending of the output does not say it.
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    to: Option<Format>,
+    /// Only this trajectory of a map or file; needed where the output can hold one only.
+    #[arg(long, value_name = "ID")]
+    trajectory: Option<i32>,
+    /// Times of KITTI poses, one a line.
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// Map that gets the poses.
+    #[arg(long, value_name = "MAP")]
+    into: Option<PathBuf>,
+    /// Where on the Earth (WGS 84) the origin of the map is, with x to the east: for GeoJSON.
+    #[arg(long, value_name = "LAT,LON[,ALT]", value_parser = origin, allow_hyphen_values = true)]
+    origin: Option<Geodetic>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn origin(text: &str) -> Result<Geodetic, String> {
+    let with_altitude = if text.split(',').count() == 2 { format!("{text},0") } else { text.to_owned() };
+    let [latitude, longitude, altitude] = argument::numbers::<3>(&with_altitude, "LAT,LON[,ALT]")?;
+    let origin = Geodetic { latitude, longitude, altitude };
+    if origin.is_valid() { Ok(origin) } else { Err(format!("{text} is no place on the Earth")) }
+}
+
+pub fn run(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let to = match args.to {
+        Some(to) => to,
+        None => Format::of_name(&args.output)?,
+    };
+    match (Format::of_content(&args.input)?, to) {
+        (Format::G2o, Format::Map) => graph::into_map(args, global),
+        (Format::Map, Format::G2o) => graph::of_map(args),
+        (Format::G2o, _) => Err(CliError::Usage(
+            "a g2o file has no times: it can be put into its map (--into MAP -o NEW.pbstream), nothing else"
+                .to_owned(),
+        )),
+        (_, Format::G2o) => graph::of_trajectory(args, global),
+        (_, Format::Map) => trajectories::into_map(args, global),
+        _ => trajectories::run(args, to, global),
+    }
+}

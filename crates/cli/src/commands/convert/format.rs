@@ -1,0 +1,69 @@
+//! What files hold.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use crate::error::CliError;
+use crate::output::is_map;
+
+/// Formats of trajectories and pose graphs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// `time x y z qx qy qz qw`.
+    Tum,
+    /// Twelve numbers a line; times in a file of their own.
+    Kitti,
+    /// A table with a line of names.
+    Csv,
+    /// Lines with times.
+    Geojson,
+    /// Vertices and edges.
+    G2o,
+    /// .pbstream.
+    #[value(name = "pbstream")]
+    Map,
+}
+
+impl Format {
+    /// By the ending.
+    pub fn of_name(path: &Path) -> Result<Self, CliError> {
+        let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        match ending.as_deref() {
+            Some("tum") => Ok(Self::Tum),
+            Some("kitti" | "txt") => Ok(Self::Kitti),
+            Some("csv") => Ok(Self::Csv),
+            Some("geojson" | "json") => Ok(Self::Geojson),
+            Some("g2o") => Ok(Self::G2o),
+            Some("pbstream") => Ok(Self::Map),
+            _ => Err(CliError::Usage(format!(
+                "{}: the ending says nothing; say --to tum, kitti, csv, geojson, g2o or pbstream",
+                path.display()
+            ))),
+        }
+    }
+
+    /// By the first bytes. Text formats of one trajectory are told apart when they are read.
+    pub fn of_content(path: &Path) -> Result<Self, CliError> {
+        if is_map(path)? {
+            return Ok(Self::Map);
+        }
+        let mut start = Vec::new();
+        File::open(path)
+            .and_then(|file| file.take(4096).read_to_end(&mut start))
+            .map_err(|source| CliError::File { path: path.to_owned(), source })?;
+        let text = String::from_utf8_lossy(&start);
+        let mut lines = text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#'));
+        let first = lines.next().unwrap_or_default();
+        if first.starts_with('{') {
+            return Ok(Self::Geojson);
+        }
+        let is_tag = ["VERTEX", "EDGE", "FIX"].iter().any(|tag| first.starts_with(tag));
+        Ok(if is_tag { Self::G2o } else { Self::Tum })
+    }
+
+    /// Whether a file of this format can hold more than one trajectory.
+    pub fn holds_several(self) -> bool {
+        matches!(self, Self::Csv | Self::Geojson)
+    }
+}

@@ -1,0 +1,80 @@
+//! Pose graphs.
+
+use std::fs::File;
+use std::io::BufReader;
+
+use portolan_geometry::Rigid3;
+use portolan_mapfile::{MapDraft, ReadLimits};
+use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex, read_g2o, write_g2o};
+
+use super::ConvertArgs;
+use super::trajectories::read_one;
+use crate::GlobalArgs;
+use crate::commands::optimize::notes;
+use crate::error::{CliError, Outcome};
+use crate::output::{print, print_json, write_file};
+use crate::progress::say;
+
+/// The constraints of a map.
+pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
+    let graph = MapDraft::open(&args.input, ReadLimits::default())?.to_graph()?;
+    write(args, &graph)
+}
+
+/// A chain of poses.
+pub fn of_trajectory(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let trajectory = read_one(args, global)?;
+    let poses: Vec<Rigid3> = trajectory.poses().iter().map(|p| p.map_from_tracking).collect();
+    let unit: Vec<f64> = (0..6).flat_map(|r| (r..6).map(move |c| if r == c { 1.0 } else { 0.0 })).collect();
+    let information = Rigid3::information_from_upper(&unit)
+        .ok_or_else(|| CliError::Failed("the unit matrix is no information matrix".to_owned()))?;
+    let vertices = poses
+        .iter()
+        .enumerate()
+        .map(|(i, pose)| Vertex { id: i as i64, pose: *pose, fixed: i == 0 })
+        .collect();
+    let edges = poses.windows(2).zip(0..).map(|(pair, i)| Edge {
+        from: i,
+        to: i + 1,
+        measurement: pair[0].inverse() * pair[1],
+        information,
+    });
+    write(args, &Graph::Spatial(PoseGraph { vertices, edges: edges.collect() }))
+}
+
+fn write(args: &ConvertArgs, graph: &Graph) -> Result<Outcome, CliError> {
+    write_file(&args.output, |out| write_g2o(graph, std::io::BufWriter::new(out)))?;
+    let (vertices, edges) = (graph.vertex_count(), graph.edge_count());
+    let output = args.output.display().to_string();
+    if args.json {
+        print_json(&serde_json::json!({ "output": output, "vertices": vertices, "edges": edges }))?;
+    } else {
+        print(&format!("{vertices} vertices, {edges} edges\n{output}"))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// Poses of a g2o file back into the map it was made from.
+pub fn into_map(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let Some(map) = &args.into else {
+        return Err(CliError::Usage("say with --into MAP which map gets the poses".to_owned()));
+    };
+    let file =
+        File::open(&args.input).map_err(|source| CliError::File { path: args.input.clone(), source })?;
+    let (graph, repairs) =
+        read_g2o(BufReader::new(file)).map_err(|error| CliError::in_file(&args.input, error))?;
+    if !global.quiet {
+        notes(&repairs).iter().for_each(|note| say(&format!("{}: {note}", args.input.display())));
+    }
+    let mut draft = MapDraft::open(map, ReadLimits::default())?;
+    draft.take_graph_poses(&graph)?;
+    let messages = draft.write(&args.output)?.messages;
+    let output = args.output.display().to_string();
+    if args.json {
+        let vertices = graph.vertex_count();
+        print_json(&serde_json::json!({ "output": output, "poses": vertices, "messages": messages }))?;
+    } else {
+        print(&format!("{} poses taken over\n{output}", graph.vertex_count()))?;
+    }
+    Ok(Outcome::Done)
+}

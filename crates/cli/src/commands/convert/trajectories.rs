@@ -1,0 +1,136 @@
+//! Trajectories.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Write};
+
+use portolan_evaluation::{
+    LocalFrame, Trajectory, read_geojson, write_csv, write_csv_all, write_geojson, write_kitti, write_tum,
+};
+use portolan_mapfile::{MapDraft, ReadLimits};
+
+use super::ConvertArgs;
+use super::format::Format;
+use crate::GlobalArgs;
+use crate::commands::evaluate::input::{TrajectorySource, nodes, read_pose_graph, tell_repairs};
+use crate::error::{CliError, Outcome};
+use crate::output::{counted, print, print_json, write_file};
+
+type Named = Vec<(i32, Trajectory)>;
+
+pub fn run(args: &ConvertArgs, to: Format, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let trajectories =
+        if to.holds_several() { read(args, global)? } else { vec![(0, read_one(args, global)?)] };
+    let frame = args.origin.map(LocalFrame::at);
+    let mut files = vec![args.output.clone()];
+    write_file(&args.output, |out| {
+        let mut out = BufWriter::new(out);
+        match (to, trajectories.as_slice()) {
+            (Format::Geojson, all) => write_geojson(all, frame.as_ref(), &mut out),
+            (Format::Csv, [(_, one)]) => write_csv(one, &mut out),
+            (Format::Csv, all) => write_csv_all(all, &mut out),
+            (Format::Kitti, all) => all.iter().try_for_each(|(_, t)| write_kitti(t, &mut out)),
+            (_, all) => all.iter().try_for_each(|(_, t)| write_tum(t, &mut out)),
+        }?;
+        out.flush()
+    })?;
+    if let (Format::Kitti, [(_, trajectory)]) = (to, trajectories.as_slice()) {
+        let times = args.output.with_extension("times.txt");
+        write_file(&times, |out| {
+            let mut out = BufWriter::new(out);
+            trajectory.poses().iter().try_for_each(|p| writeln!(out, "{}", p.time.unix_decimal()))?;
+            out.flush()
+        })?;
+        files.push(times);
+    }
+    let poses: usize = trajectories.iter().map(|(_, t)| t.len()).sum();
+    let names: Vec<String> = files.iter().map(|f| f.display().to_string()).collect();
+    if args.json {
+        let count = trajectories.len();
+        print_json(&serde_json::json!({ "files": names, "trajectories": count, "poses": poses }))?;
+    } else {
+        print(&format!("{}\n{}", counted(poses as u64, "pose", "poses"), names.join("\n")))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// Poses of a trajectory into a map.
+pub fn into_map(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let Some(map) = &args.into else {
+        return Err(CliError::Usage(
+            "a trajectory alone is no map: say with --into MAP which map gets its poses".to_owned(),
+        ));
+    };
+    let id = args.trajectory.unwrap_or(0);
+    let trajectory = read_one(args, global)?;
+    let poses: Vec<_> = trajectory.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
+    let mut draft = MapDraft::open(map, ReadLimits::default())?;
+    let done = draft.replace_trajectory(id, &poses)?;
+    draft.write(&args.output)?;
+    let output = args.output.display().to_string();
+    if args.json {
+        print_json(&serde_json::json!({ "output": output, "replaced": done }))?;
+    } else {
+        print(&format!(
+            "{} placed, {} moved along, {} placed by their nodes\n{output}",
+            counted(done.nodes, "node", "nodes"),
+            done.nodes_moved_along,
+            counted(done.submaps, "submap", "submaps"),
+        ))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// The trajectory of the input, or the one that was asked for.
+pub fn read_one(args: &ConvertArgs, global: &GlobalArgs) -> Result<Trajectory, CliError> {
+    let mut trajectories = read(args, global)?;
+    if trajectories.len() > 1 {
+        let ids: Vec<String> = trajectories.iter().map(|(id, _)| id.to_string()).collect();
+        return Err(CliError::Usage(format!(
+            "there are several trajectories ({}); say which with --trajectory, or write .csv or .geojson",
+            ids.join(", ")
+        )));
+    }
+    match trajectories.pop() {
+        Some((_, trajectory)) if !trajectory.is_empty() => Ok(trajectory),
+        _ => Err(CliError::in_file(&args.input, "there are no poses")),
+    }
+}
+
+/// All trajectories of the input that are asked for.
+fn read(args: &ConvertArgs, global: &GlobalArgs) -> Result<Named, CliError> {
+    let path = &args.input;
+    let mut all = match Format::of_content(path)? {
+        Format::Map => {
+            let graph = read_pose_graph(path)?;
+            let ids: Vec<i32> = graph.trajectory.iter().map(|t| t.trajectory_id).collect();
+            let read = |id| Ok((id, Trajectory::new(nodes(path, &graph, id)?).0));
+            ids.into_iter().map(read).collect::<Result<Named, CliError>>()?
+        }
+        Format::Geojson => {
+            let file = File::open(path).map_err(|source| CliError::File { path: path.clone(), source })?;
+            let frame = args.origin.map(LocalFrame::at);
+            let (all, repairs) = read_geojson(BufReader::new(file), frame.as_ref())
+                .map_err(|error| CliError::in_file(path, error))?;
+            if !global.quiet {
+                tell_repairs(path, &repairs);
+            }
+            all
+        }
+        _ => {
+            let times = args.times.as_deref();
+            let source = TrajectorySource { path, trajectory_id: 0, times, quiet: global.quiet };
+            return Ok(vec![(args.trajectory.unwrap_or(0), source.read()?)]);
+        }
+    };
+    if let Some(wanted) = args.trajectory
+        && args.into.is_none()
+    {
+        let ids: Vec<String> = all.iter().map(|(id, _)| id.to_string()).collect();
+        all.retain(|(id, _)| *id == wanted);
+        if all.is_empty() {
+            let text = format!("there is no trajectory {wanted}; there are: {}", ids.join(", "));
+            return Err(CliError::in_file(path, text));
+        }
+    }
+    Ok(all)
+}

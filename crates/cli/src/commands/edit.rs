@@ -1,0 +1,123 @@
+//! `portolan edit`: maps changed as documents are.
+
+mod steps;
+mod values;
+
+use std::path::PathBuf;
+
+use portolan_geometry::Rigid3;
+use portolan_mapfile::{IdInFile, MapArea};
+
+use super::argument;
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use values::{LoopToAdd, Rotation};
+
+/// Change a map (.pbstream): take parts out, merge, correct, move and optimise it.
+///
+/// Steps are made in the order of this page, whatever the order on the command line. Positions, times and
+/// numbers are those of the map before it is moved. Submaps and nodes are copied as they are, with whatever
+/// they hold.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  portolan edit house.pbstream -o straight.pbstream --rotate walls\n  \
+    portolan edit house.pbstream -o ground.pbstream --keep 0 --inside=-10,-5,30,20\n  \
+    portolan edit east.pbstream -o both.pbstream --merge west.pbstream --place 12.5,0,90\n  \
+    portolan edit house.pbstream -o better.pbstream --drop-loops-beyond 0.5 --add-loop 0,3:0,812 --optimize\n  \
+    portolan edit house.pbstream -o house.pbstream --after +60 --before +600")]
+pub struct EditArgs {
+    /// The map.
+    map: PathBuf,
+    /// Map to write; may be the same.
+    #[arg(short, long, value_name = "MAP")]
+    output: PathBuf,
+    #[command(flatten)]
+    parts: PartArgs,
+    #[command(flatten)]
+    loops: LoopArgs,
+    #[command(flatten)]
+    place: PlaceArgs,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Which parts.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Parts")]
+struct PartArgs {
+    /// Add another map; its trajectories get the next free numbers. May be given several times.
+    #[arg(long, value_name = "MAP")]
+    merge: Vec<PathBuf>,
+    /// Where the map of the --merge at the same place lies in this one: metres and degrees. Default: at the
+    /// same origin.
+    #[arg(long, value_name = "X,Y,YAW", value_parser = values::planar_pose, allow_hyphen_values = true)]
+    place: Vec<Rigid3>,
+    /// Leave only this trajectory; may be given several times.
+    #[arg(long, value_name = "ID", conflicts_with = "delete")]
+    keep: Vec<i32>,
+    /// Take this trajectory out; may be given several times.
+    #[arg(long, value_name = "ID")]
+    delete: Vec<i32>,
+    /// Give a trajectory another number; may be given several times.
+    #[arg(long, value_name = "OLD=NEW", value_parser = values::rename)]
+    rename: Vec<(i32, i32)>,
+    /// Take out what was seen before: Unix seconds, or +SECONDS after the first node.
+    #[arg(long, value_name = "TIME")]
+    after: Option<String>,
+    /// Take out what was seen later.
+    #[arg(long, value_name = "TIME")]
+    before: Option<String>,
+    /// Leave only submaps and nodes in this rectangle, metres.
+    #[arg(long, value_name = "X1,Y1,X2,Y2", value_parser = argument::area, allow_hyphen_values = true)]
+    inside: Option<MapArea>,
+    /// Take out submaps and nodes in this rectangle.
+    #[arg(long, value_name = "X1,Y1,X2,Y2", value_parser = argument::area, allow_hyphen_values = true)]
+    outside: Option<MapArea>,
+}
+
+/// Loop closures.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Loop closures")]
+struct LoopArgs {
+    /// Take out the loop closure between a submap and a node; may be given several times.
+    #[arg(long, value_name = "SUBMAP:NODE", value_parser = values::pair)]
+    drop_loop: Vec<(IdInFile, IdInFile)>,
+    /// Take out loop closures that are further than this from the poses of the map.
+    #[arg(long, value_name = "METRES")]
+    drop_loops_beyond: Option<f64>,
+    /// Put in a loop closure: `0,3:0,812` looks for node 812 in submap 3 (2D), `0,3:0,812=1.5,0.2,90` says
+    /// where in the submap the node is (x, y, yaw, or x, y, z, roll, pitch, yaw; metres and degrees).
+    #[arg(long, value_name = "SUBMAP:NODE[=POSE]", value_parser = values::loop_to_add, allow_hyphen_values = true)]
+    add_loop: Vec<LoopToAdd>,
+    /// Optimise all poses.
+    #[arg(long)]
+    optimize: bool,
+    /// Change an option for this: `--set pose_graph.optimization_problem.huber_scale=5`.
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// List loop closures that are furthest from the poses of the map.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    worst: usize,
+}
+
+/// Where the map lies.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Place (first the origin is moved, then the map is turned, then moved)")]
+struct PlaceArgs {
+    /// Make this point of the map the origin.
+    #[arg(long, value_name = "X,Y[,Z]", value_parser = values::point, allow_hyphen_values = true)]
+    origin: Option<portolan_geometry::Vector3>,
+    /// Turn the map about its origin by an angle, degrees, or so that its walls run along the axes (`walls`).
+    #[arg(long, value_name = "DEGREES|walls", value_parser = values::rotation, allow_hyphen_values = true)]
+    rotate: Option<Rotation>,
+    /// Move the map.
+    #[arg(long = "move", value_name = "X,Y[,Z]", value_parser = values::point, allow_hyphen_values = true)]
+    shift: Option<portolan_geometry::Vector3>,
+}
+
+pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    if args.parts.place.len() > args.parts.merge.len() {
+        return Err(CliError::Usage("there are more --place than --merge".to_owned()));
+    }
+    steps::run(args, global)
+}

@@ -1,0 +1,175 @@
+//! The steps of `edit`, in their order.
+
+use std::collections::BTreeMap;
+
+use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_mapfile::{EditReport, LoopResidual, MapDimension, MapDraft, MapOptimization, ReadLimits};
+use serde::Serialize;
+
+use super::values::{Rotation, time};
+use super::{EditArgs, LoopArgs, PartArgs, PlaceArgs};
+use crate::GlobalArgs;
+use crate::commands::optimize::{loop_text, optimize_draft, options, summary};
+use crate::error::{CliError, Outcome};
+use crate::output::{print, print_json};
+use crate::progress::say;
+
+/// What was done, for programs.
+#[derive(Serialize)]
+struct Report {
+    output: String,
+    #[serde(flatten)]
+    edit: EditReport,
+    optimization: Option<MapOptimization>,
+    /// Degrees by which the map was turned.
+    turned: f64,
+    worst_loops: Vec<LoopResidual>,
+}
+
+pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let mut draft = MapDraft::open(&args.map, ReadLimits::default())?;
+    choose_parts(&mut draft, &args.parts, global)?;
+    change_loops(&mut draft, &args.loops, global)?;
+    let optimization = match args.loops.optimize {
+        true => Some(optimize_draft(&mut draft, &args.loops.set, None)?),
+        false => None,
+    };
+    let mut worst_loops = if args.loops.worst > 0 { draft.loop_residuals() } else { Vec::new() };
+    worst_loops.truncate(args.loops.worst);
+    let turned = place(&mut draft, &args.place)?.to_degrees();
+    let edit = draft.write(&args.output)?;
+    let report =
+        Report { output: args.output.display().to_string(), edit, optimization, turned, worst_loops };
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.text())?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> Result<(), CliError> {
+    for (i, path) in args.merge.iter().enumerate() {
+        let pose = args.place.get(i).copied().unwrap_or_else(Rigid3::identity);
+        let ids = draft.append(path, &pose)?;
+        if !global.quiet {
+            let names: Vec<String> = ids.iter().map(|(there, here)| format!("{there} is {here}")).collect();
+            say(&format!("{}: trajectory {}", path.display(), names.join(", ")));
+        }
+    }
+    for id in args.keep.iter().chain(&args.delete) {
+        draft.require_trajectory(*id)?;
+    }
+    if !args.keep.is_empty() {
+        draft.retain_trajectories(|id| args.keep.contains(&id));
+    }
+    if !args.delete.is_empty() {
+        draft.retain_trajectories(|id| !args.delete.contains(&id));
+    }
+    if !args.rename.is_empty() {
+        let names: BTreeMap<i32, i32> = args.rename.iter().copied().collect();
+        if names.len() < args.rename.len() {
+            return Err(CliError::Usage("a trajectory is renamed twice".to_owned()));
+        }
+        draft.rename_trajectories(&names)?;
+    }
+    cut_time(draft, args)?;
+    if let Some(area) = &args.inside {
+        draft.cut_area(area, true)?;
+    }
+    if let Some(area) = &args.outside {
+        draft.cut_area(area, false)?;
+    }
+    Ok(())
+}
+
+fn cut_time(draft: &mut MapDraft, args: &PartArgs) -> Result<(), CliError> {
+    if args.after.is_none() && args.before.is_none() {
+        return Ok(());
+    }
+    let (first, _) = draft
+        .time_span()
+        .ok_or_else(|| CliError::Failed("the map has no nodes to cut by time".to_owned()))?;
+    let at = |text: &Option<String>, otherwise| match text {
+        Some(text) => time(text, first).map_err(CliError::Usage),
+        None => Ok(otherwise),
+    };
+    Ok(draft.cut_time(at(&args.after, Time::MIN)?, at(&args.before, Time::MAX)?)?)
+}
+
+fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> Result<(), CliError> {
+    for (submap, node) in &args.drop_loop {
+        draft.drop_loop(*submap, *node)?;
+    }
+    if let Some(metres) = args.drop_loops_beyond {
+        if !(metres >= 0.0) {
+            return Err(CliError::Usage("--drop-loops-beyond takes metres of at least 0".to_owned()));
+        }
+        draft.drop_loops_beyond(metres, f64::INFINITY);
+    }
+    let spatial = draft.dimension() == Some(MapDimension::Spatial);
+    let options = options(spatial, &args.set)?;
+    for new in &args.add_loop {
+        let weights = draft.loop_weights();
+        let pose = match new.submap_from_node {
+            Some(pose) => pose,
+            None => {
+                let builder = &options.map_builder.pose_graph.constraint_builder;
+                let found = draft.find_loop(new.submap, new.node, builder)?;
+                if !global.quiet {
+                    let [x, y, _] = found.position;
+                    say(&format!(
+                        "found node {},{} in submap {},{} at {x:.3}, {y:.3} with score {:.3}",
+                        new.node.0, new.node.1, new.submap.0, new.submap.1, found.score
+                    ));
+                }
+                found.submap_from_node
+            }
+        };
+        draft.add_loop(new.submap, new.node, &pose, weights)?;
+    }
+    Ok(())
+}
+
+/// Moves and turns the map; returns the angle, radians.
+fn place(draft: &mut MapDraft, args: &PlaceArgs) -> Result<f64, CliError> {
+    if let Some(origin) = args.origin {
+        draft.transform(&Rigid3::from_parts((-origin).into(), portolan_geometry::Quaternion::identity()))?;
+    }
+    let angle = match args.rotate {
+        Some(Rotation::By(angle)) => angle,
+        Some(Rotation::Walls) => -draft.walls()?.angle,
+        None => 0.0,
+    };
+    if angle != 0.0 {
+        draft.transform(&Rigid3::new(Vector3::zeros(), Vector3::z() * angle))?;
+    }
+    if let Some(shift) = args.shift {
+        draft.transform(&Rigid3::from_parts(shift.into(), portolan_geometry::Quaternion::identity()))?;
+    }
+    Ok(angle)
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let edit = &self.edit;
+        let counts = [
+            (edit.trajectories_removed, "trajectories taken out"),
+            (edit.submaps_removed, "submaps taken out"),
+            (edit.nodes_removed, "nodes taken out"),
+            (edit.constraints_removed, "constraints taken out"),
+            (edit.constraints_added, "loop closures put in"),
+            (edit.sensor_messages_removed, "measurements taken out"),
+        ];
+        let mut text: String =
+            counts.into_iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}\n")).collect();
+        if let Some(optimization) = &self.optimization {
+            text += &(summary(optimization) + "\n");
+        }
+        if self.turned != 0.0 {
+            text += &format!("turned by {:.3} degrees\n", self.turned);
+        }
+        text.extend(self.worst_loops.iter().map(loop_text));
+        text + &format!("{} messages written\n{}", edit.messages, self.output)
+    }
+}

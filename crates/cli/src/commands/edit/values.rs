@@ -1,0 +1,112 @@
+//! What the arguments of `edit` mean.
+
+use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_mapfile::IdInFile;
+
+use crate::commands::argument::{id, numbers};
+
+/// How to turn the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rotation {
+    /// Radians.
+    By(f64),
+    /// So that walls run along the axes.
+    Walls,
+}
+
+/// A loop closure to be added.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoopToAdd {
+    pub submap: IdInFile,
+    pub node: IdInFile,
+    /// None: to be found.
+    pub submap_from_node: Option<Rigid3>,
+}
+
+pub fn rotation(text: &str) -> Result<Rotation, String> {
+    if text == "walls" {
+        return Ok(Rotation::Walls);
+    }
+    let degrees = text.parse::<f64>().ok().filter(|d| d.is_finite());
+    degrees
+        .map(|d| Rotation::By(d.to_radians()))
+        .ok_or_else(|| format!("expected degrees or `walls`, not \"{text}\""))
+}
+
+/// x, y and perhaps z.
+pub fn point(text: &str) -> Result<Vector3, String> {
+    if text.split(',').count() == 2 {
+        let [x, y] = numbers::<2>(text, "X,Y")?;
+        return Ok(Vector3::new(x, y, 0.0));
+    }
+    numbers::<3>(text, "X,Y or X,Y,Z").map(Vector3::from)
+}
+
+/// x, y, yaw: metres and degrees.
+pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
+    let [x, y, yaw] = numbers::<3>(text, "X,Y,YAW")?;
+    Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
+}
+
+/// x, y, yaw or x, y, z, roll, pitch, yaw: metres and degrees.
+fn pose(text: &str) -> Result<Rigid3, String> {
+    if text.split(',').count() == 3 {
+        return planar_pose(text);
+    }
+    let [x, y, z, roll, pitch, yaw] = numbers::<6>(text, "X,Y,YAW or X,Y,Z,ROLL,PITCH,YAW")?;
+    let rotation = rotation_from_roll_pitch_yaw(roll.to_radians(), pitch.to_radians(), yaw.to_radians());
+    Ok(Rigid3::from_parts(Vector3::new(x, y, z).into(), rotation))
+}
+
+pub fn rename(text: &str) -> Result<(i32, i32), String> {
+    let number = |part: &str| part.trim().parse::<i32>().ok().filter(|v| *v >= 0);
+    let numbers = text.split_once('=').and_then(|(old, new)| Some((number(old)?, number(new)?)));
+    numbers.ok_or_else(|| format!("expected OLD=NEW, not \"{text}\""))
+}
+
+/// A submap and a node.
+pub fn pair(text: &str) -> Result<(IdInFile, IdInFile), String> {
+    let (submap, node) =
+        text.split_once(':').ok_or_else(|| format!("expected SUBMAP:NODE, not \"{text}\""))?;
+    Ok((id(submap)?, id(node)?))
+}
+
+pub fn loop_to_add(text: &str) -> Result<LoopToAdd, String> {
+    let (ids, submap_from_node) = match text.split_once('=') {
+        Some((ids, value)) => (ids, Some(pose(value)?)),
+        None => (text, None),
+    };
+    let (submap, node) = pair(ids)?;
+    Ok(LoopToAdd { submap, node, submap_from_node })
+}
+
+/// Unix seconds, or `+S` seconds after `first`.
+pub fn time(text: &str, first: Time) -> Result<Time, String> {
+    let bad = || format!("expected Unix seconds or +SECONDS, not \"{text}\"");
+    match text.strip_prefix('+') {
+        Some(seconds) => {
+            let seconds = seconds.parse::<f64>().ok().filter(|s| s.is_finite() && *s < 1e9);
+            Ok(first + portolan_geometry::Duration::from_seconds(seconds.ok_or_else(bad)?))
+        }
+        None => Time::from_unix_decimal(text).ok_or_else(bad),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_read() {
+        let found = loop_to_add("0,3:1,812=1.5,0.2,90").unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!((found.submap, found.node), ((0, 3), (1, 812)));
+        assert!(found.submap_from_node.is_some_and(|p| (p.rotation.angle() - 1.5708).abs() < 1e-4));
+        assert!(loop_to_add("3:4").is_ok_and(|l| l.submap_from_node.is_none() && l.node == (0, 4)));
+        assert!(loop_to_add("3").is_err() && pair("0,1:x").is_err() && rename("1-2").is_err());
+        assert_eq!(rotation("walls"), Ok(Rotation::Walls));
+        let first = Time::from_unix_seconds(100.0);
+        assert_eq!(time("+2.5", first), Ok(Time::from_unix_seconds(102.5)));
+        assert_eq!(time("7", first), Ok(Time::from_unix_seconds(7.0)));
+        assert!(time("soon", first).is_err());
+    }
+}

@@ -1,0 +1,60 @@
+//! `portolan migrate`: old maps for new programs.
+
+use std::path::PathBuf;
+
+use portolan_mapfile::{MigrateOptions, MigrateReport, migrate};
+use serde::Serialize;
+
+use crate::error::{CliError, Outcome};
+use crate::output::{counted, print, print_json};
+
+/// Bring a map (.pbstream) of format version 1 to version 2.
+///
+/// In 3D the submaps get the histograms that version 2 needs, made from those of their nodes. 2D maps are
+/// taken too; there the versions differ in the header only. A map of version 2 is copied.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  portolan migrate old.pbstream new.pbstream")]
+pub struct MigrateArgs {
+    /// Map of version 1 or 2.
+    old: PathBuf,
+    /// Map of version 2 to write.
+    new: PathBuf,
+    /// Leave out submaps that are not finished.
+    #[arg(long)]
+    finished_only: bool,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    output: String,
+    #[serde(flatten)]
+    report: MigrateReport,
+}
+
+pub fn run(args: &MigrateArgs) -> Result<Outcome, CliError> {
+    let options = MigrateOptions { include_unfinished_submaps: !args.finished_only, ..Default::default() };
+    let report =
+        migrate(&args.old, &args.new, options).map_err(|error| CliError::in_file(&args.old, error))?;
+    let output = args.new.display().to_string();
+    if args.json {
+        print_json(&Report { output, report })?;
+        return Ok(Outcome::Done);
+    }
+    let mut text = format!(
+        "version {} to 2: {} written, {} got a histogram\n",
+        report.from_version,
+        counted(report.messages, "message", "messages"),
+        counted(report.histograms, "submap", "submaps"),
+    );
+    if report.unfinished_submaps > 0 {
+        text += &format!(
+            "{} left out\n",
+            counted(report.unfinished_submaps, "unfinished submap", "unfinished submaps")
+        );
+    }
+    print(&(text + &output))?;
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,119 @@
+//! `portolan optimize`: pose graphs and maps moved to where their measurements agree best.
+
+mod graph;
+mod map;
+
+pub use graph::notes;
+pub use map::{loop_text, optimize_draft, options, summary};
+
+use std::path::PathBuf;
+
+use portolan_solver::Loss;
+use portolan_solver::g2o::{Initialization, OptimizeOptions};
+
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::output::is_map;
+
+/// Optimise a pose graph (g2o file) or a map (.pbstream).
+///
+/// Of g2o files, poses in the plane (VERTEX_SE2) and in space (VERTEX_SE3:QUAT) with full information
+/// matrices are taken. The best of several starts is used unless one is named. Maps are optimised from their
+/// own poses, with their constraints and measurements and the options of `--set`.
+///
+/// Exit code 3 if parts of the graph could not be used.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  portolan optimize m3500.g2o -o m3500_best.g2o\n  \
+    portolan optimize noisy.g2o -o best.g2o --loss huber:1 --worst 20 --json\n  \
+    portolan optimize house.pbstream -o house_best.pbstream")]
+pub struct OptimizeArgs {
+    /// The graph or map.
+    #[arg(value_name = "GRAPH_OR_MAP")]
+    input: PathBuf,
+    /// File to write, of the same kind.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Where to start from.
+    #[arg(long, value_enum, default_value = "auto")]
+    init: Init,
+    /// How edges that do not fit are weighed: none, or huber, cauchy, tukey, geman-mcclure or truncated, with
+    /// a scale in units of √(eᵀΩe) after a colon.
+    #[arg(long, value_name = "LOSS", value_parser = loss, default_value = "none")]
+    loss: Loss,
+    /// Steps at most. Default: 100; for maps what their options say.
+    #[arg(long, value_name = "N")]
+    iterations: Option<u32>,
+    /// How many of the edges that fit worst are listed.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    worst: usize,
+    /// Estimate the condition of the equations.
+    #[arg(long)]
+    condition: bool,
+    /// Change an option of the optimisation of maps: `--set pose_graph.optimization_problem.huber_scale=5`.
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Init {
+    /// The best of all others after a few steps.
+    Auto,
+    /// The poses of the file.
+    File,
+    /// Measurements followed from number to number.
+    Odometry,
+    /// Measurements followed along the shortest chains.
+    SpanningTree,
+    /// Rotations from linear equations, then positions (chordal relaxation).
+    Rotations,
+}
+
+impl From<Init> for Initialization {
+    fn from(init: Init) -> Self {
+        match init {
+            Init::Auto => Self::Automatic,
+            Init::File => Self::FromFile,
+            Init::Odometry => Self::Odometry,
+            Init::SpanningTree => Self::SpanningTree,
+            Init::Rotations => Self::RotationsFirst,
+        }
+    }
+}
+
+fn loss(text: &str) -> Result<Loss, String> {
+    let (name, scale) = text.split_once(':').unwrap_or((text, "1"));
+    let scale: f64 = scale.parse().map_err(|_| format!("\"{scale}\" is not a scale"))?;
+    let loss = match name {
+        "none" => Loss::None,
+        "huber" => Loss::Huber(scale),
+        "cauchy" => Loss::Cauchy(scale),
+        "tukey" => Loss::Tukey(scale),
+        "geman-mcclure" => Loss::GemanMcClure(scale),
+        "truncated" => Loss::Truncated(scale),
+        _ => return Err("expected none, huber, cauchy, tukey, geman-mcclure or truncated".to_owned()),
+    };
+    if loss.is_valid() { Ok(loss) } else { Err("the scale must be above 0".to_owned()) }
+}
+
+impl OptimizeArgs {
+    fn graph_options(&self) -> OptimizeOptions {
+        let mut options = OptimizeOptions {
+            initialization: self.init.into(),
+            loss: self.loss,
+            worst_edges: self.worst,
+            estimate_condition: self.condition,
+            ..OptimizeOptions::default()
+        };
+        if let Some(iterations) = self.iterations {
+            options.solver.max_num_iterations = iterations;
+        }
+        options
+    }
+}
+
+pub fn run(args: &OptimizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    if is_map(&args.input)? { map::run(args, global) } else { graph::run(args, global) }
+}

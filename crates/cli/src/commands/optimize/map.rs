@@ -1,0 +1,104 @@
+//! Optimisation of maps.
+
+use portolan_config::Options;
+use portolan_mapfile::{LoopResidual, MapDimension, MapDraft, MapOptimization, ReadLimits};
+use serde::Serialize;
+
+use super::{Init, OptimizeArgs};
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::output::{counted, print, print_json};
+use portolan_solver::Loss;
+
+#[derive(Serialize)]
+struct Report {
+    output: String,
+    #[serde(flatten)]
+    optimization: MapOptimization,
+    worst_loops: Vec<LoopResidual>,
+}
+
+pub fn run(args: &OptimizeArgs, _: &GlobalArgs) -> Result<Outcome, CliError> {
+    if !matches!(args.init, Init::Auto | Init::File) || args.loss != Loss::None || args.condition {
+        return Err(CliError::Usage(
+            "--init, --loss and --condition are for g2o files; convert the map with `portolan convert MAP -o \
+             GRAPH.g2o`, or set pose_graph.optimization_problem.huber_scale"
+                .to_owned(),
+        ));
+    }
+    let mut draft = MapDraft::open(&args.input, ReadLimits::default())?;
+    let optimization = optimize_draft(&mut draft, &args.set, args.iterations)?;
+    let mut worst_loops = draft.loop_residuals();
+    worst_loops.truncate(args.worst);
+    draft.write(&args.output)?;
+    let report = Report { output: args.output.display().to_string(), optimization, worst_loops };
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.text())?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// Optimises with the defaults for the map's dimension and `settings`.
+pub fn optimize_draft(
+    draft: &mut MapDraft,
+    settings: &[String],
+    iterations: Option<u32>,
+) -> Result<MapOptimization, CliError> {
+    let spatial = draft.dimension() == Some(MapDimension::Spatial);
+    let options = options(spatial, settings)?;
+    let graph = &options.map_builder.pose_graph;
+    let most = iterations.or(u32::try_from(graph.max_num_final_iterations).ok()).unwrap_or(200);
+    Ok(draft.optimize(&graph.optimization_problem, most)?)
+}
+
+/// Default options with settings.
+pub fn options(spatial: bool, settings: &[String]) -> Result<Options, CliError> {
+    let mut options = if spatial { Options::for_3d() } else { Options::for_2d() };
+    for setting in settings {
+        options.set(setting).map_err(|error| CliError::Usage(error.to_string()))?;
+    }
+    Ok(options)
+}
+
+/// One line for people.
+pub fn summary(o: &MapOptimization) -> String {
+    format!(
+        "optimised {}, {}, {}: cost {:.6} to {:.6} in {} iterations{}; moved {:.3} m at most",
+        counted(o.submaps, "submap", "submaps"),
+        counted(o.nodes, "node", "nodes"),
+        counted(o.constraints, "constraint", "constraints"),
+        o.initial_cost,
+        o.final_cost,
+        o.iterations,
+        if o.converged { "" } else { " (not converged)" },
+        o.largest_move
+    )
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let mut text = summary(&self.optimization) + "\n";
+        if !self.worst_loops.is_empty() {
+            text += "loop closures that fit worst\n";
+        }
+        for l in &self.worst_loops {
+            text += &loop_text(l);
+        }
+        text + &self.output
+    }
+}
+
+/// One line for people.
+pub fn loop_text(l: &LoopResidual) -> String {
+    format!(
+        "  submap {},{} node {},{}: {:.3} m, {:.2} deg\n",
+        l.submap.0,
+        l.submap.1,
+        l.node.0,
+        l.node.1,
+        l.translation,
+        l.rotation.to_degrees()
+    )
+}

@@ -1,0 +1,88 @@
+//! `portolan repair`: save what is whole of a damaged map.
+
+use std::path::PathBuf;
+
+use portolan_mapfile::{ReadLimits, Repair, RepairReport, repair};
+use serde::Serialize;
+
+use crate::error::{CliError, Outcome};
+use crate::output::{counted, print, print_json};
+
+/// Save what is whole of a damaged map (.pbstream).
+///
+/// Finds whole records in any file, even where sizes or bytes between them are damaged, and writes a map in
+/// which every id is found, every pose is valid and every size is true. What is good is copied byte for
+/// byte. Exit code 3 if data were lost.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  portolan check broken.pbstream\n  \
+    portolan repair broken.pbstream -o mended.pbstream")]
+pub struct RepairArgs {
+    /// The damaged map.
+    map: PathBuf,
+    /// File to write; may be the map itself.
+    #[arg(short, long, value_name = "MAP")]
+    output: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    output: String,
+    #[serde(flatten)]
+    report: &'a RepairReport,
+    lost_data: bool,
+}
+
+pub fn run(args: &RepairArgs) -> Result<Outcome, CliError> {
+    let report = repair(&args.map, &args.output, ReadLimits::default())
+        .map_err(|error| CliError::in_file(&args.map, error))?;
+    let lost_data = report.loses_data();
+    if args.json {
+        print_json(&Report { output: args.output.display().to_string(), report: &report, lost_data })?;
+    } else {
+        print(&text(&report))?;
+        print(&args.output.display().to_string())?;
+    }
+    Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
+}
+
+fn text(report: &RepairReport) -> String {
+    let mut text = counted(report.messages, "message", "messages") + " written\n";
+    if report.repairs.is_empty() {
+        text += "nothing had to be repaired\n";
+    }
+    if report.lost_bytes > 0 {
+        text += &format!("{} could not be read\n", counted(report.lost_bytes, "byte", "bytes"));
+    }
+    for (repair, count) in &report.repairs {
+        let verdict = if repair.loses_data() { "lost" } else { "repaired" };
+        text += &format!("{verdict}: {} ({count}x)\n", in_words(*repair));
+    }
+    text
+}
+
+fn in_words(repair: Repair) -> &'static str {
+    match repair {
+        Repair::DamagedRecords => "stretch of the file that cannot be read",
+        Repair::HeaderMade => "the header was missing; a new one was made",
+        Repair::PoseGraphMade => {
+            "the pose graph; a new one was made of the local maps, without loop closures"
+        }
+        Repair::OptionsMade => "options of a trajectory; empty ones were made",
+        Repair::MessageDropped => "message that is none, or there for a second time",
+        Repair::TrajectoryDropped => "trajectory whose id is there twice or negative",
+        Repair::SubmapDropped => "submap that cannot be used",
+        Repair::NodeDropped => "node that cannot be used",
+        Repair::SubmapPoseDropped => "pose of a submap that is not there",
+        Repair::NodePoseDropped => "pose of a node that is not there or out of order",
+        Repair::ConstraintDropped => "constraint to something that is not there",
+        Repair::LandmarkDropped => "landmark without a valid pose",
+        Repair::SensorDataDropped => "sensor message that is not valid or out of order",
+        Repair::PointCloudDropped => "point cloud of a node",
+        Repair::HistogramDropped => "histogram that is not finite",
+        Repair::CellsMended => "cells of a grid with impossible values, now unknown",
+        Repair::QuaternionNormalised => "rotation made one again",
+    }
+}

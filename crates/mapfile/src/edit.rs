@@ -1,0 +1,25 @@
+//! Maps edited as documents: parts removed, maps merged, moved, corrected, optimised.
+//!
+//! A [`MapDraft`] holds the pose graph and the options in memory and knows the files where the rest
+//! (submaps, nodes, measurements) comes from. That rest is copied when the draft is written, message by
+//! message: memory does not grow with the grids, and what need not be changed keeps its bytes.
+
+mod area;
+mod constraints;
+mod draft;
+mod error;
+mod graph;
+mod loop_search;
+mod optimize;
+mod poses;
+mod rest;
+mod select;
+mod walls;
+
+pub use constraints::{LoopResidual, LoopWeights};
+pub use draft::{EditReport, MapDimension, MapDraft};
+pub use error::EditError;
+pub use loop_search::FoundLoop;
+pub use optimize::MapOptimization;
+pub use poses::PoseReplacement;
+pub use walls::{Walls, find_walls};

@@ -1,0 +1,23 @@
+//! Maps cut by area.
+
+use portolan_geometry::Rigid3;
+
+use super::{EditError, MapDraft};
+use crate::paint::MapArea;
+
+impl MapDraft {
+    /// Leaves only what was seen from inside of a rectangle of the global map, or, with `inside` false, only
+    /// what was seen from outside of it. Whole submaps stay or go, by the rule of
+    /// [`MapDraft::cut_time`].
+    ///
+    /// # Errors
+    /// If nothing would be left.
+    pub fn cut_area(&mut self, area: &MapArea, inside: bool) -> Result<(), EditError> {
+        let wanted = |pose: &Rigid3| {
+            let (x, y) = (pose.translation.x, pose.translation.y);
+            let within = (area.min_x..=area.max_x).contains(&x) && (area.min_y..=area.max_y).contains(&y);
+            within == inside
+        };
+        self.retain_nodes(&|_, pose, _| wanted(pose), &wanted)
+    }
+}

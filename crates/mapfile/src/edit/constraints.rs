@@ -1,0 +1,150 @@
+//! Loop closures judged, dropped and added.
+
+use std::collections::BTreeMap;
+
+use portolan_geometry::{Rigid3, rotation_angle};
+use serde::Serialize;
+
+use super::{EditError, MapDraft};
+use crate::pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
+use crate::proto::mapping::pose_graph::Constraint;
+use crate::proto::mapping::pose_graph::constraint::Tag;
+use crate::proto::mapping::{NodeId, SubmapId};
+
+/// How far a loop closure is from the poses of the map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LoopResidual {
+    /// The submap.
+    pub submap: IdInFile,
+    /// The node.
+    pub node: IdInFile,
+    /// Metres.
+    pub translation: f64,
+    /// Radians.
+    pub rotation: f64,
+}
+
+/// Weights of a loop closure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoopWeights {
+    /// 1/m.
+    pub translation: f64,
+    /// 1/rad.
+    pub rotation: f64,
+}
+
+/// Defaults of `loop_closure_translation_weight` and `loop_closure_rotation_weight`.
+const DEFAULT_WEIGHTS: LoopWeights = LoopWeights { translation: 1.1e4, rotation: 1e5 };
+
+impl MapDraft {
+    /// All loop closures with their residuals, the worst first.
+    pub fn loop_residuals(&self) -> Vec<LoopResidual> {
+        let submaps = submap_poses(&self.graph);
+        let nodes = self.all_node_poses();
+        let loops = self.graph.constraint.iter().filter(|c| c.tag() == Tag::InterSubmap);
+        let mut residuals: Vec<LoopResidual> = loops
+            .filter_map(|c| {
+                let (submap, node) = (submap_id(c.submap_id.as_ref()), node_id(c.node_id.as_ref()));
+                let measured = pose_from_proto(c.relative_pose.as_ref())?;
+                let found = submaps.get(&submap)?.inverse() * nodes.get(&node)?;
+                let error = measured.inverse() * found;
+                let translation = (found.translation.vector - measured.translation.vector).norm();
+                Some(LoopResidual { submap, node, translation, rotation: rotation_angle(&error) })
+            })
+            .collect();
+        let order = |r: &LoopResidual| (r.submap, r.node);
+        residuals.sort_by(|a, b| b.translation.total_cmp(&a.translation).then(order(a).cmp(&order(b))));
+        residuals
+    }
+
+    /// Global poses of all nodes.
+    pub(super) fn all_node_poses(&self) -> BTreeMap<IdInFile, Rigid3> {
+        let nodes = self.graph.trajectory.iter().flat_map(|t| {
+            t.node.iter().filter_map(move |n| {
+                Some(((t.trajectory_id, n.node_index), pose_from_proto(n.pose.as_ref())?))
+            })
+        });
+        nodes.collect()
+    }
+
+    /// Takes out the loop closures between a submap and a node.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn drop_loop(&mut self, submap: IdInFile, node: IdInFile) -> Result<(), EditError> {
+        let dropped = self
+            .drop_loops(|c| submap_id(c.submap_id.as_ref()) == submap && node_id(c.node_id.as_ref()) == node);
+        if dropped == 0 { Err(EditError::NoLoop { submap, node }) } else { Ok(()) }
+    }
+
+    /// Takes out the loop closures that are further than this from the poses of the map, metres and radians;
+    /// returns how many.
+    pub fn drop_loops_beyond(&mut self, translation: f64, rotation: f64) -> u64 {
+        let bad: std::collections::BTreeSet<(IdInFile, IdInFile)> = self
+            .loop_residuals()
+            .into_iter()
+            .filter(|r| r.translation > translation || r.rotation > rotation)
+            .map(|r| (r.submap, r.node))
+            .collect();
+        self.drop_loops(|c| bad.contains(&(submap_id(c.submap_id.as_ref()), node_id(c.node_id.as_ref()))))
+    }
+
+    fn drop_loops(&mut self, bad: impl Fn(&Constraint) -> bool) -> u64 {
+        let before = self.graph.constraint.len();
+        self.graph.constraint.retain(|c| c.tag() != Tag::InterSubmap || !bad(c));
+        let dropped = (before - self.graph.constraint.len()) as u64;
+        self.report.constraints_removed += dropped;
+        dropped
+    }
+
+    /// The weights that loop closures of this map have (the middle ones), or the usual ones.
+    pub fn loop_weights(&self) -> LoopWeights {
+        let loops = || self.graph.constraint.iter().filter(|c| c.tag() == Tag::InterSubmap);
+        let median = |mut values: Vec<f64>| {
+            values.retain(|v| v.is_finite());
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).copied()
+        };
+        LoopWeights {
+            translation: median(loops().map(|c| c.translation_weight).collect())
+                .unwrap_or(DEFAULT_WEIGHTS.translation),
+            rotation: median(loops().map(|c| c.rotation_weight).collect())
+                .unwrap_or(DEFAULT_WEIGHTS.rotation),
+        }
+    }
+
+    /// Puts in a loop closure: the pose of the node's tracking frame in the submap. It moves nothing until
+    /// the map is optimised.
+    ///
+    /// # Errors
+    /// If submap or node are not there.
+    pub fn add_loop(
+        &mut self,
+        submap: IdInFile,
+        node: IdInFile,
+        submap_from_node: &Rigid3,
+        weights: LoopWeights,
+    ) -> Result<(), EditError> {
+        self.require_parts(submap, node)?;
+        self.graph.constraint.push(Constraint {
+            submap_id: Some(SubmapId { trajectory_id: submap.0, submap_index: submap.1 }),
+            node_id: Some(NodeId { trajectory_id: node.0, node_index: node.1 }),
+            relative_pose: Some(pose_to_proto(submap_from_node)),
+            translation_weight: weights.translation,
+            rotation_weight: weights.rotation,
+            tag: Tag::InterSubmap.into(),
+        });
+        self.report.constraints_added += 1;
+        Ok(())
+    }
+
+    pub(super) fn require_parts(&self, submap: IdInFile, node: IdInFile) -> Result<(), EditError> {
+        if !submap_poses(&self.graph).contains_key(&submap) {
+            return Err(EditError::NoPart { what: "submap", id: submap });
+        }
+        if !self.all_node_poses().contains_key(&node) {
+            return Err(EditError::NoPart { what: "node", id: node });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,251 @@
+//! The map that is being edited.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use portolan_geometry::Rigid3;
+use serde::Serialize;
+
+use super::EditError;
+use super::rest::Rest;
+use crate::map_reader::MapReader;
+use crate::pose::{IdInFile, pose_from_proto};
+use crate::proto::mapping::serialized_data::Data;
+use crate::proto::mapping::{
+    AllTrajectoryBuilderOptions, PoseGraph, Trajectory, TrajectoryBuilderOptionsWithSensorIds,
+};
+use crate::reader::ReadLimits;
+use crate::writer::PbstreamWriter;
+
+/// Whether a map is of the plane or of space.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MapDimension {
+    /// 2D grids.
+    Planar,
+    /// Hybrid grids.
+    Spatial,
+}
+
+/// What editing did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct EditReport {
+    /// Trajectories taken out.
+    pub trajectories_removed: u64,
+    /// Submaps taken out.
+    pub submaps_removed: u64,
+    /// Nodes taken out.
+    pub nodes_removed: u64,
+    /// Constraints taken out, with those to removed parts.
+    pub constraints_removed: u64,
+    /// Loop closures put in.
+    pub constraints_added: u64,
+    /// Measurements taken out.
+    pub sensor_messages_removed: u64,
+    /// Messages written.
+    pub messages: u64,
+}
+
+/// A file that submaps, nodes and measurements come from.
+pub(super) struct Source {
+    pub path: PathBuf,
+    /// Numbers of the trajectories that are kept: in the file, in the draft.
+    pub ids: BTreeMap<i32, i32>,
+    /// From the global map of the file to that of the draft.
+    pub map_from_source: Rigid3,
+}
+
+/// A map that is being edited.
+pub struct MapDraft {
+    pub(super) version: u32,
+    pub(super) graph: PoseGraph,
+    /// Beside `graph.trajectory`.
+    pub(super) options: Vec<TrajectoryBuilderOptionsWithSensorIds>,
+    pub(super) dimension: Option<MapDimension>,
+    pub(super) sources: Vec<Source>,
+    /// Measurements of these trajectories are kept from the first to the second time only, ticks.
+    pub(super) cuts: BTreeMap<i32, (i64, i64)>,
+    pub(super) limits: ReadLimits,
+    pub(super) report: EditReport,
+}
+
+impl MapDraft {
+    /// Opens a map.
+    ///
+    /// # Errors
+    /// If it cannot be read, or has poses that are not valid or numbers that are there twice.
+    pub fn open(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, EditError> {
+        let path = path.as_ref();
+        let failed = |source| EditError::File { path: path.to_owned(), source };
+        let mut reader = MapReader::open_with(path, limits).map_err(failed)?;
+        let graph = reader.pose_graph().clone();
+        check(path, &graph)?;
+        let options = reader.options().options_with_sensor_ids.clone();
+        let version = reader.header().format_version;
+        let dimension = dimension(&mut reader).map_err(failed)?;
+        let ids = graph.trajectory.iter().map(|t| (t.trajectory_id, t.trajectory_id)).collect();
+        let source = Source { path: path.to_owned(), ids, map_from_source: Rigid3::identity() };
+        Ok(Self {
+            version,
+            graph,
+            options,
+            dimension,
+            sources: vec![source],
+            cuts: BTreeMap::new(),
+            limits,
+            report: EditReport::default(),
+        })
+    }
+
+    /// Adds all of another map, placed by `map_from_other` into the global map of this one. Its trajectories
+    /// get the next free numbers; returned are their numbers there and here.
+    ///
+    /// # Errors
+    /// As [`MapDraft::open`]; also if one map is 2D and the other 3D, or their versions differ.
+    pub fn append(
+        &mut self,
+        path: impl AsRef<Path>,
+        map_from_other: &Rigid3,
+    ) -> Result<BTreeMap<i32, i32>, EditError> {
+        let mut other = Self::open(path, self.limits)?;
+        if other.version != self.version {
+            return Err(EditError::Versions(self.version, other.version));
+        }
+        if let (Some(a), Some(b)) = (self.dimension, other.dimension)
+            && a != b
+        {
+            return Err(EditError::Dimension("a 2D and a 3D map cannot be merged"));
+        }
+        other.transform(map_from_other)?;
+        let first = self.trajectory_ids().last().map_or(0, |id| id.saturating_add(1));
+        let ids: BTreeMap<i32, i32> = other.trajectory_ids().zip(first..).collect();
+        if ids.values().last().is_some_and(|last| *last == i32::MAX) {
+            return Err(EditError::SameTrajectory(i32::MAX));
+        }
+        other.rename_trajectories(&ids)?;
+        self.dimension = self.dimension.or(other.dimension);
+        self.graph.trajectory.append(&mut other.graph.trajectory);
+        self.graph.constraint.append(&mut other.graph.constraint);
+        let known: BTreeSet<String> =
+            self.graph.landmark_poses.iter().map(|l| l.landmark_id.clone()).collect();
+        let new = other.graph.landmark_poses.into_iter().filter(|l| !known.contains(&l.landmark_id));
+        self.graph.landmark_poses.extend(new);
+        self.options.append(&mut other.options);
+        self.sources.append(&mut other.sources);
+        Ok(ids)
+    }
+
+    /// Global poses, constraints and landmarks as they are now.
+    pub fn pose_graph(&self) -> &PoseGraph {
+        &self.graph
+    }
+
+    /// Whether it is of the plane or of space; none of a map without submaps.
+    pub fn dimension(&self) -> Option<MapDimension> {
+        self.dimension
+    }
+
+    /// Numbers of the trajectories, ascending.
+    pub fn trajectory_ids(&self) -> impl Iterator<Item = i32> + use<> {
+        let ids: BTreeSet<i32> = self.graph.trajectory.iter().map(|t| t.trajectory_id).collect();
+        ids.into_iter()
+    }
+
+    /// What was done so far.
+    pub fn report(&self) -> EditReport {
+        self.report
+    }
+
+    /// Moves the whole map: a point at `p` in the old global map is at `new_from_old · p` afterwards.
+    ///
+    /// # Errors
+    /// If a 2D map would leave its plane.
+    pub fn transform(&mut self, new_from_old: &Rigid3) -> Result<(), EditError> {
+        let out_of_plane = {
+            let up = new_from_old.rotation * nalgebra::Vector3::z();
+            new_from_old.translation.z != 0.0 || (up - nalgebra::Vector3::z()).norm() > 1e-9
+        };
+        if out_of_plane && self.dimension != Some(MapDimension::Spatial) {
+            return Err(EditError::Dimension("a 2D map can only be moved and turned in its plane"));
+        }
+        super::poses::transform_graph(&mut self.graph, new_from_old);
+        for source in &mut self.sources {
+            source.map_from_source = new_from_old * source.map_from_source;
+        }
+        Ok(())
+    }
+
+    /// Writes the map. The file appears when it is complete; it may be one of those that the draft comes
+    /// from.
+    ///
+    /// # Errors
+    /// If reading or writing fails, or nothing is left of the map.
+    pub fn write(mut self, output: impl AsRef<Path>) -> Result<EditReport, EditError> {
+        if self.graph.trajectory.is_empty() {
+            return Err(EditError::Nothing);
+        }
+        let output = output.as_ref();
+        let failed = |source| EditError::File { path: output.to_owned(), source };
+        self.sort_trajectories();
+        let mut writer = PbstreamWriter::create(output).map_err(failed)?;
+        writer.write_header(self.version).map_err(failed)?;
+        let mut rest = Rest::new(&self.graph, &self.cuts);
+        writer.write(Data::PoseGraph(std::mem::take(&mut self.graph))).map_err(failed)?;
+        let options_with_sensor_ids = std::mem::take(&mut self.options);
+        let options = AllTrajectoryBuilderOptions { options_with_sensor_ids };
+        writer.write(Data::AllTrajectoryBuilderOptions(options)).map_err(failed)?;
+        for source in &self.sources {
+            rest.copy(source, self.limits, &mut |bytes| writer.write_bytes(bytes).map_err(failed))?;
+        }
+        self.report.sensor_messages_removed += rest.sensor_messages_removed;
+        self.report.messages = writer.messages();
+        writer.finish().map_err(failed)?;
+        Ok(self.report)
+    }
+
+    /// Files have trajectories in ascending order, options beside them.
+    fn sort_trajectories(&mut self) {
+        let trajectories = std::mem::take(&mut self.graph.trajectory);
+        let mut pairs: Vec<(Trajectory, TrajectoryBuilderOptionsWithSensorIds)> =
+            trajectories.into_iter().zip(std::mem::take(&mut self.options)).collect();
+        pairs.sort_by_key(|(t, _)| t.trajectory_id);
+        (self.graph.trajectory, self.options) = pairs.into_iter().unzip();
+    }
+}
+
+/// By the first submap of the file.
+fn dimension(reader: &mut MapReader) -> Result<Option<MapDimension>, crate::error::PbstreamError> {
+    while let Some(message) = reader.next_message()? {
+        if let Data::Submap(submap) = message.data {
+            let spatial = submap.submap_3d.is_some() && submap.submap_2d.is_none();
+            return Ok(Some(if spatial { MapDimension::Spatial } else { MapDimension::Planar }));
+        }
+    }
+    Ok(None)
+}
+
+/// Every pose valid, every id once.
+fn check(path: &Path, graph: &PoseGraph) -> Result<(), EditError> {
+    let broken = |reason: String| EditError::Broken { path: path.to_owned(), reason };
+    let mut seen: BTreeSet<(i32, IdInFile)> = BTreeSet::new();
+    let mut part = |what: &str, kind: i32, id: IdInFile, pose| {
+        if id.0 < 0 || id.1 < 0 || !seen.insert((kind, id)) {
+            return Err(broken(format!("the {what} {id:?} has a negative id or is there twice")));
+        }
+        pose_from_proto(pose).map(drop).ok_or_else(|| broken(format!("the {what} {id:?} has no valid pose")))
+    };
+    let mut trajectories = BTreeSet::new();
+    for trajectory in &graph.trajectory {
+        let t = trajectory.trajectory_id;
+        if t < 0 || !trajectories.insert(t) {
+            return Err(broken(format!("trajectory {t} has a negative number or is there twice")));
+        }
+        for submap in &trajectory.submap {
+            part("submap", 0, (t, submap.submap_index), submap.pose.as_ref())?;
+        }
+        for node in &trajectory.node {
+            part("node", 1, (t, node.node_index), node.pose.as_ref())?;
+        }
+    }
+    Ok(())
+}

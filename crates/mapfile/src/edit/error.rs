@@ -1,0 +1,92 @@
+//! Why a map cannot be edited.
+
+use std::path::PathBuf;
+
+use crate::convert::MapConversionError;
+use crate::error::PbstreamError;
+use crate::pose::IdInFile;
+
+/// Why a map cannot be edited.
+#[derive(Debug, thiserror::Error)]
+pub enum EditError {
+    /// Reading or writing failed.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The map.
+        path: PathBuf,
+        /// What went wrong.
+        source: PbstreamError,
+    },
+    /// A part of a map cannot be used.
+    #[error("{}: {source}", path.display())]
+    Content {
+        /// The map.
+        path: PathBuf,
+        /// What is wrong.
+        source: Box<MapConversionError>,
+    },
+    /// A map that must be repaired first.
+    #[error("{}: {reason}; `repair` the map first", path.display())]
+    Broken {
+        /// The map.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A trajectory that is not there.
+    #[error("there is no trajectory {id} in the map; it has: {known}")]
+    NoTrajectory {
+        /// The one asked for.
+        id: i32,
+        /// Those that are there.
+        known: String,
+    },
+    /// Two trajectories of one number.
+    #[error("two trajectories would have the number {0}")]
+    SameTrajectory(i32),
+    /// A submap or node that is not there.
+    #[error("there is no {what} {},{} in the map", id.0, id.1)]
+    NoPart {
+        /// `submap` or `node`.
+        what: &'static str,
+        /// The id asked for.
+        id: IdInFile,
+    },
+    /// Nothing would be left.
+    #[error("nothing would be left of the map")]
+    Nothing,
+    /// A 2D and a 3D map, or a 2D map moved out of its plane.
+    #[error("{0}")]
+    Dimension(&'static str),
+    /// Maps of different versions.
+    #[error("the maps have the format versions {0} and {1}; `migrate` the older one first")]
+    Versions(u32, u32),
+    /// A loop closure that is not there.
+    #[error("there is no loop closure between submap {},{} and node {},{}", submap.0, submap.1, node.0, node.1)]
+    NoLoop {
+        /// The submap.
+        submap: IdInFile,
+        /// The node.
+        node: IdInFile,
+    },
+    /// The node was not found in the submap.
+    #[error(
+        "node {},{} was not found in submap {},{}; give the pose of the node in the submap",
+        node.0, node.1, submap.0, submap.1
+    )]
+    NotFound {
+        /// The submap.
+        submap: IdInFile,
+        /// The node.
+        node: IdInFile,
+    },
+    /// No direction of walls.
+    #[error("the map shows no walls of a common direction; give the angle")]
+    NoWalls,
+    /// The poses could not be optimised.
+    #[error("the poses could not be optimised: {0}")]
+    Optimization(String),
+    /// Poses from elsewhere do not belong to the map.
+    #[error("{0}")]
+    Poses(String),
+}

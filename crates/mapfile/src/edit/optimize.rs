@@ -1,0 +1,190 @@
+//! The poses of a map moved to where its constraints and measurements agree best.
+
+mod collect;
+mod spatial;
+
+use std::collections::BTreeMap;
+
+use portolan_config::OptimizationProblemOptions;
+use portolan_geometry::Rigid3;
+use portolan_mapping::{
+    Constraint, ConstraintTag, NodeId, OptimizationData, OptimizationNode, OptimizationSummary, Planar,
+    Space, SubmapId, TrajectoryId, optimize_2d,
+};
+use serde::Serialize;
+
+use super::{EditError, MapDimension, MapDraft};
+use crate::pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
+use crate::proto::mapping::pose_graph::constraint::Tag;
+pub(super) use collect::Collected;
+
+/// What an optimisation of a map did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct MapOptimization {
+    /// Half of the weighted squares of all residuals, robust loss applied, before.
+    pub initial_cost: f64,
+    /// The same afterwards.
+    pub final_cost: f64,
+    /// Steps.
+    pub iterations: u32,
+    /// Whether a tolerance stopped it, not the number of steps.
+    pub converged: bool,
+    /// Submaps that took part.
+    pub submaps: u64,
+    /// Nodes that took part.
+    pub nodes: u64,
+    /// Constraints that took part.
+    pub constraints: u64,
+    /// How far a node was moved at most, metres.
+    pub largest_move: f64,
+}
+
+impl MapDraft {
+    /// Optimises all poses of the map, at most `iterations` steps: loop closures and constraints within
+    /// submaps, what local SLAM and odometry say of neighbouring nodes, fixed-frame poses and (2D) landmarks.
+    /// The first submap stays where it is. In 3D accelerations and rates of the IMU are not used: neighbouring
+    /// nodes are held together by local SLAM instead.
+    ///
+    /// # Errors
+    /// If the files cannot be read, a node lacks its pose, or there is nothing to optimise.
+    pub fn optimize(
+        &mut self,
+        options: &OptimizationProblemOptions,
+        iterations: u32,
+    ) -> Result<MapOptimization, EditError> {
+        let collected = Collected::read(self)?;
+        let spatial = self.dimension == Some(MapDimension::Spatial);
+        let graph_pose = if spatial { |pose: &Rigid3, _: &_| *pose } else { Planar::graph_pose };
+        let mut data = self.problem(&collected, graph_pose);
+        data.max_iterations_override = Some(iterations);
+        let constraints = self.constraints(&collected, graph_pose);
+        if data.nodes.is_empty() || data.submaps.is_empty() {
+            return Err(EditError::Optimization("it has no nodes or no submaps".to_owned()));
+        }
+        let summary = if spatial {
+            spatial::optimize(&mut data, &constraints, options).map_err(EditError::Optimization)?
+        } else {
+            optimize_2d(&mut data, &constraints, options)
+        };
+        Ok(self.take_over(&data, constraints.len(), spatial, summary))
+    }
+
+    fn problem(
+        &self,
+        collected: &Collected,
+        graph_pose: fn(&Rigid3, &portolan_geometry::Quaternion) -> Rigid3,
+    ) -> OptimizationData {
+        let mut data = OptimizationData {
+            landmarks: collected.landmarks.clone(),
+            sensors: collected.sensors.clone(),
+            fixed_frame_origins: collected.fixed_frame_origins.clone(),
+            ..OptimizationData::default()
+        };
+        for landmark in &self.graph.landmark_poses {
+            if let Some(known) = data.landmarks.get_mut(&landmark.landmark_id) {
+                known.map_from_landmark = pose_from_proto(landmark.global_pose.as_ref());
+            }
+        }
+        for (id, pose) in submap_poses(&self.graph) {
+            data.submaps.insert(submap_in_memory(id), pose);
+        }
+        for (id, map_from_tracking) in self.all_node_poses() {
+            if let Some(node) = collected.nodes.get(&id) {
+                let gravity_alignment = node.gravity_alignment;
+                let node = OptimizationNode {
+                    time: node.time,
+                    local_from_node: graph_pose(&node.local_from_tracking, &gravity_alignment),
+                    map_from_node: graph_pose(&map_from_tracking, &gravity_alignment),
+                    gravity_alignment,
+                };
+                data.nodes.insert(node_in_memory(id), node);
+            }
+        }
+        data
+    }
+
+    fn constraints(
+        &self,
+        collected: &Collected,
+        graph_pose: fn(&Rigid3, &portolan_geometry::Quaternion) -> Rigid3,
+    ) -> Vec<Constraint> {
+        let usable = self.graph.constraint.iter().filter_map(|c| {
+            let node = node_id(c.node_id.as_ref());
+            let weights = [c.translation_weight, c.rotation_weight];
+            let gravity_alignment = collected.nodes.get(&node)?.gravity_alignment;
+            let pose = pose_from_proto(c.relative_pose.as_ref())?;
+            weights.iter().all(|w| w.is_finite() && *w >= 0.0).then(|| Constraint {
+                submap_id: submap_in_memory(submap_id(c.submap_id.as_ref())),
+                node_id: node_in_memory(node),
+                submap_from_node: graph_pose(&pose, &gravity_alignment),
+                translation_weight: c.translation_weight,
+                rotation_weight: c.rotation_weight,
+                tag: match c.tag() {
+                    Tag::IntraSubmap => ConstraintTag::IntraSubmap,
+                    Tag::InterSubmap => ConstraintTag::InterSubmap,
+                },
+                score: None,
+            })
+        });
+        usable.collect()
+    }
+
+    fn take_over(
+        &mut self,
+        data: &OptimizationData,
+        constraints: usize,
+        spatial: bool,
+        summary: OptimizationSummary,
+    ) -> MapOptimization {
+        let submaps: BTreeMap<IdInFile, Rigid3> =
+            data.submaps.iter().map(|(id, pose)| (in_file(id.trajectory_id, id.index), *pose)).collect();
+        let tracking_pose = |node: &OptimizationNode| match spatial {
+            true => node.map_from_node,
+            false => Planar::tracking_pose(&node.map_from_node, &node.gravity_alignment),
+        };
+        let nodes: BTreeMap<IdInFile, Rigid3> = data
+            .nodes
+            .iter()
+            .map(|(id, node)| (in_file(id.trajectory_id, id.index), tracking_pose(node)))
+            .collect();
+        let old = self.all_node_poses();
+        let moves = nodes
+            .iter()
+            .filter_map(|(id, new)| Some((old.get(id)?.translation.vector - new.translation.vector).norm()));
+        let largest_move = moves.fold(0.0, f64::max);
+        self.set_poses(&submaps, &nodes);
+        for landmark in &mut self.graph.landmark_poses {
+            let found = data.landmarks.get(&landmark.landmark_id).and_then(|l| l.map_from_landmark);
+            if let Some(pose) = found {
+                landmark.global_pose = Some(pose_to_proto(&pose));
+            }
+        }
+        MapOptimization {
+            initial_cost: summary.initial_cost,
+            final_cost: summary.final_cost,
+            iterations: summary.iterations,
+            converged: summary.converged,
+            submaps: submaps.len() as u64,
+            nodes: nodes.len() as u64,
+            constraints: constraints as u64,
+            largest_move,
+        }
+    }
+}
+
+// Ids of a draft are checked to be at least zero.
+fn trajectory_in_memory(id: i32) -> TrajectoryId {
+    TrajectoryId(id.unsigned_abs())
+}
+
+fn submap_in_memory(id: IdInFile) -> SubmapId {
+    SubmapId::new(trajectory_in_memory(id.0), id.1.unsigned_abs())
+}
+
+fn node_in_memory(id: IdInFile) -> NodeId {
+    NodeId::new(trajectory_in_memory(id.0), id.1.unsigned_abs())
+}
+
+fn in_file(trajectory: TrajectoryId, index: u32) -> IdInFile {
+    (trajectory.0.cast_signed(), index.cast_signed())
+}
