@@ -33,8 +33,8 @@ fn a_misspelt_key_names_the_nearest_one_and_the_line() {
     );
     let text = error("POSE_GRAPH.min_score = 0.6");
     assert!(text.contains("did you mean `map_builder.pose_graph.constraint_builder.min_score`?"), "{text}");
-    let text = error("options.portolan = { determinstic = true }");
-    assert!(text.contains("did you mean `portolan.deterministic`?"), "{text}");
+    let text = error("options.portolan = { use_all_odometri = true }");
+    assert!(text.contains("did you mean `portolan.use_all_odometry`?"), "{text}");
 }
 
 #[test]
@@ -179,12 +179,13 @@ fn other_kinds_of_files_are_recognised() {
 
 #[test]
 fn settings_win_over_the_file_and_the_file_over_defaults() {
-    let settings = ["optimize_every_n_nodes=7", "portolan.deterministic=false"].map(str::to_owned).to_vec();
+    let settings =
+        ["optimize_every_n_nodes=7", "portolan.use_all_odometry=false"].map(str::to_owned).to_vec();
     let loader = Loader { settings, ..Loader::default() };
     let config = loader.load_text("robot.lua", &robot("POSE_GRAPH.optimize_every_n_nodes = 5")).unwrap();
     assert_eq!(config.options.map_builder.pose_graph.optimize_every_n_nodes, 7);
     assert_eq!(config.options.trajectory_builder.trajectory_builder_2d.num_accumulated_range_data, 10);
-    assert!(!config.options.portolan.deterministic);
+    assert!(!config.options.portolan.use_all_odometry);
     let config = loader.load_options(Options::for_3d()).unwrap();
     assert_eq!(config.options.map_builder.pose_graph.optimize_every_n_nodes, 7);
 

@@ -216,7 +216,7 @@ fn fingerprints_tell_configurations_apart() {
     assert_eq!(options.fingerprint(), Options::for_2d().fingerprint());
     let mut seen = vec![options.fingerprint()];
     for setting in
-        ["min_score=0.56", "map_frame=m", "pure_localization_trimmer={}", "portolan.deterministic=false"]
+        ["min_score=0.56", "map_frame=m", "pure_localization_trimmer={}", "portolan.use_all_odometry=false"]
     {
         seen.push(set(setting).unwrap().fingerprint());
     }

@@ -29,7 +29,10 @@ impl Space for Planar {
     const OPTIMIZES_WITH_IMU: bool = false;
 
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam2d, MapperError> {
-        let extras = LocalSlamExtras { use_all_odometry: options.portolan.use_all_odometry };
+        let extras = LocalSlamExtras {
+            use_all_odometry: options.portolan.use_all_odometry,
+            wide_search_after_gap: options.portolan.wide_search_after_gap,
+        };
         LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)
     }
 

@@ -372,6 +372,18 @@ impl PoseExtrapolator {
         self.poses.back().map(|(time, _)| *time)
     }
 
+    /// The last pose that was taken, with its time.
+    pub fn last_pose(&self) -> Option<(Time, Rigid3)> {
+        self.poses.back().copied()
+    }
+
+    /// Whether odometry or a gyroscope told anything of the motion since the last pose.
+    pub fn measured_since_last_pose(&self) -> bool {
+        let newest_odometry = self.odometry.newest().map(|data| data.time);
+        let newest_imu = self.imu.back().map(|data| data.time);
+        newest_odometry.max(newest_imu) > self.last_pose_time()
+    }
+
     /// Time of the last pose that was predicted, or taken.
     pub fn last_extrapolated_time(&self) -> Option<Time> {
         self.last_extrapolated_time

@@ -47,6 +47,33 @@ impl ScanMatcher2d {
     }
 }
 
+/// How fast a robot is thought to be able to go and turn when nothing was seen of it.
+const UNSEEN_SPEED: f64 = 1.0;
+const UNSEEN_TURN_RATE: f64 = 1.5;
+/// Metres beyond which it is not looked for, however long the gap.
+const WIDEST_SEARCH: f64 = 5.0;
+/// A mean probability below this is no match. After a turn much of what is seen is new and counts as
+/// free, so that this is low.
+const MIN_WIDE_SCORE: f32 = 0.25;
+
+/// The pose of a scan that was taken `gap_seconds` after the last one, with nothing known of the motion
+/// between: the best placement as far away as the robot can have gone, slightly preferring the last
+/// pose. `None` if the scan does not fit anywhere there.
+pub fn search_after_gap(
+    last_pose: Rigid2,
+    gap_seconds: f64,
+    cloud: &PointCloud,
+    submap: &Submap2d,
+) -> Option<Rigid2> {
+    let matcher = RealTimeCorrelativeMatcher2d::new(&RealTimeCorrelativeOptions {
+        linear_search_window: (UNSEEN_SPEED * gap_seconds).clamp(0.0, WIDEST_SEARCH),
+        angular_search_window: (UNSEEN_TURN_RATE * gap_seconds).clamp(0.0, std::f64::consts::PI),
+        ..RealTimeCorrelativeOptions::default()
+    });
+    let found = matcher.ok()?.match_scan(&last_pose, cloud, &submap.grid)?;
+    (found.score >= MIN_WIDE_SCORE).then_some(found.pose)
+}
+
 /// The gradient matcher that the options describe.
 pub fn gradient_matcher(
     options: &CeresScanMatcher2dOptions,

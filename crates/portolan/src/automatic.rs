@@ -11,7 +11,7 @@ pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     let mut options = Options::for_2d();
     let range = statistics.range.first().map(|(_, r)| r);
     set_local_slam(&mut options, plan, range);
-    set_pose_graph(&mut options);
+    set_pose_graph(&mut options, plan);
     options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
     options.bridge.use_odometry = plan.odometry.is_some();
     options
@@ -34,10 +34,10 @@ fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&Range
     let search = &mut local.real_time_correlative_scan_matcher;
     search.linear_search_window = if moves_unseen { 0.3 } else { 0.15 };
     search.angular_search_window = if moves_unseen { 25.0_f64 } else { 10.0 }.to_radians();
-    search.translation_delta_cost_weight = 1.0;
+    search.translation_delta_cost_weight = if moves_unseen { 2.0 } else { 1.0 };
     search.rotation_delta_cost_weight = if moves_unseen { 0.1 } else { 1.0 };
     local.ceres_scan_matcher.occupied_space_weight = 10.0;
-    local.ceres_scan_matcher.translation_weight = if moves_unseen { 1.0 } else { 10.0 };
+    local.ceres_scan_matcher.translation_weight = if moves_unseen { 5.0 } else { 10.0 };
     local.ceres_scan_matcher.rotation_weight = 1.0;
     local.motion_filter.max_distance_meters = 0.1;
     local.motion_filter.max_angle_radians = 0.25_f64.to_radians();
@@ -47,7 +47,7 @@ fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&Range
     inserter.miss_probability = 0.4;
 }
 
-fn set_pose_graph(options: &mut Options) {
+fn set_pose_graph(options: &mut Options, plan: &SensorPlan) {
     let graph = &mut options.map_builder.pose_graph;
     // Odometry has already steered local SLAM; as a constraint of its own it would count twice.
     graph.optimization_problem.odometry_translation_weight = 0.0;
@@ -55,6 +55,9 @@ fn set_pose_graph(options: &mut Options) {
     let search = &mut graph.constraint_builder;
     search.sampling_ratio = 0.03;
     search.min_score = 0.6;
-    search.fast_correlative_scan_matcher.linear_search_window = 4.0;
-    search.fast_correlative_scan_matcher.angular_search_window = 20.0_f64.to_radians();
+    // Without odometry more drift gathers before a loop closes, above all along corridors.
+    let moves_unseen = plan.odometry.is_none();
+    let window = &mut search.fast_correlative_scan_matcher;
+    window.linear_search_window = if moves_unseen { 7.0 } else { 4.0 };
+    window.angular_search_window = if moves_unseen { 30.0_f64 } else { 20.0 }.to_radians();
 }

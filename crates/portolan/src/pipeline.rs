@@ -4,7 +4,9 @@ use std::collections::BTreeSet;
 
 use portolan_config::Options;
 use portolan_geometry::Time;
-use portolan_mapping::{BackendProgress, LatencyHistogram, Map, Mapper, MapperError, MapperSettings, Planar, Repairs};
+use portolan_mapping::{
+    BackendProgress, LatencyHistogram, Map, Mapper, MapperError, MapperSettings, Planar, Repairs,
+};
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
     SensorPlan, plan,

@@ -13,7 +13,10 @@ options! {
         /// Predict the motion between scans by integrating odometry over the gap instead of from its last
         /// velocity. Turn it off only to compare with Cartographer.
         use_all_odometry: bool = true, "", Bounds::ANY;
-        /// Same input, same result, with any number of threads. Turning it off may gain some time.
-        deterministic: bool = true, "", Bounds::ANY;
+        /// After so many seconds without a scan, and with neither odometry nor a gyroscope to tell
+        /// what happened meanwhile, the robot is looked for at any angle and as far away as it can have
+        /// gone, instead of going on from the old velocity. 0 never does that, as in the reference.
+        /// Lower it when a hand-held scanner turns fast between its scans.
+        wide_search_after_gap: f64 = 0.5, "s", Bounds::at_least(0.0);
     }
 }

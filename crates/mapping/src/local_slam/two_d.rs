@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use portolan_config::{AdaptiveVoxelFilterOptions, TrajectoryBuilder2dOptions};
 use portolan_geometry::{
-    Duration, Point3f, Quaternion, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
+    Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
 };
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
@@ -15,7 +15,7 @@ use portolan_sensor::{
 use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter};
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
-use crate::scan_matching_2d::ScanMatcher2d;
+use crate::scan_matching_2d::{ScanMatcher2d, search_after_gap};
 use crate::submap_2d::{Inserter2d, Submap2d};
 use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
 
@@ -30,6 +30,8 @@ const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 pub struct LocalSlamExtras {
     /// Predict from all odometry and gyroscope data of the gap between scans.
     pub use_all_odometry: bool,
+    /// Seconds without any sensor after which the scan is looked for far and wide; 0 never does.
+    pub wide_search_after_gap: f64,
 }
 
 /// Local SLAM of one trajectory in 2D.
@@ -165,13 +167,17 @@ impl LocalSlam2d {
             return None;
         }
         let extrapolator = self.extrapolator.as_mut()?;
+        let last_pose = extrapolator.last_pose();
+        let motion_was_measured = extrapolator.measured_since_last_pose();
         let predicted = extrapolator.extrapolate_pose(time);
-        let prediction = project_2d(&(predicted * gravity.inverse()));
         let matching_cloud = filtered(&scan.returns, &self.options.adaptive_voxel_filter);
         if matching_cloud.is_empty() {
             self.count("scan without a return in matching range");
             return None;
         }
+        let unseen = last_pose.filter(|_| !motion_was_measured);
+        let prediction = project_2d(&(predicted * gravity.inverse()));
+        let prediction = self.found_after_gap(time, unseen, &matching_cloud).unwrap_or(prediction);
         let matched =
             self.matcher.match_scan(prediction, &matching_cloud, self.active_submaps.matching_submap());
         let pose = if matched.is_finite() { matched } else { prediction };
@@ -185,6 +191,28 @@ impl LocalSlam2d {
         let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking))
             .then(|| self.insert(time, &range_data_in_local, matching_cloud, local_from_tracking, gravity));
         Some(MatchingResult { time, local_from_tracking, range_data_in_local, inserted })
+    }
+
+    /// Where the scan fits when time has passed since `last_pose` with nothing measured: the old
+    /// velocity tells nothing then.
+    fn found_after_gap(
+        &mut self,
+        time: Time,
+        last_pose: Option<(Time, Rigid3)>,
+        cloud: &PointCloud,
+    ) -> Option<Rigid2> {
+        let (last_time, last_pose) = last_pose?;
+        let gap = (time - last_time).seconds();
+        if self.extras.wide_search_after_gap <= 0.0 || gap < self.extras.wide_search_after_gap {
+            return None;
+        }
+        let submap = self.active_submaps.matching_submap()?;
+        let found = search_after_gap(project_2d(&last_pose), gap, cloud, submap);
+        self.count(match found {
+            Some(_) => "scan after a gap without any sensor, found by searching widely",
+            None => "scan after a gap without any sensor, not found; its pose is a guess",
+        });
+        found
     }
 
     fn insert(
