@@ -2,7 +2,12 @@
 //!
 //! Nothing here knows of files. Points are `f32` metres, poses `f64`.
 
+pub mod continuous;
+mod error;
 mod moments;
 pub mod neighbours;
+mod point_store;
 
+pub use error::RefineError;
 pub use moments::{Moments, PlaneFit};
+pub use point_store::{LeftOutPoints, PointStore, StoredPoint};
