@@ -8,6 +8,15 @@ const MAX_ANGULAR_STEPS: f64 = 32768.0;
 /// At most this many cells to either side.
 pub(crate) const MAX_LINEAR_STEPS: i32 = 1 << 20;
 
+/// The step between angles and how many of them a window has to either side, the number rounded by
+/// `rounded`. A step of zero, for points at absurd ranges, would make an infinite number: then steps are
+/// larger.
+pub(crate) fn bounded_angular_steps(step: f64, window: f64, rounded: fn(f64) -> f64) -> (f64, i32) {
+    let count = rounded(window / step);
+    let step = if count <= MAX_ANGULAR_STEPS { step } else { window / MAX_ANGULAR_STEPS };
+    (step, count.clamp(0.0, MAX_ANGULAR_STEPS) as i32)
+}
+
 /// A window of placements around an initial pose: angles and shifts in steps of one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SearchWindow {
@@ -30,14 +39,11 @@ impl SearchWindow {
         let max_range = f64::from(farthest).max(3.0 * resolution);
         let ratio = resolution / max_range;
         let step = 0.999 * (1.0 - ratio * ratio / 2.0).acos();
-        // A step of zero, for points at absurd ranges, makes an infinite number.
-        let num_angular = (angular_window / step).ceil();
-        let angular_step =
-            if num_angular <= MAX_ANGULAR_STEPS { step } else { angular_window / MAX_ANGULAR_STEPS };
+        let (angular_step, num_angular) = bounded_angular_steps(step, angular_window, f64::ceil);
         Self {
             resolution,
             angular_step,
-            num_angular: num_angular.clamp(0.0, MAX_ANGULAR_STEPS) as i32,
+            num_angular,
             num_linear: (linear_window / resolution).ceil().clamp(0.0, f64::from(MAX_LINEAR_STEPS)) as i32,
             max_range,
         }

@@ -10,7 +10,8 @@ mod arena;
 mod leaf_index;
 
 use arena::{Arena, push_tight};
-use leaf_index::{LeafIndex, MAX_LEAVES};
+pub(crate) use leaf_index::LeafIndex;
+use leaf_index::MAX_LEAVES;
 
 /// Indices of a cell in space along x, y, z. Cell (0, 0, 0) is centred at the origin of the grid.
 pub type VoxelIndex = [i32; 3];
