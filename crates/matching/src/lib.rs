@@ -22,8 +22,8 @@ mod testing;
 
 pub use correlative::{
     FastCorrelativeMatcher2d, FastCorrelativeMatcher3d, FastCorrelativeOptions2d, FastCorrelativeOptions3d,
-    FastMatch3d, MatchResult, NodeToFind, RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions,
-    SubmapToSearch, histogram_similarity, rotate_histogram, rotational_histogram,
+    FastMatch3d, MatchResult, NodeToFind, RealTimeCorrelativeMatcher2d, RealTimeCorrelativeMatcher3d,
+    RealTimeCorrelativeOptions, SubmapToSearch, histogram_similarity, rotate_histogram, rotational_histogram,
 };
 pub use error::MatcherOptionError;
 pub use gradient::{

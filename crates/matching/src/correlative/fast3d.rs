@@ -7,7 +7,7 @@ use super::MatchResult;
 use super::best_first::{Best, best_first};
 use super::byte_score::ByteScore;
 use super::rotational::{histogram_similarity, rotate_histogram};
-use super::search_window::bounded_angular_steps;
+use super::search_window::angular_steps_in_space;
 use crate::MatcherOptionError;
 use crate::grid::value::{MAX_PROBABILITY, MIN_PROBABILITY};
 use crate::grid::{HybridGrid, MAX_VOXEL_INDEX, VoxelLattice, is_finite};
@@ -244,7 +244,12 @@ impl FastCorrelativeMatcher3d {
         let [from_map, from_node] =
             [map_from_submap.inverse(), *map_from_node].map(|pose| to_f32(&pose).rotation);
         let translation = to_f32(&submap_from_node).translation;
-        let (step, count) = angular_steps(&self.usable(node.high_resolution_cloud), self.lattice, angular);
+        let (step, count) = angular_steps_in_space(
+            farthest(&self.usable(node.high_resolution_cloud)),
+            self.lattice.resolution,
+            1e-2,
+            angular,
+        );
         let turn = |k: i32| {
             let angle = k as f32 * step;
             let rotated = rotate_histogram(node.rotational_histogram, initial_yaw + angle);
@@ -276,16 +281,6 @@ fn max_exponent(options: &FastCorrelativeOptions3d) -> u32 {
 
 fn farthest(points: &[Point3f]) -> f32 {
     points.iter().map(|p| p.coords.norm()).fold(0.0, f32::max)
-}
-
-/// Steps of yaw that move the farthest point by just less than a cell, and how many of them a window has to
-/// either side. In single precision, in which the reference computes them.
-fn angular_steps(points: &[Point3f], lattice: VoxelLattice, window: f64) -> (f32, i32) {
-    let max_range = farthest(points).max(3.0 * lattice.resolution);
-    let ratio = lattice.resolution * lattice.resolution / (2.0 * max_range * max_range);
-    let step = (1.0 - 1e-2) * (1.0 - ratio).acos();
-    let (step, count) = bounded_angular_steps(f64::from(step), window, f64::round);
-    (step as f32, count)
 }
 
 /// The mean probability of the cells that points meet; 0.1 without points.

@@ -15,6 +15,7 @@ mod search_window;
 mod fast2d;
 mod fast3d;
 mod real_time2d;
+mod real_time3d;
 mod rotational;
 
 pub use fast2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d};
@@ -22,6 +23,7 @@ pub use fast3d::{
     FastCorrelativeMatcher3d, FastCorrelativeOptions3d, FastMatch3d, NodeToFind, SubmapToSearch,
 };
 pub use real_time2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
+pub use real_time3d::RealTimeCorrelativeMatcher3d;
 pub use rotational::{histogram_similarity, rotate_histogram, rotational_histogram};
 
 /// What a correlative matcher found.
