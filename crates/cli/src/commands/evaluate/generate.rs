@@ -63,7 +63,8 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     Ok(Outcome::Done)
 }
 
-fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
+/// What relations are made from.
+pub fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
     let pose_graph = read_pose_graph(path)?;
     let submaps = &trajectory_of(path, &pose_graph, 0)?.submap;
     let map_from_submap = submaps.iter().map(|submap| {
