@@ -41,9 +41,21 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
         true
     })?;
+    eprintln!("{:#?}", portolan_refinement::continuous::RefineReport { steps: Vec::new(), ..refined.report });
+    let refined = refined.trajectory;
     let corrected = poses
         .iter()
         .map(|(time, pose)| TimedPose { time: *time, map_from_tracking: refined.corrected(*time, pose) });
-    write_tum(&Trajectory::new(corrected).0, std::io::BufWriter::new(std::fs::File::create(output)?))?;
+    let dense = (0..(refined.duration() / 0.01) as usize).map(|i| {
+        let seconds = i as f64 * 0.01;
+        let time = refined.start() + portolan_geometry::Duration::from_seconds(seconds);
+        TimedPose { time, map_from_tracking: refined.pose(seconds) }
+    });
+    let chosen = if std::env::var_os("DENSE").is_some() {
+        Trajectory::new(dense).0
+    } else {
+        Trajectory::new(corrected).0
+    };
+    write_tum(&chosen, std::io::BufWriter::new(std::fs::File::create(output)?))?;
     Ok(())
 }

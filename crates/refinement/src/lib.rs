@@ -7,7 +7,9 @@ mod error;
 mod moments;
 pub mod neighbours;
 mod point_store;
+mod sharpness;
 
 pub use error::RefineError;
 pub use moments::{Moments, PlaneFit};
 pub use point_store::{LeftOutPoints, PointStore, StoredPoint};
+pub use sharpness::{Sharpness, SharpnessOptions, sharpness, spread_sample};

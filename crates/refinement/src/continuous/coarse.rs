@@ -1,7 +1,7 @@
 //! Coarse stages: windows are drawn together by pairs of surfels, from far to near.
 
-use nalgebra::{DMatrix, DVector};
 use portolan_geometry::Vector3;
+use portolan_solver::NormalBlocks;
 
 use super::odometry::{OdometryNoise, odometry_terms};
 use super::pairs::{Pair, PlacedSurfel, find_pairs, place};
@@ -34,67 +34,53 @@ pub(crate) fn coarse_step(
 ) -> Result<CoarseStep, RefineError> {
     let placed = place(map, trajectory);
     let pairs = find_pairs(map, &placed, gate);
-    let size = 6 * knots.count();
-    let (mut matrix, mut vector) = (DMatrix::zeros(size, size), DVector::zeros(size));
+    let mut equations = NormalBlocks::new(knots.count());
     let scale = 0.5 * gate;
     let (mut sum, mut weights) = (0.0, 0.0);
     for pair in &pairs {
         let robust = (scale * scale / (scale * scale + pair.distance * pair.distance)).powi(2);
         sum += robust * pair.distance * pair.distance;
         weights += robust;
-        add_pair(&mut matrix, &mut vector, map, &placed, knots, pair, robust / PAIR_DEVIATION.powi(2));
+        let row = pair_row(map, &placed, knots, pair);
+        add(&mut equations, &row, pair.distance, robust / PAIR_DEVIATION.powi(2))?;
     }
     for (i, term) in odometry_terms(trajectory, knots, noise).iter().enumerate() {
         for (jacobian, residual, weight) in term.rows() {
-            for r in 0..12 {
-                vector[6 * i + r] -= weight * jacobian[r] * residual;
-                for c in 0..12 {
-                    matrix[(6 * i + r, 6 * i + c)] += weight * jacobian[r] * jacobian[c];
-                }
-            }
+            let part = |first: usize| std::array::from_fn(|k| jacobian[first + k]);
+            add(&mut equations, &[(i, part(0)), (i + 1, part(6))], residual, weight)?;
         }
     }
     // The gauge: the first knot stays.
-    for k in 0..6 {
-        matrix[(k, k)] += 1e12;
-    }
-    let factor = matrix.cholesky().ok_or(RefineError::Numerical("coarse step"))?;
-    let increment = factor.solve(&vector);
-    trajectory.apply(knots, increment.as_slice());
+    equations.hold(0, 1e9);
+    let failed = RefineError::Numerical("coarse step");
+    let increment = equations.solve().map_err(|_| failed.clone())?.ok_or(failed)?;
+    trajectory.apply(knots, &increment);
     let shift = (0..knots.count())
         .map(|k| Vector3::new(increment[6 * k], increment[6 * k + 1], increment[6 * k + 2]).norm())
         .fold(0.0, f64::max);
     Ok(CoarseStep { pairs: pairs.len(), rms: (sum / f64::max(weights, 1e-12)).sqrt(), shift })
 }
 
-fn add_pair(
-    matrix: &mut DMatrix<f64>,
-    vector: &mut DVector<f64>,
-    map: &SurfelMap,
-    placed: &[PlacedSurfel],
-    knots: &Knots,
-    pair: &Pair,
+fn add(
+    equations: &mut NormalBlocks,
+    row: &[(usize, [f64; 6])],
+    residual: f64,
     weight: f64,
-) {
-    let mut columns = [(0usize, [0.0; 6]); 4];
+) -> Result<(), RefineError> {
+    equations.add_row(row, residual, weight).map_err(|_| RefineError::Numerical("coarse step"))
+}
+
+/// The row of a pair: each end moves with the two knots around its time.
+fn pair_row(map: &SurfelMap, placed: &[PlacedSurfel], knots: &Knots, pair: &Pair) -> [(usize, [f64; 6]); 4] {
+    let mut row = [(0, [0.0; 6]); 4];
     for (end, (surfel, sign)) in [(pair.a, 1.0), (pair.b, -1.0)].into_iter().enumerate() {
         let at = &placed[surfel as usize];
         let (knot, f) = knots.place(map.surfels[surfel as usize].seconds);
-        let lever = (at.mean - at.seen_from).cross(&pair.normal) * sign;
         let n = pair.normal * sign;
-        let row = [n.x, n.y, n.z, lever.x, lever.y, lever.z];
-        columns[2 * end] = (knot, row.map(|v| v * (1.0 - f)));
-        columns[2 * end + 1] = (knot + 1, row.map(|v| v * f));
+        let lever = (at.mean - at.seen_from).cross(&n);
+        let jacobian = [n.x, n.y, n.z, lever.x, lever.y, lever.z];
+        row[2 * end] = (knot, jacobian.map(|v| v * (1.0 - f)));
+        row[2 * end + 1] = (knot + 1, jacobian.map(|v| v * f));
     }
-    for (i, a) in &columns {
-        for r in 0..6 {
-            let scaled = weight * a[r];
-            vector[6 * i + r] -= scaled * pair.distance;
-            for (k, b) in &columns {
-                for c in 0..6 {
-                    matrix[(6 * i + r, 6 * k + c)] += scaled * b[c];
-                }
-            }
-        }
-    }
+    row
 }

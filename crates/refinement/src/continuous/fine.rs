@@ -4,6 +4,7 @@ use nalgebra::Matrix6;
 use portolan_geometry::Vector3;
 
 use super::block_tridiagonal::BlockTridiagonal;
+use super::information;
 use super::odometry::{OdometryNoise, OdometryTerm, odometry_terms};
 use super::pairs::place;
 use super::plane_equations::PlaneEquations;
@@ -18,16 +19,15 @@ const TOLERANCE: f64 = 1e-3;
 const MAX_STEPS: usize = 150;
 
 /// How one iteration went.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct FineStep {
-    pub planes: usize,
     pub clusters: usize,
     /// Root of the weighted mean square distance from the planes before the step, metres.
     pub rms: f64,
     /// Largest shift of a knot, metres.
     pub shift: f64,
-    /// Steps of conjugate gradients.
-    pub solver_steps: usize,
+    /// What the surfaces determine, second by second.
+    pub information: Vec<Matrix6<f64>>,
 }
 
 /// One Gauss–Newton step over all knots: surfels are grouped into planes at the current trajectory (a gap of
@@ -54,11 +54,12 @@ pub(crate) fn fine_step(
         equations.multiply(x, y);
         odometry.multiply(x, y);
     };
-    let (increment, solver_steps) = conjugate_gradients(&right, product, &preconditioner);
+    let increment = conjugate_gradients(&right, product, &preconditioner);
     trajectory.apply(knots, &increment);
     let shift = increment.chunks_exact(6).map(|k| Vector3::new(k[0], k[1], k[2]).norm()).fold(0.0, f64::max);
-    let (planes, clusters) = equations.counts();
-    Ok(FineStep { planes, clusters, rms: equations.rms, shift, solver_steps })
+    let clusters = equations.clusters();
+    let information = equations.information(knots, information::SECONDS);
+    Ok(FineStep { clusters, rms: equations.rms, shift, information })
 }
 
 /// Odometry terms as a block-tridiagonal matrix and a gradient.
@@ -131,12 +132,12 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Solves `S x = right` (Hestenes and Stiefel 1952); returns the number of steps too.
+/// Solves `S x = right` (Hestenes and Stiefel 1952).
 fn conjugate_gradients(
     right: &[f64],
     product: impl Fn(&[f64], &mut [f64]),
     preconditioner: &BlockTridiagonal,
-) -> (Vec<f64>, usize) {
+) -> Vec<f64> {
     let size = right.len();
     let mut x = vec![0.0; size];
     let mut residual = right.to_vec();
@@ -146,14 +147,14 @@ fn conjugate_gradients(
     let mut rz = dot(&residual, &z);
     let goal = rz * TOLERANCE * TOLERANCE;
     let mut image = vec![0.0; size];
-    for step in 0..MAX_STEPS {
+    for _ in 0..MAX_STEPS {
         if rz <= goal || rz <= 0.0 {
-            return (x, step);
+            return x;
         }
         product(&direction, &mut image);
         let curvature = dot(&direction, &image);
         if curvature <= 0.0 {
-            return (x, step);
+            return x;
         }
         let length = rz / curvature;
         for i in 0..size {
@@ -169,5 +170,5 @@ fn conjugate_gradients(
             direction[i] = z[i] + ratio * direction[i];
         }
     }
-    (x, MAX_STEPS)
+    x
 }

@@ -51,6 +51,21 @@ pub(crate) fn odometry_terms(
         .collect()
 }
 
+/// The noise that explains how far the current trajectory has departed from the motion of the input, within
+/// bounds: an input that was already good is trusted more, one that was not is trusted less.
+pub(crate) fn noise_found(trajectory: &DenseTrajectory, knots: &Knots) -> OdometryNoise {
+    let unit = OdometryNoise { translation: 1.0, rotation: 1.0 };
+    let terms = odometry_terms(trajectory, knots, unit);
+    let deviation = |part: fn(&OdometryTerm) -> f64| {
+        let squares: f64 = terms.iter().map(part).sum();
+        (squares / (3.0 * terms.len() as f64 * knots.spacing())).sqrt()
+    };
+    OdometryNoise {
+        translation: deviation(|t| t.translation.norm_squared()).clamp(0.003, 0.3),
+        rotation: deviation(|t| t.rotation.norm_squared()).clamp(0.0003, 0.15),
+    }
+}
+
 impl OdometryTerm {
     /// Rows of the Jacobian with respect to the increments (shift, turn) of both knots, and the residual.
     pub fn rows(&self) -> [([f64; 12], f64, f64); 6] {

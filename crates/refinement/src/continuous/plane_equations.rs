@@ -6,7 +6,7 @@
 //! `S = Σ w JJᵀ − Σ_p (Σ w J q ᵀ)(Σ w q qᵀ)⁻¹(Σ w q Jᵀ)`, q = (1, a, b), whose products with vectors cost one pass
 //! over the clusters and which is never formed.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Matrix6, Vector6};
 use portolan_geometry::Vector3;
 use rayon::prelude::*;
 
@@ -100,9 +100,9 @@ impl PlaneEquations {
         }
     }
 
-    /// Number of planes and of clusters.
-    pub fn counts(&self) -> (usize, usize) {
-        (self.planes.len(), self.rows.len())
+    /// Number of clusters in planes.
+    pub fn clusters(&self) -> usize {
+        self.rows.len()
     }
 
     /// `y += S x`.
@@ -147,6 +147,21 @@ impl PlaneEquations {
                 *y += v;
             }
         }
+    }
+
+    /// Σ w JJᵀ of the rows within each stretch of `seconds` seconds: what the surfaces seen then determine.
+    pub fn information(&self, knots: &Knots, seconds: f64) -> Vec<Matrix6<f64>> {
+        let last = knots.seconds(knots.count() - 1);
+        let mut sums = vec![Matrix6::zeros(); (last / seconds).ceil().max(1.0) as usize];
+        let count = sums.len();
+        for plane in &self.planes {
+            for row in &self.rows[plane.rows.clone()] {
+                let at = knots.seconds(row.knot as usize) + f64::from(row.fraction) * knots.spacing();
+                let j = Vector6::from(jacobian(plane, row));
+                sums[((at / seconds) as usize).min(count - 1)] += j * j.transpose() * f64::from(row.weight);
+            }
+        }
+        sums
     }
 
     /// Adds Σ w JJᵀ (without the planes) to the blocks of a block-tridiagonal matrix: diagonal blocks and those

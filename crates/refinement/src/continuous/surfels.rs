@@ -9,6 +9,7 @@ use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 use rayon::prelude::*;
 
 use super::cells::{Cells, Key};
+use super::coverage::{Coverage, TimedPoints};
 use super::dense_trajectory::{DenseTrajectory, PoseMatrices};
 use crate::moments::{Moments, PlaneFit};
 use crate::point_store::StoredPoint;
@@ -26,6 +27,8 @@ const LEAST_DEVIATION: f64 = 0.01;
 const CLUSTER_SECONDS: f64 = 0.05;
 /// Patches seen flatter than this (cosine of the angle of incidence) are not used.
 const LEAST_INCIDENCE: f64 = 0.05;
+/// Denser points are thinned to this: surfaces are known well enough then, and the time it takes is bounded.
+const MAX_POINTS_PER_SECOND: f64 = 125_000.0;
 const NONE: u32 = u32::MAX;
 
 /// A planar patch as seen during a window. Poses are those of [`DenseTrajectory`] at `seconds`.
@@ -65,42 +68,28 @@ pub(crate) struct SurfelMap {
     pub clusters: Vec<Cluster>,
     /// For each window its range of surfels.
     pub windows: Vec<std::ops::Range<usize>>,
-}
-
-/// Points of a recording with the offset of their clock to the trajectory's.
-#[derive(Clone, Copy)]
-pub(crate) struct TimedPoints<'a> {
-    /// In order of time.
-    pub points: &'a [StoredPoint],
-    /// Added to a point's seconds to get those of the trajectory.
-    pub offset: f64,
-}
-
-impl TimedPoints<'_> {
-    fn seconds(&self, point: &StoredPoint) -> f64 {
-        point.seconds() + self.offset
-    }
-
-    /// Points from a time up to another.
-    fn between(&self, from: f64, to: f64) -> &[StoredPoint] {
-        let start = self.points.partition_point(|p| self.seconds(p) < from);
-        let end = self.points.partition_point(|p| self.seconds(p) < to);
-        &self.points[start..end]
-    }
+    /// Points that were looked at, on patches or not.
+    pub looked_at: usize,
 }
 
 impl SurfelMap {
-    /// Finds the planar patches of every window of `window` seconds with the current trajectory.
-    pub fn extract(points: TimedPoints, trajectory: &DenseTrajectory, window: f64) -> Self {
+    /// Finds the planar patches of every window of about `window` seconds with the current trajectory.
+    pub fn extract(
+        points: TimedPoints,
+        coverage: &Coverage,
+        trajectory: &DenseTrajectory,
+        window: f64,
+    ) -> Self {
         let matrices = trajectory.matrices();
-        let count = (trajectory.duration() / window).ceil().max(1.0) as usize;
-        let window = trajectory.duration() / count as f64;
-        let parts: Vec<WindowSurfels> = (0..count)
+        let parts: Vec<WindowSurfels> = coverage
+            .windows(window)
             .into_par_iter()
-            .map_init(Workspace::default, |workspace, i| {
-                let end = if i + 1 == count { f64::INFINITY } else { (i + 1) as f64 * window };
-                let part = points.between(i as f64 * window, end);
-                workspace.extract(part, points.offset, trajectory, &matrices)
+            .map_init(Workspace::default, |workspace, window| {
+                let part = points.between(window);
+                let most = ((window[1] - window[0]) * MAX_POINTS_PER_SECOND).max(1000.0);
+                let stride = (part.len() as f64 / most).ceil().max(1.0) as usize;
+                workspace.thin(part, stride);
+                workspace.extract(points.offset, trajectory, &matrices)
             })
             .collect();
         let mut map = Self::default();
@@ -111,6 +100,7 @@ impl SurfelMap {
                 surfel
             }));
             map.clusters.extend(part.clusters);
+            map.looked_at += part.looked_at;
             map.windows.push(first_surfel..map.surfels.len());
         }
         map
@@ -121,6 +111,7 @@ impl SurfelMap {
 struct WindowSurfels {
     surfels: Vec<Surfel>,
     clusters: Vec<Cluster>,
+    looked_at: usize,
 }
 
 /// A planar cell, perhaps joined with a neighbour.
@@ -136,6 +127,7 @@ struct Patch {
 /// Memory that is used again from window to window.
 #[derive(Default)]
 struct Workspace {
+    points: Vec<StoredPoint>,
     cells: Cells,
     parents: Cells,
     in_world: Vec<[f64; 3]>,
@@ -146,30 +138,35 @@ struct Workspace {
 }
 
 impl Workspace {
+    /// Takes every `stride`-th point.
+    fn thin(&mut self, points: &[StoredPoint], stride: usize) {
+        self.points.clear();
+        self.points.extend(points.iter().step_by(stride));
+    }
+
     fn extract(
         &mut self,
-        points: &[StoredPoint],
         offset: f64,
         trajectory: &DenseTrajectory,
         matrices: &PoseMatrices,
     ) -> WindowSurfels {
-        let Some(middle) = points.get(points.len() / 2) else { return WindowSurfels::default() };
+        let Some(middle) = self.points.get(self.points.len() / 2) else { return WindowSurfels::default() };
         // Near the window, so that squares keep their digits; on the grid, so that cells of all windows agree.
         let coarsest = FINEST_CELL * f64::from(1 << (LEVELS - 1));
         let place = trajectory.pose(middle.seconds() + offset).translation.vector;
         let origin = place.map(|v| (v / coarsest).round() * coarsest);
-        self.fill_cells(points, offset, matrices, &origin);
+        self.fill_cells(offset, matrices, &origin);
         self.find_patches();
         self.join_neighbours();
         self.assign_points();
-        self.surfels(points, offset, trajectory, &origin)
+        self.surfels(offset, trajectory, &origin)
     }
 
-    fn fill_cells(&mut self, points: &[StoredPoint], offset: f64, matrices: &PoseMatrices, origin: &Vector3) {
+    fn fill_cells(&mut self, offset: f64, matrices: &PoseMatrices, origin: &Vector3) {
         self.cells.clear();
         self.in_world.clear();
         self.cell_of_point.clear();
-        for point in points {
+        for point in &self.points {
             let world = matrices.to_world(point.seconds() + offset, point.in_tracking);
             let p = Vector3::from(world) - origin;
             let key = [p.x, p.y, p.z].map(|v| (v * (1.0 / FINEST_CELL)).floor() as i32);
@@ -298,20 +295,14 @@ impl Workspace {
         (fit.normal.dot(&(point - fit.mean)).abs() < gate).then_some(root)
     }
 
-    fn surfels(
-        &mut self,
-        points: &[StoredPoint],
-        offset: f64,
-        trajectory: &DenseTrajectory,
-        origin: &Vector3,
-    ) -> WindowSurfels {
+    fn surfels(&mut self, offset: f64, trajectory: &DenseTrajectory, origin: &Vector3) -> WindowSurfels {
         let mut moments = vec![Moments::default(); self.patches.len()];
         let mut seconds = vec![0.0; self.patches.len()];
         for (i, patch) in self.patch_of_point.iter().enumerate().filter(|(_, p)| **p != NONE) {
             moments[*patch as usize].add(&Vector3::from(self.in_world[i]));
-            seconds[*patch as usize] += points[i].seconds() + offset;
+            seconds[*patch as usize] += self.points[i].seconds() + offset;
         }
-        let mut result = WindowSurfels::default();
+        let mut result = WindowSurfels { looked_at: self.points.len(), ..WindowSurfels::default() };
         let mut surfel_of_patch = vec![NONE; self.patches.len()];
         for (i, (moments, seconds)) in moments.iter().zip(&seconds).enumerate() {
             let Some(fit) = planar(moments, self.patches[i].level) else { continue };
@@ -338,14 +329,13 @@ impl Workspace {
         for patch in &mut self.patch_of_point {
             *patch = surfel_of_patch.get(*patch as usize).copied().unwrap_or(NONE);
         }
-        self.clusters(points, offset, trajectory, origin, &mut result);
+        self.clusters(offset, trajectory, origin, &mut result);
         result
     }
 
     /// Clusters, in order of surfel and time.
     fn clusters(
         &self,
-        points: &[StoredPoint],
         offset: f64,
         trajectory: &DenseTrajectory,
         origin: &Vector3,
@@ -370,7 +360,7 @@ impl Workspace {
             closed.push((surfel, Cluster { seconds, in_tracking, count: o.count as f32 }));
         };
         for (i, surfel) in self.patch_of_point.iter().enumerate().filter(|(_, s)| **s != NONE) {
-            let seconds = points[i].seconds() + offset;
+            let seconds = self.points[i].seconds() + offset;
             let bin = (seconds / CLUSTER_SECONDS).floor() as i64;
             let o = &mut open[*surfel as usize];
             if o.bin != bin {
