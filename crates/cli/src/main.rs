@@ -57,7 +57,7 @@ impl GlobalArgs {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = Cli::parse_from(commands::compat::arguments(std::env::args_os()));
     start_logging(&cli.global);
     match commands::run(cli.command, &cli.global) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

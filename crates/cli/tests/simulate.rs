@@ -45,3 +45,31 @@ fn wrong_usage_is_refused_and_leaves_nothing() {
     assert_eq!(portolan(&["simulate", "-o", &nowhere, "--seconds", "2"]).code, Some(1));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
+
+#[test]
+fn worlds_in_space_have_surfaces_and_the_same_bytes_for_any_thread_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let simulate = |name: &str, threads: &str| {
+        let output = common::text(&folder.path().join(name));
+        let arguments = ["museum", "--seconds", "5", "--beams", "90", "--lidars", "2", "--threads", threads];
+        portolan_with_code(0, &[&["simulate", "-o", &output, "-q"], &arguments[..]].concat());
+        std::fs::read(output).unwrap()
+    };
+    assert!(simulate("one.bag", "1") == simulate("three.bag", "3"));
+    for ending in ["truth.tum", "surfaces.json", "surfaces.ply"] {
+        let [one, three] =
+            ["one", "three"].map(|n| std::fs::read(folder.path().join(format!("{n}.{ending}"))).unwrap());
+        assert!(one == three && one.len() > 1000, "{ending}");
+    }
+    let output = common::text(&folder.path().join("x.bag"));
+    let wrong: [&[&str]; 4] = [
+        &["museum", "--closed-doors", "0.5"],
+        &["office", "--lidars", "2"],
+        &["park", "--lidars", "9"],
+        &["garage", "--lidar", "vlp17"],
+    ];
+    for arguments in wrong {
+        let run = portolan_with_code(2, &[&["simulate", "-o", &output], arguments].concat());
+        assert!(!run.stderr.is_empty(), "{arguments:?}");
+    }
+}

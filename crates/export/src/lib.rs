@@ -4,6 +4,7 @@
 
 mod colour;
 mod font;
+mod histogram;
 mod map_lines;
 mod overlay;
 mod picture;
@@ -13,6 +14,7 @@ mod tum;
 
 pub use colour::{Rgb, hsv, mix, palette, rgb, to_bytes};
 pub use font::{draw_text, text_width};
+pub use histogram::{HistogramPanel, draw_histograms};
 pub use map_lines::{constraint_lines, trajectory_lines};
 pub use overlay::{ConstraintLine, TrajectoryLine};
 pub use picture::{MAX_EDGE, MapContent, Picture, PictureError, PictureOptions, draw_map};

@@ -58,6 +58,27 @@ pub enum FindingKind {
     Time,
 }
 
+impl FindingKind {
+    /// What [`repair`](crate::repair) does about it; none where nothing has to be done or nothing can.
+    pub fn repair(self) -> Option<&'static str> {
+        match self {
+            Self::Damage => Some("keeps the records that are whole"),
+            Self::Header => Some("makes a header"),
+            Self::Order => Some("makes what is missing, drops what is there twice"),
+            Self::UnknownMessage => None,
+            Self::Options => Some("makes empty options, takes back impossible starts"),
+            Self::DuplicateId => Some("keeps the first"),
+            Self::MissingPart => Some("leaves out what lacks its counterpart, with its constraints"),
+            Self::Pose => Some("normalises rotations, leaves out what has no pose"),
+            Self::Constraint => Some("leaves the constraint out"),
+            Self::Grid => Some("makes impossible cells unknown, leaves out submaps whose sizes lie"),
+            Self::PointCloud => Some("keeps the node without the cloud"),
+            Self::Histogram => Some("keeps the part without the histogram"),
+            Self::Time => Some("leaves out what comes too late"),
+        }
+    }
+}
+
 /// One thing that is wrong with a map.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
@@ -115,6 +136,8 @@ pub(crate) struct Check {
     last_index: Option<u64>,
     version: Option<u32>,
     options: Option<usize>,
+    /// To which trajectory the start of each is relative.
+    starts: Vec<Option<i32>>,
     graph: Option<GraphIds>,
     pub(crate) nodes_seen: BTreeSet<IdInFile>,
     pub(crate) submaps_seen: BTreeSet<IdInFile>,
@@ -125,6 +148,8 @@ pub(crate) struct Check {
 #[derive(Default)]
 pub(crate) struct GraphIds {
     pub trajectories: BTreeSet<i32>,
+    /// In the order of the file.
+    pub order: Vec<i32>,
     pub submaps: BTreeSet<IdInFile>,
     /// With their times.
     pub nodes: BTreeMap<IdInFile, i64>,
@@ -210,6 +235,7 @@ impl Check {
             }
             Data::AllTrajectoryBuilderOptions(options) => {
                 self.options = Some(options.options_with_sensor_ids.len());
+                self.starts = options.options_with_sensor_ids.iter().map(start_of).collect();
             }
             Data::Submap(submap) => self.submap(submap),
             Data::Node(node) => self.node(node),
@@ -273,6 +299,9 @@ impl Check {
             ),
             Some(_) => {}
         }
+        for problem in bad_starts(&graph.order, &self.starts) {
+            self.error(FindingKind::Options, problem.1);
+        }
         let seen = std::mem::take(&mut self.submaps_seen);
         for (t, i) in graph.submaps.difference(&seen) {
             self.error(FindingKind::MissingPart, format!("submap ({t}, {i}) has a pose but no grid"));
@@ -286,4 +315,39 @@ impl Check {
     fn pose_graph(&mut self, graph: &PoseGraph) -> GraphIds {
         crate::check_graph::check_pose_graph(self, graph)
     }
+}
+
+/// The trajectory to which the start of another is relative.
+pub(crate) fn start_of(
+    options: &crate::proto::mapping::TrajectoryBuilderOptionsWithSensorIds,
+) -> Option<i32> {
+    let options = options.trajectory_builder_options.as_ref()?;
+    options.initial_trajectory_pose.as_ref().map(|start| start.to_trajectory_id)
+}
+
+/// Trajectories (by their place in the file) whose start is relative to one that is not there, to themselves,
+/// or in a circle, and what is wrong with each.
+pub(crate) fn bad_starts(ids: &[i32], starts: &[Option<i32>]) -> Vec<(usize, String)> {
+    let place: BTreeMap<i32, usize> = ids.iter().enumerate().map(|(i, id)| (*id, i)).rev().collect();
+    let next = |i: usize| starts.get(i).copied().flatten();
+    let mut bad = Vec::new();
+    // In which walk each was reached first; a walk that meets itself has found a circle.
+    let mut reached = vec![usize::MAX; ids.len()];
+    for (i, id) in ids.iter().enumerate() {
+        if let Some(to) = next(i).filter(|to| !place.contains_key(to)) {
+            let text =
+                format!("the start of trajectory {id} is relative to trajectory {to}, which is not there");
+            bad.push((i, text));
+        }
+        let mut at = Some(i);
+        while let Some(here) = at.filter(|here| reached.get(*here) == Some(&usize::MAX)) {
+            reached[here] = i;
+            at = next(here).and_then(|to| place.get(&to)).copied();
+        }
+        if let Some(met) = at.filter(|met| reached.get(*met) == Some(&i)) {
+            let text = format!("the start of trajectory {} is relative to itself, in a circle", ids[met]);
+            bad.push((met, text));
+        }
+    }
+    bad
 }

@@ -23,6 +23,7 @@ pub(crate) fn check_pose_graph(check: &mut Check, graph: &PoseGraph) -> GraphIds
 
 fn check_trajectory(check: &mut Check, trajectory: &Trajectory, ids: &mut GraphIds) {
     let t = trajectory.trajectory_id;
+    ids.order.push(t);
     if t < 0 || !ids.trajectories.insert(t) {
         check.error(FindingKind::DuplicateId, format!("trajectory {t} is there twice or negative"));
     }
@@ -49,7 +50,7 @@ fn check_trajectory(check: &mut Check, trajectory: &Trajectory, ids: &mut GraphI
         if let Some((_, earlier)) = last.filter(|(j, time)| *j < i && *time >= node.timestamp) {
             let text = format!(
                 "node ({t}, {i}) is not later than the one before ({} ticks)",
-                node.timestamp - earlier
+                i128::from(node.timestamp) - i128::from(earlier)
             );
             check.error(FindingKind::Time, text);
         }

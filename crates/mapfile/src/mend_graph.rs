@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use crate::check::{bad_starts, start_of};
 use crate::mend::mend_pose;
 use crate::pose::{IdInFile, node_id, submap_id};
 use crate::proto::mapping::pose_graph::constraint::Tag;
@@ -66,6 +67,7 @@ pub(crate) fn mend_pose_graph(
     let mut flags = keep.iter();
     graph.trajectory.retain(|_| flags.next().copied().unwrap_or(false));
     repairs.extend(keep.iter().filter(|k| !**k).map(|_| Repair::TrajectoryDropped));
+    mend_starts(graph, options, repairs);
 
     let mut nodes = BTreeSet::new();
     let mut submaps = BTreeSet::new();
@@ -91,6 +93,19 @@ pub(crate) fn mend_pose_graph(
         }
         good
     });
+}
+
+/// Takes back starts that are relative to what is not there, or in a circle.
+fn mend_starts(graph: &PoseGraph, options: &mut AllTrajectoryBuilderOptions, repairs: &mut Vec<Repair>) {
+    let ids: Vec<i32> = graph.trajectory.iter().map(|t| t.trajectory_id).collect();
+    let starts: Vec<Option<i32>> = options.options_with_sensor_ids.iter().map(start_of).collect();
+    for (place, _) in bad_starts(&ids, &starts) {
+        let options = options.options_with_sensor_ids.get_mut(place);
+        if let Some(options) = options.and_then(|o| o.trajectory_builder_options.as_mut()) {
+            options.initial_trajectory_pose = None;
+            repairs.push(Repair::StartDropped);
+        }
+    }
 }
 
 fn mend_trajectory(

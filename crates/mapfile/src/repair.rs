@@ -30,6 +30,8 @@ pub enum Repair {
     PoseGraphMade,
     /// Options were missing for some trajectories; empty ones were made.
     OptionsMade,
+    /// The start of a trajectory relative to one that is not there, or in a circle.
+    StartDropped,
     /// A message that cannot be decoded or is there for a second time.
     MessageDropped,
     /// A trajectory that was there twice.

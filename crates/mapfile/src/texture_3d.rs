@@ -11,6 +11,10 @@ use crate::texture::{MAX_TEXTURE_PIXELS, SubmapTexture, TextureError};
 const OBSTRUCTED: f32 = 0.501;
 /// Columns of voxels lower than this show floor or ceiling only.
 const MIN_HEIGHT: i32 = 3;
+/// Pictures of more pixels for each occupied voxel, beyond a start, are taken for damage. Real submaps have
+/// some pixels for each.
+const MAX_PIXELS_OF_A_VOXEL: u64 = 64;
+const LEAST_MAX_PIXELS: u64 = 1 << 20;
 /// How much a free voxel between occupied ones counts.
 const FREE_SPACE_WEIGHT: f32 = 0.15;
 
@@ -27,7 +31,10 @@ pub fn texture_3d(submap: &Submap3D, map_from_submap: &Rigid3) -> Result<SubmapT
 pub fn xray_texture(grid: &HybridGrid, map_from_submap: &Rigid3) -> Result<SubmapTexture, TextureError> {
     let voxels = occupied_voxels(grid, map_from_submap)?;
     let area = Area::around(&voxels);
-    if area.pixels() > MAX_TEXTURE_PIXELS as u64 {
+    // A few voxels far apart must not need more memory than a real submap.
+    let most =
+        (MAX_PIXELS_OF_A_VOXEL * voxels.len() as u64 + LEAST_MAX_PIXELS).min(MAX_TEXTURE_PIXELS as u64);
+    if area.pixels() > most {
         return Err(TextureError::TooLarge(area.pixels()));
     }
     let (width, height) = (area.width as usize, area.height as usize);

@@ -1,4 +1,5 @@
 //! Matching one scan to the submap being drawn: by search in a small window, then by least squares.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 
 #[path = "../tests/common/mod.rs"]
 #[allow(dead_code)]

@@ -1,6 +1,7 @@
 //! Loop closure: a scan somewhere in a submap, at any angle, and near a guess.
 //!
 //! Submaps and scans are of the recording `fr079`.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 
 #[path = "../tests/common/mod.rs"]
 #[allow(dead_code)]

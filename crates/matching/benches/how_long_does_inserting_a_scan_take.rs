@@ -1,8 +1,12 @@
 //! Drawing one scan into a submap, as a scan is drawn into two submaps during mapping.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 
 #[path = "../tests/common/mod.rs"]
 #[allow(dead_code)]
 mod common;
+#[path = "../tests/common/hall.rs"]
+#[allow(dead_code)]
+mod hall;
 #[path = "../tests/common/recording.rs"]
 #[allow(dead_code)]
 mod recording;
@@ -33,6 +37,16 @@ fn insert(c: &mut Criterion) {
         });
         group.bench_function("the first scan of a submap, which makes it grow (fr079)", |b| {
             b.iter(|| recording::submap(&scans[700..701], &inserter));
+        });
+    }
+    for points in [5_000, 20_000] {
+        let mut submaps = [(); 2].map(|()| hall::HallSubmap::of_walk(20.0, 150));
+        let pose = hall::walk(10.1);
+        let mut sweep = hall::sweep(&pose, points / 32, &mut common::Lcg::new(5));
+        sweep.points.truncate(points);
+        let scan = hall::range_data(&pose, &sweep);
+        group.bench_function(format!("hall of 30 m by 20 m, {points} returns, two submaps in space"), |b| {
+            b.iter(|| submaps.iter_mut().for_each(|s| s.insert_range_data(&scan)));
         });
     }
     group.finish();

@@ -21,8 +21,9 @@ extern crate self as portolan_matching;
 mod testing;
 
 pub use correlative::{
-    FastCorrelativeMatcher2d, FastCorrelativeOptions2d, MatchResult, RealTimeCorrelativeMatcher2d,
-    RealTimeCorrelativeOptions,
+    FastCorrelativeMatcher2d, FastCorrelativeMatcher3d, FastCorrelativeOptions2d, FastCorrelativeOptions3d,
+    FastMatch3d, MatchResult, NodeToFind, RealTimeCorrelativeMatcher2d, RealTimeCorrelativeMatcher3d,
+    RealTimeCorrelativeOptions, SubmapToSearch, histogram_similarity, rotate_histogram, rotational_histogram,
 };
 pub use error::MatcherOptionError;
 pub use gradient::{

@@ -56,7 +56,9 @@ impl Canvas {
 
     fn shape(&mut self, shape: &Shape) {
         let colour = match shape.material {
-            Material::Wall => [20, 20, 20],
+            Material::Wall | Material::Floor | Material::Ground | Material::Bark => [20, 20, 20],
+            Material::Foliage => [40, 150, 60],
+            Material::Mirror => [200, 200, 250],
             Material::Door => [160, 90, 20],
             Material::Furniture => [110, 110, 150],
             Material::Metal => [120, 120, 120],

@@ -23,15 +23,23 @@
 mod error;
 pub mod motion;
 mod output;
+mod output3d;
 mod random;
 mod scenario;
+mod scenario3d;
 pub mod sensors;
 mod simulation;
+mod simulation3d;
+pub mod solid;
+mod streams;
 mod truth;
+mod truth3d;
 pub mod world;
 
 pub use error::SimulatorError;
 pub use random::Random;
 pub use scenario::ScenarioOptions;
+pub use scenario3d::{Scenario3dOptions, Scene3d, SolidStyle};
 pub use simulation::Simulation;
+pub use simulation3d::Simulation3d;
 pub use truth::OccupancyPicture;

@@ -1,24 +1,20 @@
 //! The simulation as a recording: messages made while they are read, in order, in bounded memory.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_recording::{
-    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, RecordingWriter,
-    Repair, TfMessage, TopicInfo, TransformStamped,
+    Message, MessageReader, RecordedMessage, Recording, RecordingError, RecordingWriter, TopicInfo,
+    TransformStamped,
 };
-use rayon::prelude::*;
 
 use crate::Simulation;
-use crate::sensors::{
-    Clock, Fault, FaultFilter, FaultTarget, ImuStream, MessageStream, OdometryStream, Schedule,
-};
+use crate::sensors::{Fault, FaultFilter, FaultTarget, ImuStream, MessageStream, OdometryStream, Schedule};
 use crate::simulation::Inner;
+use crate::streams::{
+    AheadStream, Merged, MergedReader, ROBOT_FRAME, STATIC_TRANSFORMS, TransformStream, sensor_transform,
+};
 
-/// Topic of the transforms between the robot and its sensors.
-const STATIC_TRANSFORMS: &str = "/tf_static";
-const ROBOT_FRAME: &str = "base_link";
 /// Beams that are made ahead of the reader at most, in all.
 const BEAMS_AHEAD: usize = 1 << 15;
 
@@ -91,11 +87,7 @@ impl Inner {
         let is_missing = |target| self.options.faults.contains(&Fault::MissingTransform { target });
         let mut transforms = Vec::new();
         let mut add = |frame: &str, base_from_sensor: &Rigid3| {
-            transforms.push(TransformStamped {
-                header: Header { stamp: self.clock.start, frame_id: ROBOT_FRAME.into() },
-                child_frame_id: frame.into(),
-                transform: pose_message(base_from_sensor),
-            });
+            transforms.push(sensor_transform(self.clock.start, frame, base_from_sensor));
         };
         if !is_missing(FaultTarget::Scan) {
             for (lidar, _) in &self.lidars {
@@ -107,11 +99,6 @@ impl Inner {
         }
         transforms
     }
-}
-
-fn pose_message(pose: &Rigid3) -> Pose {
-    let q = pose.rotation.quaternion();
-    Pose { position: pose.translation.vector.into(), orientation_xyzw: [q.i, q.j, q.k, q.w] }
 }
 
 impl Recording for Simulation {
@@ -135,8 +122,12 @@ impl Recording for Simulation {
 
     fn read(&self, wanted: &dyn Fn(&TopicInfo) -> bool) -> Result<Box<dyn MessageReader>, RecordingError> {
         let channels = self.inner.channels().into_iter().filter(|channel| wanted(&channel.info));
-        let merged = channels.map(|channel| Merged::start(&self.inner, &channel)).collect();
-        Ok(Box::new(SimulationReader { merged, position_bytes: 0 }))
+        let streams = channels.map(|channel| {
+            let (stream, target) = open(&self.inner, channel.source);
+            let filter = target.map(|target| self.inner.fault_filter(target));
+            Merged::start(stream, filter, self.inner.clock, channel.message_bytes)
+        });
+        Ok(Box::new(MergedReader::new(streams.collect())))
     }
 }
 
@@ -153,54 +144,13 @@ impl Simulation {
     }
 }
 
-/// One pass over the messages of a simulation.
-struct SimulationReader {
-    /// In ascending order of topic; ties in time go to the first.
-    merged: Vec<Merged>,
-    position_bytes: u64,
-}
-
-/// One topic with its next message.
-struct Merged {
-    stream: Box<dyn MessageStream>,
-    filter: Option<FaultFilter>,
-    clock: Clock,
-    message_bytes: u64,
-    next: Option<RecordedMessage>,
-}
-
-impl Merged {
-    fn start(inner: &Arc<Inner>, channel: &Channel) -> Self {
-        let (stream, target) = open(inner, channel.source);
-        let filter = target.map(|target| inner.fault_filter(target));
-        let message_bytes = channel.message_bytes;
-        let mut merged = Self { stream, filter, clock: inner.clock, message_bytes, next: None };
-        merged.advance();
-        merged
-    }
-
-    /// Replaces the next message by the one after it and gives it back.
-    fn advance(&mut self) -> Option<RecordedMessage> {
-        let after = loop {
-            let Some(message) = self.stream.next_message() else { break None };
-            let Some(filter) = &mut self.filter else { break Some(message) };
-            // True time of the measurement: the stamp, before any faults.
-            let seconds = message.message.header().map_or(0.0, |header| self.clock.seconds(header.stamp));
-            if let Some(spoiled) = filter.apply(message, seconds) {
-                break Some(spoiled);
-            }
-        };
-        std::mem::replace(&mut self.next, after)
-    }
-}
-
 fn open(inner: &Arc<Inner>, source: Source) -> (Box<dyn MessageStream>, Option<FaultTarget>) {
     let (walk, clock, seed) = (Arc::clone(&inner.walk), inner.clock, inner.options.seed);
     match source {
-        Source::Transforms => (Box::new(TransformStream::new(inner)), None),
-        Source::Lidar(lidar) => {
-            (Box::new(LidarStream::new(Arc::clone(inner), lidar)), Some(FaultTarget::Scan))
+        Source::Transforms => {
+            (Box::new(TransformStream::new(inner.static_transforms(), inner.clock.start)), None)
         }
+        Source::Lidar(lidar) => (lidar_stream(Arc::clone(inner), lidar), Some(FaultTarget::Scan)),
         Source::Odometry => {
             let options = inner.options.odometry.clone().unwrap_or_default();
             let schedule = inner.schedule(options.rate);
@@ -215,83 +165,16 @@ fn open(inner: &Arc<Inner>, source: Source) -> (Box<dyn MessageStream>, Option<F
     }
 }
 
-impl MessageReader for SimulationReader {
-    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
-        let with_next = self.merged.iter_mut().filter(|merged| merged.next.is_some());
-        let earliest = with_next.min_by_key(|merged| merged.next.as_ref().map(|next| next.log_time));
-        let Some(earliest) = earliest else { return Ok(None) };
-        self.position_bytes += earliest.message_bytes;
-        Ok(earliest.advance())
-    }
-
-    fn position_bytes(&self) -> u64 {
-        self.position_bytes
-    }
-
-    fn repairs(&self) -> Vec<Repair> {
-        Vec::new()
-    }
-}
-
-/// The static transforms as one message at the start.
-struct TransformStream {
-    message: Option<RecordedMessage>,
-}
-
-impl TransformStream {
-    fn new(inner: &Inner) -> Self {
-        let transforms = TfMessage { is_static: true, transforms: inner.static_transforms() };
-        let message = RecordedMessage {
-            topic: STATIC_TRANSFORMS.into(),
-            log_time: inner.clock.start,
-            message: Message::Tf(transforms),
-        };
-        Self { message: Some(message) }
-    }
-}
-
-impl MessageStream for TransformStream {
-    fn next_message(&mut self) -> Option<RecordedMessage> {
-        self.message.take()
-    }
-}
-
-/// Scans, some made ahead in parallel. Each has random numbers of its own, so it does not matter by
-/// which thread it is made.
-struct LidarStream {
-    inner: Arc<Inner>,
-    lidar: usize,
-    next: u64,
-    ready: VecDeque<RecordedMessage>,
-}
-
-impl LidarStream {
-    fn new(inner: Arc<Inner>, lidar: usize) -> Self {
-        Self { inner, lidar, next: 0, ready: VecDeque::new() }
-    }
-
-    fn make_ahead(&mut self) {
-        let (lidar, schedule) = &self.inner.lidars[self.lidar];
-        let ahead = (BEAMS_AHEAD / lidar.options.beams).clamp(1, 256) as u64;
-        let end = schedule.count().min(self.next + ahead);
-        let sweep = Duration::from_seconds(lidar.sweep_time());
-        let make = |index: u64| {
-            let scan = self.inner.scan(lidar, schedule, index);
-            // A scan can be recorded when its last beam has come back.
-            let log_time = scan.header.stamp + sweep;
-            RecordedMessage { topic: Arc::clone(&lidar.topic), log_time, message: Message::LaserScan(scan) }
-        };
-        let made: Vec<RecordedMessage> = (self.next..end).into_par_iter().map(make).collect();
-        self.ready.extend(made);
-        self.next = end;
-    }
-}
-
-impl MessageStream for LidarStream {
-    fn next_message(&mut self) -> Option<RecordedMessage> {
-        if self.ready.is_empty() {
-            self.make_ahead();
-        }
-        self.ready.pop_front()
-    }
+/// Scans, some made ahead in parallel.
+fn lidar_stream(inner: Arc<Inner>, index: usize) -> Box<dyn MessageStream> {
+    let (lidar, schedule) = &inner.lidars[index];
+    let (count, sweep) = (schedule.count(), Duration::from_seconds(lidar.sweep_time()));
+    let ahead = (BEAMS_AHEAD / lidar.options.beams).clamp(1, 256) as u64;
+    Box::new(AheadStream::new(count, ahead, move |number| {
+        let (lidar, schedule) = &inner.lidars[index];
+        let scan = inner.scan(lidar, schedule, number);
+        // A scan can be recorded when its last beam has come back.
+        let log_time = scan.header.stamp + sweep;
+        RecordedMessage { topic: Arc::clone(&lidar.topic), log_time, message: Message::LaserScan(scan) }
+    }))
 }

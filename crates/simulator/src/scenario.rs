@@ -74,7 +74,7 @@ impl Default for ScenarioOptions {
 }
 
 /// Longest recording, seconds.
-const LONGEST: f64 = 86_400.0;
+pub(crate) const LONGEST: f64 = 86_400.0;
 const FULL_CIRCLE: f64 = std::f64::consts::TAU;
 
 impl ScenarioOptions {
@@ -131,7 +131,6 @@ impl ScenarioOptions {
     }
 
     fn check_names(&self) -> Result<(), SimulatorError> {
-        let bad = |detail: String| Err(SimulatorError::BadNames { detail });
         let mut topics = vec!["/tf_static"];
         topics.extend(self.lidars.iter().map(|l| l.topic.as_str()));
         topics.extend(self.odometry.iter().map(|o| o.topic.as_str()));
@@ -140,20 +139,25 @@ impl ScenarioOptions {
         frames.extend(self.lidars.iter().map(|l| l.frame.as_str()));
         frames.extend(self.odometry.iter().map(|o| o.frame.as_str()));
         frames.extend(self.imu.iter().map(|i| i.frame.as_str()));
-        for (what, mut names) in [("topic", topics), ("frame", frames)] {
-            names.sort_unstable();
-            if names.first().is_some_and(|name| name.is_empty()) {
-                return bad(format!("a {what} without a name; give every sensor a {what}"));
-            }
-            if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-                return bad(format!("the {what} {} is used twice; give every sensor its own", twice[0]));
-            }
-        }
-        Ok(())
+        check_unique("topic", topics)?;
+        check_unique("frame", frames)
     }
 }
 
-fn within(option: &'static str, value: f64, low: f64, high: f64) -> Result<(), SimulatorError> {
+/// Whether all names are given and different.
+pub(crate) fn check_unique(what: &str, mut names: Vec<&str>) -> Result<(), SimulatorError> {
+    let bad = |detail: String| Err(SimulatorError::BadNames { detail });
+    names.sort_unstable();
+    if names.first().is_some_and(|name| name.is_empty()) {
+        return bad(format!("a {what} without a name; give every sensor a {what}"));
+    }
+    match names.windows(2).find(|pair| pair[0] == pair[1]) {
+        Some(twice) => bad(format!("the {what} {} is used twice; give every sensor its own", twice[0])),
+        None => Ok(()),
+    }
+}
+
+pub(crate) fn within(option: &'static str, value: f64, low: f64, high: f64) -> Result<(), SimulatorError> {
     match (low..=high).contains(&value) {
         true => Ok(()),
         false => Err(SimulatorError::OutOfBounds { option, bounds: format!("from {low} to {high}"), value }),
@@ -179,7 +183,7 @@ fn check_lidar(lidar: &LidarOptions) -> Result<(), SimulatorError> {
     Ok(())
 }
 
-fn check_odometry(odometry: &OdometryOptions) -> Result<(), SimulatorError> {
+pub(crate) fn check_odometry(odometry: &OdometryOptions) -> Result<(), SimulatorError> {
     within("odometry.rate", odometry.rate, 0.1, 2000.0)?;
     within("odometry.wheel_separation", odometry.wheel_separation, 0.05, 5.0)?;
     within("odometry.wheel_size_error", odometry.wheel_size_error, 0.0, 0.2)?;
@@ -190,7 +194,7 @@ fn check_odometry(odometry: &OdometryOptions) -> Result<(), SimulatorError> {
     within("odometry.encoder_resolution", odometry.encoder_resolution, 0.0, 0.1)
 }
 
-fn check_imu(imu: &ImuOptions) -> Result<(), SimulatorError> {
+pub(crate) fn check_imu(imu: &ImuOptions) -> Result<(), SimulatorError> {
     within("imu.rate", imu.rate, 0.1, 2000.0)?;
     within("imu.gyroscope_noise", imu.gyroscope_noise, 0.0, 10.0)?;
     within("imu.accelerometer_noise", imu.accelerometer_noise, 0.0, 10.0)?;

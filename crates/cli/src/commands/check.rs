@@ -1,26 +1,23 @@
 //! `portolan check`: what is wrong with recordings and maps, what follows, and what to do.
 
-mod finding;
-mod fingerprint;
 mod map;
 mod recording;
-mod stream;
-mod values;
 
 use std::path::{Path, PathBuf};
 
+use portolan_recording::Severity;
 use serde::Serialize;
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, is_map, print, print_json};
-use finding::{Finding, Severity};
 
 /// Tell what is wrong with recordings and maps, what follows from it, and what to do.
 ///
 /// Of a recording: damage, stamps that jump or differ from the time of recording, gaps, scans that overlap or
-/// repeat, frames without transforms, implausible IMU and odometry. Of a map (.pbstream): damage, missing or
-/// doubled parts, impossible poses, constraints and grids.
+/// repeat, sensors that turn unlike the others, frames without transforms, implausible IMU and odometry. Of a
+/// map (.pbstream): damage, missing or doubled parts, impossible poses, constraints and grids, times out of
+/// order, and whether `portolan repair` helps.
 ///
 /// Exit code 0 if there is no finding of severity error, 1 if there is.
 #[derive(clap::Args)]
@@ -30,9 +27,30 @@ pub struct CheckArgs {
     /// Recordings and maps.
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
+    /// Also show how long the intervals between the messages of a recording are.
+    #[arg(long, conflicts_with = "json")]
+    histograms: bool,
     /// Print JSON: an array with one object for each path.
     #[arg(long)]
     json: bool,
+}
+
+/// Something that is wrong.
+#[derive(Serialize)]
+struct Finding {
+    severity: Severity,
+    /// Topic of a recording, or message of a map.
+    about: String,
+    /// What is wrong; of several of a kind the first.
+    what: String,
+    /// How often.
+    count: u64,
+    /// What follows from it.
+    effect: String,
+    /// What to do.
+    advice: String,
+    /// Of maps: what `portolan repair` does about it.
+    repair: Option<&'static str>,
 }
 
 #[derive(Serialize)]
@@ -42,6 +60,8 @@ struct Report {
     errors: usize,
     warnings: usize,
     findings: Vec<Finding>,
+    #[serde(skip)]
+    histograms: Vec<String>,
 }
 
 pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -49,7 +69,7 @@ pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     for path in &args.paths {
         let report = check(path, global.quiet)?;
         if !args.json {
-            print(&report.text())?;
+            print(&report.text(args.histograms))?;
         }
         reports.push(report);
     }
@@ -65,7 +85,8 @@ pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
 
 fn check(path: &Path, quiet: bool) -> Result<Report, CliError> {
     let is_map = is_map(path)?;
-    let mut findings = if is_map { map::check(path)? } else { recording::check(path, quiet)? };
+    let (mut findings, histograms) =
+        if is_map { (map::check(path)?, Vec::new()) } else { recording::check(path, quiet)? };
     // The worst first, otherwise as they were found.
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     let count = |severity| findings.iter().filter(|finding| finding.severity == severity).count();
@@ -75,11 +96,12 @@ fn check(path: &Path, quiet: bool) -> Result<Report, CliError> {
         errors: count(Severity::Error),
         warnings: count(Severity::Warning),
         findings,
+        histograms,
     })
 }
 
 impl Report {
-    fn text(&self) -> String {
+    fn text(&self, with_histograms: bool) -> String {
         let verdict = match (self.errors, self.warnings) {
             (0, 0) => "nothing wrong was found".to_owned(),
             (errors, warnings) => format!(
@@ -88,7 +110,33 @@ impl Report {
                 counted(warnings as u64, "warning", "warnings")
             ),
         };
-        let findings: String = self.findings.iter().map(Finding::text).collect();
-        format!("{}: {}, {verdict}\n{findings}", self.path, self.kind)
+        let mut text = format!("{}: {}, {verdict}\n", self.path, self.kind);
+        text.extend(self.findings.iter().map(Finding::text));
+        for histogram in self.histograms.iter().filter(|_| with_histograms) {
+            text += &format!("{histogram}\n");
+        }
+        text
+    }
+}
+
+impl Finding {
+    fn text(&self) -> String {
+        let severity = match self.severity {
+            Severity::Info => "info",
+            Severity::Warning => "warning",
+            Severity::Error => "error",
+        };
+        let about = if self.about.is_empty() { String::new() } else { format!("{}: ", self.about) };
+        let times = if self.count > 1 { format!(" ({} times)", self.count) } else { String::new() };
+        let mut text = format!("  {severity}: {about}{}{times}\n", self.what);
+        let lines = [
+            ("effect: ", self.effect.as_str()),
+            ("to do:  ", &self.advice),
+            ("repair: ", self.repair.unwrap_or("")),
+        ];
+        for (label, line) in lines.into_iter().filter(|(_, line)| !line.is_empty()) {
+            text += &format!("    {label}{line}\n");
+        }
+        text
     }
 }

@@ -1,6 +1,6 @@
 //! `portolan evaluate`: how good a trajectory or a map is.
 
-mod generate;
+pub mod generate;
 pub mod input;
 mod relations;
 mod trajectory;

@@ -3,7 +3,8 @@
 mod describe;
 mod map;
 mod recording;
-mod recording_text;
+
+pub use describe::utc_parts;
 
 use std::path::PathBuf;
 
@@ -15,8 +16,8 @@ use crate::output::{is_map, print, print_json};
 
 /// Show what recordings and maps hold.
 ///
-/// Of a recording: topics with types, counts, rates and frames, duration, and the tree of transforms. Of a
-/// map (.pbstream): trajectories with nodes, submaps, path and duration, constraints, grids and extent. The
+/// Of a recording: topics with types, counts, rates and frames, what the sensors are like, duration, the tree
+/// of transforms, and what mapping would use of it. Of a map (.pbstream): trajectories with nodes, submaps, path and duration, constraints, grids and extent. The
 /// content of a file tells what it is. Exit code 3 if parts of a file could not be read.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan info walk.bag\n  portolan info old.pbstream --options\n  \
@@ -54,7 +55,7 @@ pub fn run(args: &InfoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
             Info::Recording(recording::read(path, global.quiet)?)
         };
         if let Info::Recording(report) = &info
-            && report.repairs.iter().any(|repair| repair.lost_data)
+            && report.lost_data()
         {
             outcome = Outcome::DataLost;
         }

@@ -2,6 +2,7 @@
 
 mod argument;
 mod check;
+pub mod compat;
 mod completions;
 mod config;
 mod convert;
@@ -36,6 +37,7 @@ pub enum Command {
     Repair(repair::RepairArgs),
     Migrate(migrate::MigrateArgs),
     Simulate(simulate::SimulateArgs),
+    Compat(compat::CompatArgs),
     Completions(completions::CompletionsArgs),
     Man(man::ManArgs),
 }
@@ -56,6 +58,7 @@ pub fn run(command: Command, global: &GlobalArgs) -> Result<Outcome, CliError> {
         Command::Repair(args) => repair::run(&args),
         Command::Migrate(args) => migrate::run(&args),
         Command::Simulate(args) => simulate::run(&args, global),
+        Command::Compat(args) => compat::run(&args, global),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&args),
     }

@@ -71,6 +71,7 @@ fn in_words(repair: Repair) -> &'static str {
             "the pose graph; a new one was made of the local maps, without loop closures"
         }
         Repair::OptionsMade => "options of a trajectory; empty ones were made",
+        Repair::StartDropped => "start of a trajectory relative to one that is not there",
         Repair::MessageDropped => "message that is none, or there for a second time",
         Repair::TrajectoryDropped => "trajectory whose id is there twice or negative",
         Repair::SubmapDropped => "submap that cannot be used",

@@ -1,26 +1,31 @@
 //! `portolan simulate`: recordings of buildings that do not exist, with exact truth.
 
 mod scenario;
+mod simulated;
 
 use std::path::{Path, PathBuf};
 
-use portolan_recording::{Recording, RecordingFormat, RecordingWriter, create};
-use portolan_simulator::Simulation;
+use portolan_recording::{RecordingFormat, RecordingWriter, create};
+use portolan_simulator::{Simulation, Simulation3d, SimulatorError};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
 use crate::output::{print, write_file};
 use crate::progress::{Progress, say};
-use scenario::ScenarioArgs;
+use scenario::{AnyScenario, ScenarioArgs};
+use simulated::Simulated;
 
-/// Simulate a robot that tours a building, and write the recording with its truth.
+/// Simulate a tour of a building, in 2D or in 3D, and write the recording with its truth.
 ///
-/// Beside the recording NAME.bag the files NAME.truth.tum (true poses of base_link) and NAME.walls.csv
-/// (all fixed surfaces) are written. The same options give the same bytes.
+/// Beside the recording NAME.bag the file NAME.truth.tum (true poses of base_link) is written, and all
+/// fixed surfaces: NAME.walls.csv in 2D, NAME.surfaces.json (exact) and NAME.surfaces.ply (a mesh) in 3D.
+/// The same options give the same bytes.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan simulate -o office.bag\n  \
     portolan simulate warehouse -o night.mcap --seed 7 --minutes 10 --people 0\n  \
+    portolan simulate museum -o museum.mcap --minutes 3 --lidars 2\n  \
+    portolan simulate garage -o garage.bag --lidar os1-64 --beams 512\n  \
     portolan simulate office -o faulty.bag --fault gap:scan:20:25 --fault duplicate:imu:100\n  \
     portolan map office.bag && portolan evaluate trajectory office_map/trajectory.tum office.truth.tum")]
 pub struct SimulateArgs {
@@ -32,39 +37,63 @@ pub struct SimulateArgs {
     /// File for the true trajectory instead of NAME.truth.tum.
     #[arg(long, value_name = "FILE.tum")]
     truth: Option<PathBuf>,
-    /// True poses per second.
-    #[arg(long, value_name = "HZ", default_value_t = 100.0)]
-    truth_rate: f64,
-    /// File for the walls instead of NAME.walls.csv.
-    #[arg(long, value_name = "FILE.csv")]
+    /// True poses per second. Default 100, in 3D 200.
+    #[arg(long, value_name = "HZ")]
+    truth_rate: Option<f64>,
+    /// File for the surfaces instead of NAME.walls.csv or NAME.surfaces.json.
+    #[arg(long, alias = "surfaces", value_name = "FILE")]
     walls: Option<PathBuf>,
 }
 
 pub fn run(args: &SimulateArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    if !(1e-3..=1e4).contains(&args.truth_rate) {
-        let text = format!("--truth-rate must be from 0.001 to 10000, but is {}", args.truth_rate);
-        return Err(CliError::Usage(text));
-    }
     let format = RecordingFormat::from_path(&args.output).map_err(|e| CliError::Usage(e.to_string()))?;
-    let simulation =
-        Simulation::new(args.scenario.options()).map_err(|error| CliError::Usage(error.to_string()))?;
+    let usage = |error: SimulatorError| CliError::Usage(error.to_string());
+    let scenario = args.scenario.scenario().map_err(CliError::Usage)?;
+    // Sweeps are made by as many threads as asked for; the bytes are the same.
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(global.thread_count())
+        .build()
+        .map_err(|error| CliError::Failed(format!("cannot start threads: {error}")))?;
+    pool.install(|| match scenario {
+        AnyScenario::Plane(options) => {
+            write_all(&Simulation::new(*options).map_err(usage)?, args, format, global)
+        }
+        AnyScenario::Space(options) => {
+            write_all(&Simulation3d::new(*options).map_err(usage)?, args, format, global)
+        }
+    })
+}
+
+fn write_all(
+    simulation: &dyn Simulated,
+    args: &SimulateArgs,
+    format: RecordingFormat,
+    global: &GlobalArgs,
+) -> Result<Outcome, CliError> {
+    let rate = args.truth_rate.unwrap_or(simulation.usual_truth_rate());
+    if !(1e-3..=1e4).contains(&rate) {
+        return Err(CliError::Usage(format!("--truth-rate must be from 0.001 to 10000, but is {rate}")));
+    }
     interrupt::watch();
-    let count = write_recording(&simulation, &args.output, format, global.quiet)?;
+    let count = write_recording(simulation, &args.output, format, global.quiet)?;
     let truth = beside(args.truth.as_deref(), &args.output, "truth.tum");
-    write_file(&truth, |out| simulation.write_truth_tum(out, args.truth_rate))?;
-    let walls = beside(args.walls.as_deref(), &args.output, "walls.csv");
-    write_file(&walls, |out| simulation.write_walls_csv(out))?;
+    write_file(&truth, |out| simulation.write_truth(out, rate))?;
+    let mut written = vec![truth];
+    for (ending, write) in simulation.surfaces() {
+        let asked = args.walls.as_deref().filter(|_| written.len() == 1);
+        let path = beside(asked, &args.output, ending);
+        write_file(&path, |out| write(out))?;
+        written.push(path);
+    }
     if !global.quiet {
         say(&simulation.format());
     }
-    print(&format!(
-        "{}: {count} messages, {:.1} s, {:.1} m\n{}\n{}",
-        args.output.display(),
-        simulation.duration(),
-        path_length(&simulation),
-        truth.display(),
-        walls.display()
-    ))?;
+    let (seconds, metres) = simulation.extent();
+    let mut text = format!("{}: {count} messages, {seconds:.1} s, {metres:.1} m", args.output.display());
+    for path in written {
+        text.push_str(&format!("\n{}", path.display()));
+    }
+    print(&text)?;
     Ok(Outcome::Done)
 }
 
@@ -75,7 +104,7 @@ fn beside(asked: Option<&Path>, recording: &Path, ending: &str) -> PathBuf {
 
 /// Writes all messages; how many. Interrupted, nothing remains.
 fn write_recording(
-    simulation: &Simulation,
+    simulation: &dyn Simulated,
     path: &Path,
     format: RecordingFormat,
     quiet: bool,
@@ -85,6 +114,7 @@ fn write_recording(
     let total = simulation.size_bytes();
     let mut progress = Progress::start("simulate", total, quiet);
     let mut count = 0;
+    let start = simulation.time_range().map(|(start, _)| start);
     while let Some(message) = reader.next_message()? {
         writer.write(&message)?;
         count += 1;
@@ -92,18 +122,11 @@ fn write_recording(
             return Err(CliError::Failed(format!("interrupted; {} was not written", path.display())));
         }
         if progress.is_due() {
-            let seconds = message.log_time.seconds_since(simulation.start_time());
+            let seconds = start.map_or(0.0, |start| message.log_time.seconds_since(start));
             progress.update(reader.position_bytes(), total, format!("{seconds:.0} s recorded"));
         }
     }
     writer.finish()?;
     progress.finish();
     Ok(count)
-}
-
-/// Metres that the robot goes.
-fn path_length(simulation: &Simulation) -> f64 {
-    let mut positions = simulation.truth(20.0).map(|(_, pose)| pose.translation.vector);
-    let Some(mut last) = positions.next() else { return 0.0 };
-    positions.map(|position| (position - std::mem::replace(&mut last, position)).norm()).sum()
 }

@@ -4,6 +4,7 @@ use portolan_geometry::{Point3f, Rigid2};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
+use super::byte_score::ByteScore;
 use super::joint_search::{Best, JointSearch, Objective, Region, SearchOptions, ShiftBounds};
 use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
@@ -53,20 +54,6 @@ pub struct FastCorrelativeMatcher2d {
     score: ByteScore,
 }
 
-/// From mean bytes to scores.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct ByteScore {
-    lowest: f32,
-    step: f32,
-}
-
-impl ByteScore {
-    #[inline]
-    fn of(&self, byte_sum: u32, num_points: usize) -> f32 {
-        self.lowest + byte_sum as f32 / num_points as f32 * self.step
-    }
-}
-
 impl FastCorrelativeMatcher2d {
     /// Prepares a grid for searching.
     ///
@@ -83,10 +70,11 @@ impl FastCorrelativeMatcher2d {
             return Err(MatcherOptionError::Depth { name, value: depth, max: MAX_DEPTH });
         }
         let (lowest, highest) = (1.0 - grid.code().upper(), 1.0 - grid.code().lower());
+        let score = ByteScore::new(lowest, highest);
         let table: Vec<u8> = (0..CODE_COUNT as u16)
             .map(|code| {
                 let cost = grid.code().decode(code, grid.code().upper()).abs();
-                ((1.0 - cost - lowest) * (255.0 / (highest - lowest))).round() as u8
+                score.byte(1.0 - cost)
             })
             .collect();
         let bytes: Vec<u8> = grid.cells().iter().map(|c| table[usize::from(*c) % CODE_COUNT]).collect();
@@ -96,7 +84,7 @@ impl FastCorrelativeMatcher2d {
             options: options.clone(),
             limits,
             pyramid: MaxPyramid::new(&bytes, num_x, num_y, MAX_EXPONENT + 1, 0),
-            score: ByteScore { lowest, step: (highest - lowest) / 255.0 },
+            score,
         })
     }
 

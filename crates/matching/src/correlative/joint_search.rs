@@ -1,9 +1,8 @@
 //! Branch and bound over angle and shift together.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
 use std::ops::Range;
 
+use super::best_first::{self, Branching, Node, best_first};
 use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
 use super::search_window::SearchWindow;
@@ -33,48 +32,7 @@ pub(crate) trait Objective {
 }
 
 /// The largest score so far and the placements that have it.
-#[derive(Clone, Debug)]
-pub(crate) struct Best {
-    score: f32,
-    placements: Vec<Placement>,
-    /// How many boxes were split whose bound only equalled the best score.
-    tied_boxes: u32,
-}
-
-impl Best {
-    /// Nothing yet; only scores above `min_score` count.
-    pub fn above(min_score: f32) -> Self {
-        Self { score: min_score, placements: Vec::new(), tied_boxes: 0 }
-    }
-
-    /// Whether something with this bound may still change the result.
-    #[inline]
-    pub fn is_promising(&self, bound: f32) -> bool {
-        bound > self.score || (bound == self.score && self.collects_ties())
-    }
-
-    fn collects_ties(&self) -> bool {
-        !self.placements.is_empty() && self.tied_boxes < MAX_TIED_BOXES && self.placements.len() < MAX_TIES
-    }
-
-    /// Takes a placement into account.
-    pub fn offer(&mut self, placement: Placement, score: f32) {
-        if score > self.score {
-            self.score = score;
-            self.placements.clear();
-            self.tied_boxes = 0;
-            self.placements.push(placement);
-        } else if score == self.score && self.collects_ties() {
-            self.placements.push(placement);
-        }
-    }
-
-    /// The best score, and in order of scan, x and y the placements that have it.
-    pub fn finish(mut self) -> (f32, Vec<Placement>) {
-        self.placements.sort_unstable();
-        (self.score, self.placements)
-    }
-}
+pub(crate) type Best = best_first::Best<Placement>;
 
 /// How boxes of placements are made.
 #[derive(Clone, Copy, Debug)]
@@ -94,15 +52,6 @@ pub(crate) enum ShiftBounds {
     Overlap { size: [i32; 2], min_inside: usize },
 }
 
-/// After this many boxes whose bound only equals the best score, equal placements are no longer looked
-/// for: on a plateau there would be no end of them.
-const MAX_TIED_BOXES: u32 = 1 << 16;
-/// After this many equal placements no more are collected.
-const MAX_TIES: usize = 1 << 16;
-
-/// How many boxes may wait at the same time: some 30 MB.
-const MAX_WAITING: usize = 1 << 20;
-
 /// Points with the same uncertainty of place within a group of angles.
 #[derive(Clone, Debug)]
 struct Segment {
@@ -111,30 +60,6 @@ struct Segment {
     smear: i32,
     /// Level of the pyramid whose windows are wide enough for smear and shifts.
     level: usize,
-}
-
-/// A box that waits to be split. The greatest is split next: that with the largest bound, among equals
-/// the smallest box, then the first one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Node {
-    bound: f32,
-    exponent: u32,
-    first: Placement,
-}
-
-impl Eq for Node {}
-
-impl Ord for Node {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let by_bound = self.bound.total_cmp(&other.bound);
-        by_bound.then(other.exponent.cmp(&self.exponent)).then(other.first.cmp(&self.first))
-    }
-}
-
-impl PartialOrd for Node {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
 }
 
 /// The best placements by some objective.
@@ -147,7 +72,6 @@ pub(crate) struct JointSearch<'a, O> {
     /// For boxes of 2^i angles by 2^i by 2^i shifts.
     segments: Vec<Vec<Segment>>,
     leaf_exponent: u32,
-    best: Best,
     scratch: Vec<i32>,
 }
 
@@ -177,7 +101,6 @@ impl<'a, O: Objective> JointSearch<'a, O> {
             objective,
             segments,
             leaf_exponent: options.leaf_exponent,
-            best: Best::above(f32::NEG_INFINITY),
             scratch: Vec::new(),
         }
     }
@@ -185,36 +108,12 @@ impl<'a, O: Objective> JointSearch<'a, O> {
     /// The best score above `min_score` and all placements that have it (some, if there are very many),
     /// in the order of scan, x and y. Empty if there is none.
     pub fn run(&mut self, min_score: f32) -> (f32, Vec<Placement>) {
-        self.best = Best::above(min_score);
-        let mut waiting = BinaryHeap::from(self.roots());
-        while let Some(node) = waiting.pop()
-            && self.best.is_promising(node.bound)
-        {
-            self.split(&node, &mut waiting);
-        }
-        self.best.clone().finish()
+        best_first(self, Best::above(min_score))
     }
 
     /// Shifts along each axis in a box.
     fn num_shifts(&self, exponent: u32) -> i32 {
         1 << exponent.max(self.leaf_exponent)
-    }
-
-    /// All boxes of the window that may hold something better than the score to beat.
-    fn roots(&mut self) -> Vec<Node> {
-        let exponent = self.segments.len() as u32 - 1;
-        let width = self.num_shifts(exponent) as usize;
-        let mut roots = Vec::new();
-        for scan in (0..self.window.num_scans()).step_by(1 << exponent) {
-            let [x_range, y_range] = self.shifts_of_group(scan, exponent);
-            for x in x_range.clone().step_by(2 * width) {
-                for y in y_range.clone().step_by(2 * width) {
-                    let first = Placement { scan, x, y };
-                    self.for_four_boxes(first, exponent, [x_range.end, y_range.end], |n| roots.push(n));
-                }
-            }
-        }
-        roots
     }
 
     /// Hands on the promising ones of the four boxes at `first` and its neighbours along x and y, as far
@@ -224,7 +123,8 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         first: Placement,
         exponent: u32,
         end: [i32; 2],
-        mut hand_on: impl FnMut(Node),
+        best: &mut Best,
+        hand_on: &mut dyn FnMut(Node<Placement>),
     ) {
         let width = self.num_shifts(exponent);
         let sums = self.group_sums(first, exponent);
@@ -241,38 +141,11 @@ impl<'a, O: Objective> JointSearch<'a, O> {
             };
             let region = Region { first: Placement { x, y, ..first }, last };
             let bound = self.objective.bound(sum, &region);
-            if self.best.is_promising(bound) {
+            if best.is_promising(bound) {
                 match exponent {
-                    0 => self.score_leaf(&region, sum),
+                    0 => self.score_leaf(&region, sum, best),
                     _ => hand_on(Node { bound, exponent, first: region.first }),
                 }
-            }
-        }
-    }
-
-    /// Splits a box along all axes. Its parts wait, too, unless very many do: then they are split at
-    /// once, which finds the same but keeps memory in bounds.
-    fn split(&mut self, node: &Node, waiting: &mut BinaryHeap<Node>) {
-        if node.bound == self.best.score {
-            self.best.tied_boxes += 1;
-        }
-        let exponent = node.exponent - 1;
-        let end = [node.first.x, node.first.y].map(|first| self.end_of_window(first, node.exponent));
-        let mut parts = Vec::new();
-        for scan in [node.first.scan, node.first.scan + (1i32 << exponent)] {
-            if scan < self.window.num_scans() {
-                let first = Placement { scan, ..node.first };
-                if waiting.len() < MAX_WAITING {
-                    self.for_four_boxes(first, exponent, end, |n| waiting.push(n));
-                } else {
-                    self.for_four_boxes(first, exponent, end, |n| parts.push(n));
-                }
-            }
-        }
-        parts.sort_unstable();
-        for part in parts.iter().rev() {
-            if self.best.is_promising(part.bound) {
-                self.split(part, waiting);
             }
         }
     }
@@ -298,9 +171,9 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         sums
     }
 
-    fn score_leaf(&mut self, region: &Region, byte_sum: u32) {
+    fn score_leaf(&mut self, region: &Region, byte_sum: u32, best: &mut Best) {
         if self.is_searched(region.first) {
-            self.objective.score(region, byte_sum, &mut self.scans, &mut self.best);
+            self.objective.score(region, byte_sum, &mut self.scans, best);
         }
     }
 
@@ -319,6 +192,35 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         let smear = self.segments[exponent as usize].iter().map(|s| s.smear).max().unwrap_or(0);
         overlap(self.scans.cells(middle), size, min_inside, smear, &mut self.scratch)
             .map(|r| r.start.max(-n)..r.end.min(n + 1))
+    }
+}
+
+impl<O: Objective> Branching for JointSearch<'_, O> {
+    type Placement = Placement;
+
+    fn roots(&mut self, best: &mut Best, hand_on: &mut dyn FnMut(Node<Placement>)) {
+        let exponent = self.segments.len() as u32 - 1;
+        let width = self.num_shifts(exponent) as usize;
+        for scan in (0..self.window.num_scans()).step_by(1 << exponent) {
+            let [x_range, y_range] = self.shifts_of_group(scan, exponent);
+            for x in x_range.clone().step_by(2 * width) {
+                for y in y_range.clone().step_by(2 * width) {
+                    let first = Placement { scan, x, y };
+                    self.for_four_boxes(first, exponent, [x_range.end, y_range.end], best, hand_on);
+                }
+            }
+        }
+    }
+
+    /// Splits a box along all axes.
+    fn split(&mut self, node: &Node<Placement>, best: &mut Best, hand_on: &mut dyn FnMut(Node<Placement>)) {
+        let exponent = node.exponent - 1;
+        let end = [node.first.x, node.first.y].map(|first| self.end_of_window(first, node.exponent));
+        for scan in [node.first.scan, node.first.scan + (1i32 << exponent)] {
+            if scan < self.window.num_scans() {
+                self.for_four_boxes(Placement { scan, ..node.first }, exponent, end, best, hand_on);
+            }
+        }
     }
 }
 

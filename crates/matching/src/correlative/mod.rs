@@ -5,17 +5,25 @@
 //! score of a whole box of placements (some angles × some shifts) costs as much as the score of one
 //! placement. Boxes are split eightfold as long as their bound is not below the best score found.
 
+mod best_first;
+mod byte_score;
 mod joint_search;
 mod max_pyramid;
 mod rotated_scans;
 mod search_window;
 
 mod fast2d;
+mod fast3d;
 mod real_time2d;
+mod real_time3d;
 mod rotational;
 
 pub use fast2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d};
+pub use fast3d::{
+    FastCorrelativeMatcher3d, FastCorrelativeOptions3d, FastMatch3d, NodeToFind, SubmapToSearch,
+};
 pub use real_time2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
+pub use real_time3d::RealTimeCorrelativeMatcher3d;
 pub use rotational::{histogram_similarity, rotate_histogram, rotational_histogram};
 
 /// What a correlative matcher found.

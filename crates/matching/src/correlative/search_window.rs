@@ -8,6 +8,26 @@ const MAX_ANGULAR_STEPS: f64 = 32768.0;
 /// At most this many cells to either side.
 pub(crate) const MAX_LINEAR_STEPS: i32 = 1 << 20;
 
+/// The step between angles and how many of them a window has to either side, the number rounded by
+/// `rounded`. A step of zero, for points at absurd ranges, would make an infinite number: then steps are
+/// larger.
+pub(crate) fn bounded_angular_steps(step: f64, window: f64, rounded: fn(f64) -> f64) -> (f64, i32) {
+    let count = rounded(window / step);
+    let step = if count <= MAX_ANGULAR_STEPS { step } else { window / MAX_ANGULAR_STEPS };
+    (step, count.clamp(0.0, MAX_ANGULAR_STEPS) as i32)
+}
+
+/// Steps of an angle that move a point at `farthest` metres by just less than a cell (by the fraction
+/// `margin`), and how many of them a window has to either side. In single precision, in which the
+/// reference computes them.
+pub(crate) fn angular_steps_in_space(farthest: f32, resolution: f32, margin: f32, window: f64) -> (f32, i32) {
+    let max_range = farthest.max(3.0 * resolution);
+    let ratio = resolution * resolution / (2.0 * max_range * max_range);
+    let step = (1.0 - margin) * (1.0 - ratio).acos();
+    let (step, count) = bounded_angular_steps(f64::from(step), window, f64::round);
+    (step as f32, count)
+}
+
 /// A window of placements around an initial pose: angles and shifts in steps of one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SearchWindow {
@@ -30,14 +50,11 @@ impl SearchWindow {
         let max_range = f64::from(farthest).max(3.0 * resolution);
         let ratio = resolution / max_range;
         let step = 0.999 * (1.0 - ratio * ratio / 2.0).acos();
-        // A step of zero, for points at absurd ranges, makes an infinite number.
-        let num_angular = (angular_window / step).ceil();
-        let angular_step =
-            if num_angular <= MAX_ANGULAR_STEPS { step } else { angular_window / MAX_ANGULAR_STEPS };
+        let (angular_step, num_angular) = bounded_angular_steps(step, angular_window, f64::ceil);
         Self {
             resolution,
             angular_step,
-            num_angular: num_angular.clamp(0.0, MAX_ANGULAR_STEPS) as i32,
+            num_angular,
             num_linear: (linear_window / resolution).ceil().clamp(0.0, f64::from(MAX_LINEAR_STEPS)) as i32,
             max_range,
         }

@@ -44,4 +44,4 @@ pub(crate) use cells::CellGrid;
 pub(crate) use hybrid::VoxelLattice;
 pub(crate) use insert_probability::is_finite;
 pub(crate) use intensity::Average;
-pub(crate) use voxel_map::VoxelMap;
+pub(crate) use voxel_map::{LeafIndex, VoxelMap};

@@ -10,7 +10,8 @@ mod arena;
 mod leaf_index;
 
 use arena::{Arena, push_tight};
-use leaf_index::{LeafIndex, MAX_LEAVES};
+pub(crate) use leaf_index::LeafIndex;
+use leaf_index::MAX_LEAVES;
 
 /// Indices of a cell in space along x, y, z. Cell (0, 0, 0) is centred at the origin of the grid.
 pub type VoxelIndex = [i32; 3];
@@ -206,13 +207,41 @@ impl<T: Copy + Default> VoxelMap<T> {
     /// Hands on every known cell in the order of memory, which is the same for the same history.
     pub fn for_each(&self, mut visit: impl FnMut(VoxelIndex, T)) {
         for (key, number) in self.index.iter() {
-            let (first, leaf) = (first_cell(key), self.leaves[number]);
-            let mut mask = leaf.mask;
-            for value in self.values.list(leaf.start, mask.count_ones() as usize) {
-                let bit = mask.trailing_zeros() as i32;
-                mask &= mask - 1;
-                visit([first[0] + (bit & 3), first[1] + (bit >> 2 & 3), first[2] + (bit >> 4)], *value);
+            self.for_each_in_leaf(first_cell(key), self.leaves[number], &mut visit);
+        }
+    }
+
+    /// Hands on the known cells of the box from `first` to `last`.
+    pub fn for_each_in_box(&self, first: VoxelIndex, last: VoxelIndex, mut visit: impl FnMut(VoxelIndex, T)) {
+        let bounds = [0, 1, 2].map(|a| {
+            let possible = |i: i32| i.clamp(-MAX_VOXEL_INDEX, MAX_VOXEL_INDEX - 1);
+            possible(first[a]).div_euclid(LEAF_EDGE)..=possible(last[a]).div_euclid(LEAF_EDGE)
+        });
+        let is_inside = |cell: VoxelIndex| (0..3).all(|a| first[a] <= cell[a] && cell[a] <= last[a]);
+        for z in bounds[2].clone() {
+            for y in bounds[1].clone() {
+                for x in bounds[0].clone() {
+                    let start = [x, y, z].map(|i| i * LEAF_EDGE);
+                    if let Some(number) = self.index.get(key_of(start)) {
+                        self.for_each_in_leaf(start, self.leaves[number], |cell, value| {
+                            if is_inside(cell) {
+                                visit(cell, value);
+                            }
+                        });
+                    }
+                }
             }
+        }
+    }
+
+    /// Hands on the known cells of the leaf of the block that starts at `first`.
+    #[inline]
+    fn for_each_in_leaf(&self, first: VoxelIndex, leaf: Leaf, mut visit: impl FnMut(VoxelIndex, T)) {
+        let mut mask = leaf.mask;
+        for value in self.values.list(leaf.start, mask.count_ones() as usize) {
+            let bit = mask.trailing_zeros() as i32;
+            mask &= mask - 1;
+            visit([first[0] + (bit & 3), first[1] + (bit >> 2 & 3), first[2] + (bit >> 4)], *value);
         }
     }
 

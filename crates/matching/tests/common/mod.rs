@@ -118,6 +118,13 @@ pub fn random_room(lcg: &mut Lcg, tsdf: bool) -> (Grid2d, PointCloud) {
     (grid.into(), points)
 }
 
+/// Cloud A of the golden vectors: random points in a flat box.
+pub fn cloud_a() -> PointCloud {
+    let mut lcg = Lcg::new(1);
+    let mut point = || [20.0, 20.0, 3.0].map(|a| lcg.symmetric(a));
+    PointCloud::new((0..1000).map(|_| Point3f::from(point())).collect())
+}
+
 /// Cloud B of the golden vectors.
 pub fn cloud_b() -> PointCloud {
     oval_hall(21, 2000)

@@ -1,8 +1,11 @@
 //! How the robot moves: a smooth walk whose pose, velocity and acceleration are known exactly.
 
 mod builder;
+mod gait;
 mod graph;
+mod itinerary;
 mod smooth;
+mod spline;
 mod tour;
 mod turn;
 mod walk;
@@ -10,6 +13,11 @@ mod walk;
 use portolan_geometry::{Rigid3, Vector3};
 
 pub use builder::{MotionLimits, Waypoint};
+pub use gait::Carrier;
+pub(crate) use gait::motion_along;
+pub(crate) use itinerary::{Itinerary, ItineraryRequest};
+pub use spline::SplineMotion;
+pub(crate) use spline::rotation;
 pub(crate) use tour::{TourRequest, plan_people, plan_tour};
 pub use walk::{PlanarState, Walk};
 
@@ -35,4 +43,10 @@ pub trait Motion: Send + Sync {
 
     /// Pose and derivatives at `time` seconds.
     fn state(&self, time: f64) -> MotionState;
+}
+
+/// What wheels feel of a motion.
+pub(crate) trait Rolling: Send + Sync {
+    /// Metres travelled and heading in radians (with whole turns) at `time` seconds.
+    fn rolled(&self, time: f64) -> (f64, f64);
 }

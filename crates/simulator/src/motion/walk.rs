@@ -5,7 +5,7 @@ use portolan_geometry::{Quaternion, Rigid3, Vector2, Vector3};
 
 use super::smooth;
 use super::turn::UnitTurn;
-use super::{Motion, MotionState};
+use super::{Motion, MotionState, Rolling};
 
 /// Pose and derivatives of a robot in the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -183,5 +183,12 @@ impl Motion for Walk {
             angular_velocity_in_base: Vector3::new(0.0, 0.0, s.turn_rate),
             angular_acceleration_in_base: Vector3::new(0.0, 0.0, s.turn_acceleration),
         }
+    }
+}
+
+impl Rolling for Walk {
+    fn rolled(&self, time: f64) -> (f64, f64) {
+        let state = self.planar(time);
+        (state.travelled, state.heading)
     }
 }

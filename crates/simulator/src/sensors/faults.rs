@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use portolan_geometry::{Duration, Rigid2, Time, normalize_angle};
-use portolan_recording::{Header, Message, Odometry, RecordedMessage};
+use portolan_recording::{Header, Message, Odometry, PointCloud2, RecordedMessage};
 
 use crate::SimulatorError;
 
@@ -256,6 +256,18 @@ impl FaultFilter {
                     }
                 }
             }
+            Message::PointCloud2(cloud) => {
+                for fault in &self.faults {
+                    match *fault {
+                        Fault::NanScan { every } if self.count.is_multiple_of(every) => spoil_points(cloud),
+                        Fault::EmptyScan { every } if self.count.is_multiple_of(every) => {
+                            cloud.data.clear();
+                            (cloud.width, cloud.row_step) = (0, 0);
+                        }
+                        _ => {}
+                    }
+                }
+            }
             Message::Odometry(odometry) => self.jump(odometry, seconds),
             Message::Imu(imu) if self.faults.contains(&Fault::ImuWithoutGravity) => {
                 imu.linear_acceleration[2] -= self.gravity;
@@ -290,9 +302,19 @@ impl FaultFilter {
     }
 }
 
+/// Writes NaN into x, y and z, the first three fields of our clouds.
+fn spoil_points(cloud: &mut PointCloud2) {
+    for point in cloud.data.chunks_exact_mut((cloud.point_step as usize).max(12)) {
+        for value in point.chunks_exact_mut(4).take(3) {
+            value.copy_from_slice(&f32::NAN.to_le_bytes());
+        }
+    }
+}
+
 fn header_mut(message: &mut Message) -> Option<&mut Header> {
     match message {
         Message::LaserScan(m) => Some(&mut m.header),
+        Message::PointCloud2(m) => Some(&mut m.header),
         Message::Imu(m) => Some(&mut m.header),
         Message::Odometry(m) => Some(&mut m.header),
         _ => None,

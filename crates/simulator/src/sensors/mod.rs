@@ -1,17 +1,28 @@
 //! What the robot carries: lidars, wheels, an IMU; and what can be wrong with them.
 
+mod beam_table;
 mod faults;
+mod gnss;
 mod imu;
+mod landmarks;
 mod lidar;
 mod odometry;
+mod spinning_lidar;
 mod stream;
 
+pub use beam_table::BeamTable;
 pub(crate) use faults::FaultFilter;
 pub use faults::{Fault, FaultTarget};
+pub use gnss::GnssOptions;
+pub(crate) use gnss::GnssStream;
 pub use imu::ImuOptions;
 pub(crate) use imu::ImuStream;
+pub use landmarks::LandmarkOptions;
+pub(crate) use landmarks::{LandmarkStream, landmark_poses};
 pub(crate) use lidar::Lidar;
 pub use lidar::{LidarMount, LidarOptions, NoReturn};
 pub use odometry::OdometryOptions;
 pub(crate) use odometry::OdometryStream;
+pub(crate) use spinning_lidar::SpinningLidar;
+pub use spinning_lidar::SpinningLidarOptions;
 pub(crate) use stream::{Clock, MessageStream, Schedule};

@@ -6,7 +6,7 @@ use portolan_geometry::{Duration, Rigid2};
 use portolan_recording::{Header, Message, Odometry, Pose, RecordedMessage};
 
 use super::stream::{Clock, MessageStream, Schedule};
-use crate::motion::Walk;
+use crate::motion::Rolling;
 use crate::random::Random;
 
 /// Wheels with encoders.
@@ -91,12 +91,12 @@ impl Wheel {
 }
 
 /// The messages of the wheels.
-pub(crate) struct OdometryStream {
+pub(crate) struct OdometryStream<M> {
     options: OdometryOptions,
     topic: Arc<str>,
     frame: Arc<str>,
     child_frame: Arc<str>,
-    walk: Arc<Walk>,
+    motion: Arc<M>,
     clock: Clock,
     schedule: Schedule,
     seed: u64,
@@ -108,11 +108,11 @@ pub(crate) struct OdometryStream {
     before: (f64, f64, f64),
 }
 
-impl OdometryStream {
+impl<M: Rolling> OdometryStream<M> {
     pub fn new(
         options: OdometryOptions,
         child_frame: &str,
-        walk: Arc<Walk>,
+        motion: Arc<M>,
         clock: Clock,
         schedule: Schedule,
         seed: u64,
@@ -123,13 +123,13 @@ impl OdometryStream {
         let wheels = [wheel(), wheel()];
         let assumed_separation =
             options.wheel_separation * (1.0 + options.wheel_separation_error * random.gaussian()).max(0.1);
-        let start = walk.planar(0.0);
+        let (travelled, heading) = motion.rolled(0.0);
         Self {
             topic: options.topic.as_str().into(),
             frame: options.frame.as_str().into(),
             child_frame: child_frame.into(),
             options,
-            walk,
+            motion,
             clock,
             schedule,
             seed,
@@ -137,16 +137,16 @@ impl OdometryStream {
             assumed_separation,
             odom_from_base: Rigid2::identity(),
             next: 0,
-            before: (0.0, start.travelled, start.heading),
+            before: (0.0, travelled, heading),
         }
     }
 
     /// Moves on to `time` seconds; forward and angular velocity as counted.
     fn advance(&mut self, index: u64, time: f64) -> (f64, f64) {
-        let state = self.walk.planar(time);
+        let (travelled, heading) = self.motion.rolled(time);
         let (time_before, travelled_before, heading_before) = self.before;
-        let (forward, turned) = (state.travelled - travelled_before, state.heading - heading_before);
-        self.before = (time, state.travelled, state.heading);
+        let (forward, turned) = (travelled - travelled_before, heading - heading_before);
+        self.before = (time, travelled, heading);
         let slips = self.slips(0.5 * (time + time_before));
         let mut random = Random::new(self.seed, "encoders", index);
         let mut counted = [0.0; 2];
@@ -201,7 +201,7 @@ impl OdometryStream {
     }
 }
 
-impl MessageStream for OdometryStream {
+impl<M: Rolling> MessageStream for OdometryStream<M> {
     fn next_message(&mut self) -> Option<RecordedMessage> {
         if self.next >= self.schedule.count() {
             return None;

@@ -30,6 +30,7 @@ impl Clock {
 /// Measurements at a constant rate from the start of the walk.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Schedule {
+    first: f64,
     rate: f64,
     count: u64,
 }
@@ -37,9 +38,14 @@ pub(crate) struct Schedule {
 impl Schedule {
     /// As many measurements as begin at 0 or later and take `each` seconds within `duration`.
     pub fn new(rate: f64, duration: f64, each: f64) -> Self {
-        let available = duration - each;
+        Self::starting_at(0.0, rate, duration, each)
+    }
+
+    /// The same with the first one at `first` seconds.
+    pub fn starting_at(first: f64, rate: f64, duration: f64, each: f64) -> Self {
+        let available = duration - first - each;
         let count = if available < 0.0 { 0 } else { (available * rate + 1e-6).floor() as u64 + 1 };
-        Self { rate, count }
+        Self { first, rate, count }
     }
 
     pub fn count(&self) -> u64 {
@@ -48,7 +54,8 @@ impl Schedule {
 
     /// When measurement `index` begins, to the nearest tick: sensors measure exactly when they say.
     pub fn time_of(&self, index: u64) -> Duration {
-        Duration::from_ticks((index as f64 * TICKS_PER_SECOND / self.rate).round() as i64)
+        let seconds = self.first * TICKS_PER_SECOND + index as f64 * TICKS_PER_SECOND / self.rate;
+        Duration::from_ticks(seconds.round() as i64)
     }
 }
 

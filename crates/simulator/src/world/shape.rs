@@ -17,6 +17,16 @@ pub enum Material {
     Glass,
     /// Clothes of people.
     Person,
+    /// Floors, stairs and ramps.
+    Floor,
+    /// What throws beams on.
+    Mirror,
+    /// Earth and grass.
+    Ground,
+    /// Leaves.
+    Foliage,
+    /// Trunks.
+    Bark,
 }
 
 impl Material {
@@ -29,6 +39,11 @@ impl Material {
             Self::Metal => 0.3,
             Self::Glass => 0.15,
             Self::Person => 0.25,
+            Self::Floor => 0.5,
+            Self::Mirror => 0.05,
+            Self::Ground => 0.35,
+            Self::Foliage => 0.4,
+            Self::Bark => 0.3,
         }
     }
 
@@ -41,6 +56,11 @@ impl Material {
             Self::Metal => "metal",
             Self::Glass => "glass",
             Self::Person => "person",
+            Self::Floor => "floor",
+            Self::Mirror => "mirror",
+            Self::Ground => "ground",
+            Self::Foliage => "foliage",
+            Self::Bark => "bark",
         }
     }
 }

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use portolan_mapfile::{FindingKind, PbstreamReader, Severity as MapSeverity, validate};
+use portolan_recording::Severity;
 
-use super::finding::{Finding, Severity};
+use super::Finding;
 use crate::error::CliError;
 
 /// Reads a whole map and tells all findings.
@@ -12,48 +13,64 @@ pub fn check(path: &Path) -> Result<Vec<Finding>, CliError> {
     let mut reader = PbstreamReader::open(path).map_err(|error| CliError::in_file(path, error))?;
     let finding = |found: portolan_mapfile::Finding| {
         let (effect, advice) = consequences(found.kind);
-        let what = match (found.message, found.offset) {
-            (Some(message), Some(offset)) => format!("message {message} at byte {offset}: {}", found.text),
-            _ => found.text,
+        let about = match (found.message, found.offset) {
+            (Some(message), Some(offset)) => format!("message {message} at byte {offset}"),
+            _ => String::new(),
         };
         let severity = match found.severity {
             MapSeverity::Warning => Severity::Warning,
             MapSeverity::Error => Severity::Error,
         };
-        Finding { severity, what, count: 1, effect, advice }
+        Finding {
+            severity,
+            about,
+            what: found.text,
+            count: 1,
+            effect: effect.to_owned(),
+            advice: advice.to_owned(),
+            repair: found.kind.repair(),
+        }
     };
     Ok(validate(&mut reader).into_iter().map(finding).collect())
 }
 
 /// What follows from a finding, and what to do.
 fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
-    const AGAIN: &str = "take an undamaged copy of the file, or map the recording again";
+    const AGAIN: &str = "take an undamaged copy of the file if there is one, else `portolan repair`";
     match kind {
         FindingKind::Damage => ("what cannot be read is lost; other programs stop here", AGAIN),
         FindingKind::Header => ("no program can tell how to read the file", AGAIN),
-        FindingKind::Order => ("Cartographer refuses the map or ignores the message", AGAIN),
+        FindingKind::Order => ("Cartographer refuses the map or ignores the message", "`portolan repair`"),
         FindingKind::UnknownMessage => (
             "the message is left out when the map is read",
             "nothing, unless a newer program wrote something that you need",
         ),
-        FindingKind::Options => {
-            ("options are missing or belong to no trajectory; Cartographer refuses the map", AGAIN)
+        FindingKind::Options => (
+            "options are missing or belong to no trajectory; Cartographer refuses the map",
+            "`portolan repair`",
+        ),
+        FindingKind::DuplicateId => {
+            ("only one of the parts with the same id can be used", "`portolan repair`")
         }
-        FindingKind::DuplicateId => ("only one of the parts with the same id can be used", AGAIN),
-        FindingKind::MissingPart => ("the part is missing in pictures, and cannot be matched against", AGAIN),
-        FindingKind::Pose => ("what hangs on the pose cannot be placed in the map", AGAIN),
+        FindingKind::MissingPart => {
+            ("the part is missing in pictures, and cannot be matched against", "`portolan repair`")
+        }
+        FindingKind::Pose => ("what hangs on the pose cannot be placed in the map", "`portolan repair`"),
         FindingKind::Constraint => (
             "optimisation leaves the constraint out, or pulls the map out of shape",
-            "optimise again without it: map the recording again",
+            "`portolan repair`, then `portolan optimize`",
         ),
         FindingKind::Grid => ("the submap has no picture and cannot be matched against", AGAIN),
         FindingKind::PointCloud => {
             ("the node cannot be matched again, and is missing in point clouds", AGAIN)
         }
-        FindingKind::Histogram => ("loops through this node or submap are not found in space", AGAIN),
+        FindingKind::Histogram => (
+            "loops through this node or submap are not found in space",
+            "`portolan migrate` makes histograms",
+        ),
         FindingKind::Time => (
             "interpolation between these times is wrong",
-            "check the stamps of the recording with `portolan check`, then map it again",
+            "check the stamps of the recording with `portolan check`; map it again or `portolan repair`",
         ),
     }
 }

@@ -12,7 +12,7 @@ use portolan_mapfile::{IdInFile, node_id, pose_from_proto, submap_id};
 use super::input::{nodes, read_pose_graph, trajectory_of};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{print, write_file};
+use crate::output::{print, print_json, write_file};
 use crate::progress::say;
 
 /// Make relations of the loop closures of a map, to compare other maps of the same recording with.
@@ -41,6 +41,9 @@ pub struct GenerateArgs {
     /// Write text, `time1 time2 x y z roll pitch yaw`, instead of Cartographer's binary form.
     #[arg(long)]
     text: bool,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
 }
 
 pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -59,11 +62,18 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         true => write_text_relations(&generated.relations, out),
         false => write_binary_relations(&generated.relations, out),
     })?;
-    print(&generated.summary())?;
+    if args.json {
+        let (relations, outliers) = (generated.relations.len(), generated.outliers);
+        let output = args.output.display().to_string();
+        print_json(&serde_json::json!({ "output": output, "relations": relations, "outliers": outliers }))?;
+    } else {
+        print(&generated.summary())?;
+    }
     Ok(Outcome::Done)
 }
 
-fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
+/// What relations are made from.
+pub fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
     let pose_graph = read_pose_graph(path)?;
     let submaps = &trajectory_of(path, &pose_graph, 0)?.submap;
     let map_from_submap = submaps.iter().map(|submap| {

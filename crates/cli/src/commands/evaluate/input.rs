@@ -134,7 +134,8 @@ pub fn read_relations_file(path: &Path) -> Result<Vec<Relation>, CliError> {
     read_relations(&read_bytes(path)?).map_err(|error: EvaluationError| CliError::in_file(path, error))
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>, CliError> {
+/// A whole file.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>, CliError> {
     std::fs::read(path).map_err(|source| CliError::File { path: path.to_owned(), source })
 }
 

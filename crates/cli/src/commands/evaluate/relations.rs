@@ -1,8 +1,9 @@
 //! `portolan evaluate relations`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use portolan_evaluation::{RelationReport, TimeBaseNotice, in_time_base, relation_errors};
+use portolan_evaluation::{RelationError, RelationReport, TimeBaseNotice, in_time_base, relation_errors};
+use portolan_export::{HistogramPanel, draw_histograms, write_picture};
 use serde::Serialize;
 
 use super::input::{TrajectorySource, read_relations_file};
@@ -22,7 +23,8 @@ const GOOD: f64 = 0.2;
 /// clock of the trajectory, with a notice.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan evaluate relations aces.pbstream aces.relations\n  \
-    portolan evaluate relations trajectory.tum aces.relations --csv errors.csv")]
+    portolan evaluate relations trajectory.tum aces.relations --csv errors.csv\n  \
+    portolan evaluate relations aces.pbstream aces.relations --histogram errors.png")]
 pub struct RelationsArgs {
     /// Map (.pbstream), or trajectory: TUM, KITTI poses, or a table with a line of names.
     #[arg(value_name = "MAP_OR_TRAJECTORY")]
@@ -32,6 +34,9 @@ pub struct RelationsArgs {
     /// Also write the error of each relation as a table.
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
+    /// Also draw how the errors are distributed.
+    #[arg(long, value_name = "FILE.png")]
+    histogram: Option<PathBuf>,
     /// Which trajectory of a map.
     #[arg(long, value_name = "ID", default_value_t = 0)]
     trajectory: i32,
@@ -67,6 +72,9 @@ pub fn run(args: &RelationsArgs, global: &GlobalArgs) -> Result<Outcome, CliErro
     if let Some(path) = &args.csv {
         write_file(path, |out| report.write_csv(out))?;
     }
+    if let Some(path) = &args.histogram {
+        draw(&report, path)?;
+    }
     if !global.quiet {
         remark(&report, notice.as_ref());
     }
@@ -78,6 +86,20 @@ pub fn run(args: &RelationsArgs, global: &GlobalArgs) -> Result<Outcome, CliErro
         print(&format!("Result:\n{report}"))?;
     }
     Ok(Outcome::Done)
+}
+
+/// Both kinds of errors, one below the other.
+fn draw(report: &RelationReport, path: &Path) -> Result<(), CliError> {
+    let values = |of: fn(&RelationError) -> f64| report.errors.iter().map(of).collect::<Vec<f64>>();
+    let (translation, rotation) = (values(|e| e.translation), values(|e| e.rotation_degrees));
+    let panels = [
+        HistogramPanel { title: "translational error, m", values: &translation },
+        HistogramPanel { title: "rotational error, deg", values: &rotation },
+    ];
+    match draw_histograms(&panels) {
+        Some(picture) => Ok(write_picture(path, &picture)?),
+        None => Ok(()),
+    }
 }
 
 fn remark(report: &RelationReport, notice: Option<&TimeBaseNotice>) {

@@ -4,11 +4,15 @@ use portolan_geometry::Time;
 
 /// Date and time of day, UTC, to the second: `2023-11-14 22:13:20`.
 pub fn utc(time: Time) -> String {
-    let seconds = time.unix_seconds().floor() as i64;
+    let [year, month, day, hour, minute, second] = utc_parts(time.unix_seconds().floor() as i64);
+    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}")
+}
+
+/// Year, month, day, hour, minute and second, UTC, of Unix seconds.
+pub fn utc_parts(seconds: i64) -> [i64; 6] {
     let (day, second) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
     let (year, month, day) = civil(day);
-    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
-    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}")
+    [year, month, day, second / 3600, second / 60 % 60, second % 60]
 }
 
 /// Year, month and day of a number of days since 1970-01-01 in the Gregorian calendar, by eras of 400 years
@@ -43,20 +47,6 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Lines of columns that are padded to the same width; the last column is not padded.
-pub fn table(rows: &[Vec<String>]) -> String {
-    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let width = |column: usize| {
-        rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0)
-    };
-    let widths: Vec<usize> = (0..columns).map(width).collect();
-    let line = |row: &Vec<String>| {
-        let cells = row.iter().zip(&widths).map(|(cell, width)| format!("{cell:<width$}"));
-        format!("  {}\n", cells.collect::<Vec<_>>().join("  ").trim_end())
-    };
-    rows.iter().map(line).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -74,9 +64,5 @@ mod tests {
     fn numbers_are_short() {
         assert_eq!([size(999), size(12_345), size(5_100_000)], ["999 bytes", "12.3 kB", "5.1 MB"]);
         assert_eq!([duration(83.24), duration(725.0)], ["83.2 s", "12 min 5 s"]);
-        assert_eq!(
-            table(&[vec!["a".into(), "b".into()], vec!["cc".into(), "d".into()]]),
-            "  a   b\n  cc  d\n"
-        );
     }
 }

@@ -1,16 +1,36 @@
 //! What is simulated, from the command line.
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use portolan_simulator::ScenarioOptions;
-use portolan_simulator::sensors::Fault;
+use portolan_simulator::sensors::{
+    BeamTable, Fault, GnssOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
+};
 use portolan_simulator::world::Scene;
+use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, motion::Carrier};
+
+/// A kind of surroundings, in the plane or in space.
+#[derive(Clone, Copy, Debug)]
+pub enum AnyScene {
+    /// A floor that a robot with a planar lidar drives on.
+    Plane(Scene),
+    /// A world that one walks or drives through with spinning lidars.
+    Space(Scene3d),
+}
+
+/// What is simulated.
+pub enum AnyScenario {
+    /// In the plane.
+    Plane(Box<ScenarioOptions>),
+    /// In space.
+    Space(Box<Scenario3dOptions>),
+}
 
 /// The building, the walk, the sensors and what goes wrong with them.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ScenarioArgs {
-    /// Kind of building.
+    /// Kind of surroundings: office, corridors, hall and warehouse are floors for a robot with a planar
+    /// lidar; museum (storeys, stairs, garden), garage (decks and ramps) and park are in 3D.
     #[arg(default_value = "office", value_name = "SCENARIO", value_parser = scene_parser())]
-    scene: Scene,
+    scene: AnyScene,
     /// Building, walk, people and noise follow from it.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -29,31 +49,62 @@ pub struct ScenarioArgs {
     /// How many people walk about. Default: what suits the building.
     #[arg(long, help_heading = "Building", value_name = "N")]
     people: Option<usize>,
-    /// Share of doors that are closed, 0 to 1.
-    #[arg(long, help_heading = "Building", value_name = "SHARE", default_value_t = 0.2)]
-    closed_doors: f64,
+    /// Share of doors that are closed, 0 to 1. Default 0.2. Planar scenarios only.
+    #[arg(long, help_heading = "Building", value_name = "SHARE")]
+    closed_doors: Option<f64>,
+    /// Storeys or decks, 1 to 6. Default 3. 3D scenarios only.
+    #[arg(long, help_heading = "Building", value_name = "N")]
+    storeys: Option<usize>,
     /// How much furniture stands about: 0 none, 1 as usual, at most 3.
     #[arg(long, help_heading = "Building", value_name = "FACTOR", default_value_t = 1.0)]
     clutter: f64,
     /// Share of larger rooms with a glass front, 0 to 1.
     #[arg(long, help_heading = "Building", value_name = "SHARE", default_value_t = 0.35)]
     glass: f64,
-    /// Speed of the robot, m/s.
-    #[arg(long, help_heading = "Robot and sensors", value_name = "M/S", default_value_t = 0.8)]
-    speed: f64,
-    /// Scans per second.
-    #[arg(long, help_heading = "Robot and sensors", value_name = "HZ", default_value_t = 10.0)]
-    scan_rate: f64,
-    /// Beams of a scan.
-    #[arg(long, help_heading = "Robot and sensors", value_name = "N", default_value_t = 360)]
-    beams: usize,
-    /// Angle that a scan covers, degrees.
-    #[arg(long, help_heading = "Robot and sensors", value_name = "DEGREES", default_value_t = 360.0)]
-    field_of_view: f64,
-    /// Range of the lidar, metres.
-    #[arg(long, help_heading = "Robot and sensors", value_name = "METRES", default_value_t = 12.0)]
-    range: f64,
-    /// Record no wheel odometry.
+    /// Speed, m/s. Default 0.8, in 3D 1.2.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "M/S")]
+    speed: Option<f64>,
+    /// Scans or turns per second. Default 10.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "HZ")]
+    scan_rate: Option<f64>,
+    /// Beams of a scan, in 3D firings of a turn. Default 360, in 3D what the lidar has.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "N")]
+    beams: Option<usize>,
+    /// Angle that a scan covers, degrees. Default 360. Planar scenarios only.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "DEGREES")]
+    field_of_view: Option<f64>,
+    /// Range of the lidar, metres. Default 12, in 3D what the lidar has.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "METRES")]
+    range: Option<f64>,
+    /// Number of spinning lidars, at most 8; every second one spins about a horizontal axis. Default 1.
+    /// 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "N")]
+    lidars: Option<usize>,
+    /// Kind of spinning lidar: vlp16, vlp32, hdl64, os1-16, os1-64, os0-128, xt32, or
+    /// LOW:HIGH:BEAMS[:COLUMNS[:RANGE]] with angles in degrees. Default vlp16. 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "MODEL")]
+    lidar: Option<BeamTable>,
+    /// Leave the times of points out. 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors")]
+    no_point_times: bool,
+    /// What carries the sensors: walker or wheels. Default: walker in the museum, else wheels. 3D
+    /// scenarios only.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "WHO", value_parser = carrier_parser())]
+    carrier: Option<Carrier>,
+    /// Stand still all the time (with --seconds or --minutes). 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors")]
+    standing: bool,
+    /// Record landmarks on the walls. 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors")]
+    landmarks: bool,
+    /// Record no satellite fixes. 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors")]
+    no_gnss: bool,
+    /// From, to in seconds since the start: no satellite fix there, `30:60`; may be given several times.
+    /// 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "FROM:TO", value_parser = parse_span)]
+    gnss_outage: Vec<[f64; 2]>,
+    /// Record no wheel odometry (in 3D there is none where one walks).
     #[arg(long, help_heading = "Robot and sensors")]
     no_odometry: bool,
     /// Record no IMU.
@@ -70,23 +121,64 @@ pub struct ScenarioArgs {
 }
 
 impl ScenarioArgs {
-    /// The options of the simulator; it checks the values.
-    pub fn options(&self) -> ScenarioOptions {
-        let mut options = ScenarioOptions::new(self.scene, self.seed);
+    /// The options of the simulator, which checks the values; an error names an option that means
+    /// nothing in this scenario.
+    pub fn scenario(&self) -> Result<AnyScenario, String> {
+        let misplaced = match self.scene {
+            AnyScene::Plane(_) => self.only_in_space(),
+            AnyScene::Space(_) => self.only_in_plane(),
+        };
+        if let Some(option) = misplaced {
+            let kind = if matches!(self.scene, AnyScene::Plane(_)) { "3D" } else { "planar" };
+            return Err(format!("--{option} is for {kind} scenarios only"));
+        }
+        Ok(match self.scene {
+            AnyScene::Plane(scene) => AnyScenario::Plane(Box::new(self.plane(scene))),
+            AnyScene::Space(scene) => AnyScenario::Space(Box::new(self.space(scene))),
+        })
+    }
+
+    fn only_in_space(&self) -> Option<&'static str> {
+        let given = [
+            ("storeys", self.storeys.is_some()),
+            ("lidars", self.lidars.is_some()),
+            ("lidar", self.lidar.is_some()),
+            ("no-point-times", self.no_point_times),
+            ("carrier", self.carrier.is_some()),
+            ("standing", self.standing),
+            ("landmarks", self.landmarks),
+            ("no-gnss", self.no_gnss),
+            ("gnss-outage", !self.gnss_outage.is_empty()),
+        ];
+        given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
+    }
+
+    fn only_in_plane(&self) -> Option<&'static str> {
+        let given =
+            [("closed-doors", self.closed_doors.is_some()), ("field-of-view", self.field_of_view.is_some())];
+        given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
+    }
+
+    fn duration(&self) -> Option<f64> {
+        self.seconds.or(self.minutes.map(|minutes| 60.0 * minutes))
+    }
+
+    fn plane(&self, scene: Scene) -> ScenarioOptions {
+        let mut options = ScenarioOptions::new(scene, self.seed);
         options.building_seed = self.building_seed;
-        options.duration = self.seconds.or(self.minutes.map(|minutes| 60.0 * minutes));
+        options.duration = self.duration();
         options.size = self.size;
         options.people = self.people;
-        options.closed_doors = self.closed_doors;
+        options.closed_doors = self.closed_doors.unwrap_or(options.closed_doors);
         options.clutter = self.clutter;
         options.glass = self.glass;
-        options.motion.speed = self.speed;
+        options.motion.speed = self.speed.unwrap_or(options.motion.speed);
         options.faults.clone_from(&self.fault);
         for lidar in &mut options.lidars {
-            lidar.rate = self.scan_rate;
-            lidar.beams = self.beams;
-            lidar.field_of_view = self.field_of_view.to_radians();
-            lidar.range_max = self.range;
+            lidar.rate = self.scan_rate.unwrap_or(lidar.rate);
+            lidar.beams = self.beams.unwrap_or(lidar.beams);
+            lidar.field_of_view = self.field_of_view.map_or(lidar.field_of_view, f64::to_radians);
+            lidar.range_max = self.range.unwrap_or(lidar.range_max);
         }
         if self.no_odometry {
             options.odometry = None;
@@ -96,15 +188,68 @@ impl ScenarioArgs {
         }
         if self.exact { options.without_noise() } else { options }
     }
+
+    fn space(&self, scene: Scene3d) -> Scenario3dOptions {
+        let mut options = Scenario3dOptions::new(scene, self.seed, self.lidars.unwrap_or(1).min(9));
+        options.building_seed = self.building_seed;
+        options.duration = self.duration();
+        options.size = self.size;
+        options.storeys = self.storeys;
+        options.people = self.people;
+        options.clutter = self.clutter;
+        options.glass = self.glass;
+        options.carrier = self.carrier;
+        options.standing = self.standing;
+        options.speed = self.speed.unwrap_or(options.speed);
+        options.faults.clone_from(&self.fault);
+        options.lidars.iter_mut().for_each(|lidar| self.set_up(lidar));
+        options.gnss = (!self.no_gnss)
+            .then(|| GnssOptions { outages: self.gnss_outage.clone(), ..GnssOptions::default() });
+        options.landmarks = self.landmarks.then(LandmarkOptions::default);
+        if options.carrier() == Carrier::Wheels && !self.no_odometry {
+            options.odometry = Some(OdometryOptions::default());
+        }
+        if self.no_imu {
+            options.imu = None;
+        }
+        if self.exact { options.without_noise() } else { options }
+    }
+
+    fn set_up(&self, lidar: &mut SpinningLidarOptions) {
+        if let Some(model) = &self.lidar {
+            lidar.beams.clone_from(model);
+        }
+        lidar.rate = self.scan_rate.unwrap_or(lidar.rate);
+        lidar.beams.columns = self.beams.unwrap_or(lidar.beams.columns);
+        lidar.beams.range_max = self.range.unwrap_or(lidar.beams.range_max);
+        lidar.point_times = !self.no_point_times;
+    }
 }
 
-fn scene_parser() -> impl TypedValueParser<Value = Scene> {
-    PossibleValuesParser::new(Scene::ALL.map(Scene::name)).try_map(|name| name.parse::<Scene>())
+fn scene_parser() -> impl TypedValueParser<Value = AnyScene> {
+    let names = Scene::ALL.map(Scene::name).into_iter().chain(Scene3d::ALL.map(Scene3d::name));
+    PossibleValuesParser::new(names).try_map(|name| {
+        name.parse::<Scene3d>().map(AnyScene::Space).or_else(|_| name.parse::<Scene>().map(AnyScene::Plane))
+    })
+}
+
+fn carrier_parser() -> impl TypedValueParser<Value = Carrier> {
+    PossibleValuesParser::new(["walker", "wheels"])
+        .map(|name| if name == "walker" { Carrier::Walker } else { Carrier::Wheels })
 }
 
 fn parse_size(text: &str) -> Result<[f64; 2], String> {
-    let parsed = text
-        .split_once(['x', 'X'])
-        .and_then(|(width, height)| Some([width.trim().parse().ok()?, height.trim().parse().ok()?]));
-    parsed.ok_or_else(|| format!("{text} is no size; write width and height in metres, as 40x25"))
+    parse_pair(text, &['x', 'X'])
+        .ok_or_else(|| format!("{text} is no size; write width and height in metres, as 40x25"))
+}
+
+fn parse_span(text: &str) -> Result<[f64; 2], String> {
+    parse_pair(text, &[':'])
+        .filter(|[from, to]| from < to)
+        .ok_or_else(|| format!("{text} is no span of time; write from and to in seconds, as 30:60"))
+}
+
+fn parse_pair(text: &str, separators: &[char]) -> Option<[f64; 2]> {
+    let (first, second) = text.split_once(separators)?;
+    Some([first.trim().parse().ok()?, second.trim().parse().ok()?])
 }

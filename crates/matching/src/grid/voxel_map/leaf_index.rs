@@ -12,7 +12,7 @@ pub(super) const MAX_LEAVES: usize = (1 << LEAF_BITS) - 1;
 /// From keys of blocks (36 bits) to numbers of leaves. Open addressing with linear probing; at most two
 /// thirds full, grown by half so that little memory is idle.
 #[derive(Clone, Debug)]
-pub(super) struct LeafIndex {
+pub(crate) struct LeafIndex {
     slots: Vec<u64>,
     len: usize,
 }

@@ -69,3 +69,17 @@ fn cells_have_bounds_and_the_extent_doubles() {
         assert!(map.entry(cell).is_none() && map.get(cell).is_none());
     }
 }
+
+#[test]
+fn boxes_have_the_cells_in_them() {
+    let cells = random_cells(6, 20_000, 20.0);
+    let map = filled(&cells);
+    for (first, last) in [([-7, 3, -20], [9, 5, 1]), ([-30; 3], [30; 3]), ([-60; 3], [0, 0, -1])] {
+        let mut found = BTreeMap::new();
+        map.for_each_in_box(first, last, |cell, value| assert_eq!(found.insert(cell, value), None));
+        let is_inside = |cell: &VoxelIndex| (0..3).all(|a| first[a] <= cell[a] && cell[a] <= last[a]);
+        let expected: BTreeMap<_, _> =
+            cells.iter().filter(|(c, _)| is_inside(c)).map(|(c, v)| (*c, *v)).collect();
+        assert_eq!(found, expected);
+    }
+}

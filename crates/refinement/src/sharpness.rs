@@ -5,12 +5,11 @@ use std::fmt;
 
 use nalgebra::Matrix3;
 use portolan_geometry::Vector3;
-use portolan_refinement::Moments;
-use portolan_refinement::neighbours::KdTree;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::sample;
+use crate::Moments;
+use crate::neighbours::KdTree;
 
 /// What sharpness is measured with. Values can only be compared between clouds of equal density measured
 /// with equal options.
@@ -51,15 +50,33 @@ pub struct Sharpness {
     pub options: SharpnessOptions,
 }
 
+/// So many of `count` indices, spread evenly and not in step with any regular order of the points; ascending.
+/// The same every time.
+pub fn spread_sample(count: usize, wanted: usize) -> Vec<u32> {
+    if count <= wanted {
+        return (0..count as u32).collect();
+    }
+    // One index out of each of `wanted` equal parts, at a place within it that a fixed generator chooses.
+    let mut state = 0x2545_f491_4f6c_dd1du64;
+    let part = count as f64 / wanted as f64;
+    (0..wanted)
+        .map(|i| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let within = (state >> 11) as f64 / (1u64 << 53) as f64;
+            (((i as f64 + within) * part) as usize).min(count - 1) as u32
+        })
+        .collect()
+}
+
 /// Measures how sharp a cloud is (metres, any frame); none if no neighbourhood has enough points.
 pub fn sharpness(points: &[[f64; 3]], options: SharpnessOptions) -> Option<Sharpness> {
     let origin = *points.first()?;
-    let chosen = sample(points.len(), options.max_points);
+    let chosen = spread_sample(points.len(), options.max_points);
     // Relative to one of the points, so that single precision is enough for the search.
     let near: Vec<[f32; 3]> =
         chosen.iter().map(|i| std::array::from_fn(|k| (points[*i as usize][k] - origin[k]) as f32)).collect();
     let tree = KdTree::new(&near);
-    let queries = sample(near.len(), options.queries);
+    let queries = spread_sample(near.len(), options.queries);
     let entropies: Vec<Option<(f64, f64, f64)>> = queries
         .par_iter()
         .map(|i| {
@@ -142,5 +159,13 @@ mod tests {
         // The variance of a uniform distribution is width²/12; single precision relative to a point is enough.
         assert!((blurred.mean_plane_variance / (0.05 * 0.05 / 12.0) - 1.0).abs() < 0.1);
         assert!(sharpness(&[[0.0; 3]], SharpnessOptions::default()).is_none());
+    }
+
+    #[test]
+    fn samples_are_spread_and_distinct() {
+        let chosen = spread_sample(1000, 100);
+        assert_eq!(chosen.len(), 100);
+        assert!(chosen.windows(2).all(|w| w[0] < w[1]) && chosen[0] < 10 && chosen[99] >= 990);
+        assert_eq!(spread_sample(3, 10), [0, 1, 2]);
     }
 }

@@ -1,0 +1,115 @@
+//! `cartographer_rosbag_validate` and `cartographer_dev_trajectory_comparison`.
+
+use std::path::PathBuf;
+
+use portolan_geometry::{Rigid3, Time, rotation_angle};
+use portolan_recording::{IngestOptions, Message, Severity, TfInput, TfTree, check, findings_to_text, open};
+
+use super::Flags;
+use super::flags::Known;
+use super::log;
+use crate::GlobalArgs;
+use crate::commands::evaluate::input::{nodes, read_pose_graph};
+use crate::error::{CliError, Outcome};
+use crate::output::print;
+
+/// What is wrong with a bag.
+pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+    let flags = Flags::parse(
+        arguments,
+        &Known {
+            values: &[("bag_filename", "")],
+            switches: &[("dump_timing", false)],
+            usage: "usage: cartographer_rosbag_validate -bag_filename BAG",
+        },
+    )?;
+    if flags.is_on("dump_timing") {
+        log::warning("-dump_timing is not offered; the histograms below tell the intervals");
+    }
+    let recording = open(&flags.path("bag_filename")?)?;
+    let report = check(recording.as_ref(), &IngestOptions::default(), &mut |_| {})?;
+    print(&findings_to_text(&report.findings))?;
+    report.histograms.iter().for_each(|text| log::info(text));
+    match report.findings.iter().any(|f| f.severity == Severity::Error) {
+        true => Err(CliError::Failed("the bag has errors".to_owned())),
+        false => Ok(Outcome::Done),
+    }
+}
+
+/// Distances between the last trajectory of a map and the transforms of a bag.
+pub fn compare(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+    let flags = Flags::parse(
+        arguments,
+        &Known {
+            values: &[
+                ("bag_filename", ""),
+                ("tf_parent_frame", "map"),
+                ("tf_child_frame", "base_link"),
+                ("pbstream_filename", ""),
+            ],
+            switches: &[],
+            usage: "usage: cartographer_dev_trajectory_comparison -bag_filename BAG -pbstream_filename MAP",
+        },
+    )?;
+    let map = flags.path("pbstream_filename")?;
+    let graph = read_pose_graph(&map)?;
+    let last = graph.trajectory.last().map_or(0, |t| t.trajectory_id);
+    let trajectory = portolan_evaluation::Trajectory::new(nodes(&map, &graph, last)?).0;
+    let poses = tf_poses(&flags.path("bag_filename")?, &flags)?;
+    if poses.is_empty() {
+        return Err(CliError::Failed("the bag has no such transforms".to_owned()));
+    }
+    let errors: Vec<(f64, f64)> = poses
+        .iter()
+        .map(|(time, pose)| match trajectory.lookup(*time) {
+            Some(found) => {
+                let error = found.inverse() * pose;
+                (error.translation.vector.norm(), rotation_angle(&error))
+            }
+            None => (f64::MAX, f64::MAX),
+        })
+        .collect();
+    let translations = errors.iter().map(|e| e.0).collect();
+    let rotations = errors.iter().map(|e| e.1).collect();
+    print(&format!(
+        "Distribution of translation difference:\n{}Distribution of rotation difference:\n{}",
+        deciles(translations),
+        deciles(rotations)
+    ))?;
+    for limit in [1.0, 0.1, 0.05, 0.01] {
+        let share = errors.iter().filter(|e| e.0 < limit).count() as f64 / errors.len() as f64;
+        print(&format!("Fraction of translation difference smaller than {limit} m: {share}"))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn deciles(mut values: Vec<f64>) -> String {
+    values.sort_by(f64::total_cmp);
+    let at = |p: usize| values.get(p * values.len().saturating_sub(1) / 10).copied().unwrap_or(f64::NAN);
+    (0..=10).map(|p| format!("  {}%: {}\n", 10 * p, at(p))).collect()
+}
+
+/// The pose of the child frame at each stamp of a transform to it.
+fn tf_poses(path: &PathBuf, flags: &Flags) -> Result<Vec<(Time, Rigid3)>, CliError> {
+    let (parent, child) = (flags.value("tf_parent_frame"), flags.value("tf_child_frame"));
+    let recording = open(path)?;
+    let (mut tree, mut input) = (TfTree::new(), TfInput::new(""));
+    let mut stamps = Vec::new();
+    let mut reader = recording.read(&|_| true)?;
+    while let Some(recorded) = reader.next_message()? {
+        if let Message::Tf(message) = &recorded.message {
+            stamps.extend(
+                message
+                    .transforms
+                    .iter()
+                    .filter(|t| t.child_frame_id.as_ref() == child)
+                    .map(|t| t.header.stamp),
+            );
+            input.insert(&mut tree, message);
+        }
+    }
+    stamps.sort_unstable();
+    stamps.dedup();
+    let looked_up = stamps.into_iter().filter_map(|t| Some((t, tree.lookup(parent, child, t).ok()?)));
+    Ok(looked_up.collect())
+}

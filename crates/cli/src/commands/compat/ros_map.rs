@@ -1,0 +1,36 @@
+//! `cartographer_pbstream_to_ros_map`.
+
+use std::path::Path;
+
+use portolan_mapfile::{ImageName, MapReader, PaintOptions, load_textures, paint, write_ros_map};
+
+use super::Flags;
+use super::flags::Known;
+use super::log;
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+
+pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+    let flags = Flags::parse(
+        arguments,
+        &Known {
+            values: &[("pbstream_filename", ""), ("map_filestem", "map"), ("resolution", "0.05")],
+            switches: &[],
+            usage: "usage: cartographer_pbstream_to_ros_map -pbstream_filename MAP [-map_filestem map] \
+                    [-resolution 0.05]",
+        },
+    )?;
+    let map = flags.path("pbstream_filename")?;
+    let options = PaintOptions { resolution: flags.number("resolution")?, ..PaintOptions::default() };
+    log::info("Loading submap slices from serialized data.");
+    let failed = |error| CliError::in_file(&map, error);
+    let mut reader = MapReader::open(&map).map_err(failed)?;
+    let loaded = load_textures(&mut reader).map_err(failed)?;
+    for (id, reason) in &loaded.skipped {
+        log::warning(&format!("submap {},{} is not drawn: {reason}", id.0, id.1));
+    }
+    log::info("Generating combined map image from submap slices.");
+    let painted = paint(&loaded.textures, &options).map_err(|error| CliError::in_file(&map, error))?;
+    write_ros_map(Path::new(flags.value("map_filestem")), &painted, ImageName::AsOpened)?;
+    Ok(if loaded.skipped.is_empty() { Outcome::Done } else { Outcome::DataLost })
+}

@@ -1,0 +1,149 @@
+//! Branch and bound, the most promising box first; the same for planes and for space.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+/// Boxes of placements that can be bounded and split.
+pub(crate) trait Branching {
+    /// One placement of a scan. The order decides among boxes that promise the same.
+    type Placement: Copy + Ord;
+
+    /// Hands on all boxes of the search that may hold something better than `best`. Boxes of one placement
+    /// are offered to `best` instead.
+    fn roots(&mut self, best: &mut Best<Self::Placement>, hand_on: &mut dyn FnMut(Node<Self::Placement>));
+
+    /// Does the same with the parts of a box.
+    fn split(
+        &mut self,
+        node: &Node<Self::Placement>,
+        best: &mut Best<Self::Placement>,
+        hand_on: &mut dyn FnMut(Node<Self::Placement>),
+    );
+}
+
+/// The largest score so far and the placements that have it.
+#[derive(Clone, Debug)]
+pub(crate) struct Best<P> {
+    score: f32,
+    placements: Vec<P>,
+    /// How many boxes were split whose bound only equalled the best score.
+    tied_boxes: u32,
+    max_ties: usize,
+}
+
+/// After this many boxes whose bound only equals the best score, equal placements are no longer looked
+/// for: on a plateau there would be no end of them.
+const MAX_TIED_BOXES: u32 = 1 << 16;
+/// After this many equal placements no more are collected.
+const MAX_TIES: usize = 1 << 16;
+/// How many boxes may wait at the same time: some 30 MB.
+const MAX_WAITING: usize = 1 << 20;
+
+impl<P: Copy + Ord> Best<P> {
+    /// Nothing yet; only scores above `min_score` count, and all placements with the best one are wanted.
+    pub fn above(min_score: f32) -> Self {
+        Self { score: min_score, placements: Vec::new(), tied_boxes: 0, max_ties: MAX_TIES }
+    }
+
+    /// Nothing yet; only scores above `min_score` count, and one placement with the best one is enough.
+    pub fn single_above(min_score: f32) -> Self {
+        Self { max_ties: 1, ..Self::above(min_score) }
+    }
+
+    /// Whether something with this bound may still change the result.
+    #[inline]
+    pub fn is_promising(&self, bound: f32) -> bool {
+        bound > self.score || (bound == self.score && self.collects_ties())
+    }
+
+    fn collects_ties(&self) -> bool {
+        let collected = self.placements.len();
+        collected > 0 && self.tied_boxes < MAX_TIED_BOXES && collected < self.max_ties
+    }
+
+    /// Takes a placement into account.
+    pub fn offer(&mut self, placement: P, score: f32) {
+        if score > self.score {
+            self.score = score;
+            self.placements.clear();
+            self.tied_boxes = 0;
+            self.placements.push(placement);
+        } else if score == self.score && self.collects_ties() {
+            self.placements.push(placement);
+        }
+    }
+
+    /// The best score, and in their order the placements that have it.
+    pub fn finish(mut self) -> (f32, Vec<P>) {
+        self.placements.sort_unstable();
+        (self.score, self.placements)
+    }
+}
+
+/// A box that waits to be split. The greatest is split next: that with the largest bound, among equals
+/// the smallest box, then the first one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Node<P> {
+    /// No placement in the box scores more.
+    pub bound: f32,
+    /// The box is 2^this placements wide along each axis.
+    pub exponent: u32,
+    /// The first placement of the box.
+    pub first: P,
+}
+
+impl<P: Ord> Eq for Node<P> {}
+
+impl<P: Ord> Ord for Node<P> {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let by_bound = self.bound.total_cmp(&other.bound);
+        by_bound.then(other.exponent.cmp(&self.exponent)).then(other.first.cmp(&self.first))
+    }
+}
+
+impl<P: Ord> PartialOrd for Node<P> {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// Searches until nothing can change `best` any more. The best score and the placements that have it, in
+/// their order; none if none is better than what `best` started with.
+pub(crate) fn best_first<B: Branching>(
+    boxes: &mut B,
+    mut best: Best<B::Placement>,
+) -> (f32, Vec<B::Placement>) {
+    let mut waiting = BinaryHeap::new();
+    boxes.roots(&mut best, &mut |node| waiting.push(node));
+    while let Some(node) = waiting.pop()
+        && best.is_promising(node.bound)
+    {
+        split(boxes, &node, &mut best, &mut waiting);
+    }
+    best.finish()
+}
+
+/// Splits a box. Its parts wait, too, unless very many do: then they are split at once, which finds the
+/// same but keeps memory in bounds.
+fn split<B: Branching>(
+    boxes: &mut B,
+    node: &Node<B::Placement>,
+    best: &mut Best<B::Placement>,
+    waiting: &mut BinaryHeap<Node<B::Placement>>,
+) {
+    if node.bound == best.score {
+        best.tied_boxes += 1;
+    }
+    if waiting.len() < MAX_WAITING {
+        boxes.split(node, best, &mut |part| waiting.push(part));
+        return;
+    }
+    let mut parts = Vec::new();
+    boxes.split(node, best, &mut |part| parts.push(part));
+    parts.sort_unstable();
+    for part in parts.iter().rev() {
+        if best.is_promising(part.bound) {
+            split(boxes, part, best, waiting);
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! Which times a trajectory covers, and which points lie in them.
+
+use portolan_geometry::{Rigid3, Time};
+
+use crate::point_store::StoredPoint;
+
+/// Interpolation over more than this many usual intervals between poses is not trusted …
+const INTERVALS: f64 = 5.0;
+/// … if it is also longer than this, seconds.
+const SECONDS: f64 = 0.5;
+
+/// Points of a recording in the time of a trajectory.
+#[derive(Clone, Copy)]
+pub(crate) struct TimedPoints<'a> {
+    /// In order of time.
+    pub points: &'a [StoredPoint],
+    /// Added to a point's seconds to get those of the trajectory.
+    pub offset: f64,
+}
+
+impl<'a> TimedPoints<'a> {
+    pub fn seconds(&self, point: &StoredPoint) -> f64 {
+        point.seconds() + self.offset
+    }
+
+    /// Points from a time up to (not at) another.
+    pub fn between(&self, [from, to]: [f64; 2]) -> &'a [StoredPoint] {
+        let start = self.points.partition_point(|p| self.seconds(p) < from);
+        let end = self.points.partition_point(|p| self.seconds(p) < to);
+        &self.points[start..end]
+    }
+}
+
+/// Stretches of time without gaps, in seconds since the first pose.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Coverage {
+    /// Ascending, disjoint.
+    pub intervals: Vec<[f64; 2]>,
+    /// What lies between them.
+    pub gaps: Vec<[f64; 2]>,
+}
+
+impl Coverage {
+    /// Looks for gaps in poses of ascending time.
+    pub fn of(poses: &[(Time, Rigid3)]) -> Self {
+        let Some(start) = poses.first().map(|p| p.0) else {
+            return Self { intervals: Vec::new(), gaps: Vec::new() };
+        };
+        let times: Vec<f64> = poses.iter().map(|p| p.0.seconds_since(start)).collect();
+        let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+        steps.sort_by(f64::total_cmp);
+        let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+        let limit = SECONDS.max(INTERVALS * usual);
+        let mut coverage = Self { intervals: Vec::new(), gaps: Vec::new() };
+        let mut from = 0.0;
+        for w in times.windows(2).filter(|w| w[1] - w[0] > limit) {
+            coverage.intervals.push([from, w[0]]);
+            coverage.gaps.push([w[0], w[1]]);
+            from = w[1];
+        }
+        coverage.intervals.push([from, times.last().copied().unwrap_or(0.0)]);
+        coverage.intervals.retain(|[from, to]| to > from);
+        coverage
+    }
+
+    /// Windows of about `seconds` seconds.
+    pub fn windows(&self, seconds: f64) -> Vec<[f64; 2]> {
+        let mut windows = Vec::new();
+        for [from, to] in &self.intervals {
+            let count = ((to - from) / seconds).ceil().max(1.0);
+            let length = (to - from) / count;
+            windows.extend(
+                (0..count as usize).map(|i| [from + i as f64 * length, from + (i + 1) as f64 * length]),
+            );
+        }
+        windows
+    }
+
+    /// How many points lie within.
+    pub fn count(&self, points: TimedPoints) -> usize {
+        self.intervals.iter().map(|interval| points.between(*interval).len()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_found_and_windows_do_not_span_them() {
+        let times = [0.0, 0.1, 0.2, 0.3, 5.0, 5.1, 5.2, 5.3, 5.4];
+        let poses: Vec<_> = times.map(|t| (Time::from_unix_seconds(t), Rigid3::identity())).to_vec();
+        let coverage = Coverage::of(&poses);
+        assert_eq!(coverage.gaps.len(), 1);
+        let windows = coverage.windows(0.2);
+        assert_eq!(windows.len(), 4);
+        assert!(windows.iter().all(|w| w[1] <= 0.31 || w[0] >= 4.99));
+        let point = |ticks| StoredPoint { in_tracking: [0.0; 3], ticks };
+        let points = [point(10_000), point(100_000), point(520_000), point(900_000)];
+        assert_eq!(coverage.count(TimedPoints { points: &points, offset: 0.0 }), 2);
+    }
+}

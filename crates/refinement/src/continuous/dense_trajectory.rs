@@ -1,0 +1,247 @@
+//! A trajectory as samples at equal steps of time: the input, and the input as corrected so far.
+//!
+//! What is optimised is a small increment, linear between knots in time, in world axes about the position of
+//! the tracking frame. Increments are composed onto the samples, so that stages with different knots add up
+//! without approximation, and whatever the input holds between knots (steps, vibration) is kept.
+
+use portolan_geometry::{
+    Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, interpolate, nalgebra as na,
+    quaternion_from_angle_axis,
+};
+
+use super::Knots;
+use crate::RefineError;
+
+/// Seconds between samples of recordings of up to forty minutes.
+const STEP: f64 = 0.005;
+/// Most samples.
+const MAX_SAMPLES: f64 = 500_000.0;
+
+/// A correction at one moment: `position += shift`, `rotation = turn · rotation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Correction {
+    /// Metres, in world axes.
+    pub shift: Vector3,
+    /// In world axes, about the position of the tracking frame.
+    pub turn: Quaternion,
+}
+
+/// Input and current trajectory. Seconds count from [`DenseTrajectory::start`].
+#[derive(Clone, Debug)]
+pub struct DenseTrajectory {
+    start: Time,
+    step: f64,
+    input: Vec<Rigid3>,
+    current: Vec<Rigid3>,
+}
+
+impl DenseTrajectory {
+    /// Samples poses (`world_from_tracking`, strictly ascending times), linear and spherical between them.
+    ///
+    /// # Errors
+    /// Fails for fewer than two poses.
+    pub fn new(poses: &[(Time, Rigid3)]) -> Result<Self, RefineError> {
+        let (Some(first), Some(last)) = (poses.first(), poses.last()) else {
+            return Err(RefineError::ShortTrajectory(poses.len()));
+        };
+        let duration = last.0.seconds_since(first.0);
+        if poses.len() < 2 || duration <= 0.0 {
+            return Err(RefineError::ShortTrajectory(poses.len()));
+        }
+        let step = STEP.max(duration / MAX_SAMPLES);
+        let count = (duration / step).ceil() as usize + 1;
+        let mut input = Vec::with_capacity(count);
+        let mut next = 1;
+        for i in 0..count {
+            let time = first.0 + portolan_geometry::Duration::from_seconds(i as f64 * step);
+            while next + 1 < poses.len() && poses[next].0 <= time {
+                next += 1;
+            }
+            let (a, b) = (&poses[next - 1], &poses[next]);
+            // The last sample may lie up to a step after the last pose; the motion must not go on there.
+            input.push(interpolate(a.0, &a.1, b.0, &b.1, time.min(last.0)));
+        }
+        Ok(Self { start: first.0, step, current: input.clone(), input })
+    }
+
+    /// Time of the first sample.
+    pub fn start(&self) -> Time {
+        self.start
+    }
+
+    /// Seconds from the first to the last sample.
+    pub fn duration(&self) -> f64 {
+        (self.input.len() - 1) as f64 * self.step
+    }
+
+    fn place(&self, seconds: f64) -> (usize, f64) {
+        let at = (seconds / self.step).clamp(0.0, (self.input.len() - 1) as f64);
+        let index = (at as usize).min(self.input.len() - 2);
+        (index, at - index as f64)
+    }
+
+    /// The current pose; clamped to the span.
+    pub fn pose(&self, seconds: f64) -> Rigid3 {
+        between(&self.current, self.place(seconds))
+    }
+
+    /// The pose of the input; clamped to the span.
+    pub fn input_pose(&self, seconds: f64) -> Rigid3 {
+        between(&self.input, self.place(seconds))
+    }
+
+    /// How the input is corrected at a time.
+    pub fn correction(&self, seconds: f64) -> Correction {
+        let (i, f) = self.place(seconds);
+        let turn = |i: usize| self.current[i].rotation * self.input[i].rotation.inverse();
+        let shift = |i: usize| self.current[i].translation.vector - self.input[i].translation.vector;
+        Correction {
+            shift: shift(i) * (1.0 - f) + shift(i + 1) * f,
+            turn: turn(i).try_slerp(&turn(i + 1), f, 1e-12).unwrap_or_else(|| turn(i)),
+        }
+    }
+
+    /// A pose of the input, of which nothing is lost, as corrected.
+    pub fn corrected(&self, time: Time, pose: &Rigid3) -> Rigid3 {
+        let correction = self.correction(time.seconds_since(self.start));
+        let mut rotation = correction.turn * pose.rotation;
+        rotation.renormalize();
+        Rigid3::from_parts(na::Translation3::from(pose.translation.vector + correction.shift), rotation)
+    }
+
+    /// Applies an increment: for each knot a shift (metres) and a turn (rotation vector).
+    pub fn apply(&mut self, knots: &Knots, increment: &[f64]) {
+        for (i, pose) in self.current.iter_mut().enumerate() {
+            let (knot, f) = knots.place(i as f64 * self.step);
+            let at = |k: usize| {
+                let (a, b) = (increment[6 * knot + k], increment[6 * knot + 6 + k]);
+                a + (b - a) * f
+            };
+            pose.translation.vector += Vector3::new(at(0), at(1), at(2));
+            let turn = Vector3::new(at(3), at(4), at(5));
+            pose.rotation = quaternion_from_angle_axis(&turn) * pose.rotation;
+            pose.rotation.renormalize();
+        }
+    }
+
+    /// Moves and turns the whole current trajectory as one body so that its first pose is again that of
+    /// the input: the gauge.
+    pub fn anchor_first_pose(&mut self) {
+        let change = self.input[0] * self.current[0].inverse();
+        for pose in &mut self.current {
+            *pose = change * *pose;
+        }
+    }
+
+    /// Takes back everything.
+    pub fn reset(&mut self) {
+        self.current.clone_from(&self.input);
+    }
+
+    /// Largest shift (metres) and turn (radians) of the current against the input trajectory.
+    pub fn largest_correction(&self) -> (f64, f64) {
+        self.input.iter().zip(&self.current).fold((0.0, 0.0), |(shift, turn), (a, b)| {
+            let s = (b.translation.vector - a.translation.vector).norm();
+            let t = angle_axis_from_quaternion(&(b.rotation * a.rotation.inverse())).norm();
+            (f64::max(shift, s), f64::max(turn, t))
+        })
+    }
+
+    /// The current poses as matrices, for many points.
+    pub fn matrices(&self) -> PoseMatrices {
+        let rows = |pose: &Rigid3| {
+            let r = pose.rotation.to_rotation_matrix();
+            let t = pose.translation.vector;
+            let r = r.matrix();
+            [
+                r.m11, r.m12, r.m13, t.x, //
+                r.m21, r.m22, r.m23, t.y, //
+                r.m31, r.m32, r.m33, t.z,
+            ]
+        };
+        PoseMatrices { step: self.step, rows: self.current.iter().map(rows).collect() }
+    }
+}
+
+fn between(poses: &[Rigid3], (i, f): (usize, f64)) -> Rigid3 {
+    let (a, b) = (&poses[i], &poses[i + 1]);
+    let rotation = a.rotation.try_slerp(&b.rotation, f, 1e-12).unwrap_or(a.rotation);
+    let translation = a.translation.vector * (1.0 - f) + b.translation.vector * f;
+    Rigid3::from_parts(na::Translation3::from(translation), rotation)
+}
+
+/// Poses at equal steps as 3×4 matrices, interpolated element by element: within 5 ms that is as good as
+/// on the sphere (a turn of 5 rad/s is off by less than 0.01 %).
+#[derive(Clone, Debug)]
+pub struct PoseMatrices {
+    step: f64,
+    rows: Vec<[f64; 12]>,
+}
+
+impl PoseMatrices {
+    /// The matrix at a time, row by row; clamped to the span.
+    #[inline]
+    pub fn at(&self, seconds: f64) -> [f64; 12] {
+        let at = (seconds / self.step).clamp(0.0, (self.rows.len() - 1) as f64);
+        let i = (at as usize).min(self.rows.len() - 2);
+        let f = at - i as f64;
+        let (a, b) = (&self.rows[i], &self.rows[i + 1]);
+        std::array::from_fn(|k| a[k] + (b[k] - a[k]) * f)
+    }
+
+    /// A point of the tracking frame at a time in the world.
+    #[inline]
+    pub fn to_world(&self, seconds: f64, in_tracking: [f32; 3]) -> [f64; 3] {
+        let m = self.at(seconds);
+        let [x, y, z] = in_tracking.map(f64::from);
+        [
+            m[0] * x + m[1] * y + m[2] * z + m[3],
+            m[4] * x + m[5] * y + m[6] * z + m[7],
+            m[8] * x + m[9] * y + m[10] * z + m[11],
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn poses() -> Vec<(Time, Rigid3)> {
+        (0..101)
+            .map(|i| {
+                let s = f64::from(i) * 0.02;
+                let pose = Rigid3::new(Vector3::new(s, (3.0 * s).sin(), 0.1), Vector3::new(0.1, s, 2.0 * s));
+                (Time::from_unix_seconds(1000.0 + s), pose)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn without_increments_the_input_comes_back() {
+        let trajectory = DenseTrajectory::new(&poses()).unwrap();
+        for (time, pose) in poses() {
+            let back = trajectory.corrected(time, &pose);
+            assert!((back.to_homogeneous() - pose.to_homogeneous()).norm() < 1e-12);
+            let p = trajectory.matrices().to_world(time.seconds_since(trajectory.start()), [1.0, 2.0, 3.0]);
+            let expected = pose * na::Point3::new(1.0, 2.0, 3.0);
+            assert!((Vector3::from(p) - expected.coords).norm() < 1e-5);
+        }
+        assert!(DenseTrajectory::new(&poses()[..1]).is_err());
+    }
+
+    #[test]
+    fn increments_turn_about_the_tracking_frame() {
+        let mut trajectory = DenseTrajectory::new(&poses()).unwrap();
+        let knots = Knots::new(trajectory.duration(), 0.5);
+        let increment: Vec<f64> = (0..knots.count()).flat_map(|_| [0.1, 0.0, 0.0, 0.0, 0.0, 0.3]).collect();
+        let before = trajectory.pose(0.7);
+        trajectory.apply(&knots, &increment);
+        let after = trajectory.pose(0.7);
+        let moved = after.translation.vector - before.translation.vector;
+        assert!((moved - Vector3::new(0.1, 0.0, 0.0)).norm() < 1e-9);
+        let turned = angle_axis_from_quaternion(&(after.rotation * before.rotation.inverse()));
+        assert!((turned - Vector3::new(0.0, 0.0, 0.3)).norm() < 1e-6);
+        trajectory.anchor_first_pose();
+        assert!((trajectory.pose(0.0).to_homogeneous() - poses()[0].1.to_homogeneous()).norm() < 1e-9);
+    }
+}

@@ -1,0 +1,285 @@
+//! The equations of a fine stage: clusters lie in planes whose offset and tilt are free.
+//!
+//! For a cluster j of plane p at time t: `e + n·τ(t) + ((x−c)×n)·φ(t) − (1, a, b)·π = 0`, with e its distance
+//! from the plane, c the position of the tracking frame, a and b its place along the plane, and π the
+//! change of the plane's offset and two tilts. The planes are eliminated: what is left is
+//! `S = Σ w JJᵀ − Σ_p (Σ w J q ᵀ)(Σ w q qᵀ)⁻¹(Σ w q Jᵀ)`, q = (1, a, b), whose products with vectors cost one pass
+//! over the clusters and which is never formed.
+
+use nalgebra::{Matrix3, Matrix6, Vector6};
+use portolan_geometry::Vector3;
+use rayon::prelude::*;
+
+use super::pairs::PlacedSurfel;
+use super::planes::PlaneGroups;
+use super::surfels::SurfelMap;
+use super::{DenseTrajectory, Knots};
+
+/// Residuals beyond this many standard deviations lose weight (Cauchy).
+const ROBUST: f64 = 2.0;
+/// Least standard deviation of a point across its surface, metres.
+const LEAST_DEVIATION: f64 = 0.005;
+/// Standard deviation of a cluster that more points do not make smaller, metres: surfaces are not planes.
+const UNEVENNESS: f64 = 0.003;
+/// Clusters are worked on in so many parts, whatever the number of threads.
+const PARTS: usize = 16;
+
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    lever: [f32; 3],
+    a: f32,
+    b: f32,
+    residual: f32,
+    weight: f32,
+    fraction: f32,
+    knot: u32,
+}
+
+#[derive(Clone, Debug)]
+struct Plane {
+    normal: Vector3,
+    rows: std::ops::Range<usize>,
+    /// Inverse of Σ w q qᵀ.
+    inverse: Matrix3<f64>,
+}
+
+/// The linearised plane terms at the current trajectory.
+pub(crate) struct PlaneEquations {
+    rows: Vec<Row>,
+    planes: Vec<Plane>,
+    parts: Vec<std::ops::Range<usize>>,
+    unknowns: usize,
+    /// Root of the weighted mean square distance of points from their planes, metres.
+    pub rms: f64,
+}
+
+impl PlaneEquations {
+    pub fn new(
+        map: &SurfelMap,
+        groups: &PlaneGroups,
+        placed: &[PlacedSurfel],
+        trajectory: &DenseTrajectory,
+        knots: &Knots,
+    ) -> Self {
+        let parts: Vec<PlaneRows> = groups
+            .planes
+            .par_iter()
+            .map(|range| plane_rows(map, &groups.surfels[range.clone()], placed, trajectory, knots))
+            .collect();
+        let mut equations = Self {
+            rows: Vec::new(),
+            planes: Vec::new(),
+            parts: Vec::new(),
+            unknowns: 6 * knots.count(),
+            rms: 0.0,
+        };
+        let (mut squares, mut weights) = (0.0, 0.0);
+        for part in parts.into_iter().filter(|p| p.rows.len() > 1) {
+            squares += part.squares;
+            weights += part.weights;
+            let start = equations.rows.len();
+            equations.rows.extend(part.rows);
+            let rows = start..equations.rows.len();
+            equations.planes.push(Plane { normal: part.normal, rows, inverse: part.inverse });
+        }
+        equations.rms = (squares / f64::max(weights, 1e-12)).sqrt();
+        equations.split();
+        equations
+    }
+
+    /// Parts of about equally many rows.
+    fn split(&mut self) {
+        let wanted = self.rows.len().div_ceil(PARTS).max(1);
+        let mut start = 0;
+        for (i, plane) in self.planes.iter().enumerate() {
+            let first = self.planes[start].rows.start;
+            if plane.rows.end - first >= wanted || i + 1 == self.planes.len() {
+                self.parts.push(start..i + 1);
+                start = i + 1;
+            }
+        }
+    }
+
+    /// Number of clusters in planes.
+    pub fn clusters(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// `y += S x`.
+    pub fn multiply(&self, x: &[f64], y: &mut [f64]) {
+        self.accumulate(y, |plane, row| along(plane, row, x));
+    }
+
+    /// `y += Σ w J (e − q π)`: the gradient, with the planes at their best.
+    pub fn gradient(&self, y: &mut [f64]) {
+        self.accumulate(y, |_, row| f64::from(row.residual));
+    }
+
+    fn accumulate(&self, y: &mut [f64], value: impl Fn(&Plane, &Row) -> f64 + Sync) {
+        let parts: Vec<Vec<f64>> = self
+            .parts
+            .par_iter()
+            .map(|part| {
+                let mut sum = vec![0.0; self.unknowns];
+                for plane in &self.planes[part.clone()] {
+                    let rows = &self.rows[plane.rows.clone()];
+                    let mut u = Vector3::zeros();
+                    for row in rows {
+                        u += q(row) * (f64::from(row.weight) * value(plane, row));
+                    }
+                    let change = plane.inverse * u;
+                    for row in rows {
+                        let scaled = f64::from(row.weight) * (value(plane, row) - q(row).dot(&change));
+                        let f = f64::from(row.fraction);
+                        let at = 6 * row.knot as usize;
+                        let jacobian = jacobian(plane, row);
+                        for k in 0..6 {
+                            sum[at + k] += scaled * (1.0 - f) * jacobian[k];
+                            sum[at + 6 + k] += scaled * f * jacobian[k];
+                        }
+                    }
+                }
+                sum
+            })
+            .collect();
+        for part in parts {
+            for (y, v) in y.iter_mut().zip(part) {
+                *y += v;
+            }
+        }
+    }
+
+    /// Σ w JJᵀ of the rows within each stretch of `seconds` seconds: what the surfaces seen then determine.
+    pub fn information(&self, knots: &Knots, seconds: f64) -> Vec<Matrix6<f64>> {
+        let last = knots.seconds(knots.count() - 1);
+        let mut sums = vec![Matrix6::zeros(); (last / seconds).ceil().max(1.0) as usize];
+        let count = sums.len();
+        for plane in &self.planes {
+            for row in &self.rows[plane.rows.clone()] {
+                let at = knots.seconds(row.knot as usize) + f64::from(row.fraction) * knots.spacing();
+                let j = Vector6::from(jacobian(plane, row));
+                sums[((at / seconds) as usize).min(count - 1)] += j * j.transpose() * f64::from(row.weight);
+            }
+        }
+        sums
+    }
+
+    /// Adds Σ w JJᵀ (without the planes) to the blocks of a block-tridiagonal matrix: diagonal blocks and those
+    /// below them, row-major 6×6.
+    pub fn add_blocks(&self, diagonal: &mut [[f64; 36]], below: &mut [[f64; 36]]) {
+        for plane in &self.planes {
+            for row in &self.rows[plane.rows.clone()] {
+                let (w, f) = (f64::from(row.weight), f64::from(row.fraction));
+                let (j, knot) = (jacobian(plane, row), row.knot as usize);
+                let (w00, w01, w11) = (w * (1.0 - f) * (1.0 - f), w * f * (1.0 - f), w * f * f);
+                for r in 0..6 {
+                    for c in 0..6 {
+                        let product = j[r] * j[c];
+                        diagonal[knot][6 * r + c] += w00 * product;
+                        diagonal[knot + 1][6 * r + c] += w11 * product;
+                        below[knot][6 * r + c] += w01 * product;
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn q(row: &Row) -> Vector3 {
+    Vector3::new(1.0, f64::from(row.a), f64::from(row.b))
+}
+
+fn jacobian(plane: &Plane, row: &Row) -> [f64; 6] {
+    let [x, y, z] = row.lever.map(f64::from);
+    [plane.normal.x, plane.normal.y, plane.normal.z, x, y, z]
+}
+
+#[inline]
+fn along(plane: &Plane, row: &Row, x: &[f64]) -> f64 {
+    let at = 6 * row.knot as usize;
+    let (from, to) = (&x[at..at + 6], &x[at + 6..at + 12]);
+    let f = f64::from(row.fraction);
+    let jacobian = jacobian(plane, row);
+    (0..6).map(|k| jacobian[k] * (from[k] + (to[k] - from[k]) * f)).sum()
+}
+
+struct PlaneRows {
+    rows: Vec<Row>,
+    normal: Vector3,
+    inverse: Matrix3<f64>,
+    squares: f64,
+    weights: f64,
+}
+
+/// Fits the plane to its clusters with robust weights, and linearises.
+fn plane_rows(
+    map: &SurfelMap,
+    surfels: &[u32],
+    placed: &[PlacedSurfel],
+    trajectory: &DenseTrajectory,
+    knots: &Knots,
+) -> PlaneRows {
+    let (mut normal, mut centre, mut variance, mut points) = (Vector3::zeros(), Vector3::zeros(), 0.0, 0.0);
+    for surfel in surfels.iter().map(|s| *s as usize) {
+        let count = map.surfels[surfel].count;
+        normal += placed[surfel].normal * count;
+        centre += placed[surfel].mean * count;
+        variance += map.surfels[surfel].variance * count;
+        points += count;
+    }
+    let normal = normal.normalize();
+    centre /= points;
+    let variance = (variance / points).max(LEAST_DEVIATION * LEAST_DEVIATION);
+    let u = if normal.x.abs() < 0.7 { normal.cross(&Vector3::x()) } else { normal.cross(&Vector3::y()) };
+    let u = u.normalize();
+    let v = normal.cross(&u);
+    let mut rows = Vec::new();
+    // The variance of a row, kept where its weight will be.
+    for surfel in surfels {
+        let surfel = &map.surfels[*surfel as usize];
+        let first = surfel.first_cluster as usize;
+        for cluster in &map.clusters[first..first + surfel.cluster_count as usize] {
+            let pose = trajectory.pose(cluster.seconds);
+            let from_sensor = pose.rotation * Vector3::from(cluster.in_tracking.map(f64::from));
+            let from_centre = from_sensor + (pose.translation.vector - centre);
+            let lever = from_sensor.cross(&normal);
+            let (knot, fraction) = knots.place(cluster.seconds);
+            rows.push(Row {
+                lever: [lever.x as f32, lever.y as f32, lever.z as f32],
+                a: from_centre.dot(&u) as f32,
+                b: from_centre.dot(&v) as f32,
+                residual: from_centre.dot(&normal) as f32,
+                weight: (variance / f64::from(cluster.count) + UNEVENNESS * UNEVENNESS) as f32,
+                fraction: fraction as f32,
+                knot: knot as u32,
+            });
+        }
+    }
+    let variances: Vec<f64> = rows.iter().map(|r| f64::from(r.weight)).collect();
+    let mut plane = Vector3::zeros();
+    let mut inverse = Matrix3::identity();
+    for _ in 0..3 {
+        let (mut matrix, mut vector) = (Matrix3::zeros(), Vector3::zeros());
+        for (row, variance) in rows.iter_mut().zip(&variances) {
+            let e = f64::from(row.residual) - q(row).dot(&plane);
+            let weight = 1.0 / (variance * (1.0 + e * e / (ROBUST * ROBUST * variance)));
+            row.weight = weight as f32;
+            matrix += q(row) * q(row).transpose() * weight;
+            vector += q(row) * (weight * f64::from(row.residual));
+        }
+        // Tilts of planes seen only along a line stay as they are.
+        let slack = matrix.m11 * 1e-4;
+        matrix.m22 += slack;
+        matrix.m33 += slack;
+        inverse = matrix.try_inverse().unwrap_or_else(Matrix3::zeros);
+        plane = inverse * vector;
+    }
+    let (mut squares, mut weights) = (0.0, 0.0);
+    for row in &mut rows {
+        let e = f64::from(row.residual) - q(row).dot(&plane);
+        squares += f64::from(row.weight) * e * e;
+        weights += f64::from(row.weight);
+        row.residual = e as f32;
+    }
+    PlaneRows { rows, normal, inverse, squares, weights }
+}

@@ -1,0 +1,258 @@
+//! Which loops are walked within the time there is, and where one is along them when.
+
+use portolan_geometry::Vector3;
+
+use super::smooth;
+use crate::random::Random;
+
+/// Seconds to reach walking speed, and to stop.
+const START_TIME: f64 = 1.6;
+/// Seconds for turning round on the spot.
+const TURN_TIME: f64 = 3.5;
+/// One walks up to so much faster to fit one more loop in.
+const HURRY: f64 = 1.12;
+/// Shorter ways out and back are not worth starting, metres.
+const SHORTEST_OUTING: f64 = 3.0;
+
+/// A way that is walked without a stop.
+#[derive(Clone, Debug)]
+struct Stroke {
+    points: Vec<Vector3>,
+    /// Metres along at each point.
+    lengths: Vec<f64>,
+    start_time: f64,
+    duration: f64,
+}
+
+/// Strokes with rests between them.
+#[derive(Clone, Debug)]
+pub(crate) struct Itinerary {
+    strokes: Vec<Stroke>,
+    home: Vector3,
+    speed: f64,
+    duration: f64,
+}
+
+/// What one asks for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ItineraryRequest<'a> {
+    /// Closed ways from the same place.
+    pub loops: &'a [Vec<Vector3>],
+    /// m/s.
+    pub speed: f64,
+    /// Seconds to stand at the start and at the end.
+    pub rest: f64,
+    /// Seconds in all; none for every loop once.
+    pub duration: Option<f64>,
+    /// Whether to stand all the time.
+    pub standing: bool,
+}
+
+/// Where one is along the way.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    /// On the ground, metres.
+    pub position: Vector3,
+    /// Metres walked.
+    pub walked: f64,
+}
+
+impl Itinerary {
+    pub fn plan(request: &ItineraryRequest<'_>, random: &mut Random) -> Option<Self> {
+        let home = *request.loops.first()?.first()?;
+        let mut plan = Self { strokes: Vec::new(), home, speed: request.speed, duration: request.rest };
+        let loops: Vec<Stroke> = request.loops.iter().map(|way| Stroke::new(way.clone())).collect();
+        let Some(duration) = request.duration else {
+            if !request.standing {
+                plan.push(joined(&loops));
+            }
+            plan.duration += request.rest;
+            return Some(plan);
+        };
+        if !request.standing {
+            plan.fill(&loops, duration - request.rest, random);
+        }
+        plan.duration = duration;
+        Some(plan)
+    }
+
+    /// As many loops as fit, then a way out and back again.
+    fn fill(&mut self, loops: &[Stroke], end: f64, random: &mut Random) {
+        let available = |speed: f64, from: f64| (end - from - START_TIME) * speed;
+        let (mut chosen, mut length) = (Vec::new(), 0.0);
+        let mut next = 0;
+        while let Some(candidate) = loops.get(next % loops.len().max(1)) {
+            let longer = length + candidate.length();
+            if longer > HURRY * available(self.speed, self.duration) || next > 100_000 {
+                break;
+            }
+            length = longer;
+            chosen.push(candidate.clone());
+            next += 1;
+        }
+        if !chosen.is_empty() {
+            self.speed = self.speed.max(length / available(1.0, self.duration));
+            self.push(joined(&chosen));
+        }
+        let spare = end - self.duration - 2.0 * START_TIME - TURN_TIME;
+        let out = 0.5 * spare * self.speed;
+        if let (true, Some(way)) = (out > SHORTEST_OUTING, loops.get(next % loops.len().max(1))) {
+            let outing = way.prefix(out * random.between(0.97, 1.0));
+            let mut back = outing.points.clone();
+            back.reverse();
+            if self.strokes.is_empty() {
+                self.push(outing);
+            } else {
+                // Goes on without a stop.
+                let last = self.strokes.pop().map(|last| joined(&[last, outing]));
+                self.duration = last.as_ref().map_or(self.duration, |last| last.start_time);
+                last.into_iter().for_each(|last| self.push(last));
+            }
+            self.duration += TURN_TIME;
+            self.push(Stroke::new(back));
+        }
+    }
+
+    fn push(&mut self, mut stroke: Stroke) {
+        stroke.start_time = self.duration;
+        stroke.duration = stroke.length() / self.speed + START_TIME;
+        if stroke.length() < 2.0 * START_TIME * self.speed {
+            // Too short to reach full speed.
+            stroke.duration = 3.0 * START_TIME;
+        }
+        self.duration += stroke.duration;
+        self.strokes.push(stroke);
+    }
+
+    /// Seconds.
+    pub fn duration(&self) -> f64 {
+        self.duration
+    }
+
+    /// Where one is at a time.
+    pub fn place(&self, time: f64) -> Place {
+        let mut walked = 0.0;
+        let mut position = self.home;
+        for stroke in &self.strokes {
+            if time < stroke.start_time {
+                break;
+            }
+            let along = stroke.along(time - stroke.start_time);
+            walked += along;
+            position = stroke.at(along);
+        }
+        Place { position, walked }
+    }
+
+    /// When and for how long one turns round.
+    pub fn turns(&self) -> Vec<(f64, f64)> {
+        let ends = self.strokes.windows(2);
+        ends.map(|pair| (pair[0].start_time + pair[0].duration, pair[1].start_time)).collect()
+    }
+}
+
+/// One way out of several that end where the next begins.
+fn joined(strokes: &[Stroke]) -> Stroke {
+    let mut points: Vec<Vector3> = strokes.iter().flat_map(|s| s.points.iter().copied()).collect();
+    points.dedup_by(|a, b| (*a - *b).norm() < 1e-6);
+    let start_time = strokes.first().map_or(0.0, |s| s.start_time);
+    Stroke { start_time, ..Stroke::new(points) }
+}
+
+impl Stroke {
+    fn new(mut points: Vec<Vector3>) -> Self {
+        points.dedup_by(|a, b| (*a - *b).norm() < 1e-6);
+        let mut lengths = vec![0.0];
+        let mut length = 0.0;
+        for pair in points.windows(2) {
+            length += (pair[1] - pair[0]).norm();
+            lengths.push(length);
+        }
+        Self { points, lengths, start_time: 0.0, duration: 0.0 }
+    }
+
+    fn length(&self) -> f64 {
+        self.lengths.last().copied().unwrap_or(0.0)
+    }
+
+    fn at(&self, along: f64) -> Vector3 {
+        let Some(last) = self.points.len().checked_sub(1).filter(|last| *last > 0) else {
+            return self.points.first().copied().unwrap_or_default();
+        };
+        let after = self.lengths.partition_point(|l| *l <= along).clamp(1, last);
+        let (from, to) = (self.lengths[after - 1], self.lengths[after]);
+        let share = ((along - from) / (to - from).max(1e-12)).clamp(0.0, 1.0);
+        self.points[after - 1] + (self.points[after] - self.points[after - 1]) * share
+    }
+
+    fn prefix(&self, length: f64) -> Self {
+        let mut points: Vec<Vector3> =
+            self.points.iter().zip(&self.lengths).filter(|(_, l)| **l < length).map(|(p, _)| *p).collect();
+        points.push(self.at(length));
+        Self::new(points)
+    }
+
+    /// Metres along after so many seconds: the speed rises smoothly at the start and falls at the end.
+    fn along(&self, elapsed: f64) -> f64 {
+        let elapsed = elapsed.clamp(0.0, self.duration);
+        let ramp = START_TIME.min(0.5 * self.duration);
+        let speed = self.length() / (self.duration - ramp).max(1e-9);
+        let rising = |t: f64| speed * ramp * smooth::area((t / ramp).clamp(0.0, 1.0));
+        if elapsed < ramp {
+            rising(elapsed)
+        } else if elapsed > self.duration - ramp {
+            self.length() - rising(self.duration - elapsed)
+        } else {
+            0.5 * speed * ramp + speed * (elapsed - ramp)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(side: f64) -> Vec<Vector3> {
+        [[0.0, 0.0], [side, 0.0], [side, side], [0.0, side], [0.0, 0.0]]
+            .map(|[x, y]| Vector3::new(x, y, 0.0))
+            .to_vec()
+    }
+
+    #[test]
+    fn the_time_is_filled_and_one_comes_home() {
+        let loops = [square(10.0), square(20.0)];
+        for duration in [8.0, 20.0, 44.0, 60.0, 120.0, 500.0] {
+            let request = ItineraryRequest {
+                loops: &loops,
+                speed: 1.2,
+                rest: 2.0,
+                duration: Some(duration),
+                standing: false,
+            };
+            let plan = Itinerary::plan(&request, &mut Random::new(1, "plan", 0)).unwrap();
+            assert_eq!(plan.duration(), duration);
+            let end = plan.place(duration);
+            assert!((end.position - plan.home).norm() < 1e-6, "{duration}: {end:?}");
+            assert!(end.walked > 0.75 * (duration - 10.0), "{duration}: {}", end.walked);
+            let mut before = plan.place(0.0);
+            for i in 1..(duration * 20.0) as usize {
+                let now = plan.place(i as f64 / 20.0);
+                let step = (now.position - before.position).norm();
+                assert!(
+                    step <= 0.05 * 1.2 * HURRY * 1.02 && now.walked >= before.walked,
+                    "{duration} {i} {step}"
+                );
+                before = now;
+            }
+        }
+        let request =
+            ItineraryRequest { loops: &loops, speed: 1.0, rest: 2.0, duration: None, standing: false };
+        let plan = Itinerary::plan(&request, &mut Random::new(1, "plan", 0)).unwrap();
+        assert!((plan.place(plan.duration()).walked - 120.0).abs() < 1e-6);
+        let request = ItineraryRequest { standing: true, duration: Some(60.0), ..request };
+        assert_eq!(
+            Itinerary::plan(&request, &mut Random::new(1, "plan", 0)).unwrap().place(30.0).walked,
+            0.0
+        );
+    }
+}

@@ -1,0 +1,157 @@
+//! Where the beams of a spinning lidar point, and when they are fired.
+
+use std::str::FromStr;
+
+use crate::SimulatorError;
+
+/// The beams of one firing of a spinning lidar, and how it spins.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BeamTable {
+    /// Name of the model, for messages.
+    pub name: String,
+    /// Angle above the plane of rotation of each beam, radians.
+    pub elevations: Vec<f64>,
+    /// Angle ahead of the head's azimuth of each beam, radians; one per beam.
+    pub azimuth_offsets: Vec<f64>,
+    /// Seconds from the start of a firing to each beam; one per beam.
+    pub delays: Vec<f64>,
+    /// Firings per turn.
+    pub columns: usize,
+    /// Metres.
+    pub range_max: f64,
+}
+
+impl BeamTable {
+    /// Names of the models that are known.
+    pub const NAMES: [&str; 7] = ["vlp16", "vlp32", "hdl64", "os1-16", "os1-64", "os0-128", "xt32"];
+
+    /// Beams from the lowest to the highest elevation (degrees) at equal angles.
+    pub fn even(name: &str, low: f64, high: f64, beams: usize, columns: usize, range_max: f64) -> Self {
+        let step = if beams > 1 { (high - low) / (beams - 1) as f64 } else { 0.0 };
+        let elevations = (0..beams).map(|i| (low + step * i as f64).to_radians()).collect();
+        let zeros = vec![0.0; beams];
+        let name = name.to_owned();
+        Self { name, elevations, azimuth_offsets: zeros.clone(), delays: zeros, columns, range_max }
+    }
+
+    /// 16 beams of ±15°, fired 2.304 µs apart (Velodyne, VLP-16 user manual); 1875 firings a turn are
+    /// 300,000 points a second at 10 turns.
+    pub fn vlp16() -> Self {
+        Self { delays: delays(16, 2.304e-6), ..Self::even("vlp16", -15.0, 15.0, 16, 1875, 100.0) }
+    }
+
+    /// A known model.
+    pub fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "vlp16" => Self::vlp16(),
+            "vlp32" => vlp32(),
+            // 64 beams in two blocks; the lower ones are twice as far apart.
+            "hdl64" => {
+                let upper = (0..32).map(|i| (2.0 - f64::from(i) / 3.0).to_radians());
+                let lower = (0..32).map(|i| (-8.83 - f64::from(i) * 0.5).to_radians());
+                let elevations: Vec<f64> = upper.chain(lower).collect();
+                let even = Self::even("hdl64", 0.0, 0.0, 64, 2083, 120.0);
+                Self { elevations, delays: delays(64, 0.6e-6), ..even }
+            }
+            "os1-16" => ouster(name, 16.6, 16, 120.0),
+            "os1-64" => ouster(name, 22.5, 64, 120.0),
+            "os0-128" => ouster(name, 45.0, 128, 50.0),
+            "xt32" => Self { delays: delays(32, 1.5e-6), ..Self::even(name, -16.0, 15.0, 32, 2000, 120.0) },
+            _ => return None,
+        })
+    }
+
+    /// Whether the numbers of its lists agree and are sensible.
+    pub(crate) fn is_sensible(&self) -> bool {
+        let beams = self.elevations.len();
+        let is_list = |list: &[f64], bound: f64| {
+            list.len() == beams && list.iter().all(|v| v.is_finite() && v.abs() <= bound)
+        };
+        (1..=1024).contains(&beams)
+            && is_list(&self.elevations, std::f64::consts::FRAC_PI_2)
+            && is_list(&self.azimuth_offsets, 7.0)
+            && is_list(&self.delays, 0.1)
+            && (8..=100_000).contains(&self.columns)
+            && beams * self.columns <= 4_000_000
+    }
+}
+
+/// All beams of a firing one after the other.
+fn delays(beams: usize, step: f64) -> Vec<f64> {
+    (0..beams).map(|i| step * i as f64).collect()
+}
+
+/// Beams that are denser in the middle, in pairs, with staggered azimuths.
+fn vlp32() -> BeamTable {
+    let degrees = [
+        -25.0, -1.0, -1.667, -15.639, -11.31, 0.0, -0.667, -8.843, -7.254, 0.333, -0.333, -6.148, -5.333,
+        1.333, 0.667, -4.0, -4.667, 1.667, 1.0, -3.667, -3.333, 3.333, 2.333, -2.667, -3.0, 7.0, 4.667,
+        -2.333, -2.0, 15.0, 10.333, -1.333,
+    ];
+    let offsets = [1.4, -4.2, 1.4, -1.4, 1.4, -1.4, 4.2, -1.4];
+    BeamTable {
+        elevations: degrees.iter().map(|d: &f64| d.to_radians()).collect(),
+        azimuth_offsets: (0..32).map(|i| f64::to_radians(offsets[i % 8])).collect(),
+        delays: (0..32).map(|i| 2.304e-6 * (i / 2) as f64).collect(),
+        ..BeamTable::even("vlp32", 0.0, 0.0, 32, 1800, 200.0)
+    }
+}
+
+/// Ouster: all beams of a column at once, four staggered azimuths, 1024 columns.
+fn ouster(name: &str, half_angle: f64, beams: usize, range_max: f64) -> BeamTable {
+    let mut table = BeamTable::even(name, half_angle, -half_angle, beams, 1024, range_max);
+    let offsets = [3.1_f64, 1.0, -1.0, -3.1];
+    table.azimuth_offsets = (0..beams).map(|i| offsets[i % 4].to_radians()).collect();
+    table
+}
+
+impl FromStr for BeamTable {
+    type Err = SimulatorError;
+
+    /// A model by its name, or `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]` with angles in degrees.
+    fn from_str(text: &str) -> Result<Self, SimulatorError> {
+        if let Some(table) = Self::named(text) {
+            return Ok(table);
+        }
+        let bad = || SimulatorError::BadNames {
+            detail: format!(
+                "\"{text}\" is no lidar; choose one of {} or write LOW:HIGH:BEAMS[:COLUMNS[:RANGE]] with angles \
+                 in degrees, as -15:15:16:1800:100",
+                Self::NAMES.join(", ")
+            ),
+        };
+        let parts: Vec<f64> = text.split(':').map(str::parse).collect::<Result<_, _>>().map_err(|_| bad())?;
+        let [low, high, beams, rest @ ..] = parts.as_slice() else { return Err(bad()) };
+        let columns = rest.first().copied().unwrap_or(1800.0);
+        let range = rest.get(1).copied().unwrap_or(100.0);
+        let is_count = |v: f64, most: f64| v >= 1.0 && v <= most && v.fract() == 0.0;
+        if rest.len() > 2
+            || !is_count(*beams, 1024.0)
+            || !is_count(columns, 1e5)
+            || !(0.5..=1000.0).contains(&range)
+        {
+            return Err(bad());
+        }
+        let table = Self::even("own", *low, *high, *beams as usize, columns as usize, range);
+        if table.is_sensible() { Ok(table) } else { Err(bad()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn models_are_sensible_and_texts_are_read() {
+        for name in BeamTable::NAMES {
+            let table: BeamTable = name.parse().unwrap();
+            assert!(table.is_sensible() && table.name == name, "{name}");
+        }
+        let own: BeamTable = "-30:10:5:900:40".parse().unwrap();
+        assert_eq!((own.elevations.len(), own.columns, own.range_max), (5, 900, 40.0));
+        assert!((own.elevations[1].to_degrees() + 20.0).abs() < 1e-12);
+        for wrong in ["", "vlp17", "1:2", "-15:15:0", "-15:15:2.5", "-95:15:16", "-15:15:16:1800:100:7"] {
+            assert!(wrong.parse::<BeamTable>().unwrap_err().to_string().contains("vlp16"), "{wrong}");
+        }
+    }
+}

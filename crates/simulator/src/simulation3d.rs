@@ -1,0 +1,158 @@
+//! A simulation in space: a world, a walk through it, and sensors; with the truth.
+
+use std::sync::Arc;
+
+use portolan_geometry::{Duration, Rigid3, Time, Vector3};
+use portolan_recording::PointCloud2;
+
+use crate::motion::{Itinerary, ItineraryRequest, Motion, MotionState, SplineMotion, motion_along};
+use crate::random::Random;
+use crate::sensors::{Clock, Schedule, SpinningLidar, landmark_poses};
+use crate::solid::{Pedestrian, Solid, SolidPlan, SolidWorld};
+use crate::{Scenario3dOptions, SimulatorError};
+
+/// A recording in space that is made while it is read, with its truth. Copies share everything.
+#[derive(Clone, Debug)]
+pub struct Simulation3d {
+    pub(crate) inner: Arc<Inner3d>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Inner3d {
+    pub options: Scenario3dOptions,
+    pub world: Arc<SolidWorld>,
+    pub motion: Arc<SplineMotion>,
+    pub marks: Arc<[Rigid3]>,
+    pub clock: Clock,
+    /// Seconds.
+    pub duration: f64,
+    pub lidars: Vec<(SpinningLidar, Schedule)>,
+}
+
+impl Simulation3d {
+    /// Draws the world, plans the walk and puts people in; measurements are made when they are read.
+    pub fn new(options: Scenario3dOptions) -> Result<Self, SimulatorError> {
+        options.check()?;
+        let plan = options.plan();
+        let mut random = Random::new(options.seed, "itinerary", 0);
+        let request = ItineraryRequest {
+            loops: &plan.loops,
+            speed: options.speed,
+            rest: options.rest,
+            duration: options.duration,
+            standing: options.standing,
+        };
+        let gait = if options.standing { 0.0 } else { options.gait };
+        let motion = Itinerary::plan(&request, &mut random)
+            .and_then(|way| motion_along(&way, options.carrier(), options.base_height, gait, &mut random))
+            .ok_or(SimulatorError::NoWay)?;
+        let people = people(&plan, options.people(), &mut Random::new(options.seed, "people", 0));
+        let world = SolidWorld::new(plan.solids, people);
+        Ok(Self::assemble(options, world, motion, landmark_poses(&plan.marks)))
+    }
+
+    /// In a world and with a motion of one's own; of the options, those of sensors, faults, seed and
+    /// start are used.
+    pub fn with_motion(
+        options: Scenario3dOptions,
+        solids: Vec<Solid>,
+        motion: SplineMotion,
+    ) -> Result<Self, SimulatorError> {
+        options.check()?;
+        Ok(Self::assemble(options, SolidWorld::new(solids, Vec::new()), motion, Arc::new([])))
+    }
+
+    fn assemble(
+        options: Scenario3dOptions,
+        world: SolidWorld,
+        motion: SplineMotion,
+        marks: Arc<[Rigid3]>,
+    ) -> Self {
+        let duration = options.duration.unwrap_or(motion.duration());
+        let lidars = options.lidars.iter().map(|lidar| {
+            let lidar = SpinningLidar::new(lidar.clone(), options.seed);
+            let schedule =
+                Schedule::starting_at(lidar.options.phase, lidar.options.rate, duration, lidar.sweep_time());
+            (lidar, schedule)
+        });
+        let lidars = lidars.collect();
+        let clock = Clock { start: options.start_time };
+        let (world, motion) = (Arc::new(world), Arc::new(motion));
+        Self { inner: Arc::new(Inner3d { options, world, motion, marks, clock, duration, lidars }) }
+    }
+
+    /// What was asked for.
+    pub fn options(&self) -> &Scenario3dOptions {
+        &self.inner.options
+    }
+
+    /// The world with its people.
+    pub fn world(&self) -> &SolidWorld {
+        &self.inner.world
+    }
+
+    /// The exact motion; its time 0 is [`Simulation3d::start_time`].
+    pub fn motion(&self) -> &SplineMotion {
+        &self.inner.motion
+    }
+
+    /// True poses of the landmarks in the map, in the order of their numbers.
+    pub fn landmarks(&self) -> &[Rigid3] {
+        &self.inner.marks
+    }
+
+    /// Length of the recording, seconds.
+    pub fn duration(&self) -> f64 {
+        self.inner.duration
+    }
+
+    /// True time at the start.
+    pub fn start_time(&self) -> Time {
+        self.inner.clock.start
+    }
+
+    /// True time at the end.
+    pub fn end_time(&self) -> Time {
+        self.inner.clock.moment(Duration::from_seconds(self.inner.duration))
+    }
+
+    /// Pose, velocities and accelerations at a time; none outside the recording.
+    pub fn motion_at(&self, time: Time) -> Option<MotionState> {
+        let is_within = (self.start_time()..=self.end_time()).contains(&time);
+        is_within.then(|| self.inner.motion.state(self.inner.clock.seconds(time)))
+    }
+
+    /// The true pose of `base_link` in the map, to rounding; none outside the recording.
+    pub fn truth_at(&self, time: Time) -> Option<Rigid3> {
+        self.motion_at(time).map(|state| state.map_from_base)
+    }
+
+    /// How many sweeps a lidar makes, before any faults.
+    pub fn sweep_count(&self, lidar: usize) -> u64 {
+        self.inner.lidars.get(lidar).map_or(0, |(_, schedule)| schedule.count())
+    }
+
+    /// Sweep number `index` of a lidar, without faults; none beyond the end.
+    pub fn sweep(&self, lidar: usize, index: u64) -> Option<PointCloud2> {
+        let (lidar, schedule) = self.inner.lidars.get(lidar)?;
+        (index < schedule.count()).then(|| self.inner.sweep(lidar, schedule, index))
+    }
+}
+
+impl Inner3d {
+    pub fn sweep(&self, lidar: &SpinningLidar, schedule: &Schedule, index: u64) -> PointCloud2 {
+        let since_start = schedule.time_of(index);
+        let stamp = self.clock.moment(since_start);
+        lidar.sweep(&self.world, &*self.motion, (index, since_start.seconds(), stamp))
+    }
+}
+
+/// People on the strolls of a plan, several on one if there are not enough.
+fn people(plan: &SolidPlan, count: usize, random: &mut Random) -> Vec<Pedestrian> {
+    let strolls: Vec<&Vec<Vector3>> = plan.strolls.iter().filter(|way| way.len() > 1).collect();
+    let person = |i: usize| {
+        let way = strolls.get(i % strolls.len().max(1))?;
+        Pedestrian::new(way, random.between(0.5, 1.3), random.between(0.0, 100.0))
+    };
+    (0..count).filter_map(person).collect()
+}
