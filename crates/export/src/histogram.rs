@@ -29,7 +29,7 @@ pub struct HistogramPanel<'a> {
     pub values: &'a [f64],
 }
 
-/// Draws histograms one below the other, each from zero to a round number that holds 99 percent of the values
+/// Draws histograms one below the other, each from zero to a round number that holds 95 percent of the values
 /// (larger ones are counted in the last bar), with the median marked. None without panels.
 pub fn draw_histograms(panels: &[HistogramPanel]) -> Option<Picture> {
     let height = HEIGHT * panels.len() as f32;
@@ -64,7 +64,7 @@ impl Bars {
         let mut sorted: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
         sorted.sort_by(f64::total_cmp);
         let at = |share: f64| sorted.get((share * (sorted.len() as f64 - 1.0)).round() as usize).copied();
-        let end = round_up(at(0.99)?.max(1e-9));
+        let end = round_up(at(0.95)?.max(1e-9));
         let mut counts = vec![0; BARS];
         for value in &sorted {
             let bar = ((value / end * BARS as f64) as usize).min(BARS - 1);

@@ -192,7 +192,7 @@ impl Check {
         self.last_index = Some(raw.index);
         match raw.decode() {
             Ok(message) => self.decoded(raw.index, &message),
-            Err(error) => self.damage(&RecordError::Decode(error)),
+            Err(error) => self.damage(&error),
         }
     }
 

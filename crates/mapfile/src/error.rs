@@ -117,6 +117,14 @@ pub enum RecordError {
     /// The record cannot be unpacked.
     #[error(transparent)]
     Gzip(#[from] GzipError),
+    /// The message is short but stands for very many parts.
+    #[error("the message would need {needed} bytes of memory, more than the limit of {limit}: it is damaged")]
+    DecodedTooLarge {
+        /// Bytes that the decoded message would need at most.
+        needed: u64,
+        /// The limit.
+        limit: u64,
+    },
     /// The record is not the message it should be.
     #[error("not a valid message: {0}")]
     Decode(#[from] prost::DecodeError),
@@ -125,6 +133,6 @@ pub enum RecordError {
 impl RecordError {
     /// Whether the records after this one can still be found.
     pub fn is_local(&self) -> bool {
-        matches!(self, Self::Gzip(_) | Self::Decode(_))
+        matches!(self, Self::Gzip(_) | Self::Decode(_) | Self::DecodedTooLarge { .. })
     }
 }

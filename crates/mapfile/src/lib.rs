@@ -6,6 +6,7 @@ mod check_data;
 mod check_graph;
 mod codes;
 mod convert;
+mod decoded_size;
 mod edit;
 mod error;
 mod frames;

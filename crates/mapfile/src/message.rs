@@ -2,6 +2,8 @@
 
 use prost::Message as _;
 
+use crate::decoded_size::{MAX_DECODED_BYTES, decoded_size};
+use crate::error::RecordError;
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{SerializationHeader, SerializedData};
 use crate::wire::Fields;
@@ -125,15 +127,27 @@ impl RawMessage {
     }
 
     /// Decodes the message.
-    pub fn decode(&self) -> Result<Message, prost::DecodeError> {
+    ///
+    /// # Errors
+    /// If it is not a message, or would need far more memory than it has bytes.
+    pub fn decode(&self) -> Result<Message, RecordError> {
         if self.index == 0 {
-            return SerializationHeader::decode(&*self.bytes).map(Message::Header);
+            return Ok(SerializationHeader::decode(&*self.bytes).map(Message::Header)?);
         }
-        Ok(match SerializedData::decode(&*self.bytes)?.data {
+        Ok(match decode_data(&self.bytes)? {
             Some(data) => Message::Data(Box::new(data)),
             None => Message::Unknown(self.kind().tag()),
         })
     }
+}
+
+/// Decodes any message but the header; none where its kind is not known.
+pub(crate) fn decode_data(bytes: &[u8]) -> Result<Option<Data>, RecordError> {
+    let needed = decoded_size(bytes);
+    if needed > MAX_DECODED_BYTES {
+        return Err(RecordError::DecodedTooLarge { needed, limit: MAX_DECODED_BYTES });
+    }
+    Ok(SerializedData::decode(bytes)?.data)
 }
 
 impl Message {

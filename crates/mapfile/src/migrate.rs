@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::error::PbstreamError;
 use crate::map_reader::MapReader;
-use crate::message::{MessageKind, RawMessage};
+use crate::message::{MessageKind, RawMessage, decode_data};
 use crate::pose::{IdInFile, node_id, pose_from_proto, submap_id};
 use crate::proto::mapping::pose_graph::constraint::Tag;
 use crate::proto::mapping::serialized_data::Data;
@@ -217,8 +217,7 @@ fn rotation(q: Option<Quaterniond>) -> Option<Quaternion> {
 
 /// The pose graph without some submaps and the constraints to them.
 fn without_submaps(raw: RawMessage, left_out: &BTreeSet<IdInFile>) -> Vec<u8> {
-    let Ok(SerializedData { data: Some(Data::PoseGraph(mut graph)) }) = SerializedData::decode(&*raw.bytes)
-    else {
+    let Ok(Some(Data::PoseGraph(mut graph))) = decode_data(&raw.bytes) else {
         return raw.bytes;
     };
     for trajectory in &mut graph.trajectory {

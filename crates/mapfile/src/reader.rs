@@ -106,9 +106,7 @@ pub(crate) fn open_frames(path: &Path, limits: ReadLimits) -> Result<FrameReader
 pub(crate) fn decode(raw: RawMessage) -> Result<(RawMessage, Message), PbstreamError> {
     match raw.decode() {
         Ok(message) => Ok((raw, message)),
-        Err(error) => {
-            Err(PbstreamError::Record { index: raw.index, offset: raw.offset, problem: error.into() })
-        }
+        Err(error) => Err(PbstreamError::Record { index: raw.index, offset: raw.offset, problem: error }),
     }
 }
 

@@ -327,5 +327,5 @@ fn numbered(raw: &RawMessage) -> RawMessage {
 }
 
 fn decode(raw: &RawMessage) -> Option<Data> {
-    crate::proto::mapping::SerializedData::decode(&*raw.bytes).ok()?.data
+    crate::message::decode_data(&raw.bytes).ok()?
 }

@@ -114,10 +114,12 @@ pub(crate) fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Appends a field with a variable-length number, also where it is zero.
+/// Appends a field with a variable-length number; zero is told by leaving it out.
 pub(crate) fn put_varint_field(out: &mut Vec<u8>, number: u32, value: u64) {
-    put_varint(out, u64::from(number) << 3);
-    put_varint(out, value);
+    if value != 0 {
+        put_varint(out, u64::from(number) << 3);
+        put_varint(out, value);
+    }
 }
 
 /// Appends a length-delimited field.
@@ -167,10 +169,11 @@ mod tests {
         let mut message = Vec::new();
         put_varint_field(&mut message, 1, 300);
         put_bytes_field(&mut message, 2, b"ab");
+        put_varint_field(&mut message, 1, 5);
         put_varint_field(&mut message, 1, 0);
         put_bytes_field(&mut message, 2, b"cd");
         assert_eq!(joined(&message, 2), b"abcd");
-        assert_eq!((last_varint(&message, 1), last_varint(&message, 7)), (0, 0));
+        assert_eq!((last_varint(&message, 1), last_varint(&message, 7)), (5, 0));
         let rest = without_field(&message, 1);
         assert_eq!(rest, [0x12, 2, b'a', b'b', 0x12, 2, b'c', b'd']);
         assert_eq!(without_field(&rest, 9), rest);

@@ -117,11 +117,10 @@ impl MapDraft {
             return Err(EditError::Dimension("a 2D and a 3D map cannot be merged"));
         }
         other.transform(map_from_other)?;
-        let first = self.trajectory_ids().last().map_or(0, |id| id.saturating_add(1));
-        let ids: BTreeMap<i32, i32> = other.trajectory_ids().zip(first..).collect();
-        if ids.values().last().is_some_and(|last| *last == i32::MAX) {
-            return Err(EditError::SameTrajectory(i32::MAX));
-        }
+        let used: BTreeSet<i32> = self.trajectory_ids().collect();
+        let first = used.last().map_or(0, |id| id.saturating_add(1));
+        let free = (first..=i32::MAX).chain(0..first).filter(|id| !used.contains(id));
+        let ids: BTreeMap<i32, i32> = other.trajectory_ids().zip(free).collect();
         other.rename_trajectories(&ids)?;
         self.dimension = self.dimension.or(other.dimension);
         self.graph.trajectory.append(&mut other.graph.trajectory);
