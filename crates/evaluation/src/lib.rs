@@ -29,9 +29,10 @@ pub use formats::{
 pub use geodetic::{Geodetic, LocalFrame};
 pub use histogram::Histogram;
 pub use relations::{
-    GenerateOptions, GeneratedRelations, MapConstraint, MapGraph, Relation, RelationError, RelationReport,
-    TimeBaseNotice, generate_relations, in_time_base, read_binary_relations, read_relations,
-    read_text_relations, relation_errors, write_binary_relations, write_text_relations,
+    GenerateOptions, GeneratedRelations, MapConstraint, MapGraph, RIGHT_WITHIN, Relation, RelationError,
+    RelationReport, TimeBaseNotice, generate_relations, in_time_base, loop_closure_relations,
+    read_binary_relations, read_relations, read_text_relations, relation_errors, write_binary_relations,
+    write_text_relations,
 };
 pub use relative::{
     Drift, KITTI_LENGTHS, KITTI_STRIDE, RelativeErrors, SegmentErrors, Step, drift, relative_errors,

@@ -19,6 +19,7 @@ mod optimization;
 mod planar;
 mod pose_extrapolator;
 mod pose_graph;
+mod sampling_density;
 mod scan_matching_2d;
 mod space;
 mod submap_2d;

@@ -31,6 +31,7 @@ impl Space for Planar {
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam2d, MapperError> {
         let extras = LocalSlamExtras {
             use_all_odometry: options.portolan.use_all_odometry,
+            search_penalty_limit: options.portolan.search_penalty_limit,
             wide_search_after_gap: options.portolan.wide_search_after_gap,
         };
         LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)

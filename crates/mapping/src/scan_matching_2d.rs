@@ -12,17 +12,25 @@ use portolan_matching::{
 use portolan_sensor::PointCloud;
 use portolan_solver::SolverOptions;
 
+use crate::sampling_density::densely_sampled;
 use crate::submap_2d::Submap2d;
 
 /// Correlative search around the prediction, if asked for, then descent along the gradient.
 pub struct ScanMatcher2d {
     correlative: Option<RealTimeCorrelativeMatcher2d>,
+    /// The gradient matcher starts from the search's result; whether it is also held there, or near the
+    /// prediction.
+    holds_search_result: bool,
     gradient: GradientMatcher2d,
 }
 
 impl ScanMatcher2d {
     /// With the options of local SLAM; weights that are not positive are an error.
-    pub fn new(options: &TrajectoryBuilder2dOptions) -> Result<Self, MatcherOptionError> {
+    /// `search_penalty_limit` is what `portolan.search_penalty_limit` says.
+    pub fn new(
+        options: &TrajectoryBuilder2dOptions,
+        search_penalty_limit: f64,
+    ) -> Result<Self, MatcherOptionError> {
         let o = &options.real_time_correlative_scan_matcher;
         let correlative = options
             .use_online_correlative_scan_matching
@@ -33,19 +41,42 @@ impl ScanMatcher2d {
                     translation_delta_cost_weight: o.translation_delta_cost_weight,
                     rotation_delta_cost_weight: o.rotation_delta_cost_weight,
                 })
+                .map(|matcher| matcher.with_largest_penalty(search_penalty_limit))
             })
             .transpose()?;
-        Ok(Self { correlative, gradient: gradient_matcher(&options.ceres_scan_matcher)? })
+        let holds_search_result = correlative.is_some() && search_penalty_limit < 1.0;
+        Ok(Self { correlative, holds_search_result, gradient: gradient_matcher(&options.ceres_scan_matcher)? })
     }
 
-    /// The pose of the scan in the local map. Without a submap the prediction is all there is.
-    pub fn match_scan(&self, prediction: Rigid2, cloud: &PointCloud, submap: Option<&Submap2d>) -> Rigid2 {
+    /// The pose of the scan in the local map. `cloud` are the points to match, picked from `returns`.
+    /// Without a submap the prediction is all there is.
+    pub fn match_scan(
+        &self,
+        prediction: Rigid2,
+        cloud: &PointCloud,
+        returns: &PointCloud,
+        submap: Option<&Submap2d>,
+    ) -> Rigid2 {
         let Some(submap) = submap else { return prediction };
-        let searched = self.correlative.as_ref().and_then(|m| m.match_scan(&prediction, cloud, &submap.grid));
+        let searched = self.correlative.as_ref().and_then(|matcher| {
+            let spacing = (DENSE_CELLS * submap.grid.limits().resolution()) as f32;
+            let dense = if self.holds_search_result {
+                densely_sampled(cloud, returns, spacing, MIN_DENSE_SHARE)
+            } else {
+                None
+            };
+            matcher.match_scan(&prediction, dense.as_ref().unwrap_or(cloud), &submap.grid)
+        });
         let initial = searched.map_or(prediction, |found| found.pose);
-        self.gradient.match_scan(prediction.translation, &initial, cloud, &submap.grid).pose
+        let held = if self.holds_search_result { initial } else { prediction };
+        self.gradient.match_scan(held.translation, &initial, cloud, &submap.grid).pose
     }
 }
+
+/// Hits of neighbouring beams that are further apart than so many cells draw dots, not a wall.
+const DENSE_CELLS: f64 = 3.0;
+/// With less than this share of the points left, sparse ones are used as well.
+const MIN_DENSE_SHARE: f64 = 0.2;
 
 /// How fast a robot is thought to be able to go and turn when nothing was seen of it.
 const UNSEEN_SPEED: f64 = 1.0;

@@ -31,6 +31,7 @@ fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&Range
     }
     local.use_online_correlative_scan_matching = true;
     let moves_unseen = plan.odometry.is_none();
+    options.portolan.search_penalty_limit = 0.1;
     let search = &mut local.real_time_correlative_scan_matcher;
     search.linear_search_window = if moves_unseen { 0.3 } else { 0.15 };
     search.angular_search_window = if moves_unseen { 25.0_f64 } else { 10.0 }.to_radians();

@@ -2,6 +2,7 @@
 
 pub mod generate;
 pub mod input;
+mod loops;
 mod relations;
 mod trajectory;
 
@@ -24,6 +25,7 @@ enum What {
     Relations(relations::RelationsArgs),
     Trajectory(trajectory::TrajectoryArgs),
     Generate(generate::GenerateArgs),
+    Loops(loops::LoopsArgs),
 }
 
 pub fn run(args: &EvaluateArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -31,5 +33,6 @@ pub fn run(args: &EvaluateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         What::Relations(args) => relations::run(args, global),
         What::Trajectory(args) => trajectory::run(args, global),
         What::Generate(args) => generate::run(args, global),
+        What::Loops(args) => loops::run(args, global),
     }
 }

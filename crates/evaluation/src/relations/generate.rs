@@ -63,7 +63,7 @@ impl GeneratedRelations {
     }
 }
 
-fn bad(reason: impl Into<String>) -> EvaluationError {
+pub(super) fn bad(reason: impl Into<String>) -> EvaluationError {
     EvaluationError::BadMap(reason.into())
 }
 
@@ -139,14 +139,14 @@ fn representative_nodes(map: &MapGraph) -> Result<Vec<usize>, EvaluationError> {
 }
 
 /// Submap and node index; only trajectory 0 is allowed.
-fn indices(constraint: &MapConstraint) -> Result<(usize, usize), EvaluationError> {
+pub(super) fn indices(constraint: &MapConstraint) -> Result<(usize, usize), EvaluationError> {
     if constraint.submap.0 != 0 || constraint.node.0 != 0 {
         return Err(bad("it has constraints of more than one trajectory"));
     }
     Ok((constraint.submap.1 as usize, constraint.node.1 as usize))
 }
 
-fn node(map: &MapGraph, index: usize) -> Result<&TimedPose, EvaluationError> {
+pub(super) fn node(map: &MapGraph, index: usize) -> Result<&TimedPose, EvaluationError> {
     map.nodes.get(index).ok_or_else(|| bad(format!("a constraint names node {index}, which is not there")))
 }
 

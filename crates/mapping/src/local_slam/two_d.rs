@@ -30,6 +30,8 @@ const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 pub struct LocalSlamExtras {
     /// Predict from all odometry and gyroscope data of the gap between scans.
     pub use_all_odometry: bool,
+    /// Largest share by which the prediction lowers the score of a match.
+    pub search_penalty_limit: f64,
     /// Seconds without any sensor after which the scan is looked for far and wide; 0 never does.
     pub wide_search_after_gap: f64,
 }
@@ -74,7 +76,7 @@ impl LocalSlam2d {
             collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
             extrapolator: None,
             extras,
-            matcher: ScanMatcher2d::new(options).map_err(|e| contradiction(&e))?,
+            matcher: ScanMatcher2d::new(options, extras.search_penalty_limit).map_err(|e| contradiction(&e))?,
             active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1)),
             motion_filter: motion_filter(&options.motion_filter),
             accumulated: Accumulation::default(),
@@ -178,8 +180,12 @@ impl LocalSlam2d {
         let unseen = last_pose.filter(|_| !motion_was_measured);
         let prediction = project_2d(&(predicted * gravity.inverse()));
         let prediction = self.found_after_gap(time, unseen, &matching_cloud).unwrap_or(prediction);
-        let matched =
-            self.matcher.match_scan(prediction, &matching_cloud, self.active_submaps.matching_submap());
+        let matched = self.matcher.match_scan(
+            prediction,
+            &matching_cloud,
+            &scan.returns,
+            self.active_submaps.matching_submap(),
+        );
         let pose = if matched.is_finite() { matched } else { prediction };
         let local_from_tracking = embed_3d(&pose) * gravity;
         if !is_valid_pose(&local_from_tracking) {

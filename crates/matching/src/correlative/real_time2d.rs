@@ -56,6 +56,7 @@ impl RealTimeCorrelativeOptions {
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealTimeCorrelativeMatcher2d {
     options: RealTimeCorrelativeOptions,
+    largest_penalty: f64,
 }
 
 impl RealTimeCorrelativeMatcher2d {
@@ -63,7 +64,16 @@ impl RealTimeCorrelativeMatcher2d {
     /// If an option is negative.
     pub fn new(options: &RealTimeCorrelativeOptions) -> Result<Self, MatcherOptionError> {
         options.check()?;
-        Ok(Self { options: options.clone() })
+        Ok(Self { options: options.clone(), largest_penalty: 1.0 })
+    }
+
+    /// Limits by which share, 0 to 1, the offset from the initial pose may lower a score: the factor
+    /// becomes `1 − largest (1 − exp(−(‖translation‖ w_t + |angle| w_r)²))`. With large weights and a
+    /// small limit the initial pose holds where the grid tells no better, as along a corridor, and is
+    /// given up at any distance where it does.
+    #[must_use]
+    pub fn with_largest_penalty(self, largest: f64) -> Self {
+        Self { largest_penalty: largest.clamp(0.0, 1.0), ..self }
     }
 
     /// The placement of `points` (metres, in the gravity-aligned tracking frame) with the largest score
@@ -92,7 +102,7 @@ impl RealTimeCorrelativeMatcher2d {
         let tile = searched_part(grid, initial, &points, &window);
         let first_cell = [tile.min.x, tile.min.y];
         let scans = RotatedScans::new(&points, initial, window, *grid.limits(), first_cell);
-        let penalty = Penalty::new(&self.options, window);
+        let penalty = Penalty::new(&self.options, self.largest_penalty, window);
         let (score, placement) = match grid {
             Grid2d::Probability(g) => probability::best(g, tile, scans, window, penalty),
             Grid2d::Tsdf(g) => signed_distance::best(g, tile, scans, window, penalty),
@@ -106,14 +116,16 @@ impl RealTimeCorrelativeMatcher2d {
 struct Penalty {
     translation_weight: f64,
     rotation_weight: f64,
+    largest: f64,
     window: SearchWindow,
 }
 
 impl Penalty {
-    fn new(options: &RealTimeCorrelativeOptions, window: SearchWindow) -> Self {
+    fn new(options: &RealTimeCorrelativeOptions, largest: f64, window: SearchWindow) -> Self {
         Self {
             translation_weight: options.translation_delta_cost_weight,
             rotation_weight: options.rotation_delta_cost_weight,
+            largest,
             window,
         }
     }
@@ -122,7 +134,10 @@ impl Penalty {
     fn factor(&self, placement: &Placement) -> f64 {
         let [x, y] = self.window.shift(placement.x, placement.y);
         let angle = self.window.angle(placement.scan);
-        (-(x.hypot(y) * self.translation_weight + angle.abs() * self.rotation_weight).powi(2)).exp()
+        let near =
+            (-(x.hypot(y) * self.translation_weight + angle.abs() * self.rotation_weight).powi(2)).exp();
+        // The plain case apart, so that it stays exact.
+        if self.largest < 1.0 { 1.0 - self.largest * (1.0 - near) } else { near }
     }
 
     /// The largest factor of all placements of a region: that of the one nearest to the initial pose.

@@ -33,7 +33,7 @@ fn exhaustive(
         options.linear_search_window,
         options.angular_search_window,
     );
-    let penalty = Penalty::new(options, window);
+    let penalty = Penalty::new(options, 1.0, window);
     let mut scans = RotatedScans::new(&points.points, initial, window, *grid.limits(), [0, 0]);
     let n = window.num_linear;
     let mut best: Option<(f32, Placement)> = None;

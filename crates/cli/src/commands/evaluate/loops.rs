@@ -1,0 +1,69 @@
+//! `portolan evaluate loops`.
+
+use std::path::PathBuf;
+
+use portolan_evaluation::{RIGHT_WITHIN, in_time_base, loop_closure_relations, relation_errors};
+
+use super::generate::read_map_graph;
+use super::input::TrajectorySource;
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::output::{print, print_json, write_file};
+use crate::progress::say;
+
+/// Tell how many loop closures of a map are right, by a true trajectory.
+///
+/// A loop closure is right if the motion that it stands for, from the nearest node of its submap to the
+/// node that was found in it, is within 0.2 m and 3 degrees of the truth.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  portolan evaluate loops walk/map.pbstream walk.truth.tum --csv loops.csv"
+)]
+pub struct LoopsArgs {
+    /// Map (.pbstream) of one trajectory.
+    map: PathBuf,
+    /// True trajectory: TUM, KITTI poses, a table with a line of names, or a map.
+    truth: PathBuf,
+    /// Also write the error of each loop closure as a table.
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let source = TrajectorySource { path: &args.truth, trajectory_id: 0, times: None, quiet: global.quiet };
+    let truth = source.read()?;
+    let map = read_map_graph(&args.map)?;
+    let loops = loop_closure_relations(&map).map_err(|error| CliError::in_file(&args.map, error))?;
+    if loops.len() < 2 {
+        return Err(CliError::in_file(&args.map, "it has fewer than two loop closures to judge"));
+    }
+    let (loops, notice) = in_time_base(&truth, &loops)?;
+    let report = relation_errors(&truth, &loops)?;
+    if let Some(path) = &args.csv {
+        write_file(path, |out| report.write_csv(out))?;
+    }
+    if let Some(notice) = notice.filter(|_| !global.quiet) {
+        say(&notice.to_string());
+    }
+    let share = report.share_right(RIGHT_WITHIN);
+    if args.json {
+        print_json(&serde_json::json!({ "share_right": share, "errors": report }))?;
+    } else {
+        print(&format!(
+            "{} loop closures, {:.1} % right (within {} m and {} deg); median {:.3} m and {:.2} deg, \
+             at most {:.3} m and {:.2} deg",
+            report.count,
+            100.0 * share,
+            RIGHT_WITHIN.0,
+            RIGHT_WITHIN.1,
+            report.translation.median,
+            report.rotation_degrees.median,
+            report.translation.max,
+            report.rotation_degrees.max,
+        ))?;
+    }
+    Ok(Outcome::Done)
+}
