@@ -1,5 +1,6 @@
 //! `portolan evaluate`: how good a trajectory or a map is.
 
+mod cloud;
 pub mod generate;
 pub mod input;
 mod relations;
@@ -13,6 +14,7 @@ use crate::error::{CliError, Outcome};
 #[command(after_help = "Examples:\n  \
     portolan evaluate relations aces.pbstream aces.relations\n  \
     portolan evaluate trajectory walk_map/trajectory.tum walk.truth.tum --rpe 1\n  \
+    portolan evaluate cloud walk.bag walk.tum walk_refined/refined.tum\n  \
     portolan evaluate generate old.pbstream -o old.relations --min-covered-distance 20")]
 pub struct EvaluateArgs {
     #[command(subcommand)]
@@ -23,6 +25,7 @@ pub struct EvaluateArgs {
 enum What {
     Relations(relations::RelationsArgs),
     Trajectory(trajectory::TrajectoryArgs),
+    Cloud(cloud::CloudArgs),
     Generate(generate::GenerateArgs),
 }
 
@@ -30,6 +33,7 @@ pub fn run(args: &EvaluateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     match &args.what {
         What::Relations(args) => relations::run(args, global),
         What::Trajectory(args) => trajectory::run(args, global),
+        What::Cloud(args) => cloud::run(args, global),
         What::Generate(args) => generate::run(args, global),
     }
 }
