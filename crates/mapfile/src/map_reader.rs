@@ -38,6 +38,8 @@ pub struct MapMessage {
     pub index: u64,
     /// Position of the record in the file.
     pub offset: u64,
+    /// Bytes of the message when it is unpacked.
+    pub size: usize,
     /// The content: never a pose graph or options.
     pub data: Data,
 }
@@ -117,7 +119,8 @@ impl MapReader {
     /// The next message after those three, or nothing at the end. Further pose graphs, options and
     /// unknown kinds are left out and counted in [`MapReader::ignored`].
     pub fn next_message(&mut self) -> Result<Option<MapMessage>, PbstreamError> {
-        while let Some((RawMessage { index, offset, .. }, message)) = self.records.next_record()? {
+        while let Some((RawMessage { index, offset, bytes }, message)) = self.records.next_record()? {
+            let size = bytes.len();
             match message {
                 Message::Data(data) => match *data {
                     Data::PoseGraph(_) => {
@@ -136,7 +139,7 @@ impl MapReader {
                                                Serialized stream likely corrupt! Keeping the first ones."
                         );
                     }
-                    data => return Ok(Some(MapMessage { index, offset, data })),
+                    data => return Ok(Some(MapMessage { index, offset, size, data })),
                 },
                 Message::Unknown(tag) => {
                     self.ignored.unknown += 1;

@@ -38,7 +38,7 @@ pub enum Command {
     Refine(Box<refine::RefineArgs>),
     Repair(repair::RepairArgs),
     Migrate(migrate::MigrateArgs),
-    Simulate(simulate::SimulateArgs),
+    Simulate(Box<simulate::SimulateArgs>),
     Compat(compat::CompatArgs),
     Completions(completions::CompletionsArgs),
     Man(man::ManArgs),
