@@ -7,6 +7,7 @@ mod error;
 mod moments;
 pub mod neighbours;
 mod point_store;
+pub mod registration;
 mod sharpness;
 
 pub use error::RefineError;

@@ -1,0 +1,41 @@
+//! A scan made ready for matching.
+
+use crate::neighbours::{KdTree, LocalSurface, local_surfaces};
+
+/// Points of a scan in its own frame (metres), with a search tree and, if asked for, surfaces.
+#[derive(Clone, Debug)]
+pub struct ScanCloud {
+    points: Vec<[f32; 3]>,
+    tree: KdTree,
+    surfaces: Vec<Option<LocalSurface>>,
+}
+
+impl ScanCloud {
+    /// A scan for matching of points to points.
+    pub fn new(points: Vec<[f32; 3]>) -> Self {
+        let tree = KdTree::new(&points);
+        Self { points, tree, surfaces: Vec::new() }
+    }
+
+    /// A scan for matching with planes: normals from the `count` nearest points within `max_distance` metres.
+    pub fn with_surfaces(points: Vec<[f32; 3]>, count: usize, max_distance: f32) -> Self {
+        let mut cloud = Self::new(points);
+        cloud.surfaces = local_surfaces(&cloud.points, &cloud.tree, count, max_distance);
+        cloud
+    }
+
+    /// The points.
+    pub fn points(&self) -> &[[f32; 3]] {
+        &self.points
+    }
+
+    /// The search tree.
+    pub fn tree(&self) -> &KdTree {
+        &self.tree
+    }
+
+    /// The surface at a point, if it was asked for and there is one.
+    pub fn surface(&self, index: usize) -> Option<&LocalSurface> {
+        self.surfaces.get(index)?.as_ref()
+    }
+}
