@@ -8,6 +8,7 @@ mod moments;
 pub mod neighbours;
 mod point_store;
 pub mod registration;
+pub mod semi_rigid;
 mod sharpness;
 
 pub use error::RefineError;

@@ -11,6 +11,7 @@ mod pair_moments;
 
 pub use closed_forms::{ClosedForm, best_transform, helical_motion};
 pub use cloud::ScanCloud;
+pub(crate) use global::LinkSums;
 pub use global::{GlobalMethod, GlobalOptions, GlobalReport, register_globally};
 pub use graph::{Link, links_by_distance, links_by_overlap};
 pub use icp::{IcpMethod, IcpOptions, IcpResult, RobustKernel, icp};

@@ -9,6 +9,7 @@ use std::time::Instant;
 use portolan_geometry::{Rigid3, Time};
 use portolan_recording::open_all;
 use portolan_refinement::continuous::{ContinuousOptions, RefineProgress, Refined, refine_continuous};
+use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 
 use crate::GlobalArgs;
 use crate::commands::evaluate::input::TrajectorySource;
@@ -57,13 +58,74 @@ pub struct RefineArgs {
     /// Write no cloud.
     #[arg(long)]
     no_cloud: bool,
+    /// How to refine.
+    #[arg(long, value_enum, default_value_t = MethodName::Continuous)]
+    method: MethodName,
     #[command(flatten)]
     tuning: TuningArgs,
+    #[command(flatten)]
+    semi_rigid: SemiRigidArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum MethodName {
+    /// Knots a tenth of a second apart and all planes are solved for together, from coarse to fine.
+    Continuous,
+    /// Sections of the trajectory are registered rigidly and the result is distributed, as published by
+    /// Elseberg, Borrmann, Nüchter and others.
+    SemiRigid,
+}
+
+/// Parameters of the semi-rigid method, as in the paper.
+#[derive(clap::Args, Clone, Debug)]
+#[command(next_help_heading = "Semi-rigid method (as published)")]
+struct SemiRigidArgs {
+    /// One element of the trajectory, seconds. For the coarse mode as long as two sweeps, with fewer elements a
+    /// section.
+    #[arg(long, value_name = "SECONDS", default_value_t = SemiRigidOptions::default().element)]
+    element: f64,
+    /// A section every so many elements.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().interval)]
+    interval: usize,
+    /// Elements on each side of its middle that a section holds.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().half_width)]
+    half_width: usize,
+    /// One point is kept in each voxel of this edge, metres.
+    #[arg(long, value_name = "METRES", default_value_t = SemiRigidOptions::default().voxel)]
+    voxel: f64,
+    /// Iterations of the rigid registration of the sections.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().rigid_iterations)]
+    rigid_iterations: usize,
+    /// Sections with more pairs than this are linked.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().min_pairs)]
+    min_pairs: usize,
+    /// Farthest points of a pair, metres.
+    #[arg(long, value_name = "METRES", default_value_t = SemiRigidOptions::default().max_distance)]
+    pair_distance: f64,
+    /// How often sections are made, registered and distributed.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().outer_iterations)]
+    outer_iterations: usize,
+}
+
+impl SemiRigidArgs {
+    fn options(&self) -> SemiRigidOptions {
+        SemiRigidOptions {
+            element: self.element,
+            interval: self.interval,
+            half_width: self.half_width,
+            voxel: self.voxel,
+            rigid_iterations: self.rigid_iterations,
+            min_pairs: self.min_pairs,
+            max_distance: self.pair_distance,
+            outer_iterations: self.outer_iterations,
+            ..SemiRigidOptions::default()
+        }
+    }
 }
 
 /// What the method takes as given.
 #[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Method (the defaults are meant for every recording)")]
+#[command(next_help_heading = "Continuous method (the defaults are meant for every recording)")]
 struct TuningArgs {
     /// Windows within which the input shows a wall as one sheet, seconds. Longer for slow scanners.
     #[arg(long, value_name = "SECONDS", default_value_t = ContinuousOptions::default().window)]
@@ -84,17 +146,11 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         .map_err(|source| CliError::File { path: args.output.clone(), source })?;
     let recording = open_all(&args.recording)?;
     let read = read_points(recording.as_ref(), &args.points, global)?;
-    let options = ContinuousOptions {
-        window: args.tuning.window,
-        knot_spacing: args.tuning.knots,
-        reach: args.tuning.reach,
-        ..ContinuousOptions::default()
-    };
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(global.thread_count())
         .build()
         .map_err(|error| CliError::Failed(error.to_string()))?;
-    let refined = pool.install(|| refine_with_progress(&read, &input, &options, global))?;
+    let refined = pool.install(|| refine_with_progress(&read, &input, args, global))?;
     let results = Results {
         input: &input,
         refined: &refined,
@@ -122,7 +178,7 @@ fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid
 fn refine_with_progress(
     read: &points::ReadPoints,
     input: &[(Time, Rigid3)],
-    options: &ContinuousOptions,
+    args: &RefineArgs,
     global: &GlobalArgs,
 ) -> Result<Refined, CliError> {
     let mut progress = Progress::start("refining", 1000, global.quiet);
@@ -131,7 +187,20 @@ fn refine_with_progress(
         progress.update((1000.0 * state.share) as u64, 1000, message);
         !interrupt::interrupted()
     };
-    let refined = refine_continuous(&read.store, input, options, &mut observe);
+    let refined = match args.method {
+        MethodName::Continuous => {
+            let options = ContinuousOptions {
+                window: args.tuning.window,
+                knot_spacing: args.tuning.knots,
+                reach: args.tuning.reach,
+                ..ContinuousOptions::default()
+            };
+            refine_continuous(&read.store, input, &options, &mut observe)
+        }
+        MethodName::SemiRigid => {
+            refine_semi_rigid(&read.store, input, &args.semi_rigid.options(), &mut observe)
+        }
+    };
     progress.finish();
     refined.map_err(|error| CliError::Failed(error.to_string()))
 }

@@ -24,6 +24,20 @@ impl ScanCloud {
         cloud
     }
 
+    /// Turns all normals towards a viewpoint (metres, frame of the scan), so that the two sides of a wall can be told
+    /// apart.
+    pub fn with_normals_towards(mut self, viewpoint: [f32; 3]) -> Self {
+        for (point, surface) in self.points.iter().zip(&mut self.surfaces) {
+            if let Some(surface) = surface {
+                let towards: f32 = (0..3).map(|k| surface.normal[k] * (viewpoint[k] - point[k])).sum();
+                if towards < 0.0 {
+                    surface.normal = surface.normal.map(|v| -v);
+                }
+            }
+        }
+        self
+    }
+
     /// The points.
     pub fn points(&self) -> &[[f32; 3]] {
         &self.points

@@ -8,9 +8,9 @@ use portolan_geometry::{Rigid3, Vector3};
 use portolan_solver::NormalBlocks;
 use rayon::prelude::*;
 
-use super::{Link, ScanCloud};
+use super::{Link, RobustKernel, ScanCloud};
 use crate::RefineError;
-use sums::LinkSums;
+pub(crate) use sums::LinkSums;
 use update::{move_by_euler, move_by_twist};
 
 /// Holds the first scan where it is.
@@ -47,6 +47,11 @@ pub struct GlobalOptions {
     pub max_iterations: usize,
     /// It ends when scans move by less than this on average, metres.
     pub epsilon: f64,
+    /// For scans with surfaces: only the distance of a point from the plane of its partner counts, and the normals
+    /// of both must agree (with their signs: see [`ScanCloud::with_normals_towards`]). For the weighted methods.
+    pub planes: bool,
+    /// How much less far pairs count when `planes` is set.
+    pub kernel: RobustKernel,
     /// Points of a link that look for a partner at most, chosen evenly.
     pub max_queries: usize,
 }
@@ -58,6 +63,8 @@ impl Default for GlobalOptions {
             max_distance: 0.5,
             max_iterations: 50,
             epsilon: 1e-5,
+            planes: false,
+            kernel: RobustKernel::None,
             max_queries: usize::MAX,
         }
     }

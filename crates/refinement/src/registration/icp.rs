@@ -38,7 +38,7 @@ pub enum RobustKernel {
 }
 
 impl RobustKernel {
-    fn weight(self, distance: f64) -> f64 {
+    pub(crate) fn weight(self, distance: f64) -> f64 {
         match self {
             Self::None => 1.0,
             Self::Huber(scale) => (scale / distance.max(f64::MIN_POSITIVE)).min(1.0),

@@ -13,6 +13,8 @@ const LEAST_VARIANCE: f64 = 1e-12;
 pub struct LinkStatistics {
     /// Number of pairs.
     pub count: u64,
+    /// Weight of the scalar residuals: three for a pair of points, up to one for a point and a plane.
+    pub rows: f64,
     /// Σ MᵀM.
     pub matrix: Matrix6<f64>,
     /// Σ Mᵀz.
@@ -27,6 +29,7 @@ impl LinkStatistics {
         let (m, z) = ((p + q) * 0.5, p - q);
         let cross = m.cross_matrix();
         self.count += 1;
+        self.rows += 3.0;
         for k in 0..3 {
             self.matrix[(k, k)] += 1.0;
         }
@@ -42,23 +45,38 @@ impl LinkStatistics {
         self.squares += z.norm_squared();
     }
 
+    /// Adds a pair of which only the distance along a unit normal counts: `n · z ≈ nᵀ M (X_a − X_b)`.
+    pub fn add_plane(&mut self, p: &Vector3, q: &Vector3, normal: &Vector3, weight: f64) {
+        let (m, distance) = ((p + q) * 0.5, normal.dot(&(p - q)));
+        let lever = m.cross(normal);
+        let row = Vector6::new(normal.x, normal.y, normal.z, lever.x, lever.y, lever.z);
+        self.count += 1;
+        self.rows += weight;
+        self.matrix += row * row.transpose() * weight;
+        self.vector += row * (weight * distance);
+        self.squares += weight * distance * distance;
+    }
+
     /// Adds other pairs of the same link.
     pub fn merge(&mut self, other: &Self) {
         self.count += other.count;
+        self.rows += other.rows;
         self.matrix += other.matrix;
         self.vector += other.vector;
         self.squares += other.squares;
     }
 
     /// The difference of the poses' errors D = (MᵀM)⁻¹MᵀZ (equation 7) and the unbiased variance of a coordinate s²
-    /// (equation 9 with 3m − 6). None for too few pairs, identical points, or pairs along a line.
+    /// (equation 9 with 3m − 6, for planes m − 6). None for too few pairs, or identical points.
     pub fn difference(&self) -> Option<(Vector6<f64>, f64)> {
         if self.count < MIN_PAIRS {
             return None;
         }
-        let difference = self.matrix.cholesky()?.solve(&self.vector);
+        // Planes may leave directions open; they get no difference.
+        let slack = Matrix6::identity() * (1e-9 * self.matrix.trace());
+        let difference = (self.matrix + slack).cholesky()?.solve(&self.vector);
         let rest = self.squares - self.vector.dot(&difference);
-        let variance = rest / (3.0 * self.count as f64 - 6.0).max(1.0);
+        let variance = rest / (self.rows - 6.0).max(1.0);
         (variance > LEAST_VARIANCE && difference.iter().all(|v| v.is_finite()))
             .then_some((difference, variance))
     }

@@ -90,7 +90,6 @@ fn report(results: &Results) -> serde_json::Value {
     let plan = &results.read.plan;
     let topics: Vec<&str> = plan.range.iter().map(|r| &*r.source.topic).collect();
     serde_json::json!({
-        "method": "continuous",
         "tracking_frame": plan.tracking_frame,
         "range_topics": topics,
         "poses": results.input.len(),
@@ -124,10 +123,13 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
         );
     }
     text += &format!(
-        "largest shift {:.3} m, largest turn {:.2} deg; {:.0} % of the points lie on surfaces\n",
+        "largest shift {:.3} m, largest turn {:.2} deg{}\n",
         report.largest_shift,
         report.largest_turn.to_degrees(),
-        100.0 * report.planar_share
+        report.planar_share.map_or_else(String::new, |share| format!(
+            "; {:.0} % of the points lie on surfaces",
+            100.0 * share
+        ))
     );
     for u in &report.undetermined {
         let what = if u.is_rotation { "turn about" } else { "shift along" };

@@ -6,9 +6,14 @@ use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 use super::GlobalOptions;
 use crate::registration::{Link, LinkStatistics, PairMoments, ScanCloud};
 
+/// Points whose neighbourhood is less planar are not used as planes.
+const LEAST_PLANARITY: f32 = 0.3;
+/// Least cosine between the normals of a pair.
+const LEAST_COSINE: f64 = 0.9;
+
 /// Sums over the pairs (p of the earlier, q of the later scan; world) of a link.
 #[derive(Clone, Debug)]
-pub(super) struct LinkSums {
+pub(crate) struct LinkSums {
     pub statistics: LinkStatistics,
     /// p as model, q as data.
     pub pairs: PairMoments,
@@ -35,13 +40,29 @@ impl LinkSums {
         let stride = to.points().len().div_ceil(options.max_queries.max(1)).max(1);
         // Links start at different points, so that together they use all.
         let first = (link.from * 7 + link.to * 13) % stride;
-        for point in to.points().iter().skip(first).step_by(stride) {
+        for (index, point) in to.points().iter().enumerate().skip(first).step_by(stride) {
             let local = na::Point3::from(point.map(f64::from));
             let x = a_from_b * local;
             let query = [x.x as f32, x.y as f32, x.z as f32];
             let Some(hit) = from.tree().nearest(query, options.max_distance as f32) else { continue };
             let near = from.points()[hit.index as usize].map(f64::from);
             let (p, q) = ((world_from_a * na::Point3::from(near)).coords, (world_from_b * local).coords);
+            if options.planes {
+                let normal = |cloud: &ScanCloud, index: usize, pose: &Rigid3| {
+                    let surface = cloud.surface(index).filter(|s| s.planarity > LEAST_PLANARITY)?;
+                    Some(pose.rotation * Vector3::from(surface.normal.map(f64::from)))
+                };
+                let own = normal(to, index, world_from_b);
+                let other = normal(from, hit.index as usize, world_from_a);
+                if let (Some(a), Some(b)) = (other, own)
+                    && a.dot(&b) > LEAST_COSINE
+                {
+                    let normal = (a + b).normalize();
+                    let weight = options.kernel.weight(normal.dot(&(p - q)).abs());
+                    sums.statistics.add_plane(&p, &q, &normal, weight);
+                }
+                continue;
+            }
             sums.add(&p, &q, options.method == super::GlobalMethod::Quaternion);
         }
         sums
