@@ -47,10 +47,14 @@ pub fn links_by_overlap(
             };
             let a_from_b = a.inverse() * b;
             let mut count = 0;
-            for p in scans[link.to].points() {
+            let points = scans[link.to].points();
+            for (i, p) in points.iter().enumerate() {
+                if count + (points.len() - i) <= min_pairs {
+                    return None;
+                }
                 let x = a_from_b * na::Point3::from(p.map(f64::from));
                 let query = [x.x as f32, x.y as f32, x.z as f32];
-                count += usize::from(scans[link.from].tree().nearest(query, max_distance as f32).is_some());
+                count += usize::from(scans[link.from].nearest(query, max_distance as f32).is_some());
                 if count > min_pairs {
                     return Some(link);
                 }

@@ -189,7 +189,7 @@ fn find_matches(model: &ScanCloud, data: &ScanCloud, pose: &Rigid3, options: &Ic
                 let index = chunk * CHUNK + i;
                 let x = moved(pose, *point);
                 let query = [x.x as f32, x.y as f32, x.z as f32];
-                let Some(hit) = model.tree().nearest(query, options.max_distance as f32) else { continue };
+                let Some(hit) = model.nearest(query, options.max_distance as f32) else { continue };
                 if !is_accepted(model, data, pose, &back, (hit.index as usize, index), options) {
                     continue;
                 }
@@ -227,7 +227,7 @@ fn is_accepted(
     }
     let x = moved(back, model.points()[m]);
     let query = [x.x as f32, x.y as f32, x.z as f32];
-    data.tree().nearest(query, options.max_distance as f32).is_some_and(|hit| hit.index as usize == d)
+    data.nearest(query, options.max_distance as f32).is_some_and(|hit| hit.index as usize == d)
 }
 
 fn point_moments(

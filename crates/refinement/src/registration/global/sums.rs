@@ -44,7 +44,7 @@ impl LinkSums {
             let local = na::Point3::from(point.map(f64::from));
             let x = a_from_b * local;
             let query = [x.x as f32, x.y as f32, x.z as f32];
-            let Some(hit) = from.tree().nearest(query, options.max_distance as f32) else { continue };
+            let Some(hit) = from.nearest(query, options.max_distance as f32) else { continue };
             let near = from.points()[hit.index as usize].map(f64::from);
             let (p, q) = ((world_from_a * na::Point3::from(near)).coords, (world_from_b * local).coords);
             if options.planes {
