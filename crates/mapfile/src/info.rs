@@ -148,6 +148,7 @@ pub fn info(reader: &mut MapReader) -> Result<MapInfo, PbstreamError> {
         let name = kind_of(&message.data).name();
         info.count(name);
         info.add_size(name, message.size);
+        info.grids.cells += message.cells;
         info.add_data(&message.data, &poses);
     }
     info.ignored = reader.ignored();

@@ -5,7 +5,7 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
 use portolan_geometry::Time;
-use portolan_mapfile::{Extent, MapInfo, MapReader, PbstreamReader, TrajectoryInfo, info};
+use portolan_mapfile::{Extent, MapInfo, MapReader, PbstreamReader, ReadLimits, TrajectoryInfo, info};
 use serde::Serialize;
 
 use super::describe::{duration, size, utc};
@@ -24,7 +24,7 @@ pub struct MapReport {
 /// Reads a map and sums it up.
 pub fn read(path: &Path) -> Result<MapReport, CliError> {
     let failed = |error| CliError::in_file(path, format!("{error}; see `portolan check`"));
-    let mut reader = MapReader::open(path).map_err(failed)?;
+    let mut reader = MapReader::open_without_cells(path, ReadLimits::default()).map_err(failed)?;
     let info = info(&mut reader).map_err(failed)?;
     Ok(MapReport { path: path.display().to_string(), size: reader.bytes_read(), info })
 }
