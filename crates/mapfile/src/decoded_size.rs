@@ -8,7 +8,7 @@ use std::mem::size_of;
 use crate::message::MessageKind;
 use crate::proto::mapping as m;
 use crate::proto::sensor;
-use crate::wire::{Fields, WireValue};
+use crate::wire::{Fields, WireValue, joined, put_bytes_field, without_field};
 
 /// Messages that would need more than this are refused. A pose graph that is honestly as long as
 /// [`ReadLimits`](crate::ReadLimits) allow needs less.
@@ -92,6 +92,38 @@ fn numbers(packed: &[u8]) -> u64 {
         return 4 * packed.len() as u64;
     }
     4 * packed.iter().filter(|byte| **byte < 0x80).count() as u64
+}
+
+/// The message of a submap without the cells of its 2D grid, and how many they were. None where there is no
+/// such grid, or the message is damaged.
+pub(crate) fn without_cells(message: &[u8]) -> Option<(Vec<u8>, u64)> {
+    let submap = joined(message, MessageKind::Submap.tag());
+    let submap_2d = joined(&submap, 2);
+    let grid = joined(&submap_2d, 4);
+    let tsdf = joined(&grid, 5);
+    let is_whole = |bytes: &[u8]| Fields::new(bytes).all(|field| field.is_ok());
+    if grid.is_empty() || ![message, &submap, &submap_2d, &grid, &tsdf].into_iter().all(is_whole) {
+        return None;
+    }
+    let mut cells = 0;
+    for (number, value) in Fields::new(&grid).map_while(Result::ok) {
+        cells += match (number, value) {
+            (2, WireValue::Bytes(packed)) => packed.iter().filter(|byte| **byte < 0x80).count() as u64,
+            (2, _) => 1,
+            _ => 0,
+        };
+    }
+    let replaced = |message: &[u8], number: u32, content: &[u8]| {
+        let mut replaced = without_field(message, number);
+        put_bytes_field(&mut replaced, number, content);
+        replaced
+    };
+    let mut grid = without_field(&grid, 2);
+    if !tsdf.is_empty() {
+        grid = replaced(&grid, 5, &without_field(&tsdf, 3));
+    }
+    let submap = replaced(&submap, 2, &replaced(&submap_2d, 4, &grid));
+    Some((replaced(message, MessageKind::Submap.tag(), &submap), cells))
 }
 
 #[cfg(test)]

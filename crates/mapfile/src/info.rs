@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 use portolan_geometry::{Rigid3, Time, Vector3};
+use prost::Message as _;
 use serde::Serialize;
 
 use crate::error::PbstreamError;
@@ -26,6 +27,8 @@ pub struct MapInfo {
     /// Messages after the first three by their names, with those counters of submaps that are always
     /// there.
     pub counters: BTreeMap<String, u64>,
+    /// Bytes of the unpacked messages by their names: what they take in the file before compression.
+    pub unpacked_bytes: BTreeMap<String, u64>,
     /// In the order of the file.
     pub trajectories: Vec<TrajectoryInfo>,
     /// Constraints by kind.
@@ -138,9 +141,14 @@ pub fn info(reader: &mut MapReader) -> Result<MapInfo, PbstreamError> {
     }
     info.add_pose_graph(reader.pose_graph());
     info.add_options(reader.options());
+    info.add_size("pose_graph", reader.pose_graph().encoded_len());
+    info.add_size("all_trajectory_builder_options", reader.options().encoded_len());
     let poses = submap_poses(reader.pose_graph());
     while let Some(message) = reader.next_message()? {
-        info.count(kind_of(&message.data).name());
+        let name = kind_of(&message.data).name();
+        info.count(name);
+        info.add_size(name, message.size);
+        info.grids.cells += message.cells;
         info.add_data(&message.data, &poses);
     }
     info.ignored = reader.ignored();
@@ -153,6 +161,15 @@ impl MapInfo {
             Some(counter) => *counter += 1,
             None => {
                 self.counters.insert(name.to_owned(), 1);
+            }
+        }
+    }
+
+    fn add_size(&mut self, name: &str, size: usize) {
+        match self.unpacked_bytes.get_mut(name) {
+            Some(bytes) => *bytes += size as u64,
+            None => {
+                self.unpacked_bytes.insert(name.to_owned(), size as u64);
             }
         }
     }

@@ -8,7 +8,7 @@ use crate::frames::FrameReader;
 use crate::message::{Message, RawMessage};
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
-use crate::reader::{ReadLimits, Records, decode, open_frames};
+use crate::reader::{Decoded, ReadLimits, Records, decode, decode_without_cells, open_frames};
 
 /// Messages that were left out while reading, because nothing can be done with them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -27,7 +27,7 @@ pub struct MapReader {
     header: SerializationHeader,
     pose_graph: PoseGraph,
     options: AllTrajectoryBuilderOptions,
-    records: Records<(RawMessage, Message)>,
+    records: Records<Decoded>,
     ignored: IgnoredMessages,
 }
 
@@ -38,6 +38,10 @@ pub struct MapMessage {
     pub index: u64,
     /// Position of the record in the file.
     pub offset: u64,
+    /// Bytes of the message when it is unpacked.
+    pub size: usize,
+    /// Cells of a 2D grid that were counted and left out; see [`MapReader::open_without_cells`].
+    pub cells: u64,
     /// The content: never a pose graph or options.
     pub data: Data,
 }
@@ -53,7 +57,13 @@ impl MapReader {
 
     /// Opens a map; errors as for [`MapReader::open`].
     pub fn open_with(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
-        Self::start(open_frames(path.as_ref(), limits)?, limits)
+        Self::start(open_frames(path.as_ref(), limits)?, limits, decode)
+    }
+
+    /// Opens a map whose submaps come without the cells of their 2D grids: for summaries, in little memory.
+    /// Errors as for [`MapReader::open`].
+    pub fn open_without_cells(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
+        Self::start(open_frames(path.as_ref(), limits)?, limits, decode_without_cells)
     }
 
     /// Reads from any source; `length` is its whole length in bytes if it is known.
@@ -62,34 +72,38 @@ impl MapReader {
         length: Option<u64>,
         limits: ReadLimits,
     ) -> Result<Self, PbstreamError> {
-        Self::start(FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?, limits)
+        Self::start(FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?, limits, decode)
     }
 
-    fn start(frames: FrameReader, limits: ReadLimits) -> Result<Self, PbstreamError> {
-        let mut records = Records::new(frames, limits, decode);
-        let header = match records.next_record()? {
-            Some((_, Message::Header(header))) => header,
+    fn start(
+        frames: FrameReader,
+        limits: ReadLimits,
+        step: fn(RawMessage) -> Result<Decoded, PbstreamError>,
+    ) -> Result<Self, PbstreamError> {
+        let mut records = Records::new(frames, limits, step);
+        let header = match records.next_record()?.map(|decoded| decoded.message) {
+            Some(Message::Header(header)) => header,
             _ => return Err(PbstreamError::MissingHeader),
         };
         check_version(&header)?;
-        let pose_graph = match records.next_record()? {
-            Some((_, Message::Data(data))) => match *data {
+        let pose_graph = match records.next_record()?.map(|decoded| decoded.message) {
+            Some(Message::Data(data)) => match *data {
                 Data::PoseGraph(pose_graph) => pose_graph,
                 other => {
                     return Err(PbstreamError::PoseGraphOrder { tag: crate::message::kind_of(&other).tag() });
                 }
             },
-            Some((_, other)) => return Err(PbstreamError::PoseGraphOrder { tag: other.kind().tag() }),
+            Some(other) => return Err(PbstreamError::PoseGraphOrder { tag: other.kind().tag() }),
             None => return Err(PbstreamError::MissingPoseGraph),
         };
-        let options = match records.next_record()? {
-            Some((_, Message::Data(data))) => match *data {
+        let options = match records.next_record()?.map(|decoded| decoded.message) {
+            Some(Message::Data(data)) => match *data {
                 Data::AllTrajectoryBuilderOptions(options) => options,
                 other => {
                     return Err(PbstreamError::OptionsOrder { tag: crate::message::kind_of(&other).tag() });
                 }
             },
-            Some((_, other)) => return Err(PbstreamError::OptionsOrder { tag: other.kind().tag() }),
+            Some(other) => return Err(PbstreamError::OptionsOrder { tag: other.kind().tag() }),
             None => return Err(PbstreamError::MissingOptions),
         };
         let counts = (options.options_with_sensor_ids.len(), pose_graph.trajectory.len());
@@ -117,7 +131,7 @@ impl MapReader {
     /// The next message after those three, or nothing at the end. Further pose graphs, options and
     /// unknown kinds are left out and counted in [`MapReader::ignored`].
     pub fn next_message(&mut self) -> Result<Option<MapMessage>, PbstreamError> {
-        while let Some((RawMessage { index, offset, .. }, message)) = self.records.next_record()? {
+        while let Some(Decoded { index, offset, size, cells, message }) = self.records.next_record()? {
             match message {
                 Message::Data(data) => match *data {
                     Data::PoseGraph(_) => {
@@ -136,7 +150,7 @@ impl MapReader {
                                                Serialized stream likely corrupt! Keeping the first ones."
                         );
                     }
-                    data => return Ok(Some(MapMessage { index, offset, data })),
+                    data => return Ok(Some(MapMessage { index, offset, size, cells, data })),
                 },
                 Message::Unknown(tag) => {
                     self.ignored.unknown += 1;

@@ -5,10 +5,10 @@
 //! versions differ only in the header.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::f32::consts::PI;
 use std::path::Path;
 
 use portolan_geometry::{Quaternion, yaw};
+use portolan_matching::rotate_histogram;
 use prost::Message as _;
 use serde::Serialize;
 
@@ -251,33 +251,4 @@ fn sum_histograms(
         sum.iter_mut().zip(turned).for_each(|(s, t)| *s += t);
     }
     sums
-}
-
-/// A histogram of directions (half a turn has as many buckets as the histogram) turned by `angle`
-/// radians, interpolated between buckets (`slam3d.md §4`).
-fn rotate_histogram(histogram: &[f32], angle: f32) -> Vec<f32> {
-    let n = histogram.len();
-    let turn = -angle * n as f32 / PI;
-    let whole = (turn - 0.5).round();
-    let fraction = turn - whole;
-    let shift = (whole as i64).rem_euclid(n.max(1) as i64) as usize;
-    let at = |i: usize| histogram.get(i % n.max(1)).copied().unwrap_or(0.0);
-    (0..n).map(|i| fraction * at(i + 1 + shift) + (1.0 - fraction) * at(i + shift)).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn histograms_turn_by_buckets() {
-        let histogram = [1.0, 2.0, 3.0, 4.0];
-        assert_eq!(rotate_histogram(&histogram, 0.0), histogram);
-        let turned = rotate_histogram(&histogram, PI / 4.0);
-        let expected = [4.0, 1.0, 2.0, 3.0];
-        assert!(turned.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{turned:?}");
-        let half = rotate_histogram(&histogram, -PI / 8.0);
-        assert!(half.iter().zip([1.5, 2.5, 3.5, 2.5]).all(|(a, b)| (a - b).abs() < 1e-5), "{half:?}");
-        assert!(rotate_histogram(&[], 1.0).is_empty());
-    }
 }

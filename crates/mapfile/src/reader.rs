@@ -5,10 +5,11 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
+use crate::decoded_size::without_cells;
 use crate::error::{PbstreamError, RecordError};
 use crate::frames::{Frame, FrameReader};
 use crate::gzip::{GzipError, gunzip};
-use crate::message::{Message, RawMessage};
+use crate::message::{Message, MessageKind, RawMessage};
 use crate::ordered::OrderedWorkers;
 
 /// A batch of records is unpacked as one job; smaller jobs cost more than they gain.
@@ -19,7 +20,7 @@ const MAX_BATCHES: usize = 8;
 const MAX_AHEAD_BYTES: usize = 4 << 20;
 /// What a batch may unpack to ahead of its turn; what is larger waits until it is asked for. So read-ahead
 /// never holds more than eight times this, even where every record is a gzip bomb.
-const MAX_BATCH_UNPACKED: usize = 32 << 20;
+const MAX_BATCH_UNPACKED: usize = 8 << 20;
 
 /// Bounds on what a file may make the reader allocate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,12 +103,35 @@ pub(crate) fn open_frames(path: &Path, limits: ReadLimits) -> Result<FrameReader
     FrameReader::new(source, length, limits.max_compressed_bytes)
 }
 
+/// A message, without its bytes.
+pub(crate) struct Decoded {
+    pub index: u64,
+    pub offset: u64,
+    /// Bytes of the unpacked message.
+    pub size: usize,
+    /// Cells that were left out.
+    pub cells: u64,
+    pub message: Message,
+}
+
 /// Decodes a message; the error says which.
-pub(crate) fn decode(raw: RawMessage) -> Result<(RawMessage, Message), PbstreamError> {
+pub(crate) fn decode(raw: RawMessage) -> Result<Decoded, PbstreamError> {
+    let RawMessage { index, offset, ref bytes } = raw;
     match raw.decode() {
-        Ok(message) => Ok((raw, message)),
-        Err(error) => Err(PbstreamError::Record { index: raw.index, offset: raw.offset, problem: error }),
+        Ok(message) => Ok(Decoded { index, offset, size: bytes.len(), cells: 0, message }),
+        Err(problem) => Err(PbstreamError::Record { index, offset, problem }),
     }
+}
+
+/// [`decode`], but 2D grids come without their cells, which are counted only.
+pub(crate) fn decode_without_cells(mut raw: RawMessage) -> Result<Decoded, PbstreamError> {
+    if raw.kind() != MessageKind::Submap {
+        return decode(raw);
+    }
+    let size = raw.bytes.len();
+    let Some((bytes, cells)) = without_cells(&raw.bytes) else { return decode(raw) };
+    raw.bytes = bytes;
+    decode(raw).map(|decoded| Decoded { size, cells, ..decoded })
 }
 
 type Unpacked<T> = Result<T, PbstreamError>;

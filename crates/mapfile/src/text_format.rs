@@ -3,7 +3,7 @@
 //! Works on the bytes with the names of the schema, so that fields unknown here are printed too.
 
 use std::collections::HashMap;
-use std::fmt::Write as _;
+use std::fmt::{self, Write};
 use std::sync::LazyLock;
 
 use prost::Message as _;
@@ -70,7 +70,8 @@ impl Schema {
 /// `cartographer.mapping.proto.PoseGraph`; fields that are not in the schema are printed by number.
 pub fn message_to_text(bytes: &[u8], message_type: &str) -> String {
     let mut text = String::new();
-    print_message(bytes, Some(&format!(".{message_type}")), 0, &mut text);
+    // Writing to a string cannot fail.
+    let _ = print_message(bytes, Some(&format!(".{message_type}")), 0, &mut text);
     text
 }
 
@@ -82,47 +83,62 @@ pub fn pose_graph_to_text(pose_graph: &PoseGraph) -> String {
 /// A message of the package `cartographer.mapping.proto` as text.
 pub(crate) fn mapping_to_text(message: &impl prost::Message, name: &str) -> String {
     let mut text = String::new();
-    print_message(&message.encode_to_vec(), Some(&format!("{MAPPING}{name}")), 0, &mut text);
+    let _ = print_message(&message.encode_to_vec(), Some(&format!("{MAPPING}{name}")), 0, &mut text);
     text
 }
 
 impl RawMessage {
     /// The message as protobuf text; see [`message_to_text`].
     pub fn to_text(&self) -> String {
-        let name = if self.index == 0 { "SerializationHeader" } else { "SerializedData" };
         let mut text = String::new();
-        print_message(&self.bytes, Some(&format!("{MAPPING}{name}")), 0, &mut text);
+        let _ = self.write_text(&mut text);
         text
+    }
+
+    /// Writes the message as protobuf text piece by piece; the text of a grid can be ten times as long as the
+    /// grid.
+    ///
+    /// # Errors
+    /// Those of the writer.
+    pub fn write_text(&self, text: &mut dyn Write) -> fmt::Result {
+        let name = if self.index == 0 { "SerializationHeader" } else { "SerializedData" };
+        print_message(&self.bytes, Some(&format!("{MAPPING}{name}")), 0, text)
     }
 }
 
-fn print_message(bytes: &[u8], message_type: Option<&str>, depth: usize, text: &mut String) {
+fn print_message(
+    bytes: &[u8],
+    message_type: Option<&str>,
+    depth: usize,
+    text: &mut dyn Write,
+) -> fmt::Result {
     let known = message_type.and_then(|t| SCHEMA.messages.get(t));
     let mut fields: Vec<(u32, WireValue)> = Fields::new(bytes).map_while(Result::ok).collect();
     // By number, unknown ones last.
     fields.sort_by_key(|(number, _)| (!known.is_some_and(|k| k.contains_key(number)), *number));
     for (number, value) in fields {
         match known.and_then(|k| k.get(&number)) {
-            Some(field) => print_field(field, value, depth, text),
-            None => print_unknown(number, value, depth, text),
+            Some(field) => print_field(field, value, depth, text)?,
+            None => print_unknown(number, value, depth, text)?,
         }
     }
+    Ok(())
 }
 
-fn print_field(field: &Field, value: WireValue, depth: usize, text: &mut String) {
+fn print_field(field: &Field, value: WireValue, depth: usize, text: &mut dyn Write) -> fmt::Result {
     match (field.kind, value) {
         (Type::Message, WireValue::Bytes(bytes)) => {
-            print_block(&field.name, bytes, Some(&field.type_name), depth, text);
+            print_block(&field.name, bytes, Some(&field.type_name), depth, text)
         }
         (Type::String | Type::Bytes, WireValue::Bytes(bytes)) => {
-            line(depth, &field.name, &quoted(bytes), text);
+            line(depth, &field.name, &quoted(bytes), text)
         }
         (_, WireValue::Bytes(packed)) => print_packed(field, packed, depth, text),
         (_, value) => line(depth, &field.name, &scalar(field, value), text),
     }
 }
 
-fn print_packed(field: &Field, mut packed: &[u8], depth: usize, text: &mut String) {
+fn print_packed(field: &Field, mut packed: &[u8], depth: usize, text: &mut dyn Write) -> fmt::Result {
     while !packed.is_empty() {
         let value = match field.kind {
             Type::Double | Type::Fixed64 | Type::Sfixed64 => {
@@ -139,9 +155,10 @@ fn print_packed(field: &Field, mut packed: &[u8], depth: usize, text: &mut Strin
             }
             _ => varint(&mut packed).map(WireValue::Varint),
         };
-        let Some(value) = value else { return };
-        line(depth, &field.name, &scalar(field, value), text);
+        let Some(value) = value else { return Ok(()) };
+        line(depth, &field.name, &scalar(field, value), text)?;
     }
+    Ok(())
 }
 
 fn scalar(field: &Field, value: WireValue) -> String {
@@ -173,28 +190,34 @@ fn raw(value: WireValue) -> String {
     }
 }
 
-fn print_unknown(number: u32, value: WireValue, depth: usize, text: &mut String) {
+fn print_unknown(number: u32, value: WireValue, depth: usize, text: &mut dyn Write) -> fmt::Result {
     let name = number.to_string();
     match value {
         WireValue::Bytes(bytes)
             if !bytes.is_empty() && depth < MAX_DEPTH && Fields::new(bytes).all(|f| f.is_ok()) =>
         {
-            print_block(&name, bytes, None, depth, text);
+            print_block(&name, bytes, None, depth, text)
         }
         value => line(depth, &name, &raw(value), text),
     }
 }
 
-fn print_block(name: &str, bytes: &[u8], message_type: Option<&str>, depth: usize, text: &mut String) {
+fn print_block(
+    name: &str,
+    bytes: &[u8],
+    message_type: Option<&str>,
+    depth: usize,
+    text: &mut dyn Write,
+) -> fmt::Result {
     let indent = 2 * depth;
-    let _ = writeln!(text, "{:indent$}{name} {{", "");
-    print_message(bytes, message_type, depth + 1, text);
-    let _ = writeln!(text, "{:indent$}}}", "");
+    writeln!(text, "{:indent$}{name} {{", "")?;
+    print_message(bytes, message_type, depth + 1, text)?;
+    writeln!(text, "{:indent$}}}", "")
 }
 
-fn line(depth: usize, name: &str, value: &str, text: &mut String) {
+fn line(depth: usize, name: &str, value: &str, text: &mut dyn Write) -> fmt::Result {
     let indent = 2 * depth;
-    let _ = writeln!(text, "{:indent$}{name}: {value}", "");
+    writeln!(text, "{:indent$}{name}: {value}", "")
 }
 
 /// Fifteen digits, or seventeen where fifteen do not give the same number back.

@@ -11,7 +11,8 @@ use common::small_map::SmallMap;
 use common::{all_maps, shared};
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions};
 use portolan_geometry::{Rigid3, Time, Vector3};
-use portolan_mapfile::proto::mapping::PoseGraph;
+use portolan_mapfile::proto::mapping::serialized_data::Data;
+use portolan_mapfile::proto::mapping::{PoseGraph, TrajectoryData};
 use portolan_mapfile::{
     EditError, MapArea, MapDraft, MapInfo, MapReader, PbstreamReader, ReadLimits, Severity, info,
     pose_from_proto, validate,
@@ -132,7 +133,7 @@ fn maps_are_cut_by_time_and_area() {
         reader.pose_graph().trajectory.iter().flat_map(|t| t.node.iter().map(|n| n.timestamp)).collect();
     let mut times = Vec::new();
     while let Some(message) = reader.next_message().unwrap() {
-        if let portolan_mapfile::proto::mapping::serialized_data::Data::OdometryData(data) = message.data {
+        if let Data::OdometryData(data) = message.data {
             times.push(data.odometry_data.unwrap().timestamp);
         }
     }
@@ -206,6 +207,40 @@ fn the_map_moves_as_a_whole() {
     let tilt = Rigid3::new(Vector3::zeros(), Vector3::x());
     assert!(matches!(draft(&path).transform(&tilt), Err(EditError::Dimension(_))));
     draft(&small(&folder, true)).transform(&tilt).unwrap();
+}
+
+#[test]
+fn fixed_frames_move_with_the_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, out) = (folder.path().join("in.pbstream"), folder.path().join("out.pbstream"));
+    let mut map = SmallMap::new(false);
+    map.rest.push(Data::TrajectoryData(TrajectoryData {
+        gravity_constant: 9.8,
+        fixed_frame_origin_in_map: common::small_map::pose(0.5),
+        ..TrajectoryData::default()
+    }));
+    map.write(&path);
+    let origin = |path: &Path| {
+        let mut reader = MapReader::open(path).unwrap();
+        while let Some(message) = reader.next_message().unwrap() {
+            if let Data::TrajectoryData(data) = message.data {
+                return pose_from_proto(data.fixed_frame_origin_in_map.as_ref()).unwrap();
+            }
+        }
+        panic!("no trajectory data");
+    };
+    let turn = Rigid3::new(Vector3::new(1.0, 2.0, 0.0), Vector3::z());
+    for optimise in [false, true] {
+        let mut map = draft(&path);
+        if optimise {
+            map.optimize(&OptimizationProblemOptions::default(), 5).unwrap();
+        }
+        map.transform(&turn).unwrap();
+        map.rename_trajectories(&BTreeMap::from([(0, 2)])).unwrap();
+        map.write(&out).unwrap();
+        let off = origin(&out).inverse() * turn * Rigid3::translation(0.5, 0.0, 0.0);
+        assert!(off.translation.vector.norm() < 1e-9 && off.rotation.angle() < 1e-9, "{off}");
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@ mod common;
 use std::collections::BTreeMap;
 
 use common::{all_maps, shared};
-use portolan_mapfile::{MapReader, PbstreamReader, info};
+use portolan_mapfile::{MapReader, PbstreamReader, ReadLimits, info};
 
 #[test]
 fn counts_agree_with_the_reference() {
@@ -66,5 +66,14 @@ fn the_schema_knows_every_field_of_real_maps() {
             let unknown = text.lines().find(|l| l.trim_start().starts_with(|c: char| c.is_ascii_digit()));
             assert_eq!(unknown, None, "{} message {}", path.display(), raw.index);
         }
+    }
+}
+
+#[test]
+fn summaries_do_not_need_the_cells() {
+    for path in all_maps() {
+        let with = info(&mut MapReader::open(&path).unwrap()).unwrap();
+        let mut reader = MapReader::open_without_cells(&path, ReadLimits::default()).unwrap();
+        assert!(info(&mut reader).unwrap() == with, "{}", path.display());
     }
 }

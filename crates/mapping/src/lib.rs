@@ -8,6 +8,7 @@ mod backend;
 mod collation;
 mod constraint;
 mod id;
+mod imu_integration;
 mod imu_tracker;
 mod latency;
 mod local_slam;
@@ -21,8 +22,11 @@ mod pose_extrapolator;
 mod pose_graph;
 mod sampling_density;
 mod scan_matching_2d;
+mod scan_matching_3d;
 mod space;
+mod spatial;
 mod submap_2d;
+mod submap_3d;
 
 pub use backend::{BackendProgress, MapperError};
 pub use constraint::{Constraint, ConstraintTag};
@@ -33,9 +37,10 @@ pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Mapper, MapperSettings};
 pub use motion_filter::MotionFilter;
 pub use node::{Node, NodeData};
+pub use imu_integration::{ImuMotion, integrate_imu};
 pub use optimization::{
-    LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
-    TrajectorySensors, optimize_2d,
+    ImuState, LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
+    TrajectorySensors, optimize_2d, optimize_3d,
 };
 pub use planar::Planar;
 pub use pose_extrapolator::{ExtrapolatorCounts, ExtrapolatorError, PoseExtrapolator};
@@ -44,4 +49,6 @@ pub use pose_graph::{
     TrajectoryConnectivity, TrajectoryEntry, TrajectoryState, Trimmer,
 };
 pub use space::{MatchedPose, SearchRegion, Space};
+pub use spatial::{Spatial, SpatialMatcher};
 pub use submap_2d::{Inserter2d, Submap2d};
+pub use submap_3d::{Inserter3d, Scan3d, Submap3d};

@@ -41,6 +41,10 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
     /// Whether the optimisation uses IMU samples, so that they are kept.
     const OPTIMIZES_WITH_IMU: bool;
 
+    /// Memory for matchers that are kept between searches, bytes. In 2D building one takes a millisecond
+    /// or two, keeping one a few megabytes.
+    const MATCHER_CACHE_BYTES: usize = 12 << 20;
+
     /// Local SLAM for a new trajectory with these range sensors; options that contradict each other
     /// are an error.
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<Self::LocalSlam, MapperError>;

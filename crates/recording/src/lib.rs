@@ -8,11 +8,14 @@ mod container;
 mod coreslam;
 mod ingest;
 mod inspect;
+mod kitti;
 mod memory;
 mod merge;
 mod message;
 mod open;
 mod output_file;
+mod packets;
+mod pcap;
 mod repairs;
 mod ros1;
 mod ros2;
@@ -25,9 +28,10 @@ mod writer;
 pub use carmen::{CarmenLog, CarmenOptions, TimeColumn, looks_like_carmen};
 pub use coreslam::{CoreSlamLog, looks_like_coreslam};
 pub use ingest::{
-    ConfiguredSensors, Dimension, GeodeticPosition, ImuStatistics, IngestError, IngestOptions, Ingestion,
-    Inventory, Notice, PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor, PointTime,
-    PointTimeOrigin, RangeStatistics, SamplingRatios, SensorPlan, SensorStatistics, TopicSurvey, plan,
+    AzimuthTimes, ConfiguredSensors, Dimension, GeodeticPosition, ImuStatistics, IngestError, IngestOptions,
+    Ingestion, Inventory, Notice, PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor,
+    PointTime, PointTimeOrigin, RangeStatistics, SamplingRatios, SensorPlan, SensorStatistics, TopicSurvey,
+    plan,
 };
 pub use inspect::{
     CheckReport, Finding, Histogram, PlanDescription, RecordingInfo, RepairDescription, Severity,

@@ -48,6 +48,9 @@ pub enum Message {
     PoseStamped(PoseStamped),
     /// `cartographer_ros_msgs/LandmarkList`.
     LandmarkList(LandmarkList),
+    /// Packets as a sensor sent them. [`open`](crate::open) gives the clouds and IMU samples that they
+    /// hold instead.
+    SensorPackets(SensorPackets),
     /// A type that is listed but not understood.
     Other {
         /// Its name, as `package/Type` (ROS 2's `/msg/` removed).
@@ -239,6 +242,39 @@ pub struct LandmarkList {
     pub landmarks: Vec<LandmarkEntry>,
 }
 
+/// What sent packets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PacketKind {
+    /// `velodyne_msgs/VelodyneScan`.
+    Velodyne,
+    /// `ouster_ros/PacketMsg`: lidar or IMU.
+    Ouster,
+    /// `std_msgs/String` with what an Ouster tells about itself (JSON).
+    OusterMetadata,
+}
+
+impl PacketKind {
+    /// The ROS type, as `package/Type`.
+    pub fn type_name(self) -> &'static str {
+        match self {
+            Self::Velodyne => "velodyne_msgs/VelodyneScan",
+            Self::Ouster => "ouster_ros/PacketMsg",
+            Self::OusterMetadata => "std_msgs/String",
+        }
+    }
+}
+
+/// Packets as a sensor sent them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorPackets {
+    /// What sent them.
+    pub kind: PacketKind,
+    /// Stamp and frame, where the message has them.
+    pub header: Option<Header>,
+    /// Time of arrival, where the message has it, and bytes.
+    pub packets: Vec<(Option<Time>, Vec<u8>)>,
+}
+
 impl Message {
     /// The ROS type, as `package/Type`.
     pub fn type_name(&self) -> &str {
@@ -252,6 +288,7 @@ impl Message {
             Self::Tf(_) => "tf2_msgs/TFMessage",
             Self::PoseStamped(_) => "geometry_msgs/PoseStamped",
             Self::LandmarkList(_) => "cartographer_ros_msgs/LandmarkList",
+            Self::SensorPackets(m) => m.kind.type_name(),
             Self::Other { type_name, .. } => type_name,
         }
     }
@@ -267,6 +304,7 @@ impl Message {
             Self::NavSatFix(m) => Some(&m.header),
             Self::PoseStamped(m) => Some(&m.header),
             Self::LandmarkList(m) => Some(&m.header),
+            Self::SensorPackets(m) => m.header.as_ref(),
             Self::Tf(_) | Self::Other { .. } => None,
         }
     }

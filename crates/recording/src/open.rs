@@ -8,23 +8,32 @@ use crate::container::Source;
 use crate::merge::MergedRecording;
 use crate::repairs::RepairLog;
 use crate::ros2::{db3, folder, mcap};
-use crate::{Recording, RecordingError, open_text_log, open_text_log_bytes, ros1};
+use crate::{Recording, RecordingError, kitti, open_text_log, open_text_log_bytes, packets, pcap, ros1};
 
 /// What can be opened, for error messages.
 const SUPPORTED: &str = "supported are ROS 1 bags (format 2.0), ROS 2 bags (MCAP or SQLite, a file or a folder \
-    with metadata.yaml), the same wrapped in zstd, gzip or bzip2, and CARMEN and CoreSLAM logs";
+    with metadata.yaml), the same wrapped in zstd, gzip or bzip2, network captures (pcap, pcapng) of Velodyne and \
+    Ouster lidars, folders of KITTI, and CARMEN and CoreSLAM logs";
 
 /// How much of a file is looked at to tell its format.
 const PREFIX_BYTES: usize = 64;
 
 /// Opens a recording: a bag, an MCAP file, an SQLite database of ROS 2, a text log, any of them compressed
-/// as a whole, or a folder with the files of one recording. Extensions do not matter.
+/// as a whole, a network capture, a folder of KITTI, or a folder with the files of one recording. Extensions
+/// do not matter. Raw packets of Velodyne and Ouster lidars are shown as clouds.
 ///
 /// # Errors
 /// Fails if the file cannot be read, is of no known format, is encrypted, or holds nothing readable.
 pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn Recording>, RecordingError> {
-    let path = path.as_ref();
+    packets::unpacked(open_as_it_is(path.as_ref())?)
+}
+
+/// Opens a recording without a look into raw packets.
+fn open_as_it_is(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
     if path.is_dir() {
+        if let Some(recording) = kitti::open(path)? {
+            return Ok(recording);
+        }
         return open_folder(path);
     }
     let source = Source::File(path.into());
@@ -53,8 +62,8 @@ pub fn open_all<P: AsRef<Path>>(paths: &[P]) -> Result<Box<dyn Recording>, Recor
         [] => Err(RecordingError::Description { detail: "no recording was named".to_owned() }),
         [path] => open(path),
         paths => {
-            let parts = paths.iter().map(open).collect::<Result<_, _>>()?;
-            Ok(Box::new(MergedRecording::new(parts, Vec::new())))
+            let parts = paths.iter().map(|path| open_as_it_is(path.as_ref())).collect::<Result<_, _>>()?;
+            packets::unpacked(Box::new(MergedRecording::new(parts, Vec::new())))
         }
     }
 }
@@ -68,7 +77,7 @@ pub fn open_bytes(name: impl AsRef<Path>, bytes: Arc<[u8]>) -> Result<Box<dyn Re
     let prefix = bytes.get(..PREFIX_BYTES).unwrap_or(&bytes).to_vec();
     let source = Source::Memory { name: name.into(), bytes };
     if let Some(recording) = open_container(&source, &prefix)? {
-        return Ok(recording);
+        return packets::unpacked(recording);
     }
     let Source::Memory { bytes, .. } = source else { return Err(unknown(name, &prefix)) };
     open_text_log_bytes(name, &bytes)?.ok_or_else(|| unknown(name, &prefix))
@@ -79,6 +88,7 @@ enum Container {
     Bag,
     Mcap,
     Db3,
+    Capture,
 }
 
 fn container_of(prefix: &[u8]) -> Option<Container> {
@@ -88,6 +98,8 @@ fn container_of(prefix: &[u8]) -> Option<Container> {
         Some(Container::Mcap)
     } else if db3::sniff(prefix) {
         Some(Container::Db3)
+    } else if pcap::sniff(prefix) {
+        Some(Container::Capture)
     } else {
         None
     }
@@ -98,6 +110,7 @@ fn open_container(source: &Source, prefix: &[u8]) -> Result<Option<Box<dyn Recor
         Some(Container::Bag) => Some(ros1::open(source.clone())?),
         Some(Container::Mcap) => Some(mcap::open(source.clone())?),
         Some(Container::Db3) => Some(db3::open(source.clone())?),
+        Some(Container::Capture) => Some(pcap::open(source.clone())?),
         None => None,
     })
 }
@@ -114,7 +127,7 @@ fn open_folder(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
     repairs.merge(&found.repairs);
     let (mut parts, mut first_error) = (Vec::new(), None);
     for file in &found.files {
-        match open(file) {
+        match open_as_it_is(file) {
             Ok(part) => parts.push(part),
             Err(error) => {
                 repairs.lost(format!("a file of the recording was left out: {error}"));
@@ -208,9 +221,6 @@ fn unknown(path: &Path, prefix: &[u8]) -> RecordingError {
     let found = match prefix {
         [] => "the file is empty",
         [0xdb, 0x01, 0xf5, 0x5b, ..] => "it is a map (pbstream), not a recording",
-        [0xd4, 0xc3, 0xb2, 0xa1, ..] | [0xa1, 0xb2, 0xc3, 0xd4, ..] | [0x0a, 0x0d, 0x0d, 0x0a, ..] => {
-            "it is a capture of network packets"
-        }
         prefix if prefix.starts_with(b"version https://git-lfs") => {
             "it is only the pointer of a git LFS file (run `git lfs pull`)"
         }

@@ -7,6 +7,8 @@ mod error;
 mod moments;
 pub mod neighbours;
 mod point_store;
+pub mod registration;
+pub mod semi_rigid;
 mod sharpness;
 
 pub use error::RefineError;

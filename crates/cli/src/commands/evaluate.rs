@@ -1,5 +1,6 @@
 //! `portolan evaluate`: how good a trajectory or a map is.
 
+mod cloud;
 pub mod generate;
 pub mod input;
 mod loops;
@@ -14,6 +15,7 @@ use crate::error::{CliError, Outcome};
 #[command(after_help = "Examples:\n  \
     portolan evaluate relations aces.pbstream aces.relations\n  \
     portolan evaluate trajectory walk_map/trajectory.tum walk.truth.tum --rpe 1\n  \
+    portolan evaluate cloud walk.bag walk.tum walk_refined/refined.tum\n  \
     portolan evaluate generate old.pbstream -o old.relations --min-covered-distance 20")]
 pub struct EvaluateArgs {
     #[command(subcommand)]
@@ -24,6 +26,7 @@ pub struct EvaluateArgs {
 enum What {
     Relations(relations::RelationsArgs),
     Trajectory(trajectory::TrajectoryArgs),
+    Cloud(cloud::CloudArgs),
     Generate(generate::GenerateArgs),
     Loops(loops::LoopsArgs),
 }
@@ -32,6 +35,7 @@ pub fn run(args: &EvaluateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     match &args.what {
         What::Relations(args) => relations::run(args, global),
         What::Trajectory(args) => trajectory::run(args, global),
+        What::Cloud(args) => cloud::run(args, global),
         What::Generate(args) => generate::run(args, global),
         What::Loops(args) => loops::run(args, global),
     }

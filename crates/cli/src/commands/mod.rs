@@ -14,6 +14,7 @@ mod man;
 mod map;
 mod migrate;
 mod optimize;
+mod refine;
 mod render;
 mod repair;
 mod simulate;
@@ -34,9 +35,10 @@ pub enum Command {
     Edit(Box<edit::EditArgs>),
     Convert(Box<convert::ConvertArgs>),
     Optimize(Box<optimize::OptimizeArgs>),
+    Refine(Box<refine::RefineArgs>),
     Repair(repair::RepairArgs),
     Migrate(migrate::MigrateArgs),
-    Simulate(simulate::SimulateArgs),
+    Simulate(Box<simulate::SimulateArgs>),
     Compat(compat::CompatArgs),
     Completions(completions::CompletionsArgs),
     Man(man::ManArgs),
@@ -55,6 +57,7 @@ pub fn run(command: Command, global: &GlobalArgs) -> Result<Outcome, CliError> {
         Command::Edit(args) => edit::run(&args, global),
         Command::Convert(args) => convert::run(&args, global),
         Command::Optimize(args) => optimize::run(&args, global),
+        Command::Refine(args) => refine::run(&args, global),
         Command::Repair(args) => repair::run(&args),
         Command::Migrate(args) => migrate::run(&args),
         Command::Simulate(args) => simulate::run(&args, global),

@@ -15,6 +15,9 @@ pub enum MapConversionError {
     /// A 3D map where a 2D map is wanted.
     #[error("3D map: not supported yet by this function")]
     ThreeDimensional,
+    /// A 2D map where a 3D map is wanted.
+    #[error("2D map where a 3D map is wanted")]
+    TwoDimensional,
     /// A trajectory twice.
     #[error("the map has trajectory {0} twice; `repair` keeps one of them")]
     DuplicateTrajectory(i32),

@@ -4,6 +4,7 @@
 
 mod error;
 mod grid;
+mod hybrid_grid;
 mod option_message;
 // One message has a deprecated field, which is read but not written.
 #[allow(deprecated)]
@@ -19,7 +20,7 @@ mod write;
 pub use error::MapConversionError;
 pub use grid::MapSpace;
 pub(crate) use read::node_data;
-pub use read::{LoadedMap, LoadedTrajectories, MapLoadSettings, load_map, read_map_2d};
+pub use read::{LoadedMap, LoadedTrajectories, MapLoadSettings, load_map, read_map, read_map_2d};
 pub use textures::submap_textures_2d;
 pub use trajectory_options::{
     builder_options_from_proto, builder_options_to_proto, trajectory_options_from_proto,

@@ -15,7 +15,7 @@ use portolan_mapping::{
 use super::MapConversionError;
 use super::grid::MapSpace;
 use super::pose_graph::pose_in_memory;
-use super::sensors::load_sensor_data;
+use super::sensors::{imu_state_from_proto, load_sensor_data};
 use super::trajectory_options::{initial_pose_from_proto, trajectory_options_from_proto};
 use super::values::{cloud_from_proto, pose_in_file, rotation_in_file};
 use crate::map_reader::MapReader;
@@ -69,15 +69,26 @@ pub struct LoadedTrajectories {
     pub repairs: Repairs,
 }
 
-/// Reads a 2D map, format version 1 or 2.
+/// Reads a 2D map; see [`read_map`].
 ///
 /// # Errors
-/// If the file is damaged or no pbstream; a 3D map; trajectories twice; grids, poses or clouds that cannot
-/// be. Parts that do not belong together are left out and counted instead.
+/// As [`read_map`].
 pub fn read_map_2d(
     path: impl AsRef<Path>,
     settings: &MapLoadSettings,
 ) -> Result<LoadedMap<Planar>, MapConversionError> {
+    read_map(path, settings)
+}
+
+/// Reads a map, format version 1 or 2.
+///
+/// # Errors
+/// If the file is damaged or no pbstream; a map of the other dimension; trajectories twice; grids, poses or
+/// clouds that cannot be. Parts that do not belong together are left out and counted instead.
+pub fn read_map<S: MapSpace>(
+    path: impl AsRef<Path>,
+    settings: &MapLoadSettings,
+) -> Result<LoadedMap<S>, MapConversionError> {
     let mut reader = MapReader::open_with(path, settings.limits)?;
     let mut graph = PoseGraph::new(settings.pose_graph.clone());
     let loaded = load_map(&mut reader, &mut graph, settings.frozen)?;
@@ -94,7 +105,7 @@ pub fn read_map_2d(
 /// has. With `frozen` it becomes a fixed part of the map.
 ///
 /// # Errors
-/// As [`read_map_2d`]; the graph may have a part of the map then and should be dropped.
+/// As [`read_map`]; the graph may have a part of the map then and should be dropped.
 pub fn load_map<S: MapSpace>(
     reader: &mut MapReader,
     graph: &mut PoseGraph<S>,
@@ -228,6 +239,12 @@ impl<'a, S: MapSpace> Loading<'a, S> {
     }
 
     fn trajectory_data(&mut self, data: &m::TrajectoryData) {
+        if S::OPTIMIZES_WITH_IMU {
+            match (self.result.trajectory_ids.get(&data.trajectory_id), imu_state_from_proto(data)) {
+                (Some(id), Some(state)) => self.graph.set_imu_state(*id, state),
+                _ => self.count("gravity or IMU calibration that is not valid or of no trajectory", 1),
+            }
+        }
         let Some(origin) = &data.fixed_frame_origin_in_map else { return };
         match (self.result.trajectory_ids.get(&data.trajectory_id), pose_in_file(Some(origin))) {
             (Some(id), Some(pose)) => self.graph.set_fixed_frame_origin(*id, pose),

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
-use portolan_geometry::Time;
-use portolan_mapping::{PoseGraph, Repairs, Space, TrajectoryId};
+use portolan_geometry::{Quaternion, Time};
+use portolan_mapping::{ImuState, PoseGraph, Repairs, Space, TrajectoryId};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, OdometryData};
 
 use super::values::{id_to_proto, pose_in_file};
@@ -15,9 +15,6 @@ use crate::proto::mapping as m;
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::sensor::{self, landmark_data};
 use crate::proto::transform::{Quaterniond, Vector3d};
-
-/// What 2D maps, which do not estimate it, have as gravity, m/s².
-const GRAVITY_CONSTANT: f64 = 9.8;
 
 type Write<'a> = &'a mut dyn FnMut(Data) -> Result<(), PbstreamError>;
 
@@ -35,10 +32,12 @@ pub(super) fn write_sensors<S: Space>(
     ids.sort_unstable();
     for (id, trajectory_id) in &ids {
         let origin = graph.problem().fixed_frame_origins.get(id).copied().flatten();
+        let imu = graph.problem().sensors.get(id).map_or_else(ImuState::default, |s| s.imu_state);
+        let q = imu.calibration.into_inner();
         write(Data::TrajectoryData(m::TrajectoryData {
             trajectory_id: *trajectory_id,
-            gravity_constant: GRAVITY_CONSTANT,
-            imu_calibration: Some(Quaterniond { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }),
+            gravity_constant: imu.gravity_constant,
+            imu_calibration: Some(Quaterniond { x: q.i, y: q.j, z: q.k, w: q.w }),
             fixed_frame_origin_in_map: origin.map(|pose| pose_to_proto(&pose)),
         }))?;
     }
@@ -107,6 +106,22 @@ fn write_landmarks<S: Space>(
         }
     }
     Ok(())
+}
+
+/// Gravity and calibration of an IMU, if they can be. A file without gravity means the default.
+pub(super) fn imu_state_from_proto(data: &m::TrajectoryData) -> Option<ImuState> {
+    let default = ImuState::default();
+    let gravity_constant =
+        if data.gravity_constant == 0.0 { default.gravity_constant } else { data.gravity_constant };
+    let calibration = match &data.imu_calibration {
+        None => default.calibration,
+        Some(q) => {
+            let raw = nalgebra::Quaternion::new(q.w, q.x, q.y, q.z);
+            ((raw.norm() - 1.0).abs() < 1e-3).then(|| Quaternion::new_normalize(raw))?
+        }
+    };
+    let is_possible = gravity_constant.is_finite() && gravity_constant > 0.0;
+    is_possible.then_some(ImuState { gravity_constant, calibration })
 }
 
 /// Takes a measurement of a file into the graph. What cannot be used is counted by its reason.

@@ -55,6 +55,13 @@ pub(super) struct Source {
     pub map_from_source: Rigid3,
 }
 
+/// What an optimisation found of a trajectory besides its poses.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Estimate {
+    /// Pose of the fixed frame in the global map of the draft.
+    pub fixed_frame_origin: Option<Rigid3>,
+}
+
 /// A map that is being edited.
 pub struct MapDraft {
     pub(super) version: u32,
@@ -65,6 +72,8 @@ pub struct MapDraft {
     pub(super) sources: Vec<Source>,
     /// Measurements of these trajectories are kept from the first to the second time only, ticks.
     pub(super) cuts: BTreeMap<i32, (i64, i64)>,
+    /// Replaces what the files say.
+    pub(super) estimates: BTreeMap<i32, Estimate>,
     pub(super) limits: ReadLimits,
     pub(super) report: EditReport,
 }
@@ -92,6 +101,7 @@ impl MapDraft {
             dimension,
             sources: vec![source],
             cuts: BTreeMap::new(),
+            estimates: BTreeMap::new(),
             limits,
             report: EditReport::default(),
         })
@@ -131,6 +141,7 @@ impl MapDraft {
         self.graph.landmark_poses.extend(new);
         self.options.append(&mut other.options);
         self.sources.append(&mut other.sources);
+        self.estimates.append(&mut other.estimates);
         Ok(ids)
     }
 
@@ -171,6 +182,9 @@ impl MapDraft {
         for source in &mut self.sources {
             source.map_from_source = new_from_old * source.map_from_source;
         }
+        for origin in self.estimates.values_mut().filter_map(|e| e.fixed_frame_origin.as_mut()) {
+            *origin = new_from_old * *origin;
+        }
         Ok(())
     }
 
@@ -188,7 +202,7 @@ impl MapDraft {
         self.sort_trajectories();
         let mut writer = PbstreamWriter::create(output).map_err(failed)?;
         writer.write_header(self.version).map_err(failed)?;
-        let mut rest = Rest::new(&self.graph, &self.cuts);
+        let mut rest = Rest::new(&self.graph, &self.cuts, &self.estimates);
         writer.write(Data::PoseGraph(std::mem::take(&mut self.graph))).map_err(failed)?;
         let options_with_sensor_ids = std::mem::take(&mut self.options);
         let options = AllTrajectoryBuilderOptions { options_with_sensor_ids };

@@ -153,6 +153,12 @@ impl MapDraft {
             .filter_map(|(id, new)| Some((old.get(id)?.translation.vector - new.translation.vector).norm()));
         let largest_move = moves.fold(0.0, f64::max);
         self.set_poses(&submaps, &nodes);
+        for (id, origin) in &data.fixed_frame_origins {
+            if let Some(origin) = origin {
+                let estimate = self.estimates.entry(id.0.cast_signed()).or_default();
+                estimate.fixed_frame_origin = Some(*origin);
+            }
+        }
         for landmark in &mut self.graph.landmark_poses {
             let found = data.landmarks.get(&landmark.landmark_id).and_then(|l| l.map_from_landmark);
             if let Some(pose) = found {

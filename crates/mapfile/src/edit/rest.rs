@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use prost::Message as _;
 
 use super::EditError;
-use super::draft::Source;
+use super::draft::{Estimate, Source};
 use crate::message::{MessageKind, RawMessage};
 use crate::pose::{IdInFile, pose_from_proto, pose_to_proto};
 use crate::proto::mapping::serialized_data::Data;
@@ -20,6 +20,7 @@ pub(super) struct Rest<'a> {
     submaps: BTreeSet<IdInFile>,
     nodes: BTreeSet<IdInFile>,
     cuts: &'a BTreeMap<i32, (i64, i64)>,
+    estimates: &'a BTreeMap<i32, Estimate>,
     /// The last measurement of a stream before its cut; interpolation at the first node needs it.
     held: BTreeMap<(i32, u32), Vec<u8>>,
     /// Streams whose first measurement after the cut was written.
@@ -28,7 +29,11 @@ pub(super) struct Rest<'a> {
 }
 
 impl<'a> Rest<'a> {
-    pub fn new(graph: &PoseGraph, cuts: &'a BTreeMap<i32, (i64, i64)>) -> Self {
+    pub fn new(
+        graph: &PoseGraph,
+        cuts: &'a BTreeMap<i32, (i64, i64)>,
+        estimates: &'a BTreeMap<i32, Estimate>,
+    ) -> Self {
         let mut submaps = BTreeSet::new();
         let mut nodes = BTreeSet::new();
         for trajectory in &graph.trajectory {
@@ -37,7 +42,7 @@ impl<'a> Rest<'a> {
             nodes.extend(trajectory.node.iter().map(|n| (t, n.node_index)));
         }
         let (held, ended) = (BTreeMap::new(), BTreeSet::new());
-        Self { submaps, nodes, cuts, held, ended, sensor_messages_removed: 0 }
+        Self { submaps, nodes, cuts, estimates, held, ended, sensor_messages_removed: 0 }
     }
 
     /// Copies what is wanted of one file.
@@ -103,14 +108,16 @@ impl<'a> Rest<'a> {
         let trajectory = last_varint(&content, 1) as i32;
         let Some(new) = source.ids.get(&trajectory) else { return Ok(()) };
         let decoded = TrajectoryData::decode(&*content).unwrap_or_default();
-        let origin = pose_from_proto(decoded.fixed_frame_origin_in_map.as_ref());
-        let moved = origin.map(|origin| source.map_from_source * origin).filter(|m| origin != Some(*m));
-        if *new == trajectory && moved.is_none() {
-            return write(raw.bytes.clone());
-        }
         let mut data = TrajectoryData { trajectory_id: *new, ..decoded };
-        if let Some(moved) = moved {
-            data.fixed_frame_origin_in_map = Some(pose_to_proto(&moved));
+        let origin = pose_from_proto(decoded.fixed_frame_origin_in_map.as_ref());
+        let moved = origin.map(|origin| source.map_from_source * origin);
+        let estimate = self.estimates.get(new).copied().unwrap_or_default();
+        // What is not changed keeps its digits.
+        if let Some(found) = estimate.fixed_frame_origin.or(moved).filter(|found| origin != Some(*found)) {
+            data.fixed_frame_origin_in_map = Some(pose_to_proto(&found));
+        }
+        if data == decoded {
+            return write(raw.bytes.clone());
         }
         write(SerializedData { data: Some(Data::TrajectoryData(data)) }.encode_to_vec())
     }

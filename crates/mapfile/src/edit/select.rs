@@ -86,6 +86,8 @@ impl MapDraft {
             source.ids.values_mut().for_each(|id| *id = new(*id));
         }
         self.cuts = std::mem::take(&mut self.cuts).into_iter().map(|(id, cut)| (new(id), cut)).collect();
+        let estimates = std::mem::take(&mut self.estimates);
+        self.estimates = estimates.into_iter().map(|(id, estimate)| (new(id), estimate)).collect();
         Ok(())
     }
 

@@ -247,7 +247,7 @@ impl LocalSlam2d {
     }
 }
 
-fn first_point_time(ranges: &SynchronizedRanges) -> Time {
+pub(super) fn first_point_time(ranges: &SynchronizedRanges) -> Time {
     let relative = ranges.points.first().map_or(0.0, |p| f64::from(p.point.time));
     ranges.time + Duration::from_seconds(relative)
 }
@@ -308,7 +308,7 @@ fn gravity_aligned(
     }
 }
 
-fn filtered(cloud: &PointCloud, options: &AdaptiveVoxelFilterOptions) -> PointCloud {
+pub(super) fn filtered(cloud: &PointCloud, options: &AdaptiveVoxelFilterOptions) -> PointCloud {
     adaptive_voxel_filter(cloud, options.max_length, options.min_num_points, options.max_range)
 }
 

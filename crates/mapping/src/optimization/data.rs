@@ -54,6 +54,23 @@ pub struct TrajectorySensors {
     pub odometry: BTreeMap<Time, OdometryData>,
     /// Fixed-frame poses.
     pub fixed_frame: BTreeMap<Time, FixedFramePoseData>,
+    /// What the optimisation found of the IMU (3D only).
+    pub imu_state: ImuState,
+}
+
+/// What is estimated of an IMU.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuState {
+    /// Length of the acceleration that the IMU measures at rest, m/s².
+    pub gravity_constant: f64,
+    /// Rotation from the axes of the IMU to the tracking frame.
+    pub calibration: Quaternion,
+}
+
+impl Default for ImuState {
+    fn default() -> Self {
+        Self { gravity_constant: 9.8, calibration: Quaternion::identity() }
+    }
 }
 
 /// The state of the optimisation problem.

@@ -1,11 +1,13 @@
-//! The optimisation problem: what it knows, and its 2D form.
+//! The optimisation problem: what it knows, and its forms in the plane and in space.
 
 mod data;
 mod interpolation;
+mod three_d;
 mod two_d;
 
 pub use data::{
-    LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
+    ImuState, LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
     TrajectorySensors,
 };
+pub use three_d::optimize_3d;
 pub use two_d::optimize_2d;

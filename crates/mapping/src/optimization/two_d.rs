@@ -25,7 +25,7 @@ pub fn optimize_2d(
     problem.add_landmarks(data, options);
     problem.add_consecutive_nodes(data, options);
     problem.add_fixed_frames(data, options);
-    let summary = problem.solve(data, options);
+    let summary = run_solver(&mut problem.problem, data, options);
     problem.write_back(data);
     summary
 }
@@ -184,37 +184,6 @@ impl PlanarProblem {
         }
     }
 
-    fn solve(
-        &mut self,
-        data: &OptimizationData,
-        options: &OptimizationProblemOptions,
-    ) -> OptimizationSummary {
-        let solver = &options.ceres_solver_options;
-        let iterations = u32::try_from(solver.max_num_iterations).unwrap_or(u32::MAX);
-        let settings = SolverOptions {
-            max_num_iterations: data.max_iterations_override.unwrap_or(iterations),
-            use_nonmonotonic_steps: solver.use_nonmonotonic_steps,
-            ..SolverOptions::default()
-        };
-        match self.problem.solve(&settings) {
-            Ok(summary) => {
-                if options.log_solver_summary {
-                    tracing::info!("{summary:?}");
-                }
-                OptimizationSummary {
-                    initial_cost: summary.initial_cost,
-                    final_cost: summary.final_cost,
-                    iterations: summary.iterations,
-                    converged: summary.termination.is_convergence(),
-                }
-            }
-            Err(error) => {
-                tracing::warn!("the pose graph was not optimised: {error}");
-                OptimizationSummary::default()
-            }
-        }
-    }
-
     fn write_back(&self, data: &mut OptimizationData) {
         for (id, variable) in &self.submaps {
             data.submaps.insert(*id, embed_3d(&self.problem.se2(*variable)));
@@ -235,6 +204,38 @@ impl PlanarProblem {
     }
 }
 
+/// Solves a problem as the options say.
+pub(super) fn run_solver(
+    problem: &mut Problem,
+    data: &OptimizationData,
+    options: &OptimizationProblemOptions,
+) -> OptimizationSummary {
+    let solver = &options.ceres_solver_options;
+    let iterations = u32::try_from(solver.max_num_iterations).unwrap_or(u32::MAX);
+    let settings = SolverOptions {
+        max_num_iterations: data.max_iterations_override.unwrap_or(iterations),
+        use_nonmonotonic_steps: solver.use_nonmonotonic_steps,
+        ..SolverOptions::default()
+    };
+    match problem.solve(&settings) {
+        Ok(summary) => {
+            if options.log_solver_summary {
+                tracing::info!("{summary:?}");
+            }
+            OptimizationSummary {
+                initial_cost: summary.initial_cost,
+                final_cost: summary.final_cost,
+                iterations: summary.iterations,
+                converged: summary.termination.is_convergence(),
+            }
+        }
+        Err(error) => {
+            tracing::warn!("the pose graph was not optimised: {error}");
+            OptimizationSummary::default()
+        }
+    }
+}
+
 /// Odometry from node a to node b in their gravity-aligned frames, if it covers both.
 fn odometry_between(
     data: &OptimizationData,
@@ -250,15 +251,16 @@ fn odometry_between(
 }
 
 /// The nodes around a landmark observation.
-struct SightingBetweenNodes<'a> {
-    previous: (NodeId, &'a OptimizationNode),
-    next: (NodeId, &'a OptimizationNode),
-    factor: f64,
+pub(super) struct SightingBetweenNodes<'a> {
+    pub previous: (NodeId, &'a OptimizationNode),
+    pub next: (NodeId, &'a OptimizationNode),
+    /// Time of the observation as a fraction of the way from the previous to the next.
+    pub factor: f64,
 }
 
 impl<'a> SightingBetweenNodes<'a> {
     /// None before the first node of the trajectory or after its last.
-    fn find(sighting: &LandmarkSighting, data: &'a OptimizationData) -> Option<Self> {
+    pub fn find(sighting: &LandmarkSighting, data: &'a OptimizationData) -> Option<Self> {
         let mut nodes = of_trajectory(&data.nodes, sighting.trajectory_id);
         let mut previous = nodes.next()?;
         if sighting.time < previous.1.time {

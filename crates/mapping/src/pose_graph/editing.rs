@@ -6,7 +6,7 @@ use std::sync::Arc;
 use portolan_geometry::{Rigid3, Time};
 
 use super::{InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
-use crate::optimization::OptimizationNode;
+use crate::optimization::{ImuState, OptimizationNode};
 use crate::{
     Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId,
 };
@@ -171,5 +171,10 @@ impl<S: Space> PoseGraph<S> {
     /// Sets where the fixed frame of a trajectory lies in the global map.
     pub fn set_fixed_frame_origin(&mut self, id: TrajectoryId, map_from_fixed: Rigid3) {
         self.problem.fixed_frame_origins.insert(id, Some(map_from_fixed));
+    }
+
+    /// Sets what is known of the IMU of a trajectory.
+    pub fn set_imu_state(&mut self, id: TrajectoryId, state: ImuState) {
+        self.problem.sensors_mut(id).imu_state = state;
     }
 }

@@ -11,10 +11,6 @@ use rayon::prelude::*;
 
 use crate::{Constraint, ConstraintTag, NodeData, NodeId, SearchRegion, Space, SubmapId};
 
-/// Memory for matchers that are kept between searches, bytes. Building one takes a millisecond or two,
-/// keeping one a few megabytes.
-const MATCHER_CACHE_BYTES: usize = 12 << 20;
-
 /// A pair to try.
 struct SearchTask<S: Space> {
     submap_id: SubmapId,
@@ -219,7 +215,7 @@ impl<S: Space> KeptMatchers<S> {
     /// Drops those that were not used for longest until the rest fits.
     fn shrink(&mut self) {
         let mut total: usize = self.by_submap.values().map(|(_, m)| S::matcher_bytes(m)).sum();
-        while total > MATCHER_CACHE_BYTES {
+        while total > S::MATCHER_CACHE_BYTES {
             let oldest = self.by_submap.iter().min_by_key(|(_, (used, _))| *used).map(|(id, _)| *id);
             let Some((_, matcher)) = oldest.and_then(|id| self.by_submap.remove(&id)) else { break };
             total -= S::matcher_bytes(&matcher);

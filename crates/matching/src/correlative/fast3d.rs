@@ -203,30 +203,32 @@ impl FastCorrelativeMatcher3d {
         let coarse: Vec<Point3f> =
             node.low_resolution_cloud.points.iter().copied().filter(is_finite).collect();
         let turns = self.turns(map_from_node, map_from_submap, node, submap, angular);
-        if points.is_empty() || turns.is_empty() || min_score.is_nan() {
+        if points.is_empty() || turns.iter().all(Option::is_none) || min_score.is_nan() {
             return None;
         }
-        let poses: Vec<Rigid3f> = turns.iter().map(|t| t.pose).collect();
-        let scans = Scans::new(&points, &poses, self.lattice, &self.pyramid, max_exponent(&self.options));
-        let coarse_score =
-            |p: Placement3d| mean_probability(&coarse, &self.pose(&turns, p), submap.low_resolution_grid);
+        let poses = turns.iter().map(|turn| turn.as_ref().map(|t| t.pose));
+        let scans = Scans::new(&points, poses, self.lattice, &self.pyramid, max_exponent(&self.options));
+        let coarse_score = |p: Placement3d| {
+            let pose = self.pose(&turns, p)?;
+            Some(mean_probability(&coarse, &pose, submap.low_resolution_grid))
+        };
         let mut search = Search3d {
             pyramid: &self.pyramid,
             scans: &scans,
             score: self.score,
             window: window.map(|n| n.min(MAX_SHIFT)),
-            fits: |p| f64::from(coarse_score(p)) >= self.options.min_low_resolution_score,
+            fits: |p| coarse_score(p).is_some_and(|s| f64::from(s) >= self.options.min_low_resolution_score),
         };
         let (score, placements) = best_first(&mut search, Best::single_above(min_score));
         let placement = *placements.first()?;
         Some(FastMatch3d {
-            found: MatchResult { score, pose: to_f64(&self.pose(&turns, placement)) },
-            rotational_score: turns[placement.scan as usize].rotational_score,
-            low_resolution_score: coarse_score(placement),
+            found: MatchResult { score, pose: to_f64(&self.pose(&turns, placement)?) },
+            rotational_score: turns.get(placement.scan as usize)?.as_ref()?.rotational_score,
+            low_resolution_score: coarse_score(placement)?,
         })
     }
 
-    /// The yaws of a search window at which walls have the right directions.
+    /// The yaws of a search window, with a pose for those at which walls have the right directions.
     fn turns(
         &self,
         map_from_node: &Rigid3,
@@ -234,7 +236,7 @@ impl FastCorrelativeMatcher3d {
         node: &NodeToFind<'_>,
         submap: &SubmapToSearch<'_>,
         angular: f64,
-    ) -> Vec<Turn> {
+    ) -> Vec<Option<Turn>> {
         let submap_from_node = map_from_submap.inverse() * map_from_node;
         if !submap_from_node.translation.vector.iter().all(|v| v.is_finite()) {
             return Vec::new();
@@ -256,10 +258,10 @@ impl FastCorrelativeMatcher3d {
             let rotational_score = histogram_similarity(submap.rotational_histogram, &rotated);
             let about_z = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), angle);
             let pose = Rigid3f::from_parts(translation, from_map * about_z * from_node);
-            Turn { pose, rotational_score }
+            let is_alike = f64::from(rotational_score) >= self.options.min_rotational_score;
+            is_alike.then_some(Turn { pose, rotational_score })
         };
-        let min_score = self.options.min_rotational_score;
-        (-count..=count).map(turn).filter(|t| f64::from(t.rotational_score) >= min_score).collect()
+        (-count..=count).map(turn).collect()
     }
 
     /// Points that can be in a grid at all: those no farther from the node than a grid reaches.
@@ -268,9 +270,10 @@ impl FastCorrelativeMatcher3d {
         cloud.points.iter().copied().filter(|p| p.coords.norm() <= reach).collect()
     }
 
-    fn pose(&self, turns: &[Turn], placement: Placement3d) -> Rigid3f {
+    fn pose(&self, turns: &[Option<Turn>], placement: Placement3d) -> Option<Rigid3f> {
+        let turn = turns.get(placement.scan as usize)?.as_ref()?;
         let [z, y, x] = placement.shift.map(|i| i as f32 * self.lattice.resolution);
-        nalgebra::Translation3::new(x, y, z) * turns[placement.scan as usize].pose
+        Some(nalgebra::Translation3::new(x, y, z) * turn.pose)
     }
 }
 

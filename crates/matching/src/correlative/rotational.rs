@@ -155,6 +155,16 @@ mod tests {
     }
 
     #[test]
+    fn histograms_turn_by_buckets() {
+        let histogram = [1.0, 2.0, 3.0, 4.0];
+        assert_eq!(rotate_histogram(&histogram, 0.0), histogram);
+        for (angle, expected) in [(PI / 4.0, [4.0, 1.0, 2.0, 3.0]), (-PI / 8.0, [1.5, 2.5, 3.5, 2.5])] {
+            let turned = rotate_histogram(&histogram, angle);
+            assert!(turned.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{turned:?}");
+        }
+    }
+
+    #[test]
     fn nothing_to_compare_is_no_difference() {
         assert_eq!(histogram_similarity(&[0.0; 10], &[0.0; 10]), 1.0);
         assert_eq!(histogram_similarity(&[], &[]), 1.0);

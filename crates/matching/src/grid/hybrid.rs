@@ -32,17 +32,21 @@ impl VoxelLattice {
 
     /// The same without looking whether there is such a cell; far away it is one outside, and where a
     /// coordinate is no number it is outside, too.
-    #[inline]
+    #[inline(always)]
     pub fn unchecked_cell(&self, place: [f32; 3]) -> VoxelIndex {
-        place.map(|v| {
-            let scaled = v / self.resolution;
-            // Beyond these bounds there are no cells; not-a-number becomes the upper one.
-            let bound = MAX_VOXEL_INDEX as f32 + 1.0;
-            let scaled = if scaled < bound { scaled.max(-bound) } else { bound };
-            let truncated = scaled as i32;
-            let fraction = scaled - truncated as f32;
-            truncated + i32::from(fraction >= 0.5) - i32::from(fraction <= -0.5)
-        })
+        // Written out: `map` on arrays is not always compiled into the loops that need it.
+        [self.index(place[0]), self.index(place[1]), self.index(place[2])]
+    }
+
+    #[inline(always)]
+    fn index(&self, coordinate: f32) -> i32 {
+        let scaled = coordinate / self.resolution;
+        // Beyond these bounds there are no cells; not-a-number becomes the upper one.
+        let bound = MAX_VOXEL_INDEX as f32 + 1.0;
+        let scaled = if scaled < bound { scaled.max(-bound) } else { bound };
+        let truncated = scaled as i32;
+        let fraction = scaled - truncated as f32;
+        truncated + i32::from(fraction >= 0.5) - i32::from(fraction <= -0.5)
     }
 
     /// The centre of a cell, metres.

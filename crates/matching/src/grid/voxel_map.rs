@@ -56,14 +56,16 @@ impl<T: Copy + Default> Default for VoxelMap<T> {
 /// Whether a cell can exist.
 #[inline]
 pub(crate) fn is_possible(cell: VoxelIndex) -> bool {
-    cell.iter().all(|i| (-MAX_VOXEL_INDEX..MAX_VOXEL_INDEX).contains(i))
+    // Written out: iterators and `map` on arrays are not always compiled into the loops that need them.
+    let is_within = |i: i32| (-MAX_VOXEL_INDEX..MAX_VOXEL_INDEX).contains(&i);
+    is_within(cell[0]) & is_within(cell[1]) & is_within(cell[2])
 }
 
 /// The key of the block that holds a possible cell: 12 bits per axis, z highest.
 #[inline]
 fn key_of(cell: VoxelIndex) -> u64 {
-    let [x, y, z] = cell.map(|i| ((i + MAX_VOXEL_INDEX) / LEAF_EDGE) as u64);
-    z << 24 | y << 12 | x
+    let block = |i: i32| u64::from((i + MAX_VOXEL_INDEX) as u32 / LEAF_EDGE as u32);
+    block(cell[2]) << 24 | block(cell[1]) << 12 | block(cell[0])
 }
 
 #[inline]
@@ -134,22 +136,26 @@ impl<T: Copy + Default> VoxelMap<T> {
     /// along x, the second along y, the third along z.
     #[inline]
     pub fn corners(&self, low: VoxelIndex) -> [Option<T>; 8] {
-        let high = low.map(|i| i.saturating_add(1));
-        if !is_possible(low) || !is_possible(high) {
-            return [0, 1, 2, 3, 4, 5, 6, 7].map(|c| self.get(corner(low, c)));
+        let mut values = [None; 8];
+        if !is_possible(low) || !is_possible(corner(low, 7)) {
+            for (c, value) in values.iter_mut().enumerate() {
+                *value = self.get(corner(low, c));
+            }
+            return values;
         }
         // Along which axes the two cells are in different blocks.
-        let across = [0, 1, 2].map(|a| usize::from(low[a] & 3 == 3) << a).into_iter().sum::<usize>();
+        let is_last = |axis: usize| usize::from(low[axis] & 3 == 3) << axis;
+        let across = is_last(0) | is_last(1) | is_last(2);
         let mut leaves = [None; 8];
         for (side, leaf) in leaves.iter_mut().enumerate() {
             if side & !across == 0 {
                 *leaf = self.index.get(key_of(corner(low, side))).map(|l| self.leaves[l]);
             }
         }
-        [0, 1, 2, 3, 4, 5, 6, 7].map(|c| {
-            let leaf = leaves[c & across]?;
-            self.value_in(leaf, bit_of(corner(low, c)))
-        })
+        for (c, value) in values.iter_mut().enumerate() {
+            *value = leaves[c & across].and_then(|leaf| self.value_in(leaf, bit_of(corner(low, c))));
+        }
+        values
     }
 
     /// The value of a cell to be changed, with the number of its leaf; a cell not known so far becomes
@@ -303,7 +309,8 @@ impl<T: Copy + Default> VoxelMap<T> {
 /// Corner `c` of a cube of cells.
 #[inline]
 fn corner(low: VoxelIndex, c: usize) -> VoxelIndex {
-    [0, 1, 2].map(|axis| low[axis].saturating_add((c >> axis & 1) as i32))
+    let along = |axis: usize| low[axis].saturating_add((c >> axis & 1) as i32);
+    [along(0), along(1), along(2)]
 }
 
 impl<T: Copy + Default + PartialEq> PartialEq for VoxelMap<T> {

@@ -6,7 +6,8 @@ use super::wire_reader::{DecodeError, WireReader};
 use super::{Encoding, MessageKind, is_static_tf_topic};
 use crate::{
     FieldType, Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, MultiEchoLaserScan, NavSatFix,
-    Odometry, PointCloud2, PointField, Pose, PoseStamped, TfMessage, TransformStamped,
+    Odometry, PacketKind, PointCloud2, PointField, Pose, PoseStamped, SensorPackets, TfMessage,
+    TransformStamped,
 };
 
 /// Decodes messages and shares the names of frames between them, so that a name is not allocated anew
@@ -44,6 +45,22 @@ impl Decoder {
                 Message::PoseStamped(PoseStamped { header: self.header(r)?, pose: pose(r)? })
             }
             MessageKind::LandmarkList => Message::LandmarkList(self.landmark_list(r)?),
+            MessageKind::VelodyneScan => Message::SensorPackets(self.velodyne_scan(r)?),
+            MessageKind::OusterPacket => {
+                let packets = vec![(None, r.byte_sequence()?)];
+                Message::SensorPackets(SensorPackets { kind: PacketKind::Ouster, header: None, packets })
+            }
+            MessageKind::Text if topic.ends_with("metadata") => {
+                let packets = vec![(None, r.string()?.into_owned().into_bytes())];
+                Message::SensorPackets(SensorPackets {
+                    kind: PacketKind::OusterMetadata,
+                    header: None,
+                    packets,
+                })
+            }
+            MessageKind::Text => {
+                return Ok(Message::Other { type_name: "std_msgs/String".into(), bytes: bytes.len() });
+            }
         };
         reader.finish()?;
         Ok(message)
@@ -159,6 +176,13 @@ impl Decoder {
             })
         })?;
         Ok(TfMessage { is_static, transforms })
+    }
+
+    fn velodyne_scan(&mut self, r: &mut WireReader<'_>) -> Decoded<SensorPackets> {
+        let header = Some(self.header(r)?);
+        // A stamp and the bytes of a data packet.
+        let packets = sequence(r, 8 + 1206, |r| Ok((Some(r.time()?), r.byte_array(1206)?)))?;
+        Ok(SensorPackets { kind: PacketKind::Velodyne, header, packets })
     }
 
     fn landmark_list(&mut self, r: &mut WireReader<'_>) -> Decoded<LandmarkList> {

@@ -22,6 +22,7 @@ pub(crate) fn encode(message: &Message, is_cdr: bool, buffer: Vec<u8>) -> Result
         Message::Tf(m) => sequence(w, &m.transforms, transform_stamped),
         Message::PoseStamped(m) => header(w, &m.header).map(|()| pose(w, &m.pose)),
         Message::LandmarkList(m) => landmark_list(w, m),
+        Message::SensorPackets(_) => Err(EncodeError("raw packets are only read")),
         Message::Other { .. } => {
             Err(EncodeError("its type is not understood, so its content is not at hand"))
         }

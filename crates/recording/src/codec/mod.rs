@@ -38,6 +38,10 @@ pub(crate) enum MessageKind {
     Tf,
     PoseStamped,
     LandmarkList,
+    VelodyneScan,
+    OusterPacket,
+    /// Text, of which only what a sensor tells about itself is decoded.
+    Text,
 }
 
 impl MessageKind {
@@ -53,6 +57,11 @@ impl MessageKind {
             "tf2_msgs/TFMessage" | "tf/tfMessage" => Self::Tf,
             "geometry_msgs/PoseStamped" => Self::PoseStamped,
             "cartographer_ros_msgs/LandmarkList" => Self::LandmarkList,
+            "velodyne_msgs/VelodyneScan" => Self::VelodyneScan,
+            "ouster_ros/PacketMsg" | "ouster_msgs/PacketMsg" | "ouster_sensor_msgs/PacketMsg" => {
+                Self::OusterPacket
+            }
+            "std_msgs/String" => Self::Text,
             _ => return None,
         })
     }

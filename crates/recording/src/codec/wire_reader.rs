@@ -115,6 +115,11 @@ impl<'a> WireReader<'a> {
         Ok(String::from_utf8_lossy(bytes))
     }
 
+    /// `count` bytes without a length in front.
+    pub(crate) fn byte_array(&mut self, count: usize) -> Result<Vec<u8>, DecodeError> {
+        Ok(self.take(count)?.to_vec())
+    }
+
     /// A sequence of bytes.
     pub(crate) fn byte_sequence(&mut self) -> Result<Vec<u8>, DecodeError> {
         let length = self.sequence_length(1)?;

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
 
+use super::azimuth_time::AzimuthTimes;
 use super::clock::{Ascending, Order, SensorClock};
 use super::convert::{Frames, LocalFixes};
 use super::gnss::GeodeticPosition;
@@ -36,8 +37,15 @@ pub enum IngestError {
 /// What a topic is used for.
 #[derive(Clone, Debug)]
 enum Role {
-    Range { point_time: Option<PointTime>, directions: Box<BeamDirections> },
-    Imu { acceleration_scale: f64 },
+    /// `turn`: seconds between clouds, where known.
+    Range {
+        point_time: Option<PointTime>,
+        turn: Option<f64>,
+        directions: Box<BeamDirections>,
+    },
+    Imu {
+        acceleration_scale: f64,
+    },
     Odometry,
     NavSat,
     FixedFramePose,
@@ -81,6 +89,7 @@ pub struct Ingestion {
     samplers: [FixedRatioSampler; 5],
     fixes: LocalFixes,
     subdivisions: usize,
+    azimuth_times: AzimuthTimes,
     with_intensities: bool,
     ignore_out_of_order: bool,
     start: Time,
@@ -138,6 +147,7 @@ impl Ingestion {
             samplers,
             fixes: LocalFixes::default(),
             subdivisions: options.num_subdivisions_per_laser_scan.max(1),
+            azimuth_times: options.azimuth_times,
             with_intensities: options.with_intensities,
             ignore_out_of_order: options.ignore_out_of_order,
             start: if options.skip > Duration::ZERO { start } else { Time::MIN },

@@ -5,6 +5,7 @@
 //! 3. [`Ingestion`] reads the recording as planned; what is wrong with a message is repaired or left
 //!    out, and counted.
 
+mod azimuth_time;
 mod clock;
 pub(crate) mod convert;
 mod gnss;
@@ -21,6 +22,7 @@ pub(crate) mod survey;
 pub(crate) mod test_messages;
 pub(crate) mod timed_points;
 
+pub use azimuth_time::AzimuthTimes;
 pub use gnss::GeodeticPosition;
 pub use ingestion::{IngestError, Ingestion};
 pub use options::{ConfiguredSensors, Dimension, IngestOptions, SamplingRatios};

@@ -2,6 +2,7 @@
 
 use portolan_geometry::Duration;
 
+use super::azimuth_time::AzimuthTimes;
 use crate::RobotDescription;
 
 /// Whether mapping happens in the plane or in space.
@@ -93,6 +94,8 @@ pub struct IngestOptions {
     pub use_recorded_transforms: bool,
     /// Every laser scan is split into this many pieces in time (point clouds are not).
     pub num_subdivisions_per_laser_scan: usize,
+    /// What to do with clouds whose points have no times of their own.
+    pub azimuth_times: AzimuthTimes,
     /// Thinning of messages.
     pub sampling: SamplingRatios,
     /// Messages out of order are always left out and counted; this says that they are no loss.
@@ -126,6 +129,7 @@ impl Default for IngestOptions {
             description: None,
             use_recorded_transforms: true,
             num_subdivisions_per_laser_scan: 1,
+            azimuth_times: AzimuthTimes::default(),
             sampling: SamplingRatios::default(),
             ignore_out_of_order: false,
             with_intensities: false,

@@ -92,7 +92,7 @@ mod tests {
         let poses: Vec<_> = times.map(|t| (Time::from_unix_seconds(t), Rigid3::identity())).to_vec();
         let coverage = Coverage::of(&poses);
         assert_eq!(coverage.gaps.len(), 1);
-        let windows = coverage.windows(0.2);
+        let windows = coverage.windows(0.25);
         assert_eq!(windows.len(), 4);
         assert!(windows.iter().all(|w| w[1] <= 0.31 || w[0] >= 4.99));
         let point = |ticks| StoredPoint { in_tracking: [0.0; 3], ticks };

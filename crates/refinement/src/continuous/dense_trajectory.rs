@@ -149,6 +149,16 @@ impl DenseTrajectory {
 
     /// The current poses as matrices, for many points.
     pub fn matrices(&self) -> PoseMatrices {
+        self.matrices_of(0, self.current.len())
+    }
+
+    /// The current poses between two times as matrices.
+    pub fn matrices_between(&self, from: f64, to: f64) -> PoseMatrices {
+        let (first, last) = (self.place(from).0, self.place(to).0 + 2);
+        self.matrices_of(first, last)
+    }
+
+    fn matrices_of(&self, first: usize, end: usize) -> PoseMatrices {
         let rows = |pose: &Rigid3| {
             let r = pose.rotation.to_rotation_matrix();
             let t = pose.translation.vector;
@@ -159,7 +169,7 @@ impl DenseTrajectory {
                 r.m31, r.m32, r.m33, t.z,
             ]
         };
-        PoseMatrices { step: self.step, rows: self.current.iter().map(rows).collect() }
+        PoseMatrices { first, step: self.step, rows: self.current[first..end].iter().map(rows).collect() }
     }
 }
 
@@ -174,6 +184,7 @@ fn between(poses: &[Rigid3], (i, f): (usize, f64)) -> Rigid3 {
 /// on the sphere (a turn of 5 rad/s is off by less than 0.01 %).
 #[derive(Clone, Debug)]
 pub struct PoseMatrices {
+    first: usize,
     step: f64,
     rows: Vec<[f64; 12]>,
 }
@@ -182,7 +193,7 @@ impl PoseMatrices {
     /// The matrix at a time, row by row; clamped to the span.
     #[inline]
     pub fn at(&self, seconds: f64) -> [f64; 12] {
-        let at = (seconds / self.step).clamp(0.0, (self.rows.len() - 1) as f64);
+        let at = (seconds / self.step - self.first as f64).clamp(0.0, (self.rows.len() - 1) as f64);
         let i = (at as usize).min(self.rows.len() - 2);
         let f = at - i as f64;
         let (a, b) = (&self.rows[i], &self.rows[i + 1]);

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::{ContinuousOptions, DenseTrajectory, OdometryNoise};
+use crate::semi_rigid::SemiRigidOptions;
 use crate::{LeftOutPoints, Sharpness};
 
 /// How far a refinement is.
@@ -48,11 +49,21 @@ pub struct Undetermined {
     pub direction: [f64; 3],
 }
 
+/// A method and its options.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// [`crate::continuous::refine_continuous`].
+    Continuous(ContinuousOptions),
+    /// [`crate::semi_rigid::refine_semi_rigid`].
+    SemiRigid(SemiRigidOptions),
+}
+
 /// What a refinement did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RefineReport {
-    /// With which options.
-    pub options: ContinuousOptions,
+    /// How, and with which options.
+    pub method: Method,
     /// All steps in order.
     pub steps: Vec<RefineStep>,
     /// Points that were looked at in each round.
@@ -63,8 +74,8 @@ pub struct RefineReport {
     pub left_out: LeftOutPoints,
     /// Gaps of the trajectory (from, to; seconds since its start) that are too long to interpolate.
     pub gaps: Vec<[f64; 2]>,
-    /// Share of the points that lie on planar patches at the end, 0 to 1.
-    pub planar_share: f64,
+    /// Share of the points that lie on planar patches at the end, 0 to 1, if the method looks for patches.
+    pub planar_share: Option<f64>,
     /// Sharpness with the input; none if there are too few points.
     pub sharpness_before: Option<Sharpness>,
     /// Sharpness with the result.

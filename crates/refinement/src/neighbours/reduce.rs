@@ -1,7 +1,5 @@
 //! Reduction of clouds: one or a few points for each voxel of exactly the given edge.
 
-use std::collections::BTreeMap;
-
 /// What stands for the points of a voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VoxelRepresentative {
@@ -20,29 +18,35 @@ pub fn reduce(points: &[[f32; 3]], edge: f32, representative: VoxelRepresentativ
     if edge.is_nan() || edge <= 0.0 {
         return points.to_vec();
     }
-    let mut voxels: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
-    for (i, point) in points.iter().enumerate().filter(|(_, p)| p.iter().all(|v| v.is_finite())) {
-        let key = point.map(|v| (f64::from(v) / f64::from(edge)).floor() as i64);
-        voxels.entry(key).or_default().push(i as u32);
-    }
-    let mut reduced = Vec::with_capacity(voxels.len());
-    for (key, members) in &mut voxels {
+    let inverse = 1.0 / f64::from(edge);
+    let mut keyed: Vec<([i64; 3], u32)> = points
+        .iter()
+        .enumerate()
+        .filter(|(_, p)| p.iter().all(|v| v.is_finite()))
+        .map(|(i, p)| (p.map(|v| (f64::from(v) * inverse).floor() as i64), i as u32))
+        .collect();
+    keyed.sort_unstable();
+    let mut reduced = Vec::new();
+    let mut order: Vec<u32> = Vec::new();
+    for voxel in keyed.chunk_by(|a, b| a.0 == b.0) {
         match representative {
             VoxelRepresentative::Centre => {
-                reduced.push(key.map(|k| ((k as f64 + 0.5) * f64::from(edge)) as f32));
+                reduced.push(voxel[0].0.map(|k| ((k as f64 + 0.5) * f64::from(edge)) as f32));
             }
             VoxelRepresentative::Mean => {
                 let mut sum = [0.0f64; 3];
-                for i in members.iter() {
+                for (_, i) in voxel {
                     for (sum, v) in sum.iter_mut().zip(points[*i as usize]) {
                         *sum += f64::from(v);
                     }
                 }
-                reduced.push(sum.map(|s| (s / members.len() as f64) as f32));
+                reduced.push(sum.map(|s| (s / voxel.len() as f64) as f32));
             }
             VoxelRepresentative::Random(count) => {
-                members.sort_by_key(|i| (scramble(*i), *i));
-                reduced.extend(members.iter().take(count).map(|i| points[*i as usize]));
+                order.clear();
+                order.extend(voxel.iter().map(|(_, i)| *i));
+                order.sort_unstable_by_key(|i| (scramble(*i), *i));
+                reduced.extend(order.iter().take(count).map(|i| points[*i as usize]));
             }
         }
     }

@@ -102,7 +102,7 @@ fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> R
         draft.drop_loop(*submap, *node)?;
     }
     if let Some(metres) = args.drop_loops_beyond {
-        if !(metres >= 0.0) {
+        if metres.is_nan() || metres < 0.0 {
             return Err(CliError::Usage("--drop-loops-beyond takes metres of at least 0".to_owned()));
         }
         draft.drop_loops_beyond(metres, f64::INFINITY);

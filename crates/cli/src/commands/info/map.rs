@@ -1,14 +1,15 @@
 //! What a map holds.
 
+use std::fmt::{self, Write as _};
+use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
 use portolan_geometry::Time;
-use portolan_mapfile::{Extent, MapInfo, MapReader, PbstreamReader, TrajectoryInfo, info};
+use portolan_mapfile::{Extent, MapInfo, MapReader, PbstreamReader, ReadLimits, TrajectoryInfo, info};
 use serde::Serialize;
 
 use super::describe::{duration, size, utc};
 use crate::error::CliError;
-use crate::output::print;
 
 /// Summary of a map file.
 #[derive(Serialize)]
@@ -23,7 +24,7 @@ pub struct MapReport {
 /// Reads a map and sums it up.
 pub fn read(path: &Path) -> Result<MapReport, CliError> {
     let failed = |error| CliError::in_file(path, format!("{error}; see `portolan check`"));
-    let mut reader = MapReader::open(path).map_err(failed)?;
+    let mut reader = MapReader::open_without_cells(path, ReadLimits::default()).map_err(failed)?;
     let info = info(&mut reader).map_err(failed)?;
     Ok(MapReport { path: path.display().to_string(), size: reader.bytes_read(), info })
 }
@@ -32,16 +33,34 @@ pub fn read(path: &Path) -> Result<MapReport, CliError> {
 pub fn print_messages(path: &Path) -> Result<(), CliError> {
     let failed = |error| CliError::in_file(path, error);
     let mut reader = PbstreamReader::open(path).map_err(failed)?;
+    let mut out = Stdout { out: BufWriter::new(std::io::stdout().lock()), error: None };
     while let Some(message) = reader.next_message().map_err(failed)? {
         let kind = message.kind().name();
-        print(&format!(
-            "# message {} at byte {}: {kind}\n{}",
-            message.index,
-            message.offset,
-            message.to_text()
-        ))?;
+        let written = writeln!(out, "# message {} at byte {}: {kind}", message.index, message.offset)
+            .and_then(|()| message.write_text(&mut out));
+        if written.is_err() {
+            break;
+        }
     }
-    Ok(())
+    match out.error {
+        Some(error) => Err(error.into()),
+        None => Ok(out.out.flush()?),
+    }
+}
+
+/// The standard output for what writes text; remembers why it failed.
+struct Stdout<W: io::Write> {
+    out: BufWriter<W>,
+    error: Option<io::Error>,
+}
+
+impl<W: io::Write> fmt::Write for Stdout<W> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        self.out.write_all(text.as_bytes()).map_err(|error| {
+            self.error = Some(error);
+            fmt::Error
+        })
+    }
 }
 
 impl MapReport {
@@ -67,6 +86,7 @@ impl MapReport {
         }
         text.push_str(&extent("Nodes", info.bounding_box.as_ref()));
         text.push_str(&extent("Mapped", info.mapped_extent.as_ref()));
+        text.push_str(&memory(info));
         info.counter_lines().for_each(|line| text.push_str(&format!("{line}\n")));
         let ignored = info.ignored;
         let count = ignored.pose_graphs + ignored.options + ignored.unknown;
@@ -94,6 +114,16 @@ fn grids(info: &MapInfo) -> String {
         parts.push(format!("cells of {} m", resolutions.join(" and ")));
     }
     parts.join(", ")
+}
+
+/// What the messages take when they are unpacked, the largest kinds first.
+fn memory(info: &MapInfo) -> String {
+    let mut kinds: Vec<(&String, u64)> = info.unpacked_bytes.iter().map(|(k, v)| (k, *v)).collect();
+    kinds.sort_by_key(|(name, bytes)| (std::cmp::Reverse(*bytes), *name));
+    let total = kinds.iter().map(|(_, bytes)| bytes).sum();
+    let parts: Vec<String> =
+        kinds.iter().take(4).map(|(name, bytes)| format!("{name} {}", size(*bytes))).collect();
+    format!("Unpacked: {} ({}), {} cells\n", size(total), parts.join(", "), info.grids.cells)
 }
 
 fn trajectory_text(trajectory: &TrajectoryInfo) -> String {

@@ -1,6 +1,6 @@
 //! The largest byte in every cube of cells, for cubes of 1, 2, 3, 4, 6, 8, 12, … cells.
 
-use super::tiles::{Tile, Tiles, position};
+use super::tiles::{Tile, Tiles};
 use crate::correlative::byte_score::ByteScore;
 use crate::correlative::max_pyramid::MaxPyramid;
 use crate::grid::HybridGrid;
@@ -106,9 +106,9 @@ impl MaxPyramid3d {
 /// Where one coordinate is: the parts that it adds to the positions in roots, node and tile.
 #[derive(Clone, Copy)]
 struct Part {
-    root: usize,
-    tile: usize,
-    byte: usize,
+    root: u32,
+    tile: u32,
+    byte: u32,
 }
 
 impl Level {
@@ -144,53 +144,63 @@ impl Level {
         level.tiles.push([0; 64]);
         for (place, tile) in tiles.iter() {
             let parts = [0, 1, 2].map(|axis| level.part(place[axis] << 2, axis));
-            let root = parts.iter().map(|p| p.root).sum::<usize>();
+            let root = parts.iter().map(|p| p.root as usize).sum::<usize>();
             if level.roots[root] == 0 {
                 level.roots[root] = level.nodes.len() as u32;
                 level.nodes.push([0; NODE_TILES]);
             }
             let node = level.roots[root] as usize;
-            level.nodes[node][parts.iter().map(|p| p.tile).sum::<usize>()] = level.tiles.len() as u32;
+            let in_node = parts.iter().map(|p| p.tile as usize).sum::<usize>();
+            level.nodes[node][in_node] = level.tiles.len() as u32;
             level.tiles.push(*tile);
         }
         level
     }
 
     /// The parts of a coordinate, in cells of this level.
-    #[inline]
+    #[inline(always)]
     fn part(&self, cell: i32, axis: usize) -> Part {
         // Beyond the ends all nodes are empty.
-        let node = ((cell >> NODE_CELL_BITS) - self.first[axis]).clamp(0, self.size[axis] - 1) as usize;
+        let node = ((cell >> NODE_CELL_BITS) - self.first[axis]).clamp(0, self.size[axis] - 1);
         let root_stride = match axis {
             0 => 1,
-            1 => self.size[0] as usize,
-            _ => (self.size[0] * self.size[1]) as usize,
+            1 => self.size[0],
+            _ => self.size[0] * self.size[1],
         };
-        let tile = (cell >> 2 & ((1 << NODE_BITS) - 1)) as usize;
-        let in_axis = [0, 1, 2].map(|a| if a == axis { cell } else { 0 });
-        Part { root: node * root_stride, tile: tile << (NODE_BITS as usize * axis), byte: position(in_axis) }
+        let tile = (cell >> 2 & ((1 << NODE_BITS) - 1)) as u32;
+        Part {
+            root: (node * root_stride) as u32,
+            tile: tile << (NODE_BITS * axis as u32),
+            byte: ((cell & 3) as u32) << (2 * axis),
+        }
     }
 
-    #[inline]
+    #[inline(always)]
     fn byte(&self, x: Part, y: Part, z: Part) -> u32 {
-        let node = self.roots[x.root + y.root + z.root] as usize;
-        let tile = self.nodes[node][(x.tile + y.tile + z.tile) % NODE_TILES] as usize;
-        u32::from(self.tiles[tile][(x.byte + y.byte + z.byte) % 64])
+        let node = self.roots[(x.root + y.root + z.root) as usize] as usize;
+        let tile = self.nodes[node][(x.tile + y.tile + z.tile) as usize % NODE_TILES] as usize;
+        u32::from(self.tiles[tile][(x.byte + y.byte + z.byte) as usize % 64])
     }
 
     /// For the eight boxes of shifts that start at `shift` and `width` cells on along each axis (bit 0 of
     /// the position along x): the sum over the points of the largest byte in the cube at the shifted cell.
-    #[inline]
     pub fn eight_sums(&self, cells: &[[i16; 3]], shift: [i32; 3], width: i32) -> [u32; 8] {
         let mut sums = [0; 8];
+        let bits = self.stride_bits;
         for cell in cells {
-            let parts = [0, 1, 2].map(|axis| {
-                let start = i32::from(cell[axis]) + shift[axis];
-                [start, start + width].map(|i| self.part(i >> self.stride_bits, axis))
-            });
-            for (i, sum) in sums.iter_mut().enumerate() {
-                *sum += self.byte(parts[0][i & 1], parts[1][i >> 1 & 1], parts[2][i >> 2]);
-            }
+            let at = |axis: usize| i32::from(cell[axis]) + shift[axis];
+            let near = |axis: usize| self.part(at(axis) >> bits, axis);
+            let far = |axis: usize| self.part((at(axis) + width) >> bits, axis);
+            // Written out: this is the innermost loop of the search.
+            let (x, y, z) = ([near(0), far(0)], [near(1), far(1)], [near(2), far(2)]);
+            sums[0] += self.byte(x[0], y[0], z[0]);
+            sums[1] += self.byte(x[1], y[0], z[0]);
+            sums[2] += self.byte(x[0], y[1], z[0]);
+            sums[3] += self.byte(x[1], y[1], z[0]);
+            sums[4] += self.byte(x[0], y[0], z[1]);
+            sums[5] += self.byte(x[1], y[0], z[1]);
+            sums[6] += self.byte(x[0], y[1], z[1]);
+            sums[7] += self.byte(x[1], y[1], z[1]);
         }
         sums
     }

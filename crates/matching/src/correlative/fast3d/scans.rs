@@ -16,10 +16,12 @@ pub(super) const MAX_SHIFT: i32 = 7800;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Segment {
     pub points: Range<usize>,
-    pub level: usize,
+    /// Which cubes; none if there are no cubes so wide.
+    pub level: Option<usize>,
 }
 
-/// 2^exponent neighbouring yaws. For each point the smallest indices of the cells it is in at any of them.
+/// Up to 2^exponent neighbouring yaws. For each point the smallest indices of the cells it is in at any of
+/// them.
 #[derive(Clone, Debug)]
 pub(super) struct Group {
     pub cells: Vec<[i16; 3]>,
@@ -29,17 +31,24 @@ pub(super) struct Group {
 
 /// All groups of 1, 2, 4, … yaws.
 pub(super) struct Scans {
-    /// By exponent, then in the order of yaws.
-    pub groups: Vec<Vec<Group>>,
+    /// By exponent, then by yaw: group i has the yaws from i times 2^exponent on. There is none where no
+    /// yaw is searched.
+    pub groups: Vec<Vec<Option<Group>>>,
     pub num_points: usize,
 }
 
+/// Smallest and largest indices of the cells of each point.
+#[derive(Clone)]
+struct Bounds {
+    low: Vec<[i16; 3]>,
+    high: Vec<[i16; 3]>,
+}
+
 impl Scans {
-    /// `points` at all of `poses`, which are in the order of yaws, in groups of up to 2^`max_exponent` as
-    /// far as the pyramid has cubes for them.
+    /// `points` at a pose for each yaw that is searched, in groups of up to 2^`max_exponent`.
     pub fn new(
         points: &[Point3f],
-        poses: &[Rigid3f],
+        poses: impl Iterator<Item = Option<Rigid3f>>,
         lattice: VoxelLattice,
         pyramid: &MaxPyramid3d,
         max_exponent: u32,
@@ -47,46 +56,54 @@ impl Scans {
         // Nearest to the axis of rotation first: they need the smallest cubes.
         let mut points = points.to_vec();
         points.sort_by(|a, b| a.coords.xy().norm().total_cmp(&b.coords.xy().norm()));
-        let cells = |pose: &Rigid3f| -> Vec<[i16; 3]> {
-            let cell = |p: &Point3f| lattice.unchecked_cell((pose * p).into());
-            points.iter().map(|p| cell(p).map(|i| i.clamp(-FAR, FAR) as i16)).collect()
+        let bounds = |pose: Rigid3f| {
+            let cell = |p: &Point3f| {
+                let place = pose * p;
+                lattice.unchecked_cell([place.x, place.y, place.z]).map(|i| i.clamp(-FAR, FAR) as i16)
+            };
+            let low: Vec<[i16; 3]> = points.iter().map(cell).collect();
+            Bounds { high: low.clone(), low }
         };
-        let mut bounds: Vec<[Vec<[i16; 3]>; 2]> =
-            poses.iter().map(|pose| [cells(pose), cells(pose)]).collect();
+        let mut bounds: Vec<Option<Bounds>> = poses.map(|pose| pose.map(bounds)).collect();
         let mut groups = Vec::new();
         for exponent in 0..=max_exponent {
             if exponent > 0 {
                 bounds = bounds.chunks(2).map(united).collect();
             }
-            let segments: Vec<Vec<Segment>> = bounds.iter().map(|b| segments(b, exponent)).collect();
-            let widest = segments.iter().flatten().map(|s| s.level).max().unwrap_or(0);
-            if exponent > 0 && widest >= pyramid.num_levels() {
-                break;
-            }
-            let lows = bounds.iter().map(|[low, _]| low.clone());
-            groups.push(lows.zip(segments).map(|(cells, segments)| Group { cells, segments }).collect());
+            let group = |b: &Option<Bounds>| {
+                let b = b.as_ref()?;
+                Some(Group { cells: b.low.clone(), segments: segments(b, exponent, pyramid.num_levels()) })
+            };
+            groups.push(bounds.iter().map(group).collect());
         }
         Self { groups, num_points: points.len() }
     }
 }
 
-/// Smallest and largest cells of one or two groups together.
-fn united(pair: &[[Vec<[i16; 3]>; 2]]) -> [Vec<[i16; 3]>; 2] {
-    let (Some([low, high]), rest) = (pair.first().cloned(), pair.get(1)) else { return Default::default() };
-    let Some([low_2, high_2]) = rest else { return [low, high] };
-    let zip = |a: Vec<[i16; 3]>, b: &[[i16; 3]], f: fn(i16, i16) -> i16| {
-        a.into_iter().zip(b).map(|(a, b)| [0, 1, 2].map(|i| f(a[i], b[i]))).collect()
-    };
-    [zip(low, low_2, i16::min), zip(high, high_2, i16::max)]
+/// The bounds of one or two groups together.
+fn united(pair: &[Option<Bounds>]) -> Option<Bounds> {
+    let mut known = pair.iter().flatten();
+    let mut both = known.next()?.clone();
+    for other in known {
+        for (a, b) in both.low.iter_mut().zip(&other.low) {
+            *a = [a[0].min(b[0]), a[1].min(b[1]), a[2].min(b[2])];
+        }
+        for (a, b) in both.high.iter_mut().zip(&other.high) {
+            *a = [a[0].max(b[0]), a[1].max(b[1]), a[2].max(b[2])];
+        }
+    }
+    Some(both)
 }
 
-fn segments([low, high]: &[Vec<[i16; 3]>; 2], exponent: u32) -> Vec<Segment> {
+fn segments(bounds: &Bounds, exponent: u32, num_levels: usize) -> Vec<Segment> {
     let mut segments: Vec<Segment> = Vec::new();
     let mut smear = 0;
-    for (i, (a, b)) in low.iter().zip(high).enumerate() {
-        let extent = [0, 1, 2].map(|axis| i32::from(b[axis]) - i32::from(a[axis])).into_iter().max();
-        smear = smear.max(extent.unwrap_or(0));
+    for (i, (a, b)) in bounds.low.iter().zip(&bounds.high).enumerate() {
+        for axis in 0..3 {
+            smear = smear.max(i32::from(b[axis]) - i32::from(a[axis]));
+        }
         let level = MaxPyramid3d::level_for((1 << exponent) + smear as u32);
+        let level = (level < num_levels).then_some(level);
         match segments.last_mut() {
             Some(s) if s.level == level => s.points.end = i + 1,
             _ => segments.push(Segment { points: i..i + 1, level }),

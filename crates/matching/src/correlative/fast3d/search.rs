@@ -36,12 +36,19 @@ impl<F: FnMut(Placement3d) -> bool> Search3d<'_, F> {
         hand_on: &mut dyn FnMut(Node<Placement3d>),
     ) {
         let width = 1 << exponent;
-        let group = &self.scans.groups[exponent as usize][(first.scan >> exponent) as usize];
+        let groups = &self.scans.groups[exponent as usize];
+        let Some(Some(group)) = groups.get((first.scan >> exponent) as usize) else { return };
         let [z, y, x] = first.shift;
         let mut sums = [0; 8];
         for segment in &group.segments {
-            let level = self.pyramid.level(segment.level);
-            let part = level.eight_sums(&group.cells[segment.points.clone()], [x, y, z], width);
+            let part = match segment.level {
+                Some(level) => {
+                    let cells = &group.cells[segment.points.clone()];
+                    self.pyramid.level(level).eight_sums(cells, [x, y, z], width)
+                }
+                // They may be anywhere.
+                None => [255 * segment.points.len() as u32; 8],
+            };
             (0..8).for_each(|i| sums[i] += part[i]);
         }
         for (i, sum) in sums.into_iter().enumerate() {
@@ -92,9 +99,7 @@ impl<F: FnMut(Placement3d) -> bool> Branching for Search3d<'_, F> {
         let (width, first) = (1 << node.exponent, node.first);
         let end = [0, 1, 2].map(|axis| (first.shift[axis] + width).min(self.window[axis] + 1));
         for scan in [first.scan, first.scan + (1 << exponent)] {
-            if ((scan >> exponent) as usize) < self.scans.groups[exponent as usize].len() {
-                self.for_eight_boxes(Placement3d { scan, ..first }, exponent, end, best, hand_on);
-            }
+            self.for_eight_boxes(Placement3d { scan, ..first }, exponent, end, best, hand_on);
         }
     }
 }

@@ -146,7 +146,7 @@ fn exhaustive(
     let (xy, z) = (n(o.linear_xy_search_window), n(o.linear_z_search_window));
     let byte = |cell| u32::from(matcher.score.byte(grid.probability(cell)));
     let mut best = 0.0f32;
-    for (scan, turn) in turns.iter().enumerate() {
+    for (scan, turn) in turns.iter().enumerate().filter_map(|(i, t)| Some((i, t.as_ref()?))) {
         let points = &node.high_resolution_cloud.points;
         let cells: Vec<_> =
             points.iter().map(|p| matcher.lattice.unchecked_cell((turn.pose * p).into())).collect();
@@ -158,7 +158,7 @@ fn exhaustive(
                     let placement = Placement3d { scan: scan as u32, shift: [z, y, x] };
                     let coarse = mean_probability(
                         &node.low_resolution_cloud.points,
-                        &matcher.pose(&turns, placement),
+                        &matcher.pose(&turns, placement).unwrap(),
                         submap.low_resolution_grid,
                     );
                     if f64::from(coarse) >= o.min_low_resolution_score {

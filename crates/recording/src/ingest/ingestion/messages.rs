@@ -4,6 +4,7 @@ use portolan_geometry::Time;
 use portolan_sensor::{FixedFramePoseData, Measurement};
 
 use super::{Ingestion, ODOMETRY, Role, Sensor};
+use crate::ingest::azimuth_time::{self, AzimuthTimes};
 use crate::ingest::clock::Stamp;
 use crate::ingest::convert::{self, Frames, ImuFault};
 use crate::ingest::laser::{ScanFaults, points_of_echoes, points_of_laser_scan};
@@ -32,9 +33,9 @@ impl Ingestion {
                 self.count_scan_faults(&sensor.topic, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
-            (Role::Range { point_time, .. }, Message::PointCloud2(cloud)) => {
-                let point_time = *point_time;
-                self.take_cloud(sensor, stamp, cloud, point_time);
+            (Role::Range { point_time, turn, .. }, Message::PointCloud2(cloud)) => {
+                let (point_time, turn) = (*point_time, *turn);
+                self.take_cloud(sensor, stamp, cloud, point_time, turn);
             }
             (Role::Imu { acceleration_scale }, Message::Imu(imu)) => {
                 let scale = *acceleration_scale;
@@ -100,13 +101,17 @@ impl Ingestion {
         stamp: Time,
         cloud: &PointCloud2,
         point_time: Option<PointTime>,
+        turn: Option<f64>,
     ) {
         let layout = match CloudLayout::of(cloud) {
             Ok(layout) => layout,
             Err(error) => return self.lost(&sensor.topic, &error.to_string(), 1),
         };
         let point_time = point_time.filter(|_| layout.has_time());
-        let (points, faults) = layout.points(stamp, cloud, point_time, self.with_intensities);
+        let (mut points, faults) = layout.points(stamp, cloud, point_time, self.with_intensities);
+        if let (None, Some(turn), true) = (point_time, turn, self.azimuth_times != AzimuthTimes::Off) {
+            azimuth_time::assign(&mut points, stamp, turn, self.azimuth_times);
+        }
         let CloudFaults { not_finite, zero, missing } = faults;
         self.repaired(
             &sensor.topic,

@@ -37,7 +37,13 @@ pub(super) fn sensors(plan: &SensorPlan) -> BTreeMap<Arc<str>, Vec<Sensor>> {
         });
     };
     for range in &plan.range {
-        add(&range.source, Role::Range { point_time: range.point_time, directions: Box::default() }, RANGE);
+        let rate = range.statistics.rate;
+        let turn = (rate > 0.0 && rate.is_finite()).then(|| 1.0 / rate);
+        add(
+            &range.source,
+            Role::Range { point_time: range.point_time, turn, directions: Box::default() },
+            RANGE,
+        );
     }
     if let Some(imu) = &plan.imu {
         add(&imu.source, Role::Imu { acceleration_scale: imu.acceleration_scale }, IMU);

@@ -1,0 +1,206 @@
+//! `portolan refine`: a trajectory bent until what was seen from it fits together.
+
+pub mod points;
+mod results;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use portolan_geometry::{Rigid3, Time};
+use portolan_recording::open_all;
+use portolan_refinement::continuous::{ContinuousOptions, RefineProgress, Refined, refine_continuous};
+use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
+
+use crate::GlobalArgs;
+use crate::commands::evaluate::input::TrajectorySource;
+use crate::error::{CliError, Outcome};
+use crate::interrupt;
+use crate::output::print;
+use crate::progress::Progress;
+use points::{PointArgs, read_points};
+use results::{Results, summary, write_results};
+
+/// Sharpen a map: bend a trajectory, continuously in time and in all six degrees of freedom, until the points
+/// seen from it fit together.
+///
+/// The trajectory may come from any program: TUM, KITTI, a table, or a map (.pbstream, Portolan's or
+/// Cartographer's). It is that of the frame in which the recording is tracked: the IMU's if there is one, else
+/// the first range sensor's; --tracking-frame names another. Nothing needs to be tuned.
+///
+/// Written are refined.tum (at the stamps of the input; refined_dense.tum too if those are far apart),
+/// refined.ply and report.json. Ctrl-C keeps the best so far.
+#[derive(clap::Args, Clone, Debug)]
+#[command(after_help = "Examples:\n  \
+    portolan refine --recording walk.bag --trajectory walk.tum -o walk_refined\n  \
+    portolan refine --recording robot.mcap --map robot.pbstream -o robot_refined\n  \
+    portolan refine --recording car.bag --trajectory car.tum --tracking-frame velodyne -o car --no-cloud")]
+pub struct RefineArgs {
+    /// The recording with the raw points; may be given several times, read as one in the order given.
+    #[arg(long, required = true, value_name = "RECORDING")]
+    recording: Vec<PathBuf>,
+    /// The trajectory to begin with: TUM, KITTI poses, or a table with a line of names.
+    #[arg(long, value_name = "FILE", required_unless_present = "map", conflicts_with = "map")]
+    trajectory: Option<PathBuf>,
+    /// Begin with the trajectory of a map.
+    #[arg(long, value_name = "MAP.pbstream")]
+    map: Option<PathBuf>,
+    /// Which trajectory of the map.
+    #[arg(long, value_name = "ID", default_value_t = 0)]
+    trajectory_id: i32,
+    /// Times of KITTI poses, one a line.
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// Folder for the results; created if missing.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    #[command(flatten)]
+    points: PointArgs,
+    /// Write no cloud.
+    #[arg(long)]
+    no_cloud: bool,
+    /// How to refine.
+    #[arg(long, value_enum, default_value_t = MethodName::Continuous)]
+    method: MethodName,
+    #[command(flatten)]
+    tuning: TuningArgs,
+    #[command(flatten)]
+    semi_rigid: SemiRigidArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum MethodName {
+    /// Knots a tenth of a second apart and all planes are solved for together, from coarse to fine.
+    Continuous,
+    /// Sections of the trajectory are registered rigidly and the result is distributed, as published by
+    /// Elseberg, Borrmann, Nüchter and others.
+    SemiRigid,
+}
+
+/// Parameters of the semi-rigid method, as in the paper.
+#[derive(clap::Args, Clone, Debug)]
+#[command(next_help_heading = "Semi-rigid method (as published)")]
+struct SemiRigidArgs {
+    /// One element of the trajectory, seconds. For the coarse mode as long as two sweeps, with fewer elements a
+    /// section.
+    #[arg(long, value_name = "SECONDS", default_value_t = SemiRigidOptions::default().element)]
+    element: f64,
+    /// A section every so many elements.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().interval)]
+    interval: usize,
+    /// Elements on each side of its middle that a section holds.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().half_width)]
+    half_width: usize,
+    /// One point is kept in each voxel of this edge, metres.
+    #[arg(long, value_name = "METRES", default_value_t = SemiRigidOptions::default().voxel)]
+    voxel: f64,
+    /// Iterations of the rigid registration of the sections.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().rigid_iterations)]
+    rigid_iterations: usize,
+    /// Sections with more pairs than this are linked.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().min_pairs)]
+    min_pairs: usize,
+    /// Farthest points of a pair, metres.
+    #[arg(long, value_name = "METRES", default_value_t = SemiRigidOptions::default().max_distance)]
+    pair_distance: f64,
+    /// How often sections are made, registered and distributed.
+    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().outer_iterations)]
+    outer_iterations: usize,
+}
+
+impl SemiRigidArgs {
+    fn options(&self) -> SemiRigidOptions {
+        SemiRigidOptions {
+            element: self.element,
+            interval: self.interval,
+            half_width: self.half_width,
+            voxel: self.voxel,
+            rigid_iterations: self.rigid_iterations,
+            min_pairs: self.min_pairs,
+            max_distance: self.pair_distance,
+            outer_iterations: self.outer_iterations,
+            ..SemiRigidOptions::default()
+        }
+    }
+}
+
+/// What the method takes as given.
+#[derive(clap::Args, Clone, Debug)]
+#[command(next_help_heading = "Continuous method (the defaults are meant for every recording)")]
+struct TuningArgs {
+    /// Windows within which the input shows a wall as one sheet, seconds. Longer for slow scanners.
+    #[arg(long, value_name = "SECONDS", default_value_t = ContinuousOptions::default().window)]
+    window: f64,
+    /// Time between knots of the result, seconds. Shorter follows faster errors, if there are points enough.
+    #[arg(long, value_name = "SECONDS", default_value_t = ContinuousOptions::default().knot_spacing)]
+    knots: f64,
+    /// How far drift may have moved surfaces apart, metres.
+    #[arg(long, value_name = "METRES", default_value_t = ContinuousOptions::default().reach)]
+    reach: f64,
+}
+
+pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let start = Instant::now();
+    interrupt::watch();
+    let input = read_input(args, global)?;
+    std::fs::create_dir_all(&args.output)
+        .map_err(|source| CliError::File { path: args.output.clone(), source })?;
+    let recording = open_all(&args.recording)?;
+    let read = read_points(recording.as_ref(), &args.points, global)?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(global.thread_count())
+        .build()
+        .map_err(|error| CliError::Failed(error.to_string()))?;
+    let refined = pool.install(|| refine_with_progress(&read, &input, args, global))?;
+    let results = Results {
+        input: &input,
+        refined: &refined,
+        read: &read,
+        seconds: start.elapsed().as_secs_f64(),
+        with_cloud: !args.no_cloud,
+    };
+    let files = write_results(&results, &args.output)?;
+    print(&summary(&results, &files))?;
+    let lost = read.repairs.iter().any(|r| r.lost_data);
+    Ok(if lost { Outcome::DataLost } else { Outcome::Done })
+}
+
+fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid3)>, CliError> {
+    let Some(path) = args.trajectory.as_deref().or(args.map.as_deref()) else {
+        return Err(CliError::Usage(
+            "a trajectory is needed: --trajectory FILE or --map MAP.pbstream".to_owned(),
+        ));
+    };
+    let times = args.times.as_deref();
+    let source = TrajectorySource { path, trajectory_id: args.trajectory_id, times, quiet: global.quiet };
+    Ok(source.read()?.poses().iter().map(|pose| (pose.time, pose.map_from_tracking)).collect())
+}
+
+fn refine_with_progress(
+    read: &points::ReadPoints,
+    input: &[(Time, Rigid3)],
+    args: &RefineArgs,
+    global: &GlobalArgs,
+) -> Result<Refined, CliError> {
+    let mut progress = Progress::start("refining", 1000, global.quiet);
+    let mut observe = |state: &RefineProgress| {
+        let message = format!("{}: scatter {:.1} mm", state.stage, 1e3 * state.rms);
+        progress.update((1000.0 * state.share) as u64, 1000, message);
+        !interrupt::interrupted()
+    };
+    let refined = match args.method {
+        MethodName::Continuous => {
+            let options = ContinuousOptions {
+                window: args.tuning.window,
+                knot_spacing: args.tuning.knots,
+                reach: args.tuning.reach,
+                ..ContinuousOptions::default()
+            };
+            refine_continuous(&read.store, input, &options, &mut observe)
+        }
+        MethodName::SemiRigid => {
+            refine_semi_rigid(&read.store, input, &args.semi_rigid.options(), &mut observe)
+        }
+    };
+    progress.finish();
+    refined.map_err(|error| CliError::Failed(error.to_string()))
+}

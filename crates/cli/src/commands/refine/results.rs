@@ -1,0 +1,155 @@
+//! What a refinement leaves in its folder.
+
+use std::path::{Path, PathBuf};
+
+use portolan_export::{PlyWriter, write_tum};
+use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_refinement::Sharpness;
+use portolan_refinement::continuous::Refined;
+
+use super::points::ReadPoints;
+use crate::error::CliError;
+use crate::memory::resident_and_peak_bytes;
+use crate::output::{counted, write_file};
+
+/// Poses of the input farther apart than this do not show everything that was found, seconds.
+const SPARSE: f64 = 0.05;
+/// Seconds between the poses of the dense trajectory.
+const DENSE: f64 = 0.02;
+
+/// A finished refinement.
+pub struct Results<'a> {
+    pub input: &'a [(Time, Rigid3)],
+    pub refined: &'a Refined,
+    pub read: &'a ReadPoints,
+    pub seconds: f64,
+    pub with_cloud: bool,
+}
+
+/// Writes trajectory, cloud and report; returns their names.
+pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, CliError> {
+    let mut files = Vec::new();
+    let mut file = |name: &str| {
+        files.push(folder.join(name));
+        folder.join(name)
+    };
+    let trajectory = &results.refined.trajectory;
+    let corrected: Vec<(Time, Rigid3)> =
+        results.input.iter().map(|(time, pose)| (*time, trajectory.corrected(*time, pose))).collect();
+    write_tum(&file("refined.tum"), &corrected)?;
+    let duration = trajectory.duration();
+    if duration > SPARSE * (results.input.len() - 1) as f64 {
+        let dense: Vec<(Time, Rigid3)> = (0..=(duration / DENSE) as usize)
+            .map(|i| i as f64 * DENSE)
+            .map(|s| (trajectory.start() + Duration::from_seconds(s), trajectory.pose(s)))
+            .collect();
+        write_tum(&file("refined_dense.tum"), &dense)?;
+    }
+    if results.with_cloud {
+        write_cloud(results, &file("refined.ply"))?;
+    }
+    let report = serde_json::to_vec_pretty(&report(results)).map_err(|e| CliError::Failed(e.to_string()))?;
+    write_file(&file("report.json"), |out| out.write_all(&report))?;
+    Ok(files)
+}
+
+/// All points within the trajectory, in order of time.
+fn write_cloud(results: &Results, path: &Path) -> Result<(), CliError> {
+    let trajectory = &results.refined.trajectory;
+    let store = &results.read.store;
+    let offset = store.start().seconds_since(trajectory.start());
+    let gaps = &results.refined.report.gaps;
+    let is_covered = |seconds: f64| {
+        (0.0..=trajectory.duration()).contains(&seconds)
+            && !gaps.iter().any(|[from, to]| (*from..*to).contains(&seconds))
+    };
+    let matrices = trajectory.matrices();
+    let covered = || {
+        store.points().iter().filter_map(|point| {
+            let seconds = point.seconds() + offset;
+            is_covered(seconds).then(|| matrices.to_world(seconds, point.in_tracking))
+        })
+    };
+    let (count, reach) = covered().fold((0, 0.0), |(count, reach), p| {
+        (count + 1, p.iter().fold(reach, |reach: f64, v| reach.max(v.abs())))
+    });
+    let mut ply = PlyWriter::create(path, count, reach)?;
+    for point in covered() {
+        ply.write(point)?;
+    }
+    Ok(ply.finish()?)
+}
+
+fn report(results: &Results) -> serde_json::Value {
+    let repairs: Vec<_> = results
+        .read
+        .repairs
+        .iter()
+        .map(|r| serde_json::json!({ "what": r.what, "count": r.count, "lost_data": r.lost_data }))
+        .collect();
+    let plan = &results.read.plan;
+    let topics: Vec<&str> = plan.range.iter().map(|r| &*r.source.topic).collect();
+    serde_json::json!({
+        "tracking_frame": plan.tracking_frame,
+        "range_topics": topics,
+        "poses": results.input.len(),
+        "trajectory_seconds": results.refined.trajectory.duration(),
+        "wall_seconds": results.seconds,
+        "peak_memory_bytes": resident_and_peak_bytes().map(|(_, peak)| peak),
+        "refinement": results.refined.report,
+        "repairs": repairs,
+    })
+}
+
+/// What was done, for people.
+pub fn summary(results: &Results, files: &[PathBuf]) -> String {
+    let report = &results.refined.report;
+    let mut text = format!(
+        "{} points along {:.0} s of trajectory, refined in {:.1} s\n",
+        report.points,
+        results.refined.trajectory.duration(),
+        results.seconds
+    );
+    if let (Some(before), Some(after)) = (&report.sharpness_before, &report.sharpness_after) {
+        let thickness = |s: &Sharpness| 100.0 * s.mean_plane_variance.sqrt();
+        text += &format!(
+            "mean map entropy {:.3} -> {:.3} (radius {} m, {:.0} points each), mean thickness {:.2} -> {:.2} cm\n",
+            before.mean_map_entropy,
+            after.mean_map_entropy,
+            after.options.radius,
+            after.mean_neighbours,
+            thickness(before),
+            thickness(after),
+        );
+    }
+    text += &format!(
+        "largest shift {:.3} m, largest turn {:.2} deg{}\n",
+        report.largest_shift,
+        report.largest_turn.to_degrees(),
+        report.planar_share.map_or_else(String::new, |share| format!(
+            "; {:.0} % of the points lie on surfaces",
+            100.0 * share
+        ))
+    );
+    for u in &report.undetermined {
+        let what = if u.is_rotation { "turn about" } else { "shift along" };
+        let [x, y, z] = u.direction;
+        text += &format!(
+            "not determined from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); left as it was\n",
+            u.from, u.to
+        );
+    }
+    for warning in &report.warnings {
+        text += &format!("warning: {warning}\n");
+    }
+    if report.stopped {
+        text += "stopped before the end; this is what was reached\n";
+    }
+    for repair in &results.read.repairs {
+        text += &format!("repaired: {} ({})\n", repair.what, counted(repair.count, "time", "times"));
+    }
+    for file in files {
+        text += &format!("{}\n", file.display());
+    }
+    text
+}

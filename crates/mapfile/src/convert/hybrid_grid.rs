@@ -1,0 +1,81 @@
+//! Submaps in space and their grids (`formats.md` §4.6).
+
+use portolan_mapping::{Repairs, Spatial, Submap3d};
+use portolan_matching::{HybridGrid, HybridGridParts, HybridGridRepairs};
+
+use super::values::pose_in_file;
+use super::{MapConversionError, MapSpace};
+use crate::pose::{IdInFile, pose_to_proto};
+use crate::proto::mapping as m;
+
+impl MapSpace for Spatial {
+    fn submap_to_proto(submap: &Submap3d, finished: bool, message: &mut m::Submap) {
+        message.submap_3d = Some(m::Submap3D {
+            local_pose: Some(pose_to_proto(&submap.local_from_submap)),
+            num_range_data: i32::try_from(submap.num_range_data).unwrap_or(i32::MAX),
+            finished,
+            high_resolution_hybrid_grid: Some(hybrid_grid_to_proto(&submap.high_resolution_grid)),
+            low_resolution_hybrid_grid: Some(hybrid_grid_to_proto(&submap.low_resolution_grid)),
+            rotational_scan_matcher_histogram: submap.rotational_histogram.clone(),
+        });
+    }
+
+    fn submap_from_proto(
+        message: m::Submap,
+        id: IdInFile,
+        repairs: &mut Repairs,
+    ) -> Result<(Submap3d, bool), MapConversionError> {
+        if message.submap_2d.is_some() {
+            return Err(MapConversionError::TwoDimensional);
+        }
+        let what = "submap";
+        let submap = message.submap_3d.ok_or(MapConversionError::Content { what, id })?;
+        let local_from_submap =
+            pose_in_file(submap.local_pose.as_ref()).ok_or(MapConversionError::Pose { what, id })?;
+        let mut grid = |grid: Option<m::HybridGrid>| {
+            let grid = grid.ok_or(MapConversionError::Content { what, id })?;
+            hybrid_grid_from_proto(grid, id, repairs)
+        };
+        let grids = [grid(submap.high_resolution_hybrid_grid)?, grid(submap.low_resolution_hybrid_grid)?];
+        let histogram = submap.rotational_scan_matcher_histogram;
+        if histogram.is_empty() {
+            *repairs
+                .entry("3D submap without directions of walls, searched at every yaw; `migrate` adds them")
+                .or_default() += 1;
+        }
+        let num_range_data = u32::try_from(submap.num_range_data).unwrap_or(0);
+        let finished = submap.finished;
+        let submap = Submap3d::from_parts(local_from_submap, num_range_data, finished, grids, histogram);
+        Ok((submap, finished))
+    }
+}
+
+/// A hybrid grid as a message.
+fn hybrid_grid_to_proto(grid: &HybridGrid) -> m::HybridGrid {
+    let HybridGridParts { resolution, x_indices, y_indices, z_indices, values } = grid.to_parts();
+    m::HybridGrid { resolution, x_indices, y_indices, z_indices, values }
+}
+
+/// A hybrid grid from its message. What is put right is counted.
+fn hybrid_grid_from_proto(
+    grid: m::HybridGrid,
+    submap: IdInFile,
+    repairs: &mut Repairs,
+) -> Result<HybridGrid, MapConversionError> {
+    let m::HybridGrid { resolution, x_indices, y_indices, z_indices, values } = grid;
+    let parts = HybridGridParts { resolution, x_indices, y_indices, z_indices, values };
+    let (grid, done) =
+        HybridGrid::from_parts(&parts).map_err(|source| MapConversionError::Grid { submap, source })?;
+    let HybridGridRepairs { outside, invalid_values, markers_removed, repeated } = done;
+    for (what, count) in [
+        ("cell outside of what a grid in space can hold, left out", outside),
+        ("cell in space with an impossible value, left out", invalid_values),
+        ("update marker removed from a cell", markers_removed),
+        ("cell in space that is there twice", repeated),
+    ] {
+        if count > 0 {
+            *repairs.entry(what).or_default() += count as u64;
+        }
+    }
+    Ok(grid)
+}

@@ -1,0 +1,95 @@
+//! 3D maps of other programs go into memory and come out again.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+mod common;
+
+use std::path::Path;
+
+use common::all_maps;
+use common::small_map::SmallMap;
+use portolan_config::Options;
+use portolan_mapfile::proto::mapping as m;
+use portolan_mapfile::proto::mapping::serialized_data::Data;
+use portolan_mapfile::{LoadedMap, MapConversionError, MapLoadSettings, MapReader, read_map, write_graph};
+use portolan_mapping::{Planar, Spatial};
+use prost::Message as _;
+
+fn messages(path: &Path) -> (m::PoseGraph, Vec<Data>) {
+    let mut reader = MapReader::open(path).unwrap();
+    let mut rest = Vec::new();
+    while let Some(message) = reader.next_message().unwrap() {
+        rest.push(message.data);
+    }
+    (reader.pose_graph().clone(), rest)
+}
+
+fn is_3d(path: &Path) -> bool {
+    messages(path).1.iter().any(|d| matches!(d, Data::Submap(m::Submap { submap_3d: Some(_), .. })))
+}
+
+/// Reads a map and writes it again.
+fn through_memory(path: &Path, copy: &Path) -> LoadedMap<Spatial> {
+    let loaded: LoadedMap<Spatial> = read_map(path, &MapLoadSettings::default()).unwrap();
+    let options = Options::default().trajectory_builder;
+    write_graph(&loaded.graph, &loaded.trajectories, &options, copy, true).unwrap();
+    loaded
+}
+
+#[test]
+fn maps_in_space_survive_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut count = 0;
+    for path in all_maps().into_iter().filter(|p| is_3d(p)) {
+        let copy = folder.path().join("copy.pbstream");
+        let loaded = through_memory(&path, &copy);
+        let ((before, old), (after, new)) = (messages(&path), messages(&copy));
+        assert_eq!(before.constraint.len(), after.constraint.len(), "{}", path.display());
+        let submaps = |all: &[Data]| -> Vec<m::Submap> {
+            all.iter().filter_map(|d| if let Data::Submap(s) = d { Some(s.clone()) } else { None }).collect()
+        };
+        let (old_submaps, new_submaps) = (submaps(&old), submaps(&new));
+        assert_eq!(old_submaps.len(), new_submaps.len());
+        for (a, b) in old_submaps.iter().zip(&new_submaps) {
+            let (a, b) = (a.submap_3d.as_ref().unwrap(), b.submap_3d.as_ref().unwrap());
+            assert_eq!(a.high_resolution_hybrid_grid, b.high_resolution_hybrid_grid);
+            assert_eq!(a.low_resolution_hybrid_grid, b.low_resolution_hybrid_grid);
+            assert_eq!(a.rotational_scan_matcher_histogram, b.rotational_scan_matcher_histogram);
+            assert_eq!((a.num_range_data, a.finished), (b.num_range_data, b.finished));
+        }
+        let kinds = |all: &[Data]| {
+            let of = |f: fn(&Data) -> bool| all.iter().filter(|d| f(d)).count();
+            [
+                of(|d| matches!(d, Data::Node(_))),
+                of(|d| matches!(d, Data::ImuData(_))),
+                of(|d| matches!(d, Data::TrajectoryData(_))),
+            ]
+        };
+        assert_eq!(kinds(&old), kinds(&new), "{}", path.display());
+        let (mut memory, mut stored) = (0, 0);
+        for (entry, message) in loaded.graph.state().submaps.values().zip(&old_submaps) {
+            let submap = entry.submap.as_ref().unwrap();
+            let message = message.submap_3d.as_ref().unwrap();
+            memory += submap.high_resolution_grid.memory_bytes() + submap.low_resolution_grid.memory_bytes();
+            stored += message.high_resolution_hybrid_grid.as_ref().unwrap().encoded_len()
+                + message.low_resolution_hybrid_grid.as_ref().unwrap().encoded_len();
+        }
+        eprintln!("{}: grids take {memory} bytes, {stored} in the file unpacked", path.display());
+        count += 1;
+    }
+    assert!(count > 0 || all_maps().is_empty());
+}
+
+#[test]
+fn maps_of_the_other_dimension_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.pbstream");
+    SmallMap::new(false).write(&path);
+    let refused = read_map::<Spatial>(&path, &MapLoadSettings::default());
+    assert!(matches!(refused, Err(MapConversionError::TwoDimensional)));
+    SmallMap::new(true).write(&path);
+    let refused = read_map::<Planar>(&path, &MapLoadSettings::default());
+    assert!(matches!(refused, Err(MapConversionError::ThreeDimensional)));
+    let copy = folder.path().join("copy.pbstream");
+    through_memory(&path, &copy);
+    assert!(is_3d(&copy));
+}

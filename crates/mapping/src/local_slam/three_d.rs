@@ -1,0 +1,288 @@
+//! Local SLAM in space (`slam3d.md` §1).
+//!
+//! Unlike the reference it also works without an IMU: when none has reported for a second of range data,
+//! the trajectory starts level where the tracking frame is, and lidar alone tells how it turns.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use portolan_config::TrajectoryBuilder3dOptions;
+use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, is_valid_pose, to_f32};
+use portolan_matching::rotational_histogram;
+use portolan_sensor::{
+    ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
+    TimedPointCloudData,
+};
+
+use super::two_d::{LocalSlamExtras, filtered, first_point_time};
+use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter};
+use crate::motion_filter::MotionFilter;
+use crate::pose_extrapolator::PoseExtrapolator;
+use crate::scan_matching_3d::ScanMatcher3d;
+use crate::submap_3d::{Inserter3d, Scan3d, Submap3d};
+use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Spatial};
+
+mod unwarp;
+
+use unwarp::{Gathered, unwarp};
+
+/// Range data wait this long for the first IMU sample before it is decided that there is no IMU.
+const IMU_WAIT: Duration = Duration::from_ticks(10_000_000);
+
+/// Local SLAM of one trajectory in 3D.
+pub struct LocalSlam3d {
+    options: TrajectoryBuilder3dOptions,
+    extras: LocalSlamExtras,
+    collator: RangeDataCollator,
+    extrapolator: Option<PoseExtrapolator>,
+    has_imu: bool,
+    matcher: ScanMatcher3d,
+    inserter: Arc<Inserter3d>,
+    active_submaps: ActiveSubmaps<Spatial>,
+    motion_filter: MotionFilter,
+    /// Messages gathered since the last match, thinned.
+    gathered: Vec<Gathered>,
+    /// Range data that came before it was known whether there is an IMU.
+    waiting_ranges: VecDeque<SynchronizedRanges>,
+    /// Odometry that came before that.
+    waiting_odometry: VecDeque<OdometryData>,
+    repairs: Repairs,
+}
+
+impl LocalSlam3d {
+    /// Local SLAM for a trajectory with these range sensors.
+    pub fn new(
+        options: &TrajectoryBuilder3dOptions,
+        range_sensors: &[SensorId],
+        extras: LocalSlamExtras,
+    ) -> Result<Self, MapperError> {
+        let contradiction = |e: &dyn std::error::Error| MapperError::Options(e.to_string());
+        if options.pose_extrapolator.use_imu_based {
+            let what = "pose_extrapolator.use_imu_based: poses are predicted with constant velocity only";
+            return Err(MapperError::Options(what.to_owned()));
+        }
+        let inserter =
+            Inserter3d::new(&options.submaps, options.rotational_histogram_size, options.use_intensities);
+        Ok(Self {
+            extras,
+            collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
+            extrapolator: None,
+            has_imu: false,
+            matcher: ScanMatcher3d::new(options).map_err(|e| contradiction(&e))?,
+            inserter: Arc::new(inserter.map_err(|e| contradiction(&e))?),
+            active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1)),
+            motion_filter: motion_filter(&options.motion_filter),
+            gathered: Vec::new(),
+            waiting_ranges: VecDeque::new(),
+            waiting_odometry: VecDeque::new(),
+            repairs: Repairs::new(),
+            options: options.clone(),
+        })
+    }
+
+    fn count(&mut self, what: &'static str) {
+        *self.repairs.entry(what).or_default() += 1;
+    }
+
+    /// Starts predicting, at an IMU sample or, without one, level at the first scan.
+    fn start(&mut self, imu: Option<&ImuData>) {
+        let options = &self.options.pose_extrapolator.constant_velocity;
+        let (queue, gravity) = (options.pose_queue_duration, options.imu_gravity_time_constant);
+        let use_all_odometry = self.extras.use_all_odometry;
+        let mut extrapolator = match imu {
+            Some(imu) => {
+                let Ok(started) = PoseExtrapolator::from_imu(queue, gravity, use_all_odometry, imu) else {
+                    self.count("IMU sample that is not finite");
+                    return;
+                };
+                started
+            }
+            None => {
+                let Some(first) = self.waiting_ranges.front() else { return };
+                let mut level = PoseExtrapolator::new(queue, gravity, use_all_odometry);
+                level.add_pose(first_point_time(first), Rigid3::identity());
+                level
+            }
+        };
+        for odometry in self.waiting_odometry.drain(..) {
+            let _ = extrapolator.add_odometry(&odometry);
+        }
+        self.has_imu = imu.is_some();
+        self.extrapolator = Some(extrapolator);
+    }
+
+    /// Matches what waited for the start.
+    fn match_waiting(&mut self) -> Vec<MatchingResult<Spatial>> {
+        let newest = self.waiting_ranges.back().map(|r| r.time);
+        let oldest = self.waiting_ranges.front().map(|r| r.time);
+        let waited = newest.zip(oldest).map(|(newest, oldest)| newest - oldest);
+        if self.extrapolator.is_none() && waited.is_some_and(|w| w >= IMU_WAIT) {
+            self.start(None);
+        }
+        if self.extrapolator.is_none() {
+            return Vec::new();
+        }
+        let waiting = std::mem::take(&mut self.waiting_ranges);
+        waiting.iter().filter_map(|ranges| self.add_synchronized(ranges)).collect()
+    }
+
+    /// One synchronised set of ranges: thin, gather, and match when enough is together.
+    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Option<MatchingResult<Spatial>> {
+        let last_pose_time = self.extrapolator.as_ref()?.last_pose_time();
+        if last_pose_time.is_some_and(|last| first_point_time(ranges) < last) {
+            self.count(match self.motion_filter_is_fresh() {
+                true => "scan before the first IMU sample",
+                false => "scan that starts before the last matched scan ends",
+            });
+            return None;
+        }
+        self.gathered.push(Gathered::new(ranges, 0.5 * self.options.voxel_filter_size));
+        if self.gathered.len() < self.options.num_accumulated_range_data {
+            return None;
+        }
+        let gathered = std::mem::take(&mut self.gathered);
+        self.match_gathered(ranges.time, &gathered)
+    }
+
+    /// Whether no scan has been matched yet.
+    fn motion_filter_is_fresh(&self) -> bool {
+        self.active_submaps.iter().next().is_none()
+    }
+
+    /// One whole scan: unwarp, thin, match, insert.
+    fn match_gathered(&mut self, time: Time, gathered: &[Gathered]) -> Option<MatchingResult<Spatial>> {
+        let extrapolator = self.extrapolator.as_mut()?;
+        let unwarped = unwarp(gathered, extrapolator, &self.options);
+        let prediction = extrapolator.extrapolate_pose(time);
+        let gravity = match self.has_imu {
+            true => extrapolator.estimate_gravity_orientation(time),
+            // The first pose was level, and z of the local map has pointed up ever since.
+            false => prediction.rotation,
+        };
+        if unwarped.times_raised > 0 {
+            self.count("scan with points older than ones already used; their poses are the last known one");
+        }
+        let scan = unwarped.in_tracking(&prediction, self.options.voxel_filter_size);
+        if scan.returns.is_empty() {
+            self.count("scan without a single return");
+            return None;
+        }
+        let high = filtered(&scan.returns, &self.options.high_resolution_adaptive_voxel_filter);
+        let low = filtered(&scan.returns, &self.options.low_resolution_adaptive_voxel_filter);
+        if high.is_empty() || low.is_empty() {
+            self.count("scan without a return in matching range");
+            return None;
+        }
+        let submap = self.active_submaps.matching_submap();
+        let (matched, _) = self.matcher.match_scan(&prediction, [&high, &low], submap);
+        let local_from_tracking = if is_valid_pose(&matched) { matched } else { prediction };
+        if !is_valid_pose(&local_from_tracking) {
+            self.count("scan whose pose could not be determined");
+            return None;
+        }
+        self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
+        let range_data_in_local = scan.transformed(&to_f32(&local_from_tracking));
+        let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
+            let data = NodeData {
+                time,
+                gravity_alignment: gravity,
+                filtered_gravity_aligned_point_cloud: PointCloud::default(),
+                high_resolution_point_cloud: high,
+                low_resolution_point_cloud: low,
+                rotational_scan_matcher_histogram: self.histogram(&scan.returns, &gravity),
+                local_from_tracking,
+            };
+            self.insert(&range_data_in_local, data)
+        });
+        Some(MatchingResult { time, local_from_tracking, range_data_in_local, inserted })
+    }
+
+    fn histogram(&self, returns_in_tracking: &PointCloud, gravity_alignment: &Quaternion) -> Vec<f32> {
+        let level = Rigid3::from_parts(Default::default(), *gravity_alignment);
+        let aligned = returns_in_tracking.transformed(&to_f32(&level));
+        rotational_histogram(&aligned, self.options.rotational_histogram_size)
+    }
+
+    fn insert(&mut self, range_data_in_local: &RangeData, data: NodeData) -> InsertedNode<Spatial> {
+        let local_from_gravity_aligned = data.local_from_tracking.rotation * data.gravity_alignment.inverse();
+        let scan = Scan3d {
+            range_data_in_local: range_data_in_local.clone(),
+            rotational_histogram: data.rotational_scan_matcher_histogram.clone(),
+            local_from_gravity_aligned,
+        };
+        let inserter = &self.inserter;
+        let submaps = self.active_submaps.insert(&scan, |origin: Point3f| {
+            Submap3d::new(origin, local_from_gravity_aligned, inserter).ok()
+        });
+        InsertedNode { data: Arc::new(data), submaps }
+    }
+}
+
+impl LocalSlam<Spatial> for LocalSlam3d {
+    fn add_range_data(
+        &mut self,
+        sensor_id: &SensorId,
+        data: TimedPointCloudData,
+    ) -> Vec<MatchingResult<Spatial>> {
+        let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
+        if ranges.points.is_empty() {
+            self.count("scan without points");
+            return Vec::new();
+        }
+        self.waiting_ranges.push_back(ranges);
+        self.match_waiting()
+    }
+
+    fn add_imu_data(&mut self, data: &ImuData) {
+        match self.extrapolator.as_mut() {
+            None => self.start(Some(data)),
+            Some(extrapolator) => {
+                if extrapolator.add_imu(data).is_err() {
+                    self.count("IMU sample older than the last matched scan");
+                } else if !self.has_imu {
+                    self.count("IMU sample that came after the start without an IMU; it tells rotation only");
+                }
+            }
+        }
+    }
+
+    fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Spatial>> {
+        match self.extrapolator.as_mut() {
+            Some(extrapolator) => {
+                if extrapolator.add_odometry(data).is_err() {
+                    self.count("odometry pose older than the last matched scan");
+                }
+            }
+            // The first scan will want to know how the robot was moving.
+            None => {
+                self.waiting_odometry.push_back(*data);
+                if self.waiting_odometry.len() > 2 {
+                    self.waiting_odometry.pop_front();
+                }
+            }
+        }
+        Vec::new()
+    }
+
+    fn flush(&mut self) -> Vec<MatchingResult<Spatial>> {
+        if self.extrapolator.is_none() {
+            self.start(None);
+        }
+        self.match_waiting()
+    }
+
+    fn finish(&mut self) -> Vec<InsertionSubmap<Spatial>> {
+        self.active_submaps.finish()
+    }
+
+    fn active_submaps(&self) -> Vec<(u32, Submap3d)> {
+        self.active_submaps.iter().map(|(index, submap)| (index, submap.clone())).collect()
+    }
+
+    fn repairs(&self) -> Repairs {
+        self.repairs.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests;

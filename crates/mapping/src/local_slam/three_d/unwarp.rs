@@ -1,0 +1,93 @@
+//! Every point of a scan put where it was measured from, by the predicted pose at its own time.
+
+use portolan_config::TrajectoryBuilder3dOptions;
+use portolan_geometry::{Duration, Point3f, Rigid3, Rigid3f, Time, to_f32};
+use portolan_sensor::{PointCloud, RangeData, SynchronizedRanges, voxel_filter, voxel_filter_indices};
+
+use crate::pose_extrapolator::PoseExtrapolator;
+
+/// A message thinned with small voxels in the tracking frame.
+pub(super) struct Gathered {
+    points: Vec<GatheredPoint>,
+}
+
+struct GatheredPoint {
+    time: Time,
+    position: Point3f,
+    origin: Point3f,
+    intensity: f32,
+}
+
+impl Gathered {
+    pub fn new(ranges: &SynchronizedRanges, voxel_size: f32) -> Self {
+        let kept = voxel_filter_indices(&ranges.points, |p| p.point.position, voxel_size);
+        let point = |i: u32| {
+            let p = ranges.points.get(i as usize)?;
+            Some(GatheredPoint {
+                time: ranges.time + Duration::from_seconds(f64::from(p.point.time)),
+                position: p.point.position,
+                origin: *ranges.origins.get(p.origin_index)?,
+                intensity: ranges.intensities.get(i as usize).copied().unwrap_or(0.0),
+            })
+        };
+        Self { points: kept.into_iter().filter_map(point).collect() }
+    }
+}
+
+/// A scan in the local map as predicted.
+#[derive(Default)]
+pub(super) struct Unwarped {
+    returns: PointCloud,
+    misses: PointCloud,
+    /// Points that are older than a pose already predicted.
+    pub times_raised: u64,
+}
+
+/// Unwarps all gathered messages; sorts points into returns and misses by their range.
+pub(super) fn unwarp(
+    gathered: &[Gathered],
+    extrapolator: &mut PoseExtrapolator,
+    options: &TrajectoryBuilder3dOptions,
+) -> Unwarped {
+    let mut unwarped = Unwarped::default();
+    let mut newest = extrapolator.last_extrapolated_time().unwrap_or(Time::MIN);
+    let mut pose_time = None;
+    let mut pose = Rigid3f::identity();
+    for point in gathered.iter().flat_map(|message| &message.points) {
+        unwarped.times_raised += u64::from(point.time < newest);
+        newest = newest.max(point.time);
+        // Beams of one firing share a time; a scan without times needs a single pose.
+        if pose_time != Some(newest) {
+            pose_time = Some(newest);
+            pose = to_f32(&extrapolator.extrapolate_pose(newest));
+        }
+        let (hit, origin) = (pose * point.position, pose * point.origin);
+        let delta = hit - origin;
+        let range = delta.norm();
+        if range.is_nan() || range < options.min_range {
+            continue;
+        }
+        if range <= options.max_range {
+            unwarped.returns.points.push(hit);
+            if options.use_intensities {
+                unwarped.returns.intensities.push(point.intensity);
+            }
+        } else {
+            unwarped.misses.points.push(origin + delta * (options.max_range / range));
+        }
+    }
+    unwarped
+}
+
+impl Unwarped {
+    /// Thinned in the local map, then taken to the tracking frame at its predicted pose, which is also
+    /// where the rays are taken to start.
+    pub fn in_tracking(&self, local_from_tracking: &Rigid3, voxel_size: f32) -> RangeData {
+        let thinned = RangeData {
+            origin: Point3f::from(to_f32(local_from_tracking).translation.vector),
+            returns: voxel_filter(&self.returns, voxel_size),
+            misses: voxel_filter(&self.misses, voxel_size),
+        };
+        thinned.transformed(&to_f32(local_from_tracking).inverse())
+    }
+}

@@ -1,0 +1,168 @@
+//! Columns of points, whatever they are called and however they are stored.
+
+use crate::cloud::{Attributes, PointCloud};
+
+/// How a number is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    I64,
+    U64,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::I64 | Self::U64 | Self::F64 => 8,
+        }
+    }
+
+    /// The number in the first bytes; 0 if there are too few.
+    pub fn decode(self, bytes: &[u8], is_big: bool) -> f64 {
+        match self {
+            Self::I8 => bytes.first().map_or(0.0, |b| f64::from(b.cast_signed())),
+            Self::U8 => bytes.first().map_or(0.0, |b| f64::from(*b)),
+            Self::I16 => f64::from(i16::from_le_bytes(array(bytes, is_big))),
+            Self::U16 => f64::from(u16::from_le_bytes(array(bytes, is_big))),
+            Self::I32 => f64::from(i32::from_le_bytes(array(bytes, is_big))),
+            Self::U32 => f64::from(u32::from_le_bytes(array(bytes, is_big))),
+            Self::I64 => i64::from_le_bytes(array(bytes, is_big)) as f64,
+            Self::U64 => u64::from_le_bytes(array(bytes, is_big)) as f64,
+            Self::F32 => f64::from(f32::from_le_bytes(array(bytes, is_big))),
+            Self::F64 => f64::from_le_bytes(array(bytes, is_big)),
+        }
+    }
+}
+
+fn array<const N: usize>(bytes: &[u8], is_big: bool) -> [u8; N] {
+    let mut value = [0; N];
+    if let Some(source) = bytes.get(..N) {
+        value.copy_from_slice(source);
+    }
+    if is_big {
+        value.reverse();
+    }
+    value
+}
+
+/// What a column means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    X,
+    Y,
+    Z,
+    Intensity,
+    Time,
+    Red,
+    Green,
+    Blue,
+    /// Red, green and blue in the lower three bytes.
+    PackedColor,
+}
+
+impl Role {
+    /// From the name of a column, as many programs write it.
+    pub fn of(name: &str) -> Option<Self> {
+        let name = name.to_ascii_lowercase();
+        let name = name.strip_prefix("scalar_").unwrap_or(&name);
+        Some(match name {
+            "x" => Self::X,
+            "y" => Self::Y,
+            "z" => Self::Z,
+            "intensity" | "i" | "reflectance" | "reflectivity" | "remission" => Self::Intensity,
+            "time" | "t" | "gps_time" | "gpstime" | "timestamp" | "time_stamp" => Self::Time,
+            "red" | "r" | "diffuse_red" => Self::Red,
+            "green" | "g" | "diffuse_green" => Self::Green,
+            "blue" | "b" | "diffuse_blue" => Self::Blue,
+            "rgb" | "rgba" => Self::PackedColor,
+            _ => return None,
+        })
+    }
+}
+
+/// One column: where it is and what it means.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Column {
+    pub role: Role,
+    /// Place among the columns, or bytes from the start of a row.
+    pub at: usize,
+    pub scalar: Scalar,
+}
+
+/// All columns that are of use.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Columns {
+    xyz: [Column; 3],
+    intensity: Option<Column>,
+    time: Option<Column>,
+    color: Option<[Column; 3]>,
+    packed: Option<Column>,
+}
+
+impl Columns {
+    /// Sorts columns by their meaning; none without x, y and z.
+    pub fn of(columns: &[Column]) -> Option<Self> {
+        let find = |role| columns.iter().find(|column| column.role == role).copied();
+        let color = || Some([find(Role::Red)?, find(Role::Green)?, find(Role::Blue)?]);
+        Some(Self {
+            xyz: [find(Role::X)?, find(Role::Y)?, find(Role::Z)?],
+            intensity: find(Role::Intensity),
+            time: find(Role::Time),
+            color: color(),
+            packed: find(Role::PackedColor),
+        })
+    }
+
+    pub fn attributes(&self) -> Attributes {
+        Attributes {
+            intensity: self.intensity.is_some(),
+            time: self.time.is_some(),
+            color: self.color.is_some() || self.packed.is_some(),
+        }
+    }
+
+    /// Adds a row, of which `value` gives the columns; whether its coordinates are numbers.
+    pub fn push(&self, value: impl Fn(&Column) -> f64, out: &mut PointCloud) -> bool {
+        let position = [0, 1, 2].map(|i| value(&self.xyz[i]));
+        if position.iter().any(|v| !v.is_finite()) {
+            return false;
+        }
+        let number = |column: &Option<Column>| column.as_ref().map_or(0.0, &value);
+        let color = match (&self.color, &self.packed) {
+            (Some(columns), _) => columns.map(|column| eight_bits(value(&column), column.scalar)),
+            (None, Some(column)) => unpack(value(column), column.scalar),
+            (None, None) => [0; 3],
+        };
+        out.push(position, number(&self.intensity) as f32, number(&self.time), color);
+        true
+    }
+}
+
+/// Colours have 8 bits, 16 bits, or go from 0 to 1.
+fn eight_bits(value: f64, scalar: Scalar) -> u8 {
+    let scaled = match scalar {
+        Scalar::U16 => value / 257.0,
+        Scalar::F32 | Scalar::F64 => value * 255.0,
+        _ => value,
+    };
+    scaled.round().clamp(0.0, 255.0) as u8
+}
+
+/// PCD keeps colours in the bits of a float, or in an integer.
+fn unpack(value: f64, scalar: Scalar) -> [u8; 3] {
+    let bits = match scalar {
+        Scalar::F32 | Scalar::F64 => (value as f32).to_bits(),
+        _ => value as i64 as u32,
+    };
+    [(bits >> 16) as u8, (bits >> 8) as u8, bits as u8]
+}

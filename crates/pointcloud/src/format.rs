@@ -1,0 +1,190 @@
+//! The formats: told apart by content when reading, by extension when writing.
+
+use std::io::Read;
+use std::path::Path;
+
+use crate::cloud::{Attributes, PointCloud};
+use crate::error::{CloudError, Repair};
+use crate::{e57, las, pcd, ply, uos, xyz};
+
+/// A format of files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CloudFormat {
+    /// Polygon File Format.
+    Ply,
+    /// Point Cloud Data of PCL.
+    Pcd,
+    /// Text.
+    Xyz,
+    /// LAS.
+    Las,
+    /// Compressed LAS.
+    Laz,
+    /// ASTM E2807.
+    E57,
+}
+
+impl CloudFormat {
+    /// From the extension of a file.
+    pub fn from_path(path: &Path) -> Result<Self, CloudError> {
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        match extension.as_str() {
+            "ply" => Ok(Self::Ply),
+            "pcd" => Ok(Self::Pcd),
+            "xyz" | "txt" | "pts" | "asc" | "csv" => Ok(Self::Xyz),
+            "las" => Ok(Self::Las),
+            "laz" => Ok(Self::Laz),
+            "e57" => Ok(Self::E57),
+            _ => Err(CloudError::UnknownFormat {
+                path: path.to_owned(),
+                detail: "its name has to end in .ply, .pcd, .xyz, .las, .laz or .e57".to_owned(),
+            }),
+        }
+    }
+}
+
+/// How values are stored, where the format leaves a choice (PLY and PCD).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Encoding {
+    /// Binary, little-endian.
+    #[default]
+    Binary,
+    /// Binary, compressed (PCD; elsewhere like binary).
+    Compressed,
+    /// Text.
+    Ascii,
+}
+
+/// How coordinates are stored in PLY and PCD.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// Single in PCD, as PCL expects, and double in PLY.
+    #[default]
+    Usual,
+    /// Single.
+    Single,
+    /// Double.
+    Double,
+}
+
+/// How to write.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WriteOptions {
+    /// None: by the extension.
+    pub format: Option<CloudFormat>,
+    /// For PLY and PCD.
+    pub encoding: Encoding,
+    /// For PLY and PCD.
+    pub precision: Precision,
+    /// Steps of coordinates in LAS and LAZ, metres. Default 0.0001.
+    pub resolution: f64,
+    /// Place that coordinates in LAS and LAZ count from, metres; none: near the first point.
+    pub origin: Option<[f64; 3]>,
+}
+
+impl Default for WriteOptions {
+    fn default() -> Self {
+        Self {
+            format: None,
+            encoding: Encoding::default(),
+            precision: Precision::default(),
+            resolution: 1e-4,
+            origin: None,
+        }
+    }
+}
+
+/// Reads a cloud in batches.
+pub trait CloudReader {
+    /// Which values its points have.
+    fn attributes(&self) -> Attributes;
+
+    /// How many points there are, if the file says so.
+    fn count(&self) -> Option<u64>;
+
+    /// Replaces `batch` by the next points; false at the end, where it is empty.
+    fn next_batch(&mut self, batch: &mut PointCloud) -> Result<bool, CloudError>;
+
+    /// What was repaired or left out so far.
+    fn repairs(&self) -> Vec<Repair>;
+}
+
+/// What was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Written {
+    /// Points in the file.
+    pub points: u64,
+    /// Points that were left out because their coordinates are not numbers.
+    pub not_finite: u64,
+}
+
+/// Writes a cloud in batches. The file appears under its name when it is finished; dropped before, nothing
+/// remains. The same points give the same bytes.
+pub trait CloudWriter: Send {
+    /// Appends points; values that they lack become 0.
+    fn write(&mut self, batch: &PointCloud) -> Result<(), CloudError>;
+
+    /// Completes the file.
+    fn finish(self: Box<Self>) -> Result<Written, CloudError>;
+}
+
+/// Opens a cloud: a file of any format, told by its content, or a folder of uos scans.
+///
+/// # Errors
+/// Fails if the file cannot be read, is of no known format, or its header is damaged.
+pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn CloudReader>, CloudError> {
+    let path = path.as_ref();
+    if path.is_dir() {
+        return Ok(Box::new(uos::UosFolder::open(path)?.into_reader()));
+    }
+    let mut start = [0; 512];
+    let mut file = std::fs::File::open(path).map_err(|e| CloudError::read(path, e))?;
+    let mut length = 0;
+    while let Some(rest) = start.get_mut(length..).filter(|rest| !rest.is_empty()) {
+        match file.read(rest).map_err(|e| CloudError::read(path, e))? {
+            0 => break,
+            count => length += count,
+        }
+    }
+    let start = start.get(..length).unwrap_or_default();
+    if start.starts_with(b"ply") {
+        Ok(Box::new(ply::PlyReader::open(path)?))
+    } else if start.starts_with(b"LASF") {
+        las::open(path)
+    } else if start.starts_with(b"ASTM-E57") {
+        e57::open(path)
+    } else if pcd::sniff(start) {
+        Ok(Box::new(pcd::PcdReader::open(path)?))
+    } else if xyz::sniff(start) {
+        Ok(Box::new(xyz::XyzReader::open(path)?))
+    } else {
+        Err(CloudError::UnknownFormat {
+            path: path.to_owned(),
+            detail: "its content is not of PLY, PCD, LAS, LAZ, E57 or text with coordinates".to_owned(),
+        })
+    }
+}
+
+/// Starts a cloud whose points have `attributes`.
+///
+/// # Errors
+/// Fails if the format is not clear from the extension, or the file cannot be created.
+pub fn create(
+    path: impl AsRef<Path>,
+    attributes: Attributes,
+    options: &WriteOptions,
+) -> Result<Box<dyn CloudWriter>, CloudError> {
+    let path = path.as_ref();
+    let format = match options.format {
+        Some(format) => format,
+        None => CloudFormat::from_path(path)?,
+    };
+    Ok(match format {
+        CloudFormat::Ply => Box::new(ply::PlyWriter::create(path, attributes, options)?),
+        CloudFormat::Pcd => Box::new(pcd::PcdWriter::create(path, attributes, options)?),
+        CloudFormat::Xyz => Box::new(xyz::XyzWriter::create(path, attributes)?),
+        CloudFormat::Las => Box::new(las::LasWriter::create(path, attributes, options, false)?),
+        CloudFormat::Laz => Box::new(las::LasWriter::create(path, attributes, options, true)?),
+        CloudFormat::E57 => Box::new(e57::E57Writer::create(path, attributes)?),
+    })
+}

@@ -1,0 +1,253 @@
+//! LAS and LAZ.
+//!
+//! Times stand in the field for GPS time as they are. Intensities are rounded to whole numbers from 0 to
+//! 65535, colours are spread over 16 bits.
+
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use las::point::Format;
+use las::{Builder, Color, Point, PointData, PointDataBuilder, Reader, Transform, Vector, Version, Writer};
+
+use crate::BATCH_POINTS;
+use crate::cloud::{Attributes, PointCloud};
+use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
+use crate::format::{CloudReader, CloudWriter, WriteOptions, Written};
+use crate::output::Output;
+
+/// Reads points.
+struct LasReader {
+    path: PathBuf,
+    reader: Reader,
+    data: PointData,
+    attributes: Attributes,
+    total: u64,
+    left: u64,
+    /// Points that are asked for at once: fewer and fewer where the file is damaged.
+    at_once: u64,
+    repairs: Repairs,
+}
+
+/// Opens a LAS or LAZ file.
+pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
+    let file = std::fs::File::open(path).map_err(|e| CloudError::read(path, e))?;
+    let bytes = file.metadata().map_err(|e| CloudError::read(path, e))?.len();
+    let reader = unpanicked(|| Reader::new(BufReader::with_capacity(1 << 18, file))).map_err(|error| {
+        CloudError::damaged(path, error.unwrap_or_else(|| "its header cannot be understood".to_owned()))
+    })?;
+    let header = reader.header();
+    let format = *header.point_format();
+    let mut repairs = Repairs::default();
+    let mut total = header.number_of_points();
+    if !format.is_compressed {
+        let offset = header.clone().into_raw().map_or(0, |raw| u64::from(raw.offset_to_point_data));
+        let there = bytes.saturating_sub(offset) / u64::from(format.len().max(1));
+        repairs.add(
+            "points that the header promises and the file does not have",
+            true,
+            total.saturating_sub(there),
+        );
+        total = total.min(there);
+    }
+    let attributes = Attributes { intensity: true, time: format.has_gps_time, color: format.has_color };
+    let data = PointDataBuilder::new().for_header(header).build();
+    let (path, left, at_once) = (path.to_owned(), total, BATCH_POINTS as u64);
+    Ok(Box::new(LasReader { path, reader, data, attributes, total, left, at_once, repairs }))
+}
+
+/// What a call of the library gives; its error as text, none where it panicked: the decompressor checks
+/// damaged files by assertions.
+fn unpanicked<T>(call: impl FnOnce() -> las::Result<T>) -> Result<T, Option<String>> {
+    // Nothing is read any more from a reader that has panicked.
+    match std::panic::catch_unwind(std::panic::AssertUnwindSafe(call)) {
+        Ok(result) => result.map_err(|error| Some(error.to_string())),
+        Err(_) => Err(None),
+    }
+}
+
+impl CloudReader for LasReader {
+    fn attributes(&self) -> Attributes {
+        self.attributes
+    }
+
+    fn count(&self) -> Option<u64> {
+        Some(self.total)
+    }
+
+    fn next_batch(&mut self, batch: &mut PointCloud) -> Result<bool, CloudError> {
+        batch.reset(self.attributes);
+        while batch.is_empty() && self.left > 0 {
+            let count = self.left.min(self.at_once);
+            let read = match unpanicked(|| self.reader.fill_points(count, &mut self.data)) {
+                Ok(read) => read.min(count),
+                Err(error) => {
+                    // Closer and closer to the damage; nothing is read behind it.
+                    self.at_once = count / 2;
+                    let position = self.total - self.left;
+                    let may_retry = self.at_once > 0 && error.is_some();
+                    if may_retry && unpanicked(|| self.reader.seek(position)).is_ok() {
+                        continue;
+                    }
+                    let error = error.unwrap_or_else(|| "its points cannot be decompressed".to_owned());
+                    if position == 0 {
+                        return Err(CloudError::damaged(&self.path, error));
+                    }
+                    self.repairs.add("points behind damage were left out", true, self.left);
+                    self.left = 0;
+                    break;
+                }
+            };
+            if read == 0 {
+                self.repairs.add(
+                    "points that the header promises and the file does not have",
+                    true,
+                    self.left,
+                );
+                self.left = 0;
+                break;
+            }
+            self.left -= read;
+            self.push(batch, read as usize);
+        }
+        Ok(!batch.is_empty())
+    }
+
+    fn repairs(&self) -> Vec<Repair> {
+        self.repairs.list()
+    }
+}
+
+impl LasReader {
+    fn push(&mut self, batch: &mut PointCloud, count: usize) {
+        let data = &self.data;
+        let mut times = data.gps_time();
+        let mut colors = data.rgb();
+        let positions = data.x().zip(data.y()).zip(data.z()).zip(data.intensity()).take(count);
+        let mut not_finite = 0;
+        for (((x, y), z), intensity) in positions {
+            let time = times.as_mut().and_then(Iterator::next).unwrap_or(0.0);
+            let color = colors.as_mut().and_then(Iterator::next).unwrap_or((0, 0, 0));
+            if x.is_finite() && y.is_finite() && z.is_finite() {
+                let color = [color.0, color.1, color.2].map(|c| (f64::from(c) / 257.0).round() as u8);
+                batch.push([x, y, z], f32::from(intensity), time, color);
+            } else {
+                not_finite += 1;
+            }
+        }
+        self.repairs.add(NOT_FINITE, false, not_finite);
+    }
+}
+
+/// Writes points.
+pub(crate) struct LasWriter {
+    output: Output,
+    attributes: Attributes,
+    resolution: f64,
+    origin: Option<[f64; 3]>,
+    is_compressed: bool,
+    /// From the first point on, near which coordinates count.
+    writer: Option<Writer<std::io::BufWriter<std::fs::File>>>,
+    written: Written,
+}
+
+impl LasWriter {
+    pub fn create(
+        path: &Path,
+        attributes: Attributes,
+        options: &WriteOptions,
+        is_compressed: bool,
+    ) -> Result<Self, CloudError> {
+        if !(1e-7..=10.0).contains(&options.resolution) {
+            let detail = format!("the resolution must be from 1e-7 to 10 m, but is {}", options.resolution);
+            return Err(CloudError::Unwritable { path: path.to_owned(), detail });
+        }
+        Ok(Self {
+            output: Output::create(path)?,
+            attributes,
+            resolution: options.resolution,
+            origin: options.origin,
+            is_compressed,
+            writer: None,
+            written: Written { points: 0, not_finite: 0 },
+        })
+    }
+
+    fn unwritable(&self, error: &las::Error) -> CloudError {
+        CloudError::Unwritable {
+            path: self.output.path.clone(),
+            detail: format!("{error}; a coarser resolution lets coordinates reach farther"),
+        }
+    }
+
+    fn start(&mut self, first: [f64; 3]) -> Result<(), CloudError> {
+        // Whole tens of metres, so that offsets look alike in maps of the same place.
+        let origin = self.origin.unwrap_or(first.map(|v| (v / 10.0).floor() * 10.0));
+        let transform = |i: usize| Transform { scale: self.resolution, offset: origin[i] };
+        let mut format = Format::new(0).map_err(|e| self.unwritable(&e))?;
+        format.has_gps_time = self.attributes.time;
+        format.has_color = self.attributes.color;
+        format.is_compressed = self.is_compressed;
+        let mut builder = Builder::default();
+        builder.generating_software = "portolan".to_owned();
+        builder.system_identifier = "portolan".to_owned();
+        builder.point_format = format;
+        builder.transforms = Vector { x: transform(0), y: transform(1), z: transform(2) };
+        builder.version = Version::new(1, 4);
+        let header = builder.into_header().map_err(|e| self.unwritable(&e))?;
+        let file = std::io::BufWriter::with_capacity(1 << 18, self.output.handle()?);
+        self.writer = Some(Writer::new(file, header).map_err(|e| self.unwritable(&e))?);
+        Ok(())
+    }
+
+    fn point(&self, batch: &PointCloud, index: usize) -> Point {
+        let [x, y, z] = batch.position(index);
+        let color = batch.color(index).unwrap_or([0; 3]).map(|c| u16::from(c) * 257);
+        Point {
+            x,
+            y,
+            z,
+            intensity: batch.intensity(index).unwrap_or(0.0).round().clamp(0.0, 65_535.0) as u16,
+            return_number: 1,
+            number_of_returns: 1,
+            gps_time: self.attributes.time.then(|| batch.time(index).unwrap_or(0.0)),
+            color: self.attributes.color.then(|| Color::new(color[0], color[1], color[2])),
+            ..Point::default()
+        }
+    }
+}
+
+impl CloudWriter for LasWriter {
+    fn write(&mut self, batch: &PointCloud) -> Result<(), CloudError> {
+        for index in 0..batch.len() {
+            let position = batch.position(index);
+            if !position.iter().all(|v| v.is_finite()) {
+                self.written.not_finite += 1;
+                continue;
+            }
+            if self.writer.is_none() {
+                self.start(position)?;
+            }
+            let point = self.point(batch, index);
+            let result = self.writer.as_mut().map_or(Ok(()), |writer| writer.write_point(point));
+            result.map_err(|e| self.unwritable(&e))?;
+            self.written.points += 1;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<Written, CloudError> {
+        if self.writer.is_none() {
+            self.start([0.0; 3])?;
+        }
+        if let Some(mut writer) = self.writer.take() {
+            writer.close().map_err(|e| self.unwritable(&e))?;
+            let file = writer.into_inner();
+            // Closed above; what is left is to empty the buffer.
+            if let Ok(mut file) = file {
+                std::io::Write::flush(&mut file).map_err(|e| CloudError::write(&self.output.path, e))?;
+            }
+        }
+        self.output.finish()?;
+        Ok(self.written)
+    }
+}

@@ -1,0 +1,150 @@
+//! LZF, the compression of PCD: runs of literals, and copies of up to 264 bytes from at most 8 KiB back.
+
+use std::io::{self, Read};
+
+/// How far back copies reach.
+const WINDOW: usize = 1 << 13;
+const LONGEST_COPY: usize = 264;
+const HASH_BITS: u32 = 14;
+
+/// Compresses a block; blocks may follow each other. Appends to `out`.
+pub(super) fn compress(block: &[u8], out: &mut Vec<u8>) {
+    let mut table = vec![usize::MAX; 1 << HASH_BITS];
+    let (mut at, mut literals) = (0, 0);
+    while at + 3 <= block.len() {
+        let word = (u32::from(block[at]) << 16) | (u32::from(block[at + 1]) << 8) | u32::from(block[at + 2]);
+        let slot = (word.wrapping_mul(0x9E37_79B1) >> (32 - HASH_BITS)) as usize;
+        let candidate = std::mem::replace(&mut table[slot], at);
+        let is_match = candidate != usize::MAX
+            && at - candidate <= WINDOW
+            && block[candidate..candidate + 3] == block[at..at + 3];
+        if !is_match {
+            at += 1;
+            continue;
+        }
+        push_literals(&block[literals..at], out);
+        let most = LONGEST_COPY.min(block.len() - at);
+        let length = (3..most).find(|i| block[candidate + i] != block[at + i]).unwrap_or(most);
+        let (back, coded) = (at - candidate - 1, length - 2);
+        if coded < 7 {
+            out.push((coded << 5) as u8 | (back >> 8) as u8);
+        } else {
+            out.push((7 << 5) | (back >> 8) as u8);
+            out.push((coded - 7) as u8);
+        }
+        out.push(back as u8);
+        at += length;
+        literals = at;
+    }
+    push_literals(&block[literals..], out);
+}
+
+fn push_literals(bytes: &[u8], out: &mut Vec<u8>) {
+    for run in bytes.chunks(32) {
+        out.push((run.len() - 1) as u8);
+        out.extend_from_slice(run);
+    }
+}
+
+/// Decompresses a stream piece by piece, in bounded memory.
+pub(super) struct Decompressor<R> {
+    input: R,
+    /// The last bytes that came out, in a ring.
+    window: Vec<u8>,
+    at: usize,
+    written: u64,
+}
+
+impl<R: Read> Decompressor<R> {
+    pub fn new(input: R) -> Self {
+        Self { input, window: vec![0; WINDOW], at: 0, written: 0 }
+    }
+
+    /// Appends at least one byte to `out`; false at the end of the input. A copy from before the start is
+    /// an error.
+    pub fn next_into(&mut self, out: &mut Vec<u8>) -> io::Result<bool> {
+        let Some(control) = self.byte_or_end()? else { return Ok(false) };
+        if control < 32 {
+            for _ in 0..=control {
+                let byte = self.byte()?;
+                self.push(byte, out);
+            }
+            return Ok(true);
+        }
+        let mut length = usize::from(control >> 5);
+        if length == 7 {
+            length += usize::from(self.byte()?);
+        }
+        let back = (usize::from(control & 31) << 8) + usize::from(self.byte()?) + 1;
+        if back as u64 > self.written {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "a copy reaches before the start"));
+        }
+        for _ in 0..length + 2 {
+            let from = (self.at + WINDOW - back) % WINDOW;
+            let byte = self.window.get(from).copied().unwrap_or(0);
+            self.push(byte, out);
+        }
+        Ok(true)
+    }
+
+    fn push(&mut self, byte: u8, out: &mut Vec<u8>) {
+        if let Some(slot) = self.window.get_mut(self.at) {
+            *slot = byte;
+        }
+        self.at = (self.at + 1) % WINDOW;
+        self.written += 1;
+        out.push(byte);
+    }
+
+    fn byte(&mut self) -> io::Result<u8> {
+        self.byte_or_end()?.ok_or_else(|| io::ErrorKind::UnexpectedEof.into())
+    }
+
+    fn byte_or_end(&mut self) -> io::Result<Option<u8>> {
+        let mut byte = [0];
+        loop {
+            match self.input.read(&mut byte) {
+                Ok(0) => return Ok(None),
+                Ok(_) => return Ok(Some(byte[0])),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn decompressed(bytes: &[u8]) -> io::Result<Vec<u8>> {
+        let mut out = Vec::new();
+        let mut decompressor = Decompressor::new(bytes);
+        while decompressor.next_into(&mut out)? {}
+        Ok(out)
+    }
+
+    proptest! {
+        #[test]
+        fn what_goes_in_comes_out(seed in prop::collection::vec(any::<u8>(), 1..80), length in 0..30_000_usize, noise in 0..5_u32) {
+            let bytes: Vec<u8> = (0..length).map(|i| seed[i % seed.len()].wrapping_add(((i as u32 / 97) * noise) as u8)).collect();
+            let mut packed = Vec::new();
+            bytes.chunks(9000).for_each(|block| compress(block, &mut packed));
+            prop_assert_eq!(decompressed(&packed).unwrap(), bytes);
+        }
+
+        #[test]
+        fn random_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+            let _ = decompressed(&bytes);
+        }
+    }
+
+    #[test]
+    fn repetition_shrinks() {
+        let mut packed = Vec::new();
+        compress(&[7; 100_000], &mut packed);
+        assert!(packed.len() < 1200);
+        assert!(decompressed(&[0x20, 0x05]).is_err());
+    }
+}

@@ -1,0 +1,243 @@
+//! Folders of uos scans: `scan000.3d` with points, `scan000.pose` with a first guess of the pose, and
+//! `scan000.frames` with the poses it had while it was registered.
+//!
+//! These files are left-handed: x to the right, y up, z ahead, in centimetres and degrees. Here they
+//! become x ahead, y to the left, z up, in metres.
+
+use std::path::{Path, PathBuf};
+
+use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
+
+use crate::BATCH_POINTS;
+use crate::cloud::{Attributes, PointCloud};
+use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
+use crate::format::CloudReader;
+use crate::input::{Input, numbers};
+
+/// Lines at the head of a scan that need not be points.
+const HEAD_LINES: usize = 10;
+const METRES: f64 = 0.01;
+
+/// One state of a scan while it was registered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UosFrame {
+    /// Pose of the scan.
+    pub world_from_scan: Rigid3,
+    /// 0 invalid, 1 moved by ICP, 2 waiting, 3 moved by LUM, 4 moved by ELCH.
+    pub kind: u32,
+}
+
+/// One scan of a folder.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UosScan {
+    /// Its number.
+    pub number: u64,
+    /// File of its points.
+    pub points: PathBuf,
+    /// First guess of its pose, from `.pose`; none if there is none.
+    pub guess: Option<Rigid3>,
+    /// Its states, from `.frames`; the last one is the result.
+    pub frames: Vec<UosFrame>,
+}
+
+impl UosScan {
+    /// The result of registration, else the first guess, else the origin.
+    pub fn world_from_scan(&self) -> Rigid3 {
+        self.frames.last().map(|frame| frame.world_from_scan).or(self.guess).unwrap_or_default()
+    }
+}
+
+/// A folder of scans, in order of their numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UosFolder {
+    path: PathBuf,
+    /// The scans.
+    pub scans: Vec<UosScan>,
+}
+
+/// From left-handed centimetres to ours: (x right, y up, z ahead) becomes (z, −x, y).
+fn point(x: f64, y: f64, z: f64) -> Vector3 {
+    Vector3::new(z, -x, y) * METRES
+}
+
+/// A left-handed rotation matrix in our axes: the same permutation on both sides.
+fn rotation(matrix: &na::Matrix3<f64>) -> na::UnitQuaternion<f64> {
+    let ours_from_uos = na::Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+    na::UnitQuaternion::from_matrix(&(ours_from_uos * matrix * ours_from_uos.transpose()))
+}
+
+impl UosFolder {
+    /// Looks for the scans of a folder.
+    ///
+    /// # Errors
+    /// Fails if the folder cannot be read, has no scans, or a pose cannot be understood.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, CloudError> {
+        let path = path.as_ref();
+        let error = |e| CloudError::read(path, e);
+        let mut scans = Vec::new();
+        for entry in std::fs::read_dir(path).map_err(error)? {
+            let points = entry.map_err(error)?.path();
+            let stem = points.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let number = stem.strip_prefix("scan").and_then(|n| n.parse().ok());
+            if let (Some(number), true) = (number, points.extension().is_some_and(|e| e == "3d")) {
+                let guess = read_pose(&points.with_extension("pose"))?;
+                let frames = read_frames(&points.with_extension("frames"))?;
+                scans.push(UosScan { number, points, guess, frames });
+            }
+        }
+        if scans.is_empty() {
+            let detail = "the folder has no scan000.3d, scan001.3d, … (uos)".to_owned();
+            return Err(CloudError::UnknownFormat { path: path.to_owned(), detail });
+        }
+        scans.sort_by(|a, b| (a.number, &a.points).cmp(&(b.number, &b.points)));
+        Ok(Self { path: path.to_owned(), scans })
+    }
+
+    /// All points, placed by the poses of their scans.
+    pub(crate) fn into_reader(self) -> UosReader {
+        UosReader { attributes: None, folder: self, next: 0, open: None, repairs: Repairs::default() }
+    }
+}
+
+/// All numbers of a short file; none if it is not there.
+fn all_numbers(path: &Path) -> Result<Option<Vec<Vec<f64>>>, CloudError> {
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let mut input = Input::open(path)?;
+    let (mut lines, mut values) = (Vec::new(), Vec::new());
+    while let Some(line) = input.line()? {
+        if line.trim().is_empty() {
+            continue;
+        }
+        if !numbers(line, &mut values) || values.iter().any(|v| !v.is_finite()) {
+            return Err(CloudError::damaged(path, "it has a line that is not numbers"));
+        }
+        lines.push(values.clone());
+    }
+    Ok(Some(lines))
+}
+
+/// Position, and angles about x, y and z in degrees: R = Rx Ry Rz.
+fn read_pose(path: &Path) -> Result<Option<Rigid3>, CloudError> {
+    let Some(lines) = all_numbers(path)? else { return Ok(None) };
+    let values: Vec<f64> = lines.into_iter().flatten().collect();
+    let &[x, y, z, rx, ry, rz] = values.as_slice() else {
+        return Err(CloudError::damaged(path, "it does not have six numbers: x y z and three angles"));
+    };
+    let turn =
+        |axis: na::Unit<Vector3>, degrees: f64| na::Rotation3::from_axis_angle(&axis, degrees.to_radians());
+    let matrix = turn(Vector3::x_axis(), rx) * turn(Vector3::y_axis(), ry) * turn(Vector3::z_axis(), rz);
+    Ok(Some(Rigid3::from_parts(point(x, y, z).into(), rotation(matrix.matrix()))))
+}
+
+/// Lines of sixteen numbers, column by column, and a kind.
+fn read_frames(path: &Path) -> Result<Vec<UosFrame>, CloudError> {
+    let lines = all_numbers(path)?.unwrap_or_default();
+    let frame = |v: &Vec<f64>| {
+        let matrix = v.get(..16)?;
+        let kind = v.get(16).copied().unwrap_or(0.0).clamp(0.0, 1e6) as u32;
+        let column = |c: usize| Vector3::new(matrix[4 * c], matrix[4 * c + 1], matrix[4 * c + 2]);
+        let turn = na::Matrix3::from_columns(&[column(0), column(1), column(2)]);
+        let is_rotation = (turn * turn.transpose() - na::Matrix3::identity()).norm() < 1e-2;
+        let place = point(matrix[12], matrix[13], matrix[14]);
+        is_rotation
+            .then(|| UosFrame { world_from_scan: Rigid3::from_parts(place.into(), rotation(&turn)), kind })
+    };
+    let frames: Option<Vec<UosFrame>> = lines.iter().map(frame).collect();
+    frames.ok_or_else(|| {
+        CloudError::damaged(path, "it has a line that is no rigid transform (16 numbers and a kind)")
+    })
+}
+
+/// Reads all scans one after the other.
+pub(crate) struct UosReader {
+    folder: UosFolder,
+    /// Of the first scan.
+    attributes: Option<Attributes>,
+    next: usize,
+    open: Option<(Input, Rigid3, usize)>,
+    repairs: Repairs,
+}
+
+impl UosReader {
+    /// Adds the point of a line; false if it is none.
+    fn push(&mut self, values: &[f64], world_from_scan: &Rigid3, batch: &mut PointCloud) -> bool {
+        let &[x, y, z, ref rest @ ..] = values else { return false };
+        let position = world_from_scan * na::Point3::from(point(x, y, z));
+        if !position.iter().all(|v| v.is_finite()) {
+            self.repairs.add(NOT_FINITE, false, 1);
+            return true;
+        }
+        let (intensity, color) = match rest {
+            [r, g, b, ..] => (0.0, [*r, *g, *b].map(|c| c.clamp(0.0, 255.0) as u8)),
+            [reflectance, ..] => (*reflectance as f32, [0; 3]),
+            [] => (0.0, [0; 3]),
+        };
+        batch.push([position.x, position.y, position.z], intensity, 0.0, color);
+        true
+    }
+
+    /// Whether points of the first scan have reflectance or colours.
+    fn look(&self) -> Attributes {
+        let Some(scan) = self.folder.scans.first() else { return Attributes::default() };
+        let Ok(mut input) = Input::open(&scan.points) else { return Attributes::default() };
+        let mut values = Vec::new();
+        for _ in 0..=HEAD_LINES {
+            match input.line() {
+                Ok(Some(line)) if numbers(line, &mut values) && values.len() >= 3 => {
+                    let more = values.len() - 3;
+                    return Attributes { intensity: more == 1 || more == 2, time: false, color: more >= 3 };
+                }
+                Ok(Some(_)) => {}
+                _ => break,
+            }
+        }
+        Attributes::default()
+    }
+}
+
+impl CloudReader for UosReader {
+    fn attributes(&self) -> Attributes {
+        self.attributes.unwrap_or_else(|| self.look())
+    }
+
+    fn count(&self) -> Option<u64> {
+        None
+    }
+
+    fn next_batch(&mut self, batch: &mut PointCloud) -> Result<bool, CloudError> {
+        let attributes = self.attributes();
+        self.attributes = Some(attributes);
+        batch.reset(attributes);
+        let mut values = Vec::new();
+        while batch.len() < BATCH_POINTS {
+            let Some((mut input, pose, mut line_number)) = self.open.take() else {
+                let Some(scan) = self.folder.scans.get(self.next) else { break };
+                self.open = Some((Input::open(&scan.points)?, scan.world_from_scan(), 0));
+                self.next += 1;
+                continue;
+            };
+            let Some(line) = input.line()? else { continue };
+            line_number += 1;
+            let is_blank = line.trim().is_empty();
+            let is_point = numbers(line, &mut values) && self.push(&values, &pose, batch);
+            if !is_point && !is_blank && line_number > HEAD_LINES {
+                self.repairs.add("lines that are no points were left out", true, 1);
+            }
+            self.open = Some((input, pose, line_number));
+        }
+        Ok(!batch.is_empty())
+    }
+
+    fn repairs(&self) -> Vec<Repair> {
+        self.repairs.list()
+    }
+}
+
+impl UosFolder {
+    /// Where the scans are.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}

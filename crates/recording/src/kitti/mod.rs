@@ -1,0 +1,330 @@
+//! Folders of the KITTI data set: raw drives (`…_sync`, `…_extract`) and sequences of the odometry benchmark.
+//!
+//! Sweeps are files of x, y, z and reflectance (`f32`). A raw drive has the time at which each turn began,
+//! faced ahead and ended; the head turns clockwise from behind, so each point's time follows from its
+//! azimuth. Sequences of the benchmark have their motion removed and one time per sweep. `oxts` gives
+//! satellite fixes and an IMU.
+
+mod oxts;
+mod times;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::VecDeque;
+use std::f64::consts::{PI, TAU};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use portolan_geometry::{Duration, Rigid3, Time};
+
+use crate::packets::{CloudBuilder, PacketPoint};
+use crate::repairs::RepairLog;
+use crate::{
+    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, Repair, TfMessage,
+    TopicInfo, TransformStamped,
+};
+
+const POINTS: &str = "/velodyne_points";
+const FIX: &str = "/oxts/fix";
+const IMU: &str = "/oxts/imu";
+const TRANSFORMS: &str = "/tf_static";
+const LIDAR_FRAME: &str = "velodyne";
+const INS_FRAME: &str = "imu_link";
+/// Longer files are no sweeps.
+const MAX_SWEEP_BYTES: u64 = 1 << 26;
+/// Where the benchmark's clock, which counts from the start of a sequence, is put.
+const CLOCK_START: Time = Time::from_ros(1_000_000_000, 0);
+
+/// One sweep: its file, and when it began and ended.
+#[derive(Clone, Debug)]
+struct Sweep {
+    path: PathBuf,
+    start: Time,
+    end: Time,
+}
+
+/// One reading of the INS.
+#[derive(Clone, Debug)]
+struct InsReading {
+    path: PathBuf,
+    time: Time,
+}
+
+/// A drive or sequence.
+struct Kitti {
+    folder: PathBuf,
+    is_raw: bool,
+    sweeps: Arc<[Sweep]>,
+    ins: Arc<[InsReading]>,
+    ins_from_lidar: Rigid3,
+    size_bytes: u64,
+    repairs: Vec<Repair>,
+}
+
+/// Opens a folder of KITTI; none if it is none.
+pub(crate) fn open(folder: &Path) -> Result<Option<Box<dyn Recording>>, RecordingError> {
+    let raw = folder.join("velodyne_points");
+    let is_raw = raw.join("data").is_dir();
+    let data = if is_raw { raw.join("data") } else { folder.join("velodyne") };
+    if !data.is_dir() {
+        return Ok(None);
+    }
+    let files = times::numbered_files(&data, "bin")?;
+    if files.is_empty() {
+        return Ok(None);
+    }
+    let mut repairs = RepairLog::default();
+    let sweeps = if is_raw {
+        raw_sweeps(&raw, files, &mut repairs)?
+    } else {
+        let stamps = times::seconds_file(&folder.join("times.txt"), CLOCK_START)?;
+        times::paired(files, stamps, "sweeps", &mut repairs)
+            .map(|(path, time)| Sweep { path, start: time, end: time })
+            .collect()
+    };
+    let mut ins = Vec::new();
+    if is_raw && folder.join("oxts").join("data").is_dir() {
+        let files = times::numbered_files(&folder.join("oxts").join("data"), "txt")?;
+        let stamps = times::date_file(&folder.join("oxts").join("timestamps.txt"))?;
+        ins = times::paired(files, stamps, "readings of oxts", &mut repairs)
+            .map(|(path, time)| InsReading { path, time })
+            .collect();
+        ins.sort_by_key(|reading| reading.time);
+    }
+    let mut sweeps: Vec<Sweep> = sweeps;
+    sweeps.sort_by_key(|sweep| sweep.end);
+    if sweeps.is_empty() {
+        return Err(RecordingError::UnknownFormat {
+            path: folder.to_owned(),
+            detail: "it has sweeps of KITTI but no times for them; add velodyne_points/timestamps.txt or times.txt"
+                .to_owned(),
+        });
+    }
+    let size = |path: &Path| std::fs::metadata(path).map_or(0, |m| m.len());
+    let size_bytes = sweeps.iter().map(|s| size(&s.path)).sum::<u64>() + 500 * ins.len() as u64;
+    Ok(Some(Box::new(Kitti {
+        folder: folder.to_owned(),
+        is_raw,
+        sweeps: sweeps.into(),
+        ins: ins.into(),
+        ins_from_lidar: oxts::ins_from_lidar(folder, &mut repairs),
+        size_bytes,
+        repairs: repairs.list(),
+    })))
+}
+
+fn raw_sweeps(
+    raw: &Path,
+    files: Vec<PathBuf>,
+    repairs: &mut RepairLog,
+) -> Result<Vec<Sweep>, RecordingError> {
+    let middle = times::date_file(&raw.join("timestamps.txt"))?;
+    let start = times::date_file(&raw.join("timestamps_start.txt"))?;
+    let end = times::date_file(&raw.join("timestamps_end.txt"))?;
+    // Where begin and end are not told, a turn takes 0.1 s and its middle is the time.
+    let half = Duration::from_seconds(0.05);
+    let sweeps = times::paired(files, middle, "sweeps", repairs).enumerate().map(|(i, (path, time))| {
+        let number = times::number_of(&path).unwrap_or(i);
+        let told = |list: &[Option<Time>]| list.get(number).copied().flatten();
+        let (start, end) = (told(&start).unwrap_or(time - half), told(&end).unwrap_or(time + half));
+        Sweep { path, start, end: end.max(start) }
+    });
+    Ok(sweeps.collect())
+}
+
+impl Recording for Kitti {
+    fn format(&self) -> String {
+        if self.is_raw { "KITTI raw drive".to_owned() } else { "KITTI odometry sequence".to_owned() }
+    }
+
+    fn topics(&self) -> Vec<TopicInfo> {
+        let info = |topic: &str, type_name: &str, count: usize| TopicInfo {
+            topic: topic.into(),
+            type_name: type_name.into(),
+            count: Some(count as u64),
+        };
+        let mut topics = Vec::new();
+        if !self.ins.is_empty() {
+            topics.push(info(FIX, "sensor_msgs/NavSatFix", self.ins.len()));
+            topics.push(info(IMU, "sensor_msgs/Imu", self.ins.len()));
+            topics.push(info(TRANSFORMS, "tf2_msgs/TFMessage", 1));
+        }
+        topics.push(info(POINTS, "sensor_msgs/PointCloud2", self.sweeps.len()));
+        topics
+    }
+
+    fn time_range(&self) -> Option<(Time, Time)> {
+        let times = || self.sweeps.iter().map(|s| s.end).chain(self.ins.iter().map(|i| i.time));
+        Some((times().min()?, times().max()?))
+    }
+
+    fn size_bytes(&self) -> u64 {
+        self.size_bytes
+    }
+
+    fn read(&self, wanted: &dyn Fn(&TopicInfo) -> bool) -> Result<Box<dyn MessageReader>, RecordingError> {
+        let chosen: Vec<Arc<str>> =
+            self.topics().into_iter().filter(|t| wanted(t)).map(|t| t.topic).collect();
+        let topic = |name: &str| chosen.iter().find(|t| ***t == *name).cloned();
+        let mut repairs = RepairLog::default();
+        repairs.merge(&self.repairs);
+        let mut pass = KittiPass {
+            folder: self.folder.clone(),
+            is_raw: self.is_raw,
+            sweeps: if topic(POINTS).is_some() { self.sweeps.clone() } else { Arc::new([]) },
+            ins: if topic(FIX).is_some() || topic(IMU).is_some() { self.ins.clone() } else { Arc::new([]) },
+            next: (0, 0),
+            topics: [topic(POINTS), topic(FIX), topic(IMU)],
+            builder: CloudBuilder::new(LIDAR_FRAME),
+            ready: VecDeque::new(),
+            position_bytes: 0,
+            repairs,
+        };
+        if let (Some(topic), Some((first, _))) = (topic(TRANSFORMS), self.time_range()) {
+            let message = transforms(first, &self.ins_from_lidar);
+            pass.ready.push_back(RecordedMessage { topic, log_time: first, message });
+        }
+        Ok(Box::new(pass))
+    }
+}
+
+fn transforms(stamp: Time, ins_from_lidar: &Rigid3) -> Message {
+    let q = ins_from_lidar.rotation.quaternion();
+    let transform = TransformStamped {
+        header: Header { stamp, frame_id: INS_FRAME.into() },
+        child_frame_id: LIDAR_FRAME.into(),
+        transform: Pose {
+            position: ins_from_lidar.translation.vector.into(),
+            orientation_xyzw: [q.i, q.j, q.k, q.w],
+        },
+    };
+    Message::Tf(TfMessage { is_static: true, transforms: vec![transform] })
+}
+
+/// One pass over a drive.
+struct KittiPass {
+    folder: PathBuf,
+    is_raw: bool,
+    sweeps: Arc<[Sweep]>,
+    ins: Arc<[InsReading]>,
+    /// Next sweep and next reading.
+    next: (usize, usize),
+    /// Of points, fixes and IMU, where wanted.
+    topics: [Option<Arc<str>>; 3],
+    builder: CloudBuilder,
+    ready: VecDeque<RecordedMessage>,
+    position_bytes: u64,
+    repairs: RepairLog,
+}
+
+impl KittiPass {
+    fn take_sweep(&mut self, sweep: &Sweep) {
+        let Some(bytes) = self.file(&sweep.path, MAX_SWEEP_BYTES) else { return };
+        if bytes.len() % 16 != 0 {
+            self.repairs.lost("sweeps whose last point is cut off were read without it");
+        }
+        let span = (sweep.end - sweep.start).seconds();
+        for point in bytes.chunks_exact(16) {
+            let value = |at: usize| super::packets::f32_at(point, at);
+            let [x, y, z] = [0, 4, 8].map(|at| f64::from(value(at)));
+            // Clockwise from behind: +π is the beginning.
+            let share = if self.is_raw { (PI - y.atan2(x)) / TAU } else { 0.0 };
+            let share = if share.is_finite() { share } else { 0.0 };
+            self.builder.push(&PacketPoint {
+                position: [x, y, z],
+                intensity: value(12),
+                ring: 0,
+                time: sweep.start + Duration::from_seconds(share * span),
+            });
+            if self.builder.is_full() {
+                self.repairs.lost("points of sweeps beyond two million were left out");
+                break;
+            }
+        }
+        let Some(mut cloud) = self.builder.take() else {
+            self.repairs.lost("sweeps without a point were left out");
+            return;
+        };
+        // Times count from the first point; the stamp says when the turn began.
+        let shift = (cloud.header.stamp - sweep.start).seconds() as f32;
+        for point in cloud.data.chunks_exact_mut(cloud.point_step as usize) {
+            let time = super::packets::f32_at(point, 18) + shift;
+            if let Some(slot) = point.get_mut(18..22) {
+                slot.copy_from_slice(&time.to_le_bytes());
+            }
+        }
+        cloud.header.stamp = sweep.start;
+        if !self.is_raw {
+            cloud.fields.retain(|field| field.name != "time");
+        }
+        cloud.fields.retain(|field| field.name != "ring");
+        if let Some(topic) = self.topics[0].clone() {
+            let message = Message::PointCloud2(cloud);
+            self.ready.push_back(RecordedMessage { topic, log_time: sweep.end, message });
+        }
+    }
+
+    fn take_reading(&mut self, reading: &InsReading) {
+        let Some(bytes) = self.file(&reading.path, 1 << 16) else { return };
+        let Some((fix, imu)) = oxts::parse(&String::from_utf8_lossy(&bytes), reading.time, INS_FRAME) else {
+            self.repairs.lost("readings of oxts that could not be understood were left out");
+            return;
+        };
+        let messages = [Message::NavSatFix(fix), Message::Imu(imu)];
+        for (topic, message) in self.topics[1..].iter().zip(messages) {
+            if let Some(topic) = topic.clone() {
+                self.ready.push_back(RecordedMessage { topic, log_time: reading.time, message });
+            }
+        }
+    }
+
+    fn file(&mut self, path: &Path, longest: u64) -> Option<Vec<u8>> {
+        let bytes = std::fs::metadata(path)
+            .ok()
+            .filter(|m| m.len() <= longest)
+            .and_then(|_| std::fs::read(path).ok());
+        match &bytes {
+            Some(bytes) => self.position_bytes += bytes.len() as u64,
+            None => {
+                let folder = path.parent().and_then(|p| p.strip_prefix(&self.folder).ok());
+                let folder = folder.map_or_else(String::new, |f| f.display().to_string());
+                self.repairs
+                    .lost(format!("files in {folder} that cannot be read or are too long were left out"));
+            }
+        }
+        bytes
+    }
+}
+
+impl MessageReader for KittiPass {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
+        loop {
+            if let Some(message) = self.ready.pop_front() {
+                return Ok(Some(message));
+            }
+            let (sweep, reading) =
+                (self.sweeps.get(self.next.0).cloned(), self.ins.get(self.next.1).cloned());
+            match (sweep, reading) {
+                (None, None) => return Ok(None),
+                (Some(sweep), reading) if reading.as_ref().is_none_or(|r| sweep.end < r.time) => {
+                    self.next.0 += 1;
+                    self.take_sweep(&sweep);
+                }
+                (_, Some(reading)) => {
+                    self.next.1 += 1;
+                    self.take_reading(&reading);
+                }
+                (Some(_), None) => return Ok(None),
+            }
+        }
+    }
+
+    fn position_bytes(&self) -> u64 {
+        self.position_bytes
+    }
+
+    fn repairs(&self) -> Vec<Repair> {
+        self.repairs.list()
+    }
+}

@@ -1,0 +1,159 @@
+//! Captures made by hand, whole and damaged.
+
+use std::sync::Arc;
+
+use proptest::prelude::*;
+
+use crate::{Message, RecordedMessage, Repair, open_bytes};
+
+fn packet(azimuth: u16) -> Vec<u8> {
+    let mut packet = Vec::new();
+    for block in 0..12_u16 {
+        packet.extend_from_slice(&[0xff, 0xee]);
+        packet.extend_from_slice(&((azimuth + 40 * block) % 36_000).to_le_bytes());
+        (0..32).for_each(|_| packet.extend_from_slice(&[0xe8, 0x03, 9]));
+    }
+    packet.extend_from_slice(&[0, 0, 0, 0, 0x37, 0x22]);
+    packet
+}
+
+/// Ethernet frames of a datagram, in pieces of at most `piece` bytes (a multiple of 8).
+fn frames(payload: &[u8], number: u16, piece: usize) -> Vec<Vec<u8>> {
+    let mut udp = vec![0x09, 0x40, 0x09, 0x40];
+    udp.extend_from_slice(&((payload.len() + 8) as u16).to_be_bytes());
+    udp.extend_from_slice(&[0, 0]);
+    udp.extend_from_slice(payload);
+    let count = udp.len().div_ceil(piece);
+    let frame = |(i, part): (usize, &[u8])| {
+        let mut frame = vec![1; 12];
+        frame.extend_from_slice(&[0x81, 0x00, 0, 5, 0x08, 0x00]); // in a VLAN
+        let flags = (i * piece / 8) as u16 | if i + 1 < count { 0x2000 } else { 0 };
+        frame.extend_from_slice(&[0x45, 0]);
+        frame.extend_from_slice(&((part.len() + 20) as u16).to_be_bytes());
+        frame.extend_from_slice(&number.to_be_bytes());
+        frame.extend_from_slice(&flags.to_be_bytes());
+        frame.extend_from_slice(&[64, 17, 0, 0, 192, 168, 1, 201, 255, 255, 255, 255]);
+        frame.extend_from_slice(part);
+        frame
+    };
+    udp.chunks(piece).enumerate().map(frame).collect()
+}
+
+fn all_frames(piece: usize) -> Vec<Vec<u8>> {
+    (0..90_u16).flat_map(|i| frames(&packet((i * 480) % 36_000), i, piece)).collect()
+}
+
+fn classic(frames: &[Vec<u8>], is_big: bool, is_nano: bool) -> Vec<u8> {
+    let word = |v: u32| if is_big { v.to_be_bytes() } else { v.to_le_bytes() };
+    let mut bytes = word(if is_nano { 0xa1b2_3c4d } else { 0xa1b2_c3d4 }).to_vec();
+    for v in [0x0004_0002, 0, 0, 65_535, 1] {
+        bytes.extend(word(v));
+    }
+    for (i, frame) in frames.iter().enumerate() {
+        let fraction = i as u32 * if is_nano { 1_000_000 } else { 1000 };
+        for v in [1_700_000_000, fraction, frame.len() as u32, frame.len() as u32] {
+            bytes.extend(word(v));
+        }
+        bytes.extend(frame);
+    }
+    bytes
+}
+
+fn next_generation(frames: &[Vec<u8>]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut block = |kind: u32, body: &[u8]| {
+        let length = (12 + body.len().next_multiple_of(4)) as u32;
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(length.to_le_bytes());
+        bytes.extend(body);
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        bytes.extend(length.to_le_bytes());
+    };
+    block(0x0a0d_0d0a, &[0x4d, 0x3c, 0x2b, 0x1a, 1, 0, 0, 0, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff]);
+    // Times in nanoseconds.
+    block(1, &[1, 0, 0, 0, 0, 0, 1, 0, 9, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0, 0]);
+    block(5, &[7; 16]);
+    for (i, frame) in frames.iter().enumerate() {
+        let nanoseconds = 1_700_000_000_000_000_000_u64 + i as u64 * 1_000_000;
+        let mut body = 0_u32.to_le_bytes().to_vec();
+        body.extend(((nanoseconds >> 32) as u32).to_le_bytes());
+        body.extend((nanoseconds as u32).to_le_bytes());
+        body.extend((frame.len() as u32).to_le_bytes());
+        body.extend((frame.len() as u32).to_le_bytes());
+        body.extend(frame);
+        block(6, &body);
+    }
+    bytes
+}
+
+fn read(bytes: Vec<u8>) -> Result<(Vec<RecordedMessage>, Vec<Repair>), String> {
+    let bytes: Arc<[u8]> = bytes.into();
+    let recording = open_bytes("drive.pcap", bytes).map_err(|e| e.to_string())?;
+    let mut reader = recording.read(&|_| true).map_err(|e| e.to_string())?;
+    let mut messages = Vec::new();
+    while let Some(message) = reader.next_message().map_err(|e| e.to_string())? {
+        messages.push(message);
+    }
+    Ok((messages, reader.repairs()))
+}
+
+#[test]
+fn every_kind_of_capture_gives_the_same_clouds() {
+    let whole = all_frames(1480);
+    let captures = [
+        classic(&whole, false, false),
+        classic(&whole, true, false),
+        classic(&whole, false, true),
+        next_generation(&whole),
+    ];
+    let mut first = None;
+    for capture in captures {
+        let (messages, repairs) = read(capture).unwrap();
+        assert_eq!(messages.len(), 2);
+        assert!(repairs.iter().all(|r| !r.lost_data), "{repairs:?}");
+        assert_eq!(&*messages[0].topic, "/velodyne_points");
+        let clouds: Vec<Message> = messages.into_iter().map(|m| m.message).collect();
+        assert_eq!(first.get_or_insert_with(|| clouds.clone()), &clouds);
+    }
+    let (messages, _) = read(classic(&all_frames(504), false, false)).unwrap();
+    let Message::PointCloud2(cloud) = &messages[0].message else { panic!() };
+    assert_eq!(cloud.width, 75 * 384);
+}
+
+#[test]
+fn damage_is_counted() {
+    let whole = classic(&all_frames(1480), false, false);
+    let (messages, repairs) = read(whole[..whole.len() - 7].to_vec()).unwrap();
+    assert!(
+        messages.len() == 2 && repairs.iter().any(|r| r.lost_data && r.what.contains("middle of a packet"))
+    );
+    let mut lost_piece = all_frames(504);
+    lost_piece.remove(10);
+    let (_, repairs) = read(classic(&lost_piece, false, false)).unwrap();
+    assert!(repairs.iter().any(|r| r.lost_data && r.what.contains("pieces")), "{repairs:?}");
+    let error = read(classic(&frames(b"hello", 1, 1480), false, false)).unwrap_err();
+    assert!(error.contains("none of them"), "{error}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(80))]
+    #[test]
+    fn damaged_captures_never_panic(
+        kind in 0..3,
+        cut in 0..60_000_usize,
+        flips in prop::collection::vec((0..60_000_usize, any::<u8>()), 0..6),
+    ) {
+        let some = &all_frames(504)[..120];
+        let mut bytes = match kind {
+            0 => classic(some, false, false),
+            1 => classic(some, true, true),
+            _ => next_generation(some),
+        };
+        for (at, value) in flips {
+            let at = at % bytes.len();
+            bytes[at] ^= value;
+        }
+        bytes.truncate(cut.max(4));
+        let _ = read(bytes);
+    }
+}

@@ -1,0 +1,19 @@
+//! Registration of scans: ICP with every closed form, point-to-plane and generalised; all scans at once.
+
+mod closed_forms;
+mod cloud;
+mod global;
+mod graph;
+mod icp;
+mod linearized;
+mod link;
+mod pair_moments;
+
+pub use closed_forms::{ClosedForm, best_transform, helical_motion};
+pub use cloud::ScanCloud;
+pub(crate) use global::LinkSums;
+pub use global::{GlobalMethod, GlobalOptions, GlobalReport, register_globally};
+pub use graph::{Link, links_by_distance, links_by_overlap};
+pub use icp::{IcpMethod, IcpOptions, IcpResult, RobustKernel, icp};
+pub use link::LinkStatistics;
+pub use pair_moments::PairMoments;
