@@ -57,7 +57,8 @@ pub fn write_results(
     write_ros_map(&folder.join("map"), &painted, ImageName::Beside).map_err(|e| failed(&e))?;
     file("map.pgm");
     file("map.yaml");
-    let report = serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping)).map_err(|e| failed(&e))?;
+    let report =
+        serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping)).map_err(|e| failed(&e))?;
     write_file(&file("report.json"), |out| out.write_all(&report))?;
     Ok(Written { files })
 }

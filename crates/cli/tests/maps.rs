@@ -146,8 +146,7 @@ fn trajectories_and_graphs_are_converted() {
     let convert = |from: &str, to: &str, more: &[&str]| {
         portolan_with_code(0, &[&["convert", from, "-o", to, "-q"][..], more].concat())
     };
-    let [tum, kitti, csv, geojson, back] =
-        ["a.tum", "a.kitti", "a.csv", "a.geojson", "b.tum"].map(&file);
+    let [tum, kitti, csv, geojson, back] = ["a.tum", "a.kitti", "a.csv", "a.geojson", "b.tum"].map(&file);
     convert(&path, &tum, &[]);
     convert(&tum, &kitti, &[]);
     convert(&kitti, &csv, &["--times", &file("a.times.txt")]);

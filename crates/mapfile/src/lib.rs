@@ -45,8 +45,9 @@ pub use codes::{
 };
 pub use convert::{
     LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings, MapSpace, WriteReport,
-    builder_options_from_proto, builder_options_to_proto, load_map, read_map, read_map_2d, submap_textures_2d,
-    trajectory_options_from_proto, trajectory_options_to_proto, write_graph, write_map, write_map_2d,
+    builder_options_from_proto, builder_options_to_proto, load_map, read_map, read_map_2d,
+    submap_textures_2d, trajectory_options_from_proto, trajectory_options_to_proto, write_graph, write_map,
+    write_map_2d,
 };
 pub use edit::{
     EditError, EditReport, FoundLoop, LoopResidual, LoopWeights, MapDimension, MapDraft, MapOptimization,

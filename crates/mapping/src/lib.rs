@@ -31,13 +31,13 @@ mod submap_3d;
 pub use backend::{BackendProgress, MapperError};
 pub use constraint::{Constraint, ConstraintTag};
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
+pub use imu_integration::{ImuMotion, integrate_imu};
 pub use latency::LatencyHistogram;
 pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, MatchingResult, Repairs};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Mapper, MapperSettings};
 pub use motion_filter::MotionFilter;
 pub use node::{Node, NodeData};
-pub use imu_integration::{ImuMotion, integrate_imu};
 pub use optimization::{
     ImuState, LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
     TrajectorySensors, optimize_2d, optimize_3d,

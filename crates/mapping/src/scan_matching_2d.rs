@@ -45,7 +45,11 @@ impl ScanMatcher2d {
             })
             .transpose()?;
         let holds_search_result = correlative.is_some() && search_penalty_limit < 1.0;
-        Ok(Self { correlative, holds_search_result, gradient: gradient_matcher(&options.ceres_scan_matcher)? })
+        Ok(Self {
+            correlative,
+            holds_search_result,
+            gradient: gradient_matcher(&options.ceres_scan_matcher)?,
+        })
     }
 
     /// The pose of the scan in the local map. `cloud` are the points to match, picked from `returns`.

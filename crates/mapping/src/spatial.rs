@@ -33,6 +33,7 @@ impl Space for Spatial {
 
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam3d, MapperError> {
         let extras = LocalSlamExtras {
+            search_penalty_limit: options.portolan.search_penalty_limit,
             use_all_odometry: options.portolan.use_all_odometry,
             wide_search_after_gap: options.portolan.wide_search_after_gap,
         };

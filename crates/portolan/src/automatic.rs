@@ -31,14 +31,14 @@ fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&Range
     }
     local.use_online_correlative_scan_matching = true;
     let moves_unseen = plan.odometry.is_none();
-    options.portolan.search_penalty_limit = 0.1;
+    options.portolan.search_penalty_limit = if plan.odometry.is_none() { 1.0 } else { 0.15 };
     let search = &mut local.real_time_correlative_scan_matcher;
     search.linear_search_window = if moves_unseen { 0.3 } else { 0.15 };
     search.angular_search_window = if moves_unseen { 25.0_f64 } else { 10.0 }.to_radians();
-    search.translation_delta_cost_weight = if moves_unseen { 2.0 } else { 1.0 };
+    search.translation_delta_cost_weight = if moves_unseen { 2.0 } else { 8.0 };
     search.rotation_delta_cost_weight = if moves_unseen { 0.1 } else { 1.0 };
     local.ceres_scan_matcher.occupied_space_weight = 10.0;
-    local.ceres_scan_matcher.translation_weight = if moves_unseen { 5.0 } else { 10.0 };
+    local.ceres_scan_matcher.translation_weight = if moves_unseen { 5.0 } else { 30.0 };
     local.ceres_scan_matcher.rotation_weight = 1.0;
     local.motion_filter.max_distance_meters = 0.1;
     local.motion_filter.max_angle_radians = 0.25_f64.to_radians();

@@ -76,7 +76,8 @@ impl LocalSlam2d {
             collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
             extrapolator: None,
             extras,
-            matcher: ScanMatcher2d::new(options, extras.search_penalty_limit).map_err(|e| contradiction(&e))?,
+            matcher: ScanMatcher2d::new(options, extras.search_penalty_limit)
+                .map_err(|e| contradiction(&e))?,
             active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1)),
             motion_filter: motion_filter(&options.motion_filter),
             accumulated: Accumulation::default(),

@@ -100,7 +100,9 @@ mod tests {
     fn values_are_read() {
         let found = loop_to_add("0,3:1,812=1.5,0.2,90").unwrap_or_else(|e| panic!("{e}"));
         assert_eq!((found.submap, found.node), ((0, 3), (1, 812)));
-        assert!(found.submap_from_node.is_some_and(|p| (p.rotation.angle().to_degrees() - 90.0).abs() < 1e-9));
+        assert!(
+            found.submap_from_node.is_some_and(|p| (p.rotation.angle().to_degrees() - 90.0).abs() < 1e-9)
+        );
         assert!(loop_to_add("3:4").is_ok_and(|l| l.submap_from_node.is_none() && l.node == (0, 4)));
         assert!(loop_to_add("3").is_err() && pair("0,1:x").is_err() && rename("1-2").is_err());
         assert_eq!(rotation("walls"), Ok(Rotation::Walls));

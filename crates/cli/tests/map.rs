@@ -1,0 +1,216 @@
+//! `portolan map` and `portolan demo`, from recordings to files.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::path::Path;
+
+use common::{Run, portolan, portolan_with_code, shared, simulated, text};
+
+/// Maps into a folder; gives map and trajectory.
+#[track_caller]
+fn map(recording: &str, folder: &Path, more: &[&str]) -> (Vec<u8>, Vec<u8>) {
+    let output = text(folder);
+    let mut arguments = vec!["map", recording, "-o", &output, "-q"];
+    arguments.extend(more);
+    portolan_with_code(0, &arguments);
+    let read = |name: &str| std::fs::read(folder.join(name)).unwrap();
+    (read("map.pbstream"), read("trajectory.tum"))
+}
+
+fn report(folder: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(folder.join("report.json")).unwrap()).unwrap()
+}
+
+/// Mean absolute errors of the relations, metres and degrees.
+fn relation_errors(folder: &Path, relations: &str) -> (f64, f64) {
+    let map = text(&folder.join("map.pbstream"));
+    let run = portolan_with_code(0, &["evaluate", "relations", &map, relations]);
+    let value = |name: &str| {
+        let line = run.stdout.lines().find_map(|line| line.strip_prefix(name)).unwrap();
+        line.split_whitespace().next().unwrap().parse::<f64>().unwrap()
+    };
+    (value("Abs translational error"), value("Abs rotational error"))
+}
+
+#[test]
+fn the_same_bytes_with_any_number_of_threads_and_from_any_form() {
+    let Some(aces) = shared("data/lidar2d/aces") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let run = |recording: &str, threads: &str| {
+        map(&format!("{aces}/{recording}"), folder.path(), &["--duration", "250", "--threads", threads])
+    };
+    let one = run("aces.bag", "1");
+    assert!(report(folder.path())["loop_closures"].as_u64().unwrap() > 10);
+    for (recording, threads) in
+        [("aces.bag", "2"), ("aces.bag", "4"), ("aces.clf.bz2", "2"), ("aces_ros2", "2")]
+    {
+        let other = run(recording, threads);
+        assert!(one.0 == other.0, "the map of {recording} with {threads} threads differs");
+        assert!(one.1 == other.1, "the trajectory of {recording} with {threads} threads differs");
+    }
+}
+
+#[test]
+fn aces_is_as_accurate_as_published_and_its_loop_closures_are_right() {
+    let Some(aces) = shared("data/lidar2d/aces") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    map(&format!("{aces}/aces.bag"), folder.path(), &["--all-poses"]);
+    let (metres, degrees) = relation_errors(folder.path(), &format!("{aces}/aces.relations"));
+    assert!(metres <= 0.0375 && degrees <= 0.373, "{metres} m, {degrees} deg");
+    let map = text(&folder.path().join("map.pbstream"));
+    let truth = format!("{aces}/reference_poses.csv");
+    let run = portolan_with_code(0, &["evaluate", "loops", &map, &truth, "--json"]);
+    let judged: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert!(judged["share_right"].as_f64().unwrap() >= 0.981, "{judged}");
+    let scans = std::fs::read_to_string(folder.path().join("all_poses.tum")).unwrap();
+    let poses = scans.lines().filter(|line| !line.starts_with('#')).count() as u64;
+    assert_eq!(poses, report(folder.path())["scans"].as_u64().unwrap());
+}
+
+#[test]
+fn no_map_breaks_without_odometry() {
+    for name in ["aces", "fr079"] {
+        let Some(data) = shared(&format!("data/lidar2d/{name}")) else { return };
+        let folder = tempfile::tempdir().unwrap();
+        map(&format!("{data}/{name}.clf.bz2"), folder.path(), &["--no-odometry"]);
+        let (metres, _) = relation_errors(folder.path(), &format!("{data}/{name}.relations"));
+        assert!(metres <= 0.2, "{name}: {metres} m");
+    }
+}
+
+#[test]
+fn everything_that_is_promised_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let output = folder.path().join("results");
+    let run = portolan_with_code(0, &["map", &recording, "-o", &text(&output), "--all-poses"]);
+    for name in
+        ["map.pbstream", "trajectory.tum", "all_poses.tum", "map.png", "map.pgm", "map.yaml", "report.json"]
+    {
+        assert!(output.join(name).metadata().unwrap().len() > 0, "{name}");
+        assert!(run.stdout.contains(name), "{name} is not named in {}", run.stdout);
+    }
+    let report = report(&output);
+    assert_eq!(report["interrupted"], false);
+    assert_eq!(report["local_slam"]["scans"], report["scans"]);
+    assert_eq!(report["options_fingerprint"].as_str().unwrap().len(), 32);
+    assert!(report["memory_bytes"]["peak"].as_u64().is_none_or(|bytes| bytes > 1 << 20));
+    portolan_with_code(0, &["check", &text(&output.join("map.pbstream"))]);
+}
+
+#[test]
+fn settings_are_checked_before_anything_is_mapped() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let output = text(&folder.path().join("results"));
+    let wrong = |set: &str| portolan_with_code(2, &["map", &recording, "-o", &output, "--set", set]);
+    assert!(wrong("min_scroe=0.5").stderr.contains("min_score"));
+    assert!(wrong("constraint_builder.min_score=7").stderr.contains('1'));
+    let config = format!("{}/no.lua", folder.path().display());
+    let missing = portolan_with_code(1, &["map", &recording, "-o", &output, "--config", &config]);
+    assert!(missing.stderr.contains("no.lua"));
+}
+
+#[test]
+fn settings_change_the_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let nodes = |set: &str| {
+        map(&recording, folder.path(), &["--set", set]);
+        report(folder.path())["nodes"].as_u64().unwrap()
+    };
+    let local = "trajectory_builder.trajectory_builder_2d";
+    let all = nodes(&format!("{local}.motion_filter.max_time_seconds=0"));
+    let few = nodes(&format!("{local}.motion_filter.max_distance_meters=1.5"));
+    assert!(all > 100 && few < all / 2, "{all} {few}");
+}
+
+/// Every kind of damaged recording ends in a map or a named error, and never half a file.
+#[test]
+fn damaged_recordings_end_in_a_map_or_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let whole = std::fs::read(&recording).unwrap();
+    let damaged = text(&folder.path().join("damaged.bag"));
+    let output = folder.path().join("results");
+    for (case, share) in [0.0, 0.001, 0.3, 0.7, 0.999].into_iter().enumerate() {
+        std::fs::write(&damaged, &whole[..(share * whole.len() as f64) as usize]).unwrap();
+        expect_map_or_error(&portolan(&["map", &damaged, "-o", &text(&output), "-q"]), &output, case);
+    }
+    for seed in 0..6usize {
+        let mut bytes = whole.clone();
+        for i in 0..200 {
+            let at = (seed * 7919 + i * 104_729) * 31 % bytes.len();
+            bytes[at] ^= 1 << (i % 8);
+        }
+        std::fs::write(&damaged, &bytes).unwrap();
+        expect_map_or_error(&portolan(&["map", &damaged, "-o", &text(&output), "-q"]), &output, seed);
+    }
+}
+
+#[track_caller]
+fn expect_map_or_error(run: &Run, output: &Path, case: usize) {
+    assert!(!run.stderr.contains("panicked"), "case {case}: {}", run.stderr);
+    match run.code {
+        Some(0 | 3) => {
+            portolan_with_code(0, &["info", &text(&output.join("map.pbstream"))]);
+            std::fs::remove_file(output.join("map.pbstream")).unwrap();
+        }
+        Some(1) => {
+            assert!(run.stderr.starts_with("error: "), "case {case}: {}", run.stderr);
+            assert!(!output.join("map.pbstream").exists(), "case {case}");
+        }
+        code => panic!("case {case}: {code:?} {}", run.stderr),
+    }
+}
+
+#[test]
+fn an_output_folder_that_cannot_be_is_an_error_before_mapping() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let file = folder.path().join("file");
+    std::fs::write(&file, "in the way").unwrap();
+    let run = portolan_with_code(1, &["map", &recording, "-o", &text(&file.join("results"))]);
+    assert!(run.stderr.contains("file"), "{}", run.stderr);
+    assert!(run.stdout.is_empty());
+}
+
+#[test]
+fn a_recording_that_is_not_there_is_named() {
+    let run = portolan_with_code(1, &["map", "nowhere.bag", "-o", "unused"]);
+    assert!(run.stderr.contains("nowhere.bag"), "{}", run.stderr);
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_saves_what_was_mapped() {
+    let Some(aces) = shared("data/lidar2d/aces/aces.bag") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let output = text(folder.path());
+    let child = std::process::Command::new(env!("CARGO_BIN_EXE_portolan"))
+        .args(["map", &aces, "-o", &output, "--threads", "1"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    let finished = child.wait_with_output().unwrap();
+    assert!(finished.status.success(), "{}", String::from_utf8_lossy(&finished.stderr));
+    portolan_with_code(0, &["info", &text(&folder.path().join("map.pbstream"))]);
+    let report = report(folder.path());
+    if report["interrupted"] == true {
+        assert!(String::from_utf8_lossy(&finished.stdout).contains("stopped before the end"));
+    }
+}
+
+#[test]
+fn the_demo_is_accurate() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = portolan_with_code(0, &["demo", "--seconds", "60", "-o", &text(folder.path())]);
+    let line = run.stdout.lines().find_map(|line| line.strip_prefix("against the truth: ")).unwrap();
+    let metres: f64 = line.split_whitespace().next().unwrap().parse().unwrap();
+    assert!(metres < 0.06, "{line}");
+    assert!(folder.path().join("map.png").exists());
+}
