@@ -201,6 +201,32 @@ fn topics_are_announced_and_faults_happen() {
     }
 }
 
+#[test]
+fn lidars_die_and_imus_saturate_or_are_turned() {
+    let faults = ["dies:4", "saturate:0.5:9", "swap-axes"];
+    let mut options = Scenario3dOptions::new(Scene3d::Museum, 2, 2);
+    options.lidars.iter_mut().for_each(|lidar| lidar.beams.columns = 60);
+    options.faults = faults.iter().map(|text| text.parse::<Fault>().unwrap()).collect();
+    options.duration = Some(8.0);
+    let simulation = Simulation3d::new(options).unwrap();
+    let messages = all_messages(&simulation);
+    let last = |topic: &str| messages.iter().rev().find(|m| &*m.topic == topic).unwrap().log_time;
+    assert!(last("/points2_1").seconds_since(simulation.start_time()) > 7.8);
+    assert!((last("/points2_2").seconds_since(simulation.start_time()) - 4.1).abs() < 0.1);
+    for topic in simulation.topics() {
+        let count = messages.iter().filter(|m| m.topic == topic.topic).count();
+        assert_eq!(topic.count, Some(count as u64), "{}", topic.topic);
+    }
+    let imu = messages.iter().filter_map(|m| if let Message::Imu(i) = &m.message { Some(i) } else { None });
+    let (mut on_y, mut largest) = (0.0, 0.0_f64);
+    for sample in imu {
+        on_y += sample.linear_acceleration[1] / 1601.0;
+        let all = sample.linear_acceleration.iter().map(|v| v.abs() / 9.0);
+        largest = all.chain(sample.angular_velocity.iter().map(|v| v.abs() / 0.5)).fold(largest, f64::max);
+    }
+    assert!(on_y > 8.0 && largest == 1.0, "{on_y} {largest}");
+}
+
 /// The whole tour keeps away from walls and furniture, climbs stairs, and ends at home.
 #[test]
 fn tours_are_free_of_obstacles_and_end_where_they_began() {
