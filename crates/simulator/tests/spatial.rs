@@ -6,7 +6,7 @@ use portolan_geometry::{Rigid3, Vector3, quaternion_from_angle_axis};
 use portolan_recording::{
     Imu, Message, PointCloud2, RecordedMessage, Recording, RecordingFormat, create, open,
 };
-use portolan_simulator::motion::{Motion, SplineMotion};
+use portolan_simulator::motion::{Carrier, Motion, SplineMotion};
 use portolan_simulator::sensors::{
     BeamTable, Fault, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
@@ -331,4 +331,33 @@ fn standing_is_still_and_surfaces_are_written() {
     assert_eq!(tum.iter().filter(|b| **b == b'\n').count(), 6001);
     let still = SplineMotion::standing(Vector3::zeros(), 0.0, 1.0);
     assert_eq!(still.state(0.5).velocity_in_map, Vector3::zeros());
+}
+
+#[test]
+fn worlds_of_every_size_can_be_walked() {
+    for scene in Scene3d::ALL {
+        for (size, storeys, clutter, carrier) in [
+            (scene.minimum_size(), 1, 0.0, Carrier::Wheels),
+            (scene.minimum_size(), 6, 3.0, Carrier::Walker),
+            ([110.0, 90.0], 2, 1.0, Carrier::Walker),
+        ] {
+            let mut options = Scenario3dOptions { lidars: small(36), ..Scenario3dOptions::new(scene, 4, 1) };
+            options.size = Some(size);
+            options.storeys = Some(storeys);
+            options.clutter = clutter;
+            options.carrier = Some(carrier);
+            options.people = Some(30);
+            options.duration = Some(40.0);
+            let simulation = Simulation3d::new(options).unwrap();
+            let poses: Vec<Vector3> =
+                simulation.truth(2.0).map(|(_, pose)| pose.translation.vector).collect();
+            let length: f64 = poses.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+            assert!(
+                length > 20.0 && poses.iter().all(|p| p.iter().all(|v| v.is_finite())),
+                "{scene} {size:?}"
+            );
+            let cloud = simulation.sweep(0, 100).unwrap();
+            assert!(cloud.width > 36 * 16 / 4, "{scene} {size:?} {}", cloud.width);
+        }
+    }
 }
