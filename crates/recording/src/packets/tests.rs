@@ -103,6 +103,8 @@ fn turns_are_cut_at_azimuth_zero_and_equal_returns_count_once() {
     // A VLP-32C counts in 4 mm.
     let [x, y, z] = points(cloud)[1].0;
     assert!(((x * x + y * y + z * z).sqrt() - 4.0).abs() < 1e-4);
+    // Its second beam points 1° down and 4.2° to the left of the block's azimuth.
+    assert!((y.atan2(x).to_degrees() - 4.2).abs() < 1e-3 && (z + 4.0 * 1f32.to_radians().sin()).abs() < 1e-4);
 }
 
 #[test]
