@@ -31,13 +31,24 @@ pub struct LeftOutPoints {
     pub too_near: u64,
     /// More than ten seconds before the first sweep, or more than eleven hours after it.
     pub outside_of_time: u64,
+    /// Good points beyond the limit of the store, evenly over the whole recording.
+    pub thinned: u64,
 }
 
-/// Raw points of one or several range sensors in the tracking frame, 16 bytes each.
+/// Most points that are kept unless it is told otherwise: 1.6 GB.
+const USUAL_LIMIT: usize = 100_000_000;
+
+/// Raw points of one or several range sensors in the tracking frame, 16 bytes each. Beyond a limit every second
+/// point is left out, and again, so that memory stays bounded however long the recording is.
 #[derive(Clone, Debug)]
 pub struct PointStore {
     start: Option<Time>,
     min_range: f32,
+    limit: usize,
+    /// One of so many points is kept.
+    stride: u64,
+    /// Good points so far.
+    good: u64,
     points: Vec<StoredPoint>,
     left_out: LeftOutPoints,
 }
@@ -45,7 +56,20 @@ pub struct PointStore {
 impl PointStore {
     /// An empty store that leaves out points nearer than `min_range` metres to their sensor.
     pub fn new(min_range: f32) -> Self {
-        Self { start: None, min_range, points: Vec::new(), left_out: LeftOutPoints::default() }
+        Self {
+            start: None,
+            min_range,
+            limit: USUAL_LIMIT,
+            stride: 1,
+            good: 0,
+            points: Vec::new(),
+            left_out: LeftOutPoints::default(),
+        }
+    }
+
+    /// The same with another limit to the number of points.
+    pub fn with_limit(self, limit: usize) -> Self {
+        Self { limit: limit.max(2), ..self }
     }
 
     /// Adds the points of a sweep.
@@ -63,10 +87,30 @@ impl PointStore {
             } else if ticks < 0.0 || ticks > f64::from(u32::MAX) {
                 self.left_out.outside_of_time += 1;
             } else {
-                let in_tracking = [p.x, p.y, p.z];
-                self.points.push(StoredPoint { in_tracking, ticks: ticks.round() as u32 });
+                self.good += 1;
+                if self.good.is_multiple_of(self.stride) {
+                    let in_tracking = [p.x, p.y, p.z];
+                    self.points.push(StoredPoint { in_tracking, ticks: ticks.round() as u32 });
+                } else {
+                    self.left_out.thinned += 1;
+                }
             }
         }
+        if self.points.len() > self.limit {
+            self.thin();
+        }
+    }
+
+    /// Keeps every second point, also of those that are still to come.
+    fn thin(&mut self) {
+        let before = self.points.len();
+        let mut index = 0;
+        self.points.retain(|_| {
+            index += 1;
+            index % 2 == 0
+        });
+        self.left_out.thinned += (before - self.points.len()) as u64;
+        self.stride *= 2;
     }
 
     /// Puts the points in order of time; points of equal time stay in the order in which they came.
@@ -120,8 +164,26 @@ mod tests {
         store.sort();
         let xs: Vec<f32> = store.points().iter().map(|p| p.in_tracking[0]).collect();
         assert_eq!(xs, [3.0, 2.0]);
-        assert_eq!(store.left_out(), LeftOutPoints { not_finite: 1, too_near: 1, outside_of_time: 1 });
+        assert_eq!(store.left_out(), LeftOutPoints { not_finite: 1, too_near: 1, outside_of_time: 1, thinned: 0 });
         let (first, last) = store.span().unwrap();
         assert!((last.seconds_since(first) - 0.2).abs() < 1e-6);
+    }
+
+    #[test]
+    fn memory_is_bounded_and_points_stay_spread() {
+        let mut store = PointStore::new(0.5).with_limit(100);
+        for second in 0..1000 {
+            store.push(&TimedPointCloudData {
+                time: Time::from_unix_seconds(f64::from(second)),
+                origin_in_tracking: Point3f::origin(),
+                points_in_tracking: vec![TimedPoint { position: Point3f::new(2.0, 0.0, 0.0), time: 0.0 }],
+                intensities: Vec::new(),
+            });
+        }
+        store.sort();
+        assert!((50..=100).contains(&store.points().len()));
+        assert_eq!(store.points().len() as u64 + store.left_out().thinned, 1000);
+        let steps: Vec<u32> = store.points().windows(2).map(|w| w[1].ticks - w[0].ticks).collect();
+        assert!(steps.iter().all(|s| *s == steps[0]));
     }
 }

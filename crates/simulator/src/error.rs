@@ -31,7 +31,7 @@ pub enum SimulatorError {
     #[error(
         "\"{text}\" is not a fault; write one of duplicate:SENSOR:N, backward:SENSOR:N:SECONDS, \
          gap:SENSOR:FROM:TO, nan:N, empty:N, jump:SECONDS:X:Y:YAW, no-gravity, clock:SENSOR:SECONDS, \
-         no-tf:SENSOR, where SENSOR is scan, odom or imu and N is at least 2 (nan, empty: at least 1)"
+         no-tf:SENSOR, dies:SECONDS, saturate:GYROSCOPE:ACCELEROMETER, swap-axes, where SENSOR is scan, odom or imu and N is at least 2 (nan, empty: at least 1)"
     )]
     BadFault {
         /// What was given.

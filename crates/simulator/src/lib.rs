@@ -5,6 +5,9 @@
 //! [`portolan_recording::Recording`], so that mapping can consume it like a file. It knows the exact
 //! pose at any time.
 //!
+//! A [`Simulation3d`] is the same in space: storeys, stairs, ramps and terrain ([`solid`]), a walk with
+//! gait, and spinning lidars with any beams.
+//!
 //! The same options give the same bytes: random numbers are drawn per sensor and message from
 //! [`Random`], so the number of threads does not matter, and transcendental functions come from `libm`,
 //! so the platform does not matter.

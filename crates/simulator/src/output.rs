@@ -47,17 +47,17 @@ impl Inner {
             add(STATIC_TRANSFORMS, "tf2_msgs/TFMessage", 1, 100 * transforms, Source::Transforms);
         }
         for (index, (lidar, schedule)) in self.lidars.iter().enumerate() {
-            let count = self.count_outside_gaps(schedule, FaultTarget::Scan);
+            let count = self.count_outside_gaps(schedule, FaultTarget::Scan, index);
             let values = if lidar.options.intensities { 2 } else { 1 };
             let bytes = 80 + 4 * (lidar.options.beams * values) as u64;
             add(&lidar.topic, "sensor_msgs/LaserScan", count, bytes, Source::Lidar(index));
         }
         if let Some(odometry) = &self.options.odometry {
-            let count = self.count_outside_gaps(&self.schedule(odometry.rate), FaultTarget::Odometry);
+            let count = self.count_outside_gaps(&self.schedule(odometry.rate), FaultTarget::Odometry, 0);
             add(&odometry.topic, "nav_msgs/Odometry", count, 740, Source::Odometry);
         }
         if let Some(imu) = &self.options.imu {
-            let count = self.count_outside_gaps(&self.schedule(imu.rate), FaultTarget::Imu);
+            let count = self.count_outside_gaps(&self.schedule(imu.rate), FaultTarget::Imu, 0);
             add(&imu.topic, "sensor_msgs/Imu", count, 340, Source::Imu);
         }
         channels.sort_by(|a, b| a.info.topic.cmp(&b.info.topic));
@@ -68,16 +68,19 @@ impl Inner {
         Schedule::new(rate, self.duration, 0.0)
     }
 
-    fn fault_filter(&self, target: FaultTarget) -> FaultFilter {
+    fn fault_filter(&self, target: FaultTarget, lidar: usize) -> FaultFilter {
         let gravity = self.options.imu.as_ref().map_or(0.0, |imu| imu.gravity);
-        FaultFilter::new(&self.options.faults, target, gravity)
+        // Only the last lidar dies.
+        let lives = target == FaultTarget::Scan && lidar + 1 < self.lidars.len();
+        let faults = self.options.faults.iter().filter(|f| !(lives && matches!(f, Fault::Death { .. })));
+        FaultFilter::new(&faults.copied().collect::<Vec<_>>(), target, gravity)
     }
 
-    fn count_outside_gaps(&self, schedule: &Schedule, target: FaultTarget) -> u64 {
-        if !self.options.faults.iter().any(|fault| matches!(fault, Fault::Gap { .. })) {
+    fn count_outside_gaps(&self, schedule: &Schedule, target: FaultTarget, lidar: usize) -> u64 {
+        if !self.options.faults.iter().any(|fault| matches!(fault, Fault::Gap { .. } | Fault::Death { .. })) {
             return schedule.count();
         }
-        let filter = self.fault_filter(target);
+        let filter = self.fault_filter(target, lidar);
         (0..schedule.count()).filter(|index| !filter.is_gap(schedule.time_of(*index).seconds())).count()
             as u64
     }
@@ -124,7 +127,8 @@ impl Recording for Simulation {
         let channels = self.inner.channels().into_iter().filter(|channel| wanted(&channel.info));
         let streams = channels.map(|channel| {
             let (stream, target) = open(&self.inner, channel.source);
-            let filter = target.map(|target| self.inner.fault_filter(target));
+            let lidar = if let Source::Lidar(index) = channel.source { index } else { 0 };
+            let filter = target.map(|target| self.inner.fault_filter(target, lidar));
             Merged::start(stream, filter, self.inner.clock, channel.message_bytes)
         });
         Ok(Box::new(MergedReader::new(streams.collect())))

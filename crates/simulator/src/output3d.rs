@@ -88,15 +88,19 @@ impl Inner3d {
         Schedule::new(rate, self.duration, 0.0)
     }
 
-    fn fault_filter(&self, target: FaultTarget) -> FaultFilter {
+    /// The faults of a topic, if it can have any.
+    fn fault_filter(&self, source: Source) -> Option<FaultFilter> {
         let gravity = self.options.imu.as_ref().map_or(0.0, |imu| imu.gravity);
-        FaultFilter::new(&self.options.faults, target, gravity)
+        let lives = matches!(source, Source::Lidar(index) if index + 1 < self.lidars.len());
+        let faults = self.options.faults.iter().filter(|f| !(lives && matches!(f, Fault::Death { .. })));
+        let faults: Vec<Fault> = faults.copied().collect();
+        source.target().map(|target| FaultFilter::new(&faults, target, gravity))
     }
 
     fn count_outside_gaps(&self, schedule: &Schedule, source: Source) -> u64 {
-        let has_gaps = self.options.faults.iter().any(|fault| matches!(fault, Fault::Gap { .. }));
-        let Some(target) = source.target().filter(|_| has_gaps) else { return schedule.count() };
-        let filter = self.fault_filter(target);
+        let has_gaps =
+            self.options.faults.iter().any(|fault| matches!(fault, Fault::Gap { .. } | Fault::Death { .. }));
+        let Some(filter) = self.fault_filter(source).filter(|_| has_gaps) else { return schedule.count() };
         let stays = |index: &u64| !filter.is_gap(schedule.time_of(*index).seconds());
         (0..schedule.count()).filter(stays).count() as u64
     }
@@ -147,7 +151,7 @@ impl Recording for Simulation3d {
         let channels = self.inner.channels().into_iter().filter(|channel| wanted(&channel.info));
         let streams = channels.filter_map(|channel| {
             let stream = open(&self.inner, channel.source)?;
-            let filter = channel.source.target().map(|target| self.inner.fault_filter(target));
+            let filter = self.inner.fault_filter(channel.source);
             Some(Merged::start(stream, filter, self.inner.clock, channel.message_bytes))
         });
         Ok(Box::new(MergedReader::new(streams.collect())))

@@ -6,7 +6,7 @@ use portolan_geometry::{Rigid3, Vector3, quaternion_from_angle_axis};
 use portolan_recording::{
     Imu, Message, PointCloud2, RecordedMessage, Recording, RecordingFormat, create, open,
 };
-use portolan_simulator::motion::{Motion, SplineMotion};
+use portolan_simulator::motion::{Carrier, Motion, SplineMotion};
 use portolan_simulator::sensors::{
     BeamTable, Fault, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
@@ -201,6 +201,32 @@ fn topics_are_announced_and_faults_happen() {
     }
 }
 
+#[test]
+fn lidars_die_and_imus_saturate_or_are_turned() {
+    let faults = ["dies:4", "saturate:0.5:9", "swap-axes"];
+    let mut options = Scenario3dOptions::new(Scene3d::Museum, 2, 2);
+    options.lidars.iter_mut().for_each(|lidar| lidar.beams.columns = 60);
+    options.faults = faults.iter().map(|text| text.parse::<Fault>().unwrap()).collect();
+    options.duration = Some(8.0);
+    let simulation = Simulation3d::new(options).unwrap();
+    let messages = all_messages(&simulation);
+    let last = |topic: &str| messages.iter().rev().find(|m| &*m.topic == topic).unwrap().log_time;
+    assert!(last("/points2_1").seconds_since(simulation.start_time()) > 7.8);
+    assert!((last("/points2_2").seconds_since(simulation.start_time()) - 4.1).abs() < 0.1);
+    for topic in simulation.topics() {
+        let count = messages.iter().filter(|m| m.topic == topic.topic).count();
+        assert_eq!(topic.count, Some(count as u64), "{}", topic.topic);
+    }
+    let imu = messages.iter().filter_map(|m| if let Message::Imu(i) = &m.message { Some(i) } else { None });
+    let (mut on_y, mut largest) = (0.0, 0.0_f64);
+    for sample in imu {
+        on_y += sample.linear_acceleration[1] / 1601.0;
+        let all = sample.linear_acceleration.iter().map(|v| v.abs() / 9.0);
+        largest = all.chain(sample.angular_velocity.iter().map(|v| v.abs() / 0.5)).fold(largest, f64::max);
+    }
+    assert!(on_y > 8.0 && largest == 1.0, "{on_y} {largest}");
+}
+
 /// The whole tour keeps away from walls and furniture, climbs stairs, and ends at home.
 #[test]
 fn tours_are_free_of_obstacles_and_end_where_they_began() {
@@ -305,4 +331,33 @@ fn standing_is_still_and_surfaces_are_written() {
     assert_eq!(tum.iter().filter(|b| **b == b'\n').count(), 6001);
     let still = SplineMotion::standing(Vector3::zeros(), 0.0, 1.0);
     assert_eq!(still.state(0.5).velocity_in_map, Vector3::zeros());
+}
+
+#[test]
+fn worlds_of_every_size_can_be_walked() {
+    for scene in Scene3d::ALL {
+        for (size, storeys, clutter, carrier) in [
+            (scene.minimum_size(), 1, 0.0, Carrier::Wheels),
+            (scene.minimum_size(), 6, 3.0, Carrier::Walker),
+            ([110.0, 90.0], 2, 1.0, Carrier::Walker),
+        ] {
+            let mut options = Scenario3dOptions { lidars: small(36), ..Scenario3dOptions::new(scene, 4, 1) };
+            options.size = Some(size);
+            options.storeys = Some(storeys);
+            options.clutter = clutter;
+            options.carrier = Some(carrier);
+            options.people = Some(30);
+            options.duration = Some(40.0);
+            let simulation = Simulation3d::new(options).unwrap();
+            let poses: Vec<Vector3> =
+                simulation.truth(2.0).map(|(_, pose)| pose.translation.vector).collect();
+            let length: f64 = poses.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+            assert!(
+                length > 20.0 && poses.iter().all(|p| p.iter().all(|v| v.is_finite())),
+                "{scene} {size:?}"
+            );
+            let cloud = simulation.sweep(0, 100).unwrap();
+            assert!(cloud.width > 36 * 16 / 4, "{scene} {size:?} {}", cloud.width);
+        }
+    }
 }

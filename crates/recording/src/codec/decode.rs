@@ -45,6 +45,7 @@ impl Decoder {
                 Message::PoseStamped(PoseStamped { header: self.header(r)?, pose: pose(r)? })
             }
             MessageKind::LandmarkList => Message::LandmarkList(self.landmark_list(r)?),
+            MessageKind::LivoxPoints => Message::PointCloud2(self.livox_points(r)?),
             MessageKind::VelodyneScan => Message::SensorPackets(self.velodyne_scan(r)?),
             MessageKind::OusterPacket => {
                 let packets = vec![(None, r.byte_sequence()?)];
@@ -176,6 +177,42 @@ impl Decoder {
             })
         })?;
         Ok(TfMessage { is_static, transforms })
+    }
+
+    /// Points of Livox's own message, as a cloud: x, y, z, intensity, and nanoseconds after the stamp.
+    fn livox_points(&mut self, r: &mut WireReader<'_>) -> Decoded<PointCloud2> {
+        let header = self.header(r)?;
+        let _base_time = r.u64()?;
+        let _number = r.u32()?;
+        // Number of the lidar, and three bytes that mean nothing.
+        let _lidar = r.byte_array(4)?;
+        let count = r.sequence_length(19)?;
+        let mut data = Vec::with_capacity(20 * count);
+        for _ in 0..count {
+            let offset_time = r.u32()?;
+            for value in [r.f32()?, r.f32()?, r.f32()?] {
+                data.extend_from_slice(&value.to_le_bytes());
+            }
+            let (reflectivity, _tag, _line) = (r.u8()?, r.u8()?, r.u8()?);
+            data.extend_from_slice(&f32::from(reflectivity).to_le_bytes());
+            data.extend_from_slice(&offset_time.to_le_bytes());
+        }
+        let field = |name: &str, offset: u32, field_type: FieldType| PointField {
+            name: name.to_owned(),
+            offset,
+            field_type: Some(field_type),
+            count: 1,
+        };
+        let fields = vec![
+            field("x", 0, FieldType::Float32),
+            field("y", 4, FieldType::Float32),
+            field("z", 8, FieldType::Float32),
+            field("intensity", 12, FieldType::Float32),
+            field("offset_time", 16, FieldType::Uint32),
+        ];
+        let (width, row_step) = (count as u32, data.len() as u32);
+        let (height, point_step, is_bigendian, is_dense) = (1, 20, false, true);
+        Ok(PointCloud2 { header, height, width, fields, is_bigendian, point_step, row_step, data, is_dense })
     }
 
     fn velodyne_scan(&mut self, r: &mut WireReader<'_>) -> Decoded<SensorPackets> {

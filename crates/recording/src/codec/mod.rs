@@ -38,6 +38,8 @@ pub(crate) enum MessageKind {
     Tf,
     PoseStamped,
     LandmarkList,
+    /// `CustomMsg` of Livox's drivers.
+    LivoxPoints,
     VelodyneScan,
     OusterPacket,
     /// Text, of which only what a sensor tells about itself is decoded.
@@ -60,6 +62,9 @@ impl MessageKind {
             "velodyne_msgs/VelodyneScan" => Self::VelodyneScan,
             "ouster_ros/PacketMsg" | "ouster_msgs/PacketMsg" | "ouster_sensor_msgs/PacketMsg" => {
                 Self::OusterPacket
+            }
+            "livox_ros_driver/CustomMsg" | "livox_ros_driver2/CustomMsg" | "livox_interfaces/CustomMsg" => {
+                Self::LivoxPoints
             }
             "std_msgs/String" => Self::Text,
             _ => return None,

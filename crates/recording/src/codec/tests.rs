@@ -176,3 +176,31 @@ fn definitions_are_complete() {
         assert!(md5sum(kind).is_some());
     }
 }
+
+#[test]
+fn points_of_livox_are_a_cloud() {
+    let mut bytes = vec![0; 4];
+    bytes.extend(12u32.to_le_bytes());
+    bytes.extend(0u32.to_le_bytes());
+    bytes.extend(5u32.to_le_bytes());
+    bytes.extend(b"livox");
+    bytes.extend(77u64.to_le_bytes());
+    bytes.extend(2u32.to_le_bytes());
+    bytes.extend([1, 0, 0, 0]);
+    bytes.extend(2u32.to_le_bytes());
+    for i in 0..2u32 {
+        bytes.extend((i * 5000).to_le_bytes());
+        [1.0f32, 2.0, 3.0].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+        bytes.extend([9, 16, 3]);
+    }
+    let Message::PointCloud2(cloud) = decode(MessageKind::LivoxPoints, Encoding::Ros1, &bytes).unwrap()
+    else {
+        panic!()
+    };
+    assert_eq!((cloud.width, cloud.point_step, cloud.data.len()), (2, 20, 40));
+    assert_eq!(cloud.data[36..], 5000u32.to_le_bytes());
+    assert_eq!(cloud.data[12..16], 9.0f32.to_le_bytes());
+    for length in 0..bytes.len() {
+        assert!(decode(MessageKind::LivoxPoints, Encoding::Ros1, &bytes[..length]).is_err());
+    }
+}

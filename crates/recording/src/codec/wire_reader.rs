@@ -70,6 +70,7 @@ impl<'a> WireReader<'a> {
     primitive!(i8, i8);
     primitive!(u16, u16);
     primitive!(u32, u32);
+    primitive!(u64, u64);
     primitive!(i32, i32);
     primitive!(f32, f32);
     primitive!(f64, f64);

@@ -103,6 +103,8 @@ fn turns_are_cut_at_azimuth_zero_and_equal_returns_count_once() {
     // A VLP-32C counts in 4 mm.
     let [x, y, z] = points(cloud)[1].0;
     assert!(((x * x + y * y + z * z).sqrt() - 4.0).abs() < 1e-4);
+    // Its second beam points 1° down and 4.2° to the left of the block's azimuth.
+    assert!((y.atan2(x).to_degrees() - 4.2).abs() < 1e-3 && (z + 4.0 * 1f32.to_radians().sin()).abs() < 1e-4);
 }
 
 #[test]
@@ -209,6 +211,38 @@ fn metadata_are_read_at_any_depth_and_nonsense_is_not() {
     for wrong in ["", "{}", "[1]", r#"{"beam_altitude_angles": [1e9], "beam_azimuth_angles": [0]}"#] {
         assert!(OusterMetadata::parse(wrong).is_none());
     }
+}
+
+#[test]
+fn bags_of_packets_are_read_as_clouds() {
+    let header = crate::Header { stamp: arrival(), frame_id: "velodyne_top".into() };
+    let message = |i: u64| {
+        let packet = |k: u64| {
+            let azimuth = ((i * 10 + k) * 480 % 36_000) as u16;
+            let time = arrival() + Duration::from_seconds((i * 10 + k) as f64 * 1.327e-3);
+            (Some(time), puck_packet(azimuth, 1000, ((i * 10 + k) * 1327) as u32, 0x37, 0x22))
+        };
+        let packets = (0..10).map(packet).collect();
+        crate::RecordedMessage {
+            topic: "/velodyne_packets".into(),
+            log_time: arrival() + Duration::from_seconds(i as f64 * 1.327e-2),
+            message: Message::SensorPackets(crate::SensorPackets {
+                kind: crate::PacketKind::Velodyne,
+                header: Some(header.clone()),
+                packets,
+            }),
+        }
+    };
+    let recording = crate::MemoryRecording::new((0..20).map(message).collect());
+    let recording = unpacked(Box::new(recording)).unwrap();
+    let topics = crate::Recording::topics(&*recording);
+    assert_eq!((&*topics[0].topic, &*topics[0].type_name), ("/velodyne_packets", "sensor_msgs/PointCloud2"));
+    let mut reader = crate::Recording::read(&*recording, &|_| true).unwrap();
+    let messages: Vec<Message> =
+        std::iter::from_fn(|| reader.next_message().unwrap()).map(|m| m.message).collect();
+    let clouds = clouds(messages);
+    assert_eq!(clouds.iter().map(|c| c.width).collect::<Vec<_>>(), [75 * 384, 75 * 384, 50 * 384]);
+    assert_eq!(&*clouds[0].header.frame_id, "velodyne_top");
 }
 
 #[test]

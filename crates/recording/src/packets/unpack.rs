@@ -7,6 +7,7 @@ use portolan_geometry::Time;
 
 use super::ouster::USUAL_COLUMNS;
 use super::{IMU_PACKET_BYTES, OUSTER_FRAME, OusterMetadata, PacketDecoder, PacketLayout, PacketSource};
+use crate::codec::MessageKind;
 use crate::repairs::RepairLog;
 use crate::{
     Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, Repair, TopicInfo,
@@ -25,6 +26,11 @@ struct Unpacked {
 /// Per topic of packets: what they are, and their frame.
 type Sources = Arc<BTreeMap<Arc<str>, (PacketSource, String)>>;
 
+/// Types whose messages are decoded as clouds, each by itself.
+fn holds_cloud(type_name: &str) -> bool {
+    MessageKind::from_type_name(type_name) == Some(MessageKind::LivoxPoints)
+}
+
 fn holds_packets(type_name: &str) -> bool {
     matches!(type_name.rsplit('/').next(), Some("VelodyneScan" | "PacketMsg"))
 }
@@ -32,7 +38,7 @@ fn holds_packets(type_name: &str) -> bool {
 /// The recording itself, or one that shows its packets as clouds.
 pub(crate) fn unpacked(inner: Box<dyn Recording>) -> Result<Box<dyn Recording>, RecordingError> {
     let topics = inner.topics();
-    if !topics.iter().any(|t| holds_packets(&t.type_name)) {
+    if !topics.iter().any(|t| holds_packets(&t.type_name) || holds_cloud(&t.type_name)) {
         return Ok(inner);
     }
     let mut look = Look::default();
@@ -155,12 +161,16 @@ pub(crate) fn ouster_source(
 
 impl Recording for Unpacked {
     fn format(&self) -> String {
-        format!("{} of sensor packets", self.inner.format())
+        let packets = if self.sources.is_empty() { "" } else { " of sensor packets" };
+        format!("{}{packets}", self.inner.format())
     }
 
     fn topics(&self) -> Vec<TopicInfo> {
         let mut topics = self.inner.topics();
         for info in &mut topics {
+            if holds_cloud(&info.type_name) {
+                info.type_name = "sensor_msgs/PointCloud2".into();
+            }
             if let Some((source, _)) = self.sources.get(&info.topic) {
                 info.type_name = source.type_name().into();
                 if matches!(source, PacketSource::OusterLidar(..)) {

@@ -57,7 +57,7 @@ const VLP32_ELEVATIONS: [f64; 32] = [
     0.667, -4.0, -4.667, 1.667, 1.0, -3.667, -3.333, 3.333, 2.333, -2.667, -3.0, 7.0, 4.667, -2.333, -2.0,
     15.0, 10.333, -1.333,
 ];
-/// Their azimuth offsets, degrees.
+/// Their azimuth offsets, degrees, added to the azimuth of a block.
 const VLP32_OFFSETS: [f64; 32] = [
     1.4, -4.2, 1.4, -1.4, 1.4, -1.4, 4.2, -1.4, 1.4, -4.2, 1.4, -1.4, 4.2, -1.4, 4.2, -1.4, 1.4, -4.2, 1.4,
     -4.2, 4.2, -1.4, 1.4, -1.4, 1.4, -1.4, 1.4, -4.2, 4.2, -1.4, 1.4, -1.4,
@@ -130,7 +130,7 @@ impl VelodyneModel {
         let degrees: Vec<[f64; 2]> = match self {
             Self::Vlp16 => puck(15.0),
             Self::PuckHiRes => puck(10.0),
-            Self::Vlp32c => VLP32_ELEVATIONS.into_iter().zip(VLP32_OFFSETS).map(|(e, o)| [e, o]).collect(),
+            Self::Vlp32c => VLP32_ELEVATIONS.into_iter().zip(VLP32_OFFSETS).map(|(e, o)| [e, -o]).collect(),
             Self::Hdl32e => {
                 let base = |i: usize| if i.is_multiple_of(2) { -30.67 } else { -9.33 };
                 (0..32).map(|i| [base(i) + (i / 2) as f64 * 4.0 / 3.0, 0.0]).collect()

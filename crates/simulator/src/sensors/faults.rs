@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use portolan_geometry::{Duration, Rigid2, Time, normalize_angle};
-use portolan_recording::{Header, Message, Odometry, PointCloud2, RecordedMessage};
+use portolan_recording::{Header, Imu, Message, Odometry, PointCloud2, RecordedMessage};
 
 use crate::SimulatorError;
 
@@ -79,6 +79,20 @@ pub enum Fault {
         /// Added to stamps.
         seconds: f64,
     },
+    /// `dies:SECONDS`: from that time on the last lidar is silent.
+    Death {
+        /// Seconds since the start.
+        at: f64,
+    },
+    /// `saturate:GYROSCOPE:ACCELEROMETER`: the IMU shows no larger values.
+    Saturation {
+        /// rad/s.
+        angular_velocity: f64,
+        /// m/s².
+        acceleration: f64,
+    },
+    /// `swap-axes`: the IMU is turned by a quarter about its x axis, which nobody was told.
+    SwappedAxes,
     /// `no-tf:SENSOR`: the transform of its frame is not in the recording (`scan` and `imu`).
     MissingTransform {
         /// Of which sensor.
@@ -115,6 +129,11 @@ impl fmt::Display for Fault {
             Self::OdometryJump { at, x, y, yaw } => write!(f, "jump:{at}:{x}:{y}:{yaw}"),
             Self::ImuWithoutGravity => write!(f, "no-gravity"),
             Self::ClockOffset { target, seconds } => write!(f, "clock:{target}:{seconds}"),
+            Self::Death { at } => write!(f, "dies:{at}"),
+            Self::Saturation { angular_velocity, acceleration } => {
+                write!(f, "saturate:{angular_velocity}:{acceleration}")
+            }
+            Self::SwappedAxes => write!(f, "swap-axes"),
             Self::MissingTransform { target } => write!(f, "no-tf:{target}"),
         }
     }
@@ -146,6 +165,9 @@ fn parse(parts: &[&str]) -> Option<Fault> {
         "jump" => (Fault::OdometryJump { at: number(1)?, x: number(2)?, y: number(3)?, yaw: number(4)? }, 5),
         "no-gravity" => (Fault::ImuWithoutGravity, 1),
         "clock" => (Fault::ClockOffset { target: target(1)?, seconds: number(2)? }, 3),
+        "dies" => (Fault::Death { at: number(1)? }, 2),
+        "saturate" => (Fault::Saturation { angular_velocity: number(1)?, acceleration: number(2)? }, 3),
+        "swap-axes" => (Fault::SwappedAxes, 1),
         "no-tf" => (Fault::MissingTransform { target: target(1)? }, 2),
         _ => return None,
     };
@@ -163,7 +185,11 @@ impl Fault {
             Self::OdometryJump { at, x, y, yaw } => [at, x, y, yaw].iter().all(|v| v.is_finite()),
             Self::ClockOffset { seconds, .. } => seconds.is_finite() && seconds.abs() < 1e6,
             Self::MissingTransform { target } => target != FaultTarget::Odometry,
-            Self::ImuWithoutGravity => true,
+            Self::ImuWithoutGravity | Self::SwappedAxes => true,
+            Self::Death { at } => at.is_finite(),
+            Self::Saturation { angular_velocity, acceleration } => {
+                angular_velocity > 0.0 && acceleration > 0.0
+            }
         }
     }
 }
@@ -190,9 +216,13 @@ impl FaultFilter {
             | Fault::Gap { target: t, .. }
             | Fault::ClockOffset { target: t, .. }
             | Fault::MissingTransform { target: t } => *t == target,
-            Fault::NanScan { .. } | Fault::EmptyScan { .. } => target == FaultTarget::Scan,
+            Fault::NanScan { .. } | Fault::EmptyScan { .. } | Fault::Death { .. } => {
+                target == FaultTarget::Scan
+            }
             Fault::OdometryJump { .. } => target == FaultTarget::Odometry,
-            Fault::ImuWithoutGravity => target == FaultTarget::Imu,
+            Fault::ImuWithoutGravity | Fault::Saturation { .. } | Fault::SwappedAxes => {
+                target == FaultTarget::Imu
+            }
         };
         let faults: Vec<Fault> = faults.iter().filter(concerns).copied().collect();
         let jump = Rigid2::identity();
@@ -201,9 +231,10 @@ impl FaultFilter {
 
     /// Whether a measurement at `seconds` since the start falls into a gap.
     pub fn is_gap(&self, seconds: f64) -> bool {
-        self.faults.iter().any(|fault| {
-            matches!(fault, Fault::Gap { target, from, to }
-                if *target == self.target && (*from..*to).contains(&seconds))
+        self.faults.iter().any(|fault| match fault {
+            Fault::Gap { target, from, to } => *target == self.target && (*from..*to).contains(&seconds),
+            Fault::Death { at } => seconds >= *at,
+            _ => false,
         })
     }
 
@@ -269,10 +300,31 @@ impl FaultFilter {
                 }
             }
             Message::Odometry(odometry) => self.jump(odometry, seconds),
-            Message::Imu(imu) if self.faults.contains(&Fault::ImuWithoutGravity) => {
-                imu.linear_acceleration[2] -= self.gravity;
-            }
+            Message::Imu(imu) => self.spoil_imu(imu),
             _ => {}
+        }
+    }
+
+    fn spoil_imu(&self, imu: &mut Imu) {
+        for fault in &self.faults {
+            match *fault {
+                Fault::ImuWithoutGravity => imu.linear_acceleration[2] -= self.gravity,
+                Fault::SwappedAxes => {
+                    for [_, y, z] in [&mut imu.linear_acceleration, &mut imu.angular_velocity] {
+                        (*y, *z) = (*z, -*y);
+                    }
+                }
+                _ => {}
+            }
+        }
+        // The sensor itself cannot show more.
+        for fault in &self.faults {
+            if let Fault::Saturation { angular_velocity, acceleration } = *fault {
+                imu.angular_velocity =
+                    imu.angular_velocity.map(|v| v.clamp(-angular_velocity, angular_velocity));
+                imu.linear_acceleration =
+                    imu.linear_acceleration.map(|v| v.clamp(-acceleration, acceleration));
+            }
         }
     }
 
@@ -347,6 +399,9 @@ mod tests {
             "no-gravity",
             "clock:imu:-0.05",
             "no-tf:scan",
+            "dies:45.5",
+            "saturate:4:30",
+            "swap-axes",
         ] {
             assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
         }

@@ -115,7 +115,8 @@ pub struct ScenarioArgs {
     exact: bool,
     /// Something that goes wrong; may be given several times: duplicate:SENSOR:N, backward:SENSOR:N:SECONDS,
     /// gap:SENSOR:FROM:TO, nan:N, empty:N, jump:SECONDS:X:Y:YAW, no-gravity, clock:SENSOR:SECONDS,
-    /// no-tf:SENSOR, where SENSOR is scan, odom or imu and N means every N-th message.
+    /// no-tf:SENSOR, dies:SECONDS (the last lidar), saturate:GYROSCOPE:ACCELEROMETER, swap-axes (IMU), where
+    /// SENSOR is scan, odom or imu and N means every N-th message.
     #[arg(long, help_heading = "Robot and sensors", value_name = "FAULT")]
     fault: Vec<Fault>,
 }
