@@ -30,7 +30,7 @@ pub use geodetic::{Geodetic, LocalFrame};
 pub use histogram::Histogram;
 pub use relations::{
     GenerateOptions, GeneratedRelations, MapConstraint, MapGraph, RIGHT_WITHIN, Relation, RelationError,
-    RelationReport, TimeBaseNotice, generate_relations, in_time_base, loop_closure_relations,
+    RelationReport, TimeBaseNotice, at_times_of, generate_relations, in_time_base, loop_closure_relations,
     read_binary_relations, read_relations, read_text_relations, relation_errors, write_binary_relations,
     write_text_relations,
 };

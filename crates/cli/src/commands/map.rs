@@ -213,7 +213,10 @@ pub fn map_with_progress(
             for setting in settings {
                 options.set(setting).map_err(|e| PipelineError::Setting(e.to_string()))?;
             }
-            Ok(())
+            options.validate().map_err(|errors| {
+                let lines: Vec<String> = errors.iter().map(ToString::to_string).collect();
+                PipelineError::Setting(lines.join("\n"))
+            })
         },
         mapper_settings,
         &mut |state| {

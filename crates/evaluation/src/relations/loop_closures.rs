@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use portolan_geometry::Rigid3;
+use portolan_geometry::{Duration, Rigid3, Time};
 
 use super::generate::{MapConstraint, MapGraph, bad, indices, node};
 use super::{Relation, RelationReport};
-use crate::EvaluationError;
+use crate::{EvaluationError, Trajectory};
 
 /// Loop closures within these errors count as right: metres and degrees.
 pub const RIGHT_WITHIN: (f64, f64) = (0.2, 3.0);
@@ -46,6 +46,28 @@ fn relation(
         expected_1_from_2: nearest.1.inverse() * constraint.submap_from_node,
         covered_distance: 0.0,
     })
+}
+
+/// The same motions between the times of the true poses that are nearest to theirs, at most `longest`
+/// away; those that have none are left out. The short ways between are taken from the estimate, because a
+/// true trajectory with a pose every few seconds says nothing of the turns between them.
+pub fn at_times_of(
+    truth: &Trajectory,
+    estimate: &Trajectory,
+    relations: &[Relation],
+    longest: Duration,
+) -> Vec<Relation> {
+    let moved = |relation: &Relation| {
+        let time1 = truth.nearest(relation.time1, longest)?.time;
+        let time2 = truth.nearest(relation.time2, longest)?.time;
+        let motion = |from: Time, to: Time| {
+            Some(estimate.lookup_clamped(from)?.inverse() * estimate.lookup_clamped(to)?)
+        };
+        let expected_1_from_2 =
+            motion(time1, relation.time1)? * relation.expected_1_from_2 * motion(relation.time2, time2)?;
+        Some(Relation { time1, time2, expected_1_from_2, ..*relation })
+    };
+    relations.iter().filter_map(moved).collect()
 }
 
 impl RelationReport {
@@ -89,6 +111,27 @@ mod tests {
         assert!((report.share_right(RIGHT_WITHIN) - 1.0 / 3.0).abs() < 1e-12);
         assert!((report.errors[0].translation - 0.05).abs() < 1e-9);
         assert!((report.errors[2].rotation_degrees - 0.1f64.to_degrees()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn sparse_truth_is_met_at_its_own_times() {
+        let at = |i: i64| Time::from_ticks(10_000_000 * i);
+        let all: Vec<TimedPose> =
+            (0..30).map(|i| TimedPose { time: at(i), map_from_tracking: pose((i * i) as u32) }).collect();
+        let truth: Vec<TimedPose> = all.iter().step_by(7).copied().collect();
+        let (estimate, truth) = (Trajectory::new(all).0, Trajectory::new(truth).0);
+        let relation = Relation {
+            time1: at(6),
+            time2: at(22),
+            expected_1_from_2: pose(36).inverse() * pose(22 * 22),
+            covered_distance: 0.0,
+        };
+        let relations = [relation, relation];
+        let moved = at_times_of(&truth, &estimate, &relations, Duration::from_seconds(1.0));
+        assert_eq!((moved[0].time1, moved[0].time2), (at(7), at(21)));
+        let report = relation_errors(&truth, &moved).unwrap();
+        assert!(report.translation.max < 1e-9);
+        assert!(at_times_of(&truth, &estimate, &relations, Duration::from_seconds(0.5)).is_empty());
     }
 
     #[test]

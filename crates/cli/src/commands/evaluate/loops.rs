@@ -2,7 +2,10 @@
 
 use std::path::PathBuf;
 
-use portolan_evaluation::{RIGHT_WITHIN, in_time_base, loop_closure_relations, relation_errors};
+use portolan_evaluation::{
+    RIGHT_WITHIN, Trajectory, at_times_of, in_time_base, loop_closure_relations, relation_errors,
+};
+use portolan_geometry::Duration;
 
 use super::generate::read_map_graph;
 use super::input::TrajectorySource;
@@ -11,10 +14,14 @@ use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json, write_file};
 use crate::progress::say;
 
+/// A true pose further away in time, seconds, does not judge a loop closure.
+const LONGEST_WAY: f64 = 2.5;
+
 /// Tell how many loop closures of a map are right, by a true trajectory.
 ///
 /// A loop closure is right if the motion that it stands for, from the nearest node of its submap to the
-/// node that was found in it, is within 0.2 m and 3 degrees of the truth.
+/// node that was found in it, is within 0.2 m and 3 degrees of the truth. It is compared between the true
+/// poses nearest in time; the short way to them is taken from the map.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  portolan evaluate loops walk/map.pbstream walk.truth.tum --csv loops.csv"
@@ -40,7 +47,18 @@ pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     if loops.len() < 2 {
         return Err(CliError::in_file(&args.map, "it has fewer than two loop closures to judge"));
     }
-    let (loops, notice) = in_time_base(&truth, &loops)?;
+    let (in_time, notice) = in_time_base(&truth, &loops)?;
+    let offset = notice.as_ref().map_or(Duration::ZERO, |notice| notice.offset);
+    let estimate = Trajectory::new(map.nodes.iter().copied()).0.shifted(offset);
+    let judged = at_times_of(&truth, &estimate, &in_time, Duration::from_seconds(LONGEST_WAY));
+    let left_out = loops.len() - judged.len();
+    if left_out > 0 && !global.quiet {
+        say(&format!("{left_out} loop closures have no true pose within {LONGEST_WAY} s and are not judged"));
+    }
+    if judged.len() < 2 {
+        return Err(CliError::in_file(&args.truth, "it has no poses at the times of the loop closures"));
+    }
+    let loops = judged;
     let report = relation_errors(&truth, &loops)?;
     if let Some(path) = &args.csv {
         write_file(path, |out| report.write_csv(out))?;
