@@ -164,7 +164,10 @@ mod tests {
         store.sort();
         let xs: Vec<f32> = store.points().iter().map(|p| p.in_tracking[0]).collect();
         assert_eq!(xs, [3.0, 2.0]);
-        assert_eq!(store.left_out(), LeftOutPoints { not_finite: 1, too_near: 1, outside_of_time: 1, thinned: 0 });
+        assert_eq!(
+            store.left_out(),
+            LeftOutPoints { not_finite: 1, too_near: 1, outside_of_time: 1, thinned: 0 }
+        );
         let (first, last) = store.span().unwrap();
         assert!((last.seconds_since(first) - 0.2).abs() < 1e-6);
     }
