@@ -28,7 +28,8 @@ use results::{Results, summary, write_results};
 /// the first range sensor's; --tracking-frame names another. Nothing needs to be tuned.
 ///
 /// Written are refined.tum (at the stamps of the input; refined_dense.tum too if those are far apart),
-/// refined.ply and report.json. Ctrl-C keeps the best so far.
+/// refined.ply, report.json, and for a map refined.pbstream with its nodes and submaps moved. Ctrl-C keeps the best
+/// so far.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  \
     portolan refine --recording walk.bag --trajectory walk.tum -o walk_refined\n  \
@@ -157,6 +158,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         read: &read,
         seconds: start.elapsed().as_secs_f64(),
         with_cloud: !args.no_cloud,
+        map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
     };
     let files = write_results(&results, &args.output)?;
     print(&summary(&results, &files))?;

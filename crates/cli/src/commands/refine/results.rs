@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use portolan_export::{PlyWriter, write_tum};
 use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_mapfile::{EditError, MapDraft, ReadLimits};
 use portolan_refinement::Sharpness;
 use portolan_refinement::continuous::Refined;
 
@@ -24,6 +25,8 @@ pub struct Results<'a> {
     pub read: &'a ReadPoints,
     pub seconds: f64,
     pub with_cloud: bool,
+    /// The map the trajectory came from, and which of its trajectories.
+    pub map: Option<(&'a Path, i32)>,
 }
 
 /// Writes trajectory, cloud and report; returns their names.
@@ -44,6 +47,12 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
             .map(|s| (trajectory.start() + Duration::from_seconds(s), trajectory.pose(s)))
             .collect();
         write_tum(&file("refined_dense.tum"), &dense)?;
+    }
+    if let Some((map, id)) = results.map {
+        let failed = |error: EditError| CliError::in_file(map, error);
+        let mut draft = MapDraft::open(map, ReadLimits::default()).map_err(failed)?;
+        draft.replace_trajectory(id, &corrected).map_err(failed)?;
+        draft.write(file("refined.pbstream")).map_err(failed)?;
     }
     if results.with_cloud {
         write_cloud(results, &file("refined.ply"))?;
