@@ -52,7 +52,7 @@ impl Progress {
             bar.set_message(message);
         } else if self.lines && self.last_line.elapsed() >= LINE_INTERVAL {
             self.last_line = Instant::now();
-            let percent = if total == 0 { 0 } else { 100 * position / total };
+            let percent = (100 * position).checked_div(total).unwrap_or(0);
             say(&format!("{} {percent}% {message}", self.title));
         }
     }

@@ -15,7 +15,7 @@ use crate::ordered::OrderedWorkers;
 /// A batch of records is unpacked as one job; smaller jobs cost more than they gain.
 const BATCH_BYTES: usize = 128 << 10;
 const BATCH_RECORDS: usize = 512;
-/// How much may be under way: eight batches and 4 MiB of compressed data.
+/// How much may be under way: two batches for each core, eight at most, and 4 MiB of compressed data.
 const MAX_BATCHES: usize = 8;
 const MAX_AHEAD_BYTES: usize = 4 << 20;
 /// What a batch may unpack to ahead of its turn; what is larger waits until it is asked for. So read-ahead
@@ -142,6 +142,7 @@ pub(crate) struct Records<T> {
     frames: FrameReader,
     limits: ReadLimits,
     step: Step<T>,
+    max_batches: usize,
     workers: OrderedWorkers<Vec<Frame>, Vec<Ahead<T>>>,
     ready: VecDeque<Ahead<T>>,
     /// Compressed sizes of the batches under way.
@@ -163,6 +164,7 @@ impl<T: Send + 'static> Records<T> {
             frames,
             limits,
             step,
+            max_batches: (2 * rayon::current_num_threads()).clamp(2, MAX_BATCHES),
             workers: OrderedWorkers::new(work),
             ready: VecDeque::new(),
             under_way: VecDeque::new(),
@@ -205,7 +207,7 @@ impl<T: Send + 'static> Records<T> {
 
     fn read_ahead(&mut self) {
         while self.end.is_none()
-            && self.workers.len() < MAX_BATCHES
+            && self.workers.len() < self.max_batches
             && self.under_way.iter().sum::<usize>() < MAX_AHEAD_BYTES
         {
             let mut batch = Vec::new();

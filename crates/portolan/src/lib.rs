@@ -12,6 +12,7 @@ pub use portolan_mapfile as mapfile;
 pub use portolan_mapping as mapping;
 pub use portolan_matching as matching;
 pub use portolan_recording as recording;
+pub use portolan_refinement as refinement;
 pub use portolan_sensor as sensor;
 pub use portolan_simulator as simulator;
 pub use portolan_solver as solver;

@@ -1,4 +1,9 @@
-//! Refinement of trajectories: nearest neighbours and continuous-time optimisation.
+//! Refinement of trajectories and registration of scans.
+//!
+//! - [`continuous`]: a trajectory bent until everything seen from it fits together; the method to use.
+//! - [`semi_rigid`]: the same as published, with sections of the trajectory.
+//! - [`registration`]: ICP, and all scans at once.
+//! - [`neighbours`]: search trees, reduction, normals.
 //!
 //! Nothing here knows of files. Points are `f32` metres, poses `f64`.
 

@@ -85,7 +85,7 @@ struct LoopArgs {
     /// Take out loop closures that are further than this from the poses of the map.
     #[arg(long, value_name = "METRES")]
     drop_loops_beyond: Option<f64>,
-    /// Put in a loop closure: `0,3:0,812` looks for node 812 in submap 3 (2D), `0,3:0,812=1.5,0.2,90` says
+    /// Put in a loop closure: `0,3:0,812` looks for node 812 in submap 3, `0,3:0,812=1.5,0.2,90` says
     /// where in the submap the node is (x, y, yaw, or x, y, z, roll, pitch, yaw; metres and degrees).
     #[arg(long, value_name = "SUBMAP:NODE[=POSE]", value_parser = values::loop_to_add, allow_hyphen_values = true)]
     add_loop: Vec<LoopToAdd>,

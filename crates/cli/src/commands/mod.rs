@@ -15,6 +15,7 @@ mod map;
 mod migrate;
 mod optimize;
 mod refine;
+mod register;
 mod render;
 mod repair;
 mod simulate;
@@ -36,6 +37,7 @@ pub enum Command {
     Convert(Box<convert::ConvertArgs>),
     Optimize(Box<optimize::OptimizeArgs>),
     Refine(Box<refine::RefineArgs>),
+    Register(Box<register::RegisterArgs>),
     Repair(repair::RepairArgs),
     Migrate(migrate::MigrateArgs),
     Simulate(Box<simulate::SimulateArgs>),
@@ -58,6 +60,7 @@ pub fn run(command: Command, global: &GlobalArgs) -> Result<Outcome, CliError> {
         Command::Convert(args) => convert::run(&args, global),
         Command::Optimize(args) => optimize::run(&args, global),
         Command::Refine(args) => refine::run(&args, global),
+        Command::Register(args) => register::run(&args, global),
         Command::Repair(args) => repair::run(&args),
         Command::Migrate(args) => migrate::run(&args),
         Command::Simulate(args) => simulate::run(&args, global),

@@ -28,7 +28,8 @@ use results::{Results, summary, write_results};
 /// the first range sensor's; --tracking-frame names another. Nothing needs to be tuned.
 ///
 /// Written are refined.tum (at the stamps of the input; refined_dense.tum too if those are far apart),
-/// refined.ply and report.json. Ctrl-C keeps the best so far.
+/// the cloud (refined.ply), report.json, and for a map refined.pbstream with its nodes and submaps moved. Ctrl-C keeps the best
+/// so far.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  \
     portolan refine --recording walk.bag --trajectory walk.tum -o walk_refined\n  \
@@ -55,6 +56,9 @@ pub struct RefineArgs {
     output: PathBuf,
     #[command(flatten)]
     points: PointArgs,
+    /// Format of the refined cloud.
+    #[arg(long, value_parser = ["ply", "pcd", "xyz", "las", "laz", "e57"], default_value = "ply", value_name = "FORMAT")]
+    cloud: String,
     /// Write no cloud.
     #[arg(long)]
     no_cloud: bool,
@@ -156,7 +160,8 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         refined: &refined,
         read: &read,
         seconds: start.elapsed().as_secs_f64(),
-        with_cloud: !args.no_cloud,
+        cloud: (!args.no_cloud).then_some(args.cloud.as_str()),
+        map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
     };
     let files = write_results(&results, &args.output)?;
     print(&summary(&results, &files))?;

@@ -21,6 +21,7 @@ pub use error::MapConversionError;
 pub use grid::MapSpace;
 pub(crate) use read::node_data;
 pub use read::{LoadedMap, LoadedTrajectories, MapLoadSettings, load_map, read_map, read_map_2d};
+pub(crate) use sensors::{imu_from_proto, imu_state_from_proto};
 pub use textures::submap_textures_2d;
 pub use trajectory_options::{
     builder_options_from_proto, builder_options_to_proto, trajectory_options_from_proto,

@@ -109,7 +109,7 @@ fn write_landmarks<S: Space>(
 }
 
 /// Gravity and calibration of an IMU, if they can be. A file without gravity means the default.
-pub(super) fn imu_state_from_proto(data: &m::TrajectoryData) -> Option<ImuState> {
+pub(crate) fn imu_state_from_proto(data: &m::TrajectoryData) -> Option<ImuState> {
     let default = ImuState::default();
     let gravity_constant =
         if data.gravity_constant == 0.0 { default.gravity_constant } else { data.gravity_constant };
@@ -214,7 +214,8 @@ fn imu_to_proto(data: &ImuData) -> sensor::ImuData {
     }
 }
 
-fn imu_from_proto(data: &sensor::ImuData) -> Option<ImuData> {
+/// A sample of an IMU; none where it is not finite.
+pub(crate) fn imu_from_proto(data: &sensor::ImuData) -> Option<ImuData> {
     let vector = |v: Option<Vector3d>| {
         let v = v.unwrap_or_default();
         let v = Vector3::new(v.x, v.y, v.z);

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use portolan_geometry::Rigid3;
+use portolan_mapping::ImuState;
 use serde::Serialize;
 
 use super::EditError;
@@ -60,6 +61,8 @@ pub(super) struct Source {
 pub(super) struct Estimate {
     /// Pose of the fixed frame in the global map of the draft.
     pub fixed_frame_origin: Option<Rigid3>,
+    /// 3D: gravity and the mounting of the IMU.
+    pub imu: Option<ImuState>,
 }
 
 /// A map that is being edited.

@@ -2,13 +2,13 @@
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::Rigid3;
-use portolan_mapping::{NodeData, Planar, Repairs, SearchRegion, Space, Submap2d};
+use portolan_mapping::{NodeData, Planar, Repairs, SearchRegion, Spatial};
 use serde::Serialize;
 
 use super::{EditError, MapDimension, MapDraft};
 use crate::convert::{MapSpace, node_data};
 use crate::map_reader::MapReader;
-use crate::pose::{IdInFile, node_id, submap_id};
+use crate::pose::{IdInFile, node_id, submap_id, submap_poses};
 use crate::proto::mapping::serialized_data::Data;
 
 /// A node found in a submap.
@@ -24,41 +24,59 @@ pub struct FoundLoop {
 }
 
 impl MapDraft {
-    /// Looks for the scan of a node everywhere in a submap of a 2D map. Matches of a score below
+    /// Looks for the scan of a node everywhere in a submap. Matches of a score below
     /// `options.global_localization_min_score` do not count.
     ///
     /// # Errors
-    /// If either is not there or cannot be used, the map is 3D, or nothing was found.
+    /// If either is not there or cannot be used, or nothing was found.
     pub fn find_loop(
         &self,
         submap: IdInFile,
         node: IdInFile,
         options: &ConstraintBuilderOptions,
     ) -> Result<FoundLoop, EditError> {
-        if self.dimension == Some(MapDimension::Spatial) {
-            return Err(EditError::Dimension(
-                "nodes are searched in 2D submaps only; give the pose of the node in the submap",
-            ));
-        }
         self.require_parts(submap, node)?;
-        let (Some(grid), Some(scan)) = self.load_pair(submap, node)? else {
-            return Err(EditError::NotFound { submap, node });
-        };
-        let matcher = Planar::build_matcher(&grid, options).ok_or(EditError::NotFound { submap, node })?;
-        let guess = Rigid3::identity();
-        let found = Planar::find_node(&matcher, &grid, &scan, &guess, SearchRegion::WholeSubmap, options)
-            .ok_or(EditError::NotFound { submap, node })?;
-        let submap_from_node = Planar::tracking_pose(&found.submap_from_node, &scan.gravity_alignment);
+        match self.dimension {
+            Some(MapDimension::Spatial) => self.find_loop_in::<Spatial>(submap, node, options),
+            _ => self.find_loop_in::<Planar>(submap, node, options),
+        }
+    }
+
+    fn find_loop_in<S: MapSpace>(
+        &self,
+        submap: IdInFile,
+        node: IdInFile,
+        options: &ConstraintBuilderOptions,
+    ) -> Result<FoundLoop, EditError> {
+        let not_found = || EditError::NotFound { submap, node };
+        let (Some(grid), Some(scan)) = self.load_pair::<S>(submap, node)? else { return Err(not_found()) };
+        let matcher = S::build_matcher(&grid, options).ok_or_else(not_found)?;
+        // In space the search wants to know which way is up: the poses of the map do.
+        let guess = self.guess::<S>(submap, node, &scan);
+        let found = S::find_node(&matcher, &grid, &scan, &guess, SearchRegion::WholeSubmap, options)
+            .ok_or_else(not_found)?;
+        let submap_from_node = S::tracking_pose(&found.submap_from_node, &scan.gravity_alignment);
         let t = submap_from_node.translation;
         Ok(FoundLoop { score: found.score, position: [t.x, t.y, t.z], submap_from_node })
     }
 
+    /// Where the node is in the submap by the poses of the map.
+    fn guess<S: MapSpace>(&self, submap: IdInFile, node: IdInFile, scan: &NodeData) -> Rigid3 {
+        let poses = (submap_poses(&self.graph), self.all_node_poses());
+        match (poses.0.get(&submap), poses.1.get(&node)) {
+            (Some(map_from_submap), Some(map_from_node)) => {
+                map_from_submap.inverse() * S::graph_pose(map_from_node, &scan.gravity_alignment)
+            }
+            _ => Rigid3::identity(),
+        }
+    }
+
     /// The grid and the scan from their files.
-    fn load_pair(
+    fn load_pair<S: MapSpace>(
         &self,
         submap: IdInFile,
         node: IdInFile,
-    ) -> Result<(Option<Submap2d>, Option<NodeData>), EditError> {
+    ) -> Result<(Option<S::Submap>, Option<NodeData>), EditError> {
         let (mut grid, mut scan) = (None, None);
         for source in &self.sources {
             let failed = |error| EditError::File { path: source.path.clone(), source: error };
@@ -70,7 +88,7 @@ impl MapDraft {
                 match message.data {
                     Data::Submap(m) if here(submap_id(m.submap_id.as_ref())) == Some(submap) => {
                         let mut repairs = Repairs::default();
-                        grid = Some(Planar::submap_from_proto(m, submap, &mut repairs).map_err(unusable)?.0);
+                        grid = Some(S::submap_from_proto(m, submap, &mut repairs).map_err(unusable)?.0);
                     }
                     Data::Node(m) if here(node_id(m.node_id.as_ref())) == Some(node) => {
                         scan = Some(node_data(m, node).map_err(unusable)?);

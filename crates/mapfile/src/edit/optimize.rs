@@ -1,7 +1,6 @@
 //! The poses of a map moved to where its constraints and measurements agree best.
 
 mod collect;
-mod spatial;
 
 use std::collections::BTreeMap;
 
@@ -9,7 +8,7 @@ use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::Rigid3;
 use portolan_mapping::{
     Constraint, ConstraintTag, NodeId, OptimizationData, OptimizationNode, OptimizationSummary, Planar,
-    Space, SubmapId, TrajectoryId, optimize_2d,
+    Space, Spatial, SubmapId, TrajectoryId,
 };
 use serde::Serialize;
 
@@ -40,10 +39,9 @@ pub struct MapOptimization {
 }
 
 impl MapDraft {
-    /// Optimises all poses of the map, at most `iterations` steps: loop closures and constraints within
-    /// submaps, what local SLAM and odometry say of neighbouring nodes, fixed-frame poses and (2D) landmarks.
-    /// The first submap stays where it is. In 3D accelerations and rates of the IMU are not used: neighbouring
-    /// nodes are held together by local SLAM instead.
+    /// Optimises all poses of the map, at most `iterations` steps, with all that mapping uses: loop closures and
+    /// constraints within submaps, what local SLAM, odometry and (3D) the IMU say of neighbouring nodes,
+    /// fixed-frame poses and landmarks. The first submap stays where it is (3D: it aligns with gravity).
     ///
     /// # Errors
     /// If the files cannot be read, a node lacks its pose, or there is nothing to optimise.
@@ -52,28 +50,29 @@ impl MapDraft {
         options: &OptimizationProblemOptions,
         iterations: u32,
     ) -> Result<MapOptimization, EditError> {
+        match self.dimension {
+            Some(MapDimension::Spatial) => self.optimize_in::<Spatial>(options, iterations),
+            _ => self.optimize_in::<Planar>(options, iterations),
+        }
+    }
+
+    fn optimize_in<S: Space>(
+        &mut self,
+        options: &OptimizationProblemOptions,
+        iterations: u32,
+    ) -> Result<MapOptimization, EditError> {
         let collected = Collected::read(self)?;
-        let spatial = self.dimension == Some(MapDimension::Spatial);
-        let graph_pose = if spatial { |pose: &Rigid3, _: &_| *pose } else { Planar::graph_pose };
-        let mut data = self.problem(&collected, graph_pose);
+        let mut data = self.problem::<S>(&collected);
         data.max_iterations_override = Some(iterations);
-        let constraints = self.constraints(&collected, graph_pose);
+        let constraints = self.constraints::<S>(&collected);
         if data.nodes.is_empty() || data.submaps.is_empty() {
             return Err(EditError::Optimization("it has no nodes or no submaps".to_owned()));
         }
-        let summary = if spatial {
-            spatial::optimize(&mut data, &constraints, options).map_err(EditError::Optimization)?
-        } else {
-            optimize_2d(&mut data, &constraints, options)
-        };
-        Ok(self.take_over(&data, constraints.len(), spatial, summary))
+        let summary = S::optimize(&mut data, &constraints, options);
+        Ok(self.take_over::<S>(&data, constraints.len(), summary))
     }
 
-    fn problem(
-        &self,
-        collected: &Collected,
-        graph_pose: fn(&Rigid3, &portolan_geometry::Quaternion) -> Rigid3,
-    ) -> OptimizationData {
+    fn problem<S: Space>(&self, collected: &Collected) -> OptimizationData {
         let mut data = OptimizationData {
             landmarks: collected.landmarks.clone(),
             sensors: collected.sensors.clone(),
@@ -93,8 +92,8 @@ impl MapDraft {
                 let gravity_alignment = node.gravity_alignment;
                 let node = OptimizationNode {
                     time: node.time,
-                    local_from_node: graph_pose(&node.local_from_tracking, &gravity_alignment),
-                    map_from_node: graph_pose(&map_from_tracking, &gravity_alignment),
+                    local_from_node: S::graph_pose(&node.local_from_tracking, &gravity_alignment),
+                    map_from_node: S::graph_pose(&map_from_tracking, &gravity_alignment),
                     gravity_alignment,
                 };
                 data.nodes.insert(node_in_memory(id), node);
@@ -103,11 +102,7 @@ impl MapDraft {
         data
     }
 
-    fn constraints(
-        &self,
-        collected: &Collected,
-        graph_pose: fn(&Rigid3, &portolan_geometry::Quaternion) -> Rigid3,
-    ) -> Vec<Constraint> {
+    fn constraints<S: Space>(&self, collected: &Collected) -> Vec<Constraint> {
         let usable = self.graph.constraint.iter().filter_map(|c| {
             let node = node_id(c.node_id.as_ref());
             let weights = [c.translation_weight, c.rotation_weight];
@@ -116,7 +111,7 @@ impl MapDraft {
             weights.iter().all(|w| w.is_finite() && *w >= 0.0).then(|| Constraint {
                 submap_id: submap_in_memory(submap_id(c.submap_id.as_ref())),
                 node_id: node_in_memory(node),
-                submap_from_node: graph_pose(&pose, &gravity_alignment),
+                submap_from_node: S::graph_pose(&pose, &gravity_alignment),
                 translation_weight: c.translation_weight,
                 rotation_weight: c.rotation_weight,
                 tag: match c.tag() {
@@ -129,19 +124,16 @@ impl MapDraft {
         usable.collect()
     }
 
-    fn take_over(
+    fn take_over<S: Space>(
         &mut self,
         data: &OptimizationData,
         constraints: usize,
-        spatial: bool,
         summary: OptimizationSummary,
     ) -> MapOptimization {
         let submaps: BTreeMap<IdInFile, Rigid3> =
             data.submaps.iter().map(|(id, pose)| (in_file(id.trajectory_id, id.index), *pose)).collect();
-        let tracking_pose = |node: &OptimizationNode| match spatial {
-            true => node.map_from_node,
-            false => Planar::tracking_pose(&node.map_from_node, &node.gravity_alignment),
-        };
+        let tracking_pose =
+            |node: &OptimizationNode| S::tracking_pose(&node.map_from_node, &node.gravity_alignment);
         let nodes: BTreeMap<IdInFile, Rigid3> = data
             .nodes
             .iter()
@@ -158,6 +150,9 @@ impl MapDraft {
                 let estimate = self.estimates.entry(id.0.cast_signed()).or_default();
                 estimate.fixed_frame_origin = Some(*origin);
             }
+        }
+        for (id, sensors) in data.sensors.iter().filter(|_| S::OPTIMIZES_WITH_IMU) {
+            self.estimates.entry(id.0.cast_signed()).or_default().imu = Some(sensors.imu_state);
         }
         for landmark in &mut self.graph.landmark_poses {
             let found = data.landmarks.get(&landmark.landmark_id).and_then(|l| l.map_from_landmark);

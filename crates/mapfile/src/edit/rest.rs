@@ -10,6 +10,7 @@ use crate::message::{MessageKind, RawMessage};
 use crate::pose::{IdInFile, pose_from_proto, pose_to_proto};
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{PoseGraph, SerializedData, TrajectoryData};
+use crate::proto::transform::Quaterniond;
 use crate::reader::{PbstreamReader, ReadLimits};
 use crate::wire::{joined, last_varint, put_bytes_field, put_varint_field, without_field};
 
@@ -115,6 +116,11 @@ impl<'a> Rest<'a> {
         // What is not changed keeps its digits.
         if let Some(found) = estimate.fixed_frame_origin.or(moved).filter(|found| origin != Some(*found)) {
             data.fixed_frame_origin_in_map = Some(pose_to_proto(&found));
+        }
+        if let Some(imu) = estimate.imu {
+            let q = imu.calibration.quaternion();
+            data.gravity_constant = imu.gravity_constant;
+            data.imu_calibration = Some(Quaterniond { x: q.i, y: q.j, z: q.k, w: q.w });
         }
         if data == decoded {
             return write(raw.bytes.clone());

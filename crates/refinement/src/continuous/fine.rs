@@ -79,8 +79,8 @@ impl OdometryBlocks {
         };
         for (i, term) in terms.iter().enumerate() {
             for (jacobian, residual, weight) in term.rows() {
-                for r in 0..12 {
-                    blocks.gradient[6 * i + r] += weight * residual * jacobian[r];
+                for (gradient, j) in blocks.gradient[6 * i..].iter_mut().zip(jacobian) {
+                    *gradient += weight * residual * j;
                 }
                 for r in 0..6 {
                     for c in 0..6 {

@@ -231,7 +231,7 @@ mod tests {
     #[test]
     fn the_other_forms_converge_when_repeated() {
         let points: Vec<[f64; 3]> = (0..30)
-            .map(|i| f64::from(i))
+            .map(f64::from)
             .map(|i| [(i * 0.7).sin() * 3.0, (i * 1.3).cos() * 2.0, (i * 0.37).sin()])
             .collect();
         let expected = Rigid3::new(Vector3::new(0.3, -0.2, 0.1), Vector3::new(0.1, -0.2, 0.3));

@@ -174,9 +174,8 @@ fn weighted_step(
     hold(&mut equations, poses.len());
     let failed = RefineError::Numerical("global registration");
     let solution = equations.solve().map_err(|_| failed.clone())?.ok_or(failed)?;
-    for (i, (pose, x)) in poses.iter_mut().zip(solution.chunks_exact(6)).enumerate().skip(1) {
+    for (pose, x) in poses.iter_mut().zip(solution.chunks_exact(6)).skip(1) {
         let error = Vector6::from_column_slice(x);
-        debug_assert!(i > 0);
         *pose = match method {
             GlobalMethod::Euler => move_by_euler(pose, &error),
             _ => move_by_twist(pose, &-error),

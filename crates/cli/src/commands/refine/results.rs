@@ -2,8 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan_export::{PlyWriter, write_tum};
+use portolan_export::write_tum;
 use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_mapfile::{EditError, MapDraft, ReadLimits};
+use portolan_pointcloud::{Attributes, BATCH_POINTS, CloudError, PointCloud, WriteOptions, create};
 use portolan_refinement::Sharpness;
 use portolan_refinement::continuous::Refined;
 
@@ -23,7 +25,10 @@ pub struct Results<'a> {
     pub refined: &'a Refined,
     pub read: &'a ReadPoints,
     pub seconds: f64,
-    pub with_cloud: bool,
+    /// Extension of the cloud, which says its format; none for no cloud.
+    pub cloud: Option<&'a str>,
+    /// The map the trajectory came from, and which of its trajectories.
+    pub map: Option<(&'a Path, i32)>,
 }
 
 /// Writes trajectory, cloud and report; returns their names.
@@ -45,8 +50,14 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
             .collect();
         write_tum(&file("refined_dense.tum"), &dense)?;
     }
-    if results.with_cloud {
-        write_cloud(results, &file("refined.ply"))?;
+    if let Some((map, id)) = results.map {
+        let failed = |error: EditError| CliError::in_file(map, error);
+        let mut draft = MapDraft::open(map, ReadLimits::default()).map_err(failed)?;
+        draft.replace_trajectory(id, &corrected).map_err(failed)?;
+        draft.write(file("refined.pbstream")).map_err(failed)?;
+    }
+    if let Some(extension) = results.cloud {
+        write_cloud(results, &file(&format!("refined.{extension}")))?;
     }
     let report = serde_json::to_vec_pretty(&report(results)).map_err(|e| CliError::Failed(e.to_string()))?;
     write_file(&file("report.json"), |out| out.write_all(&report))?;
@@ -64,20 +75,26 @@ fn write_cloud(results: &Results, path: &Path) -> Result<(), CliError> {
             && !gaps.iter().any(|[from, to]| (*from..*to).contains(&seconds))
     };
     let matrices = trajectory.matrices();
-    let covered = || {
-        store.points().iter().filter_map(|point| {
-            let seconds = point.seconds() + offset;
-            is_covered(seconds).then(|| matrices.to_world(seconds, point.in_tracking))
-        })
-    };
-    let (count, reach) = covered().fold((0, 0.0), |(count, reach), p| {
-        (count + 1, p.iter().fold(reach, |reach: f64, v| reach.max(v.abs())))
-    });
-    let mut ply = PlyWriter::create(path, count, reach)?;
-    for point in covered() {
-        ply.write(point)?;
+    let failed = |error: CloudError| CliError::in_file(path, error);
+    let attributes = Attributes { time: true, ..Attributes::default() };
+    let mut writer = create(path, attributes, &WriteOptions::default()).map_err(failed)?;
+    let mut batch = PointCloud::new(attributes);
+    let start = store.start().unix_seconds();
+    for point in store.points() {
+        let seconds = point.seconds() + offset;
+        if !is_covered(seconds) {
+            continue;
+        }
+        let position = matrices.to_world(seconds, point.in_tracking);
+        batch.push(position, 0.0, start + point.seconds(), [0; 3]);
+        if batch.len() == BATCH_POINTS {
+            writer.write(&batch).map_err(failed)?;
+            batch.reset(attributes);
+        }
     }
-    Ok(ply.finish()?)
+    writer.write(&batch).map_err(failed)?;
+    writer.finish().map_err(failed)?;
+    Ok(())
 }
 
 fn report(results: &Results) -> serde_json::Value {

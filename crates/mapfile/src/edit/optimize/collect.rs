@@ -7,6 +7,7 @@ use portolan_mapping::{LandmarkNode, LandmarkSighting, TrajectoryId, TrajectoryS
 use portolan_sensor::{FixedFramePoseData, LandmarkObservation, OdometryData};
 
 use super::trajectory_in_memory;
+use crate::convert::{imu_from_proto, imu_state_from_proto};
 use crate::edit::draft::Source;
 use crate::edit::{EditError, MapDraft};
 use crate::map_reader::MapReader;
@@ -54,11 +55,19 @@ impl Collected {
         match data {
             Data::Node(node) => self.node(&node, source)?,
             Data::TrajectoryData(data) => {
+                if let (Some(id), Some(state)) = (id(data.trajectory_id), imu_state_from_proto(&data)) {
+                    self.sensors_of(id).imu_state = state;
+                }
                 if let (Some(id), Some(origin)) =
                     (id(data.trajectory_id), pose_from_proto(data.fixed_frame_origin_in_map.as_ref()))
                 {
                     let moved = source.map_from_source * origin;
                     self.fixed_frame_origins.insert(trajectory_in_memory(id), Some(moved));
+                }
+            }
+            Data::ImuData(m::ImuData { trajectory_id, imu_data: Some(data) }) => {
+                if let (Some(id), Some(imu)) = (id(trajectory_id), imu_from_proto(&data)) {
+                    self.sensors_of(id).imu.entry(imu.time).or_insert(imu);
                 }
             }
             Data::OdometryData(m::OdometryData { trajectory_id, odometry_data: Some(data) }) => {

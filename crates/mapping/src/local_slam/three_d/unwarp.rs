@@ -1,10 +1,8 @@
-//! Every point of a scan put where it was measured from, by the predicted pose at its own time.
+//! Every point of a scan put where it was measured from, by the pose at its own time.
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Duration, Point3f, Rigid3, Rigid3f, Time, to_f32};
 use portolan_sensor::{PointCloud, RangeData, SynchronizedRanges, voxel_filter, voxel_filter_indices};
-
-use crate::pose_extrapolator::PoseExtrapolator;
 
 /// A message thinned with small voxels in the tracking frame.
 pub(super) struct Gathered {
@@ -34,7 +32,7 @@ impl Gathered {
     }
 }
 
-/// A scan in the local map as predicted.
+/// A scan in the local map.
 #[derive(Default)]
 pub(super) struct Unwarped {
     returns: PointCloud,
@@ -43,14 +41,16 @@ pub(super) struct Unwarped {
     pub times_raised: u64,
 }
 
-/// Unwarps all gathered messages; sorts points into returns and misses by their range.
+/// Unwarps all gathered messages with the poses of the tracking frame in the local map at times from `start`
+/// on; sorts points into returns and misses by their range.
 pub(super) fn unwarp(
     gathered: &[Gathered],
-    extrapolator: &mut PoseExtrapolator,
+    start: Time,
+    mut local_from_tracking_at: impl FnMut(Time) -> Rigid3,
     options: &TrajectoryBuilder3dOptions,
 ) -> Unwarped {
     let mut unwarped = Unwarped::default();
-    let mut newest = extrapolator.last_extrapolated_time().unwrap_or(Time::MIN);
+    let mut newest = start;
     let mut pose_time = None;
     let mut pose = Rigid3f::identity();
     for point in gathered.iter().flat_map(|message| &message.points) {
@@ -59,7 +59,7 @@ pub(super) fn unwarp(
         // Beams of one firing share a time; a scan without times needs a single pose.
         if pose_time != Some(newest) {
             pose_time = Some(newest);
-            pose = to_f32(&extrapolator.extrapolate_pose(newest));
+            pose = to_f32(&local_from_tracking_at(newest));
         }
         let (hit, origin) = (pose * point.position, pose * point.origin);
         let delta = hit - origin;
@@ -80,7 +80,7 @@ pub(super) fn unwarp(
 }
 
 impl Unwarped {
-    /// Thinned in the local map, then taken to the tracking frame at its predicted pose, which is also
+    /// Thinned in the local map, then taken to the tracking frame at the end of the scan, which is also
     /// where the rays are taken to start.
     pub fn in_tracking(&self, local_from_tracking: &Rigid3, voxel_size: f32) -> RangeData {
         let thinned = RangeData {

@@ -12,7 +12,7 @@ pub(crate) fn corner() -> Vec<[f32; 3]> {
     for _ in 0..1500 {
         let (a, b) = (random() * 4.0, random() * 3.0);
         points.extend([[a, b, 0.0], [a, 0.0, b], [0.0, a, b]]);
-        let angle = random() * 6.283;
+        let angle = random() * std::f32::consts::TAU;
         points.push([2.0 + 0.3 * angle.cos(), 1.5 + 0.3 * angle.sin(), b]);
     }
     points
