@@ -129,6 +129,7 @@ fn report(
         "submaps": state.submaps.len(),
         "constraints": state.constraints.len(),
         "loop_closures": loops,
+        "contradicted_loop_closures": mapped.map.graph.contradicted_loop_closures(),
         "recording_seconds": mapped.recording_seconds,
         "wall_seconds": seconds,
         "real_time_factor": mapped.recording_seconds / seconds.max(1e-3),

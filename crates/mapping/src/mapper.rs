@@ -85,6 +85,8 @@ impl<S: Space> Mapper<S> {
         graph: PoseGraph<S>,
         ended: BTreeMap<TrajectoryId, EndedTrajectory>,
     ) -> Result<Self, MapperError> {
+        let mut graph = graph;
+        graph.set_drops_contradicted(options.portolan.drop_contradicted_loop_closures);
         let next_trajectory = graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);
         Ok(Self {
             backend: Backend::start(graph, settings.threads)?,

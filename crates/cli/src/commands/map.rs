@@ -269,6 +269,10 @@ pub fn summary(mapped: &MappedRecording, written: &Written, seconds: f64) -> Str
             .map_or_else(String::new, |(_, peak)| format!("; memory at most {} MB", peak / 1_000_000));
         text += "\n";
     }
+    let contradicted = mapped.map.graph.contradicted_loop_closures();
+    if contradicted > 0 {
+        text += &format!("{contradicted} more loop closures were left out: the others contradict them\n");
+    }
     for repair in &mapped.reading_repairs {
         text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
     }

@@ -19,6 +19,9 @@ options! {
         /// where the scan tells nothing (along a corridor), and slipping wheels are still recognised where
         /// it does. Raise it when odometry is better than the scans.
         search_penalty_limit: f64 = 1.0, "share", Bounds::UNIT;
+        /// At the end, leave out loop closures that all others together contradict, and optimise once
+        /// more. They are mostly matches shifted along corridors and between rooms that look alike.
+        drop_contradicted_loop_closures: bool = true, "", Bounds::ANY;
         /// After so many seconds without a scan, and with neither odometry nor a gyroscope to tell
         /// what happened meanwhile, the robot is looked for at any angle and as far away as it can have
         /// gone, instead of going on from the old velocity. 0 never does that, as in the reference.

@@ -6,6 +6,7 @@
 //! optimisation is due.
 
 mod connectivity;
+mod contradictions;
 mod editing;
 mod search;
 mod state;
@@ -56,6 +57,8 @@ pub struct PoseGraph<S: Space> {
     global_samplers: Samplers<TrajectoryId>,
     trimmers: Vec<Trimmer>,
     nodes_since_optimization: i64,
+    drops_contradicted: bool,
+    contradicted: u64,
     optimizations: u64,
     last_summary: OptimizationSummary,
 }
@@ -72,6 +75,8 @@ impl<S: Space> PoseGraph<S> {
             problem: OptimizationData::default(),
             trimmers,
             nodes_since_optimization: 0,
+            drops_contradicted: false,
+            contradicted: 0,
             optimizations: 0,
             last_summary: OptimizationSummary::default(),
         }
@@ -268,6 +273,9 @@ impl<S: Space> PoseGraph<S> {
     pub fn run_final_optimization(&mut self) {
         self.problem.max_iterations_override = u32::try_from(self.options.max_num_final_iterations).ok();
         self.optimize();
+        if self.drops_contradicted && self.drop_contradicted_loop_closures() > 0 {
+            self.run_optimization();
+        }
         self.problem.max_iterations_override = None;
     }
 

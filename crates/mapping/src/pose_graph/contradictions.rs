@@ -1,0 +1,67 @@
+//! Loop closures that all others together contradict.
+
+use portolan_geometry::{Rigid3, rotation_angle};
+
+use super::PoseGraph;
+use crate::{Constraint, Space};
+
+/// A loop closure is contradicted if the optimised graph disagrees with it by so many times the median
+/// disagreement, and by more than these metres or radians.
+const TIMES_MEDIAN: f64 = 5.0;
+const MIN_TRANSLATION: f64 = 0.2;
+const MIN_ROTATION: f64 = 0.05;
+/// Fewer loop closures than this cannot outvote one of them.
+const MIN_LOOP_CLOSURES: usize = 5;
+
+impl<S: Space> PoseGraph<S> {
+    /// Whether [`PoseGraph::run_final_optimization`] drops contradicted loop closures.
+    pub fn set_drops_contradicted(&mut self, drops: bool) {
+        self.drops_contradicted = drops;
+    }
+
+    /// How many loop closures were dropped because the others contradict them.
+    pub fn contradicted_loop_closures(&self) -> u64 {
+        self.contradicted
+    }
+
+    /// Drops the contradicted ones that this run has found (loaded ones are not touched: they have no
+    /// score). The robust loss has kept them from bending the graph much. Returns how many there were.
+    pub(super) fn drop_contradicted_loop_closures(&mut self) -> usize {
+        let found = |c: &Constraint| c.is_loop_closure() && c.score.is_some();
+        let errors: Vec<Option<(f64, f64)>> = self
+            .state
+            .constraints
+            .iter()
+            .map(|c| if found(c) { self.disagreement(c) } else { None })
+            .collect();
+        let (mut translations, mut rotations): (Vec<f64>, Vec<f64>) =
+            errors.iter().flatten().copied().unzip();
+        if translations.len() < MIN_LOOP_CLOSURES {
+            return 0;
+        }
+        let translation_limit = MIN_TRANSLATION.max(TIMES_MEDIAN * median(&mut translations));
+        let rotation_limit = MIN_ROTATION.max(TIMES_MEDIAN * median(&mut rotations));
+        let mut errors = errors.iter();
+        let before = self.state.constraints.len();
+        self.state.constraints.retain(|_| {
+            let error = errors.next().copied().flatten();
+            error.is_none_or(|(metres, radians)| metres <= translation_limit && radians <= rotation_limit)
+        });
+        let dropped = before - self.state.constraints.len();
+        self.contradicted += dropped as u64;
+        dropped
+    }
+
+    /// Metres and radians between what the constraint says and what the graph says.
+    fn disagreement(&self, constraint: &Constraint) -> Option<(f64, f64)> {
+        let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
+        let map_from_node = self.problem.nodes.get(&constraint.node_id)?.map_from_node;
+        let error: Rigid3 = constraint.submap_from_node.inverse() * map_from_submap.inverse() * map_from_node;
+        Some((error.translation.vector.norm(), rotation_angle(&error)))
+    }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
