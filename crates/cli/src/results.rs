@@ -39,7 +39,7 @@ pub fn write_results(
         path
     };
     let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
-    write_map_2d(map, &file("map.pbstream"), true).map_err(|e| failed(&e))?;
+    write_map_2d(map, file("map.pbstream"), true).map_err(|e| failed(&e))?;
     write_tum(&file("trajectory.tum"), &poses(map, false)).map_err(|e| failed(&e))?;
     if all_poses {
         write_tum(&file("all_poses.tum"), &poses(map, true)).map_err(|e| failed(&e))?;

@@ -1,5 +1,5 @@
 //! `portolan map` and `portolan demo`, from recordings to files.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 mod common;
 

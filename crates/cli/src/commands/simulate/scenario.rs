@@ -81,7 +81,7 @@ pub struct ScenarioArgs {
     #[arg(long, help_heading = "Robot and sensors", value_name = "N")]
     lidars: Option<usize>,
     /// Kind of spinning lidar: vlp16, vlp32, hdl64, os1-16, os1-64, os0-128, xt32, or
-    /// LOW:HIGH:BEAMS[:COLUMNS[:RANGE]] with angles in degrees. Default vlp16. 3D scenarios only.
+    /// `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]` with angles in degrees. Default vlp16. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "MODEL")]
     lidar: Option<BeamTable>,
     /// Leave the times of points out. 3D scenarios only.

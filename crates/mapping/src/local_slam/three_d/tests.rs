@@ -76,7 +76,8 @@ fn options() -> TrajectoryBuilder3dOptions {
 
 fn run(with_imu: bool) -> (f64, usize, LocalSlam3d) {
     let sensor = SensorId { id: Arc::from("points"), kind: SensorKind::Range };
-    let extras = LocalSlamExtras { use_all_odometry: true, wide_search_after_gap: 0.0 };
+    let extras =
+        LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, wide_search_after_gap: 0.0 };
     let mut slam = LocalSlam3d::new(&options(), std::slice::from_ref(&sensor), extras).unwrap();
     let (mut worst, mut matched) = (0.0f64, 0);
     let mut check = |results: Vec<MatchingResult<Spatial>>| {
@@ -121,7 +122,8 @@ fn without_an_imu_lidar_tells_the_rotation() {
 
 #[test]
 fn contradicting_options_and_empty_scans_are_refused() {
-    let extras = LocalSlamExtras { use_all_odometry: true, wide_search_after_gap: 0.0 };
+    let extras =
+        LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, wide_search_after_gap: 0.0 };
     let mut wrong = options();
     wrong.submaps.range_data_inserter.hit_probability = 0.4;
     assert!(LocalSlam3d::new(&wrong, &[], extras).is_err());
