@@ -1,6 +1,6 @@
 //! The tree of options as data: what every table and every option can do without knowing its type.
 //!
-//! The structs in [`options`](crate::options) are plain; the macro of [`define`](crate::define) gives
+//! The structs in [`options`](crate::options) are plain; the macro of `define` gives
 //! each of them these traits. Reading, writing, listing and checking are written once against them.
 
 use crate::bounds::Bounds;
