@@ -7,8 +7,11 @@ use portolan_export::{
     ConstraintLine, MapContent, PictureOptions, TrajectoryLine, draw_map, write_picture, write_tum,
 };
 use portolan_geometry::{Rigid3, Time};
-use portolan_mapfile::{ImageName, PaintOptions, paint, submap_textures_2d, write_map_2d, write_ros_map};
-use portolan_mapping::{LatencyHistogram, Map, Planar, TrajectoryId};
+use portolan_mapfile::{
+    ImageName, MapReader, MapSpace, PaintOptions, PlacedTexture, load_textures, paint, submap_textures_2d,
+    write_map, write_ros_map,
+};
+use portolan_mapping::{LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId};
 
 use crate::error::CliError;
 use crate::memory::resident_and_peak_bytes;
@@ -17,6 +20,26 @@ use crate::output::write_file;
 /// Cell size of the ROS map, metres.
 const ROS_MAP_RESOLUTION: f64 = 0.05;
 
+/// A space whose maps can be shown from above.
+pub trait ResultSpace: MapSpace {
+    /// The submaps as textures; `file` is where the map was written.
+    fn textures(map: &Map<Self>, file: &Path) -> Result<Vec<PlacedTexture>, CliError>;
+}
+
+impl ResultSpace for Planar {
+    fn textures(map: &Map<Self>, _file: &Path) -> Result<Vec<PlacedTexture>, CliError> {
+        Ok(submap_textures_2d(map))
+    }
+}
+
+impl ResultSpace for Spatial {
+    fn textures(_map: &Map<Self>, file: &Path) -> Result<Vec<PlacedTexture>, CliError> {
+        let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
+        let mut reader = MapReader::open(file).map_err(|e| failed(&e))?;
+        Ok(load_textures(&mut reader).map_err(|e| failed(&e))?.textures)
+    }
+}
+
 /// Files that were written.
 pub struct Written {
     /// In order.
@@ -24,8 +47,8 @@ pub struct Written {
 }
 
 /// Writes map, trajectory, pictures and report.
-pub fn write_results(
-    mapped: &MappedRecording,
+pub fn write_results<S: ResultSpace>(
+    mapped: &MappedRecording<S>,
     folder: &Path,
     seconds: f64,
     all_poses: bool,
@@ -39,12 +62,13 @@ pub fn write_results(
         path
     };
     let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
-    write_map_2d(map, file("map.pbstream"), true).map_err(|e| failed(&e))?;
+    let map_file = file("map.pbstream");
+    write_map(map, &map_file, true).map_err(|e| failed(&e))?;
     write_tum(&file("trajectory.tum"), &poses(map, false)).map_err(|e| failed(&e))?;
     if all_poses {
         write_tum(&file("all_poses.tum"), &poses(map, true)).map_err(|e| failed(&e))?;
     }
-    let textures = submap_textures_2d(map);
+    let textures = S::textures(map, &map_file)?;
     let content = MapContent {
         textures: &textures,
         trajectories: &trajectory_lines(map),
@@ -63,17 +87,17 @@ pub fn write_results(
     Ok(Written { files })
 }
 
-fn trajectory_ids(map: &Map<Planar>) -> impl Iterator<Item = TrajectoryId> + '_ {
+fn trajectory_ids<S: Space>(map: &Map<S>) -> impl Iterator<Item = TrajectoryId> + '_ {
     map.graph.state().trajectories.keys().copied()
 }
 
-fn poses(map: &Map<Planar>, every_scan: bool) -> Vec<(Time, Rigid3)> {
+fn poses<S: Space>(map: &Map<S>, every_scan: bool) -> Vec<(Time, Rigid3)> {
     trajectory_ids(map)
         .flat_map(|id| if every_scan { map.scan_poses(id) } else { map.node_poses(id) })
         .collect()
 }
 
-fn trajectory_lines(map: &Map<Planar>) -> Vec<TrajectoryLine> {
+fn trajectory_lines<S: Space>(map: &Map<S>) -> Vec<TrajectoryLine> {
     trajectory_ids(map)
         .map(|id| TrajectoryLine {
             index: id.0 as usize,
@@ -82,7 +106,7 @@ fn trajectory_lines(map: &Map<Planar>) -> Vec<TrajectoryLine> {
         .collect()
 }
 
-fn constraint_lines(map: &Map<Planar>) -> Vec<ConstraintLine> {
+fn constraint_lines<S: Space>(map: &Map<S>) -> Vec<ConstraintLine> {
     let state = map.graph.state();
     let loops = state.constraints.iter().filter(|c| c.is_loop_closure());
     loops
@@ -109,8 +133,8 @@ fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
     })
 }
 
-fn report(
-    mapped: &MappedRecording,
+fn report<S: Space>(
+    mapped: &MappedRecording<S>,
     seconds: f64,
     memory_while_mapping: Option<(u64, u64)>,
 ) -> serde_json::Value {

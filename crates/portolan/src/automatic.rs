@@ -6,12 +6,33 @@ use portolan_recording::{RangeStatistics, SensorPlan, SensorStatistics};
 /// Beams that lie further apart than this on a typical wall, metres, do not fill cells of 5 cm.
 const SPARSE_BEAM_SPACING: f64 = 0.05;
 
+/// Where half of the ranges are longer than this, metres, the lidar is outside.
+const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
+
 /// Options for planar mapping with these sensors.
 pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     let mut options = Options::for_2d();
     let range = statistics.range.first().map(|(_, r)| r);
     set_local_slam(&mut options, plan, range);
     set_pose_graph(&mut options, plan);
+    options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
+    options.bridge.use_odometry = plan.odometry.is_some();
+    options
+}
+
+/// Options for mapping in space with these sensors.
+pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
+    let mut options = Options::for_3d();
+    let local = &mut options.trajectory_builder.trajectory_builder_3d;
+    if let Some((_, range)) = statistics.range.first() {
+        // The spinning head and who carries it are no part of the world.
+        local.min_range = 0.5;
+        let outside = range.median_range > OUTSIDE_MEDIAN_RANGE;
+        local.submaps.high_resolution = if outside { 0.2 } else { 0.1 };
+    }
+    local.submaps.num_range_data = 80;
+    local.ceres_scan_matcher.translation_weight = 1.0;
+    local.ceres_scan_matcher.rotation_weight = 10.0;
     options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
     options.bridge.use_odometry = plan.odometry.is_some();
     options

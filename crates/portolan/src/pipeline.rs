@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use portolan_config::Options;
 use portolan_geometry::Time;
 use portolan_mapping::{
-    BackendProgress, LatencyHistogram, Map, Mapper, MapperError, MapperSettings, Planar, Repairs,
+    BackendProgress, LatencyHistogram, Map, Mapper, MapperError, MapperSettings, Repairs, Space,
 };
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
@@ -27,11 +27,6 @@ pub enum PipelineError {
     /// Mapping.
     #[error(transparent)]
     Mapper(#[from] MapperError),
-    /// The recording needs a space that is not there yet.
-    #[error(
-        "the recording has no planar scanner, and mapping in 3D is not built yet; name a planar topic with --scan"
-    )]
-    NeedsThreeDimensions,
     /// A setting that was to be changed.
     #[error("{0}")]
     Setting(String),
@@ -54,9 +49,9 @@ pub struct PipelineProgress {
 }
 
 /// A mapped recording.
-pub struct MappedRecording {
+pub struct MappedRecording<S: Space> {
     /// The map.
-    pub map: Map<Planar>,
+    pub map: Map<S>,
     /// Which topics were used as which sensors.
     pub plan: SensorPlan,
     /// Scans matched.
@@ -73,26 +68,49 @@ pub struct MappedRecording {
     pub interrupted: bool,
 }
 
-/// Maps a recording in the plane. Without `options` they are chosen from the recording; `adjust` sees
-/// them before they are used and may refuse. `observe` is called now and then and stops everything cleanly by
-/// returning false.
-pub fn map_recording(
+/// A recording about to be mapped: what is in it, what is used of it, and how.
+pub struct Preparation {
+    inventory: Inventory,
+    /// Which topics are used as which sensors.
+    pub plan: SensorPlan,
+    /// How it will be mapped; may still be changed.
+    pub options: Options,
+    /// In which space. Follows from the options.
+    pub dimension: Dimension,
+}
+
+/// Looks through a recording. Without `options` they are chosen from what is in it.
+pub fn prepare(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     options: Option<Options>,
-    adjust: &mut dyn FnMut(&mut Options, &SensorPlan) -> Result<(), PipelineError>,
-    settings: MapperSettings,
-    observe: &mut dyn FnMut(&PipelineProgress) -> bool,
-) -> Result<MappedRecording, PipelineError> {
+) -> Result<Preparation, PipelineError> {
     let inventory = Inventory::of(recording, ingest)?;
     let plan = plan(&inventory, ingest).map_err(IngestError::from)?;
-    if plan.dimension != Dimension::Two {
-        return Err(PipelineError::NeedsThreeDimensions);
-    }
-    let mut options = options.unwrap_or_else(|| automatic::options_2d(&plan, &plan.statistics()));
-    adjust(&mut options, &plan)?;
+    let options = options.unwrap_or_else(|| match plan.dimension {
+        Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),
+        Dimension::Three => automatic::options_3d(&plan, &plan.statistics()),
+    });
+    let dimension = match options.map_builder.dimension() {
+        Ok(portolan_config::Dimension::Two) => Dimension::Two,
+        Ok(portolan_config::Dimension::Three) => Dimension::Three,
+        Err(error) => return Err(PipelineError::Setting(error.to_string())),
+    };
+    Ok(Preparation { inventory, plan, options, dimension })
+}
+
+/// Maps a recording in the space that the preparation names. `observe` is called now and then and stops
+/// everything cleanly by returning false.
+pub fn map_recording<S: Space>(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    preparation: Preparation,
+    settings: MapperSettings,
+    observe: &mut dyn FnMut(&PipelineProgress) -> bool,
+) -> Result<MappedRecording<S>, PipelineError> {
+    let Preparation { inventory, plan, options, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
-    let mut mapper = Mapper::<Planar>::new(&options, settings)?;
+    let mut mapper = Mapper::<S>::new(&options, settings)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let trajectory_id = mapper.add_trajectory(&sensors, None)?;
     let (mut scans, mut interrupted) = (0, false);

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors};
 use portolan_geometry::{Rigid3, Time};
+use portolan_mapping::Planar;
 use portolan_recording::IngestOptions;
 use portolan_simulator::world::Scene;
 use portolan_simulator::{ScenarioOptions, Simulation};
 
-use super::map::{map_with_progress, summary};
+use super::map::{map_with_progress, prepared, summary};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
@@ -37,7 +38,9 @@ pub fn run(args: DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
         .map_err(|source| CliError::File { path: args.output.clone(), source })?;
     interrupt::watch();
     let start = std::time::Instant::now();
-    let mapped = map_with_progress(&simulation, &IngestOptions::default(), None, &[], global)?;
+    let ingest = IngestOptions::default();
+    let preparation = prepared(&simulation, &ingest, None, &[], global)?;
+    let mapped = map_with_progress::<Planar>(&simulation, &ingest, preparation, global)?;
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, &args.output, seconds, false)?;
     print(&summary(&mapped, &written, seconds))?;

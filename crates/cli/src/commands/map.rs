@@ -2,11 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan::pipeline::{MappedRecording, PipelineError, PipelineProgress, map_recording};
+use portolan::pipeline::{
+    MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
+};
 use portolan_config::{Loader, Options};
 use portolan_geometry::Duration;
-use portolan_mapping::MapperSettings;
-use portolan_recording::{ConfiguredSensors, IngestOptions, Recording, SamplingRatios, open_all, read_urdf};
+use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
+use portolan_recording::{
+    ConfiguredSensors, Dimension, IngestOptions, Recording, SamplingRatios, open_all, read_urdf,
+};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
@@ -14,7 +18,7 @@ use crate::interrupt;
 use crate::memory::resident_and_peak_bytes;
 use crate::output::print;
 use crate::progress::{Progress, say};
-use crate::results::{Written, write_results};
+use crate::results::{ResultSpace, Written, write_results};
 
 /// Make a map of a recording: loop-closed map, trajectory, pictures and a report.
 ///
@@ -108,10 +112,27 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let configured = load_options(&args.config)?;
     let ingest = ingest_options(&args, configured.as_ref())?;
     interrupt::watch();
+    let preparation = prepared(recording.as_ref(), &ingest, configured, &args.config.set, global)?;
+    match preparation.dimension {
+        Dimension::Two => finish::<Planar>(recording.as_ref(), &ingest, preparation, &folder, &args, global),
+        Dimension::Three => {
+            finish::<Spatial>(recording.as_ref(), &ingest, preparation, &folder, &args, global)
+        }
+    }
+}
+
+fn finish<S: ResultSpace>(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    preparation: Preparation,
+    folder: &Path,
+    args: &MapArgs,
+    global: &GlobalArgs,
+) -> Result<Outcome, CliError> {
     let start = std::time::Instant::now();
-    let mapped = map_with_progress(recording.as_ref(), &ingest, configured, &args.config.set, global)?;
+    let mapped = map_with_progress::<S>(recording, ingest, preparation, global)?;
     let seconds = start.elapsed().as_secs_f64();
-    let written = write_results(&mapped, &folder, seconds, args.all_poses)?;
+    let written = write_results(&mapped, folder, seconds, args.all_poses)?;
     print(&summary(&mapped, &written, seconds))?;
     Ok(if mapped.reading_repairs.iter().any(|r| r.lost_data) { Outcome::DataLost } else { Outcome::Done })
 }
@@ -173,7 +194,8 @@ fn configure_ingest(ingest: &mut IngestOptions, options: &Options) {
         num_multi_echo_laser_scans: bridge.num_multi_echo_laser_scans,
         num_point_clouds: bridge.num_point_clouds,
         use_odometry: bridge.use_odometry,
-        use_imu: options.trajectory_builder.trajectory_builder_2d.use_imu_data,
+        use_imu: options.map_builder.use_trajectory_builder_3d
+            || options.trajectory_builder.trajectory_builder_2d.use_imu_data,
         use_nav_sat: bridge.use_nav_sat,
         use_landmarks: bridge.use_landmarks,
     });
@@ -191,46 +213,53 @@ fn configure_ingest(ingest: &mut IngestOptions, options: &Options) {
     }
 }
 
-/// Maps with a bar that tells how far it is.
-pub fn map_with_progress(
+/// Looks through a recording, says what was chosen, and changes the options as asked.
+pub fn prepared(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     configured: Option<Options>,
     settings: &[String],
     global: &GlobalArgs,
-) -> Result<MappedRecording, CliError> {
-    let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
-    let start = std::time::Instant::now();
-    let mapper_settings = MapperSettings { threads: global.thread_count(), ..MapperSettings::default() };
-    let mapped = map_recording(
-        recording,
-        ingest,
-        configured,
-        &mut |options, plan| {
-            for notice in plan.notices.iter().filter(|_| !global.quiet) {
-                say(&format!("{} {}", notice.what, notice.change));
-            }
-            for setting in settings {
-                options.set(setting).map_err(|e| PipelineError::Setting(e.to_string()))?;
-            }
-            options.validate().map_err(|errors| {
-                let lines: Vec<String> = errors.iter().map(ToString::to_string).collect();
-                PipelineError::Setting(lines.join("\n"))
-            })
-        },
-        mapper_settings,
-        &mut |state| {
-            if progress.is_due() {
-                progress.update(state.position_bytes, state.total_bytes, describe(state, start));
-            }
-            !interrupt::interrupted()
-        },
-    );
-    progress.finish();
-    mapped.map_err(|error| match error {
+) -> Result<Preparation, CliError> {
+    let mut preparation = prepare(recording, ingest, configured).map_err(failure)?;
+    for notice in preparation.plan.notices.iter().filter(|_| !global.quiet) {
+        say(&format!("{} {}", notice.what, notice.change));
+    }
+    for setting in settings {
+        preparation.options.set(setting).map_err(|e| CliError::Usage(e.to_string()))?;
+    }
+    preparation.options.validate().map_err(|errors| {
+        let lines: Vec<String> = errors.iter().map(ToString::to_string).collect();
+        CliError::Usage(lines.join("\n"))
+    })?;
+    Ok(preparation)
+}
+
+fn failure(error: PipelineError) -> CliError {
+    match error {
         PipelineError::Setting(message) => CliError::Usage(message),
         other => CliError::Failed(other.to_string()),
-    })
+    }
+}
+
+/// Maps with a bar that tells how far it is.
+pub fn map_with_progress<S: Space>(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    preparation: Preparation,
+    global: &GlobalArgs,
+) -> Result<MappedRecording<S>, CliError> {
+    let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
+    let start = std::time::Instant::now();
+    let settings = MapperSettings { threads: global.thread_count(), ..MapperSettings::default() };
+    let mapped = map_recording(recording, ingest, preparation, settings, &mut |state| {
+        if progress.is_due() {
+            progress.update(state.position_bytes, state.total_bytes, describe(state, start));
+        }
+        !interrupt::interrupted()
+    });
+    progress.finish();
+    mapped.map_err(failure)
 }
 
 fn describe(state: &PipelineProgress, start: std::time::Instant) -> String {
@@ -247,7 +276,7 @@ fn describe(state: &PipelineProgress, start: std::time::Instant) -> String {
 }
 
 /// What was made, for people.
-pub fn summary(mapped: &MappedRecording, written: &Written, seconds: f64) -> String {
+pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds: f64) -> String {
     let state = mapped.map.graph.state();
     let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
     let mut text = format!(
