@@ -106,7 +106,7 @@ fn settings_are_checked_before_anything_is_mapped() {
     let output = text(&folder.path().join("results"));
     let wrong = |set: &str| portolan_with_code(2, &["map", &recording, "-o", &output, "--set", set]);
     assert!(wrong("min_scroe=0.5").stderr.contains("min_score"));
-    assert!(wrong("constraint_builder.min_score=7").stderr.contains('1'));
+    assert!(wrong("portolan.search_penalty_limit=7").stderr.contains("search_penalty_limit"));
     let config = format!("{}/no.lua", folder.path().display());
     let missing = portolan_with_code(1, &["map", &recording, "-o", &output, "--config", &config]);
     assert!(missing.stderr.contains("no.lua"));
