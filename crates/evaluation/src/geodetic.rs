@@ -97,9 +97,11 @@ mod tests {
     }
 
     #[test]
-    fn a_degree_of_latitude_is_about_111_km() {
+    fn a_hundredth_of_a_degree_of_latitude_is_1111_metres() {
         let frame = LocalFrame::at(Geodetic { latitude: 45.0, longitude: 7.0, altitude: 0.0 });
-        let north = frame.to_geodetic(&Vector3::new(0.0, 111_131.75, 0.0));
-        assert!((north.latitude - 46.0).abs() < 1e-4 && (north.longitude - 7.0).abs() < 1e-9, "{north:?}");
+        // The radius of the meridian at 45° is 6,367,381.8 m; over a whole degree the tangent plane would
+        // leave the ellipsoid by a kilometre.
+        let north = frame.to_geodetic(&Vector3::new(0.0, 1111.318, 0.0));
+        assert!((north.latitude - 45.01).abs() < 1e-6 && (north.longitude - 7.0).abs() < 1e-9, "{north:?}");
     }
 }
