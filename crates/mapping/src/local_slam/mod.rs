@@ -6,11 +6,14 @@ pub mod two_d;
 
 pub use active_submaps::{ActiveSubmaps, GrowingSubmap};
 
+use std::collections::VecDeque;
+
 use portolan_config::MotionFilterOptions;
 use portolan_geometry::{Rigid3, Time};
 use portolan_sensor::{ImuData, OdometryData, RangeData, SensorId, TimedPointCloudData};
 
 use crate::motion_filter::MotionFilter;
+use crate::pose_extrapolator::PoseExtrapolator;
 use crate::{InsertedNode, InsertionSubmap, Space};
 
 /// What became of a scan.
@@ -51,6 +54,24 @@ pub trait LocalSlam<S: Space>: Send {
 
     /// What was dropped or repaired so far.
     fn repairs(&self) -> Repairs;
+}
+
+/// Gives odometry to the extrapolator. Before the first scan there is none; the newest two poses wait
+/// then, because the first scan will want to know how the robot was moving. False if the pose is too old
+/// to be used.
+fn take_odometry(
+    data: &OdometryData,
+    extrapolator: Option<&mut PoseExtrapolator>,
+    waiting: &mut VecDeque<OdometryData>,
+) -> bool {
+    let Some(extrapolator) = extrapolator else {
+        waiting.push_back(*data);
+        if waiting.len() > 2 {
+            waiting.pop_front();
+        }
+        return true;
+    };
+    extrapolator.add_odometry(data).is_ok()
 }
 
 /// The filter that the options describe.

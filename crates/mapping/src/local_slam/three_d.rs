@@ -15,7 +15,7 @@ use portolan_sensor::{
 };
 
 use super::two_d::{LocalSlamExtras, filtered, first_point_time};
-use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter};
+use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter, take_odometry};
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_3d::ScanMatcher3d;
@@ -292,19 +292,8 @@ impl LocalSlam<Spatial> for LocalSlam3d {
     }
 
     fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Spatial>> {
-        match self.extrapolator.as_mut() {
-            Some(extrapolator) => {
-                if extrapolator.add_odometry(data).is_err() {
-                    self.count("odometry pose older than the last matched scan");
-                }
-            }
-            // The first scan will want to know how the robot was moving.
-            None => {
-                self.waiting_odometry.push_back(*data);
-                if self.waiting_odometry.len() > 2 {
-                    self.waiting_odometry.pop_front();
-                }
-            }
+        if !take_odometry(data, self.extrapolator.as_mut(), &mut self.waiting_odometry) {
+            self.count("odometry pose older than the last matched scan");
         }
         Vec::new()
     }

@@ -12,7 +12,7 @@ use portolan_sensor::{
     TimedPointCloudData, adaptive_voxel_filter, voxel_filter,
 };
 
-use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter};
+use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter, take_odometry};
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_2d::{ScanMatcher2d, search_after_gap};
@@ -340,19 +340,8 @@ impl LocalSlam<Planar> for LocalSlam2d {
     }
 
     fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Planar>> {
-        match self.extrapolator.as_mut() {
-            Some(extrapolator) => {
-                if extrapolator.add_odometry(data).is_err() {
-                    self.count("odometry pose older than the last matched scan");
-                }
-            }
-            // The first scan will want to know how the robot was moving.
-            None => {
-                self.waiting_odometry.push_back(*data);
-                if self.waiting_odometry.len() > 2 {
-                    self.waiting_odometry.pop_front();
-                }
-            }
+        if !take_odometry(data, self.extrapolator.as_mut(), &mut self.waiting_odometry) {
+            self.count("odometry pose older than the last matched scan");
         }
         self.last_odometry_time = self.last_odometry_time.max(Some(data.time));
         self.match_waiting(data.time)

@@ -88,7 +88,7 @@ impl SpatialProblem {
         }
     }
 
-    /// `measured` is the pose of b in a. Errors of `add_factor` are impossible here: the variables are
+    /// `measurement` is the pose of b in a. Errors of `add_factor` are impossible here: the variables are
     /// this problem's own and different.
     fn add_between(
         &mut self,

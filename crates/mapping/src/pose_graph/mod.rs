@@ -268,8 +268,8 @@ impl<S: Space> PoseGraph<S> {
         self.nodes_since_optimization = 0;
     }
 
-    /// Optimises once more, with as many iterations as the options allow at the end. Repeats as long
-    /// as searching from the improved poses finds more, but not for ever.
+    /// Optimises once more, with as many iterations as the options allow at the end, and again after
+    /// leaving out contradicted loop closures if that is wanted.
     pub fn run_final_optimization(&mut self) {
         self.problem.max_iterations_override = u32::try_from(self.options.max_num_final_iterations).ok();
         self.optimize();
