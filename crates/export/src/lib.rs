@@ -11,6 +11,7 @@ mod picture;
 mod png_file;
 mod raster;
 mod tum;
+mod xray;
 
 pub use colour::{Rgb, hsv, mix, palette, rgb, to_bytes};
 pub use font::{draw_text, text_width};
@@ -20,4 +21,5 @@ pub use overlay::{ConstraintLine, TrajectoryLine};
 pub use picture::{MAX_EDGE, MapContent, Picture, PictureError, PictureOptions, draw_map};
 pub use png_file::{write_grey_map, write_picture};
 pub use raster::{Frame, MapColours};
+pub use xray::{CloudSample, Extent, XrayPicture, XrayView, colour_of_share};
 pub use tum::{tum_line, write_tum};

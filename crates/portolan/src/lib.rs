@@ -1,8 +1,9 @@
 //! The public API of Portolan in one crate: every room by its name, and the whole job as one function
-//! ([`pipeline::map_recording`]).
+//! ([`pipeline::map_recording`]); the map as a cloud ([`unwind`]).
 
 pub mod automatic;
 pub mod pipeline;
+pub mod unwind;
 
 pub use portolan_config as config;
 pub use portolan_evaluation as evaluation;
@@ -11,6 +12,7 @@ pub use portolan_geometry as geometry;
 pub use portolan_mapfile as mapfile;
 pub use portolan_mapping as mapping;
 pub use portolan_matching as matching;
+pub use portolan_pointcloud as pointcloud;
 pub use portolan_recording as recording;
 pub use portolan_refinement as refinement;
 pub use portolan_sensor as sensor;

@@ -27,6 +27,9 @@ pub enum PipelineError {
     /// Mapping.
     #[error(transparent)]
     Mapper(#[from] MapperError),
+    /// The map as a cloud.
+    #[error(transparent)]
+    Cloud(#[from] portolan_pointcloud::CloudError),
     /// A setting that was to be changed.
     #[error("{0}")]
     Setting(String),
@@ -69,6 +72,7 @@ pub struct MappedRecording<S: Space> {
 }
 
 /// A recording about to be mapped: what is in it, what is used of it, and how.
+#[derive(Clone, Debug)]
 pub struct Preparation {
     inventory: Inventory,
     /// Which topics are used as which sensors.
@@ -77,6 +81,13 @@ pub struct Preparation {
     pub options: Options,
     /// In which space. Follows from the options.
     pub dimension: Dimension,
+}
+
+impl Preparation {
+    /// What is in the recording.
+    pub fn inventory(&self) -> &Inventory {
+        &self.inventory
+    }
 }
 
 /// Looks through a recording. Without `options` they are chosen from what is in it.
