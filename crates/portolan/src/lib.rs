@@ -3,7 +3,10 @@
 
 pub mod automatic;
 pub mod pipeline;
+mod requested;
 pub mod unwind;
+
+pub use requested::RequestedOptions;
 
 pub use portolan_config as config;
 pub use portolan_evaluation as evaluation;
