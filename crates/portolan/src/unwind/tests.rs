@@ -54,8 +54,8 @@ fn a_place_seen_while_walking_is_one_place() {
         assert_eq!((points[7].intensity, points[100].time), (7.0, at(end).unix_seconds()));
         largest = largest.max(distances(&points, seen));
     }
-    // Straight lines between the poses would be off by 9 mm.
-    assert!(largest < 0.004, "{largest}");
+    // Straight lines between the poses would be off by 30 mm.
+    assert!(largest < 0.012, "{largest}");
 }
 
 #[test]
