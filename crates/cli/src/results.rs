@@ -93,7 +93,9 @@ pub fn add_to_report(folder: &Path, name: &str, part: &serde_json::Value) -> Res
     let failed = |e: &dyn std::error::Error| CliError::Failed(format!("{}: {e}", path.display()));
     let text = std::fs::read(&path).map_err(|source| CliError::File { path: path.clone(), source })?;
     let mut report: serde_json::Value = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
-    report[name] = part.clone();
+    if let Some(fields) = report.as_object_mut() {
+        fields.insert(name.to_owned(), part.clone());
+    }
     let text = serde_json::to_vec_pretty(&report).map_err(|e| failed(&e))?;
     write_file(&path, |out| out.write_all(&text))
 }

@@ -10,8 +10,6 @@ const MOST_FOR_WALLS: usize = 20_000;
 const BIN: f64 = 0.1;
 /// Walls stand out if the best direction gathers so much more than the middle one.
 const STANDS_OUT: f64 = 1.1;
-/// Share of the points that may lie outside of what is shown, on either side: reflections in glass.
-const OUTLIERS: f64 = 0.001;
 
 /// Every n-th point of a cloud, n as large as needed.
 #[derive(Clone, Debug)]
@@ -53,11 +51,12 @@ impl CloudSample {
         self.seen += 1;
     }
 
-    /// How far the cloud reaches along what `measure` says, but for a few outliers; none without points.
-    pub fn extent(&self, measure: impl Fn([f64; 3]) -> f64) -> Option<Extent> {
+    /// How far the cloud reaches along what `measure` says, but for a share of `outliers` on either side; points
+    /// of which it says NaN do not count. None without points.
+    pub fn extent(&self, outliers: f64, measure: impl Fn([f64; 3]) -> f64) -> Option<Extent> {
         let mut values: Vec<f64> = self.points.iter().map(|p| measure(*p)).filter(|v| v.is_finite()).collect();
         values.sort_by(f64::total_cmp);
-        let outliers = (OUTLIERS * values.len() as f64) as usize;
+        let outliers = (outliers.clamp(0.0, 0.4) * values.len() as f64) as usize;
         let (from, to) = (values.get(outliers)?, values.get(values.len() - 1 - outliers)?);
         Some(Extent { from: *from, to: *to })
     }
@@ -137,8 +136,8 @@ mod tests {
             sample.add([x, 0.0, 0.0]);
         }
         assert!(sample.points.len() < 2 * MOST);
-        let extent = sample.extent(|p| p[0]).unwrap();
+        let extent = sample.extent(0.001, |p| p[0]).unwrap();
         assert!(extent.from < 0.1 && (9.9..10.0).contains(&extent.to), "{extent:?}");
-        assert_eq!(CloudSample::default().extent(|p| p[0]), None);
+        assert_eq!(CloudSample::default().extent(0.0, |p| p[0]), None);
     }
 }

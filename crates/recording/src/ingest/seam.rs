@@ -141,14 +141,14 @@ mod tests {
         for row in -15..15 {
             for column in 0..720 {
                 let share = column as f32 / 720.0;
-                let azimuth = -PI + 0.3 - share * TAU;
+                let azimuth = -PI + 0.05 - share * TAU;
                 let time = if is_raw { index as f32 + share } else { index as f32 };
                 let (s, c) = azimuth.sin_cos();
                 let side = speed * 0.1 * time;
                 let wall = if s > 0.0 { (4.0 - side) / s } else { (-4.0 - side) / s };
                 let ahead = if c > 0.0 { (30.0 - side) / c } else { (-12.0 - side) / c };
                 let distance = wall.min(ahead);
-                points.push(Point3f::new(c * distance, s * distance, distance * (row as f32).to_radians().tan()));
+                points.push(Point3f::new(c * distance, s * distance, distance * (row as f32 + 0.5).to_radians().tan()));
             }
         }
         points

@@ -1,5 +1,6 @@
 //! The angle that a lidar turned from scan to scan, from the shift of its range profile.
 
+use portolan_geometry::nalgebra::{Matrix3, Vector3};
 use portolan_geometry::Time;
 
 use super::rotation::Turn;
@@ -123,7 +124,55 @@ fn best_turn(before: &[f32], now: &[f32], costs: &mut Vec<f32>) -> Option<f32> {
         let (a, b) = before.split_at((CELLS + shift - window) % CELLS);
         costs.push(cost(b.iter().chain(a), now.iter(), MIN_OVERLAP * CELLS as f32));
     }
-    Some((lowest(costs)? - window as f32) * cell)
+    let turn = (lowest(costs)? - window as f32) * cell;
+    Some(turn_and_shift(before, now, turn).unwrap_or(turn))
+}
+
+/// Passes that take the shift of the sensor out of its turn, and the most that a range may differ in each, metres.
+const PASSES: [f32; 4] = [0.5, 0.3, 0.15, 0.15];
+/// Neighbouring cells farther apart in range than this are of different surfaces, metres.
+const EDGE: f32 = 0.4;
+
+/// The turn once more, together with the shift of the sensor in its plane: near walls a shift looks like a turn.
+///
+/// A surface whose range grows by `slope` times itself for each radian comes nearer by `x (cos + slope sin) +
+/// y (sin - slope cos)` if the sensor shifts by (x, y), and by `-slope` times its range for each radian of turn:
+/// least squares in the three.
+fn turn_and_shift(before: &[f32], now: &[f32], mut turn: f32) -> Option<f32> {
+    let cell = std::f32::consts::TAU / CELLS as f32;
+    let mut shift = [0.0_f32; 2];
+    for most in PASSES {
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        let mut count = 0.0_f32;
+        for (i, range) in now.iter().enumerate() {
+            let at = (i as f32 + turn / cell).rem_euclid(CELLS as f32);
+            let (index, share) = (at as usize % CELLS, at.fract());
+            let (a, b) = (before[index], before[(index + 1) % CELLS]);
+            let slope = (b - a) / (cell * a);
+            let (s, c) = ((i as f32 + 0.5) * cell - std::f32::consts::PI).sin_cos();
+            let row = [slope * a, -(c + slope * s), -(s - slope * c)];
+            let expected = a + (b - a) * share + row[1] * shift[0] + row[2] * shift[1];
+            let difference = range - expected;
+            // Not a number where something was not seen.
+            if !(difference.abs() < most && (b - a).abs() < EDGE) {
+                continue;
+            }
+            let row = Vector3::new(row[0], row[1], row[2]).map(f64::from);
+            normal += row * row.transpose();
+            right += row * f64::from(difference);
+            count += 1.0;
+        }
+        if count < MIN_OVERLAP * CELLS as f32 {
+            return None;
+        }
+        // Along a bare corridor the shift is not determined; then it is taken as none.
+        normal[(1, 1)] += f64::from(1e-3 * count);
+        normal[(2, 2)] += f64::from(1e-3 * count);
+        let change = normal.cholesky()?.solve(&right);
+        turn += change.x as f32;
+        shift = [shift[0] + change.y as f32, shift[1] + change.z as f32];
+    }
+    (turn.abs() < MAX_TURN).then_some(turn)
 }
 
 /// Mean difference of two profiles.

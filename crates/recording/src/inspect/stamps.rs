@@ -241,7 +241,8 @@ impl Stamps {
                 let all = if median * GAP_INTERVALS > LONG_INTERVAL {
                     String::new()
                 } else {
-                    format!("; {count} gaps, {seconds:.2} s in all")
+                    let gaps = if count == 1 { "gap" } else { "gaps" };
+                    format!("; {count} {gaps}, {seconds:.2} s in all")
                 };
                 findings.add(&IMU_GAP, topic, || text("IMU data", "[0.0005, 0.005]") + &all);
             }

@@ -20,6 +20,9 @@ const VOXEL_SIZES: std::ops::RangeInclusive<f64> = 0.03..=0.5;
 const MAX_EDGE: usize = 2400;
 /// Thickness of the section, metres.
 const SECTION: f64 = 1.5;
+/// Share of the points that may lie outside of a picture, on either side: reflections in glass, far trees.
+const OUTLIERS: f64 = 0.001;
+const OUTLIERS_OF_SECTION: f64 = 0.01;
 /// Width of the strips of which the section takes the one with most of the way, metres.
 const STRIP: f64 = 0.5;
 
@@ -67,7 +70,7 @@ impl Request {
             pictures.push((*name, *title, *view, self.picture(right, up, false)));
         }
         let front = views.views[1].2;
-        let (Some(right), Some(up)) = self.extents(&sample, &front) else { return Ok(Vec::new()) };
+        let (Some(right), Some(up)) = views.extents_of_section(&sample) else { return Ok(Vec::new()) };
         let mut section = self.picture(right, up, true);
         let times = self.times();
         cloud
@@ -87,7 +90,7 @@ impl Request {
             files.push(write(picture, way, title, folder, name)?);
         }
         let way = self.line(|p| views.is_cut(p).then(|| front.project(p)));
-        let title = format!("section, {SECTION} m thick; seen early: blue, late: red");
+        let title = format!("section, {SECTION} m thick, seen early: blue, late: red");
         files.push(write(&section, way, &title, folder, "map_section.png")?);
         Ok(files)
     }
@@ -96,7 +99,7 @@ impl Request {
     fn views(&self, sample: &CloudSample) -> Views {
         let walls = sample.wall_direction().unwrap_or(0.0);
         let length = |view: &XrayView| {
-            sample.extent(|p| view.project(p)[0]).map_or(0.0, |extent| extent.to - extent.from)
+            sample.extent(OUTLIERS, |p| view.project(p)[0]).map_or(0.0, |extent| extent.to - extent.from)
         };
         let across = walls + std::f64::consts::FRAC_PI_2;
         let (along, side) = (XrayView::level(walls), XrayView::level(across));
@@ -116,7 +119,7 @@ impl Request {
     /// What the picture shows: the cloud and the way.
     fn extents(&self, sample: &CloudSample, view: &XrayView) -> (Option<Extent>, Option<Extent>) {
         let along = |axis: usize| {
-            let extent = sample.extent(|p| view.project(p)[axis])?;
+            let extent = sample.extent(OUTLIERS, |p| view.project(p)[axis])?;
             let way = self.way.iter().map(|(_, p)| view.project(*p)[axis]).filter(|v| v.is_finite());
             Some(way.fold(extent, |e, v| Extent { from: e.from.min(v), to: e.to.max(v) }))
         };
@@ -143,6 +146,17 @@ impl Request {
 impl Views {
     fn is_cut(&self, position: [f64; 3]) -> bool {
         (self.depth.project(position)[0] - self.middle).abs() < 0.5 * SECTION
+    }
+
+    /// Where most of what is cut lies.
+    fn extents_of_section(&self, sample: &CloudSample) -> (Option<Extent>, Option<Extent>) {
+        let front = self.views[1].2;
+        let along = |axis: usize| {
+            sample.extent(OUTLIERS_OF_SECTION, |p| {
+                if self.is_cut(p) { front.project(p)[axis] } else { f64::NAN }
+            })
+        };
+        (along(0), along(1))
     }
 }
 
