@@ -7,10 +7,11 @@ mod pictures;
 pub mod points;
 mod results;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use portolan_geometry::{Rigid3, Time};
+use portolan_pointcloud::CloudFormat;
 use portolan_recording::open_all;
 use portolan_refinement::continuous::{ContinuousOptions, RefineProgress, Refined, refine_continuous};
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
@@ -60,8 +61,9 @@ pub struct RefineArgs {
     output: PathBuf,
     #[command(flatten)]
     points: PointArgs,
-    /// Format of the refined cloud.
-    #[arg(long, value_parser = ["ply", "pcd", "xyz", "las", "laz", "e57"], default_value = "ply", value_name = "FORMAT")]
+    /// Format of the refined cloud (then it is called refined.FORMAT), or its name: `hall.laz`, in the folder for the
+    /// results; a path from the root may lead elsewhere.
+    #[arg(long, value_parser = cloud_name, default_value = "ply", value_name = "FORMAT | FILE")]
     cloud: String,
     /// Write no cloud.
     #[arg(long)]
@@ -179,6 +181,14 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     print(&summary(&results, &files))?;
     let lost = read.repairs.iter().any(|r| r.lost_data);
     Ok(if lost { Outcome::DataLost } else { Outcome::Done })
+}
+
+/// `las` becomes `refined.las`; a name must end in a format that can be written.
+fn cloud_name(text: &str) -> Result<String, String> {
+    let name = if text.contains('.') { text.to_owned() } else { format!("refined.{text}") };
+    CloudFormat::from_path(Path::new(&name)).map(|_| name).map_err(|_| {
+        format!("\"{text}\" is not ply, pcd, xyz, las, laz or e57, nor a file name that ends so")
+    })
 }
 
 /// What was typed, without options that results do not depend on.

@@ -29,7 +29,7 @@ pub struct Results<'a> {
     pub refined: &'a Refined,
     pub read: &'a ReadPoints,
     pub seconds: f64,
-    /// Extension of the cloud, which says its format; none for no cloud.
+    /// File of the cloud, relative to the folder, its extension says the format; none for no cloud.
     pub cloud: Option<&'a str>,
     /// Recordings, trajectory and map.
     pub files: &'a [PathBuf],
@@ -65,9 +65,9 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
         draft.write(file("refined.pbstream")).map_err(failed)?;
     }
     let pair = CloudPair::new(&results.read.store, results.refined);
-    if let Some(extension) = results.cloud {
+    if let Some(name) = results.cloud {
         let start = results.read.store.start().unix_seconds();
-        write_cloud(&pair, start, &file(&format!("refined.{extension}")))?;
+        write_cloud(&pair, start, &file(name))?;
     }
     let judgement = results.command.map(|_| Judgement::of(&pair));
     if let (Some(judgement), Some(command)) = (&judgement, results.command) {

@@ -1,4 +1,5 @@
 use super::*;
+use crate::registration::IcpMethod;
 use portolan_geometry::{Vector3, angular_distance, nalgebra as na};
 
 /// Scans on a round through a hall with pillars, each seeing what lies within 6 m.
@@ -21,7 +22,7 @@ fn hall(count: usize) -> (Vec<ScanCloud>, Vec<Rigid3>) {
         .iter()
         .map(|pose| {
             let (mut points, mut kind) = (Vec::new(), 0);
-            while points.len() < 3000 {
+            while points.len() < 6000 {
                 kind += 1;
                 let (u, v, h) = (20.0 * random(), 20.0 * random(), 3.0 * random());
                 let pillar = pillars[(random() * 30.0) as usize % 30];
@@ -37,7 +38,7 @@ fn hall(count: usize) -> (Vec<ScanCloud>, Vec<Rigid3>) {
                     points.push([x.x as f32, x.y as f32, x.z as f32]);
                 }
             }
-            ScanCloud::new(points)
+            ScanCloud::with_surfaces(points, 12, 1.0)
         })
         .collect();
     (scans, truth)
@@ -66,7 +67,7 @@ fn scans_are_registered_one_after_the_other() {
     let (scans, truth) = hall(12);
     for model in [ModelScans::Previous, ModelScans::All, ModelScans::Last(3)] {
         let mut poses = drifted(&truth);
-        let icp = IcpOptions { max_distance: 0.5, ..IcpOptions::default() };
+        let icp = IcpOptions { method: IcpMethod::PointToPlane, max_distance: 0.5, ..IcpOptions::default() };
         let options = SequenceOptions { icp, model, ..SequenceOptions::default() };
         let mut seen = Vec::new();
         let before = worst(&poses, &truth).0;
