@@ -87,8 +87,12 @@ fn imus_that_contradict_the_lidar_are_named() {
         let told = checked(&recording);
         assert!(told.contains(words), "{fault}: {words} is not in\n{told}");
         if let Some(seconds) = fault.strip_prefix("clock:imu:") {
-            let line = told.lines().find(|line| line.contains("as turns of both show")).unwrap_or_else(|| panic!("{told}"));
-            let found = line.split("about ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
+            let line = told
+                .lines()
+                .find(|line| line.contains("as turns of both show"))
+                .unwrap_or_else(|| panic!("{told}"));
+            let found =
+                line.split("about ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
             assert!((found - 0.05).abs() < 0.015, "{line}");
             // The clouds are compared with the IMU: late stamps of the one are early stamps of the other.
             let direction = if seconds.starts_with('-') { "later" } else { "earlier" };

@@ -46,7 +46,8 @@ impl XrayView {
     /// Metres to the right and up of a position in the map.
     #[inline]
     pub fn project(&self, position: [f64; 3]) -> [f64; 2] {
-        [self.right, self.up].map(|axis| axis[0] * position[0] + axis[1] * position[1] + axis[2] * position[2])
+        [self.right, self.up]
+            .map(|axis| axis[0] * position[0] + axis[1] * position[1] + axis[2] * position[2])
     }
 }
 
@@ -81,9 +82,12 @@ impl XrayPicture {
         let (x, y) = (x - 0.5, y - 0.5);
         let (left, top) = (x.floor(), y.floor());
         let (fx, fy) = (x - left, y - top);
-        for (dx, dy, weight) in
-            [(0.0, 0.0, (1.0 - fx) * (1.0 - fy)), (1.0, 0.0, fx * (1.0 - fy)), (0.0, 1.0, (1.0 - fx) * fy), (1.0, 1.0, fx * fy)]
-        {
+        for (dx, dy, weight) in [
+            (0.0, 0.0, (1.0 - fx) * (1.0 - fy)),
+            (1.0, 0.0, fx * (1.0 - fy)),
+            (0.0, 1.0, (1.0 - fx) * fy),
+            (1.0, 1.0, fx * fy),
+        ] {
             let (column, row) = (left + dx, top + dy);
             let inside = column >= 0.0
                 && row >= 0.0
@@ -166,7 +170,12 @@ mod tests {
             let (column, row) = picture.frame.pixel([x, y]);
             picture.rgb[3 * (row as usize * picture.frame.width + column as usize)]
         };
-        assert!(grey(5.05, 5.0) < 40 && (100..250).contains(&grey(2.0, 5.0)), "{} {}", grey(5.05, 5.0), grey(2.0, 5.0));
+        assert!(
+            grey(5.05, 5.0) < 40 && (100..250).contains(&grey(2.0, 5.0)),
+            "{} {}",
+            grey(5.05, 5.0),
+            grey(2.0, 5.0)
+        );
         assert_eq!(grey(-0.2, 5.0), 255);
     }
 

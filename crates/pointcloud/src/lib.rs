@@ -52,7 +52,7 @@ pub use format::{
     CloudFormat, CloudReader, CloudWriter, Encoding, Precision, WriteOptions, Written, create, open,
 };
 pub use thin::{CELLS_IN_MEMORY, ThinnedCloud, VoxelPoint, VoxelThinner};
-pub use uos::{UosFolder, UosFrame, UosScan};
+pub use uos::{UosFolder, UosFrame, UosScan, uos_frames_text, uos_pose_text};
 
 /// Points of a batch at most.
 pub const BATCH_POINTS: usize = 1 << 16;

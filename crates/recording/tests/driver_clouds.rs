@@ -158,8 +158,7 @@ fn sample(begin: f64, column: usize, ring: usize, nothing: bool) -> Sample {
     let azimuth = 1.0 - share * std::f64::consts::TAU;
     let elevation = (2.0 * ring as f64 - 7.0).to_radians();
     let range = 6.0 + azimuth.sin();
-    let position =
-        [range * azimuth.cos(), range * azimuth.sin(), range * elevation.tan()].map(|v| v as f32);
+    let position = [range * azimuth.cos(), range * azimuth.sin(), range * elevation.tan()].map(|v| v as f32);
     let position = if nothing { [f32::NAN; 3] } else { position };
     Sample { ring, since_begin: share * TURN, begin, position, intensity: (column % 100) as f32 }
 }
@@ -224,11 +223,17 @@ fn clouds_of_all_drivers_have_the_times_of_their_points() {
             let Measurement::Range(sweep) = measurement else { panic!("{}", driver.name) };
             for (point, intensity) in sweep.points_in_tracking.iter().zip(&sweep.intensities) {
                 let azimuth = point.position.y.atan2(point.position.x);
-                let share = f64::from(1.0 - azimuth).rem_euclid(std::f64::consts::TAU) / std::f64::consts::TAU;
+                let share =
+                    f64::from(1.0 - azimuth).rem_euclid(std::f64::consts::TAU) / std::f64::consts::TAU;
                 let column = (share * COLUMNS as f64).round() as usize % COLUMNS;
                 let expected = begin(sweeps) + column as f64 / COLUMNS as f64 * TURN;
                 let time = sweep.time.unix_seconds() + f64::from(point.time);
-                assert!((time - expected).abs() < 2e-6, "{}: column {column}, {}", driver.name, time - expected);
+                assert!(
+                    (time - expected).abs() < 2e-6,
+                    "{}: column {column}, {}",
+                    driver.name,
+                    time - expected
+                );
                 assert_eq!(*intensity, (column % 100) as f32, "{}", driver.name);
             }
             let seen = if driver.organised { COLUMNS * RINGS * 8 / 9 } else { COLUMNS * RINGS };

@@ -105,12 +105,7 @@ fn create_folder(path: &Path) -> Result<(), CliError> {
 }
 
 /// Writes what was recorded on the walk, and the true poses.
-fn record(
-    simulation: &Simulation3d,
-    path: &Path,
-    truth: &Path,
-    global: &GlobalArgs,
-) -> Result<(), CliError> {
+fn record(simulation: &Simulation3d, path: &Path, truth: &Path, global: &GlobalArgs) -> Result<(), CliError> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(global.thread_count())
         .build()
@@ -133,15 +128,8 @@ fn mapped<S: ResultSpace>(
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, folder, seconds, false)?;
     print(&summary(&mapped, &written, seconds))?;
-    let clouds = write_clouds(
-        recording,
-        &ingest,
-        &preparation,
-        &mapped,
-        &CloudArgs::default(),
-        folder,
-        global,
-    )?;
+    let clouds =
+        write_clouds(recording, &ingest, &preparation, &mapped, &CloudArgs::default(), folder, global)?;
     clouds.map_or(Ok(()), |clouds| report_clouds(&clouds, folder))?;
     Ok(mapped)
 }

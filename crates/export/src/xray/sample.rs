@@ -54,7 +54,8 @@ impl CloudSample {
     /// How far the cloud reaches along what `measure` says, but for a share of `outliers` on either side; points
     /// of which it says NaN do not count. None without points.
     pub fn extent(&self, outliers: f64, measure: impl Fn([f64; 3]) -> f64) -> Option<Extent> {
-        let mut values: Vec<f64> = self.points.iter().map(|p| measure(*p)).filter(|v| v.is_finite()).collect();
+        let mut values: Vec<f64> =
+            self.points.iter().map(|p| measure(*p)).filter(|v| v.is_finite()).collect();
         values.sort_by(f64::total_cmp);
         let outliers = (outliers.clamp(0.0, 0.4) * values.len() as f64) as usize;
         let (from, to) = (values.get(outliers)?, values.get(values.len() - 1 - outliers)?);
@@ -77,8 +78,10 @@ impl CloudSample {
         if score.is_nan() || score <= STANDS_OUT * middle {
             return None;
         }
-        let fine: Vec<(f64, f64)> =
-            (-10..=10).map(|i| about + 0.1 * f64::from(i)).map(|d| (gathered(&points, d * degree), d)).collect();
+        let fine: Vec<(f64, f64)> = (-10..=10)
+            .map(|i| about + 0.1 * f64::from(i))
+            .map(|d| (gathered(&points, d * degree), d))
+            .collect();
         let yaw = best(&fine)?.1 * degree;
         Some(yaw - (yaw / FRAC_PI_2).round() * FRAC_PI_2)
     }

@@ -144,12 +144,8 @@ impl Runs {
         visit: &mut dyn FnMut(&Key, &Cell) -> Result<(), CloudError>,
     ) -> Result<(), CloudError> {
         let Some(file) = &mut self.file else { return Ok(()) };
-        let reader = |(start, end): &(u64, u64)| RunReader {
-            next: *start,
-            end: *end,
-            buffer: Vec::new(),
-            at: 0,
-        };
+        let reader =
+            |(start, end): &(u64, u64)| RunReader { next: *start, end: *end, buffer: Vec::new(), at: 0 };
         let mut readers: Vec<RunReader> = self.spans.iter().map(reader).collect();
         let mut heads: Vec<Cell> = Vec::with_capacity(readers.len());
         let mut queue = BinaryHeap::with_capacity(readers.len());

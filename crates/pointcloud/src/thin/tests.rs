@@ -23,11 +23,12 @@ fn thinned(memory: usize) -> Vec<VoxelPoint> {
     let mut found = Vec::new();
     for _ in 0..2 {
         found.clear();
-        cloud.for_each(&mut |point| {
-            found.push(*point);
-            Ok(())
-        })
-        .unwrap();
+        cloud
+            .for_each(&mut |point| {
+                found.push(*point);
+                Ok(())
+            })
+            .unwrap();
     }
     found
 }
@@ -41,7 +42,8 @@ fn voxels_have_the_means_of_their_points() {
     }
     assert_eq!(found.len(), expected.len());
     for (voxel, all) in found.iter().zip(expected.values()) {
-        let mean = |f: &dyn Fn(&([f64; 3], f32, f64)) -> f64| all.iter().map(f).sum::<f64>() / all.len() as f64;
+        let mean =
+            |f: &dyn Fn(&([f64; 3], f32, f64)) -> f64| all.iter().map(f).sum::<f64>() / all.len() as f64;
         assert_eq!(voxel.count, all.len() as u64);
         for axis in 0..3 {
             assert!((voxel.position[axis] - mean(&|p| p.0[axis])).abs() < 1e-9);

@@ -79,16 +79,13 @@ impl SmoothMotion {
         };
         let before = neighbour(index.checked_sub(1), index.checked_sub(1));
         let after = neighbour(Some(index + 2), Some(index + 1));
-        let smooth = |v0: Vector3, v1: Vector3, before: Option<(Vector3, f64)>, after: Option<(Vector3, f64)>| {
-            hermite(v0, v1, before, after, share)
-        };
+        let smooth =
+            |v0: Vector3, v1: Vector3, before: Option<(Vector3, f64)>, after: Option<(Vector3, f64)>| {
+                hermite(v0, v1, before, after, share)
+            };
         let rotation = if turn.norm() < SMALL_TURN {
-            let vector = smooth(
-                Vector3::zeros(),
-                turn,
-                before.map(|(t, _, s)| (t, s)),
-                after.map(|(t, _, s)| (t, s)),
-            );
+            let vector =
+                smooth(Vector3::zeros(), turn, before.map(|(t, _, s)| (t, s)), after.map(|(t, _, s)| (t, s)));
             start.rotation * quaternion_from_angle_axis(&vector)
         } else {
             start.rotation.try_slerp(&end.rotation, share, 1e-12).unwrap_or(start.rotation)

@@ -62,7 +62,9 @@ fn a_place_seen_while_walking_is_one_place() {
 fn points_without_a_pose_are_left_out_and_counted() {
     let seen = na::Point3::new(3.0, 8.0, 1.0);
     let mut unwinder = Unwinder::new(SmoothMotion::new(poses(40..60)), ALL);
-    for (end, kept) in [(0.05, 51), (3.9, 101), (3.95, 51), (5.0, 0), (6.0, 1), (6.1, 101), (9.95, 51), (20.0, 0)] {
+    for (end, kept) in
+        [(0.05, 51), (3.9, 101), (3.95, 51), (5.0, 0), (6.0, 1), (6.1, 101), (9.95, 51), (20.0, 0)]
+    {
         assert_eq!(unwinder.place(&sweep(end, seen)).len(), kept, "{end}");
     }
     let near = na::Point3::from(walk(1.0).translation.vector);

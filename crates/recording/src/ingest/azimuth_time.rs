@@ -101,13 +101,16 @@ mod tests {
     #[test]
     fn stamps_that_are_recorded_a_turn_later_are_of_the_beginning() {
         let of = |lag: f64| AzimuthTimes::of_stamps(Some(Duration::from_seconds(lag)), 0.1);
-        assert_eq!([0.12, 0.1, 0.03, 0.0, 4e8].map(of), [
-            AzimuthTimes::FromStamp,
-            AzimuthTimes::FromStamp,
-            AzimuthTimes::UntilStamp,
-            AzimuthTimes::UntilStamp,
-            AzimuthTimes::UntilStamp
-        ]);
+        assert_eq!(
+            [0.12, 0.1, 0.03, 0.0, 4e8].map(of),
+            [
+                AzimuthTimes::FromStamp,
+                AzimuthTimes::FromStamp,
+                AzimuthTimes::UntilStamp,
+                AzimuthTimes::UntilStamp,
+                AzimuthTimes::UntilStamp
+            ]
+        );
     }
 
     #[test]

@@ -148,7 +148,11 @@ mod tests {
                 let wall = if s > 0.0 { (4.0 - side) / s } else { (-4.0 - side) / s };
                 let ahead = if c > 0.0 { (30.0 - side) / c } else { (-12.0 - side) / c };
                 let distance = wall.min(ahead);
-                points.push(Point3f::new(c * distance, s * distance, distance * (row as f32 + 0.5).to_radians().tan()));
+                points.push(Point3f::new(
+                    c * distance,
+                    s * distance,
+                    distance * (row as f32 + 0.5).to_radians().tan(),
+                ));
             }
         }
         points
@@ -168,7 +172,9 @@ mod tests {
     #[test]
     fn clouds_of_any_kind_do_no_harm() {
         let mut votes = SeamVotes::default();
-        for points in [vec![], vec![Point3f::origin(); 3], vec![Point3f::new(f32::NAN, 1.0, f32::INFINITY); 9]] {
+        for points in
+            [vec![], vec![Point3f::origin(); 3], vec![Point3f::new(f32::NAN, 1.0, f32::INFINITY); 9]]
+        {
             votes.add(&points);
         }
         assert_eq!(votes.is_compensated(), None);

@@ -213,7 +213,9 @@ impl<'a> Check<'a> {
     /// Sensors that do not measure from the beginning to the end.
     fn check_spans(&mut self) {
         let spans = || self.stamps.values().filter_map(Stamps::span);
-        let (Some(start), Some(end)) = (spans().map(|s| s.0).min(), spans().map(|s| s.1).max()) else { return };
+        let (Some(start), Some(end)) = (spans().map(|s| s.0).min(), spans().map(|s| s.1).max()) else {
+            return;
+        };
         for (topic, stamps) in &self.stamps {
             stamps.check_span(topic, (start, end), &mut self.findings);
         }
@@ -268,7 +270,8 @@ impl Check<'_> {
         for (topic, checks) in &self.topics {
             let base_from_sensor = mounting(self.inventory, topic, plan).unwrap_or_else(Rigid3::identity);
             let up = (base_from_sensor.rotation * Vector3::z()).z;
-            let upright = |turns: &[Turn]| turns.iter().map(|(a, b, turn)| (*a, *b, up.signum() * turn)).collect();
+            let upright =
+                |turns: &[Turn]| turns.iter().map(|(a, b, turn)| (*a, *b, up.signum() * turn)).collect();
             let (source, turns) = match checks {
                 TopicChecks::Odometry(odometry) => (Source::Odometry, odometry.turns.clone()),
                 TopicChecks::Imu { imu, turns } => {
@@ -299,13 +302,11 @@ impl TopicChecks {
             Message::MultiEchoLaserScan(_) => {
                 Some(Self::Echoes { ranges: RangeChecks::default(), directions: BeamDirections::default() })
             }
-            Message::PointCloud2(_) => {
-                Some(Self::Cloud {
-                    ranges: RangeChecks::default(),
-                    clouds: CloudChecks::default(),
-                    turns: CloudTurns::default(),
-                })
-            }
+            Message::PointCloud2(_) => Some(Self::Cloud {
+                ranges: RangeChecks::default(),
+                clouds: CloudChecks::default(),
+                turns: CloudTurns::default(),
+            }),
             Message::Imu(_) => Some(Self::Imu { imu: ImuChecks::default(), turns: ImuTurns::default() }),
             Message::Odometry(_) => Some(Self::Odometry(OdometryChecks::default())),
             _ => None,

@@ -3,8 +3,8 @@
 use portolan_geometry::{Rigid3, Vector3};
 
 use super::finding::{Findings, Kind, Severity};
-use crate::Imu;
 use super::imu_values::{Rest, Saturation};
+use crate::Imu;
 use crate::ingest::statistics::is_partial;
 
 const ACCELERATION: Kind = Kind {

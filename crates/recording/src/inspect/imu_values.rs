@@ -216,7 +216,8 @@ mod tests {
         assert_eq!(text(|t| (swing(t), UP)), "");
         let cut = text(|t| (swing(t).map(|v| v.clamp(-2.0, 2.0)), UP));
         assert!(cut.contains("gyroscope end at exactly") && cut.contains("about y"), "{cut}");
-        let knocked = text(|t| (Vector3::zeros(), UP + Vector3::new(0.0, 0.0, (20.0 * (9.0 * t).sin()).min(9.8))));
+        let knocked =
+            text(|t| (Vector3::zeros(), UP + Vector3::new(0.0, 0.0, (20.0 * (9.0 * t).sin()).min(9.8))));
         assert!(knocked.contains("accelerometer end at exactly 19.6100 m/s²"), "{knocked}");
         assert_eq!(text(|_| (Vector3::zeros(), UP)), "");
     }

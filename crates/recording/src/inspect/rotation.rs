@@ -91,7 +91,8 @@ impl<'a> Comparison<'a> {
             steps.filter_map(|step| Some((lag(step), sign * self.at_lag(lag(step))?.0))).collect();
         let best = (0..tries.len()).max_by(|a, b| tries[*a].1.total_cmp(&tries[*b].1))?;
         let (at, height) = tries[best];
-        let (Some(before), Some(after)) = (best.checked_sub(1).and_then(|i| tries.get(i)), tries.get(best + 1))
+        let (Some(before), Some(after)) =
+            (best.checked_sub(1).and_then(|i| tries.get(i)), tries.get(best + 1))
         else {
             return Some((at, height));
         };
@@ -111,7 +112,8 @@ pub(crate) fn compare(first: &[Turn], second: &[Turn]) -> Option<Agreement> {
     // Small lags first, so that ties stay near zero.
     for step in (0..=LAG_STEPS).flat_map(|s| [s, -s]) {
         let this_lag = LAG_STEP * f64::from(step);
-        if let Some((c, s)) = coarse.at_lag(this_lag).filter(|(c, _)| c.abs() > f64::abs(correlation) + 1e-6) {
+        if let Some((c, s)) = coarse.at_lag(this_lag).filter(|(c, _)| c.abs() > f64::abs(correlation) + 1e-6)
+        {
             (correlation, slope, lag) = (c, s, this_lag);
         }
     }
@@ -185,12 +187,7 @@ pub(crate) const ENOUGH_TURNS: f64 = std::f64::consts::PI;
 const OFFSETS: [[f64; 2]; 2] = [[0.02, 0.035], [0.05, 0.1]];
 
 /// Tells how `second` turns against `first`. `is_exact` says that both know the times of their turns well.
-pub(crate) fn tell(
-    first: (&str, &[Turn]),
-    second: (&str, &[Turn]),
-    is_exact: bool,
-    findings: &mut Findings,
-) {
+pub(crate) fn tell(first: (&str, &[Turn]), second: (&str, &[Turn]), is_exact: bool, findings: &mut Findings) {
     let Some(agreement) = compare(first.1, second.1) else { return };
     let Agreement { correlation, slope, lag, turned, fine_correlations: [without_lag, with_lag] } = agreement;
     if turned < ENOUGH_TURNS {

@@ -1,7 +1,7 @@
 //! The angle that a lidar turned from scan to scan, from the shift of its range profile.
 
-use portolan_geometry::nalgebra::{Matrix3, Vector3};
 use portolan_geometry::Time;
+use portolan_geometry::nalgebra::{Matrix3, Vector3};
 
 use super::rotation::Turn;
 use crate::LaserScan;
@@ -136,8 +136,8 @@ const EDGE: f32 = 0.4;
 /// The turn once more, together with the shift of the sensor in its plane: near walls a shift looks like a turn.
 ///
 /// A surface whose range grows by `slope` times itself for each radian comes nearer by `x (cos + slope sin) +
-/// y (sin - slope cos)` if the sensor shifts by (x, y), and by `-slope` times its range for each radian of turn:
-/// least squares in the three.
+/// y (sin - slope cos)` if the sensor shifts by (x, y), and goes away by `slope` times its range for each radian of
+/// turn: least squares in the three.
 fn turn_and_shift(before: &[f32], now: &[f32], mut turn: f32) -> Option<f32> {
     let cell = std::f32::consts::TAU / CELLS as f32;
     let mut shift = [0.0_f32; 2];
@@ -176,11 +176,7 @@ fn turn_and_shift(before: &[f32], now: &[f32], mut turn: f32) -> Option<f32> {
 }
 
 /// Mean difference of two profiles.
-fn cost<'a>(
-    before: impl Iterator<Item = &'a f32>,
-    now: impl Iterator<Item = &'a f32>,
-    enough: f32,
-) -> f32 {
+fn cost<'a>(before: impl Iterator<Item = &'a f32>, now: impl Iterator<Item = &'a f32>, enough: f32) -> f32 {
     let (mut sum, mut count) = (0.0f32, 0.0f32);
     for (a, b) in before.zip(now) {
         let difference = (a - b).abs();

@@ -51,7 +51,6 @@ impl ImuTurns {
     }
 }
 
-
 impl ImuTurns {
     /// Turns about one direction in the frame of the IMU.
     pub fn about(&self, axis: &Vector3) -> Vec<Turn> {
@@ -66,7 +65,9 @@ pub(super) enum Source {
     Imu,
     Scan,
     /// `has_times`: whether points have times.
-    Cloud { has_times: bool },
+    Cloud {
+        has_times: bool,
+    },
 }
 
 impl Source {
@@ -84,11 +85,7 @@ pub(super) struct Turning<'a> {
 }
 
 /// Compares all with odometry, or with the IMU if there is no odometry; `imus` also have their axes.
-pub(super) fn compare_all(
-    mut all: Vec<Turning>,
-    imus: &[(&str, &ImuTurns)],
-    findings: &mut Findings,
-) {
+pub(super) fn compare_all(mut all: Vec<Turning>, imus: &[(&str, &ImuTurns)], findings: &mut Findings) {
     all.sort_by_key(|turning| turning.source);
     let Some((first, others)) = all.split_first() else { return };
     for other in others {
@@ -117,7 +114,8 @@ fn tell_axis(
         return None;
     }
     let directions = [Vector3::x(), Vector3::y(), Vector3::z()];
-    let correlation = |axis: &Vector3| compare(&reference.turns, &imu.about(axis)).map_or(0.0, |a| a.correlation);
+    let correlation =
+        |axis: &Vector3| compare(&reference.turns, &imu.about(axis)).map_or(0.0, |a| a.correlation);
     let found = directions.into_iter().map(|axis| (correlation(&axis), axis));
     let (best, axis) = found.max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))?;
     if best.abs() < AGREES {
@@ -158,6 +156,9 @@ mod tests {
         let mut findings = Findings::default();
         compare_all(vec![cloud, about_up], &[("/imu", &imu)], &mut findings);
         let text = findings_to_text(&findings.finish());
-        assert!(text.contains("/imu: turns of /points about the vertical") && text.contains("about -y"), "{text}");
+        assert!(
+            text.contains("/imu: turns of /points about the vertical") && text.contains("about -y"),
+            "{text}"
+        );
     }
 }

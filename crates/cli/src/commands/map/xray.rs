@@ -58,11 +58,12 @@ impl Request {
     pub fn draw(&self, cloud: &mut ThinnedCloud, folder: &Path) -> Result<Vec<PathBuf>, CliError> {
         let failed = |error: CloudError| CliError::Failed(error.to_string());
         let mut sample = CloudSample::default();
-        cloud.for_each(&mut |voxel| {
-            sample.add(voxel.position);
-            Ok(())
-        })
-        .map_err(failed)?;
+        cloud
+            .for_each(&mut |voxel| {
+                sample.add(voxel.position);
+                Ok(())
+            })
+            .map_err(failed)?;
         let views = self.views(&sample);
         let mut pictures = Vec::new();
         for (name, title, view) in &views.views {
@@ -151,11 +152,12 @@ impl Views {
     /// Where most of what is cut lies.
     fn extents_of_section(&self, sample: &CloudSample) -> (Option<Extent>, Option<Extent>) {
         let front = self.views[1].2;
-        let along = |axis: usize| {
-            sample.extent(OUTLIERS_OF_SECTION, |p| {
-                if self.is_cut(p) { front.project(p)[axis] } else { f64::NAN }
-            })
-        };
+        let along =
+            |axis: usize| {
+                sample.extent(OUTLIERS_OF_SECTION, |p| {
+                    if self.is_cut(p) { front.project(p)[axis] } else { f64::NAN }
+                })
+            };
         (along(0), along(1))
     }
 }

@@ -130,7 +130,8 @@ fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option<S
     let up = Vector3::from(chosen.survey.imu.as_ref()?.mean_acceleration).try_normalize(1e-9)?;
     let tree = &inventory.tree;
     let base = ["base_link", "base_footprint"].into_iter().find(|b| tree.connected(b, chosen.frame()));
-    let upright = base.or_else(|| range.iter().map(Chosen::frame).find(|f| tree.connected(f, chosen.frame())))?;
+    let upright =
+        base.or_else(|| range.iter().map(Chosen::frame).find(|f| tree.connected(f, chosen.frame())))?;
     let up = tree.lookup_static(upright, chosen.frame())?.rotation * up;
     // Scanners and whole robots may be upside down.
     let degrees = up.z.abs().min(1.0).acos().to_degrees();
