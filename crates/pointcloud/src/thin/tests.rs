@@ -1,6 +1,9 @@
 use super::*;
 
-fn points(count: usize) -> impl Iterator<Item = ([f64; 3], f32, f64)> {
+/// Position, intensity and time.
+type Sample = ([f64; 3], f32, f64);
+
+fn points(count: usize) -> impl Iterator<Item = Sample> {
     let mut state = 12_345_u64;
     let mut random = move || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -36,14 +39,13 @@ fn thinned(memory: usize) -> Vec<VoxelPoint> {
 #[test]
 fn voxels_have_the_means_of_their_points() {
     let found = thinned(usize::MAX);
-    let mut expected: std::collections::BTreeMap<[i32; 3], Vec<([f64; 3], f32, f64)>> = Default::default();
+    let mut expected: std::collections::BTreeMap<[i32; 3], Vec<Sample>> = Default::default();
     for point in points(50_000) {
         expected.entry(point.0.map(|v| (v / 0.25).floor() as i32)).or_default().push(point);
     }
     assert_eq!(found.len(), expected.len());
     for (voxel, all) in found.iter().zip(expected.values()) {
-        let mean =
-            |f: &dyn Fn(&([f64; 3], f32, f64)) -> f64| all.iter().map(f).sum::<f64>() / all.len() as f64;
+        let mean = |f: &dyn Fn(&Sample) -> f64| all.iter().map(f).sum::<f64>() / all.len() as f64;
         assert_eq!(voxel.count, all.len() as u64);
         for axis in 0..3 {
             assert!((voxel.position[axis] - mean(&|p| p.0[axis])).abs() < 1e-9);

@@ -93,7 +93,7 @@ enum TopicChecks {
     Scan { ranges: RangeChecks, turns: ScanTurns, directions: BeamDirections },
     Echoes { ranges: RangeChecks, directions: BeamDirections },
     Cloud { ranges: RangeChecks, clouds: CloudChecks, turns: CloudTurns },
-    Imu { imu: ImuChecks, turns: ImuTurns },
+    Imu { imu: Box<ImuChecks>, turns: ImuTurns },
     Odometry(OdometryChecks),
 }
 
@@ -307,7 +307,7 @@ impl TopicChecks {
                 clouds: CloudChecks::default(),
                 turns: CloudTurns::default(),
             }),
-            Message::Imu(_) => Some(Self::Imu { imu: ImuChecks::default(), turns: ImuTurns::default() }),
+            Message::Imu(_) => Some(Self::Imu { imu: Box::default(), turns: ImuTurns::default() }),
             Message::Odometry(_) => Some(Self::Odometry(OdometryChecks::default())),
             _ => None,
         }
