@@ -7,7 +7,7 @@ use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_mapfile::{EditError, MapDraft, ReadLimits};
 use portolan_pointcloud::{Attributes, BATCH_POINTS, CloudError, PointCloud, WriteOptions, create};
 use portolan_refinement::Sharpness;
-use portolan_refinement::continuous::Refined;
+use portolan_refinement::continuous::{BeforeAndAfter, Mounting, Refined};
 
 use super::points::ReadPoints;
 use crate::error::CliError;
@@ -66,27 +66,14 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
 
 /// All points within the trajectory, in order of time.
 fn write_cloud(results: &Results, path: &Path) -> Result<(), CliError> {
-    let trajectory = &results.refined.trajectory;
     let store = &results.read.store;
-    let offset = store.start().seconds_since(trajectory.start());
-    let gaps = &results.refined.report.gaps;
-    let is_covered = |seconds: f64| {
-        (0.0..=trajectory.duration()).contains(&seconds)
-            && !gaps.iter().any(|[from, to]| (*from..*to).contains(&seconds))
-    };
-    let matrices = trajectory.matrices();
     let failed = |error: CloudError| CliError::in_file(path, error);
     let attributes = Attributes { time: true, ..Attributes::default() };
     let mut writer = create(path, attributes, &WriteOptions::default()).map_err(failed)?;
     let mut batch = PointCloud::new(attributes);
     let start = store.start().unix_seconds();
-    for point in store.points() {
-        let seconds = point.seconds() + offset;
-        if !is_covered(seconds) {
-            continue;
-        }
-        let position = matrices.to_world(seconds, point.in_tracking);
-        batch.push(position, 0.0, start + point.seconds(), [0; 3]);
+    for point in BeforeAndAfter::new(store, results.refined).iter() {
+        batch.push(point.after, 0.0, start + point.seconds, [0; 3]);
         if batch.len() == BATCH_POINTS {
             writer.write(&batch).map_err(failed)?;
             batch.reset(attributes);
@@ -116,6 +103,26 @@ fn report(results: &Results) -> serde_json::Value {
         "refinement": results.refined.report,
         "repairs": repairs,
     })
+}
+
+fn mounting_line(mounting: &Mounting) -> String {
+    let numbers = |values: &[f64; 3], deviations: &[f64; 3], scale: f64, places: usize| {
+        let one = |(v, d): (&f64, &f64)| format!("{:.places$} ± {:.places$}", scale * v, scale * d);
+        values.iter().zip(deviations).map(one).collect::<Vec<_>>().join(", ")
+    };
+    let degrees = 1.0_f64.to_degrees();
+    let mut text = format!(
+        "{}: shifted by ({}) cm, turned by ({}) deg, delayed by {:.4} ± {:.4} s",
+        mounting.what,
+        numbers(&mounting.shift, &mounting.shift_deviation, 100.0, 2),
+        numbers(&mounting.turn, &mounting.turn_deviation, degrees, 3),
+        mounting.delay,
+        mounting.delay_deviation
+    );
+    if !mounting.undetermined.is_empty() {
+        text += &format!("; not determined by the motion: {}", mounting.undetermined.join(", "));
+    }
+    text + "\n"
 }
 
 /// What was done, for people.
@@ -154,6 +161,18 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
         text += &format!(
             "not determined from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); left as it was\n",
             u.from, u.to
+        );
+    }
+    if report.calibrated {
+        report.mountings.iter().for_each(|mounting| text += &mounting_line(mounting));
+    }
+    report.imu.iter().for_each(|imu| text += &mounting_line(imu));
+    for jump in &report.jumps {
+        text += &format!(
+            "repaired: a jump of the trajectory at {:.2} s by {:.3} m and {:.2} deg was taken out\n",
+            jump.seconds,
+            jump.shift,
+            jump.turn.to_degrees()
         );
     }
     for warning in &report.warnings {
