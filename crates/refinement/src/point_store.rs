@@ -27,7 +27,7 @@ impl StoredPoint {
         let ticks = (seconds * TICKS_PER_SECOND).round();
         let holds = ticks >= 0.0 && ticks <= f64::from(LAST_TICK);
         let sensor = sensor.min(MAX_SENSORS - 1) as u32;
-        holds.then(|| Self { in_tracking, stamp: sensor << TIME_BITS | ticks as u32 })
+        holds.then_some(Self { in_tracking, stamp: sensor << TIME_BITS | ticks as u32 })
     }
 
     /// Seconds since the start of the store.

@@ -74,7 +74,7 @@ pub(crate) fn fine_step(problem: &FineProblem) -> Result<FineStep, RefineError> 
         }
     };
     let columns: Vec<Vec<f64>> =
-        (0..prior.len()).map(|i| column(size + i, size + prior.len(), &product)).collect();
+        (0..prior.len()).map(|i| column(size + i, size + prior.len(), product)).collect();
     let failed = RefineError::Numerical("fine step");
     let blocks = knot_blocks(&equations, &motion)?;
     let preconditioner = Bordered::new(blocks, columns.clone()).ok_or(failed.clone())?;

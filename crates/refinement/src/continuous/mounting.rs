@@ -21,6 +21,9 @@ const SIGNIFICANT: f64 = 8.0;
 const EXPLAINED: f64 = 0.15;
 /// … and matter: metres, radians, seconds.
 const MATTERS: [f64; 3] = [0.005, 0.002, 0.003];
+/// It is looked for in so many parts of the time, too, and must be the same but for this share of itself.
+const PARTS: usize = 3;
+const CONSTANT: f64 = 0.4;
 /// Standard deviations beforehand: shift (metres), turn (radians), delay (seconds), bias of a gyroscope (rad/s), of an
 /// accelerometer and gravity (m/s²).
 const PRIOR: [f64; 6] = [0.5, 0.3, 0.2, 0.1, 0.3, 20.0];
@@ -125,10 +128,32 @@ fn seven(fit: &Fit) -> ([f64; 7], [f64; 7]) {
 
 /// What one turn and shift of the sensors against the tracking frame, and one delay of the trajectory, explain of
 /// the difference between input and result: its motions fit those of the points if the sensors are moved so, and if so many
-/// seconds are added to its stamps. None if they explain little.
+/// seconds are added to its stamps. None if they explain little, or not the same all the time, as drift does.
 pub(crate) fn of_input(trajectory: &DenseTrajectory, gaps: &[[f64; 2]]) -> Option<Mounting> {
     let is_free = |s: &f64| !gaps.iter().any(|g| *s < g[1] + 0.5 && s + STRETCH > g[0] - 0.5);
     let moments: Vec<f64> = moments(trajectory).into_iter().filter(is_free).collect();
+    let whole = fit_input(trajectory, &moments)?;
+    if whole.explained < EXPLAINED {
+        return None;
+    }
+    let (mut value, deviation) = seven(&whole);
+    let parts: Vec<Fit> = moments
+        .chunks(moments.len().div_ceil(PARTS))
+        .filter_map(|part| fit_input(trajectory, part))
+        .collect();
+    for range in [0..3, 3..6, 6..7] {
+        let norm = |v: &dyn Fn(usize) -> f64| range.clone().map(|k| v(k).powi(2)).sum::<f64>().sqrt();
+        let size = norm(&|k| value[k]);
+        let is_constant = |part: &Fit| norm(&|k| part.value[k] - whole.value[k]) < CONSTANT * size;
+        if parts.len() < PARTS || !parts.iter().all(is_constant) {
+            range.for_each(|k| value[k] = 0.0);
+        }
+    }
+    let mounting = Mounting::new("input", value, deviation, [PRIOR[0], PRIOR[1], PRIOR[2]]);
+    mounting.significant(SIGNIFICANT).contains(&true).then_some(mounting)
+}
+
+fn fit_input(trajectory: &DenseTrajectory, moments: &[f64]) -> Option<Fit> {
     let seen: Vec<Rigid3> = moments.iter().map(|s| motion(|s| trajectory.pose(s), *s)).collect();
     let residuals = |v: &DVector<f64>| -> Vec<Vec<f64>> {
         let turn = quaternion_from_angle_axis(&three(v, 3));
@@ -143,10 +168,7 @@ pub(crate) fn of_input(trajectory: &DenseTrajectory, gaps: &[[f64; 2]]) -> Optio
         moments.iter().zip(&seen).map(residual).collect()
     };
     let prior: [f64; 7] = std::array::from_fn(|k| 1.0 / PRIOR[k / 3].powi(2));
-    let fit = fit(residuals, &[0, 0, 0, 1, 1, 1], &[1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-3], &prior)?;
-    let (value, deviation) = seven(&fit);
-    let mounting = Mounting::new("input", value, deviation, [PRIOR[0], PRIOR[1], PRIOR[2]]);
-    (fit.explained > EXPLAINED && mounting.significant(SIGNIFICANT).contains(&true)).then_some(mounting)
+    fit(residuals, &[0, 0, 0, 1, 1, 1], &[1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-3], &prior)
 }
 
 /// How the IMU sits against the tracking frame that the points have determined, and its delay: turn and delay by the gyroscope,
@@ -210,10 +232,10 @@ fn by_accelerometer(
             continue;
         }
         let (mut change, mut bias) = (Vector3::zeros(), na::Matrix3::zeros());
-        for i in first..end {
+        for (i, sample) in samples.iter().enumerate().take(end).skip(first) {
             let rotation = trajectory.pose(seconds(i)).rotation;
             let step = seconds(i + 1) - seconds(i);
-            change += rotation * (turn * samples[i].linear_acceleration) * step;
+            change += rotation * (turn * sample.linear_acceleration) * step;
             bias += rotation.to_rotation_matrix().into_inner() * step;
         }
         let ends = [seconds(first), seconds(end)];

@@ -10,18 +10,18 @@ use super::dense_trajectory::DenseTrajectory;
 
 /// Length of a window, seconds.
 const WINDOW: f64 = 1.0;
-const WINDOWS: usize = 24;
+const WINDOWS: usize = 16;
 /// Points of a window that are looked at.
-const POINTS: usize = 2500;
+const POINTS: usize = 8000;
 /// Edge of the cells, metres.
-const CELL: f64 = 0.4;
+const CELL: f64 = 0.5;
 /// Thinner than this nothing needs to be, metres.
 const THIN: f64 = 0.01;
 /// Steps of the search, seconds.
 const STEP: f64 = 0.1;
 /// Seconds to each side that are always searched, and that are searched if the trajectory does not fit.
 const NEAR: f64 = 2.0;
-const FAR: f64 = 60.0;
+const FAR: f64 = 30.0;
 /// Differences of so many standard errors are believed …
 const SIGNIFICANT: f64 = 4.0;
 /// … if they are also this large (natural logarithm of the thickness).
@@ -106,7 +106,7 @@ fn samples(points: &TimedPoints) -> Vec<Sample> {
         let part = points.between([start, start + WINDOW]);
         let stride = part.len().div_ceil(POINTS).max(1);
         // Not in step with the rings of a scanner.
-        let stride = if stride.is_multiple_of(2) { stride + 1 } else { stride };
+        let stride = if stride > 1 && stride.is_multiple_of(2) { stride + 1 } else { stride };
         Sample { points: part.iter().step_by(stride).map(|p| points.place(p)).collect() }
     };
     (0..WINDOWS).map(sample).filter(|s| s.points.len() > 200).collect()
