@@ -21,4 +21,4 @@ pub use error::RefineError;
 pub use moments::{Moments, PlaneFit};
 pub use motion_sensors::MotionSensors;
 pub use point_store::{LeftOutPoints, MAX_SENSORS, PointStore, StoredPoint, StoredSensor};
-pub use sharpness::{Sharpness, SharpnessOptions, sharpness, spread_sample};
+pub use sharpness::{Neighbourhood, Sharpness, SharpnessOptions, ThinnedCloud, sharpness, spread_sample};

@@ -119,7 +119,7 @@ impl DenseTrajectory {
     }
 
     /// How the input (its jumps taken out) is corrected at a time.
-    fn correction(&self, seconds: f64) -> Correction {
+    pub fn correction(&self, seconds: f64) -> Correction {
         let (i, f) = self.place(seconds);
         let turn = |i: usize| self.current[i].rotation * self.input[i].rotation.inverse();
         let shift = |i: usize| self.current[i].translation.vector - self.input[i].translation.vector;
