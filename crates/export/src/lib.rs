@@ -9,6 +9,7 @@ mod map_lines;
 mod overlay;
 mod picture;
 mod png_file;
+pub mod points;
 mod raster;
 mod tum;
 
