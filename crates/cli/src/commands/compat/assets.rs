@@ -130,7 +130,7 @@ impl Bag {
     fn open(path: PathBuf, options: &IngestOptions) -> Result<Self, CliError> {
         let recording = open(&path)?;
         let failed = |error: IngestError| CliError::in_file(&path, error);
-        let inventory = Inventory::of(recording.as_ref(), options).map_err(failed)?;
+        let inventory = Inventory::of(recording.as_ref(), options)?;
         let plan = plan(&inventory, options).map_err(|error| failed(error.into()))?;
         Ok(Self { path, recording, inventory, plan })
     }

@@ -1,7 +1,6 @@
 //! `cartographer_rosbag_validate` and `cartographer_dev_trajectory_comparison`.
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::Arc;
 
