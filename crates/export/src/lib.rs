@@ -11,8 +11,8 @@ mod overlay;
 mod picture;
 mod plot;
 mod png_file;
-pub mod points;
 mod point_picture;
+pub mod points;
 mod raster;
 mod tum;
 
