@@ -124,9 +124,9 @@ pub fn draw_title(pixmap: &mut PixmapMut, title: &str, scale: f32) {
     if title.is_empty() || width + 2.0 * margin > pixmap.width() as f32 {
         return;
     }
-    fill_rounded(pixmap, [margin, margin, width, height], 4.0 * scale, &paint(WHITE, 0.82));
+    fill_rounded(pixmap, [margin, margin, width, height], 4.0 * scale, &solid_paint(WHITE, 0.82));
     let (x, base) = (margin + PAD * scale, margin + (PAD + TEXT) * scale);
-    draw_text(pixmap, title, x, base, TEXT * scale, &paint(INK, 1.0));
+    draw_text(pixmap, title, x, base, TEXT * scale, &solid_paint(INK, 1.0));
 }
 
 /// A bar of a round length with its length over it, in one corner of the picture.
