@@ -35,7 +35,9 @@ fn candidates(doc: &OptionDoc) -> Vec<String> {
         "string" => vec!["", "a frame \u{1F600}", "\"", "7"],
         _ => vec!["TSDF", "TSDF_INSERTER_2D", "PROBABILITY_GRID", "", "GRID"],
     };
-    texts.into_iter().map(str::to_owned).collect()
+    let is_slow = doc.path.contains("trajectory_builder_3d.real_time");
+    let kept = texts.into_iter().filter(|text| !is_slow || ["0", "-1", "1e-9", "1e9", "0/0"].contains(text));
+    kept.map(str::to_owned).collect()
 }
 
 fn base(dimension: Dimension) -> Options {
