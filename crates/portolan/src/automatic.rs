@@ -29,7 +29,9 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
         local.min_range = 0.5;
         let outside = range.median_range > OUTSIDE_MEDIAN_RANGE;
         local.submaps.high_resolution = if outside { 0.2 } else { 0.1 };
+        options.portolan.surface_voxel_size = if outside { 2.0 } else { 1.0 };
     }
+    options.portolan.match_surfaces = true;
     local.submaps.num_range_data = 80;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;

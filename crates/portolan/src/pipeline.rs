@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use portolan_config::Options;
 use portolan_geometry::Time;
 use portolan_mapping::{
-    BackendProgress, LatencyHistogram, Map, Mapper, MapperError, MapperSettings, Repairs, Space,
+    BackendProgress, LatencyHistogram, Map, Mapper, MapperError, MapperSettings, Repairs, Space, WeakSpan,
 };
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
@@ -64,6 +64,8 @@ pub struct MappedRecording<S: Space> {
     pub reading_repairs: Vec<Repair>,
     /// Repairs while mapping.
     pub mapping_repairs: Repairs,
+    /// Where scans left directions open and the prediction decided (3D).
+    pub weak_spans: Vec<WeakSpan>,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
 }
@@ -130,6 +132,7 @@ pub fn map_recording<S: Space>(
     }
     scans += mapper.finish_trajectory(trajectory_id)?.len() as u64;
     let scan_times = mapper.scan_times().clone();
+    let weak_spans = mapper.weak_spans().to_vec();
     let (map, mapping_repairs) = mapper.finish()?;
     if scans == 0 {
         return Err(PipelineError::NoScans);
@@ -142,6 +145,7 @@ pub fn map_recording<S: Space>(
         scan_times,
         reading_repairs: ingestion.repairs(),
         mapping_repairs,
+        weak_spans,
         interrupted,
     })
 }
