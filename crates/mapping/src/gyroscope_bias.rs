@@ -33,6 +33,7 @@ impl GyroscopeBias {
     }
 
     /// The bias, rad/s in the tracking frame.
+    #[cfg(test)]
     pub fn bias(&self) -> Vector3 {
         self.bias
     }

@@ -14,11 +14,11 @@ mod tests;
 
 use std::collections::VecDeque;
 
+use portolan_config::ImuBasedPoseExtrapolatorOptions;
 use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, interpolate, is_valid_pose,
     nalgebra as na, quaternion_from_angle_axis,
 };
-use portolan_config::ImuBasedPoseExtrapolatorOptions;
 use portolan_sensor::{ImuData, OdometryData};
 use thiserror::Error;
 

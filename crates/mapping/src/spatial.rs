@@ -39,6 +39,7 @@ impl Space for Spatial {
             search_penalty_limit: options.portolan.search_penalty_limit,
             use_all_odometry: options.portolan.use_all_odometry,
             wide_search_after_gap: options.portolan.wide_search_after_gap,
+            min_scan_duration: options.portolan.min_scan_duration,
             surface_voxel_size: surface_voxel_size(options),
         };
         LocalSlam3d::new(&options.trajectory_builder.trajectory_builder_3d, range_sensors, extras)
@@ -139,11 +140,7 @@ const MIN_MATCHED_SHARE: f64 = 0.5;
 
 /// The pose near `initial` that puts a node on the surfaces of a submap. None if it does not fit them, or if
 /// they leave a direction open: what the search found along a bare corridor is no measurement.
-fn refined_by_surfaces(
-    surfaces: &SurfaceMap,
-    clouds: [&PointCloud; 2],
-    initial: &Rigid3,
-) -> Option<Rigid3> {
+fn refined_by_surfaces(surfaces: &SurfaceMap, clouds: [&PointCloud; 2], initial: &Rigid3) -> Option<Rigid3> {
     let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
     let (translation_sigma, rotation_sigma) = SEARCH_SIGMA;
     let prior = PosePrior { pose: *initial, translation_sigma, rotation_sigma };

@@ -9,6 +9,9 @@ const SPARSE_BEAM_SPACING: f64 = 0.05;
 /// Where half of the ranges are longer than this, metres, the lidar is outside.
 const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
 
+/// Range data are gathered to scans of at most about this long, seconds.
+const MAX_SCAN_DURATION: f64 = 0.1;
+
 /// Options for planar mapping with these sensors.
 pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     let mut options = Options::for_2d();
@@ -29,9 +32,11 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
         local.min_range = 0.5;
         let outside = range.median_range > OUTSIDE_MEDIAN_RANGE;
         local.submaps.high_resolution = if outside { 0.2 } else { 0.1 };
-        options.portolan.surface_voxel_size = if outside { 2.0 } else { 1.0 };
+        local.max_range = if outside { 100.0 } else { 60.0 };
     }
     options.portolan.match_surfaces = true;
+    // A tenth of a second is one turn of most lidars, and short enough to go straight in.
+    options.portolan.min_scan_duration = MAX_SCAN_DURATION;
     local.submaps.num_range_data = 80;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;

@@ -35,5 +35,9 @@ options! {
         /// 3D: edge of the largest voxels for that; smaller ones down to a quarter are used where they are
         /// not flat. Raise it outside, where beams lie far apart.
         surface_voxel_size: f64 = 1.0, "m", Bounds::within(0.05, 100.0);
+        /// 3D: gather range data to one scan until it spans about this long, in addition to
+        /// `num_accumulated_range_data`. Raise it when a turn of the scanner comes in pieces, or when
+        /// several scanners take turns.
+        min_scan_duration: f64 = 0.0, "s", Bounds::within(0.0, 10.0);
     }
 }

@@ -54,6 +54,8 @@ pub struct LocalSlam3d {
     motion_filter: MotionFilter,
     /// Messages gathered since the last match, thinned.
     gathered: Vec<Gathered>,
+    /// When the last match ended.
+    gathering_since: Option<Time>,
     /// Range data that came before it was known whether there is an IMU.
     waiting_ranges: VecDeque<SynchronizedRanges>,
     /// Odometry that came before that.
@@ -99,6 +101,7 @@ impl LocalSlam3d {
             active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1)),
             motion_filter: motion_filter(&options.motion_filter),
             gathered: Vec::new(),
+            gathering_since: None,
             waiting_ranges: VecDeque::new(),
             waiting_odometry: VecDeque::new(),
             repairs: Repairs::new(),
@@ -166,10 +169,14 @@ impl LocalSlam3d {
             return Vec::new();
         }
         self.gathered.push(Gathered::new(ranges, 0.5 * self.options.voxel_filter_size));
-        if self.gathered.len() < self.options.num_accumulated_range_data {
+        let begin = *self.gathering_since.get_or_insert_with(|| first_point_time(ranges));
+        // Stamps jitter: nine tenths of the time will do.
+        let is_long_enough = ranges.time.seconds_since(begin) >= 0.9 * self.extras.min_scan_duration;
+        if self.gathered.len() < self.options.num_accumulated_range_data || !is_long_enough {
             return Vec::new();
         }
         let gathered = std::mem::take(&mut self.gathered);
+        self.gathering_since = Some(ranges.time);
         match self.by_surfaces {
             Some(_) => self.match_to_surfaces(ranges.time, &gathered),
             None => self.match_gathered(ranges.time, &gathered).into_iter().collect(),

@@ -36,6 +36,8 @@ pub struct LocalSlamExtras {
     pub wide_search_after_gap: f64,
     /// 3D: match to surfaces in voxels of at most this size, metres, instead of to grids.
     pub surface_voxel_size: Option<f64>,
+    /// 3D: range data are gathered until they span about so many seconds.
+    pub min_scan_duration: f64,
 }
 
 /// Local SLAM of one trajectory in 2D.

@@ -177,7 +177,10 @@ mod tests {
         assert!((found - accelerometer).xy().norm() < 0.01, "{found}");
         let motion = integrate_imu(&data.sensors[&id].imu, time(10.0), time(10.2)).unwrap();
         let corrected = bias.corrected(&motion, time(10.1), 0.2);
-        assert!(corrected.delta_rotation.angle_to(&quaternion_from_angle_axis(&(Vector3::z() * (0.2 * rate)))) < 1e-3);
+        assert!(
+            corrected.delta_rotation.angle_to(&quaternion_from_angle_axis(&(Vector3::z() * (0.2 * rate))))
+                < 1e-3
+        );
         assert_eq!(ImuBias::default().gyroscope(time(1.0)), Vector3::zeros());
     }
 }

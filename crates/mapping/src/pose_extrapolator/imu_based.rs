@@ -128,8 +128,7 @@ impl ImuBasedExtrapolator {
         let predicted = problem.se3(variables.last()?.1);
         let gravity_from_newest = problem.se3(variables.get(newest)?.1);
         let local_from_tracking = self.poses[newest].1 * gravity_from_newest.inverse() * predicted;
-        let prediction =
-            Prediction { time, local_from_tracking, gravity_from_tracking: predicted.rotation };
+        let prediction = Prediction { time, local_from_tracking, gravity_from_tracking: predicted.rotation };
         is_valid_pose(&local_from_tracking).then_some(prediction)
     }
 

@@ -65,9 +65,8 @@ impl Cells {
     fn nearest(&self, place: &Point3f) -> Option<Point3f> {
         let [x, y, z] = self.cell(place);
         let around = (x.saturating_sub(1)..=x.saturating_add(1)).flat_map(|x| {
-            (y.saturating_sub(1)..=y.saturating_add(1)).flat_map(move |y| {
-                (z.saturating_sub(1)..=z.saturating_add(1)).map(move |z| [x, y, z])
-            })
+            (y.saturating_sub(1)..=y.saturating_add(1))
+                .flat_map(move |y| (z.saturating_sub(1)..=z.saturating_add(1)).map(move |z| [x, y, z]))
         });
         let candidates = around.filter_map(|cell| self.points.get(&cell)).flatten();
         candidates.min_by(|a, b| (*a - place).norm_squared().total_cmp(&(*b - place).norm_squared())).copied()

@@ -14,15 +14,14 @@ pub struct SurfaceMatcherOptions {
     pub final_scale: f64,
     /// Iterations at most.
     pub max_iterations: u32,
-    /// A direction whose share of the information of all points is below this is weak: for a translation
-    /// the mean squared cosine to the normals met, for a rotation the mean squared lever, relative to that
-    /// of a scan whose surfaces face all ways.
-    pub weak_share: f64,
+    /// How far normals of planes are off, radians (standard deviation). Where scans tell no more than such
+    /// errors feign, they tell nothing.
+    pub normal_noise: f64,
 }
 
 impl Default for SurfaceMatcherOptions {
     fn default() -> Self {
-        Self { range_noise: 0.02, final_scale: 0.1, max_iterations: 20, weak_share: 0.01 }
+        Self { range_noise: 0.02, final_scale: 0.1, max_iterations: 20, normal_noise: 0.03 }
     }
 }
 
@@ -73,6 +72,9 @@ pub struct SurfaceMatch {
 const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
 /// The prior holds this many times more than the points in a direction in which they do not.
 const PRIOR_IN_WEAK_DIRECTIONS: f64 = 30.0;
+/// A direction is told when there is so many times more information than errors of normals feign.
+const TIMES_FEIGNED_SHIFT: f64 = 4.0;
+const TIMES_FEIGNED_TURN: f64 = 1.0;
 /// The scale of the loss shrinks by this with every iteration.
 const SCALE_DECAY: f64 = 0.6;
 
@@ -195,23 +197,30 @@ impl SurfaceMatcher {
         sums
     }
 
-    /// The eigenvectors of both halves of the information whose share is small (Zhang, Kaess and Singh,
-    /// "On degeneracy of optimization-based state estimation problems", 2016).
+    /// The eigenvectors of both halves of the information that errors of normals alone could explain (Zhang,
+    /// Kaess and Singh, "On degeneracy of optimization-based state estimation problems", 2016). In a
+    /// direction in which no surface faces, n·d is the error of the normal; about an axis about which
+    /// nothing can turn, (p × n)·d is that error times |p|.
     fn weak_directions(&self, sums: &Sums) -> WeakDirections {
-        let weak = |at: usize, total: f64| -> Vec<Vector3> {
+        let feigned = self.options.normal_noise * self.options.normal_noise;
+        let weak = |at: usize, total: f64, times: f64| -> Vec<Vector3> {
             let half = sums.hessian.fixed_view::<3, 3>(at, at).into_owned();
             let eigen = na::SymmetricEigen::new(half);
-            let is_weak = |i: &usize| eigen.eigenvalues[*i] < self.options.weak_share * total;
+            let is_weak = |i: &usize| eigen.eigenvalues[*i] < times * feigned * total;
             (0..3).filter(is_weak).map(|i| eigen.eigenvectors.column(i).into_owned()).collect()
         };
-        WeakDirections { translations: weak(0, sums.weight), rotations: weak(3, sums.weight_by_lever) }
+        WeakDirections {
+            translations: weak(0, sums.weight, TIMES_FEIGNED_SHIFT),
+            rotations: weak(3, sums.weight_by_lever, TIMES_FEIGNED_TURN),
+        }
     }
 }
 
 /// One Gauss-Newton step of points and prior together.
 fn solve(sums: &Sums, pose: &Rigid3, prior: &PosePrior, weak: &WeakDirections) -> Option<na::Vector6<f64>> {
     let offset = pose.translation.vector - prior.pose.translation.vector;
-    let turn = portolan_geometry::angle_axis_from_quaternion(&(pose.rotation * prior.pose.rotation.inverse()));
+    let turn =
+        portolan_geometry::angle_axis_from_quaternion(&(pose.rotation * prior.pose.rotation.inverse()));
     let stiffness = |directions: &[Vector3], sigma: f64, at: usize| {
         let mut stiffness = na::Matrix3::from_diagonal_element(1.0 / (sigma * sigma));
         for direction in directions {

@@ -1,6 +1,6 @@
 //! Local SLAM by matching sweeps to surfaces.
 
-use portolan_geometry::{Duration, Quaternion, Time};
+use portolan_geometry::{Duration, Quaternion, Time, is_valid_pose};
 
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
@@ -99,7 +99,7 @@ impl LocalSlam3d {
         let matched =
             by_surfaces.tracker.match_sweep(&selection, &path, (&submap.local_from_submap, surfaces));
         match &matched.found {
-            None => self.count("scan that fits no surface; its pose is the predicted one"),
+            None => self.count("scan that fits no surface; matched to grids instead"),
             Some(found) => {
                 let to_tracking = found.pose.rotation.inverse();
                 for direction in &found.weak.translations {
@@ -115,21 +115,32 @@ impl LocalSlam3d {
             let (predicted, found) = (path.end().rotation, matched.local_from_tracking.rotation);
             self.gyroscope_bias.observe(&predicted, &found, path.seconds());
         }
-        let scan = self.seen_from_end(sweep, matched);
+        let fits_surfaces = matched.found.is_some();
+        let mut scan = self.seen_from_end(sweep, matched);
+        if !fits_surfaces {
+            self.match_to_grids(&mut scan);
+        }
         self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
         Some(self.conclude(sweep.end, scan, gravity))
     }
 
+    /// Puts a scan where it fits the grids of the older submap best.
+    fn match_to_grids(&self, scan: &mut MatchedScan) {
+        let [high, low] = self.clouds(&scan.scan.returns);
+        if !high.is_empty() && !low.is_empty() {
+            let submap = self.active_submaps.matching_submap();
+            let (matched, _) = self.matcher.match_scan(&scan.local_from_tracking, [&high, &low], submap);
+            if is_valid_pose(&matched) {
+                scan.local_from_tracking = matched;
+            }
+        }
+        scan.clouds = Some([high, low]);
+    }
+
     fn seen_from_end(&self, sweep: &TimedSweep, matched: MatchedSweep) -> MatchedScan {
         let (voxel_size, use_intensities) = (self.options.voxel_filter_size, self.options.use_intensities);
-        let (scan, surface_points) =
-            in_tracking(&sweep.points, &matched.pieces, voxel_size, use_intensities);
-        MatchedScan {
-            local_from_tracking: matched.local_from_tracking,
-            scan,
-            clouds: None,
-            surface_points,
-        }
+        let (scan, surface_points) = in_tracking(&sweep.points, &matched.pieces, voxel_size, use_intensities);
+        MatchedScan { local_from_tracking: matched.local_from_tracking, scan, clouds: None, surface_points }
     }
 
     pub(super) fn new_extrapolator(&self) -> PoseExtrapolator {

@@ -127,10 +127,8 @@ impl<'a> FirstSweeps<'a> {
             believed
         };
         let prior = PosePrior { pose: initial, translation_sigma: 1.0, rotation_sigma: 0.1 };
-        let options = SurfaceMatcherOptions {
-            final_scale: 0.1 * self.voxel_size,
-            ..SurfaceMatcherOptions::default()
-        };
+        let options =
+            SurfaceMatcherOptions { final_scale: 0.1 * self.voxel_size, ..SurfaceMatcherOptions::default() };
         let points = voxel_filter_points(&all, SPACING);
         let found =
             SurfaceMatcher::new(options).match_scan(&reference.surfaces, &points, &initial, &prior, SCALE)?;

@@ -2,9 +2,7 @@
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Point3f, Rigid3, Time};
-use portolan_matching::{
-    PosePrior, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions,
-};
+use portolan_matching::{PosePrior, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions};
 use portolan_sensor::{PointCloud, RangeData, voxel_filter, voxel_filter_indices};
 
 use super::sweep_path::{StraightPieces, SweepPath};
@@ -17,8 +15,8 @@ const TURNS: u32 = 3;
 /// A turn that moves the end by less is the last, metres and radians.
 const SMALL_SHIFT: f64 = 0.003;
 const SMALL_TURN: f64 = 0.0005;
-/// A match of fewer points is no match.
-const MIN_MATCHED_SHARE: f64 = 0.3;
+/// A match of fewer points is no match. Among trees not much is flat.
+const MIN_MATCHED_SHARE: f64 = 0.15;
 /// Points may be off by this at the beginning, metres, and by this many times the error that the
 /// prediction may have.
 const START_SCALE: f64 = 0.3;

@@ -67,8 +67,7 @@ impl SweepPath {
         let bent = |(i, pose): (usize, &Rigid3)| {
             let s = i as f64 / last;
             let bow = |is_measured: bool| if is_measured { s } else { 0.5 * (s + s * s) };
-            let rotation =
-                pose.rotation * quaternion_from_angle_axis(&(turn * bow(self.turn_is_measured)));
+            let rotation = pose.rotation * quaternion_from_angle_axis(&(turn * bow(self.turn_is_measured)));
             let translation = pose.translation.vector + shift * bow(self.way_is_measured);
             let end_from_tracking = end_from_local * Rigid3::from_parts(translation.into(), rotation);
             let matrix = end_from_tracking.to_homogeneous().cast::<f32>();
@@ -95,9 +94,7 @@ impl StraightPieces {
         let whole = (place as usize).min(last.saturating_sub(1));
         let share = place - whole as f32;
         let (a, b) = (&self.pieces[whole], &self.pieces[(whole + 1).min(last)]);
-        let at = |m: &na::Matrix3x4<f32>| {
-            m.fixed_view::<3, 3>(0, 0) * position.coords + m.column(3)
-        };
+        let at = |m: &na::Matrix3x4<f32>| m.fixed_view::<3, 3>(0, 0) * position.coords + m.column(3);
         let (from_a, from_b) = (at(a), at(b));
         Point3f::from(from_a + (from_b - from_a) * share)
     }

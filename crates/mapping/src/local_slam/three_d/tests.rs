@@ -84,8 +84,12 @@ fn run_with(
     surface_voxel_size: Option<f64>,
 ) -> (f64, usize, LocalSlam3d) {
     let sensor = SensorId { id: Arc::from("points"), kind: SensorKind::Range };
-    let extras =
-        LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, surface_voxel_size, ..Default::default() };
+    let extras = LocalSlamExtras {
+        search_penalty_limit: 1.0,
+        use_all_odometry: true,
+        surface_voxel_size,
+        ..Default::default()
+    };
     let mut slam = LocalSlam3d::new(options, std::slice::from_ref(&sensor), extras).unwrap();
     let (mut worst, mut matched) = (0.0f64, 0);
     let mut check = |results: Vec<MatchingResult<Spatial>>| {
@@ -149,8 +153,7 @@ fn surfaces_are_followed_with_and_without_an_imu() {
 
 #[test]
 fn contradicting_options_and_empty_scans_are_refused() {
-    let extras =
-        LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, ..Default::default() };
+    let extras = LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, ..Default::default() };
     let mut wrong = options();
     wrong.submaps.range_data_inserter.hit_probability = 0.4;
     assert!(LocalSlam3d::new(&wrong, &[], extras).is_err());
