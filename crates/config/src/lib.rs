@@ -58,6 +58,7 @@ mod reference;
 mod setting;
 mod to_lua;
 pub mod value;
+mod without_effect;
 
 pub use bounds::Bounds;
 pub use catalogue::{Entry, OptionDoc, catalogue, explain, explain_all};

@@ -8,6 +8,7 @@ mod backend;
 mod collation;
 mod constraint;
 mod gyroscope_bias;
+mod histogram;
 mod id;
 mod imu_integration;
 mod imu_tracker;

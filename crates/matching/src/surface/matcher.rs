@@ -173,8 +173,8 @@ impl SurfaceMatcher {
             for i in 0..6 {
                 let weighted = weight * row[i];
                 gradient[i] += weighted * residual;
-                for j in i..6 {
-                    upper[k] += weighted * row[j];
+                for value in &row[i..] {
+                    upper[k] += weighted * value;
                     k += 1;
                 }
             }
@@ -184,8 +184,8 @@ impl SurfaceMatcher {
             sums.squares += residual * residual;
         }
         let mut k = 0;
+        sums.gradient = na::Vector6::from(gradient) / POINTS_PER_INDEPENDENT_ONE;
         for i in 0..6 {
-            sums.gradient[i] = gradient[i] / POINTS_PER_INDEPENDENT_ONE;
             for j in i..6 {
                 sums.hessian[(i, j)] = upper[k] / POINTS_PER_INDEPENDENT_ONE;
                 sums.hessian[(j, i)] = sums.hessian[(i, j)];
