@@ -1,5 +1,6 @@
 //! The program `portolan`: one file per verb in `commands`.
 
+mod clouds;
 mod commands;
 mod error;
 mod interrupt;

@@ -64,6 +64,7 @@ pub use bounds::Bounds;
 pub use catalogue::{Entry, OptionDoc, catalogue, explain, explain_all};
 pub use check::Dimension;
 pub use error::{ConfigError, ConfigWarning, Place};
+pub use fingerprint::fingerprint_of;
 pub use load::{LoadedConfig, Loader};
 pub use options::*;
 pub use read::Strictness;

@@ -1,14 +1,21 @@
 //! `portolan refine`: a trajectory bent until what was seen from it fits together.
 
+mod cloud_pair;
+mod judgement;
+mod page;
+mod pictures;
 pub mod points;
 mod results;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_pointcloud::CloudFormat;
 use portolan_recording::open_all;
-use portolan_refinement::continuous::{ContinuousOptions, RefineProgress, Refined, refine_continuous};
+use portolan_refinement::continuous::{
+    ContinuousOptions, Gauge, RefineProgress, Refined, refine_continuous_with,
+};
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 
 use crate::GlobalArgs;
@@ -17,7 +24,7 @@ use crate::error::{CliError, Outcome};
 use crate::interrupt;
 use crate::output::print;
 use crate::progress::Progress;
-use points::{PointArgs, read_points};
+use points::{OtherSensor, PointArgs, read_points_and};
 use results::{Results, summary, write_results};
 
 /// Sharpen a map: bend a trajectory, continuously in time and in all six degrees of freedom, until the points
@@ -28,13 +35,14 @@ use results::{Results, summary, write_results};
 /// the first range sensor's; --tracking-frame names another. Nothing needs to be tuned.
 ///
 /// Written are refined.tum (at the stamps of the input; refined_dense.tum too if those are far apart),
-/// the cloud (refined.ply), report.json, and for a map refined.pbstream with its nodes and submaps moved. Ctrl-C keeps the best
-/// so far.
+/// the cloud (refined.ply), report.html (one page with cuts before and after, plots and figures), report.json, and for
+/// a map refined.pbstream with its nodes and submaps moved. Ctrl-C keeps the best so far.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  \
     portolan refine --recording walk.bag --trajectory walk.tum -o walk_refined\n  \
     portolan refine --recording robot.mcap --map robot.pbstream -o robot_refined\n  \
-    portolan refine --recording car.bag --trajectory car.tum --tracking-frame velodyne -o car --no-cloud")]
+    portolan refine --recording car.bag --trajectory car.tum --tracking-frame velodyne -o car --no-cloud\n  \
+    portolan refine --recording pack.mcap --trajectory pack.tum -o pack --calibrate --with imu --gauge gravity")]
 pub struct RefineArgs {
     /// The recording with the raw points; may be given several times, read as one in the order given.
     #[arg(long, required = true, value_name = "RECORDING")]
@@ -51,17 +59,25 @@ pub struct RefineArgs {
     /// Times of KITTI poses, one a line.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
+    /// Added to the stamps of the trajectory, seconds, where its clock is not that of the points. If they seem to
+    /// differ, a warning names what would fit.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    time_offset: f64,
     /// Folder for the results; created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
     points: PointArgs,
-    /// Format of the refined cloud.
-    #[arg(long, value_parser = ["ply", "pcd", "xyz", "las", "laz", "e57"], default_value = "ply", value_name = "FORMAT")]
+    /// Format of the refined cloud (then it is called refined.FORMAT), or its name: `hall.laz`, in the folder for the
+    /// results; a path from the root may lead elsewhere.
+    #[arg(long, value_parser = cloud_name, default_value = "ply", value_name = "FORMAT | FILE")]
     cloud: String,
     /// Write no cloud.
     #[arg(long)]
     no_cloud: bool,
+    /// Write no report.html and do not judge the clouds for it, which takes a second or two.
+    #[arg(long)]
+    no_report: bool,
     /// How to refine.
     #[arg(long, value_enum, default_value_t = MethodName::Continuous)]
     method: MethodName,
@@ -140,6 +156,54 @@ struct TuningArgs {
     /// How far drift may have moved surfaces apart, metres.
     #[arg(long, value_name = "METRES", default_value_t = ContinuousOptions::default().reach)]
     reach: f64,
+    /// Other sensors whose motion counts too. How exact they are is found; a bad one does no harm.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "SENSORS")]
+    with: Vec<OtherSensor>,
+    /// Solve for places and clocks of all lidars but the first, too. report.json has them with standard deviations;
+    /// what the motion does not determine is named.
+    #[arg(long)]
+    calibrate: bool,
+    /// Where the result lies as a whole.
+    #[arg(long, value_enum, default_value_t = GaugeName::FirstPose, value_name = "WHERE")]
+    gauge: GaugeName,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum GaugeName {
+    /// The first pose is that of the input.
+    FirstPose,
+    /// The same, and z points up by the IMU.
+    Gravity,
+    /// In the frame of the satellite fixes.
+    Fixes,
+}
+
+impl TuningArgs {
+    fn options(&self) -> ContinuousOptions {
+        ContinuousOptions {
+            window: self.window,
+            knot_spacing: self.knots,
+            reach: self.reach,
+            calibrate_lidars: self.calibrate,
+            gauge: match self.gauge {
+                GaugeName::FirstPose => Gauge::FirstPose,
+                GaugeName::Gravity => Gauge::Gravity,
+                GaugeName::Fixes => Gauge::Fixes,
+            },
+            ..ContinuousOptions::default()
+        }
+    }
+
+    /// The sensors to read: those that count, and those that say where the result lies.
+    fn sensors(&self) -> Vec<OtherSensor> {
+        let mut sensors = self.with.clone();
+        match self.gauge {
+            GaugeName::FirstPose => {}
+            GaugeName::Gravity => sensors.push(OtherSensor::Imu),
+            GaugeName::Fixes => sensors.push(OtherSensor::Fixes),
+        }
+        sensors
+    }
 }
 
 pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -149,24 +213,59 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     std::fs::create_dir_all(&args.output)
         .map_err(|source| CliError::File { path: args.output.clone(), source })?;
     let recording = open_all(&args.recording)?;
-    let read = read_points(recording.as_ref(), &args.points, global)?;
+    let read = read_points_and(recording.as_ref(), &args.points, &args.tuning.sensors(), global)?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(global.thread_count())
         .build()
         .map_err(|error| CliError::Failed(error.to_string()))?;
     let refined = pool.install(|| refine_with_progress(&read, &input, args, global))?;
+    let command = command_line();
+    let files: Vec<PathBuf> =
+        args.recording.iter().chain(&args.trajectory).chain(&args.map).cloned().collect();
     let results = Results {
         input: &input,
         refined: &refined,
         read: &read,
         seconds: start.elapsed().as_secs_f64(),
         cloud: (!args.no_cloud).then_some(args.cloud.as_str()),
+        files: &files,
+        command: (!args.no_report).then_some(command.as_str()),
         map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
     };
-    let files = write_results(&results, &args.output)?;
+    let files = pool.install(|| write_results(&results, &args.output))?;
     print(&summary(&results, &files))?;
     let lost = read.repairs.iter().any(|r| r.lost_data);
     Ok(if lost { Outcome::DataLost } else { Outcome::Done })
+}
+
+/// `las` becomes `refined.las`; a name must end in a format that can be written.
+fn cloud_name(text: &str) -> Result<String, String> {
+    let name = if text.contains('.') { text.to_owned() } else { format!("refined.{text}") };
+    CloudFormat::from_path(Path::new(&name)).map(|_| name).map_err(|_| {
+        format!("\"{text}\" is not ply, pcd, xyz, las, laz or e57, nor a file name that ends so")
+    })
+}
+
+/// What was typed, without options that results do not depend on.
+fn command_line() -> String {
+    let mut words = std::env::args().skip(1);
+    let mut line = "portolan".to_owned();
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--threads" => drop(words.next()),
+            "-q" | "--quiet" | "-v" | "--verbose" => {}
+            word if word.starts_with("--threads=") => {}
+            word => {
+                let is_plain = word.chars().all(|c| c.is_alphanumeric() || "-_./=,:+@%".contains(c));
+                line += &if is_plain {
+                    format!(" {word}")
+                } else {
+                    format!(" '{}'", word.replace('\'', "'\\''"))
+                };
+            }
+        }
+    }
+    line
 }
 
 fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid3)>, CliError> {
@@ -177,7 +276,11 @@ fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid
     };
     let times = args.times.as_deref();
     let source = TrajectorySource { path, trajectory_id: args.trajectory_id, times, quiet: global.quiet };
-    Ok(source.read()?.poses().iter().map(|pose| (pose.time, pose.map_from_tracking)).collect())
+    if !args.time_offset.is_finite() {
+        return Err(CliError::Usage("--time-offset must be a number of seconds".to_owned()));
+    }
+    let offset = Duration::from_seconds(args.time_offset);
+    Ok(source.read()?.poses().iter().map(|pose| (pose.time + offset, pose.map_from_tracking)).collect())
 }
 
 fn refine_with_progress(
@@ -187,20 +290,18 @@ fn refine_with_progress(
     global: &GlobalArgs,
 ) -> Result<Refined, CliError> {
     let mut progress = Progress::start("refining", 1000, global.quiet);
+    let start = Instant::now();
     let mut observe = |state: &RefineProgress| {
-        let message = format!("{}: scatter {:.1} mm", state.stage, 1e3 * state.rms);
+        let left = start.elapsed().as_secs_f64() * (1.0 / state.share.max(0.01) - 1.0);
+        let sharpness = state.entropy.map_or_else(String::new, |e| format!(", entropy {e:.3}"));
+        let message =
+            format!("{}: scatter {:.1} mm{sharpness}, about {left:.0} s left", state.stage, 1e3 * state.rms);
         progress.update((1000.0 * state.share) as u64, 1000, message);
         !interrupt::interrupted()
     };
     let refined = match args.method {
         MethodName::Continuous => {
-            let options = ContinuousOptions {
-                window: args.tuning.window,
-                knot_spacing: args.tuning.knots,
-                reach: args.tuning.reach,
-                ..ContinuousOptions::default()
-            };
-            refine_continuous(&read.store, input, &options, &mut observe)
+            refine_continuous_with(&read.store, &read.sensors, input, &args.tuning.options(), &mut observe)
         }
         MethodName::SemiRigid => {
             refine_semi_rigid(&read.store, input, &args.semi_rigid.options(), &mut observe)
