@@ -88,6 +88,7 @@ impl<S: Space> Mapper<S> {
     ) -> Result<Self, MapperError> {
         let mut graph = graph;
         graph.set_drops_contradicted(options.portolan.drop_contradicted_loop_closures);
+        graph.set_corrects_imu_biases(options.portolan.match_surfaces);
         let next_trajectory = graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);
         Ok(Self {
             backend: Backend::start(graph, settings.threads)?,

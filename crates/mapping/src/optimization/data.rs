@@ -88,6 +88,8 @@ pub struct OptimizationData {
     pub fixed_frame_origins: BTreeMap<TrajectoryId, FixedFrameOrigin>,
     /// Trajectories that are not moved.
     pub frozen: BTreeSet<TrajectoryId>,
+    /// Whether biases of IMUs are estimated and taken away; the reference knows none.
+    pub corrects_imu_biases: bool,
     /// Iterations allowed beyond the options' number, for the final optimisation.
     pub max_iterations_override: Option<u32>,
 }

@@ -221,7 +221,8 @@ impl SpatialProblem {
     }
 
     fn estimate_imu_biases(&mut self, data: &OptimizationData, options: &OptimizationProblemOptions) {
-        let moving = data.sensors.keys().filter(|id| !data.frozen.contains(id) && !options.fix_z_in_3d);
+        let wanted = data.corrects_imu_biases && !options.fix_z_in_3d;
+        let moving = data.sensors.keys().filter(|id| wanted && !data.frozen.contains(id));
         self.imu_biases = moving.map(|id| (*id, ImuBias::estimate(data, *id, options))).collect();
     }
 

@@ -103,6 +103,11 @@ impl<S: Space> PoseGraph<S> {
         (self.optimizations, self.last_summary)
     }
 
+    /// Whether biases of IMUs are estimated and taken away when optimising in space.
+    pub fn set_corrects_imu_biases(&mut self, corrects: bool) {
+        self.problem.corrects_imu_biases = corrects;
+    }
+
     /// Adds what removes superfluous submaps after each optimisation.
     pub fn add_trimmer(&mut self, trimmer: Trimmer) {
         self.trimmers.push(trimmer);
