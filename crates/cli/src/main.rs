@@ -3,6 +3,7 @@
 mod commands;
 mod error;
 mod interrupt;
+mod known_map;
 mod memory;
 mod output;
 mod progress;

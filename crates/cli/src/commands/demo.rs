@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use portolan::pipeline::KnownMap;
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors};
 use portolan_geometry::{Rigid3, Time};
 use portolan_mapping::Planar;
@@ -40,7 +41,8 @@ pub fn run(args: DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let start = std::time::Instant::now();
     let ingest = IngestOptions::default();
     let preparation = prepared(&simulation, &ingest, None, &[], global)?;
-    let mapped = map_with_progress::<Planar>(&simulation, &ingest, preparation, global)?;
+    let known = KnownMap::empty(&preparation.options);
+    let mapped = map_with_progress::<Planar>(&simulation, &ingest, preparation, known, global)?;
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, &args.output, seconds, false)?;
     print(&summary(&mapped, &written, seconds))?;

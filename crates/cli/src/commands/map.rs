@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use portolan::pipeline::{
-    MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
+    KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
 };
 use portolan_config::{Loader, Options};
 use portolan_geometry::Duration;
@@ -15,6 +15,7 @@ use portolan_recording::{
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
+use crate::known_map::{KnownMapArgs, Localisation};
 use crate::memory::resident_and_peak_bytes;
 use crate::output::print;
 use crate::progress::{Progress, say};
@@ -28,7 +29,8 @@ use crate::results::{ResultSpace, Written, write_results};
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan map walk.bag -o walk\n  \
     portolan map robot.mcap --scan /front/scan --no-odometry\n  \
-    portolan map log.clf.bz2 --config my_robot.lua --set pose_graph.optimize_every_n_nodes=40")]
+    portolan map log.clf.bz2 --config my_robot.lua --set pose_graph.optimize_every_n_nodes=40\n  \
+    portolan map second_day.bag --from house/map.pbstream --frozen -o second_day")]
 pub struct MapArgs {
     /// Recordings, read as one in the order given.
     #[arg(required = true, value_name = "RECORDING")]
@@ -43,6 +45,9 @@ pub struct MapArgs {
 
     #[command(flatten)]
     pub config: ConfigArgs,
+
+    #[command(flatten)]
+    pub known: KnownMapArgs,
 
     /// Also write the pose of every scan, not only of inserted ones (`all_poses.tum`).
     #[arg(long)]
@@ -112,7 +117,12 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let configured = load_options(&args.config)?;
     let ingest = ingest_options(&args, configured.as_ref())?;
     interrupt::watch();
-    let preparation = prepared(recording.as_ref(), &ingest, configured, &args.config.set, global)?;
+    let mut preparation = looked_through(recording.as_ref(), &ingest, configured, global)?;
+    if !args.known.from.is_empty() && args.config.config.is_none() {
+        let submaps = args.known.count_submaps()?;
+        portolan::automatic::search_in_known_map(&mut preparation.options, submaps);
+    }
+    change_options(&mut preparation, &args.config.set)?;
     match preparation.dimension {
         Dimension::Two => finish::<Planar>(recording.as_ref(), &ingest, preparation, &folder, &args, global),
         Dimension::Three => {
@@ -130,7 +140,8 @@ fn finish<S: ResultSpace>(
     global: &GlobalArgs,
 ) -> Result<Outcome, CliError> {
     let start = std::time::Instant::now();
-    let mapped = map_with_progress::<S>(recording, ingest, preparation, global)?;
+    let known = args.known.load::<S>(&preparation.options, global.quiet)?;
+    let mapped = map_with_progress::<S>(recording, ingest, preparation, known, global)?;
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, folder, seconds, args.all_poses)?;
     print(&summary(&mapped, &written, seconds))?;
@@ -221,18 +232,32 @@ pub fn prepared(
     settings: &[String],
     global: &GlobalArgs,
 ) -> Result<Preparation, CliError> {
-    let mut preparation = prepare(recording, ingest, configured).map_err(failure)?;
+    let mut preparation = looked_through(recording, ingest, configured, global)?;
+    change_options(&mut preparation, settings)?;
+    Ok(preparation)
+}
+
+fn looked_through(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    configured: Option<Options>,
+    global: &GlobalArgs,
+) -> Result<Preparation, CliError> {
+    let preparation = prepare(recording, ingest, configured).map_err(failure)?;
     for notice in preparation.plan.notices.iter().filter(|_| !global.quiet) {
         say(&format!("{} {}", notice.what, notice.change));
     }
+    Ok(preparation)
+}
+
+fn change_options(preparation: &mut Preparation, settings: &[String]) -> Result<(), CliError> {
     for setting in settings {
         preparation.options.set(setting).map_err(|e| CliError::Usage(e.to_string()))?;
     }
     preparation.options.validate().map_err(|errors| {
         let lines: Vec<String> = errors.iter().map(ToString::to_string).collect();
         CliError::Usage(lines.join("\n"))
-    })?;
-    Ok(preparation)
+    })
 }
 
 fn failure(error: PipelineError) -> CliError {
@@ -247,12 +272,13 @@ pub fn map_with_progress<S: Space>(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     preparation: Preparation,
+    known: KnownMap<S>,
     global: &GlobalArgs,
 ) -> Result<MappedRecording<S>, CliError> {
     let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
     let start = std::time::Instant::now();
     let settings = MapperSettings { threads: global.thread_count(), ..MapperSettings::default() };
-    let mapped = map_recording(recording, ingest, preparation, settings, &mut |state| {
+    let mapped = map_recording(recording, ingest, preparation, known, settings, &mut |state| {
         if progress.is_due() {
             progress.update(state.position_bytes, state.total_bytes, describe(state, start));
         }
@@ -287,6 +313,9 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
         mapped.recording_seconds,
         mapped.recording_seconds / seconds.max(1e-3),
     );
+    if let Some(localisation) = Localisation::of(mapped) {
+        text += &format!("{}\n", localisation.sentence());
+    }
     let times = &mapped.scan_times;
     if times.count() > 0 {
         text += &format!(

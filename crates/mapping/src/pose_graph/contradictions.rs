@@ -53,7 +53,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Metres and radians between what the constraint says and what the graph says.
-    fn disagreement(&self, constraint: &Constraint) -> Option<(f64, f64)> {
+    pub(super) fn disagreement(&self, constraint: &Constraint) -> Option<(f64, f64)> {
         let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
         let map_from_node = self.problem.nodes.get(&constraint.node_id)?.map_from_node;
         let error: Rigid3 = constraint.submap_from_node.inverse() * map_from_submap.inverse() * map_from_node;
