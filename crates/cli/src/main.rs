@@ -1,5 +1,6 @@
 //! The program `portolan`: one file per verb in `commands`.
 
+mod clouds;
 mod commands;
 mod error;
 mod interrupt;
@@ -49,6 +50,14 @@ struct GlobalArgs {
 }
 
 impl GlobalArgs {
+    /// As many threads as asked for, or else as there are cores, but not more than options allow.
+    fn thread_count_up_to(&self, most: Option<usize>) -> usize {
+        match (self.threads, most) {
+            (0, Some(most)) => self.thread_count().min(most),
+            _ => self.thread_count(),
+        }
+    }
+
     fn thread_count(&self) -> usize {
         match self.threads {
             0 => std::thread::available_parallelism().map_or(2, std::num::NonZero::get),

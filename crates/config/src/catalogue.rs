@@ -9,6 +9,7 @@ use crate::nearest::nearest;
 use crate::node::{Mark, NodeRef, Section};
 use crate::options::Options;
 use crate::value::Value;
+use crate::without_effect::without_effect;
 
 /// What is known about one option or table.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,8 +24,10 @@ pub struct OptionDoc {
     pub default: String,
     /// Bounds of numbers.
     pub bounds: Bounds,
-    /// What it does and when to raise it.
+    /// What it does and when to raise it; why it has no effect, if it has none.
     pub doc: String,
+    /// Why it is accepted without effect; none if it has one.
+    pub without_effect: Option<&'static str>,
     /// Whether it is a table of options.
     pub is_table: bool,
 }
@@ -109,11 +112,20 @@ pub(crate) fn catalogue_of(section: &dyn Section) -> Vec<OptionDoc> {
             unit: visit.spec.unit,
             default,
             bounds: visit.spec.bounds,
-            doc: tidy(visit.spec.doc),
+            doc: documentation(visit),
+            without_effect: without_effect(visit.path),
             is_table,
         });
     });
     docs
+}
+
+fn documentation(visit: &Visit<'_>) -> String {
+    let doc = tidy(visit.spec.doc);
+    match without_effect(visit.path) {
+        Some(reason) => format!("{doc} Accepted without effect: {reason}."),
+        None => doc,
+    }
 }
 
 /// Doc comment lines as one paragraph.

@@ -11,12 +11,13 @@ impl Options {
     /// lines `path = value`). The same on every machine; another version of the program with more options
     /// gives another one.
     pub fn fingerprint(&self) -> String {
-        let mut hash = OFFSET;
-        for entry in self.entries() {
-            for byte in format!("{entry}\n").bytes() {
-                hash = (hash ^ u128::from(byte)).wrapping_mul(PRIME);
-            }
-        }
-        format!("{hash:032x}")
+        fingerprint_of(self.entries().into_iter().map(|entry| format!("{entry}\n")))
     }
+}
+
+/// 32 hexadecimal digits that depend on every byte of the texts, taken as one, and on nothing else (FNV-1a, 128 bits).
+pub fn fingerprint_of(texts: impl IntoIterator<Item = String>) -> String {
+    let bytes = texts.into_iter().flat_map(String::into_bytes);
+    let hash = bytes.fold(OFFSET, |hash, byte| (hash ^ u128::from(byte)).wrapping_mul(PRIME));
+    format!("{hash:032x}")
 }

@@ -58,11 +58,13 @@ mod reference;
 mod setting;
 mod to_lua;
 pub mod value;
+mod without_effect;
 
 pub use bounds::Bounds;
 pub use catalogue::{Entry, OptionDoc, catalogue, explain, explain_all};
 pub use check::Dimension;
 pub use error::{ConfigError, ConfigWarning, Place};
+pub use fingerprint::fingerprint_of;
 pub use load::{LoadedConfig, Loader};
 pub use options::*;
 pub use read::Strictness;

@@ -80,4 +80,7 @@ pub enum EvaluationError {
     /// A map that relations cannot be made from.
     #[error("cannot make relations from this map: {0}")]
     BadMap(String),
+    /// A file of surfaces that cannot be used.
+    #[error("this mesh cannot be used: {0}")]
+    BadMesh(String),
 }

@@ -166,7 +166,7 @@ impl ScaleBar {
 }
 
 /// The largest of 1, 2, 5, 10, 20, … metres (or fractions) that is not longer than `target`.
-fn round_length(target: f64) -> Option<f64> {
+pub(crate) fn round_length(target: f64) -> Option<f64> {
     if !(target.is_finite() && target > 1e-6) {
         return None;
     }
@@ -176,7 +176,7 @@ fn round_length(target: f64) -> Option<f64> {
     steps.into_iter().map(|s| s * power).find(|l| *l <= target * (1.0 + 1e-9))
 }
 
-fn length_label(metres: f64) -> String {
+pub(crate) fn length_label(metres: f64) -> String {
     if metres >= 1000.0 {
         format!("{} km", (metres / 1000.0 * 1e6).round() / 1e6)
     } else if metres >= 1.0 {

@@ -26,7 +26,12 @@ fn write_png(path: &Path, colour: png::ColorType, size: [usize; 2], data: &[u8])
     }
 }
 
-fn encode(sink: impl io::Write, colour: png::ColorType, size: [usize; 2], data: &[u8]) -> io::Result<()> {
+pub(crate) fn encode(
+    sink: impl io::Write,
+    colour: png::ColorType,
+    size: [usize; 2],
+    data: &[u8],
+) -> io::Result<()> {
     let [width, height] = size.map(|s| u32::try_from(s).unwrap_or(u32::MAX));
     let mut encoder = png::Encoder::new(sink, width, height);
     encoder.set_color(colour);

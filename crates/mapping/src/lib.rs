@@ -7,6 +7,7 @@
 mod backend;
 mod collation;
 mod constraint;
+mod histogram;
 mod id;
 mod imu_integration;
 mod imu_tracker;

@@ -143,13 +143,11 @@ impl GrowingSubmap for Submap2d {
         scan.origin
     }
 
-    fn insert(&mut self, scan: &RangeData) {
-        if let Some(inserter) = &self.inserter
-            && inserter.insert(scan, &mut self.grid).is_err()
-        {
-            self.refused_scans += 1;
-        }
+    fn insert(&mut self, scan: &RangeData) -> bool {
+        let drawn = self.inserter.as_ref().is_none_or(|i| i.insert(scan, &mut self.grid).is_ok());
+        self.refused_scans += u32::from(!drawn);
         self.num_range_data += 1;
+        drawn
     }
 
     fn finish(&mut self) {

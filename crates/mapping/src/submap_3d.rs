@@ -142,8 +142,8 @@ impl GrowingSubmap for Submap3d {
         scan.range_data_in_local.origin
     }
 
-    fn insert(&mut self, scan: &Scan3d) {
-        let Some(inserter) = &self.inserter else { return };
+    fn insert(&mut self, scan: &Scan3d) -> bool {
+        let Some(inserter) = &self.inserter else { return true };
         let submap_from_local = self.local_from_submap.inverse();
         let data = scan.range_data_in_local.transformed(&to_f32(&submap_from_local));
         let max_range = inserter.high_resolution_max_range;
@@ -151,13 +151,13 @@ impl GrowingSubmap for Submap3d {
         let high =
             fine.insert(&data, max_range, &mut self.high_resolution_grid, self.intensity_grid.as_mut());
         let low = fine.insert(&data, f32::INFINITY, &mut self.low_resolution_grid, None);
-        if high.is_err() || low.is_err() {
-            self.refused_scans += 1;
-        }
+        let drawn = high.is_ok() && low.is_ok();
+        self.refused_scans += u32::from(!drawn);
         let turn = yaw(&(submap_from_local.rotation * scan.local_from_gravity_aligned)) as f32;
         let turned = rotate_histogram(&scan.rotational_histogram, turn);
         self.rotational_histogram.iter_mut().zip(turned).for_each(|(sum, value)| *sum += value);
         self.num_range_data += 1;
+        drawn
     }
 
     fn finish(&mut self) {

@@ -50,7 +50,7 @@ pub use error::{CloudError, Repair};
 pub use format::{
     CloudFormat, CloudReader, CloudWriter, Encoding, Precision, WriteOptions, Written, create, open,
 };
-pub use uos::{UosFolder, UosFrame, UosScan};
+pub use uos::{UosFolder, UosFrame, UosScan, uos_frames_text, uos_pose_text};
 
 /// Points of a batch at most.
 pub const BATCH_POINTS: usize = 1 << 16;

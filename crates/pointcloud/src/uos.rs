@@ -41,6 +41,26 @@ pub struct UosScan {
 }
 
 impl UosScan {
+    /// A scan by the file of its points (`scan000.3d`), with what lies beside it.
+    ///
+    /// # Errors
+    /// Fails if its pose or frames cannot be understood.
+    pub fn open(points: impl AsRef<Path>) -> Result<Self, CloudError> {
+        let points = points.as_ref().to_owned();
+        let stem = points.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let number = stem.trim_start_matches(|c: char| !c.is_ascii_digit()).parse().unwrap_or(0);
+        let guess = read_pose(&points.with_extension("pose"))?;
+        let frames = read_frames(&points.with_extension("frames"))?;
+        Ok(Self { number, points, guess, frames })
+    }
+
+    /// Its points in its own frame.
+    pub fn reader(&self) -> Box<dyn CloudReader> {
+        let scan = Self { guess: None, frames: Vec::new(), ..self.clone() };
+        let path = self.points.clone();
+        Box::new(UosFolder { path, scans: vec![scan] }.into_reader())
+    }
+
     /// The result of registration, else the first guess, else the origin.
     pub fn world_from_scan(&self) -> Rigid3 {
         self.frames.last().map(|frame| frame.world_from_scan).or(self.guess).unwrap_or_default()
@@ -78,11 +98,9 @@ impl UosFolder {
         for entry in std::fs::read_dir(path).map_err(error)? {
             let points = entry.map_err(error)?.path();
             let stem = points.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            let number = stem.strip_prefix("scan").and_then(|n| n.parse().ok());
-            if let (Some(number), true) = (number, points.extension().is_some_and(|e| e == "3d")) {
-                let guess = read_pose(&points.with_extension("pose"))?;
-                let frames = read_frames(&points.with_extension("frames"))?;
-                scans.push(UosScan { number, points, guess, frames });
+            let number: Option<u64> = stem.strip_prefix("scan").and_then(|n| n.parse().ok());
+            if number.is_some() && points.extension().is_some_and(|e| e == "3d") {
+                scans.push(UosScan::open(points)?);
             }
         }
         if scans.is_empty() {
@@ -148,6 +166,39 @@ fn read_frames(path: &Path) -> Result<Vec<UosFrame>, CloudError> {
     frames.ok_or_else(|| {
         CloudError::damaged(path, "it has a line that is no rigid transform (16 numbers and a kind)")
     })
+}
+
+/// The first guess of a pose as text: what `.pose` files hold.
+pub fn uos_pose_text(world_from_scan: &Rigid3) -> String {
+    let (matrix, place) = in_uos_axes(world_from_scan);
+    // R = Rx Ry Rz, with the branch in which the cosine of the middle angle is not negative.
+    let cosine = matrix.m11.hypot(matrix.m12);
+    let angles = if cosine > 1e-9 {
+        [(-matrix.m23).atan2(matrix.m33), matrix.m13.atan2(cosine), (-matrix.m12).atan2(matrix.m11)]
+    } else {
+        [0.0, matrix.m13.atan2(cosine), matrix.m21.atan2(matrix.m22)]
+    };
+    let [rx, ry, rz] = angles.map(f64::to_degrees);
+    format!("{:.6} {:.6} {:.6}\n{rx:.9} {ry:.9} {rz:.9}\n", place.x, place.y, place.z)
+}
+
+/// The states of a scan as text: what `.frames` files hold.
+pub fn uos_frames_text(frames: &[UosFrame]) -> String {
+    let line = |frame: &UosFrame| {
+        let (m, t) = in_uos_axes(&frame.world_from_scan);
+        let column = |c: usize| format!("{:.12} {:.12} {:.12} 0", m[(0, c)], m[(1, c)], m[(2, c)]);
+        let columns = [column(0), column(1), column(2)].join(" ");
+        format!("{columns} {:.6} {:.6} {:.6} 1 {}\n", t.x, t.y, t.z, frame.kind)
+    };
+    frames.iter().map(line).collect()
+}
+
+/// Rotation matrix and place (centimetres) in left-handed axes.
+fn in_uos_axes(pose: &Rigid3) -> (na::Matrix3<f64>, Vector3) {
+    let ours_from_uos = na::Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+    let ours = pose.rotation.to_rotation_matrix();
+    let place = ours_from_uos.transpose() * pose.translation.vector / METRES;
+    (ours_from_uos.transpose() * ours.matrix() * ours_from_uos, place)
 }
 
 /// Reads all scans one after the other.
@@ -239,5 +290,32 @@ impl UosFolder {
     /// Where the scans are.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)] // tests
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_and_frames_are_read_as_they_were_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let points = folder.path().join("scan007.3d");
+        std::fs::write(&points, "100 200 300\n-10 5 0\n").unwrap();
+        for angles in [[0.1, -0.4, 2.9], [3.0, 0.2, -1.0], [0.0, std::f64::consts::FRAC_PI_2, 0.3]] {
+            let pose = Rigid3::new(Vector3::new(1.5, -2.0, 0.25), Vector3::from(angles));
+            std::fs::write(points.with_extension("pose"), uos_pose_text(&pose)).unwrap();
+            let frames =
+                [UosFrame { world_from_scan: pose, kind: 1 }, UosFrame { world_from_scan: pose, kind: 3 }];
+            std::fs::write(points.with_extension("frames"), uos_frames_text(&frames)).unwrap();
+            let scan = UosScan::open(&points).unwrap();
+            let near = |a: &Rigid3| (a.to_homogeneous() - pose.to_homogeneous()).norm() < 1e-6;
+            assert!(near(&scan.guess.unwrap()) && scan.frames.len() == 2 && near(&scan.world_from_scan()));
+            assert_eq!((scan.number, scan.frames[1].kind), (7, 3));
+        }
+        let mut batch = PointCloud::default();
+        assert!(UosScan::open(&points).unwrap().reader().next_batch(&mut batch).unwrap());
+        assert_eq!((batch.len(), batch.position(0)), (2, [3.0, -1.0, 2.0]));
     }
 }

@@ -3,6 +3,9 @@
 
 pub mod automatic;
 pub mod pipeline;
+mod requested;
+
+pub use requested::RequestedOptions;
 
 pub use portolan_config as config;
 pub use portolan_evaluation as evaluation;

@@ -80,6 +80,9 @@ pub struct Preparation {
     pub options: Options,
     /// In which space. Follows from the options.
     pub dimension: Dimension,
+    /// Most threads for searching and optimising, if somebody set a number
+    /// ([`RequestedOptions::background_threads`](crate::RequestedOptions::background_threads)).
+    pub background_threads: Option<usize>,
 }
 
 /// Looks through a recording. Without `options` they are chosen from what is in it.
@@ -99,7 +102,7 @@ pub fn prepare(
         Ok(portolan_config::Dimension::Three) => Dimension::Three,
         Err(error) => return Err(PipelineError::Setting(error.to_string())),
     };
-    Ok(Preparation { inventory, plan, options, dimension })
+    Ok(Preparation { inventory, plan, options, dimension, background_threads: None })
 }
 
 /// A map that a recording is added to.

@@ -19,4 +19,4 @@ mod sharpness;
 pub use error::RefineError;
 pub use moments::{Moments, PlaneFit};
 pub use point_store::{LeftOutPoints, PointStore, StoredPoint};
-pub use sharpness::{Sharpness, SharpnessOptions, sharpness, spread_sample};
+pub use sharpness::{Neighbourhood, Sharpness, SharpnessOptions, ThinnedCloud, sharpness, spread_sample};

@@ -68,53 +68,127 @@ pub fn spread_sample(count: usize, wanted: usize) -> Vec<u32> {
         .collect()
 }
 
+/// The surroundings of one point of a cloud.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Neighbourhood {
+    /// Which point of the cloud that was measured.
+    pub index: u32,
+    /// `½ ln det(2πe Σ)` of the points around it.
+    pub entropy: f64,
+    /// Eigenvalues of their covariance, ascending, square metres.
+    pub variances: [f64; 3],
+    /// Unit normal of the plane through them; its sign means nothing.
+    pub normal: [f64; 3],
+    /// How many they are.
+    pub count: f64,
+}
+
+impl Neighbourhood {
+    /// Whether the points lie on one surface: wide in two directions and thin in the third.
+    pub fn is_planar(&self) -> bool {
+        let [across, middle, along] = self.variances;
+        middle > 0.1 * along && across < 0.1 * middle
+    }
+}
+
+/// A cloud thinned for measuring, with a search tree.
+#[derive(Clone, Debug)]
+pub struct ThinnedCloud {
+    chosen: Vec<u32>,
+    /// Relative to one of the points, so that single precision is enough for the search.
+    near: Vec<[f32; 3]>,
+    tree: KdTree,
+}
+
+impl ThinnedCloud {
+    /// Thins a cloud (metres, any frame) to so many points, spread evenly over their order.
+    pub fn new(points: &[[f64; 3]], max_points: usize) -> Self {
+        let chosen = spread_sample(points.len(), max_points);
+        let is_finite = |p: &&[f64; 3]| p.iter().all(|v| v.is_finite());
+        let origin = points.iter().find(is_finite).copied().unwrap_or_default();
+        let near: Vec<[f32; 3]> = chosen
+            .iter()
+            .map(|i| std::array::from_fn(|k| (points[*i as usize][k] - origin[k]) as f32))
+            .collect();
+        let tree = KdTree::new(&near);
+        Self { chosen, near, tree }
+    }
+
+    /// Indices of the points in the cloud they were taken from, ascending.
+    pub fn chosen(&self) -> &[u32] {
+        &self.chosen
+    }
+
+    /// The points relative to one of them, metres.
+    pub fn near(&self) -> &[[f32; 3]] {
+        &self.near
+    }
+
+    /// Their search tree.
+    pub fn tree(&self) -> &KdTree {
+        &self.tree
+    }
+
+    /// The surroundings of some of the points, spread evenly, in their order. Points with too few around them are
+    /// left out. The same for any number of threads.
+    pub fn neighbourhoods(&self, options: &SharpnessOptions) -> Vec<Neighbourhood> {
+        let queries = spread_sample(self.near.len(), options.queries);
+        let found: Vec<Option<Neighbourhood>> =
+            queries.par_iter().map(|i| self.neighbourhood(*i as usize, options)).collect();
+        found.into_iter().flatten().collect()
+    }
+
+    fn neighbourhood(&self, query: usize, options: &SharpnessOptions) -> Option<Neighbourhood> {
+        let centre = self.near[query];
+        let mut moments = Moments::default();
+        self.tree.within(centre, options.radius as f32, |n| {
+            let p = self.near[n.index as usize];
+            moments.add(&Vector3::from(std::array::from_fn::<f64, 3, _>(|k| f64::from(p[k] - centre[k]))));
+        });
+        if moments.count < options.min_neighbours.max(4) as f64 {
+            return None;
+        }
+        // The unbiased covariance, as the published figures have it.
+        let unbiased = moments.covariance() * (moments.count / (moments.count - 1.0));
+        let scaled: Matrix3<f64> = unbiased * (2.0 * std::f64::consts::PI * std::f64::consts::E);
+        let determinant = scaled.determinant();
+        let plane = moments.plane()?;
+        (determinant > 0.0).then(|| Neighbourhood {
+            index: self.chosen[query],
+            entropy: 0.5 * determinant.ln(),
+            variances: plane.variances,
+            normal: plane.normal.into(),
+            count: moments.count,
+        })
+    }
+}
+
 /// Measures how sharp a cloud is (metres, any frame); none if no neighbourhood has enough points.
 pub fn sharpness(points: &[[f64; 3]], options: SharpnessOptions) -> Option<Sharpness> {
-    let origin = *points.first()?;
-    let chosen = spread_sample(points.len(), options.max_points);
-    // Relative to one of the points, so that single precision is enough for the search.
-    let near: Vec<[f32; 3]> =
-        chosen.iter().map(|i| std::array::from_fn(|k| (points[*i as usize][k] - origin[k]) as f32)).collect();
-    let tree = KdTree::new(&near);
-    let queries = spread_sample(near.len(), options.queries);
-    let entropies: Vec<Option<(f64, f64, f64)>> = queries
-        .par_iter()
-        .map(|i| {
-            let centre = near[*i as usize];
-            let mut moments = Moments::default();
-            tree.within(centre, options.radius as f32, |n| {
-                let p = near[n.index as usize];
-                moments
-                    .add(&Vector3::from(std::array::from_fn::<f64, 3, _>(|k| f64::from(p[k] - centre[k]))));
-            });
-            if moments.count < options.min_neighbours.max(4) as f64 {
-                return None;
-            }
-            // The unbiased covariance, as the published figures have it.
-            let unbiased = moments.covariance() * (moments.count / (moments.count - 1.0));
-            let scaled: Matrix3<f64> = unbiased * (2.0 * std::f64::consts::PI * std::f64::consts::E);
-            let determinant = scaled.determinant();
-            let plane = moments.plane()?;
-            (determinant > 0.0).then(|| (0.5 * determinant.ln(), plane.variances[0], moments.count))
+    let cloud = ThinnedCloud::new(points, options.max_points);
+    Sharpness::of(&cloud.neighbourhoods(&options), cloud.near.len(), options)
+}
+
+impl Sharpness {
+    /// Sums up neighbourhoods of a cloud that was thinned to `points`; none if there is no neighbourhood.
+    pub fn of(found: &[Neighbourhood], points: usize, options: SharpnessOptions) -> Option<Self> {
+        if found.is_empty() {
+            return None;
+        }
+        let count = found.len() as f64;
+        let mean = |value: fn(&Neighbourhood) -> f64| found.iter().map(value).sum::<f64>() / count;
+        let mean_map_entropy = mean(|f| f.entropy);
+        let variance = found.iter().map(|f| (f.entropy - mean_map_entropy).powi(2)).sum::<f64>() / count;
+        Some(Self {
+            mean_map_entropy,
+            mean_plane_variance: mean(|f| f.variances[0]),
+            entropy_standard_error: (variance / count).sqrt(),
+            points,
+            neighbourhoods: found.len(),
+            mean_neighbours: mean(|f| f.count),
+            options,
         })
-        .collect();
-    let found: Vec<(f64, f64, f64)> = entropies.into_iter().flatten().collect();
-    let count = found.len() as f64;
-    if found.is_empty() {
-        return None;
     }
-    let mean = |value: fn(&(f64, f64, f64)) -> f64| found.iter().map(value).sum::<f64>() / count;
-    let mean_map_entropy = mean(|f| f.0);
-    let variance = found.iter().map(|f| (f.0 - mean_map_entropy).powi(2)).sum::<f64>() / count;
-    Some(Sharpness {
-        mean_map_entropy,
-        mean_plane_variance: mean(|f| f.1),
-        entropy_standard_error: (variance / count).sqrt(),
-        points: near.len(),
-        neighbourhoods: found.len(),
-        mean_neighbours: mean(|f| f.2),
-        options,
-    })
 }
 
 impl fmt::Display for Sharpness {

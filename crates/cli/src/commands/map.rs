@@ -2,15 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan::RequestedOptions;
 use portolan::pipeline::{
     KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
 };
 use portolan_config::{Loader, Options};
 use portolan_geometry::Duration;
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
-use portolan_recording::{
-    ConfiguredSensors, Dimension, IngestOptions, Recording, SamplingRatios, open_all, read_urdf,
-};
+use portolan_recording::{Dimension, IngestOptions, Recording, open_all, read_urdf};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
@@ -114,15 +113,20 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;
-    let configured = load_options(&args.config)?;
-    let ingest = ingest_options(&args, configured.as_ref())?;
+    let configuration = load_options(&args.config)?;
+    let requested = RequestedOptions { configuration, settings: args.config.set.clone() };
+    let ingest = ingest_options(&args, &requested)?;
     interrupt::watch();
-    let mut preparation = looked_through(recording.as_ref(), &ingest, configured, global)?;
-    if !args.known.from.is_empty() && args.config.config.is_none() {
+    let threads = requested.background_threads();
+    let RequestedOptions { configuration, settings } = requested;
+    let is_configured = configuration.is_some();
+    let mut preparation = looked_through(recording.as_ref(), &ingest, configuration, global)?;
+    if !args.known.from.is_empty() && !is_configured {
         let submaps = args.known.count_submaps()?;
         portolan::automatic::search_in_known_map(&mut preparation.options, submaps);
     }
-    change_options(&mut preparation, &args.config.set)?;
+    change_options(&mut preparation, &settings)?;
+    preparation.background_threads = threads;
     match preparation.dimension {
         Dimension::Two => finish::<Planar>(recording.as_ref(), &ingest, preparation, &folder, &args, global),
         Dimension::Three => {
@@ -164,8 +168,8 @@ fn load_options(config: &ConfigArgs) -> Result<Option<Options>, CliError> {
     Ok(Some(loaded.options))
 }
 
-/// What the command line and a configuration say of the sensors.
-fn ingest_options(args: &MapArgs, configured: Option<&Options>) -> Result<IngestOptions, CliError> {
+/// What the command line and options say of the sensors.
+fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<IngestOptions, CliError> {
     let sensors = &args.sensors;
     let mut ingest = IngestOptions {
         range_topics: sensors.scan.iter().chain(&sensors.points).cloned().collect(),
@@ -176,9 +180,7 @@ fn ingest_options(args: &MapArgs, configured: Option<&Options>) -> Result<Ingest
         length: args.duration.map(Duration::from_seconds),
         ..IngestOptions::default()
     };
-    if let Some(options) = configured {
-        configure_ingest(&mut ingest, options);
-    }
+    requested.configure(&mut ingest).map_err(|e| CliError::Usage(e.to_string()))?;
     if sensors.no_odometry {
         ingest.use_odometry = Some(false);
     }
@@ -195,33 +197,6 @@ fn ingest_options(args: &MapArgs, configured: Option<&Options>) -> Result<Ingest
         ingest.description = Some(read_urdf(path)?);
     }
     Ok(ingest)
-}
-
-/// A robot configuration names its sensors and samples them.
-fn configure_ingest(ingest: &mut IngestOptions, options: &Options) {
-    let bridge = &options.bridge;
-    ingest.configured = Some(ConfiguredSensors {
-        num_laser_scans: bridge.num_laser_scans,
-        num_multi_echo_laser_scans: bridge.num_multi_echo_laser_scans,
-        num_point_clouds: bridge.num_point_clouds,
-        use_odometry: bridge.use_odometry,
-        use_imu: options.map_builder.use_trajectory_builder_3d
-            || options.trajectory_builder.trajectory_builder_2d.use_imu_data,
-        use_nav_sat: bridge.use_nav_sat,
-        use_landmarks: bridge.use_landmarks,
-    });
-    ingest.sampling = SamplingRatios {
-        rangefinder: bridge.rangefinder_sampling_ratio,
-        odometry: bridge.odometry_sampling_ratio,
-        fixed_frame_pose: bridge.fixed_frame_pose_sampling_ratio,
-        imu: bridge.imu_sampling_ratio,
-        landmarks: bridge.landmarks_sampling_ratio,
-    };
-    ingest.num_subdivisions_per_laser_scan = bridge.num_subdivisions_per_laser_scan;
-    ingest.ignore_out_of_order = bridge.ignore_out_of_order;
-    if ingest.tracking_frame.is_none() && !bridge.tracking_frame.is_empty() {
-        ingest.tracking_frame = Some(bridge.tracking_frame.clone());
-    }
 }
 
 /// Looks through a recording, says what was chosen, and changes the options as asked.
@@ -277,7 +252,8 @@ pub fn map_with_progress<S: Space>(
 ) -> Result<MappedRecording<S>, CliError> {
     let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
     let start = std::time::Instant::now();
-    let settings = MapperSettings { threads: global.thread_count(), ..MapperSettings::default() };
+    let threads = global.thread_count_up_to(preparation.background_threads);
+    let settings = MapperSettings { threads, ..MapperSettings::default() };
     let mapped = map_recording(recording, ingest, preparation, known, settings, &mut |state| {
         if progress.is_due() {
             progress.update(state.position_bytes, state.total_bytes, describe(state, start));

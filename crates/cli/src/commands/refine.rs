@@ -1,12 +1,17 @@
 //! `portolan refine`: a trajectory bent until what was seen from it fits together.
 
+mod cloud_pair;
+mod judgement;
+mod page;
+mod pictures;
 pub mod points;
 mod results;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use portolan_geometry::{Rigid3, Time};
+use portolan_pointcloud::CloudFormat;
 use portolan_recording::open_all;
 use portolan_refinement::continuous::{ContinuousOptions, RefineProgress, Refined, refine_continuous};
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
@@ -28,8 +33,8 @@ use results::{Results, summary, write_results};
 /// the first range sensor's; --tracking-frame names another. Nothing needs to be tuned.
 ///
 /// Written are refined.tum (at the stamps of the input; refined_dense.tum too if those are far apart),
-/// the cloud (refined.ply), report.json, and for a map refined.pbstream with its nodes and submaps moved. Ctrl-C keeps the best
-/// so far.
+/// the cloud (refined.ply), report.html (one page with cuts before and after, plots and figures), report.json, and for
+/// a map refined.pbstream with its nodes and submaps moved. Ctrl-C keeps the best so far.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  \
     portolan refine --recording walk.bag --trajectory walk.tum -o walk_refined\n  \
@@ -56,12 +61,16 @@ pub struct RefineArgs {
     output: PathBuf,
     #[command(flatten)]
     points: PointArgs,
-    /// Format of the refined cloud.
-    #[arg(long, value_parser = ["ply", "pcd", "xyz", "las", "laz", "e57"], default_value = "ply", value_name = "FORMAT")]
+    /// Format of the refined cloud (then it is called refined.FORMAT), or its name: `hall.laz`, in the folder for the
+    /// results; a path from the root may lead elsewhere.
+    #[arg(long, value_parser = cloud_name, default_value = "ply", value_name = "FORMAT | FILE")]
     cloud: String,
     /// Write no cloud.
     #[arg(long)]
     no_cloud: bool,
+    /// Write no report.html and do not judge the clouds for it, which takes a second or two.
+    #[arg(long)]
+    no_report: bool,
     /// How to refine.
     #[arg(long, value_enum, default_value_t = MethodName::Continuous)]
     method: MethodName,
@@ -155,18 +164,53 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         .build()
         .map_err(|error| CliError::Failed(error.to_string()))?;
     let refined = pool.install(|| refine_with_progress(&read, &input, args, global))?;
+    let command = command_line();
+    let files: Vec<PathBuf> =
+        args.recording.iter().chain(&args.trajectory).chain(&args.map).cloned().collect();
     let results = Results {
         input: &input,
         refined: &refined,
         read: &read,
         seconds: start.elapsed().as_secs_f64(),
         cloud: (!args.no_cloud).then_some(args.cloud.as_str()),
+        files: &files,
+        command: (!args.no_report).then_some(command.as_str()),
         map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
     };
-    let files = write_results(&results, &args.output)?;
+    let files = pool.install(|| write_results(&results, &args.output))?;
     print(&summary(&results, &files))?;
     let lost = read.repairs.iter().any(|r| r.lost_data);
     Ok(if lost { Outcome::DataLost } else { Outcome::Done })
+}
+
+/// `las` becomes `refined.las`; a name must end in a format that can be written.
+fn cloud_name(text: &str) -> Result<String, String> {
+    let name = if text.contains('.') { text.to_owned() } else { format!("refined.{text}") };
+    CloudFormat::from_path(Path::new(&name)).map(|_| name).map_err(|_| {
+        format!("\"{text}\" is not ply, pcd, xyz, las, laz or e57, nor a file name that ends so")
+    })
+}
+
+/// What was typed, without options that results do not depend on.
+fn command_line() -> String {
+    let mut words = std::env::args().skip(1);
+    let mut line = "portolan".to_owned();
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--threads" => drop(words.next()),
+            "-q" | "--quiet" | "-v" | "--verbose" => {}
+            word if word.starts_with("--threads=") => {}
+            word => {
+                let is_plain = word.chars().all(|c| c.is_alphanumeric() || "-_./=,:+@%".contains(c));
+                line += &if is_plain {
+                    format!(" {word}")
+                } else {
+                    format!(" '{}'", word.replace('\'', "'\\''"))
+                };
+            }
+        }
+    }
+    line
 }
 
 fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid3)>, CliError> {

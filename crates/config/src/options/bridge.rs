@@ -6,12 +6,11 @@ use crate::define::options;
 options! {
     /// Frames, sensors and live output of a robot. In files these keys stand at the top level.
     BridgeOptions {
-        /// Frame of the map; parent of the published poses.
+        /// Frame of the map. Recorded transforms below it are results of mapping and are not used.
         map_frame: String = "map".to_owned(), "frame", Bounds::ANY;
-        /// Frame whose trajectory is estimated; must be where the IMU is.
+        /// Frame whose trajectory is estimated; should be where the IMU is.
         tracking_frame: String = "base_link".to_owned(), "frame", Bounds::ANY;
-        /// Child frame of the published pose. Take the odometry frame when something else publishes from
-        /// there to the robot.
+        /// Child frame of the published pose.
         published_frame: String = "base_link".to_owned(), "frame", Bounds::ANY;
         /// Frame of the local map, published between map and robot when `provide_odom_frame` is on.
         odom_frame: String = "odom".to_owned(), "frame", Bounds::ANY;
@@ -34,13 +33,13 @@ options! {
         num_subdivisions_per_laser_scan: usize = 1, "pieces", Bounds::at_least(1.0);
         /// Point clouds to use: `points2`, or `points2_1` … `points2_n`.
         num_point_clouds: usize = 0, "topics", Bounds::within(0.0, 1000.0);
-        /// How long to wait for a transform, live only. Raise it when transforms come late.
+        /// How long to wait for a transform.
         lookup_transform_timeout_sec: f64 = 0.2, "s", Bounds::at_least(0.0).or_infinite();
-        /// Period of publishing submaps, live only. Raise it to save bandwidth.
+        /// Period of publishing submaps.
         submap_publish_period_sec: f64 = 0.3, "s", Bounds::ANY.or_infinite();
-        /// Period of publishing poses, live only; 0 or less: never. Raise it to save bandwidth.
+        /// Period of publishing poses; 0 or less: never.
         pose_publish_period_sec: f64 = 5e-3, "s", Bounds::ANY.or_infinite();
-        /// Period of publishing trajectories, live only. Raise it to save bandwidth.
+        /// Period of publishing trajectories.
         trajectory_publish_period_sec: f64 = 30e-3, "s", Bounds::ANY.or_infinite();
         /// Share of the range messages that is used. Lower it when mapping falls behind.
         rangefinder_sampling_ratio: f64 = 1.0, "ratio", Bounds::UNIT;
@@ -52,14 +51,14 @@ options! {
         imu_sampling_ratio: f64 = 1.0, "ratio", Bounds::UNIT;
         /// Share of the landmarks that is used.
         landmarks_sampling_ratio: f64 = 1.0, "ratio", Bounds::UNIT;
-        /// Publish transforms, live only.
+        /// Publish transforms.
         publish_to_tf: bool = true, "", Bounds::ANY => optional;
-        /// Publish the pose of the tracking frame as a message, live only.
+        /// Publish the pose of the tracking frame as a message.
         publish_tracked_pose: bool = false, "", Bounds::ANY => optional;
-        /// Publish poses predicted for now instead of the last matched one, live only.
+        /// Publish poses predicted for now instead of the last matched one.
         use_pose_extrapolator: bool = true, "", Bounds::ANY => optional;
-        /// Skip IMU, odometry and range messages that are not newer than the last one of their sensor.
-        /// Portolan skips and counts them always; the key is kept for other programs.
+        /// Expect IMU, odometry and range messages that are not newer than the last one of their sensor.
+        /// They are always skipped and counted; turned on, they do not count as lost data.
         ignore_out_of_order: bool = false, "", Bounds::ANY => optional;
     }
 }

@@ -30,7 +30,7 @@ options! {
         voxel_filter_size: f32 = 0.025, "m", Bounds::above(0.0);
         /// Thinning of the cloud used for scan matching.
         adaptive_voxel_filter: AdaptiveVoxelFilterOptions = AdaptiveVoxelFilterOptions::default();
-        /// Stored in maps; nothing reads it.
+        /// Thinning of the cloud for loop closures in older versions.
         loop_closure_adaptive_voxel_filter: AdaptiveVoxelFilterOptions =
             AdaptiveVoxelFilterOptions { max_length: 0.9, min_num_points: 100, max_range: 50.0 };
         /// Search a window around the prediction before refining. Turn it on without IMU or odometry, or
@@ -43,8 +43,7 @@ options! {
         ceres_scan_matcher: CeresScanMatcher2dOptions = CeresScanMatcher2dOptions::default();
         /// Which scans become nodes and are inserted into submaps.
         motion_filter: MotionFilterOptions = MotionFilterOptions::default();
-        /// Time constant of the gravity filter of live pose output. Raise it for platforms that
-        /// accelerate often.
+        /// Time constant of the gravity filter of live pose output.
         imu_gravity_time_constant: f64 = 10.0, "s", Bounds::above(0.0);
         /// Prediction of poses between scan matches; `use_imu_based` must be off in 2D.
         pose_extrapolator: PoseExtrapolatorOptions = PoseExtrapolatorOptions::default();

@@ -46,8 +46,7 @@ options! {
         /// Buckets of the histogram of surface directions over half a turn. Raise it for finer yaw
         /// candidates in the loop search.
         rotational_histogram_size: usize = 120, "buckets", Bounds::within(1.0, 100_000.0);
-        /// Time constant of the gravity filter of live pose output. Raise it for platforms that
-        /// accelerate often.
+        /// Time constant of the gravity filter of live pose output.
         imu_gravity_time_constant: f64 = 10.0, "s", Bounds::above(0.0);
         /// Prediction of poses between scan matches.
         pose_extrapolator: PoseExtrapolatorOptions = PoseExtrapolatorOptions::default();

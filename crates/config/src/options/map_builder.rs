@@ -11,8 +11,8 @@ options! {
         use_trajectory_builder_2d: bool = false, "", Bounds::ANY;
         /// Map in space. Exactly one of this and `use_trajectory_builder_2d` must be on.
         use_trajectory_builder_3d: bool = false, "", Bounds::ANY;
-        /// Threads that search constraints and optimise while local SLAM goes on. Raise it to the number
-        /// of cores.
+        /// Threads that search constraints and optimise while local SLAM goes on; never more than there are
+        /// cores. `--threads` wins over it; without either all cores are used. Results do not depend on it.
         num_background_threads: usize = 4, "threads", Bounds::within(1.0, 1024.0);
         /// Global SLAM.
         pose_graph: PoseGraphOptions = PoseGraphOptions::default();
@@ -23,7 +23,8 @@ options! {
 }
 
 options! {
-    /// A map builder that serves several robots over the network.
+    /// A map builder that serves several robots over the network. Portolan reads and checks such files and
+    /// has no server itself: of this table only `map_builder` means something to it.
     MapBuilderServerOptions {
         /// The map builder that is served.
         map_builder: MapBuilderOptions =

@@ -13,7 +13,7 @@ options! {
         /// Predict the motion between scans by integrating odometry over the gap instead of from its last
         /// velocity. Turn it off only to compare with Cartographer.
         use_all_odometry: bool = true, "", Bounds::ANY;
-        /// Largest share by which the score of a correlative match of local SLAM may be lowered because it
+        /// Largest share by which the score of a correlative match of local SLAM in the plane may be lowered because it
         /// is off the prediction. 1 is the reference's rule. Below 1 the gradient matcher is also held
         /// near what was found instead of near the prediction, so that high weights hold the pose
         /// where the scan tells nothing (along a corridor), and slipping wheels are still recognised where
@@ -31,7 +31,7 @@ options! {
         /// of the map. 1 takes the first that is found, as the reference does. Raise it where places
         /// look alike.
         global_localization_min_matches: usize = 1, "scans", Bounds::at_least(1.0);
-        /// After so many seconds without a scan, and with neither odometry nor a gyroscope to tell
+        /// In the plane: after so many seconds without a scan, and with neither odometry nor a gyroscope to tell
         /// what happened meanwhile, the robot is looked for at any angle and as far away as it can have
         /// gone, instead of going on from the old velocity. 0 never does that, as in the reference.
         /// Lower it when a hand-held scanner turns fast between its scans.

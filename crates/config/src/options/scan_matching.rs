@@ -63,8 +63,7 @@ options! {
         /// Agreement of intensities with the high-resolution grid; used with `use_intensities`.
         intensity_cost_function_options_0: Option<IntensityCostFunctionOptions> =
             Some(IntensityCostFunctionOptions::default());
-        /// Agreement of intensities with the low-resolution grid. That grid holds no intensities; files may
-        /// have the table, nothing reads it.
+        /// Agreement of intensities with the low-resolution grid.
         intensity_cost_function_options_1: Option<IntensityCostFunctionOptions> = None;
         /// Weight of staying at the predicted position. Raise it when the map slides although the
         /// prediction is good.
@@ -102,8 +101,9 @@ options! {
         /// Half width of the window in rotation. Raise it when the heading drifts more than this between
         /// two visits.
         angular_search_window: f64 = 30.0_f64.to_radians(), "rad", Bounds::at_least(0.0);
-        /// Number of precomputed grids, each with twice the cell of the one before. Raise it for larger
-        /// windows; more memory, larger first steps.
+        /// Number of precomputed grids in the reference, each with twice the cell of the one before.
+        /// Portolan chooses the sizes of its search itself; the number decides only which of several places
+        /// with exactly the same score is taken.
         branch_and_bound_depth: usize = 7, "grids", Bounds::within(1.0, 20.0);
     }
 }
@@ -111,7 +111,8 @@ options! {
 options! {
     /// The branch-and-bound matcher in 3D that looks for loop closures.
     FastCorrelativeScanMatcher3dOptions {
-        /// Number of precomputed grids. Raise it for larger windows.
+        /// The search starts with boxes of 2^(this − 1) cells, 64 at most. Raise it for larger windows; more
+        /// memory, fewer steps. The best match does not depend on it.
         branch_and_bound_depth: usize = 8, "grids", Bounds::within(1.0, 20.0);
         /// How many of these grids keep the full resolution; each further one halves it. Raise it for
         /// tighter bounds at the price of memory.

@@ -12,8 +12,7 @@ options! {
         /// Most iterations of one solution; it stops earlier when the cost no longer falls. Raise it when
         /// the log says that solutions end at this limit.
         max_num_iterations: usize = 20, "iterations", Bounds::at_least(1.0);
-        /// Threads for one solution. Raise it for large pose graphs; small problems such as scan matching
-        /// are fastest with one.
+        /// Threads for one solution.
         num_threads: usize = 1, "threads", Bounds::within(1.0, 1024.0);
     }
 }

@@ -2,6 +2,7 @@
 
 use std::io::BufRead;
 
+use super::search::Shape;
 use crate::EvaluationError;
 use crate::formats::{Lines, bad_line, parse_number};
 
@@ -25,6 +26,16 @@ impl SolidBox {
             return -deepest;
         }
         outside.iter().map(|v| v.max(0.0).powi(2)).sum::<f64>().sqrt()
+    }
+}
+
+impl Shape for SolidBox {
+    fn bounds(&self) -> [[f64; 3]; 2] {
+        [self.low, self.high]
+    }
+
+    fn distance(&self, point: [f64; 3]) -> f64 {
+        self.surface_distance(point)
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use portolan_geometry::{Point3f, Rigid3};
 
+use super::Repairs;
 use crate::{InsertionSubmap, Space};
 
 /// A submap that takes scans.
@@ -17,8 +18,9 @@ pub trait GrowingSubmap {
     fn num_range_data(&self) -> u32;
     /// Where the scan was taken, in the local map.
     fn scan_origin_in_local(scan: &Self::Scan) -> Point3f;
-    /// Inserts a scan given in the local map.
-    fn insert(&mut self, scan: &Self::Scan);
+    /// Inserts a scan given in the local map. False if it could not be drawn, because the grid would have
+    /// become too large.
+    fn insert(&mut self, scan: &Self::Scan) -> bool;
     /// No more scans will come: makes it ready for searching.
     fn finish(&mut self);
 }
@@ -28,6 +30,8 @@ pub struct ActiveSubmaps<S: Space> {
     submaps: Vec<(u32, S::Submap)>,
     next_index: u32,
     scans_per_half: u32,
+    refused: u64,
+    without_submap: u64,
 }
 
 impl<S: Space> ActiveSubmaps<S>
@@ -36,7 +40,13 @@ where
 {
     /// Starts a new submap every `scans_per_half` scans; each receives twice as many.
     pub fn new(scans_per_half: u32) -> Self {
-        Self { submaps: Vec::new(), next_index: 0, scans_per_half: scans_per_half.max(1) }
+        Self {
+            submaps: Vec::new(),
+            next_index: 0,
+            scans_per_half: scans_per_half.max(1),
+            refused: 0,
+            without_submap: 0,
+        }
     }
 
     /// The submap to match against.
@@ -64,8 +74,9 @@ where
             self.next_index += 1;
         }
         for (_, submap) in &mut self.submaps {
-            submap.insert(scan);
+            self.refused += u64::from(!submap.insert(scan));
         }
+        self.without_submap += u64::from(self.submaps.is_empty());
         let mut inserted: Vec<InsertionSubmap<S>> = self
             .submaps
             .iter()
@@ -83,6 +94,21 @@ where
             inserted[0].finished = Some(Arc::new(full));
         }
         inserted
+    }
+
+    /// Adds what was left out of submaps to `repairs`.
+    pub fn count_into(&self, repairs: &mut Repairs) {
+        for (what, count) in [
+            (
+                "scan left out of a submap, whose grid would have become too large (coarser cells help)",
+                self.refused,
+            ),
+            ("scan for which no submap could be made with these options", self.without_submap),
+        ] {
+            if count > 0 {
+                *repairs.entry(what).or_default() += count;
+            }
+        }
     }
 
     /// Ends the trajectory: finishes what is being filled and gives it away.

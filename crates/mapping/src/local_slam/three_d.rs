@@ -314,7 +314,9 @@ impl LocalSlam<Spatial> for LocalSlam3d {
     }
 
     fn repairs(&self) -> Repairs {
-        self.repairs.clone()
+        let mut repairs = self.repairs.clone();
+        self.active_submaps.count_into(&mut repairs);
+        repairs
     }
 }
 

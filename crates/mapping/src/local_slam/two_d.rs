@@ -361,6 +361,8 @@ impl LocalSlam<Planar> for LocalSlam2d {
     }
 
     fn repairs(&self) -> Repairs {
-        self.repairs.clone()
+        let mut repairs = self.repairs.clone();
+        self.active_submaps.count_into(&mut repairs);
+        repairs
     }
 }

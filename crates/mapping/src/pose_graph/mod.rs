@@ -29,6 +29,7 @@ use portolan_geometry::{Rigid3, Time};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
 use search::{ConstraintSearch, Samplers};
 
+use crate::histogram::Histogram;
 use crate::optimization::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
 use crate::{
     Constraint, ConstraintTag, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId, of_trajectory,
@@ -312,6 +313,22 @@ impl<S: Space> PoseGraph<S> {
         self.last_summary = S::optimize(&mut self.problem, &constraints, &self.options.optimization_problem);
         self.optimizations += 1;
         self.publish_poses();
+        // As in the reference only in space.
+        if self.options.log_residual_histograms && S::OPTIMIZES_WITH_IMU {
+            self.log_residuals();
+        }
+    }
+
+    /// Logs how far nodes lie from where local SLAM put them in their submaps.
+    fn log_residuals(&self) {
+        if !tracing::enabled!(tracing::Level::INFO) {
+            return;
+        }
+        let intra = self.state.constraints.iter().filter(|c| c.tag == ConstraintTag::IntraSubmap);
+        let (metres, radians): (Vec<f64>, Vec<f64>) = intra.filter_map(|c| self.disagreement(c)).unzip();
+        let [metres, radians] = [metres, radians].map(|values| values.into_iter().collect::<Histogram>());
+        tracing::info!("Translation residuals within submaps, metres: {metres}");
+        tracing::info!("Rotation residuals within submaps, radians: {radians}");
     }
 
     /// The first submaps of all parts of the map that neither constraints nor landmarks tie to others.

@@ -9,6 +9,7 @@ use portolan_geometry::Rigid3;
 use portolan_sensor::FixedRatioSampler;
 use rayon::prelude::*;
 
+use crate::histogram::Histogram;
 use crate::{Constraint, ConstraintTag, NodeData, NodeId, SearchRegion, Space, SubmapId};
 
 /// A pair to try.
@@ -146,6 +147,9 @@ impl<S: Space> ConstraintSearch<S> {
             self.count(tasks[*index].region, result.is_some());
         }
         self.matchers.shrink();
+        if self.options.log_matches && !found.is_empty() {
+            log_scores(tasks.iter().map(|task| task.region), &found);
+        }
         found.into_iter().filter_map(|(_, result)| result).collect()
     }
 
@@ -281,6 +285,21 @@ fn find_constraint<S: Space>(
         tag: ConstraintTag::InterSubmap,
         score: Some(found.score),
     })
+}
+
+/// Logs how well nodes matched, apart for the two ways of searching.
+fn log_scores(regions: impl Iterator<Item = SearchRegion>, found: &[(usize, Option<Constraint>)]) {
+    if !tracing::enabled!(tracing::Level::INFO) {
+        return;
+    }
+    let regions: Vec<SearchRegion> = regions.collect();
+    for (region, words) in [(SearchRegion::Window, "a window"), (SearchRegion::WholeSubmap, "whole submaps")]
+    {
+        let scores = found.iter().filter(|(index, _)| regions.get(*index) == Some(&region));
+        let scores: Histogram =
+            scores.filter_map(|(_, constraint)| constraint.as_ref()?.score).map(f64::from).collect();
+        tracing::info!("Scores of matches in {words}: {scores}");
+    }
 }
 
 fn log_match(

@@ -114,7 +114,9 @@ impl<S: Space> PoseGraph<S> {
         let mut coverage: HashMap<(i64, i64), Vec<(Time, SubmapId)>> = HashMap::new();
         for (id, time) in freshness {
             let Some(time) = time else { continue };
-            for cell in self.covered_cells(*id, cell_size) {
+            // Where coverage is not defined nothing is covered.
+            let Some(cells) = self.covered_cells(*id, cell_size) else { return Vec::new() };
+            for cell in cells {
                 coverage.entry(cell).or_default().push((*time, *id));
             }
         }
@@ -135,22 +137,19 @@ impl<S: Space> PoseGraph<S> {
             .collect()
     }
 
-    /// Cells of the global map that the submap knows.
-    fn covered_cells(&self, id: SubmapId, cell_size: f64) -> BTreeSet<(i64, i64)> {
+    /// Cells of the global map that the submap knows; `None` in spaces without such cells.
+    fn covered_cells(&self, id: SubmapId, cell_size: f64) -> Option<BTreeSet<(i64, i64)>> {
         let (Some(submap), Some(map_from_submap)) =
             (&self.state.submaps[&id].submap, self.state.optimized_submaps.get(&id))
         else {
-            return BTreeSet::new();
+            return Some(BTreeSet::new());
         };
         let map_from_submap = project_2d(&embed_3d(&project_2d(map_from_submap)));
-        S::known_cell_centers(submap)
-            .unwrap_or_default()
-            .iter()
-            .map(|center| {
-                let p = map_from_submap.transform_point(center) / cell_size;
-                (p.x.round() as i64, p.y.round() as i64)
-            })
-            .collect()
+        let cell = |center: &portolan_geometry::Vector2| {
+            let p = map_from_submap.transform_point(center) / cell_size;
+            (p.x.round() as i64, p.y.round() as i64)
+        };
+        Some(S::known_cell_centers(submap)?.iter().map(cell).collect())
     }
 
     /// Removes a submap, the nodes that belong to no other submap, and every constraint of either.

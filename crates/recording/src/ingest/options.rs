@@ -24,14 +24,14 @@ pub struct ConfiguredSensors {
     pub num_multi_echo_laser_scans: usize,
     /// Number of sources of point clouds.
     pub num_point_clouds: usize,
-    /// Whether odometry is used.
-    pub use_odometry: bool,
-    /// Whether the IMU is used.
-    pub use_imu: bool,
-    /// Whether satellite fixes are used.
-    pub use_nav_sat: bool,
-    /// Whether landmarks are used.
-    pub use_landmarks: bool,
+    /// Whether odometry is used; none: if there is any.
+    pub use_odometry: Option<bool>,
+    /// Whether the IMU is used; none: if there is one that is plausible.
+    pub use_imu: Option<bool>,
+    /// Whether satellite fixes are used; none: no.
+    pub use_nav_sat: Option<bool>,
+    /// Whether landmarks are used; none: if there are any.
+    pub use_landmarks: Option<bool>,
 }
 
 /// Share of messages that is kept, 0 to 1, per kind of sensor.

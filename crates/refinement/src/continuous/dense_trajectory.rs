@@ -158,7 +158,16 @@ impl DenseTrajectory {
         self.matrices_of(first, last)
     }
 
+    /// The poses of the input as matrices.
+    pub fn input_matrices(&self) -> PoseMatrices {
+        self.rows_of(0, &self.input)
+    }
+
     fn matrices_of(&self, first: usize, end: usize) -> PoseMatrices {
+        self.rows_of(first, &self.current[first..end])
+    }
+
+    fn rows_of(&self, first: usize, poses: &[Rigid3]) -> PoseMatrices {
         let rows = |pose: &Rigid3| {
             let r = pose.rotation.to_rotation_matrix();
             let t = pose.translation.vector;
@@ -169,7 +178,7 @@ impl DenseTrajectory {
                 r.m31, r.m32, r.m33, t.z,
             ]
         };
-        PoseMatrices { first, step: self.step, rows: self.current[first..end].iter().map(rows).collect() }
+        PoseMatrices { first, step: self.step, rows: poses.iter().map(rows).collect() }
     }
 }
 

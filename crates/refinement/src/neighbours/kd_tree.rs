@@ -99,6 +99,30 @@ impl KdTree {
         best
     }
 
+    /// The nearest point within `max_distance` metres, and how far all others are away at least, metres (no farther
+    /// than was searched).
+    pub fn nearest_two(&self, query: [f32; 3], max_distance: f32) -> Option<(Neighbour, f32)> {
+        let limit = max_distance * max_distance;
+        let mut best: Option<Neighbour> = None;
+        let mut second = limit;
+        self.visit(query, limit, |candidate, limit| {
+            let key = (candidate.squared_distance, candidate.index);
+            match best {
+                Some(b) if (b.squared_distance, b.index) <= key => {
+                    second = second.min(candidate.squared_distance)
+                }
+                Some(b) => {
+                    second = second.min(b.squared_distance);
+                    best = Some(candidate);
+                }
+                None if candidate.squared_distance <= *limit => best = Some(candidate),
+                None => return,
+            }
+            *limit = second;
+        });
+        best.map(|nearest| (nearest, second.sqrt()))
+    }
+
     /// The `count` nearest points within `max_distance`, nearest first (ties by index), into `found`,
     /// whose capacity is used again.
     pub fn k_nearest(&self, query: [f32; 3], count: usize, max_distance: f32, found: &mut Vec<Neighbour>) {

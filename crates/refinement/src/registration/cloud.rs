@@ -58,12 +58,33 @@ impl ScanCloud {
 
     /// The nearest point within `max_distance` metres.
     pub fn nearest(&self, query: [f32; 3], max_distance: f32) -> Option<Neighbour> {
-        let outside =
-            |k: usize| query[k] < self.low[k] - max_distance || query[k] > self.high[k] + max_distance;
-        if (0..3).any(outside) {
+        if self.is_outside(query, max_distance) {
             return None;
         }
         self.tree.nearest(query, max_distance)
+    }
+
+    /// The nearest point within `max_distance` metres, and how far all others are away at least.
+    pub fn nearest_two(&self, query: [f32; 3], max_distance: f32) -> Option<(Neighbour, f32)> {
+        if self.is_outside(query, max_distance) {
+            return None;
+        }
+        self.tree.nearest_two(query, max_distance)
+    }
+
+    /// Whether a query is farther than this from every point, as far as the bounding box tells.
+    fn is_outside(&self, query: [f32; 3], max_distance: f32) -> bool {
+        (0..3).any(|k| query[k] < self.low[k] - max_distance || query[k] > self.high[k] + max_distance)
+    }
+
+    /// Least and greatest coordinates, metres; the first above the second without points.
+    pub fn bounds(&self) -> [[f32; 3]; 2] {
+        [self.low, self.high]
+    }
+
+    /// Points that have a surface.
+    pub fn surface_count(&self) -> usize {
+        self.surfaces.iter().flatten().count()
     }
 
     /// The surface at a point, if it was asked for and there is one.

@@ -1,16 +1,19 @@
 //! Iterative closest points.
 
-use nalgebra::{Matrix3, Matrix6};
-use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
-use rayon::prelude::*;
+mod pairs;
+mod sums;
 
-use super::linearized::TwistEquations;
-use super::{ClosedForm, PairMoments, ScanCloud, best_transform};
+use nalgebra::Matrix6;
+use portolan_geometry::Rigid3;
 
-/// Points worked on by one thread at a time; part of the definition of the sums.
-const CHUNK: usize = 1024;
-/// Variance along the normal against that along the surface, in generalised ICP (Segal et al. 2009).
-const ACROSS: f64 = 1e-3;
+use super::{ClosedForm, Model, ScanCloud, best_transform};
+use pairs::Pairing;
+use sums::{equations, point_moments};
+
+/// Fewest pairs that a step is made with.
+const LEAST_PAIRS: usize = 4;
+/// With planes each pair tells one number only.
+const LEAST_PLANES: u64 = 6;
 
 /// What is minimised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -67,6 +70,11 @@ pub struct IcpOptions {
     pub least_cosine: f64,
     /// How much less far pairs count.
     pub kernel: RobustKernel,
+    /// Only every so manieth point of the data scan looks for a partner; 1 for all.
+    pub every: usize,
+    /// Larger data scans are first brought to rest with so many of their points, then with all; 0 takes all from the
+    /// start. The result is the same within the rest that ends the iteration.
+    pub first_points: usize,
 }
 
 impl Default for IcpOptions {
@@ -80,8 +88,42 @@ impl Default for IcpOptions {
             keep: 1.0,
             least_cosine: -1.0,
             kernel: RobustKernel::None,
+            every: 1,
+            first_points: 20_000,
         }
     }
+}
+
+/// Why scans could not be matched.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum IcpError {
+    /// A scan without points.
+    #[error("the {0} scan has no points")]
+    NoPoints(&'static str),
+    /// All points of a scan are one.
+    #[error("all points of the {0} scan lie at one place")]
+    OnePlace(&'static str),
+    /// Too few points lie near each other.
+    #[error(
+        "only {found} of {points} points have a partner within {max_distance} m{}; give a better guess or a larger distance",
+        nearest.map_or(String::new(), |d| format!(" (the nearest two points are {d:.3} m apart)"))
+    )]
+    TooFewPairs {
+        /// Pairs.
+        found: usize,
+        /// Points that looked for a partner.
+        points: usize,
+        /// As far as they looked, metres.
+        max_distance: f64,
+        /// Distance of the two scans, metres, as far as a sample tells.
+        nearest: Option<f64>,
+    },
+    /// Planes are asked for, but the points have no surfaces.
+    #[error("no point of the model lies on a surface: take a method that compares points, or denser scans")]
+    NoSurfaces,
+    /// The pairs do not tell a transform.
+    #[error("the pairs do not determine a transform (do all of them lie on one line?)")]
+    Undetermined,
 }
 
 /// A matched scan.
@@ -102,207 +144,130 @@ pub struct IcpResult {
     pub covariance: Option<Matrix6<f64>>,
 }
 
-#[derive(Clone, Copy)]
-struct Match {
-    model: u32,
-    data: u32,
-    distance: f32,
-}
-
-/// Moves the data scan onto the model scan, beginning at a guess. None if there are never enough pairs. The result
-/// is the same for any number of threads.
-pub fn icp(model: &ScanCloud, data: &ScanCloud, guess: &Rigid3, options: &IcpOptions) -> Option<IcpResult> {
-    let mut pose = *guess;
-    let mut errors: Vec<f64> = Vec::new();
-    for iteration in 1..=options.max_iterations.max(1) {
-        let matches = find_matches(model, data, &pose, options);
-        let (step, rms) = match options.method {
-            IcpMethod::PointToPoint(form) => {
-                let moments = point_moments(model, data, &pose, &matches, options);
-                (best_transform(&moments, form)?, moments.rms())
-            }
-            _ => {
-                let equations = equations(model, data, &pose, &matches, options);
-                if equations.count < 6 {
-                    return None;
-                }
-                (equations.step()?, (equations.cost / equations.weight).sqrt())
-            }
-        };
-        pose = step * pose;
-        pose.rotation.renormalize();
-        let rest = |back: usize| {
-            errors.len().checked_sub(back).is_some_and(|i| (errors[i] - rms).abs() < options.epsilon)
-        };
-        let converged = rest(1) && rest(2);
-        errors.push(rms);
-        if converged || iteration == options.max_iterations.max(1) {
-            return Some(finish(model, data, pose, options, iteration, converged));
+/// Moves the data scan onto the model, beginning at a guess. The result is the same for any number of threads.
+///
+/// # Errors
+/// Fails if one of the scans has no extent, too few points lie near each other, or pairs do not tell a transform.
+pub fn icp<M: Model>(
+    model: &M,
+    data: &ScanCloud,
+    guess: &Rigid3,
+    options: &IcpOptions,
+) -> Result<IcpResult, IcpError> {
+    check(model, data, options)?;
+    let mut pairing = Pairing::new(model, data, options);
+    let mut run = Run { pose: *guess, iterations: 0, converged: false };
+    // Few points are enough to come near; at last all of them count.
+    let strides = pairing.strides();
+    for (stage, stride) in strides.iter().enumerate() {
+        let is_last = stage + 1 == strides.len();
+        run.to_rest(&mut pairing, *stride, options, is_last)?;
+        if run.iterations >= options.max_iterations && !is_last {
+            break;
         }
     }
-    None
+    finish(&mut pairing, run, options)
 }
 
-fn finish(
-    model: &ScanCloud,
-    data: &ScanCloud,
+fn check<M: Model>(model: &M, data: &ScanCloud, options: &IcpOptions) -> Result<(), IcpError> {
+    if model.count() == 0 {
+        return Err(IcpError::NoPoints("model"));
+    }
+    let [low, high] = data.bounds();
+    if low[0] > high[0] {
+        return Err(IcpError::NoPoints("data"));
+    }
+    if low == high {
+        return Err(IcpError::OnePlace("data"));
+    }
+    match options.method {
+        IcpMethod::PointToPlane if !model.has_surfaces() => Err(IcpError::NoSurfaces),
+        _ => Ok(()),
+    }
+}
+
+/// Where the iteration stands.
+struct Run {
     pose: Rigid3,
-    options: &IcpOptions,
     iterations: usize,
     converged: bool,
-) -> IcpResult {
-    let matches = find_matches(model, data, &pose, options);
-    let moments = point_moments(model, data, &pose, &matches, options);
-    let equations = equations(model, data, &pose, &matches, options);
+}
+
+impl Run {
+    /// Steps with every so manieth point until the distance of pairs rests.
+    fn to_rest<M: Model>(
+        &mut self,
+        pairing: &mut Pairing<M>,
+        stride: usize,
+        options: &IcpOptions,
+        is_last: bool,
+    ) -> Result<(), IcpError> {
+        let mut errors: Vec<f64> = Vec::new();
+        self.converged = false;
+        // All points have at least one step.
+        let end = options.max_iterations.max(self.iterations + usize::from(is_last));
+        while self.iterations < end && !self.converged {
+            let (step, rms) = self.step(pairing, stride, options)?;
+            self.pose = step * self.pose;
+            self.pose.rotation.renormalize();
+            self.iterations += 1;
+            let rest = |back: usize| {
+                errors.len().checked_sub(back).is_some_and(|i| (errors[i] - rms).abs() < options.epsilon)
+            };
+            self.converged = rest(1) && rest(2);
+            errors.push(rms);
+        }
+        Ok(())
+    }
+
+    /// The motion of one step, and the distance of pairs before it.
+    fn step<M: Model>(
+        &self,
+        pairing: &mut Pairing<M>,
+        stride: usize,
+        options: &IcpOptions,
+    ) -> Result<(Rigid3, f64), IcpError> {
+        let matches = pairing.find(&self.pose, stride);
+        if matches.len() < LEAST_PAIRS {
+            return Err(pairing.too_few(&self.pose, matches.len(), stride));
+        }
+        match options.method {
+            IcpMethod::PointToPoint(form) => {
+                let moments = point_moments(pairing, &self.pose, &matches, options);
+                Ok((best_transform(&moments, form).ok_or(IcpError::Undetermined)?, moments.rms()))
+            }
+            _ => {
+                let equations = equations(pairing, &self.pose, &matches, options);
+                if equations.count < LEAST_PLANES {
+                    return Err(pairing.too_few(&self.pose, equations.count as usize, stride));
+                }
+                let step = equations.step().ok_or(IcpError::Undetermined)?;
+                Ok((step, (equations.cost / equations.weight).sqrt()))
+            }
+        }
+    }
+}
+
+fn finish<M: Model>(pairing: &mut Pairing<M>, run: Run, options: &IcpOptions) -> Result<IcpResult, IcpError> {
+    let matches = pairing.find(&run.pose, options.every.max(1));
+    if matches.len() < LEAST_PAIRS {
+        return Err(pairing.too_few(&run.pose, matches.len(), options.every.max(1)));
+    }
+    let moments = point_moments(pairing, &run.pose, &matches, options);
+    let equations = equations(pairing, &run.pose, &matches, options);
     // Points give three residuals each, planes one.
     let residuals =
         equations.count as f64 * if options.method == IcpMethod::PointToPlane { 1.0 } else { 3.0 };
     let variance = equations.cost / (residuals - 6.0).max(1.0);
     let covariance = equations.matrix.cholesky().map(|factor| factor.inverse() * variance);
-    IcpResult {
-        model_from_data: pose,
-        iterations,
-        converged,
+    Ok(IcpResult {
+        model_from_data: run.pose,
+        iterations: run.iterations,
+        converged: run.converged,
         pairs: moments.count,
         rms: moments.rms(),
         covariance,
-    }
-}
-
-fn vector(p: [f32; 3]) -> Vector3 {
-    Vector3::from(p.map(f64::from))
-}
-
-fn moved(pose: &Rigid3, p: [f32; 3]) -> Vector3 {
-    (pose * na::Point3::from(vector(p))).coords
-}
-
-fn find_matches(model: &ScanCloud, data: &ScanCloud, pose: &Rigid3, options: &IcpOptions) -> Vec<Match> {
-    let back = pose.inverse();
-    let parts: Vec<Vec<Match>> = data
-        .points()
-        .par_chunks(CHUNK)
-        .enumerate()
-        .map(|(chunk, points)| {
-            let mut matches = Vec::with_capacity(points.len());
-            for (i, point) in points.iter().enumerate() {
-                let index = chunk * CHUNK + i;
-                let x = moved(pose, *point);
-                let query = [x.x as f32, x.y as f32, x.z as f32];
-                let Some(hit) = model.nearest(query, options.max_distance as f32) else { continue };
-                if !is_accepted(model, data, pose, &back, (hit.index as usize, index), options) {
-                    continue;
-                }
-                let distance = hit.squared_distance.sqrt();
-                matches.push(Match { model: hit.index, data: index as u32, distance });
-            }
-            matches
-        })
-        .collect();
-    let mut matches = parts.concat();
-    if options.keep > 0.0 && options.keep < 1.0 {
-        let count = (matches.len() as f64 * options.keep).ceil() as usize;
-        matches.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.data.cmp(&b.data)));
-        matches.truncate(count);
-    }
-    matches
-}
-
-fn is_accepted(
-    model: &ScanCloud,
-    data: &ScanCloud,
-    pose: &Rigid3,
-    back: &Rigid3,
-    (m, d): (usize, usize),
-    options: &IcpOptions,
-) -> bool {
-    if options.least_cosine > -1.0
-        && let (Some(a), Some(b)) = (model.surface(m), data.surface(d))
-        && vector(a.normal).dot(&(pose.rotation * vector(b.normal))).abs() < options.least_cosine
-    {
-        return false;
-    }
-    if !options.reciprocal {
-        return true;
-    }
-    let x = moved(back, model.points()[m]);
-    let query = [x.x as f32, x.y as f32, x.z as f32];
-    data.nearest(query, options.max_distance as f32).is_some_and(|hit| hit.index as usize == d)
-}
-
-fn point_moments(
-    model: &ScanCloud,
-    data: &ScanCloud,
-    pose: &Rigid3,
-    matches: &[Match],
-    options: &IcpOptions,
-) -> PairMoments {
-    let parts: Vec<PairMoments> = matches
-        .par_chunks(CHUNK)
-        .map(|chunk| {
-            let mut moments = PairMoments::default();
-            for pair in chunk {
-                let m = vector(model.points()[pair.model as usize]);
-                let d = moved(pose, data.points()[pair.data as usize]);
-                moments.add(&m, &d, options.kernel.weight(f64::from(pair.distance)));
-            }
-            moments
-        })
-        .collect();
-    let mut sum = PairMoments::default();
-    parts.iter().for_each(|part| sum.merge(part));
-    sum
-}
-
-fn equations(
-    model: &ScanCloud,
-    data: &ScanCloud,
-    pose: &Rigid3,
-    matches: &[Match],
-    options: &IcpOptions,
-) -> TwistEquations {
-    let parts: Vec<TwistEquations> = matches
-        .par_chunks(CHUNK)
-        .map(|chunk| {
-            let mut equations = TwistEquations::default();
-            for pair in chunk {
-                let (mi, di) = (pair.model as usize, pair.data as usize);
-                let m = vector(model.points()[mi]);
-                let x = moved(pose, data.points()[di]);
-                let surface = |cloud: &ScanCloud, i| cloud.surface(i).map(|s| vector(s.normal));
-                match options.method {
-                    IcpMethod::PointToPoint(_) => {
-                        let weight = options.kernel.weight(f64::from(pair.distance));
-                        equations.add_weighted(&m, &x, &Matrix3::identity(), weight);
-                    }
-                    IcpMethod::PointToPlane => {
-                        let Some(normal) = surface(model, mi) else { continue };
-                        let weight = options.kernel.weight(normal.dot(&(m - x)).abs());
-                        equations.add_plane(&m, &normal, &x, weight);
-                    }
-                    IcpMethod::Generalized => {
-                        let spread = shape(surface(model, mi))
-                            + shape(surface(data, di).map(|normal| pose.rotation * normal));
-                        let Some(information) = spread.try_inverse() else { continue };
-                        let weight = options.kernel.weight(f64::from(pair.distance));
-                        equations.add_weighted(&m, &x, &information, weight);
-                    }
-                }
-            }
-            equations
-        })
-        .collect();
-    let mut sum = TwistEquations::default();
-    parts.iter().for_each(|part| sum.merge(part));
-    sum
-}
-
-/// Covariance of a point on a surface with this normal, in units of that along the surface; a ball without one.
-fn shape(normal: Option<Vector3>) -> Matrix3<f64> {
-    match normal {
-        Some(n) => Matrix3::identity() - n * n.transpose() * (1.0 - ACROSS),
-        None => Matrix3::identity(),
-    }
+    })
 }
 
 #[cfg(test)]

@@ -1,57 +1,62 @@
 //! `portolan evaluate cloud`.
 
-use std::path::{Path, PathBuf};
+mod input;
+mod truth;
+
+use std::path::PathBuf;
 
 use portolan_evaluation::cloud::{
-    Sharpness, SharpnessOptions, SolidBox, SurfaceErrors, WallThickness, read_boxes, sharpness,
-    spread_sample, surface_errors, wall_thickness,
+    CloudQuality, CloudToJudge, PairedComparison, PassOptions, QualityOptions, SharpnessOptions,
+    SurfaceErrors, cloud_quality, compare_places, place_of,
 };
-use portolan_evaluation::{Alignment, Association, Trajectory, absolute_errors};
-use portolan_geometry::{Quaternion, Rigid3, nalgebra as na};
-use portolan_recording::open_all;
-use portolan_refinement::PointStore;
-use portolan_refinement::continuous::DenseTrajectory;
 use serde::Serialize;
 
-use super::input::TrajectorySource;
 use crate::GlobalArgs;
-use crate::commands::refine::points::{PointArgs, read_points};
+use crate::commands::refine::points::PointArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json};
+use crate::progress::say;
+use input::{Clouds, JudgedCloud, read_clouds};
+use truth::{Truth, TruthArgs};
 
-/// Edge of the cells in which walls are looked for, metres.
-const WALL_CELL: f64 = 0.5;
+/// Edge of the places of a comparison, metres.
+const PLACE: f64 = 2.0;
+/// Clouds whose densities differ by more than this factor are not to be compared.
+const LIKE_DENSITY: f64 = 1.1;
 
-/// Judge the cloud that a trajectory makes of the points of a recording: how sharp it is, and with the truth
-/// how far its points are from the true surfaces.
+/// Judge a cloud: how sharp it is, and with the truth how far its points are from the true surfaces.
 ///
-/// Each point is placed with the trajectory at its own time. Sharpness can only be compared between clouds of
-/// one density, measured with equal options. Several trajectories are compared with the first.
+/// A cloud is a file of points (PLY, PCD, text, LAS, LAZ, E57, a folder of uos scans), or what a trajectory makes of
+/// the raw points of a recording, each placed at its own time. Of several clouds each is compared with the first,
+/// place by place.
+///
+/// Without truth are told: mean map entropy and mean plane variance (Razlaw et al. 2015), the mutual orthogonality
+/// metric (Kornilova and Ferrer 2021), the thickness of walls, and for points with times the distance between passes.
+/// Lower is sharper. These figures can only be compared between clouds of one density, measured with the same radius.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  \
+    portolan evaluate cloud walk_refined/refined.ply\n  \
+    portolan evaluate cloud before.las after.las --json\n  \
+    portolan evaluate cloud scan.e57 --reference survey.laz --beyond 0.5\n  \
     portolan evaluate cloud walk.bag walk.tum walk_refined/refined.tum\n  \
     portolan evaluate cloud walk.bag refined.tum --surfaces walk.surfaces.csv --truth walk.truth.tum")]
 pub struct CloudArgs {
-    /// The recording with the raw points.
-    recording: PathBuf,
-    /// Trajectories: TUM, a map, or a table with a line of names.
-    #[arg(required = true, value_name = "TRAJECTORY")]
-    trajectories: Vec<PathBuf>,
+    /// Clouds; or a recording and the trajectories (TUM, a map, or a table) to judge it with.
+    #[arg(required = true, value_name = "CLOUD | RECORDING TRAJECTORY")]
+    inputs: Vec<PathBuf>,
     #[command(flatten)]
     points: PointArgs,
-    /// True surfaces: solid boxes, one a line, `x0,y0,z0,x1,y1,z1` in metres.
-    #[arg(long, value_name = "FILE")]
-    surfaces: Option<PathBuf>,
-    /// The true trajectory, onto which each one is laid (rigidly, by least squares over its positions) before
-    /// its points are compared with the surfaces. Without it the frames must be the same.
-    #[arg(long, value_name = "FILE", requires = "surfaces")]
-    truth: Option<PathBuf>,
+    #[command(flatten)]
+    truth: TruthArgs,
     /// Radius of the neighbourhoods, metres.
     #[arg(long, value_name = "METRES", default_value_t = SharpnessOptions::default().radius)]
     radius: f64,
-    /// So many points are looked at.
+    /// So many points are looked at, spread evenly. More make neighbourhoods denser.
     #[arg(long, value_name = "N", default_value_t = SharpnessOptions::default().max_points)]
     sample: usize,
+    /// Seconds that lie at least between two passes of the same place.
+    #[arg(long, value_name = "SECONDS", default_value_t = PassOptions::default().gap)]
+    pass_gap: f64,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -59,115 +64,120 @@ pub struct CloudArgs {
 
 #[derive(Serialize)]
 struct CloudReport {
-    trajectory: String,
-    points: usize,
-    sharpness: Option<Sharpness>,
-    walls: Option<WallThickness>,
+    /// File of the cloud or of the trajectory.
+    cloud: String,
+    /// Points of the cloud, of which `points` were looked at.
+    total_points: u64,
+    #[serde(flatten)]
+    quality: CloudQuality,
     surfaces: Option<SurfaceErrors>,
+    #[serde(skip)]
+    distances: Vec<([i32; 3], f64)>,
+}
+
+/// A cloud against the first one.
+#[derive(Serialize)]
+struct Comparison {
+    before: String,
+    after: String,
+    changes: Vec<PairedComparison>,
+}
+
+#[derive(Serialize)]
+struct Report {
+    options: QualityOptions,
+    clouds: Vec<CloudReport>,
+    comparisons: Vec<Comparison>,
 }
 
 pub fn run(args: &CloudArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    if !(args.radius > 0.0 && args.radius < 1e3) {
-        return Err(CliError::Usage(format!("--radius must be above 0 m, but is {}", args.radius)));
-    }
-    let recording = open_all(std::slice::from_ref(&args.recording))?;
-    let read = read_points(recording.as_ref(), &args.points, global)?;
-    let boxes = args.surfaces.as_deref().map(boxes_of).transpose()?;
-    let truth = args.truth.as_deref().map(|path| trajectory_of(path, global)).transpose()?;
-    let mut reports = Vec::new();
-    for path in &args.trajectories {
-        let trajectory = trajectory_of(path, global)?;
-        let cloud = cloud(&read.store, &trajectory, args.sample)?;
-        let surfaces = match (&boxes, &truth) {
-            (Some(boxes), Some(truth)) => {
-                let world = truth_from(truth, &trajectory)?;
-                let aligned: Vec<[f64; 3]> =
-                    cloud.iter().map(|p| (world * na::Point3::from(*p)).coords.into()).collect();
-                surface_errors(&aligned, boxes)
-            }
-            (Some(boxes), None) => surface_errors(&cloud, boxes),
-            (None, _) => None,
-        };
-        let options =
-            SharpnessOptions { radius: args.radius, max_points: args.sample, ..SharpnessOptions::default() };
-        reports.push(CloudReport {
-            trajectory: path.display().to_string(),
-            points: cloud.len(),
-            sharpness: sharpness(&cloud, options),
-            walls: wall_thickness(&cloud, WALL_CELL),
-            surfaces,
-        });
-    }
+    let options = options(args)?;
+    let truth = args.truth.read(global)?;
+    let Clouds { clouds, lost_data } =
+        read_clouds(&args.inputs, &args.points, args.truth.trajectory(), args.sample, global)?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(global.thread_count())
+        .build()
+        .map_err(|error| CliError::Failed(error.to_string()))?;
+    let reports: Vec<CloudReport> =
+        pool.install(|| clouds.iter().map(|cloud| judge(cloud, &options, truth.as_ref())).collect());
+    let comparisons = comparisons(&reports, global.quiet);
+    let report = Report { options, clouds: reports, comparisons };
     if args.json {
-        print_json(&reports)?
+        print_json(&report)?
     } else {
-        print(&text(&reports))?
+        print(&text(&report))?
     }
-    Ok(Outcome::Done)
+    Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
 }
 
-fn boxes_of(path: &Path) -> Result<Vec<SolidBox>, CliError> {
-    let file =
-        std::fs::File::open(path).map_err(|source| CliError::File { path: path.to_owned(), source })?;
-    read_boxes(std::io::BufReader::new(file)).map_err(|error| CliError::in_file(path, error))
-}
-
-fn trajectory_of(path: &Path, global: &GlobalArgs) -> Result<Trajectory, CliError> {
-    TrajectorySource { path, trajectory_id: 0, times: None, quiet: global.quiet }.read()
-}
-
-/// Up to `count` points, spread over all, in the world of a trajectory.
-fn cloud(store: &PointStore, trajectory: &Trajectory, count: usize) -> Result<Vec<[f64; 3]>, CliError> {
-    let poses: Vec<_> = trajectory.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
-    let dense = DenseTrajectory::new(&poses).map_err(|error| CliError::Failed(error.to_string()))?;
-    let matrices = dense.matrices();
-    let offset = store.start().seconds_since(dense.start());
-    let end = dense.duration();
-    let chosen = spread_sample(store.points().len(), count);
-    let points: Vec<[f64; 3]> = chosen
-        .into_iter()
-        .filter_map(|i| {
-            let point = &store.points()[i as usize];
-            let seconds = point.seconds() + offset;
-            (0.0..=end).contains(&seconds).then(|| matrices.to_world(seconds, point.in_tracking))
-        })
-        .collect();
-    if points.is_empty() {
-        return Err(CliError::Failed("no point lies within the time of the trajectory".to_owned()));
+fn options(args: &CloudArgs) -> Result<QualityOptions, CliError> {
+    let within = |name: &str, value: f64, most: f64| match value > 0.0 && value <= most {
+        true => Ok(value),
+        false => Err(CliError::Usage(format!("{name} must be above 0 and at most {most}, but is {value}"))),
+    };
+    if !(100..=100_000_000).contains(&args.sample) {
+        return Err(CliError::Usage(format!("--sample must be 100 to 100 million, but is {}", args.sample)));
     }
-    Ok(points)
+    let usual = QualityOptions::default();
+    let radius = within("--radius", args.radius, 1e3)?;
+    let sharpness = SharpnessOptions { radius, max_points: args.sample, ..usual.sharpness };
+    let passes = PassOptions { gap: within("--pass-gap", args.pass_gap, 1e9)?, ..usual.passes };
+    Ok(QualityOptions { sharpness, passes, ..usual })
 }
 
-fn truth_from(truth: &Trajectory, estimate: &Trajectory) -> Result<Rigid3, CliError> {
-    let errors = absolute_errors(truth, estimate, Association::default(), Alignment::Se3)?;
-    let [x, y, z, qx, qy, qz, qw] = errors.truth_from_estimate;
-    let rotation = Quaternion::new_normalize(na::Quaternion::new(qw, qx, qy, qz));
-    Ok(Rigid3::from_parts(na::Translation3::new(x, y, z), rotation))
-}
-
-fn text(reports: &[CloudReport]) -> String {
-    let mut parts = Vec::new();
-    for report in reports {
-        parts.push(format!("{} ({} points)", report.trajectory, report.points));
-        parts.extend(report.sharpness.iter().map(ToString::to_string));
-        parts.extend(report.walls.iter().map(ToString::to_string));
-        parts.extend(report.surfaces.iter().map(ToString::to_string));
+fn judge(cloud: &JudgedCloud, options: &QualityOptions, truth: Option<&Truth>) -> CloudReport {
+    let JudgedCloud { points, seconds, places, .. } = cloud;
+    let quality = cloud_quality(&CloudToJudge { points, seconds, places }, options);
+    let distances =
+        truth.map(|truth| truth.distances(points, cloud.truth_from_cloud.as_ref())).unwrap_or_default();
+    let at = if places.len() == points.len() { places } else { points };
+    let beyond = truth.map_or(f64::INFINITY, |truth| truth.beyond);
+    let by_place = at.iter().zip(&distances).filter(|(_, d)| **d <= beyond);
+    CloudReport {
+        cloud: cloud.name.clone(),
+        total_points: cloud.total,
+        quality,
+        distances: by_place.map(|(p, d)| (place_of(*p, PLACE), 100.0 * d)).collect(),
+        surfaces: truth.and_then(|truth| SurfaceErrors::of(distances, truth.beyond)),
     }
-    if let [first, others @ ..] = reports {
-        for other in others {
-            if let (Some(a), Some(b)) = (&first.sharpness, &other.sharpness) {
-                let change = b.mean_map_entropy - a.mean_map_entropy;
-                let error = a.entropy_standard_error.hypot(b.entropy_standard_error);
-                let verdict = match change {
-                    c if c < -2.0 * error => "sharper than",
-                    c if c > 2.0 * error => "less sharp than",
-                    _ => "as sharp as",
-                };
-                parts.push(format!(
-                    "{} is {verdict} {}: entropy {change:+.3} ± {error:.3}",
-                    other.trajectory, first.trajectory
+}
+
+fn comparisons(reports: &[CloudReport], quiet: bool) -> Vec<Comparison> {
+    let [first, others @ ..] = reports else { return Vec::new() };
+    let density = |r: &CloudReport| r.quality.sharpness.map(|s| s.mean_neighbours);
+    others
+        .iter()
+        .map(|other| {
+            if let (Some(a), Some(b), false) = (density(first), density(other), quiet)
+                && (a > LIKE_DENSITY * b || b > LIKE_DENSITY * a)
+            {
+                say(&format!(
+                    "{} and {} are not equally dense ({a:.1} and {b:.1} points within the radius): entropy and \
+                     thickness depend on that",
+                    first.cloud, other.cloud
                 ));
             }
+            let mut changes = first.quality.compared_with(&other.quality);
+            let what = "distance to the true surfaces (cm)";
+            changes.extend(compare_places(what, &first.distances, &other.distances));
+            Comparison { before: first.cloud.clone(), after: other.cloud.clone(), changes }
+        })
+        .collect()
+}
+
+fn text(report: &Report) -> String {
+    let mut parts = Vec::new();
+    for cloud in &report.clouds {
+        parts.push(format!("{} ({} of {} points)", cloud.cloud, cloud.quality.points, cloud.total_points));
+        parts.push(cloud.quality.to_string());
+        parts.extend(cloud.surfaces.iter().map(ToString::to_string));
+    }
+    for comparison in &report.comparisons {
+        parts.push(format!("From {} to {}", comparison.before, comparison.after));
+        parts.extend(comparison.changes.iter().map(|change| format!("  {change}")));
+        if comparison.changes.is_empty() {
+            parts.push("  too few places are in both to compare them".to_owned());
         }
     }
     parts.join("\n")

@@ -9,6 +9,10 @@ use portolan_pointcloud::{Attributes, BATCH_POINTS, CloudError, PointCloud, Writ
 use portolan_refinement::Sharpness;
 use portolan_refinement::continuous::Refined;
 
+use super::cloud_pair::CloudPair;
+use super::judgement::Judgement;
+use super::page::report_page;
+use super::pictures::pictures;
 use super::points::ReadPoints;
 use crate::error::CliError;
 use crate::memory::resident_and_peak_bytes;
@@ -25,8 +29,12 @@ pub struct Results<'a> {
     pub refined: &'a Refined,
     pub read: &'a ReadPoints,
     pub seconds: f64,
-    /// Extension of the cloud, which says its format; none for no cloud.
+    /// File of the cloud, relative to the folder, its extension says the format; none for no cloud.
     pub cloud: Option<&'a str>,
+    /// Recordings, trajectory and map.
+    pub files: &'a [PathBuf],
+    /// What was typed, for the page; none for no page.
+    pub command: Option<&'a str>,
     /// The map the trajectory came from, and which of its trajectories.
     pub map: Option<(&'a Path, i32)>,
 }
@@ -56,37 +64,31 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
         draft.replace_trajectory(id, &corrected).map_err(failed)?;
         draft.write(file("refined.pbstream")).map_err(failed)?;
     }
-    if let Some(extension) = results.cloud {
-        write_cloud(results, &file(&format!("refined.{extension}")))?;
+    let pair = CloudPair::new(&results.read.store, results.refined);
+    if let Some(name) = results.cloud {
+        let start = results.read.store.start().unix_seconds();
+        write_cloud(&pair, start, &file(name))?;
     }
-    let report = serde_json::to_vec_pretty(&report(results)).map_err(|e| CliError::Failed(e.to_string()))?;
+    let judgement = results.command.map(|_| Judgement::of(&pair));
+    if let (Some(judgement), Some(command)) = (&judgement, results.command) {
+        let pictures = pictures(&pair, trajectory, &judgement.largest_changes);
+        let page = report_page(results, judgement, &pictures, command)?;
+        write_file(&file("report.html"), |out| out.write_all(page.as_bytes()))?;
+    }
+    let report = serde_json::to_vec_pretty(&report(results, judgement.as_ref()))
+        .map_err(|e| CliError::Failed(e.to_string()))?;
     write_file(&file("report.json"), |out| out.write_all(&report))?;
     Ok(files)
 }
 
 /// All points within the trajectory, in order of time.
-fn write_cloud(results: &Results, path: &Path) -> Result<(), CliError> {
-    let trajectory = &results.refined.trajectory;
-    let store = &results.read.store;
-    let offset = store.start().seconds_since(trajectory.start());
-    let gaps = &results.refined.report.gaps;
-    let is_covered = |seconds: f64| {
-        (0.0..=trajectory.duration()).contains(&seconds)
-            && !gaps.iter().any(|[from, to]| (*from..*to).contains(&seconds))
-    };
-    let matrices = trajectory.matrices();
+fn write_cloud(pair: &CloudPair, start: f64, path: &Path) -> Result<(), CliError> {
     let failed = |error: CloudError| CliError::in_file(path, error);
     let attributes = Attributes { time: true, ..Attributes::default() };
     let mut writer = create(path, attributes, &WriteOptions::default()).map_err(failed)?;
     let mut batch = PointCloud::new(attributes);
-    let start = store.start().unix_seconds();
-    for point in store.points() {
-        let seconds = point.seconds() + offset;
-        if !is_covered(seconds) {
-            continue;
-        }
-        let position = matrices.to_world(seconds, point.in_tracking);
-        batch.push(position, 0.0, start + point.seconds(), [0; 3]);
+    for (seconds, position) in pair.refined() {
+        batch.push(position, 0.0, start + seconds, [0; 3]);
         if batch.len() == BATCH_POINTS {
             writer.write(&batch).map_err(failed)?;
             batch.reset(attributes);
@@ -97,7 +99,7 @@ fn write_cloud(results: &Results, path: &Path) -> Result<(), CliError> {
     Ok(())
 }
 
-fn report(results: &Results) -> serde_json::Value {
+fn report(results: &Results, judgement: Option<&Judgement>) -> serde_json::Value {
     let repairs: Vec<_> = results
         .read
         .repairs
@@ -114,6 +116,7 @@ fn report(results: &Results) -> serde_json::Value {
         "wall_seconds": results.seconds,
         "peak_memory_bytes": resident_and_peak_bytes().map(|(_, peak)| peak),
         "refinement": results.refined.report,
+        "quality": judgement,
         "repairs": repairs,
     })
 }

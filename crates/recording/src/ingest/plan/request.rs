@@ -70,15 +70,15 @@ impl<'a> Request<'a> {
             if used { finder.single(kind, topic.as_deref(), needed) } else { Ok(None) }
         };
         let used = |wish: Option<bool>, configured: Option<bool>| wish.or(configured).unwrap_or(true);
-        let use_odometry = used(options.use_odometry, configured.map(|c| c.use_odometry));
-        let use_imu = used(options.use_imu, configured.map(|c| c.use_imu));
-        let use_landmarks = used(options.use_landmarks, configured.map(|c| c.use_landmarks));
+        let use_odometry = used(options.use_odometry, configured.and_then(|c| c.use_odometry));
+        let use_imu = used(options.use_imu, configured.and_then(|c| c.use_imu));
+        let use_landmarks = used(options.use_landmarks, configured.and_then(|c| c.use_landmarks));
         // Fixes are metres off, so that nobody gets them without asking.
         let use_nav_sat = options.nav_sat_topic.is_some()
-            || options.use_nav_sat.or(configured.map(|c| c.use_nav_sat)).unwrap_or(false);
-        let wanted = |wish: Option<bool>, configured: bool| wish.unwrap_or(configured);
-        let want_imu = wanted(options.use_imu, configured.is_some_and(|c| c.use_imu));
-        let want_landmarks = wanted(options.use_landmarks, configured.is_some_and(|c| c.use_landmarks));
+            || options.use_nav_sat.or(configured.and_then(|c| c.use_nav_sat)).unwrap_or(false);
+        let wanted = |wish: Option<bool>, configured: Option<bool>| wish.or(configured).unwrap_or(false);
+        let want_imu = wanted(options.use_imu, configured.and_then(|c| c.use_imu));
+        let want_landmarks = wanted(options.use_landmarks, configured.and_then(|c| c.use_landmarks));
         request.odometry = single(&mut finder, ODOMETRY, &options.odometry_topic, use_odometry, false)?;
         request.imu = single(&mut finder, IMU, &options.imu_topic, use_imu, want_imu)?;
         request.nav_sat = single(&mut finder, NAV_SAT, &options.nav_sat_topic, use_nav_sat, use_nav_sat)?;

@@ -98,7 +98,7 @@ fn names_of_a_configuration_are_found_or_remapped() {
         ("/tf", &|t| Message::Tf(moving("base_link", "laser", t, [0.1, 0.0, 0.0]))),
     ]);
     let configured =
-        ConfiguredSensors { num_laser_scans: 1, use_odometry: true, ..ConfiguredSensors::default() };
+        ConfiguredSensors { num_laser_scans: 1, use_odometry: Some(true), ..ConfiguredSensors::default() };
     let mut options = IngestOptions { configured: Some(configured), ..IngestOptions::default() };
     let plan = planned(&recording, &options).unwrap();
     assert_eq!(topics(&plan), ["/base_scan"]);

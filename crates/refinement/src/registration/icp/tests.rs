@@ -1,4 +1,6 @@
+use super::pairs::moved;
 use super::*;
+use portolan_geometry::Vector3;
 use portolan_geometry::angular_distance;
 
 /// Three walls of a room's corner and a column, on no common grid.
@@ -78,9 +80,56 @@ fn outliers_are_kept_out_by_trimming_and_kernels() {
 }
 
 #[test]
-fn scans_without_overlap_are_not_matched() {
+fn scans_that_cannot_be_matched_are_named() {
     let model = ScanCloud::new(corner());
+    let run = |points: Vec<[f32; 3]>, guess: &Rigid3, options: IcpOptions| {
+        icp(&model, &ScanCloud::new(points), guess, &options).unwrap_err()
+    };
+    let (here, usual) = (Rigid3::identity(), IcpOptions::default());
     let far = Rigid3::translation(100.0, 0.0, 0.0);
-    assert!(icp(&model, &ScanCloud::new(corner()), &far, &IcpOptions::default()).is_none());
-    assert!(icp(&model, &ScanCloud::new(Vec::new()), &Rigid3::identity(), &IcpOptions::default()).is_none());
+    let IcpError::TooFewPairs { found: 0, nearest: Some(nearest), .. } = run(corner(), &far, usual) else {
+        panic!("scans that do not overlap")
+    };
+    assert!((95.9..=96.1).contains(&nearest), "{nearest}");
+    assert_eq!(run(Vec::new(), &here, usual), IcpError::NoPoints("data"));
+    assert_eq!(run(vec![[f32::NAN; 3]; 10], &here, usual), IcpError::NoPoints("data"));
+    assert_eq!(run(vec![[1.0; 3]; 10], &here, usual), IcpError::OnePlace("data"));
+    assert_eq!(run(vec![[1.0; 3]], &here, usual), IcpError::OnePlace("data"));
+    let planes = IcpOptions { method: IcpMethod::PointToPlane, ..usual };
+    assert_eq!(run(corner(), &here, planes), IcpError::NoSurfaces);
+    let nothing = icp(&ScanCloud::new(Vec::new()), &model, &here, &usual);
+    assert_eq!(nothing.unwrap_err(), IcpError::NoPoints("model"));
+}
+
+#[test]
+fn points_that_are_no_numbers_do_not_count() {
+    let model = ScanCloud::new(corner());
+    let mut points: Vec<[f32; 3]> = corner().into_iter().step_by(2).map(|p| p.map(|v| v + 0.01)).collect();
+    let clean =
+        icp(&model, &ScanCloud::new(points.clone()), &Rigid3::identity(), &IcpOptions::default()).unwrap();
+    points.extend([[f32::NAN; 3], [f32::INFINITY, 0.0, 0.0]]);
+    let dirty = icp(&model, &ScanCloud::new(points), &Rigid3::identity(), &IcpOptions::default()).unwrap();
+    assert_eq!(clean.model_from_data, dirty.model_from_data);
+}
+
+/// Partners kept without a search are those that a search finds: the result is that of searching always.
+#[test]
+fn few_points_first_and_partners_kept_end_at_the_same_place() {
+    let model = ScanCloud::new(corner());
+    let data =
+        ScanCloud::new(corner().into_iter().map(|p| [p[0] + 0.03, p[1] - 0.02, p[2] + 0.02]).collect());
+    let options = IcpOptions { epsilon: 1e-12, max_iterations: 300, ..IcpOptions::default() };
+    let all = icp(&model, &data, &Rigid3::identity(), &IcpOptions { first_points: 0, ..options }).unwrap();
+    let few = icp(&model, &data, &Rigid3::identity(), &IcpOptions { first_points: 300, ..options }).unwrap();
+    let difference = all.model_from_data.to_homogeneous() - few.model_from_data.to_homogeneous();
+    assert!(difference.norm() < 1e-5, "{difference}");
+    let pose = Rigid3::translation(-0.03, 0.02, -0.02);
+    let mut pairing = Pairing::new(&model, &data, &options);
+    for step in 0..20 {
+        let near = Rigid3::translation(0.002 / f64::from(1 << step), 0.0, 0.0) * pose;
+        let kept = pairing.find(&near, 1);
+        let searched = Pairing::new(&model, &data, &options).find(&near, 1);
+        assert_eq!(kept.len(), searched.len());
+        assert!(kept.iter().zip(&searched).all(|(a, b)| (a.distance - b.distance).abs() < 1e-6));
+    }
 }

@@ -1,0 +1,325 @@
+//! Scans, first poses and links from files.
+
+use std::path::{Path, PathBuf};
+
+use portolan_evaluation::Trajectory;
+use portolan_geometry::{Quaternion, Rigid3, Vector3};
+use portolan_pointcloud::{CloudError, CloudReader, UosFolder, UosScan};
+use portolan_refinement::neighbours::{VoxelRepresentative, reduce};
+use portolan_refinement::registration::{Link, ScanCloud};
+
+use crate::clouds::read_cloud_from;
+use crate::commands::evaluate::input::{TrajectorySource, read_bytes};
+use crate::error::CliError;
+use crate::output::counted;
+use crate::progress::say;
+
+/// Neighbours that tell a normal.
+const NORMAL_NEIGHBOURS: usize = 12;
+/// Coordinates beyond this are good to less than a millimetre in single precision, metres.
+const SINGLE_PRECISION_REACH: f64 = 8192.0;
+/// Points of a scan that are kept in memory at most.
+const MOST_POINTS: usize = 50_000_000;
+/// Scans wider or narrower than this are hardly in metres, and no two of one job differ by this factor.
+const WIDEST: f64 = 5000.0;
+const NARROWEST: f64 = 0.02;
+const UNLIKE: f64 = 50.0;
+
+/// How points are read.
+#[derive(clap::Args, Clone, Debug)]
+#[command(next_help_heading = "Points")]
+pub struct InputArgs {
+    /// Keep one point in each voxel of this edge, metres.
+    #[arg(long, value_name = "METRES")]
+    reduce: Option<f64>,
+    /// Which point that is.
+    #[arg(long, value_enum, default_value_t = ReduceTo::Random, requires = "reduce")]
+    reduce_to: ReduceTo,
+    /// Leave out points nearer than this to the origin of their scan, metres.
+    #[arg(long, value_name = "METRES", default_value_t = 0.0)]
+    min_range: f64,
+    /// Leave out points farther than this from the origin of their scan, metres. Default: none.
+    #[arg(long, value_name = "METRES")]
+    max_range: Option<f64>,
+    /// Multiply all coordinates, for files that are not in metres: 0.001 for millimetres.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    scale: f64,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum ReduceTo {
+    /// A measured one, chosen at random but always the same.
+    Random,
+    /// The mean of all.
+    Mean,
+    /// The middle of the voxel.
+    Centre,
+}
+
+impl InputArgs {
+    fn check(&self) -> Result<(), CliError> {
+        let positive = |name: &str, value: f64| match value > 0.0 && value < 1e9 {
+            true => Ok(()),
+            false => Err(CliError::Usage(format!("{name} must be above 0, but is {value}"))),
+        };
+        positive("--scale", self.scale)?;
+        self.reduce.map_or(Ok(()), |edge| positive("--reduce", edge))?;
+        self.max_range.map_or(Ok(()), |range| positive("--max-range", range))?;
+        match self.min_range >= 0.0 && self.min_range < self.max_range.unwrap_or(f64::INFINITY) {
+            true => Ok(()),
+            false => Err(CliError::Usage("--min-range must be at least 0 and below --max-range".to_owned())),
+        }
+    }
+
+    /// A point as it is used; none if it is too near or too far.
+    pub fn point(&self, position: [f64; 3]) -> Option<[f64; 3]> {
+        let scaled = position.map(|v| v * self.scale);
+        let range = Vector3::from(scaled).norm();
+        (range >= self.min_range && range <= self.max_range.unwrap_or(f64::INFINITY)).then_some(scaled)
+    }
+}
+
+/// Where a scan comes from.
+#[derive(Clone, Debug)]
+pub enum ScanSource {
+    /// A cloud of any format.
+    File(PathBuf),
+    /// A uos scan.
+    Uos(UosScan),
+}
+
+impl ScanSource {
+    fn path(&self) -> &Path {
+        match self {
+            Self::File(path) => path,
+            Self::Uos(scan) => &scan.points,
+        }
+    }
+
+    /// Its points in its own frame.
+    pub fn open(&self) -> Result<Box<dyn CloudReader>, CliError> {
+        match self {
+            Self::File(path) => portolan_pointcloud::open(path).map_err(failed),
+            Self::Uos(scan) => Ok(scan.reader()),
+        }
+    }
+}
+
+fn failed(error: CloudError) -> CliError {
+    CliError::Failed(error.to_string())
+}
+
+/// All scans in memory.
+pub struct Scans {
+    pub names: Vec<String>,
+    pub sources: Vec<ScanSource>,
+    pub input: InputArgs,
+    pub clouds: Vec<ScanCloud>,
+    /// First poses from files beside the scans, else the origin.
+    pub guesses: Vec<Rigid3>,
+    pub lost_data: bool,
+    /// Place that the points in memory count from, metres.
+    from_origin: Rigid3,
+}
+
+impl Scans {
+    /// A pose of a scan as that of its points in memory.
+    pub fn about_origin(&self, pose: &Rigid3) -> Rigid3 {
+        self.from_origin.inverse() * *pose * self.from_origin
+    }
+
+    /// The pose of a scan from that of its points in memory.
+    pub fn of_file(&self, pose: &Rigid3) -> Rigid3 {
+        self.from_origin * *pose * self.from_origin.inverse()
+    }
+}
+
+/// Reads all scans; what is strange is said.
+pub fn read_scans(
+    paths: &[PathBuf],
+    input: &InputArgs,
+    surfaces: bool,
+    quiet: bool,
+) -> Result<Scans, CliError> {
+    input.check()?;
+    let sources = sources(paths)?;
+    let mut scans = Scans {
+        names: sources.iter().map(|s| s.path().display().to_string()).collect(),
+        guesses: sources
+            .iter()
+            .map(|s| match s {
+                ScanSource::Uos(scan) => scan.guess.unwrap_or_default(),
+                ScanSource::File(_) => Rigid3::identity(),
+            })
+            .collect(),
+        clouds: Vec::with_capacity(sources.len()),
+        sources,
+        input: input.clone(),
+        lost_data: false,
+        from_origin: Rigid3::identity(),
+    };
+    let mut origin = None;
+    for source in scans.sources.clone() {
+        let (cloud, lost) = read_scan(&source, input, surfaces, quiet, &mut origin)?;
+        scans.lost_data |= lost;
+        scans.clouds.push(cloud);
+    }
+    scans.from_origin = Rigid3::from_parts(origin.unwrap_or([0.0; 3]).into(), Quaternion::identity());
+    if !quiet {
+        suspect_units(&scans).into_iter().for_each(|line| say(&line));
+    }
+    Ok(scans)
+}
+
+/// Folders of uos scans become their scans.
+fn sources(paths: &[PathBuf]) -> Result<Vec<ScanSource>, CliError> {
+    let mut sources = Vec::new();
+    for path in paths {
+        if path.is_dir() {
+            sources.extend(UosFolder::open(path).map_err(failed)?.scans.into_iter().map(ScanSource::Uos));
+        } else if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("3d")) {
+            sources.push(ScanSource::Uos(UosScan::open(path).map_err(failed)?));
+        } else {
+            sources.push(ScanSource::File(path.clone()));
+        }
+    }
+    Ok(sources)
+}
+
+/// Points relative to the first point of the first scan where coordinates are too large for single precision; whether
+/// data were lost.
+fn read_scan(
+    source: &ScanSource,
+    input: &InputArgs,
+    surfaces: bool,
+    quiet: bool,
+    origin: &mut Option<[f64; 3]>,
+) -> Result<(ScanCloud, bool), CliError> {
+    let path = source.path();
+    let read = read_cloud_from(source.open()?, path, MOST_POINTS, quiet)?;
+    if read.total > read.points.len() as u64 && !quiet {
+        say(&format!("{}: only {} of {} points are used", path.display(), read.points.len(), read.total));
+    }
+    let mut points: Vec<[f32; 3]> = Vec::with_capacity(read.points.len());
+    for position in read.points.iter().filter_map(|p| input.point(*p)) {
+        let far = position.iter().any(|v| v.abs() > SINGLE_PRECISION_REACH);
+        let origin = origin.get_or_insert(if far { position } else { [0.0; 3] });
+        points.push(std::array::from_fn(|k| (position[k] - origin[k]) as f32));
+    }
+    if let Some(edge) = input.reduce {
+        let representative = match input.reduce_to {
+            ReduceTo::Random => VoxelRepresentative::Random(1),
+            ReduceTo::Mean => VoxelRepresentative::Mean,
+            ReduceTo::Centre => VoxelRepresentative::Centre,
+        };
+        points = reduce(&points, edge as f32, representative);
+    }
+    if points.len() < 4 {
+        let kept = counted(points.len() as u64, "point", "points");
+        let reason =
+            format!("{kept} of {} left after reduction and range limits; at least 4 are needed", read.total);
+        return Err(CliError::in_file(path, reason));
+    }
+    if points.iter().all(|p| *p == points[0]) {
+        return Err(CliError::in_file(path, "all its points lie at one place"));
+    }
+    let cloud = match surfaces {
+        // The scanner stands at the origin of its scan.
+        true => ScanCloud::with_surfaces(points, NORMAL_NEIGHBOURS, f32::INFINITY)
+            .with_normals_towards(origin.unwrap_or([0.0; 3]).map(|v| -v as f32)),
+        false => ScanCloud::new(points),
+    };
+    Ok((cloud, read.lost_data))
+}
+
+/// What sounds like wrong units.
+fn suspect_units(scans: &Scans) -> Vec<String> {
+    let width = |cloud: &ScanCloud| {
+        let [low, high] = cloud.bounds();
+        (0..3).map(|k| f64::from(high[k] - low[k])).fold(0.0, f64::max)
+    };
+    let widths: Vec<f64> = scans.clouds.iter().map(width).collect();
+    let mut lines = Vec::new();
+    for (name, width) in scans.names.iter().zip(&widths) {
+        if *width > WIDEST {
+            lines.push(format!(
+                "{name}: the scan is {width:.0} m wide; if its coordinates are millimetres, give --scale 0.001"
+            ));
+        } else if *width < NARROWEST {
+            lines.push(format!(
+                "{name}: the scan is {width:.4} m wide; are its coordinates metres? (--scale multiplies them)"
+            ));
+        }
+    }
+    let by_width = |i: &usize, k: &usize| widths[*i].total_cmp(&widths[*k]);
+    let ends = [(0..widths.len()).min_by(by_width), (0..widths.len()).max_by(by_width)];
+    if let [Some(least), Some(most)] = ends
+        && widths[most] > UNLIKE * widths[least]
+    {
+        lines.push(format!(
+            "{} is {:.2} m wide and {} {:.2} m: are both of one unit?",
+            scans.names[least], widths[least], scans.names[most], widths[most]
+        ));
+    }
+    lines
+}
+
+/// Poses in the order of the scans.
+pub fn read_poses(path: &Path, count: usize) -> Result<Vec<Rigid3>, CliError> {
+    let source = TrajectorySource { path, trajectory_id: 0, times: None, quiet: false };
+    let trajectory: Trajectory = source.read()?;
+    if trajectory.len() != count {
+        return Err(CliError::in_file(
+            path,
+            format!("it has {} poses at different times, but there are {count} scans", trajectory.len()),
+        ));
+    }
+    Ok(trajectory.poses().iter().map(|p| p.map_from_tracking).collect())
+}
+
+/// Links: number of scans, number of links, then two scans a line, counted from 0.
+pub fn read_links(path: &Path, count: usize) -> Result<Vec<Link>, CliError> {
+    let bytes = read_bytes(path)?;
+    let text = String::from_utf8_lossy(&bytes);
+    let bad = |line: usize, reason: &str| CliError::in_file(path, format!("line {}: {reason}", line + 1));
+    let mut links = Vec::new();
+    for (number, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
+        let values: Option<Vec<usize>> = line.split_ascii_whitespace().map(|w| w.parse().ok()).collect();
+        match values.as_deref() {
+            // The two counts are only told.
+            Some([_]) if links.is_empty() => {}
+            Some([from, to, ..]) if from != to && *from < count && *to < count => {
+                let link = Link { from: *from.min(to), to: *from.max(to) };
+                if !links.contains(&link) {
+                    links.push(link);
+                }
+            }
+            Some([_, _, ..]) => {
+                return Err(bad(number, &format!("a link joins two of the scans 0 to {}", count - 1)));
+            }
+            _ => return Err(bad(number, "expected the numbers of two scans")),
+        }
+    }
+    Ok(links)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_are_read_and_bad_ones_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("links.net");
+        let read = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            read_links(&path, 4)
+        };
+        let links = read("4\n3\n0 1\n2 1\n1 2\n").unwrap();
+        assert_eq!(links, [Link { from: 0, to: 1 }, Link { from: 1, to: 2 }]);
+        for bad in ["4\n1\n0 4\n", "4\n1\n1 1\n", "0 x\n", "0 1\n5\n"] {
+            let error = read(bad).unwrap_err().to_string();
+            assert!(error.contains("line"), "{error}");
+        }
+    }
+}

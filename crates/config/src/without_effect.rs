@@ -1,0 +1,81 @@
+//! Options that are read, checked and written, and change nothing.
+//!
+//! Files of the reference must load, so that these keys exist. This list is the only place that says so:
+//! the documentation of each option in it, or within a table in it, ends with the reason.
+
+const LIVE: &str = "it belongs to the live output of ROS, and Portolan publishes nothing";
+const NO_THREADS: &str = "one scan match runs on one thread; `--threads` and `num_background_threads` say how many \
+                          searches run side by side and how many threads optimise";
+const NOT_IN_2D: &str = "in the plane poses are predicted with constant velocity only, as in the reference";
+const LIVE_GRAVITY: &str = "the live pose output of ROS reads it; mapping reads \
+                            `pose_extrapolator.constant_velocity.imu_gravity_time_constant`";
+const NO_FINISHED_INTENSITIES: &str = "finished submaps hold no intensities, in the reference neither";
+
+/// Paths of options and tables with the reason why they have no effect. A path that begins with `*` stands
+/// for all that end so.
+const WITHOUT_EFFECT: &[(&str, &str)] = &[
+    ("*solver_options.num_threads", NO_THREADS),
+    (
+        "map_builder.pose_graph.constraint_builder.ceres_scan_matcher_3d.intensity_cost_function_options_0",
+        NO_FINISHED_INTENSITIES,
+    ),
+    (
+        "map_builder.pose_graph.constraint_builder.ceres_scan_matcher_3d.intensity_cost_function_options_1",
+        NO_FINISHED_INTENSITIES,
+    ),
+    (
+        "trajectory_builder.trajectory_builder_2d.loop_closure_adaptive_voxel_filter",
+        "maps keep it; loop closures use the cloud of `adaptive_voxel_filter`, as in the reference",
+    ),
+    ("trajectory_builder.trajectory_builder_2d.imu_gravity_time_constant", LIVE_GRAVITY),
+    ("trajectory_builder.trajectory_builder_2d.pose_extrapolator.imu_based", NOT_IN_2D),
+    (
+        "trajectory_builder.trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_1",
+        "the low-resolution grid holds no intensities",
+    ),
+    ("trajectory_builder.trajectory_builder_3d.imu_gravity_time_constant", LIVE_GRAVITY),
+    ("published_frame", LIVE),
+    ("odom_frame", LIVE),
+    ("provide_odom_frame", LIVE),
+    ("publish_frame_projected_to_2d", LIVE),
+    ("lookup_transform_timeout_sec", "all transforms of a recording are known from the start"),
+    ("submap_publish_period_sec", LIVE),
+    ("pose_publish_period_sec", LIVE),
+    ("trajectory_publish_period_sec", LIVE),
+    ("publish_to_tf", LIVE),
+    ("publish_tracked_pose", LIVE),
+    ("use_pose_extrapolator", LIVE),
+];
+
+/// Why the option or table at a full path changes nothing; none if it does.
+pub(crate) fn without_effect(path: &str) -> Option<&'static str> {
+    let is_meant = |entry: &str| match entry.strip_prefix('*') {
+        Some(end) => path.ends_with(end),
+        None => path.strip_prefix(entry).is_some_and(|rest| rest.is_empty() || rest.starts_with('.')),
+    };
+    WITHOUT_EFFECT.iter().find(|(entry, _)| is_meant(entry)).map(|(_, reason)| *reason)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::catalogue::catalogue;
+
+    #[test]
+    fn every_entry_is_an_option_and_its_documentation_says_so() {
+        for (entry, reason) in WITHOUT_EFFECT {
+            let meant = |path: &str| match entry.strip_prefix('*') {
+                Some(end) => path.ends_with(end),
+                None => path == *entry,
+            };
+            let mut docs = catalogue().iter().filter(|doc| meant(&doc.path)).peekable();
+            assert!(docs.peek().is_some(), "{entry} is no option");
+            for doc in docs {
+                assert!(doc.doc.contains(reason) && doc.without_effect == Some(*reason), "{}", doc.path);
+            }
+        }
+        let inner = "trajectory_builder.trajectory_builder_2d.pose_extrapolator.imu_based.gravity_constant";
+        assert_eq!(without_effect(inner), Some(NOT_IN_2D));
+        assert_eq!(without_effect("published_frames"), None);
+    }
+}

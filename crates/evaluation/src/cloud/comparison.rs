@@ -1,0 +1,188 @@
+//! Whether one cloud is better than another: a paired test over places.
+//!
+//! Values of neighbouring points are not independent, so that their standard error promises too much. Here values
+//! are first averaged within places of some metres; the differences of places are then judged together, by
+//! resampling them (bootstrap) and by changing their signs at random (permutation), always with the same seed.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+
+/// Resamples and permutations.
+const DRAWS: usize = 4000;
+/// A place needs so many values in both clouds.
+const LEAST_VALUES: u32 = 4;
+/// With fewer places nothing is said.
+const LEAST_PLACES: usize = 6;
+/// A difference is called real below this probability of chance.
+const SIGNIFICANT: f64 = 0.01;
+
+/// A value at a place, given by its cell.
+pub type PlaceValue = ([i32; 3], f64);
+
+/// A value before and after.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PairedComparison {
+    /// What is compared.
+    pub what: String,
+    /// Places that both clouds have.
+    pub places: usize,
+    /// Mean over the places before.
+    pub before: f64,
+    /// Mean over the places after.
+    pub after: f64,
+    /// Mean difference (after minus before).
+    pub change: f64,
+    /// 95 % of resampled means lie between.
+    pub interval_95: [f64; 2],
+    /// Share of places that became less.
+    pub places_less: f64,
+    /// Probability of a difference as large by chance (two-sided).
+    pub probability_of_chance: f64,
+}
+
+impl PairedComparison {
+    /// −1 if the value became less, 1 if it became more, 0 if that may be chance.
+    pub fn direction(&self) -> i32 {
+        match self.probability_of_chance < SIGNIFICANT {
+            true => self.change.signum() as i32,
+            false => 0,
+        }
+    }
+}
+
+/// The cell of `edge` metres in which a point lies.
+pub fn place_of(point: [f64; 3], edge: f64) -> [i32; 3] {
+    point.map(|v| (v / edge).floor().clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32)
+}
+
+/// Compares values by place; none if too few places have values enough in both.
+pub fn compare_places(what: &str, before: &[PlaceValue], after: &[PlaceValue]) -> Option<PairedComparison> {
+    let (before, after) = (means(before), means(after));
+    let pairs: Vec<(f64, f64)> =
+        before.iter().filter_map(|(place, b)| Some((*b, *after.get(place)?))).collect();
+    if pairs.len() < LEAST_PLACES {
+        return None;
+    }
+    let differences: Vec<f64> = pairs.iter().map(|(b, a)| a - b).collect();
+    let count = differences.len();
+    let change = mean(&differences);
+    let mut random = SplitMix(0x5eed);
+    let mut resampled: Vec<f64> = (0..DRAWS)
+        .map(|_| (0..count).map(|_| differences[random.below(count)]).sum::<f64>() / count as f64)
+        .collect();
+    resampled.sort_by(f64::total_cmp);
+    let flipped = |random: &mut SplitMix| {
+        differences.iter().map(|d| if random.next() >> 63 == 0 { *d } else { -d }).sum::<f64>() / count as f64
+    };
+    let extreme = (0..DRAWS).filter(|_| flipped(&mut random).abs() >= change.abs() * (1.0 - 1e-12)).count();
+    Some(PairedComparison {
+        what: what.to_owned(),
+        places: count,
+        before: pairs.iter().map(|p| p.0).sum::<f64>() / count as f64,
+        after: pairs.iter().map(|p| p.1).sum::<f64>() / count as f64,
+        change,
+        interval_95: [resampled[DRAWS * 25 / 1000], resampled[DRAWS * 975 / 1000 - 1]],
+        places_less: differences.iter().filter(|d| **d < 0.0).count() as f64 / count as f64,
+        probability_of_chance: (extreme + 1) as f64 / (DRAWS + 1) as f64,
+    })
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Means of places with enough values.
+fn means(values: &[PlaceValue]) -> BTreeMap<[i32; 3], f64> {
+    let mut sums: BTreeMap<[i32; 3], (f64, u32)> = BTreeMap::new();
+    for (place, value) in values.iter().filter(|(_, value)| value.is_finite()) {
+        let sum = sums.entry(*place).or_default();
+        *sum = (sum.0 + value, sum.1 + 1);
+    }
+    let enough = sums.into_iter().filter(|(_, (_, count))| *count >= LEAST_VALUES);
+    enough.map(|(place, (sum, count))| (place, sum / f64::from(count))).collect()
+}
+
+/// A small generator (Steele, Lea and Flood 2014), so that results are the same everywhere.
+struct SplitMix(u64);
+
+impl SplitMix {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, count: usize) -> usize {
+        ((u128::from(self.next()) * count as u128) >> 64) as usize
+    }
+}
+
+impl fmt::Display for PairedComparison {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let verdict = match self.direction() {
+            -1 => "less",
+            1 => "more",
+            _ => "no difference beyond chance",
+        };
+        write!(
+            f,
+            "{}: {:.4} -> {:.4}, change {:+.4} (95 % between {:+.4} and {:+.4}), less at {:.0} % of {} places, p = {:.4}: {verdict}",
+            self.what,
+            self.before,
+            self.after,
+            self.change,
+            self.interval_95[0],
+            self.interval_95[1],
+            100.0 * self.places_less,
+            self.places,
+            self.probability_of_chance
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn values(offset: f64, scatter: f64, seed: u64) -> Vec<PlaceValue> {
+        let mut random = SplitMix(seed);
+        (0..400)
+            .map(|i| {
+                let noise = random.next() as f64 / u64::MAX as f64 - 0.5;
+                // Places differ much more than the clouds do: what pairing is for.
+                ([i / 10, 0, 0], f64::from(i / 10) + offset + scatter * noise)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_small_but_steady_change_is_seen() {
+        let found = compare_places("entropy", &values(0.0, 0.2, 1), &values(-0.1, 0.2, 2)).unwrap();
+        assert_eq!((found.places, found.direction()), (40, -1));
+        assert!(found.interval_95[1] < 0.0 && (found.change + 0.1).abs() < 0.03, "{found}");
+    }
+
+    #[test]
+    fn chance_is_not_called_a_change() {
+        let real = (0..40)
+            .filter(|i| {
+                compare_places("x", &values(0.0, 1.0, 2 * i + 10), &values(0.0, 1.0, 2 * i + 11))
+                    .unwrap()
+                    .direction()
+                    != 0
+            })
+            .count();
+        assert!(real <= 2, "{real} of 40");
+        let same = compare_places("x", &values(0.0, 1.0, 1), &values(0.0, 1.0, 1)).unwrap();
+        assert!(same.change == 0.0 && same.probability_of_chance == 1.0);
+    }
+
+    #[test]
+    fn too_few_places_are_not_judged() {
+        assert!(compare_places("x", &values(0.0, 1.0, 1)[..50], &values(0.0, 1.0, 2)).is_none());
+        assert!(compare_places("x", &[], &[]).is_none());
+    }
+}
