@@ -15,7 +15,10 @@ use portolan_sensor::{
 };
 
 use super::two_d::{LocalSlamExtras, filtered, first_point_time};
-use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter, take_odometry};
+use super::{
+    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, motion_filter,
+    take_odometry,
+};
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_3d::ScanMatcher3d;
@@ -155,7 +158,10 @@ impl LocalSlam3d {
         }
         self.gathered.push(Gathered::new(ranges, 0.5 * self.options.voxel_filter_size));
         if self.gathered.len() < self.options.num_accumulated_range_data {
-            return None;
+            if self.gathered.iter().map(Gathered::len).sum::<usize>() < MOST_GATHERED_POINTS {
+                return None;
+            }
+            self.count(CUT_SHORT);
         }
         let gathered = std::mem::take(&mut self.gathered);
         self.match_gathered(ranges.time, &gathered)
