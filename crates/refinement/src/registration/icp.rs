@@ -161,7 +161,7 @@ pub fn icp<M: Model>(
     let strides = pairing.strides();
     for (stage, stride) in strides.iter().enumerate() {
         let is_last = stage + 1 == strides.len();
-        run.to_rest(&mut pairing, *stride, options, is_last)?;
+        run.iterate(&mut pairing, *stride, options, is_last)?;
         if run.iterations >= options.max_iterations && !is_last {
             break;
         }
@@ -195,7 +195,7 @@ struct Run {
 
 impl Run {
     /// Steps with every so manieth point until the distance of pairs rests.
-    fn to_rest<M: Model>(
+    fn iterate<M: Model>(
         &mut self,
         pairing: &mut Pairing<M>,
         stride: usize,

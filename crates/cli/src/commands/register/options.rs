@@ -81,6 +81,7 @@ enum Kernel {
     /// Logarithmic.
     Cauchy,
     /// Bounded.
+    #[value(name = "geman-mcclure")]
     GemanMcClure,
 }
 
