@@ -17,7 +17,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json};
 use crate::progress::{Progress, say};
 use input::{InputArgs, Scans, read_links, read_scans};
-use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs};
+use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
 use results::{History, Registered, describe, text, write_results};
 
 /// Bring scans together: where each scan lies in the frame of the first.
@@ -81,8 +81,8 @@ pub fn run(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliError
 fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let sequence = args.icp.sequence(&args.loops)?;
     args.global.check()?;
-    let planes = args.icp.needs_surfaces() || args.global.planes();
-    let scans = read_scans(&args.scans, &args.input, planes, global.quiet)?;
+    let surfaces = if args.global.planes() { SurfacesOf::All } else { args.icp.surfaces() };
+    let scans = read_scans(&args.scans, &args.input, surfaces, global.quiet)?;
     if scans.clouds.len() < 2 {
         return Err(CliError::Usage(format!("{} holds one scan; two are needed", args.scans[0].display())));
     }

@@ -8,6 +8,7 @@ use portolan_pointcloud::{CloudError, CloudReader, UosFolder, UosScan};
 use portolan_refinement::neighbours::{VoxelRepresentative, reduce};
 use portolan_refinement::registration::{Link, ScanCloud};
 
+use super::options::SurfacesOf;
 use crate::clouds::read_cloud_from;
 use crate::commands::evaluate::input::{TrajectorySource, read_bytes};
 use crate::error::CliError;
@@ -44,6 +45,9 @@ pub struct InputArgs {
     /// Multiply all coordinates, for files that are not in metres: 0.001 for millimetres.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scale: f64,
+    /// Begin uos scans where an earlier registration left them (.frames) instead of at their first poses (.pose).
+    #[arg(long = "continue")]
+    go_on: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -138,7 +142,7 @@ impl Scans {
 pub fn read_scans(
     paths: &[PathBuf],
     input: &InputArgs,
-    surfaces: bool,
+    surfaces: SurfacesOf,
     quiet: bool,
 ) -> Result<Scans, CliError> {
     input.check()?;
@@ -148,6 +152,7 @@ pub fn read_scans(
         guesses: sources
             .iter()
             .map(|s| match s {
+                ScanSource::Uos(scan) if input.go_on => scan.world_from_scan(),
                 ScanSource::Uos(scan) => scan.guess.unwrap_or_default(),
                 ScanSource::File(_) => Rigid3::identity(),
             })
@@ -159,8 +164,13 @@ pub fn read_scans(
         from_origin: Rigid3::identity(),
     };
     let mut origin = None;
-    for source in scans.sources.clone() {
-        let (cloud, lost) = read_scan(&source, input, surfaces, quiet, &mut origin)?;
+    for (index, source) in scans.sources.iter().enumerate() {
+        let has_surfaces = match surfaces {
+            SurfacesOf::All => true,
+            SurfacesOf::AllButLast => index + 1 < scans.sources.len(),
+            SurfacesOf::None => false,
+        };
+        let (cloud, lost) = read_scan(source, input, has_surfaces, quiet, &mut origin)?;
         scans.lost_data |= lost;
         scans.clouds.push(cloud);
     }

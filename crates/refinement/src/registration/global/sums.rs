@@ -27,13 +27,7 @@ pub(crate) struct LinkSums {
 impl LinkSums {
     /// For each of (at most so many) points of the later scan the nearest point of the earlier one.
     pub fn of(scans: &[ScanCloud], poses: &[Rigid3], link: Link, options: &GlobalOptions) -> Self {
-        let mut sums = Self {
-            statistics: LinkStatistics::default(),
-            pairs: PairMoments::default(),
-            model_model: Matrix3::zeros(),
-            matrix7: SMatrix::zeros(),
-            vector7: SVector::zeros(),
-        };
+        let mut sums = Self::empty();
         let (from, to) = (&scans[link.from], &scans[link.to]);
         let (world_from_a, world_from_b) = (&poses[link.from], &poses[link.to]);
         let a_from_b = world_from_a.inverse() * world_from_b;
@@ -68,7 +62,19 @@ impl LinkSums {
         sums
     }
 
-    fn add(&mut self, p: &Vector3, q: &Vector3, with_scale: bool) {
+    /// No pairs.
+    pub fn empty() -> Self {
+        Self {
+            statistics: LinkStatistics::default(),
+            pairs: PairMoments::default(),
+            model_model: Matrix3::zeros(),
+            matrix7: SMatrix::zeros(),
+            vector7: SVector::zeros(),
+        }
+    }
+
+    /// Adds a pair.
+    pub fn add(&mut self, p: &Vector3, q: &Vector3, with_scale: bool) {
         self.statistics.add(p, q);
         self.pairs.add(p, q, 1.0);
         self.model_model += p * p.transpose();
