@@ -12,6 +12,7 @@ mod picture;
 mod plot;
 mod png_file;
 mod point_picture;
+pub mod points;
 mod raster;
 mod tum;
 

@@ -42,7 +42,8 @@ pub struct ConstraintLine {
     pub between_trajectories: bool,
 }
 
-fn paint(colour: Rgb, alpha: f32) -> Paint<'static> {
+/// A colour to draw with, smooth at edges.
+pub(crate) fn solid_paint(colour: Rgb, alpha: f32) -> Paint<'static> {
     let [r, g, b] = colour.map(|v| v.clamp(0.0, 1.0));
     let mut paint = Paint { anti_alias: true, ..Paint::default() };
     if let Some(colour) = Color::from_rgba(r, g, b, alpha) {
@@ -60,7 +61,7 @@ pub fn draw_constraints(pixmap: &mut PixmapMut, frame: &Frame, constraints: &[Co
     // Many lines must not cover the map.
     let alpha = (6.0 / (constraints.len() as f32).sqrt().max(1.0)).clamp(0.06, 0.7);
     for (between, colour) in [(false, LOOP), (true, LOOP_BETWEEN)] {
-        let paint = paint(colour, alpha);
+        let paint = solid_paint(colour, alpha);
         for constraint in constraints.iter().filter(|c| c.between_trajectories == between) {
             stroke_line(pixmap, frame, &[constraint.from, constraint.to], &paint, 0.8 * scale);
         }
@@ -71,8 +72,8 @@ pub fn draw_constraints(pixmap: &mut PixmapMut, frame: &Frame, constraints: &[Co
 pub fn draw_trajectories(pixmap: &mut PixmapMut, frame: &Frame, lines: &[TrajectoryLine], scale: f32) {
     for line in lines {
         // A light edge keeps the line apart from walls.
-        stroke_line(pixmap, frame, &line.points, &paint(WHITE, 0.65), 4.6 * scale);
-        stroke_line(pixmap, frame, &line.points, &paint(palette(line.index), 0.92), 2.4 * scale);
+        stroke_line(pixmap, frame, &line.points, &solid_paint(WHITE, 0.65), 4.6 * scale);
+        stroke_line(pixmap, frame, &line.points, &solid_paint(palette(line.index), 0.92), 2.4 * scale);
     }
     for line in lines {
         // Of different size, so that both are seen where they meet.
@@ -80,8 +81,8 @@ pub fn draw_trajectories(pixmap: &mut PixmapMut, frame: &Frame, lines: &[Traject
         for (point, colour, radius) in ends {
             if let Some(point) = point {
                 let (x, y) = frame.pixel(*point);
-                fill_circle(pixmap, x, y, (radius + 1.6) * scale, &paint(WHITE, 0.95));
-                fill_circle(pixmap, x, y, radius * scale, &paint(colour, 1.0));
+                fill_circle(pixmap, x, y, (radius + 1.6) * scale, &solid_paint(WHITE, 0.95));
+                fill_circle(pixmap, x, y, radius * scale, &solid_paint(colour, 1.0));
             }
         }
     }
@@ -151,17 +152,17 @@ impl ScaleBar {
     /// Draws it at one of its places.
     pub fn draw(&self, pixmap: &mut PixmapMut, [left, top, width, height]: [f32; 4]) {
         let scale = self.scale;
-        fill_rounded(pixmap, [left, top, width, height], 4.0 * scale, &paint(WHITE, 0.82));
+        fill_rounded(pixmap, [left, top, width, height], 4.0 * scale, &solid_paint(WHITE, 0.82));
         let (x, base) = (left + PAD * scale, top + height - PAD * scale);
         let thickness = BAR * scale;
-        let ink = paint(INK, 1.0);
+        let ink = solid_paint(INK, 1.0);
         draw_text(pixmap, &self.label, x, base - thickness - 0.7 * PAD * scale, TEXT * scale, &ink);
         fill_rect(pixmap, [x, base - thickness, self.bar, thickness], &ink);
         // The second half is hollow, so that the bar can be read as two lengths.
         let edge = 1.2 * scale;
         let hollow =
             [x + 0.5 * self.bar, base - thickness + edge, 0.5 * self.bar - edge, thickness - 2.0 * edge];
-        fill_rect(pixmap, hollow, &paint(WHITE, 1.0));
+        fill_rect(pixmap, hollow, &solid_paint(WHITE, 1.0));
     }
 }
 

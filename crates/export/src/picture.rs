@@ -126,9 +126,9 @@ fn emptiest(canvas: PixmapRef, places: [[f32; 4]; 4], ground: [u8; 3]) -> [f32; 
 /// White paper where only walls are known (3D seen from above), grey where free space is known.
 fn suitable_colours(textures: &[PlacedTexture]) -> MapColours {
     let (mut free, mut known) = (0_u64, 0_u64);
-    for [value, alpha] in textures.iter().flat_map(|t| &t.texture.pixels) {
-        free += u64::from(*value > 0);
-        known += u64::from(*value > 0 || *alpha > 0);
+    for placed in textures {
+        free += placed.texture.free_count() as u64;
+        known += placed.texture.known_count() as u64;
     }
     let unknown = if 4 * free < known { rgb(0xf4f5f7) } else { rgb(0xc6cbd1) };
     MapColours { free: rgb(0xffffff), occupied: rgb(0x14181d), unknown }

@@ -12,6 +12,11 @@ pub fn write_picture(path: &Path, picture: &Picture) -> Result<(), WriteError> {
     write_png(path, png::ColorType::Rgb, [picture.frame.width, picture.frame.height], &picture.rgb)
 }
 
+/// Writes red, green, blue, row by row from the top.
+pub(crate) fn write_rgb(path: &Path, size: [usize; 2], rgb: &[u8]) -> Result<(), WriteError> {
+    write_png(path, png::ColorType::Rgb, size, rgb)
+}
+
 /// Writes the grey values of a painted map: what ROS maps hold, as PNG.
 pub fn write_grey_map(path: &Path, map: &PaintedMap) -> Result<(), WriteError> {
     let grey: Vec<u8> = map.grey().collect();

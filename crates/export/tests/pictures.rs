@@ -149,7 +149,7 @@ fn far_away_submaps_only_make_the_picture_coarse() {
         let textures = [0.0, far].map(|x| PlacedTexture {
             id: (0, 0),
             map_from_submap: Rigid3::translation(x, 0.0, 0.0),
-            texture: texture.clone(),
+            texture: texture.clone().into(),
         });
         let content = MapContent { textures: &textures, ..MapContent::default() };
         let picture = draw_map(&content, &PictureOptions::default()).unwrap();

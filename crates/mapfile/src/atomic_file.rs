@@ -1,7 +1,7 @@
 //! Output files appear under their name only when they are complete.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
@@ -44,6 +44,20 @@ impl AtomicFile {
     /// The name the file will have.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Replaces bytes at the start: headers whose numbers are known at last. Errors: a pipe, which cannot go
+    /// back.
+    pub fn overwrite_start(&mut self, bytes: &[u8]) -> io::Result<()> {
+        fn overwrite(file: &mut (impl Write + Seek), bytes: &[u8]) -> io::Result<()> {
+            file.seek(SeekFrom::Start(0))?;
+            file.write_all(bytes)?;
+            file.seek(SeekFrom::End(0)).map(drop)
+        }
+        match &mut self.target {
+            Target::Temporary(writer) => overwrite(writer, bytes),
+            Target::Direct(writer) => overwrite(writer, bytes),
+        }
     }
 
     /// Writes out what is buffered, waits until it is on the disk and gives the file its name.
@@ -145,6 +159,18 @@ mod tests {
         write_atomically(&path, b"new").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+    }
+
+    #[test]
+    fn headers_are_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cloud");
+        let mut file = AtomicFile::create(&path).unwrap();
+        file.write_all(b"0 points: a").unwrap();
+        file.overwrite_start(b"2").unwrap();
+        file.write_all(b" b").unwrap();
+        file.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"2 points: a b");
     }
 
     #[test]

@@ -22,6 +22,7 @@ mod message;
 mod migrate;
 mod number;
 mod ordered;
+mod packed_texture;
 mod paint;
 mod point_cloud;
 mod pose;
@@ -45,9 +46,9 @@ pub use codes::{
 };
 pub use convert::{
     LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings, MapSpace, WriteReport,
-    builder_options_from_proto, builder_options_to_proto, load_map, read_map, read_map_2d,
-    submap_textures_2d, trajectory_options_from_proto, trajectory_options_to_proto, write_graph, write_map,
-    write_map_2d,
+    builder_options_from_proto, builder_options_to_proto, encode_grid_2d, encode_hybrid_grid, load_map,
+    read_map, read_map_2d, submap_textures_2d, trajectory_options_from_proto, trajectory_options_to_proto,
+    write_graph, write_map, write_map_2d,
 };
 pub use edit::{
     EditError, EditReport, FoundLoop, LoopResidual, LoopWeights, MapDimension, MapDraft, MapOptimization,
@@ -61,6 +62,7 @@ pub use map_reader::{IgnoredMessages, MapMessage, MapReader};
 pub use message::{Message, MessageKind, RawMessage, kind_of};
 pub use migrate::{MigrateError, MigrateOptions, MigrateReport, migrate};
 pub use number::format_general;
+pub use packed_texture::PackedTexture;
 pub use paint::{
     EvidenceMap, MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint, sum_evidence,
 };

@@ -12,8 +12,10 @@ use crate::proto::mapping::serialized_data::Data;
 use crate::texture::{TextureError, texture_2d};
 use crate::texture_3d::texture_3d;
 
-/// Submaps whose textures are made together; bounds the number of decoded grids in memory.
+/// Submaps whose textures are made together: so many, or so many bytes of messages; bounds the decoded grids
+/// in memory.
 const BATCH: usize = 16;
+const BATCH_BYTES: usize = 32 << 20;
 
 /// The textures of a map.
 #[derive(Debug, Default)]
@@ -37,14 +39,16 @@ pub(crate) fn load_placed_textures(
     placement: &(dyn Fn(IdInFile) -> Option<(IdInFile, Option<Rigid3>)> + Sync),
 ) -> Result<MapTextures, PbstreamError> {
     let mut result = MapTextures::default();
-    let mut batch = Vec::new();
+    let (mut batch, mut bytes) = (Vec::new(), 0);
     loop {
         let message = reader.next_message()?;
         let ended = message.is_none();
+        let size = message.as_ref().map_or(0, |m| m.size);
         if let Some(Data::Submap(submap)) = message.map(|m| m.data) {
             batch.push(submap);
+            bytes += size;
         }
-        if batch.len() >= BATCH || ended {
+        if batch.len() >= BATCH || bytes >= BATCH_BYTES || ended {
             let place = |submap: &Submap| {
                 let (id, pose) = placement(submap_id(submap.submap_id.as_ref()))?;
                 let Some(map_from_submap) = pose else {
@@ -54,7 +58,7 @@ pub(crate) fn load_placed_textures(
                 Some(texture.map_err(|e| (id, e)).map(|texture| PlacedTexture {
                     id,
                     map_from_submap,
-                    texture,
+                    texture: texture.into(),
                 }))
             };
             for placed in batch.par_iter().filter_map(place).collect::<Vec<_>>() {
@@ -64,6 +68,7 @@ pub(crate) fn load_placed_textures(
                 }
             }
             batch.clear();
+            bytes = 0;
         }
         if ended {
             break;

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use crate::error::PbstreamError;
 use crate::frames::FrameReader;
-use crate::message::{Message, RawMessage};
+use crate::message::Message;
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
-use crate::reader::{Decoded, ReadLimits, Records, decode, decode_without_cells, open_frames};
+use crate::reader::{DECODE, DECODE_WITHOUT_CELLS, Decoded, ReadLimits, Records, Step, open_frames};
 
 /// Messages that were left out while reading, because nothing can be done with them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -57,13 +57,13 @@ impl MapReader {
 
     /// Opens a map; errors as for [`MapReader::open`].
     pub fn open_with(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
-        Self::start(open_frames(path.as_ref(), limits)?, limits, decode)
+        Self::start(open_frames(path.as_ref(), limits)?, limits, DECODE)
     }
 
     /// Opens a map whose submaps come without the cells of their 2D grids: for summaries, in little memory.
     /// Errors as for [`MapReader::open`].
     pub fn open_without_cells(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
-        Self::start(open_frames(path.as_ref(), limits)?, limits, decode_without_cells)
+        Self::start(open_frames(path.as_ref(), limits)?, limits, DECODE_WITHOUT_CELLS)
     }
 
     /// Reads from any source; `length` is its whole length in bytes if it is known.
@@ -72,14 +72,10 @@ impl MapReader {
         length: Option<u64>,
         limits: ReadLimits,
     ) -> Result<Self, PbstreamError> {
-        Self::start(FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?, limits, decode)
+        Self::start(FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?, limits, DECODE)
     }
 
-    fn start(
-        frames: FrameReader,
-        limits: ReadLimits,
-        step: fn(RawMessage) -> Result<Decoded, PbstreamError>,
-    ) -> Result<Self, PbstreamError> {
+    fn start(frames: FrameReader, limits: ReadLimits, step: Step<Decoded>) -> Result<Self, PbstreamError> {
         let mut records = Records::new(frames, limits, step);
         let header = match records.next_record()?.map(|decoded| decoded.message) {
             Some(Message::Header(header)) => header,

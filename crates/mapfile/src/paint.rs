@@ -6,14 +6,16 @@
 use portolan_geometry::Rigid3;
 use rayon::prelude::*;
 
+use crate::packed_texture::PackedTexture;
 use crate::pose::IdInFile;
 use crate::resample::{Sample, Sampler, add_evidence, over};
-use crate::texture::SubmapTexture;
 
 /// Free margin around the submaps, pixels.
 const PADDING: f32 = 5.0;
 /// Rows that are painted together by one thread.
 const BAND: usize = 32;
+/// Textures that are unpacked together have at most this many pixels, unless one alone has more.
+const GROUP_PIXELS: usize = 16 << 20;
 
 /// A texture and where it lies.
 #[derive(Clone, Debug)]
@@ -24,7 +26,7 @@ pub struct PlacedTexture {
     /// Pose of the submap in the global map.
     pub map_from_submap: Rigid3,
     /// What it looks like.
-    pub texture: SubmapTexture,
+    pub texture: PackedTexture,
 }
 
 /// A rectangle in the map frame, metres.
@@ -203,20 +205,47 @@ fn blend_all<P: Copy + Send>(
     }
     let (width, height) = (size[0] as usize, size[1] as usize);
     let mut pixels = vec![ground; width * height];
-    let samplers: Vec<Sampler> = slices.iter().filter_map(|s| s.sampler(origin)).collect();
+    let mut rest: &[Slice] = &slices.into_iter().filter(|s| s.reaches(size, origin)).collect::<Vec<_>>();
+    while let Some((group, after)) = first_group(rest) {
+        blend_group(group, origin, width, &mut pixels, &blend);
+        rest = after;
+    }
+    Ok((Layout { width, height, origin }, pixels))
+}
+
+/// The slices that are painted next, and those after them.
+fn first_group<'a, 'b>(slices: &'b [Slice<'a>]) -> Option<(&'b [Slice<'a>], &'b [Slice<'a>])> {
+    let mut sum = 0_usize;
+    let fitting = slices.iter().take_while(|s| {
+        sum = sum.saturating_add(s.texture.pixel_count());
+        sum <= GROUP_PIXELS
+    });
+    let count = fitting.count().max(1);
+    (!slices.is_empty()).then(|| slices.split_at(count))
+}
+
+fn blend_group<P: Copy + Send>(
+    group: &[Slice],
+    origin: [f64; 2],
+    width: usize,
+    pixels: &mut [P],
+    blend: &(impl Fn(&mut P, Sample) + Sync),
+) {
+    let unpacked: Vec<Vec<[u8; 2]>> = group.par_iter().map(|s| s.texture.pixels()).collect();
+    let samplers: Vec<Sampler> =
+        group.iter().zip(&unpacked).filter_map(|(s, pixels)| s.sampler(pixels, origin)).collect();
     pixels.par_chunks_mut(width.max(1) * BAND).enumerate().for_each(|(band, rows)| {
         for sampler in &samplers {
             for (i, row) in rows.chunks_mut(width.max(1)).enumerate() {
-                sampler.paint_row(band * BAND + i, row, &blend);
+                sampler.paint_row(band * BAND + i, row, blend);
             }
         }
     });
-    Ok((Layout { width, height, origin }, pixels))
 }
 
 /// A texture with the affine map from its pixels to the picture, before the shift by the origin.
 struct Slice<'a> {
-    texture: &'a SubmapTexture,
+    texture: &'a PackedTexture,
     /// Columns: per texture column, per texture row, offset.
     picture_from_texture: [[f64; 2]; 3],
 }
@@ -224,7 +253,7 @@ struct Slice<'a> {
 impl<'a> Slice<'a> {
     fn new(placed: &'a PlacedTexture, resolution: f64) -> Result<Self, PaintError> {
         let texture = &placed.texture;
-        if texture.width.checked_mul(texture.height) != Some(texture.pixels.len()) {
+        if texture.width.checked_mul(texture.height) != Some(texture.pixel_count()) {
             return Err(PaintError::Texture(placed.id));
         }
         let h = (placed.map_from_submap * texture.submap_from_slice).to_homogeneous();
@@ -247,10 +276,23 @@ impl<'a> Slice<'a> {
             .map(|(x, y)| [0, 1].map(|i| (a[i] * x + b[i] * y + c[i]) as f32))
     }
 
-    fn sampler(&self, origin: [f64; 2]) -> Option<Sampler<'a>> {
+    /// Whether it can leave anything in a picture of this size: the filter reaches less than a texture pixel
+    /// beyond the corners.
+    fn reaches(&self, size: [f64; 2], origin: [f64; 2]) -> bool {
+        let [a, b, _] = self.picture_from_texture;
+        let corners = self.corners();
+        [0, 1].into_iter().all(|i| {
+            let margin = 2.0 * (a[i].abs() + b[i].abs()) + 2.0;
+            let positions = || corners.iter().map(|c| f64::from(c[i]) + origin[i]);
+            positions().any(|p| p >= -margin) && positions().any(|p| p <= size[i] + margin)
+        })
+    }
+
+    /// `pixels` are those of its texture.
+    fn sampler<'p>(&self, pixels: &'p [[u8; 2]], origin: [f64; 2]) -> Option<Sampler<'p>> {
         let [a, b, c] = self.picture_from_texture;
-        let texture = self.texture;
-        Sampler::new(&texture.pixels, texture.width, texture.height, [a, b, [0, 1].map(|i| c[i] + origin[i])])
+        let (width, height) = (self.texture.width, self.texture.height);
+        Sampler::new(pixels, width, height, [a, b, [0, 1].map(|i| c[i] + origin[i])])
     }
 }
 

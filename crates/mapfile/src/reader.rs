@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-use crate::decoded_size::without_cells;
+use crate::decoded_size::{decoded_size, without_cells};
 use crate::error::{PbstreamError, RecordError};
 use crate::frames::{Frame, FrameReader};
 use crate::gzip::{GzipError, gunzip};
@@ -21,6 +21,8 @@ const MAX_AHEAD_BYTES: usize = 4 << 20;
 /// What a batch may unpack to ahead of its turn; what is larger waits until it is asked for. So read-ahead
 /// never holds more than eight times this, even where every record is a gzip bomb.
 const MAX_BATCH_UNPACKED: usize = 8 << 20;
+/// The same for what its messages take in memory when they are decoded.
+const MAX_BATCH_DECODED: u64 = 32 << 20;
 
 /// Bounds on what a file may make the reader allocate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +57,7 @@ impl PbstreamReader {
 
     /// Opens a file. Errors: not there, not readable, not a pbstream.
     pub fn open_with(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
-        Ok(Self { records: Records::new(open_frames(path.as_ref(), limits)?, limits, Ok) })
+        Ok(Self { records: Records::new(open_frames(path.as_ref(), limits)?, limits, RAW) })
     }
 
     /// Reads from any source; `length` is its whole length in bytes if it is known.
@@ -65,7 +67,7 @@ impl PbstreamReader {
         limits: ReadLimits,
     ) -> Result<Self, PbstreamError> {
         let frames = FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?;
-        Ok(Self { records: Records::new(frames, limits, Ok) })
+        Ok(Self { records: Records::new(frames, limits, RAW) })
     }
 
     /// The next message, or nothing at the end.
@@ -114,8 +116,35 @@ pub(crate) struct Decoded {
     pub message: Message,
 }
 
+/// What is done with an unpacked record, and how much memory the result takes.
+pub(crate) struct Step<T> {
+    run: fn(RawMessage) -> Unpacked<T>,
+    size: fn(&RawMessage) -> u64,
+}
+
+impl<T> Clone for Step<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Step<T> {}
+
+/// Messages as they are.
+const RAW: Step<RawMessage> = Step { run: Ok, size: |raw| raw.bytes.len() as u64 };
+/// Messages decoded.
+pub(crate) const DECODE: Step<Decoded> = Step { run: decode, size: |raw| decoded_size(&raw.bytes) };
+/// Messages decoded, but 2D grids without their cells, which are counted only.
+pub(crate) const DECODE_WITHOUT_CELLS: Step<Decoded> = Step {
+    run: decode_without_cells,
+    size: |raw| match raw.kind() {
+        MessageKind::Submap => raw.bytes.len() as u64,
+        _ => decoded_size(&raw.bytes),
+    },
+};
+
 /// Decodes a message; the error says which.
-pub(crate) fn decode(raw: RawMessage) -> Result<Decoded, PbstreamError> {
+fn decode(raw: RawMessage) -> Result<Decoded, PbstreamError> {
     let RawMessage { index, offset, ref bytes } = raw;
     match raw.decode() {
         Ok(message) => Ok(Decoded { index, offset, size: bytes.len(), cells: 0, message }),
@@ -123,8 +152,7 @@ pub(crate) fn decode(raw: RawMessage) -> Result<Decoded, PbstreamError> {
     }
 }
 
-/// [`decode`], but 2D grids come without their cells, which are counted only.
-pub(crate) fn decode_without_cells(mut raw: RawMessage) -> Result<Decoded, PbstreamError> {
+fn decode_without_cells(mut raw: RawMessage) -> Result<Decoded, PbstreamError> {
     if raw.kind() != MessageKind::Submap {
         return decode(raw);
     }
@@ -135,7 +163,6 @@ pub(crate) fn decode_without_cells(mut raw: RawMessage) -> Result<Decoded, Pbstr
 }
 
 type Unpacked<T> = Result<T, PbstreamError>;
-type Step<T> = fn(RawMessage) -> Unpacked<T>;
 
 /// Records unpacked, and turned into something by `step`, ahead of being asked for.
 pub(crate) struct Records<T> {
@@ -178,7 +205,7 @@ impl<T: Send + 'static> Records<T> {
                 return match record {
                     Ahead::Done(result) => result.map(Some),
                     Ahead::Later(frame) => {
-                        unpack(&frame, self.limits.max_message_bytes).and_then(self.step).map(Some)
+                        unpack(&frame, self.limits.max_message_bytes).and_then(self.step.run).map(Some)
                     }
                 };
             }
@@ -231,15 +258,19 @@ impl<T: Send + 'static> Records<T> {
 }
 
 fn unpack_batch<T>(batch: Vec<Frame>, limits: ReadLimits, step: Step<T>) -> Vec<Ahead<T>> {
-    let mut room = MAX_BATCH_UNPACKED;
+    let (mut room, mut room_decoded) = (MAX_BATCH_UNPACKED, MAX_BATCH_DECODED);
     let mut unpack_ahead = |frame: Frame| match unpack(&frame, room.min(limits.max_message_bytes)) {
         Err(PbstreamError::Record { problem: RecordError::Gzip(GzipError::TooLarge { .. }), .. }) => {
             Ahead::Later(frame)
         }
-        Ok(raw) => {
-            room = room.saturating_sub(raw.bytes.len());
-            Ahead::Done(step(raw))
-        }
+        Ok(raw) => match room_decoded.checked_sub((step.size)(&raw)) {
+            Some(rest) => {
+                room = room.saturating_sub(raw.bytes.len());
+                room_decoded = rest;
+                Ahead::Done((step.run)(raw))
+            }
+            None => Ahead::Later(frame),
+        },
         Err(error) => Ahead::Done(Err(error)),
     };
     batch.into_iter().map(&mut unpack_ahead).collect()

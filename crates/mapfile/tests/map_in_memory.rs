@@ -246,7 +246,7 @@ fn textures_of_memory_and_file_agree() {
             assert_eq!((a.id, a.texture.width, a.texture.height), (b.id, b.texture.width, b.texture.height));
             assert!(off(&a.map_from_submap, &b.map_from_submap) < 1e-12);
             assert!(off(&a.texture.submap_from_slice, &b.texture.submap_from_slice) < 1e-12);
-            assert!(a.texture.pixels == b.texture.pixels, "{name} {:?}", a.id);
+            assert!(a.texture.pixels() == b.texture.pixels(), "{name} {:?}", a.id);
         }
     }
 }

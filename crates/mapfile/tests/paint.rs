@@ -158,7 +158,7 @@ fn senseless_requests_are_errors() {
     let placed = |x: f64| PlacedTexture {
         id: (0, 0),
         map_from_submap: Rigid3::translation(x, 0.0, 0.0),
-        texture: texture.clone(),
+        texture: texture.clone().into(),
     };
     let default = PaintOptions::default();
     assert_eq!(paint(&[], &default), Err(PaintError::Nothing));

@@ -41,6 +41,9 @@ pub enum MatcherOptionError {
         /// How many there are.
         found: usize,
     },
+    /// A grid in space that no scanner can have made.
+    #[error("the grid has known cells in more than a million blocks of 4x4x4: it is damaged")]
+    TooManyVoxels,
 }
 
 impl MatcherOptionError {

@@ -46,6 +46,8 @@ pub enum Message {
     Tf(TfMessage),
     /// `geometry_msgs/PoseStamped`.
     PoseStamped(PoseStamped),
+    /// `geometry_msgs/TransformStamped`: written only; readers list it as a type that is not understood.
+    TransformStamped(TransformStamped),
     /// `cartographer_ros_msgs/LandmarkList`.
     LandmarkList(LandmarkList),
     /// Packets as a sensor sent them. [`open`](crate::open) gives the clouds and IMU samples that they
@@ -287,6 +289,7 @@ impl Message {
             Self::NavSatFix(_) => "sensor_msgs/NavSatFix",
             Self::Tf(_) => "tf2_msgs/TFMessage",
             Self::PoseStamped(_) => "geometry_msgs/PoseStamped",
+            Self::TransformStamped(_) => "geometry_msgs/TransformStamped",
             Self::LandmarkList(_) => "cartographer_ros_msgs/LandmarkList",
             Self::SensorPackets(m) => m.kind.type_name(),
             Self::Other { type_name, .. } => type_name,
@@ -303,6 +306,7 @@ impl Message {
             Self::Odometry(m) => Some(&m.header),
             Self::NavSatFix(m) => Some(&m.header),
             Self::PoseStamped(m) => Some(&m.header),
+            Self::TransformStamped(m) => Some(&m.header),
             Self::LandmarkList(m) => Some(&m.header),
             Self::SensorPackets(m) => m.header.as_ref(),
             Self::Tf(_) | Self::Other { .. } => None,

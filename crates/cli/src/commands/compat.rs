@@ -1,5 +1,6 @@
 //! `portolan compat`: the reference program's own commands, for scripts that call them.
 
+mod assets;
 mod bags;
 mod configuration;
 mod flags;
@@ -8,6 +9,7 @@ mod log;
 mod mapping;
 mod pbstream;
 mod ros_map;
+mod trajectories;
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -41,7 +43,7 @@ pub struct CompatArgs {
 type Run = fn(&[String], &GlobalArgs) -> Result<Outcome, CliError>;
 
 /// The programs, and what each does.
-const PROGRAMS: [(&str, &str, Run); 8] = [
+const PROGRAMS: [(&str, &str, Run); 10] = [
     ("cartographer_pbstream", "info on maps and their migration", pbstream::run),
     (
         "cartographer_autogenerate_ground_truth",
@@ -52,12 +54,22 @@ const PROGRAMS: [(&str, &str, Run); 8] = [
     ("cartographer_print_configuration", "a configuration with all its includes", configuration::run),
     ("cartographer_pbstream_to_ros_map", "a map as .pgm and .yaml", ros_map::run),
     ("cartographer_rosbag_validate", "what is wrong with a bag", bags::run),
+    (
+        "cartographer_assets_writer",
+        "clouds, X-rays and grids of the points of bags, placed by a map",
+        assets::run,
+    ),
     ("cartographer_offline_node", "the map of a bag", mapping::run),
+    (
+        "cartographer_dev_pbstream_trajectories_to_rosbag",
+        "the trajectories of a map as transforms in a bag",
+        trajectories::run,
+    ),
     ("cartographer_dev_trajectory_comparison", "a map compared with the transforms of a bag", bags::compare),
 ];
 
-/// Programs that only make sense in a running ROS system, and where to turn.
-const ELSEWHERE: [(&str, &str); 5] = [
+/// Programs that only make sense in a running ROS system or as part of one, and where to turn.
+const ELSEWHERE: [(&str, &str); 7] = [
     ("cartographer_node", "map a recording with `portolan map`"),
     ("cartographer_occupancy_grid_node", "make the map with `portolan render MAP -o map.pgm`"),
     (
@@ -65,10 +77,9 @@ const ELSEWHERE: [(&str, &str); 5] = [
         "make the map with `portolan render MAP -o map.pgm` and load it with map_server",
     ),
     ("cartographer_dev_rosbag_publisher", "play the bag with rosbag"),
-    (
-        "cartographer_dev_pbstream_trajectories_to_rosbag",
-        "write trajectories with `portolan convert MAP -o poses.tum`",
-    ),
+    ("cartographer_grpc_server", "maps are made in one process: `portolan map`"),
+    ("cartographer_grpc_node", "map a recording with `portolan map`"),
+    ("cartographer_grpc_offline_node", "use cartographer_offline_node"),
 ];
 
 pub fn run(args: &CompatArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -85,7 +96,7 @@ pub fn run(args: &CompatArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         return run(rest, global);
     }
     match ELSEWHERE.iter().find(|(known, _)| *known == name) {
-        Some((_, advice)) => Err(CliError::Usage(format!("{name} needs a running ROS; {advice}"))),
+        Some((_, advice)) => Err(CliError::Usage(format!("{name} needs a running ROS or server; {advice}"))),
         None => Err(CliError::Usage(format!(
             "{name} is none of the known programs; see `portolan compat --list`"
         ))),

@@ -5,6 +5,7 @@ use portolan_mapping::{Planar, Repairs, Space, Submap2d};
 use portolan_matching::{
     CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, MapLimits, TsdfParts,
 };
+use prost::Message as _;
 
 use super::MapConversionError;
 use super::values::pose_in_file;
@@ -70,6 +71,11 @@ fn count_repairs(done: GridRepairs, repairs: &mut Repairs) {
     for (what, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
         *repairs.entry(what).or_default() += count;
     }
+}
+
+/// A grid as a serialised `Grid2D`, the file that the reference's `write_probability_grid` writes.
+pub fn encode_grid_2d(grid: &Grid2d) -> Vec<u8> {
+    grid_to_proto(grid).encode_to_vec()
 }
 
 /// A grid as a message.

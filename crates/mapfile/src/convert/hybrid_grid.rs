@@ -2,6 +2,7 @@
 
 use portolan_mapping::{Repairs, Spatial, Submap3d};
 use portolan_matching::{HybridGrid, HybridGridParts, HybridGridRepairs};
+use prost::Message as _;
 
 use super::values::pose_in_file;
 use super::{MapConversionError, MapSpace};
@@ -48,6 +49,11 @@ impl MapSpace for Spatial {
         let submap = Submap3d::from_parts(local_from_submap, num_range_data, finished, grids, histogram);
         Ok((submap, finished))
     }
+}
+
+/// A grid as a serialised `HybridGrid`, the file that the reference's `write_hybrid_grid` writes.
+pub fn encode_hybrid_grid(grid: &HybridGrid) -> Vec<u8> {
+    hybrid_grid_to_proto(grid).encode_to_vec()
 }
 
 /// A hybrid grid as a message.

@@ -22,7 +22,7 @@ pub fn submap_textures_2d(map: &Map<Planar>) -> Vec<PlacedTexture> {
         PlacedTexture {
             id: id_for_errors(id.trajectory_id, id.index),
             map_from_submap: *map_from_submap,
-            texture: texture_in_memory(&Texture::of_grid(&submap.grid, &submap.local_from_submap)),
+            texture: texture_in_memory(&Texture::of_grid(&submap.grid, &submap.local_from_submap)).into(),
         }
     };
     submaps.par_iter().map(place).collect()

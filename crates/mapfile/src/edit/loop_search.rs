@@ -91,12 +91,32 @@ impl MapDraft {
                         grid = Some(S::submap_from_proto(m, submap, &mut repairs).map_err(unusable)?.0);
                     }
                     Data::Node(m) if here(node_id(m.node_id.as_ref())) == Some(node) => {
-                        scan = Some(node_data(m, node).map_err(unusable)?);
+                        let found = node_data(m, node).map_err(unusable)?;
+                        check_size(&found).map_err(|reason| {
+                            let reason = format!("node {},{} {reason}", node.0, node.1);
+                            EditError::Broken { path: source.path.clone(), reason }
+                        })?;
+                        scan = Some(found);
                     }
                     _ => {}
                 }
             }
         }
         Ok((grid, scan))
+    }
+}
+
+/// Clouds of more points are no scan of a node, and looking for them would take minutes.
+const MAX_POINTS: usize = 1 << 20;
+
+fn check_size(node: &NodeData) -> Result<(), String> {
+    let clouds = [
+        &node.filtered_gravity_aligned_point_cloud,
+        &node.high_resolution_point_cloud,
+        &node.low_resolution_point_cloud,
+    ];
+    match clouds.iter().map(|cloud| cloud.points.len()).find(|n| *n > MAX_POINTS) {
+        Some(points) => Err(format!("has {points} points, which cannot be one scan")),
+        None => Ok(()),
     }
 }

@@ -89,15 +89,15 @@ pub fn find_walls(textures: &[PlacedTexture]) -> Option<Walls> {
 /// Positions of occupied pixels in the global map.
 fn wall_points(textures: &[PlacedTexture]) -> Vec<[f64; 2]> {
     let is_wall = |p: &[u8; 2]| p[1] >= MIN_ALPHA;
-    let total: usize = textures.iter().map(|t| t.texture.pixels.iter().filter(|p| is_wall(p)).count()).sum();
+    let count = |t: &PlacedTexture| t.texture.pixels().iter().filter(|p| is_wall(p)).count();
+    let total: usize = textures.par_iter().map(count).sum();
     let stride = total.div_ceil(MAX_POINTS).max(1);
     let mut points = Vec::with_capacity(total / stride + 1);
     let mut seen = 0;
     for placed in textures {
         let texture = &placed.texture;
         let map_from_slice = placed.map_from_submap * texture.submap_from_slice;
-        let pixels = texture.pixels.iter().enumerate().filter(|(_, p)| is_wall(p));
-        for (index, _) in pixels {
+        for (index, _) in texture.pixels().iter().enumerate().filter(|(_, p)| is_wall(p)) {
             seen += 1;
             if seen % stride != 0 {
                 continue;
@@ -178,7 +178,7 @@ mod tests {
         PlacedTexture {
             id: (0, 0),
             map_from_submap: Rigid3::new(Vector3::new(3.0, -2.0, 0.0), turn),
-            texture,
+            texture: texture.into(),
         }
     }
 

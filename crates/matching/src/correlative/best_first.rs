@@ -29,6 +29,8 @@ pub(crate) struct Best<P> {
     /// How many boxes were split whose bound only equalled the best score.
     tied_boxes: u32,
     max_ties: usize,
+    /// Look-ups of cells that may still be made.
+    lookups_left: u64,
 }
 
 /// After this many boxes whose bound only equals the best score, equal placements are no longer looked
@@ -36,13 +38,22 @@ pub(crate) struct Best<P> {
 const MAX_TIED_BOXES: u32 = 1 << 16;
 /// After this many equal placements no more are collected.
 const MAX_TIES: usize = 1 << 16;
+/// After so many look-ups of cells a search is given up and finds nothing: some 20 s, a hundred times what
+/// the widest searches of real scans take. Only grids and clouds that no sensor made ask for more.
+const MAX_LOOKUPS: u64 = 1 << 34;
 /// How many boxes may wait at the same time: some 30 MB.
 const MAX_WAITING: usize = 1 << 20;
 
 impl<P: Copy + Ord> Best<P> {
     /// Nothing yet; only scores above `min_score` count, and all placements with the best one are wanted.
     pub fn above(min_score: f32) -> Self {
-        Self { score: min_score, placements: Vec::new(), tied_boxes: 0, max_ties: MAX_TIES }
+        Self {
+            score: min_score,
+            placements: Vec::new(),
+            tied_boxes: 0,
+            max_ties: MAX_TIES,
+            lookups_left: MAX_LOOKUPS,
+        }
     }
 
     /// Nothing yet; only scores above `min_score` count, and one placement with the best one is enough.
@@ -53,7 +64,15 @@ impl<P: Copy + Ord> Best<P> {
     /// Whether something with this bound may still change the result.
     #[inline]
     pub fn is_promising(&self, bound: f32) -> bool {
-        bound > self.score || (bound == self.score && self.collects_ties())
+        let is_better = bound > self.score || (bound == self.score && self.collects_ties());
+        is_better && self.lookups_left > 0
+    }
+
+    /// Counts look-ups of cells; false once there were too many.
+    #[inline]
+    pub fn charge(&mut self, lookups: usize) -> bool {
+        self.lookups_left = self.lookups_left.saturating_sub(lookups as u64);
+        self.lookups_left > 0
     }
 
     fn collects_ties(&self) -> bool {
@@ -75,6 +94,9 @@ impl<P: Copy + Ord> Best<P> {
 
     /// The best score, and in their order the placements that have it.
     pub fn finish(mut self) -> (f32, Vec<P>) {
+        if self.lookups_left == 0 {
+            self.placements.clear();
+        }
         self.placements.sort_unstable();
         (self.score, self.placements)
     }
@@ -145,5 +167,35 @@ fn split<B: Branching>(
         if best.is_promising(part.bound) {
             split(boxes, part, best, waiting);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Boxes that all promise more than is found; each is split into two, for ever.
+    struct Endless {
+        lookups: usize,
+    }
+
+    impl Branching for Endless {
+        type Placement = u32;
+
+        fn roots(&mut self, best: &mut Best<u32>, hand_on: &mut dyn FnMut(Node<u32>)) {
+            best.offer(7, 0.5);
+            hand_on(Node { bound: 1.0, exponent: 0, first: 0 });
+        }
+
+        fn split(&mut self, node: &Node<u32>, best: &mut Best<u32>, hand_on: &mut dyn FnMut(Node<u32>)) {
+            if best.charge(self.lookups) {
+                (0..2).for_each(|i| hand_on(Node { first: node.first.wrapping_add(i), ..*node }));
+            }
+        }
+    }
+
+    #[test]
+    fn a_search_without_end_finds_nothing() {
+        assert_eq!(best_first(&mut Endless { lookups: 1 << 28 }, Best::above(0.1)), (0.5, vec![]));
     }
 }

@@ -58,6 +58,10 @@ impl Default for FastCorrelativeOptions3d {
 const MAX_DEPTH: u32 = 24;
 /// The search never starts with boxes larger than 2^6 cells; the widest windows kept are twice as wide.
 const MAX_EXPONENT: u32 = 6;
+/// Points at all yaws together that are searched at most: some hundreds of megabytes.
+const MAX_TURNED_POINTS: usize = 1 << 25;
+/// Histograms of more buckets are not compared.
+const MAX_BUCKETS: usize = 1 << 14;
 
 /// What is to be found in a submap.
 #[derive(Clone, Copy, Debug)]
@@ -117,7 +121,7 @@ impl FastCorrelativeMatcher3d {
     /// Prepares the fine grid of a submap for searching.
     ///
     /// # Errors
-    /// If a window is negative or a depth out of bounds.
+    /// If a window is negative or a depth out of bounds, or the grid has more voxels than a scanner can see.
     pub fn new(
         high_resolution_grid: &HybridGrid,
         options: &FastCorrelativeOptions3d,
@@ -138,12 +142,14 @@ impl FastCorrelativeMatcher3d {
         let score = ByteScore::new(MIN_PROBABILITY, MAX_PROBABILITY);
         let depth = options.full_resolution_depth;
         let max_exponent = max_exponent(options);
+        let pyramid = MaxPyramid3d::new(high_resolution_grid, &score, max_exponent + 1, depth)
+            .ok_or(MatcherOptionError::TooManyVoxels)?;
         Ok(Self {
             options: options.clone(),
             lattice: high_resolution_grid.lattice(),
             extent: high_resolution_grid.extent(),
             score,
-            pyramid: MaxPyramid3d::new(high_resolution_grid, &score, max_exponent + 1, depth),
+            pyramid,
         })
     }
 
@@ -206,6 +212,7 @@ impl FastCorrelativeMatcher3d {
         if points.is_empty() || turns.iter().all(Option::is_none) || min_score.is_nan() {
             return None;
         }
+        let points = thinned(points, turns.iter().flatten().count());
         let poses = turns.iter().map(|turn| turn.as_ref().map(|t| t.pose));
         let scans = Scans::new(&points, poses, self.lattice, &self.pyramid, max_exponent(&self.options));
         let coarse_score = |p: Placement3d| {
@@ -217,6 +224,7 @@ impl FastCorrelativeMatcher3d {
             scans: &scans,
             score: self.score,
             window: window.map(|n| n.min(MAX_SHIFT)),
+            num_coarse: coarse.len(),
             fits: |p| coarse_score(p).is_some_and(|s| f64::from(s) >= self.options.min_low_resolution_score),
         };
         let (score, placements) = best_first(&mut search, Best::single_above(min_score));
@@ -252,10 +260,12 @@ impl FastCorrelativeMatcher3d {
             1e-2,
             angular,
         );
+        let [in_node, in_submap] = [node.rotational_histogram, submap.rotational_histogram]
+            .map(|histogram| if histogram.len() > MAX_BUCKETS { &[] } else { histogram });
         let turn = |k: i32| {
             let angle = k as f32 * step;
-            let rotated = rotate_histogram(node.rotational_histogram, initial_yaw + angle);
-            let rotational_score = histogram_similarity(submap.rotational_histogram, &rotated);
+            let rotated = rotate_histogram(in_node, initial_yaw + angle);
+            let rotational_score = histogram_similarity(in_submap, &rotated);
             let about_z = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), angle);
             let pose = Rigid3f::from_parts(translation, from_map * about_z * from_node);
             let is_alike = f64::from(rotational_score) >= self.options.min_rotational_score;
@@ -275,6 +285,17 @@ impl FastCorrelativeMatcher3d {
         let [z, y, x] = placement.shift.map(|i| i as f32 * self.lattice.resolution);
         Some(nalgebra::Translation3::new(x, y, z) * turn.pose)
     }
+}
+
+/// As many points, evenly chosen, as can be turned so often; all of them unless cloud or grid is absurd.
+fn thinned(mut points: Vec<Point3f>, turns: usize) -> Vec<Point3f> {
+    let most = (MAX_TURNED_POINTS / turns.max(1)).max(1);
+    let (stride, mut index) = (points.len().div_ceil(most).max(1), 0);
+    points.retain(|_| {
+        index += 1;
+        (index - 1) % stride == 0
+    });
+    points
 }
 
 /// The largest boxes of a search.

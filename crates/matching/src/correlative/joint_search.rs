@@ -127,6 +127,9 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         hand_on: &mut dyn FnMut(Node<Placement>),
     ) {
         let width = self.num_shifts(exponent);
+        if !best.charge(4 * self.scans.num_points()) {
+            return;
+        }
         let sums = self.group_sums(first, exponent);
         for (i, sum) in sums.into_iter().enumerate() {
             let x = first.x + width * (i as i32 >> 1);

@@ -22,6 +22,7 @@ pub(crate) fn md5sum(type_name: &str) -> Option<&'static str> {
         "sensor_msgs/NavSatFix" => "2d3a8cd499b9b4a0249fb98fd05cfa48",
         "tf2_msgs/TFMessage" => "94810edda583a504dfda3829e70d7eec",
         "geometry_msgs/PoseStamped" => "d3812c3cbc69362b77dc0b19b345f8f5",
+        "geometry_msgs/TransformStamped" => "b5764a33bfeb3588febc2682852579b0",
         "cartographer_ros_msgs/LandmarkList" => "322e3fb6b49d8fcd97544b4896b0ae66",
         _ => return None,
     })

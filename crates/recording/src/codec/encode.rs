@@ -21,6 +21,7 @@ pub(crate) fn encode(message: &Message, is_cdr: bool, buffer: Vec<u8>) -> Result
         Message::NavSatFix(m) => nav_sat_fix(w, m),
         Message::Tf(m) => sequence(w, &m.transforms, transform_stamped),
         Message::PoseStamped(m) => header(w, &m.header).map(|()| pose(w, &m.pose)),
+        Message::TransformStamped(m) => transform_stamped(w, m),
         Message::LandmarkList(m) => landmark_list(w, m),
         Message::SensorPackets(_) => Err(EncodeError("raw packets are only read")),
         Message::Other { .. } => {

@@ -1,9 +1,13 @@
 //! `cartographer_rosbag_validate` and `cartographer_dev_trajectory_comparison`.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time, rotation_angle};
-use portolan_recording::{IngestOptions, Message, Severity, TfInput, TfTree, check, findings_to_text, open};
+use portolan_recording::{
+    IngestOptions, Message, Recording, Severity, TfInput, TfTree, check, findings_to_text, open,
+};
 
 use super::Flags;
 use super::flags::Known;
@@ -11,7 +15,7 @@ use super::log;
 use crate::GlobalArgs;
 use crate::commands::evaluate::input::{nodes, read_pose_graph};
 use crate::error::{CliError, Outcome};
-use crate::output::print;
+use crate::output::{print, write_file};
 
 /// What is wrong with a bag.
 pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -23,10 +27,10 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
             usage: "usage: cartographer_rosbag_validate -bag_filename BAG",
         },
     )?;
-    if flags.is_on("dump_timing") {
-        log::warning("-dump_timing is not offered; the histograms below tell the intervals");
-    }
     let recording = open(&flags.path("bag_filename")?)?;
+    if flags.is_on("dump_timing") {
+        dump_timing(recording.as_ref())?;
+    }
     let report = check(recording.as_ref(), &IngestOptions::default(), &mut |_| {})?;
     print(&findings_to_text(&report.findings))?;
     report.histograms.iter().for_each(|text| log::info(text));
@@ -34,6 +38,37 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
         true => Err(CliError::Failed("the bag has errors".to_owned())),
         false => Ok(Outcome::Done),
     }
+}
+
+/// Writes `timing_<frame>.csv` for every frame: the number of each message, and its times of recording and
+/// of measurement, Unix nanoseconds.
+fn dump_timing(recording: &dyn Recording) -> Result<(), CliError> {
+    let mut tables: BTreeMap<Arc<str>, Vec<[i64; 2]>> = BTreeMap::new();
+    let mut reader = recording.read(&|_| true)?;
+    while let Some(recorded) = reader.next_message()? {
+        let is_meant = matches!(
+            recorded.message,
+            Message::LaserScan(_)
+                | Message::MultiEchoLaserScan(_)
+                | Message::PointCloud2(_)
+                | Message::Imu(_)
+                | Message::Odometry(_)
+        );
+        if let (true, Some(header)) = (is_meant, recorded.message.header()) {
+            let times = [recorded.log_time, header.stamp].map(|time| time.unix_nanoseconds());
+            tables.entry(header.frame_id.clone()).or_default().push(times);
+        }
+    }
+    for (frame, rows) in tables {
+        // A frame must not lead out of the folder.
+        let path = PathBuf::from(format!("timing_{}.csv", frame.replace(['/', '\\'], "_")));
+        write_file(&path, |out| {
+            writeln!(out, "# packet index\tbag time, ns\theader stamp, ns")?;
+            (1_u64..).zip(&rows).try_for_each(|(i, [bag, stamp])| writeln!(out, "{i}\t{bag}\t{stamp}"))
+        })?;
+        log::info(&format!("Wrote {} lines to '{}'.", rows.len(), path.display()));
+    }
+    Ok(())
 }
 
 /// Distances between the last trajectory of a map and the transforms of a bag.

@@ -16,6 +16,9 @@ const SEARCHED_REACH: i32 = 7900;
 /// entries.
 const MAX_ROOTS: usize = 1 << 22;
 const SEARCHED_REACH_IF_SCATTERED: i32 = 2400;
+/// Blocks of 4×4×4 cells with known ones that a grid may have: surfaces of
+/// 400 m by 400 m in cells of 10 cm. Pyramids of so many take up to 2 GB.
+const MAX_TILES: usize = 1 << 20;
 
 /// For widths w, powers of two and one and a half times that, `max over the cube of w cells at (x, y, z)`.
 /// Cubes of 2^`full_resolution_depth` cells and more are kept for every 2nd, 4th, … place only, each then
@@ -41,7 +44,13 @@ pub(super) struct Level {
 
 impl MaxPyramid3d {
     /// The bytes of a grid in cubes up to 2^`max_exponent` cells.
-    pub fn new(grid: &HybridGrid, score: &ByteScore, max_exponent: u32, full_resolution_depth: u32) -> Self {
+    /// None if its known cells are spread over more blocks than any scanner reaches.
+    pub fn new(
+        grid: &HybridGrid,
+        score: &ByteScore,
+        max_exponent: u32,
+        full_resolution_depth: u32,
+    ) -> Option<Self> {
         let table: Vec<u8> = (0..CODE_COUNT as u16)
             .map(|code| score.byte(PROBABILITY_CODE.decode(code, MIN_PROBABILITY)))
             .collect();
@@ -59,7 +68,7 @@ impl MaxPyramid3d {
         if Level::num_roots(&tiles) > MAX_ROOTS {
             tiles = tiles_within(SEARCHED_REACH_IF_SCATTERED);
         }
-        Self::from_tiles(tiles, max_exponent, full_resolution_depth)
+        (tiles.len() <= MAX_TILES).then(|| Self::from_tiles(tiles, max_exponent, full_resolution_depth))
     }
 
     fn from_tiles(tiles: Tiles, max_exponent: u32, full_resolution_depth: u32) -> Self {
@@ -232,7 +241,7 @@ mod tests {
             all(2).flat_map(|z| all(1).flat_map(move |y| all(0).map(move |x| [x, y, z]))).map(byte).max()
         };
         for depth in [1, 3, 5] {
-            let pyramid = MaxPyramid3d::new(&grid, &score, 4, depth);
+            let pyramid = MaxPyramid3d::new(&grid, &score, 4, depth).unwrap();
             for (index, width) in [1, 2, 3, 4, 6, 8, 12, 16].into_iter().enumerate() {
                 assert_eq!(MaxPyramid3d::level_for(width as u32), index);
                 let level = pyramid.level(index);
@@ -257,7 +266,7 @@ mod tests {
     #[test]
     fn eight_boxes_are_eight_cubes() {
         let grid = crate::testing::drawn_cloud_b(0.45, 2);
-        let pyramid = MaxPyramid3d::new(&grid, &ByteScore::new(0.1, 0.9), 5, 3);
+        let pyramid = MaxPyramid3d::new(&grid, &ByteScore::new(0.1, 0.9), 5, 3).unwrap();
         let mut lcg = Lcg::new(5);
         let cells: Vec<[i16; 3]> = (0..40).map(|_| [0; 3].map(|_| lcg.symmetric(30.0) as i16)).collect();
         for index in 0..pyramid.num_levels() {

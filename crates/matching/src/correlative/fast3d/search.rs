@@ -22,6 +22,8 @@ pub(super) struct Search3d<'a, F> {
     pub window: [i32; 3],
     /// Whether the coarse scan fits at a placement.
     pub fits: F,
+    /// Points of the coarse scan.
+    pub num_coarse: usize,
 }
 
 impl<F: FnMut(Placement3d) -> bool> Search3d<'_, F> {
@@ -35,6 +37,9 @@ impl<F: FnMut(Placement3d) -> bool> Search3d<'_, F> {
         best: &mut Best<Placement3d>,
         hand_on: &mut dyn FnMut(Node<Placement3d>),
     ) {
+        if !best.charge(8 * self.scans.num_points) {
+            return;
+        }
         let width = 1 << exponent;
         let groups = &self.scans.groups[exponent as usize];
         let Some(Some(group)) = groups.get((first.scan >> exponent) as usize) else { return };
@@ -59,7 +64,7 @@ impl<F: FnMut(Placement3d) -> bool> Search3d<'_, F> {
             let (bound, first) = (self.score.of(sum, self.scans.num_points), Placement3d { shift, ..first });
             if best.is_promising(bound) {
                 match exponent {
-                    0 if (self.fits)(first) => best.offer(first, bound),
+                    0 if best.charge(self.num_coarse) && (self.fits)(first) => best.offer(first, bound),
                     0 => {}
                     _ => hand_on(Node { bound, exponent, first }),
                 }

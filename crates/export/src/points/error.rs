@@ -1,0 +1,63 @@
+//! What can go wrong with a pipeline.
+
+use portolan_config::ConfigError;
+use portolan_mapfile::WriteError;
+use portolan_matching::GridError;
+use portolan_matching::grid::InserterOptionError;
+
+/// Why a pipeline cannot be made or fails.
+#[derive(Debug, thiserror::Error)]
+pub enum PointsError {
+    /// An option is missing, not used or of the wrong type.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A stage that is not known.
+    #[error("there is no stage \"{action}\"; there are: {known}")]
+    UnknownAction {
+        /// The one asked for.
+        action: String,
+        /// All of them.
+        known: String,
+    },
+    /// A value that a stage cannot work with.
+    #[error("stage {action}: {reason}")]
+    Setting {
+        /// The stage.
+        action: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A file before a stage that needs all points several times.
+    #[error("{0} must be configured to occur after any stages that require multiple passes.")]
+    Order(&'static str),
+    /// A batch that does not fit the file.
+    #[error(
+        "{path}: its first points have {what}, these have not; filter by frame_id_filter, or colour all points"
+    )]
+    Missing {
+        /// The file.
+        path: String,
+        /// `colours` or `intensities`.
+        what: &'static str,
+    },
+    /// A picture or a map of voxels that would take too much memory.
+    #[error("stage {action}: {reason}; choose a larger voxel or filter by range")]
+    TooLarge {
+        /// The stage.
+        action: &'static str,
+        /// What is too large.
+        reason: String,
+    },
+    /// The floors of a building cannot be told apart.
+    #[error("separate_floors: {0}")]
+    Floors(&'static str),
+    /// A grid refuses its points.
+    #[error(transparent)]
+    Grid(#[from] GridError),
+    /// A grid refuses its options.
+    #[error("range_data_inserter: {0}")]
+    Inserter(#[from] InserterOptionError),
+    /// A file cannot be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}

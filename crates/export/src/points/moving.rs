@@ -1,0 +1,110 @@
+//! `voxel_filter_and_remove_moving_objects`: points in places that are more often seen through than hit.
+
+use std::collections::HashMap;
+
+use portolan_geometry::Point3f;
+
+use super::batch::voxel_of;
+use super::{Flush, Log, PointsBatch, PointsError, Stage};
+
+/// Occupied voxels, of some 30 bytes each.
+const MAX_VOXELS: usize = 1 << 26;
+/// Steps along a ray; more are taken for a point out of this world.
+const MAX_STEPS: f32 = 1e6;
+
+enum Pass {
+    MarkingHits,
+    CountingRays,
+    Filtering,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Voxel {
+    hits: u32,
+    rays: u32,
+}
+
+/// Counts in a first pass the points in each voxel, in a second the rays through it, and lets in a third
+/// those points through whose voxel has fewer rays than `miss_per_hit_limit` times hits.
+pub(super) struct RemoveMoving {
+    miss_per_hit_limit: f64,
+    voxel_size: f32,
+    voxels: HashMap<[i32; 3], Voxel>,
+    pass: Pass,
+}
+
+impl RemoveMoving {
+    /// The edge of a voxel must be positive, metres.
+    pub fn new(voxel_size: f64, miss_per_hit_limit: f64) -> Self {
+        let (voxels, pass) = (HashMap::new(), Pass::MarkingHits);
+        Self { miss_per_hit_limit, voxel_size: voxel_size as f32, voxels, pass }
+    }
+
+    fn mark_hits(&mut self, batch: &PointsBatch) -> Result<(), PointsError> {
+        for cell in batch.points.iter().filter_map(|p| voxel_of(p, self.voxel_size)) {
+            let voxel = self.voxels.entry(cell).or_default();
+            voxel.hits = voxel.hits.saturating_add(1);
+        }
+        if self.voxels.len() > MAX_VOXELS {
+            let reason = format!("there are points in more than {MAX_VOXELS} voxels");
+            return Err(PointsError::TooLarge { action: "voxel_filter_and_remove_moving_objects", reason });
+        }
+        Ok(())
+    }
+
+    fn count_rays(&mut self, batch: &PointsBatch) {
+        for point in &batch.points {
+            let delta = point - batch.origin;
+            let length = delta.norm();
+            if !length.is_finite() || length / self.voxel_size > MAX_STEPS {
+                continue;
+            }
+            let mut x = 0.0_f32;
+            while x < length {
+                let on_ray = batch.origin + (x / length) * delta;
+                if let Some(voxel) = voxel_of(&on_ray, self.voxel_size).and_then(|c| self.voxels.get_mut(&c))
+                {
+                    voxel.rays = voxel.rays.saturating_add(1);
+                }
+                x += self.voxel_size;
+            }
+        }
+    }
+
+    fn stands_still(&self, point: &Point3f) -> bool {
+        let voxel = voxel_of(point, self.voxel_size).and_then(|c| self.voxels.get(&c));
+        voxel.is_some_and(|v| f64::from(v.rays) < self.miss_per_hit_limit * f64::from(v.hits))
+    }
+}
+
+impl Stage for RemoveMoving {
+    fn process(&mut self, batch: &mut PointsBatch) -> Result<bool, PointsError> {
+        match self.pass {
+            Pass::MarkingHits => self.mark_hits(batch).map(|()| false),
+            Pass::CountingRays => {
+                self.count_rays(batch);
+                Ok(false)
+            }
+            Pass::Filtering => {
+                batch.retain(|p| self.stands_still(p));
+                Ok(true)
+            }
+        }
+    }
+
+    fn wants_another_pass(&mut self, log: Log) -> bool {
+        let (next, text) = match self.pass {
+            Pass::MarkingHits => (Pass::CountingRays, "Counting rays..."),
+            Pass::CountingRays => (Pass::Filtering, "Filtering outliers..."),
+            Pass::Filtering => return false,
+        };
+        log(text);
+        self.pass = next;
+        true
+    }
+
+    fn end_pass(&mut self, _flush: Flush, _log: Log) -> Result<(), PointsError> {
+        // If a later stage of this kind wants all points once more, those that pass are the same again.
+        Ok(())
+    }
+}
