@@ -82,11 +82,11 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     let sequence = args.icp.sequence(&args.loops)?;
     args.global.check()?;
     let surfaces = if args.global.planes() { SurfacesOf::All } else { args.icp.surfaces() };
-    let scans = read_scans(&args.scans, &args.input, surfaces, global.quiet)?;
+    let mut scans = read_scans(&args.scans, &args.input, surfaces, global.quiet)?;
     if scans.clouds.len() < 2 {
         return Err(CliError::Usage(format!("{} holds one scan; two are needed", args.scans[0].display())));
     }
-    let guesses = first_poses(args, &scans)?;
+    let guesses = first_poses(args, &mut scans)?;
     let mut work = Work {
         poses: guesses.clone(),
         sequence: SequenceReport { matched: Vec::new(), loops: Vec::new() },
@@ -118,7 +118,7 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
 }
 
 /// First guesses, about the common origin of the points.
-fn first_poses(args: &RegisterArgs, scans: &Scans) -> Result<Vec<Rigid3>, CliError> {
+fn first_poses(args: &RegisterArgs, scans: &mut Scans) -> Result<Vec<Rigid3>, CliError> {
     let count = scans.clouds.len();
     let poses: Vec<Rigid3> = match (&args.poses, args.guess) {
         (Some(path), _) => input::read_poses(path, count)?,
@@ -126,6 +126,7 @@ fn first_poses(args: &RegisterArgs, scans: &Scans) -> Result<Vec<Rigid3>, CliErr
         (None, Some(guess)) => (0..count).map(|i| if i == 0 { Rigid3::identity() } else { guess }).collect(),
         (None, None) => scans.guesses.clone(),
     };
+    scans.count_from(poses.first().unwrap_or(&Rigid3::identity()));
     Ok(poses.iter().map(|pose| scans.about_origin(pose)).collect())
 }
 

@@ -148,7 +148,7 @@ fn extent(sample: &[PairedPoint]) -> Option<[[f64; 3]; 2]> {
         let last = values.len().checked_sub(1)?;
         let at = |share: f64| values[(share * last as f64) as usize];
         (*low, *high) = (at(STRAYS), at(1.0 - STRAYS));
-        let margin = 0.02 * (*high - *low) + 0.1;
+        let margin = 0.02 * (*high - *low) + 0.5;
         (*low, *high) = (*low - margin, *high + margin);
     }
     Some([lowest, highest])

@@ -124,17 +124,24 @@ pub struct Scans {
     pub lost_data: bool,
     /// Place that the points in memory count from, metres.
     from_origin: Rigid3,
+    /// Place of the first scan, which poses in memory count from, metres: poses may be those of a national grid.
+    from_first: Rigid3,
 }
 
 impl Scans {
+    /// Makes poses in memory count from the place of the first of these.
+    pub fn count_from(&mut self, first: &Rigid3) {
+        self.from_first = Rigid3::from_parts(first.translation, Quaternion::identity());
+    }
+
     /// A pose of a scan as that of its points in memory.
     pub fn about_origin(&self, pose: &Rigid3) -> Rigid3 {
-        self.from_origin.inverse() * *pose * self.from_origin
+        self.from_origin.inverse() * (self.from_first.inverse() * *pose) * self.from_origin
     }
 
     /// The pose of a scan from that of its points in memory.
     pub fn of_file(&self, pose: &Rigid3) -> Rigid3 {
-        self.from_origin * *pose * self.from_origin.inverse()
+        self.from_first * (self.from_origin * *pose * self.from_origin.inverse())
     }
 }
 
@@ -162,6 +169,7 @@ pub fn read_scans(
         input: input.clone(),
         lost_data: false,
         from_origin: Rigid3::identity(),
+        from_first: Rigid3::identity(),
     };
     let mut origin = None;
     for (index, source) in scans.sources.iter().enumerate() {
