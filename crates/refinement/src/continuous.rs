@@ -3,42 +3,62 @@
 //!
 //! 1. Points of short windows become planar patches (`surfels`).
 //! 2. Coarse: patches of different windows are paired, far pairs first, and knots seconds apart are solved
-//!    for.
+//!    for; at first only windows that are near in time, among which there is little drift, then all.
 //! 3. Fine: patches of all windows are grouped into planes; knots a tenth of a second apart and all planes are
-//!    solved for together.
+//!    solved for together, with what gyroscope, accelerometer, wheels and fixes say, and with the places and clocks of
+//!    the lidars if that is wanted.
 //! 4. With the better trajectory patches are sharper; steps 1 and 3 are repeated until nothing moves.
 
 mod block_tridiagonal;
 mod cells;
 mod coarse;
+mod correction;
 mod coverage;
 mod dense_trajectory;
 mod fine;
 mod information;
+mod jumps;
 mod knots;
+mod motion_term;
+mod mounting;
 mod odometry;
 mod options;
+mod other_sensors;
 mod pairs;
 mod plane_equations;
 mod planes;
+mod regression;
 mod report;
+mod rounds;
 mod session;
 mod surfels;
+mod suspicions;
+mod time_base;
+mod unary_term;
+mod unknowns;
 
-use portolan_geometry::{Rigid3, Time, angular_distance};
+use portolan_geometry::{Rigid3, Time};
 
+pub use correction::SensorCorrection;
 pub use dense_trajectory::{Correction, DenseTrajectory, PoseMatrices};
+pub use jumps::Jump;
 pub use knots::Knots;
+pub use mounting::Mounting;
 pub use odometry::OdometryNoise;
 pub(crate) use odometry::odometry_terms;
-pub use options::ContinuousOptions;
-pub use report::{Method, RefineProgress, RefineReport, RefineStep, Refined, Undetermined};
+pub use options::{ContinuousOptions, Gauge};
+pub use other_sensors::OtherSensorsFound;
+pub use report::{
+    BeforeAndAfter, Method, PlacedPoint, RefineProgress, RefineReport, RefineStep, Refined, RoundSharpness,
+    Undetermined,
+};
 
 pub(crate) use session::Session;
 
-use crate::{PointStore, RefineError};
-use coarse::coarse_step;
-use fine::fine_step;
+use crate::{MotionSensors, PointStore, RefineError};
+use coarse::{agreement, coarse_step};
+use odometry::motion_terms;
+use rounds::Rounds;
 use surfels::SurfelMap;
 
 /// Each coarse reach is so much of the one before; the last is about as wide as a wall.
@@ -47,16 +67,21 @@ const LAST_REACH: f64 = 0.12;
 /// Most steps at one reach, and the share of the reach below which a shift ends them.
 const COARSE_STEPS: usize = 5;
 const COARSE_REST: f64 = 0.05;
-/// Seconds between the knots of the first fine round.
-const FIRST_SPACING: f64 = 0.5;
-/// Gap between planes in the first fine round and later, metres.
-const GAPS: [f64; 2] = [0.15, 0.10];
-/// Steps of a fine round.
-const FINE_STEPS: usize = 3;
-/// Rounds end when the root mean square movement of a round is below this, metres and radians.
-const RESTS: (f64, f64) = (0.001, 0.0005);
-/// Usual number of fine rounds, for progress.
-const USUAL_ROUNDS: f64 = 4.0;
+/// At first only windows at most so many numbers apart are drawn together.
+const NEAR_IN_TIME: usize = 4;
+/// Drift within a few seconds moves surfaces no farther apart than this, metres.
+const NEAR_REACH: f64 = 0.5;
+/// How wrong the motion may be once windows near in time have been drawn together.
+const AFTER_NEAR: OdometryNoise = OdometryNoise { translation: 0.02, rotation: 0.004 };
+/// Loops are closed if this share of far pairs fits together; otherwise they are searched farther away, which must
+/// make so many times more fit.
+const CLOSED: f64 = 0.7;
+const MUCH_BETTER: f64 = 1.03;
+/// An input that is rough from one second to the next shows this much more surfaces in windows of a quarter of the length;
+/// it is smoothed with those first.
+const ROUGH: f64 = 1.12;
+const SHORT_WINDOW: f64 = 0.25;
+
 /// Bends a trajectory (`world_from_tracking` in strictly ascending order of time) until the points fit
 /// together. `observe` is called after each step and stops by returning false; what is reached is kept. The
 /// result is the same for any number of threads.
@@ -69,104 +94,154 @@ pub fn refine_continuous(
     options: &ContinuousOptions,
     observe: &mut dyn FnMut(&RefineProgress) -> bool,
 ) -> Result<Refined, RefineError> {
+    refine_continuous_with(points, &MotionSensors::default(), input, options, observe)
+}
+
+/// The same with what other sensors know of the motion.
+///
+/// # Errors
+/// As [`refine_continuous`]; and if a gauge is asked for that the sensors do not give.
+pub fn refine_continuous_with(
+    points: &PointStore,
+    sensors: &MotionSensors,
+    input: &[(Time, Rigid3)],
+    options: &ContinuousOptions,
+    observe: &mut dyn FnMut(&RefineProgress) -> bool,
+) -> Result<Refined, RefineError> {
     options.check()?;
-    let session = Session::new(points, input, Method::Continuous(*options), options.odometry)?;
-    let mut run = Run { session, options, observe };
+    options.gauge.check(sensors)?;
+    let mut session = Session::new(points, input, Method::Continuous(*options), options.odometry)?;
+    session.look_for_suspicions();
+    let mut run = Run { session, sensors, options, observe };
     run.coarse()?;
-    run.fine()?;
-    Ok(run.session.finish())
+    let mut rounds = Rounds::new(&mut run);
+    rounds.run()?;
+    let (found, world_from_fixed) = (rounds.others.found, rounds.others.world_from_fixed);
+    run.session.report.other_sensors = found;
+    run.session.judge_mountings(sensors);
+    Ok(run.session.finish(|trajectory, anchor| {
+        options.gauge.settle(trajectory, anchor, &found, world_from_fixed.as_ref());
+    }))
+}
+
+/// A coarse stage.
+struct Stage {
+    /// Seconds of the windows, and between knots.
+    window: f64,
+    /// How many numbers two windows may be apart.
+    horizon: Option<usize>,
+    /// Farthest pairs at first, metres.
+    reach: f64,
+}
+
+/// Ever shorter, down to [`LAST_REACH`].
+fn reaches(first: f64) -> Vec<f64> {
+    let stages = ((first / LAST_REACH).ln() / -REACH_RATIO.ln()).ceil().max(0.0) as i32 + 1;
+    (0..stages).map(|stage| (first * REACH_RATIO.powi(stage)).max(LAST_REACH)).collect()
+}
+
+/// Pairs up to this far apart tell whether loops are closed, metres.
+fn self_gate(reach: f64) -> f64 {
+    reach.min(NEAR_REACH)
 }
 
 /// A refinement at work.
-struct Run<'a> {
+struct Run<'a, 'b> {
     session: Session<'a>,
-    options: &'a ContinuousOptions,
-    observe: &'a mut dyn FnMut(&RefineProgress) -> bool,
+    sensors: &'b MotionSensors,
+    options: &'b ContinuousOptions,
+    observe: &'b mut dyn FnMut(&RefineProgress) -> bool,
 }
 
-impl Run<'_> {
-    fn extract(&mut self) -> Result<SurfelMap, RefineError> {
+impl Run<'_, '_> {
+    fn extract(&mut self, window: f64) -> Result<SurfelMap, RefineError> {
         let session = &mut self.session;
-        let map =
-            SurfelMap::extract(session.points, &session.coverage, &session.trajectory, self.options.window);
+        let map = SurfelMap::extract(&session.points, &session.coverage, &session.trajectory, window);
         if map.surfels.is_empty() {
             return Err(RefineError::NoSurfaces(session.report.points));
         }
-        session.report.planar_share =
-            Some(map.surfels.iter().map(|s| s.count).sum::<f64>() / map.looked_at.max(1) as f64);
+        session.report.planar_share = Some(map.planar_share());
         Ok(map)
     }
 
-    /// Draws windows together, from far to near.
+    /// Draws windows together: those near in time first, among which there is little drift, then all.
     fn coarse(&mut self) -> Result<(), RefineError> {
-        let map = self.extract()?;
-        let knots = Knots::new(self.session.trajectory.duration(), self.options.window);
-        let stages =
-            ((self.options.reach / LAST_REACH).ln() / -REACH_RATIO.ln()).ceil().max(0.0) as usize + 1;
-        for stage in 0..stages {
-            let reach = (self.options.reach * REACH_RATIO.powi(stage as i32)).max(LAST_REACH);
-            for _ in 0..COARSE_STEPS {
-                let step =
-                    coarse_step(&map, &mut self.session.trajectory, &knots, self.options.odometry, reach)?;
-                let record = RefineStep {
-                    stage: "coarse",
-                    knot_spacing: knots.spacing(),
-                    reach,
-                    terms: step.pairs,
-                    rms: step.rms,
-                    shift: step.shift,
-                };
-                let share = 0.4 * (stage + 1) as f64 / stages as f64;
-                if !self.record(record, share) {
-                    return Ok(());
-                }
-                if step.shift < COARSE_REST * reach {
-                    break;
-                }
-            }
+        let (window, noise) = (self.options.window, self.options.odometry);
+        let near = self.options.reach.min(NEAR_REACH);
+        let mut map = self.extract(window)?;
+        let short = self.extract(SHORT_WINDOW * window)?;
+        let input = self.session.trajectory.clone();
+        if short.planar_share() > ROUGH * map.planar_share() {
+            let stage = Stage { window: SHORT_WINDOW * window, horizon: Some(2 * NEAR_IN_TIME), reach: near };
+            self.draw(&short, &stage, &input, noise, [0.0, 0.1])?;
+            map = self.extract(window)?;
+        }
+        drop(short);
+        let stage = Stage { window, horizon: Some(NEAR_IN_TIME), reach: near };
+        self.draw(&map, &stage, &input, noise, [0.1, 0.2])?;
+        self.close_loops()
+    }
+
+    /// Draws all windows together. What was drawn together before is the motion now, and better known than that of
+    /// the input. If loops are not closed from near, it is tried again from as far as drift may have gone.
+    fn close_loops(&mut self) -> Result<(), RefineError> {
+        let window = self.options.window;
+        let map = self.extract(window)?;
+        let before = self.session.trajectory.clone();
+        let near = Stage { window, horizon: None, reach: self.options.reach.min(NEAR_REACH) };
+        self.draw(&map, &near, &before, AFTER_NEAR, [0.2, 0.3])?;
+        let agreement = |run: &Self| {
+            let session = &run.session;
+            agreement(&map, &session.points.corrections, &session.trajectory, self_gate(run.options.reach))
+        };
+        let (share, weight) = agreement(self);
+        if self.options.reach <= NEAR_REACH || share > CLOSED {
+            return Ok(());
+        }
+        let from_near = std::mem::replace(&mut self.session.trajectory, before.clone());
+        let far = Stage { window, horizon: None, reach: self.options.reach };
+        self.draw(&map, &far, &before, AFTER_NEAR, [0.3, 0.4])?;
+        if agreement(self).1 < MUCH_BETTER * weight {
+            self.session.trajectory = from_near;
         }
         Ok(())
     }
 
-    /// Solves for all knots and planes, with ever sharper patches, until nothing moves.
-    fn fine(&mut self) -> Result<(), RefineError> {
-        for round in 0..self.options.max_rounds {
-            if self.session.report.stopped {
-                return Ok(());
-            }
-            let first = round == 0;
-            let spacing =
-                if first { FIRST_SPACING.max(self.options.knot_spacing) } else { self.options.knot_spacing };
-            let knots = Knots::new(self.session.trajectory.duration(), spacing);
-            let before = self.session.trajectory.clone();
-            let map = self.extract()?;
-            for step in 0..FINE_STEPS {
-                let gap = GAPS[usize::from(!first)];
-                let done = fine_step(
-                    &map,
-                    &mut self.session.trajectory,
-                    &knots,
-                    self.session.report.odometry_found,
-                    gap,
-                )?;
-                self.session.information = done.information;
+    /// Steps at ever shorter reach, held by the motion of `reference`.
+    fn draw(
+        &mut self,
+        map: &SurfelMap,
+        stage: &Stage,
+        reference: &DenseTrajectory,
+        noise: OdometryNoise,
+        share: [f64; 2],
+    ) -> Result<(), RefineError> {
+        if self.session.report.stopped {
+            return Ok(());
+        }
+        let knots = Knots::new(self.session.trajectory.duration(), stage.window);
+        let reaches = reaches(stage.reach);
+        for (i, reach) in reaches.iter().enumerate() {
+            for _ in 0..COARSE_STEPS {
+                let session = &mut self.session;
+                let motion = motion_terms(|s| reference.pose(s), &session.trajectory, &knots, noise);
+                let corrections = &session.points.corrections;
+                let trajectory = &mut session.trajectory;
+                let step =
+                    coarse_step(map, corrections, trajectory, &knots, &motion, (*reach, stage.horizon))?;
                 let record = RefineStep {
-                    stage: "fine",
+                    stage: if stage.horizon.is_some() { "near in time" } else { "coarse" },
                     knot_spacing: knots.spacing(),
-                    reach: gap,
-                    terms: done.clusters,
-                    rms: done.rms,
-                    shift: done.shift,
+                    reach: *reach,
+                    terms: step.pairs,
+                    rms: step.rms,
+                    shift: step.shift,
                 };
-                let rounds = round as f64 + (step + 1) as f64 / FINE_STEPS as f64;
-                if !self.record(record, 0.4 + 0.6 * (rounds / USUAL_ROUNDS).min(0.99)) {
+                let done = (i + 1) as f64 / reaches.len() as f64;
+                if !self.record(record, share[0] + (share[1] - share[0]) * done) {
                     return Ok(());
                 }
-            }
-            if !first {
-                self.session.report.odometry_found = odometry::noise_found(&self.session.trajectory, &knots);
-                let (shift, turn) = movement(&before, &self.session.trajectory);
-                if shift < RESTS.0 && turn < RESTS.1 {
+                if step.shift < COARSE_REST * reach {
                     break;
                 }
             }
@@ -178,28 +253,14 @@ impl Run<'_> {
     fn record(&mut self, step: RefineStep, share: f64) -> bool {
         self.session.report.steps.push(step);
         let stage = match step.stage {
+            "fine" => format!("knots every {:.1} s", step.knot_spacing),
             "coarse" => format!("drift within {:.2} m", step.reach),
-            _ => format!("knots every {:.1} s", step.knot_spacing),
+            _ => format!("drift within {:.2} m of the seconds before", step.reach),
         };
-        let go_on = (self.observe)(&RefineProgress { stage, share, rms: step.rms, shift: step.shift });
+        let entropy = self.session.report.sharpness_by_round.last().map(|s| s.mean_map_entropy);
+        let go_on =
+            (self.observe)(&RefineProgress { stage, share, rms: step.rms, shift: step.shift, entropy });
         self.session.report.stopped |= !go_on;
         go_on
     }
-}
-
-/// Root mean square shift (metres) and turn (radians) between two states of one trajectory, without what both
-/// have in common as one body.
-fn movement(before: &DenseTrajectory, after: &DenseTrajectory) -> (f64, f64) {
-    let seconds = |i: usize| i as f64 * 0.1;
-    let count = (before.duration() / 0.1) as usize + 1;
-    // The whole may move freely; the middle is taken as fixed.
-    let middle = 0.5 * before.duration();
-    let common = before.pose(middle) * after.pose(middle).inverse();
-    let (mut shift, mut turn) = (0.0, 0.0);
-    for i in 0..count {
-        let (a, b) = (before.pose(seconds(i)), common * after.pose(seconds(i)));
-        shift += (a.translation.vector - b.translation.vector).norm_squared();
-        turn += angular_distance(&a.rotation, &b.rotation).powi(2);
-    }
-    ((shift / count as f64).sqrt(), (turn / count as f64).sqrt())
 }

@@ -6,6 +6,9 @@ pub enum RefineError {
     /// The trajectory has too few poses.
     #[error("the trajectory has {0} poses, but at least two at different times are needed")]
     ShortTrajectory(usize),
+    /// A pose is not finite, or not later than the one before.
+    #[error("pose number {0} (from 0) of the trajectory is not finite or not later than the one before")]
+    BadPose(usize),
     /// There are no points.
     #[error("there are no points to refine with")]
     NoPoints,

@@ -10,6 +10,7 @@
 pub mod continuous;
 mod error;
 mod moments;
+mod motion_sensors;
 pub mod neighbours;
 mod point_store;
 pub mod registration;
@@ -18,5 +19,6 @@ mod sharpness;
 
 pub use error::RefineError;
 pub use moments::{Moments, PlaneFit};
-pub use point_store::{LeftOutPoints, PointStore, StoredPoint};
+pub use motion_sensors::MotionSensors;
+pub use point_store::{LeftOutPoints, MAX_SENSORS, PointStore, StoredPoint, StoredSensor};
 pub use sharpness::{Neighbourhood, Sharpness, SharpnessOptions, ThinnedCloud, sharpness, spread_sample};

@@ -3,23 +3,62 @@
 use portolan_geometry::{Duration, Time};
 use portolan_sensor::TimedPointCloudData;
 
-/// Ticks of 10 µs: exact enough for points (0.1 mm at 10 m/s), and 32 bits last for eleven hours.
-const TICKS_PER_SECOND: f64 = 1e5;
+/// Ticks of 25 µs: exact enough for points (0.25 mm at 10 m/s), and 29 bits last for more than three hours.
+const TICKS_PER_SECOND: f64 = 4e4;
+/// The time takes this many bits of a point, the number of its sensor the others.
+const TIME_BITS: u32 = 29;
+const LAST_TICK: u32 = (1 << TIME_BITS) - 1;
+/// Sensors that are told apart; further ones count as the last of them.
+pub const MAX_SENSORS: usize = 8;
 
 /// A raw point: in the tracking frame as it was at the point's own time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StoredPoint {
     /// Metres.
     pub in_tracking: [f32; 3],
-    /// Units of 10 µs since [`PointStore::start`].
-    pub ticks: u32,
+    /// Sensor and time.
+    stamp: u32,
 }
 
 impl StoredPoint {
-    /// Seconds since the start of the store.
-    pub fn seconds(&self) -> f64 {
-        f64::from(self.ticks) / TICKS_PER_SECOND
+    /// A point of a sensor (below [`MAX_SENSORS`]); none if the time (seconds since the start of the store) cannot be
+    /// held.
+    pub fn new(in_tracking: [f32; 3], seconds: f64, sensor: usize) -> Option<Self> {
+        let ticks = (seconds * TICKS_PER_SECOND).round();
+        let holds = ticks >= 0.0 && ticks <= f64::from(LAST_TICK);
+        let sensor = sensor.min(MAX_SENSORS - 1) as u32;
+        holds.then_some(Self { in_tracking, stamp: sensor << TIME_BITS | ticks as u32 })
     }
+
+    /// Seconds since the start of the store.
+    #[inline]
+    pub fn seconds(&self) -> f64 {
+        f64::from(self.ticks()) / TICKS_PER_SECOND
+    }
+
+    /// The number of its sensor.
+    #[inline]
+    pub fn sensor(&self) -> usize {
+        (self.stamp >> TIME_BITS) as usize
+    }
+
+    #[inline]
+    fn ticks(&self) -> u32 {
+        self.stamp & LAST_TICK
+    }
+}
+
+/// A range sensor of a store.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct StoredSensor {
+    /// Its name: the topic.
+    pub name: String,
+    /// Where it was in the tracking frame when it first measured, metres.
+    pub origin_in_tracking: [f64; 3],
+    /// Its sweeps that had points.
+    pub sweeps: u64,
+    /// Its sweeps without a single point.
+    pub empty_sweeps: u64,
 }
 
 /// What was left out when points were added.
@@ -29,7 +68,7 @@ pub struct LeftOutPoints {
     pub not_finite: u64,
     /// Nearer than the least range.
     pub too_near: u64,
-    /// More than ten seconds before the first sweep, or more than eleven hours after it.
+    /// More than ten seconds before the first sweep, or more than three hours and forty minutes after it.
     pub outside_of_time: u64,
     /// Good points beyond the limit of the store, evenly over the whole recording.
     pub thinned: u64,
@@ -50,6 +89,7 @@ pub struct PointStore {
     /// Good points so far.
     good: u64,
     points: Vec<StoredPoint>,
+    sensors: Vec<StoredSensor>,
     left_out: LeftOutPoints,
 }
 
@@ -63,6 +103,7 @@ impl PointStore {
             stride: 1,
             good: 0,
             points: Vec::new(),
+            sensors: Vec::new(),
             left_out: LeftOutPoints::default(),
         }
     }
@@ -72,28 +113,52 @@ impl PointStore {
         Self { limit: limit.max(2), ..self }
     }
 
-    /// Adds the points of a sweep.
+    /// Adds a sweep of the only sensor.
     pub fn push(&mut self, sweep: &TimedPointCloudData) {
+        self.push_from("", sweep);
+    }
+
+    /// The number of a sensor, which gets one if it is new.
+    fn sensor(&mut self, name: &str, sweep: &TimedPointCloudData) -> usize {
+        let known = self.sensors.iter().position(|s| s.name == name);
+        let number = known.unwrap_or_else(|| {
+            let origin_in_tracking = std::array::from_fn(|k| f64::from(sweep.origin_in_tracking[k]));
+            self.sensors.push(StoredSensor {
+                name: name.to_owned(),
+                origin_in_tracking,
+                ..StoredSensor::default()
+            });
+            self.sensors.len() - 1
+        });
+        match sweep.points_in_tracking.is_empty() {
+            true => self.sensors[number].empty_sweeps += 1,
+            false => self.sensors[number].sweeps += 1,
+        }
+        number
+    }
+
+    /// Adds a sweep of a sensor.
+    pub fn push_from(&mut self, sensor: &str, sweep: &TimedPointCloudData) {
+        let sensor = self.sensor(sensor, sweep);
         let start = *self.start.get_or_insert(sweep.time + Duration::from_seconds(-10.0));
         let time = sweep.time.seconds_since(start);
         let least = self.min_range * self.min_range;
         self.points.reserve(sweep.points_in_tracking.len());
         for point in &sweep.points_in_tracking {
-            let (p, ticks) = (point.position, (time + f64::from(point.time)) * TICKS_PER_SECOND);
-            if !(p.x.is_finite() && p.y.is_finite() && p.z.is_finite() && ticks.is_finite()) {
+            let (p, seconds) = (point.position, time + f64::from(point.time));
+            if !(p.x.is_finite() && p.y.is_finite() && p.z.is_finite() && seconds.is_finite()) {
                 self.left_out.not_finite += 1;
             } else if (p - sweep.origin_in_tracking).norm_squared() < least {
                 self.left_out.too_near += 1;
-            } else if ticks < 0.0 || ticks > f64::from(u32::MAX) {
-                self.left_out.outside_of_time += 1;
-            } else {
+            } else if let Some(point) = StoredPoint::new([p.x, p.y, p.z], seconds, sensor) {
                 self.good += 1;
                 if self.good.is_multiple_of(self.stride) {
-                    let in_tracking = [p.x, p.y, p.z];
-                    self.points.push(StoredPoint { in_tracking, ticks: ticks.round() as u32 });
+                    self.points.push(point);
                 } else {
                     self.left_out.thinned += 1;
                 }
+            } else {
+                self.left_out.outside_of_time += 1;
             }
         }
         if self.points.len() > self.limit {
@@ -115,8 +180,8 @@ impl PointStore {
 
     /// Puts the points in order of time; points of equal time stay in the order in which they came.
     pub fn sort(&mut self) {
-        if !self.points.is_sorted_by_key(|p| p.ticks) {
-            self.points.sort_by_key(|p| p.ticks);
+        if !self.points.is_sorted_by_key(StoredPoint::ticks) {
+            self.points.sort_by_key(StoredPoint::ticks);
         }
         self.points.shrink_to_fit();
     }
@@ -129,6 +194,11 @@ impl PointStore {
     /// The points, in order once sorted.
     pub fn points(&self) -> &[StoredPoint] {
         &self.points
+    }
+
+    /// The sensors in the order of their numbers.
+    pub fn sensors(&self) -> &[StoredSensor] {
+        &self.sensors
     }
 
     /// What was left out.
@@ -186,7 +256,7 @@ mod tests {
         store.sort();
         assert!((50..=100).contains(&store.points().len()));
         assert_eq!(store.points().len() as u64 + store.left_out().thinned, 1000);
-        let steps: Vec<u32> = store.points().windows(2).map(|w| w[1].ticks - w[0].ticks).collect();
+        let steps: Vec<u32> = store.points().windows(2).map(|w| w[1].ticks() - w[0].ticks()).collect();
         assert!(steps.iter().all(|s| *s == steps[0]));
     }
 }

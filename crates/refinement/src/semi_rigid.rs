@@ -107,20 +107,23 @@ pub fn refine_semi_rigid(
 ) -> Result<Refined, RefineError> {
     options.check()?;
     let mut session = Session::new(points, input, Method::SemiRigid(*options), options.odometry)?;
+    session.look_for_suspicions();
     for iteration in 0..options.outer_iterations.max(1) {
         let step = outer_iteration(&mut session, options)?;
+        session.measure_round(iteration);
         let progress = RefineProgress {
             stage: format!("{} sections", step.terms),
             share: (iteration + 1) as f64 / options.outer_iterations.max(1) as f64,
             rms: step.rms,
             shift: step.shift,
+            entropy: session.report.sharpness_by_round.last().map(|s| s.mean_map_entropy),
         };
         if !observe(&progress) {
             session.report.stopped = iteration + 1 < options.outer_iterations;
             break;
         }
     }
-    Ok(session.finish())
+    Ok(session.finish(|_, _| {}))
 }
 
 /// Sections are made and linked; then they are moved until they fit, at last with all elements.
@@ -186,7 +189,8 @@ fn move_sections(
     for (link, sum) in sections.links.iter().zip(&sums) {
         add_link(&mut equations, &knots, sections, &poses, *link, &sum.statistics, common)?;
     }
-    for (i, term) in odometry_terms(&session.trajectory, &knots, options.odometry).iter().enumerate() {
+    for term in &odometry_terms(&session.trajectory, &knots, options.odometry) {
+        let i = term.knot();
         for (jacobian, residual, weight) in term.rows() {
             let part = |first: usize| std::array::from_fn(|k| jacobian[first + k]);
             equations.add_row(&[(i, part(0)), (i + 1, part(6))], residual, weight).map_err(|_| FAILED)?;

@@ -3,20 +3,16 @@
 
 mod synthetic;
 
+use portolan_geometry::nalgebra;
 use portolan_geometry::{Duration, Rigid3, Time, Vector3};
-use portolan_refinement::continuous::{ContinuousOptions, RefineProgress, Refined, refine_continuous};
+use portolan_refinement::continuous::{
+    BeforeAndAfter, ContinuousOptions, RefineProgress, Refined, refine_continuous,
+};
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 use portolan_refinement::{PointStore, RefineError};
-use synthetic::{Wall, circles, disturbed, errors, poses, room, scan, straight};
+use synthetic::{circles, disturbed, errors, furnished, poses, room, scan, straight};
 
 const SECONDS: f64 = 20.0;
-
-fn furnished() -> Vec<Wall> {
-    let mut walls = room([0.0; 3], [8.0, 7.0, 2.8]);
-    walls.extend(room([3.6, 3.2, 0.0], [4.4, 3.8, 1.9]));
-    walls.extend(room([6.9, 0.0, 0.0], [8.0, 2.0, 0.8]));
-    walls
-}
 
 fn refine(points: &PointStore, input: &[(Time, Rigid3)]) -> Refined {
     refine_continuous(points, input, &ContinuousOptions::default(), &mut |_| true).unwrap()
@@ -96,6 +92,34 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
     };
     let one = run(1);
     assert!(one == run(2) && one == run(4));
+}
+
+#[test]
+fn a_jump_of_the_input_is_taken_out() {
+    let truth = poses(circles, SECONDS);
+    let points = scan(&furnished(), circles, SECONDS, 120);
+    let jump = Rigid3::new(Vector3::new(0.8, -0.4, 0.1), Vector3::new(0.0, 0.0, 0.1));
+    let input: Vec<(Time, Rigid3)> = disturbed(&truth, 0.2, 0.005)
+        .into_iter()
+        .map(|(time, pose)| (time, if time > truth[450].0 { jump * pose } else { pose }))
+        .collect();
+    let refined = refine(&points, &input);
+    assert_eq!(refined.report.jumps.len(), 1);
+    assert!((refined.report.jumps[0].seconds - 9.0).abs() < 0.05);
+    let (shift, turn) = errors(&truth, &corrected(&refined, &input));
+    assert!(shift < 0.005 && turn < 0.003, "{shift} m, {turn} rad");
+    // What was before is what was given, with its jump.
+    let clouds = BeforeAndAfter::new(&points, &refined);
+    let point = points.points().iter().find(|p| p.seconds() > 22.0).unwrap();
+    let seconds = point.seconds() + points.start().seconds_since(input[0].0);
+    let pose = refined.trajectory.input_pose(seconds);
+    let given = input.iter().find(|(time, _)| time.seconds_since(input[0].0) >= seconds).unwrap();
+    assert!((pose.translation.vector - given.1.translation.vector).norm() < 0.05);
+    let before = pose * nalgebra::Point3::from(point.in_tracking.map(f64::from));
+    assert!((Vector3::from(clouds.place(point).before) - before.coords).norm() < 1e-3);
+    let (_, last) = points.span().unwrap();
+    assert!(clouds.iter().count() + refined.report.points_outside_trajectory == points.points().len());
+    assert!(last > input[0].0);
 }
 
 #[test]

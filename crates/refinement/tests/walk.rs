@@ -8,10 +8,10 @@ use portolan_evaluation::cloud::{read_boxes, surface_errors};
 use portolan_evaluation::{
     Alignment, Association, Step, TimedPose, Trajectory, absolute_errors, read_tum, relative_errors,
 };
-use portolan_geometry::{Duration, Quaternion, Rigid3, nalgebra as na};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, nalgebra as na};
 use portolan_recording::{IngestOptions, Ingestion, open};
 use portolan_refinement::PointStore;
-use portolan_refinement::continuous::{ContinuousOptions, refine_continuous};
+use portolan_refinement::continuous::{ContinuousOptions, DenseTrajectory, refine_continuous};
 use portolan_sensor::Measurement;
 
 /// Seconds of the walk that are refined.
@@ -32,20 +32,16 @@ fn shared(name: &str) -> Option<PathBuf> {
     None
 }
 
-#[test]
-fn half_a_minute_of_the_walk_becomes_as_sharp_as_the_truth() {
-    let Some(bag) = shared("walk.bag") else { return };
-    let file = |name: &str| BufReader::new(std::fs::File::open(shared(name).unwrap()).unwrap());
+struct Walk {
+    truth: Trajectory,
+    points: PointStore,
+}
+
+/// The points of the first seconds, and the truth.
+fn walk(seconds: f64) -> Option<Walk> {
+    let bag = shared("walk.bag")?;
     let (truth, _) = read_tum(file("walk.truth.tum")).unwrap();
-    let (input, _) = read_tum(file("walk.input.tum")).unwrap();
-    let start = input.poses()[0].time;
-    let poses: Vec<_> = input
-        .poses()
-        .iter()
-        .filter(|p| p.time.seconds_since(start) <= SECONDS)
-        .map(|p| (p.time, p.map_from_tracking))
-        .collect();
-    let options = IngestOptions { length: Some(Duration::from_seconds(SECONDS)), ..IngestOptions::default() };
+    let options = IngestOptions { length: Some(Duration::from_seconds(seconds)), ..IngestOptions::default() };
     let mut points = PointStore::new(0.3);
     for measurement in Ingestion::new(open(bag).unwrap().as_ref(), &options).unwrap() {
         if let Measurement::Range(sweep) = measurement.unwrap().1 {
@@ -53,33 +49,77 @@ fn half_a_minute_of_the_walk_becomes_as_sharp_as_the_truth() {
         }
     }
     points.sort();
-    let refined =
-        refine_continuous(&points, &poses, &ContinuousOptions::default(), &mut |_| true).unwrap().trajectory;
-    let corrected = poses
-        .iter()
-        .map(|(time, pose)| TimedPose { time: *time, map_from_tracking: refined.corrected(*time, pose) });
-    let estimate = Trajectory::new(corrected).0;
+    Some(Walk { truth, points })
+}
 
-    let absolute = absolute_errors(&truth, &estimate, Association::default(), Alignment::Se3).unwrap();
-    assert!(absolute.translation.rmse < 0.010, "{absolute}");
-    assert!(absolute.rotation_degrees.rmse < 0.15, "{absolute}");
-    let relative = relative_errors(&truth, &estimate, Association::default(), Step::Time(1.0)).unwrap();
-    assert!(relative.translation.rmse < 0.015 && relative.rotation_degrees.rmse < 0.2, "{relative}");
+fn file(name: &str) -> BufReader<std::fs::File> {
+    BufReader::new(std::fs::File::open(shared(name).unwrap()).unwrap())
+}
 
+fn poses(trajectory: &Trajectory, seconds: f64) -> Vec<(Time, Rigid3)> {
+    let start = trajectory.poses()[0].time;
+    let early = trajectory.poses().iter().filter(|p| p.time.seconds_since(start) <= seconds);
+    early.map(|p| (p.time, p.map_from_tracking)).collect()
+}
+
+/// The mean distance of the points from the true surfaces once the trajectory is laid onto the truth, metres.
+fn surface_error(walk: &Walk, trajectory: &DenseTrajectory) -> f64 {
+    let samples = (0..=(trajectory.duration() / 0.05) as usize).map(|i| {
+        let seconds = i as f64 * 0.05;
+        let time = trajectory.start() + Duration::from_seconds(seconds);
+        TimedPose { time, map_from_tracking: trajectory.pose(seconds) }
+    });
+    let estimate = Trajectory::new(samples).0;
+    let absolute = absolute_errors(&walk.truth, &estimate, Association::default(), Alignment::Se3).unwrap();
     let [x, y, z, qx, qy, qz, qw] = absolute.truth_from_estimate;
     let turn = Quaternion::new_normalize(na::Quaternion::new(qw, qx, qy, qz));
     let truth_from_estimate = Rigid3::from_parts(na::Translation3::new(x, y, z), turn);
-    let matrices = refined.matrices();
-    let offset = points.start().seconds_since(refined.start());
-    let cloud: Vec<[f64; 3]> = points
+    let matrices = trajectory.matrices();
+    let offset = walk.points.start().seconds_since(trajectory.start());
+    let cloud: Vec<[f64; 3]> = walk
+        .points
         .points()
         .iter()
         .step_by(7)
-        .filter(|p| (0.0..=refined.duration()).contains(&(p.seconds() + offset)))
+        .filter(|p| (0.0..=trajectory.duration()).contains(&(p.seconds() + offset)))
         .map(|p| matrices.to_world(p.seconds() + offset, p.in_tracking))
         .map(|p| (truth_from_estimate * na::Point3::from(p)).coords.into())
         .collect();
     let boxes = read_boxes(file("walk.surfaces.csv")).unwrap();
-    let surfaces = surface_errors(&cloud, &boxes).unwrap();
-    assert!(surfaces.mean < 0.0125, "{surfaces}");
+    surface_errors(&cloud, &boxes).unwrap().mean
+}
+
+#[test]
+fn half_a_minute_of_the_walk_becomes_as_sharp_as_the_truth() {
+    let Some(walk) = walk(SECONDS) else { return };
+    let (input, _) = read_tum(file("walk.input.tum")).unwrap();
+    let poses = poses(&input, SECONDS);
+    let options = ContinuousOptions::default();
+    let refined = refine_continuous(&walk.points, &poses, &options, &mut |_| true).unwrap();
+    assert!(refined.report.warnings.is_empty(), "{:?}", refined.report.warnings);
+    let corrected = poses.iter().map(|(time, pose)| TimedPose {
+        time: *time,
+        map_from_tracking: refined.trajectory.corrected(*time, pose),
+    });
+    let estimate = Trajectory::new(corrected).0;
+
+    let absolute = absolute_errors(&walk.truth, &estimate, Association::default(), Alignment::Se3).unwrap();
+    assert!(absolute.translation.rmse < 0.010, "{absolute}");
+    assert!(absolute.rotation_degrees.rmse < 0.15, "{absolute}");
+    let relative = relative_errors(&walk.truth, &estimate, Association::default(), Step::Time(1.0)).unwrap();
+    assert!(relative.translation.rmse < 0.015 && relative.rotation_degrees.rmse < 0.2, "{relative}");
+    let surfaces = surface_error(&walk, &refined.trajectory);
+    assert!(surfaces < 0.0125, "{surfaces}");
+}
+
+#[test]
+fn the_truth_does_not_become_worse() {
+    let Some(walk) = walk(0.7 * SECONDS) else { return };
+    let poses = poses(&walk.truth, 0.7 * SECONDS);
+    let before = surface_error(&walk, &DenseTrajectory::new(&poses).unwrap());
+    let options = ContinuousOptions::default();
+    let refined = refine_continuous(&walk.points, &poses, &options, &mut |_| true).unwrap();
+    let after = surface_error(&walk, &refined.trajectory);
+    assert!(after < 1.01 * before, "{before} -> {after}");
+    assert!(refined.report.warnings.is_empty(), "{:?}", refined.report.warnings);
 }

@@ -10,10 +10,12 @@ mod results;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_pointcloud::CloudFormat;
 use portolan_recording::open_all;
-use portolan_refinement::continuous::{ContinuousOptions, RefineProgress, Refined, refine_continuous};
+use portolan_refinement::continuous::{
+    ContinuousOptions, Gauge, RefineProgress, Refined, refine_continuous_with,
+};
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 
 use crate::GlobalArgs;
@@ -22,7 +24,7 @@ use crate::error::{CliError, Outcome};
 use crate::interrupt;
 use crate::output::print;
 use crate::progress::Progress;
-use points::{PointArgs, read_points};
+use points::{OtherSensor, PointArgs, read_points_and};
 use results::{Results, summary, write_results};
 
 /// Sharpen a map: bend a trajectory, continuously in time and in all six degrees of freedom, until the points
@@ -39,7 +41,8 @@ use results::{Results, summary, write_results};
 #[command(after_help = "Examples:\n  \
     portolan refine --recording walk.bag --trajectory walk.tum -o walk_refined\n  \
     portolan refine --recording robot.mcap --map robot.pbstream -o robot_refined\n  \
-    portolan refine --recording car.bag --trajectory car.tum --tracking-frame velodyne -o car --no-cloud")]
+    portolan refine --recording car.bag --trajectory car.tum --tracking-frame velodyne -o car --no-cloud\n  \
+    portolan refine --recording pack.mcap --trajectory pack.tum -o pack --calibrate --with imu --gauge gravity")]
 pub struct RefineArgs {
     /// The recording with the raw points; may be given several times, read as one in the order given.
     #[arg(long, required = true, value_name = "RECORDING")]
@@ -56,6 +59,10 @@ pub struct RefineArgs {
     /// Times of KITTI poses, one a line.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
+    /// Added to the stamps of the trajectory, seconds, where its clock is not that of the points. If they seem to
+    /// differ, a warning names what would fit.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    time_offset: f64,
     /// Folder for the results; created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -149,6 +156,54 @@ struct TuningArgs {
     /// How far drift may have moved surfaces apart, metres.
     #[arg(long, value_name = "METRES", default_value_t = ContinuousOptions::default().reach)]
     reach: f64,
+    /// Other sensors whose motion counts too. How exact they are is found; a bad one does no harm.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "SENSORS")]
+    with: Vec<OtherSensor>,
+    /// Solve for places and clocks of all lidars but the first, too. report.json has them with standard deviations;
+    /// what the motion does not determine is named.
+    #[arg(long)]
+    calibrate: bool,
+    /// Where the result lies as a whole.
+    #[arg(long, value_enum, default_value_t = GaugeName::FirstPose, value_name = "WHERE")]
+    gauge: GaugeName,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum GaugeName {
+    /// The first pose is that of the input.
+    FirstPose,
+    /// The same, and z points up by the IMU.
+    Gravity,
+    /// In the frame of the satellite fixes.
+    Fixes,
+}
+
+impl TuningArgs {
+    fn options(&self) -> ContinuousOptions {
+        ContinuousOptions {
+            window: self.window,
+            knot_spacing: self.knots,
+            reach: self.reach,
+            calibrate_lidars: self.calibrate,
+            gauge: match self.gauge {
+                GaugeName::FirstPose => Gauge::FirstPose,
+                GaugeName::Gravity => Gauge::Gravity,
+                GaugeName::Fixes => Gauge::Fixes,
+            },
+            ..ContinuousOptions::default()
+        }
+    }
+
+    /// The sensors to read: those that count, and those that say where the result lies.
+    fn sensors(&self) -> Vec<OtherSensor> {
+        let mut sensors = self.with.clone();
+        match self.gauge {
+            GaugeName::FirstPose => {}
+            GaugeName::Gravity => sensors.push(OtherSensor::Imu),
+            GaugeName::Fixes => sensors.push(OtherSensor::Fixes),
+        }
+        sensors
+    }
 }
 
 pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -158,7 +213,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     std::fs::create_dir_all(&args.output)
         .map_err(|source| CliError::File { path: args.output.clone(), source })?;
     let recording = open_all(&args.recording)?;
-    let read = read_points(recording.as_ref(), &args.points, global)?;
+    let read = read_points_and(recording.as_ref(), &args.points, &args.tuning.sensors(), global)?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(global.thread_count())
         .build()
@@ -221,7 +276,11 @@ fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid
     };
     let times = args.times.as_deref();
     let source = TrajectorySource { path, trajectory_id: args.trajectory_id, times, quiet: global.quiet };
-    Ok(source.read()?.poses().iter().map(|pose| (pose.time, pose.map_from_tracking)).collect())
+    if !args.time_offset.is_finite() {
+        return Err(CliError::Usage("--time-offset must be a number of seconds".to_owned()));
+    }
+    let offset = Duration::from_seconds(args.time_offset);
+    Ok(source.read()?.poses().iter().map(|pose| (pose.time + offset, pose.map_from_tracking)).collect())
 }
 
 fn refine_with_progress(
@@ -231,20 +290,18 @@ fn refine_with_progress(
     global: &GlobalArgs,
 ) -> Result<Refined, CliError> {
     let mut progress = Progress::start("refining", 1000, global.quiet);
+    let start = Instant::now();
     let mut observe = |state: &RefineProgress| {
-        let message = format!("{}: scatter {:.1} mm", state.stage, 1e3 * state.rms);
+        let left = start.elapsed().as_secs_f64() * (1.0 / state.share.max(0.01) - 1.0);
+        let sharpness = state.entropy.map_or_else(String::new, |e| format!(", entropy {e:.3}"));
+        let message =
+            format!("{}: scatter {:.1} mm{sharpness}, about {left:.0} s left", state.stage, 1e3 * state.rms);
         progress.update((1000.0 * state.share) as u64, 1000, message);
         !interrupt::interrupted()
     };
     let refined = match args.method {
         MethodName::Continuous => {
-            let options = ContinuousOptions {
-                window: args.tuning.window,
-                knot_spacing: args.tuning.knots,
-                reach: args.tuning.reach,
-                ..ContinuousOptions::default()
-            };
-            refine_continuous(&read.store, input, &options, &mut observe)
+            refine_continuous_with(&read.store, &read.sensors, input, &args.tuning.options(), &mut observe)
         }
         MethodName::SemiRigid => {
             refine_semi_rigid(&read.store, input, &args.semi_rigid.options(), &mut observe)

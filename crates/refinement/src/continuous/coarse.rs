@@ -3,15 +3,25 @@
 use portolan_geometry::Vector3;
 use portolan_solver::NormalBlocks;
 
-use super::odometry::{OdometryNoise, odometry_terms};
+use super::correction::Corrections;
+use super::motion_term::MotionTerm;
 use super::pairs::{Pair, PlacedSurfel, find_pairs, place};
 use super::surfels::SurfelMap;
 use super::{DenseTrajectory, Knots};
 use crate::RefineError;
 
 /// Standard deviation of the distance of a pair, metres: patches of half a metre of the same wall in passes
-/// through it that are each good to a few centimetres.
-const PAIR_DEVIATION: f64 = 0.05;
+/// through it that are each good to a few centimetres, and neighbouring pairs are wrong in the same way.
+const PAIR_DEVIATION: f64 = 0.15;
+/// What is added to it for each metre that both are apart along the surface: normals are not exact.
+const TILT: f64 = 0.1;
+/// Patches of so many points count half: furniture is taken for other furniture sooner than walls for other walls.
+const HALF_COUNT: f64 = 40.0;
+
+/// Pairs of windows more than so many numbers apart tell whether loops are closed …
+const FAR_APART: usize = 5;
+/// … where they are not farther apart than about this, metres.
+const FITTING: f64 = 0.06;
 
 /// How one iteration went.
 #[derive(Clone, Copy, Debug)]
@@ -23,17 +33,18 @@ pub(crate) struct CoarseStep {
     pub shift: f64,
 }
 
-/// One Gauss–Newton step: pairs are searched anew, weighted (Geman–McClure with the given scale), and all
-/// knots are solved for at once.
+/// One Gauss–Newton step: pairs up to `gate` metres apart are searched anew (of windows at most `horizon` numbers apart),
+/// weighted (Geman–McClure with half of that), and all knots are solved for at once.
 pub(crate) fn coarse_step(
     map: &SurfelMap,
+    corrections: &Corrections,
     trajectory: &mut DenseTrajectory,
     knots: &Knots,
-    noise: OdometryNoise,
-    gate: f64,
+    motion: &[MotionTerm],
+    (gate, horizon): (f64, Option<usize>),
 ) -> Result<CoarseStep, RefineError> {
-    let placed = place(map, trajectory);
-    let pairs = find_pairs(map, &placed, gate);
+    let placed = place(map, corrections, trajectory);
+    let pairs = find_pairs(map, &placed, gate, horizon);
     let mut equations = NormalBlocks::new(knots.count());
     let scale = 0.5 * gate;
     let (mut sum, mut weights) = (0.0, 0.0);
@@ -41,10 +52,11 @@ pub(crate) fn coarse_step(
         let robust = (scale * scale / (scale * scale + pair.distance * pair.distance)).powi(2);
         sum += robust * pair.distance * pair.distance;
         weights += robust;
-        let row = pair_row(map, &placed, knots, pair);
-        add(&mut equations, &row, pair.distance, robust / PAIR_DEVIATION.powi(2))?;
+        let row = pair_row(&placed, knots, pair);
+        add(&mut equations, &row, pair.distance, robust * reliability(map, pair))?;
     }
-    for (i, term) in odometry_terms(trajectory, knots, noise).iter().enumerate() {
+    for term in motion {
+        let i = term.knot();
         for (jacobian, residual, weight) in term.rows() {
             let part = |first: usize| std::array::from_fn(|k| jacobian[first + k]);
             add(&mut equations, &[(i, part(0)), (i + 1, part(6))], residual, weight)?;
@@ -61,6 +73,37 @@ pub(crate) fn coarse_step(
     Ok(CoarseStep { pairs: pairs.len(), rms: (sum / f64::max(weights, 1e-12)).sqrt(), shift })
 }
 
+/// Inverse variance of the distance of a pair.
+fn reliability(map: &SurfelMap, pair: &Pair) -> f64 {
+    let count = map.surfels[pair.a as usize].count.min(map.surfels[pair.b as usize].count);
+    count / (count + HALF_COUNT) / (PAIR_DEVIATION.powi(2) + (TILT * pair.aside).powi(2))
+}
+
+/// Share of the pairs up to `gate` metres apart, of windows that are not neighbours, that fit together, 0 to 1, and how
+/// much they weigh together.
+pub(crate) fn agreement(
+    map: &SurfelMap,
+    corrections: &Corrections,
+    trajectory: &DenseTrajectory,
+    gate: f64,
+) -> (f64, f64) {
+    let placed = place(map, corrections, trajectory);
+    let window = |surfel: u32| {
+        let index = map.windows.partition_point(|w| w.surfels.end <= surfel as usize);
+        map.windows[index].number
+    };
+    let (mut fitting, mut all) = (0.0, 0.0);
+    for pair in find_pairs(map, &placed, gate, None) {
+        if window(pair.a).abs_diff(window(pair.b)) > FAR_APART {
+            let robust = (FITTING * FITTING / (FITTING * FITTING + pair.distance.powi(2))).powi(2);
+            let weight = reliability(map, &pair) * PAIR_DEVIATION.powi(2);
+            fitting += robust * weight;
+            all += weight;
+        }
+    }
+    (if all > 0.0 { fitting / all } else { 1.0 }, fitting)
+}
+
 fn add(
     equations: &mut NormalBlocks,
     row: &[(usize, [f64; 6])],
@@ -71,11 +114,11 @@ fn add(
 }
 
 /// The row of a pair: each end moves with the two knots around its time.
-fn pair_row(map: &SurfelMap, placed: &[PlacedSurfel], knots: &Knots, pair: &Pair) -> [(usize, [f64; 6]); 4] {
+fn pair_row(placed: &[PlacedSurfel], knots: &Knots, pair: &Pair) -> [(usize, [f64; 6]); 4] {
     let mut row = [(0, [0.0; 6]); 4];
     for (end, (surfel, sign)) in [(pair.a, 1.0), (pair.b, -1.0)].into_iter().enumerate() {
         let at = &placed[surfel as usize];
-        let (knot, f) = knots.place(map.surfels[surfel as usize].seconds);
+        let (knot, f) = knots.place(at.seconds);
         let n = pair.normal * sign;
         let lever = (at.mean - at.seen_from).cross(&n);
         let jacobian = [n.x, n.y, n.z, lever.x, lever.y, lever.z];

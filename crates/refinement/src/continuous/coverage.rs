@@ -2,6 +2,7 @@
 
 use portolan_geometry::{Rigid3, Time};
 
+use super::correction::Corrections;
 use crate::point_store::StoredPoint;
 
 /// Interpolation over more than this many usual intervals between poses is not trusted …
@@ -10,17 +11,28 @@ const INTERVALS: f64 = 5.0;
 const SECONDS: f64 = 0.5;
 
 /// Points of a recording in the time of a trajectory.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub(crate) struct TimedPoints<'a> {
     /// In order of time.
     pub points: &'a [StoredPoint],
     /// Added to a point's seconds to get those of the trajectory.
     pub offset: f64,
+    /// How many sensors they are of.
+    pub sensors: usize,
+    /// What was found about these sensors.
+    pub corrections: Corrections,
 }
 
 impl<'a> TimedPoints<'a> {
+    /// By the clock of the recording.
     pub fn seconds(&self, point: &StoredPoint) -> f64 {
         point.seconds() + self.offset
+    }
+
+    /// As corrected so far: when, and where in the tracking frame.
+    #[inline]
+    pub fn place(&self, point: &StoredPoint) -> (f64, [f32; 3]) {
+        self.corrections.place(point.sensor(), self.seconds(point), point.in_tracking)
     }
 
     /// Points from a time up to (not at) another.
@@ -77,7 +89,7 @@ impl Coverage {
     }
 
     /// How many points lie within.
-    pub fn count(&self, points: TimedPoints) -> usize {
+    pub fn count(&self, points: &TimedPoints) -> usize {
         self.intervals.iter().map(|interval| points.between(*interval).len()).sum()
     }
 }
@@ -95,8 +107,8 @@ mod tests {
         let windows = coverage.windows(0.25);
         assert_eq!(windows.len(), 4);
         assert!(windows.iter().all(|w| w[1] <= 0.31 || w[0] >= 4.99));
-        let point = |ticks| StoredPoint { in_tracking: [0.0; 3], ticks };
-        let points = [point(10_000), point(100_000), point(520_000), point(900_000)];
-        assert_eq!(coverage.count(TimedPoints { points: &points, offset: 0.0 }), 2);
+        let points = [0.1, 1.0, 5.2, 9.0].map(|s| StoredPoint::new([0.0; 3], s, 0).unwrap());
+        let corrections = Corrections::default();
+        assert_eq!(coverage.count(&TimedPoints { points: &points, offset: 0.0, sensors: 1, corrections }), 2);
     }
 }

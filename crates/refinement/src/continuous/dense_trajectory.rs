@@ -10,10 +10,13 @@ use portolan_geometry::{
 };
 
 use super::Knots;
+use super::jumps::{Joints, Jump};
 use crate::RefineError;
 
 /// Seconds between samples of recordings of up to forty minutes.
 const STEP: f64 = 0.005;
+/// Velocities are taken over twice this, seconds.
+const VELOCITY_STEP: f64 = 0.02;
 /// Most samples.
 const MAX_SAMPLES: f64 = 500_000.0;
 
@@ -31,8 +34,10 @@ pub struct Correction {
 pub struct DenseTrajectory {
     start: Time,
     step: f64,
+    /// The input, its jumps taken out.
     input: Vec<Rigid3>,
     current: Vec<Rigid3>,
+    joints: Joints,
 }
 
 impl DenseTrajectory {
@@ -50,6 +55,7 @@ impl DenseTrajectory {
         }
         let step = STEP.max(duration / MAX_SAMPLES);
         let count = (duration / step).ceil() as usize + 1;
+        let joints = Joints::of(poses);
         let mut input = Vec::with_capacity(count);
         let mut next = 1;
         for i in 0..count {
@@ -57,11 +63,11 @@ impl DenseTrajectory {
             while next + 1 < poses.len() && poses[next].0 <= time {
                 next += 1;
             }
-            let (a, b) = (&poses[next - 1], &poses[next]);
+            let [a, b] = [poses[next - 1], poses[next]].map(|(time, pose)| (time, joints.at(time) * pose));
             // The last sample may lie up to a step after the last pose; the motion must not go on there.
             input.push(interpolate(a.0, &a.1, b.0, &b.1, time.min(last.0)));
         }
-        Ok(Self { start: first.0, step, current: input.clone(), input })
+        Ok(Self { start: first.0, step, current: input.clone(), input, joints })
     }
 
     /// Time of the first sample.
@@ -85,12 +91,34 @@ impl DenseTrajectory {
         between(&self.current, self.place(seconds))
     }
 
+    /// Velocity (m/s) and angular velocity (rad/s) of the current trajectory, in world axes.
+    pub fn velocity(&self, seconds: f64) -> (Vector3, Vector3) {
+        let (from, to) = (self.pose(seconds - VELOCITY_STEP), self.pose(seconds + VELOCITY_STEP));
+        let turn = angle_axis_from_quaternion(&(to.rotation * from.rotation.inverse()));
+        let shift = to.translation.vector - from.translation.vector;
+        (shift / (2.0 * VELOCITY_STEP), turn / (2.0 * VELOCITY_STEP))
+    }
+
     /// The pose of the input; clamped to the span.
     pub fn input_pose(&self, seconds: f64) -> Rigid3 {
+        self.joints.at(self.time(seconds)).inverse() * self.joined_pose(seconds)
+    }
+
+    /// The pose of the input with its jumps taken out.
+    pub(crate) fn joined_pose(&self, seconds: f64) -> Rigid3 {
         between(&self.input, self.place(seconds))
     }
 
-    /// How the input is corrected at a time.
+    /// Jumps of the input that were taken out.
+    pub fn jumps(&self) -> &[Jump] {
+        &self.joints.jumps
+    }
+
+    fn time(&self, seconds: f64) -> Time {
+        self.start + portolan_geometry::Duration::from_seconds(seconds)
+    }
+
+    /// How the input (its jumps taken out) is corrected at a time.
     pub fn correction(&self, seconds: f64) -> Correction {
         let (i, f) = self.place(seconds);
         let turn = |i: usize| self.current[i].rotation * self.input[i].rotation.inverse();
@@ -104,9 +132,10 @@ impl DenseTrajectory {
     /// A pose of the input, of which nothing is lost, as corrected.
     pub fn corrected(&self, time: Time, pose: &Rigid3) -> Rigid3 {
         let correction = self.correction(time.seconds_since(self.start));
-        let mut rotation = correction.turn * pose.rotation;
+        let joined = self.joints.at(time) * pose;
+        let mut rotation = correction.turn * joined.rotation;
         rotation.renormalize();
-        Rigid3::from_parts(na::Translation3::from(pose.translation.vector + correction.shift), rotation)
+        Rigid3::from_parts(na::Translation3::from(joined.translation.vector + correction.shift), rotation)
     }
 
     /// Applies an increment: for each knot a shift (metres) and a turn (rotation vector).
@@ -125,9 +154,15 @@ impl DenseTrajectory {
     }
 
     /// Moves and turns the whole current trajectory as one body so that its first pose is again that of
-    /// the input: the gauge.
-    pub fn anchor_first_pose(&mut self) {
+    /// the input: the gauge. Returns what was moved by.
+    pub fn anchor_first_pose(&mut self) -> Rigid3 {
         let change = self.input[0] * self.current[0].inverse();
+        self.move_whole(&change);
+        change
+    }
+
+    /// Moves and turns the whole current trajectory as one body.
+    pub fn move_whole(&mut self, change: &Rigid3) {
         for pose in &mut self.current {
             *pose = change * *pose;
         }
@@ -140,7 +175,9 @@ impl DenseTrajectory {
 
     /// Largest shift (metres) and turn (radians) of the current against the input trajectory.
     pub fn largest_correction(&self) -> (f64, f64) {
-        self.input.iter().zip(&self.current).fold((0.0, 0.0), |(shift, turn), (a, b)| {
+        let samples = self.input.iter().zip(&self.current).enumerate();
+        samples.fold((0.0, 0.0), |(shift, turn), (i, (joined, b))| {
+            let a = self.joints.at(self.time(i as f64 * self.step)).inverse() * joined;
             let s = (b.translation.vector - a.translation.vector).norm();
             let t = angle_axis_from_quaternion(&(b.rotation * a.rotation.inverse())).norm();
             (f64::max(shift, s), f64::max(turn, t))
@@ -149,25 +186,23 @@ impl DenseTrajectory {
 
     /// The current poses as matrices, for many points.
     pub fn matrices(&self) -> PoseMatrices {
-        self.matrices_of(0, self.current.len())
+        self.matrices_of(&self.current, 0)
+    }
+
+    /// The poses of the input as matrices.
+    pub fn input_matrices(&self) -> PoseMatrices {
+        let given: Vec<Rigid3> =
+            (0..self.input.len()).map(|i| self.input_pose(i as f64 * self.step)).collect();
+        self.matrices_of(&given, 0)
     }
 
     /// The current poses between two times as matrices.
     pub fn matrices_between(&self, from: f64, to: f64) -> PoseMatrices {
         let (first, last) = (self.place(from).0, self.place(to).0 + 2);
-        self.matrices_of(first, last)
+        self.matrices_of(&self.current[first..last], first)
     }
 
-    /// The poses of the input as matrices.
-    pub fn input_matrices(&self) -> PoseMatrices {
-        self.rows_of(0, &self.input)
-    }
-
-    fn matrices_of(&self, first: usize, end: usize) -> PoseMatrices {
-        self.rows_of(first, &self.current[first..end])
-    }
-
-    fn rows_of(&self, first: usize, poses: &[Rigid3]) -> PoseMatrices {
+    fn matrices_of(&self, poses: &[Rigid3], first: usize) -> PoseMatrices {
         let rows = |pose: &Rigid3| {
             let r = pose.rotation.to_rotation_matrix();
             let t = pose.translation.vector;

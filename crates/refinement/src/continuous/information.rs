@@ -9,7 +9,7 @@ use super::report::Undetermined;
 pub(crate) const SECONDS: f64 = 1.0;
 /// A direction with less than this share of the information of the best one is not determined: normals that
 /// are off by two degrees would feign as much.
-const LEAST_SHARE: f64 = 2e-3;
+pub(crate) const LEAST_SHARE: f64 = 2e-3;
 /// Directions this near (cosine) in consecutive seconds are one.
 const SAME: f64 = 0.94;
 

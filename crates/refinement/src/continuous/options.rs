@@ -1,7 +1,9 @@
 //! How to refine.
 
-use super::OdometryNoise;
-use crate::RefineError;
+use portolan_geometry::{Rigid3, Vector3, rotation_between};
+
+use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound};
+use crate::{MotionSensors, RefineError};
 
 /// How to refine. The defaults are meant for every recording; nothing needs to be tuned.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -17,6 +19,58 @@ pub struct ContinuousOptions {
     pub odometry: OdometryNoise,
     /// At most so many rounds of fine stages.
     pub max_rounds: usize,
+    /// Whether places and clocks of all lidars but the first are solved for.
+    pub calibrate_lidars: bool,
+    /// Where the result lies.
+    pub gauge: Gauge,
+}
+
+/// Where the result lies as a whole, which points cannot tell.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Gauge {
+    /// The first pose is that of the input.
+    #[default]
+    FirstPose,
+    /// Place and heading of the first pose are those of the input, and z points up by the accelerometer.
+    Gravity,
+    /// In the frame of the fixes: z up, the first fix at the origin.
+    Fixes,
+}
+
+impl Gauge {
+    /// # Errors
+    /// Fails if the sensors do not give it.
+    pub(crate) fn check(self, sensors: &MotionSensors) -> Result<(), RefineError> {
+        let missing = match self {
+            Self::Gravity if sensors.imu().is_empty() => "z can only point up if there is an IMU",
+            Self::Fixes if sensors.fixes().is_empty() => "there are no fixes to lay the result on",
+            _ => return Ok(()),
+        };
+        Err(RefineError::Option(missing.to_owned()))
+    }
+
+    /// Moves the whole trajectory to where it belongs. It begins at the first pose of the input; before it was moved
+    /// there by `anchor`, gravity and fixes were found.
+    pub(crate) fn settle(
+        self,
+        trajectory: &mut DenseTrajectory,
+        anchor: &Rigid3,
+        found: &OtherSensorsFound,
+        world_from_fixed: Option<&Rigid3>,
+    ) {
+        match (self, found.gravity_in_world, world_from_fixed) {
+            (Self::Gravity, Some(up), _) => {
+                let first = trajectory.pose(0.0).translation;
+                let level = rotation_between(&(anchor.rotation * Vector3::from(up)), &Vector3::z());
+                trajectory.move_whole(&(first * level * first.inverse()));
+            }
+            (Self::Fixes, _, Some(world_from_fixed)) => {
+                trajectory.move_whole(&(anchor * world_from_fixed).inverse());
+            }
+            _ => {}
+        }
+    }
 }
 
 impl Default for ContinuousOptions {
@@ -27,6 +81,8 @@ impl Default for ContinuousOptions {
             reach: 2.0,
             odometry: OdometryNoise { translation: 0.05, rotation: 0.5_f64.to_radians() },
             max_rounds: 8,
+            calibrate_lidars: false,
+            gauge: Gauge::FirstPose,
         }
     }
 }

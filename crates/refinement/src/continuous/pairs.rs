@@ -1,24 +1,29 @@
 //! Pairs of surfels of different windows that are probably the same surface.
 
-use portolan_geometry::Vector3;
+use portolan_geometry::{Vector3, nalgebra as na};
 use rayon::prelude::*;
 
+use super::correction::Corrections;
 use super::dense_trajectory::DenseTrajectory;
 use super::surfels::SurfelMap;
 use crate::neighbours::KdTree;
 
 /// Windows that each window is compared with at most, besides its neighbours in time.
 const MAX_PARTNERS: usize = 20;
+/// How many windows before and after count as neighbours in time.
+const NEIGHBOURS: usize = 2;
 /// Surfels of a window that look for a partner in each other window.
 const MAX_QUERIES: usize = 500;
-/// Farther along the surface a partner is not looked for, metres.
-const REACH: f32 = 1.5;
+/// Farther along the surface a partner is not looked for (unless drift may be larger), metres.
+const REACH: f32 = 1.0;
 /// Least cosine between the normals of a pair.
-const LEAST_COSINE: f64 = 0.85;
+const LEAST_COSINE: f64 = 0.94;
 
 /// A surfel in the world.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlacedSurfel {
+    /// When it was seen.
+    pub seconds: f64,
     pub mean: Vector3,
     pub normal: Vector3,
     /// Position of the tracking frame when it was seen.
@@ -34,17 +39,28 @@ pub(crate) struct Pair {
     pub normal: Vector3,
     /// `normal · (a − b)`, metres.
     pub distance: f64,
+    /// How far apart both are along the surface, metres.
+    pub aside: f64,
 }
 
 /// All surfels with the current trajectory.
-pub(crate) fn place(map: &SurfelMap, trajectory: &DenseTrajectory) -> Vec<PlacedSurfel> {
+pub(crate) fn place(
+    map: &SurfelMap,
+    corrections: &Corrections,
+    trajectory: &DenseTrajectory,
+) -> Vec<PlacedSurfel> {
     map.surfels
         .par_iter()
         .map(|surfel| {
-            let pose = trajectory.pose(surfel.seconds);
+            let sensor = usize::from(surfel.sensor);
+            let correction = corrections.of(sensor);
+            let seconds = surfel.seconds + correction.delay;
+            let pose = trajectory.pose(seconds);
+            let mean = correction.tracking_from_assumed * na::Point3::from(surfel.mean_in_tracking);
             PlacedSurfel {
-                mean: pose.rotation * surfel.mean_in_tracking + pose.translation.vector,
-                normal: pose.rotation * surfel.normal_in_tracking,
+                seconds,
+                mean: (pose * mean).coords,
+                normal: pose.rotation * corrections.turn(sensor, &surfel.normal_in_tracking),
                 seen_from: pose.translation.vector,
             }
         })
@@ -52,26 +68,32 @@ pub(crate) fn place(map: &SurfelMap, trajectory: &DenseTrajectory) -> Vec<Placed
 }
 
 /// For each surfel (of a spread choice) its nearest partner in each of the windows that may have seen the same
-/// surfaces: of like normal, and at most `gate` metres away across the surface.
-pub(crate) fn find_pairs(map: &SurfelMap, placed: &[PlacedSurfel], gate: f64) -> Vec<Pair> {
+/// surfaces (those at most `horizon` numbers away, if that is given): of like normal, and at most `gate` metres away across
+/// the surface.
+pub(crate) fn find_pairs(
+    map: &SurfelMap,
+    placed: &[PlacedSurfel],
+    gate: f64,
+    horizon: Option<usize>,
+) -> Vec<Pair> {
     let origin = placed.first().map_or_else(Vector3::zeros, |s| s.mean);
     let near = |p: &Vector3| -> [f32; 3] { std::array::from_fn(|k| (p[k] - origin[k]) as f32) };
     let trees: Vec<KdTree> = map
         .windows
         .par_iter()
-        .map(|range| KdTree::new(&placed[range.clone()].iter().map(|s| near(&s.mean)).collect::<Vec<_>>()))
+        .map(|w| KdTree::new(&placed[w.surfels.clone()].iter().map(|s| near(&s.mean)).collect::<Vec<_>>()))
         .collect();
     let spheres: Vec<Option<Sphere>> =
-        map.windows.iter().map(|range| Sphere::around(&placed[range.clone()])).collect();
+        map.windows.iter().map(|w| Sphere::around(&placed[w.surfels.clone()])).collect();
     let reach = REACH.max(gate as f32);
     let found: Vec<Vec<Pair>> = (0..map.windows.len())
         .into_par_iter()
         .map(|window| {
-            let range = map.windows[window].clone();
+            let range = map.windows[window].surfels.clone();
             let stride = range.len().div_ceil(MAX_QUERIES).max(1);
             let mut pairs = Vec::new();
-            for partner in partners(&spheres, window, gate) {
-                let others = map.windows[partner].clone();
+            for partner in partners(map, &spheres, window, gate, horizon) {
+                let others = map.windows[partner].surfels.clone();
                 for a in range.clone().step_by(stride) {
                     let query = &placed[a];
                     let is_alike = |b: u32| {
@@ -85,8 +107,10 @@ pub(crate) fn find_pairs(map: &SurfelMap, placed: &[PlacedSurfel], gate: f64) ->
                     };
                     let b = others.start + hit.index as usize;
                     let normal = (placed[b].normal + query.normal).normalize();
-                    let distance = normal.dot(&(query.mean - placed[b].mean));
-                    pairs.push(Pair { a: a as u32, b: b as u32, normal, distance });
+                    let apart = query.mean - placed[b].mean;
+                    let distance = normal.dot(&apart);
+                    let aside = (apart - normal * distance).norm();
+                    pairs.push(Pair { a: a as u32, b: b as u32, normal, distance, aside });
                 }
             }
             pairs
@@ -116,15 +140,24 @@ impl Sphere {
 }
 
 /// Windows to compare with: the neighbours in time, and those seen from near places, spread over time.
-fn partners(spheres: &[Option<Sphere>], window: usize, gate: f64) -> Vec<usize> {
+fn partners(
+    map: &SurfelMap,
+    spheres: &[Option<Sphere>],
+    window: usize,
+    gate: f64,
+    horizon: Option<usize>,
+) -> Vec<usize> {
     let Some(own) = spheres[window] else { return Vec::new() };
     let mut near: Vec<(f64, usize)> = Vec::new();
     let mut partners: Vec<usize> = Vec::new();
-    for (other, sphere) in spheres.iter().enumerate().filter(|(other, _)| *other != window) {
+    let number = |window: usize| map.windows[window].number;
+    let is_other = |other: &usize| number(*other) != number(window);
+    for (other, sphere) in spheres.iter().enumerate().filter(|(other, _)| is_other(other)) {
         let Some(sphere) = sphere else { continue };
-        if other.abs_diff(window) <= 2 {
+        if number(other).abs_diff(number(window)) <= horizon.unwrap_or(NEIGHBOURS) {
             partners.push(other);
-        } else if (sphere.centre - own.centre).norm() < sphere.radius + own.radius + gate {
+        } else if horizon.is_none() && (sphere.centre - own.centre).norm() < sphere.radius + own.radius + gate
+        {
             near.push(((sphere.place - own.place).norm(), other));
         }
     }

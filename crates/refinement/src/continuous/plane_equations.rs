@@ -4,16 +4,21 @@
 //! from the plane, c the position of the tracking frame, a and b its place along the plane, and π the
 //! change of the plane's offset and two tilts. The planes are eliminated: what is left is
 //! `S = Σ w JJᵀ − Σ_p (Σ w J q ᵀ)(Σ w q qᵀ)⁻¹(Σ w q Jᵀ)`, q = (1, a, b), whose products with vectors cost one pass
-//! over the clusters and which is never formed.
+//! over the clusters and which is never formed. Where sensors are calibrated, J has seven more columns for each:
+//! `n·R ρ + ((x−o)×n)·R θ + n·(v + ω×(x−c)) δ` for a shift ρ and a turn θ of the sensor about its place o, and a
+//! delay δ of its clock.
 
 use nalgebra::{Matrix3, Matrix6, Vector6};
 use portolan_geometry::Vector3;
 use rayon::prelude::*;
 
+use super::correction::Corrections;
 use super::pairs::PlacedSurfel;
 use super::planes::PlaneGroups;
 use super::surfels::SurfelMap;
+use super::unknowns::{PER_SENSOR, SensorUnknowns};
 use super::{DenseTrajectory, Knots};
+use crate::MAX_SENSORS;
 
 /// Residuals beyond this many standard deviations lose weight (Cauchy).
 const ROBUST: f64 = 2.0;
@@ -35,6 +40,14 @@ struct Row {
     knot: u32,
 }
 
+/// How the residual of a row changes with the sensor that saw it.
+#[derive(Clone, Copy, Debug)]
+struct SensorRow {
+    jacobian: [f32; PER_SENSOR],
+    /// Which of the sensors that are calibrated; none for the others.
+    column: Option<u8>,
+}
+
 #[derive(Clone, Debug)]
 struct Plane {
     normal: Vector3,
@@ -46,32 +59,47 @@ struct Plane {
 /// The linearised plane terms at the current trajectory.
 pub(crate) struct PlaneEquations {
     rows: Vec<Row>,
+    /// As many as rows, or none if no sensor is calibrated.
+    sensor_rows: Vec<SensorRow>,
     planes: Vec<Plane>,
     parts: Vec<std::ops::Range<usize>>,
+    /// Those of the knots, before those of the sensors.
+    knot_unknowns: usize,
     unknowns: usize,
     /// Root of the weighted mean square distance of points from their planes, metres.
     pub rms: f64,
+    /// What variances that follow from the weights have to be multiplied with: the clusters of one patch share its errors.
+    pub variance_factor: f64,
+}
+
+/// Everything at which the equations are linearised.
+pub(crate) struct State<'a> {
+    pub map: &'a SurfelMap,
+    pub placed: &'a [PlacedSurfel],
+    pub corrections: &'a Corrections,
+    pub trajectory: &'a DenseTrajectory,
+    pub knots: &'a Knots,
+    pub sensors: &'a SensorUnknowns,
 }
 
 impl PlaneEquations {
-    pub fn new(
-        map: &SurfelMap,
-        groups: &PlaneGroups,
-        placed: &[PlacedSurfel],
-        trajectory: &DenseTrajectory,
-        knots: &Knots,
-    ) -> Self {
+    pub fn new(state: &State, groups: &PlaneGroups) -> Self {
+        let columns = state.sensors.columns();
         let parts: Vec<PlaneRows> = groups
             .planes
             .par_iter()
-            .map(|range| plane_rows(map, &groups.surfels[range.clone()], placed, trajectory, knots))
+            .map(|range| plane_rows(state, &groups.surfels[range.clone()], &columns))
             .collect();
+        let knot_unknowns = 6 * state.knots.count();
         let mut equations = Self {
             rows: Vec::new(),
+            sensor_rows: Vec::new(),
             planes: Vec::new(),
             parts: Vec::new(),
-            unknowns: 6 * knots.count(),
+            knot_unknowns,
+            unknowns: knot_unknowns + state.sensors.size(),
             rms: 0.0,
+            variance_factor: 1.0,
         };
         let (mut squares, mut weights) = (0.0, 0.0);
         for part in parts.into_iter().filter(|p| p.rows.len() > 1) {
@@ -79,10 +107,14 @@ impl PlaneEquations {
             weights += part.weights;
             let start = equations.rows.len();
             equations.rows.extend(part.rows);
+            equations.sensor_rows.extend(part.sensor_rows);
             let rows = start..equations.rows.len();
             equations.planes.push(Plane { normal: part.normal, rows, inverse: part.inverse });
         }
         equations.rms = (squares / f64::max(weights, 1e-12)).sqrt();
+        let redundancy = equations.rows.len() as f64 - 3.0 * equations.planes.len() as f64;
+        let clusters_of_a_patch = equations.rows.len() as f64 / groups.surfels.len().max(1) as f64;
+        equations.variance_factor = (squares / redundancy.max(1.0)).max(1.0) * clusters_of_a_patch.max(1.0);
         equations.split();
         equations
     }
@@ -107,37 +139,22 @@ impl PlaneEquations {
 
     /// `y += S x`.
     pub fn multiply(&self, x: &[f64], y: &mut [f64]) {
-        self.accumulate(y, |plane, row| along(plane, row, x));
+        self.accumulate(y, |plane, i| self.along(plane, i, x));
     }
 
     /// `y += Σ w J (e − q π)`: the gradient, with the planes at their best.
     pub fn gradient(&self, y: &mut [f64]) {
-        self.accumulate(y, |_, row| f64::from(row.residual));
+        self.accumulate(y, |_, i| f64::from(self.rows[i].residual));
     }
 
-    fn accumulate(&self, y: &mut [f64], value: impl Fn(&Plane, &Row) -> f64 + Sync) {
+    fn accumulate(&self, y: &mut [f64], value: impl Fn(&Plane, usize) -> f64 + Sync) {
         let parts: Vec<Vec<f64>> = self
             .parts
             .par_iter()
             .map(|part| {
                 let mut sum = vec![0.0; self.unknowns];
                 for plane in &self.planes[part.clone()] {
-                    let rows = &self.rows[plane.rows.clone()];
-                    let mut u = Vector3::zeros();
-                    for row in rows {
-                        u += q(row) * (f64::from(row.weight) * value(plane, row));
-                    }
-                    let change = plane.inverse * u;
-                    for row in rows {
-                        let scaled = f64::from(row.weight) * (value(plane, row) - q(row).dot(&change));
-                        let f = f64::from(row.fraction);
-                        let at = 6 * row.knot as usize;
-                        let jacobian = jacobian(plane, row);
-                        for k in 0..6 {
-                            sum[at + k] += scaled * (1.0 - f) * jacobian[k];
-                            sum[at + 6 + k] += scaled * f * jacobian[k];
-                        }
-                    }
+                    self.accumulate_plane(plane, &value, &mut sum);
                 }
                 sum
             })
@@ -147,6 +164,54 @@ impl PlaneEquations {
                 *y += v;
             }
         }
+    }
+
+    fn accumulate_plane(&self, plane: &Plane, value: impl Fn(&Plane, usize) -> f64, sum: &mut [f64]) {
+        let mut u = Vector3::zeros();
+        for i in plane.rows.clone() {
+            let row = &self.rows[i];
+            u += q(row) * (f64::from(row.weight) * value(plane, i));
+        }
+        let change = plane.inverse * u;
+        for i in plane.rows.clone() {
+            let row = &self.rows[i];
+            let scaled = f64::from(row.weight) * (value(plane, i) - q(row).dot(&change));
+            let f = f64::from(row.fraction);
+            let at = 6 * row.knot as usize;
+            let jacobian = jacobian(plane, row);
+            for k in 0..6 {
+                sum[at + k] += scaled * (1.0 - f) * jacobian[k];
+                sum[at + 6 + k] += scaled * f * jacobian[k];
+            }
+            if let Some((at, jacobian)) = self.sensor_part(i) {
+                for k in 0..PER_SENSOR {
+                    sum[at + k] += scaled * f64::from(jacobian[k]);
+                }
+            }
+        }
+    }
+
+    /// Where the unknowns of a row's sensor begin, and the Jacobian with respect to them.
+    #[inline]
+    fn sensor_part(&self, row: usize) -> Option<(usize, &[f32; PER_SENSOR])> {
+        let sensor = self.sensor_rows.get(row)?;
+        let column = usize::from(sensor.column?);
+        Some((self.knot_unknowns + PER_SENSOR * column, &sensor.jacobian))
+    }
+
+    /// How the residual of a row changes along x.
+    #[inline]
+    fn along(&self, plane: &Plane, index: usize, x: &[f64]) -> f64 {
+        let row = &self.rows[index];
+        let at = 6 * row.knot as usize;
+        let (from, to) = (&x[at..at + 6], &x[at + 6..at + 12]);
+        let f = f64::from(row.fraction);
+        let jacobian = jacobian(plane, row);
+        let moved: f64 = (0..6).map(|k| jacobian[k] * (from[k] + (to[k] - from[k]) * f)).sum();
+        let calibrated = self
+            .sensor_part(index)
+            .map_or(0.0, |(at, jacobian)| (0..PER_SENSOR).map(|k| f64::from(jacobian[k]) * x[at + k]).sum());
+        moved + calibrated
     }
 
     /// Σ w JJᵀ of the rows within each stretch of `seconds` seconds: what the surfaces seen then determine.
@@ -194,17 +259,9 @@ fn jacobian(plane: &Plane, row: &Row) -> [f64; 6] {
     [plane.normal.x, plane.normal.y, plane.normal.z, x, y, z]
 }
 
-#[inline]
-fn along(plane: &Plane, row: &Row, x: &[f64]) -> f64 {
-    let at = 6 * row.knot as usize;
-    let (from, to) = (&x[at..at + 6], &x[at + 6..at + 12]);
-    let f = f64::from(row.fraction);
-    let jacobian = jacobian(plane, row);
-    (0..6).map(|k| jacobian[k] * (from[k] + (to[k] - from[k]) * f)).sum()
-}
-
 struct PlaneRows {
     rows: Vec<Row>,
+    sensor_rows: Vec<SensorRow>,
     normal: Vector3,
     inverse: Matrix3<f64>,
     squares: f64,
@@ -212,13 +269,8 @@ struct PlaneRows {
 }
 
 /// Fits the plane to its clusters with robust weights, and linearises.
-fn plane_rows(
-    map: &SurfelMap,
-    surfels: &[u32],
-    placed: &[PlacedSurfel],
-    trajectory: &DenseTrajectory,
-    knots: &Knots,
-) -> PlaneRows {
+fn plane_rows(state: &State, surfels: &[u32], columns: &[Option<usize>; MAX_SENSORS]) -> PlaneRows {
+    let State { map, placed, .. } = state;
     let (mut normal, mut centre, mut variance, mut points) = (Vector3::zeros(), Vector3::zeros(), 0.0, 0.0);
     for surfel in surfels.iter().map(|s| *s as usize) {
         let count = map.surfels[surfel].count;
@@ -233,17 +285,20 @@ fn plane_rows(
     let u = if normal.x.abs() < 0.7 { normal.cross(&Vector3::x()) } else { normal.cross(&Vector3::y()) };
     let u = u.normalize();
     let v = normal.cross(&u);
-    let mut rows = Vec::new();
+    let (mut rows, mut sensor_rows) = (Vec::new(), Vec::new());
     // The variance of a row, kept where its weight will be.
     for surfel in surfels {
         let surfel = &map.surfels[*surfel as usize];
+        let sensor = usize::from(surfel.sensor);
         let first = surfel.first_cluster as usize;
         for cluster in &map.clusters[first..first + surfel.cluster_count as usize] {
-            let pose = trajectory.pose(cluster.seconds);
-            let from_sensor = pose.rotation * Vector3::from(cluster.in_tracking.map(f64::from));
+            let (seconds, in_tracking) =
+                state.corrections.place(sensor, cluster.seconds, cluster.in_tracking);
+            let pose = state.trajectory.pose(seconds);
+            let from_sensor = pose.rotation * Vector3::from(in_tracking.map(f64::from));
             let from_centre = from_sensor + (pose.translation.vector - centre);
             let lever = from_sensor.cross(&normal);
-            let (knot, fraction) = knots.place(cluster.seconds);
+            let (knot, fraction) = state.knots.place(seconds);
             rows.push(Row {
                 lever: [lever.x as f32, lever.y as f32, lever.z as f32],
                 a: from_centre.dot(&u) as f32,
@@ -253,6 +308,9 @@ fn plane_rows(
                 fraction: fraction as f32,
                 knot: knot as u32,
             });
+            if !state.sensors.is_empty() {
+                sensor_rows.push(sensor_row(state, columns[sensor], seconds, in_tracking, &normal));
+            }
         }
     }
     let variances: Vec<f64> = rows.iter().map(|r| f64::from(r.weight)).collect();
@@ -281,5 +339,24 @@ fn plane_rows(
         weights += f64::from(row.weight);
         row.residual = e as f32;
     }
-    PlaneRows { rows, normal, inverse, squares, weights }
+    PlaneRows { rows, sensor_rows, normal, inverse, squares, weights }
+}
+
+/// The part of a row that belongs to its sensor.
+fn sensor_row(
+    state: &State,
+    column: Option<usize>,
+    seconds: f64,
+    in_tracking: [f32; 3],
+    normal: &Vector3,
+) -> SensorRow {
+    let Some(column) = column else { return SensorRow { jacobian: [0.0; PER_SENSOR], column: None } };
+    let pose = state.trajectory.pose(seconds);
+    let p = Vector3::from(in_tracking.map(f64::from));
+    let n = pose.rotation.inverse() * normal;
+    let turn = (p - state.sensors.origins[column]).cross(&n);
+    let (velocity, turning) = state.trajectory.velocity(seconds);
+    let along = normal.dot(&(velocity + turning.cross(&(pose.rotation * p))));
+    let jacobian = [n.x, n.y, n.z, turn.x, turn.y, turn.z, along].map(|v| v as f32);
+    SensorRow { jacobian, column: Some(column as u8) }
 }

@@ -2,9 +2,13 @@
 
 use serde::Serialize;
 
-use super::{ContinuousOptions, DenseTrajectory, OdometryNoise};
+use super::correction::Corrections;
+use super::{
+    ContinuousOptions, DenseTrajectory, Jump, Mounting, OdometryNoise, OtherSensorsFound, PoseMatrices,
+    SensorCorrection,
+};
 use crate::semi_rigid::SemiRigidOptions;
-use crate::{LeftOutPoints, Sharpness};
+use crate::{LeftOutPoints, PointStore, Sharpness, StoredPoint, StoredSensor};
 
 /// How far a refinement is.
 #[derive(Clone, Debug)]
@@ -17,12 +21,26 @@ pub struct RefineProgress {
     pub rms: f64,
     /// Largest shift of the last step, metres.
     pub shift: f64,
+    /// Mean map entropy after the last round ([`RefineReport::sharpness_by_round`]); lower is sharper.
+    pub entropy: Option<f64>,
+}
+
+/// How sharp the cloud was after a round. Measured with fewer points than before and after the whole: values can only be
+/// compared with each other.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RoundSharpness {
+    /// How many steps had been made; 0 for the input.
+    pub steps: usize,
+    /// Mean of `½ ln det(2πe Σ)` over the neighbourhoods.
+    pub mean_map_entropy: f64,
+    /// Mean variance across the surfaces, square metres.
+    pub mean_plane_variance: f64,
 }
 
 /// One step of the optimisation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RefineStep {
-    /// "coarse" (pairs of patches), "fine" (planes) or "sections" (semi-rigid).
+    /// "near in time" and "coarse" (pairs of patches), "fine" (planes) or "sections" (semi-rigid).
     pub stage: &'static str,
     /// Seconds between knots.
     pub knot_spacing: f64,
@@ -74,12 +92,26 @@ pub struct RefineReport {
     pub left_out: LeftOutPoints,
     /// Gaps of the trajectory (from, to; seconds since its start) that are too long to interpolate.
     pub gaps: Vec<[f64; 2]>,
+    /// Jumps of the trajectory that were taken out before it was refined.
+    pub jumps: Vec<Jump>,
     /// Share of the points that lie on planar patches at the end, 0 to 1, if the method looks for patches.
     pub planar_share: Option<f64>,
     /// Sharpness with the input; none if there are too few points.
     pub sharpness_before: Option<Sharpness>,
     /// Sharpness with the result.
     pub sharpness_after: Option<Sharpness>,
+    /// How sharp the cloud was on the way.
+    pub sharpness_by_round: Vec<RoundSharpness>,
+    /// The lidars.
+    pub sensors: Vec<StoredSensor>,
+    /// How the lidars sit against the first one: what calibration found, or, without calibration, what it would find.
+    pub mountings: Vec<Mounting>,
+    /// Whether that was applied.
+    pub calibrated: bool,
+    /// How the IMU sits against the tracking frame; not applied.
+    pub imu: Option<Mounting>,
+    /// What was found about the other sensors.
+    pub other_sensors: OtherSensorsFound,
     /// How wrong the motion of the input was found to be.
     pub odometry_found: OdometryNoise,
     /// Largest shift of the result against the input, metres.
@@ -103,4 +135,72 @@ pub struct Refined {
     pub trajectory: DenseTrajectory,
     /// What was done.
     pub report: RefineReport,
+    pub(crate) corrections: Corrections,
+    /// Input and result in the intervals of time that the trajectory covers, seconds.
+    pub(crate) intervals: Vec<[f64; 2]>,
+}
+
+/// A point in the world, before and after.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedPoint {
+    /// Seconds since [`PointStore::start`], by the recording.
+    pub seconds: f64,
+    /// Which of [`PointStore::sensors`] saw it.
+    pub sensor: usize,
+    /// With the input, metres.
+    pub before: [f64; 3],
+    /// With the result, metres.
+    pub after: [f64; 3],
+}
+
+/// Places points with input and result, one by one, so that clouds of any size can be streamed.
+#[derive(Clone, Debug)]
+pub struct BeforeAndAfter<'a> {
+    points: &'a PointStore,
+    refined: &'a Refined,
+    offset: f64,
+    input: PoseMatrices,
+    result: PoseMatrices,
+}
+
+impl<'a> BeforeAndAfter<'a> {
+    /// Of the points that were refined with.
+    pub fn new(points: &'a PointStore, refined: &'a Refined) -> Self {
+        let trajectory = &refined.trajectory;
+        Self {
+            points,
+            refined,
+            offset: points.start().seconds_since(trajectory.start()),
+            input: trajectory.input_matrices(),
+            result: trajectory.matrices(),
+        }
+    }
+
+    /// All points that the trajectory covers, in order of time.
+    pub fn iter(&self) -> impl Iterator<Item = PlacedPoint> {
+        let points = self.points.points();
+        let of_interval = |[from, to]: &[f64; 2]| {
+            let start = points.partition_point(|p| p.seconds() + self.offset < *from);
+            let end = points.partition_point(|p| p.seconds() + self.offset < *to);
+            &points[start..end]
+        };
+        self.refined.intervals.iter().flat_map(of_interval).map(|p| self.place(p))
+    }
+
+    /// One point.
+    #[inline]
+    pub fn place(&self, point: &StoredPoint) -> PlacedPoint {
+        let (seconds, sensor) = (point.seconds() + self.offset, point.sensor());
+        let before = self.input.to_world(seconds, point.in_tracking);
+        let (corrected, in_tracking) = self.refined.corrections.place(sensor, seconds, point.in_tracking);
+        let after = self.result.to_world(corrected, in_tracking);
+        PlacedPoint { seconds: point.seconds(), sensor, before, after }
+    }
+}
+
+impl Refined {
+    /// What was found about the place and the clock of a sensor and applied; nothing without calibration.
+    pub fn correction(&self, sensor: usize) -> SensorCorrection {
+        *self.corrections.of(sensor.min(crate::MAX_SENSORS - 1))
+    }
 }

@@ -1,15 +1,18 @@
 //! What all methods share: points in the time of the trajectory, the report, the judgement at the end.
 
 use nalgebra::Matrix6;
-use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_geometry::{Duration, Rigid3, Time, Vector3};
 
+use super::correction::Corrections;
 use super::coverage::{Coverage, TimedPoints};
-use super::report::{Method, RefineReport, Refined};
-use super::{DenseTrajectory, OdometryNoise, information};
-use crate::{PointStore, RefineError, Sharpness, SharpnessOptions, sharpness, spread_sample};
+use super::report::{Method, RefineReport, Refined, RoundSharpness};
+use super::time_base::{self, TimeBase};
+use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound, information};
+use crate::{MAX_SENSORS, PointStore, RefineError, Sharpness, SharpnessOptions, sharpness, spread_sample};
 
-/// With a smaller share of points on planar patches something is wrong with the input.
-const LEAST_PLANAR_SHARE: f64 = 0.2;
+/// Points with which the sharpness of a round is measured, and neighbourhoods.
+const ROUND_POINTS: usize = 100_000;
+const ROUND_QUERIES: usize = 5_000;
 
 /// A refinement at work.
 pub(crate) struct Session<'a> {
@@ -19,6 +22,11 @@ pub(crate) struct Session<'a> {
     /// What the surfaces determine, second by second; empty if the method does not know.
     pub information: Vec<Matrix6<f64>>,
     pub report: RefineReport,
+    /// Names and places (tracking frame) of the sensors.
+    pub sensor_names: Vec<String>,
+    pub sensor_origins: Vec<Vector3>,
+    /// How it began, so many seconds without trajectory at the beginning and at the end of the points.
+    pub uncovered_ends: [f64; 2],
 }
 
 impl<'a> Session<'a> {
@@ -28,14 +36,20 @@ impl<'a> Session<'a> {
         method: Method,
         odometry: OdometryNoise,
     ) -> Result<Self, RefineError> {
+        check_poses(input)?;
         let trajectory = DenseTrajectory::new(input)?;
         let offset = store.start().seconds_since(trajectory.start());
-        let points = TimedPoints { points: store.points(), offset };
+        let sensors = store.sensors().len().clamp(1, MAX_SENSORS);
+        let corrections = Corrections::default();
+        let points = TimedPoints { points: store.points(), offset, sensors, corrections };
         let coverage = Coverage::of(input);
-        let covered = coverage.count(points);
+        let covered = coverage.count(&points);
         if covered == 0 {
-            return Err(no_overlap(store, input));
+            return Err(no_overlap(store, &points, &trajectory));
         }
+        let ends =
+            [store.points().first(), store.points().last()].map(|p| p.map_or(0.0, |p| points.seconds(p)));
+        let uncovered_ends = [-ends[0], ends[1] - trajectory.duration()].map(|s| s.max(0.0));
         let report = RefineReport {
             method,
             steps: Vec::new(),
@@ -43,9 +57,16 @@ impl<'a> Session<'a> {
             points_outside_trajectory: store.points().len() - covered,
             left_out: store.left_out(),
             gaps: coverage.gaps.clone(),
+            jumps: trajectory.jumps().to_vec(),
             planar_share: None,
-            sharpness_before: measure(points, &coverage, &trajectory),
+            sharpness_before: measure(&points, &coverage, &trajectory, SharpnessOptions::default()),
             sharpness_after: None,
+            sharpness_by_round: Vec::new(),
+            sensors: store.sensors().to_vec(),
+            mountings: Vec::new(),
+            calibrated: false,
+            imu: None,
+            other_sensors: OtherSensorsFound::default(),
             odometry_found: odometry,
             largest_shift: 0.0,
             largest_turn: 0.0,
@@ -54,7 +75,36 @@ impl<'a> Session<'a> {
             stopped: false,
             warnings: Vec::new(),
         };
-        Ok(Self { points, coverage, trajectory, information: Vec::new(), report })
+        let sensor_names = store.sensors().iter().map(|s| s.name.clone()).collect();
+        let origins = store.sensors().iter().take(MAX_SENSORS).map(|s| Vector3::from(s.origin_in_tracking));
+        let mut session = Self {
+            points,
+            coverage,
+            trajectory,
+            information: Vec::new(),
+            report,
+            sensor_names,
+            sensor_origins: origins.collect(),
+            uncovered_ends,
+        };
+        session.measure_round(0);
+        Ok(session)
+    }
+
+    /// Measures how sharp the cloud is now.
+    pub fn measure_round(&mut self, _round: usize) {
+        let options = SharpnessOptions {
+            max_points: ROUND_POINTS,
+            queries: ROUND_QUERIES,
+            ..SharpnessOptions::default()
+        };
+        let measured = measure(&self.points, &self.coverage, &self.trajectory, options);
+        let steps = self.report.steps.len();
+        self.report.sharpness_by_round.extend(measured.map(|s| RoundSharpness {
+            steps,
+            mean_map_entropy: s.mean_map_entropy,
+            mean_plane_variance: s.mean_plane_variance,
+        }));
     }
 
     /// Calls `visit` with the points between two times that the trajectory covers: seconds, and place in the world.
@@ -64,23 +114,27 @@ impl<'a> Session<'a> {
             let (from, to) = (from.max(interval[0]), to.min(interval[1]));
             if from < to {
                 for point in self.points.between([from, to]) {
-                    let seconds = self.points.seconds(point);
-                    visit(seconds, Vector3::from(matrices.to_world(seconds, point.in_tracking)));
+                    let (seconds, in_tracking) = self.points.place(point);
+                    visit(seconds, Vector3::from(matrices.to_world(seconds, in_tracking)));
                 }
             }
         }
     }
 
-    /// Settles the gauge, judges the result, and keeps the input if that is sharper.
-    pub fn finish(mut self) -> Refined {
-        self.trajectory.anchor_first_pose();
+    /// Judges the result, keeps the input if that is sharper, and lets `settle` move the whole (which begins at the first
+    /// pose of the input now, moved there by the given transform).
+    pub fn finish(mut self, settle: impl FnOnce(&mut DenseTrajectory, &Rigid3)) -> Refined {
+        let anchor = self.trajectory.anchor_first_pose();
         let report = &mut self.report;
-        report.sharpness_after = measure(self.points, &self.coverage, &self.trajectory);
+        report.sharpness_after =
+            measure(&self.points, &self.coverage, &self.trajectory, SharpnessOptions::default());
         if let (Some(before), Some(after)) = (&report.sharpness_before, &report.sharpness_after) {
             let error = before.entropy_standard_error.hypot(after.entropy_standard_error);
             if after.mean_map_entropy > before.mean_map_entropy + 2.0 * error {
                 self.trajectory.reset();
+                self.points.corrections = Corrections::default();
                 report.kept_input = true;
+                report.calibrated = false;
                 report.sharpness_after = report.sharpness_before;
                 report.warnings.push(
                     "the refined cloud was less sharp than the original, so the input was kept".to_owned(),
@@ -89,27 +143,27 @@ impl<'a> Session<'a> {
         }
         (report.largest_shift, report.largest_turn) = self.trajectory.largest_correction();
         report.undetermined = information::undetermined(&self.information);
-        if let Some(share) = report.planar_share.filter(|share| *share < LEAST_PLANAR_SHARE) {
-            report.warnings.push(format!(
-                "only {:.0} % of the points lie on surfaces: is it the trajectory of this recording, of the frame \
-                 the points are in, and of the same clock?",
-                100.0 * share
-            ));
+        for free in &mut report.undetermined {
+            free.direction = (anchor.rotation * Vector3::from(free.direction)).into();
         }
-        if report.points_outside_trajectory * 20 > report.points {
-            report.warnings.push(format!(
-                "{} of {} points lie before, after or in gaps of the trajectory and were not used",
-                report.points_outside_trajectory,
-                report.points_outside_trajectory + report.points
-            ));
+        self.warn_of_input();
+        settle(&mut self.trajectory, &anchor);
+        Refined {
+            trajectory: self.trajectory,
+            report: self.report,
+            corrections: self.points.corrections,
+            intervals: self.coverage.intervals,
         }
-        Refined { trajectory: self.trajectory, report: self.report }
     }
 }
 
 /// Sharpness of the points along a trajectory.
-fn measure(points: TimedPoints, coverage: &Coverage, trajectory: &DenseTrajectory) -> Option<Sharpness> {
-    let options = SharpnessOptions::default();
+fn measure(
+    points: &TimedPoints,
+    coverage: &Coverage,
+    trajectory: &DenseTrajectory,
+    options: SharpnessOptions,
+) -> Option<Sharpness> {
     let matrices = trajectory.matrices();
     let total = coverage.count(points);
     let mut chosen = spread_sample(total, options.max_points).into_iter().peekable();
@@ -119,25 +173,46 @@ fn measure(points: TimedPoints, coverage: &Coverage, trajectory: &DenseTrajector
         let part = points.between(*interval);
         while let Some(index) = chosen.next_if(|i| (*i as usize) < first + part.len()) {
             let point = &part[index as usize - first];
-            cloud.push(matrices.to_world(points.seconds(point), point.in_tracking));
+            let (seconds, in_tracking) = points.place(point);
+            cloud.push(matrices.to_world(seconds, in_tracking));
         }
         first += part.len();
     }
     sharpness(&cloud, options)
 }
 
-fn no_overlap(store: &PointStore, input: &[(Time, Rigid3)]) -> RefineError {
-    let (Some((first, last)), Some(start), Some(end)) = (store.span(), input.first(), input.last()) else {
-        return RefineError::NoPoints;
+/// Poses must be finite and ascend in time.
+fn check_poses(input: &[(Time, Rigid3)]) -> Result<(), RefineError> {
+    let is_bad = |i: &usize| {
+        let pose = &input[*i].1;
+        let finite = pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|v| v.is_finite());
+        !finite || (*i > 0 && input[*i].0 <= input[*i - 1].0)
     };
+    match (0..input.len()).find(is_bad) {
+        Some(i) => Err(RefineError::BadPose(i)),
+        None => Ok(()),
+    }
+}
+
+fn no_overlap(store: &PointStore, points: &TimedPoints, trajectory: &DenseTrajectory) -> RefineError {
+    let Some((first, last)) = store.span() else { return RefineError::NoPoints };
+    let (start, posed) = (trajectory.start(), trajectory.duration());
+    let end = start + Duration::from_seconds(posed);
     let span = |from: Time, to: Time| format!("{:.3} to {:.3} s", from.unix_seconds(), to.unix_seconds());
-    let (recorded, posed) = (last.seconds_since(first), end.0.seconds_since(start.0));
-    let alike = (recorded - posed).abs() < 0.1 * recorded.max(posed);
-    let hint = if alike {
-        let shift = first.seconds_since(start.0);
-        format!(" (they last equally long: {shift:.3} s added to the trajectory would fit)")
-    } else {
-        String::new()
+    let recorded = last.seconds_since(first);
+    // From beginnings together to ends together.
+    let (a, b) = (first.seconds_since(start), last.seconds_since(end));
+    let found = time_base::look(points, trajectory, 0.5 * (a + b), 0.5 * (a - b).abs() + 2.0);
+    let hint = match found {
+        TimeBase::FitsWith(delay) => {
+            format!(" ({delay:.3} s added to the stamps of the trajectory make the points fit together)")
+        }
+        _ if (recorded - posed).abs() < 0.1 * recorded.max(posed) => {
+            format!(
+                " (they last equally long: {a:.3} s added to the trajectory would lay one over the other)"
+            )
+        }
+        _ => String::new(),
     };
-    RefineError::NoOverlap { points: span(first, last), trajectory: span(start.0, end.0), hint }
+    RefineError::NoOverlap { points: span(first, last), trajectory: span(start, end), hint }
 }

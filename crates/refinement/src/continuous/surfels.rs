@@ -9,6 +9,7 @@ use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 use rayon::prelude::*;
 
 use super::cells::{Cells, Key};
+use super::correction::Corrections;
 use super::coverage::{Coverage, TimedPoints};
 use super::dense_trajectory::{DenseTrajectory, PoseMatrices};
 use crate::moments::{Moments, PlaneFit};
@@ -31,9 +32,12 @@ const LEAST_INCIDENCE: f64 = 0.05;
 const MAX_POINTS_PER_SECOND: f64 = 125_000.0;
 const NONE: u32 = u32::MAX;
 
-/// A planar patch as seen during a window. Poses are those of [`DenseTrajectory`] at `seconds`.
+/// A planar patch as one sensor saw it during a window. Poses are those of [`DenseTrajectory`]; times and places are those
+/// of the recording, to be corrected as its points are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Surfel {
+    /// The sensor.
+    pub sensor: u8,
     /// Mean time of its points.
     pub seconds: f64,
     /// Mean of its points in the tracking frame at that time.
@@ -61,39 +65,55 @@ pub(crate) struct Cluster {
     pub count: f32,
 }
 
+/// What one sensor saw during a window.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Window {
+    /// The number of the window.
+    pub number: usize,
+    /// Its surfels.
+    pub surfels: std::ops::Range<usize>,
+}
+
 /// Surfels of all windows, and their clusters.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SurfelMap {
     pub surfels: Vec<Surfel>,
     pub clusters: Vec<Cluster>,
-    /// For each window its range of surfels.
-    pub windows: Vec<std::ops::Range<usize>>,
+    /// For each window, and in it for each sensor, a range of surfels.
+    pub windows: Vec<Window>,
     /// Points that were looked at, on patches or not.
     pub looked_at: usize,
 }
 
 impl SurfelMap {
+    /// Share of the points that lie on patches, 0 to 1.
+    pub fn planar_share(&self) -> f64 {
+        self.surfels.iter().map(|s| s.count).sum::<f64>() / self.looked_at.max(1) as f64
+    }
+
     /// Finds the planar patches of every window of about `window` seconds with the current trajectory.
     pub fn extract(
-        points: TimedPoints,
+        points: &TimedPoints,
         coverage: &Coverage,
         trajectory: &DenseTrajectory,
         window: f64,
     ) -> Self {
         let matrices = trajectory.matrices();
-        let parts: Vec<WindowSurfels> = coverage
-            .windows(window)
+        let windows = coverage.windows(window);
+        let parts: Vec<WindowSurfels> = (0..windows.len() * points.sensors)
             .into_par_iter()
-            .map_init(Workspace::default, |workspace, window| {
-                let part = points.between(window);
+            .map_init(Workspace::default, |workspace, part| {
+                let (window, sensor) = (windows[part / points.sensors], part % points.sensors);
+                let seen = points.between(window);
                 let most = ((window[1] - window[0]) * MAX_POINTS_PER_SECOND).max(1000.0);
-                let stride = (part.len() as f64 / most).ceil().max(1.0) as usize;
-                workspace.thin(part, stride);
-                workspace.extract(points.offset, trajectory, &matrices)
+                let stride = (seen.len() as f64 / most).ceil().max(1.0) as usize;
+                workspace.thin(points, seen, sensor, stride);
+                workspace.extract(&points.corrections, sensor, trajectory, &matrices)
             })
             .collect();
         let mut map = Self::default();
-        for part in parts {
+        for (number, part) in parts.into_iter().enumerate() {
+            let number = number / points.sensors;
             let (first_surfel, first_cluster) = (map.surfels.len(), map.clusters.len() as u32);
             map.surfels.extend(part.surfels.into_iter().map(|mut surfel| {
                 surfel.first_cluster += first_cluster;
@@ -101,7 +121,7 @@ impl SurfelMap {
             }));
             map.clusters.extend(part.clusters);
             map.looked_at += part.looked_at;
-            map.windows.push(first_surfel..map.surfels.len());
+            map.windows.push(Window { number, surfels: first_surfel..map.surfels.len() });
         }
         map
     }
@@ -127,7 +147,8 @@ struct Patch {
 /// Memory that is used again from window to window.
 #[derive(Default)]
 struct Workspace {
-    points: Vec<StoredPoint>,
+    /// When, and where in the tracking frame.
+    points: Vec<(f64, [f32; 3])>,
     cells: Cells,
     parents: Cells,
     in_world: Vec<[f64; 3]>,
@@ -138,36 +159,51 @@ struct Workspace {
 }
 
 impl Workspace {
-    /// Takes every `stride`-th point.
-    fn thin(&mut self, points: &[StoredPoint], stride: usize) {
+    /// Takes every `stride`-th point of a sensor.
+    fn thin(&mut self, points: &TimedPoints, seen: &[StoredPoint], sensor: usize, stride: usize) {
         self.points.clear();
-        self.points.extend(points.iter().step_by(stride));
+        let own = seen.iter().filter(|p| p.sensor() == sensor);
+        self.points.extend(own.step_by(stride).map(|point| points.place(point)));
     }
 
     fn extract(
         &mut self,
-        offset: f64,
+        corrections: &Corrections,
+        sensor: usize,
         trajectory: &DenseTrajectory,
         matrices: &PoseMatrices,
     ) -> WindowSurfels {
         let Some(middle) = self.points.get(self.points.len() / 2) else { return WindowSurfels::default() };
         // Near the window, so that squares keep their digits; on the grid, so that cells of all windows agree.
         let coarsest = FINEST_CELL * f64::from(1 << (LEVELS - 1));
-        let place = trajectory.pose(middle.seconds() + offset).translation.vector;
+        let place = trajectory.pose(middle.0).translation.vector;
         let origin = place.map(|v| (v / coarsest).round() * coarsest);
-        self.fill_cells(offset, matrices, &origin);
+        self.fill_cells(matrices, &origin);
         self.find_patches();
         self.join_neighbours();
         self.assign_points();
-        self.surfels(offset, trajectory, &origin)
+        let mut found = self.surfels(trajectory, &origin);
+        for surfel in &mut found.surfels {
+            surfel.sensor = sensor as u8;
+            let (seconds, mean) = corrections.unplace(sensor, surfel.seconds, &surfel.mean_in_tracking);
+            (surfel.seconds, surfel.mean_in_tracking) = (seconds, mean);
+            surfel.normal_in_tracking = corrections.unturn(sensor, &surfel.normal_in_tracking);
+        }
+        for cluster in &mut found.clusters {
+            let at = Vector3::from(cluster.in_tracking.map(f64::from));
+            let (seconds, at) = corrections.unplace(sensor, cluster.seconds, &at);
+            cluster.seconds = seconds;
+            cluster.in_tracking = [at.x as f32, at.y as f32, at.z as f32];
+        }
+        found
     }
 
-    fn fill_cells(&mut self, offset: f64, matrices: &PoseMatrices, origin: &Vector3) {
+    fn fill_cells(&mut self, matrices: &PoseMatrices, origin: &Vector3) {
         self.cells.clear();
         self.in_world.clear();
         self.cell_of_point.clear();
-        for point in &self.points {
-            let world = matrices.to_world(point.seconds() + offset, point.in_tracking);
+        for (seconds, in_tracking) in &self.points {
+            let world = matrices.to_world(*seconds, *in_tracking);
             let p = Vector3::from(world) - origin;
             let key = [p.x, p.y, p.z].map(|v| (v * (1.0 / FINEST_CELL)).floor() as i32);
             let cell = self.cells.cell(key);
@@ -295,12 +331,12 @@ impl Workspace {
         (fit.normal.dot(&(point - fit.mean)).abs() < gate).then_some(root)
     }
 
-    fn surfels(&mut self, offset: f64, trajectory: &DenseTrajectory, origin: &Vector3) -> WindowSurfels {
+    fn surfels(&mut self, trajectory: &DenseTrajectory, origin: &Vector3) -> WindowSurfels {
         let mut moments = vec![Moments::default(); self.patches.len()];
         let mut seconds = vec![0.0; self.patches.len()];
         for (i, patch) in self.patch_of_point.iter().enumerate().filter(|(_, p)| **p != NONE) {
             moments[*patch as usize].add(&Vector3::from(self.in_world[i]));
-            seconds[*patch as usize] += self.points[i].seconds() + offset;
+            seconds[*patch as usize] += self.points[i].0;
         }
         let mut result = WindowSurfels { looked_at: self.points.len(), ..WindowSurfels::default() };
         let mut surfel_of_patch = vec![NONE; self.patches.len()];
@@ -317,6 +353,7 @@ impl Workspace {
             surfel_of_patch[i] = result.surfels.len() as u32;
             let tracking_from_world = world_from_tracking.inverse();
             result.surfels.push(Surfel {
+                sensor: 0,
                 seconds,
                 mean_in_tracking: (tracking_from_world * na::Point3::from(mean)).coords,
                 normal_in_tracking: tracking_from_world.rotation * (fit.normal * incidence.signum()),
@@ -329,18 +366,12 @@ impl Workspace {
         for patch in &mut self.patch_of_point {
             *patch = surfel_of_patch.get(*patch as usize).copied().unwrap_or(NONE);
         }
-        self.clusters(offset, trajectory, origin, &mut result);
+        self.clusters(trajectory, origin, &mut result);
         result
     }
 
     /// Clusters, in order of surfel and time.
-    fn clusters(
-        &self,
-        offset: f64,
-        trajectory: &DenseTrajectory,
-        origin: &Vector3,
-        result: &mut WindowSurfels,
-    ) {
+    fn clusters(&self, trajectory: &DenseTrajectory, origin: &Vector3, result: &mut WindowSurfels) {
         #[derive(Clone, Copy)]
         struct Open {
             bin: i64,
@@ -360,7 +391,7 @@ impl Workspace {
             closed.push((surfel, Cluster { seconds, in_tracking, count: o.count as f32 }));
         };
         for (i, surfel) in self.patch_of_point.iter().enumerate().filter(|(_, s)| **s != NONE) {
-            let seconds = self.points[i].seconds() + offset;
+            let seconds = self.points[i].0;
             let bin = (seconds / CLUSTER_SECONDS).floor() as i64;
             let o = &mut open[*surfel as usize];
             if o.bin != bin {

@@ -1,4 +1,5 @@
-//! A small world of walls, seen by a spinning lidar along a walk.
+//! A small world of walls, seen by spinning lidars along a walk.
+#![allow(dead_code)] // not every test uses everything
 
 use portolan_geometry::{Duration, Point3f, Rigid3, Time, Vector3, nalgebra as na};
 use portolan_refinement::PointStore;
@@ -46,6 +47,14 @@ pub fn room(low: [f64; 3], high: [f64; 3]) -> Vec<Wall> {
         wall(low, [0.0, dy, 0.0], [0.0, 0.0, dz]),
         wall([high[0], low[1], low[2]], [0.0, dy, 0.0], [0.0, 0.0, dz]),
     ]
+}
+
+/// A room with a few things in it.
+pub fn furnished() -> Vec<Wall> {
+    let mut walls = room([0.0; 3], [8.0, 7.0, 2.8]);
+    walls.extend(room([3.6, 3.2, 0.0], [4.4, 3.8, 1.9]));
+    walls.extend(room([6.9, 0.0, 0.0], [8.0, 2.0, 0.8]));
+    walls
 }
 
 /// A walk along a curve: the pose at each second.
@@ -101,44 +110,80 @@ pub fn disturbed(truth: &[(Time, Rigid3)], drift: f64, jitter: f64) -> Vec<(Time
         .collect()
 }
 
+/// A lidar of 16 rings at 10 Hz.
+pub struct Lidar {
+    pub name: &'static str,
+    pub tracking_from_lidar: Rigid3,
+    /// Where the recording says that it is.
+    pub said: Rigid3,
+    /// Its stamps are so many seconds too early.
+    pub delay: f64,
+}
+
+impl Lidar {
+    /// One at the tracking frame, of which everything is known.
+    pub fn known() -> Self {
+        Self { name: "", tracking_from_lidar: Rigid3::identity(), said: Rigid3::identity(), delay: 0.0 }
+    }
+}
+
 /// What a lidar of 16 rings at 10 Hz sees on a walk, with 1 cm of noise.
 pub fn scan(walls: &[Wall], walk: Walk, seconds: f64, columns: usize) -> PointStore {
-    let mut random = Random::new(3);
+    scan_with(&[Lidar::known()], walls, walk, seconds, columns)
+}
+
+/// The same for several.
+pub fn scan_with(lidars: &[Lidar], walls: &[Wall], walk: Walk, seconds: f64, columns: usize) -> PointStore {
     let mut store = PointStore::new(0.3);
-    for turn in 0..(seconds * 10.0) as usize {
-        let end = (turn + 1) as f64 * 0.1;
-        let mut points = Vec::with_capacity(columns * 16);
-        for column in 0..columns {
-            let share = column as f64 / columns as f64;
-            let time = share * 0.1 - 0.1;
-            let pose = walk(end + time);
-            for ring in 0..16 {
-                let elevation = (f64::from(ring) * 2.0 - 15.0).to_radians();
-                let azimuth = std::f64::consts::TAU * share;
-                let beam = Vector3::new(
-                    elevation.cos() * azimuth.cos(),
-                    elevation.cos() * azimuth.sin(),
-                    elevation.sin(),
-                );
-                let Some(range) = cast(walls, &pose.translation.vector, &(pose.rotation * beam)) else {
-                    continue;
-                };
-                let p = beam * (range + 0.01 * random.normal());
-                points.push(TimedPoint {
-                    position: Point3f::new(p.x as f32, p.y as f32, p.z as f32),
-                    time: time as f32,
-                });
-            }
+    for (i, lidar) in lidars.iter().enumerate() {
+        let mut random = Random::new(3 + i as u64);
+        for turn in 0..(seconds * 10.0) as usize {
+            store.push_from(lidar.name, &sweep(lidar, walls, walk, turn, columns, &mut random));
         }
-        store.push(&TimedPointCloudData {
-            time: Time::from_unix_seconds(1000.0) + Duration::from_seconds(end),
-            origin_in_tracking: Point3f::origin(),
-            points_in_tracking: points,
-            intensities: Vec::new(),
-        });
     }
     store.sort();
     store
+}
+
+fn sweep(
+    lidar: &Lidar,
+    walls: &[Wall],
+    walk: Walk,
+    turn: usize,
+    columns: usize,
+    random: &mut Random,
+) -> TimedPointCloudData {
+    let end = (turn + 1) as f64 * 0.1;
+    let mut points = Vec::with_capacity(columns * 16);
+    for column in 0..columns {
+        let share = column as f64 / columns as f64;
+        let time = share * 0.1 - 0.1;
+        let pose = walk(end + time) * lidar.tracking_from_lidar;
+        for ring in 0..16 {
+            let elevation = (f64::from(ring) * 2.0 - 15.0).to_radians();
+            let azimuth = std::f64::consts::TAU * share;
+            let beam = Vector3::new(
+                elevation.cos() * azimuth.cos(),
+                elevation.cos() * azimuth.sin(),
+                elevation.sin(),
+            );
+            let Some(range) = cast(walls, &pose.translation.vector, &(pose.rotation * beam)) else {
+                continue;
+            };
+            let p = lidar.said * na::Point3::from(beam * (range + 0.01 * random.normal()));
+            points.push(TimedPoint {
+                position: Point3f::new(p.x as f32, p.y as f32, p.z as f32),
+                time: time as f32,
+            });
+        }
+    }
+    let origin = lidar.said.translation.vector;
+    TimedPointCloudData {
+        time: Time::from_unix_seconds(1000.0) + Duration::from_seconds(end - lidar.delay),
+        origin_in_tracking: Point3f::new(origin.x as f32, origin.y as f32, origin.z as f32),
+        points_in_tracking: points,
+        intensities: Vec::new(),
+    }
 }
 
 fn cast(walls: &[Wall], from: &Vector3, direction: &Vector3) -> Option<f64> {

@@ -1,6 +1,6 @@
 //! All points as they lie before and after a refinement.
 
-use portolan_refinement::continuous::{DenseTrajectory, PoseMatrices, Refined};
+use portolan_refinement::continuous::{BeforeAndAfter, DenseTrajectory, PoseMatrices, Refined};
 use portolan_refinement::{PointStore, StoredPoint, spread_sample};
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ pub struct CloudPair<'a> {
     offset: f64,
     trajectory: &'a DenseTrajectory,
     gaps: &'a [[f64; 2]],
-    before: PoseMatrices,
+    clouds: BeforeAndAfter<'a>,
     after: PoseMatrices,
 }
 
@@ -36,7 +36,7 @@ impl<'a> CloudPair<'a> {
             offset: store.start().seconds_since(trajectory.start()),
             trajectory,
             gaps: &refined.report.gaps,
-            before: trajectory.input_matrices(),
+            clouds: BeforeAndAfter::new(store, refined),
             after: trajectory.matrices(),
         }
     }
@@ -51,20 +51,16 @@ impl<'a> CloudPair<'a> {
 
     fn pair(&self, point: &StoredPoint) -> Option<PairedPoint> {
         let seconds = self.covered(point)?;
-        let after = self.after.to_world(seconds, point.in_tracking);
-        Some(PairedPoint {
-            seconds,
-            before: self.before.to_world(seconds, point.in_tracking),
-            after,
-            above_tracking: after[2] - self.after.at(seconds)[11],
-        })
+        let placed = self.clouds.place(point);
+        let above_tracking = placed.after[2] - self.after.at(seconds)[11];
+        Some(PairedPoint { seconds, before: placed.before, after: placed.after, above_tracking })
     }
 
     /// All covered points of the refined cloud in order of time: seconds since the start of the points, and place.
     pub fn refined(&self) -> impl Iterator<Item = (f64, [f64; 3])> + '_ {
         self.points.iter().filter_map(|point| {
-            let seconds = self.covered(point)?;
-            Some((point.seconds(), self.after.to_world(seconds, point.in_tracking)))
+            self.covered(point)?;
+            Some((point.seconds(), self.clouds.place(point).after))
         })
     }
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use portolan_recording::{IngestError, IngestOptions, Ingestion, Recording, Repair, SensorPlan, read_urdf};
-use portolan_refinement::PointStore;
+use portolan_refinement::{MotionSensors, PointStore};
 use portolan_sensor::Measurement;
 
 use crate::GlobalArgs;
@@ -33,10 +33,23 @@ pub struct PointArgs {
 pub struct ReadPoints {
     /// In order of time.
     pub store: PointStore,
+    /// What other sensors measured, as far as it was asked for.
+    pub sensors: MotionSensors,
     /// Which topics were used.
     pub plan: SensorPlan,
     /// What was repaired.
     pub repairs: Vec<Repair>,
+}
+
+/// Sensors besides the lidars that know of the motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum OtherSensor {
+    /// Angular velocities, and which way is down.
+    Imu,
+    /// The way by the wheels.
+    Odometry,
+    /// Places by satellite.
+    Fixes,
 }
 
 /// Reads all points of the range sensors.
@@ -45,7 +58,18 @@ pub fn read_points(
     args: &PointArgs,
     global: &GlobalArgs,
 ) -> Result<ReadPoints, CliError> {
+    read_points_and(recording, args, &[], global)
+}
+
+/// Reads all points of the range sensors, and what these others measured.
+pub fn read_points_and(
+    recording: &dyn Recording,
+    args: &PointArgs,
+    others: &[OtherSensor],
+    global: &GlobalArgs,
+) -> Result<ReadPoints, CliError> {
     let options = IngestOptions {
+        use_nav_sat: others.contains(&OtherSensor::Fixes).then_some(true),
         range_topics: args.points.clone(),
         tracking_frame: args.tracking_frame.clone(),
         description: args.urdf.as_deref().map(read_urdf).transpose()?,
@@ -58,10 +82,19 @@ pub fn read_points(
         say(&format!("the trajectory is taken as that of frame \"{}\"", plan.tracking_frame));
     }
     let mut store = PointStore::new(args.min_range);
+    let mut sensors = MotionSensors::default();
     let mut progress = Progress::start("reading", recording.size_bytes(), global.quiet);
-    while let Some((_, measurement)) = ingestion.next_measurement()? {
-        if let Measurement::Range(sweep) = measurement {
-            store.push(&sweep);
+    while let Some((sensor, measurement)) = ingestion.next_measurement()? {
+        match measurement {
+            Measurement::Range(sweep) => store.push_from(&sensor.id, &sweep),
+            Measurement::Imu(sample) if others.contains(&OtherSensor::Imu) => sensors.push_imu(&sample),
+            Measurement::Odometry(sample) if others.contains(&OtherSensor::Odometry) => {
+                sensors.push_odometry(&sample);
+            }
+            Measurement::FixedFramePose(sample) if others.contains(&OtherSensor::Fixes) => {
+                sensors.push_fix(&sample);
+            }
+            _ => {}
         }
         if progress.is_due() {
             let (position, total) = ingestion.progress();
@@ -77,5 +110,5 @@ pub fn read_points(
     }
     progress.finish();
     store.sort();
-    Ok(ReadPoints { store, plan, repairs: ingestion.repairs() })
+    Ok(ReadPoints { store, sensors, plan, repairs: ingestion.repairs() })
 }

@@ -7,7 +7,7 @@ use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_mapfile::{EditError, MapDraft, ReadLimits};
 use portolan_pointcloud::{Attributes, BATCH_POINTS, CloudError, PointCloud, WriteOptions, create};
 use portolan_refinement::Sharpness;
-use portolan_refinement::continuous::Refined;
+use portolan_refinement::continuous::{Mounting, Refined};
 
 use super::cloud_pair::CloudPair;
 use super::judgement::Judgement;
@@ -121,6 +121,26 @@ fn report(results: &Results, judgement: Option<&Judgement>) -> serde_json::Value
     })
 }
 
+fn mounting_line(mounting: &Mounting) -> String {
+    let numbers = |values: &[f64; 3], deviations: &[f64; 3], scale: f64, places: usize| {
+        let one = |(v, d): (&f64, &f64)| format!("{:.places$} ± {:.places$}", scale * v, scale * d);
+        values.iter().zip(deviations).map(one).collect::<Vec<_>>().join(", ")
+    };
+    let degrees = 1.0_f64.to_degrees();
+    let mut text = format!(
+        "{}: shifted by ({}) cm, turned by ({}) deg, delayed by {:.4} ± {:.4} s",
+        mounting.what,
+        numbers(&mounting.shift, &mounting.shift_deviation, 100.0, 2),
+        numbers(&mounting.turn, &mounting.turn_deviation, degrees, 3),
+        mounting.delay,
+        mounting.delay_deviation
+    );
+    if !mounting.undetermined.is_empty() {
+        text += &format!("; not determined by the motion: {}", mounting.undetermined.join(", "));
+    }
+    text + "\n"
+}
+
 /// What was done, for people.
 pub fn summary(results: &Results, files: &[PathBuf]) -> String {
     let report = &results.refined.report;
@@ -157,6 +177,18 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
         text += &format!(
             "not determined from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); left as it was\n",
             u.from, u.to
+        );
+    }
+    if report.calibrated {
+        report.mountings.iter().for_each(|mounting| text += &mounting_line(mounting));
+    }
+    report.imu.iter().for_each(|imu| text += &mounting_line(imu));
+    for jump in &report.jumps {
+        text += &format!(
+            "repaired: a jump of the trajectory at {:.2} s by {:.3} m and {:.2} deg was taken out\n",
+            jump.seconds,
+            jump.shift,
+            jump.turn.to_degrees()
         );
     }
     for warning in &report.warnings {

@@ -1,0 +1,257 @@
+//! How sensors and clocks sit against each other, judged by motions: those of the refined trajectory, which the points
+//! have determined, against those of the input or of the IMU.
+
+use nalgebra::DVector;
+use portolan_geometry::{
+    Rigid3, Time, Vector3, angle_axis_from_quaternion, nalgebra as na, quaternion_from_angle_axis,
+};
+use serde::Serialize;
+
+use super::DenseTrajectory;
+use super::regression::{Fit, fit};
+use crate::motion_sensors::MotionSensors;
+
+/// Motions over this are compared, seconds.
+const STRETCH: f64 = 0.5;
+/// At most so many of them, spread over the whole.
+const MOST: usize = 1500;
+/// What is found must be so many standard deviations away from nothing …
+const SIGNIFICANT: f64 = 8.0;
+/// … explain at least this share of the differences …
+const EXPLAINED: f64 = 0.15;
+/// … and matter: metres, radians, seconds.
+const MATTERS: [f64; 3] = [0.005, 0.002, 0.003];
+/// It is looked for in so many parts of the time, too, and must be the same but for this share of itself.
+const PARTS: usize = 3;
+const CONSTANT: f64 = 0.4;
+/// Standard deviations beforehand: shift (metres), turn (radians), delay (seconds), bias of a gyroscope (rad/s), of an
+/// accelerometer and gravity (m/s²).
+const PRIOR: [f64; 6] = [0.5, 0.3, 0.2, 0.1, 0.3, 20.0];
+/// What is known less well than this share of what was known beforehand is not determined by the motion.
+const DETERMINED: f64 = 0.3;
+
+/// How one sensor sits against another, with standard deviations.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Mounting {
+    /// What was compared.
+    pub what: String,
+    /// Metres, axes of the tracking frame.
+    pub shift: [f64; 3],
+    /// Its standard deviations.
+    pub shift_deviation: [f64; 3],
+    /// Rotation vector, radians, axes of the tracking frame.
+    pub turn: [f64; 3],
+    /// Its standard deviations.
+    pub turn_deviation: [f64; 3],
+    /// Seconds to be added to the stamps.
+    pub delay: f64,
+    /// Its standard deviation.
+    pub delay_deviation: f64,
+    /// What the motion does not determine.
+    pub undetermined: Vec<&'static str>,
+}
+
+pub(crate) const NAMES: [&str; 7] = [
+    "shift along x",
+    "shift along y",
+    "shift along z",
+    "turn about x",
+    "turn about y",
+    "turn about z",
+    "delay",
+];
+
+impl Mounting {
+    pub(crate) fn new(what: &str, value: [f64; 7], deviation: [f64; 7], prior: [f64; 3]) -> Self {
+        let three = |v: &[f64; 7], first: usize| [v[first], v[first + 1], v[first + 2]];
+        Self {
+            what: what.to_owned(),
+            shift: three(&value, 0),
+            shift_deviation: three(&deviation, 0),
+            turn: three(&value, 3),
+            turn_deviation: three(&deviation, 3),
+            delay: value[6],
+            delay_deviation: deviation[6],
+            undetermined: (0..7)
+                .filter(|k| deviation[*k] > DETERMINED * prior[k / 3])
+                .map(|k| NAMES[k])
+                .collect(),
+        }
+    }
+
+    /// Whether shift, turn and delay are beyond doubt and large enough to matter.
+    pub(crate) fn significant(&self, times: f64) -> [bool; 3] {
+        let beyond = |value: &[f64; 3], deviation: &[f64; 3], matters: f64| {
+            let norm = value.iter().map(|v| v * v).sum::<f64>().sqrt();
+            norm > matters && value.iter().zip(deviation).any(|(v, d)| v.abs() > times * d)
+        };
+        [
+            beyond(&self.shift, &self.shift_deviation, MATTERS[0]),
+            beyond(&self.turn, &self.turn_deviation, MATTERS[1]),
+            self.delay.abs() > MATTERS[2].max(times * self.delay_deviation),
+        ]
+    }
+
+    /// The significant parts in words.
+    pub(crate) fn words(&self, significant: [bool; 3]) -> String {
+        let [x, y, z] = self.shift.map(|v| 100.0 * v);
+        let [a, b, c] = self.turn.map(f64::to_degrees);
+        let parts = [
+            format!("shifted by ({x:.1}, {y:.1}, {z:.1}) cm"),
+            format!("turned by ({a:.2}, {b:.2}, {c:.2}) deg"),
+            format!("delayed by {:.3} s", self.delay),
+        ];
+        let said: Vec<String> = parts.into_iter().zip(significant).filter(|p| p.1).map(|p| p.0).collect();
+        said.join(" and ")
+    }
+}
+
+/// Moments at which stretches begin, spread over the trajectory.
+fn moments(trajectory: &DenseTrajectory) -> Vec<f64> {
+    let last = trajectory.duration() - STRETCH - 2.0 * PRIOR[2];
+    let count = ((last - PRIOR[2]) / (0.5 * STRETCH)).max(0.0) as usize;
+    let stride = count.div_ceil(MOST).max(1);
+    (0..count).step_by(stride).map(|i| PRIOR[2] + i as f64 * 0.5 * STRETCH).collect()
+}
+
+fn motion(pose: impl Fn(f64) -> Rigid3, from: f64) -> Rigid3 {
+    pose(from).inverse() * pose(from + STRETCH)
+}
+
+fn three(v: &DVector<f64>, first: usize) -> Vector3 {
+    Vector3::new(v[first], v[first + 1], v[first + 2])
+}
+
+fn seven(fit: &Fit) -> ([f64; 7], [f64; 7]) {
+    (std::array::from_fn(|k| fit.value[k]), std::array::from_fn(|k| fit.deviation(k)))
+}
+
+/// What one turn and shift of the sensors against the tracking frame, and one delay of the trajectory, explain of
+/// the difference between input and result: its motions fit those of the points if the sensors are moved so, and if so many
+/// seconds are added to its stamps. None if they explain little, or not the same all the time, as drift does.
+pub(crate) fn of_input(trajectory: &DenseTrajectory, gaps: &[[f64; 2]]) -> Option<Mounting> {
+    let is_free = |s: &f64| !gaps.iter().any(|g| *s < g[1] + 0.5 && s + STRETCH > g[0] - 0.5);
+    let moments: Vec<f64> = moments(trajectory).into_iter().filter(is_free).collect();
+    let whole = fit_input(trajectory, &moments)?;
+    if whole.explained < EXPLAINED {
+        return None;
+    }
+    let (mut value, deviation) = seven(&whole);
+    let parts: Vec<Fit> = moments
+        .chunks(moments.len().div_ceil(PARTS))
+        .filter_map(|part| fit_input(trajectory, part))
+        .collect();
+    for range in [0..3, 3..6, 6..7] {
+        let norm = |v: &dyn Fn(usize) -> f64| range.clone().map(|k| v(k).powi(2)).sum::<f64>().sqrt();
+        let size = norm(&|k| value[k]);
+        let is_constant = |part: &Fit| norm(&|k| part.value[k] - whole.value[k]) < CONSTANT * size;
+        if parts.len() < PARTS || !parts.iter().all(is_constant) {
+            range.for_each(|k| value[k] = 0.0);
+        }
+    }
+    let mounting = Mounting::new("input", value, deviation, [PRIOR[0], PRIOR[1], PRIOR[2]]);
+    mounting.significant(SIGNIFICANT).contains(&true).then_some(mounting)
+}
+
+fn fit_input(trajectory: &DenseTrajectory, moments: &[f64]) -> Option<Fit> {
+    let seen: Vec<Rigid3> = moments.iter().map(|s| motion(|s| trajectory.pose(s), *s)).collect();
+    let residuals = |v: &DVector<f64>| -> Vec<Vec<f64>> {
+        let turn = quaternion_from_angle_axis(&three(v, 3));
+        let moved = Rigid3::from_parts(three(v, 0).into(), turn);
+        let residual = |(s, seen): (&f64, &Rigid3)| {
+            // Added to the stamps: what the input has at s − delay belongs to s.
+            let input = motion(|s| trajectory.joined_pose(s - v[6]), *s);
+            let difference = seen.inverse() * moved * input * moved.inverse();
+            let (t, r) = (difference.translation.vector, angle_axis_from_quaternion(&difference.rotation));
+            vec![t.x, t.y, t.z, r.x, r.y, r.z]
+        };
+        moments.iter().zip(&seen).map(residual).collect()
+    };
+    let prior: [f64; 7] = std::array::from_fn(|k| 1.0 / PRIOR[k / 3].powi(2));
+    fit(residuals, &[0, 0, 0, 1, 1, 1], &[1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-3], &prior)
+}
+
+/// How the IMU sits against the tracking frame that the points have determined, and its delay: turn and delay by the gyroscope,
+/// shift by the accelerometer.
+pub(crate) fn of_imu(trajectory: &DenseTrajectory, sensors: &MotionSensors, start: Time) -> Option<Mounting> {
+    let track = sensors.gyroscope_track(start, &Vector3::zeros())?;
+    let moments = moments(trajectory);
+    let by_gyroscope = |v: &DVector<f64>| -> Vec<Vec<f64>> {
+        let turn = quaternion_from_angle_axis(&three(v, 0));
+        let residual = |s: &f64| {
+            let Some(measured) = track.motion(s - v[6], s - v[6] + STRETCH) else { return vec![0.0; 3] };
+            let bias = quaternion_from_angle_axis(&(three(v, 3) * -STRETCH));
+            let turned = motion(|s| trajectory.pose(s), *s).rotation;
+            let in_tracking = turn * (measured.rotation * bias) * turn.inverse();
+            let r = angle_axis_from_quaternion(&(turned.inverse() * in_tracking));
+            vec![r.x, r.y, r.z]
+        };
+        moments.iter().map(residual).collect()
+    };
+    let variances = [PRIOR[1], PRIOR[1], PRIOR[1], PRIOR[3], PRIOR[3], PRIOR[3], PRIOR[2]];
+    let prior = variances.map(|p| 1.0 / (p * p));
+    let turned = fit(by_gyroscope, &[0, 0, 0], &[1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-3], &prior)?;
+    let (turn, delay) = (quaternion_from_angle_axis(&three(&turned.value, 0)), turned.value[6]);
+    let shifted = by_accelerometer(trajectory, sensors, start, turn, delay)?;
+    let pick = |of_turn: &dyn Fn(usize) -> f64, of_shift: &dyn Fn(usize) -> f64| -> [f64; 7] {
+        std::array::from_fn(|k| match k {
+            0..3 => of_shift(k),
+            3..6 => of_turn(k - 3),
+            _ => of_turn(6),
+        })
+    };
+    let value = pick(&|k| turned.value[k], &|k| shifted.value[k]);
+    let deviation = pick(&|k| turned.deviation(k), &|k| shifted.deviation(k));
+    Some(Mounting::new("IMU", value, deviation, [PRIOR[0], PRIOR[1], PRIOR[2]]))
+}
+
+/// Lever arm, bias and gravity: the change of velocity over a stretch by the accelerometer against that of the place where it is.
+fn by_accelerometer(
+    trajectory: &DenseTrajectory,
+    sensors: &MotionSensors,
+    start: Time,
+    turn: portolan_geometry::Quaternion,
+    delay: f64,
+) -> Option<Fit> {
+    struct Stretch {
+        /// Change of velocity: measured by the accelerometer less that of the tracking frame, world axes.
+        change: Vector3,
+        /// Takes a lever arm to its change of velocity.
+        lever: na::Matrix3<f64>,
+        /// Takes a bias to its change of velocity.
+        bias: na::Matrix3<f64>,
+        seconds: f64,
+    }
+    let samples = sensors.imu();
+    let seconds = |i: usize| samples[i].time.seconds_since(start) + delay;
+    let mut stretches = Vec::new();
+    for from in moments(trajectory) {
+        let first = samples.partition_point(|s| s.time.seconds_since(start) + delay < from);
+        let end = samples.partition_point(|s| s.time.seconds_since(start) + delay < from + STRETCH);
+        if end - first < 10 || end >= samples.len() {
+            continue;
+        }
+        let (mut change, mut bias) = (Vector3::zeros(), na::Matrix3::zeros());
+        for (i, sample) in samples.iter().enumerate().take(end).skip(first) {
+            let rotation = trajectory.pose(seconds(i)).rotation;
+            let step = seconds(i + 1) - seconds(i);
+            change += rotation * (turn * sample.linear_acceleration) * step;
+            bias += rotation.to_rotation_matrix().into_inner() * step;
+        }
+        let ends = [seconds(first), seconds(end)];
+        let [(v0, w0), (v1, w1)] = ends.map(|s| trajectory.velocity(s));
+        let [r0, r1] = ends.map(|s| trajectory.pose(s).rotation.to_rotation_matrix().into_inner());
+        let lever = w1.cross_matrix() * r1 - w0.cross_matrix() * r0;
+        stretches.push(Stretch { change: change - (v1 - v0), lever, bias, seconds: ends[1] - ends[0] });
+    }
+    let residuals = |v: &DVector<f64>| -> Vec<Vec<f64>> {
+        let residual = |s: &Stretch| {
+            let r = s.change - s.lever * three(v, 0) - s.bias * three(v, 3) - three(v, 6) * s.seconds;
+            vec![r.x, r.y, r.z]
+        };
+        stretches.iter().map(residual).collect()
+    };
+    let deviations =
+        [PRIOR[0], PRIOR[0], PRIOR[0], PRIOR[4], PRIOR[4], PRIOR[4], PRIOR[5], PRIOR[5], PRIOR[5]];
+    fit(residuals, &[0, 0, 0], &[1e-2; 9], &deviations.map(|d| 1.0 / (d * d)))
+}

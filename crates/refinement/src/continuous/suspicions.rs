@@ -1,0 +1,128 @@
+//! What may be wrong with the input, said in words that name what would be right.
+
+use super::mounting::{self, Mounting};
+use super::session::Session;
+use super::time_base::{self, TimeBase};
+use crate::MotionSensors;
+
+/// With a smaller share of points on planar patches something is wrong with the input.
+const LEAST_PLANAR_SHARE: f64 = 0.2;
+/// Calibrations are believed from so many standard deviations on.
+const SIGNIFICANT: f64 = 6.0;
+/// More points than this share outside the trajectory are worth a word.
+const OUTSIDE: f64 = 0.05;
+
+impl Session<'_> {
+    fn warn(&mut self, text: String) {
+        self.report.warnings.push(text);
+    }
+
+    /// Before anything is done: does the trajectory belong to the points?
+    pub fn look_for_suspicions(&mut self) {
+        match time_base::look(&self.points, &self.trajectory, 0.0, 0.0) {
+            TimeBase::Fits => {}
+            TimeBase::FitsWith(delay) => self.warn(format!(
+                "wrong time base? The points fit together better with {delay:.3} s added to the stamps of the \
+                 trajectory (--time-offset {delay:.3})"
+            )),
+            TimeBase::FitsNowhere => self.warn(
+                "the trajectory makes the points no sharper than if the sensors had stood still: is it that of another \
+                 recording, of another frame, or of another clock?"
+                    .to_owned(),
+            ),
+        }
+    }
+
+    /// What was found about a lidar.
+    pub fn note_sensor(&mut self, mounting: Mounting, calibrated: bool) {
+        let significant = mounting.significant(SIGNIFICANT);
+        if !calibrated && significant.contains(&true) {
+            let words = mounting.words(significant);
+            self.warn(format!(
+                "wrong extrinsics or clock? {} seems to be {words} against {}; --calibrate would correct it",
+                name(&mounting.what),
+                name(self.sensor_names.first().map_or("", |n| n))
+            ));
+        }
+        if calibrated && !mounting.undetermined.is_empty() {
+            self.warn(format!(
+                "the motion does not determine the calibration of {}: {}; do not rely on that",
+                name(&mounting.what),
+                mounting.undetermined.join(", ")
+            ));
+        }
+        self.report.calibrated |= calibrated;
+        self.report.mountings.push(mounting);
+    }
+
+    /// Compares motions: those of the result with those of the input and of the IMU.
+    pub fn judge_mountings(&mut self, sensors: &MotionSensors) {
+        if let Some(mounting) = mounting::of_input(&self.trajectory, &self.coverage.gaps) {
+            let significant = mounting.significant(SIGNIFICANT);
+            let mut said = Vec::new();
+            if significant[0] || significant[1] {
+                let words = mounting.words([significant[0], significant[1], false]);
+                said.push(format!(
+                    "wrong extrinsics? The motion of the input fits the points better with the sensors {words} in the \
+                     tracking frame"
+                ));
+            }
+            if significant[2] {
+                let delay = mounting.delay;
+                said.push(format!(
+                    "wrong time base? The motion of the input fits the points better with {delay:.3} s added to its stamps \
+                     (--time-offset {delay:.3})"
+                ));
+            }
+            said.into_iter().for_each(|text| self.warn(text));
+        }
+        let imu = mounting::of_imu(&self.trajectory, sensors, self.trajectory.start());
+        if let Some(imu) = &imu {
+            let significant = imu.significant(SIGNIFICANT);
+            if significant.contains(&true) {
+                let words = imu.words(significant);
+                self.warn(format!(
+                    "wrong extrinsics or clock? The IMU seems to be {words} in the tracking frame"
+                ));
+            }
+        }
+        self.report.imu = imu;
+    }
+
+    /// At the end: what of the input could not be used.
+    pub fn warn_of_input(&mut self) {
+        let report = &self.report;
+        let mut said = Vec::new();
+        if let Some(share) = report.planar_share.filter(|share| *share < LEAST_PLANAR_SHARE) {
+            said.push(format!(
+                "only {:.0} % of the points lie on surfaces: is it the trajectory of this recording, of the frame \
+                 the points are in, and of the same clock?",
+                100.0 * share
+            ));
+        }
+        let all = report.points_outside_trajectory + report.points;
+        if report.points_outside_trajectory as f64 > OUTSIDE * all as f64 {
+            let [start, end] = self.uncovered_ends;
+            let gaps: f64 = report.gaps.iter().map(|g| g[1] - g[0]).sum();
+            said.push(format!(
+                "the trajectory is shorter than the recording: {} of {all} points were not used; it begins {start:.1} s \
+                 later, ends {end:.1} s earlier, and has {} gaps of {gaps:.1} s together",
+                report.points_outside_trajectory,
+                report.gaps.len()
+            ));
+        }
+        for sensor in report.sensors.iter().filter(|s| s.empty_sweeps > 0) {
+            said.push(format!(
+                "{} of {} sweeps of {} are empty",
+                sensor.empty_sweeps,
+                sensor.sweeps + sensor.empty_sweeps,
+                name(&sensor.name)
+            ));
+        }
+        said.into_iter().for_each(|text| self.warn(text));
+    }
+}
+
+fn name(sensor: &str) -> &str {
+    if sensor.is_empty() { "the lidar" } else { sensor }
+}

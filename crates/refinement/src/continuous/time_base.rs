@@ -1,0 +1,184 @@
+//! Do trajectory and points belong together? Points of short windows are placed with the trajectory, shifted in time by
+//! several seconds, and with none at all; the sharper, the better it fits.
+
+use portolan_geometry::{Rigid3, Vector3};
+use rayon::prelude::*;
+
+use super::cells::Cells;
+use super::coverage::TimedPoints;
+use super::dense_trajectory::DenseTrajectory;
+
+/// Length of a window, seconds.
+const WINDOW: f64 = 1.0;
+const WINDOWS: usize = 16;
+/// Points of a window that are looked at.
+const POINTS: usize = 8000;
+/// Edge of the cells, metres.
+const CELL: f64 = 0.5;
+/// Thinner than this nothing needs to be, metres.
+const THIN: f64 = 0.01;
+/// Steps of the search, seconds.
+const STEP: f64 = 0.1;
+/// Seconds to each side that are always searched, and that are searched if the trajectory does not fit.
+const NEAR: f64 = 2.0;
+const FAR: f64 = 30.0;
+/// Differences of so many standard errors are believed …
+const SIGNIFICANT: f64 = 4.0;
+/// … if they are also this large (natural logarithm of the thickness).
+const LARGE: f64 = 0.05;
+/// A trajectory that moves less than this in the windows, on average, cannot be told from standing, metres and radians.
+const STANDING: (f64, f64) = (0.05, 0.03);
+
+/// How trajectory and points fit together in time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum TimeBase {
+    /// As well as can be told.
+    Fits,
+    /// Better with so many seconds added to the stamps of the trajectory.
+    FitsWith(f64),
+    /// No better than if the sensor had stood still.
+    FitsNowhere,
+}
+
+/// Points of one window.
+struct Sample {
+    /// Seconds in the time of the trajectory, and place in the tracking frame.
+    points: Vec<(f64, [f32; 3])>,
+}
+
+/// Looks whether the trajectory fits; `around` is where in time to begin, seconds to be added to its stamps, and how far
+/// to search from there at least.
+pub(crate) fn look(points: &TimedPoints, trajectory: &DenseTrajectory, around: f64, reach: f64) -> TimeBase {
+    let samples = samples(points);
+    if samples.len() < WINDOWS / 3 {
+        return TimeBase::Fits;
+    }
+    let score = |delay: f64| -> Vec<Option<f64>> {
+        // Added to the stamps of the trajectory: its pose of s − delay belongs to s.
+        samples.par_iter().map(|s| thickness(s, |at| pose_within(trajectory, at - delay))).collect()
+    };
+    let still: Vec<Option<f64>> =
+        samples.par_iter().map(|s| thickness(s, |_| Some(Rigid3::identity()))).collect();
+    let given = score(0.0);
+    let moves = moves(trajectory, &samples);
+    let fits = !moves || is_better(&given, &still);
+    let reach = if fits { NEAR } else { FAR.min(trajectory.duration()) }.max(reach);
+    let steps = (reach / STEP).ceil() as i64;
+    let mut best: Option<(f64, Vec<Option<f64>>)> = None;
+    for step in -steps..=steps {
+        let delay = around + step as f64 * STEP;
+        let scores = score(delay);
+        if best.as_ref().is_none_or(|(_, b)| gain(&scores, &still) > gain(b, &still)) {
+            best = Some((delay, scores));
+        }
+    }
+    let Some((mut delay, mut scores)) = best else { return TimeBase::Fits };
+    let mut step = STEP / 2.0;
+    while step > 0.002 {
+        for candidate in [delay - step, delay + step] {
+            let other = score(candidate);
+            if gain(&other, &still) > gain(&scores, &still) {
+                (delay, scores) = (candidate, other);
+            }
+        }
+        step /= 2.0;
+    }
+    let better_than_given = given.iter().all(Option::is_none) || is_better(&scores, &given);
+    if delay.abs() > 0.02 && better_than_given && is_better(&scores, &still) {
+        TimeBase::FitsWith(delay)
+    } else if fits {
+        TimeBase::Fits
+    } else {
+        TimeBase::FitsNowhere
+    }
+}
+
+/// Windows spread over the recording.
+fn samples(points: &TimedPoints) -> Vec<Sample> {
+    let (Some(first), Some(last)) = (points.points.first(), points.points.last()) else { return Vec::new() };
+    let (from, to) = (points.seconds(first), points.seconds(last));
+    let step = (to - from - WINDOW) / (WINDOWS - 1) as f64;
+    if step <= 0.0 {
+        return Vec::new();
+    }
+    let sample = |i: usize| {
+        let start = from + i as f64 * step;
+        let part = points.between([start, start + WINDOW]);
+        let stride = part.len().div_ceil(POINTS).max(1);
+        // Not in step with the rings of a scanner.
+        let stride = if stride > 1 && stride.is_multiple_of(2) { stride + 1 } else { stride };
+        Sample { points: part.iter().step_by(stride).map(|p| points.place(p)).collect() }
+    };
+    (0..WINDOWS).map(sample).filter(|s| s.points.len() > 200).collect()
+}
+
+fn pose_within(trajectory: &DenseTrajectory, seconds: f64) -> Option<Rigid3> {
+    (0.0..=trajectory.duration()).contains(&seconds).then(|| trajectory.pose(seconds))
+}
+
+/// Whether the trajectory moves at all while the samples were taken.
+fn moves(trajectory: &DenseTrajectory, samples: &[Sample]) -> bool {
+    let (mut shift, mut turn, mut count) = (0.0, 0.0, 0.0);
+    for sample in samples {
+        let ends = [sample.points.first(), sample.points.last()]
+            .map(|p| p.and_then(|p| pose_within(trajectory, p.0)));
+        if let [Some(a), Some(b)] = ends {
+            shift += (a.translation.vector - b.translation.vector).norm();
+            turn += a.rotation.angle_to(&b.rotation);
+            count += 1.0;
+        }
+    }
+    shift > STANDING.0 * count || turn > STANDING.1 * count
+}
+
+/// Mean logarithm of the thickness of what is in a cell, weighted with the points in it; none outside the trajectory.
+fn thickness(sample: &Sample, pose: impl Fn(f64) -> Option<Rigid3>) -> Option<f64> {
+    let mut cells = Cells::default();
+    let (mut known, mut at) = (None, f64::NEG_INFINITY);
+    let mut origin = None;
+    for (seconds, p) in &sample.points {
+        // A pose for each five milliseconds is enough here.
+        if known.is_none() || (seconds - at).abs() > 0.005 {
+            (known, at) = (Some(pose(*seconds)?), *seconds);
+        }
+        let world = known? * portolan_geometry::nalgebra::Point3::from(p.map(f64::from));
+        let origin: &Vector3 = origin.get_or_insert(world.coords);
+        let local = world.coords - origin;
+        let cell = cells.cell([local.x, local.y, local.z].map(|v| (v / CELL).floor() as i32));
+        cells.moments[cell].add(&local);
+    }
+    let (mut sum, mut count) = (0.0, 0.0);
+    for moments in cells.moments.iter().filter(|m| m.count >= 8.0) {
+        let Some(fit) = moments.plane() else { continue };
+        sum += moments.count * 0.5 * (fit.variances[0] + THIN * THIN).ln();
+        count += moments.count;
+    }
+    (count > 0.0).then(|| sum / count)
+}
+
+/// Differences of two scores in the windows that both have.
+fn differences(a: &[Option<f64>], b: &[Option<f64>]) -> Vec<f64> {
+    a.iter().zip(b).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect()
+}
+
+/// Whether `a` is sharper than `b` beyond doubt.
+fn is_better(a: &[Option<f64>], b: &[Option<f64>]) -> bool {
+    let differences = differences(a, b);
+    let count = differences.len() as f64;
+    if count < WINDOWS as f64 / 3.0 {
+        return false;
+    }
+    let mean = differences.iter().sum::<f64>() / count;
+    let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    mean < -LARGE && mean < -SIGNIFICANT * (variance / count).sqrt()
+}
+
+/// How much sharper than standing still, on average over the windows within the trajectory; nothing can be said with fewer
+/// than half of them.
+fn gain(scores: &[Option<f64>], still: &[Option<f64>]) -> f64 {
+    let differences = differences(still, scores);
+    if 2 * differences.len() < still.len() {
+        return f64::NEG_INFINITY;
+    }
+    differences.iter().sum::<f64>() / differences.len() as f64
+}
