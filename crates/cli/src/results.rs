@@ -10,7 +10,7 @@ use portolan_mapfile::{
     ImageName, MapReader, MapSpace, PaintOptions, PlacedTexture, load_textures, paint, submap_textures_2d,
     write_map, write_ros_map,
 };
-use portolan_mapping::{LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId};
+use portolan_mapping::{LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId, WeakMotion, WeakSpan};
 
 use crate::error::CliError;
 use crate::known_map::Localisation;
@@ -129,6 +129,23 @@ fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
     })
 }
 
+/// Stretches of time in which scans left a direction open.
+fn weak_spans(spans: &[WeakSpan]) -> Vec<serde_json::Value> {
+    let span = |s: &WeakSpan| {
+        serde_json::json!({
+            "from": s.start.unix_seconds(),
+            "to": s.end.unix_seconds(),
+            "scans": s.scans,
+            "open": match s.motion {
+                WeakMotion::Shift => "shift along",
+                WeakMotion::Turn => "turn about",
+            },
+            "direction_in_tracking_frame": s.direction_in_tracking.as_slice(),
+        })
+    };
+    spans.iter().map(span).collect()
+}
+
 fn report<S: Space>(
     mapped: &MappedRecording<S>,
     seconds: f64,
@@ -162,6 +179,7 @@ fn report<S: Space>(
             "peak_while_mapping": memory_while_mapping.map(|(_, peak)| peak),
             "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
         },
+        "weak_stretches": weak_spans(&mapped.weak_spans),
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,

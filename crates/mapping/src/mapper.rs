@@ -17,7 +17,7 @@ use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, MatchingResult, Repairs};
 use crate::map::{Map, ScanPose};
 use crate::motion_filter::MotionFilter;
-use crate::{InitialTrajectoryPose, PoseGraph, Space, TrajectoryId, Trimmer};
+use crate::{InitialTrajectoryPose, PoseGraph, Space, TrajectoryId, Trimmer, WeakSpan};
 
 /// How the mapper works, apart from what it maps.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +58,7 @@ pub struct Mapper<S: Space> {
     next_trajectory: u32,
     repairs: Repairs,
     scan_times: LatencyHistogram,
+    weak_spans: Vec<WeakSpan>,
 }
 
 /// What stays of a trajectory for the map.
@@ -100,6 +101,7 @@ impl<S: Space> Mapper<S> {
             next_trajectory,
             repairs: Repairs::new(),
             scan_times: LatencyHistogram::default(),
+            weak_spans: Vec::new(),
         })
     }
 
@@ -237,6 +239,7 @@ impl<S: Space> Mapper<S> {
         for (what, count) in trajectory.local_slam.repairs() {
             *self.repairs.entry(what).or_default() += count;
         }
+        self.weak_spans.extend(trajectory.local_slam.weak_spans());
         self.ended.insert(
             id,
             EndedTrajectory {
@@ -252,6 +255,11 @@ impl<S: Space> Mapper<S> {
     /// How long local SLAM took for each scan that it matched.
     pub fn scan_times(&self) -> &LatencyHistogram {
         &self.scan_times
+    }
+
+    /// Where scans of ended trajectories left directions open.
+    pub fn weak_spans(&self) -> &[WeakSpan] {
+        &self.weak_spans
     }
 
     /// How far the pose graph is.

@@ -12,6 +12,9 @@ const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
 /// Enough for single walls in recordings of a minute, and less than what one of ten minutes tries anyway.
 const MIN_SEARCHES: usize = 1000;
 
+/// Range data are gathered to scans of at most about this long, seconds.
+const MAX_SCAN_DURATION: f64 = 0.1;
+
 /// Options for planar mapping with these sensors.
 pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     let mut options = Options::for_2d();
@@ -32,7 +35,11 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
         local.min_range = 0.5;
         let outside = range.median_range > OUTSIDE_MEDIAN_RANGE;
         local.submaps.high_resolution = if outside { 0.2 } else { 0.1 };
+        local.max_range = if outside { 100.0 } else { 60.0 };
     }
+    options.portolan.match_surfaces = true;
+    // A tenth of a second is one turn of most lidars, and short enough to go straight in.
+    options.portolan.min_scan_duration = MAX_SCAN_DURATION;
     local.submaps.num_range_data = 80;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;

@@ -6,7 +6,7 @@ use portolan_config::Options;
 use portolan_geometry::{Rigid3, Time, TransformBuffer};
 use portolan_mapping::{
     BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Map, Mapper, MapperError,
-    MapperSettings, PoseGraph, Repairs, Space, TrajectoryId, of_trajectory,
+    MapperSettings, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan, of_trajectory,
 };
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
@@ -67,6 +67,8 @@ pub struct MappedRecording<S: Space> {
     pub reading_repairs: Vec<Repair>,
     /// Repairs while mapping.
     pub mapping_repairs: Repairs,
+    /// Where scans left directions open and the prediction decided (3D).
+    pub weak_spans: Vec<WeakSpan>,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
 }
@@ -167,6 +169,7 @@ pub fn map_recording<S: Space>(
     }
     scans += mapper.finish_trajectory(trajectory_id)?.len() as u64;
     let scan_times = mapper.scan_times().clone();
+    let weak_spans = mapper.weak_spans().to_vec();
     let (map, mapping_repairs) = mapper.finish()?;
     if scans == 0 {
         return Err(PipelineError::NoScans);
@@ -180,6 +183,7 @@ pub fn map_recording<S: Space>(
         scan_times,
         reading_repairs: ingestion.repairs(),
         mapping_repairs,
+        weak_spans,
         interrupted,
     })
 }

@@ -36,5 +36,17 @@ options! {
         /// gone, instead of going on from the old velocity. 0 never does that, as in the reference.
         /// Lower it when a hand-held scanner turns fast between its scans.
         wide_search_after_gap: f64 = 0.5, "s", Bounds::at_least(0.0);
+        /// 3D: match scans, and loop closures after they were found, to planes in voxels of submaps instead
+        /// of to the cells of hybrid grids. Where surfaces are flat, poses come out several times more
+        /// exact (corridor_imu: see BENCHMARKS.md). On unless a configuration is given, which means the
+        /// reference's way.
+        match_surfaces: bool = false, "", Bounds::ANY;
+        /// 3D: edge of the largest voxels for that; smaller ones down to a quarter are used where they are
+        /// not flat. Raise it outside, where beams lie far apart.
+        surface_voxel_size: f64 = 1.0, "m", Bounds::within(0.05, 100.0);
+        /// 3D: gather range data to one scan until it spans about this long, in addition to
+        /// `num_accumulated_range_data`. Raise it when a turn of the scanner comes in pieces, or when
+        /// several scanners take turns.
+        min_scan_duration: f64 = 0.0, "s", Bounds::within(0.0, 10.0);
     }
 }
