@@ -89,6 +89,19 @@ pub fn write_results<S: ResultSpace>(
     Ok(Written { files })
 }
 
+/// Adds a part to the report that [`write_results`] left.
+pub fn add_to_report(folder: &Path, name: &str, part: &serde_json::Value) -> Result<(), CliError> {
+    let path = folder.join("report.json");
+    let failed = |e: &dyn std::error::Error| CliError::Failed(format!("{}: {e}", path.display()));
+    let text = std::fs::read(&path).map_err(|source| CliError::File { path: path.clone(), source })?;
+    let mut report: serde_json::Value = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
+    if let Some(fields) = report.as_object_mut() {
+        fields.insert(name.to_owned(), part.clone());
+    }
+    let text = serde_json::to_vec_pretty(&report).map_err(|e| failed(&e))?;
+    write_file(&path, |out| out.write_all(&text))
+}
+
 fn trajectory_ids<S: Space>(map: &Map<S>) -> impl Iterator<Item = TrajectoryId> + '_ {
     map.graph.state().trajectories.keys().copied()
 }

@@ -28,6 +28,9 @@ pub enum PipelineError {
     /// Mapping.
     #[error(transparent)]
     Mapper(#[from] MapperError),
+    /// The map as a cloud.
+    #[error(transparent)]
+    Cloud(#[from] portolan_pointcloud::CloudError),
     /// A setting that was to be changed.
     #[error("{0}")]
     Setting(String),
@@ -74,6 +77,7 @@ pub struct MappedRecording<S: Space> {
 }
 
 /// A recording about to be mapped: what is in it, what is used of it, and how.
+#[derive(Clone, Debug)]
 pub struct Preparation {
     inventory: Inventory,
     /// Which topics are used as which sensors.
@@ -85,6 +89,13 @@ pub struct Preparation {
     /// Most threads for searching and optimising, if somebody set a number
     /// ([`RequestedOptions::background_threads`](crate::RequestedOptions::background_threads)).
     pub background_threads: Option<usize>,
+}
+
+impl Preparation {
+    /// What is in the recording.
+    pub fn inventory(&self) -> &Inventory {
+        &self.inventory
+    }
 }
 
 /// Looks through a recording. Without `options` they are chosen from what is in it.
