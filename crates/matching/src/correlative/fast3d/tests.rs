@@ -242,7 +242,7 @@ fn absurd_input_finds_nothing() {
 fn grids_with_voxels_everywhere_are_refused_in_time() {
     let (mut grid, mut lcg) = (HybridGrid::new(0.1).unwrap(), Lcg::new(3));
     for _ in 0..1_200_000 {
-        grid.set_probability([0; 3].map(|_| lcg.symmetric(7800.0) as i32), 0.8);
+        grid.set_probability([0; 3].map(|_| lcg.symmetric(2300.0) as i32), 0.8);
     }
     let refused = FastCorrelativeMatcher3d::new(&grid, &FastCorrelativeOptions3d::default()).err();
     assert_eq!(refused, Some(crate::MatcherOptionError::TooManyVoxels));
