@@ -14,7 +14,7 @@ use portolan_sensor::{ImuData, OdometryData, RangeData, SensorId, TimedPointClou
 
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
-use crate::{InsertedNode, InsertionSubmap, Space};
+use crate::{InsertedNode, InsertionSubmap, Space, WeakSpan};
 
 /// What became of a scan.
 #[derive(Clone, Debug)]
@@ -28,6 +28,12 @@ pub struct MatchingResult<S: Space> {
     /// The node, if the scan was different enough from the last one to be inserted.
     pub inserted: Option<InsertedNode<S>>,
 }
+
+/// A scan is matched when so many points are gathered, however many messages it was to have.
+const MOST_GATHERED_POINTS: usize = 5_000_000;
+
+/// What is counted then.
+const CUT_SHORT: &str = "scan matched before all its messages were there: more than 5 million points (lower num_accumulated_range_data)";
 
 /// Counts of what was dropped or repaired, by reason.
 pub type Repairs = std::collections::BTreeMap<&'static str, u64>;
@@ -54,6 +60,11 @@ pub trait LocalSlam<S: Space>: Send {
 
     /// What was dropped or repaired so far.
     fn repairs(&self) -> Repairs;
+
+    /// Where scans left directions open so far, if that is watched.
+    fn weak_spans(&self) -> Vec<WeakSpan> {
+        Vec::new()
+    }
 }
 
 /// Gives odometry to the extrapolator. Before the first scan there is none; the newest two poses wait

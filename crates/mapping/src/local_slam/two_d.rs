@@ -12,7 +12,10 @@ use portolan_sensor::{
     TimedPointCloudData, adaptive_voxel_filter, voxel_filter,
 };
 
-use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter, take_odometry};
+use super::{
+    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, motion_filter,
+    take_odometry,
+};
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_2d::{ScanMatcher2d, search_after_gap};
@@ -26,7 +29,7 @@ const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 
 /// Settings beyond the reference's options.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LocalSlamExtras {
     /// Predict from all odometry and gyroscope data of the gap between scans.
     pub use_all_odometry: bool,
@@ -34,6 +37,10 @@ pub struct LocalSlamExtras {
     pub search_penalty_limit: f64,
     /// Seconds without any sensor after which the scan is looked for far and wide; 0 never does.
     pub wide_search_after_gap: f64,
+    /// 3D: match to surfaces in voxels of at most this size, metres, instead of to grids.
+    pub surface_voxel_size: Option<f64>,
+    /// 3D: range data are gathered until they span about so many seconds.
+    pub min_scan_duration: f64,
 }
 
 /// Local SLAM of one trajectory in 2D.
@@ -150,7 +157,10 @@ impl LocalSlam2d {
         self.accumulated.messages += 1;
         let wanted = u32::try_from(self.options.num_accumulated_range_data).unwrap_or(1);
         if self.accumulated.messages < wanted {
-            return None;
+            if self.accumulated.returns.len() + self.accumulated.misses.len() < MOST_GATHERED_POINTS {
+                return None;
+            }
+            *self.repairs.entry(CUT_SHORT).or_default() += 1;
         }
         let accumulated = std::mem::take(&mut self.accumulated);
         let gravity = extrapolator.estimate_gravity_orientation(ranges.time);

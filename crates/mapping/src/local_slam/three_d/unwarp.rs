@@ -6,17 +6,23 @@ use portolan_sensor::{PointCloud, RangeData, SynchronizedRanges, voxel_filter, v
 
 /// A message thinned with small voxels in the tracking frame.
 pub(super) struct Gathered {
-    points: Vec<GatheredPoint>,
+    pub points: Vec<GatheredPoint>,
 }
 
-struct GatheredPoint {
-    time: Time,
-    position: Point3f,
-    origin: Point3f,
-    intensity: f32,
+/// A point of a message.
+pub(super) struct GatheredPoint {
+    pub time: Time,
+    /// In the tracking frame at its own time, as the place it was measured from.
+    pub position: Point3f,
+    pub origin: Point3f,
+    pub intensity: f32,
 }
 
 impl Gathered {
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
     pub fn new(ranges: &SynchronizedRanges, voxel_size: f32) -> Self {
         let kept = voxel_filter_indices(&ranges.points, |p| p.point.position, voxel_size);
         let point = |i: u32| {
