@@ -60,7 +60,11 @@ impl Options {
         let mut findings = bounds_findings(self, dimension.as_ref().ok().copied());
         match dimension {
             Ok(Dimension::Two) => self.check_2d(&mut findings.errors),
-            Ok(Dimension::Three) => {}
+            Ok(Dimension::Three) => {
+                let local = &self.trajectory_builder.trajectory_builder_3d;
+                let table = "trajectory_builder.trajectory_builder_3d";
+                check_order(&mut findings.errors, table, "range", local.min_range, local.max_range);
+            }
             Err(error) => findings.errors.push(error),
         }
         self.check_sensors(&mut findings.errors);
@@ -70,6 +74,8 @@ impl Options {
     fn check_2d(&self, errors: &mut Vec<ConfigError>) {
         const TABLE: &str = "trajectory_builder.trajectory_builder_2d";
         let builder = &self.trajectory_builder.trajectory_builder_2d;
+        check_order(errors, TABLE, "range", builder.min_range, builder.max_range);
+        check_order(errors, TABLE, "z", builder.min_z, builder.max_z);
         if builder.pose_extrapolator.use_imu_based {
             errors.push(ConfigError::Inconsistent {
                 paths: vec![format!("{TABLE}.pose_extrapolator.use_imu_based")],
@@ -113,6 +119,17 @@ impl Options {
             });
         }
     }
+}
+
+/// A band from a least to a largest value must not be empty.
+fn check_order(errors: &mut Vec<ConfigError>, table: &str, what: &str, min: f32, max: f32) {
+    if min < max || min.is_nan() || max.is_nan() {
+        return;
+    }
+    let paths = ["min", "max"].map(|end| format!("{table}.{end}_{what}"));
+    let message =
+        format!("`{}` = {min} must be less than `{}` = {max}: nothing lies between them", paths[0], paths[1]);
+    errors.push(ConfigError::Inconsistent { paths: paths.to_vec(), message });
 }
 
 impl MapBuilderServerOptions {

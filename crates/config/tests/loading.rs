@@ -194,3 +194,38 @@ fn settings_win_over_the_file_and_the_file_over_defaults() {
     let loader = Loader { settings, ..Loader::default() };
     assert!(loader.load_text("robot.lua", &robot("options.num_multi_echo_laser_scans = 0")).is_ok());
 }
+
+/// Lines that give an option a value, making the tables on the way.
+fn assignment(path: &str, value: &str) -> String {
+    let mut lines = String::new();
+    let mut table = "options".to_owned();
+    for segment in path.split('.') {
+        if table != "options" {
+            lines.push_str(&format!("{table} = {table} or {{}}\n"));
+        }
+        table.push_str(&format!(".{segment}"));
+    }
+    format!("{lines}{table} = {value}\n")
+}
+
+#[test]
+fn absurd_values_in_a_file_are_refused_or_within_bounds() {
+    let (mut refused, mut loaded) = (0, 0);
+    for doc in portolan_config::catalogue().iter().filter(|doc| !doc.is_table) {
+        for value in ["0/0", "math.huge", "-1e300", "0", "true", "{}", "'text'"] {
+            match Options::from_lua("robot.lua", &robot(&assignment(&doc.path, value))) {
+                Ok(config) => {
+                    assert_eq!(config.options.validate(), Ok(()), "{} = {value}", doc.path);
+                    loaded += 1;
+                }
+                Err(error) => {
+                    let text = error.to_string();
+                    let key = doc.path.rsplit('.').next().unwrap();
+                    assert!(text.contains(key), "{} = {value}: {text}", doc.path);
+                    refused += 1;
+                }
+            }
+        }
+    }
+    assert!(refused > 800 && loaded > 200, "{refused} refused, {loaded} loaded");
+}

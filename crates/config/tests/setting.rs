@@ -238,3 +238,18 @@ fn changes_are_listed() {
         ]
     );
 }
+
+#[test]
+fn bands_must_not_be_empty() {
+    let mut options = Options::for_2d();
+    options.set("trajectory_builder_2d.min_range=30").unwrap();
+    options.set("trajectory_builder_2d.min_z=3").unwrap();
+    // Not in use.
+    options.set("trajectory_builder_3d.min_range=90").unwrap();
+    let errors: Vec<String> = options.validate().unwrap_err().iter().map(ToString::to_string).collect();
+    assert_eq!(errors.len(), 2, "{errors:?}");
+    assert!(errors[0].contains("min_range` = 30 must be less than") && errors[1].contains("max_z` = 2"));
+    let mut options = Options::for_3d();
+    options.set("trajectory_builder_3d.min_range=60").unwrap();
+    assert_eq!(options.validate().unwrap_err().len(), 1);
+}

@@ -9,6 +9,9 @@ const SPARSE_BEAM_SPACING: f64 = 0.05;
 /// Where half of the ranges are longer than this, metres, the lidar is outside.
 const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
 
+/// Enough for single walls in recordings of a minute, and less than what one of ten minutes tries anyway.
+const MIN_SEARCHES: usize = 1000;
+
 /// Range data are gathered to scans of at most about this long, seconds.
 const MAX_SCAN_DURATION: f64 = 0.1;
 
@@ -43,6 +46,17 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
     options.bridge.use_odometry = plan.odometry.is_some();
     options
+}
+
+/// Changes that find a recording in a map of so many submaps without knowing where it starts.
+pub fn search_in_known_map(options: &mut Options, submaps: usize) {
+    options.portolan.global_localization_min_matches = 3;
+    let graph = &mut options.map_builder.pose_graph;
+    // One or two whole submaps a node, every time others: steps of the golden ratio come round last. The
+    // reference program's 0.3 % takes minutes to find the first one in a small map.
+    graph.global_sampling_ratio = (1.618 / submaps.max(1) as f64).min(1.0);
+    // Once it is found it is not lost any more.
+    graph.global_constraint_search_after_n_seconds = f64::INFINITY;
 }
 
 fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&RangeStatistics>) {
@@ -81,6 +95,7 @@ fn set_pose_graph(options: &mut Options, plan: &SensorPlan) {
     // Odometry has already steered local SLAM; as a constraint of its own it would count twice.
     graph.optimization_problem.odometry_translation_weight = 0.0;
     graph.optimization_problem.odometry_rotation_weight = 0.0;
+    options.portolan.min_loop_closure_searches = MIN_SEARCHES;
     let search = &mut graph.constraint_builder;
     search.sampling_ratio = 0.03;
     search.min_score = 0.6;

@@ -36,10 +36,11 @@ options! {
         /// Search a window around the prediction before refining. Turn it on without IMU or odometry, or
         /// with a slow scanner.
         use_online_correlative_scan_matching: bool = false, "", Bounds::ANY;
-        /// That search.
+        /// The search around the prediction that `use_online_correlative_scan_matching` turns on.
         real_time_correlative_scan_matcher: RealTimeCorrelativeScanMatcherOptions =
             RealTimeCorrelativeScanMatcherOptions::default();
-        /// The refinement.
+        /// The match of a scan with the submap, by least squares from the prediction or from what the search
+        /// around it found.
         ceres_scan_matcher: CeresScanMatcher2dOptions = CeresScanMatcher2dOptions::default();
         /// Which scans become nodes and are inserted into submaps.
         motion_filter: MotionFilterOptions = MotionFilterOptions::default();
@@ -47,7 +48,7 @@ options! {
         imu_gravity_time_constant: f64 = 10.0, "s", Bounds::above(0.0);
         /// Prediction of poses between scan matches; `use_imu_based` must be off in 2D.
         pose_extrapolator: PoseExtrapolatorOptions = PoseExtrapolatorOptions::default();
-        /// Submaps.
+        /// Submaps: how many scans each gets, what its grid holds, how scans are drawn.
         submaps: Submaps2dOptions = Submaps2dOptions::default();
     }
 }

@@ -30,7 +30,7 @@ options! {
             AdaptiveVoxelFilterOptions { max_length: 4.0, min_num_points: 200, max_range: MAX_3D_RANGE };
         /// Search a window around the prediction before refining. Turn it on for poor IMUs; it is slow.
         use_online_correlative_scan_matching: bool = false, "", Bounds::ANY;
-        /// That search.
+        /// The search around the prediction that `use_online_correlative_scan_matching` turns on.
         real_time_correlative_scan_matcher: RealTimeCorrelativeScanMatcherOptions =
             RealTimeCorrelativeScanMatcherOptions {
                 linear_search_window: 0.15,
@@ -38,7 +38,8 @@ options! {
                 translation_delta_cost_weight: 1e-1,
                 rotation_delta_cost_weight: 1e-1,
             };
-        /// The refinement.
+        /// The match of a scan with the submap, by least squares from the prediction or from what the search
+        /// around it found.
         ceres_scan_matcher: CeresScanMatcher3dOptions = CeresScanMatcher3dOptions::default();
         /// Which scans become nodes and are inserted into submaps.
         motion_filter: MotionFilterOptions =
@@ -50,7 +51,7 @@ options! {
         imu_gravity_time_constant: f64 = 10.0, "s", Bounds::above(0.0);
         /// Prediction of poses between scan matches.
         pose_extrapolator: PoseExtrapolatorOptions = PoseExtrapolatorOptions::default();
-        /// Submaps.
+        /// Submaps: how many scans each gets, its two grids, how scans are drawn.
         submaps: Submaps3dOptions = Submaps3dOptions::default();
         /// Match intensities too; every range message must then carry one for each point. Turn it on in
         /// tunnels and other places without shape.

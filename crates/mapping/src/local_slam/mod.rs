@@ -29,6 +29,12 @@ pub struct MatchingResult<S: Space> {
     pub inserted: Option<InsertedNode<S>>,
 }
 
+/// A scan is matched when so many points are gathered, however many messages it was to have.
+const MOST_GATHERED_POINTS: usize = 5_000_000;
+
+/// What is counted then.
+const CUT_SHORT: &str = "scan matched before all its messages were there: more than 5 million points (lower num_accumulated_range_data)";
+
 /// Counts of what was dropped or repaired, by reason.
 pub type Repairs = std::collections::BTreeMap<&'static str, u64>;
 

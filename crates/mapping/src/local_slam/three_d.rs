@@ -15,7 +15,10 @@ use portolan_sensor::{
 };
 
 use super::two_d::{LocalSlamExtras, filtered, first_point_time};
-use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter, take_odometry};
+use super::{
+    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, motion_filter,
+    take_odometry,
+};
 use crate::gyroscope_bias::GyroscopeBias;
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
@@ -173,7 +176,10 @@ impl LocalSlam3d {
         // Stamps jitter: nine tenths of the time will do.
         let is_long_enough = ranges.time.seconds_since(begin) >= 0.9 * self.extras.min_scan_duration;
         if self.gathered.len() < self.options.num_accumulated_range_data || !is_long_enough {
-            return Vec::new();
+            if self.gathered.iter().map(Gathered::len).sum::<usize>() < MOST_GATHERED_POINTS {
+                return Vec::new();
+            }
+            self.count(CUT_SHORT);
         }
         let gathered = std::mem::take(&mut self.gathered);
         self.gathering_since = Some(ranges.time);

@@ -12,7 +12,10 @@ use portolan_sensor::{
     TimedPointCloudData, adaptive_voxel_filter, voxel_filter,
 };
 
-use super::{ActiveSubmaps, LocalSlam, MatchingResult, Repairs, motion_filter, take_odometry};
+use super::{
+    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, motion_filter,
+    take_odometry,
+};
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_2d::{ScanMatcher2d, search_after_gap};
@@ -154,7 +157,10 @@ impl LocalSlam2d {
         self.accumulated.messages += 1;
         let wanted = u32::try_from(self.options.num_accumulated_range_data).unwrap_or(1);
         if self.accumulated.messages < wanted {
-            return None;
+            if self.accumulated.returns.len() + self.accumulated.misses.len() < MOST_GATHERED_POINTS {
+                return None;
+            }
+            *self.repairs.entry(CUT_SHORT).or_default() += 1;
         }
         let accumulated = std::mem::take(&mut self.accumulated);
         let gravity = extrapolator.estimate_gravity_orientation(ranges.time);

@@ -72,10 +72,10 @@ impl SpatialProblem {
             problem.add_se3_with(pose, translation, rotation)
         };
         let first = data.submaps.keys().next().copied();
-        let submaps = data
-            .submaps
-            .iter()
-            .map(|(id, pose)| (*id, add(pose, data.frozen.contains(&id.trajectory_id), Some(*id) == first)));
+        let submaps = data.submaps.iter().map(|(id, pose)| {
+            let anchored = Some(*id) == first || data.anchors.contains(id);
+            (*id, add(pose, data.frozen.contains(&id.trajectory_id), anchored))
+        });
         let submaps = submaps.collect();
         let nodes = data.nodes.iter().map(|(id, node)| {
             (*id, add(&node.map_from_node, data.frozen.contains(&id.trajectory_id), false))

@@ -170,7 +170,12 @@ impl FastCorrelativeMatcher3d {
     ) -> Option<FastMatch3d> {
         let cells = |metres: f64| (metres / f64::from(self.lattice.resolution)).round() as i32;
         let xy = cells(self.options.linear_xy_search_window);
-        let window = [cells(self.options.linear_z_search_window), xy, xy];
+        let offset = (map_from_submap.inverse() * map_from_node).translation.vector;
+        let reach = self.reach(node);
+        // Beyond no shift puts a point on the grid.
+        let useful = |axis: usize| reach.saturating_add(cells(offset[axis].abs())).saturating_add(1);
+        let window =
+            [cells(self.options.linear_z_search_window).min(useful(2)), xy.min(useful(1)), xy.min(useful(0))];
         let angular = self.options.angular_search_window;
         self.search(map_from_node, map_from_submap, node, submap, window, angular, min_score)
     }
@@ -185,13 +190,18 @@ impl FastCorrelativeMatcher3d {
         submap: &SubmapToSearch<'_>,
         min_score: f32,
     ) -> Option<FastMatch3d> {
-        let range = farthest(&self.usable(node.high_resolution_cloud)) / self.lattice.resolution;
-        let reach = self.extent.div_ceil(2) as i32 + (range + 0.5).round().min(MAX_SHIFT as f32) as i32;
+        let reach = self.reach(node);
         let [node_rotation, submap_rotation] =
             [map_from_node, map_from_submap].map(|r| Rigid3::from_parts(Default::default(), *r));
         let window = [reach; 3];
         let angular = std::f64::consts::PI;
         self.search(&node_rotation, &submap_rotation, node, submap, window, angular, min_score)
+    }
+
+    /// Cells by which a node at the origin may be shifted and still meet the grid.
+    fn reach(&self, node: &NodeToFind<'_>) -> i32 {
+        let range = farthest(&self.usable(node.high_resolution_cloud)) / self.lattice.resolution;
+        self.extent.div_ceil(2) as i32 + (range + 0.5).round().min(MAX_SHIFT as f32) as i32
     }
 
     #[allow(clippy::too_many_arguments)] // two ways in, one search

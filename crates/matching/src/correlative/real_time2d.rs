@@ -93,12 +93,13 @@ impl RealTimeCorrelativeMatcher2d {
         if points.is_empty() || !initial.is_finite() {
             return None;
         }
-        let window = SearchWindow::new(
+        let mut window = SearchWindow::new(
             &points,
             grid.limits().resolution(),
             self.options.linear_search_window,
             self.options.angular_search_window,
         );
+        window.num_linear = window.num_linear.min(largest_useful_shift(grid, initial, &window));
         let tile = searched_part(grid, initial, &points, &window);
         let first_cell = [tile.min.x, tile.min.y];
         let scans = RotatedScans::new(&points, initial, window, *grid.limits(), first_cell);
@@ -150,6 +151,18 @@ impl Penalty {
             y: nearest(first.y, last.y, 0),
         })
     }
+}
+
+/// At most this many cells to either side are searched.
+const MAX_SHIFT: f64 = 2048.0;
+
+/// Cells beyond which a shift takes all points off the grid, where no placement is better than another.
+fn largest_useful_shift(grid: &Grid2d, initial: &Rigid2, window: &SearchWindow) -> i32 {
+    let limits = grid.limits();
+    let offset = (limits.max() - initial.translation).abs().max();
+    let across = f64::from(limits.num_x_cells().max(limits.num_y_cells()));
+    let cells = across + (offset + window.max_range) / limits.resolution();
+    cells.ceil().min(MAX_SHIFT) as i32
 }
 
 /// The cells of the grid that any placement can meet.

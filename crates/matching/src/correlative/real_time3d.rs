@@ -14,9 +14,11 @@ use surroundings::Surroundings;
 
 mod surroundings;
 
-/// At most this many steps to either side along each axis and about each axis: beyond, a search would
-/// take hours. A wider window is cut.
+/// At most this many steps to either side along each axis and about each axis. A wider window is cut.
 const MAX_STEPS: i32 = 64;
+/// At most this many times a point is looked up, which takes about two seconds. A window that would take more
+/// is cut, the wider one of shifts and rotations first.
+const MAX_LOOKUPS: f64 = 4e8;
 /// After so many points it is checked whether a rotation can still be the best.
 const POINTS_PER_CHECK: usize = 16;
 
@@ -75,12 +77,20 @@ impl Window {
         let (angular_step, num_angular) =
             angular_steps_in_space(farthest, lattice.resolution, 1e-3, options.angular_search_window);
         let num_linear = (options.linear_search_window / f64::from(lattice.resolution)).round();
-        Self {
+        let mut window = Self {
             resolution: lattice.resolution,
             num_linear: num_linear.min(f64::from(MAX_STEPS)) as i32,
             angular_step,
             num_angular: num_angular.min(MAX_STEPS),
+        };
+        let lookups = |w: &Self| w.num_shifts() as f64 * w.num_rotations() as f64 * points.len() as f64;
+        while lookups(&window) > MAX_LOOKUPS && window.num_linear + window.num_angular > 0 {
+            match window.num_linear >= window.num_angular {
+                true => window.num_linear -= 1,
+                false => window.num_angular -= 1,
+            }
         }
+        window
     }
 
     fn num_shifts(&self) -> usize {

@@ -1,5 +1,7 @@
 //! How far and how finely placements are searched.
 
+use std::f64::consts::PI;
+
 use portolan_geometry::Point3f;
 
 /// At most this many angles to either side: enough for a whole turn with points 500 m away in cells of
@@ -24,7 +26,7 @@ pub(crate) fn angular_steps_in_space(farthest: f32, resolution: f32, margin: f32
     let max_range = farthest.max(3.0 * resolution);
     let ratio = resolution * resolution / (2.0 * max_range * max_range);
     let step = (1.0 - margin) * (1.0 - ratio).acos();
-    let (step, count) = bounded_angular_steps(f64::from(step), window, f64::round);
+    let (step, count) = bounded_angular_steps(f64::from(step), window.min(PI), f64::round);
     (step as f32, count)
 }
 
@@ -50,7 +52,7 @@ impl SearchWindow {
         let max_range = f64::from(farthest).max(3.0 * resolution);
         let ratio = resolution / max_range;
         let step = 0.999 * (1.0 - ratio * ratio / 2.0).acos();
-        let (angular_step, num_angular) = bounded_angular_steps(step, angular_window, f64::ceil);
+        let (angular_step, num_angular) = bounded_angular_steps(step, angular_window.min(PI), f64::ceil);
         Self {
             resolution,
             angular_step,
@@ -119,6 +121,8 @@ mod tests {
             assert!(window.num_scans() <= 65537 && window.num_linear == MAX_LINEAR_STEPS, "{window:?}");
             assert!(window.angular_step > 0.0, "{window:?}");
         }
+        let round = |window| SearchWindow::new(&[Point3f::new(9.0, 0.0, 0.0)], 0.05, 0.0, window).num_angular;
+        assert_eq!(round(1e9), round(PI), "more than a whole turn");
         let still = SearchWindow::new(&[], 0.05, 0.0, 0.0);
         assert_eq!((still.num_scans(), still.num_linear), (1, 0));
     }

@@ -80,7 +80,8 @@ fn text(doc: &OptionDoc) -> String {
     if doc.is_table {
         text.push_str(if doc.default == "absent" { "  table, absent by default\n" } else { "  table\n" });
     } else {
-        let unit = if doc.unit.is_empty() { String::new() } else { format!(" {}", doc.unit) };
+        let has_unit = doc.is_number() && !doc.unit.is_empty();
+        let unit = if has_unit { format!(" {}", doc.unit) } else { String::new() };
         let bounds = bounds(doc).map(|bounds| format!(", {bounds}")).unwrap_or_default();
         text.push_str(&format!("  {}{bounds}; default {}{unit}\n", doc.type_name, doc.default));
     }

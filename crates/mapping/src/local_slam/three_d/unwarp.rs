@@ -19,6 +19,10 @@ pub(super) struct GatheredPoint {
 }
 
 impl Gathered {
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
     pub fn new(ranges: &SynchronizedRanges, voxel_size: f32) -> Self {
         let kept = voxel_filter_indices(&ranges.points, |p| p.point.position, voxel_size);
         let point = |i: u32| {
