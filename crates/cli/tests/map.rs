@@ -248,9 +248,10 @@ fn a_spinning_lidar_is_mapped_in_space() {
         let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
         errors["absolute"]["translation"]["rmse"].as_f64().unwrap()
     };
-    // The reference program: 0.102 m with the IMU; it cannot do without.
+    // The reference program: 0.102 m with the IMU; it cannot do without. The lidar, which is followed
+    // without the IMU, lies 0.25 m from what the truth follows.
     let (with_imu, without) = (run(&[]), run(&["--no-imu"]));
-    assert!(with_imu <= 0.102 && without <= 0.102, "{with_imu} m, without IMU {without} m");
+    assert!(with_imu <= 0.03 && without <= 0.08, "{with_imu} m, without IMU {without} m");
     let start = |threads| map(&recording, folder.path(), &["--duration", "20", "--threads", threads]);
     let one = start("1");
     assert!(one == start("2") && one == start("4"), "the map depends on the number of threads");

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use portolan::pipeline::MappedRecording;
+use portolan::pipeline::{KnownMap, MappedRecording};
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors};
 use portolan_geometry::{Rigid3, Time};
 use portolan_mapping::{Planar, Spatial, TrajectoryId};
@@ -124,7 +124,8 @@ fn mapped<S: ResultSpace>(
     let ingest = IngestOptions::default();
     let preparation = prepared(recording, &ingest, None, &[], global)?;
     let start = Instant::now();
-    let mapped = map_with_progress::<S>(recording, &ingest, preparation.clone(), global)?;
+    let known = KnownMap::empty(&preparation.options);
+    let mapped = map_with_progress::<S>(recording, &ingest, preparation.clone(), known, global)?;
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, folder, seconds, false)?;
     print(&summary(&mapped, &written, seconds))?;

@@ -322,18 +322,8 @@ fn add_echoes(
     findings: &mut Findings,
 ) {
     let (points, faults) = points_of_echoes(scan.header.stamp, scan, false, directions);
-    let first = crate::LaserScan {
-        header: scan.header.clone(),
-        angle_min: scan.angle_min,
-        angle_max: scan.angle_max,
-        angle_increment: scan.angle_increment,
-        time_increment: scan.time_increment,
-        scan_time: scan.scan_time,
-        range_min: scan.range_min,
-        range_max: scan.range_max,
-        ranges: scan.ranges.iter().map(|e| e.first().copied().unwrap_or(f32::INFINITY)).collect(),
-        intensities: Vec::new(),
-    };
+    let first_echoes = scan.ranges.iter().map(|e| e.first().copied().unwrap_or(f32::INFINITY));
+    let first = scan.with_readings(first_echoes.collect(), Vec::new());
     ranges.add_scan(topic, &first, faults, findings);
     ranges.add_points(topic, &scan.header.frame_id, &points, findings);
 }
