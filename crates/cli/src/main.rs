@@ -4,6 +4,7 @@ mod clouds;
 mod commands;
 mod error;
 mod interrupt;
+mod known_map;
 mod memory;
 mod output;
 mod progress;

@@ -6,14 +6,14 @@ use portolan::pipeline::MappedRecording;
 use portolan_export::{
     ConstraintLine, MapContent, PictureOptions, TrajectoryLine, draw_map, write_picture, write_tum,
 };
-use portolan_geometry::{Rigid3, Time};
 use portolan_mapfile::{
     ImageName, MapReader, MapSpace, PaintOptions, PlacedTexture, load_textures, paint, submap_textures_2d,
     write_map, write_ros_map,
 };
-use portolan_mapping::{LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId};
+use portolan_mapping::{LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId, WeakMotion, WeakSpan};
 
 use crate::error::CliError;
+use crate::known_map::Localisation;
 use crate::memory::resident_and_peak_bytes;
 use crate::output::write_file;
 
@@ -64,9 +64,11 @@ pub fn write_results<S: ResultSpace>(
     let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
     let map_file = file("map.pbstream");
     write_map(map, &map_file, true).map_err(|e| failed(&e))?;
-    write_tum(&file("trajectory.tum"), &poses(map, false)).map_err(|e| failed(&e))?;
+    // Trajectories that were known before are in the map; these files are of the recording.
+    let id = mapped.trajectory_id;
+    write_tum(&file("trajectory.tum"), &map.node_poses(id)).map_err(|e| failed(&e))?;
     if all_poses {
-        write_tum(&file("all_poses.tum"), &poses(map, true)).map_err(|e| failed(&e))?;
+        write_tum(&file("all_poses.tum"), &map.scan_poses(id)).map_err(|e| failed(&e))?;
     }
     let textures = S::textures(map, &map_file)?;
     let content = MapContent {
@@ -87,14 +89,21 @@ pub fn write_results<S: ResultSpace>(
     Ok(Written { files })
 }
 
-fn trajectory_ids<S: Space>(map: &Map<S>) -> impl Iterator<Item = TrajectoryId> + '_ {
-    map.graph.state().trajectories.keys().copied()
+/// Adds a part to the report that [`write_results`] left.
+pub fn add_to_report(folder: &Path, name: &str, part: &serde_json::Value) -> Result<(), CliError> {
+    let path = folder.join("report.json");
+    let failed = |e: &dyn std::error::Error| CliError::Failed(format!("{}: {e}", path.display()));
+    let text = std::fs::read(&path).map_err(|source| CliError::File { path: path.clone(), source })?;
+    let mut report: serde_json::Value = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
+    if let Some(fields) = report.as_object_mut() {
+        fields.insert(name.to_owned(), part.clone());
+    }
+    let text = serde_json::to_vec_pretty(&report).map_err(|e| failed(&e))?;
+    write_file(&path, |out| out.write_all(&text))
 }
 
-fn poses<S: Space>(map: &Map<S>, every_scan: bool) -> Vec<(Time, Rigid3)> {
-    trajectory_ids(map)
-        .flat_map(|id| if every_scan { map.scan_poses(id) } else { map.node_poses(id) })
-        .collect()
+fn trajectory_ids<S: Space>(map: &Map<S>) -> impl Iterator<Item = TrajectoryId> + '_ {
+    map.graph.state().trajectories.keys().copied()
 }
 
 fn trajectory_lines<S: Space>(map: &Map<S>) -> Vec<TrajectoryLine> {
@@ -133,6 +142,23 @@ fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
     })
 }
 
+/// Stretches of time in which scans left a direction open.
+fn weak_spans(spans: &[WeakSpan]) -> Vec<serde_json::Value> {
+    let span = |s: &WeakSpan| {
+        serde_json::json!({
+            "from": s.start.unix_seconds(),
+            "to": s.end.unix_seconds(),
+            "scans": s.scans,
+            "open": match s.motion {
+                WeakMotion::Shift => "shift along",
+                WeakMotion::Turn => "turn about",
+            },
+            "direction_in_tracking_frame": s.direction_in_tracking.as_slice(),
+        })
+    };
+    spans.iter().map(span).collect()
+}
+
 fn report<S: Space>(
     mapped: &MappedRecording<S>,
     seconds: f64,
@@ -154,6 +180,10 @@ fn report<S: Space>(
         "constraints": state.constraints.len(),
         "loop_closures": loops,
         "contradicted_loop_closures": mapped.map.graph.contradicted_loop_closures(),
+        "known_map": Localisation::of(mapped).map(|l| serde_json::json!({
+            "loop_closures": l.loop_closures,
+            "first_found_after_seconds": l.first_found_after_seconds,
+        })),
         "recording_seconds": mapped.recording_seconds,
         "wall_seconds": seconds,
         "real_time_factor": mapped.recording_seconds / seconds.max(1e-3),
@@ -162,6 +192,7 @@ fn report<S: Space>(
             "peak_while_mapping": memory_while_mapping.map(|(_, peak)| peak),
             "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
         },
+        "weak_stretches": weak_spans(&mapped.weak_spans),
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,

@@ -293,6 +293,24 @@ fn a_folder_of_scans_becomes_a_map() {
         ["register", &scans, "--poses", &poses, "--trust-poses", "--max-distance", "0.3", "--json"];
     let again = json(&portolan_with_code(0, &arguments).stdout);
     assert_pose(&again["scans"][3], &truth[3], 0.01, "again");
+    // Poses of a national grid are as good.
+    let far = Rigid3::translation(4_468_000.0, 5_333_000.0, 520.0);
+    let moved: String = std::fs::read_to_string(&poses)
+        .unwrap()
+        .lines()
+        .map(|line| {
+            let v: Vec<&str> = line.split(' ').collect();
+            let place: Vec<f64> =
+                (0..3).map(|k| v[1 + k].parse::<f64>().unwrap() + far.translation.vector[k]).collect();
+            format!("{} {} {} {} {}\n", v[0], place[0], place[1], place[2], v[4..].join(" "))
+        })
+        .collect();
+    std::fs::write(out.join("far.tum"), moved).unwrap();
+    let poses = text(&out.join("far.tum"));
+    let arguments =
+        ["register", &scans, "--poses", &poses, "--metascan", "--global", "--max-distance", "0.3", "--json"];
+    let again = json(&portolan_with_code(0, &arguments).stdout);
+    assert_pose(&again["scans"][3], &(far * truth[3]), 0.01, "far");
 }
 
 #[test]

@@ -205,14 +205,35 @@ fn an_interrupt_saves_what_was_mapped() {
     }
 }
 
-#[test]
-fn the_demo_is_accurate() {
-    let folder = tempfile::tempdir().unwrap();
-    let run = portolan_with_code(0, &["demo", "--seconds", "60", "-o", &text(folder.path())]);
+#[track_caller]
+fn demo_errors(folder: &Path, more: &[&str]) -> (Run, f64) {
+    let run = portolan_with_code(0, &[&["demo", "-q", "-o", &text(folder)], more].concat());
     let line = run.stdout.lines().find_map(|line| line.strip_prefix("against the truth: ")).unwrap();
-    let metres: f64 = line.split_whitespace().next().unwrap().parse().unwrap();
-    assert!(metres < 0.06, "{line}");
+    let metres = line.split_whitespace().next().unwrap().parse().unwrap();
+    (run, metres)
+}
+
+#[test]
+fn the_demo_in_the_plane_is_accurate() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, metres) = demo_errors(folder.path(), &["--planar", "--seconds", "60"]);
+    assert!(metres < 0.06, "{}", run.stdout);
     assert!(folder.path().join("map.png").exists());
+}
+
+#[test]
+fn the_demo_leaves_a_recording_its_map_and_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, metres) = demo_errors(folder.path(), &["--seconds", "15"]);
+    assert!(metres < 0.1, "{}", run.stdout);
+    for name in ["museum.mcap", "museum.truth.tum", "map.pbstream", "trajectory.tum", "map_section.png"] {
+        assert!(folder.path().join(name).metadata().unwrap().len() > 10_000, "{name}");
+    }
+    for side in ["top", "front", "side"] {
+        assert!(run.stdout.contains(&format!("map_xray_{side}.png")), "{}", run.stdout);
+    }
+    let report = report(folder.path());
+    assert!(report["cloud"]["unwound"]["points"].as_u64().unwrap() > 500_000, "{report}");
 }
 
 #[test]
@@ -227,9 +248,10 @@ fn a_spinning_lidar_is_mapped_in_space() {
         let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
         errors["absolute"]["translation"]["rmse"].as_f64().unwrap()
     };
-    // The reference program: 0.102 m with the IMU; it cannot do without.
+    // The reference program: 0.102 m with the IMU; it cannot do without. The lidar, which is followed
+    // without the IMU, lies 0.25 m from what the truth follows.
     let (with_imu, without) = (run(&[]), run(&["--no-imu"]));
-    assert!(with_imu <= 0.102 && without <= 0.102, "{with_imu} m, without IMU {without} m");
+    assert!(with_imu <= 0.03 && without <= 0.08, "{with_imu} m, without IMU {without} m");
     let start = |threads| map(&recording, folder.path(), &["--duration", "20", "--threads", threads]);
     let one = start("1");
     assert!(one == start("2") && one == start("4"), "the map depends on the number of threads");

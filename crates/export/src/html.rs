@@ -124,7 +124,7 @@ pub fn marked_picture(png: &[u8], width: usize, height: usize, marks: &[Mark]) -
     let total = height as f64 + strip;
     let mut svg = format!(
         "<svg viewBox=\"0 0 {width} {total:.1}\" xmlns=\"http://www.w3.org/2000/svg\" role=\"img\">\
-         <image width=\"{width}\" height=\"{height}\" style=\"image-rendering:auto\" \
+         <rect width=\"{width}\" height=\"{total:.1}\" fill=\"#fff\"/><image width=\"{width}\" height=\"{height}\" style=\"image-rendering:auto\" \
          href=\"data:image/png;base64,{}\"/>",
         base64(png)
     );

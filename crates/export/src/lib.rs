@@ -15,6 +15,7 @@ mod point_picture;
 pub mod points;
 mod raster;
 mod tum;
+mod xray;
 
 pub use colour::{Rgb, hsv, mix, palette, rgb, to_bytes};
 pub use font::{draw_text, text_width};
@@ -28,3 +29,4 @@ pub use png_file::{write_grey_map, write_picture};
 pub use point_picture::{PointImage, PointView, encode_grey};
 pub use raster::{Frame, MapColours};
 pub use tum::{tum_line, write_tum};
+pub use xray::{CloudSample, Extent, XrayPicture, XrayView, colour_of_share};

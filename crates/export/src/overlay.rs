@@ -117,6 +117,18 @@ fn fill_circle(pixmap: &mut PixmapMut, x: f32, y: f32, radius: f32, paint: &Pain
     }
 }
 
+/// Writes a line of text on a plate in the upper left corner, where it fits.
+pub fn draw_title(pixmap: &mut PixmapMut, title: &str, scale: f32) {
+    let (width, height) = (text_width(title, TEXT * scale) + 2.0 * PAD * scale, (TEXT + 2.0 * PAD) * scale);
+    let margin = CORNER * scale;
+    if title.is_empty() || width + 2.0 * margin > pixmap.width() as f32 {
+        return;
+    }
+    fill_rounded(pixmap, [margin, margin, width, height], 4.0 * scale, &solid_paint(WHITE, 0.82));
+    let (x, base) = (margin + PAD * scale, margin + (PAD + TEXT) * scale);
+    draw_text(pixmap, title, x, base, TEXT * scale, &solid_paint(INK, 1.0));
+}
+
 /// A bar of a round length with its length over it, in one corner of the picture.
 pub struct ScaleBar {
     label: String,

@@ -1,7 +1,7 @@
 //! Pictures of maps: the ground in colours, and over it trajectories, loop closures and a scale.
 
 use portolan_mapfile::{MapArea, PaintError, PlacedTexture};
-use tiny_skia::{IntSize, Pixmap, PixmapRef};
+use tiny_skia::{IntSize, Pixmap, PixmapMut, PixmapRef};
 
 use crate::colour::{rgb, to_bytes};
 use crate::overlay::{ConstraintLine, ScaleBar, TrajectoryLine, draw_constraints, draw_trajectories};
@@ -93,6 +93,21 @@ pub fn draw_map(content: &MapContent, options: &PictureOptions) -> Result<Pictur
     let frame = frame(content, options)?;
     let colours = options.colours.unwrap_or_else(|| suitable_colours(content.textures));
     let ground = raster(content.textures, &frame, &colours)?;
+    compose(frame, &ground, to_bytes(colours.unknown), options.scale_bar, &mut |canvas, scale| {
+        draw_constraints(canvas, &frame, content.constraints, scale);
+        draw_trajectories(canvas, &frame, content.trajectories, scale);
+    })
+}
+
+/// A picture of a ground (red, green, blue, row by row) with what `draw` draws over it, at the size of strokes
+/// that it is told, and a scale bar where there is most paper.
+pub(crate) fn compose(
+    frame: Frame,
+    ground: &[u8],
+    paper: [u8; 3],
+    scale_bar: bool,
+    draw: &mut dyn FnMut(&mut PixmapMut, f32),
+) -> Result<Picture, PictureError> {
     let rgba: Vec<u8> = ground.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
     let size = IntSize::from_wh(frame.width as u32, frame.height as u32);
     let mut pixmap = size
@@ -100,10 +115,9 @@ pub fn draw_map(content: &MapContent, options: &PictureOptions) -> Result<Pictur
         .ok_or(PictureError::MaxEdge(frame.width.max(frame.height)))?;
     let scale = (frame.width.max(frame.height) as f32 / 1000.0).clamp(0.5, 4.0);
     let mut canvas = pixmap.as_mut();
-    draw_constraints(&mut canvas, &frame, content.constraints, scale);
-    draw_trajectories(&mut canvas, &frame, content.trajectories, scale);
-    if let Some(bar) = ScaleBar::new(&frame, scale).filter(|_| options.scale_bar) {
-        let place = emptiest(canvas.as_ref(), bar.places(&frame), to_bytes(colours.unknown));
+    draw(&mut canvas, scale);
+    if let Some(bar) = ScaleBar::new(&frame, scale).filter(|_| scale_bar) {
+        let place = emptiest(canvas.as_ref(), bar.places(&frame), paper);
         bar.draw(&mut canvas, place);
     }
     // Every pixel is opaque, so premultiplied colours are the colours.

@@ -51,7 +51,7 @@ impl PointView {
 
     /// Pixels to the right and down from the upper left corner; may lie outside of the picture.
     pub fn place(&self, point: [f64; 3]) -> [f64; 2] {
-        let from = self.from_centre(point);
+        let from = self.offset(point);
         [
             0.5 * self.width as f64 + dot(from, self.right) / self.resolution,
             0.5 * self.height as f64 - dot(from, self.up) / self.resolution,
@@ -69,14 +69,14 @@ impl PointView {
         Some(y as usize * self.width + x as usize)
     }
 
-    fn from_centre(&self, point: [f64; 3]) -> [f64; 3] {
+    fn offset(&self, point: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|k| point[k] - self.centre[k])
     }
 
     /// Metres towards the viewer.
     fn depth(&self, point: [f64; 3]) -> f64 {
         let ([a, b, c], [u, v, w]) = (self.right, self.up);
-        dot(self.from_centre(point), [b * w - c * v, c * u - a * w, a * v - b * u])
+        dot(self.offset(point), [b * w - c * v, c * u - a * w, a * v - b * u])
     }
 }
 

@@ -7,6 +7,7 @@
 mod backend;
 mod collation;
 mod constraint;
+mod gyroscope_bias;
 mod histogram;
 mod id;
 mod imu_integration;
@@ -28,6 +29,7 @@ mod space;
 mod spatial;
 mod submap_2d;
 mod submap_3d;
+mod weak_span;
 
 pub use backend::{BackendProgress, MapperError};
 pub use constraint::{Constraint, ConstraintTag};
@@ -53,3 +55,4 @@ pub use space::{MatchedPose, SearchRegion, Space};
 pub use spatial::{Spatial, SpatialMatcher};
 pub use submap_2d::{Inserter2d, Submap2d};
 pub use submap_3d::{Inserter3d, Scan3d, Submap3d};
+pub use weak_span::{WeakMotion, WeakSpan, WeakSpans};

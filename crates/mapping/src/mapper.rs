@@ -17,7 +17,7 @@ use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, MatchingResult, Repairs};
 use crate::map::{Map, ScanPose};
 use crate::motion_filter::MotionFilter;
-use crate::{InitialTrajectoryPose, PoseGraph, Space, TrajectoryId, Trimmer};
+use crate::{InitialTrajectoryPose, PoseGraph, Space, TrajectoryId, Trimmer, WeakSpan};
 
 /// How the mapper works, apart from what it maps.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +58,7 @@ pub struct Mapper<S: Space> {
     next_trajectory: u32,
     repairs: Repairs,
     scan_times: LatencyHistogram,
+    weak_spans: Vec<WeakSpan>,
 }
 
 /// What stays of a trajectory for the map.
@@ -87,6 +88,9 @@ impl<S: Space> Mapper<S> {
     ) -> Result<Self, MapperError> {
         let mut graph = graph;
         graph.set_drops_contradicted(options.portolan.drop_contradicted_loop_closures);
+        graph.set_corrects_imu_biases(options.portolan.match_surfaces);
+        graph.set_min_agreeing_matches(options.portolan.global_localization_min_matches);
+        graph.set_min_loop_closure_searches(options.portolan.min_loop_closure_searches as u64);
         let next_trajectory = graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);
         Ok(Self {
             backend: Backend::start(graph, settings.threads)?,
@@ -98,6 +102,7 @@ impl<S: Space> Mapper<S> {
             next_trajectory,
             repairs: Repairs::new(),
             scan_times: LatencyHistogram::default(),
+            weak_spans: Vec::new(),
         })
     }
 
@@ -235,6 +240,7 @@ impl<S: Space> Mapper<S> {
         for (what, count) in trajectory.local_slam.repairs() {
             *self.repairs.entry(what).or_default() += count;
         }
+        self.weak_spans.extend(trajectory.local_slam.weak_spans());
         self.ended.insert(
             id,
             EndedTrajectory {
@@ -250,6 +256,11 @@ impl<S: Space> Mapper<S> {
     /// How long local SLAM took for each scan that it matched.
     pub fn scan_times(&self) -> &LatencyHistogram {
         &self.scan_times
+    }
+
+    /// Where scans of ended trajectories left directions open.
+    pub fn weak_spans(&self) -> &[WeakSpan] {
+        &self.weak_spans
     }
 
     /// How far the pose graph is.

@@ -33,6 +33,8 @@ impl Space for Planar {
             use_all_odometry: options.portolan.use_all_odometry,
             search_penalty_limit: options.portolan.search_penalty_limit,
             wide_search_after_gap: options.portolan.wide_search_after_gap,
+            min_scan_duration: 0.0,
+            surface_voxel_size: None,
         };
         LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)
     }

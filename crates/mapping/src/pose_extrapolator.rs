@@ -6,6 +6,7 @@
 //! and end of a turn. Ours (`use_all_odometry`) follows what odometry and gyroscope measured since the
 //! last pose, and goes on along an arc where they end.
 
+mod imu_based;
 mod odometry_queue;
 mod screw_motion;
 #[cfg(test)]
@@ -13,6 +14,7 @@ mod tests;
 
 use std::collections::VecDeque;
 
+use portolan_config::ImuBasedPoseExtrapolatorOptions;
 use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, interpolate, is_valid_pose,
     nalgebra as na, quaternion_from_angle_axis,
@@ -21,6 +23,7 @@ use portolan_sensor::{ImuData, OdometryData};
 use thiserror::Error;
 
 use crate::imu_tracker::ImuTracker;
+use imu_based::{ImuBasedExtrapolator, Prediction};
 use odometry_queue::{OdometryQueue, thin_out};
 use screw_motion::ScrewMotion;
 
@@ -92,6 +95,10 @@ pub struct PoseExtrapolator {
     /// The last prediction, as long as nothing new is known.
     cached: Option<(Time, Rigid3)>,
     counts: ExtrapolatorCounts,
+    /// Predicts instead, if there is one.
+    imu_based: Option<Box<ImuBasedExtrapolator>>,
+    /// What it predicted for the time that was prepared for.
+    prepared: Option<Prediction>,
 }
 
 impl PoseExtrapolator {
@@ -117,7 +124,23 @@ impl PoseExtrapolator {
             last_extrapolated_time: None,
             cached: None,
             counts: ExtrapolatorCounts::default(),
+            imu_based: None,
+            prepared: None,
         }
+    }
+
+    /// Predicts by fitting poses, IMU and odometry of the last seconds (`slam3d.md` §2). To be set before
+    /// anything is added.
+    #[must_use]
+    pub fn with_imu_based(mut self, options: &ImuBasedPoseExtrapolatorOptions) -> Self {
+        self.imu_based = Some(Box::new(ImuBasedExtrapolator::new(options)));
+        self
+    }
+
+    /// Says that poses until `time` will be asked for next. The fit of the IMU-based extrapolator is made
+    /// here, once for all of them.
+    pub fn prepare(&mut self, time: Time) {
+        self.prepared = self.imu_based.as_mut().and_then(|fit| fit.extrapolate(time));
     }
 
     /// An extrapolator that starts at rest at an IMU sample, upright as its acceleration says.
@@ -127,8 +150,16 @@ impl PoseExtrapolator {
         use_all_odometry: bool,
         imu_data: &ImuData,
     ) -> Result<Self, ExtrapolatorError> {
-        let mut extrapolator = Self::new(pose_queue_duration, imu_gravity_time_constant, use_all_odometry);
-        extrapolator.add_imu(imu_data)?;
+        let extrapolator = Self::new(pose_queue_duration, imu_gravity_time_constant, use_all_odometry);
+        extrapolator.started_at_rest(imu_data)
+    }
+
+    /// The extrapolator, still empty, started at rest at an IMU sample, upright as its acceleration says.
+    pub fn started_at_rest(mut self, imu_data: &ImuData) -> Result<Self, ExtrapolatorError> {
+        let (imu_gravity_time_constant, mut extrapolator) = (self.gravity_time_constant, {
+            self.add_imu(imu_data)?;
+            self
+        });
         let mut tracker = ImuTracker::new(imu_gravity_time_constant, imu_data.time);
         tracker.add_acceleration(&imu_data.linear_acceleration);
         tracker.set_angular_velocity(&imu_data.angular_velocity);
@@ -148,6 +179,10 @@ impl PoseExtrapolator {
         }
         if last_time == Some(time) {
             self.poses.pop_back();
+        }
+        self.prepared = None;
+        if let Some(fit) = &mut self.imu_based {
+            fit.add_pose(time, local_from_tracking);
         }
         self.poses.push_back((time, local_from_tracking));
         while self.poses.len() > 2
@@ -192,6 +227,10 @@ impl PoseExtrapolator {
             Err(ExtrapolatorError::OutOfOrder)
         } else {
             self.cached = None;
+            self.prepared = None;
+            if let Some(fit) = &mut self.imu_based {
+                fit.add_imu(*data);
+            }
             self.imu.push_back(*data);
             thin_out(&mut self.imu, IMU_CAPACITY);
             self.trim_imu();
@@ -225,6 +264,10 @@ impl PoseExtrapolator {
                 self.odometry.clear();
             }
             self.cached = None;
+            self.prepared = None;
+            if let Some(fit) = &mut self.imu_based {
+                fit.add_odometry(*data);
+            }
             self.odometry.push(*data);
             if let Some(last) = last_pose_time {
                 self.odometry.trim(last);
@@ -294,7 +337,9 @@ impl PoseExtrapolator {
             self.last_extrapolated_time = Some(time);
             return pose;
         }
-        let pose = if self.use_all_odometry {
+        let pose = if let (Some(fit), Some(prediction)) = (&self.imu_based, &self.prepared) {
+            fit.between(prediction, time)
+        } else if self.use_all_odometry {
             self.follow_measurements(last_time, &last, trackers, time)
         } else {
             self.go_straight_on(last_time, &last, trackers, time)
@@ -338,8 +383,7 @@ impl PoseExtrapolator {
             Some((motion, seconds)) => motion.fraction(time.seconds_since(last_time) / seconds),
             None => Rigid3::identity(),
         });
-        let gyroscope_is_awake = self.imu.back().is_some_and(|newest| time - newest.time <= IMU_TIMEOUT);
-        if !gyroscope_is_awake {
+        if !self.has_gyroscope(time) {
             return last * motion;
         }
         let turned = self.turned(trackers, time);
@@ -364,6 +408,9 @@ impl PoseExtrapolator {
     /// From the tracking frame to one that is level, at a time from the last pose on; identity while
     /// there is no pose. Heading is arbitrary but follows the robot's.
     pub fn estimate_gravity_orientation(&self, time: Time) -> Quaternion {
+        if let Some(prediction) = self.prepared.as_ref().filter(|p| p.time == time) {
+            return prediction.gravity_from_tracking;
+        }
         self.trackers.map_or_else(Quaternion::identity, |t| self.advanced(t.main, time).orientation())
     }
 
@@ -375,6 +422,17 @@ impl PoseExtrapolator {
     /// The last pose that was taken, with its time.
     pub fn last_pose(&self) -> Option<(Time, Rigid3)> {
         self.poses.back().copied()
+    }
+
+    /// Whether a gyroscope tells how the tracking frame turns until `time`.
+    pub fn has_gyroscope(&self, time: Time) -> bool {
+        self.imu.back().is_some_and(|newest| time - newest.time <= IMU_TIMEOUT)
+    }
+
+    /// Whether odometry tells how the tracking frame moves until `time`.
+    pub fn has_odometry(&self, time: Time) -> bool {
+        let reaches = |newest: &OdometryData| time - newest.time <= IMU_TIMEOUT;
+        self.odometry.len() > 1 && self.odometry.newest().is_some_and(reaches)
     }
 
     /// Whether odometry or a gyroscope told anything of the motion since the last pose.

@@ -1,9 +1,12 @@
 //! Space itself as a space to map in.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Quaternion, Rigid3, Vector2, is_valid_pose};
-use portolan_matching::{FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SubmapToSearch};
-use portolan_sensor::SensorId;
+use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
+use portolan_matching::{
+    FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, PosePrior, SubmapToSearch, SurfaceMap,
+    SurfaceMatcher, SurfaceMatcherOptions,
+};
+use portolan_sensor::{PointCloud, SensorId};
 
 use crate::local_slam::three_d::LocalSlam3d;
 use crate::local_slam::two_d::LocalSlamExtras;
@@ -36,6 +39,8 @@ impl Space for Spatial {
             search_penalty_limit: options.portolan.search_penalty_limit,
             use_all_odometry: options.portolan.use_all_odometry,
             wide_search_after_gap: options.portolan.wide_search_after_gap,
+            min_scan_duration: options.portolan.min_scan_duration,
+            surface_voxel_size: surface_voxel_size(options),
         };
         LocalSlam3d::new(&options.trajectory_builder.trajectory_builder_3d, range_sensors, extras)
     }
@@ -99,6 +104,10 @@ impl Space for Spatial {
             }
         }?;
         let initial = found.found.pose;
+        if let Some(surfaces) = &submap.surfaces {
+            let submap_from_node = refined_by_surfaces(surfaces, clouds, &initial)?;
+            return Some(MatchedPose { submap_from_node, score: found.found.score });
+        }
         let grids = clouds_in_grids(clouds, submap);
         let refined = matcher.refinement.match_scan(initial.translation.vector, &initial, &grids).pose;
         let submap_from_node = if is_valid_pose(&refined) { refined } else { initial };
@@ -120,6 +129,32 @@ impl Space for Spatial {
     fn cell_size(submap: &Submap3d) -> f64 {
         f64::from(submap.high_resolution_grid.resolution())
     }
+}
+
+/// A found pose may be off by this: metres and radians.
+const SEARCH_SIGMA: (f64, f64) = (0.2, 0.05);
+/// Points may be off by this at the beginning of the refinement, metres.
+const REFINEMENT_SCALE: f64 = 0.4;
+/// A loop closure needs so large a share of its points on surfaces.
+const MIN_MATCHED_SHARE: f64 = 0.5;
+
+/// The pose near `initial` that puts a node on the surfaces of a submap. None if it does not fit them, or if
+/// they leave a direction open: what the search found along a bare corridor is no measurement.
+fn refined_by_surfaces(surfaces: &SurfaceMap, clouds: [&PointCloud; 2], initial: &Rigid3) -> Option<Rigid3> {
+    let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
+    let (translation_sigma, rotation_sigma) = SEARCH_SIGMA;
+    let prior = PosePrior { pose: *initial, translation_sigma, rotation_sigma };
+    let final_scale = 0.1 * f64::from(surfaces.edge());
+    let matcher =
+        SurfaceMatcher::new(SurfaceMatcherOptions { final_scale, ..SurfaceMatcherOptions::default() });
+    let found = matcher.match_scan(surfaces, &points, initial, &prior, REFINEMENT_SCALE)?;
+    let fits = found.matched_share >= MIN_MATCHED_SHARE && found.weak.is_empty();
+    (fits && is_valid_pose(&found.pose)).then_some(found.pose)
+}
+
+/// The size of voxels if scans are matched to surfaces.
+fn surface_voxel_size(options: &Options) -> Option<f64> {
+    options.portolan.match_surfaces.then_some(options.portolan.surface_voxel_size)
 }
 
 /// The rotation from a submap to a frame that is level: that of its pose in the local map.

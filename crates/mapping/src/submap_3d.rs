@@ -6,7 +6,7 @@ use portolan_config::Submaps3dOptions;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, to_f32, yaw};
 use portolan_matching::grid::InserterOptionError;
 use portolan_matching::{
-    GridError, HybridGrid, HybridInserter, HybridInserterOptions, IntensityGrid, rotate_histogram,
+    GridError, HybridGrid, HybridInserter, HybridInserterOptions, IntensityGrid, SurfaceMap, rotate_histogram,
 };
 use portolan_sensor::RangeData;
 
@@ -21,6 +21,7 @@ pub struct Inserter3d {
     low_resolution: f32,
     histogram_size: usize,
     use_intensities: bool,
+    surface_voxel_size: Option<f32>,
 }
 
 impl Inserter3d {
@@ -44,7 +45,14 @@ impl Inserter3d {
             low_resolution: options.low_resolution as f32,
             histogram_size,
             use_intensities,
+            surface_voxel_size: None,
         })
+    }
+
+    /// Submaps also keep surfaces, in voxels of at most `edge` metres.
+    #[must_use]
+    pub fn with_surfaces(self, edge: f64) -> Self {
+        Self { surface_voxel_size: Some(edge as f32), ..self }
     }
 }
 
@@ -53,6 +61,8 @@ impl Inserter3d {
 pub struct Scan3d {
     /// In the local map.
     pub range_data_in_local: RangeData,
+    /// More of the hits than the range data have, in the local map, for surfaces.
+    pub surface_points_in_local: Vec<Point3f>,
     /// Directions of walls in the gravity-aligned frame of the node.
     pub rotational_histogram: Vec<f32>,
     /// Rotation from that frame to the local map.
@@ -77,6 +87,8 @@ pub struct Submap3d {
     pub intensity_grid: Option<IntensityGrid>,
     /// Directions of walls in the frame of the submap, summed over all scans.
     pub rotational_histogram: Vec<f32>,
+    /// Planes, if scans are matched to them; files do not keep them.
+    pub surfaces: Option<SurfaceMap>,
     /// Scans that could not be inserted because they lay too far from the origin of the submap.
     pub refused_scans: u32,
     inserter: Option<Arc<Inserter3d>>,
@@ -100,6 +112,7 @@ impl Submap3d {
             low_resolution_grid: HybridGrid::new(inserter.low_resolution)?,
             intensity_grid,
             rotational_histogram: vec![0.0; inserter.histogram_size],
+            surfaces: inserter.surface_voxel_size.map(SurfaceMap::new),
             refused_scans: 0,
             inserter: Some(Arc::clone(inserter)),
         })
@@ -121,6 +134,7 @@ impl Submap3d {
             low_resolution_grid,
             intensity_grid: None,
             rotational_histogram,
+            surfaces: None,
             refused_scans: 0,
             inserter: None,
         }
@@ -151,6 +165,10 @@ impl GrowingSubmap for Submap3d {
         let high =
             fine.insert(&data, max_range, &mut self.high_resolution_grid, self.intensity_grid.as_mut());
         let low = fine.insert(&data, f32::INFINITY, &mut self.low_resolution_grid, None);
+        if let Some(surfaces) = &mut self.surfaces {
+            let submap_from_local = to_f32(&submap_from_local);
+            scan.surface_points_in_local.iter().for_each(|p| surfaces.insert(&(submap_from_local * p)));
+        }
         let drawn = high.is_ok() && low.is_ok();
         self.refused_scans += u32::from(!drawn);
         let turn = yaw(&(submap_from_local.rotation * scan.local_from_gravity_aligned)) as f32;
@@ -163,6 +181,7 @@ impl GrowingSubmap for Submap3d {
     fn finish(&mut self) {
         self.high_resolution_grid = self.high_resolution_grid.compacted();
         self.low_resolution_grid = self.low_resolution_grid.compacted();
+        self.surfaces = self.surfaces.as_ref().map(SurfaceMap::compacted);
         self.intensity_grid = None;
         self.insertion_finished = true;
         self.inserter = None;
@@ -190,6 +209,7 @@ mod tests {
                 },
                 misses: PointCloud::default(),
             },
+            surface_points_in_local: Vec::new(),
             rotational_histogram: vec![1.0, 2.0, 3.0, 4.0],
             local_from_gravity_aligned: Quaternion::identity(),
         };

@@ -3,6 +3,7 @@
 //! - [`grid`]: what a submap is drawn on, how range data are drawn into it and how it looks.
 //! - [`correlative`]: matching by search, near a guess or over a whole submap.
 //! - [`gradient`]: matching by least squares, down to fractions of a cell.
+//! - [`surface`]: matching to planes in voxels, down to millimetres where surfaces are flat.
 //!
 //! Everything here is a plain function of its arguments: no clocks, no randomness, no threads of its
 //! own, no interior mutability. Matchers are `Send + Sync` and may be shared by any number of threads.
@@ -12,6 +13,7 @@ mod error;
 pub mod gradient;
 pub mod grid;
 mod planar_transform;
+pub mod surface;
 
 #[cfg(test)]
 extern crate self as portolan_matching;
@@ -37,3 +39,7 @@ pub use grid::{
     Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts,
 };
 pub use planar_transform::PlanarTransform;
+pub use surface::{
+    Plane, PosePrior, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, WeakDirections,
+    align_coarsely, up_direction,
+};

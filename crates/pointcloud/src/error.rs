@@ -46,6 +46,12 @@ pub enum CloudError {
         /// Why, and what to do.
         detail: String,
     },
+    /// The size of voxels makes no sense.
+    #[error("voxels must be 0.0001 to 1000 m large, not {0}")]
+    VoxelSize(f64),
+    /// A temporary file could not be written or read.
+    #[error("a temporary file failed: {0}; is its disk full? TMPDIR names another folder for it")]
+    Temporary(std::io::Error),
 }
 
 impl CloudError {

@@ -42,6 +42,7 @@ mod las;
 mod output;
 mod pcd;
 mod ply;
+mod thin;
 mod uos;
 mod xyz;
 
@@ -50,6 +51,7 @@ pub use error::{CloudError, Repair};
 pub use format::{
     CloudFormat, CloudReader, CloudWriter, Encoding, Precision, WriteOptions, Written, create, open,
 };
+pub use thin::{CELLS_IN_MEMORY, ThinnedCloud, VoxelPoint, VoxelThinner};
 pub use uos::{UosFolder, UosFrame, UosScan, uos_frames_text, uos_pose_text};
 
 /// Points of a batch at most.

@@ -9,6 +9,12 @@ const SPARSE_BEAM_SPACING: f64 = 0.05;
 /// Where half of the ranges are longer than this, metres, the lidar is outside.
 const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
 
+/// Enough for single walls in recordings of a minute, and less than what one of ten minutes tries anyway.
+const MIN_SEARCHES: usize = 1000;
+
+/// Range data are gathered to scans of at most about this long, seconds.
+const MAX_SCAN_DURATION: f64 = 0.1;
+
 /// Options for planar mapping with these sensors.
 pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     let mut options = Options::for_2d();
@@ -29,13 +35,28 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
         local.min_range = 0.5;
         let outside = range.median_range > OUTSIDE_MEDIAN_RANGE;
         local.submaps.high_resolution = if outside { 0.2 } else { 0.1 };
+        local.max_range = if outside { 100.0 } else { 60.0 };
     }
+    options.portolan.match_surfaces = true;
+    // A tenth of a second is one turn of most lidars, and short enough to go straight in.
+    options.portolan.min_scan_duration = MAX_SCAN_DURATION;
     local.submaps.num_range_data = 80;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;
     options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
     options.bridge.use_odometry = plan.odometry.is_some();
     options
+}
+
+/// Changes that find a recording in a map of so many submaps without knowing where it starts.
+pub fn search_in_known_map(options: &mut Options, submaps: usize) {
+    options.portolan.global_localization_min_matches = 3;
+    let graph = &mut options.map_builder.pose_graph;
+    // One or two whole submaps a node, every time others: steps of the golden ratio come round last. The
+    // reference program's 0.3 % takes minutes to find the first one in a small map.
+    graph.global_sampling_ratio = (1.618 / submaps.max(1) as f64).min(1.0);
+    // Once it is found it is not lost any more.
+    graph.global_constraint_search_after_n_seconds = f64::INFINITY;
 }
 
 fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&RangeStatistics>) {
@@ -74,6 +95,7 @@ fn set_pose_graph(options: &mut Options, plan: &SensorPlan) {
     // Odometry has already steered local SLAM; as a constraint of its own it would count twice.
     graph.optimization_problem.odometry_translation_weight = 0.0;
     graph.optimization_problem.odometry_rotation_weight = 0.0;
+    options.portolan.min_loop_closure_searches = MIN_SEARCHES;
     let search = &mut graph.constraint_builder;
     search.sampling_ratio = 0.03;
     search.min_score = 0.6;

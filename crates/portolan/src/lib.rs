@@ -1,9 +1,10 @@
 //! The public API of Portolan in one crate: every room by its name, and the whole job as one function
-//! ([`pipeline::map_recording`]).
+//! ([`pipeline::map_recording`]); the map as a cloud ([`unwind`]).
 
 pub mod automatic;
 pub mod pipeline;
 mod requested;
+pub mod unwind;
 
 pub use requested::RequestedOptions;
 
@@ -14,6 +15,7 @@ pub use portolan_geometry as geometry;
 pub use portolan_mapfile as mapfile;
 pub use portolan_mapping as mapping;
 pub use portolan_matching as matching;
+pub use portolan_pointcloud as pointcloud;
 pub use portolan_recording as recording;
 pub use portolan_refinement as refinement;
 pub use portolan_sensor as sensor;

@@ -1,11 +1,12 @@
 //! The whole job: from a recording to a map.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_config::Options;
-use portolan_geometry::Time;
+use portolan_geometry::{Rigid3, Time, TransformBuffer};
 use portolan_mapping::{
-    BackendProgress, LatencyHistogram, Map, Mapper, MapperError, MapperSettings, Repairs, Space,
+    BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Map, Mapper, MapperError,
+    MapperSettings, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan, of_trajectory,
 };
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
@@ -27,6 +28,9 @@ pub enum PipelineError {
     /// Mapping.
     #[error(transparent)]
     Mapper(#[from] MapperError),
+    /// The map as a cloud.
+    #[error(transparent)]
+    Cloud(#[from] portolan_pointcloud::CloudError),
     /// A setting that was to be changed.
     #[error("{0}")]
     Setting(String),
@@ -52,6 +56,8 @@ pub struct PipelineProgress {
 pub struct MappedRecording<S: Space> {
     /// The map.
     pub map: Map<S>,
+    /// What the recording became in the map.
+    pub trajectory_id: TrajectoryId,
     /// Which topics were used as which sensors.
     pub plan: SensorPlan,
     /// Scans matched.
@@ -64,11 +70,14 @@ pub struct MappedRecording<S: Space> {
     pub reading_repairs: Vec<Repair>,
     /// Repairs while mapping.
     pub mapping_repairs: Repairs,
+    /// Where scans left directions open and the prediction decided (3D).
+    pub weak_spans: Vec<WeakSpan>,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
 }
 
 /// A recording about to be mapped: what is in it, what is used of it, and how.
+#[derive(Clone, Debug)]
 pub struct Preparation {
     inventory: Inventory,
     /// Which topics are used as which sensors.
@@ -80,6 +89,13 @@ pub struct Preparation {
     /// Most threads for searching and optimising, if somebody set a number
     /// ([`RequestedOptions::background_threads`](crate::RequestedOptions::background_threads)).
     pub background_threads: Option<usize>,
+}
+
+impl Preparation {
+    /// What is in the recording.
+    pub fn inventory(&self) -> &Inventory {
+        &self.inventory
+    }
 }
 
 /// Looks through a recording. Without `options` they are chosen from what is in it.
@@ -102,20 +118,51 @@ pub fn prepare(
     Ok(Preparation { inventory, plan, options, dimension, background_threads: None })
 }
 
-/// Maps a recording in the space that the preparation names. `observe` is called now and then and stops
-/// everything cleanly by returning false.
+/// A map that a recording is added to.
+pub struct KnownMap<S: Space> {
+    /// Its trajectories.
+    pub graph: PoseGraph<S>,
+    /// Options, sensors and scans of its trajectories.
+    pub trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
+    /// Where in the map the recording starts (`map_from_tracking`), if that is known. Else it is searched
+    /// in the whole map.
+    pub start: Option<Rigid3>,
+}
+
+impl<S: Space> KnownMap<S> {
+    /// Nothing is known yet.
+    pub fn empty(options: &Options) -> Self {
+        let graph = PoseGraph::new(options.map_builder.pose_graph.clone());
+        Self { graph, trajectories: BTreeMap::new(), start: None }
+    }
+
+    /// The start as the pose graph wants it: at `time`, relative to the first trajectory of the map.
+    fn initial_pose(&self, time: Time) -> Option<InitialTrajectoryPose> {
+        let to_trajectory_id = *self.graph.state().trajectories.keys().next()?;
+        let nodes: TransformBuffer = of_trajectory(&self.graph.state().nodes, to_trajectory_id)
+            .map(|(_, node)| (node.data.time, node.map_from_tracking))
+            .collect();
+        let relative_pose = nodes.lookup_clamped(time)?.inverse() * self.start?;
+        Some(InitialTrajectoryPose { to_trajectory_id, relative_pose, time })
+    }
+}
+
+/// Maps a recording in the space that the preparation names, beginning with what `known` holds.
+/// `observe` is called now and then and stops everything cleanly by returning false.
 pub fn map_recording<S: Space>(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     preparation: Preparation,
+    known: KnownMap<S>,
     settings: MapperSettings,
     observe: &mut dyn FnMut(&PipelineProgress) -> bool,
 ) -> Result<MappedRecording<S>, PipelineError> {
     let Preparation { inventory, plan, options, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
-    let mut mapper = Mapper::<S>::new(&options, settings)?;
+    let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
+    let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
-    let trajectory_id = mapper.add_trajectory(&sensors, None)?;
+    let trajectory_id = mapper.add_trajectory(&sensors, initial_pose)?;
     let (mut scans, mut interrupted) = (0, false);
     let mut span: Option<(Time, Time)> = None;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement()? {
@@ -133,18 +180,21 @@ pub fn map_recording<S: Space>(
     }
     scans += mapper.finish_trajectory(trajectory_id)?.len() as u64;
     let scan_times = mapper.scan_times().clone();
+    let weak_spans = mapper.weak_spans().to_vec();
     let (map, mapping_repairs) = mapper.finish()?;
     if scans == 0 {
         return Err(PipelineError::NoScans);
     }
     Ok(MappedRecording {
         map,
+        trajectory_id,
         plan,
         scans,
         recording_seconds: span.map_or(0.0, |(first, last)| last.seconds_since(first)),
         scan_times,
         reading_repairs: ingestion.repairs(),
         mapping_repairs,
+        weak_spans,
         interrupted,
     })
 }

@@ -62,10 +62,10 @@ pub enum Message {
     },
 }
 
-/// `sensor_msgs/LaserScan`: metres, radians, seconds.
+/// `sensor_msgs/LaserScan`: metres, radians, seconds. `R` is what a beam reads: one range, or several.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(missing_docs)] // the fields are those of the ROS message
-pub struct LaserScan {
+pub struct LaserScan<R = f32> {
     pub header: Header,
     pub angle_min: f32,
     pub angle_max: f32,
@@ -74,24 +74,29 @@ pub struct LaserScan {
     pub scan_time: f32,
     pub range_min: f32,
     pub range_max: f32,
-    pub ranges: Vec<f32>,
-    pub intensities: Vec<f32>,
+    pub ranges: Vec<R>,
+    pub intensities: Vec<R>,
 }
 
 /// `sensor_msgs/MultiEchoLaserScan`: like a laser scan with several ranges per beam.
-#[derive(Clone, Debug, PartialEq)]
-#[allow(missing_docs)] // the fields are those of the ROS message
-pub struct MultiEchoLaserScan {
-    pub header: Header,
-    pub angle_min: f32,
-    pub angle_max: f32,
-    pub angle_increment: f32,
-    pub time_increment: f32,
-    pub scan_time: f32,
-    pub range_min: f32,
-    pub range_max: f32,
-    pub ranges: Vec<Vec<f32>>,
-    pub intensities: Vec<Vec<f32>>,
+pub type MultiEchoLaserScan = LaserScan<Vec<f32>>;
+
+impl<R> LaserScan<R> {
+    /// The same scan with other readings.
+    pub fn with_readings<T>(&self, ranges: Vec<T>, intensities: Vec<T>) -> LaserScan<T> {
+        LaserScan {
+            header: self.header.clone(),
+            angle_min: self.angle_min,
+            angle_max: self.angle_max,
+            angle_increment: self.angle_increment,
+            time_increment: self.time_increment,
+            scan_time: self.scan_time,
+            range_min: self.range_min,
+            range_max: self.range_max,
+            ranges,
+            intensities,
+        }
+    }
 }
 
 /// Type of one field of a point cloud; the discriminants are those of `sensor_msgs/PointField`.

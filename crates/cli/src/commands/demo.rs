@@ -1,63 +1,154 @@
 //! `portolan demo`: a simulated building, mapped and measured against the truth.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
+use portolan::pipeline::{KnownMap, MappedRecording};
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors};
 use portolan_geometry::{Rigid3, Time};
-use portolan_mapping::Planar;
-use portolan_recording::IngestOptions;
+use portolan_mapping::{Planar, Spatial, TrajectoryId};
+use portolan_recording::{IngestOptions, Recording, RecordingFormat, open};
 use portolan_simulator::world::Scene;
-use portolan_simulator::{ScenarioOptions, Simulation};
+use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, Simulation, Simulation3d};
 
-use super::map::{map_with_progress, prepared, summary};
+use super::map::{CloudArgs, map_with_progress, prepared, report_clouds, summary, write_clouds};
+use super::simulate::write_recording;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
-use crate::output::print;
-use crate::results::write_results;
+use crate::output::{print, write_file};
+use crate::progress::say;
+use crate::results::{ResultSpace, write_results};
 
-/// Map a simulated office and measure the result against the exact truth.
+/// Firings of a turn: half of what the lidar has, so that the demo takes two minutes.
+const COLUMNS: usize = 900;
+/// The museum of the demo: width and depth, metres, and storeys.
+const SIZE: [f64; 2] = [26.0, 20.0];
+const STOREYS: usize = 2;
+
+/// Walk through a simulated museum in 3D, map it, and measure the result against the exact truth.
+///
+/// A person carries a backpack with two spinning lidars and an IMU through the storeys of a museum, over its
+/// stairs and past its visitors. The recording and its truth are written first, as `portolan simulate` does, then
+/// mapped as any other. Map, trajectory, X-rays from three sides and a section are left in the folder.
 #[derive(clap::Args)]
+#[command(after_help = "Examples:\n  portolan demo\n  portolan demo --seed 7 --seconds 200 -o another\n  \
+    portolan demo --planar             an office, and a robot with a planar lidar")]
 pub struct DemoArgs {
     /// Folder for the results.
     #[arg(short, long, value_name = "DIR", default_value = "demo")]
     output: PathBuf,
     /// Another number is another building.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Length of the walk, seconds.
-    #[arg(long, default_value_t = 300.0)]
-    seconds: f64,
+    /// Length of the walk. Default 100, with --planar 300.
+    #[arg(long, value_name = "SECONDS")]
+    seconds: Option<f64>,
+    /// An office that a robot drives through with a planar lidar and wheels, instead.
+    #[arg(long)]
+    planar: bool,
 }
 
 pub fn run(args: DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let options =
-        ScenarioOptions { duration: Some(args.seconds), ..ScenarioOptions::new(Scene::Office, args.seed) };
-    let simulation = Simulation::new(options).map_err(|e| CliError::Usage(e.to_string()))?;
-    std::fs::create_dir_all(&args.output)
-        .map_err(|source| CliError::File { path: args.output.clone(), source })?;
     interrupt::watch();
-    let start = std::time::Instant::now();
-    let ingest = IngestOptions::default();
-    let preparation = prepared(&simulation, &ingest, None, &[], global)?;
-    let mapped = map_with_progress::<Planar>(&simulation, &ingest, preparation, global)?;
-    let seconds = start.elapsed().as_secs_f64();
-    let written = write_results(&mapped, &args.output, seconds, false)?;
-    print(&summary(&mapped, &written, seconds))?;
-    let estimate = mapped.map.node_poses(portolan_mapping::TrajectoryId(0));
+    if args.planar { office(&args, global) } else { museum(&args, global) }
+}
+
+fn office(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let duration = Some(args.seconds.unwrap_or(300.0));
+    let options = ScenarioOptions { duration, ..ScenarioOptions::new(Scene::Office, args.seed) };
+    let simulation = Simulation::new(options).map_err(|e| CliError::Usage(e.to_string()))?;
+    create_folder(&args.output)?;
+    let mapped = mapped::<Planar>(&simulation, &args.output, global)?;
     let truth: Vec<(Time, Rigid3)> = simulation.truth(100.0).collect();
-    let errors =
-        absolute_errors(&trajectory(&truth), &trajectory(&estimate), Association::default(), Alignment::Se2)
-            .map_err(|e| CliError::Failed(e.to_string()))?;
     print(&format!(
-        "against the truth: {:.3} m and {:.2} deg rms, {:.3} m at most\n\
-         look at {}; then try: portolan map YOUR_RECORDING.bag",
-        errors.translation.rmse,
-        errors.rotation_degrees.rmse,
-        errors.translation.max,
+        "{}\nlook at {}; then try: portolan map YOUR_RECORDING.bag",
+        errors(&mapped, &truth, Alignment::Se2)?,
         args.output.join("map.png").display(),
     ))?;
     Ok(Outcome::Done)
+}
+
+fn museum(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let mut options = Scenario3dOptions::new(Scene3d::Museum, args.seed, 2);
+    options.duration = Some(args.seconds.unwrap_or(100.0));
+    (options.size, options.storeys) = (Some(SIZE), Some(STOREYS));
+    options.lidars.iter_mut().for_each(|lidar| lidar.beams.columns = COLUMNS);
+    let simulation = Simulation3d::new(options).map_err(|e| CliError::Usage(e.to_string()))?;
+    create_folder(&args.output)?;
+    let start = Instant::now();
+    let (file, truth_file) = (args.output.join("museum.mcap"), args.output.join("museum.truth.tum"));
+    record(&simulation, &file, &truth_file, global)?;
+    if !global.quiet {
+        say(&format!("{} simulated in {:.0} s", file.display(), start.elapsed().as_secs_f64()));
+    }
+    let recording = open(&file)?;
+    let mapped = mapped::<Spatial>(recording.as_ref(), &args.output, global)?;
+    let truth: Vec<(Time, Rigid3)> = simulation.truth(100.0).collect();
+    let (file, output) = (file.display(), args.output.display());
+    print(&format!(
+        "{}\nthe demo took {:.0} s\n\
+         look at {output}/map_section.png and the X-rays beside it; then try:\n  \
+         portolan map {file} -o again --no-imu\n  \
+         portolan map {file} -o again --cloud museum.laz --cloud-voxel 0.05\n  \
+         portolan evaluate trajectory again/trajectory.tum {truth}\n  \
+         portolan map YOUR_RECORDING.bag",
+        errors(&mapped, &truth, Alignment::Se3)?,
+        start.elapsed().as_secs_f64(),
+        truth = truth_file.display(),
+    ))?;
+    Ok(Outcome::Done)
+}
+
+fn create_folder(path: &Path) -> Result<(), CliError> {
+    std::fs::create_dir_all(path).map_err(|source| CliError::File { path: path.to_owned(), source })
+}
+
+/// Writes what was recorded on the walk, and the true poses.
+fn record(simulation: &Simulation3d, path: &Path, truth: &Path, global: &GlobalArgs) -> Result<(), CliError> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(global.thread_count())
+        .build()
+        .map_err(|error| CliError::Failed(format!("cannot start threads: {error}")))?;
+    let format = RecordingFormat::from_path(path)?;
+    pool.install(|| write_recording(simulation, path, format, global.quiet))?;
+    write_file(truth, |out| simulation.write_truth_tum(out, 200.0))
+}
+
+/// Maps as `portolan map` does and leaves the same results.
+fn mapped<S: ResultSpace>(
+    recording: &dyn Recording,
+    folder: &Path,
+    global: &GlobalArgs,
+) -> Result<MappedRecording<S>, CliError> {
+    let ingest = IngestOptions::default();
+    let preparation = prepared(recording, &ingest, None, &[], global)?;
+    let start = Instant::now();
+    let known = KnownMap::empty(&preparation.options);
+    let mapped = map_with_progress::<S>(recording, &ingest, preparation.clone(), known, global)?;
+    let seconds = start.elapsed().as_secs_f64();
+    let written = write_results(&mapped, folder, seconds, false)?;
+    print(&summary(&mapped, &written, seconds))?;
+    let clouds =
+        write_clouds(recording, &ingest, &preparation, &mapped, &CloudArgs::default(), folder, global)?;
+    clouds.map_or(Ok(()), |clouds| report_clouds(&clouds, folder))?;
+    Ok(mapped)
+}
+
+/// Errors of the nodes against the truth, for people.
+fn errors<S: ResultSpace>(
+    mapped: &MappedRecording<S>,
+    truth: &[(Time, Rigid3)],
+    alignment: Alignment,
+) -> Result<String, CliError> {
+    let estimate = mapped.map.node_poses(TrajectoryId(0));
+    let errors =
+        absolute_errors(&trajectory(truth), &trajectory(&estimate), Association::default(), alignment)
+            .map_err(|e| CliError::Failed(e.to_string()))?;
+    Ok(format!(
+        "against the truth: {:.3} m and {:.2} deg rms, {:.3} m at most",
+        errors.translation.rmse, errors.rotation_degrees.rmse, errors.translation.max,
+    ))
 }
 
 fn trajectory(poses: &[(Time, Rigid3)]) -> Trajectory {

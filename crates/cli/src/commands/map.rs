@@ -1,23 +1,28 @@
 //! `portolan map`: from a recording to a map.
 
+mod cloud;
+mod xray;
+
 use std::path::{Path, PathBuf};
 
 use portolan::RequestedOptions;
 use portolan::pipeline::{
-    MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
+    KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
 };
 use portolan_config::{Loader, Options};
 use portolan_geometry::Duration;
-use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
-use portolan_recording::{Dimension, IngestOptions, Recording, open_all, read_urdf};
+use portolan_mapping::{MapperSettings, Planar, Space, Spatial, WeakMotion, WeakSpan};
+use portolan_recording::{AzimuthTimes, Dimension, IngestOptions, Recording, open_all, read_urdf};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
+use crate::known_map::{KnownMapArgs, Localisation};
 use crate::memory::resident_and_peak_bytes;
 use crate::output::print;
 use crate::progress::{Progress, say};
-use crate::results::{ResultSpace, Written, write_results};
+use crate::results::{ResultSpace, Written, add_to_report, write_results};
+pub use cloud::{CloudArgs, CloudResults, write_clouds};
 
 /// Make a map of a recording: loop-closed map, trajectory, pictures and a report.
 ///
@@ -27,7 +32,9 @@ use crate::results::{ResultSpace, Written, write_results};
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan map walk.bag -o walk\n  \
     portolan map robot.mcap --scan /front/scan --no-odometry\n  \
-    portolan map log.clf.bz2 --config my_robot.lua --set pose_graph.optimize_every_n_nodes=40")]
+    portolan map walk.bag -o walk --cloud walk.laz --cloud-voxel 0.05\n  \
+    portolan map log.clf.bz2 --config my_robot.lua --set pose_graph.optimize_every_n_nodes=40\n  \
+    portolan map second_day.bag --from house/map.pbstream --frozen -o second_day")]
 pub struct MapArgs {
     /// Recordings, read as one in the order given.
     #[arg(required = true, value_name = "RECORDING")]
@@ -42,6 +49,12 @@ pub struct MapArgs {
 
     #[command(flatten)]
     pub config: ConfigArgs,
+
+    #[command(flatten)]
+    pub known: KnownMapArgs,
+
+    #[command(flatten)]
+    pub cloud: CloudArgs,
 
     /// Also write the pose of every scan, not only of inserted ones (`all_poses.tum`).
     #[arg(long)]
@@ -87,6 +100,35 @@ pub struct SensorArgs {
     /// Robot description whose fixed joints say where the sensors are.
     #[arg(long, value_name = "FILE")]
     pub urdf: Option<PathBuf>,
+    /// Whether the points of clouds without times get them from their azimuth, with the stamp at the beginning
+    /// or the end of the turn. On their own spinning lidars do, unless motion was taken out of the clouds.
+    #[arg(long, value_name = "HOW", default_value = "auto")]
+    pub azimuth_times: AzimuthTimesArg,
+}
+
+/// Times of points from their azimuth.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AzimuthTimesArg {
+    /// For spinning lidars, as the first clouds and the times of recording show.
+    #[default]
+    Auto,
+    /// No: all points are measured at the stamp.
+    Off,
+    /// Yes: turns begin at the stamp.
+    FromStamp,
+    /// Yes: turns end at the stamp.
+    UntilStamp,
+}
+
+impl From<AzimuthTimesArg> for AzimuthTimes {
+    fn from(how: AzimuthTimesArg) -> Self {
+        match how {
+            AzimuthTimesArg::Auto => Self::Auto,
+            AzimuthTimesArg::Off => Self::Off,
+            AzimuthTimesArg::FromStamp => Self::FromStamp,
+            AzimuthTimesArg::UntilStamp => Self::UntilStamp,
+        }
+    }
 }
 
 /// Settings; defaults are chosen from the recording.
@@ -105,6 +147,7 @@ pub struct ConfigArgs {
 }
 
 pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    args.cloud.check()?;
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;
@@ -114,7 +157,13 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     interrupt::watch();
     let threads = requested.background_threads();
     let RequestedOptions { configuration, settings } = requested;
-    let mut preparation = prepared(recording.as_ref(), &ingest, configuration, &settings, global)?;
+    let is_configured = configuration.is_some();
+    let mut preparation = looked_through(recording.as_ref(), &ingest, configuration, global)?;
+    if !args.known.from.is_empty() && !is_configured {
+        let submaps = args.known.count_submaps()?;
+        portolan::automatic::search_in_known_map(&mut preparation.options, submaps);
+    }
+    change_options(&mut preparation, &settings)?;
     preparation.background_threads = threads;
     match preparation.dimension {
         Dimension::Two => finish::<Planar>(recording.as_ref(), &ingest, preparation, &folder, &args, global),
@@ -133,11 +182,23 @@ fn finish<S: ResultSpace>(
     global: &GlobalArgs,
 ) -> Result<Outcome, CliError> {
     let start = std::time::Instant::now();
-    let mapped = map_with_progress::<S>(recording, ingest, preparation, global)?;
+    let known = args.known.load::<S>(&preparation.options, global.quiet)?;
+    let mapped = map_with_progress::<S>(recording, ingest, preparation.clone(), known, global)?;
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, folder, seconds, args.all_poses)?;
     print(&summary(&mapped, &written, seconds))?;
+    let clouds = write_clouds(recording, ingest, &preparation, &mapped, &args.cloud, folder, global)?;
+    clouds.map_or(Ok(()), |clouds| report_clouds(&clouds, folder))?;
     Ok(if mapped.reading_repairs.iter().any(|r| r.lost_data) { Outcome::DataLost } else { Outcome::Done })
+}
+
+/// Names what the second pass gave, here and in the report.
+pub fn report_clouds(clouds: &CloudResults, folder: &Path) -> Result<(), CliError> {
+    add_to_report(folder, "cloud", &clouds.report)?;
+    let mut lines = vec![clouds.text.clone()];
+    lines.extend(clouds.files.iter().map(|file| file.display().to_string()));
+    lines.retain(|line| !line.is_empty());
+    if lines.is_empty() { Ok(()) } else { print(&lines.join("\n")) }
 }
 
 /// Beside the working directory's other results: the recording's name with `_map`.
@@ -164,6 +225,7 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
         odometry_topic: sensors.odom.clone(),
         imu_topic: sensors.imu.clone(),
         tracking_frame: sensors.tracking_frame.clone(),
+        azimuth_times: sensors.azimuth_times.into(),
         skip: Duration::from_seconds(args.skip.max(0.0)),
         length: args.duration.map(Duration::from_seconds),
         ..IngestOptions::default()
@@ -195,18 +257,32 @@ pub fn prepared(
     settings: &[String],
     global: &GlobalArgs,
 ) -> Result<Preparation, CliError> {
-    let mut preparation = prepare(recording, ingest, configured).map_err(failure)?;
+    let mut preparation = looked_through(recording, ingest, configured, global)?;
+    change_options(&mut preparation, settings)?;
+    Ok(preparation)
+}
+
+fn looked_through(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    configured: Option<Options>,
+    global: &GlobalArgs,
+) -> Result<Preparation, CliError> {
+    let preparation = prepare(recording, ingest, configured).map_err(failure)?;
     for notice in preparation.plan.notices.iter().filter(|_| !global.quiet) {
         say(&format!("{} {}", notice.what, notice.change));
     }
+    Ok(preparation)
+}
+
+fn change_options(preparation: &mut Preparation, settings: &[String]) -> Result<(), CliError> {
     for setting in settings {
         preparation.options.set(setting).map_err(|e| CliError::Usage(e.to_string()))?;
     }
     preparation.options.validate().map_err(|errors| {
         let lines: Vec<String> = errors.iter().map(ToString::to_string).collect();
         CliError::Usage(lines.join("\n"))
-    })?;
-    Ok(preparation)
+    })
 }
 
 fn failure(error: PipelineError) -> CliError {
@@ -221,13 +297,14 @@ pub fn map_with_progress<S: Space>(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     preparation: Preparation,
+    known: KnownMap<S>,
     global: &GlobalArgs,
 ) -> Result<MappedRecording<S>, CliError> {
     let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
     let start = std::time::Instant::now();
     let threads = global.thread_count_up_to(preparation.background_threads);
     let settings = MapperSettings { threads, ..MapperSettings::default() };
-    let mapped = map_recording(recording, ingest, preparation, settings, &mut |state| {
+    let mapped = map_recording(recording, ingest, preparation, known, settings, &mut |state| {
         if progress.is_due() {
             progress.update(state.position_bytes, state.total_bytes, describe(state, start));
         }
@@ -262,6 +339,9 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
         mapped.recording_seconds,
         mapped.recording_seconds / seconds.max(1e-3),
     );
+    if let Some(localisation) = Localisation::of(mapped) {
+        text += &format!("{}\n", localisation.sentence());
+    }
     let times = &mapped.scan_times;
     if times.count() > 0 {
         text += &format!(
@@ -277,6 +357,7 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
     if contradicted > 0 {
         text += &format!("{contradicted} more loop closures were left out: the others contradict them\n");
     }
+    text += &weak_stretches(&mapped.weak_spans);
     for repair in &mapped.reading_repairs {
         text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
     }
@@ -290,4 +371,21 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
         text += &format!("{}\n", file.display());
     }
     text.trim_end().to_owned()
+}
+
+/// Where scans did not tell everything, in a line.
+fn weak_stretches(spans: &[WeakSpan]) -> String {
+    let line = |motion: WeakMotion, what: &str| {
+        let of_kind: Vec<&WeakSpan> = spans.iter().filter(|s| s.motion == motion).collect();
+        let scans: u64 = of_kind.iter().map(|s| s.scans).sum();
+        match scans {
+            0 => String::new(),
+            _ => format!(
+                "{scans} scans in {} stretches did not tell {what}; the prediction decided (see report.json)\n",
+                of_kind.len()
+            ),
+        }
+    };
+    line(WeakMotion::Shift, "how far it went along a direction")
+        + &line(WeakMotion::Turn, "how far it turned about a direction")
 }

@@ -17,7 +17,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json};
 use crate::progress::{Progress, say};
 use input::{InputArgs, Scans, read_links, read_scans};
-use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs};
+use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
 use results::{History, Registered, describe, text, write_results};
 
 /// Bring scans together: where each scan lies in the frame of the first.
@@ -81,12 +81,12 @@ pub fn run(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliError
 fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let sequence = args.icp.sequence(&args.loops)?;
     args.global.check()?;
-    let planes = args.icp.needs_surfaces() || args.global.planes();
-    let scans = read_scans(&args.scans, &args.input, planes, global.quiet)?;
+    let surfaces = if args.global.planes() { SurfacesOf::All } else { args.icp.surfaces() };
+    let mut scans = read_scans(&args.scans, &args.input, surfaces, global.quiet)?;
     if scans.clouds.len() < 2 {
         return Err(CliError::Usage(format!("{} holds one scan; two are needed", args.scans[0].display())));
     }
-    let guesses = first_poses(args, &scans)?;
+    let guesses = first_poses(args, &mut scans)?;
     let mut work = Work {
         poses: guesses.clone(),
         sequence: SequenceReport { matched: Vec::new(), loops: Vec::new() },
@@ -118,7 +118,7 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
 }
 
 /// First guesses, about the common origin of the points.
-fn first_poses(args: &RegisterArgs, scans: &Scans) -> Result<Vec<Rigid3>, CliError> {
+fn first_poses(args: &RegisterArgs, scans: &mut Scans) -> Result<Vec<Rigid3>, CliError> {
     let count = scans.clouds.len();
     let poses: Vec<Rigid3> = match (&args.poses, args.guess) {
         (Some(path), _) => input::read_poses(path, count)?,
@@ -126,6 +126,7 @@ fn first_poses(args: &RegisterArgs, scans: &Scans) -> Result<Vec<Rigid3>, CliErr
         (None, Some(guess)) => (0..count).map(|i| if i == 0 { Rigid3::identity() } else { guess }).collect(),
         (None, None) => scans.guesses.clone(),
     };
+    scans.count_from(poses.first().unwrap_or(&Rigid3::identity()));
     Ok(poses.iter().map(|pose| scans.about_origin(pose)).collect())
 }
 

@@ -103,7 +103,7 @@ fn beside(asked: Option<&Path>, recording: &Path, ending: &str) -> PathBuf {
 }
 
 /// Writes all messages; how many. Interrupted, nothing remains.
-fn write_recording(
+pub(super) fn write_recording(
     simulation: &dyn Simulated,
     path: &Path,
     format: RecordingFormat,

@@ -13,7 +13,7 @@ pub enum MapConversionError {
     #[error(transparent)]
     File(#[from] PbstreamError),
     /// A 3D map where a 2D map is wanted.
-    #[error("3D map: not supported yet by this function")]
+    #[error("this is a 3D map, and a 2D map is wanted; a 3D map is continued with a 3D recording")]
     ThreeDimensional,
     /// A 2D map where a 3D map is wanted.
     #[error("2D map where a 3D map is wanted")]

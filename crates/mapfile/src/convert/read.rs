@@ -30,8 +30,8 @@ use crate::reader::ReadLimits;
 pub struct MapLoadSettings {
     /// Options of the pose graph that the map goes into; files do not have them.
     pub pose_graph: PoseGraphOptions,
-    /// Whether the trajectories become a fixed part of the map. Their constraints and measurements are
-    /// not taken over then, only which node lies in which submap.
+    /// Whether the trajectories become a fixed part of the map. Their measurements are not taken over
+    /// then; their constraints are kept for saving, but move nothing.
     pub frozen: bool,
     /// Bounds on memory.
     pub limits: ReadLimits,

@@ -14,7 +14,7 @@ use portolan_sensor::{ImuData, OdometryData, RangeData, SensorId, TimedPointClou
 
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
-use crate::{InsertedNode, InsertionSubmap, Space};
+use crate::{InsertedNode, InsertionSubmap, Space, WeakSpan};
 
 /// What became of a scan.
 #[derive(Clone, Debug)]
@@ -60,6 +60,11 @@ pub trait LocalSlam<S: Space>: Send {
 
     /// What was dropped or repaired so far.
     fn repairs(&self) -> Repairs;
+
+    /// Where scans left directions open so far, if that is watched.
+    fn weak_spans(&self) -> Vec<WeakSpan> {
+        Vec::new()
+    }
 }
 
 /// Gives odometry to the extrapolator. Before the first scan there is none; the newest two poses wait

@@ -19,14 +19,20 @@ use super::{
     ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, motion_filter,
     take_odometry,
 };
+use crate::gyroscope_bias::GyroscopeBias;
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_3d::ScanMatcher3d;
 use crate::submap_3d::{Inserter3d, Scan3d, Submap3d};
-use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Spatial};
+use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Spatial, WeakSpan, WeakSpans};
 
+mod by_surfaces;
+mod first_sweeps;
+mod surface_tracking;
+mod sweep_path;
 mod unwarp;
 
+use by_surfaces::BySurfaces;
 use unwarp::{Gathered, Unwarped, unwarp};
 
 /// Range data wait this long for the first IMU sample before it is decided that there is no IMU.
@@ -42,17 +48,23 @@ pub struct LocalSlam3d {
     collator: RangeDataCollator,
     extrapolator: Option<PoseExtrapolator>,
     has_imu: bool,
+    gyroscope_bias: GyroscopeBias,
     matcher: ScanMatcher3d,
+    /// Set if scans are matched to surfaces instead.
+    by_surfaces: Option<BySurfaces>,
     inserter: Arc<Inserter3d>,
     active_submaps: ActiveSubmaps<Spatial>,
     motion_filter: MotionFilter,
     /// Messages gathered since the last match, thinned.
     gathered: Vec<Gathered>,
+    /// When the last match ended.
+    gathering_since: Option<Time>,
     /// Range data that came before it was known whether there is an IMU.
     waiting_ranges: VecDeque<SynchronizedRanges>,
     /// Odometry that came before that.
     waiting_odometry: VecDeque<OdometryData>,
     repairs: Repairs,
+    weak_spans: WeakSpans,
 }
 
 /// A scan that was matched.
@@ -60,8 +72,10 @@ struct MatchedScan {
     local_from_tracking: Rigid3,
     /// In the tracking frame.
     scan: RangeData,
-    high: PointCloud,
-    low: PointCloud,
+    /// The fine and the coarse cloud, if they were needed for matching.
+    clouds: Option<[PointCloud; 2]>,
+    /// In the tracking frame.
+    surface_points: Vec<Point3f>,
 }
 
 impl LocalSlam3d {
@@ -72,25 +86,29 @@ impl LocalSlam3d {
         extras: LocalSlamExtras,
     ) -> Result<Self, MapperError> {
         let contradiction = |e: &dyn std::error::Error| MapperError::Options(e.to_string());
-        if options.pose_extrapolator.use_imu_based {
-            let what = "pose_extrapolator.use_imu_based: poses are predicted with constant velocity only";
-            return Err(MapperError::Options(what.to_owned()));
-        }
         let inserter =
             Inserter3d::new(&options.submaps, options.rotational_histogram_size, options.use_intensities);
+        let inserter = inserter.map_err(|e| contradiction(&e))?;
         Ok(Self {
+            by_surfaces: extras.surface_voxel_size.map(BySurfaces::new),
             extras,
             collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
             extrapolator: None,
             has_imu: false,
+            gyroscope_bias: GyroscopeBias::default(),
             matcher: ScanMatcher3d::new(options).map_err(|e| contradiction(&e))?,
-            inserter: Arc::new(inserter.map_err(|e| contradiction(&e))?),
+            inserter: Arc::new(match extras.surface_voxel_size {
+                Some(size) => inserter.with_surfaces(size),
+                None => inserter,
+            }),
             active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1)),
             motion_filter: motion_filter(&options.motion_filter),
             gathered: Vec::new(),
+            gathering_since: None,
             waiting_ranges: VecDeque::new(),
             waiting_odometry: VecDeque::new(),
             repairs: Repairs::new(),
+            weak_spans: WeakSpans::default(),
             options: options.clone(),
         })
     }
@@ -101,12 +119,9 @@ impl LocalSlam3d {
 
     /// Starts predicting, at an IMU sample or, without one, level at the first scan.
     fn start(&mut self, imu: Option<&ImuData>) {
-        let options = &self.options.pose_extrapolator.constant_velocity;
-        let (queue, gravity) = (options.pose_queue_duration, options.imu_gravity_time_constant);
-        let use_all_odometry = self.extras.use_all_odometry;
         let mut extrapolator = match imu {
             Some(imu) => {
-                let Ok(started) = PoseExtrapolator::from_imu(queue, gravity, use_all_odometry, imu) else {
+                let Ok(started) = self.new_extrapolator().started_at_rest(imu) else {
                     self.count("IMU sample that is not finite");
                     return;
                 };
@@ -114,7 +129,7 @@ impl LocalSlam3d {
             }
             None => {
                 let Some(first) = self.waiting_ranges.front() else { return };
-                let mut level = PoseExtrapolator::new(queue, gravity, use_all_odometry);
+                let mut level = self.new_extrapolator();
                 level.add_pose(first_point_time(first), Rigid3::identity());
                 level
             }
@@ -143,28 +158,35 @@ impl LocalSlam3d {
             return Vec::new();
         }
         let waiting = std::mem::take(&mut self.waiting_ranges);
-        waiting.iter().filter_map(|ranges| self.add_synchronized(ranges)).collect()
+        waiting.iter().flat_map(|ranges| self.add_synchronized(ranges)).collect()
     }
 
     /// One synchronised set of ranges: thin, gather, and match when enough is together.
-    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Option<MatchingResult<Spatial>> {
-        let last_pose_time = self.extrapolator.as_ref()?.last_pose_time();
+    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Vec<MatchingResult<Spatial>> {
+        let last_pose_time = self.extrapolator.as_ref().and_then(PoseExtrapolator::last_pose_time);
         if last_pose_time.is_some_and(|last| first_point_time(ranges) < last) {
             self.count(match self.has_submap() {
                 true => "scan that starts before the last matched scan ends",
                 false => "scan before the first IMU sample",
             });
-            return None;
+            return Vec::new();
         }
         self.gathered.push(Gathered::new(ranges, 0.5 * self.options.voxel_filter_size));
-        if self.gathered.len() < self.options.num_accumulated_range_data {
+        let begin = *self.gathering_since.get_or_insert_with(|| first_point_time(ranges));
+        // Stamps jitter: nine tenths of the time will do.
+        let is_long_enough = ranges.time.seconds_since(begin) >= 0.9 * self.extras.min_scan_duration;
+        if self.gathered.len() < self.options.num_accumulated_range_data || !is_long_enough {
             if self.gathered.iter().map(Gathered::len).sum::<usize>() < MOST_GATHERED_POINTS {
-                return None;
+                return Vec::new();
             }
             self.count(CUT_SHORT);
         }
         let gathered = std::mem::take(&mut self.gathered);
-        self.match_gathered(ranges.time, &gathered)
+        self.gathering_since = Some(ranges.time);
+        match self.by_surfaces {
+            Some(_) => self.match_to_surfaces(ranges.time, &gathered),
+            None => self.match_gathered(ranges.time, &gathered).into_iter().collect(),
+        }
     }
 
     /// Whether a scan has been inserted yet.
@@ -175,6 +197,7 @@ impl LocalSlam3d {
     /// One whole scan: unwarp, thin, match, insert.
     fn match_gathered(&mut self, time: Time, gathered: &[Gathered]) -> Option<MatchingResult<Spatial>> {
         let extrapolator = self.extrapolator.as_mut()?;
+        extrapolator.prepare(time);
         let last = extrapolator.last_pose();
         let start = extrapolator.last_extrapolated_time().unwrap_or(Time::MIN);
         let unwarped = unwarp(gathered, start, |t| extrapolator.extrapolate_pose(t), &self.options);
@@ -194,12 +217,24 @@ impl LocalSlam3d {
                 matched = self.match_unwarped(&straightened, &end).unwrap_or(matched);
             }
         }
-        let MatchedScan { local_from_tracking, scan, high, low } = matched;
+        self.extrapolator.as_mut()?.add_pose(time, matched.local_from_tracking);
+        Some(self.conclude(time, matched, measured_gravity))
+    }
+
+    /// Makes a node of a matched scan and inserts it, if it is different enough from the last one.
+    fn conclude(
+        &mut self,
+        time: Time,
+        matched: MatchedScan,
+        measured_gravity: Option<Quaternion>,
+    ) -> MatchingResult<Spatial> {
+        let MatchedScan { local_from_tracking, scan, clouds, surface_points } = matched;
         // Without an IMU: the first pose was level, and z of the local map has pointed up ever since.
         let gravity = measured_gravity.unwrap_or(local_from_tracking.rotation);
-        self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
-        let range_data_in_local = scan.transformed(&to_f32(&local_from_tracking));
+        let local = to_f32(&local_from_tracking);
+        let range_data_in_local = scan.transformed(&local);
         let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
+            let [high, low] = clouds.unwrap_or_else(|| self.clouds(&scan.returns));
             let data = NodeData {
                 time,
                 gravity_alignment: gravity,
@@ -209,9 +244,18 @@ impl LocalSlam3d {
                 rotational_scan_matcher_histogram: self.histogram(&scan.returns, &gravity),
                 local_from_tracking,
             };
-            self.insert(&range_data_in_local, data)
+            let surface_points = surface_points.iter().map(|p| local * p).collect();
+            self.insert(&range_data_in_local, surface_points, data)
         });
-        Some(MatchingResult { time, local_from_tracking, range_data_in_local, inserted })
+        MatchingResult { time, local_from_tracking, range_data_in_local, inserted }
+    }
+
+    /// The fine and the coarse cloud of a scan.
+    fn clouds(&self, returns: &PointCloud) -> [PointCloud; 2] {
+        [
+            filtered(returns, &self.options.high_resolution_adaptive_voxel_filter),
+            filtered(returns, &self.options.low_resolution_adaptive_voxel_filter),
+        ]
     }
 
     /// Thins an unwarped scan and matches it near a predicted pose.
@@ -221,8 +265,7 @@ impl LocalSlam3d {
             self.count("scan without a single return");
             return None;
         }
-        let high = filtered(&scan.returns, &self.options.high_resolution_adaptive_voxel_filter);
-        let low = filtered(&scan.returns, &self.options.low_resolution_adaptive_voxel_filter);
+        let [high, low] = self.clouds(&scan.returns);
         if high.is_empty() || low.is_empty() {
             self.count("scan without a return in matching range");
             return None;
@@ -234,7 +277,8 @@ impl LocalSlam3d {
             self.count("scan whose pose could not be determined");
             return None;
         }
-        Some(MatchedScan { local_from_tracking, scan, high, low })
+        let clouds = Some([high, low]);
+        Some(MatchedScan { local_from_tracking, scan, clouds, surface_points: Vec::new() })
     }
 
     fn histogram(&self, returns_in_tracking: &PointCloud, gravity_alignment: &Quaternion) -> Vec<f32> {
@@ -243,10 +287,16 @@ impl LocalSlam3d {
         rotational_histogram(&aligned, self.options.rotational_histogram_size)
     }
 
-    fn insert(&mut self, range_data_in_local: &RangeData, data: NodeData) -> InsertedNode<Spatial> {
+    fn insert(
+        &mut self,
+        range_data_in_local: &RangeData,
+        surface_points_in_local: Vec<Point3f>,
+        data: NodeData,
+    ) -> InsertedNode<Spatial> {
         let local_from_gravity_aligned = data.local_from_tracking.rotation * data.gravity_alignment.inverse();
         let scan = Scan3d {
             range_data_in_local: range_data_in_local.clone(),
+            surface_points_in_local,
             rotational_histogram: data.rotational_scan_matcher_histogram.clone(),
             local_from_gravity_aligned,
         };
@@ -288,7 +338,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         match self.extrapolator.as_mut() {
             None => self.start(Some(data)),
             Some(extrapolator) => {
-                if extrapolator.add_imu(data).is_err() {
+                if extrapolator.add_imu(&self.gyroscope_bias.corrected(data)).is_err() {
                     self.count("IMU sample older than the last matched scan");
                 } else if !self.has_imu {
                     self.count("IMU sample that came after the start without an IMU; it tells rotation only");
@@ -308,7 +358,9 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         if self.extrapolator.is_none() {
             self.start(None);
         }
-        self.match_waiting()
+        let mut results = self.match_waiting();
+        results.extend(self.insert_waiting_first());
+        results
     }
 
     fn finish(&mut self) -> Vec<InsertionSubmap<Spatial>> {
@@ -323,6 +375,10 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         let mut repairs = self.repairs.clone();
         self.active_submaps.count_into(&mut repairs);
         repairs
+    }
+
+    fn weak_spans(&self) -> Vec<WeakSpan> {
+        self.weak_spans.spans().to_vec()
     }
 }
 

@@ -29,7 +29,7 @@ const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 
 /// Settings beyond the reference's options.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LocalSlamExtras {
     /// Predict from all odometry and gyroscope data of the gap between scans.
     pub use_all_odometry: bool,
@@ -37,6 +37,10 @@ pub struct LocalSlamExtras {
     pub search_penalty_limit: f64,
     /// Seconds without any sensor after which the scan is looked for far and wide; 0 never does.
     pub wide_search_after_gap: f64,
+    /// 3D: match to surfaces in voxels of at most this size, metres, instead of to grids.
+    pub surface_voxel_size: Option<f64>,
+    /// 3D: range data are gathered until they span about so many seconds.
+    pub min_scan_duration: f64,
 }
 
 /// Local SLAM of one trajectory in 2D.

@@ -88,6 +88,11 @@ pub struct OptimizationData {
     pub fixed_frame_origins: BTreeMap<TrajectoryId, FixedFrameOrigin>,
     /// Trajectories that are not moved.
     pub frozen: BTreeSet<TrajectoryId>,
+    /// Whether biases of IMUs are estimated and taken away; the reference knows none.
+    pub corrects_imu_biases: bool,
+    /// First submaps of parts of the map that nothing ties to the rest: they stay where they are, so that
+    /// their part does not float. The first submap of all stays in any case.
+    pub anchors: BTreeSet<SubmapId>,
     /// Iterations allowed beyond the options' number, for the final optimisation.
     pub max_iterations_override: Option<u32>,
 }

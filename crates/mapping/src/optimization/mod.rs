@@ -1,6 +1,7 @@
 //! The optimisation problem: what it knows, and its forms in the plane and in space.
 
 mod data;
+mod imu_bias;
 mod interpolation;
 mod three_d;
 mod two_d;
@@ -9,5 +10,7 @@ pub use data::{
     ImuState, LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
     TrajectorySensors,
 };
+pub(crate) use imu_bias::velocity_change;
+pub(crate) use interpolation::odometry_at;
 pub use three_d::optimize_3d;
 pub use two_d::optimize_2d;

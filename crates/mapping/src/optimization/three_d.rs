@@ -7,6 +7,7 @@ use portolan_geometry::{Duration, Quaternion, Rigid3, rotation_from_roll_pitch_y
 use portolan_solver::{Loss, Problem, RotationFreedom, TranslationFreedom, VariableId, factors};
 
 use super::data::{ImuState, OptimizationData, OptimizationNode, OptimizationSummary};
+use super::imu_bias::{ImuBias, velocity_change};
 use super::interpolation::{fixed_frame_at, odometry_at};
 use super::two_d::{SightingBetweenNodes, run_solver};
 use crate::imu_integration::integrate_imu;
@@ -29,6 +30,7 @@ pub fn optimize_3d(
     let mut problem = SpatialProblem::new(data, options);
     problem.add_constraints(constraints, options);
     problem.add_landmarks(data, options);
+    problem.estimate_imu_biases(data, options);
     problem.add_consecutive_nodes(data, options);
     problem.add_fixed_frames(data, options);
     let summary = run_solver(&mut problem.problem, data, options);
@@ -50,6 +52,7 @@ struct SpatialProblem {
     landmarks: BTreeMap<String, VariableId>,
     fixed_frames: BTreeMap<TrajectoryId, VariableId>,
     imus: BTreeMap<TrajectoryId, ImuVariables>,
+    imu_biases: BTreeMap<TrajectoryId, ImuBias>,
 }
 
 impl SpatialProblem {
@@ -69,10 +72,10 @@ impl SpatialProblem {
             problem.add_se3_with(pose, translation, rotation)
         };
         let first = data.submaps.keys().next().copied();
-        let submaps = data
-            .submaps
-            .iter()
-            .map(|(id, pose)| (*id, add(pose, data.frozen.contains(&id.trajectory_id), Some(*id) == first)));
+        let submaps = data.submaps.iter().map(|(id, pose)| {
+            let anchored = Some(*id) == first || data.anchors.contains(id);
+            (*id, add(pose, data.frozen.contains(&id.trajectory_id), anchored))
+        });
         let submaps = submaps.collect();
         let nodes = data.nodes.iter().map(|(id, node)| {
             (*id, add(&node.map_from_node, data.frozen.contains(&id.trajectory_id), false))
@@ -85,6 +88,7 @@ impl SpatialProblem {
             landmarks: BTreeMap::new(),
             fixed_frames: BTreeMap::new(),
             imus: BTreeMap::new(),
+            imu_biases: BTreeMap::new(),
         }
     }
 
@@ -216,6 +220,12 @@ impl SpatialProblem {
         })
     }
 
+    fn estimate_imu_biases(&mut self, data: &OptimizationData, options: &OptimizationProblemOptions) {
+        let wanted = data.corrects_imu_biases && !options.fix_z_in_3d;
+        let moving = data.sensors.keys().filter(|id| wanted && !data.frozen.contains(id));
+        self.imu_biases = moving.map(|id| (*id, ImuBias::estimate(data, *id, options))).collect();
+    }
+
     /// False if the IMU did not measure what lies between the nodes.
     fn add_imu_rotation(
         &mut self,
@@ -228,6 +238,11 @@ impl SpatialProblem {
         let duration = b.time.seconds_since(a.time);
         let Some(motion) = integrate_imu(&sensors.imu, a.time, b.time).filter(|_| duration > 0.0) else {
             return false;
+        };
+        let middle = a.time + Duration::from_seconds(0.5 * duration);
+        let motion = match self.imu_biases.get(&id_a.trajectory_id) {
+            Some(bias) => bias.corrected(&motion, middle, duration),
+            None => motion,
         };
         let calibration = self.imu(data, options, id_a.trajectory_id).calibration;
         let factor = factors::ImuRotation {
@@ -253,20 +268,13 @@ impl SpatialProblem {
         if !(first > 0.0 && second > 0.0) {
             return;
         }
-        let middle = |i: usize| times[i] + Duration::from_ticks((times[i + 1] - times[i]).ticks() / 2);
-        let (Some(whole), Some(half), Some(between)) = (
-            integrate_imu(imu_data, times[0], times[1]),
-            integrate_imu(imu_data, times[0], middle(0)),
-            integrate_imu(imu_data, middle(0), middle(1)),
-        ) else {
-            return;
-        };
+        let Some(measured) = velocity_change(imu_data, times) else { return };
+        let by_bias = self.imu_biases.get(&id).map_or_else(Default::default, ImuBias::accelerometer);
         let ImuVariables { gravity, calibration } = self.imu(data, options, id);
         let [a, b, c] = nodes.map(|(id, _)| self.nodes[&id]);
         let factor = factors::ImuAcceleration {
             variables: [a, b, c, gravity, calibration],
-            delta_velocity_in_second: (whole.delta_rotation.inverse() * half.delta_rotation)
-                * between.delta_velocity,
+            delta_velocity_in_second: measured - by_bias * (0.5 * (first + second)),
             first_duration: first,
             second_duration: second,
             weight: options.acceleration_weight / (first + second),

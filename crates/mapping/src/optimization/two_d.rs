@@ -54,7 +54,8 @@ impl PlanarProblem {
             .submaps
             .iter()
             .map(|(id, pose)| {
-                let constant = Some(*id) == first_submap || data.frozen.contains(&id.trajectory_id);
+                let anchored = Some(*id) == first_submap || data.anchors.contains(id);
+                let constant = anchored || data.frozen.contains(&id.trajectory_id);
                 (*id, add(pose, constant))
             })
             .collect();

@@ -68,8 +68,15 @@ impl TrajectoryConnectivity {
         by_root.into_values().collect()
     }
 
-    fn members(&self, of: TrajectoryId) -> Vec<TrajectoryId> {
-        let root = self.component[&of];
+    /// The first of all trajectories that a chain of connections joins with this one.
+    pub fn first_connected(&self, of: TrajectoryId) -> TrajectoryId {
+        self.members(of).first().copied().unwrap_or(of)
+    }
+
+    /// All trajectories that a chain of connections joins with this one, itself among them, in ascending
+    /// order. An unknown one has none.
+    pub fn members(&self, of: TrajectoryId) -> Vec<TrajectoryId> {
+        let Some(root) = self.component.get(&of).copied() else { return Vec::new() };
         self.component.iter().filter(|(_, r)| **r == root).map(|(id, _)| *id).collect()
     }
 }

@@ -141,9 +141,10 @@ impl<S: Space> PoseGraph<S> {
         self.state.nodes.insert(id, Node { data, map_from_tracking });
     }
 
-    /// Takes over a constraint (in memory form) whose node and submap are loaded; with `membership_only`
-    /// just which node is in which submap, as for frozen maps. Says whether both ends exist.
-    pub fn load_constraint(&mut self, constraint: Constraint, membership_only: bool) -> bool {
+    /// Takes over a constraint (in memory form) whose node and submap are loaded. Within a `frozen` map it
+    /// connects nothing and moves nothing; it is kept so that saving the map again loses nothing. Says
+    /// whether both ends exist.
+    pub fn load_constraint(&mut self, constraint: Constraint, frozen: bool) -> bool {
         if !self.state.nodes.contains_key(&constraint.node_id) {
             return false;
         }
@@ -152,12 +153,10 @@ impl<S: Space> PoseGraph<S> {
             ConstraintTag::IntraSubmap => {
                 entry.node_ids.insert(constraint.node_id);
             }
-            ConstraintTag::InterSubmap if !membership_only => self.connect_by(&constraint),
-            ConstraintTag::InterSubmap => {}
+            ConstraintTag::InterSubmap if frozen => {}
+            ConstraintTag::InterSubmap => self.connect_by(&constraint),
         }
-        if !membership_only {
-            self.state.constraints.push(constraint);
-        }
+        self.state.constraints.push(constraint);
         true
     }
 

@@ -5,16 +5,20 @@
 //! threads: searching runs in parallel inside [`PoseGraph::add_node`] at the moments when an
 //! optimisation is due.
 
+mod agreement;
 mod connectivity;
 mod contradictions;
 mod editing;
+mod final_search;
 mod search;
 mod state;
 mod trimming;
 
-use std::collections::BTreeMap;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use agreement::WaitingMatches;
 pub use connectivity::TrajectoryConnectivity;
 pub use search::SearchCounts;
 pub use state::{GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState};
@@ -27,7 +31,9 @@ use search::{ConstraintSearch, Samplers};
 
 use crate::histogram::Histogram;
 use crate::optimization::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
-use crate::{Constraint, ConstraintTag, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
+use crate::{
+    Constraint, ConstraintTag, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId, of_trajectory,
+};
 
 /// A submap into which local SLAM inserted a scan.
 #[derive(Clone, Debug)]
@@ -60,6 +66,9 @@ pub struct PoseGraph<S: Space> {
     nodes_since_optimization: i64,
     drops_contradicted: bool,
     contradicted: u64,
+    min_searches: u64,
+    min_agreeing: usize,
+    waiting: WaitingMatches,
     optimizations: u64,
     last_summary: OptimizationSummary,
 }
@@ -78,6 +87,9 @@ impl<S: Space> PoseGraph<S> {
             nodes_since_optimization: 0,
             drops_contradicted: false,
             contradicted: 0,
+            min_searches: 0,
+            min_agreeing: 1,
+            waiting: WaitingMatches::default(),
             optimizations: 0,
             last_summary: OptimizationSummary::default(),
         }
@@ -101,6 +113,11 @@ impl<S: Space> PoseGraph<S> {
     /// How often it was optimised, and how the last time went.
     pub fn optimizations(&self) -> (u64, OptimizationSummary) {
         (self.optimizations, self.last_summary)
+    }
+
+    /// Whether biases of IMUs are estimated and taken away when optimising in space.
+    pub fn set_corrects_imu_biases(&mut self, corrects: bool) {
+        self.problem.corrects_imu_biases = corrects;
     }
 
     /// Adds what removes superfluous submaps after each optimisation.
@@ -163,7 +180,7 @@ impl<S: Space> PoseGraph<S> {
             if self.problem.submaps.contains_key(id) {
                 continue;
             }
-            let previous = crate::id::of_trajectory(&self.problem.submaps, trajectory_id).next_back();
+            let previous = of_trajectory(&self.problem.submaps, trajectory_id).next_back();
             let map_from_submap = match previous {
                 Some((previous_id, map_from_previous)) => {
                     let local_from_previous = self.state.submaps[&previous_id].local_from_submap;
@@ -241,7 +258,9 @@ impl<S: Space> PoseGraph<S> {
         let time = node.data.time.max(self.state.time_of_last_node(entry).unwrap_or(Time::MIN));
         let recently =
             portolan_geometry::Duration::from_seconds(self.options.global_constraint_search_after_n_seconds);
-        if a == b || time < self.state.connectivity.last_connection_time(a, b) + recently {
+        let connectivity = &self.state.connectivity;
+        let was_connected = || time < connectivity.last_connection_time(a, b) + recently;
+        if a == b || (connectivity.are_connected(a, b) && was_connected()) {
             let map_from_node = self.problem.nodes[&node_id].map_from_node;
             let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
             self.search.add_local((submap_id, submap), (node_id, &node.data), guess);
@@ -259,19 +278,18 @@ impl<S: Space> PoseGraph<S> {
     /// Tries the pairs that wait, adds what was found, optimises, and trims.
     pub fn optimize(&mut self) {
         let found = self.search.run();
-        for constraint in &found {
-            self.connect_by(constraint);
-        }
-        self.state.constraints.extend(found);
+        self.add_found(found);
         self.run_optimization();
         self.delete_requested_trajectories();
         self.run_trimmers();
         self.nodes_since_optimization = 0;
     }
 
-    /// Optimises once more, with as many iterations as the options allow at the end, and again after
-    /// leaving out contradicted loop closures if that is wanted.
+    /// Optimises once more, with as many iterations as the options allow at the end: after searching more
+    /// if too little was searched so far, and again after leaving out contradicted loop closures if that
+    /// is wanted.
     pub fn run_final_optimization(&mut self) {
+        self.search_more();
         self.problem.max_iterations_override = u32::try_from(self.options.max_num_final_iterations).ok();
         self.optimize();
         if self.drops_contradicted && self.drop_contradicted_loop_closures() > 0 {
@@ -295,8 +313,9 @@ impl<S: Space> PoseGraph<S> {
         if self.problem.submaps.is_empty() || self.problem.nodes.is_empty() {
             return;
         }
-        self.last_summary =
-            S::optimize(&mut self.problem, &self.state.constraints, &self.options.optimization_problem);
+        self.problem.anchors = self.anchors();
+        let constraints = constraints_that_move(&self.state.constraints, &self.problem.frozen);
+        self.last_summary = S::optimize(&mut self.problem, &constraints, &self.options.optimization_problem);
         self.optimizations += 1;
         self.publish_poses();
         // As in the reference only in space.
@@ -315,6 +334,21 @@ impl<S: Space> PoseGraph<S> {
         let [metres, radians] = [metres, radians].map(|values| values.into_iter().collect::<Histogram>());
         tracing::info!("Translation residuals within submaps, metres: {metres}");
         tracing::info!("Rotation residuals within submaps, radians: {radians}");
+    }
+
+    /// The first submaps of all parts of the map that neither constraints nor landmarks tie to others.
+    fn anchors(&self) -> BTreeSet<SubmapId> {
+        let sightings = self.problem.landmarks.values().flat_map(|l| &l.sightings);
+        let see_landmarks: BTreeSet<TrajectoryId> = sightings.map(|s| s.trajectory_id).collect();
+        let parts = self.state.connectivity.components();
+        let floating = parts.iter().filter(|part| {
+            !part.iter().any(|id| see_landmarks.contains(id) || self.problem.frozen.contains(id))
+        });
+        floating
+            .filter_map(|part| {
+                part.iter().find_map(|id| of_trajectory(&self.problem.submaps, *id).next().map(|(id, _)| id))
+            })
+            .collect()
     }
 
     /// Takes over optimised poses; nodes that the problem does not hold move with their trajectory.
@@ -357,4 +391,18 @@ impl<S: Space> PoseGraph<S> {
             landmark.sightings.push(LandmarkSighting { trajectory_id: id, time: data.time, observation });
         }
     }
+}
+
+/// All constraints but those between frozen trajectories, which would only cost time.
+fn constraints_that_move<'a>(
+    constraints: &'a [Constraint],
+    frozen: &BTreeSet<TrajectoryId>,
+) -> Cow<'a, [Constraint]> {
+    if frozen.is_empty() {
+        return Cow::Borrowed(constraints);
+    }
+    let is_fixed = |c: &Constraint| {
+        frozen.contains(&c.submap_id.trajectory_id) && frozen.contains(&c.node_id.trajectory_id)
+    };
+    Cow::Owned(constraints.iter().filter(|c| !is_fixed(c)).cloned().collect())
 }

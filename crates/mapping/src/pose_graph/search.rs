@@ -73,6 +73,16 @@ impl<S: Space> ConstraintSearch<S> {
         if !self.samplers.pulse(submap_id) {
             return;
         }
+        self.add_unsampled((submap_id, submap), (node_id, node), guess_submap_from_node);
+    }
+
+    /// Adds a pair whose relative pose is roughly known, in any case.
+    pub fn add_unsampled(
+        &mut self,
+        (submap_id, submap): (SubmapId, &Arc<S::Submap>),
+        (node_id, node): (NodeId, &Arc<NodeData>),
+        guess_submap_from_node: Rigid3,
+    ) {
         self.push(submap_id, submap, node_id, node, guess_submap_from_node, SearchRegion::Window);
     }
 

@@ -5,9 +5,8 @@ use std::sync::Arc;
 use super::wire_reader::{DecodeError, WireReader};
 use super::{Encoding, MessageKind, is_static_tf_topic};
 use crate::{
-    FieldType, Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, MultiEchoLaserScan, NavSatFix,
-    Odometry, PacketKind, PointCloud2, PointField, Pose, PoseStamped, SensorPackets, TfMessage,
-    TransformStamped,
+    FieldType, Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, NavSatFix, Odometry, PacketKind,
+    PointCloud2, PointField, Pose, PoseStamped, SensorPackets, TfMessage, TransformStamped,
 };
 
 /// Decodes messages and shares the names of frames between them, so that a name is not allocated anew
@@ -34,8 +33,11 @@ impl Decoder {
         let mut reader = WireReader::new(encoding, bytes)?;
         let r = &mut reader;
         let message = match kind {
-            MessageKind::LaserScan => Message::LaserScan(self.laser_scan(r)?),
-            MessageKind::MultiEchoLaserScan => Message::MultiEchoLaserScan(self.multi_echo_laser_scan(r)?),
+            MessageKind::LaserScan => Message::LaserScan(self.laser_scan(r, WireReader::f32_sequence)?),
+            MessageKind::MultiEchoLaserScan => {
+                let echoes = |r: &mut WireReader<'_>| sequence(r, 4, WireReader::f32_sequence);
+                Message::MultiEchoLaserScan(self.laser_scan(r, echoes)?)
+            }
             MessageKind::PointCloud2 => Message::PointCloud2(self.point_cloud(r)?),
             MessageKind::Imu => Message::Imu(self.imu(r)?),
             MessageKind::Odometry => Message::Odometry(self.odometry(r)?),
@@ -87,7 +89,12 @@ impl Decoder {
         Ok(Header { stamp: r.time()?, frame_id: self.frame(r)? })
     }
 
-    fn laser_scan(&mut self, r: &mut WireReader<'_>) -> Decoded<LaserScan> {
+    /// `readings` reads the ranges and then the intensities of all beams.
+    fn laser_scan<'a, R>(
+        &mut self,
+        r: &mut WireReader<'a>,
+        readings: impl Fn(&mut WireReader<'a>) -> Decoded<Vec<R>>,
+    ) -> Decoded<LaserScan<R>> {
         Ok(LaserScan {
             header: self.header(r)?,
             angle_min: r.f32()?,
@@ -97,23 +104,8 @@ impl Decoder {
             scan_time: r.f32()?,
             range_min: r.f32()?,
             range_max: r.f32()?,
-            ranges: r.f32_sequence()?,
-            intensities: r.f32_sequence()?,
-        })
-    }
-
-    fn multi_echo_laser_scan(&mut self, r: &mut WireReader<'_>) -> Decoded<MultiEchoLaserScan> {
-        Ok(MultiEchoLaserScan {
-            header: self.header(r)?,
-            angle_min: r.f32()?,
-            angle_max: r.f32()?,
-            angle_increment: r.f32()?,
-            time_increment: r.f32()?,
-            scan_time: r.f32()?,
-            range_min: r.f32()?,
-            range_max: r.f32()?,
-            ranges: sequence(r, 4, WireReader::f32_sequence)?,
-            intensities: sequence(r, 4, WireReader::f32_sequence)?,
+            ranges: readings(r)?,
+            intensities: readings(r)?,
         })
     }
 

@@ -2,8 +2,8 @@
 
 use super::wire_writer::{EncodeError, WireWriter};
 use crate::{
-    Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, MultiEchoLaserScan, NavSatFix, Odometry,
-    PointCloud2, PointField, Pose, TransformStamped,
+    Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, NavSatFix, Odometry, PointCloud2,
+    PointField, Pose, TransformStamped,
 };
 
 type Encoded = Result<(), EncodeError>;
@@ -13,8 +13,8 @@ pub(crate) fn encode(message: &Message, is_cdr: bool, buffer: Vec<u8>) -> Result
     let mut writer = WireWriter::new(is_cdr, buffer);
     let w = &mut writer;
     match message {
-        Message::LaserScan(m) => laser_scan(w, m),
-        Message::MultiEchoLaserScan(m) => multi_echo_laser_scan(w, m),
+        Message::LaserScan(m) => laser_scan(w, m, |w, ranges| w.f32_sequence(ranges)),
+        Message::MultiEchoLaserScan(m) => laser_scan(w, m, echoes),
         Message::PointCloud2(m) => point_cloud(w, m),
         Message::Imu(m) => imu(w, m),
         Message::Odometry(m) => odometry(w, m),
@@ -39,27 +39,24 @@ fn header(w: &mut WireWriter, header: &Header) -> Encoded {
     w.string(&header.frame_id)
 }
 
-fn laser_scan(w: &mut WireWriter, m: &LaserScan) -> Encoded {
+/// `readings` writes the ranges or the intensities of all beams.
+fn laser_scan<R>(
+    w: &mut WireWriter,
+    m: &LaserScan<R>,
+    readings: impl Fn(&mut WireWriter, &[R]) -> Encoded,
+) -> Encoded {
     header(w, &m.header)?;
     for value in
         [m.angle_min, m.angle_max, m.angle_increment, m.time_increment, m.scan_time, m.range_min, m.range_max]
     {
         w.f32(value);
     }
-    w.f32_sequence(&m.ranges)?;
-    w.f32_sequence(&m.intensities)
+    readings(w, &m.ranges)?;
+    readings(w, &m.intensities)
 }
 
-fn multi_echo_laser_scan(w: &mut WireWriter, m: &MultiEchoLaserScan) -> Encoded {
-    header(w, &m.header)?;
-    for value in
-        [m.angle_min, m.angle_max, m.angle_increment, m.time_increment, m.scan_time, m.range_min, m.range_max]
-    {
-        w.f32(value);
-    }
-    let echoes = |w: &mut WireWriter, echoes: &Vec<f32>| w.f32_sequence(echoes);
-    sequence(w, &m.ranges, echoes)?;
-    sequence(w, &m.intensities, echoes)
+fn echoes(w: &mut WireWriter, readings: &[Vec<f32>]) -> Encoded {
+    sequence(w, readings, |w, echoes: &Vec<f32>| w.f32_sequence(echoes))
 }
 
 fn point_cloud(w: &mut WireWriter, m: &PointCloud2) -> Encoded {

@@ -5,22 +5,36 @@
 //! point, at the stamp or one turn before it. The head turns the way in which most neighbouring points
 //! follow each other.
 
-use std::f32::consts::{PI, TAU};
+use std::f32::consts::TAU;
 
-use portolan_geometry::Time;
+use portolan_geometry::{Duration, Time};
 
+use super::seam::sense_of_turn;
 use super::timed_points::TimedPoints;
 
 /// Whether points without times get them from their azimuth, and what the stamp of a cloud means then.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum AzimuthTimes {
-    /// They do not: all points count as measured at the stamp.
+    /// They do where the lidar spins and motion was not taken out of its clouds already, as far as the first
+    /// clouds show; the stamp is the beginning of the turn if it was recorded a turn later, otherwise the end.
     #[default]
+    Auto,
+    /// They do not: all points count as measured at the stamp.
     Off,
-    /// The stamp is when the turn began.
+    /// They do; the stamp is when the turn began.
     FromStamp,
-    /// The stamp is when the turn ended.
+    /// They do; the stamp is when the turn ended.
     UntilStamp,
+}
+
+impl AzimuthTimes {
+    /// What the stamps of clouds mean that are recorded `lag` after them, turn after turn of so many seconds:
+    /// nothing can be recorded before it was measured.
+    pub(super) fn of_stamps(lag: Option<Duration>, turn: f64) -> Self {
+        // Beyond a second clocks differ, and nothing is known.
+        let is_late = lag.is_some_and(|lag| (0.9 * turn..1.0 + turn).contains(&lag.seconds()));
+        if is_late { Self::FromStamp } else { Self::UntilStamp }
+    }
 }
 
 /// Points of the first turn this near to its beginning may lie before it, because beams of one firing have
@@ -33,15 +47,7 @@ pub(crate) fn assign(points: &mut TimedPoints, stamp: Time, duration: f64, meani
     let Some(first) = points.points.first() else { return };
     let azimuth = |p: &portolan_sensor::TimedPoint| p.position.y.atan2(p.position.x);
     let begin = azimuth(first);
-    let mut forward = 0_i64;
-    for pair in points.points.windows(2) {
-        let step = wrapped(azimuth(&pair[1]) - azimuth(&pair[0]));
-        // Larger steps are between rings, or gaps.
-        if step.abs() < 0.1 {
-            forward += if step > 0.0 { 1 } else { -i64::from(step < 0.0) };
-        }
-    }
-    let sign = if forward >= 0 { 1.0 } else { -1.0 };
+    let sign = sense_of_turn(points.points.iter().map(|p| &p.position));
     let early = (points.points.len() as f32 * EDGE) as usize;
     let offset = if meaning == AzimuthTimes::UntilStamp { -1.0 } else { 0.0 };
     for (index, point) in points.points.iter_mut().enumerate() {
@@ -52,10 +58,6 @@ pub(crate) fn assign(points: &mut TimedPoints, stamp: Time, duration: f64, meani
         point.time = (share + offset) * duration as f32;
     }
     points.rebase(stamp);
-}
-
-fn wrapped(angle: f32) -> f32 {
-    (angle + PI).rem_euclid(TAU) - PI
 }
 
 #[cfg(test)]
@@ -94,6 +96,21 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn stamps_that_are_recorded_a_turn_later_are_of_the_beginning() {
+        let of = |lag: f64| AzimuthTimes::of_stamps(Some(Duration::from_seconds(lag)), 0.1);
+        assert_eq!(
+            [0.12, 0.1, 0.03, 0.0, 4e8].map(of),
+            [
+                AzimuthTimes::FromStamp,
+                AzimuthTimes::FromStamp,
+                AzimuthTimes::UntilStamp,
+                AzimuthTimes::UntilStamp,
+                AzimuthTimes::UntilStamp
+            ]
+        );
     }
 
     #[test]

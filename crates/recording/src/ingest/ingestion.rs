@@ -40,6 +40,7 @@ enum Role {
     /// `turn`: seconds between clouds, where known.
     Range {
         point_time: Option<PointTime>,
+        azimuth_times: AzimuthTimes,
         turn: Option<f64>,
         directions: Box<BeamDirections>,
     },
@@ -89,7 +90,6 @@ pub struct Ingestion {
     samplers: [FixedRatioSampler; 5],
     fixes: LocalFixes,
     subdivisions: usize,
-    azimuth_times: AzimuthTimes,
     with_intensities: bool,
     ignore_out_of_order: bool,
     start: Time,
@@ -147,7 +147,6 @@ impl Ingestion {
             samplers,
             fixes: LocalFixes::default(),
             subdivisions: options.num_subdivisions_per_laser_scan.max(1),
-            azimuth_times: options.azimuth_times,
             with_intensities: options.with_intensities,
             ignore_out_of_order: options.ignore_out_of_order,
             start: if options.skip > Duration::ZERO { start } else { Time::MIN },

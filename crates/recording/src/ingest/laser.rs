@@ -41,19 +41,7 @@ pub(crate) struct ScanShape {
 }
 
 impl ScanShape {
-    pub fn of(scan: &LaserScan) -> Self {
-        Self {
-            angle_min: scan.angle_min,
-            angle_max: scan.angle_max,
-            angle_increment: scan.angle_increment,
-            time_increment: scan.time_increment,
-            range_min: scan.range_min,
-            range_max: scan.range_max,
-            beams: scan.ranges.len(),
-        }
-    }
-
-    pub fn of_echoes(scan: &MultiEchoLaserScan) -> Self {
+    pub fn of<R>(scan: &LaserScan<R>) -> Self {
         Self {
             angle_min: scan.angle_min,
             angle_max: scan.angle_max,
@@ -174,7 +162,7 @@ pub(crate) fn points_of_echoes(
     let readings = scan.ranges.iter().enumerate().map(|(i, echoes)| {
         (first(Some(echoes)).unwrap_or(f32::INFINITY), first(scan.intensities.get(i)).unwrap_or(0.0))
     });
-    points_of_scan(stamp, ScanShape::of_echoes(scan), readings, with_intensities, directions)
+    points_of_scan(stamp, ScanShape::of(scan), readings, with_intensities, directions)
 }
 
 #[cfg(test)]

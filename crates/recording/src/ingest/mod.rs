@@ -16,6 +16,7 @@ mod plan;
 pub(crate) mod point_cloud2;
 pub(crate) mod point_time;
 mod read_ahead;
+mod seam;
 pub(crate) mod statistics;
 pub(crate) mod survey;
 #[cfg(test)]

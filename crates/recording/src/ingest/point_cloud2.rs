@@ -32,6 +32,9 @@ pub struct CloudFaults {
     pub missing: u64,
 }
 
+/// Names under which drivers give how much light came back, the first one that is there counts.
+const INTENSITY_FIELDS: [&str; 5] = ["intensity", "i", "reflectivity", "reflectance", "remission"];
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Field {
     offset: usize,
@@ -114,10 +117,16 @@ impl CloudLayout {
                 time = find(name)?;
             }
         }
+        let mut intensity = None;
+        for name in INTENSITY_FIELDS {
+            if intensity.is_none() {
+                intensity = find(name)?;
+            }
+        }
         Ok(Self {
             xyz: [coordinate("x")?, coordinate("y")?, coordinate("z")?],
             time,
-            intensity: find("intensity")?,
+            intensity,
             step,
             is_bigendian: cloud.is_bigendian,
         })
@@ -164,13 +173,16 @@ impl CloudLayout {
         });
     }
 
-    /// The time values of a cloud, to find out what they mean.
+    /// The time values of a cloud, to find out what they mean. Those of points that are none are left out:
+    /// some drivers leave them unset.
     pub fn time_span(&self, cloud: &PointCloud2) -> Option<TimeSpan> {
         let field = self.time?;
         let (mut least, mut largest) = (f64::INFINITY, f64::NEG_INFINITY);
         self.for_each(cloud, |point| {
             let value = field.value(point, self.is_bigendian);
-            if value.is_finite() {
+            let [x, y, z] = self.xyz.map(|field| field.single(point, self.is_bigendian));
+            let is_point = (x + y + z).is_finite() && (x != 0.0 || y != 0.0 || z != 0.0);
+            if is_point && value.is_finite() {
                 (least, largest) = (least.min(value), largest.max(value));
             }
         });

@@ -4,6 +4,7 @@ use portolan_geometry::{Point3f, Vector3};
 
 use super::point_cloud2::CloudLayout;
 use super::point_time::{PointTime, TimeSpan, detect};
+use super::seam::SeamVotes;
 use crate::{Imu, LaserScan, MultiEchoLaserScan, PointCloud2};
 
 /// So many scans or clouds tell enough.
@@ -43,9 +44,20 @@ pub struct RangeStatistics {
     pub saturation_range: Option<f64>,
     /// How long one message measures; zero if all points have the same time.
     pub sweep_duration: f64,
+    /// Whether clouds without any times of points had the motion of the sensor taken out; none if they have
+    /// times, or it cannot be told.
+    pub is_compensated: Option<bool>,
 }
 
 impl RangeStatistics {
+    /// Whether a lidar that turns round and round gave clouds that see space.
+    pub fn is_spinning(&self) -> bool {
+        let degrees = |angle: f64| angle.to_degrees();
+        degrees(self.field_of_view) > 355.0
+            && degrees(self.vertical_field_of_view) > 5.0
+            && (1.0..=50.0).contains(&self.rate)
+    }
+
     /// Whether points have times of their own, so that motion during a sweep can be undone.
     pub fn has_point_times(&self) -> bool {
         self.sweep_duration > 0.0
@@ -82,6 +94,8 @@ pub(crate) struct RangeSampler {
     scan: Option<(f64, f64)>,
     sweeps: Vec<f64>,
     time_spans: Vec<TimeSpan>,
+    seam: SeamVotes,
+    points: Vec<Point3f>,
 }
 
 impl Default for RangeSampler {
@@ -97,6 +111,8 @@ impl Default for RangeSampler {
             scan: None,
             sweeps: Vec::new(),
             time_spans: Vec::new(),
+            seam: SeamVotes::default(),
+            points: Vec::new(),
         }
     }
 }
@@ -183,6 +199,21 @@ impl RangeSampler {
         self.readings.push(total);
         self.returns.push((total * returns).checked_div(seen).unwrap_or(0));
         self.time_spans.extend(layout.time_span(cloud));
+        if !layout.has_time() {
+            self.points.clear();
+            layout.sample(cloud, 1, |point| self.points.push(point));
+            self.seam.add(&self.points);
+        }
+    }
+
+    /// Whether clouds have a field of times.
+    pub fn has_time_field(&self) -> bool {
+        !self.time_spans.is_empty()
+    }
+
+    /// Whether more clouds would tell something that these do not.
+    pub fn is_undecided(&self) -> bool {
+        !self.points.is_empty() && self.seam.is_compensated().is_none()
     }
 
     /// The field of view of clouds is a full turn less the largest sector without a point; sectors below
@@ -234,6 +265,7 @@ impl RangeSampler {
             max_range: quantile(1.0),
             saturation_range,
             sweep_duration: median(&mut sweeps).unwrap_or(0.0),
+            is_compensated: self.seam.is_compensated(),
         }
     }
 }

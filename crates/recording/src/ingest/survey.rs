@@ -17,6 +17,8 @@ const LOOK: Duration = Duration::from_ticks(20 * 10_000_000);
 const SHORT_LOOK: Duration = Duration::from_ticks(2 * 10_000_000);
 const ENOUGH_SCANS: u64 = 40;
 const ENOUGH_CLOUDS: u64 = 15;
+/// So many clouds without times may have to be seen until the sensor moves.
+const MOST_CLOUDS: u64 = 100;
 const MAX_MESSAGES: u64 = 200_000;
 /// So many messages of topics that begin later are looked at.
 const MAX_LATE_MESSAGES: u64 = 2000;
@@ -41,6 +43,8 @@ pub struct TopicSurvey {
     pub range: Option<RangeStatistics>,
     /// What the times of points mean.
     pub point_time: Option<PointTime>,
+    /// Whether clouds have a field of times at all, whatever it says.
+    pub has_time_field: bool,
     /// What the IMU is like.
     pub imu: Option<ImuStatistics>,
 }
@@ -196,7 +200,10 @@ impl Look {
         let enough = |t: &TopicInfo| {
             let wanted =
                 if &*t.type_name == "sensor_msgs/PointCloud2" { ENOUGH_CLOUDS } else { ENOUGH_SCANS };
-            let seen = self.looks.get(&t.topic).map_or(0, |l| l.seen);
+            let look = self.looks.get(&t.topic);
+            let seen = look.map_or(0, |l| l.seen);
+            let undecided = look.and_then(|l| l.range.as_ref()).is_some_and(RangeSampler::is_undecided);
+            let wanted = if undecided { MOST_CLOUDS } else { wanted };
             !is_range(&t.type_name) || seen >= wanted.min(t.count.unwrap_or(u64::MAX))
         };
         elapsed > SHORT_LOOK && self.topics.iter().all(enough)
@@ -291,6 +298,7 @@ impl TopicLook {
             interval,
             lag: lag.map(Duration::from_seconds),
             point_time: self.range.as_ref().and_then(|r| r.point_time(interval)),
+            has_time_field: self.range.as_ref().is_some_and(RangeSampler::has_time_field),
             range: self.range.map(|r| r.finish(interval)),
             imu: self.imu.map(|i| i.finish(interval)),
         }

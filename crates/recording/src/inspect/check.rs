@@ -3,20 +3,22 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_geometry::{Rigid3, Vector3};
 
 use super::clouds::CloudChecks;
 use super::finding::{Finding, Findings, Kind, Severity};
 use super::imu::ImuChecks;
 use super::odometry::OdometryChecks;
-use super::rotation::{self, ScanTurns, Turn};
+use super::rotation::Turn;
+use super::scan_turns::{CloudTurns, ScanTurns};
 use super::scans::RangeChecks;
 use super::stamps::{Stamps, check_frames};
+use super::turns::{ImuTurns, Source, Turning, compare_all};
 use crate::ingest::laser::{BeamDirections, points_of_echoes, points_of_laser_scan};
 use crate::ingest::point_cloud2::CloudLayout;
 use crate::tf::{TfInput, TfTree};
 use crate::{
-    Imu, IngestOptions, Inventory, Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording,
+    IngestOptions, Inventory, Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording,
     RecordingError, Repair, SensorPlan, plan,
 };
 
@@ -52,11 +54,6 @@ const REPAIRED: Kind = Kind {
 };
 /// Transforms are kept this long while checking, seconds.
 const KEPT_TRANSFORMS: f64 = 10.0;
-/// So many turns of an IMU are kept.
-const MAX_TURNS: usize = 500_000;
-/// Turns of an IMU are summed up over this time, seconds.
-const TURN_INTERVAL: f64 = 0.02;
-
 /// Everything that was found.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct CheckReport {
@@ -95,36 +92,9 @@ pub fn check(
 enum TopicChecks {
     Scan { ranges: RangeChecks, turns: ScanTurns, directions: BeamDirections },
     Echoes { ranges: RangeChecks, directions: BeamDirections },
-    Cloud { ranges: RangeChecks, clouds: CloudChecks },
-    Imu { imu: ImuChecks, turns: ImuTurns },
+    Cloud { ranges: RangeChecks, clouds: CloudChecks, turns: CloudTurns },
+    Imu { imu: Box<ImuChecks>, turns: ImuTurns },
     Odometry(OdometryChecks),
-}
-
-/// Turns of an IMU about the direction that it shows as up.
-#[derive(Default)]
-struct ImuTurns {
-    last: Option<Time>,
-    begin: Option<Time>,
-    turn: Vector3,
-    turns: Vec<(Time, Time, Vector3)>,
-}
-
-impl ImuTurns {
-    fn add(&mut self, imu: &Imu) {
-        let (time, rate) = (imu.header.stamp, Vector3::from(imu.angular_velocity));
-        let Some(last) = self.last.replace(time) else { return };
-        let seconds = time.seconds_since(last);
-        if !(0.0..0.5).contains(&seconds) || !rate.iter().all(|v| v.is_finite()) {
-            (self.begin, self.turn) = (None, Vector3::zeros());
-            return;
-        }
-        let begin = *self.begin.get_or_insert(last);
-        self.turn += rate * seconds;
-        if time.seconds_since(begin) >= TURN_INTERVAL && self.turns.len() < MAX_TURNS {
-            self.turns.push((begin, time, self.turn));
-            (self.begin, self.turn) = (None, Vector3::zeros());
-        }
-    }
 }
 
 struct Check<'a> {
@@ -187,9 +157,9 @@ impl<'a> Check<'a> {
             (TopicChecks::Echoes { ranges, directions }, Message::MultiEchoLaserScan(scan)) => {
                 add_echoes(topic, scan, ranges, directions, findings);
             }
-            (TopicChecks::Cloud { ranges, clouds }, Message::PointCloud2(cloud)) => {
+            (TopicChecks::Cloud { ranges, clouds, turns }, Message::PointCloud2(cloud)) => {
                 let time = self.inventory.topic(topic).and_then(|t| t.point_time);
-                add_cloud(topic, cloud, time, ranges, clouds, findings);
+                add_cloud(topic, cloud, time, (ranges, clouds, turns), findings);
             }
             (TopicChecks::Imu { imu, turns }, Message::Imu(message)) => {
                 imu.add(topic, message, findings);
@@ -229,6 +199,7 @@ impl<'a> Check<'a> {
         for (topic, stamps) in &self.stamps {
             stamps.finish(topic, common_lag, &mut self.findings);
         }
+        self.check_spans();
         check_frames(self.stamps.iter().map(|(topic, stamps)| (&**topic, stamps)), &mut self.findings);
         self.compare_turns(plan);
         for (topic, checks) in std::mem::take(&mut self.topics) {
@@ -237,6 +208,17 @@ impl<'a> Check<'a> {
         self.add_repairs(repairs);
         let histograms = self.stamps.iter().filter_map(|(topic, s)| s.histogram_text(topic)).collect();
         CheckReport { findings: self.findings.finish(), histograms }
+    }
+
+    /// Sensors that do not measure from the beginning to the end.
+    fn check_spans(&mut self) {
+        let spans = || self.stamps.values().filter_map(Stamps::span);
+        let (Some(start), Some(end)) = (spans().map(|s| s.0).min(), spans().map(|s| s.1).max()) else {
+            return;
+        };
+        for (topic, stamps) in &self.stamps {
+            stamps.check_span(topic, (start, end), &mut self.findings);
+        }
     }
 
     /// What all sensors lag behind alike: a recording of a recording is no fault.
@@ -256,7 +238,7 @@ impl<'a> Check<'a> {
             TopicChecks::Scan { ranges, .. } | TopicChecks::Echoes { ranges, .. } => {
                 ranges.finish(topic, findings)
             }
-            TopicChecks::Cloud { ranges, clouds } => {
+            TopicChecks::Cloud { ranges, clouds, .. } => {
                 ranges.finish(topic, findings);
                 clouds.finish(topic, findings);
             }
@@ -279,36 +261,33 @@ impl<'a> Check<'a> {
             self.findings.push(counted(kind, repair));
         }
     }
+}
 
+impl Check<'_> {
     /// Turns of each sensor against odometry, or against the IMU if there is no odometry.
     fn compare_turns(&mut self, plan: Option<&SensorPlan>) {
-        let mut turns: Vec<(u8, &str, Vec<Turn>)> = Vec::new();
+        let (mut all, mut imus) = (Vec::new(), Vec::new());
         for (topic, checks) in &self.topics {
             let base_from_sensor = mounting(self.inventory, topic, plan).unwrap_or_else(Rigid3::identity);
-            let up_in_base = base_from_sensor.rotation * Vector3::z();
-            match checks {
-                TopicChecks::Odometry(odometry) => turns.push((0, topic, odometry.turns.clone())),
-                TopicChecks::Imu { imu, turns: found } => {
+            let up = (base_from_sensor.rotation * Vector3::z()).z;
+            let upright =
+                |turns: &[Turn]| turns.iter().map(|(a, b, turn)| (*a, *b, up.signum() * turn)).collect();
+            let (source, turns) = match checks {
+                TopicChecks::Odometry(odometry) => (Source::Odometry, odometry.turns.clone()),
+                TopicChecks::Imu { imu, turns } => {
                     let Some(up) = imu.up() else { continue };
-                    let about_up = found.turns.iter().map(|(a, b, turn)| (*a, *b, turn.dot(&up)));
-                    turns.push((1, topic, about_up.collect()));
+                    imus.push((&**topic, turns));
+                    (Source::Imu, turns.about(&up))
                 }
-                TopicChecks::Scan { turns: found, .. } if up_in_base.z.abs() > 0.9 => {
-                    let sign = up_in_base.z.signum();
-                    turns.push((
-                        2,
-                        topic,
-                        found.turns.iter().map(|(a, b, turn)| (*a, *b, sign * turn)).collect(),
-                    ));
+                TopicChecks::Scan { turns, .. } if up.abs() > 0.9 => (Source::Scan, upright(&turns.turns)),
+                TopicChecks::Cloud { turns, .. } if up.abs() > 0.9 => {
+                    (Source::Cloud { has_times: turns.has_times }, upright(&turns.turns))
                 }
-                _ => {}
-            }
+                _ => continue,
+            };
+            all.push(Turning { source, topic, turns });
         }
-        turns.sort_by_key(|(rank, ..)| *rank);
-        let Some(((_, reference, first), others)) = turns.split_first() else { return };
-        for (_, topic, other) in others {
-            rotation::tell((reference, first), (topic, other), &mut self.findings);
-        }
+        compare_all(all, &imus, &mut self.findings);
     }
 }
 
@@ -323,10 +302,12 @@ impl TopicChecks {
             Message::MultiEchoLaserScan(_) => {
                 Some(Self::Echoes { ranges: RangeChecks::default(), directions: BeamDirections::default() })
             }
-            Message::PointCloud2(_) => {
-                Some(Self::Cloud { ranges: RangeChecks::default(), clouds: CloudChecks::default() })
-            }
-            Message::Imu(_) => Some(Self::Imu { imu: ImuChecks::default(), turns: ImuTurns::default() }),
+            Message::PointCloud2(_) => Some(Self::Cloud {
+                ranges: RangeChecks::default(),
+                clouds: CloudChecks::default(),
+                turns: CloudTurns::default(),
+            }),
+            Message::Imu(_) => Some(Self::Imu { imu: Box::default(), turns: ImuTurns::default() }),
             Message::Odometry(_) => Some(Self::Odometry(OdometryChecks::default())),
             _ => None,
         }
@@ -341,18 +322,8 @@ fn add_echoes(
     findings: &mut Findings,
 ) {
     let (points, faults) = points_of_echoes(scan.header.stamp, scan, false, directions);
-    let first = crate::LaserScan {
-        header: scan.header.clone(),
-        angle_min: scan.angle_min,
-        angle_max: scan.angle_max,
-        angle_increment: scan.angle_increment,
-        time_increment: scan.time_increment,
-        scan_time: scan.scan_time,
-        range_min: scan.range_min,
-        range_max: scan.range_max,
-        ranges: scan.ranges.iter().map(|e| e.first().copied().unwrap_or(f32::INFINITY)).collect(),
-        intensities: Vec::new(),
-    };
+    let first_echoes = scan.ranges.iter().map(|e| e.first().copied().unwrap_or(f32::INFINITY));
+    let first = scan.with_readings(first_echoes.collect(), Vec::new());
     ranges.add_scan(topic, &first, faults, findings);
     ranges.add_points(topic, &scan.header.frame_id, &points, findings);
 }
@@ -361,8 +332,7 @@ fn add_cloud(
     topic: &str,
     cloud: &PointCloud2,
     time: Option<crate::PointTime>,
-    ranges: &mut RangeChecks,
-    clouds: &mut CloudChecks,
+    (ranges, clouds, turns): (&mut RangeChecks, &mut CloudChecks, &mut CloudTurns),
     findings: &mut Findings,
 ) {
     let layout = match CloudLayout::of(cloud) {
@@ -372,7 +342,10 @@ fn add_cloud(
     let time = time.filter(|_| layout.has_time());
     let (points, faults) = layout.points(cloud.header.stamp, cloud, time, false);
     clouds.add(topic, cloud, &layout, time, faults, findings);
-    ranges.add_points(topic, &cloud.header.frame_id, &points, findings);
+    if cloud.width > 0 && cloud.height > 0 {
+        ranges.add_points(topic, &cloud.header.frame_id, &points, findings);
+        turns.add(&points);
+    }
 }
 
 /// The sensor of a topic in the tracking frame, if that is known and fixed.

@@ -20,8 +20,8 @@ const MISSING: Kind = Kind {
 const NO_TIME: Kind = Kind {
     name: "no time",
     severity: Severity::Warning,
-    effect: "motion during a sweep cannot be undone; fast motion blurs the map",
-    to_do: "let the driver add a time field (time, t, timestamp or offset_time)",
+    effect: "times are guessed from the azimuth where the lidar spins; elsewhere motion during a sweep cannot be undone and blurs the map",
+    to_do: "let the driver add a time field (time, t, timestamp or offset_time); --azimuth-times chooses how to guess",
 };
 const TIMES_FROM_START: Kind = Kind {
     name: "times from start",
@@ -37,6 +37,21 @@ const OTHER_CLOCK: Kind = Kind {
 };
 const NOT_FINITE: Kind =
     Kind { name: "no points", severity: Severity::Info, effect: "these points are left out", to_do: "" };
+
+const EMPTY: Kind = Kind {
+    name: "empty clouds",
+    severity: Severity::Warning,
+    effect: "these messages give nothing",
+    to_do: "look for a driver that sends before it has data, or a filter that removes everything",
+};
+const HUGE: Kind = Kind {
+    name: "huge clouds",
+    severity: Severity::Warning,
+    effect: "mapping takes them, but each is held in memory several times over, and time goes with the points",
+    to_do: "map with a topic of single sweeps; accumulated clouds have lost the motion in them",
+};
+/// Single sweeps have fewer points.
+const HUGE_POINTS: u64 = 1_000_000;
 
 /// Point clouds of one topic.
 #[derive(Debug, Default)]
@@ -61,6 +76,13 @@ impl CloudChecks {
         faults: CloudFaults,
         findings: &mut Findings,
     ) {
+        let points = u64::from(cloud.width) * u64::from(cloud.height);
+        if points == 0 {
+            return findings.add(&EMPTY, topic, || "clouds of zero points".to_owned());
+        }
+        if points > HUGE_POINTS {
+            findings.add(&HUGE, topic, || format!("clouds of {points} points"));
+        }
         self.not_finite += faults.not_finite;
         self.zero += faults.zero;
         if faults.missing > 0 {

@@ -3,6 +3,7 @@
 use portolan_geometry::{Rigid3, Vector3};
 
 use super::finding::{Findings, Kind, Severity};
+use super::imu_values::{Rest, Saturation};
 use crate::Imu;
 use crate::ingest::statistics::is_partial;
 
@@ -55,6 +56,16 @@ const LEANING: Kind = Kind {
     to_do: "give the mounting of the IMU in the transforms",
 };
 
+const AXES: Kind = Kind {
+    name: "axes",
+    severity: Severity::Error,
+    effect: "in the plane the IMU is left out; in space level is found from gravity, but turns are taken about the wrong axes where transforms connect it with the lidar",
+    to_do: "give the mounting of the IMU in the transforms, or let the driver send x forward, y left, z up",
+};
+
+/// Beyond this the IMU does not lean, its axes are others, degrees.
+const OTHER_AXES: f64 = 60.0;
+
 /// Robots do not turn faster than this for long, rad/s.
 const FAST_TURN: f64 = 12.0;
 
@@ -65,6 +76,8 @@ pub(crate) struct ImuChecks {
     sum: Vector3,
     sum_of_norms: f64,
     fast: u64,
+    rest: Rest,
+    saturation: Saturation,
 }
 
 impl ImuChecks {
@@ -86,6 +99,8 @@ impl ImuChecks {
         self.sum += acceleration;
         self.sum_of_norms += norm;
         self.fast += u64::from(rate.norm() > FAST_TURN);
+        self.rest.add(stamp, rate, acceleration);
+        self.saturation.add(rate, acceleration);
         if !(3.0..=30.0).contains(&norm) && !(0.3..=3.0).contains(&norm) {
             findings.add(&ACCELERATION, topic, || {
                 format!(
@@ -122,9 +137,17 @@ impl ImuChecks {
                 format!("{share}% of the angular velocities are above {FAST_TURN} rad/s; they seem to be in degrees")
             });
         }
+        self.rest.finish(topic, findings);
+        self.saturation.finish(topic, findings);
         let (Some(up), Some(mounting)) = (self.up(), base_from_imu) else { return };
         let up_in_base = mounting.rotation * up;
         let lean = up_in_base.z.clamp(-1.0, 1.0).acos().to_degrees();
+        if (OTHER_AXES..=180.0 - OTHER_AXES).contains(&lean) {
+            let (axis, sign) = axis_of(&up);
+            return findings.add(&AXES, topic, || {
+                format!("gravity lies along {sign}{axis} of the IMU, {lean:.0}° away from where the transforms put up: its axes are swapped, or its mounting is missing")
+            });
+        }
         let kind = if lean > 135.0 { &UPSIDE_DOWN } else { &LEANING };
         if lean > 20.0 {
             findings.add(kind, topic, || {
@@ -132,4 +155,10 @@ impl ImuChecks {
             });
         }
     }
+}
+
+/// The axis that a direction is nearest to, and its sign.
+pub(super) fn axis_of(direction: &Vector3) -> (&'static str, &'static str) {
+    let axis = direction.iamax();
+    (["x", "y", "z"][axis], if direction[axis] < 0.0 { "-" } else { "+" })
 }

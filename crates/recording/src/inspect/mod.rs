@@ -5,11 +5,14 @@ mod clouds;
 mod finding;
 mod histogram;
 mod imu;
+mod imu_values;
 mod info;
 mod odometry;
 mod rotation;
+mod scan_turns;
 mod scans;
 mod stamps;
+mod turns;
 
 pub use check::{CheckReport, check};
 pub use finding::{Finding, Severity, findings_to_text};

@@ -2,94 +2,17 @@
 //! other times.
 //!
 //! Each sensor gives the angle turned about the vertical between two times: odometry and IMU directly,
-//! a scanner in the plane by the shift of its range profile that fits the profile before best. The
-//! turns of two sensors over windows of a second are compared at every lag up to half a second: the
-//! lag of the best correlation is the offset of their clocks, the slope of the best line tells
-//! direction and scale.
+//! a lidar by the shift of its range profile that fits the profile before best ([`super::scan_turns`]). The
+//! turns of two sensors over windows of a second are compared at every lag up to half a second, then over
+//! shorter windows near the best lag: the lag of the best correlation is the offset of their clocks, the
+//! slope of the best line tells direction and scale.
 
 use portolan_geometry::Time;
 
 use super::finding::{Finding, Findings, Severity};
-use crate::LaserScan;
-
-/// Most beams of a profile; scanners with more are thinned.
-const MAX_BEAMS: usize = 360;
-/// Largest turn between two scans, radians.
-const MAX_TURN: f32 = 0.6;
-/// Differences of ranges beyond this count alike, metres.
-const MAX_DIFFERENCE: f32 = 0.3;
-/// Share of the beams that must be seen by both scans.
-const MIN_OVERLAP: f32 = 0.3;
-/// So many scans are compared.
-const MAX_SCANS: usize = 20_000;
-/// Scans farther apart than this are not compared, seconds.
-const MAX_INTERVAL: f64 = 1.0;
 
 /// The angle turned between two times, counter-clockwise seen from above.
 pub(crate) type Turn = (Time, Time, f64);
-
-/// Turns of a scanner.
-#[derive(Debug, Default)]
-pub(crate) struct ScanTurns {
-    last: Option<(Time, Vec<f32>)>,
-    costs: Vec<f32>,
-    pub turns: Vec<Turn>,
-}
-
-impl ScanTurns {
-    /// Takes the next scan. Only scans of the same shape are compared.
-    pub fn add(&mut self, time: Time, scan: &LaserScan) {
-        let stride = scan.ranges.len().div_ceil(MAX_BEAMS).max(1);
-        let increment = scan.angle_increment.abs() * stride as f32;
-        if self.turns.len() >= MAX_SCANS || increment.is_nan() || increment <= 0.0 {
-            return;
-        }
-        let limits = scan.range_min.max(0.05)..=scan.range_max;
-        let value = |r: &f32| if limits.contains(r) { *r } else { f32::NAN };
-        let profile: Vec<f32> = scan.ranges.iter().step_by(stride).map(value).collect();
-        if let Some((last_time, last)) = self.last.replace((time, profile))
-            && (0.0..MAX_INTERVAL).contains(&time.seconds_since(last_time))
-            && let Some((_, profile)) = &self.last
-            && last.len() == profile.len()
-        {
-            let window = ((MAX_TURN / increment) as usize).min(profile.len() / 3);
-            if let Some(shift) = best_shift(&last, profile, window, &mut self.costs) {
-                // Walls move against the turn; an increment below zero counts beams clockwise.
-                let turn = -f64::from(shift * increment) * f64::from(scan.angle_increment.signum());
-                self.turns.push((last_time, time, turn));
-            }
-        }
-    }
-}
-
-/// By how many beams `now` is shifted against `before`, to a fraction of a beam.
-fn best_shift(before: &[f32], now: &[f32], window: usize, costs: &mut Vec<f32>) -> Option<f32> {
-    costs.clear();
-    let enough = MIN_OVERLAP * before.len() as f32;
-    for shift in 0..=2 * window {
-        let (a, b) =
-            if shift <= window { (&before[window - shift..], now) } else { (before, &now[shift - window..]) };
-        let (mut sum, mut count) = (0.0f32, 0.0f32);
-        for (a, b) in a.iter().zip(b) {
-            let difference = (a - b).abs();
-            if !difference.is_nan() {
-                sum += difference.min(MAX_DIFFERENCE);
-                count += 1.0;
-            }
-        }
-        costs.push(if count >= enough { sum / count } else { f32::INFINITY });
-    }
-    let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
-    if best == 0 || best + 1 >= costs.len() || !costs[best].is_finite() || costs[best] > 0.5 * MAX_DIFFERENCE
-    {
-        return None;
-    }
-    let (left, middle, right) = (costs[best - 1], costs[best], costs[best + 1]);
-    let curvature = left - 2.0 * middle + right;
-    let fraction =
-        if curvature.is_finite() && curvature > 0.0 { 0.5 * (left - right) / curvature } else { 0.0 };
-    Some(best as f32 - window as f32 + fraction)
-}
 
 /// How the turns of two sensors compare.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,50 +23,105 @@ pub(crate) struct Agreement {
     pub slope: f64,
     /// By how many seconds the second sensor is stamped too late.
     pub lag: f64,
-    /// Correlation without any lag.
-    pub correlation_without_lag: f64,
+    /// Correlation over short windows, without the lag and with it.
+    pub fine_correlations: [f64; 2],
     /// How much the first sensor turned in all, radians.
     pub turned: f64,
 }
 
-const WINDOW: f64 = 1.0;
-const STEP: f64 = 0.5;
+/// Windows in which turns are compared, and from one to the next, seconds: first long ones at every lag …
+const COARSE: Windows = Windows { length: 1.0, step: 0.5 };
 const LAG_STEP: f64 = 0.02;
 const LAG_STEPS: i32 = 25;
+/// … then short ones about the best lag, which show it more exactly.
+const FINE: Windows = Windows { length: 0.3, step: 0.15 };
+const FINE_LAG_STEP: f64 = 0.005;
+const FINE_LAG_STEPS: i32 = 8;
+/// So many windows must be common.
+const ENOUGH_WINDOWS: usize = 20;
 /// Windows in which a sensor has no data for so long are not used, seconds.
 const MAX_HOLE: f64 = 0.6;
 
-/// Compares two sensors; `None` without enough common data.
-pub(crate) fn compare(first: &[Turn], second: &[Turn]) -> Option<Agreement> {
-    let (a, b) = (Angle::new(first), Angle::new(second));
-    let origin = first.first()?.0;
-    let (start, end) = (a.start()?.max(b.start()?), a.end()?.min(b.end()?));
-    let windows: Vec<(f64, f64)> = (0..)
-        .map(|i| start.seconds_since(origin) + 0.5 + STEP * f64::from(i))
-        .take_while(|t| t + WINDOW + 0.5 <= end.seconds_since(origin))
-        .filter_map(|t| Some((t, a.turned(origin, t)?)))
-        .collect();
-    let turned: f64 = windows.iter().map(|(_, d)| d.abs()).sum::<f64>() * STEP / WINDOW;
-    let at_lag = |lag: f64| {
+#[derive(Clone, Copy)]
+struct Windows {
+    length: f64,
+    step: f64,
+}
+
+/// The turns of two sensors in windows of one length.
+struct Comparison<'a> {
+    second: &'a Angle,
+    origin: Time,
+    length: f64,
+    /// Start after the origin, and turn of the first sensor.
+    windows: Vec<(f64, f64)>,
+}
+
+impl<'a> Comparison<'a> {
+    fn new(first: &Angle, second: &'a Angle, windows: Windows) -> Option<Self> {
+        let origin = first.start()?;
+        let (start, end) = (origin.max(second.start()?), first.end()?.min(second.end()?));
+        let Windows { length, step } = windows;
+        let windows = (0..)
+            .map(|i| start.seconds_since(origin) + 0.5 + step * f64::from(i))
+            .take_while(|t| t + length + 0.5 <= end.seconds_since(origin))
+            .filter_map(|t| Some((t, first.turned(origin, t, length)?)))
+            .collect();
+        Some(Self { second, origin, length, windows })
+    }
+
+    /// Correlation and slope if the second sensor is stamped too late by `lag`.
+    fn at_lag(&self, lag: f64) -> Option<(f64, f64)> {
         let (mut ab, mut aa, mut bb, mut count) = (0.0, 0.0, 0.0, 0);
-        for (t, turn_a) in &windows {
-            if let Some(turn_b) = b.turned(origin, t + lag) {
+        for (t, turn_a) in &self.windows {
+            if let Some(turn_b) = self.second.turned(self.origin, t + lag, self.length) {
                 (ab, aa, bb, count) =
                     (ab + turn_a * turn_b, aa + turn_a * turn_a, bb + turn_b * turn_b, count + 1);
             }
         }
-        (count >= 20 && aa > 0.0 && bb > 0.0).then(|| (ab / (aa * bb).sqrt(), ab / aa))
-    };
-    let (correlation_without_lag, _) = at_lag(0.0)?;
+        (count >= ENOUGH_WINDOWS && aa > 0.0 && bb > 0.0).then(|| (ab / (aa * bb).sqrt(), ab / aa))
+    }
+
+    /// The lag with the highest correlation near `about`, to a fraction of a step, and that correlation; both of
+    /// the sign of `sign`.
+    fn refined(&self, about: f64, sign: f64) -> Option<(f64, f64)> {
+        let lag = |step: i32| about + FINE_LAG_STEP * f64::from(step);
+        let steps = -FINE_LAG_STEPS..=FINE_LAG_STEPS;
+        let tries: Vec<(f64, f64)> =
+            steps.filter_map(|step| Some((lag(step), sign * self.at_lag(lag(step))?.0))).collect();
+        let best = (0..tries.len()).max_by(|a, b| tries[*a].1.total_cmp(&tries[*b].1))?;
+        let (at, height) = tries[best];
+        let (Some(before), Some(after)) =
+            (best.checked_sub(1).and_then(|i| tries.get(i)), tries.get(best + 1))
+        else {
+            return Some((at, height));
+        };
+        let curvature = before.1 - 2.0 * height + after.1;
+        let fraction = if curvature < 0.0 { 0.5 * (before.1 - after.1) / curvature } else { 0.0 };
+        Some((at + FINE_LAG_STEP * fraction.clamp(-0.5, 0.5), height))
+    }
+}
+
+/// Compares two sensors; `None` without enough common data.
+pub(crate) fn compare(first: &[Turn], second: &[Turn]) -> Option<Agreement> {
+    let (a, b) = (Angle::new(first), Angle::new(second));
+    let coarse = Comparison::new(&a, &b, COARSE)?;
+    let turned: f64 = coarse.windows.iter().map(|(_, d)| d.abs()).sum::<f64>() * COARSE.step / COARSE.length;
+    coarse.at_lag(0.0)?;
     let (mut correlation, mut slope, mut lag) = (0.0, 0.0, 0.0);
     // Small lags first, so that ties stay near zero.
     for step in (0..=LAG_STEPS).flat_map(|s| [s, -s]) {
         let this_lag = LAG_STEP * f64::from(step);
-        if let Some((c, s)) = at_lag(this_lag).filter(|(c, _)| c.abs() > f64::abs(correlation) + 1e-6) {
+        if let Some((c, s)) = coarse.at_lag(this_lag).filter(|(c, _)| c.abs() > f64::abs(correlation) + 1e-6)
+        {
             (correlation, slope, lag) = (c, s, this_lag);
         }
     }
-    Some(Agreement { correlation, slope, lag, correlation_without_lag, turned })
+    let fine = Comparison::new(&a, &b, FINE)?;
+    let sign = f64::signum(correlation);
+    let (lag, at_lag) = fine.refined(lag, sign)?;
+    let without_lag = sign * fine.at_lag(0.0)?.0;
+    Some(Agreement { correlation, slope, lag, fine_correlations: [without_lag, at_lag], turned })
 }
 
 /// Angle as a function of time, and where it has holes.
@@ -178,9 +156,9 @@ impl Angle {
     }
 
     /// The turn in the window that begins `seconds` after `origin`, if it is known all along.
-    fn turned(&self, origin: Time, seconds: f64) -> Option<f64> {
+    fn turned(&self, origin: Time, seconds: f64, length: f64) -> Option<f64> {
         let at = |seconds: f64| origin + portolan_geometry::Duration::from_seconds(seconds);
-        let (begin, end) = (at(seconds), at(seconds + WINDOW));
+        let (begin, end) = (at(seconds), at(seconds + length));
         let (i, j) = (self.index(begin), self.index(end));
         let known = self.points.get(i..=j)?.iter().all(|p| p.2);
         known.then(|| self.angle(j, end) - self.angle(i, begin))
@@ -202,12 +180,17 @@ impl Angle {
     }
 }
 
-/// Tells how `second` turns against `first`.
-pub(crate) fn tell(first: (&str, &[Turn]), second: (&str, &[Turn]), findings: &mut Findings) {
+/// Below half a turn in all there is nothing to judge.
+pub(crate) const ENOUGH_TURNS: f64 = std::f64::consts::PI;
+/// Offsets of clocks beyond these are told and warned of, seconds: of sensors with a time for each point or
+/// sample, and of others.
+const OFFSETS: [[f64; 2]; 2] = [[0.02, 0.035], [0.05, 0.1]];
+
+/// Tells how `second` turns against `first`. `is_exact` says that both know the times of their turns well.
+pub(crate) fn tell(first: (&str, &[Turn]), second: (&str, &[Turn]), is_exact: bool, findings: &mut Findings) {
     let Some(agreement) = compare(first.1, second.1) else { return };
-    let Agreement { correlation, slope, lag, turned, .. } = agreement;
-    // Below half a turn in all there is nothing to judge.
-    if turned < std::f64::consts::PI {
+    let Agreement { correlation, slope, lag, turned, fine_correlations: [without_lag, with_lag] } = agreement;
+    if turned < ENOUGH_TURNS {
         return;
     }
     let (a, b) = (first.0, second.0);
@@ -250,36 +233,34 @@ pub(crate) fn tell(first: (&str, &[Turn]), second: (&str, &[Turn]), findings: &m
     }
     // What is left unexplained must shrink by the lag, or it is chance.
     let unexplained = |c: f64| 1.0 - c * c;
-    let is_better = unexplained(correlation) < 0.8 * unexplained(agreement.correlation_without_lag);
-    if correlation > 0.8 && lag.abs() > 0.05 && is_better {
+    let is_better = unexplained(with_lag) < 0.8 * unexplained(without_lag);
+    let [told, warned] = OFFSETS[usize::from(!is_exact)];
+    if correlation > 0.8 && lag.abs() > told && is_better {
+        let size = if lag.abs() < 0.1 { format!("{:.3}", lag.abs()) } else { format!("{:.2}", lag.abs()) };
+        let direction = if lag > 0.0 { "later" } else { "earlier" };
         add(
-            if lag.abs() > 0.1 { Severity::Warning } else { Severity::Info },
-            format!(
-                "stamps are about {:.2} s {} than those of {a}",
-                lag.abs(),
-                if lag > 0.0 { "later" } else { "earlier" }
-            ),
-            "motion in turns is predicted for the wrong time; the map blurs",
-            "synchronise the clocks, or stamp with the time of measurement instead of arrival",
+            if lag.abs() > warned { Severity::Warning } else { Severity::Info },
+            format!("stamps are about {size} s {direction} than those of {a}, as turns of both show"),
+            "turns are taken from the wrong time, so that scans are unwound and predicted wrongly; the map blurs",
+            "synchronise the two clocks (PTP), or let both drivers stamp the time of measurement, not that of arrival",
         );
     }
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
-    use crate::Header;
 
-    fn at(seconds: f64) -> Time {
+    pub fn at(seconds: f64) -> Time {
         Time::from_ros(1_700_000_000, 0) + portolan_geometry::Duration::from_seconds(seconds)
     }
 
     /// Heading of a robot that wags to and fro.
-    fn heading(t: f64) -> f64 {
+    pub fn heading(t: f64) -> f64 {
         0.8 * (0.7 * t).sin() + 0.5 * (0.23 * t).sin()
     }
 
-    fn turns(delay: f64, scale: f64, interval: f64) -> Vec<Turn> {
+    pub fn turns(delay: f64, scale: f64, interval: f64) -> Vec<Turn> {
         (0..(100.0 / interval) as usize)
             .map(|i| {
                 let (t0, t1) = (interval * i as f64, interval * (i + 1) as f64);
@@ -303,47 +284,20 @@ mod tests {
     fn findings_name_the_fault() {
         let text = |delay, scale| {
             let mut findings = Findings::default();
-            tell(("/odom", &turns(0.0, 1.0, 0.05)), ("/scan", &turns(delay, scale, 0.2)), &mut findings);
+            tell(
+                ("/odom", &turns(0.0, 1.0, 0.05)),
+                ("/scan", &turns(delay, scale, 0.2)),
+                true,
+                &mut findings,
+            );
             super::super::findings_to_text(&findings.finish())
         };
         assert_eq!(text(0.0, 1.0), "");
         assert!(text(0.0, -1.0).contains("turns the other way"));
         assert!(text(0.0, 57.3).contains("degrees"));
         assert!(text(0.3, 1.0).contains("0.30 s later than those of /odom"));
-    }
-
-    #[test]
-    fn scans_of_a_turning_robot_in_a_room_tell_its_turns() {
-        // A room of 8 m by 5 m, seen from (1, 0.5).
-        let range = |angle: f64| {
-            let (s, c) = angle.sin_cos();
-            let x = if c > 0.0 { 3.0 / c } else { -5.0 / c };
-            let y = if s > 0.0 { 2.0 / s } else { -3.0 / s };
-            x.min(y)
-        };
-        let mut scans = ScanTurns::default();
-        for i in 0..100 {
-            let t = 0.2 * f64::from(i);
-            let ranges = (0..360)
-                .map(|k| {
-                    range(heading(t) + (-90.0 + 0.5 * f64::from(k)) * std::f64::consts::PI / 180.0) as f32
-                })
-                .collect();
-            let scan = LaserScan {
-                header: Header { stamp: at(t), frame_id: "laser".into() },
-                angle_min: -std::f32::consts::FRAC_PI_2,
-                angle_max: std::f32::consts::FRAC_PI_2,
-                angle_increment: 0.5f32.to_radians(),
-                time_increment: 0.0,
-                scan_time: 0.0,
-                range_min: 0.0,
-                range_max: 30.0,
-                ranges,
-                intensities: Vec::new(),
-            };
-            scans.add(at(t), &scan);
-        }
-        let agreement = compare(&turns(0.0, 1.0, 0.05), &scans.turns).unwrap();
-        assert!((agreement.slope - 1.0).abs() < 0.02 && agreement.lag.abs() < 0.03, "{agreement:?}");
+        let early = text(-0.05, 1.0);
+        assert!(early.contains("0.05") || early.contains("0.04"), "{early}");
+        assert!(early.contains("s earlier than those of /odom"), "{early}");
     }
 }

@@ -111,6 +111,10 @@ impl RangeChecks {
     /// Shape and values of a laser scan.
     pub fn add_scan(&mut self, topic: &str, scan: &LaserScan, faults: ScanFaults, findings: &mut Findings) {
         let beams = scan.ranges.len();
+        if beams == 0 {
+            // Told as a scan without a single distance; its angles say nothing.
+            return;
+        }
         let view = scan.angle_increment.abs() * beams.saturating_sub(1) as f32;
         if view > 1.2 * std::f32::consts::TAU {
             findings.add(&DEGREES, topic, || {

@@ -30,8 +30,8 @@ const UNSET: Kind = Kind {
 const LATE: Kind = Kind {
     name: "late",
     severity: Severity::Warning,
-    effect: "none, if all sensors are late alike",
-    to_do: "see that the clock of the sensor and that of the computer agree",
+    effect: "measurements are put where the robot was that much earlier or later than they were made: turns blur the map, prediction and scans disagree",
+    to_do: "see that the clocks of the sensors and of the computer agree (PTP, NTP); stamps should be the time of measurement",
 };
 const VERY_LATE: Kind =
     Kind { name: "very late", severity: Severity::Error, effect: LATE.effect, to_do: LATE.to_do };
@@ -68,6 +68,26 @@ const ODOMETRY_GAP: Kind = Kind {
     to_do: "look for dropped messages while recording",
 };
 
+const SILENT: Kind = Kind {
+    name: "silent",
+    severity: Severity::Error,
+    effect: "from there on the map is made without this sensor; what only it saw is missing",
+    to_do: "look for what happened then (cable, power, driver, disk); the rest can be mapped",
+};
+const LATE_START: Kind = Kind {
+    name: "late start",
+    severity: Severity::Warning,
+    effect: "until then the map is made without this sensor",
+    to_do: "start recording when all sensors run",
+};
+/// An IMU that is silent for longer than this has a gap, seconds.
+const LONG_INTERVAL: f64 = 0.05;
+/// Sensors that miss the beginning or the end by more than this, and by so many of their intervals, seconds.
+const SILENCE: f64 = 2.0;
+const SILENT_INTERVALS: f64 = 20.0;
+/// Intervals of an IMU that are this many times longer than usual are gaps.
+const GAP_INTERVALS: f64 = 5.0;
+
 /// What kind of sensor a stream is, as far as gaps are concerned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum StreamKind {
@@ -93,8 +113,11 @@ impl StreamKind {
 pub(crate) struct Stamps {
     kind: StreamKind,
     frame: Arc<str>,
+    first_log_time: Time,
     last_log_time: Time,
     last: Option<Time>,
+    /// Intervals longer than a twentieth of a second, and how long they are in all.
+    long_intervals: (u64, f64),
     intervals: Histogram,
     lags: Histogram,
     count: u64,
@@ -105,8 +128,10 @@ impl Stamps {
         Self {
             kind: StreamKind::of(message),
             frame: header.frame_id.clone(),
+            first_log_time: log_time,
             last_log_time: log_time,
             last: None,
+            long_intervals: (0, 0.0),
             intervals: Histogram::default(),
             lags: Histogram::default(),
             count: 0,
@@ -146,12 +171,41 @@ impl Stamps {
             });
         } else {
             self.intervals.add(interval);
+            if interval > LONG_INTERVAL {
+                self.long_intervals.0 += 1;
+                self.long_intervals.1 += interval;
+            }
         }
     }
 
     /// Median of the time of recording minus stamp.
     pub fn lag(&self) -> Option<f64> {
         self.lags.median()
+    }
+
+    /// First and last time of recording, of sensors that measure all the time.
+    pub fn span(&self) -> Option<(Time, Time)> {
+        (self.kind != StreamKind::Other).then_some((self.first_log_time, self.last_log_time))
+    }
+
+    /// Whether the sensor misses the beginning or the end of the recording.
+    pub fn check_span(&self, topic: &str, (start, end): (Time, Time), findings: &mut Findings) {
+        if self.kind == StreamKind::Other {
+            return;
+        }
+        let usual = self.intervals.median().unwrap_or(0.0);
+        let least = SILENCE.max(SILENT_INTERVALS * usual);
+        let silent = end.seconds_since(self.last_log_time);
+        if silent > least {
+            let lived = self.last_log_time.seconds_since(start);
+            findings.add(&SILENT, topic, || {
+                format!("the sensor falls silent {lived:.1} s after the start, {silent:.1} s before the end")
+            });
+        }
+        let late = self.first_log_time.seconds_since(start);
+        if late > least {
+            findings.add(&LATE_START, topic, || format!("the sensor begins {late:.1} s after the start"));
+        }
     }
 
     /// Findings about the whole topic. `common_lag` is what all topics of the recording lag by.
@@ -182,8 +236,15 @@ impl Stamps {
                 let kind = if largest < 1.5 * median { &SLOW } else { &RANGE_GAP };
                 findings.add(kind, topic, || text("point data", "[0.0005, 0.05]"));
             }
-            StreamKind::Imu if largest > 0.05 => {
-                findings.add(&IMU_GAP, topic, || text("IMU data", "[0.0005, 0.005]"));
+            StreamKind::Imu if largest > LONG_INTERVAL => {
+                let (count, seconds) = self.long_intervals;
+                let all = if median * GAP_INTERVALS > LONG_INTERVAL {
+                    String::new()
+                } else {
+                    let gaps = if count == 1 { "gap" } else { "gaps" };
+                    format!("; {count} {gaps}, {seconds:.2} s in all")
+                };
+                findings.add(&IMU_GAP, topic, || text("IMU data", "[0.0005, 0.005]") + &all);
             }
             StreamKind::Odometry if largest > 1f64.max(5.0 * median) => {
                 findings.add(&ODOMETRY_GAP, topic, || text("odometry", "[0.005, 0.1]"));

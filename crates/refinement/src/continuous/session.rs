@@ -27,6 +27,8 @@ pub(crate) struct Session<'a> {
     pub sensor_origins: Vec<Vector3>,
     /// How it began, so many seconds without trajectory at the beginning and at the end of the points.
     pub uncovered_ends: [f64; 2],
+    /// Whether the input seems to be of another recording.
+    pub fits_nowhere: bool,
 }
 
 impl<'a> Session<'a> {
@@ -86,6 +88,7 @@ impl<'a> Session<'a> {
             sensor_names,
             sensor_origins: origins.collect(),
             uncovered_ends,
+            fits_nowhere: false,
         };
         session.measure_round(0);
         Ok(session)

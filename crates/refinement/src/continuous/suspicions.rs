@@ -9,6 +9,8 @@ use crate::MotionSensors;
 const LEAST_PLANAR_SHARE: f64 = 0.2;
 /// Calibrations are believed from so many standard deviations on.
 const SIGNIFICANT: f64 = 6.0;
+/// An input that can be sharpened by this much (entropy) was of this recording.
+const SHARPENED: f64 = 0.3;
 /// More points than this share outside the trajectory are worth a word.
 const OUTSIDE: f64 = 0.05;
 
@@ -25,11 +27,7 @@ impl Session<'_> {
                 "wrong time base? The points fit together better with {delay:.3} s added to the stamps of the \
                  trajectory (--time-offset {delay:.3})"
             )),
-            TimeBase::FitsNowhere => self.warn(
-                "the trajectory makes the points no sharper than if the sensors had stood still: is it that of another \
-                 recording, of another frame, or of another clock?"
-                    .to_owned(),
-            ),
+            TimeBase::FitsNowhere => self.fits_nowhere = true,
         }
     }
 
@@ -93,6 +91,17 @@ impl Session<'_> {
     pub fn warn_of_input(&mut self) {
         let report = &self.report;
         let mut said = Vec::new();
+        let sharpened = match (&report.sharpness_before, &report.sharpness_after) {
+            (Some(before), Some(after)) => before.mean_map_entropy - after.mean_map_entropy,
+            _ => 0.0,
+        };
+        if self.fits_nowhere && sharpened < SHARPENED {
+            said.push(
+                "the trajectory makes the points no sharper than if the sensors had stood still: is it that of another \
+                 recording, of another frame, or of another clock?"
+                    .to_owned(),
+            );
+        }
         if let Some(share) = report.planar_share.filter(|share| *share < LEAST_PLANAR_SHARE) {
             said.push(format!(
                 "only {:.0} % of the points lie on surfaces: is it the trajectory of this recording, of the frame \

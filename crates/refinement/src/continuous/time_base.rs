@@ -26,6 +26,8 @@ const FAR: f64 = 30.0;
 const SIGNIFICANT: f64 = 4.0;
 /// … if they are also this large (natural logarithm of the thickness).
 const LARGE: f64 = 0.05;
+/// A trajectory that is sharper than standing still by so many standard errors is one of this recording, however inexact.
+const HINT: f64 = 1.0;
 /// A trajectory that moves less than this in the windows, on average, cannot be told from standing, metres and radians.
 const STANDING: (f64, f64) = (0.05, 0.03);
 
@@ -61,7 +63,7 @@ pub(crate) fn look(points: &TimedPoints, trajectory: &DenseTrajectory, around: f
         samples.par_iter().map(|s| thickness(s, |_| Some(Rigid3::identity()))).collect();
     let given = score(0.0);
     let moves = moves(trajectory, &samples);
-    let fits = !moves || is_better(&given, &still);
+    let fits = !moves || improvement(&given, &still).is_some_and(|(_, errors)| errors > HINT);
     let reach = if fits { NEAR } else { FAR.min(trajectory.duration()) }.max(reach);
     let steps = (reach / STEP).ceil() as i64;
     let mut best: Option<(f64, Vec<Option<f64>>)> = None;
@@ -161,16 +163,21 @@ fn differences(a: &[Option<f64>], b: &[Option<f64>]) -> Vec<f64> {
     a.iter().zip(b).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect()
 }
 
-/// Whether `a` is sharper than `b` beyond doubt.
-fn is_better(a: &[Option<f64>], b: &[Option<f64>]) -> bool {
-    let differences = differences(a, b);
+/// How much sharper `a` is than `b`, and how many standard errors that is; none with too few windows.
+fn improvement(a: &[Option<f64>], b: &[Option<f64>]) -> Option<(f64, f64)> {
+    let differences = differences(b, a);
     let count = differences.len() as f64;
     if count < WINDOWS as f64 / 3.0 {
-        return false;
+        return None;
     }
     let mean = differences.iter().sum::<f64>() / count;
     let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    mean < -LARGE && mean < -SIGNIFICANT * (variance / count).sqrt()
+    Some((mean, mean / (variance / count).sqrt().max(1e-12)))
+}
+
+/// Whether `a` is sharper than `b` beyond doubt.
+fn is_better(a: &[Option<f64>], b: &[Option<f64>]) -> bool {
+    improvement(a, b).is_some_and(|(mean, errors)| mean > LARGE && errors > SIGNIFICANT)
 }
 
 /// How much sharper than standing still, on average over the windows within the trajectory; nothing can be said with fewer

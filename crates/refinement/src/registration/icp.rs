@@ -58,7 +58,7 @@ pub struct IcpOptions {
     pub method: IcpMethod,
     /// Pairs farther apart do not count, metres.
     pub max_distance: f64,
-    /// Most iterations.
+    /// Most iterations; of large scans with few points first, and again with all.
     pub max_iterations: usize,
     /// It ends when the distance of pairs has changed by less in each of two iterations, metres.
     pub epsilon: f64,
@@ -158,13 +158,8 @@ pub fn icp<M: Model>(
     let mut pairing = Pairing::new(model, data, options);
     let mut run = Run { pose: *guess, iterations: 0, converged: false };
     // Few points are enough to come near; at last all of them count.
-    let strides = pairing.strides();
-    for (stage, stride) in strides.iter().enumerate() {
-        let is_last = stage + 1 == strides.len();
-        run.to_rest(&mut pairing, *stride, options, is_last)?;
-        if run.iterations >= options.max_iterations && !is_last {
-            break;
-        }
+    for stride in pairing.strides() {
+        run.iterate(&mut pairing, stride, options)?;
     }
     finish(&mut pairing, run, options)
 }
@@ -195,17 +190,15 @@ struct Run {
 
 impl Run {
     /// Steps with every so manieth point until the distance of pairs rests.
-    fn to_rest<M: Model>(
+    fn iterate<M: Model>(
         &mut self,
         pairing: &mut Pairing<M>,
         stride: usize,
         options: &IcpOptions,
-        is_last: bool,
     ) -> Result<(), IcpError> {
         let mut errors: Vec<f64> = Vec::new();
         self.converged = false;
-        // All points have at least one step.
-        let end = options.max_iterations.max(self.iterations + usize::from(is_last));
+        let end = self.iterations + options.max_iterations.max(1);
         while self.iterations < end && !self.converged {
             let (step, rms) = self.step(pairing, stride, options)?;
             self.pose = step * self.pose;

@@ -80,3 +80,37 @@ impl TwistEquations {
         portolan_geometry::is_valid_pose(&step).then_some(step)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The right side is half of the falling gradient of the cost, for planes and for weighted points.
+    #[test]
+    fn gradients_agree_with_differences() {
+        let (model, x) = (Vector3::new(1.0, -2.0, 0.5), Vector3::new(1.1, -1.8, 0.3));
+        let normal = Vector3::new(0.2, -0.5, 0.9).normalize();
+        let information = Matrix3::new(2.0, 0.3, 0.1, 0.3, 1.5, -0.2, 0.1, -0.2, 0.7);
+        let add = |equations: &mut TwistEquations, x: &Vector3, planes: bool| match planes {
+            true => equations.add_plane(&model, &normal, x, 0.7),
+            false => equations.add_weighted(&model, x, &information, 0.7),
+        };
+        for planes in [true, false] {
+            let mut equations = TwistEquations::default();
+            add(&mut equations, &x, planes);
+            for k in 0..6 {
+                let cost = |step: f64| {
+                    let mut twist = Vector6::zeros();
+                    twist[k] = step;
+                    let turn = quaternion_from_angle_axis(&twist.fixed_rows::<3>(0).into_owned());
+                    let moved = turn * x + twist.fixed_rows::<3>(3);
+                    let mut equations = TwistEquations::default();
+                    add(&mut equations, &moved, planes);
+                    equations.cost
+                };
+                let gradient = (cost(1e-6) - cost(-1e-6)) / 2e-6;
+                assert!((gradient + 2.0 * equations.vector[k]).abs() < 1e-6, "{planes} {k}: {gradient}");
+            }
+        }
+    }
+}

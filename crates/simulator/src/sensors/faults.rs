@@ -179,7 +179,7 @@ impl Fault {
     pub(crate) fn is_sensible(&self) -> bool {
         match *self {
             Self::DuplicateStamp { every, .. } => every >= 2,
-            Self::BackwardStamp { every, seconds, .. } => every >= 2 && seconds > 0.0 && seconds < 1e6,
+            Self::BackwardStamp { every, seconds, .. } => every >= 2 && seconds > 0.0 && seconds < 1e10,
             Self::Gap { from, to, .. } => from.is_finite() && to.is_finite() && from < to,
             Self::NanScan { every } | Self::EmptyScan { every } => every >= 1,
             Self::OdometryJump { at, x, y, yaw } => [at, x, y, yaw].iter().all(|v| v.is_finite()),

@@ -140,18 +140,18 @@ fn whole_views(pair: &CloudPair, trajectory: &DenseTrajectory, changes: &[WallCh
 
 /// Where nearly all points of both clouds lie.
 fn extent(sample: &[PairedPoint]) -> Option<[[f64; 3]; 2]> {
-    let mut bounds = [[0.0; 3]; 2];
-    for k in 0..3 {
+    let (mut lowest, mut highest) = ([0.0; 3], [0.0; 3]);
+    for (k, (low, high)) in lowest.iter_mut().zip(&mut highest).enumerate() {
         let mut values: Vec<f64> =
             sample.iter().flat_map(|p| [p.before[k], p.after[k]]).filter(|v| v.is_finite()).collect();
         values.sort_by(f64::total_cmp);
         let last = values.len().checked_sub(1)?;
         let at = |share: f64| values[(share * last as f64) as usize];
-        let (low, high) = (at(STRAYS), at(1.0 - STRAYS));
-        let margin = 0.02 * (high - low) + 0.1;
-        (bounds[0][k], bounds[1][k]) = (low - margin, high + margin);
+        (*low, *high) = (at(STRAYS), at(1.0 - STRAYS));
+        let margin = 0.02 * (*high - *low) + 0.5;
+        (*low, *high) = (*low - margin, *high + margin);
     }
-    Some(bounds)
+    Some([lowest, highest])
 }
 
 /// The way before and after as lines.

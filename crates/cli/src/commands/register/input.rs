@@ -8,6 +8,7 @@ use portolan_pointcloud::{CloudError, CloudReader, UosFolder, UosScan};
 use portolan_refinement::neighbours::{VoxelRepresentative, reduce};
 use portolan_refinement::registration::{Link, ScanCloud};
 
+use super::options::SurfacesOf;
 use crate::clouds::read_cloud_from;
 use crate::commands::evaluate::input::{TrajectorySource, read_bytes};
 use crate::error::CliError;
@@ -44,6 +45,9 @@ pub struct InputArgs {
     /// Multiply all coordinates, for files that are not in metres: 0.001 for millimetres.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scale: f64,
+    /// Begin uos scans where an earlier registration left them (.frames) instead of at their first poses (.pose).
+    #[arg(long = "continue")]
+    go_on: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -120,17 +124,24 @@ pub struct Scans {
     pub lost_data: bool,
     /// Place that the points in memory count from, metres.
     from_origin: Rigid3,
+    /// Place of the first scan, which poses in memory count from, metres: poses may be those of a national grid.
+    from_first: Rigid3,
 }
 
 impl Scans {
+    /// Makes poses in memory count from the place of the first of these.
+    pub fn count_from(&mut self, first: &Rigid3) {
+        self.from_first = Rigid3::from_parts(first.translation, Quaternion::identity());
+    }
+
     /// A pose of a scan as that of its points in memory.
     pub fn about_origin(&self, pose: &Rigid3) -> Rigid3 {
-        self.from_origin.inverse() * *pose * self.from_origin
+        self.from_origin.inverse() * (self.from_first.inverse() * *pose) * self.from_origin
     }
 
     /// The pose of a scan from that of its points in memory.
     pub fn of_file(&self, pose: &Rigid3) -> Rigid3 {
-        self.from_origin * *pose * self.from_origin.inverse()
+        self.from_first * (self.from_origin * *pose * self.from_origin.inverse())
     }
 }
 
@@ -138,7 +149,7 @@ impl Scans {
 pub fn read_scans(
     paths: &[PathBuf],
     input: &InputArgs,
-    surfaces: bool,
+    surfaces: SurfacesOf,
     quiet: bool,
 ) -> Result<Scans, CliError> {
     input.check()?;
@@ -148,6 +159,7 @@ pub fn read_scans(
         guesses: sources
             .iter()
             .map(|s| match s {
+                ScanSource::Uos(scan) if input.go_on => scan.world_from_scan(),
                 ScanSource::Uos(scan) => scan.guess.unwrap_or_default(),
                 ScanSource::File(_) => Rigid3::identity(),
             })
@@ -157,10 +169,16 @@ pub fn read_scans(
         input: input.clone(),
         lost_data: false,
         from_origin: Rigid3::identity(),
+        from_first: Rigid3::identity(),
     };
     let mut origin = None;
-    for source in scans.sources.clone() {
-        let (cloud, lost) = read_scan(&source, input, surfaces, quiet, &mut origin)?;
+    for (index, source) in scans.sources.iter().enumerate() {
+        let has_surfaces = match surfaces {
+            SurfacesOf::All => true,
+            SurfacesOf::AllButLast => index + 1 < scans.sources.len(),
+            SurfacesOf::None => false,
+        };
+        let (cloud, lost) = read_scan(source, input, has_surfaces, quiet, &mut origin)?;
         scans.lost_data |= lost;
         scans.clouds.push(cloud);
     }

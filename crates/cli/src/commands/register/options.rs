@@ -19,7 +19,7 @@ pub struct IcpArgs {
     /// Pairs farther apart do not count, metres.
     #[arg(long, value_name = "METRES", default_value_t = IcpOptions::default().max_distance)]
     pub max_distance: f64,
-    /// Most iterations.
+    /// Most iterations; of large scans with 20000 points first, and again with all.
     #[arg(long, value_name = "N", default_value_t = IcpOptions::default().max_iterations)]
     pub iterations: usize,
     /// It ends when the distance of pairs changes by less in each of two iterations, metres.
@@ -74,6 +74,14 @@ enum Method {
     Generalized,
 }
 
+/// Scans whose points need surfaces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SurfacesOf {
+    None,
+    AllButLast,
+    All,
+}
+
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Kernel {
     /// Linear beyond the distance.
@@ -81,6 +89,7 @@ enum Kernel {
     /// Logarithmic.
     Cauchy,
     /// Bounded.
+    #[value(name = "geman-mcclure")]
     GemanMcClure,
 }
 
@@ -98,9 +107,14 @@ impl IcpArgs {
         })
     }
 
-    /// Whether points need surfaces.
-    pub fn needs_surfaces(&self) -> bool {
-        self.normals_within.is_some() || matches!(self.method, Method::PointToPlane | Method::Generalized)
+    /// Which scans need surfaces; with planes only those that others are matched with.
+    pub fn surfaces(&self) -> SurfacesOf {
+        match self.method {
+            _ if self.normals_within.is_some() => SurfacesOf::All,
+            Method::Generalized => SurfacesOf::All,
+            Method::PointToPlane => SurfacesOf::AllButLast,
+            _ => SurfacesOf::None,
+        }
     }
 
     /// All options of the registration scan by scan.

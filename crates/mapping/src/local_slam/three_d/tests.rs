@@ -75,10 +75,22 @@ fn options() -> TrajectoryBuilder3dOptions {
 }
 
 fn run(with_imu: bool) -> (f64, usize, LocalSlam3d) {
+    run_with(with_imu, &options(), None)
+}
+
+fn run_with(
+    with_imu: bool,
+    options: &TrajectoryBuilder3dOptions,
+    surface_voxel_size: Option<f64>,
+) -> (f64, usize, LocalSlam3d) {
     let sensor = SensorId { id: Arc::from("points"), kind: SensorKind::Range };
-    let extras =
-        LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, wide_search_after_gap: 0.0 };
-    let mut slam = LocalSlam3d::new(&options(), std::slice::from_ref(&sensor), extras).unwrap();
+    let extras = LocalSlamExtras {
+        search_penalty_limit: 1.0,
+        use_all_odometry: true,
+        surface_voxel_size,
+        ..Default::default()
+    };
+    let mut slam = LocalSlam3d::new(options, std::slice::from_ref(&sensor), extras).unwrap();
     let (mut worst, mut matched) = (0.0f64, 0);
     let mut check = |results: Vec<MatchingResult<Spatial>>| {
         for result in results {
@@ -121,14 +133,29 @@ fn without_an_imu_lidar_tells_the_rotation() {
 }
 
 #[test]
+fn the_imu_based_extrapolator_follows_the_corkscrew_too() {
+    let mut options = options();
+    options.pose_extrapolator.use_imu_based = true;
+    for gravity in [9.81, 0.0] {
+        options.pose_extrapolator.imu_based.gravity_constant = gravity;
+        let (worst, matched, slam) = run_with(true, &options, None);
+        assert!(worst < 0.1 && matched == 30, "{worst} {matched} {:?}", slam.repairs());
+    }
+}
+
+#[test]
+fn surfaces_are_followed_with_and_without_an_imu() {
+    for with_imu in [true, false] {
+        let (worst, matched, slam) = run_with(with_imu, &options(), Some(1.0));
+        assert!(worst < 0.05 && matched == 30, "{with_imu} {worst} {matched} {:?}", slam.repairs());
+    }
+}
+
+#[test]
 fn contradicting_options_and_empty_scans_are_refused() {
-    let extras =
-        LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, wide_search_after_gap: 0.0 };
+    let extras = LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, ..Default::default() };
     let mut wrong = options();
     wrong.submaps.range_data_inserter.hit_probability = 0.4;
-    assert!(LocalSlam3d::new(&wrong, &[], extras).is_err());
-    wrong = options();
-    wrong.pose_extrapolator.use_imu_based = true;
     assert!(LocalSlam3d::new(&wrong, &[], extras).is_err());
     let sensor = SensorId { id: Arc::from("points"), kind: SensorKind::Range };
     let mut slam = LocalSlam3d::new(&options(), std::slice::from_ref(&sensor), extras).unwrap();

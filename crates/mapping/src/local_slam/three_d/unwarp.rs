@@ -6,14 +6,16 @@ use portolan_sensor::{PointCloud, RangeData, SynchronizedRanges, voxel_filter, v
 
 /// A message thinned with small voxels in the tracking frame.
 pub(super) struct Gathered {
-    points: Vec<GatheredPoint>,
+    pub points: Vec<GatheredPoint>,
 }
 
-struct GatheredPoint {
-    time: Time,
-    position: Point3f,
-    origin: Point3f,
-    intensity: f32,
+/// A point of a message.
+pub(super) struct GatheredPoint {
+    pub time: Time,
+    /// In the tracking frame at its own time, as the place it was measured from.
+    pub position: Point3f,
+    pub origin: Point3f,
+    pub intensity: f32,
 }
 
 impl Gathered {

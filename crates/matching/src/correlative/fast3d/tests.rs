@@ -237,3 +237,13 @@ fn absurd_input_finds_nothing() {
         assert!(FastCorrelativeMatcher3d::new(&unknown, &options).is_err());
     }
 }
+
+#[test]
+fn grids_with_voxels_everywhere_are_refused_in_time() {
+    let (mut grid, mut lcg) = (HybridGrid::new(0.1).unwrap(), Lcg::new(3));
+    for _ in 0..1_200_000 {
+        grid.set_probability([0; 3].map(|_| lcg.symmetric(2300.0) as i32), 0.8);
+    }
+    let refused = FastCorrelativeMatcher3d::new(&grid, &FastCorrelativeOptions3d::default()).err();
+    assert_eq!(refused, Some(crate::MatcherOptionError::TooManyVoxels));
+}

@@ -19,7 +19,10 @@ pub(super) struct Tiles {
 fn key_of(place: [i32; 3]) -> Option<u64> {
     let possible = place.iter().all(|i| (-TILE_REACH..TILE_REACH).contains(i));
     let [x, y, z] = place.map(|i| u64::from((i + TILE_REACH) as u32));
-    possible.then_some(z << 24 | y << 12 | x)
+    // One to one, so that keys do not come in the order of their hashes: grids hand on their cells in the order of
+    // the same hash table, and filling a growing one in that order takes time with the square of their number.
+    let scattered = (z << 24 | y << 12 | x).wrapping_mul(0x5851_f42d_4c95_7f2d) & ((1 << 36) - 1);
+    possible.then_some(scattered)
 }
 
 /// Position of a cell in its tile.

@@ -33,9 +33,9 @@ impl Ingestion {
                 self.count_scan_faults(&sensor.topic, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
-            (Role::Range { point_time, turn, .. }, Message::PointCloud2(cloud)) => {
-                let (point_time, turn) = (*point_time, *turn);
-                self.take_cloud(sensor, stamp, cloud, point_time, turn);
+            (Role::Range { point_time, azimuth_times, turn, .. }, Message::PointCloud2(cloud)) => {
+                let (point_time, by_azimuth) = (*point_time, turn.map(|turn| (turn, *azimuth_times)));
+                self.take_cloud(sensor, stamp, cloud, point_time, by_azimuth);
             }
             (Role::Imu { acceleration_scale }, Message::Imu(imu)) => {
                 let scale = *acceleration_scale;
@@ -101,7 +101,7 @@ impl Ingestion {
         stamp: Time,
         cloud: &PointCloud2,
         point_time: Option<PointTime>,
-        turn: Option<f64>,
+        by_azimuth: Option<(f64, AzimuthTimes)>,
     ) {
         let layout = match CloudLayout::of(cloud) {
             Ok(layout) => layout,
@@ -109,8 +109,10 @@ impl Ingestion {
         };
         let point_time = point_time.filter(|_| layout.has_time());
         let (mut points, faults) = layout.points(stamp, cloud, point_time, self.with_intensities);
-        if let (None, Some(turn), true) = (point_time, turn, self.azimuth_times != AzimuthTimes::Off) {
-            azimuth_time::assign(&mut points, stamp, turn, self.azimuth_times);
+        if let (None, Some((turn, times))) = (point_time, by_azimuth)
+            && times != AzimuthTimes::Off
+        {
+            azimuth_time::assign(&mut points, stamp, turn, times);
         }
         let CloudFaults { not_finite, zero, missing } = faults;
         self.repaired(

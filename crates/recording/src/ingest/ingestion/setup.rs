@@ -41,7 +41,12 @@ pub(super) fn sensors(plan: &SensorPlan) -> BTreeMap<Arc<str>, Vec<Sensor>> {
         let turn = (rate > 0.0 && rate.is_finite()).then(|| 1.0 / rate);
         add(
             &range.source,
-            Role::Range { point_time: range.point_time, turn, directions: Box::default() },
+            Role::Range {
+                point_time: range.point_time,
+                azimuth_times: range.azimuth_times,
+                turn,
+                directions: Box::default(),
+            },
             RANGE,
         );
     }

@@ -13,6 +13,7 @@ use std::sync::Arc;
 use portolan_geometry::Duration;
 use portolan_sensor::{SensorId, SensorKind};
 
+use super::azimuth_time::AzimuthTimes;
 use super::options::{Dimension, IngestOptions};
 use super::point_time::PointTime;
 use super::statistics::{ImuStatistics, RangeStatistics};
@@ -97,6 +98,8 @@ pub struct PlannedRange {
     pub source: PlannedSensor,
     /// What the times of points mean (point clouds only).
     pub point_time: Option<PointTime>,
+    /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`].
+    pub azimuth_times: AzimuthTimes,
     /// What it is like.
     pub statistics: RangeStatistics,
 }
@@ -250,7 +253,7 @@ pub fn plan(inventory: &Inventory, options: &IngestOptions) -> Result<SensorPlan
     let imu = tracking::choose_imu(inventory, &request, &range, &mut plan)?;
     plan.tracking_frame =
         tracking::choose_frame(inventory, options, &request, &range, imu.as_ref(), &mut plan)?;
-    range::connect(inventory, &request, range, &mut plan)?;
+    range::connect(inventory, options, &request, range, &mut plan)?;
     tracking::connect_imu(inventory, imu, &mut plan)?;
     odometry::choose(inventory, &request, &mut plan)?;
     let other = |chosen: &Option<Chosen>, kind| chosen.as_ref().map(|c| c.planned(kind, c.frame()));

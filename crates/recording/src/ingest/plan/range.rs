@@ -5,6 +5,7 @@ use portolan_sensor::SensorKind;
 
 use super::request::Request;
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
+use crate::ingest::azimuth_time::AzimuthTimes;
 use crate::ingest::options::{Dimension, IngestOptions};
 use crate::ingest::survey::{Inventory, TopicSurvey, is_range};
 
@@ -190,9 +191,43 @@ fn without_leaning<'a>(
     kept
 }
 
+/// Whether the points of a cloud get times from their azimuth.
+fn azimuth_times(chosen: &Chosen, asked: AzimuthTimes, plan: &mut SensorPlan) -> AzimuthTimes {
+    let statistics = chosen.survey.range.clone().unwrap_or_default();
+    if !is_cloud(chosen) || chosen.survey.point_time.is_some() || !statistics.is_spinning() {
+        return AzimuthTimes::Off;
+    }
+    let topic = chosen.topic();
+    if asked != AzimuthTimes::Auto {
+        return asked;
+    }
+    // A field of times that are all alike says that the points are of one moment.
+    if chosen.survey.has_time_field {
+        return AzimuthTimes::Off;
+    }
+    if statistics.is_compensated == Some(true) {
+        plan.note(
+            format!("the points of {topic} have no times, and motion was taken out of them already"),
+            "--azimuth-times from-stamp or until-stamp",
+        );
+        return AzimuthTimes::Off;
+    }
+    let times = AzimuthTimes::of_stamps(chosen.survey.lag, 1.0 / statistics.rate);
+    let (when, other) = match times {
+        AzimuthTimes::FromStamp => ("begin", "until-stamp"),
+        _ => ("end", "from-stamp"),
+    };
+    plan.note(
+        format!("the points of {topic} have no times; they get them from their azimuth, turns {when} at their stamps"),
+        format!("--azimuth-times {other} or off"),
+    );
+    times
+}
+
 /// Plans the range sensors that transforms connect with the tracking frame.
 pub(super) fn connect(
     inventory: &Inventory,
+    options: &IngestOptions,
     request: &Request,
     range: Vec<Chosen>,
     plan: &mut SensorPlan,
@@ -221,7 +256,9 @@ pub(super) fn connect(
             refused.push(chosen.topic().to_owned());
             continue;
         }
+        let azimuth_times = azimuth_times(&chosen, options.azimuth_times, plan);
         plan.range.push(PlannedRange {
+            azimuth_times,
             source: chosen.planned(SensorKind::Range, &frame),
             point_time: chosen.survey.point_time,
             statistics: chosen.survey.range.clone().unwrap_or_default(),

@@ -161,3 +161,60 @@ fn clocks_that_are_far_apart_are_joined() {
     let Some(PlannedOdometry::Topic(odometry)) = &plan.odometry else { panic!() };
     assert!((odometry.clock_shift.seconds() - 3600.0).abs() < 1e-3);
 }
+
+#[test]
+fn in_the_plane_an_imu_whose_axes_are_swapped_is_left_out() {
+    let swapped = recording(&[
+        ("/scan", &|t| scan(t, "laser")),
+        ("/imu", &|t| imu(t, [0.3, 9.8, 0.1])),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("base_link", "laser", [0.3, 0.0, 0.0], 0.0),
+                ("base_link", "imu_link", [0.0; 3], 0.0),
+            ]))
+        }),
+    ]);
+    let plan = planned(&swapped, &IngestOptions::default()).unwrap();
+    assert!(plan.imu.is_none() && plan.dimension == Dimension::Two);
+    let notice = plan.notices.iter().find(|n| n.what.contains("leaning 89°")).unwrap();
+    assert_eq!(notice.change, "--imu /imu");
+    let asked_for = IngestOptions { imu_topic: Some("/imu".into()), ..IngestOptions::default() };
+    assert!(planned(&swapped, &asked_for).unwrap().imu.is_some());
+    // A transform that says so makes it right.
+    let tilt = PI / 2.0;
+    let mounted = recording(&[
+        ("/scan", &|t| scan(t, "laser")),
+        ("/imu", &|t| imu(t, [-9.8, 0.1, 0.1])),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("base_link", "laser", [0.3, 0.0, 0.0], 0.0),
+                ("base_link", "imu_link", [0.0, 0.0, tilt], 99.0),
+            ]))
+        }),
+    ]);
+    assert!(planned(&mounted, &IngestOptions::default()).unwrap().imu.is_some());
+}
+
+/// A cloud of four rings all around without times, of a lidar that stands.
+fn timeless(seconds: f64, lag: f64) -> Message {
+    let Message::PointCloud2(mut message) = cloud(seconds - lag, "lidar") else { panic!() };
+    message.fields.retain(|f| f.name != "time");
+    Message::PointCloud2(message)
+}
+
+#[test]
+fn clouds_without_times_get_them_from_the_azimuth_unless_told_otherwise() {
+    use AzimuthTimes::{Auto, FromStamp, Off, UntilStamp};
+    for (lag, asked, expected) in
+        [(0.06, Auto, FromStamp), (0.0, Auto, UntilStamp), (0.0, Off, Off), (0.06, UntilStamp, UntilStamp)]
+    {
+        let recording = recording(&[("/points", &|t| timeless(t, lag))]);
+        let options = IngestOptions { azimuth_times: asked, ..IngestOptions::default() };
+        let plan = planned(&recording, &options).unwrap();
+        assert_eq!(plan.range[0].azimuth_times, expected, "{lag} {asked:?}");
+        let told = plan.notices.iter().any(|n| n.what.contains("from their azimuth"));
+        assert_eq!(told, asked == Auto, "{:?}", plan.notices);
+    }
+    let with_times = recording(&[("/points", &|t| cloud(t, "lidar"))]);
+    assert_eq!(planned(&with_times, &IngestOptions::default()).unwrap().range[0].azimuth_times, Off);
+}

@@ -1,5 +1,6 @@
 //! Choosing the IMU and the frame whose motion is wanted.
 
+use portolan_geometry::Vector3;
 use portolan_sensor::SensorKind;
 
 use super::request::Request;
@@ -17,6 +18,8 @@ const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
 const MIN_RATE: f64 = 10.0;
 /// The IMU sits at the tracking frame if it is nearer than this, metres.
 const SAME_PLACE: f64 = 1e-5;
+/// In the plane an IMU that leans more than this against robot and scanner is of no use.
+const MAX_LEAN_DEGREES: f64 = 45.0;
 /// Frames of robots by convention, best first.
 const BASE_FRAMES: [&str; 6] = ["base_link", "base_footprint", "base", "base_frame", "robot_base", "chassis"];
 
@@ -65,7 +68,8 @@ pub(super) fn choose_imu<'a>(
             );
             continue;
         }
-        match objection(&chosen, inventory, range) {
+        let leans = || leaning(&chosen, inventory, range).filter(|_| plan.dimension == Dimension::Two);
+        match objection(&chosen, inventory, range).or_else(leans) {
             Some(why) => plan.note(
                 format!("the IMU {} is not used: {why}", chosen.topic()),
                 format!("--imu {}", chosen.topic()),
@@ -116,6 +120,27 @@ fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option
     let connected = range.iter().any(|r| frame.is_empty() || inventory.tree.connected(frame, r.frame()));
     (!connected).then(|| {
         format!("no transforms connect its frame \"{frame}\" with that of the range sensor (give them with --urdf)")
+    })
+}
+
+/// Why an IMU cannot tell level for a scanner in the plane: what it shows as up leans far against the upright of
+/// the robot, or of the scanner where no robot is known. Its axes are swapped, or its mounting is not in the
+/// transforms; scans levelled by it would be folded.
+fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option<String> {
+    let up = Vector3::from(chosen.survey.imu.as_ref()?.mean_acceleration).try_normalize(1e-9)?;
+    let tree = &inventory.tree;
+    let base = ["base_link", "base_footprint"].into_iter().find(|b| tree.connected(b, chosen.frame()));
+    let upright =
+        base.or_else(|| range.iter().map(Chosen::frame).find(|f| tree.connected(f, chosen.frame())))?;
+    let up = tree.lookup_static(upright, chosen.frame())?.rotation * up;
+    // Scanners and whole robots may be upside down.
+    let degrees = up.z.abs().min(1.0).acos().to_degrees();
+    let [x, y, z] = up.into();
+    (degrees > MAX_LEAN_DEGREES).then(|| {
+        format!(
+            "gravity shows it leaning {degrees:.0}° in \"{upright}\" (up is {x:.2} {y:.2} {z:.2}): its axes are \
+             swapped, or its mounting is not in the transforms"
+        )
     })
 }
 

@@ -2,12 +2,15 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector};
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
+use rayon::prelude::*;
 
 use super::GlobalOptions;
 use crate::registration::{Link, LinkStatistics, PairMoments, ScanCloud};
 
 /// Points whose neighbourhood is less planar are not used as planes.
 const LEAST_PLANARITY: f32 = 0.3;
+/// Points worked on by one thread at a time; part of the definition of the sums.
+const CHUNK: usize = 4096;
 /// Least cosine between the normals of a pair.
 const LEAST_COSINE: f64 = 0.9;
 
@@ -25,23 +28,38 @@ pub(crate) struct LinkSums {
 }
 
 impl LinkSums {
-    /// For each of (at most so many) points of the later scan the nearest point of the earlier one.
+    /// For each of (at most so many) points of the later scan the nearest point of the earlier one. Parts are summed
+    /// up on all threads and added in their order.
     pub fn of(scans: &[ScanCloud], poses: &[Rigid3], link: Link, options: &GlobalOptions) -> Self {
-        let mut sums = Self {
-            statistics: LinkStatistics::default(),
-            pairs: PairMoments::default(),
-            model_model: Matrix3::zeros(),
-            matrix7: SMatrix::zeros(),
-            vector7: SVector::zeros(),
-        };
+        let count = scans[link.to].points().len();
+        let stride = count.div_ceil(options.max_queries.max(1)).max(1);
+        // Links start at different points, so that together they use all.
+        let first = (link.from * 7 + link.to * 13) % stride;
+        let queries: Vec<usize> = (first..count).step_by(stride).collect();
+        let part = |queries: &[usize]| Self::of_points(scans, poses, link, options, queries);
+        if queries.len() <= CHUNK {
+            return part(&queries);
+        }
+        let parts: Vec<Self> = queries.par_chunks(CHUNK).map(part).collect();
+        let mut sums = Self::empty();
+        parts.iter().for_each(|part| sums.merge(part));
+        sums
+    }
+
+    /// Pairs of some points of the later scan.
+    fn of_points(
+        scans: &[ScanCloud],
+        poses: &[Rigid3],
+        link: Link,
+        options: &GlobalOptions,
+        queries: &[usize],
+    ) -> Self {
+        let mut sums = Self::empty();
         let (from, to) = (&scans[link.from], &scans[link.to]);
         let (world_from_a, world_from_b) = (&poses[link.from], &poses[link.to]);
         let a_from_b = world_from_a.inverse() * world_from_b;
-        let stride = to.points().len().div_ceil(options.max_queries.max(1)).max(1);
-        // Links start at different points, so that together they use all.
-        let first = (link.from * 7 + link.to * 13) % stride;
-        for (index, point) in to.points().iter().enumerate().skip(first).step_by(stride) {
-            let local = na::Point3::from(point.map(f64::from));
+        for index in queries.iter().copied() {
+            let local = na::Point3::from(to.points()[index].map(f64::from));
             let x = a_from_b * local;
             let query = [x.x as f32, x.y as f32, x.z as f32];
             let Some(hit) = from.nearest(query, options.max_distance as f32) else { continue };
@@ -68,7 +86,28 @@ impl LinkSums {
         sums
     }
 
-    fn add(&mut self, p: &Vector3, q: &Vector3, with_scale: bool) {
+    /// No pairs.
+    pub fn empty() -> Self {
+        Self {
+            statistics: LinkStatistics::default(),
+            pairs: PairMoments::default(),
+            model_model: Matrix3::zeros(),
+            matrix7: SMatrix::zeros(),
+            vector7: SVector::zeros(),
+        }
+    }
+
+    /// Adds the pairs of another part of the link.
+    fn merge(&mut self, other: &Self) {
+        self.statistics.merge(&other.statistics);
+        self.pairs.merge(&other.pairs);
+        self.model_model += other.model_model;
+        self.matrix7 += other.matrix7;
+        self.vector7 += other.vector7;
+    }
+
+    /// Adds a pair.
+    pub fn add(&mut self, p: &Vector3, q: &Vector3, with_scale: bool) {
         self.statistics.add(p, q);
         self.pairs.add(p, q, 1.0);
         self.model_model += p * p.transpose();

@@ -113,3 +113,42 @@ fn euler_steps_agree_with_twists_to_first_order() {
         move_by_euler(&pose, &error).to_homogeneous() - move_by_twist(&pose, &-error).to_homogeneous();
     assert!(difference.norm() < 1e-8, "{difference}");
 }
+
+/// The error that one step of a method leaves when scan 1 is off by `scale` times a motion and pairs are exact.
+fn left_after_one_step(method: GlobalMethod, scale: f64) -> f64 {
+    let truth = Rigid3::new(Vector3::new(1.0, -2.0, 0.5), Vector3::new(0.3, 0.4, -1.1));
+    let motion = Rigid3::new(Vector3::new(0.3, -0.2, 0.4) * scale, Vector3::new(-0.3, 0.5, 0.2) * scale);
+    let mut poses = [Rigid3::translation(0.2, 0.1, 0.0), motion * truth];
+    let links = [Link { from: 0, to: 1 }];
+    let mut sums = LinkSums::empty();
+    for i in 0..60 {
+        let i = f64::from(i);
+        let place = Vector3::new((i * 0.7).sin() * 5.0, (i * 1.1).cos() * 4.0, (i * 0.3).sin() * 2.0);
+        // A little scatter, without which links are not used; it has no mean and no moment worth mentioning.
+        let noise = Vector3::new((i * 12.9).sin(), (i * 78.2).sin(), (i * 37.7).sin()) * 1e-5;
+        let moved = (motion * na::Point3::from(place)).coords;
+        sums.add(&(place + noise), &moved, method == GlobalMethod::Quaternion);
+    }
+    let mut report = register_globally(&[], &mut [], &[], &GlobalOptions::default()).unwrap();
+    match method {
+        GlobalMethod::Quaternion => {
+            assert_eq!(update::quaternion_step(&mut poses, &links, &[sums]).unwrap(), 1)
+        }
+        GlobalMethod::Helix => assert_eq!(update::helix_step(&mut poses, &links, &[sums]).unwrap(), 1),
+        GlobalMethod::SmallAngle => {
+            assert_eq!(update::small_angle_step(&mut poses, &links, &[sums]).unwrap(), 1)
+        }
+        _ => weighted_step(&mut poses, &links, &[sums], method, &mut report).unwrap(),
+    }
+    (poses[1].to_homogeneous() - truth.to_homogeneous()).norm()
+}
+
+/// With the right derivatives one step leaves an error of second order: a tenth of the motion, a hundredth of it.
+#[test]
+fn every_variant_has_the_right_derivatives() {
+    use GlobalMethod::{Euler, Helix, Quaternion, Se3, SmallAngle};
+    for method in [Se3, Euler, Quaternion, Helix, SmallAngle] {
+        let (large, small) = (left_after_one_step(method, 0.1), left_after_one_step(method, 0.01));
+        assert!(large < 0.02 && small < 0.02 * large + 2e-5, "{method:?}: {large} {small}");
+    }
+}

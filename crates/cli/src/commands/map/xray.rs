@@ -1,0 +1,207 @@
+//! X-rays of a map in 3D from three sides, and a coloured section.
+
+use std::path::{Path, PathBuf};
+
+use portolan::pipeline::Preparation;
+use portolan_export::{
+    CloudSample, Extent, TrajectoryLine, XrayPicture, XrayView, colour_of_share, write_picture,
+};
+use portolan_geometry::{Rigid3, Time};
+use portolan_pointcloud::{CloudError, ThinnedCloud, VoxelPoint};
+use portolan_recording::SensorPlan;
+
+use crate::error::CliError;
+
+/// Voxels are so large that the longest edge has about this many of them …
+const VOXELS_ALONG: f64 = 1500.0;
+/// … within these bounds, metres.
+const VOXEL_SIZES: std::ops::RangeInclusive<f64> = 0.03..=0.5;
+/// Largest edge of a picture, pixels.
+const MAX_EDGE: usize = 2400;
+/// Thickness of the section, metres.
+const SECTION: f64 = 1.5;
+/// Share of the points that may lie outside of a picture, on either side: reflections in glass, far trees.
+const OUTLIERS: f64 = 0.001;
+const OUTLIERS_OF_SECTION: f64 = 0.01;
+/// Width of the strips of which the section takes the one with most of the way, metres.
+const STRIP: f64 = 0.5;
+
+/// What is drawn of which way.
+pub struct Request {
+    way: Vec<(Time, [f64; 3])>,
+    /// Size of the voxels to gather points in, metres.
+    pub voxel_size: f64,
+}
+
+/// Where the pictures look, and how far the cloud reaches there.
+struct Views {
+    views: [(&'static str, &'static str, XrayView); 3],
+    /// Depth into the section.
+    depth: XrayView,
+    /// Middle of the section in its depth.
+    middle: f64,
+}
+
+impl Request {
+    /// For a trajectory and the sensors that saw the map.
+    pub fn new(poses: &[(Time, Rigid3)], plan: &SensorPlan, preparation: &Preparation) -> Self {
+        let way: Vec<(Time, [f64; 3])> =
+            poses.iter().map(|(time, pose)| (*time, pose.translation.vector.into())).collect();
+        let reach = plan.range.iter().map(|r| r.statistics.p95_range).fold(0.0, f64::max);
+        let most = f64::from(preparation.options.trajectory_builder.trajectory_builder_3d.max_range);
+        let longest = (0..2).map(|axis| spread(way.iter().map(|(_, p)| p[axis]))).fold(0.0, f64::max);
+        let size = (longest + 2.0 * reach.min(most)) / VOXELS_ALONG;
+        Self { way, voxel_size: size.clamp(*VOXEL_SIZES.start(), *VOXEL_SIZES.end()) }
+    }
+
+    /// Draws all pictures of a cloud; the files. None of an empty cloud.
+    pub fn draw(&self, cloud: &mut ThinnedCloud, folder: &Path) -> Result<Vec<PathBuf>, CliError> {
+        let failed = |error: CloudError| CliError::Failed(error.to_string());
+        let mut sample = CloudSample::default();
+        cloud
+            .for_each(&mut |voxel| {
+                sample.add(voxel.position);
+                Ok(())
+            })
+            .map_err(failed)?;
+        let views = self.views(&sample);
+        let mut pictures = Vec::new();
+        for (name, title, view) in &views.views {
+            let (Some(right), Some(up)) = self.extents(&sample, view) else { return Ok(Vec::new()) };
+            pictures.push((*name, *title, *view, self.picture(right, up, false)));
+        }
+        let front = views.views[1].2;
+        let (Some(right), Some(up)) = views.extents_of_section(&sample) else { return Ok(Vec::new()) };
+        let mut section = self.picture(right, up, true);
+        let times = self.times();
+        cloud
+            .for_each(&mut |voxel| {
+                for (.., view, picture) in &mut pictures {
+                    picture.add(view.project(voxel.position), [0.0; 3]);
+                }
+                if views.is_cut(voxel.position) {
+                    section.add(front.project(voxel.position), colour(voxel, times));
+                }
+                Ok(())
+            })
+            .map_err(failed)?;
+        let mut files = Vec::new();
+        for (name, title, view, picture) in &pictures {
+            let way = self.line(|p| Some(view.project(p)));
+            files.push(write(picture, way, title, folder, name)?);
+        }
+        let way = self.line(|p| views.is_cut(p).then(|| front.project(p)));
+        let title = format!("section, {SECTION} m thick, seen early: blue, late: red");
+        files.push(write(&section, way, &title, folder, "map_section.png")?);
+        Ok(files)
+    }
+
+    /// Along the walls, if there are any; the front is the longer side.
+    fn views(&self, sample: &CloudSample) -> Views {
+        let walls = sample.wall_direction().unwrap_or(0.0);
+        let length = |view: &XrayView| {
+            sample.extent(OUTLIERS, |p| view.project(p)[0]).map_or(0.0, |extent| extent.to - extent.from)
+        };
+        let across = walls + std::f64::consts::FRAC_PI_2;
+        let (along, side) = (XrayView::level(walls), XrayView::level(across));
+        let (front, side) = if length(&along) >= length(&side) { (along, side) } else { (side, along) };
+        let depth = side;
+        Views {
+            views: [
+                ("map_xray_top.png", "from above", XrayView::top(walls)),
+                ("map_xray_front.png", "from the front", front),
+                ("map_xray_side.png", "from the side", side),
+            ],
+            depth,
+            middle: busiest(self.way.iter().map(|(_, p)| depth.project(*p)[0])),
+        }
+    }
+
+    /// What the picture shows: the cloud and the way.
+    fn extents(&self, sample: &CloudSample, view: &XrayView) -> (Option<Extent>, Option<Extent>) {
+        let along = |axis: usize| {
+            let extent = sample.extent(OUTLIERS, |p| view.project(p)[axis])?;
+            let way = self.way.iter().map(|(_, p)| view.project(*p)[axis]).filter(|v| v.is_finite());
+            Some(way.fold(extent, |e, v| Extent { from: e.from.min(v), to: e.to.max(v) }))
+        };
+        (along(0), along(1))
+    }
+
+    fn picture(&self, right: Extent, up: Extent, is_coloured: bool) -> XrayPicture {
+        XrayPicture::new([right.from, up.from], [right.to, up.to], self.voxel_size, MAX_EDGE, is_coloured)
+    }
+
+    /// The way as lines; a place that `project` refuses interrupts it.
+    fn line(&self, project: impl Fn([f64; 3]) -> Option<[f64; 2]>) -> TrajectoryLine {
+        let points = self.way.iter().map(|(_, p)| project(*p).unwrap_or([f64::NAN; 2]));
+        TrajectoryLine { index: 0, points: points.collect() }
+    }
+
+    /// First and last time, seconds since 1970.
+    fn times(&self) -> (f64, f64) {
+        let time = |pose: Option<&(Time, [f64; 3])>| pose.map_or(0.0, |(time, _)| time.unix_seconds());
+        (time(self.way.first()), time(self.way.last()))
+    }
+}
+
+impl Views {
+    fn is_cut(&self, position: [f64; 3]) -> bool {
+        (self.depth.project(position)[0] - self.middle).abs() < 0.5 * SECTION
+    }
+
+    /// Where most of what is cut lies.
+    fn extents_of_section(&self, sample: &CloudSample) -> (Option<Extent>, Option<Extent>) {
+        let front = self.views[1].2;
+        let along =
+            |axis: usize| {
+                sample.extent(OUTLIERS_OF_SECTION, |p| {
+                    if self.is_cut(p) { front.project(p)[axis] } else { f64::NAN }
+                })
+            };
+        (along(0), along(1))
+    }
+}
+
+fn colour(voxel: &VoxelPoint, (first, last): (f64, f64)) -> [f32; 3] {
+    colour_of_share((voxel.time - first) / (last - first).max(1e-3))
+}
+
+fn write(
+    picture: &XrayPicture,
+    way: TrajectoryLine,
+    title: &str,
+    folder: &Path,
+    name: &str,
+) -> Result<PathBuf, CliError> {
+    let picture = picture.finish(&[way], title).map_err(|e| CliError::Failed(e.to_string()))?;
+    let path = folder.join(name);
+    write_picture(&path, &picture)?;
+    Ok(path)
+}
+
+fn spread(values: impl Iterator<Item = f64>) -> f64 {
+    let (low, high) =
+        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    if high >= low { high - low } else { 0.0 }
+}
+
+/// The middle of the strip that holds most values.
+fn busiest(values: impl Iterator<Item = f64>) -> f64 {
+    let mut strips: Vec<i64> = values.map(|v| (v / STRIP).floor() as i64).collect();
+    strips.sort_unstable();
+    let most = strips.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
+    most.and_then(|same| same.first()).map_or(0.0, |strip| (*strip as f64 + 0.5) * STRIP)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_section_lies_where_most_of_the_way_is() {
+        let way = (0..100).map(f64::from).chain((0..40).map(|_| 12.3));
+        assert_eq!(busiest(way), 12.25);
+        assert_eq!(busiest(std::iter::empty()), 0.0);
+        assert_eq!((spread([2.0, -1.0, 4.0].into_iter()), spread(std::iter::empty())), (5.0, 0.0));
+    }
+}

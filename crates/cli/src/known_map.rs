@@ -1,0 +1,134 @@
+//! Maps that a recording is added to: loading them, and saying whether the recording was found in them.
+
+use std::path::PathBuf;
+
+use portolan::pipeline::{KnownMap, MappedRecording};
+use portolan_config::Options;
+use portolan_geometry::{Quaternion, Rigid3, Vector3};
+use portolan_mapfile::{MapReader, MapSpace, load_map};
+use portolan_mapping::Space;
+
+use crate::error::CliError;
+use crate::progress::say;
+
+/// Going on with maps that were made before.
+#[derive(clap::Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Known maps")]
+pub struct KnownMapArgs {
+    /// Add the recording to this map; may be given several times. The recording becomes a trajectory of
+    /// its own, after those of the map, and is searched in the whole map until it is found.
+    #[arg(long, value_name = "MAP.pbstream")]
+    pub from: Vec<PathBuf>,
+    /// Leave the known maps as they are: the recording is only localised in them and extends them.
+    #[arg(long, requires = "from")]
+    pub frozen: bool,
+    /// Where in the known map the recording starts: metres and degrees. Without it, it is searched.
+    #[arg(long, value_name = "X,Y,DEGREES", requires = "from", allow_hyphen_values = true)]
+    pub start: Option<String>,
+}
+
+impl KnownMapArgs {
+    /// Submaps of all known maps together.
+    ///
+    /// # Errors
+    /// A map that cannot be read.
+    pub fn count_submaps(&self) -> Result<usize, CliError> {
+        let mut submaps = 0;
+        for path in &self.from {
+            let reader = MapReader::open(path).map_err(|e| CliError::in_file(path, e))?;
+            submaps += reader.pose_graph().trajectory.iter().map(|t| t.submap.len()).sum::<usize>();
+        }
+        Ok(submaps)
+    }
+
+    /// Loads what the command line names; says what it holds and what had to be repaired.
+    ///
+    /// # Errors
+    /// A map that is damaged or of the other dimension, a start that is no place.
+    pub fn load<S: MapSpace>(&self, options: &Options, quiet: bool) -> Result<KnownMap<S>, CliError> {
+        let mut known = KnownMap::empty(options);
+        for path in &self.from {
+            let mut reader = MapReader::open(path).map_err(|e| CliError::in_file(path, e))?;
+            let loaded = load_map(&mut reader, &mut known.graph, self.frozen)
+                .map_err(|e| CliError::in_file(path, e))?;
+            for (what, count) in &loaded.repairs {
+                tracing::warn!("{}: repaired: {what} ({count}x)", path.display());
+            }
+            if !quiet {
+                let ids: Vec<String> = loaded
+                    .trajectory_ids
+                    .iter()
+                    .map(
+                        |(old, new)| {
+                            if *old == new.0 as i32 { new.to_string() } else { format!("{old} as {new}") }
+                        },
+                    )
+                    .collect();
+                say(&format!("{}: trajectory {}", path.display(), ids.join(", ")));
+            }
+            known.trajectories.extend(loaded.trajectories);
+        }
+        known.start = self.start.as_deref().map(parse_start).transpose()?;
+        Ok(known)
+    }
+}
+
+fn parse_start(text: &str) -> Result<Rigid3, CliError> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|n| n.trim().parse().ok().filter(|n: &f64| n.is_finite())).collect();
+    match numbers.as_deref() {
+        Some([x, y, degrees]) => Ok(Rigid3::from_parts(
+            Vector3::new(*x, *y, 0.0).into(),
+            Quaternion::from_axis_angle(&Vector3::z_axis(), degrees.to_radians()),
+        )),
+        _ => Err(CliError::Usage(format!("--start takes X,Y,DEGREES as in --start 3.5,-2,90, not {text}"))),
+    }
+}
+
+/// How well the recording was found in the maps that were known before.
+pub struct Localisation {
+    /// Loop closures between the recording and the known maps.
+    pub loop_closures: usize,
+    /// Seconds from the recording's first node to the first one that was found in a known map.
+    pub first_found_after_seconds: Option<f64>,
+}
+
+impl Localisation {
+    /// Nothing if no map was known before.
+    pub fn of<S: Space>(mapped: &MappedRecording<S>) -> Option<Self> {
+        let (state, new) = (mapped.map.graph.state(), mapped.trajectory_id);
+        if state.trajectories.len() < 2 {
+            return None;
+        }
+        let time = |node_id| state.nodes.get(&node_id).map(|node| node.data.time);
+        let found = |c: &&portolan_mapping::Constraint| {
+            (c.submap_id.trajectory_id == new) != (c.node_id.trajectory_id == new)
+        };
+        let between: Vec<_> = state.constraints.iter().filter(found).collect();
+        let start = mapped.map.node_poses(new).first().map(|(time, _)| *time);
+        // A known scan found in a new submap counts from when that submap had its first scan.
+        let first = between.iter().filter_map(|c| {
+            if c.node_id.trajectory_id == new {
+                return time(c.node_id);
+            }
+            state.submaps.get(&c.submap_id)?.node_ids.iter().find_map(|id| time(*id))
+        });
+        let first_found_after_seconds =
+            first.min().zip(start).map(|(found, start)| found.seconds_since(start));
+        Some(Self { loop_closures: between.len(), first_found_after_seconds })
+    }
+
+    /// For people.
+    pub fn sentence(&self) -> String {
+        match self.first_found_after_seconds {
+            Some(seconds) => format!(
+                "found in the known map after {seconds:.0} s, {} loop closures with it",
+                self.loop_closures
+            ),
+            None => "NOT found in the known map: the recording lies in the map as if it had started at its origin. \
+                 If you know the place, say --start X,Y,DEGREES; else lower \
+                 --set constraint_builder.global_localization_min_score"
+                .to_owned(),
+        }
+    }
+}

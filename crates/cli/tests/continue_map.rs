@@ -1,0 +1,161 @@
+//! `portolan map --from`: going on with a map that was saved.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use std::path::Path;
+
+use common::{portolan_with_code, text};
+
+/// Seconds of the walk that the known map holds, and from which the continuation begins.
+const KNOWN: &str = "100";
+const CONTINUED: &str = "70";
+
+struct Walk {
+    folder: tempfile::TempDir,
+    recording: String,
+    known_map: String,
+}
+
+fn office(folder: &Path, seconds: &str) -> String {
+    let recording = text(&folder.join("walk.bag"));
+    let arguments =
+        ["simulate", "office", "-o", &recording, "--seconds", seconds, "--seed", "5", "--beams", "180"];
+    portolan_with_code(0, &arguments);
+    recording
+}
+
+fn map_info(map: &str) -> serde_json::Value {
+    serde_json::from_str(&portolan_with_code(0, &["info", "--json", map]).stdout).unwrap()
+}
+
+fn walk() -> Walk {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = office(folder.path(), "160");
+    let known = folder.path().join("known");
+    portolan_with_code(0, &["map", &recording, "-o", &text(&known), "-q", "--duration", KNOWN]);
+    Walk { known_map: text(&known.join("map.pbstream")), folder, recording }
+}
+
+impl Walk {
+    fn go_on(&self, name: &str, more: &[&str]) -> std::path::PathBuf {
+        let output = self.folder.path().join(name);
+        let out = text(&output);
+        let mut arguments = vec!["map", &self.recording, "-o", &out, "-q", "--skip", CONTINUED];
+        arguments.extend(["--from", &self.known_map]);
+        arguments.extend(more);
+        portolan_with_code(0, &arguments);
+        output
+    }
+
+    /// Largest error of both trajectories together, metres: large if the second lies elsewhere in the map
+    /// than the first.
+    fn error_of_both(&self, output: &Path) -> f64 {
+        let read = |path: &Path| std::fs::read_to_string(path).unwrap();
+        let known = self.folder.path().join("known/trajectory.tum");
+        let both = self.folder.path().join("both.tum");
+        let new = read(&output.join("trajectory.tum"));
+        let start: f64 = stamp(new.lines().find(|l| !l.starts_with('#')).unwrap());
+        let old = read(&known);
+        let old: String = old
+            .lines()
+            .filter(|l| !l.starts_with('#') && stamp(l) < start)
+            .map(|l| format!("{l}\n"))
+            .collect();
+        std::fs::write(&both, old + &new).unwrap();
+        let truth = text(&self.folder.path().join("walk.truth.tum"));
+        let run = portolan_with_code(0, &["evaluate", "trajectory", &text(&both), &truth, "--json"]);
+        let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+        errors["absolute"]["translation"]["max"].as_f64().unwrap()
+    }
+}
+
+fn stamp(line: &str) -> f64 {
+    line.split(' ').next().unwrap().parse().unwrap()
+}
+
+fn report(output: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(output.join("report.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn a_recording_is_found_in_a_frozen_map_that_stays_as_it_was() {
+    let walk = walk();
+    let output = walk.go_on("frozen", &["--frozen"]);
+    let known = &report(&output)["known_map"];
+    assert!(known["loop_closures"].as_u64().unwrap() > 3, "{known}");
+    assert!(walk.error_of_both(&output) < 0.3, "{}", walk.error_of_both(&output));
+    let before = map_info(&walk.known_map);
+    let after = map_info(&text(&output.join("map.pbstream")));
+    assert_eq!(before["trajectories"][0], after["trajectories"][0]);
+    assert_eq!(after["trajectories"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn a_map_is_extended_and_optimised_as_a_whole() {
+    let walk = walk();
+    let output = walk.go_on("extended", &[]);
+    assert!(walk.error_of_both(&output) < 0.3, "{}", walk.error_of_both(&output));
+    let map = text(&output.join("map.pbstream"));
+    portolan_with_code(0, &["check", &map]);
+    // And once more: the recording is the third trajectory now.
+    let again = walk.folder.path().join("again");
+    let more = ["--from", &map, "--frozen", "--skip", "140", "-q", "-o"];
+    let out = text(&again);
+    portolan_with_code(0, &[&["map", walk.recording.as_str()][..], &more[..], &[out.as_str()][..]].concat());
+    let info = map_info(&text(&again.join("map.pbstream")));
+    assert_eq!(info["trajectories"].as_array().unwrap().len(), 3);
+}
+
+#[test]
+fn a_start_that_is_told_needs_no_search() {
+    let walk = walk();
+    // Wherever it starts, the map knows it best.
+    let poses = std::fs::read_to_string(walk.folder.path().join("known/trajectory.tum")).unwrap();
+    let first: Vec<f64> = poses
+        .lines()
+        .filter(|l| !l.starts_with('#'))
+        .map(|l| l.split(' ').map(|n| n.parse().unwrap()).collect::<Vec<f64>>())
+        .next()
+        .unwrap();
+    let yaw = 2.0 * first[6].atan2(first[7]).to_degrees();
+    let start = format!("{},{},{yaw}", first[1] + 0.3, first[2] - 0.2);
+    let output = walk.folder.path().join("started");
+    let none = "pose_graph.global_sampling_ratio=0";
+    let arguments = [
+        "map",
+        &walk.recording,
+        "-o",
+        &text(&output),
+        "-q",
+        "--duration",
+        "60",
+        "--from",
+        &walk.known_map,
+        "--frozen",
+        "--start",
+        &start,
+        "--set",
+        none,
+    ];
+    portolan_with_code(0, &arguments);
+    let known = &report(&output)["known_map"];
+    assert!(known["loop_closures"].as_u64().unwrap() > 3, "{known}");
+}
+
+#[test]
+fn what_cannot_be_continued_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = office(folder.path(), "20");
+    let output = text(&folder.path().join("out"));
+    let map = |more: &[&str], code| {
+        portolan_with_code(code, &[&["map", &recording, "-o", &output, "-q"], more].concat())
+    };
+    let no_map = text(&folder.path().join("no.pbstream"));
+    assert!(map(&["--from", &no_map], 1).stderr.contains("no.pbstream"));
+    assert!(map(&["--from", &recording], 1).stderr.contains("walk.bag"));
+    map(&["--frozen"], 2);
+    if let Some(spatial) = common::shared("data/maps/reference/small_3d.pbstream") {
+        assert!(map(&["--from", &spatial], 1).stderr.contains("3D"));
+    }
+}

@@ -1,0 +1,228 @@
+//! What goes wrong with recordings in 3D: each fault ends in a map or a named error, and `portolan check` names it.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use std::path::Path;
+
+use common::{Run, portolan, portolan_with_code, text};
+use portolan_geometry::{Duration, Time};
+use portolan_recording::{
+    FieldType, Header, Message, PointCloud2, PointField, RecordedMessage, RecordingFormat, create,
+};
+
+/// A short walk through a small museum.
+fn museum(folder: &Path, more: &[&str]) -> String {
+    let path = text(&folder.join("museum.mcap"));
+    let mut arguments = vec!["simulate", "museum", "-o", &path, "--no-gnss", "-q", "--size", "24x20"];
+    arguments.extend(["--storeys", "1", "--beams", "180", "--people", "2"]);
+    if !more.contains(&"--seconds") {
+        arguments.extend(["--seconds", "24"]);
+    }
+    arguments.extend(more);
+    portolan_with_code(0, &arguments);
+    path
+}
+
+#[track_caller]
+fn mapped(recording: &str, folder: &Path, more: &[&str]) -> (Run, serde_json::Value) {
+    let output = text(&folder.join("map"));
+    let run = portolan(&[&["map", recording, "-o", &output, "--no-xray"], more].concat());
+    assert!(matches!(run.code, Some(0 | 3)), "{:?} {}", run.code, run.stderr);
+    let report = std::fs::read(folder.join("map/report.json")).unwrap();
+    (run, serde_json::from_slice(&report).unwrap())
+}
+
+/// Largest error of a pose, metres.
+fn worst(folder: &Path) -> f64 {
+    let (estimate, truth) = (folder.join("map/trajectory.tum"), folder.join("museum.truth.tum"));
+    let run = portolan_with_code(0, &["evaluate", "trajectory", &text(&estimate), &text(&truth), "--json"]);
+    let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    errors["absolute"]["translation"]["max"].as_f64().unwrap()
+}
+
+fn checked(recording: &str) -> String {
+    let run = portolan(&["check", recording, "-q"]);
+    assert!(matches!(run.code, Some(0 | 1 | 3)), "{:?} {}", run.code, run.stderr);
+    run.stdout
+}
+
+/// Faults that a map survives: how far off it may be, and the words of `check`.
+#[test]
+fn faults_of_sensors_are_survived_and_named() {
+    let cases: [(&str, &[&str], f64, &str); 9] = [
+        ("none", &[], 0.15, ""),
+        ("gap in the IMU", &["--fault", "gap:imu:12:13"], 0.3, "1 gap, 1.0"),
+        ("saturation", &["--fault", "saturate:0.3:11"], 0.5, "the end of its range"),
+        ("a lidar that dies", &["--lidars", "2", "--fault", "dies:12"], 0.3, "falls silent 12."),
+        ("empty clouds", &["--fault", "empty:4"], 0.3, "clouds of zero points"),
+        ("points that are no numbers", &["--fault", "nan:4"], 0.3, "not a number"),
+        ("stamps years back", &["--fault", "backward:scan:5:100000000"], 0.3, "jumps by"),
+        ("repeated stamps", &["--fault", "duplicate:imu:7"], 0.3, "two messages"),
+        ("no times of points", &["--no-point-times"], 0.3, "no time for each point"),
+    ];
+    for (name, arguments, limit, words) in cases {
+        let folder = tempfile::tempdir().unwrap();
+        let recording = museum(folder.path(), arguments);
+        let (run, report) = mapped(&recording, folder.path(), &[]);
+        assert!(worst(folder.path()) < limit, "{name}: {} m\n{}", worst(folder.path()), run.stderr);
+        let lost = report["repairs"]["reading"].as_array().unwrap().iter().any(|r| r["lost_data"] == true);
+        assert_eq!(run.code == Some(3), lost, "{name}: {report}");
+        let told = checked(&recording);
+        assert!(told.contains(words), "{name}: {words} is not in\n{told}");
+    }
+}
+
+/// An IMU that contradicts the lidar: the map need not be good, but `check` tells why.
+#[test]
+fn imus_that_contradict_the_lidar_are_named() {
+    for (fault, words) in [
+        ("swap-axes", "gravity lies along"),
+        ("clock:imu:0.05", "0.0"),
+        ("clock:imu:-0.05", "0.0"),
+        ("no-gravity", "should include gravity"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let recording = museum(folder.path(), &["--seconds", "60", "--beams", "300", "--fault", fault]);
+        let told = checked(&recording);
+        assert!(told.contains(words), "{fault}: {words} is not in\n{told}");
+        if let Some(seconds) = fault.strip_prefix("clock:imu:") {
+            let line = told
+                .lines()
+                .find(|line| line.contains("as turns of both show"))
+                .unwrap_or_else(|| panic!("{told}"));
+            let found =
+                line.split("about ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
+            assert!((found - 0.05).abs() < 0.015, "{line}");
+            // The clouds are compared with the IMU: late stamps of the one are early stamps of the other.
+            let direction = if seconds.starts_with('-') { "later" } else { "earlier" };
+            assert!(line.contains(direction), "{fault}: {line}");
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    mapped(&museum(folder.path(), &["--fault", "swap-axes"]), folder.path(), &[]);
+}
+
+#[test]
+fn damaged_recordings_in_space_end_in_a_map_or_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = museum(folder.path(), &["--seconds", "5"]);
+    let whole = std::fs::read(&recording).unwrap();
+    let (damaged, output) = (text(&folder.path().join("damaged.mcap")), folder.path().join("results"));
+    for (case, share) in [0.001, 0.4, 0.97].into_iter().enumerate() {
+        std::fs::write(&damaged, &whole[..(share * whole.len() as f64) as usize]).unwrap();
+        expect_map_or_error(&portolan(&["map", &damaged, "-o", &text(&output), "-q"]), &output, case);
+    }
+    for seed in 0..4usize {
+        let mut bytes = whole.clone();
+        for i in 0..300 {
+            let at = (seed * 7919 + i * 104_729) * 31 % bytes.len();
+            bytes[at] ^= 1 << (i % 8);
+        }
+        std::fs::write(&damaged, &bytes).unwrap();
+        expect_map_or_error(&portolan(&["map", &damaged, "-o", &text(&output), "-q"]), &output, seed);
+    }
+}
+
+#[track_caller]
+fn expect_map_or_error(run: &Run, output: &Path, case: usize) {
+    assert!(!run.stderr.contains("panicked"), "case {case}: {}", run.stderr);
+    match run.code {
+        Some(0 | 3) => {
+            portolan_with_code(0, &["info", &text(&output.join("map.pbstream"))]);
+            std::fs::remove_file(output.join("map.pbstream")).unwrap();
+        }
+        Some(1) => assert!(run.stderr.starts_with("error: "), "case {case}: {}", run.stderr),
+        code => panic!("case {case}: {code:?} {}", run.stderr),
+    }
+}
+
+/// A cloud of a room of 12 m by 8 m by 3 m, of so many points.
+fn room(seconds: f64, points: usize) -> RecordedMessage {
+    let mut data = Vec::with_capacity(12 * points);
+    for i in 0..points {
+        let azimuth = i as f64 * 2.399_963;
+        let (s, c) = azimuth.sin_cos();
+        let slope = 0.6 * ((i % 1000) as f64 / 500.0 - 1.0);
+        let wall = (6.0 / c.abs()).min(4.0 / s.abs());
+        let distance = wall.min(1.5 / slope.abs().max(1e-3));
+        for value in [c * distance, s * distance, slope * distance] {
+            data.extend((value as f32).to_le_bytes());
+        }
+    }
+    let field = |(i, name): (u32, &str)| PointField {
+        name: name.to_owned(),
+        offset: 4 * i,
+        field_type: Some(FieldType::Float32),
+        count: 1,
+    };
+    let stamp = Time::from_ros(1_700_000_000, 0) + Duration::from_seconds(seconds);
+    let cloud = PointCloud2 {
+        header: Header { stamp, frame_id: "lidar".into() },
+        height: 1,
+        width: points as u32,
+        fields: (0..3).zip(["x", "y", "z"]).map(field).collect(),
+        is_bigendian: false,
+        point_step: 12,
+        row_step: 12 * points as u32,
+        data,
+        is_dense: true,
+    };
+    RecordedMessage { topic: "/points".into(), log_time: stamp, message: Message::PointCloud2(cloud) }
+}
+
+#[test]
+fn clouds_of_no_and_of_two_million_points_are_mapped() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("huge.bag");
+    let mut writer = create(&path, None::<RecordingFormat>).unwrap();
+    for i in 0..12 {
+        let points = [20_000, 0, 2_000_000][if i % 3 == 2 && i > 6 { 2 } else { i % 2 }];
+        writer.write(&room(0.1 * i as f64, points)).unwrap();
+    }
+    writer.finish().unwrap();
+    let recording = text(&path);
+    let (_, report) = mapped(&recording, folder.path(), &[]);
+    assert!(report["nodes"].as_u64().unwrap() > 0, "{report}");
+    let peak = report["memory_bytes"]["peak"].as_u64().unwrap_or(0);
+    assert!(peak < 1_500_000_000, "{peak}");
+    let told = checked(&recording);
+    for words in ["clouds of zero points", "clouds of 2000000 points"] {
+        assert!(told.contains(words), "{words} is not in\n{told}");
+    }
+}
+
+/// The cloud has the points of the recording in each format, thinned if asked for, and the same bytes each time.
+#[test]
+fn maps_become_clouds_of_every_format() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = museum(folder.path(), &["--seconds", "6"]);
+    let count = |name: &str, more: &[&str]| {
+        let (run, report) = mapped(&recording, folder.path(), &[&["--cloud", name], more].concat());
+        let path = folder.path().join("map").join(name);
+        assert!(run.stdout.contains(name), "{}", run.stdout);
+        let mut reader = portolan_pointcloud::open(&path).unwrap();
+        let (mut batch, mut points) = (portolan_pointcloud::PointCloud::default(), 0);
+        let mut far = 0;
+        while reader.next_batch(&mut batch).unwrap() {
+            points += batch.len() as u64;
+            far += (0..batch.len()).filter(|i| batch.position(*i).iter().any(|v| v.abs() > 100.0)).count();
+        }
+        assert_eq!((points, far), (report["cloud"]["points_in_file"].as_u64().unwrap(), 0), "{name}");
+        points
+    };
+    let all = count("map.ply", &[]);
+    assert!(all > 50_000, "{all}");
+    for name in ["map.pcd", "map.las", "map.laz", "map.e57", "map.xyz"] {
+        assert_eq!(count(name, &[]), all, "{name}");
+    }
+    let bytes = |threads: &str| {
+        let thinned = count("thin.ply", &["--cloud-voxel", "0.2", "--threads", threads]);
+        assert!(thinned < all / 4, "{thinned} of {all}");
+        std::fs::read(folder.path().join("map/thin.ply")).unwrap()
+    };
+    assert!(bytes("1") == bytes("2"));
+    let wrong = |more: &[&str]| portolan_with_code(2, &[&["map", &recording], more].concat()).stderr;
+    assert!(wrong(&["--cloud", "map.doc"]).contains(".laz"));
+    assert!(wrong(&["--cloud", "map.ply", "--cloud-voxel", "0"]).contains("voxels must be"));
+}

@@ -1,0 +1,146 @@
+//! What a sample of a cloud tells of all of it: how far it reaches, and which way its walls stand.
+
+use std::f64::consts::FRAC_PI_2;
+
+/// Points kept at most.
+const MOST: usize = 60_000;
+/// Points that count for the direction of walls.
+const MOST_FOR_WALLS: usize = 20_000;
+/// Width of the bins in which walls gather, metres.
+const BIN: f64 = 0.1;
+/// Walls stand out if the best direction gathers so much more than the middle one.
+const STANDS_OUT: f64 = 1.1;
+
+/// Every n-th point of a cloud, n as large as needed.
+#[derive(Clone, Debug)]
+pub struct CloudSample {
+    points: Vec<[f64; 3]>,
+    stride: u64,
+    seen: u64,
+}
+
+/// Smallest and largest value along an axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Metres.
+    pub from: f64,
+    /// Metres.
+    pub to: f64,
+}
+
+impl Default for CloudSample {
+    fn default() -> Self {
+        Self { points: Vec::new(), stride: 1, seen: 0 }
+    }
+}
+
+impl CloudSample {
+    /// Takes the next point.
+    pub fn add(&mut self, position: [f64; 3]) {
+        if self.seen.is_multiple_of(self.stride) {
+            self.points.push(position);
+            if self.points.len() >= 2 * MOST {
+                let mut index = 0;
+                self.points.retain(|_| {
+                    index += 1;
+                    index % 2 == 1
+                });
+                self.stride *= 2;
+            }
+        }
+        self.seen += 1;
+    }
+
+    /// How far the cloud reaches along what `measure` says, but for a share of `outliers` on either side; points
+    /// of which it says NaN do not count. None without points.
+    pub fn extent(&self, outliers: f64, measure: impl Fn([f64; 3]) -> f64) -> Option<Extent> {
+        let mut values: Vec<f64> =
+            self.points.iter().map(|p| measure(*p)).filter(|v| v.is_finite()).collect();
+        values.sort_by(f64::total_cmp);
+        let outliers = (outliers.clamp(0.0, 0.4) * values.len() as f64) as usize;
+        let (from, to) = (values.get(outliers)?, values.get(values.len() - 1 - outliers)?);
+        Some(Extent { from: *from, to: *to })
+    }
+
+    /// The direction in the map in which most walls run, from −π/4 to π/4, radians; none if there are no walls
+    /// at right angles.
+    pub fn wall_direction(&self) -> Option<f64> {
+        let step = self.points.len().div_ceil(MOST_FOR_WALLS).max(1);
+        let points: Vec<[f64; 2]> = self.points.iter().step_by(step).map(|p| [p[0], p[1]]).collect();
+        let degree = 1f64.to_radians();
+        let coarse: Vec<(f64, f64)> =
+            (-45..45).map(f64::from).map(|d| (gathered(&points, d * degree), d)).collect();
+        let mut scores: Vec<f64> = coarse.iter().map(|(score, _)| *score).collect();
+        scores.sort_by(f64::total_cmp);
+        let middle = *scores.get(scores.len() / 2)?;
+        let best = |tries: &[(f64, f64)]| tries.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0));
+        let (score, about) = best(&coarse)?;
+        if score.is_nan() || score <= STANDS_OUT * middle {
+            return None;
+        }
+        let fine: Vec<(f64, f64)> = (-10..=10)
+            .map(|i| about + 0.1 * f64::from(i))
+            .map(|d| (gathered(&points, d * degree), d))
+            .collect();
+        let yaw = best(&fine)?.1 * degree;
+        Some(yaw - (yaw / FRAC_PI_2).round() * FRAC_PI_2)
+    }
+}
+
+/// How much points gather in lines along a direction and across it.
+fn gathered(points: &[[f64; 2]], yaw: f64) -> f64 {
+    let (s, c) = yaw.sin_cos();
+    let along = |p: &[f64; 2]| c * p[0] + s * p[1];
+    let across = |p: &[f64; 2]| c * p[1] - s * p[0];
+    let lines = |measure: &dyn Fn(&[f64; 2]) -> f64| {
+        let mut bins: Vec<i64> = points.iter().map(|p| (measure(p) / BIN).floor() as i64).collect();
+        bins.sort_unstable();
+        bins.chunk_by(|a, b| a == b).map(|same| (same.len() as f64).powi(2)).sum::<f64>()
+    };
+    lines(&along) + lines(&across)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Walls of a room of 8 m by 5 m, turned, with its floor.
+    fn room(yaw: f64, walls: bool) -> CloudSample {
+        let mut sample = CloudSample::default();
+        let (s, c) = yaw.sin_cos();
+        for i in 0..40_000 {
+            let (u, v) = (f64::from(i % 200) / 200.0, f64::from(i / 200) / 200.0);
+            let [x, y, z] = match i % 5 {
+                0 if walls => [8.0 * u, 0.0, 3.0 * v],
+                1 if walls => [8.0 * u, 5.0, 3.0 * v],
+                2 if walls => [0.0, 5.0 * u, 3.0 * v],
+                3 if walls => [8.0, 5.0 * u, 3.0 * v],
+                _ => [8.0 * (u - 0.5) * v.sqrt(), 8.0 * (v - 0.5) * u.sqrt(), 0.0],
+            };
+            sample.add([c * x - s * y, s * x + c * y, z]);
+        }
+        sample
+    }
+
+    #[test]
+    fn walls_show_their_direction() {
+        for degrees in [-44.0, -10.3, 0.0, 7.0, 31.5] {
+            let found = room(f64::to_radians(degrees), true).wall_direction().unwrap().to_degrees();
+            assert!((found - degrees).abs() < 0.25, "{degrees}: {found}");
+        }
+        assert_eq!(CloudSample::default().wall_direction(), None);
+    }
+
+    #[test]
+    fn outliers_do_not_count_and_memory_is_bounded() {
+        let mut sample = CloudSample::default();
+        for i in 0..1_000_000 {
+            let x = if i % 5000 == 0 { 500.0 } else { f64::from(i % 1000) / 100.0 };
+            sample.add([x, 0.0, 0.0]);
+        }
+        assert!(sample.points.len() < 2 * MOST);
+        let extent = sample.extent(0.001, |p| p[0]).unwrap();
+        assert!(extent.from < 0.1 && (9.9..10.0).contains(&extent.to), "{extent:?}");
+        assert_eq!(CloudSample::default().extent(0.0, |p| p[0]), None);
+    }
+}

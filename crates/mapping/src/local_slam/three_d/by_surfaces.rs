@@ -1,0 +1,158 @@
+//! Local SLAM by matching sweeps to surfaces.
+
+use portolan_geometry::{Duration, Quaternion, Time, is_valid_pose};
+
+use super::first_sweeps::{FirstSweeps, TimedSweep};
+use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
+use super::sweep_path::SweepPath;
+use super::unwarp::Gathered;
+use super::{LocalSlam3d, MatchedScan};
+use crate::pose_extrapolator::PoseExtrapolator;
+use crate::{MatchingResult, Spatial, WeakMotion};
+
+/// What matching to surfaces needs besides the submaps.
+pub(super) struct BySurfaces {
+    pub tracker: SurfaceTracker,
+    voxel_size: f64,
+    /// The first sweep, until the second one tells how fast it was.
+    first: Option<TimedSweep>,
+}
+
+impl BySurfaces {
+    pub fn new(voxel_size: f64) -> Self {
+        Self { tracker: SurfaceTracker::new(voxel_size), voxel_size, first: None }
+    }
+}
+
+impl LocalSlam3d {
+    /// One whole sweep: finds where it was taken, inserts it. The first one waits for the second.
+    pub(super) fn match_to_surfaces(
+        &mut self,
+        time: Time,
+        gathered: &[Gathered],
+    ) -> Vec<MatchingResult<Spatial>> {
+        let points = SurfaceTracker::sweep(gathered, time, &self.options);
+        if points.is_empty() {
+            self.count("scan without a single return");
+            return Vec::new();
+        }
+        let sweep = TimedSweep { end: time, points };
+        let mut results = Vec::new();
+        if !self.has_submap() {
+            let Some(by_surfaces) = &mut self.by_surfaces else { return results };
+            let Some(first) = by_surfaces.first.take() else {
+                by_surfaces.first = Some(sweep);
+                return results;
+            };
+            results.extend(self.insert_first(&first, Some(&sweep)));
+        }
+        results.extend(self.follow(&sweep));
+        results
+    }
+
+    /// Inserts a first sweep for which no second came.
+    pub(super) fn insert_waiting_first(&mut self) -> Vec<MatchingResult<Spatial>> {
+        let first = self.by_surfaces.as_mut().and_then(|s| s.first.take());
+        first.and_then(|first| self.insert_first(&first, None)).into_iter().collect()
+    }
+
+    fn insert_first(
+        &mut self,
+        first: &TimedSweep,
+        second: Option<&TimedSweep>,
+    ) -> Option<MatchingResult<Spatial>> {
+        let voxel_size = self.by_surfaces.as_ref()?.voxel_size;
+        let extrapolator = self.extrapolator.as_ref()?;
+        let measured = |time: Time| extrapolator.estimate_gravity_orientation(time);
+        let rotation_at: Option<&dyn Fn(Time) -> Quaternion> =
+            if self.has_imu { Some(&measured) } else { None };
+        let sweeps = FirstSweeps::new(first, second, rotation_at, voxel_size);
+        let pieces = sweeps.pieces(first);
+        let end = sweeps.pose_at(first.end);
+        // A pose from before, so that the extrapolator knows how fast it was.
+        let earliest = extrapolator.last_pose_time().filter(|_| self.has_imu).unwrap_or(Time::MIN);
+        let before = (first.end - Duration::from_seconds(0.05)).max(earliest);
+        let (pose_before, gravity) = (sweeps.pose_at(before), self.has_imu.then(|| measured(first.end)));
+        if !self.has_imu {
+            self.extrapolator = Some(self.new_extrapolator());
+        }
+        let extrapolator = self.extrapolator.as_mut()?;
+        extrapolator.add_pose(before, pose_before);
+        extrapolator.add_pose(first.end, end);
+        let matched = MatchedSweep { local_from_tracking: end, pieces, found: None };
+        Some(self.conclude(first.end, self.seen_from_end(first, matched), gravity))
+    }
+
+    /// Matches a sweep to the older active submap.
+    fn follow(&mut self, sweep: &TimedSweep) -> Option<MatchingResult<Spatial>> {
+        let has_imu = self.has_imu;
+        let extrapolator = self.extrapolator.as_mut()?;
+        extrapolator.prepare(sweep.end);
+        let mut path = SweepPath::predicted(extrapolator, sweep.end);
+        path.turn_is_measured = has_imu && extrapolator.has_gyroscope(sweep.end);
+        path.way_is_measured = extrapolator.has_odometry(sweep.end);
+        let gravity = has_imu.then(|| extrapolator.estimate_gravity_orientation(sweep.end));
+        let by_surfaces = self.by_surfaces.as_mut()?;
+        let selection = by_surfaces.tracker.selection(&sweep.points);
+        let submap = self.active_submaps.matching_submap()?;
+        let surfaces = submap.surfaces.as_ref()?;
+        let matched =
+            by_surfaces.tracker.match_sweep(&selection, &path, (&submap.local_from_submap, surfaces));
+        match &matched.found {
+            None => self.count("scan that fits no surface; matched to grids instead"),
+            Some(found) => {
+                let to_tracking = found.pose.rotation.inverse();
+                for direction in &found.weak.translations {
+                    self.weak_spans.add(sweep.end, WeakMotion::Shift, to_tracking * direction);
+                }
+                for direction in &found.weak.rotations {
+                    self.weak_spans.add(sweep.end, WeakMotion::Turn, to_tracking * direction);
+                }
+            }
+        }
+        let holds_rotation = matched.found.as_ref().is_some_and(|f| f.weak.rotations.is_empty());
+        if path.turn_is_measured && holds_rotation {
+            let (predicted, found) = (path.end().rotation, matched.local_from_tracking.rotation);
+            self.gyroscope_bias.observe(&predicted, &found, path.seconds());
+        }
+        let fits_surfaces = matched.found.is_some();
+        let mut scan = self.seen_from_end(sweep, matched);
+        if !fits_surfaces {
+            self.match_to_grids(&mut scan);
+        }
+        self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
+        Some(self.conclude(sweep.end, scan, gravity))
+    }
+
+    /// Puts a scan where it fits the grids of the older submap best.
+    fn match_to_grids(&self, scan: &mut MatchedScan) {
+        let [high, low] = self.clouds(&scan.scan.returns);
+        if !high.is_empty() && !low.is_empty() {
+            let submap = self.active_submaps.matching_submap();
+            let (matched, _) = self.matcher.match_scan(&scan.local_from_tracking, [&high, &low], submap);
+            if is_valid_pose(&matched) {
+                scan.local_from_tracking = matched;
+            }
+        }
+        scan.clouds = Some([high, low]);
+    }
+
+    fn seen_from_end(&self, sweep: &TimedSweep, matched: MatchedSweep) -> MatchedScan {
+        let (voxel_size, use_intensities) = (self.options.voxel_filter_size, self.options.use_intensities);
+        let (scan, surface_points) = in_tracking(&sweep.points, &matched.pieces, voxel_size, use_intensities);
+        MatchedScan { local_from_tracking: matched.local_from_tracking, scan, clouds: None, surface_points }
+    }
+
+    pub(super) fn new_extrapolator(&self) -> PoseExtrapolator {
+        let options = &self.options.pose_extrapolator.constant_velocity;
+        let extrapolator = PoseExtrapolator::new(
+            options.pose_queue_duration,
+            options.imu_gravity_time_constant,
+            self.extras.use_all_odometry,
+        );
+        match self.options.pose_extrapolator.use_imu_based {
+            true => extrapolator.with_imu_based(&self.options.pose_extrapolator.imu_based),
+            false => extrapolator,
+        }
+    }
+}

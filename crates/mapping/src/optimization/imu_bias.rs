@@ -1,0 +1,186 @@
+//! Biases of an IMU, from what local SLAM found: it does not drift within seconds, and it knows nothing of
+//! loop closures that may be wrong.
+
+use portolan_config::OptimizationProblemOptions;
+use portolan_geometry::nalgebra as na;
+use portolan_geometry::{Duration, Time, Vector3, angle_axis_from_quaternion};
+
+use super::data::{OptimizationData, OptimizationNode};
+use crate::imu_integration::{ImuMotion, integrate_imu};
+use crate::{TrajectoryId, of_trajectory};
+
+/// The bias of a gyroscope is the mean of this long around a time, seconds.
+const WINDOW: f64 = 60.0;
+/// A difference beyond this is no bias, rad/s.
+const LARGEST_GYROSCOPE_BIAS: f64 = 0.2;
+/// What accelerometers are believed to be off by, and how exactly local SLAM knows velocities (standard
+/// deviations, m/s² and m/s).
+const ACCELEROMETER_SIGMA: f64 = 0.1;
+const VELOCITY_SIGMA: f64 = 0.1;
+
+/// Estimated biases of the IMU of a trajectory.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ImuBias {
+    /// By time, ascending: seconds and turns by which gyroscope and local SLAM differ, summed up until
+    /// then.
+    turns: Vec<(Time, f64, Vector3)>,
+    /// m/s² in the tracking frame.
+    accelerometer: Vector3,
+}
+
+impl ImuBias {
+    /// Estimates both from the nodes of a trajectory.
+    pub fn estimate(data: &OptimizationData, id: TrajectoryId, options: &OptimizationProblemOptions) -> Self {
+        let nodes: Vec<&OptimizationNode> = of_trajectory(&data.nodes, id).map(|(_, node)| node).collect();
+        let Some(sensors) = data.sensors.get(&id) else { return Self::default() };
+        let mut bias = Self::default();
+        let (mut seconds, mut turn) = (0.0, Vector3::zeros());
+        for pair in nodes.windows(2) {
+            let &[a, b] = pair else { continue };
+            let duration = b.time.seconds_since(a.time);
+            let Some(motion) = integrate_imu(&sensors.imu, a.time, b.time) else { continue };
+            let found = a.local_from_node.rotation.inverse() * b.local_from_node.rotation;
+            let difference = angle_axis_from_quaternion(&(found.inverse() * motion.delta_rotation));
+            if duration > 0.0 && difference.norm() <= LARGEST_GYROSCOPE_BIAS * duration {
+                (seconds, turn) = (seconds + duration, turn + difference);
+                bias.turns.push((b.time, seconds, turn));
+            }
+        }
+        if options.acceleration_weight > 0.0 {
+            bias.accelerometer = accelerometer_bias(&nodes, &sensors.imu);
+        }
+        bias
+    }
+
+    /// The bias of the gyroscope around a time, rad/s in the tracking frame; zero if nothing is known.
+    pub fn gyroscope(&self, time: Time) -> Vector3 {
+        let half = Duration::from_seconds(0.5 * WINDOW);
+        let at = |time: Time| self.turns.partition_point(|(t, ..)| *t < time);
+        let (from, to) = (at(time - half), at(time + half).min(self.turns.len().saturating_sub(1)));
+        let (Some(first), Some(last)) = (self.turns.get(from), self.turns.get(to)) else {
+            return Vector3::zeros();
+        };
+        let seconds = last.1 - first.1;
+        if seconds <= 0.0 { Vector3::zeros() } else { (last.2 - first.2) / seconds }
+    }
+
+    /// The bias of the accelerometer, m/s² in the tracking frame.
+    pub fn accelerometer(&self) -> Vector3 {
+        self.accelerometer
+    }
+
+    /// An integrated motion over `seconds` around a time without the biases (to first order).
+    pub fn corrected(&self, motion: &ImuMotion, time: Time, seconds: f64) -> ImuMotion {
+        let turn = self.gyroscope(time) * -seconds;
+        ImuMotion {
+            delta_rotation: motion.delta_rotation * portolan_geometry::quaternion_from_angle_axis(&turn),
+            delta_velocity: motion.delta_velocity - self.accelerometer * seconds,
+            delta_translation: motion.delta_translation - self.accelerometer * (0.5 * seconds * seconds),
+        }
+    }
+}
+
+/// The bias b and the gravity g (in the local map) at which measured changes of velocity agree best with
+/// those of consecutive nodes: `R₂ (Δv − b T) − g T = Δv_local`, linear least squares with b believed to be
+/// small. Where the frame never turns b cannot be told from a tilt of g, and stays small.
+fn accelerometer_bias(
+    nodes: &[&OptimizationNode],
+    imu: &std::collections::BTreeMap<Time, portolan_sensor::ImuData>,
+) -> Vector3 {
+    let mut hessian = na::Matrix6::<f64>::identity() * 1e-6;
+    let mut gradient = na::Vector6::<f64>::zeros();
+    for i in 0..3 {
+        hessian[(i, i)] += 1.0 / (ACCELEROMETER_SIGMA * ACCELEROMETER_SIGMA);
+    }
+    for triple in nodes.windows(3) {
+        let &[a, b, c] = triple else { continue };
+        let (first, second) = (b.time.seconds_since(a.time), c.time.seconds_since(b.time));
+        if !(first > 0.0 && second > 0.0) {
+            continue;
+        }
+        let Some(measured) = velocity_change(imu, [a.time, b.time, c.time]) else { continue };
+        let at = |node: &OptimizationNode| node.local_from_node.translation.vector;
+        let found = (at(c) - at(b)) / second - (at(b) - at(a)) / first;
+        let rotation = b.local_from_node.rotation.to_rotation_matrix().into_inner();
+        let middle = 0.5 * (first + second);
+        let mut jacobian = na::Matrix3x6::<f64>::zeros();
+        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&(rotation * -middle));
+        jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(na::Matrix3::identity() * -middle));
+        let residual = rotation * measured - found;
+        let weight = 1.0 / (VELOCITY_SIGMA * VELOCITY_SIGMA);
+        hessian += jacobian.transpose() * jacobian * weight;
+        gradient += jacobian.transpose() * residual * weight;
+    }
+    let solution = hessian.cholesky().map_or_else(na::Vector6::zeros, |c| c.solve(&-gradient));
+    let bias: Vector3 = solution.fixed_rows::<3>(0).into();
+    if bias.iter().all(|v| v.is_finite()) && bias.norm() < 10.0 * ACCELEROMETER_SIGMA {
+        bias
+    } else {
+        Vector3::zeros()
+    }
+}
+
+/// The specific force integrated between the middles of two intervals, in the frame of the time between
+/// them (`slam3d.md` §8).
+pub(crate) fn velocity_change(
+    imu: &std::collections::BTreeMap<Time, portolan_sensor::ImuData>,
+    times: [Time; 3],
+) -> Option<Vector3> {
+    let middle = |i: usize| times[i] + Duration::from_ticks((times[i + 1] - times[i]).ticks() / 2);
+    let whole = integrate_imu(imu, times[0], times[1])?;
+    let half = integrate_imu(imu, times[0], middle(0))?;
+    let between = integrate_imu(imu, middle(0), middle(1))?;
+    Some((whole.delta_rotation.inverse() * half.delta_rotation) * between.delta_velocity)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NodeId;
+    use portolan_geometry::{Quaternion, Rigid3, quaternion_from_angle_axis};
+    use portolan_sensor::ImuData;
+
+    #[test]
+    fn both_biases_are_found_on_a_circle() {
+        let (gyroscope, accelerometer) = (Vector3::new(0.01, -0.02, 0.005), Vector3::new(0.06, -0.04, 0.02));
+        let id = TrajectoryId(0);
+        let mut data = OptimizationData::default();
+        let time = |t: f64| Time::from_ticks((t * 1e7).round() as i64);
+        // A circle of 4 m radius in 20 s.
+        let rate = std::f64::consts::TAU / 20.0;
+        let pose = |t: f64| {
+            let position = Vector3::new(4.0 * (rate * t).sin(), 4.0 - 4.0 * (rate * t).cos(), 0.0);
+            Rigid3::from_parts(position.into(), quaternion_from_angle_axis(&(Vector3::z() * (rate * t))))
+        };
+        for i in 0..200 {
+            let t = 0.2 * f64::from(i);
+            let node = OptimizationNode {
+                time: time(t),
+                local_from_node: pose(t),
+                map_from_node: pose(t),
+                gravity_alignment: Quaternion::identity(),
+            };
+            data.nodes.insert(NodeId::new(id, i as u32), node);
+        }
+        for i in -10..8000 {
+            let sample = ImuData {
+                time: time(0.005 * f64::from(i)),
+                linear_acceleration: Vector3::new(0.0, 4.0 * rate * rate, 9.8) + accelerometer,
+                angular_velocity: Vector3::z() * rate + gyroscope,
+            };
+            data.sensors_mut(id).imu.insert(sample.time, sample);
+        }
+        let bias = ImuBias::estimate(&data, id, &OptimizationProblemOptions::default());
+        assert!((bias.gyroscope(time(20.0)) - gyroscope).norm() < 1e-3, "{}", bias.gyroscope(time(20.0)));
+        // Along gravity bias and length of gravity are one.
+        let found = bias.accelerometer;
+        assert!((found - accelerometer).xy().norm() < 0.01, "{found}");
+        let motion = integrate_imu(&data.sensors[&id].imu, time(10.0), time(10.2)).unwrap();
+        let corrected = bias.corrected(&motion, time(10.1), 0.2);
+        assert!(
+            corrected.delta_rotation.angle_to(&quaternion_from_angle_axis(&(Vector3::z() * (0.2 * rate))))
+                < 1e-3
+        );
+        assert_eq!(ImuBias::default().gyroscope(time(1.0)), Vector3::zeros());
+    }
+}

@@ -1,0 +1,243 @@
+//! Where a trajectory lies in a map that it is not connected with yet.
+//!
+//! Scans that are searched in whole submaps are found in wrong places too: one corridor looks like the
+//! next. Each match says where the whole trajectory would lie; wrong ones say something different every
+//! time, right ones agree. So matches wait until enough of them do.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use portolan_geometry::{Rigid3, Vector3, rotation_angle};
+
+use super::PoseGraph;
+use crate::{Constraint, NodeId, Space, TrajectoryId, of_trajectory};
+
+/// Matches agree if the places that they say differ by no more than this, metres and radians: the drift of
+/// a few submaps.
+const MAX_TRANSLATION: f64 = 0.5;
+const MAX_ROTATION: f64 = 0.09;
+/// The winning place needs so many times the matches of any other.
+const LEAD: usize = 2;
+
+/// A match that waits for others to agree.
+#[derive(Clone, Debug)]
+struct WaitingMatch {
+    constraint: Constraint,
+    /// Takes the map frame of the later part to that of the earlier part.
+    earlier_from_later: Rigid3,
+    /// Where it was found, in the map frame of the later part, metres.
+    place_in_later: Vector3,
+}
+
+impl WaitingMatch {
+    fn log(&self) {
+        let at = self.earlier_from_later.translation.vector;
+        let yaw = self.earlier_from_later.rotation.euler_angles().2.to_degrees();
+        let Constraint { node_id, submap_id, .. } = &self.constraint;
+        tracing::debug!(
+            "node {node_id} in submap {submap_id} says that the later part lies at {:.2}, {:.2}, {:.2} m, {yaw:.1} deg",
+            at.x,
+            at.y,
+            at.z,
+        );
+    }
+}
+
+/// Two parts of the map that nothing connects, each named by its first trajectory, the earlier first.
+type Parts = (TrajectoryId, TrajectoryId);
+
+/// Matches that wait.
+#[derive(Clone, Debug, Default)]
+pub(super) struct WaitingMatches {
+    by_parts: BTreeMap<Parts, Vec<WaitingMatch>>,
+}
+
+impl<S: Space> PoseGraph<S> {
+    /// How many matches in whole submaps must agree before they connect trajectories; 1 takes the first.
+    pub fn set_min_agreeing_matches(&mut self, matches: usize) {
+        self.min_agreeing = matches;
+    }
+
+    /// Adds what was found; what would connect trajectories waits until enough of it agrees.
+    pub(super) fn add_found(&mut self, found: Vec<Constraint>) {
+        let is_connected = |graph: &Self, c: &Constraint| {
+            graph.state.connectivity.are_connected(c.node_id.trajectory_id, c.submap_id.trajectory_id)
+        };
+        // Searched in a window, or anywhere: that depends on what was connected when it was searched.
+        let was_connected: Vec<bool> = found.iter().map(|c| is_connected(self, c)).collect();
+        for (constraint, was_connected) in found.into_iter().zip(was_connected) {
+            if was_connected || self.min_agreeing <= 1 {
+                self.take(constraint);
+            } else if is_connected(self, &constraint) {
+                // Its parts have just been put together: there is a place to agree with.
+                if self.fits(&constraint) {
+                    self.take(constraint);
+                }
+            } else {
+                self.wait_for_agreement(constraint);
+            }
+        }
+    }
+
+    fn take(&mut self, constraint: Constraint) {
+        self.connect_by(&constraint);
+        self.state.constraints.push(constraint);
+    }
+
+    fn fits(&self, constraint: &Constraint) -> bool {
+        self.disagreement(constraint)
+            .is_some_and(|(metres, radians)| metres <= MAX_TRANSLATION && radians <= MAX_ROTATION)
+    }
+
+    fn wait_for_agreement(&mut self, constraint: Constraint) {
+        let Some((parts, waiting)) = self.waiting_match(constraint) else { return };
+        waiting.log();
+        let waiting_here = self.waiting.by_parts.entry(parts).or_default();
+        waiting_here.push(waiting);
+        if let Some(agreed) = agreed(waiting_here, self.min_agreeing) {
+            self.waiting.by_parts.remove(&parts);
+            self.connect_parts(parts, agreed);
+        }
+    }
+
+    fn waiting_match(&self, constraint: Constraint) -> Option<(Parts, WaitingMatch)> {
+        let part = |id: TrajectoryId| self.state.connectivity.first_connected(id);
+        let submap_part = part(constraint.submap_id.trajectory_id);
+        let node_part = part(constraint.node_id.trajectory_id);
+        let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
+        let known = self.problem.nodes.get(&constraint.node_id)?.map_from_node;
+        let found = map_from_submap * constraint.submap_from_node;
+        let submap_part_from_node_part = found * known.inverse();
+        let (earlier_from_later, place) = if submap_part < node_part {
+            (submap_part_from_node_part, known)
+        } else {
+            (submap_part_from_node_part.inverse(), found)
+        };
+        let parts = (submap_part.min(node_part), submap_part.max(node_part));
+        let place_in_later = place.translation.vector;
+        Some((parts, WaitingMatch { constraint, earlier_from_later, place_in_later }))
+    }
+
+    /// Puts one part where the matches say it lies in the other, and takes the matches over.
+    fn connect_parts(&mut self, (earlier, later): Parts, agreed: Vec<WaitingMatch>) {
+        let best = agreed.iter().max_by(|a, b| {
+            a.constraint.score.partial_cmp(&b.constraint.score).unwrap_or(std::cmp::Ordering::Equal)
+        });
+        let Some(earlier_from_later) = best.map(|m| m.earlier_from_later) else { return };
+        let holds_still = |graph: &Self, part: TrajectoryId| {
+            graph.state.connectivity.members(part).iter().any(|id| graph.problem.frozen.contains(id))
+        };
+        // The later part moves, unless only that one is frozen.
+        if holds_still(self, later) && !holds_still(self, earlier) {
+            self.move_part(earlier, &earlier_from_later.inverse());
+        } else {
+            self.move_part(later, &earlier_from_later);
+        }
+        for waiting in agreed {
+            self.take(waiting.constraint);
+        }
+    }
+
+    fn move_part(&mut self, part: TrajectoryId, by: &Rigid3) {
+        for id in self.state.connectivity.members(part) {
+            if self.problem.frozen.contains(&id) {
+                continue;
+            }
+            for (_, pose) in self.problem.submaps.iter_mut().filter(|(s, _)| s.trajectory_id == id) {
+                *pose = by * *pose;
+            }
+            let nodes: Vec<NodeId> = of_trajectory(&self.problem.nodes, id).map(|(id, _)| id).collect();
+            for node_id in nodes {
+                if let Some(node) = self.problem.nodes.get_mut(&node_id) {
+                    node.map_from_node = by * node.map_from_node;
+                }
+            }
+        }
+    }
+}
+
+/// The matches that agree with the newest one, if they are enough and clearly more than any others.
+fn agreed(waiting: &mut Vec<WaitingMatch>, needed: usize) -> Option<Vec<WaitingMatch>> {
+    let support = |of: &WaitingMatch| {
+        // One scan that is found in several submaps of a place says it only once.
+        let nodes: BTreeSet<NodeId> =
+            waiting.iter().filter(|m| agree(m, of)).map(|m| m.constraint.node_id).collect();
+        nodes.len()
+    };
+    let newest = waiting.last()?.clone();
+    let own = support(&newest);
+    if own < needed {
+        return None;
+    }
+    let others = waiting.iter().filter(|m| !agree(m, &newest)).map(support).max().unwrap_or(0);
+    if own < LEAD * others {
+        return None;
+    }
+    waiting.retain(|m| agree(m, &newest));
+    Some(std::mem::take(waiting))
+}
+
+/// Compared where the scans lie: far from the origin a small turn moves much.
+fn agree(a: &WaitingMatch, b: &WaitingMatch) -> bool {
+    let place = nalgebra::Point3::from((a.place_in_later + b.place_in_later) / 2.0);
+    let apart = (a.earlier_from_later * place - b.earlier_from_later * place).norm();
+    let turned = rotation_angle(&(a.earlier_from_later.inverse() * b.earlier_from_later));
+    apart <= MAX_TRANSLATION && turned <= MAX_ROTATION
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::{Quaternion, Vector3};
+
+    use super::*;
+    use crate::{ConstraintTag, SubmapId};
+
+    fn at(node: u32, x: f64, yaw: f64) -> WaitingMatch {
+        let constraint = Constraint {
+            submap_id: SubmapId::new(TrajectoryId(0), 0),
+            node_id: NodeId::new(TrajectoryId(1), node),
+            submap_from_node: Rigid3::identity(),
+            translation_weight: 1.0,
+            rotation_weight: 1.0,
+            tag: ConstraintTag::InterSubmap,
+            score: Some(0.7),
+        };
+        let earlier_from_later = Rigid3::from_parts(
+            Vector3::new(x, 0.0, 0.0).into(),
+            Quaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+        );
+        WaitingMatch { constraint, earlier_from_later, place_in_later: Vector3::zeros() }
+    }
+
+    #[test]
+    fn places_that_differ_are_not_believed() {
+        let mut waiting: Vec<WaitingMatch> = (0..6).map(|i| at(i, 3.0 * f64::from(i), 0.0)).collect();
+        assert!(agreed(&mut waiting, 3).is_none());
+        waiting.extend([at(7, 40.0, 0.5), at(8, 40.2, -0.5), at(9, 40.1, 0.5)]);
+        assert!(agreed(&mut waiting, 3).is_none());
+        assert_eq!(waiting.len(), 9);
+    }
+
+    #[test]
+    fn three_that_agree_are_taken_and_the_rest_is_forgotten() {
+        let mut waiting = vec![at(0, 1.0, 0.0), at(1, 50.0, 0.0), at(2, 1.2, 0.02), at(3, 0.9, -0.03)];
+        let taken: Vec<u32> =
+            agreed(&mut waiting, 3).unwrap().iter().map(|m| m.constraint.node_id.index).collect();
+        assert_eq!(taken, [0, 2, 3]);
+        assert!(waiting.is_empty());
+    }
+
+    #[test]
+    fn one_scan_in_three_submaps_counts_once() {
+        let mut waiting = vec![at(4, 1.0, 0.0), at(4, 1.1, 0.0), at(4, 0.9, 0.0)];
+        assert!(agreed(&mut waiting, 3).is_none());
+    }
+
+    #[test]
+    fn two_places_that_look_alike_wait_for_more() {
+        let mut waiting =
+            vec![at(0, 9.0, 0.0), at(1, 9.0, 0.0), at(2, 1.0, 0.0), at(3, 1.0, 0.0), at(5, 1.0, 0.0)];
+        assert!(agreed(&mut waiting, 3).is_none());
+        waiting.push(at(6, 1.0, 0.0));
+        assert_eq!(agreed(&mut waiting, 3).unwrap().len(), 4);
+    }
+}

@@ -1,0 +1,143 @@
+//! The hits in one voxel: how many, their mean and spread, and the plane through them.
+
+use nalgebra as na;
+use portolan_geometry::Point3f;
+
+/// Fewer hits make no plane.
+const MIN_COUNT: u32 = 6;
+/// More hits change nothing: what a place looks like is known by then.
+const MAX_COUNT: u32 = 1000;
+/// A plane is at most this share of the edge of its voxel thick (standard deviation), and this much more.
+const MAX_THICKNESS_SHARE: f32 = 0.04;
+const MAX_THICKNESS: f32 = 0.02;
+/// Hits spread along both directions of a plane at least this many times more than across it, and over
+/// this share of the edge of the voxel.
+const MIN_SPREAD_RATIO: f32 = 3.0;
+const MIN_SPREAD_SHARE: f32 = 0.06;
+
+/// Statistics of the hits in a voxel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SurfaceCell {
+    pub count: u32,
+    /// The number of hits at which the plane is fitted again.
+    next_fit: u32,
+    pub mean: na::Vector3<f32>,
+    /// Sum of outer products of differences from the mean: xx, xy, xz, yy, yz, zz.
+    scatter: [f32; 6],
+    pub normal: na::Vector3<f32>,
+    /// Mean square distance of the hits from the plane; negative where they make none.
+    pub variance: f32,
+}
+
+impl SurfaceCell {
+    pub fn new() -> Self {
+        Self {
+            count: 0,
+            next_fit: MIN_COUNT,
+            mean: na::Vector3::zeros(),
+            scatter: [0.0; 6],
+            normal: na::Vector3::zeros(),
+            variance: -1.0,
+        }
+    }
+
+    pub fn is_plane(&self) -> bool {
+        self.variance >= 0.0
+    }
+
+    /// Counts a hit (Welford's update), and fits the plane anew each time the hits are a third more.
+    pub fn add(&mut self, point: &Point3f, edge: f32) {
+        if self.count >= MAX_COUNT {
+            return;
+        }
+        self.count += 1;
+        let before = point.coords - self.mean;
+        self.mean += before / self.count as f32;
+        let after = point.coords - self.mean;
+        let pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+        for (sum, (i, j)) in self.scatter.iter_mut().zip(pairs) {
+            *sum += before[i] * after[j];
+        }
+        if self.count >= self.next_fit {
+            self.next_fit = self.count + self.count / 3;
+            self.fit(edge);
+        }
+    }
+
+    fn fit(&mut self, edge: f32) {
+        let [xx, xy, xz, yy, yz, zz] = self.scatter.map(|s| f64::from(s) / f64::from(self.count));
+        let covariance = na::Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let (values, normal) = smallest_direction(&covariance);
+        let thickness = MAX_THICKNESS + MAX_THICKNESS_SHARE * edge;
+        let [across, along] = [values[0].max(0.0) as f32, values[1] as f32];
+        let is_flat = across <= thickness * thickness
+            && along >= MIN_SPREAD_RATIO * MIN_SPREAD_RATIO * across
+            && along >= (MIN_SPREAD_SHARE * edge) * (MIN_SPREAD_SHARE * edge);
+        self.variance = if is_flat { across } else { -1.0 };
+        self.normal = normal.cast();
+    }
+}
+
+/// Eigenvalues of a symmetric matrix in ascending order, and the eigenvector of the first (Smith,
+/// "Eigenvalues of a symmetric 3 × 3 matrix", 1961).
+pub(super) fn smallest_direction(m: &na::Matrix3<f64>) -> ([f64; 3], na::Vector3<f64>) {
+    let third = m.trace() / 3.0;
+    let centered = m - na::Matrix3::from_diagonal_element(third);
+    let spread = (centered.norm_squared() / 6.0).sqrt();
+    if spread <= f64::EPSILON * third.abs() || !spread.is_finite() {
+        return ([third; 3], na::Vector3::z());
+    }
+    let angle = ((centered / spread).determinant() / 2.0).clamp(-1.0, 1.0).acos() / 3.0;
+    let largest = third + 2.0 * spread * angle.cos();
+    let smallest = third + 2.0 * spread * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos();
+    let values = [smallest, 3.0 * third - largest - smallest, largest];
+    // Rows of m − λ are at right angles to the eigenvector: the longest of their products is the best.
+    let shifted = m - na::Matrix3::from_diagonal_element(smallest);
+    let rows = [0, 1, 2].map(|i| shifted.row(i).transpose());
+    let candidates = [rows[0].cross(&rows[1]), rows[1].cross(&rows[2]), rows[2].cross(&rows[0])];
+    let mut best = candidates[0];
+    for candidate in &candidates[1..] {
+        if candidate.norm_squared() > best.norm_squared() {
+            best = *candidate;
+        }
+    }
+    (values, best.try_normalize(0.0).unwrap_or_else(na::Vector3::z))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_smallest_direction_is_an_eigenvector(entries in prop::array::uniform6(-2.0..2.0f64)) {
+            let [a, b, c, d, e, f] = entries;
+            let root = na::Matrix3::new(a, b, c, 0.0, d, e, 0.0, 0.0, f);
+            let m = root.transpose() * root;
+            let (values, vector) = smallest_direction(&m);
+            prop_assert!(values[0] <= values[1] + 1e-9 && values[1] <= values[2] + 1e-9);
+            prop_assert!((values.iter().sum::<f64>() - m.trace()).abs() < 1e-9);
+            if values[1] - values[0] > 1e-2 {
+                prop_assert!((m * vector - vector * values[0]).norm() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn flat_hits_make_a_plane_and_others_do_not() {
+        let mut flat = SurfaceCell::new();
+        let mut line = SurfaceCell::new();
+        let mut corner = SurfaceCell::new();
+        for i in 0..60 {
+            let (u, v) = ((i % 8) as f32 * 0.1, (i / 8) as f32 * 0.1);
+            let noise = [0.01, -0.01, 0.0][i % 3];
+            flat.add(&Point3f::new(u, v, 0.3 + noise), 1.0);
+            line.add(&Point3f::new(0.1 * (i % 10) as f32, noise, 0.3), 1.0);
+            corner.add(&if i % 2 == 0 { Point3f::new(u, v, 0.0) } else { Point3f::new(0.0, v, u) }, 1.0);
+        }
+        assert!(flat.is_plane() && flat.normal.z.abs() > 0.999 && flat.variance < 2e-4);
+        assert!((flat.mean.z - 0.3).abs() < 1e-3);
+        assert!(!line.is_plane() && !corner.is_plane());
+    }
+}

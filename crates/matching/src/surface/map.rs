@@ -1,0 +1,213 @@
+//! A map of planes: voxels of three sizes, of which the largest flat one counts.
+
+use nalgebra as na;
+use portolan_geometry::Point3f;
+
+use super::cell::SurfaceCell;
+use crate::grid::{HybridGrid, LeafIndex};
+
+/// Sizes of voxels, each half of the one before.
+const LEVELS: u32 = 3;
+/// Voxels reach this far from the origin along each axis.
+const MAX_INDEX: i32 = 1 << 10;
+/// Once so many hits make a plane, no smaller voxels are kept there.
+const SETTLED: u32 = 100;
+/// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
+const OFFSET: f32 = 0.37;
+/// Cells of a grid count as surface from this probability on.
+const MIN_PROBABILITY: f32 = 0.6;
+
+/// A piece of surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    /// A point on it, metres.
+    pub point: na::Vector3<f32>,
+    /// Unit length, to either side.
+    pub normal: na::Vector3<f32>,
+    /// Mean square distance of the hits from it, m².
+    pub variance: f32,
+}
+
+/// Surfaces near the origin of a frame.
+#[derive(Clone, Debug)]
+pub struct SurfaceMap {
+    edge: f32,
+    index: LeafIndex,
+    cells: Vec<SurfaceCell>,
+}
+
+impl SurfaceMap {
+    /// An empty map whose largest voxels have an edge of `edge` metres (at least a millimetre).
+    pub fn new(edge: f32) -> Self {
+        let edge = if edge.is_finite() { edge.max(1e-3) } else { 1.0 };
+        Self { edge, index: LeafIndex::with_capacity(0), cells: Vec::new() }
+    }
+
+    /// Surfaces as far as the occupied cells of a grid tell, for maps from files, which keep no others.
+    pub fn from_grid(grid: &HybridGrid, edge: f32) -> Self {
+        let mut map = Self::new(edge);
+        grid.for_each_cell(|cell, _| {
+            if grid.probability(cell) >= MIN_PROBABILITY {
+                map.insert(&grid.cell_center(cell));
+            }
+        });
+        map
+    }
+
+    /// Edge of the largest voxels, metres.
+    pub fn edge(&self) -> f32 {
+        self.edge
+    }
+
+    /// Memory taken, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.index.memory_bytes() + self.cells.capacity() * size_of::<SurfaceCell>()
+    }
+
+    /// Adds a hit (metres, in the frame of the map). One that is not finite or far away changes nothing.
+    pub fn insert(&mut self, point: &Point3f) {
+        for level in 0..LEVELS {
+            let Some(key) = self.key(point, level) else { return };
+            let number = match self.index.get(key) {
+                Some(number) => number,
+                None => {
+                    self.index.insert(key, self.cells.len());
+                    self.cells.push(SurfaceCell::new());
+                    self.cells.len() - 1
+                }
+            };
+            let cell = &mut self.cells[number];
+            cell.add(point, self.edge / (1 << level) as f32);
+            if cell.count > SETTLED && cell.is_plane() {
+                return;
+            }
+        }
+    }
+
+    /// The plane near a place: that of the largest flat voxel around it, or of the neighbour across the
+    /// nearest side of the largest voxel.
+    #[inline]
+    pub fn plane_near(&self, place: &Point3f) -> Option<Plane> {
+        self.plane_around(place).or_else(|| {
+            let scaled = (place / self.edge).coords.map(|v| v + OFFSET);
+            let to_side = scaled.map(|v| v - v.floor() - 0.5);
+            let axis = to_side.iamax();
+            let mut across = *place;
+            across[axis] += to_side[axis].signum() * (0.51 - to_side[axis].abs()) * self.edge;
+            self.plane_around(&across)
+        })
+    }
+
+    #[inline]
+    fn plane_around(&self, place: &Point3f) -> Option<Plane> {
+        for level in 0..LEVELS {
+            let cell = &self.cells[self.index.get(self.key(place, level)?)?];
+            if cell.is_plane() {
+                return Some(Plane { point: cell.mean, normal: cell.normal, variance: cell.variance });
+            }
+        }
+        None
+    }
+
+    /// The same map with nothing but its planes, for submaps that are finished.
+    #[must_use]
+    pub fn compacted(&self) -> Self {
+        let number_of = |(key, number): (u64, usize)| self.cells[number].is_plane().then_some((number, key));
+        let mut kept: Vec<(usize, u64)> = self.index.iter().filter_map(number_of).collect();
+        kept.sort_unstable();
+        let mut compacted = Self {
+            edge: self.edge,
+            index: LeafIndex::with_capacity(kept.len()),
+            cells: Vec::with_capacity(kept.len()),
+        };
+        for (number, key) in kept {
+            compacted.index.insert(key, compacted.cells.len());
+            compacted.cells.push(self.cells[number]);
+        }
+        compacted
+    }
+
+    /// All planes that count with their number of hits, in the order in which their places were first
+    /// seen.
+    pub fn planes(&self) -> impl Iterator<Item = (Plane, u32)> + '_ {
+        let cells = self.cells.iter().filter(|cell| cell.is_plane());
+        cells.map(|c| (Plane { point: c.mean, normal: c.normal, variance: c.variance }, c.count))
+    }
+
+    /// 11 bits per axis and two for the size; smaller voxels lie wholly inside of larger ones.
+    #[inline]
+    fn key(&self, point: &Point3f, level: u32) -> Option<u64> {
+        let parts = (1 << level) as f32;
+        let cell = [point.x, point.y, point.z].map(|v| ((v / self.edge + OFFSET) * parts).floor());
+        let bound = MAX_INDEX as f32;
+        if !cell.iter().all(|v| v.abs() < bound) {
+            return None;
+        }
+        let [x, y, z] = cell.map(|v| (v as i32 + MAX_INDEX) as u64);
+        let level = u64::from(level);
+        Some((x | (level & 1) << 11) | (y | (level >> 1) << 11) << 12 | z << 24)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Hits on a floor at `height` and a wall at x = 2.
+    fn room(height: f32) -> SurfaceMap {
+        let mut map = SurfaceMap::new(1.0);
+        for i in 0..80 {
+            for j in 0..80 {
+                let (u, v) = (0.05 * i as f32 - 2.0, 0.05 * j as f32 - 2.0);
+                let noise = 0.01 * (((i * 7 + j * 3) % 5) as f32 - 2.0);
+                map.insert(&Point3f::new(u, v, height + noise));
+                map.insert(&Point3f::new(2.0 + noise, u, height + 2.0 + v));
+            }
+        }
+        map
+    }
+
+    #[test]
+    fn floors_and_walls_are_planes() {
+        let map = room(-1.2);
+        let floor = map.plane_near(&Point3f::new(0.3, 0.4, -1.1)).unwrap();
+        assert!(floor.normal.z.abs() > 0.999 && (floor.point.z + 1.2).abs() < 0.005, "{floor:?}");
+        let wall = map.plane_near(&Point3f::new(2.05, 0.4, 0.5)).unwrap();
+        assert!(wall.normal.x.abs() > 0.999 && (wall.point.x - 2.0).abs() < 0.005, "{wall:?}");
+        assert_eq!(map.plane_near(&Point3f::new(-1.0, 0.0, 0.8)), None);
+        assert_eq!(map.plane_near(&Point3f::new(f32::NAN, 0.0, 1e30)), None);
+        let compacted = map.compacted();
+        assert!(compacted.cells.len() < map.cells.len());
+        assert_eq!(compacted.plane_near(&Point3f::new(0.3, 0.4, -1.1)), Some(floor));
+    }
+
+    #[test]
+    fn the_corner_is_made_of_smaller_planes() {
+        let map = room(-1.2);
+        let near = map.plane_near(&Point3f::new(1.7, 0.4, -1.19)).unwrap();
+        assert!(near.normal.z.abs() > 0.9, "{near:?}");
+    }
+
+    #[test]
+    fn what_is_far_or_no_number_is_left_out() {
+        let mut map = SurfaceMap::new(f32::NAN);
+        for v in [f32::NAN, f32::INFINITY, 1e30, -1e7] {
+            map.insert(&Point3f::new(v, 0.0, 0.0));
+        }
+        assert_eq!(map.planes().count(), 0);
+        assert!(map.cells.is_empty() && map.edge() == 1.0);
+    }
+
+    #[test]
+    fn grids_from_files_have_surfaces_too() {
+        let mut grid = HybridGrid::new(0.1).unwrap();
+        for x in -20..20 {
+            for y in -20..20 {
+                grid.set_probability([x, y, -7], 0.8);
+                grid.set_probability([x, y, -6], 0.3);
+            }
+        }
+        let floor = SurfaceMap::from_grid(&grid, 1.0).plane_near(&Point3f::new(0.4, 0.4, -0.68)).unwrap();
+        assert!(floor.normal.z.abs() > 0.999 && (floor.point.z + 0.7).abs() < 1e-3);
+    }
+}

@@ -1,0 +1,74 @@
+use super::*;
+use crate::testing::Lcg;
+
+/// Hits on the walls of a room, 8 m long, 5 m wide and 3 m high, with some noise.
+fn room(lcg: &mut Lcg, with_ends: bool, noise: f32) -> Vec<Point3f> {
+    let mut points = Vec::new();
+    for _ in 0..3000 {
+        let (u, v) = (lcg.symmetric(4.0), lcg.symmetric(2.5));
+        let mut n = || lcg.symmetric(noise);
+        points.push(Point3f::new(u, v, -1.0 + n()));
+        points.push(Point3f::new(u, v, 2.0 + n()));
+        points.push(Point3f::new(u, 2.5 + n(), 0.5 + 0.6 * v));
+        points.push(Point3f::new(u, -2.5 + n(), 0.5 + 0.6 * v));
+        if with_ends {
+            points.push(Point3f::new(4.0 + n(), v, 0.5 + 0.37 * u));
+            points.push(Point3f::new(-4.0 + n(), v, 0.5 + 0.37 * u));
+        }
+    }
+    points
+}
+
+fn surfaces(points: &[Point3f]) -> SurfaceMap {
+    let mut map = SurfaceMap::new(1.0);
+    points.iter().for_each(|p| map.insert(p));
+    map
+}
+
+fn seen_from(points: &[Point3f], pose: &Rigid3) -> Vec<Point3f> {
+    points.iter().step_by(7).map(|p| to_f32(&pose.inverse()) * p).collect()
+}
+
+#[test]
+fn a_scan_is_found_to_millimetres() {
+    let mut lcg = Lcg::new(5);
+    let map = surfaces(&room(&mut lcg, true, 0.03));
+    let expected = Rigid3::new(Vector3::new(0.4, -0.3, 0.1), Vector3::new(0.03, -0.02, 0.5));
+    let scan = seen_from(&room(&mut lcg, true, 0.03), &expected);
+    let initial = Rigid3::new(Vector3::new(0.25, -0.2, 0.0), Vector3::new(0.0, 0.0, 0.45));
+    let prior = PosePrior { pose: initial, translation_sigma: 0.1, rotation_sigma: 0.1 };
+    let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
+    let found = matcher.match_scan(&map, &scan, &initial, &prior, 0.3).unwrap();
+    let error = expected.inverse() * found.pose;
+    assert!(error.translation.vector.norm() < 0.003, "{error}");
+    assert!(error.rotation.angle() < 0.001, "{error}");
+    assert!(found.weak.is_empty() && found.matched_share > 0.9 && found.rms < 0.03, "{found:?}");
+}
+
+#[test]
+fn along_a_bare_corridor_the_prior_decides() {
+    let mut lcg = Lcg::new(6);
+    let map = surfaces(&room(&mut lcg, false, 0.02));
+    let expected = Rigid3::translation(0.3, 0.1, 0.0);
+    let scan = seen_from(&room(&mut lcg, false, 0.02), &expected);
+    let initial = Rigid3::translation(0.2, 0.0, 0.05);
+    let prior = PosePrior { pose: initial, translation_sigma: 0.1, rotation_sigma: 0.1 };
+    let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
+    let found = matcher.match_scan(&map, &scan, &initial, &prior, 0.3).unwrap();
+    assert_eq!(found.weak.translations.len(), 1);
+    assert!(found.weak.translations[0].x.abs() > 0.99 && found.weak.rotations.is_empty());
+    let translation = found.pose.translation.vector;
+    assert!((translation.y - 0.1).abs() < 0.005 && translation.z.abs() < 0.005, "{translation}");
+    assert!((translation.x - 0.2).abs() < 0.03, "{translation}");
+}
+
+#[test]
+fn nothing_near_is_no_match() {
+    let map = surfaces(&room(&mut Lcg::new(7), true, 0.01));
+    let far = Rigid3::translation(100.0, 0.0, 0.0);
+    let prior = PosePrior { pose: far, translation_sigma: 0.1, rotation_sigma: 0.1 };
+    let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
+    let points = [Point3f::origin(); 100];
+    assert_eq!(matcher.match_scan(&map, &points, &far, &prior, 0.3), None);
+    assert_eq!(matcher.match_scan(&map, &[], &Rigid3::identity(), &prior, 0.3), None);
+}

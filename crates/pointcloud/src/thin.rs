@@ -1,0 +1,173 @@
+//! One point for each voxel, however many points there are.
+//!
+//! Cells gather in memory until there are [`CELLS_IN_MEMORY`] of them; then they are sorted, written to a
+//! temporary file as a run, and forgotten. At the end all runs are merged in order of their cells. Memory is
+//! independent of the number of points and of the size of the cloud; the disk holds 60 bytes for each cell of
+//! each run. The same points in the same order give the same cloud.
+
+mod runs;
+
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+
+use crate::error::CloudError;
+use runs::{Cell, Runs};
+
+/// Cells that are held in memory at most: about 150 MB.
+pub const CELLS_IN_MEMORY: usize = 1 << 20;
+
+/// Which voxel, in voxels from the origin along x, y and z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+struct Key(i32, i32, i32);
+
+/// The points of a voxel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VoxelPoint {
+    /// Mean position, metres.
+    pub position: [f64; 3],
+    /// Mean intensity.
+    pub intensity: f32,
+    /// Mean time, in the seconds of the points.
+    pub time: f64,
+    /// How many points it stands for.
+    pub count: u64,
+}
+
+/// Gathers points in voxels.
+pub struct VoxelThinner {
+    voxel_size: f64,
+    cells_in_memory: usize,
+    cells: HashMap<Key, Cell, BuildHasherDefault<KeyHasher>>,
+    runs: Runs,
+    /// Times are summed up relative to the first, so that no digits are lost.
+    first_time: Option<f64>,
+    not_finite: u64,
+}
+
+impl VoxelThinner {
+    /// No points yet; `voxel_size` in metres.
+    ///
+    /// # Errors
+    /// Fails if the size is not 0.1 mm to 1 km.
+    pub fn new(voxel_size: f64) -> Result<Self, CloudError> {
+        Self::with_memory(voxel_size, CELLS_IN_MEMORY)
+    }
+
+    /// As [`VoxelThinner::new`], holding so many cells in memory at most.
+    ///
+    /// # Errors
+    /// Fails if the size is not 0.1 mm to 1 km.
+    pub fn with_memory(voxel_size: f64, cells_in_memory: usize) -> Result<Self, CloudError> {
+        if !(1e-4..=1e3).contains(&voxel_size) {
+            return Err(CloudError::VoxelSize(voxel_size));
+        }
+        Ok(Self {
+            voxel_size,
+            cells_in_memory: cells_in_memory.max(1),
+            cells: HashMap::default(),
+            runs: Runs::default(),
+            first_time: None,
+            not_finite: 0,
+        })
+    }
+
+    /// Adds a point; one that is not finite or farther than two thousand million voxels is only counted.
+    ///
+    /// # Errors
+    /// Fails if the temporary file cannot be written.
+    #[inline]
+    pub fn add(&mut self, position: [f64; 3], intensity: f32, time: f64) -> Result<(), CloudError> {
+        let scaled = position.map(|v| v / self.voxel_size);
+        if !scaled.iter().all(|v| v.abs() < 2e9) || !time.is_finite() {
+            self.not_finite += 1;
+            return Ok(());
+        }
+        let [x, y, z] = scaled.map(f64::floor);
+        let key = Key(x as i32, y as i32, z as i32);
+        let first_time = *self.first_time.get_or_insert(time);
+        let within = [scaled[0] - x, scaled[1] - y, scaled[2] - z];
+        self.cells.entry(key).or_default().add(within, intensity, time - first_time);
+        if self.cells.len() >= self.cells_in_memory { self.spill() } else { Ok(()) }
+    }
+
+    fn spill(&mut self) -> Result<(), CloudError> {
+        let cells = sorted(&mut self.cells);
+        self.runs.write(&cells)
+    }
+
+    /// Ends the gathering.
+    ///
+    /// # Errors
+    /// Fails if the temporary file cannot be written.
+    pub fn finish(mut self) -> Result<ThinnedCloud, CloudError> {
+        if !self.runs.is_empty() {
+            self.spill()?;
+        }
+        let cells = sorted(&mut self.cells);
+        let Self { voxel_size, runs, first_time, not_finite, .. } = self;
+        Ok(ThinnedCloud { voxel_size, cells, runs, first_time: first_time.unwrap_or(0.0), not_finite })
+    }
+}
+
+fn sorted(cells: &mut HashMap<Key, Cell, BuildHasherDefault<KeyHasher>>) -> Vec<(Key, Cell)> {
+    let mut sorted: Vec<(Key, Cell)> = cells.drain().collect();
+    sorted.sort_unstable_by_key(|(key, _)| *key);
+    sorted
+}
+
+/// A cloud with one point for each voxel, to be read as often as needed.
+pub struct ThinnedCloud {
+    voxel_size: f64,
+    /// All cells, if they fit in memory; otherwise none.
+    cells: Vec<(Key, Cell)>,
+    runs: Runs,
+    first_time: f64,
+    not_finite: u64,
+}
+
+impl ThinnedCloud {
+    /// Points that were left out because their values are not numbers.
+    pub fn not_finite(&self) -> u64 {
+        self.not_finite
+    }
+
+    /// Visits all voxels in ascending order of x, then y, then z; an error of `visit` ends that.
+    ///
+    /// # Errors
+    /// Fails if the temporary file cannot be read, or as `visit` does.
+    pub fn for_each(
+        &mut self,
+        visit: &mut dyn FnMut(&VoxelPoint) -> Result<(), CloudError>,
+    ) -> Result<(), CloudError> {
+        let (size, first_time) = (self.voxel_size, self.first_time);
+        let mut each = |key: &Key, cell: &Cell| visit(&cell.point(*key, size, first_time));
+        if self.runs.is_empty() {
+            return self.cells.iter().try_for_each(|(key, cell)| each(key, cell));
+        }
+        self.runs.merge(&mut each)
+    }
+}
+
+/// Multiplies and folds; the default hasher takes as long as everything else together.
+#[derive(Default)]
+struct KeyHasher(u64);
+
+impl Hasher for KeyHasher {
+    fn finish(&self) -> u64 {
+        self.0 ^ (self.0 >> 32)
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            self.write_i32(i32::from(*byte));
+        }
+    }
+
+    fn write_i32(&mut self, value: i32) {
+        let mixed = self.0.rotate_left(21) ^ u64::from(value.cast_unsigned());
+        self.0 = mixed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    }
+}
+
+#[cfg(test)]
+mod tests;
