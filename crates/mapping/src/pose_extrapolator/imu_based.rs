@@ -60,6 +60,10 @@ impl ImuBasedExtrapolator {
 
     /// Takes a pose that is newer than all others.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: Rigid3) {
+        if self.poses.back().is_some_and(|(last, _)| *last == time) {
+            // Between two nodes at one time no motion could be fitted.
+            self.poses.pop_back();
+        }
         self.poses.push_back((time, local_from_tracking));
         let oldest_needed = time - Duration::from_seconds(self.options.pose_queue_duration);
         while self.poses.len() > 3 && self.poses.get(1).is_some_and(|(second, _)| *second <= oldest_needed) {

@@ -18,7 +18,7 @@ mod surroundings;
 const MAX_STEPS: i32 = 64;
 /// At most this many times a point is looked up, which takes about two seconds. A window that would take more
 /// is cut, the wider one of shifts and rotations first.
-const MAX_LOOKUPS: f64 = 4e8;
+const MAX_LOOKUPS: f64 = 1e8;
 /// After so many points it is checked whether a rotation can still be the best.
 const POINTS_PER_CHECK: usize = 16;
 

@@ -137,6 +137,9 @@ fn try_all(chosen: impl Fn(&str) -> bool) {
                 if doc.path.contains("trajectory_builder_3d.real_time") {
                     options.set("trajectory_builder_3d.use_online_correlative_scan_matching=true").unwrap();
                 }
+                if doc.path.contains(".imu_based.") {
+                    options.set("trajectory_builder_3d.pose_extrapolator.use_imu_based=true").unwrap();
+                }
                 if options.set(&format!("{}={value}", doc.path)).is_err() || options.validate().is_err() {
                     refused += 1;
                     continue;

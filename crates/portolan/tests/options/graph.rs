@@ -7,14 +7,14 @@ use portolan::RequestedOptions;
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, Vector3, rotation_angle};
 use portolan::mapping::{
-    Constraint, ConstraintTag, Mapper, MapperSettings, MatchedPose, NodeData, NodeId, Planar, PoseGraph,
-    SearchCounts, SearchRegion, Space, Submap2d, SubmapId, TrajectoryId,
+    Constraint, ConstraintTag, InitialTrajectoryPose, Map, Mapper, MapperSettings, MatchedPose, NodeData,
+    NodeId, Planar, PoseGraph, SearchCounts, SearchRegion, Space, Submap2d, SubmapId, TrajectoryId,
 };
 use portolan::sensor::{Measurement, PointCloud, SensorKind};
 
 use crate::effect::{Effect, check, effects};
 use crate::run::{Run, mapper, run, sensor, trajectory};
-use crate::world::{distance, odometry, on_circle, planar_scan, pose};
+use crate::world::{at, distance, odometry, on_circle, planar_scan, pose};
 
 fn base() -> Options {
     let mut options = Options::for_2d();
@@ -50,17 +50,40 @@ fn searches(options: &Options) -> SearchCounts {
     lap(options).map.graph.search_counts()
 }
 
-/// The same lap twice, as two trajectories that nothing relates.
-fn two_laps(options: &Options) -> SearchCounts {
+/// The same lap twice, as two trajectories; the second may be told where it starts.
+fn two_laps(options: &Options, is_told: bool) -> Map<Planar> {
     let mut mapper = mapper::<Planar>(options);
-    for _ in 0..2 {
-        let id = trajectory(&mut mapper, &[SensorKind::Range, SensorKind::Odometry]);
+    let sensors = [SensorKind::Range, SensorKind::Odometry].map(sensor).into_iter().collect();
+    for lap in 0..2 {
+        let start = (lap == 1 && is_told).then(|| InitialTrajectoryPose {
+            to_trajectory_id: TrajectoryId(0),
+            relative_pose: Rigid3::identity(),
+            time: at(0.0),
+        });
+        let id = mapper.add_trajectory(&sensors, start).unwrap();
         for measurement in laps(14) {
             mapper.add(id, &sensor(measurement.kind()), measurement).unwrap();
         }
         mapper.finish_trajectory(id).unwrap();
     }
-    mapper.finish().unwrap().0.graph.search_counts()
+    mapper.finish().unwrap().0
+}
+
+fn searches_of_two(options: &Options) -> SearchCounts {
+    two_laps(options, false).graph.search_counts()
+}
+
+/// Searches in whole submaps although it is known where the second lap started.
+fn whole_searches_of_told(options: &Options) -> f64 {
+    two_laps(options, true).graph.search_counts().whole_submap_searched as f64
+}
+
+/// Constraints that tie the two laps together.
+fn ties(options: &Options) -> f64 {
+    let map = two_laps(options, false);
+    let constraints = &map.graph.state().constraints;
+    let ties = constraints.iter().filter(|c| c.node_id.trajectory_id != c.submap_id.trajectory_id);
+    ties.count() as f64
 }
 
 fn weights_of(run: &Run<Planar>, tag: ConstraintTag) -> [f64; 2] {
@@ -168,7 +191,7 @@ fn loops_after_final_optimization(options: &Options) -> f64 {
         let place = Rigid3::translation(0.3 * f64::from(index), 0.0, 0.0);
         let mut data = data.clone();
         data.local_from_tracking = place;
-        data.time = crate::world::at(f64::from(index));
+        data.time = at(f64::from(index));
         graph.load_node(node_id, Arc::new(data), place);
         let wrong = if index == 5 { Vector3::new(3.0, 0.0, 0.0) } else { Vector3::zeros() };
         let constraint = |tag, score, offset: Vector3| Constraint {
@@ -226,12 +249,16 @@ fn search() -> Vec<Effect> {
         "constraint_builder.sampling_ratio", "0.1" => "1", Rises, |o| searches(o).window_searched as f64;
         "constraint_builder.max_constraint_distance", "0.5" => "15", Rises, |o| searches(o).window_searched as f64;
         "constraint_builder.min_score", "0.1" => "0.99", Falls, |o| searches(o).window_found as f64;
-        "constraint_builder.global_localization_min_score", "0.1" => "0.99", Falls, |o| two_laps(o).whole_submap_found as f64,
+        "constraint_builder.global_localization_min_score", "0.1" => "0.99", Falls, |o| searches_of_two(o).whole_submap_found as f64,
             ["pose_graph.global_sampling_ratio=0.2", "pose_graph.global_constraint_search_after_n_seconds=0"];
-        "pose_graph.global_sampling_ratio", "0" => "0.3", Rises, |o| two_laps(o).whole_submap_searched as f64,
+        "pose_graph.global_sampling_ratio", "0" => "0.3", Rises, |o| searches_of_two(o).whole_submap_searched as f64,
             ["pose_graph.global_constraint_search_after_n_seconds=0"];
-        "pose_graph.global_constraint_search_after_n_seconds", "0" => "100000", Falls, |o| two_laps(o).whole_submap_searched as f64,
+        "pose_graph.global_constraint_search_after_n_seconds", "0" => "100000", Falls, whole_searches_of_told,
             ["pose_graph.global_sampling_ratio=0.2"];
+        "portolan.global_localization_min_matches", "1" => "1000", Falls, ties,
+            ["pose_graph.global_sampling_ratio=0.3", "constraint_builder.global_localization_min_score=0.1"];
+        "portolan.min_loop_closure_searches", "0" => "200", Rises, |o| searches(o).window_searched as f64,
+            ["constraint_builder.sampling_ratio=0.05"];
         "loop_closure_translation_weight", "100" => "1000", Rises, |o| weights_of(&lap(o), ConstraintTag::InterSubmap)[0],
             ["constraint_builder.min_score=0.1"];
         "loop_closure_rotation_weight", "100" => "1000", Rises, |o| weights_of(&lap(o), ConstraintTag::InterSubmap)[1],
