@@ -26,7 +26,8 @@ fn office(folder: &Path, seconds: &str) -> String {
 }
 
 fn map_info(map: &str) -> serde_json::Value {
-    serde_json::from_str(&portolan_with_code(0, &["info", "--json", map]).stdout).unwrap()
+    let run = portolan_with_code(0, &["info", "--json", map]);
+    serde_json::from_str::<serde_json::Value>(&run.stdout).unwrap()[0].take()
 }
 
 fn walk() -> Walk {
@@ -87,7 +88,9 @@ fn a_recording_is_found_in_a_frozen_map_that_stays_as_it_was() {
     assert!(walk.error_of_both(&output) < 0.3, "{}", walk.error_of_both(&output));
     let before = map_info(&walk.known_map);
     let after = map_info(&text(&output.join("map.pbstream")));
-    assert_eq!(before["trajectories"][0], after["trajectories"][0]);
+    for figure in ["nodes", "submaps", "path_length", "start_time", "duration"] {
+        assert_eq!(before["trajectories"][0][figure], after["trajectories"][0][figure], "{figure}");
+    }
     assert_eq!(after["trajectories"].as_array().unwrap().len(), 2);
 }
 
