@@ -58,7 +58,9 @@ impl Joints {
         let is_near = |i: usize| poses[i + 1].0.seconds_since(poses[i].0) <= longest;
         let departures: Vec<(f64, f64)> = (0..poses.len().saturating_sub(1))
             .map(|i| {
-                let Some(expected) = expected(i).filter(|_| is_near(i)) else { return (0.0, 0.0) };
+                let Some(expected) = expected(i).filter(|_| (i - 1..=i + 1).all(is_near)) else {
+                    return (0.0, 0.0);
+                };
                 let departure = expected.inverse() * (poses[i].1.inverse() * poses[i + 1].1);
                 (departure.translation.vector.norm(), departure.rotation.angle())
             })
