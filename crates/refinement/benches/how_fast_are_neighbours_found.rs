@@ -80,7 +80,8 @@ fn main() {
         let (map, build) = timed(|| {
             // About ten points in each voxel that has any.
             let mut map = VoxelMap::new((10.0 * 60_000.0 / count as f32).sqrt().clamp(0.05, 1.0));
-            points.iter().for_each(|p| drop(map.insert(*p)));
+            let added = points.iter().filter(|p| map.insert(**p).is_some()).count();
+            assert_eq!(added, count);
             map
         });
         let nearest = |q: &[f32; 3]| {
