@@ -23,6 +23,19 @@ pub fn area(text: &str) -> Result<MapArea, String> {
     Err(format!("the rectangle {text} is empty"))
 }
 
+/// Threads: more than the largest machines have cores would only stand in each other's way.
+pub fn threads(text: &str) -> Result<usize, String> {
+    let most = 256;
+    let number = text.parse::<usize>().ok().filter(|n| *n <= most);
+    number.ok_or_else(|| format!("expected 0 to {most} threads, not \"{text}\""))
+}
+
+/// A length of time in seconds.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0);
+    seconds.ok_or_else(|| format!("expected seconds, 0 or more, not \"{text}\""))
+}
+
 /// x, y, yaw: metres and degrees.
 pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
     let [x, y, yaw] = numbers::<3>(text, "X,Y,YAW")?;
@@ -50,6 +63,12 @@ pub fn frozen_trajectories(text: &str) -> Result<FrozenTrajectories, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_that_cannot_be_are_refused() {
+        assert_eq!((threads("0"), threads("256"), seconds("1.5")), (Ok(0), Ok(256), Ok(1.5)));
+        assert!(threads("100000").is_err() && seconds("nan").is_err() && seconds("-1").is_err());
+    }
 
     #[test]
     fn ids_and_areas() {
