@@ -54,7 +54,7 @@ pub struct RefineArgs {
     #[arg(long, value_name = "MAP.pbstream")]
     map: Option<PathBuf>,
     /// Which trajectory of the map.
-    #[arg(long, value_name = "ID", default_value_t = 0, requires = "map")]
+    #[arg(long, value_name = "ID", default_value_t = 0)]
     trajectory_id: i32,
     /// Times of KITTI poses, one a line.
     #[arg(long, value_name = "FILE")]
@@ -237,8 +237,11 @@ impl TuningArgs {
 }
 
 impl RefineArgs {
-    /// Options of the other method would be ignored without a word.
-    fn check_method(&self) -> Result<(), CliError> {
+    /// Options that would be ignored without a word are refused.
+    fn check_options(&self) -> Result<(), CliError> {
+        if self.trajectory_id != 0 && self.map.is_none() {
+            return Err(CliError::Usage("--trajectory-id is for --map only".to_owned()));
+        }
         let (s, t) = (&self.semi_rigid, &self.tuning);
         let given = |options: &[(&'static str, bool)]| options.iter().find(|o| o.1).map(|o| o.0);
         let (other, method) = match self.method {
@@ -279,7 +282,7 @@ impl RefineArgs {
 pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let start = Instant::now();
     interrupt::watch();
-    args.check_method()?;
+    args.check_options()?;
     let input = read_input(args, global)?;
     if args.output.exists() && !args.output.is_dir() {
         return Err(CliError::Usage(format!("-o {} is no folder", args.output.display())));
