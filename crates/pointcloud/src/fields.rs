@@ -4,20 +4,31 @@ use crate::cloud::{Attributes, PointCloud};
 
 /// How a number is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Scalar {
+pub enum Scalar {
+    /// One byte with a sign.
     I8,
+    /// One byte.
     U8,
+    /// Two bytes with a sign.
     I16,
+    /// Two bytes.
     U16,
+    /// Four bytes with a sign.
     I32,
+    /// Four bytes.
     U32,
+    /// Eight bytes with a sign.
     I64,
+    /// Eight bytes.
     U64,
+    /// Single precision.
     F32,
+    /// Double precision.
     F64,
 }
 
 impl Scalar {
+    /// How many bytes it takes.
     pub fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,

@@ -42,15 +42,18 @@ mod las;
 mod output;
 mod pcd;
 mod ply;
+mod ply_header;
 mod thin;
 mod uos;
 mod xyz;
 
 pub use cloud::{Attributes, PointCloud, Positions};
 pub use error::{CloudError, Repair};
+pub use fields::Scalar;
 pub use format::{
     CloudFormat, CloudReader, CloudWriter, Encoding, Precision, WriteOptions, Written, create, open,
 };
+pub use ply_header::{PlyElement, PlyHeader, PlyHeaderError, PlyHeaderLines, PlyProperty, PlyStorage};
 pub use thin::{CELLS_IN_MEMORY, ThinnedCloud, VoxelPoint, VoxelThinner};
 pub use uos::{UosFolder, UosFrame, UosScan, uos_frames_text, uos_pose_text};
 

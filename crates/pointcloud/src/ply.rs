@@ -6,42 +6,22 @@ use std::path::Path;
 use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
 use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
-use crate::fields::{Column, Columns, Role, Scalar};
+use crate::fields::{Column, Columns, Role};
 use crate::format::{CloudReader, CloudWriter, Encoding, Precision, WriteOptions, Written};
 use crate::input::{Input, numbers};
 use crate::output::Output;
+use crate::ply_header::{PlyElement, PlyHeader, PlyHeaderError, PlyHeaderLines, PlyProperty, PlyStorage};
 use crate::xyz::push_text;
 
-/// Headers are not longer.
-const MAX_HEADER_LINES: usize = 10_000;
 /// Rows are not longer, bytes.
 const MAX_ROW: usize = 1 << 16;
 /// The header is written at last; a comment fills what is left of this, bytes.
 const HEADER_BYTES: usize = 512;
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Storage {
-    Ascii,
-    Binary { is_big: bool },
-}
-
-#[derive(Clone, Debug)]
-enum Property {
-    Scalar { name: String, scalar: Scalar },
-    List { count: Scalar, items: Scalar },
-}
-
-#[derive(Clone, Debug)]
-struct Element {
-    name: String,
-    count: u64,
-    properties: Vec<Property>,
-}
-
 /// Reads vertices.
 pub(crate) struct PlyReader {
     input: Input,
-    storage: Storage,
+    storage: PlyStorage,
     columns: Columns,
     row_bytes: usize,
     total: u64,
@@ -50,69 +30,23 @@ pub(crate) struct PlyReader {
     repairs: Repairs,
 }
 
-fn scalar(name: &str) -> Option<Scalar> {
-    Some(match name {
-        "char" | "int8" => Scalar::I8,
-        "uchar" | "uint8" => Scalar::U8,
-        "short" | "int16" => Scalar::I16,
-        "ushort" | "uint16" => Scalar::U16,
-        "int" | "int32" => Scalar::I32,
-        "uint" | "uint32" => Scalar::U32,
-        "float" | "float32" => Scalar::F32,
-        "double" | "float64" => Scalar::F64,
-        _ => return None,
-    })
-}
-
-/// Storage and elements of a header.
-fn header(input: &mut Input) -> Result<(Storage, Vec<Element>), CloudError> {
+/// PlyStorage and elements of a header.
+fn header(input: &mut Input) -> Result<PlyHeader, CloudError> {
     let path = input.path.clone();
-    let bad = |line: &str| CloudError::damaged(&path, format!("its header has the line \"{line}\""));
-    let (mut storage, mut elements): (Option<Storage>, Vec<Element>) = (None, Vec::new());
-    for _ in 0..MAX_HEADER_LINES {
-        let Some(line) = input.line()? else { break };
-        let words: Vec<&str> = line.split_ascii_whitespace().collect();
-        match words.as_slice() {
-            [] | ["ply" | "comment" | "obj_info", ..] => {}
-            ["format", kind, ..] => {
-                storage = Some(match *kind {
-                    "ascii" => Storage::Ascii,
-                    "binary_little_endian" => Storage::Binary { is_big: false },
-                    "binary_big_endian" => Storage::Binary { is_big: true },
-                    _ => return Err(bad(line)),
-                });
-            }
-            ["element", name, count] => {
-                let count = count.parse().map_err(|_| bad(line))?;
-                elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new() });
-            }
-            ["property", "list", count, items, _] => {
-                let (Some(count), Some(items)) = (scalar(count), scalar(items)) else {
-                    return Err(bad(line));
-                };
-                let element = elements.last_mut().ok_or_else(|| bad(line))?;
-                element.properties.push(Property::List { count, items });
-            }
-            ["property", kind, name] => {
-                let scalar = scalar(kind).ok_or_else(|| bad(line))?;
-                let element = elements.last_mut().ok_or_else(|| bad(line))?;
-                element.properties.push(Property::Scalar { name: (*name).to_owned(), scalar });
-            }
-            ["end_header"] => {
-                let storage =
-                    storage.ok_or_else(|| CloudError::damaged(&path, "its header names no format"))?;
-                return Ok((storage, elements));
-            }
-            _ => return Err(bad(line)),
+    let damaged = |error: PlyHeaderError| CloudError::damaged(&path, error.to_string());
+    let mut lines = PlyHeaderLines::default();
+    while let Some(line) = input.line()? {
+        if let Some(header) = lines.add(line).map_err(damaged)? {
+            return Ok(header);
         }
     }
-    Err(CloudError::damaged(&path, "its header has no end"))
+    Err(damaged(PlyHeaderError::NoEnd))
 }
 
 impl PlyReader {
     pub fn open(path: &Path) -> Result<Self, CloudError> {
         let mut input = Input::open(path)?;
-        let (storage, elements) = header(&mut input)?;
+        let PlyHeader { storage, elements } = header(&mut input)?;
         let Some(at) = elements.iter().position(|element| element.name == "vertex") else {
             return Err(CloudError::damaged(path, "it has no element \"vertex\""));
         };
@@ -120,24 +54,24 @@ impl PlyReader {
         for element in elements.iter().take(at) {
             skip(&mut input, storage, element)?;
         }
-        let vertex = elements.get(at).cloned().unwrap_or(Element {
+        let vertex = elements.get(at).cloned().unwrap_or(PlyElement {
             name: String::new(),
             count: 0,
             properties: Vec::new(),
         });
         let (mut offset, mut all) = (0, Vec::new());
         for (place, property) in vertex.properties.iter().enumerate() {
-            let Property::Scalar { name, scalar } = property else {
+            let PlyProperty { name, length: None, scalar } = property else {
                 return Err(CloudError::damaged(path, "its vertices have lists, which are not understood"));
             };
-            let place = if storage == Storage::Ascii { place } else { offset };
+            let place = if storage == PlyStorage::Ascii { place } else { offset };
             all.extend(Role::of(name).map(|role| Column { role, at: place, scalar: *scalar }));
             offset += scalar.bytes();
         }
         let columns = Columns::of(&all).filter(|_| offset <= MAX_ROW);
         let columns = columns.ok_or_else(|| CloudError::damaged(path, "its vertices have no x, y and z"))?;
         let mut total = vertex.count;
-        if storage != Storage::Ascii {
+        if storage != PlyStorage::Ascii {
             let there = input.length().saturating_sub(input.position()?) / offset.max(1) as u64;
             repairs.add(
                 "points that the header promises and the file does not have",
@@ -195,8 +129,8 @@ impl PlyReader {
 }
 
 /// Skips an element before the vertices.
-fn skip(input: &mut Input, storage: Storage, element: &Element) -> Result<(), CloudError> {
-    let Storage::Binary { is_big } = storage else {
+fn skip(input: &mut Input, storage: PlyStorage, element: &PlyElement) -> Result<(), CloudError> {
+    let PlyStorage::Binary { is_big } = storage else {
         for _ in 0..element.count {
             if input.line()?.is_none() {
                 break;
@@ -204,11 +138,8 @@ fn skip(input: &mut Input, storage: Storage, element: &Element) -> Result<(), Cl
         }
         return Ok(());
     };
-    let fixed: Option<usize> = element
-        .properties
-        .iter()
-        .map(|p| if let Property::Scalar { scalar, .. } = p { Some(scalar.bytes()) } else { None })
-        .sum();
+    let fixed: Option<usize> =
+        element.properties.iter().map(|p| p.length.is_none().then(|| p.scalar.bytes())).sum();
     let position = input.position()?;
     if let Some(bytes) = fixed {
         return input.seek(position.saturating_add(element.count.saturating_mul(bytes as u64)));
@@ -217,16 +148,15 @@ fn skip(input: &mut Input, storage: Storage, element: &Element) -> Result<(), Cl
     let mut word = [0; 8];
     for _ in 0..element.count {
         for property in &element.properties {
-            match property {
-                Property::Scalar { scalar, .. } => position += scalar.bytes() as u64,
-                Property::List { count, items } => {
-                    input.seek(position)?;
-                    input.fill(word.get_mut(..count.bytes()).unwrap_or_default())?;
-                    let number = count.decode(&word, is_big).max(0.0) as u64;
-                    position +=
-                        count.bytes() as u64 + number.saturating_mul(items.bytes() as u64).min(length);
-                }
-            }
+            let bytes = property.scalar.bytes() as u64;
+            let Some(count) = property.length else {
+                position += bytes;
+                continue;
+            };
+            input.seek(position)?;
+            input.fill(word.get_mut(..count.bytes()).unwrap_or_default())?;
+            let number = count.decode(&word, is_big).max(0.0) as u64;
+            position += count.bytes() as u64 + number.saturating_mul(bytes).min(length);
         }
         if position >= length {
             break;
@@ -249,8 +179,8 @@ impl CloudReader for PlyReader {
         while batch.is_empty() && self.left > 0 {
             let count = self.left.min(BATCH_POINTS as u64);
             match self.storage {
-                Storage::Ascii => self.read_ascii(batch, count)?,
-                Storage::Binary { is_big } => self.read_binary(batch, count, is_big)?,
+                PlyStorage::Ascii => self.read_ascii(batch, count)?,
+                PlyStorage::Binary { is_big } => self.read_binary(batch, count, is_big)?,
             }
         }
         Ok(!batch.is_empty())
