@@ -1,13 +1,14 @@
 //! Maps that a recording is added to: loading them, and saying whether the recording was found in them.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use portolan::pipeline::{KnownMap, MappedRecording};
 use portolan_config::Options;
-use portolan_geometry::{Quaternion, Rigid3, Vector3};
-use portolan_mapfile::{MapReader, MapSpace, load_map};
-use portolan_mapping::Space;
+use portolan_geometry::Rigid3;
+use portolan_mapfile::{FrozenTrajectories, LoadedTrajectories, MapReader, MapSpace, load_map};
+use portolan_mapping::{Space, TrajectoryId};
 
+use crate::commands::argument::{frozen_trajectories, planar_pose};
 use crate::error::CliError;
 use crate::progress::say;
 
@@ -20,11 +21,14 @@ pub struct KnownMapArgs {
     #[arg(long, value_name = "MAP.pbstream")]
     pub from: Vec<PathBuf>,
     /// Leave the known maps as they are: the recording is only localised in them and extends them.
-    #[arg(long, requires = "from")]
-    pub frozen: bool,
+    /// `--frozen=0,2` leaves only these trajectories of one map as they are.
+    #[arg(long, value_name = "TRAJECTORIES", requires = "from", value_parser = frozen_trajectories,
+        num_args = 0..=1, require_equals = true, default_missing_value = "all")]
+    pub frozen: Option<FrozenTrajectories>,
     /// Where in the known map the recording starts: metres and degrees. Without it, it is searched.
-    #[arg(long, value_name = "X,Y,DEGREES", requires = "from", allow_hyphen_values = true)]
-    pub start: Option<String>,
+    #[arg(long, value_name = "X,Y,DEGREES", requires = "from", value_parser = planar_pose,
+        allow_hyphen_values = true)]
+    pub start: Option<Rigid3>,
 }
 
 impl KnownMapArgs {
@@ -44,45 +48,38 @@ impl KnownMapArgs {
     /// Loads what the command line names; says what it holds and what had to be repaired.
     ///
     /// # Errors
-    /// A map that is damaged or of the other dimension, a start that is no place.
+    /// A map that is damaged or of the other dimension; single trajectories to be frozen of several maps.
     pub fn load<S: MapSpace>(&self, options: &Options, quiet: bool) -> Result<KnownMap<S>, CliError> {
-        let mut known = KnownMap::empty(options);
+        let frozen = self.frozen.clone().unwrap_or_default();
+        if matches!(frozen, FrozenTrajectories::Only(_)) && self.from.len() > 1 {
+            let text = "--frozen=TRAJECTORIES does not tell which of the maps it means; freeze all, or go on with one";
+            return Err(CliError::Usage(text.to_owned()));
+        }
+        let mut known = KnownMap { start: self.start, ..KnownMap::empty(options) };
         for path in &self.from {
+            let failed = |e| CliError::in_file(path, e);
             let mut reader = MapReader::open(path).map_err(|e| CliError::in_file(path, e))?;
-            let loaded = load_map(&mut reader, &mut known.graph, self.frozen)
-                .map_err(|e| CliError::in_file(path, e))?;
-            for (what, count) in &loaded.repairs {
-                tracing::warn!("{}: repaired: {what} ({count}x)", path.display());
-            }
-            if !quiet {
-                let ids: Vec<String> = loaded
-                    .trajectory_ids
-                    .iter()
-                    .map(
-                        |(old, new)| {
-                            if *old == new.0 as i32 { new.to_string() } else { format!("{old} as {new}") }
-                        },
-                    )
-                    .collect();
-                say(&format!("{}: trajectory {}", path.display(), ids.join(", ")));
-            }
+            let loaded = load_map(&mut reader, &mut known.graph, &frozen).map_err(failed)?;
+            tell(path, &loaded, quiet);
             known.trajectories.extend(loaded.trajectories);
         }
-        known.start = self.start.as_deref().map(parse_start).transpose()?;
         Ok(known)
     }
 }
 
-fn parse_start(text: &str) -> Result<Rigid3, CliError> {
-    let numbers: Option<Vec<f64>> =
-        text.split(',').map(|n| n.trim().parse().ok().filter(|n: &f64| n.is_finite())).collect();
-    match numbers.as_deref() {
-        Some([x, y, degrees]) => Ok(Rigid3::from_parts(
-            Vector3::new(*x, *y, 0.0).into(),
-            Quaternion::from_axis_angle(&Vector3::z_axis(), degrees.to_radians()),
-        )),
-        _ => Err(CliError::Usage(format!("--start takes X,Y,DEGREES as in --start 3.5,-2,90, not {text}"))),
+/// What a map held, and the numbers that its trajectories have now.
+fn tell(path: &Path, loaded: &LoadedTrajectories, quiet: bool) {
+    for (what, count) in &loaded.repairs {
+        tracing::warn!("{}: repaired: {what} ({count}x)", path.display());
     }
+    if quiet {
+        return;
+    }
+    let number = |(old, new): (&i32, &TrajectoryId)| {
+        if *old == new.0 as i32 { new.to_string() } else { format!("{old} as {new}") }
+    };
+    let numbers: Vec<String> = loaded.trajectory_ids.iter().map(number).collect();
+    say(&format!("{}: trajectory {}", path.display(), numbers.join(", ")));
 }
 
 /// How well the recording was found in the maps that were known before.

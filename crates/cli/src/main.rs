@@ -45,7 +45,7 @@ struct GlobalArgs {
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
     /// Threads to use; 0 takes as many as there are cores. Results do not depend on it.
-    #[arg(long, global = true, default_value_t = 0, value_name = "N")]
+    #[arg(long, global = true, default_value_t = 0, value_name = "N", value_parser = commands::argument::threads)]
     threads: usize,
 }
 

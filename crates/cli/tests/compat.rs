@@ -89,6 +89,38 @@ fn a_recording_goes_through_the_programs_of_the_reference() {
 }
 
 #[test]
+fn bags_become_trajectories_after_those_of_the_state() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = simulated(folder.path(), "walk.bag", &[]);
+    std::fs::write(folder.path().join("robot.lua"), ROBOT).unwrap();
+    let at = |name: &str| text(&folder.path().join(name));
+    let (state, all, directory) = (at("state.pbstream"), at("all.pbstream"), text(folder.path()));
+    let node = ["compat", "cartographer_offline_node", "-configuration_directory", &directory];
+    let node = [&node[..], &["-configuration_basenames", "robot.lua"]].concat();
+    portolan_with_code(0, &[&node[..], &["-bag_filenames", &bag, "-save_state_filename", &state]].concat());
+    let bags = format!("{bag},{bag}");
+    let more = ["-bag_filenames", &bags, "-load_state_filename", &state, "-save_state_filename", &all];
+    portolan_with_code(0, &[&node[..], &more].concat());
+
+    let info = |map: &str| -> serde_json::Value {
+        let run = portolan_with_code(0, &["info", "--json", map]);
+        serde_json::from_str::<serde_json::Value>(&run.stdout).unwrap()[0]["trajectories"].take()
+    };
+    let (before, after) = (info(&state), info(&all));
+    assert_eq!(after.as_array().unwrap().len(), 3);
+    assert_eq!(before[0]["nodes"], after[1]["nodes"]);
+    // Frozen: not a bit of the first trajectory moves. All three saw the same.
+    let poses = |map: &str, trajectory: &str| {
+        let tum = at("poses.tum");
+        portolan_with_code(0, &["convert", map, "-o", &tum, "--trajectory", trajectory]);
+        std::fs::read_to_string(tum).unwrap()
+    };
+    assert_eq!(poses(&state, "0"), poses(&all, "0"));
+    let run = portolan_with_code(2, &[&node[..], &["-load_state_filename", "state.bag"]].concat());
+    assert!(run.stderr.contains("no .pbstream"), "{}", run.stderr);
+}
+
+#[test]
 fn times_of_messages_are_dumped_into_the_working_folder() {
     let folder = tempfile::tempdir().unwrap();
     let bag = simulated(folder.path(), "walk.bag", &[]);

@@ -5,7 +5,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{Run, portolan, portolan_with_code, text};
+use common::{Run, portolan, portolan_with_code, survives_damage, text};
 use portolan_geometry::{Duration, Time};
 use portolan_recording::{
     FieldType, Header, Message, PointCloud2, PointField, RecordedMessage, RecordingFormat, create,
@@ -113,34 +113,7 @@ fn imus_that_contradict_the_lidar_are_named() {
 fn damaged_recordings_in_space_end_in_a_map_or_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let recording = museum(folder.path(), &["--seconds", "5"]);
-    let whole = std::fs::read(&recording).unwrap();
-    let (damaged, output) = (text(&folder.path().join("damaged.mcap")), folder.path().join("results"));
-    for (case, share) in [0.001, 0.4, 0.97].into_iter().enumerate() {
-        std::fs::write(&damaged, &whole[..(share * whole.len() as f64) as usize]).unwrap();
-        expect_map_or_error(&portolan(&["map", &damaged, "-o", &text(&output), "-q"]), &output, case);
-    }
-    for seed in 0..4usize {
-        let mut bytes = whole.clone();
-        for i in 0..300 {
-            let at = (seed * 7919 + i * 104_729) * 31 % bytes.len();
-            bytes[at] ^= 1 << (i % 8);
-        }
-        std::fs::write(&damaged, &bytes).unwrap();
-        expect_map_or_error(&portolan(&["map", &damaged, "-o", &text(&output), "-q"]), &output, seed);
-    }
-}
-
-#[track_caller]
-fn expect_map_or_error(run: &Run, output: &Path, case: usize) {
-    assert!(!run.stderr.contains("panicked"), "case {case}: {}", run.stderr);
-    match run.code {
-        Some(0 | 3) => {
-            portolan_with_code(0, &["info", &text(&output.join("map.pbstream"))]);
-            std::fs::remove_file(output.join("map.pbstream")).unwrap();
-        }
-        Some(1) => assert!(run.stderr.starts_with("error: "), "case {case}: {}", run.stderr),
-        code => panic!("case {case}: {code:?} {}", run.stderr),
-    }
+    survives_damage(&recording, folder.path(), &[0.001, 0.4, 0.97], 4, 300);
 }
 
 /// A cloud of a room of 12 m by 8 m by 3 m, of so many points.

@@ -14,6 +14,7 @@ mod optimize;
 mod poses;
 mod rest;
 mod select;
+mod unread;
 mod walls;
 
 pub use constraints::{LoopResidual, LoopWeights};

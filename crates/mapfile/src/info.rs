@@ -133,17 +133,20 @@ impl Extent {
     }
 }
 
-/// Reads the rest of a map and sums it up.
+/// Reads the rest of a map and sums it up. The pose graph is taken out of the reader: it would be the largest
+/// part of the memory that this needs.
 pub fn info(reader: &mut MapReader) -> Result<MapInfo, PbstreamError> {
     let mut info = MapInfo { format_version: reader.header().format_version, ..MapInfo::default() };
     for name in ["submap_2d", "submap_2d_grid", "submap_3d", "submap_3d_high_resolution_hybrid_grid"] {
         info.counters.insert(name.to_owned(), 0);
     }
-    info.add_pose_graph(reader.pose_graph());
+    let pose_graph = reader.take_pose_graph();
+    info.add_pose_graph(&pose_graph);
     info.add_options(reader.options());
-    info.add_size("pose_graph", reader.pose_graph().encoded_len());
+    info.add_size("pose_graph", pose_graph.encoded_len());
     info.add_size("all_trajectory_builder_options", reader.options().encoded_len());
-    let poses = submap_poses(reader.pose_graph());
+    let poses = submap_poses(&pose_graph);
+    drop(pose_graph);
     while let Some(message) = reader.next_message()? {
         let name = kind_of(&message.data).name();
         info.count(name);

@@ -45,10 +45,10 @@ pub use codes::{
     correspondence_cost_bounds, log_odds_byte,
 };
 pub use convert::{
-    LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings, MapSpace, WriteReport,
-    builder_options_from_proto, builder_options_to_proto, encode_grid_2d, encode_hybrid_grid, load_map,
-    read_map, read_map_2d, submap_textures_2d, trajectory_options_from_proto, trajectory_options_to_proto,
-    write_graph, write_map, write_map_2d,
+    FrozenTrajectories, LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings, MapSpace,
+    WriteReport, builder_options_from_proto, builder_options_to_proto, encode_grid_2d, encode_hybrid_grid,
+    load_map, read_map, read_map_2d, submap_textures_2d, trajectory_options_from_proto,
+    trajectory_options_to_proto, write_graph, write_map, write_map_2d,
 };
 pub use edit::{
     EditError, EditReport, FoundLoop, LoopResidual, LoopWeights, MapDimension, MapDraft, MapOptimization,

@@ -8,7 +8,7 @@ use crate::frames::FrameReader;
 use crate::message::Message;
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
-use crate::reader::{DECODE, DECODE_WITHOUT_CELLS, Decoded, ReadLimits, Records, Step, open_frames};
+use crate::reader::{DECODE, DECODE_SUMMARY, Decoded, ReadLimits, Records, Step, open_frames};
 
 /// Messages that were left out while reading, because nothing can be done with them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -40,7 +40,7 @@ pub struct MapMessage {
     pub offset: u64,
     /// Bytes of the message when it is unpacked.
     pub size: usize,
-    /// Cells of a 2D grid that were counted and left out; see [`MapReader::open_without_cells`].
+    /// Cells of a 2D grid that were counted and left out; see [`MapReader::open_for_summary`].
     pub cells: u64,
     /// The content: never a pose graph or options.
     pub data: Data,
@@ -60,10 +60,10 @@ impl MapReader {
         Self::start(open_frames(path.as_ref(), limits)?, limits, DECODE)
     }
 
-    /// Opens a map whose submaps come without the cells of their 2D grids: for summaries, in little memory.
-    /// Errors as for [`MapReader::open`].
-    pub fn open_without_cells(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
-        Self::start(open_frames(path.as_ref(), limits)?, limits, DECODE_WITHOUT_CELLS)
+    /// Opens a map for a summary in little memory: submaps come without the cells of their 2D grids, nodes
+    /// without their content. Errors as for [`MapReader::open`].
+    pub fn open_for_summary(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
+        Self::start(open_frames(path.as_ref(), limits)?, limits, DECODE_SUMMARY)
     }
 
     /// Reads from any source; `length` is its whole length in bytes if it is known.
@@ -117,6 +117,11 @@ impl MapReader {
     /// The second message: global poses and constraints.
     pub fn pose_graph(&self) -> &PoseGraph {
         &self.pose_graph
+    }
+
+    /// The second message for oneself; the reader has an empty one afterwards.
+    pub fn take_pose_graph(&mut self) -> PoseGraph {
+        std::mem::take(&mut self.pose_graph)
     }
 
     /// The third message: one entry for each trajectory of the pose graph, in its order.

@@ -11,6 +11,7 @@ use crate::frames::{Frame, FrameReader};
 use crate::gzip::{GzipError, gunzip};
 use crate::message::{Message, MessageKind, RawMessage};
 use crate::ordered::OrderedWorkers;
+use crate::proto::mapping::serialized_data::Data;
 
 /// A batch of records is unpacked as one job; smaller jobs cost more than they gain.
 const BATCH_BYTES: usize = 128 << 10;
@@ -134,11 +135,12 @@ impl<T> Copy for Step<T> {}
 const RAW: Step<RawMessage> = Step { run: Ok, size: |raw| raw.bytes.len() as u64 };
 /// Messages decoded.
 pub(crate) const DECODE: Step<Decoded> = Step { run: decode, size: |raw| decoded_size(&raw.bytes) };
-/// Messages decoded, but 2D grids without their cells, which are counted only.
-pub(crate) const DECODE_WITHOUT_CELLS: Step<Decoded> = Step {
-    run: decode_without_cells,
+/// Messages decoded for summaries: 2D grids come without their cells, which are counted only, and nodes without
+/// their content.
+pub(crate) const DECODE_SUMMARY: Step<Decoded> = Step {
+    run: decode_summary,
     size: |raw| match raw.kind() {
-        MessageKind::Submap => raw.bytes.len() as u64,
+        MessageKind::Submap | MessageKind::Node => raw.bytes.len() as u64,
         _ => decoded_size(&raw.bytes),
     },
 };
@@ -152,9 +154,15 @@ fn decode(raw: RawMessage) -> Result<Decoded, PbstreamError> {
     }
 }
 
-fn decode_without_cells(mut raw: RawMessage) -> Result<Decoded, PbstreamError> {
+fn decode_summary(mut raw: RawMessage) -> Result<Decoded, PbstreamError> {
     if raw.kind() != MessageKind::Submap {
-        return decode(raw);
+        let mut decoded = decode(raw)?;
+        if let Message::Data(data) = &mut decoded.message
+            && let Data::Node(node) = &mut **data
+        {
+            node.node_data = None;
+        }
+        return Ok(decoded);
     }
     let size = raw.bytes.len();
     let Some((bytes, cells)) = without_cells(&raw.bytes) else { return decode(raw) };

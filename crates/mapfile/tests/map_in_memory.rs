@@ -14,8 +14,9 @@ use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::proto::mapping::{self as m};
 use portolan_mapfile::proto::transform::Rigid3d;
 use portolan_mapfile::{
-    LoadedMap, MapConversionError, MapLoadSettings, MapReader, PbstreamReader, PbstreamWriter, load_map,
-    load_textures, pose_from_proto, read_map_2d, submap_textures_2d, validate, write_map_2d,
+    FrozenTrajectories, LoadedMap, MapConversionError, MapLoadSettings, MapReader, PbstreamReader,
+    PbstreamWriter, load_map, load_textures, pose_from_proto, read_map_2d, submap_textures_2d, validate,
+    write_map_2d,
 };
 use portolan_mapping::{Mapper, MapperSettings, Planar, PoseGraph, Repairs, TrajectoryId, TrajectoryState};
 use proptest::prelude::*;
@@ -203,7 +204,7 @@ fn maps_of_the_reference_come_back_unchanged() {
 #[test]
 fn frozen_maps_keep_constraints_but_no_measurements() {
     let Some(path) = shared("data/maps/reference/small_2d.pbstream") else { return };
-    let settings = MapLoadSettings { frozen: true, ..MapLoadSettings::default() };
+    let settings = MapLoadSettings { frozen: FrozenTrajectories::All, ..MapLoadSettings::default() };
     let loaded = read_map_2d(&path, &settings).unwrap();
     let state = loaded.graph.state();
     let thawed = load(&path);
@@ -219,7 +220,8 @@ fn maps_are_added_behind_each_other_and_continued() {
     let mut graph = PoseGraph::<Planar>::new(PoseGraphOptions::default());
     let mut ended = BTreeMap::new();
     for expected in 0..2 {
-        let loaded = load_map(&mut MapReader::open(&path).unwrap(), &mut graph, false).unwrap();
+        let loaded =
+            load_map(&mut MapReader::open(&path).unwrap(), &mut graph, &FrozenTrajectories::None).unwrap();
         assert_eq!(loaded.trajectory_ids[&0], TrajectoryId(expected));
         ended.extend(loaded.trajectories);
     }

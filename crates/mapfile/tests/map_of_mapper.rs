@@ -175,7 +175,7 @@ fn tilted_scanners_come_back_byte_by_byte_too() {
         );
     }
     for constraint in &state.constraints {
-        tilted.load_constraint(constraint.clone(), false);
+        tilted.load_constraint(constraint.clone());
     }
     let builder = &options.trajectory_builder;
     write_graph(&tilted, &map.trajectories, builder, &first, true).unwrap();

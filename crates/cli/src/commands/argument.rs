@@ -1,6 +1,7 @@
-//! Arguments that several verbs have in common: ids, points, areas.
+//! Arguments that several verbs have in common: ids, poses, areas.
 
-use portolan_mapfile::{IdInFile, MapArea};
+use portolan_geometry::{Rigid3, Vector3};
+use portolan_mapfile::{FrozenTrajectories, IdInFile, MapArea};
 
 /// Numbers separated by commas, as many as `names` has.
 pub fn numbers<const N: usize>(text: &str, names: &str) -> Result<[f64; N], String> {
@@ -22,6 +23,25 @@ pub fn area(text: &str) -> Result<MapArea, String> {
     Err(format!("the rectangle {text} is empty"))
 }
 
+/// Threads: more than the largest machines have cores would only stand in each other's way.
+pub fn threads(text: &str) -> Result<usize, String> {
+    let most = 256;
+    let number = text.parse::<usize>().ok().filter(|n| *n <= most);
+    number.ok_or_else(|| format!("expected 0 to {most} threads, not \"{text}\""))
+}
+
+/// A length of time in seconds.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0);
+    seconds.ok_or_else(|| format!("expected seconds, 0 or more, not \"{text}\""))
+}
+
+/// x, y, yaw: metres and degrees.
+pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
+    let [x, y, yaw] = numbers::<3>(text, "X,Y,YAW")?;
+    Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
+}
+
 /// Trajectory and index of a submap or node: `0,12`, or `12` for trajectory 0.
 pub fn id(text: &str) -> Result<IdInFile, String> {
     let bad = || format!("expected TRAJECTORY,INDEX, not \"{text}\"");
@@ -30,9 +50,25 @@ pub fn id(text: &str) -> Result<IdInFile, String> {
     Ok((number(trajectory)?, number(index)?))
 }
 
+/// `all`, or numbers of trajectories separated by commas.
+pub fn frozen_trajectories(text: &str) -> Result<FrozenTrajectories, String> {
+    if text == "all" {
+        return Ok(FrozenTrajectories::All);
+    }
+    let ids: Option<_> = text.split(',').map(|part| part.trim().parse().ok().filter(|id| *id >= 0)).collect();
+    ids.map(FrozenTrajectories::Only)
+        .ok_or_else(|| format!("expected `all` or numbers of trajectories as in 0,2, not \"{text}\""))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_that_cannot_be_are_refused() {
+        assert_eq!((threads("0"), threads("256"), seconds("1.5")), (Ok(0), Ok(256), Ok(1.5)));
+        assert!(threads("100000").is_err() && seconds("nan").is_err() && seconds("-1").is_err());
+    }
 
     #[test]
     fn ids_and_areas() {
@@ -40,6 +76,12 @@ mod tests {
         assert!(id("a,1").is_err() && id("-1,2").is_err());
         let found = area("3,4,-1,2").unwrap_or_else(|e| panic!("{e}"));
         assert_eq!((found.min_x, found.min_y, found.max_x, found.max_y), (-1.0, 2.0, 3.0, 4.0));
+        let some = FrozenTrajectories::Only([0, 2].into());
+        assert_eq!(
+            (frozen_trajectories("0,2"), frozen_trajectories("all")),
+            (Ok(some), Ok(FrozenTrajectories::All))
+        );
+        assert!(frozen_trajectories("").is_err() && frozen_trajectories("-1").is_err());
         assert!(area("0,0,0,1").is_err() && area("0,0,1").is_err() && area("0,0,nan,1").is_err());
     }
 }

@@ -50,7 +50,7 @@ struct PartArgs {
     merge: Vec<PathBuf>,
     /// Where the map of the --merge at the same place lies in this one: metres and degrees. Default: at the
     /// same origin.
-    #[arg(long, value_name = "X,Y,YAW", value_parser = values::planar_pose, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,YAW", value_parser = argument::planar_pose, allow_hyphen_values = true)]
     place: Vec<Rigid3>,
     /// Leave only this trajectory; may be given several times.
     #[arg(long, value_name = "ID", conflicts_with = "delete")]

@@ -14,6 +14,7 @@ use portolan_geometry::Duration;
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial, WeakMotion, WeakSpan};
 use portolan_recording::{AzimuthTimes, Dimension, IngestOptions, Recording, open_all, read_urdf};
 
+use super::argument::seconds;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
@@ -61,11 +62,11 @@ pub struct MapArgs {
     pub all_poses: bool,
 
     /// Leave out the first seconds of the recording.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = seconds, allow_negative_numbers = true)]
     pub skip: f64,
 
     /// Stop after so many seconds of the recording.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: Option<f64>,
 }
 
@@ -227,7 +228,7 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
         imu_topic: sensors.imu.clone(),
         tracking_frame: sensors.tracking_frame.clone(),
         azimuth_times: sensors.azimuth_times.into(),
-        skip: Duration::from_seconds(args.skip.max(0.0)),
+        skip: Duration::from_seconds(args.skip),
         length: args.duration.map(Duration::from_seconds),
         ..IngestOptions::default()
     };

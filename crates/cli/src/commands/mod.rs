@@ -1,6 +1,6 @@
 //! One file per verb.
 
-mod argument;
+pub mod argument;
 mod check;
 pub mod compat;
 mod completions;

@@ -1,5 +1,5 @@
 //! Running the built program.
-#![allow(dead_code, clippy::unwrap_used, clippy::print_stderr)]
+#![allow(dead_code, clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -54,4 +54,45 @@ pub fn simulated(folder: &Path, name: &str, more: &[&str]) -> String {
     arguments.extend(more);
     portolan_with_code(0, &arguments);
     path
+}
+
+/// Maps a recording cut off after these shares of its bytes, and with `flips` bits flipped in several ways. Every
+/// run must end in a map or a named error, and never in half a file.
+pub fn survives_damage(recording: &str, folder: &Path, shares: &[f64], ways: usize, flips: usize) {
+    let whole = std::fs::read(recording).unwrap();
+    let extension = Path::new(recording).extension().unwrap();
+    let (damaged, output) = (folder.join("damaged").with_extension(extension), folder.join("results"));
+    let map = |bytes: &[u8], case: &str| {
+        std::fs::write(&damaged, bytes).unwrap();
+        let run = portolan(&["map", &text(&damaged), "-o", &text(&output), "-q"]);
+        expect_map_or_error(&run, &output, case);
+    };
+    for share in shares {
+        map(&whole[..(share * whole.len() as f64) as usize], &format!("cut off at {share}"));
+    }
+    for way in 0..ways {
+        let mut bytes = whole.clone();
+        for i in 0..flips {
+            let at = (way * 7919 + i * 104_729) * 31 % bytes.len();
+            bytes[at] ^= 1 << (i % 8);
+        }
+        map(&bytes, &format!("flipped in way {way}"));
+    }
+}
+
+#[track_caller]
+fn expect_map_or_error(run: &Run, output: &Path, case: &str) {
+    assert!(!run.stderr.contains("panicked"), "{case}: {}", run.stderr);
+    let map = output.join("map.pbstream");
+    match run.code {
+        Some(0 | 3) => {
+            portolan_with_code(0, &["info", &text(&map)]);
+            std::fs::remove_file(map).unwrap();
+        }
+        Some(1) => {
+            assert!(run.stderr.starts_with("error: "), "{case}: {}", run.stderr);
+            assert!(!map.exists(), "{case}");
+        }
+        code => panic!("{case}: {code:?} {}", run.stderr),
+    }
 }

@@ -21,6 +21,9 @@ pub enum MapConversionError {
     /// A trajectory twice.
     #[error("the map has trajectory {0} twice; `repair` keeps one of them")]
     DuplicateTrajectory(i32),
+    /// A trajectory that was asked for.
+    #[error("the map has no trajectory {0}")]
+    NoSuchTrajectory(i32),
     /// A negative id in a file, or one in memory that a file cannot hold.
     #[error("the {what} ({}, {}) has an id that is not possible", .id.0, .id.1)]
     Id {

@@ -21,7 +21,9 @@ pub use error::MapConversionError;
 pub use grid::{MapSpace, encode_grid_2d};
 pub use hybrid_grid::encode_hybrid_grid;
 pub(crate) use read::node_data;
-pub use read::{LoadedMap, LoadedTrajectories, MapLoadSettings, load_map, read_map, read_map_2d};
+pub use read::{
+    FrozenTrajectories, LoadedMap, LoadedTrajectories, MapLoadSettings, load_map, read_map, read_map_2d,
+};
 pub(crate) use sensors::{imu_from_proto, imu_state_from_proto};
 pub use textures::submap_textures_2d;
 pub use trajectory_options::{

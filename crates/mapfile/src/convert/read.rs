@@ -1,7 +1,7 @@
 //! Reading a map into a pose graph (`formats.md` §2.2).
 
-use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -30,11 +30,34 @@ use crate::reader::ReadLimits;
 pub struct MapLoadSettings {
     /// Options of the pose graph that the map goes into; files do not have them.
     pub pose_graph: PoseGraphOptions,
-    /// Whether the trajectories become a fixed part of the map. Their measurements are not taken over
-    /// then; their constraints are kept for saving, but move nothing.
-    pub frozen: bool,
+    /// Which trajectories become a fixed part of the map.
+    pub frozen: FrozenTrajectories,
     /// Bounds on memory.
     pub limits: ReadLimits,
+}
+
+/// Trajectories of a file that become a fixed part of the map. Their measurements are not taken over;
+/// constraints between them are kept for saving, but move nothing.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum FrozenTrajectories {
+    /// All may move.
+    #[default]
+    None,
+    /// Those with these numbers in the file.
+    Only(BTreeSet<i32>),
+    /// The whole map.
+    All,
+}
+
+impl FrozenTrajectories {
+    /// Whether the trajectory with this number in the file is one of them.
+    pub fn contains(&self, trajectory_id: i32) -> bool {
+        match self {
+            Self::None => false,
+            Self::Only(ids) => ids.contains(&trajectory_id),
+            Self::All => true,
+        }
+    }
 }
 
 /// A map as a file holds it.
@@ -91,7 +114,7 @@ pub fn read_map<S: MapSpace>(
 ) -> Result<LoadedMap<S>, MapConversionError> {
     let mut reader = MapReader::open_with(path, settings.limits)?;
     let mut graph = PoseGraph::new(settings.pose_graph.clone());
-    let loaded = load_map(&mut reader, &mut graph, settings.frozen)?;
+    let loaded = load_map(&mut reader, &mut graph, &settings.frozen)?;
     Ok(LoadedMap {
         graph,
         trajectories: loaded.trajectories,
@@ -102,14 +125,14 @@ pub fn read_map<S: MapSpace>(
 }
 
 /// Adds the map of a freshly opened reader to a graph, with trajectory numbers after those that the graph
-/// has. With `frozen` it becomes a fixed part of the map.
+/// has.
 ///
 /// # Errors
 /// As [`read_map`]; the graph may have a part of the map then and should be dropped.
 pub fn load_map<S: MapSpace>(
     reader: &mut MapReader,
     graph: &mut PoseGraph<S>,
-    frozen: bool,
+    frozen: &FrozenTrajectories,
 ) -> Result<LoadedTrajectories, MapConversionError> {
     let mut loading = Loading::start(reader, graph, frozen)?;
     while let Some(message) = reader.next_message()? {
@@ -117,15 +140,13 @@ pub fn load_map<S: MapSpace>(
             Data::Submap(submap) => loading.submap(submap)?,
             Data::Node(node) => loading.node(node)?,
             Data::TrajectoryData(data) => loading.trajectory_data(&data),
-            data if !frozen => {
-                load_sensor_data(
-                    data,
-                    &loading.result.trajectory_ids,
-                    loading.graph,
-                    &mut loading.result.repairs,
-                );
-            }
-            _ => {}
+            data => load_sensor_data(
+                data,
+                &loading.result.trajectory_ids,
+                frozen,
+                loading.graph,
+                &mut loading.result.repairs,
+            ),
         }
     }
     let ignored = reader.ignored();
@@ -140,7 +161,7 @@ pub fn load_map<S: MapSpace>(
 /// A map on its way from a file into a graph.
 struct Loading<'a, S: MapSpace> {
     graph: &'a mut PoseGraph<S>,
-    frozen: bool,
+    frozen: &'a FrozenTrajectories,
     /// Global poses by the ids of the file; they leave as their submaps and nodes come.
     submap_poses: BTreeMap<IdInFile, Rigid3>,
     node_poses: BTreeMap<IdInFile, Rigid3>,
@@ -151,7 +172,7 @@ impl<'a, S: MapSpace> Loading<'a, S> {
     fn start(
         reader: &MapReader,
         graph: &'a mut PoseGraph<S>,
-        frozen: bool,
+        frozen: &'a FrozenTrajectories,
     ) -> Result<Self, MapConversionError> {
         let (submap_poses, node_poses, duplicates) = global_poses(reader.pose_graph())?;
         let result = LoadedTrajectories::default();
@@ -182,6 +203,11 @@ impl<'a, S: MapSpace> Loading<'a, S> {
             self.result.trajectories.insert(id, EndedTrajectory { options, sensors, scans: Vec::new() });
             self.graph.load_trajectory(id, None);
         }
+        if let FrozenTrajectories::Only(ids) = self.frozen
+            && let Some(id) = ids.iter().find(|id| !self.result.trajectory_ids.contains_key(id))
+        {
+            return Err(MapConversionError::NoSuchTrajectory(*id));
+        }
         // Only now all of them are known, so that they can refer to each other.
         for (trajectory, options) in reader.pose_graph().trajectory.iter().zip(options) {
             let Some(id) = self.result.trajectory_ids.get(&trajectory.trajectory_id).copied() else {
@@ -199,7 +225,7 @@ impl<'a, S: MapSpace> Loading<'a, S> {
                 ),
                 None => {}
             }
-            if self.frozen {
+            if self.frozen.contains(trajectory.trajectory_id) {
                 self.graph.freeze_trajectory(id);
             }
         }
@@ -298,7 +324,7 @@ impl<'a, S: MapSpace> Loading<'a, S> {
             tag,
             score: None,
         };
-        Ok(self.graph.load_constraint(constraint, self.frozen))
+        Ok(self.graph.load_constraint(constraint))
     }
 
     /// Landmarks that have a pose keep it.

@@ -7,6 +7,7 @@ use portolan_geometry::{Quaternion, Time};
 use portolan_mapping::{ImuState, PoseGraph, Repairs, Space, TrajectoryId};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, OdometryData};
 
+use super::read::FrozenTrajectories;
 use super::values::{id_to_proto, pose_in_file};
 use super::{MapConversionError, WriteReport};
 use crate::error::PbstreamError;
@@ -124,10 +125,12 @@ pub(crate) fn imu_state_from_proto(data: &m::TrajectoryData) -> Option<ImuState>
     is_possible.then_some(ImuState { gravity_constant, calibration })
 }
 
-/// Takes a measurement of a file into the graph. What cannot be used is counted by its reason.
+/// Takes a measurement of a file into the graph, unless its trajectory is frozen. What cannot be used is
+/// counted by its reason.
 pub(super) fn load_sensor_data<S: Space>(
     data: Data,
     trajectory_ids: &BTreeMap<i32, TrajectoryId>,
+    frozen: &FrozenTrajectories,
     graph: &mut PoseGraph<S>,
     repairs: &mut Repairs,
 ) {
@@ -140,6 +143,7 @@ pub(super) fn load_sensor_data<S: Space>(
     };
     let dropped = match trajectory_ids.get(&trajectory_id) {
         None => Some("measurement of a trajectory that the map does not have"),
+        Some(_) if frozen.contains(trajectory_id) => None,
         Some(id) => add_measurement(data, *id, graph).err(),
     };
     if let Some(reason) = dropped {

@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 
 use portolan_geometry::Rigid3;
 use portolan_mapping::ImuState;
+use prost::Message as _;
 use serde::Serialize;
 
 use super::EditError;
 use super::rest::Rest;
+use super::unread::{TrajectoryOptions, Unread};
 use crate::map_reader::MapReader;
 use crate::pose::{IdInFile, pose_from_proto};
 use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{
-    AllTrajectoryBuilderOptions, PoseGraph, Trajectory, TrajectoryBuilderOptionsWithSensorIds,
-};
+use crate::proto::mapping::{PoseGraph, Trajectory};
 use crate::reader::ReadLimits;
 use crate::writer::PbstreamWriter;
 
@@ -70,7 +70,9 @@ pub struct MapDraft {
     pub(super) version: u32,
     pub(super) graph: PoseGraph,
     /// Beside `graph.trajectory`.
-    pub(super) options: Vec<TrajectoryBuilderOptionsWithSensorIds>,
+    pub(super) options: Vec<TrajectoryOptions>,
+    /// Of the first file.
+    unread: Unread,
     pub(super) dimension: Option<MapDimension>,
     pub(super) sources: Vec<Source>,
     /// Measurements of these trajectories are kept from the first to the second time only, ticks.
@@ -92,7 +94,7 @@ impl MapDraft {
         let mut reader = MapReader::open_with(path, limits).map_err(failed)?;
         let graph = reader.pose_graph().clone();
         check(path, &graph)?;
-        let options = reader.options().options_with_sensor_ids.clone();
+        let (unread, options) = Unread::read(path, limits).map_err(failed)?;
         let version = reader.header().format_version;
         let dimension = dimension(&mut reader).map_err(failed)?;
         let ids = graph.trajectory.iter().map(|t| (t.trajectory_id, t.trajectory_id)).collect();
@@ -101,6 +103,7 @@ impl MapDraft {
             version,
             graph,
             options,
+            unread,
             dimension,
             sources: vec![source],
             cuts: BTreeMap::new(),
@@ -206,10 +209,9 @@ impl MapDraft {
         let mut writer = PbstreamWriter::create(output).map_err(failed)?;
         writer.write_header(self.version).map_err(failed)?;
         let mut rest = Rest::new(&self.graph, &self.cuts, &self.estimates);
-        writer.write(Data::PoseGraph(std::mem::take(&mut self.graph))).map_err(failed)?;
-        let options_with_sensor_ids = std::mem::take(&mut self.options);
-        let options = AllTrajectoryBuilderOptions { options_with_sensor_ids };
-        writer.write(Data::AllTrajectoryBuilderOptions(options)).map_err(failed)?;
+        let graph = std::mem::take(&mut self.graph).encode_to_vec();
+        writer.write_bytes(self.unread.pose_graph_message(graph)).map_err(failed)?;
+        writer.write_bytes(self.unread.options_message(&self.options)).map_err(failed)?;
         for source in &self.sources {
             rest.copy(source, self.limits, &mut |bytes| writer.write_bytes(bytes).map_err(failed))?;
         }
@@ -222,7 +224,7 @@ impl MapDraft {
     /// Files have trajectories in ascending order, options beside them.
     fn sort_trajectories(&mut self) {
         let trajectories = std::mem::take(&mut self.graph.trajectory);
-        let mut pairs: Vec<(Trajectory, TrajectoryBuilderOptionsWithSensorIds)> =
+        let mut pairs: Vec<(Trajectory, TrajectoryOptions)> =
             trajectories.into_iter().zip(std::mem::take(&mut self.options)).collect();
         pairs.sort_by_key(|(t, _)| t.trajectory_id);
         (self.graph.trajectory, self.options) = pairs.into_iter().unzip();

@@ -39,14 +39,8 @@ impl MapDraft {
         }
         let kept: BTreeSet<i32> = self.trajectory_ids().collect();
         for options in &mut self.options {
-            let options = options.trajectory_builder_options.as_mut();
-            if let Some(options) = options
-                && options
-                    .initial_trajectory_pose
-                    .as_ref()
-                    .is_some_and(|p| !kept.contains(&p.to_trajectory_id))
-            {
-                options.initial_trajectory_pose = None;
+            if options.start_relative_to().is_some_and(|id| !kept.contains(&id)) {
+                options.set_start_relative_to(None);
             }
         }
         self.drop_loose_constraints();
@@ -77,9 +71,10 @@ impl MapDraft {
             }
         }
         for options in &mut self.options {
-            let options = options.trajectory_builder_options.as_mut();
-            if let Some(initial) = options.and_then(|o| o.initial_trajectory_pose.as_mut()) {
-                initial.to_trajectory_id = new(initial.to_trajectory_id);
+            if let Some(id) = options.start_relative_to()
+                && new(id) != id
+            {
+                options.set_start_relative_to(Some(new(id)));
             }
         }
         for source in &mut self.sources {

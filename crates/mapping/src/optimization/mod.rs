@@ -1,6 +1,7 @@
 //! The optimisation problem: what it knows, and its forms in the plane and in space.
 
 mod data;
+mod graph_problem;
 mod imu_bias;
 mod interpolation;
 mod three_d;

@@ -153,10 +153,10 @@ impl<S: Space> PoseGraph<S> {
         self.state.nodes.insert(id, Node { data, map_from_tracking });
     }
 
-    /// Takes over a constraint (in memory form) whose node and submap are loaded. Within a `frozen` map it
-    /// connects nothing and moves nothing; it is kept so that saving the map again loses nothing. Says
-    /// whether both ends exist.
-    pub fn load_constraint(&mut self, constraint: Constraint, frozen: bool) -> bool {
+    /// Takes over a constraint (in memory form) whose node and submap are loaded. Between frozen
+    /// trajectories it connects nothing and moves nothing; it is kept so that saving the map again loses
+    /// nothing. Says whether both ends exist.
+    pub fn load_constraint(&mut self, constraint: Constraint) -> bool {
         if !self.state.nodes.contains_key(&constraint.node_id) {
             return false;
         }
@@ -165,7 +165,7 @@ impl<S: Space> PoseGraph<S> {
             ConstraintTag::IntraSubmap => {
                 entry.node_ids.insert(constraint.node_id);
             }
-            ConstraintTag::InterSubmap if frozen => {}
+            ConstraintTag::InterSubmap if self.both_frozen(constraint.node_id, constraint.submap_id) => {}
             ConstraintTag::InterSubmap => self.connect_by(&constraint),
         }
         self.state.constraints.push(constraint);

@@ -58,8 +58,9 @@ impl Default for FastCorrelativeOptions3d {
 const MAX_DEPTH: u32 = 24;
 /// The search never starts with boxes larger than 2^6 cells; the widest windows kept are twice as wide.
 const MAX_EXPONENT: u32 = 6;
-/// Points at all yaws together that are searched at most: some hundreds of megabytes.
-const MAX_TURNED_POINTS: usize = 1 << 25;
+/// Points at all yaws together that are searched at most, twice what a thousand points 60 m away at
+/// resolution 0.1 m ask for: some hundreds of megabytes.
+const MAX_TURNED_POINTS: usize = 1 << 23;
 /// Histograms of more buckets are not compared.
 const MAX_BUCKETS: usize = 1 << 14;
 

@@ -210,8 +210,8 @@ fn loops_after_final_optimization(options: &Options) -> f64 {
             tag,
             score,
         };
-        graph.load_constraint(constraint(ConstraintTag::IntraSubmap, None, Vector3::zeros()), false);
-        graph.load_constraint(constraint(ConstraintTag::InterSubmap, Some(0.8), wrong), false);
+        graph.load_constraint(constraint(ConstraintTag::IntraSubmap, None, Vector3::zeros()));
+        graph.load_constraint(constraint(ConstraintTag::InterSubmap, Some(0.8), wrong));
     }
     let settings = MapperSettings { threads: 1, ..MapperSettings::default() };
     let mapper = Mapper::with_graph(options, settings, graph, BTreeMap::new()).unwrap();

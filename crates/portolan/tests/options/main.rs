@@ -9,9 +9,12 @@ mod effect;
 mod graph;
 mod optimization;
 mod planar;
+mod prediction;
 mod run;
 mod sensors;
 mod spatial;
+mod spatial_matching;
+mod spatial_search;
 mod world;
 
 use std::collections::BTreeSet;
@@ -26,8 +29,11 @@ const LOGS: [&str; 3] = [
 ];
 
 fn observed() -> BTreeSet<String> {
-    let tables = [planar::table(), spatial::table(), graph::table(), optimization::table(), sensors::table()];
-    let paths = tables.iter().flatten().map(effect::Effect::path);
+    let in_space =
+        [spatial::table(), prediction::table(), spatial_matching::table(), spatial_search::table()];
+    let tables = [planar::table(), graph::table(), optimization::table(), sensors::table()];
+    let tables = tables.into_iter().chain(in_space);
+    let paths = tables.flatten().map(|effect| effect.path());
     paths.chain(LOGS.map(str::to_owned)).collect()
 }
 

@@ -82,9 +82,11 @@ pub fn optimize_pose_graph<P: GraphPose>(
     for vertex in &anchored {
         held[*vertex as usize] = true;
     }
-    let mut optimizer = Optimizer::new(graph, &held, options)?;
     let chi2_before = graph.chi2(options.convention);
-    let start = optimizer.choose_start(graph, &adjacency, &held, options)?;
+    // Before there is room for the normal equations, because some starts solve equations of their own.
+    let starts = Starts::collect(graph, &adjacency, &held, options);
+    let mut optimizer = Optimizer::new(graph, &held, options)?;
+    let start = optimizer.choose_start(starts, options)?;
     let summary = optimizer.finish(graph, &start, options)?;
     let condition = if options.estimate_condition { optimizer.condition()? } else { None };
     Ok(Report {
@@ -122,6 +124,41 @@ struct Start<P> {
     poses: Vec<P>,
 }
 
+/// All different starts that can be formed.
+struct Starts<P> {
+    /// The least cost first.
+    starts: Vec<Start<P>>,
+    /// Why the first of the others cannot be formed.
+    error: Option<GraphError>,
+}
+
+impl<P: GraphPose> Starts<P> {
+    fn collect(
+        graph: &PoseGraph<P>,
+        adjacency: &Adjacency,
+        held: &[bool],
+        options: &OptimizeOptions,
+    ) -> Self {
+        let mut starts: Vec<Start<P>> = Vec::new();
+        let mut error = None;
+        for how in options.initialization.candidates() {
+            let mut candidate = graph.clone();
+            if let Err(e) = initialize(&mut candidate, adjacency, held, *how) {
+                error.get_or_insert(e);
+                continue;
+            }
+            let chi2_initialized = candidate.chi2(options.convention);
+            let is_same = |s: &Start<P>| (s.chi2_initialized / chi2_initialized - 1.0).abs() < SAME_START;
+            if !starts.iter().any(is_same) {
+                let poses = candidate.vertices.iter().map(|v| v.pose).collect();
+                starts.push(Start { how: *how, chi2_initialized, iterations: 0, cost: f64::INFINITY, poses });
+            }
+        }
+        starts.sort_by(|a, b| a.chi2_initialized.total_cmp(&b.chi2_initialized));
+        Self { starts, error }
+    }
+}
+
 impl Optimizer {
     fn new<P: GraphPose>(
         graph: &PoseGraph<P>,
@@ -148,6 +185,7 @@ impl Optimizer {
             let (_, repaired) = P::add_edge(&mut problem, pair, z, information, options.convention, loss)?;
             repaired_information += usize::from(repaired);
         }
+        problem.shrink_to_fit();
         let prepared = problem.prepare()?;
         Ok(Self { problem, prepared, variables, repaired_information, trials: Vec::new() })
     }
@@ -167,27 +205,10 @@ impl Optimizer {
     /// stays far above the best so far. One that cannot be formed is left out as long as another one can.
     fn choose_start<P: GraphPose>(
         &mut self,
-        graph: &PoseGraph<P>,
-        adjacency: &Adjacency,
-        held: &[bool],
+        starts: Starts<P>,
         options: &OptimizeOptions,
     ) -> Result<Start<P>, GraphError> {
-        let mut starts = Vec::new();
-        let mut error = None;
-        for how in options.initialization.candidates() {
-            let mut candidate = graph.clone();
-            if let Err(e) = initialize(&mut candidate, adjacency, held, *how) {
-                error.get_or_insert(e);
-                continue;
-            }
-            let chi2_initialized = candidate.chi2(options.convention);
-            let is_same = |s: &Start<P>| (s.chi2_initialized / chi2_initialized - 1.0).abs() < SAME_START;
-            if !starts.iter().any(is_same) {
-                let poses = candidate.vertices.iter().map(|v| v.pose).collect();
-                starts.push(Start { how: *how, chi2_initialized, iterations: 0, cost: f64::INFINITY, poses });
-            }
-        }
-        starts.sort_by(|a, b| a.chi2_initialized.total_cmp(&b.chi2_initialized));
+        let Starts { mut starts, mut error } = starts;
         if starts.len() > 1 {
             let mut lowest = f64::INFINITY;
             for start in &mut starts {

@@ -2,6 +2,7 @@
 
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
+use faer::sparse::linalg::SymbolicSupernodalParams;
 use faer::sparse::linalg::cholesky::{simplicial, supernodal};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Conj, MatMut, Par};
@@ -11,6 +12,10 @@ use super::block_pattern::BlockPattern;
 
 /// Pivots below this fraction of the diagonal are rounding, see [`BlockSystem::smallest_pivot_ratio`].
 pub(crate) const SINGULAR_PIVOT: f64 = 1e-14;
+
+/// Neighbouring columns of the factor up to so many are kept as one panel if this part of it would be zeros
+/// at most. Blocks are panels already; the library's own rule would merge them over 80 % of zeros.
+const RELAX: &[(usize, f64)] = &[(24, 0.1), (usize::MAX, 0.02)];
 
 /// `A x = b` with a symmetric positive definite `A` of blocks, in the order of elimination. The pattern is
 /// analysed once; the values are refilled as often as wanted without allocation.
@@ -180,7 +185,8 @@ fn analyse(pattern: &BlockPattern) -> Result<supernodal::SymbolicSupernodalChole
     let stack = MemStack::new(&mut memory);
     let (mut tree, mut counts) = (vec![0i32; n], vec![0u32; n]);
     let tree = simplicial::prefactorize_symbolic_cholesky(&mut tree, &mut counts, upper, stack);
-    supernodal::factorize_supernodal_symbolic_cholesky(upper, tree, &counts, stack, Default::default())
+    let params = SymbolicSupernodalParams { relax: Some(RELAX) };
+    supernodal::factorize_supernodal_symbolic_cholesky(upper, tree, &counts, stack, params)
         .map_err(|_| ProblemError::TooLarge("factor"))
 }
 

@@ -33,6 +33,7 @@ pub trait Factor: Send + Sync + 'static {
 pub(crate) trait Pool: Any + Send + Sync {
     fn len(&self) -> usize;
     fn factor(&self, index: usize) -> Option<&dyn Factor>;
+    fn shrink_to_fit(&mut self);
     fn as_any_mut(&mut self) -> &mut dyn Any;
 }
 
@@ -45,6 +46,10 @@ impl<F: Factor> Pool for TypedPool<F> {
 
     fn factor(&self, index: usize) -> Option<&dyn Factor> {
         self.0.get(index).map(|f| f as &dyn Factor)
+    }
+
+    fn shrink_to_fit(&mut self) {
+        self.0.shrink_to_fit();
     }
 
     fn as_any_mut(&mut self) -> &mut dyn Any {

@@ -104,6 +104,16 @@ impl Problem {
         self.values.reserve(count.saturating_mul(ambient_dimension));
     }
 
+    /// Gives back the memory that was held for more variables and factors.
+    pub fn shrink_to_fit(&mut self) {
+        self.variables.shrink_to_fit();
+        self.values.shrink_to_fit();
+        for group in &mut self.groups {
+            group.pool.shrink_to_fit();
+            group.losses.shrink_to_fit();
+        }
+    }
+
     /// Adds a variable with its initial numbers, in the layout of the manifold. Quaternions are taken as they
     /// are; they should be normalised.
     pub fn add_variable(&mut self, manifold: Manifold, values: &[f64]) -> Result<VariableId, ProblemError> {

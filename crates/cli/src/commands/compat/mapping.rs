@@ -1,8 +1,9 @@
-//! `cartographer_offline_node`: the map of a bag, by `portolan map`.
+//! `cartographer_offline_node`: the map of bags, by `portolan map`.
 
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
+use portolan_mapfile::MapReader;
 
 use super::Flags;
 use super::flags::Known;
@@ -10,59 +11,109 @@ use super::log;
 use crate::error::{CliError, Outcome};
 use crate::{Cli, GlobalArgs};
 
+const FLAGS: Known = Known {
+    values: &[
+        ("configuration_directory", ""),
+        ("configuration_basenames", ""),
+        ("bag_filenames", ""),
+        ("urdf_filenames", ""),
+        ("load_state_filename", ""),
+        ("save_state_filename", ""),
+        ("skip_seconds", "0"),
+    ],
+    switches: &[
+        ("collect_metrics", false),
+        ("use_bag_transforms", true),
+        ("load_frozen_state", true),
+        ("keep_running", false),
+    ],
+    usage: "usage: cartographer_offline_node -configuration_directory DIR -configuration_basenames FILE,… \
+            -bag_filenames BAG,… [-load_state_filename MAP] [-save_state_filename MAP]",
+};
+
+/// Each bag becomes a trajectory, after those of the state. The bags are mapped one after another, each into
+/// the map of those before; the reference mixes them by time.
 pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let flags = Flags::parse(
-        arguments,
-        &Known {
-            values: &[
-                ("configuration_directory", ""),
-                ("configuration_basenames", ""),
-                ("bag_filenames", ""),
-                ("urdf_filenames", ""),
-                ("load_state_filename", ""),
-                ("save_state_filename", ""),
-                ("skip_seconds", "0"),
-            ],
-            switches: &[
-                ("collect_metrics", false),
-                ("use_bag_transforms", true),
-                ("load_frozen_state", true),
-                ("keep_running", false),
-            ],
-            usage: "usage: cartographer_offline_node -configuration_directory DIR -configuration_basenames FILE \
-                    -bag_filenames BAG [-save_state_filename MAP]",
-        },
-    )?;
+    let flags = Flags::parse(arguments, &FLAGS)?;
     let directory = flags.required("configuration_directory")?;
     flags.required("configuration_basenames")?;
-    let (names, bags) = (flags.list("configuration_basenames"), flags.list("bag_filenames"));
-    let ([name], [bag]) = (names.as_slice(), bags.as_slice()) else {
-        return Err(flags.wrong("one bag and one configuration are mapped at a time"));
-    };
-    if !flags.value("load_state_filename").is_empty() {
-        return Err(flags.wrong("-load_state_filename: use `portolan map --from MAP`"));
+    let (bags, state) = (flags.list("bag_filenames"), flags.value("load_state_filename"));
+    if bags.is_empty() && state.is_empty() {
+        return Err(flags.wrong("-bag_filenames and -load_state_filename cannot both be unspecified."));
     }
-    let output = match flags.value("save_state_filename") {
-        "" => PathBuf::from(format!("{bag}.pbstream")),
-        name => PathBuf::from(name),
-    };
+    if !state.is_empty() && !state.ends_with(".pbstream") {
+        return Err(flags.wrong(&format!("-load_state_filename={state} is no .pbstream")));
+    }
+    let output = output(&flags, &bags, state)?;
+    let mut known = (!state.is_empty()).then(|| PathBuf::from(state));
+    let frozen = count_frozen(&flags, known.as_deref())?;
     let parent = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // Beside the output, so that the map can be given its name without being copied.
     let folder = tempfile::Builder::new().prefix(".portolan-").tempdir_in(parent)?;
-    let mut line: Vec<String> = ["portolan", "map", bag, "-o"].map(str::to_owned).to_vec();
-    line.push(folder.path().display().to_string());
-    line.extend(["--config".to_owned(), Path::new(directory).join(name).display().to_string()]);
-    line.extend(["--config-dir".to_owned(), directory.to_owned()]);
-    if let Some(urdf) = flags.list("urdf_filenames").first() {
-        line.extend(["--urdf".to_owned(), urdf.clone()]);
+    let mut outcome = Outcome::Done;
+    for (i, bag) in bags.iter().enumerate() {
+        let results = folder.path().join(i.to_string());
+        let mut line: Vec<String> = ["portolan", "map", bag, "-o"].map(str::to_owned).to_vec();
+        line.push(results.display().to_string());
+        line.extend(of_bag(&flags, directory, i)?);
+        if let Some(map) = &known {
+            line.extend(["--from".to_owned(), map.display().to_string()]);
+            line.extend(frozen_argument(frozen, i == 0));
+        }
+        let parsed = Cli::try_parse_from(line).map_err(|error| CliError::Usage(error.to_string()))?;
+        outcome = outcome.max(crate::commands::run(parsed.command, global)?);
+        known = Some(results.join("map.pbstream"));
+    }
+    log::info(&format!("Writing state to '{}'...", output.display()));
+    let named = match known {
+        Some(map) if bags.is_empty() => std::fs::copy(map, &output).map(drop),
+        Some(map) => std::fs::rename(map, &output),
+        None => Ok(()),
+    };
+    named.map_err(|source| CliError::File { path: output.clone(), source })?;
+    Ok(outcome)
+}
+
+/// Where the map goes: by itself beside the first bag.
+fn output(flags: &Flags, bags: &[String], state: &str) -> Result<PathBuf, CliError> {
+    match (flags.value("save_state_filename"), bags.first()) {
+        ("", Some(bag)) => Ok(PathBuf::from(format!("{bag}.pbstream"))),
+        ("", None) => {
+            Err(flags.wrong(&format!("without bags nothing changes in {state}: -save_state_filename?")))
+        }
+        (name, _) => Ok(PathBuf::from(name)),
+    }
+}
+
+/// What the bag with this index is mapped with: fewer configurations than bags mean the first one for the
+/// rest, fewer robot descriptions mean none.
+fn of_bag(flags: &Flags, directory: &str, index: usize) -> Result<Vec<String>, CliError> {
+    let configurations = flags.list("configuration_basenames");
+    let name = configurations.get(index).or(configurations.first()).map_or("", String::as_str);
+    let mut arguments = vec!["--config".to_owned(), Path::new(directory).join(name).display().to_string()];
+    arguments.extend(["--config-dir".to_owned(), directory.to_owned()]);
+    if let Some(urdf) = flags.list("urdf_filenames").get(index) {
+        arguments.extend(["--urdf".to_owned(), urdf.clone()]);
     }
     if flags.number("skip_seconds")? > 0.0 {
-        line.extend(["--skip".to_owned(), flags.value("skip_seconds").to_owned()]);
+        arguments.extend(["--skip".to_owned(), flags.value("skip_seconds").to_owned()]);
     }
-    let parsed = Cli::try_parse_from(line).map_err(|error| CliError::Usage(error.to_string()))?;
-    let outcome = crate::commands::run(parsed.command, global)?;
-    log::info(&format!("Writing state to '{}'...", output.display()));
-    std::fs::rename(folder.path().join("map.pbstream"), &output)
-        .map_err(|source| CliError::File { path: output.clone(), source })?;
-    Ok(outcome)
+    Ok(arguments)
+}
+
+/// The state's trajectories stay where they are. Loading gives them the first numbers of the map.
+fn frozen_argument(count: usize, is_the_state_itself: bool) -> Option<String> {
+    let numbers: Vec<String> = (0..count).map(|id| id.to_string()).collect();
+    match (count, is_the_state_itself) {
+        (0, _) => None,
+        (_, true) => Some("--frozen".to_owned()),
+        (_, false) => Some(format!("--frozen={}", numbers.join(","))),
+    }
+}
+
+/// How many trajectories of the state must not move.
+fn count_frozen(flags: &Flags, state: Option<&Path>) -> Result<usize, CliError> {
+    let Some(path) = state.filter(|_| flags.is_on("load_frozen_state")) else { return Ok(0) };
+    let reader = MapReader::open(path).map_err(|e| CliError::in_file(path, e))?;
+    Ok(reader.pose_graph().trajectory.len())
 }

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use portolan_mapfile::{
-    MapInfo, MapReader, MessageKind, MigrateOptions, PbstreamReader, info, migrate, pose_graph_to_text,
+    MapInfo, MapReader, MessageKind, MigrateOptions, PbstreamReader, ReadLimits, info, migrate,
+    pose_graph_to_text,
 };
 
 use super::flags::{Flags, Known};
@@ -35,7 +36,7 @@ fn run_info(arguments: &[String]) -> Result<Outcome, CliError> {
     };
     let path = Path::new(name);
     let failed = |error| CliError::in_file(path, error);
-    let mut reader = MapReader::open(path).map_err(failed)?;
+    let mut reader = MapReader::open_for_summary(path, ReadLimits::default()).map_err(failed)?;
     let pose_graph = flags.is_on("all_debug_strings").then(|| pose_graph_to_text(reader.pose_graph()));
     let summary: MapInfo = info(&mut reader).map_err(failed)?;
     let counters: Vec<String> = summary.counter_lines().collect();

@@ -3,7 +3,7 @@
 use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
 use portolan_mapfile::IdInFile;
 
-use crate::commands::argument::{id, numbers};
+use crate::commands::argument::{id, numbers, planar_pose};
 
 /// How to turn the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,12 +40,6 @@ pub fn point(text: &str) -> Result<Vector3, String> {
         return Ok(Vector3::new(x, y, 0.0));
     }
     numbers::<3>(text, "X,Y or X,Y,Z").map(Vector3::from)
-}
-
-/// x, y, yaw: metres and degrees.
-pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
-    let [x, y, yaw] = numbers::<3>(text, "X,Y,YAW")?;
-    Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
 }
 
 /// x, y, yaw or x, y, z, roll, pitch, yaw: metres and degrees.

@@ -58,6 +58,13 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     if !global.quiet {
         say(&format!("Writing {} relations to '{}'.", generated.relations.len(), args.output.display()));
     }
+    if generated.relations.is_empty() {
+        tracing::warn!(
+            "no loop closure of the map spans {} m of the way and agrees with it; a smaller \
+             --min-covered-distance takes shorter ones",
+            args.min_covered_distance
+        );
+    }
     write_file(&args.output, |out| match args.text {
         true => write_text_relations(&generated.relations, out),
         false => write_binary_relations(&generated.relations, out),

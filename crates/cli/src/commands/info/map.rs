@@ -24,7 +24,7 @@ pub struct MapReport {
 /// Reads a map and sums it up.
 pub fn read(path: &Path) -> Result<MapReport, CliError> {
     let failed = |error| CliError::in_file(path, format!("{error}; see `portolan check`"));
-    let mut reader = MapReader::open_without_cells(path, ReadLimits::default()).map_err(failed)?;
+    let mut reader = MapReader::open_for_summary(path, ReadLimits::default()).map_err(failed)?;
     let info = info(&mut reader).map_err(failed)?;
     Ok(MapReport { path: path.display().to_string(), size: reader.bytes_read(), info })
 }

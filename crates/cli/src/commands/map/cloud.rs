@@ -160,7 +160,7 @@ pub fn write_clouds<S: Space>(
         say("stopped: no cloud and no X-rays of it");
         return Ok(None);
     }
-    let poses = scan_poses(mapped);
+    let poses = mapped.map.scan_poses(mapped.trajectory_id);
     let view = with_xrays.then(|| xray::Request::new(&poses, &mapped.plan, preparation));
     let mut cloud_sink = match &cloud {
         Some(path) => Some(CloudSink::create(path, args.cloud_voxel).map_err(failed)?),
@@ -231,12 +231,6 @@ fn unwind_all(
 
 fn failed(error: CloudError) -> CliError {
     CliError::Failed(error.to_string())
-}
-
-/// Poses of all scans of the trajectory that was just mapped: the last.
-fn scan_poses<S: Space>(mapped: &MappedRecording<S>) -> Vec<(Time, Rigid3)> {
-    let last = mapped.map.graph.state().trajectories.keys().next_back().copied();
-    last.map_or_else(Vec::new, |id| mapped.map.scan_poses(id))
 }
 
 fn summary(unwound: &Unwound, points: u64) -> String {

@@ -130,7 +130,8 @@ impl LocalSlam3d {
         self.report_match(sweep.end, &matched);
         let fits_surfaces = matched.found.is_some();
         let mut scan = self.seen_from_end(sweep, matched);
-        if !fits_surfaces && !(path.turn_is_measured && path.way_is_measured) {
+        let is_measured = path.turn_is_measured && path.way_is_measured;
+        if !fits_surfaces && !is_measured {
             self.match_to_grids(&mut scan);
         }
         self.standstill.add_match(sweep.end, &scan.local_from_tracking);

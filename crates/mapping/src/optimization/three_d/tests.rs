@@ -2,7 +2,7 @@ use portolan_geometry::{Time, Vector3};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkObservation};
 
 use super::*;
-use crate::{ConstraintTag, LandmarkSighting};
+use crate::{ConstraintTag, SubmapId};
 
 const TRAJECTORY: TrajectoryId = TrajectoryId(0);
 

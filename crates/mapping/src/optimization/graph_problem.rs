@@ -1,0 +1,277 @@
+//! What the optimisation problems of the plane and of space have in common.
+
+use std::collections::BTreeMap;
+use std::marker::PhantomData;
+
+use portolan_config::OptimizationProblemOptions;
+use portolan_geometry::{Rigid3, interpolate};
+use portolan_solver::{Factor, Loss, Problem, SolverOptions, VariableId};
+
+use super::data::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
+use super::interpolation::{fixed_frame_at, odometry_at};
+use crate::{Constraint, NodeId, SubmapId, TrajectoryId, of_trajectory};
+
+/// What a pose may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Role {
+    /// Stays.
+    Frozen,
+    /// Holds its connected part of the map.
+    Anchor,
+    /// Moves.
+    Free,
+    /// The origin of a fixed frame: moves, and is level.
+    FixedFrame,
+}
+
+/// What differs between the plane and space. Poses are in space here; in the plane only their projection
+/// counts.
+pub(super) trait ProblemSpace {
+    type Between: Factor;
+    type Landmark: Factor;
+
+    fn add_pose(
+        problem: &mut Problem,
+        pose: &Rigid3,
+        role: Role,
+        options: &OptimizationProblemOptions,
+    ) -> VariableId;
+
+    fn pose(problem: &Problem, variable: VariableId) -> Rigid3;
+
+    /// `measured` is the pose of the second variable in the first.
+    fn between(variables: [VariableId; 2], measured: &Rigid3, weights: Weights) -> Self::Between;
+
+    /// `variables` are the nodes before and after the sighting and the landmark.
+    fn landmark(
+        variables: [VariableId; 3],
+        seen: &SightingBetweenNodes<'_>,
+        sighting: &LandmarkSighting,
+    ) -> Self::Landmark;
+
+    /// Pose of the tracking frame of a node in the map.
+    fn map_from_tracking(node: &OptimizationNode) -> Rigid3;
+
+    /// A motion of the tracking frame as one of the frames that constraints use.
+    fn between_nodes(a: &OptimizationNode, b: &OptimizationNode, a_from_b_tracking: &Rigid3) -> Rigid3;
+}
+
+/// Weights of translation and rotation.
+pub(super) type Weights = (f64, f64);
+
+/// Poses of a map as variables of a problem.
+pub(super) struct GraphProblem<'a, S> {
+    pub problem: Problem,
+    pub nodes: BTreeMap<NodeId, VariableId>,
+    submaps: BTreeMap<SubmapId, VariableId>,
+    landmarks: BTreeMap<String, VariableId>,
+    fixed_frames: BTreeMap<TrajectoryId, VariableId>,
+    options: &'a OptimizationProblemOptions,
+    space: PhantomData<S>,
+}
+
+impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
+    /// A variable for every submap and node.
+    pub fn new(data: &OptimizationData, options: &'a OptimizationProblemOptions) -> Self {
+        let mut problem = Problem::new();
+        problem.reserve_variables(data.submaps.len() + data.nodes.len(), 7);
+        let frozen_or = |id: TrajectoryId, role| if data.frozen.contains(&id) { Role::Frozen } else { role };
+        let first = data.submaps.keys().next().copied();
+        let mut submaps = BTreeMap::new();
+        for (id, pose) in &data.submaps {
+            let is_anchor = Some(*id) == first || data.anchors.contains(id);
+            let role = frozen_or(id.trajectory_id, if is_anchor { Role::Anchor } else { Role::Free });
+            submaps.insert(*id, S::add_pose(&mut problem, pose, role, options));
+        }
+        let mut nodes = BTreeMap::new();
+        for (id, node) in &data.nodes {
+            let role = frozen_or(id.trajectory_id, Role::Free);
+            nodes.insert(*id, S::add_pose(&mut problem, &node.map_from_node, role, options));
+        }
+        let (landmarks, fixed_frames) = (BTreeMap::new(), BTreeMap::new());
+        Self { problem, nodes, submaps, landmarks, fixed_frames, options, space: PhantomData }
+    }
+
+    /// Errors are impossible: the variables are this problem's own and different.
+    pub fn add_factor(&mut self, factor: impl Factor, loss: Loss) {
+        let added = self.problem.add_factor(factor, loss);
+        debug_assert!(added.is_ok());
+    }
+
+    fn add_between(&mut self, variables: [VariableId; 2], measured: &Rigid3, weights: Weights, loss: Loss) {
+        self.add_factor(S::between(variables, measured, weights), loss);
+    }
+
+    pub fn add_constraints(&mut self, constraints: &[Constraint]) {
+        for constraint in constraints {
+            let (Some(submap), Some(node)) =
+                (self.submaps.get(&constraint.submap_id), self.nodes.get(&constraint.node_id))
+            else {
+                continue;
+            };
+            let is_loop = constraint.is_loop_closure();
+            let loss = if is_loop { Loss::Huber(self.options.huber_scale) } else { Loss::None };
+            let weights = (constraint.translation_weight, constraint.rotation_weight);
+            self.add_between([*submap, *node], &constraint.submap_from_node, weights, loss);
+        }
+    }
+
+    /// Every landmark is seen from a pose between two nodes.
+    pub fn add_landmarks(&mut self, data: &OptimizationData) {
+        for (name, landmark) in &data.landmarks {
+            for sighting in &landmark.sightings {
+                let Some(seen) = SightingBetweenNodes::find(sighting, data) else { continue };
+                let (Some(previous), Some(next)) =
+                    (self.nodes.get(&seen.previous.0).copied(), self.nodes.get(&seen.next.0).copied())
+                else {
+                    continue;
+                };
+                let variable = *self.landmarks.entry(name.clone()).or_insert_with(|| {
+                    let pose = landmark.map_from_landmark.unwrap_or_else(|| {
+                        seen.map_from_tracking::<S>(sighting) * sighting.observation.tracking_from_landmark
+                    });
+                    let id = self.problem.add_se3(&pose);
+                    if landmark.frozen {
+                        self.problem.set_constant(id);
+                    }
+                    id
+                });
+                let factor = S::landmark([previous, next, variable], &seen, sighting);
+                self.add_factor(factor, Loss::Huber(self.options.huber_scale));
+            }
+        }
+    }
+
+    /// What odometry and local SLAM say of two nodes that follow each other.
+    pub fn add_local_motion(
+        &mut self,
+        data: &OptimizationData,
+        (id_a, a): (NodeId, &OptimizationNode),
+        (id_b, b): (NodeId, &OptimizationNode),
+    ) {
+        let variables = [self.nodes[&id_a], self.nodes[&id_b]];
+        let o = self.options;
+        let odometry = data.sensors.get(&id_a.trajectory_id).map(|sensors| &sensors.odometry);
+        let at = |node: &OptimizationNode| odometry_at(odometry?, node.time);
+        if let (Some(odom_from_a), Some(odom_from_b)) = (at(a), at(b)) {
+            let measured = S::between_nodes(a, b, &(odom_from_a.inverse() * odom_from_b));
+            let weights = (o.odometry_translation_weight, o.odometry_rotation_weight);
+            self.add_between(variables, &measured, weights, Loss::None);
+        }
+        let measured = a.local_from_node.inverse() * b.local_from_node;
+        let weights = (o.local_slam_pose_translation_weight, o.local_slam_pose_rotation_weight);
+        self.add_between(variables, &measured, weights, Loss::None);
+    }
+
+    /// Ties nodes to the fixed frame of their trajectory.
+    pub fn add_fixed_frames(&mut self, data: &OptimizationData) {
+        let o = self.options;
+        let weights = (o.fixed_frame_pose_translation_weight, o.fixed_frame_pose_rotation_weight);
+        let (a, b) = (o.fixed_frame_pose_tolerant_loss_param_a, o.fixed_frame_pose_tolerant_loss_param_b);
+        let loss = if o.fixed_frame_pose_use_tolerant_loss { Loss::Tolerant(a, b) } else { Loss::None };
+        for (trajectory_id, sensors) in &data.sensors {
+            for (node_id, node) in of_trajectory(&data.nodes, *trajectory_id) {
+                let Some(measured) = fixed_frame_at(&sensors.fixed_frame, node.time) else { continue };
+                let origin = *self.fixed_frames.entry(*trajectory_id).or_insert_with(|| {
+                    let known = data.fixed_frame_origins.get(trajectory_id).copied().flatten();
+                    let origin = known.unwrap_or_else(|| node.map_from_node * measured.inverse());
+                    S::add_pose(&mut self.problem, &origin, Role::FixedFrame, o)
+                });
+                self.add_between([origin, self.nodes[&node_id]], &measured, weights, loss);
+            }
+        }
+    }
+
+    /// Takes over what was found.
+    pub fn write_back(&self, data: &mut OptimizationData) {
+        // Going through the numbers of a variable would change the last bit of what is frozen.
+        for (id, variable) in &self.submaps {
+            if !data.frozen.contains(&id.trajectory_id) {
+                data.submaps.insert(*id, S::pose(&self.problem, *variable));
+            }
+        }
+        for (id, variable) in &self.nodes {
+            let is_frozen = data.frozen.contains(&id.trajectory_id);
+            if let Some(node) = data.nodes.get_mut(id).filter(|_| !is_frozen) {
+                node.map_from_node = S::pose(&self.problem, *variable);
+            }
+        }
+        for (name, variable) in &self.landmarks {
+            if let Some(landmark) = data.landmarks.get_mut(name) {
+                landmark.map_from_landmark = Some(self.problem.se3(*variable));
+            }
+        }
+        for (id, variable) in &self.fixed_frames {
+            data.fixed_frame_origins.insert(*id, Some(S::pose(&self.problem, *variable)));
+        }
+    }
+
+    /// Solves the problem as the options say.
+    pub fn solve(&mut self, data: &OptimizationData) -> OptimizationSummary {
+        let solver = &self.options.ceres_solver_options;
+        let iterations = u32::try_from(solver.max_num_iterations).unwrap_or(u32::MAX);
+        let settings = SolverOptions {
+            max_num_iterations: data.max_iterations_override.unwrap_or(iterations),
+            use_nonmonotonic_steps: solver.use_nonmonotonic_steps,
+            ..SolverOptions::default()
+        };
+        match self.problem.solve(&settings) {
+            Ok(summary) => {
+                if self.options.log_solver_summary {
+                    tracing::info!("{summary:?}");
+                }
+                OptimizationSummary {
+                    initial_cost: summary.initial_cost,
+                    final_cost: summary.final_cost,
+                    iterations: summary.iterations,
+                    converged: summary.termination.is_convergence(),
+                }
+            }
+            Err(error) => {
+                tracing::warn!("the pose graph was not optimised: {error}");
+                OptimizationSummary::default()
+            }
+        }
+    }
+}
+
+/// Whether the second node comes right after the first.
+pub(super) fn follows(first: &NodeId, second: &NodeId) -> bool {
+    first.trajectory_id == second.trajectory_id && second.index == first.index + 1
+}
+
+/// The nodes around a landmark observation.
+pub(super) struct SightingBetweenNodes<'a> {
+    pub previous: (NodeId, &'a OptimizationNode),
+    pub next: (NodeId, &'a OptimizationNode),
+    /// Time of the observation as a fraction of the way from the previous to the next.
+    pub factor: f64,
+}
+
+impl<'a> SightingBetweenNodes<'a> {
+    /// None before the first node of the trajectory or after its last.
+    pub fn find(sighting: &LandmarkSighting, data: &'a OptimizationData) -> Option<Self> {
+        let mut nodes = of_trajectory(&data.nodes, sighting.trajectory_id);
+        let mut previous = nodes.next()?;
+        if sighting.time < previous.1.time {
+            return None;
+        }
+        // Node times rise with their indices; a landmark on the first node uses the first two.
+        let next = nodes.find(|(id, node)| {
+            let found = node.time >= sighting.time;
+            if !found {
+                previous = (*id, node);
+            }
+            found
+        })?;
+        let span = next.1.time.seconds_since(previous.1.time);
+        let factor = if span > 0.0 { sighting.time.seconds_since(previous.1.time) / span } else { 0.0 };
+        Some(Self { previous, next, factor })
+    }
+
+    fn map_from_tracking<S: ProblemSpace>(&self, sighting: &LandmarkSighting) -> Rigid3 {
+        let (previous, next) = (self.previous.1, self.next.1);
+        let poses = (S::map_from_tracking(previous), S::map_from_tracking(next));
+        interpolate(previous.time, &poses.0, next.time, &poses.1, sighting.time)
+    }
+}
