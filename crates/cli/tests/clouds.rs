@@ -278,8 +278,8 @@ fn a_folder_of_scans_becomes_a_map() {
     ];
     let bytes: Vec<Vec<u8>> = names.iter().map(|name| std::fs::read(out.join(name)).unwrap()).collect();
     assert_eq!(String::from_utf8_lossy(&bytes[2]).lines().count(), 3);
-    // The same for other numbers of threads.
-    for threads in ["2", "4"] {
+    // The same once more, and for other numbers of threads.
+    for threads in ["1", "2", "4"] {
         let mut arguments = arguments.clone();
         *arguments.last_mut().unwrap() = threads;
         assert_eq!(portolan_with_code(0, &arguments).stdout, first);
@@ -351,6 +351,22 @@ fn scans_that_cannot_be_registered_are_named() {
 }
 
 #[test]
+fn options_of_the_other_method_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = text(folder.path());
+    let refused = |options: &[&str], told: &str| {
+        let base = ["refine", "--recording", "a.bag", "--trajectory", "a.tum", "-o", &out];
+        let arguments: Vec<&str> = base.iter().chain(options).copied().collect();
+        let run = portolan_with_code(2, &arguments);
+        assert!(run.stderr.contains(told), "{}", run.stderr);
+    };
+    refused(&["--coarse"], "--coarse is for --method semi-rigid only");
+    refused(&["--time-window", "90"], "--time-window is for --method semi-rigid only");
+    refused(&["--method", "semi-rigid", "--calibrate"], "--calibrate is for --method continuous only");
+    refused(&["--trajectory-id", "1"], "--trajectory-id is for --map only");
+}
+
+#[test]
 fn a_refinement_is_reported_on_one_page() {
     let Some(bag) = shared("data/lidar3d/walk.bag") else { return };
     let input = std::fs::read_to_string(shared("data/lidar3d/walk.input.tum").unwrap()).unwrap();
@@ -370,12 +386,13 @@ fn a_refinement_is_reported_on_one_page() {
             "-o",
             &out,
             "--cloud",
-            "short.las",
+            "short.las,xyz",
             "--threads",
             threads,
         ];
         portolan_with_code(0, &arguments);
-        assert!(Path::new(&out).join("short.las").is_file() && !Path::new(&out).join("refined.ply").exists());
+        let is_there = |name: &str| Path::new(&out).join(name).is_file();
+        assert!(is_there("short.las") && is_there("refined.xyz") && !is_there("refined.ply"));
         std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap()
     };
     let page = run("out", "1");

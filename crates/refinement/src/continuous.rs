@@ -12,6 +12,7 @@
 mod block_tridiagonal;
 mod cells;
 mod coarse;
+mod conjugate_gradients;
 mod correction;
 mod coverage;
 mod dense_trajectory;
@@ -19,6 +20,7 @@ mod fine;
 mod information;
 mod jumps;
 mod knots;
+mod motion_blocks;
 mod motion_term;
 mod mounting;
 mod odometry;
@@ -39,13 +41,15 @@ mod unknowns;
 
 use portolan_geometry::{Rigid3, Time};
 
+pub(crate) use conjugate_gradients::{TIGHT, conjugate_gradients};
 pub use correction::SensorCorrection;
 pub use dense_trajectory::{Correction, DenseTrajectory, PoseMatrices};
 pub use jumps::Jump;
 pub use knots::Knots;
+pub(crate) use motion_blocks::MotionBlocks;
 pub use mounting::Mounting;
 pub use odometry::OdometryNoise;
-pub(crate) use odometry::odometry_terms;
+pub(crate) use odometry::{noise_found, odometry_terms};
 pub use options::{ContinuousOptions, Gauge};
 pub use other_sensors::OtherSensorsFound;
 pub use report::{
@@ -112,6 +116,12 @@ pub fn refine_continuous_with(
     options.gauge.check(sensors)?;
     let mut session = Session::new(points, input, Method::Continuous(*options), options.odometry)?;
     session.look_for_suspicions();
+    if options.calibrate_lidars && session.sensor_names.len() < 2 {
+        session
+            .report
+            .warnings
+            .push("there is only one lidar: there is nothing to calibrate it against".to_owned());
+    }
     let mut run = Run { session, sensors, options, observe };
     run.coarse()?;
     let mut rounds = Rounds::new(&mut run);
@@ -156,7 +166,8 @@ struct Run<'a, 'b> {
 impl Run<'_, '_> {
     fn extract(&mut self, window: f64) -> Result<SurfelMap, RefineError> {
         let session = &mut self.session;
-        let map = SurfelMap::extract(&session.points, &session.coverage, &session.trajectory, window);
+        let points = session.points_for_surfaces();
+        let map = SurfelMap::extract(&points, &session.coverage, &session.trajectory, window);
         if map.surfels.is_empty() {
             return Err(RefineError::NoSurfaces(session.report.points));
         }

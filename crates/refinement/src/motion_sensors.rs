@@ -54,6 +54,11 @@ impl MotionSensors {
         &self.imu
     }
 
+    /// Poses of the odometry.
+    pub fn odometry(&self) -> &[OdometryData] {
+        &self.odometry
+    }
+
     /// Places in the fixed frame, metres.
     pub fn fixes(&self) -> &[(Time, Vector3)] {
         &self.fixes

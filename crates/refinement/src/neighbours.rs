@@ -7,5 +7,5 @@ mod voxel_map;
 
 pub use kd_tree::{KdTree, Neighbour};
 pub use normals::{LocalSurface, local_surfaces};
-pub use reduce::{VoxelRepresentative, reduce};
+pub use reduce::{VoxelRepresentative, reduce, reduce_indices};
 pub use voxel_map::VoxelMap;

@@ -59,6 +59,9 @@ pub struct StoredSensor {
     pub sweeps: u64,
     /// Its sweeps without a single point.
     pub empty_sweeps: u64,
+    /// Times of its first and its latest sweep.
+    #[serde(skip)]
+    span: Option<(Time, Time)>,
 }
 
 /// What was left out when points were added.
@@ -74,8 +77,13 @@ pub struct LeftOutPoints {
     pub thinned: u64,
 }
 
-/// Most points that are kept unless it is told otherwise: 1.6 GB.
-const USUAL_LIMIT: usize = 100_000_000;
+/// Most points that are kept unless it is told otherwise: 2.6 GB.
+const USUAL_LIMIT: usize = 160_000_000;
+/// A usual turn of a spinning lidar, seconds.
+const USUAL_SWEEP: f64 = 0.1;
+/// A sweep that belongs among the last so many points is put there at once; one that belongs farther back waits for
+/// [`PointStore::sort`].
+const SETTLED_AT_ONCE: usize = 4_000_000;
 
 /// Raw points of one or several range sensors in the tracking frame, 16 bytes each. Beyond a limit every second
 /// point is left out, and again, so that memory stays bounded however long the recording is.
@@ -89,6 +97,7 @@ pub struct PointStore {
     /// Good points so far.
     good: u64,
     points: Vec<StoredPoint>,
+    is_sorted: bool,
     sensors: Vec<StoredSensor>,
     left_out: LeftOutPoints,
 }
@@ -103,6 +112,7 @@ impl PointStore {
             stride: 1,
             good: 0,
             points: Vec::new(),
+            is_sorted: true,
             sensors: Vec::new(),
             left_out: LeftOutPoints::default(),
         }
@@ -130,10 +140,13 @@ impl PointStore {
             });
             self.sensors.len() - 1
         });
+        let known = &mut self.sensors[number];
         match sweep.points_in_tracking.is_empty() {
-            true => self.sensors[number].empty_sweeps += 1,
-            false => self.sensors[number].sweeps += 1,
+            true => known.empty_sweeps += 1,
+            false => known.sweeps += 1,
         }
+        let (first, last) = known.span.unwrap_or((sweep.time, sweep.time));
+        known.span = Some((first.min(sweep.time), last.max(sweep.time)));
         number
     }
 
@@ -144,6 +157,7 @@ impl PointStore {
         let time = sweep.time.seconds_since(start);
         let least = self.min_range * self.min_range;
         self.points.reserve(sweep.points_in_tracking.len());
+        let first_new = self.points.len();
         for point in &sweep.points_in_tracking {
             let (p, seconds) = (point.position, time + f64::from(point.time));
             if !(p.x.is_finite() && p.y.is_finite() && p.z.is_finite() && seconds.is_finite()) {
@@ -161,8 +175,26 @@ impl PointStore {
                 self.left_out.outside_of_time += 1;
             }
         }
+        self.settle(first_new);
         if self.points.len() > self.limit {
             self.thin();
+        }
+    }
+
+    /// Puts new points in order of time among those before them. Sweeps come nearly in order, so that this touches few
+    /// points and needs no memory, whereas to sort everything at last would need half as much again.
+    fn settle(&mut self, first_new: usize) {
+        let (old, new) = self.points.split_at(first_new);
+        let Some(earliest) = new.iter().map(StoredPoint::ticks).min() else { return };
+        if !self.is_sorted {
+            return;
+        }
+        // Points of equal time stay in the order in which they came.
+        let from = old.partition_point(|p| p.ticks() <= earliest);
+        if self.points.len() - from > SETTLED_AT_ONCE.max(2 * new.len()) {
+            self.is_sorted = false;
+        } else {
+            self.points[from..].sort_by_key(StoredPoint::ticks);
         }
     }
 
@@ -180,8 +212,9 @@ impl PointStore {
 
     /// Puts the points in order of time; points of equal time stay in the order in which they came.
     pub fn sort(&mut self) {
-        if !self.points.is_sorted_by_key(StoredPoint::ticks) {
+        if !self.is_sorted {
             self.points.sort_by_key(StoredPoint::ticks);
+            self.is_sorted = true;
         }
         self.points.shrink_to_fit();
     }
@@ -199,6 +232,17 @@ impl PointStore {
     /// The sensors in the order of their numbers.
     pub fn sensors(&self) -> &[StoredSensor] {
         &self.sensors
+    }
+
+    /// Mean time from one sweep of the first sensor to the next, seconds. What comes more often than ten times a second is
+    /// packets, which are taken as parts of sweeps of a tenth of a second.
+    pub fn sweep_seconds(&self) -> f64 {
+        let mean = self.sensors.first().and_then(|sensor| {
+            let (first, last) = sensor.span?;
+            let steps = (sensor.sweeps + sensor.empty_sweeps).checked_sub(1).filter(|s| *s > 0)?;
+            Some(last.seconds_since(first) / steps as f64)
+        });
+        mean.unwrap_or(0.0).max(USUAL_SWEEP)
     }
 
     /// What was left out.
@@ -240,6 +284,33 @@ mod tests {
         );
         let (first, last) = store.span().unwrap();
         assert!((last.seconds_since(first) - 0.2).abs() < 1e-6);
+        assert!((store.sweep_seconds() - 0.1).abs() < 1e-6);
+        store.push(&sweep(99.7, Vec::new()));
+        store.push(&sweep(100.2, Vec::new()));
+        assert!((store.sweep_seconds() - 0.5 / 3.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_order_of_sweeps_does_not_matter_but_that_of_equal_times_does() {
+        let sweep = |seconds: f64, x: f32, count: usize| TimedPointCloudData {
+            time: Time::from_unix_seconds(seconds),
+            origin_in_tracking: Point3f::origin(),
+            points_in_tracking: vec![TimedPoint { position: Point3f::new(x, 0.0, 0.0), time: 0.0 }; count],
+            intensities: Vec::new(),
+        };
+        let mut store = PointStore::new(0.5);
+        store.push_from("a", &sweep(10.0, 1.0, 1));
+        store.push_from("a", &sweep(12.0, 3.0, 1));
+        store.push_from("b", &sweep(11.0, 2.0, 1));
+        store.push_from("b", &sweep(12.0, 4.0, 1));
+        let xs = |store: &PointStore| store.points().iter().map(|p| p.in_tracking[0]).collect::<Vec<_>>();
+        assert_eq!(xs(&store), [1.0, 2.0, 3.0, 4.0]);
+        // One that lies far back waits.
+        store.push_from("a", &sweep(13.0, 5.0, SETTLED_AT_ONCE));
+        store.push_from("b", &sweep(9.0, 0.5, 1));
+        assert_eq!(store.points().last().unwrap().in_tracking[0], 0.5);
+        store.sort();
+        assert_eq!(xs(&store)[..6], [0.5, 1.0, 2.0, 3.0, 4.0, 5.0]);
     }
 
     #[test]

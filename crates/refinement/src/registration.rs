@@ -14,7 +14,6 @@ mod sequence;
 
 pub use closed_forms::{ClosedForm, best_transform, helical_motion};
 pub use cloud::ScanCloud;
-pub(crate) use global::LinkSums;
 pub use global::{GlobalMethod, GlobalOptions, GlobalReport, register_globally};
 pub use graph::{Link, links_by_distance, links_by_overlap};
 pub use icp::{IcpError, IcpMethod, IcpOptions, IcpResult, RobustKernel, icp};

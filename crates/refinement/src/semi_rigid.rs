@@ -1,37 +1,55 @@
 //! Semi-rigid refinement as published (Elseberg, Borrmann and Nüchter 2013; Nüchter, Bleier, Schauer and Janotta
-//! 2017, section 5): sections of the trajectory are registered to each other, all at once, in one sparse system with
-//! the motion between consecutive elements, and at last all elements of the trajectory are solved for.
+//! 2017, section 5): sections of the trajectory are registered to each other as rigid bodies, all at once; then all elements of
+//! the trajectory are solved for in one sparse system, from pairs of points at the level of single elements that were
+//! recorded long enough apart, and from the motion between consecutive elements.
 //!
 //! Differences, each for a fault of the reference: poses are moved on SE(3) (no singular angle); the input's
 //! motion has a covariance in metres and radians per root second (independent of the number of elements and of
-//! the unit of length); sections do not share points unless asked to, so that they are not locked to each
-//! other; pairs count by their distance from the surface, and only if both face the same way (a quarter of all pairs
-//! within 50 cm join the two sides of a wall or different faces); each two sections are linked once; the first pose is the gauge, not the first section.
+//! the unit of length), with which its residual is weighted, too; sections do not share points unless asked to, and points
+//! recorded shortly after each other are not paired, so that sections are not locked to each other; pairs count by their
+//! distance from the surface, and only if both face the same way (a quarter of all pairs within 50 cm join the two sides of
+//! a wall or different faces); each two sections are linked once; the first pose is the gauge, not the first section; and what
+//! happens within a section is corrected, because pairs tie the elements that measured them.
+
+mod elements;
+mod sections;
 
 use nalgebra::{Matrix3, Matrix6};
-use portolan_geometry::{Rigid3, Time, Vector3, nalgebra as na};
+use portolan_geometry::{Rigid3, Time, Vector3};
 use portolan_solver::NormalBlocks;
 use rayon::prelude::*;
 
 use crate::continuous::{
-    Knots, Method, OdometryNoise, RefineProgress, RefineStep, Refined, Session, odometry_terms,
+    Knots, Method, MotionBlocks, OdometryNoise, RefineProgress, RefineStep, Refined, Session, TIGHT,
+    conjugate_gradients, noise_found, odometry_terms,
 };
-use crate::neighbours::{VoxelRepresentative, reduce};
-use crate::registration::{
-    GlobalOptions, Link, LinkStatistics, LinkSums, RobustKernel, ScanCloud, links_by_overlap,
-};
+use crate::registration::{Link, LinkStatistics, RobustKernel};
 use crate::{PointStore, RefineError};
+use elements::{ElementEquations, ElementPair, End};
+use sections::{PointPair, Sections};
 
-/// Points of a section that look for a partner in another one.
-const MAX_QUERIES: usize = 400;
-/// Neighbours of a point that tell its normal.
-const NORMAL_NEIGHBOURS: usize = 12;
+/// Points of a section that look for a partner in another one, while sections are rigid and at last.
+const RIGID_QUERIES: usize = 120;
+const ELEMENT_QUERIES: usize = 1000;
+/// Most iterations over all elements.
+const ELEMENT_ITERATIONS: usize = 3;
+/// The noise of the input is found over this, seconds: its errors are smooth for shorter.
+const ODOMETRY_SECONDS: f64 = 0.1;
+/// Pairs that are off by more than so many times their scatter lose weight.
+const KERNEL_SCATTER: f64 = 2.0;
+/// Least standard deviation of a pair, metres.
+const LEAST_DEVIATION: f64 = 0.005;
+/// Shortest element, seconds: poses are kept no finer than this.
+const SHORTEST_ELEMENT: f64 = 0.005;
 /// Beyond this share of the pair distance pairs lose weight (Cauchy).
 const KERNEL: f64 = 0.1;
 /// Links with less weight of pairs are not used.
 const LEAST_ROWS: f64 = 20.0;
-/// Sections rest when none moves farther, metres.
-const REST: f64 = 0.002;
+/// Usual number of steps of an outer iteration, for progress.
+const USUAL_STEPS: usize = 12;
+/// Sections rest when none moves farther, metres: what is left is up to the elements, which rest later.
+const SECTIONS_REST: f64 = 0.01;
+const ELEMENTS_REST: f64 = 0.002;
 const FAILED: RefineError = RefineError::Numerical("distribution over the elements");
 
 /// Parameters as in the paper.
@@ -51,7 +69,9 @@ pub struct SemiRigidOptions {
     pub min_pairs: usize,
     /// Farthest points of a pair, metres.
     pub max_distance: f64,
-    /// How often sections are made, registered and distributed.
+    /// Only points recorded at least so many elements apart are paired.
+    pub time_window: usize,
+    /// How often sections are made and registered, and elements solved for.
     pub outer_iterations: usize,
     /// How wrong the motion of the input may be.
     pub odometry: OdometryNoise,
@@ -67,6 +87,7 @@ impl Default for SemiRigidOptions {
             rigid_iterations: 20,
             min_pairs: 400,
             max_distance: 0.5,
+            time_window: 180,
             outer_iterations: 1,
             odometry: OdometryNoise { translation: 0.05, rotation: 0.5_f64.to_radians() },
         }
@@ -74,6 +95,16 @@ impl Default for SemiRigidOptions {
 }
 
 impl SemiRigidOptions {
+    /// The coarse mode: the smallest element is two sweeps of `sweep_seconds`. Sections and the time window last as long as
+    /// before.
+    pub fn coarse(self, sweep_seconds: f64) -> Self {
+        let element = 2.0 * sweep_seconds;
+        let elements = |count: usize| (count as f64 * self.element / element).ceil().max(1.0) as usize;
+        let half_width = elements(self.half_width);
+        let interval = elements(self.interval).min(2 * half_width);
+        Self { element, interval, half_width, time_window: elements(self.time_window), ..self }
+    }
+
     fn check(&self) -> Result<(), RefineError> {
         let sensible =
             [self.element, self.voxel, self.max_distance, self.odometry.translation, self.odometry.rotation]
@@ -83,6 +114,12 @@ impl SemiRigidOptions {
             return Err(RefineError::Option(
                 "element, interval, voxel, pair distance and odometry noise must be above 0".to_owned(),
             ));
+        }
+        if self.element < SHORTEST_ELEMENT {
+            return Err(RefineError::Option(format!(
+                "an element must last at least {SHORTEST_ELEMENT} s, but is {} s",
+                self.element
+            )));
         }
         if 2 * self.half_width < self.interval {
             return Err(RefineError::Option(format!(
@@ -108,86 +145,123 @@ pub fn refine_semi_rigid(
     options.check()?;
     let mut session = Session::new(points, input, Method::SemiRigid(*options), options.odometry)?;
     session.look_for_suspicions();
-    for iteration in 0..options.outer_iterations.max(1) {
-        let step = outer_iteration(&mut session, options)?;
-        session.measure_round(iteration);
-        let progress = RefineProgress {
-            stage: format!("{} sections", step.terms),
-            share: (iteration + 1) as f64 / options.outer_iterations.max(1) as f64,
-            rms: step.rms,
-            shift: step.shift,
-            entropy: session.report.sharpness_by_round.last().map(|s| s.mean_map_entropy),
+    let outer_iterations = options.outer_iterations.max(1);
+    for iteration in 0..outer_iterations {
+        let usual = (USUAL_STEPS * outer_iterations) as f64;
+        let mut tell = |session: &Session, step: &RefineStep| {
+            let steps = session.report.steps.len().min(USUAL_STEPS * (iteration + 1));
+            observe(&RefineProgress {
+                stage: match step.stage {
+                    "elements" => format!("{} pairs of elements", step.terms),
+                    _ => format!("{} links of sections", step.terms),
+                },
+                share: (steps as f64 / usual).min(0.99),
+                rms: step.rms,
+                shift: step.shift,
+                entropy: session.report.sharpness_by_round.last().map(|s| s.mean_map_entropy),
+            })
         };
-        if !observe(&progress) {
-            session.report.stopped = iteration + 1 < options.outer_iterations;
+        outer_iteration(&mut session, options, &mut tell)?;
+        if session.report.stopped {
             break;
         }
+        session.measure_round(iteration);
     }
     Ok(session.finish(|_, _| {}))
 }
 
-/// Sections are made and linked; then they are moved until they fit, at last with all elements.
-fn outer_iteration(session: &mut Session, options: &SemiRigidOptions) -> Result<RefineStep, RefineError> {
-    let middles = middles(session.trajectory.duration(), options);
-    let scans: Vec<ScanCloud> = middles.par_iter().map(|middle| section(session, *middle, options)).collect();
-    let poses: Vec<Rigid3> = middles.iter().map(|m| session.trajectory.pose(*m)).collect();
-    let links = links_by_overlap(&scans, &poses, options.min_pairs, options.max_distance);
-    let sections = Sections { middles, scans, links };
-    // Between sections the elements do what a chain of equal springs does; one knot a section is as good until the
-    // end.
-    let spacing = options.element * options.interval as f64;
-    for _ in 1..options.rigid_iterations {
-        let step = move_sections(session, &sections, spacing, options)?;
-        session.report.steps.push(step);
-        if step.shift < REST {
+/// One outer iteration: sections are made and linked, moved as rigid bodies until they fit, and then all elements of the
+/// trajectory are solved for.
+fn outer_iteration(
+    session: &mut Session,
+    options: &SemiRigidOptions,
+    observe: &mut dyn FnMut(&Session, &RefineStep) -> bool,
+) -> Result<(), RefineError> {
+    let sections = Sections::of(session, options);
+    for _ in 0..options.rigid_iterations {
+        let step = move_sections(session, &sections, options)?;
+        if !note(session, step, observe) {
+            return Ok(());
+        }
+        if step.shift < SECTIONS_REST {
             break;
         }
     }
-    let step = move_sections(session, &sections, options.element, options)?;
+    let mut beliefs = Beliefs { odometry: options.odometry, kernel: KERNEL * options.max_distance };
+    let mut queries: Vec<Vec<u32>> =
+        sections.links.iter().map(|link| sections.queries(*link, ELEMENT_QUERIES)).collect();
+    for _ in 0..ELEMENT_ITERATIONS {
+        let step = move_elements(session, &sections, &mut queries, options, &beliefs)?;
+        beliefs = beliefs.learned(session, &step);
+        if !note(session, step, observe) || step.shift < ELEMENTS_REST {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// What is thought of input and pairs.
+#[derive(Clone, Copy)]
+struct Beliefs {
+    odometry: OdometryNoise,
+    /// Scale of the robust kernel, metres.
+    kernel: f64,
+}
+
+impl Beliefs {
+    /// An input that has turned out to be better than thought counts more, so that elements which see little stay with it;
+    /// pairs that have turned out to scatter less than thought leave less doubt which of them are wrong.
+    fn learned(self, session: &mut Session, step: &RefineStep) -> Self {
+        let knots = Knots::new(session.trajectory.duration(), ODOMETRY_SECONDS);
+        let found = noise_found(&session.trajectory, &knots);
+        session.report.odometry_found = found;
+        let odometry = OdometryNoise {
+            translation: found.translation.min(self.odometry.translation),
+            rotation: found.rotation.min(self.odometry.rotation),
+        };
+        Self { odometry, kernel: self.kernel.min(KERNEL_SCATTER * step.rms) }
+    }
+}
+
+/// Whether to go on.
+fn note(
+    session: &mut Session,
+    step: RefineStep,
+    observe: &mut dyn FnMut(&Session, &RefineStep) -> bool,
+) -> bool {
     session.report.steps.push(step);
-    Ok(step)
+    let go_on = observe(session, &step);
+    session.report.stopped |= !go_on;
+    go_on
 }
 
-/// Sections of one outer iteration.
-struct Sections {
-    middles: Vec<f64>,
-    /// Points in the frame of the trajectory at the middle of the section.
-    scans: Vec<ScanCloud>,
-    links: Vec<Link>,
-}
-
-/// One iteration: pairs are searched at the current poses of the sections, and everything is solved for at once: each
-/// link wants the difference D of its sections with information C⁻¹ (equations 7 to 9), consecutive knots want the
-/// motion of the input.
+/// One iteration with rigid sections: pairs are searched at their current poses, and everything is solved for at once: each
+/// link wants the difference D of its sections with information C⁻¹ (equations 7 to 9), consecutive sections want the
+/// motion of the input. Between sections the elements do what a chain of equal springs does.
 fn move_sections(
     session: &mut Session,
     sections: &Sections,
-    spacing: f64,
     options: &SemiRigidOptions,
 ) -> Result<RefineStep, RefineError> {
-    let poses: Vec<Rigid3> = sections.middles.iter().map(|m| session.trajectory.pose(*m)).collect();
-    let matching = GlobalOptions {
-        max_distance: options.max_distance,
-        max_queries: MAX_QUERIES,
-        planes: true,
-        kernel: RobustKernel::Cauchy(KERNEL * options.max_distance),
-        ..GlobalOptions::default()
+    let poses = sections.poses(session);
+    let kernel = RobustKernel::Cauchy(KERNEL * options.max_distance);
+    let sum = |link: &Link| {
+        let mut statistics = LinkStatistics::default();
+        let queries = sections.queries(*link, RIGID_QUERIES);
+        for pair in sections.pairs(*link, &poses, &queries, options) {
+            let pair = sections.place(*link, &poses, pair);
+            let weight = kernel.weight(pair.normal.dot(&(pair.a - pair.b)).abs());
+            statistics.add_plane(&pair.a, &pair.b, &pair.normal, weight);
+        }
+        statistics
     };
-    let sums: Vec<LinkSums> = sections
-        .links
-        .par_iter()
-        .map(|link| LinkSums::of(&sections.scans, &poses, *link, &matching))
-        .collect();
-    let knots = Knots::new(session.trajectory.duration(), spacing);
+    let sums: Vec<LinkStatistics> = sections.links.par_iter().map(sum).collect();
+    let knots = Knots::new(session.trajectory.duration(), options.element * options.interval as f64);
     let mut equations = NormalBlocks::new(knots.count());
-    let (mut squares, mut weights) = (0.0, 0.0);
-    for sum in &sums {
-        squares += sum.statistics.squares;
-        weights += sum.statistics.rows;
-    }
-    let common = squares / f64::max(weights, 1e-12);
-    for (link, sum) in sections.links.iter().zip(&sums) {
-        add_link(&mut equations, &knots, sections, &poses, *link, &sum.statistics, common)?;
+    let squares: f64 = sums.iter().map(|s| s.squares).sum();
+    let common = squares / sums.iter().map(|s| s.rows).sum::<f64>().max(1e-12);
+    for (link, statistics) in sections.links.iter().zip(&sums) {
+        add_link(&mut equations, &knots, sections, &poses, *link, statistics, common)?;
     }
     for term in &odometry_terms(&session.trajectory, &knots, options.odometry) {
         let i = term.knot();
@@ -199,15 +273,88 @@ fn move_sections(
     equations.hold(0, 1e9);
     let increment = equations.solve().map_err(|_| FAILED)?.ok_or(FAILED)?;
     session.trajectory.apply(&knots, &increment);
-    let shift = increment.chunks_exact(6).map(|k| Vector3::new(k[0], k[1], k[2]).norm()).fold(0.0, f64::max);
     Ok(RefineStep {
         stage: "sections",
         knot_spacing: knots.spacing(),
         reach: options.max_distance,
-        terms: sections.scans.len(),
+        terms: sections.links.len(),
         rms: common.sqrt(),
-        shift,
+        shift: largest_shift(&increment),
     })
+}
+
+/// One iteration over all elements: pairs are searched as before, but each point lies where its own element has it, and
+/// ties that element. Of the queries of each link those remain that have found a partner.
+fn move_elements(
+    session: &mut Session,
+    sections: &Sections,
+    queries: &mut [Vec<u32>],
+    options: &SemiRigidOptions,
+    beliefs: &Beliefs,
+) -> Result<RefineStep, RefineError> {
+    let poses = sections.poses(session);
+    let elements = Knots::new(session.trajectory.duration(), options.element);
+    let matrices = session.trajectory.matrices();
+    let kernel = RobustKernel::Cauchy(beliefs.kernel);
+    let of_link = |(link, queries): (&Link, &mut Vec<u32>)| -> Vec<ElementPair> {
+        let ends = [link.from, link.to].map(|i| &sections.sections[i].measured);
+        let linearised = |pair: PointPair| {
+            let normal = sections.normal(*link, &poses, pair);
+            let placed = [0, 1].map(|end| {
+                let (seconds, in_tracking) = ends[end][pair[end] as usize];
+                let matrix = matrices.at(seconds);
+                let place = Vector3::from(matrices.to_world(seconds, in_tracking));
+                (seconds, place, Vector3::new(matrix[3], matrix[7], matrix[11]))
+            });
+            let residual = normal.dot(&(placed[0].1 - placed[1].1));
+            ElementPair {
+                normal: normal.map(|v| v as f32).into(),
+                ends: placed
+                    .map(|(seconds, place, from)| End::new(&elements, seconds, &place, &from, &normal)),
+                residual: residual as f32,
+                weight: kernel.weight(residual.abs()) as f32,
+            }
+        };
+        let found = sections.pairs(*link, &poses, queries, options);
+        queries.clear();
+        queries.extend(found.iter().map(|pair| pair[1]));
+        found.into_iter().map(linearised).collect()
+    };
+    let parts: Vec<Vec<ElementPair>> = sections.links.par_iter().zip(queries).map(of_link).collect();
+    let mut pairs = parts.concat();
+    let weights: f64 = pairs.iter().map(|p| f64::from(p.weight)).sum();
+    let squares: f64 = pairs.iter().map(|p| f64::from(p.weight) * f64::from(p.residual).powi(2)).sum();
+    let variance = (squares / weights.max(1e-12)).max(LEAST_DEVIATION * LEAST_DEVIATION);
+    pairs.iter_mut().for_each(|p| p.weight /= variance as f32);
+    let terms = pairs.len();
+    let equations = ElementEquations::new(pairs, &elements);
+    let motion = odometry_terms(&session.trajectory, &elements, beliefs.odometry);
+    let motion = MotionBlocks::new(&motion, &[], elements.count());
+    let preconditioner = motion.preconditioner(|diagonal, below| equations.add_blocks(diagonal, below));
+    let preconditioner = preconditioner.ok_or(FAILED)?;
+    let product = |x: &[f64], y: &mut [f64]| {
+        y.fill(0.0);
+        equations.multiply(x, y);
+        motion.multiply(x, y);
+    };
+    let mut right = motion.gradient.clone();
+    equations.gradient(&mut right);
+    right.iter_mut().for_each(|r| *r = -*r);
+    let increment = conjugate_gradients(&right, product, |x| preconditioner.solve(x), TIGHT);
+    session.trajectory.apply(&elements, &increment);
+    Ok(RefineStep {
+        stage: "elements",
+        knot_spacing: elements.spacing(),
+        reach: options.max_distance,
+        terms,
+        rms: variance.sqrt(),
+        shift: largest_shift(&increment),
+    })
+}
+
+/// Metres.
+fn largest_shift(increment: &[f64]) -> f64 {
+    increment.chunks_exact(6).map(|k| Vector3::new(k[0], k[1], k[2]).norm()).fold(0.0, f64::max)
 }
 
 /// `δ_a − δ_b = −D` with information C⁻¹, δ being the twists of both sections in the world.
@@ -231,7 +378,7 @@ fn add_link(
     let Some(root) = information.cholesky().map(|c| c.l().transpose()) else { return Ok(()) };
     let residual = root * difference;
     let ends = [(link.from, 1.0), (link.to, -1.0)].map(|(section, sign)| {
-        let (knot, f) = knots.place(sections.middles[section]);
+        let (knot, f) = knots.place(sections.sections[section].middle);
         (knot, f, root * twist_of_increment(&poses[section].translation.vector) * sign)
     });
     for row in 0..6 {
@@ -244,27 +391,6 @@ fn add_link(
         equations.add_row(&terms, residual[row], 1.0).map_err(|_| FAILED)?;
     }
     Ok(())
-}
-
-/// Times of the middles of the sections.
-fn middles(duration: f64, options: &SemiRigidOptions) -> Vec<f64> {
-    let interval = options.interval as f64 * options.element;
-    let count = (duration / interval).floor() as usize + 1;
-    (0..count).map(|i| i as f64 * interval).collect()
-}
-
-/// The points around a time, joined with the current trajectory in the frame at that time, one in each voxel.
-fn section(session: &Session, middle: f64, options: &SemiRigidOptions) -> ScanCloud {
-    let half = options.half_width as f64 * options.element;
-    let section_from_world = session.trajectory.pose(middle).inverse();
-    let mut joined = Vec::new();
-    session.for_each_point([middle - half, middle + half], |_, in_world| {
-        let p = section_from_world * na::Point3::from(in_world);
-        joined.push([p.x as f32, p.y as f32, p.z as f32]);
-    });
-    let reduced = reduce(&joined, options.voxel as f32, VoxelRepresentative::Random(1));
-    let reach = (5.0 * options.voxel) as f32;
-    ScanCloud::with_surfaces(reduced, NORMAL_NEIGHBOURS, reach).with_normals_towards([0.0; 3])
 }
 
 /// The twist in the world of an increment (shift, turn about a place): `(τ + p × φ, φ)`.
@@ -296,5 +422,15 @@ mod tests {
     fn sections_that_leave_gaps_are_refused() {
         let options = SemiRigidOptions { half_width: 100, ..SemiRigidOptions::default() };
         assert!(options.check().is_err() && SemiRigidOptions::default().check().is_ok());
+        let tiny = SemiRigidOptions { element: 1e-6, ..SemiRigidOptions::default() };
+        assert!(tiny.check().is_err());
+    }
+
+    #[test]
+    fn the_coarse_mode_has_elements_of_two_sweeps_and_sections_as_long_as_before() {
+        let coarse = SemiRigidOptions::default().coarse(0.1);
+        assert!((coarse.element - 0.2).abs() < 1e-12 && coarse.check().is_ok());
+        let seconds = coarse.interval as f64 * coarse.element;
+        assert!((seconds - 2.5).abs() < 0.25 && coarse.half_width == 7 && coarse.time_window == 8);
     }
 }

@@ -126,11 +126,18 @@ fn a_jump_of_the_input_is_taken_out() {
 fn the_published_method_finds_drift_too() {
     let truth = poses(circles, SECONDS);
     let points = scan(&furnished(), circles, SECONDS, 120);
-    let input = disturbed(&truth, 0.4, 0.0);
+    let input = disturbed(&truth, 0.4, 0.005);
     let options = SemiRigidOptions { interval: 120, half_width: 60, ..SemiRigidOptions::default() };
-    let refined = refine_semi_rigid(&points, &input, &options, &mut |_| true).unwrap();
-    let (before, after) = (errors(&truth, &input), errors(&truth, &corrected(&refined, &input)));
-    assert!(after.0 < 0.25 * before.0, "{before:?} -> {after:?}");
+    let refine = |options| refine_semi_rigid(&points, &input, &options, &mut |_| true).unwrap();
+    let error = |refined: &Refined| errors(&truth, &corrected(refined, &input)).0;
+    let before = errors(&truth, &input).0;
+    let fine = error(&refine(options));
+    assert!(fine < 0.02 * before, "{before} -> {fine}");
+    let coarse = refine(options.coarse(points.sweep_seconds()));
+    let after = error(&coarse);
+    assert!(after < 0.02 * before, "{before} -> {after}");
+    let last = coarse.report.steps.last().unwrap();
+    assert!(last.stage == "elements" && (last.knot_spacing - 0.2).abs() < 0.01, "{last:?}");
 }
 
 #[test]

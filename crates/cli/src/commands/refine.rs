@@ -70,8 +70,15 @@ pub struct RefineArgs {
     points: PointArgs,
     /// Format of the refined cloud (then it is called refined.FORMAT), or its name: `hall.laz`, in the folder for the
     /// results; a path from the root may lead elsewhere.
-    #[arg(long, value_parser = cloud_name, default_value = "ply", value_name = "FORMAT | FILE")]
-    cloud: String,
+    /// Several with commas.
+    #[arg(
+        long,
+        value_parser = cloud_name,
+        default_value = "ply",
+        value_delimiter = ',',
+        value_name = "FORMAT | FILE"
+    )]
+    cloud: Vec<String>,
     /// Write no cloud.
     #[arg(long)]
     no_cloud: bool,
@@ -91,7 +98,7 @@ pub struct RefineArgs {
 enum MethodName {
     /// Knots a tenth of a second apart and all planes are solved for together, from coarse to fine.
     Continuous,
-    /// Sections of the trajectory are registered rigidly and the result is distributed, as published by
+    /// Sections of the trajectory are registered rigidly, then all elements of it are solved for, as published by
     /// Elseberg, Borrmann, Nüchter and others.
     SemiRigid,
 }
@@ -100,46 +107,55 @@ enum MethodName {
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Semi-rigid method (as published)")]
 struct SemiRigidArgs {
-    /// One element of the trajectory, seconds. For the coarse mode as long as two sweeps, with fewer elements a
-    /// section.
-    #[arg(long, value_name = "SECONDS", default_value_t = SemiRigidOptions::default().element)]
-    element: f64,
-    /// A section every so many elements.
-    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().interval)]
-    interval: usize,
-    /// Elements on each side of its middle that a section holds.
-    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().half_width)]
-    half_width: usize,
-    /// One point is kept in each voxel of this edge, metres.
-    #[arg(long, value_name = "METRES", default_value_t = SemiRigidOptions::default().voxel)]
-    voxel: f64,
-    /// Iterations of the rigid registration of the sections.
-    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().rigid_iterations)]
-    rigid_iterations: usize,
-    /// Sections with more pairs than this are linked.
-    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().min_pairs)]
-    min_pairs: usize,
-    /// Farthest points of a pair, metres.
-    #[arg(long, value_name = "METRES", default_value_t = SemiRigidOptions::default().max_distance)]
-    pair_distance: f64,
-    /// How often sections are made, registered and distributed.
-    #[arg(long, value_name = "N", default_value_t = SemiRigidOptions::default().outer_iterations)]
-    outer_iterations: usize,
+    /// One element of the trajectory, seconds: a pose is found for each. Default 1/120.
+    #[arg(long, value_name = "SECONDS")]
+    element: Option<f64>,
+    /// The coarse mode: an element is two sweeps. Sections and the time window last as long as without it.
+    #[arg(long, conflicts_with = "element")]
+    coarse: bool,
+    /// A section every so many elements. Default 300.
+    #[arg(long, value_name = "N")]
+    interval: Option<usize>,
+    /// Elements on each side of its middle that a section holds. Default 150.
+    #[arg(long, value_name = "N")]
+    half_width: Option<usize>,
+    /// One point is kept in each voxel of this edge, metres. Default 0.1.
+    #[arg(long, value_name = "METRES")]
+    voxel: Option<f64>,
+    /// Most iterations of the rigid registration of the sections. Default 20.
+    #[arg(long, value_name = "N")]
+    rigid_iterations: Option<usize>,
+    /// Sections with more pairs than this are linked. Default 400.
+    #[arg(long, value_name = "N")]
+    min_pairs: Option<usize>,
+    /// Farthest points of a pair, metres. Default 0.5.
+    #[arg(long, value_name = "METRES")]
+    pair_distance: Option<f64>,
+    /// Only points recorded at least so many elements apart are paired: what was seen a moment ago fits anyway. Default 180.
+    #[arg(long, value_name = "N")]
+    time_window: Option<usize>,
+    /// How often sections are made and registered, and elements solved for. Default 1.
+    #[arg(long, value_name = "N")]
+    outer_iterations: Option<usize>,
 }
 
 impl SemiRigidArgs {
-    fn options(&self) -> SemiRigidOptions {
-        SemiRigidOptions {
-            element: self.element,
-            interval: self.interval,
-            half_width: self.half_width,
-            voxel: self.voxel,
-            rigid_iterations: self.rigid_iterations,
-            min_pairs: self.min_pairs,
-            max_distance: self.pair_distance,
-            outer_iterations: self.outer_iterations,
-            ..SemiRigidOptions::default()
-        }
+    /// `sweep_seconds` is the time of a sweep of the recording.
+    fn options(&self, sweep_seconds: f64) -> SemiRigidOptions {
+        let usual = SemiRigidOptions::default();
+        let options = SemiRigidOptions {
+            element: self.element.unwrap_or(usual.element),
+            interval: self.interval.unwrap_or(usual.interval),
+            half_width: self.half_width.unwrap_or(usual.half_width),
+            voxel: self.voxel.unwrap_or(usual.voxel),
+            rigid_iterations: self.rigid_iterations.unwrap_or(usual.rigid_iterations),
+            min_pairs: self.min_pairs.unwrap_or(usual.min_pairs),
+            max_distance: self.pair_distance.unwrap_or(usual.max_distance),
+            time_window: self.time_window.unwrap_or(usual.time_window),
+            outer_iterations: self.outer_iterations.unwrap_or(usual.outer_iterations),
+            ..usual
+        };
+        if self.coarse { options.coarse(sweep_seconds) } else { options }
     }
 }
 
@@ -147,15 +163,16 @@ impl SemiRigidArgs {
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Continuous method (the defaults are meant for every recording)")]
 struct TuningArgs {
-    /// Windows within which the input shows a wall as one sheet, seconds. Longer for slow scanners.
-    #[arg(long, value_name = "SECONDS", default_value_t = ContinuousOptions::default().window)]
-    window: f64,
+    /// Windows within which the input shows a wall as one sheet, seconds. Longer for slow scanners. Default 2.
+    #[arg(long, value_name = "SECONDS")]
+    window: Option<f64>,
     /// Time between knots of the result, seconds. Shorter follows faster errors, if there are points enough.
-    #[arg(long, value_name = "SECONDS", default_value_t = ContinuousOptions::default().knot_spacing)]
-    knots: f64,
-    /// How far drift may have moved surfaces apart, metres.
-    #[arg(long, value_name = "METRES", default_value_t = ContinuousOptions::default().reach)]
-    reach: f64,
+    /// Default 0.1.
+    #[arg(long, value_name = "SECONDS")]
+    knots: Option<f64>,
+    /// How far drift may have moved surfaces apart, metres. Default 2.
+    #[arg(long, value_name = "METRES")]
+    reach: Option<f64>,
     /// Other sensors whose motion counts too. How exact they are is found; a bad one does no harm.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "SENSORS")]
     with: Vec<OtherSensor>,
@@ -180,18 +197,31 @@ enum GaugeName {
 
 impl TuningArgs {
     fn options(&self) -> ContinuousOptions {
+        let usual = ContinuousOptions::default();
         ContinuousOptions {
-            window: self.window,
-            knot_spacing: self.knots,
-            reach: self.reach,
+            window: self.window.unwrap_or(usual.window),
+            knot_spacing: self.knots.unwrap_or(usual.knot_spacing),
+            reach: self.reach.unwrap_or(usual.reach),
             calibrate_lidars: self.calibrate,
             gauge: match self.gauge {
                 GaugeName::FirstPose => Gauge::FirstPose,
                 GaugeName::Gravity => Gauge::Gravity,
                 GaugeName::Fixes => Gauge::Fixes,
             },
-            ..ContinuousOptions::default()
+            ..usual
         }
+    }
+
+    /// What was asked to count and is not in the recording.
+    fn without_data(&self, read: &points::ReadPoints) -> Vec<String> {
+        let sensors = &read.sensors;
+        let missing = |sensor: &OtherSensor| match sensor {
+            OtherSensor::Imu => sensors.imu().is_empty().then_some(("imu", "samples of an IMU")),
+            OtherSensor::Odometry => sensors.odometry().is_empty().then_some(("odometry", "odometry")),
+            OtherSensor::Fixes => sensors.fixes().is_empty().then_some(("fixes", "satellite fixes")),
+        };
+        let told = |(name, what)| format!("--with {name} changed nothing: the recording has no {what}");
+        self.with.iter().filter_map(missing).map(told).collect()
     }
 
     /// The sensors to read: those that count, and those that say where the result lies.
@@ -206,10 +236,57 @@ impl TuningArgs {
     }
 }
 
+impl RefineArgs {
+    /// Options that would be ignored without a word are refused.
+    fn check_options(&self) -> Result<(), CliError> {
+        if self.trajectory_id != 0 && self.map.is_none() {
+            return Err(CliError::Usage("--trajectory-id is for --map only".to_owned()));
+        }
+        let (s, t) = (&self.semi_rigid, &self.tuning);
+        let given = |options: &[(&'static str, bool)]| options.iter().find(|o| o.1).map(|o| o.0);
+        let (other, method) = match self.method {
+            MethodName::Continuous => {
+                let options = [
+                    ("--element", s.element.is_some()),
+                    ("--coarse", s.coarse),
+                    ("--interval", s.interval.is_some()),
+                    ("--half-width", s.half_width.is_some()),
+                    ("--voxel", s.voxel.is_some()),
+                    ("--rigid-iterations", s.rigid_iterations.is_some()),
+                    ("--min-pairs", s.min_pairs.is_some()),
+                    ("--pair-distance", s.pair_distance.is_some()),
+                    ("--time-window", s.time_window.is_some()),
+                    ("--outer-iterations", s.outer_iterations.is_some()),
+                ];
+                (given(&options), "semi-rigid")
+            }
+            MethodName::SemiRigid => {
+                let options = [
+                    ("--window", t.window.is_some()),
+                    ("--knots", t.knots.is_some()),
+                    ("--reach", t.reach.is_some()),
+                    ("--with", !t.with.is_empty()),
+                    ("--calibrate", t.calibrate),
+                    ("--gauge", t.gauge != GaugeName::FirstPose),
+                ];
+                (given(&options), "continuous")
+            }
+        };
+        match other {
+            Some(option) => Err(CliError::Usage(format!("{option} is for --method {method} only"))),
+            None => Ok(()),
+        }
+    }
+}
+
 pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let start = Instant::now();
     interrupt::watch();
+    args.check_options()?;
     let input = read_input(args, global)?;
+    if args.output.exists() && !args.output.is_dir() {
+        return Err(CliError::Usage(format!("-o {} is no folder", args.output.display())));
+    }
     std::fs::create_dir_all(&args.output)
         .map_err(|source| CliError::File { path: args.output.clone(), source })?;
     let recording = open_all(&args.recording)?;
@@ -218,7 +295,8 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         .num_threads(global.thread_count())
         .build()
         .map_err(|error| CliError::Failed(error.to_string()))?;
-    let refined = pool.install(|| refine_with_progress(&read, &input, args, global))?;
+    let mut refined = pool.install(|| refine_with_progress(&read, &input, args, global))?;
+    refined.report.warnings.extend(args.tuning.without_data(&read));
     let command = command_line();
     let files: Vec<PathBuf> =
         args.recording.iter().chain(&args.trajectory).chain(&args.map).cloned().collect();
@@ -227,7 +305,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         refined: &refined,
         read: &read,
         seconds: start.elapsed().as_secs_f64(),
-        cloud: (!args.no_cloud).then_some(args.cloud.as_str()),
+        clouds: if args.no_cloud { &[] } else { &args.cloud },
         files: &files,
         command: (!args.no_report).then_some(command.as_str()),
         map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
@@ -304,7 +382,8 @@ fn refine_with_progress(
             refine_continuous_with(&read.store, &read.sensors, input, &args.tuning.options(), &mut observe)
         }
         MethodName::SemiRigid => {
-            refine_semi_rigid(&read.store, input, &args.semi_rigid.options(), &mut observe)
+            let options = args.semi_rigid.options(read.store.sweep_seconds());
+            refine_semi_rigid(&read.store, input, &options, &mut observe)
         }
     };
     progress.finish();

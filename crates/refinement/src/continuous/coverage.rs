@@ -3,12 +3,17 @@
 use portolan_geometry::{Rigid3, Time};
 
 use super::correction::Corrections;
+use crate::MAX_SENSORS;
 use crate::point_store::StoredPoint;
 
 /// Interpolation over more than this many usual intervals between poses is not trusted …
 const INTERVALS: f64 = 5.0;
 /// … if it is also longer than this, seconds.
 const SECONDS: f64 = 0.5;
+
+/// Denser points are thinned to this for finding surfaces: they are known well enough then, and the time it takes is
+/// bounded.
+const MAX_POINTS_PER_SECOND: usize = 125_000;
 
 /// Points of a recording in the time of a trajectory.
 #[derive(Clone)]
@@ -41,6 +46,33 @@ impl<'a> TimedPoints<'a> {
         let end = self.points.partition_point(|p| self.seconds(p) < to);
         &self.points[start..end]
     }
+
+    /// As many points as finding surfaces needs, evenly of each sensor, so that no later step depends on how many the
+    /// recording has; none if it does not have more.
+    pub fn thinned(&self) -> Option<Vec<StoredPoint>> {
+        let (first, last) = (self.seconds(self.points.first()?), self.seconds(self.points.last()?));
+        let blocks = (last - first).floor() as usize + 1;
+        let block = |i: usize| self.between([first + i as f64, first + (i + 1) as f64]);
+        let stride = |count: usize| count.div_ceil(MAX_POINTS_PER_SECOND).max(1);
+        let strides: Vec<usize> = (0..blocks).map(|i| stride(block(i).len())).collect();
+        if strides.iter().all(|s| *s == 1) {
+            return None;
+        }
+        let enough = (0..blocks).map(|i| block(i).len() / strides[i] + self.sensors).sum();
+        let mut kept = Vec::with_capacity(enough);
+        let mut seen = [0_usize; MAX_SENSORS];
+        for (i, stride) in strides.iter().enumerate() {
+            for point in block(i) {
+                let seen = &mut seen[point.sensor()];
+                *seen += 1;
+                if *seen >= *stride {
+                    *seen = 0;
+                    kept.push(*point);
+                }
+            }
+        }
+        Some(kept)
+    }
 }
 
 /// Stretches of time without gaps, in seconds since the first pose.
@@ -50,20 +82,22 @@ pub(crate) struct Coverage {
     pub intervals: Vec<[f64; 2]>,
     /// What lies between them.
     pub gaps: Vec<[f64; 2]>,
+    /// Seconds from one pose to the next, usually.
+    pub usual_step: f64,
 }
 
 impl Coverage {
     /// Looks for gaps in poses of ascending time.
     pub fn of(poses: &[(Time, Rigid3)]) -> Self {
         let Some(start) = poses.first().map(|p| p.0) else {
-            return Self { intervals: Vec::new(), gaps: Vec::new() };
+            return Self { intervals: Vec::new(), gaps: Vec::new(), usual_step: 0.0 };
         };
         let times: Vec<f64> = poses.iter().map(|p| p.0.seconds_since(start)).collect();
         let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
         steps.sort_by(f64::total_cmp);
         let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
         let limit = SECONDS.max(INTERVALS * usual);
-        let mut coverage = Self { intervals: Vec::new(), gaps: Vec::new() };
+        let mut coverage = Self { intervals: Vec::new(), gaps: Vec::new(), usual_step: usual };
         let mut from = 0.0;
         for w in times.windows(2).filter(|w| w[1] - w[0] > limit) {
             coverage.intervals.push([from, w[0]]);
@@ -97,6 +131,25 @@ impl Coverage {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn dense_points_are_thinned_evenly_and_others_are_left() {
+        let point = |i: usize, rate: f64| StoredPoint::new([0.0; 3], i as f64 / rate, i % 2).unwrap();
+        let timed = |points: &'static [StoredPoint]| TimedPoints {
+            points,
+            offset: -1.0,
+            sensors: 2,
+            corrections: Corrections::default(),
+        };
+        let sparse: Vec<StoredPoint> = (0..1000).map(|i| point(i, 500.0)).collect();
+        assert!(timed(sparse.leak()).thinned().is_none());
+        let dense: Vec<StoredPoint> = (0..900_000).map(|i| point(i, 300_000.0)).collect();
+        let kept = timed(dense.leak()).thinned().unwrap();
+        assert!((299_000..301_000).contains(&kept.len()), "{}", kept.len());
+        let first = kept.iter().filter(|p| p.sensor() == 0).count();
+        assert!((2 * first).abs_diff(kept.len()) < 10);
+        assert!(kept.windows(2).all(|w| w[1].seconds() - w[0].seconds() < 3e-5));
+    }
 
     #[test]
     fn gaps_are_found_and_windows_do_not_span_them() {

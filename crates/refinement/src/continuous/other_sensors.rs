@@ -21,6 +21,9 @@ const GRAVITY_SECONDS: f64 = 2.0;
 const LEAST: [f64; 5] = [2e-4, 2e-3, 5e-4, 0.02, 0.01];
 /// Standard deviation of the bias of an accelerometer, m/s².
 const ACCELEROMETER_BIAS: f64 = 0.2;
+/// Most corrections of the bias of a gyroscope, and what may be left, rad/s.
+const BIAS_STEPS: usize = 8;
+const BIAS_REST: f64 = 1e-6;
 /// Residuals beyond this many standard deviations lose weight (Cauchy).
 const ROBUST: f64 = 2.0;
 /// Fewer fixes do not lay a trajectory anywhere.
@@ -76,17 +79,30 @@ impl<'a> OtherSensors<'a> {
     }
 
     fn gyroscope_terms(&mut self, trajectory: &DenseTrajectory, knots: &Knots) -> Vec<MotionTerm> {
-        let Some(raw) = self.sensors.gyroscope_track(self.start, &Vector3::zeros()) else {
-            return Vec::new();
-        };
-        let Some(bias) = gyroscope_bias(&raw, trajectory) else { return Vec::new() };
-        let Some(track) = self.sensors.gyroscope_track(self.start, &bias) else { return Vec::new() };
+        let Some((bias, track)) = self.gyroscope(trajectory) else { return Vec::new() };
         let noise = track_noise(&track, trajectory);
         let deviations: [f64; 6] =
             std::array::from_fn(|k| if k < 3 { f64::INFINITY } else { noise[k].max(LEAST[0]) });
         self.found.gyroscope_bias = Some(bias.into());
         self.found.gyroscope_noise = Some([deviations[3], deviations[4], deviations[5]]);
         track_terms(&track, trajectory, knots, &deviations)
+    }
+
+    /// The bias of the gyroscope, and its orientations without it. What a bias turns beyond the trajectory in a second is
+    /// turned by that second's own motion, so that the first guess is off by as many percent; it is corrected until nothing is
+    /// left.
+    fn gyroscope(&self, trajectory: &DenseTrajectory) -> Option<(Vector3, PoseTrack)> {
+        let mut bias = Vector3::zeros();
+        let mut track = self.sensors.gyroscope_track(self.start, &bias)?;
+        for _ in 0..BIAS_STEPS {
+            let rest = gyroscope_bias(&track, trajectory)?;
+            bias += rest;
+            track = self.sensors.gyroscope_track(self.start, &bias)?;
+            if rest.norm() < BIAS_REST {
+                break;
+            }
+        }
+        Some((bias, track))
     }
 
     fn wheel_terms(&mut self, trajectory: &DenseTrajectory, knots: &Knots) -> Vec<MotionTerm> {

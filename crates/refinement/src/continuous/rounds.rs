@@ -2,6 +2,7 @@
 
 use portolan_geometry::{Vector3, angular_distance};
 
+use super::conjugate_gradients::{LOOSE, TIGHT};
 use super::fine::{FineProblem, FineStep, fine_step};
 use super::mounting::Mounting;
 use super::odometry::{noise_found, odometry_terms};
@@ -16,8 +17,9 @@ use crate::RefineError;
 const FIRST_SPACING: f64 = 0.5;
 /// Gap between planes in the first round and later, metres.
 const GAPS: [f64; 2] = [0.15, 0.10];
-/// Steps of a round.
+/// Most steps of a round, and the shift of a knot below which it ends earlier, metres.
 const STEPS: usize = 3;
+const STEPS_REST: f64 = 0.0005;
 /// Rounds end when the root mean square movement of a round is below this, metres and radians …
 const RESTS: (f64, f64) = (0.001, 0.0005);
 /// … and no sensor moves farther: metres, radians, seconds.
@@ -84,7 +86,8 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         let mut moved = false;
         for step in 0..STEPS {
             let sensors = self.sensors.clone();
-            let done = self.solve(map, knots, gap, &sensors, false)?;
+            let tolerance = if step + 1 < STEPS { LOOSE } else { TIGHT };
+            let done = self.solve(map, knots, gap, &sensors, (tolerance, false))?;
             let session = &mut self.run.session;
             session.trajectory.apply(knots, &done.knots);
             moved = false;
@@ -106,7 +109,8 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
                 shift: done.shift,
             };
             let rounds = round as f64 + (step + 1) as f64 / STEPS as f64;
-            if !self.run.record(record, 0.4 + 0.6 * (rounds / USUAL_ROUNDS).min(0.99)) {
+            let go_on = self.run.record(record, 0.4 + 0.6 * (rounds / USUAL_ROUNDS).min(0.99));
+            if !go_on || (done.shift < STEPS_REST && !moved) {
                 break;
             }
         }
@@ -119,7 +123,7 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         knots: &Knots,
         gap: f64,
         sensors: &SensorUnknowns,
-        covariance: bool,
+        (tolerance, covariance): (f64, bool),
     ) -> Result<FineStep, RefineError> {
         let session = &self.run.session;
         let (mut motion, moments) = self.others.terms(&session.trajectory, knots);
@@ -133,6 +137,7 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
             moments: &moments,
             sensors,
             gap,
+            tolerance,
             covariance,
         })
     }
@@ -143,7 +148,7 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         if sensors.is_empty() {
             return Ok(());
         }
-        let done = self.solve(map, knots, GAPS[1], &sensors, true)?;
+        let done = self.solve(map, knots, GAPS[1], &sensors, (TIGHT, true))?;
         let calibrated = !self.sensors.is_empty();
         for (i, increment) in done.sensors.iter().enumerate() {
             let so_far = self.found.get(i).copied().unwrap_or_default();

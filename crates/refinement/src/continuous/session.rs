@@ -8,7 +8,9 @@ use super::coverage::{Coverage, TimedPoints};
 use super::report::{Method, RefineReport, Refined, RoundSharpness};
 use super::time_base::{self, TimeBase};
 use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound, information};
-use crate::{MAX_SENSORS, PointStore, RefineError, Sharpness, SharpnessOptions, sharpness, spread_sample};
+use crate::{
+    MAX_SENSORS, PointStore, RefineError, Sharpness, SharpnessOptions, StoredPoint, sharpness, spread_sample,
+};
 
 /// Points with which the sharpness of a round is measured, and neighbourhoods.
 const ROUND_POINTS: usize = 100_000;
@@ -17,6 +19,8 @@ const ROUND_QUERIES: usize = 5_000;
 /// A refinement at work.
 pub(crate) struct Session<'a> {
     pub points: TimedPoints<'a>,
+    /// Those in which surfaces are looked for, if that is not all.
+    thinned: Option<Vec<StoredPoint>>,
     pub coverage: Coverage,
     pub trajectory: DenseTrajectory,
     /// What the surfaces determine, second by second; empty if the method does not know.
@@ -79,8 +83,10 @@ impl<'a> Session<'a> {
         };
         let sensor_names = store.sensors().iter().map(|s| s.name.clone()).collect();
         let origins = store.sensors().iter().take(MAX_SENSORS).map(|s| Vector3::from(s.origin_in_tracking));
+        let thinned = points.thinned();
         let mut session = Self {
             points,
+            thinned,
             coverage,
             trajectory,
             information: Vec::new(),
@@ -92,6 +98,12 @@ impl<'a> Session<'a> {
         };
         session.measure_round(0);
         Ok(session)
+    }
+
+    /// The points in which surfaces are looked for, as corrected so far.
+    pub fn points_for_surfaces(&self) -> TimedPoints<'_> {
+        let points = self.thinned.as_deref().unwrap_or(self.points.points);
+        TimedPoints { points, corrections: self.points.corrections.clone(), ..self.points }
     }
 
     /// Measures how sharp the cloud is now.
@@ -110,15 +122,17 @@ impl<'a> Session<'a> {
         }));
     }
 
-    /// Calls `visit` with the points between two times that the trajectory covers: seconds, and place in the world.
-    pub fn for_each_point(&self, [from, to]: [f64; 2], mut visit: impl FnMut(f64, Vector3)) {
+    /// Calls `visit` with the points for surfaces between two times that the trajectory covers: seconds, place in the
+    /// tracking frame, place in the world.
+    pub fn for_each_point(&self, [from, to]: [f64; 2], mut visit: impl FnMut(f64, [f32; 3], Vector3)) {
+        let points = self.points_for_surfaces();
         let matrices = self.trajectory.matrices_between(from, to);
         for interval in &self.coverage.intervals {
             let (from, to) = (from.max(interval[0]), to.min(interval[1]));
             if from < to {
-                for point in self.points.between([from, to]) {
-                    let (seconds, in_tracking) = self.points.place(point);
-                    visit(seconds, Vector3::from(matrices.to_world(seconds, in_tracking)));
+                for point in points.between([from, to]) {
+                    let (seconds, in_tracking) = points.place(point);
+                    visit(seconds, in_tracking, Vector3::from(matrices.to_world(seconds, in_tracking)));
                 }
             }
         }

@@ -28,8 +28,6 @@ const LEAST_DEVIATION: f64 = 0.01;
 const CLUSTER_SECONDS: f64 = 0.05;
 /// Patches seen flatter than this (cosine of the angle of incidence) are not used.
 const LEAST_INCIDENCE: f64 = 0.05;
-/// Denser points are thinned to this: surfaces are known well enough then, and the time it takes is bounded.
-const MAX_POINTS_PER_SECOND: f64 = 125_000.0;
 const NONE: u32 = u32::MAX;
 
 /// A planar patch as one sensor saw it during a window. Poses are those of [`DenseTrajectory`]; times and places are those
@@ -104,10 +102,7 @@ impl SurfelMap {
             .into_par_iter()
             .map_init(Workspace::default, |workspace, part| {
                 let (window, sensor) = (windows[part / points.sensors], part % points.sensors);
-                let seen = points.between(window);
-                let most = ((window[1] - window[0]) * MAX_POINTS_PER_SECOND).max(1000.0);
-                let stride = (seen.len() as f64 / most).ceil().max(1.0) as usize;
-                workspace.thin(points, seen, sensor, stride);
+                workspace.take(points, points.between(window), sensor);
                 workspace.extract(&points.corrections, sensor, trajectory, &matrices)
             })
             .collect();
@@ -159,11 +154,11 @@ struct Workspace {
 }
 
 impl Workspace {
-    /// Takes every `stride`-th point of a sensor.
-    fn thin(&mut self, points: &TimedPoints, seen: &[StoredPoint], sensor: usize, stride: usize) {
+    /// Takes the points of a sensor.
+    fn take(&mut self, points: &TimedPoints, seen: &[StoredPoint], sensor: usize) {
         self.points.clear();
         let own = seen.iter().filter(|p| p.sensor() == sensor);
-        self.points.extend(own.step_by(stride).map(|point| points.place(point)));
+        self.points.extend(own.map(|point| points.place(point)));
     }
 
     fn extract(

@@ -11,6 +11,8 @@ const LEAST_PLANAR_SHARE: f64 = 0.2;
 const SIGNIFICANT: f64 = 6.0;
 /// An input that can be sharpened by this much (entropy) was of this recording.
 const SHARPENED: f64 = 0.3;
+/// Poses farther apart than this are sparse, seconds.
+const SPARSE: f64 = 0.04;
 /// More points than this share outside the trajectory are worth a word.
 const OUTSIDE: f64 = 0.05;
 
@@ -76,7 +78,9 @@ impl Session<'_> {
         }
         let imu = mounting::of_imu(&self.trajectory, sensors, self.trajectory.start());
         if let Some(imu) = &imu {
-            let significant = imu.significant(SIGNIFICANT);
+            let mut significant = imu.significant(SIGNIFICANT);
+            // Between sparse poses the velocity is not known well enough to place an accelerometer.
+            significant[0] &= self.coverage.usual_step < SPARSE;
             if significant.contains(&true) {
                 let words = imu.words(significant);
                 self.warn(format!(
@@ -113,11 +117,22 @@ impl Session<'_> {
         if report.points_outside_trajectory as f64 > OUTSIDE * all as f64 {
             let [start, end] = self.uncovered_ends;
             let gaps: f64 = report.gaps.iter().map(|g| g[1] - g[0]).sum();
+            let mut parts = Vec::new();
+            if start > 0.05 {
+                parts.push(format!("begins {start:.1} s later"));
+            }
+            if end > 0.05 {
+                parts.push(format!("ends {end:.1} s earlier"));
+            }
+            match report.gaps.len() {
+                0 => {}
+                1 => parts.push(format!("has a gap of {gaps:.1} s")),
+                count => parts.push(format!("has {count} gaps of {gaps:.1} s together")),
+            }
             said.push(format!(
-                "the trajectory is shorter than the recording: {} of {all} points were not used; it begins {start:.1} s \
-                 later, ends {end:.1} s earlier, and has {} gaps of {gaps:.1} s together",
+                "the trajectory is shorter than the recording: {} of {all} points were not used; it {}",
                 report.points_outside_trajectory,
-                report.gaps.len()
+                parts.join(", ")
             ));
         }
         for sensor in report.sensors.iter().filter(|s| s.empty_sweeps > 0) {

@@ -99,6 +99,20 @@ impl KdTree {
         best
     }
 
+    /// Whether there is a point within `max_distance` metres; cheaper than to look for the nearest.
+    pub fn has_within(&self, query: [f32; 3], max_distance: f32) -> bool {
+        let squared = max_distance * max_distance;
+        let mut found = false;
+        self.visit(query, squared, |candidate, limit| {
+            if candidate.squared_distance <= squared {
+                found = true;
+                // Nothing is near enough any more.
+                *limit = -1.0;
+            }
+        });
+        found
+    }
+
     /// The nearest point within `max_distance` metres, and how far all others are away at least, metres (no farther
     /// than was searched).
     pub fn nearest_two(&self, query: [f32; 3], max_distance: f32) -> Option<(Neighbour, f32)> {

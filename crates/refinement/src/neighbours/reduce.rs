@@ -11,6 +11,9 @@ pub enum VoxelRepresentative {
     Random(usize),
 }
 
+/// Bits of a coordinate of a voxel, if all are packed into one number.
+const PACKED_BITS: u32 = 32;
+
 /// Reduces points (metres) by voxels of `edge` metres with a corner at the origin. Voxels come in ascending
 /// order (x, then y, then z). Points that are not finite are left out; an edge that is not above zero
 /// changes nothing.
@@ -18,14 +21,7 @@ pub fn reduce(points: &[[f32; 3]], edge: f32, representative: VoxelRepresentativ
     if edge.is_nan() || edge <= 0.0 {
         return points.to_vec();
     }
-    let inverse = 1.0 / f64::from(edge);
-    let mut keyed: Vec<([i64; 3], u32)> = points
-        .iter()
-        .enumerate()
-        .filter(|(_, p)| p.iter().all(|v| v.is_finite()))
-        .map(|(i, p)| (p.map(|v| (f64::from(v) * inverse).floor() as i64), i as u32))
-        .collect();
-    keyed.sort_unstable();
+    let keyed = by_voxel(points, edge);
     let mut reduced = Vec::new();
     let mut order: Vec<u32> = Vec::new();
     for voxel in keyed.chunk_by(|a, b| a.0 == b.0) {
@@ -43,14 +39,63 @@ pub fn reduce(points: &[[f32; 3]], edge: f32, representative: VoxelRepresentativ
                 reduced.push(sum.map(|s| (s / voxel.len() as f64) as f32));
             }
             VoxelRepresentative::Random(count) => {
-                order.clear();
-                order.extend(voxel.iter().map(|(_, i)| *i));
-                order.sort_unstable_by_key(|i| (scramble(*i), *i));
-                reduced.extend(order.iter().take(count).map(|i| points[*i as usize]));
+                choose(voxel, count, &mut order);
+                reduced.extend(order.iter().map(|i| points[*i as usize]));
             }
         }
     }
     reduced
+}
+
+/// Indices of (at most) `count` points of each voxel: those that [`reduce`] keeps with
+/// [`VoxelRepresentative::Random`], in the same order.
+pub fn reduce_indices(points: &[[f32; 3]], edge: f32, count: usize) -> Vec<u32> {
+    if edge.is_nan() || edge <= 0.0 {
+        return (0..points.len() as u32).collect();
+    }
+    let keyed = by_voxel(points, edge);
+    let (mut kept, mut order) = (Vec::new(), Vec::new());
+    for voxel in keyed.chunk_by(|a, b| a.0 == b.0) {
+        choose(voxel, count, &mut order);
+        kept.extend_from_slice(&order);
+    }
+    kept
+}
+
+/// Voxels and indices of the finite points, voxel by voxel.
+fn by_voxel(points: &[[f32; 3]], edge: f32) -> Vec<([i64; 3], u32)> {
+    let inverse = 1.0 / f64::from(edge);
+    let voxel = |p: &[f32; 3]| p.map(|v| (f64::from(v) * inverse).floor() as i64);
+    let finite = || points.iter().enumerate().filter(|(_, p)| p.iter().all(|v| v.is_finite()));
+    let (mut low, mut high) = ([i64::MAX; 3], [i64::MIN; 3]);
+    for (_, p) in finite() {
+        let v = voxel(p);
+        low = std::array::from_fn(|k| low[k].min(v[k]));
+        high = std::array::from_fn(|k| high[k].max(v[k]));
+    }
+    if (0..3).any(|k| high[k].saturating_sub(low[k]) >= 1 << PACKED_BITS) {
+        let mut keyed: Vec<([i64; 3], u32)> = finite().map(|(i, p)| (voxel(p), i as u32)).collect();
+        keyed.sort_unstable();
+        return keyed;
+    }
+    // One number for the voxel and the index: much faster to sort.
+    let pack = |p: &[f32; 3]| {
+        let v = voxel(p);
+        (0..3).fold(0_u128, |packed, k| packed << PACKED_BITS | (v[k] - low[k]) as u128)
+    };
+    let mut packed: Vec<u128> = finite().map(|(i, p)| pack(p) << 32 | i as u128).collect();
+    packed.sort_unstable();
+    let part =
+        |packed: u128, k: u32| ((packed >> (32 + PACKED_BITS * (2 - k))) & ((1 << PACKED_BITS) - 1)) as i64;
+    packed.into_iter().map(|p| (std::array::from_fn(|k| low[k] + part(p, k as u32)), p as u32)).collect()
+}
+
+/// Some points of a voxel.
+fn choose(voxel: &[([i64; 3], u32)], count: usize, order: &mut Vec<u32>) {
+    order.clear();
+    order.extend(voxel.iter().map(|(_, i)| *i));
+    order.sort_unstable_by_key(|i| (scramble(*i), *i));
+    order.truncate(count);
 }
 
 /// A fixed pseudo-random order of indices (Murmur3's finaliser).
@@ -77,5 +122,16 @@ mod tests {
         assert_eq!((centres.len(), centres[1]), (3, [0.05, 0.05, 0.05]));
         assert_eq!(reduce(&points, 0.1, VoxelRepresentative::Random(1)).len(), 3);
         assert_eq!(reduce(&points, 0.1, VoxelRepresentative::Random(5)).len(), 4);
+        let kept = reduce_indices(&points, 0.1, 1);
+        let places: Vec<[f32; 3]> = kept.iter().map(|i| points[*i as usize]).collect();
+        assert_eq!(places, reduce(&points, 0.1, VoxelRepresentative::Random(1)));
+    }
+
+    #[test]
+    fn points_very_far_apart_have_voxels_too() {
+        let points = [[1e12, 0.0, 0.0], [-1e12, 0.0, 0.0], [0.05, 0.0, 0.0], [0.06, 0.0, 0.0]];
+        let reduced = reduce(&points, 0.1, VoxelRepresentative::Random(1));
+        assert_eq!((reduced.len(), reduced[0][0], reduced[2][0]), (3, -1e12, 1e12));
+        assert!(reduce(&[], 0.1, VoxelRepresentative::Mean).is_empty());
     }
 }

@@ -51,6 +51,13 @@ impl VoxelMap {
         self.used
     }
 
+    /// Bytes in use, with what is kept free for more points.
+    pub fn memory_bytes(&self) -> usize {
+        self.slots.capacity() * size_of::<Slot>()
+            + self.points.capacity() * size_of::<[f32; 3]>()
+            + self.next.capacity() * size_of::<u32>()
+    }
+
     /// The points in the order of insertion.
     pub fn points(&self) -> &[[f32; 3]] {
         &self.points

@@ -64,6 +64,24 @@ impl ScanCloud {
         self.tree.nearest(query, max_distance)
     }
 
+    /// Whether there is a point within `max_distance` metres.
+    pub fn has_within(&self, query: [f32; 3], max_distance: f32) -> bool {
+        !self.is_outside(query, max_distance) && self.tree.has_within(query, max_distance)
+    }
+
+    /// The nearest point within `max_distance` metres of those that `accept` takes (by index).
+    pub fn nearest_where(
+        &self,
+        query: [f32; 3],
+        max_distance: f32,
+        accept: impl FnMut(u32) -> bool,
+    ) -> Option<Neighbour> {
+        if self.is_outside(query, max_distance) {
+            return None;
+        }
+        self.tree.nearest_where(query, max_distance, accept)
+    }
+
     /// The nearest point within `max_distance` metres, and how far all others are away at least.
     pub fn nearest_two(&self, query: [f32; 3], max_distance: f32) -> Option<(Neighbour, f32)> {
         if self.is_outside(query, max_distance) {

@@ -1,5 +1,7 @@
 //! Which scans are compared with which.
 
+use std::borrow::Borrow;
+
 use portolan_geometry::{Rigid3, nalgebra as na};
 use rayon::prelude::*;
 
@@ -31,8 +33,8 @@ pub fn links_by_distance(world_from_scan: &[Rigid3], min_loop: usize, max_distan
 
 /// Scans with more than `min_pairs` points of the later one within `max_distance` metres of a point of the earlier.
 /// Each two scans are linked at most once.
-pub fn links_by_overlap(
-    scans: &[ScanCloud],
+pub fn links_by_overlap<S: Borrow<ScanCloud> + Sync>(
+    scans: &[S],
     world_from_scan: &[Rigid3],
     min_pairs: usize,
     max_distance: f64,
@@ -47,14 +49,14 @@ pub fn links_by_overlap(
             };
             let a_from_b = a.inverse() * b;
             let mut count = 0;
-            let points = scans[link.to].points();
+            let (earlier, points) = (scans[link.from].borrow(), scans[link.to].borrow().points());
             for (i, p) in points.iter().enumerate() {
                 if count + (points.len() - i) <= min_pairs {
                     return None;
                 }
                 let x = a_from_b * na::Point3::from(p.map(f64::from));
                 let query = [x.x as f32, x.y as f32, x.z as f32];
-                count += usize::from(scans[link.from].nearest(query, max_distance as f32).is_some());
+                count += usize::from(earlier.has_within(query, max_distance as f32));
                 if count > min_pairs {
                     return Some(link);
                 }

@@ -29,8 +29,8 @@ pub struct Results<'a> {
     pub refined: &'a Refined,
     pub read: &'a ReadPoints,
     pub seconds: f64,
-    /// File of the cloud, relative to the folder, its extension says the format; none for no cloud.
-    pub cloud: Option<&'a str>,
+    /// Files of the cloud, relative to the folder, their extensions say the format.
+    pub clouds: &'a [String],
     /// Recordings, trajectory and map.
     pub files: &'a [PathBuf],
     /// What was typed, for the page; none for no page.
@@ -65,8 +65,8 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
         draft.write(file("refined.pbstream")).map_err(failed)?;
     }
     let pair = CloudPair::new(&results.read.store, results.refined);
-    if let Some(name) = results.cloud {
-        let start = results.read.store.start().unix_seconds();
+    let start = results.read.store.start().unix_seconds();
+    for name in results.clouds {
         write_cloud(&pair, start, &file(name))?;
     }
     let judgement = results.command.map(|_| Judgement::of(&pair));

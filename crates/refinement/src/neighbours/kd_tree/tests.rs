@@ -35,6 +35,7 @@ proptest! {
         let mut near = Vec::new();
         tree.within(query, radius, |n| near.push(n));
         near.sort_by(|a, b| a.squared_distance.total_cmp(&b.squared_distance).then(a.index.cmp(&b.index)));
+        prop_assert_eq!(tree.has_within(query, radius), !near.is_empty());
         let expected: Vec<_> = all.into_iter().filter(|n| n.squared_distance <= radius * radius).collect();
         prop_assert_eq!(near, expected);
     }

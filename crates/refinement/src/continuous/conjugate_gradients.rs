@@ -1,0 +1,52 @@
+//! Symmetric positive definite equations that are never formed, solved by preconditioned conjugate gradients.
+
+use super::unknowns::dot;
+
+/// The share of the residual that may be left, where that is the end of it …
+pub(crate) const TIGHT: f64 = 1e-3;
+/// … and where the equations are set up anew afterwards.
+pub(crate) const LOOSE: f64 = 1e-2;
+/// At most so many steps.
+const MAX_STEPS: usize = 150;
+
+/// Solves `S x = right` (Hestenes and Stiefel 1952) until the residual has fallen to a share of it.
+pub(crate) fn conjugate_gradients(
+    right: &[f64],
+    product: impl Fn(&[f64], &mut [f64]),
+    precondition: impl Fn(&mut [f64]),
+    tolerance: f64,
+) -> Vec<f64> {
+    let size = right.len();
+    let mut x = vec![0.0; size];
+    let mut residual = right.to_vec();
+    let mut z = residual.clone();
+    precondition(&mut z);
+    let mut direction = z.clone();
+    let mut rz = dot(&residual, &z);
+    let goal = rz * tolerance * tolerance;
+    let mut image = vec![0.0; size];
+    for _ in 0..MAX_STEPS {
+        if rz <= goal || rz <= 0.0 {
+            return x;
+        }
+        product(&direction, &mut image);
+        let curvature = dot(&direction, &image);
+        if curvature <= 0.0 {
+            return x;
+        }
+        let length = rz / curvature;
+        for i in 0..size {
+            x[i] += length * direction[i];
+            residual[i] -= length * image[i];
+        }
+        z.copy_from_slice(&residual);
+        precondition(&mut z);
+        let next = dot(&residual, &z);
+        let ratio = next / rz;
+        rz = next;
+        for i in 0..size {
+            direction[i] = z[i] + ratio * direction[i];
+        }
+    }
+    x
+}
