@@ -15,6 +15,7 @@ struct Walk {
     folder: tempfile::TempDir,
     recording: String,
     known_map: String,
+    continued: &'static str,
 }
 
 fn office(folder: &Path, seconds: &str) -> String {
@@ -35,14 +36,27 @@ fn walk() -> Walk {
     let recording = office(folder.path(), "160");
     let known = folder.path().join("known");
     portolan_with_code(0, &["map", &recording, "-o", &text(&known), "-q", "--duration", KNOWN]);
-    Walk { known_map: text(&known.join("map.pbstream")), folder, recording }
+    Walk { known_map: text(&known.join("map.pbstream")), folder, recording, continued: CONTINUED }
+}
+
+/// Through one storey of a museum in space.
+fn museum_walk() -> Walk {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = text(&folder.path().join("walk.mcap"));
+    let building = ["--no-gnss", "--size", "24x20", "--storeys", "1", "--people", "2", "--beams", "300"];
+    let simulate = ["simulate", "museum", "-o", &recording, "-q", "--seconds", "16"];
+    portolan_with_code(0, &[&simulate[..], &building[..]].concat());
+    let known = folder.path().join("known");
+    let map = ["map", &recording, "-o", &text(&known), "-q", "--no-xray"];
+    portolan_with_code(0, &map);
+    Walk { known_map: text(&known.join("map.pbstream")), folder, recording, continued: "0" }
 }
 
 impl Walk {
     fn go_on(&self, name: &str, more: &[&str]) -> std::path::PathBuf {
         let output = self.folder.path().join(name);
         let out = text(&output);
-        let mut arguments = vec!["map", &self.recording, "-o", &out, "-q", "--skip", CONTINUED];
+        let mut arguments = vec!["map", &self.recording, "-o", &out, "-q", "--skip", self.continued];
         arguments.extend(["--from", &self.known_map]);
         arguments.extend(more);
         portolan_with_code(0, &arguments);
@@ -92,6 +106,23 @@ fn a_recording_is_found_in_a_frozen_map_that_stays_as_it_was() {
         assert_eq!(before["trajectories"][0][figure], after["trajectories"][0][figure], "{figure}");
     }
     assert_eq!(after["trajectories"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn a_map_in_space_goes_on_on_its_surfaces() {
+    let walk = museum_walk();
+    let output = walk.go_on("frozen", &["--frozen", "--no-xray", "--duration", "10"]);
+    let known = &report(&output)["known_map"];
+    assert!(known["loop_closures"].as_u64().unwrap() > 3, "{known}");
+    // The same walk again: it begins where the known one began.
+    let first = |folder: &Path| {
+        let poses = std::fs::read_to_string(folder.join("trajectory.tum")).unwrap();
+        let line = poses.lines().find(|l| !l.starts_with('#')).unwrap();
+        line.split(' ').map(|n| n.parse().unwrap()).collect::<Vec<f64>>()
+    };
+    let (new, old) = (first(&output), first(&walk.folder.path().join("known")));
+    let off = (1..4).map(|i| (new[i] - old[i]).powi(2)).sum::<f64>().sqrt();
+    assert!(off < 0.1, "{new:?} {old:?}");
 }
 
 #[test]

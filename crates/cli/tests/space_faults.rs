@@ -55,8 +55,8 @@ fn faults_of_sensors_are_survived_and_named() {
     let cases: [(&str, &[&str], f64, &str); 9] = [
         ("none", &[], 0.8, ""),
         ("gap in the IMU", &["--fault", "gap:imu:12:13"], 0.8, "1 gap, 1.0"),
-        // A gyroscope that is cut off in every turn misleads: the map need not be good.
-        ("saturation", &["--fault", "saturate:0.3:11"], f64::INFINITY, "the end of its range"),
+        // A gyroscope that is cut off in every turn misleads: the lidar takes over.
+        ("saturation", &["--fault", "saturate:0.3:11"], 0.8, "the end of its range"),
         ("a lidar that dies", &["--lidars", "2", "--fault", "dies:12"], 0.8, "falls silent 12."),
         ("empty clouds", &["--fault", "empty:4"], 0.8, "clouds of zero points"),
         ("points that are no numbers", &["--fault", "nan:4"], 0.8, "not a number"),
@@ -73,6 +73,9 @@ fn faults_of_sensors_are_survived_and_named() {
         assert_eq!(run.code == Some(3), lost, "{name}: {report}");
         let told = checked(&recording);
         assert!(told.contains(words), "{name}: {words} is not in\n{told}");
+        if arguments.contains(&"dies:12") {
+            assert!(run.stdout.contains("falls silent 12."), "{}", run.stdout);
+        }
     }
 }
 

@@ -10,6 +10,10 @@ const MEMORY: f64 = 20.0;
 /// A difference beyond this is no bias but a poor match or a saturated gyroscope, rad/s.
 const LARGEST_BIAS: f64 = 0.2;
 
+/// Turning this fast, rad/s, halves what a difference tells of the bias: errors of scale and alignment and
+/// the end of the range grow with the turn.
+const FAST: f64 = 0.3;
+
 /// The bias of a gyroscope, as the mean difference between the turns that it measured and those at which
 /// scans matched.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,8 +42,8 @@ impl GyroscopeBias {
         self.bias
     }
 
-    /// Learns from a turn over `seconds` whose end was predicted with corrected samples and then matched
-    /// (rotations of the tracking frame in one frame).
+    /// Learns from a turn over `seconds` that was predicted with corrected samples and then matched
+    /// (rotations from the tracking frame at its end to that at its beginning).
     pub fn observe(&mut self, predicted: &Quaternion, matched: &Quaternion, seconds: f64) {
         if seconds <= 0.0 {
             return;
@@ -48,8 +52,10 @@ impl GyroscopeBias {
         if !error.iter().all(|v| v.is_finite()) || error.norm() > LARGEST_BIAS {
             return;
         }
-        self.evidence = (self.evidence + seconds).min(MEMORY);
-        self.bias += error * (seconds / self.evidence).min(1.0);
+        let speed = matched.angle() / seconds / FAST;
+        let told = seconds / (1.0 + speed * speed);
+        self.evidence = (self.evidence + told).min(MEMORY);
+        self.bias += error * (told / self.evidence).min(1.0);
     }
 }
 

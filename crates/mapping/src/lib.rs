@@ -8,6 +8,7 @@ mod backend;
 mod collation;
 mod constraint;
 mod gyroscope_bias;
+mod gyroscope_range;
 mod histogram;
 mod id;
 mod imu_integration;
@@ -29,6 +30,7 @@ mod space;
 mod spatial;
 mod submap_2d;
 mod submap_3d;
+mod surface_search;
 mod weak_span;
 
 pub use backend::{BackendProgress, MapperError};
@@ -51,7 +53,7 @@ pub use pose_graph::{
     GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, PoseGraph, SearchCounts, SubmapEntry,
     TrajectoryConnectivity, TrajectoryEntry, TrajectoryState, Trimmer,
 };
-pub use space::{MatchedPose, SearchRegion, Space};
+pub use space::{MatchedPose, Nearby, SearchRegion, Space};
 pub use spatial::{Spatial, SpatialMatcher};
 pub use submap_2d::{Inserter2d, Submap2d};
 pub use submap_3d::{Inserter3d, Scan3d, Submap3d};

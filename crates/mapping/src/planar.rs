@@ -74,7 +74,7 @@ impl Space for Planar {
         let local_from_submap = project_2d(&submap.local_from_submap);
         let cloud = &node.filtered_gravity_aligned_point_cloud;
         let found = match region {
-            SearchRegion::Window => {
+            SearchRegion::Window { .. } => {
                 let guess = local_from_submap * project_2d(guess_submap_from_node);
                 matcher.search.match_local(&guess, cloud, options.min_score as f32)
             }

@@ -424,6 +424,11 @@ impl PoseExtrapolator {
         self.poses.back().copied()
     }
 
+    /// How the tracking frame turned between the last poses, rad/s in that frame.
+    pub fn angular_velocity_from_poses(&self) -> Vector3 {
+        self.angular_velocity_from_poses
+    }
+
     /// Whether a gyroscope tells how the tracking frame turns until `time`.
     pub fn has_gyroscope(&self, time: Time) -> bool {
         self.imu.back().is_some_and(|newest| time - newest.time <= IMU_TIMEOUT)

@@ -11,10 +11,13 @@ use crate::optimization::{OptimizationData, OptimizationSummary};
 use crate::{Constraint, MapperError, NodeData};
 
 /// How far a node may be from where it is believed to be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SearchRegion {
     /// Within the search windows around the guess.
-    Window,
+    Window {
+        /// How far the scanner travelled between node and submap, metres; infinite if that is not known.
+        travelled: f64,
+    },
     /// Anywhere in the submap.
     WholeSubmap,
 }
@@ -26,6 +29,17 @@ pub struct MatchedPose {
     pub submap_from_node: Rigid3,
     /// Score in [0, 1].
     pub score: f32,
+}
+
+/// What the surroundings of a guess say of a node.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Nearby {
+    /// It is where it is believed to be, or close to that.
+    Found(MatchedPose),
+    /// It has to be searched.
+    Unknown,
+    /// It is there, but fits in more than one place; searching finds no better.
+    Ambiguous,
 }
 
 /// A space to map in: the planar or the full one. Poses cross this interface as [`Rigid3`].
@@ -64,6 +78,25 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
 
     /// Memory that a matcher takes, bytes.
     fn matcher_bytes(matcher: &Self::Matcher) -> usize;
+
+    /// Gives a submap of a file what files do not keep and local SLAM would have kept, from its grids and
+    /// from the nodes that were inserted into it.
+    fn complete_loaded(
+        _submap: &mut Self::Submap,
+        _nodes: &mut dyn Iterator<Item = &NodeData>,
+        _options: &Options,
+    ) {
+    }
+
+    /// Looks whether the node is close to where it is believed to be, which takes less than searching.
+    fn find_nearby(
+        _submap: &Self::Submap,
+        _node: &NodeData,
+        _guess_submap_from_node: &Rigid3,
+        _options: &ConstraintBuilderOptions,
+    ) -> Nearby {
+        Nearby::Unknown
+    }
 
     /// Looks for the node in the submap and refines what is found.
     fn find_node(

@@ -1,19 +1,17 @@
 //! Space itself as a space to map in.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
-use portolan_matching::{
-    FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, PosePrior, SubmapToSearch, SurfaceMap,
-    SurfaceMatcher, SurfaceMatcherOptions,
-};
-use portolan_sensor::{PointCloud, SensorId};
+use portolan_geometry::{Quaternion, Rigid3, Vector2, is_valid_pose};
+use portolan_matching::{FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SubmapToSearch};
+use portolan_sensor::SensorId;
 
 use crate::local_slam::three_d::LocalSlam3d;
 use crate::local_slam::two_d::LocalSlamExtras;
 use crate::optimization::{OptimizationData, OptimizationSummary, optimize_3d};
 use crate::scan_matching_3d::{clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 use crate::submap_3d::Submap3d;
-use crate::{Constraint, MapperError, MatchedPose, NodeData, SearchRegion, Space};
+use crate::surface_search::{find_nearby, reach_after, refined_by_surfaces, surfaces_of_loaded};
+use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion, Space};
 
 /// 3D mapping: poses in space, hybrid grids.
 #[derive(Clone, Copy, Debug)]
@@ -69,6 +67,26 @@ impl Space for Spatial {
         matcher.search.memory_bytes()
     }
 
+    fn complete_loaded(submap: &mut Submap3d, nodes: &mut dyn Iterator<Item = &NodeData>, options: &Options) {
+        if submap.surfaces.is_none()
+            && let Some(size) = surface_voxel_size(options)
+        {
+            submap.surfaces = Some(surfaces_of_loaded(submap, nodes, size as f32));
+        }
+    }
+
+    fn find_nearby(
+        submap: &Submap3d,
+        node: &NodeData,
+        guess_submap_from_node: &Rigid3,
+        options: &ConstraintBuilderOptions,
+    ) -> Nearby {
+        match &submap.surfaces {
+            Some(surfaces) => find_nearby(submap, surfaces, &to_find(node), guess_submap_from_node, options),
+            None => Nearby::Unknown,
+        }
+    }
+
     fn find_node(
         matcher: &SpatialMatcher,
         submap: &Submap3d,
@@ -77,13 +95,8 @@ impl Space for Spatial {
         region: SearchRegion,
         options: &ConstraintBuilderOptions,
     ) -> Option<MatchedPose> {
-        let clouds = [&node.high_resolution_point_cloud, &node.low_resolution_point_cloud];
-        let wanted = NodeToFind {
-            high_resolution_cloud: clouds[0],
-            low_resolution_cloud: clouds[1],
-            rotational_histogram: &node.rotational_scan_matcher_histogram,
-            gravity_alignment: node.gravity_alignment,
-        };
+        let wanted = to_find(node);
+        let clouds = [wanted.high_resolution_cloud, wanted.low_resolution_cloud];
         let target = SubmapToSearch {
             low_resolution_grid: &submap.low_resolution_grid,
             rotational_histogram: &submap.rotational_histogram,
@@ -91,10 +104,16 @@ impl Space for Spatial {
         // Yaw is searched about the z axis of the local map, which points up as that of the global one.
         let local_from_submap = submap.local_from_submap;
         let found = match region {
-            SearchRegion::Window => {
+            SearchRegion::Window { travelled } => {
                 let local_from_node = local_from_submap * guess_submap_from_node;
                 let min_score = options.min_score as f32;
-                matcher.search.match_local(&local_from_node, &local_from_submap, &wanted, &target, min_score)
+                let widest = matcher.search.reach_of_options();
+                let reach = match submap.surfaces {
+                    Some(_) => reach_after(travelled, &widest),
+                    None => widest,
+                };
+                let poses = (&local_from_node, &local_from_submap);
+                matcher.search.match_within(&reach, poses.0, poses.1, &wanted, &target, min_score)
             }
             SearchRegion::WholeSubmap => {
                 // Of a node far away only gravity is known.
@@ -131,25 +150,13 @@ impl Space for Spatial {
     }
 }
 
-/// A found pose may be off by this: metres and radians.
-const SEARCH_SIGMA: (f64, f64) = (0.2, 0.05);
-/// Points may be off by this at the beginning of the refinement, metres.
-const REFINEMENT_SCALE: f64 = 0.4;
-/// A loop closure needs so large a share of its points on surfaces.
-const MIN_MATCHED_SHARE: f64 = 0.5;
-
-/// The pose near `initial` that puts a node on the surfaces of a submap. None if it does not fit them, or if
-/// they leave a direction open: what the search found along a bare corridor is no measurement.
-fn refined_by_surfaces(surfaces: &SurfaceMap, clouds: [&PointCloud; 2], initial: &Rigid3) -> Option<Rigid3> {
-    let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
-    let (translation_sigma, rotation_sigma) = SEARCH_SIGMA;
-    let prior = PosePrior { pose: *initial, translation_sigma, rotation_sigma };
-    let final_scale = 0.1 * f64::from(surfaces.edge());
-    let matcher =
-        SurfaceMatcher::new(SurfaceMatcherOptions { final_scale, ..SurfaceMatcherOptions::default() });
-    let found = matcher.match_scan(surfaces, &points, initial, &prior, REFINEMENT_SCALE)?;
-    let fits = found.matched_share >= MIN_MATCHED_SHARE && found.weak.is_empty();
-    (fits && is_valid_pose(&found.pose)).then_some(found.pose)
+fn to_find(node: &NodeData) -> NodeToFind<'_> {
+    NodeToFind {
+        high_resolution_cloud: &node.high_resolution_point_cloud,
+        low_resolution_cloud: &node.low_resolution_point_cloud,
+        rotational_histogram: &node.rotational_scan_matcher_histogram,
+        gravity_alignment: node.gravity_alignment,
+    }
 }
 
 /// The size of voxels if scans are matched to surfaces.

@@ -167,7 +167,9 @@ impl GrowingSubmap for Submap3d {
         let low = fine.insert(&data, f32::INFINITY, &mut self.low_resolution_grid, None);
         if let Some(surfaces) = &mut self.surfaces {
             let submap_from_local = to_f32(&submap_from_local);
-            scan.surface_points_in_local.iter().for_each(|p| surfaces.insert(&(submap_from_local * p)));
+            for point in &scan.surface_points_in_local {
+                surfaces.insert_seen_from(&(submap_from_local * point), &data.origin);
+            }
         }
         let drawn = high.is_ok() && low.is_ok();
         self.refused_scans += u32::from(!drawn);

@@ -4,6 +4,7 @@
 pub mod automatic;
 pub mod pipeline;
 mod requested;
+mod silence;
 pub mod unwind;
 
 pub use requested::RequestedOptions;

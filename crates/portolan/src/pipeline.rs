@@ -15,6 +15,8 @@ use portolan_recording::{
 use portolan_sensor::SensorId;
 
 use crate::automatic;
+use crate::silence::Silences;
+use crate::unwind::KeptSweeps;
 
 /// Why a recording could not be mapped.
 #[derive(Debug, thiserror::Error)]
@@ -72,6 +74,8 @@ pub struct MappedRecording<S: Space> {
     pub mapping_repairs: Repairs,
     /// Where scans left directions open and the prediction decided (3D).
     pub weak_spans: Vec<WeakSpan>,
+    /// What range sensors measured, if that was asked for and is not too much.
+    pub kept_sweeps: KeptSweeps,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
 }
@@ -89,6 +93,8 @@ pub struct Preparation {
     /// Most threads for searching and optimising, if somebody set a number
     /// ([`RequestedOptions::background_threads`](crate::RequestedOptions::background_threads)).
     pub background_threads: Option<usize>,
+    /// Sweeps are kept for [`unwind_kept`](crate::unwind::unwind_kept) up to so many bytes; 0 unless it is set.
+    pub max_kept_bytes: usize,
 }
 
 impl Preparation {
@@ -115,7 +121,7 @@ pub fn prepare(
         Ok(portolan_config::Dimension::Three) => Dimension::Three,
         Err(error) => return Err(PipelineError::Setting(error.to_string())),
     };
-    Ok(Preparation { inventory, plan, options, dimension, background_threads: None })
+    Ok(Preparation { inventory, plan, options, dimension, background_threads: None, max_kept_bytes: 0 })
 }
 
 /// A map that a recording is added to.
@@ -157,12 +163,14 @@ pub fn map_recording<S: Space>(
     settings: MapperSettings,
     observe: &mut dyn FnMut(&PipelineProgress) -> bool,
 ) -> Result<MappedRecording<S>, PipelineError> {
-    let Preparation { inventory, plan, options, .. } = preparation;
+    let Preparation { inventory, plan, options, max_kept_bytes, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
     let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let trajectory_id = mapper.add_trajectory(&sensors, initial_pose)?;
+    let mut silences = Silences::default();
+    let mut kept_sweeps = KeptSweeps::up_to(max_kept_bytes);
     let (mut scans, mut interrupted) = (0, false);
     let mut span: Option<(Time, Time)> = None;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement()? {
@@ -170,6 +178,8 @@ pub fn map_recording<S: Space>(
         let (first, last) = span.get_or_insert((time, time));
         *last = time.max(*last);
         let recording_seconds = last.seconds_since(*first);
+        kept_sweeps.keep(&measurement);
+        silences.add(&sensor_id, time);
         scans += mapper.add(trajectory_id, &sensor_id, measurement)?.len() as u64;
         let (position_bytes, total_bytes) = ingestion.progress();
         let backend = mapper.progress();
@@ -185,6 +195,10 @@ pub fn map_recording<S: Space>(
     if scans == 0 {
         return Err(PipelineError::NoScans);
     }
+    let mut reading_repairs = ingestion.repairs();
+    if !interrupted {
+        reading_repairs.extend(silences.repairs());
+    }
     Ok(MappedRecording {
         map,
         trajectory_id,
@@ -192,9 +206,10 @@ pub fn map_recording<S: Space>(
         scans,
         recording_seconds: span.map_or(0.0, |(first, last)| last.seconds_since(first)),
         scan_times,
-        reading_repairs: ingestion.repairs(),
+        reading_repairs,
         mapping_repairs,
         weak_spans,
+        kept_sweeps,
         interrupted,
     })
 }

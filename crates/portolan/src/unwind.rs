@@ -4,6 +4,7 @@
 //! point, so that motion during a sweep is unwound with the final trajectory, not with the one that was
 //! predicted. Points come sweep by sweep; nothing of the recording is kept.
 
+mod kept;
 mod motion;
 #[cfg(test)]
 mod tests;
@@ -14,6 +15,7 @@ use portolan_recording::{IngestError, IngestOptions, Ingestion, Recording};
 use portolan_sensor::{Measurement, TimedPointCloudData};
 
 use crate::pipeline::{PipelineError, Preparation};
+pub use kept::KeptSweeps;
 pub use motion::SmoothMotion;
 use motion::{LONGEST_SWEEP, SweepMotion, place};
 
@@ -88,6 +90,29 @@ pub fn unwind(
         visit(unwinder.place(&sweep))?;
         let (position, total) = ingestion.progress();
         if !observe(position, total) {
+            unwinder.unwound.interrupted = true;
+            break;
+        }
+    }
+    Ok(unwinder.unwound)
+}
+
+/// The same with sweeps that mapping kept; points have no intensities then. `observe` gets the sweeps placed
+/// and all of them.
+///
+/// # Errors
+/// Fails as `visit` does.
+pub fn unwind_kept(
+    sweeps: &[TimedPointCloudData],
+    poses: Vec<(Time, Rigid3)>,
+    options: UnwindOptions,
+    observe: &mut dyn FnMut(u64, u64) -> bool,
+    visit: &mut dyn FnMut(&[MapPoint]) -> Result<(), CloudError>,
+) -> Result<Unwound, PipelineError> {
+    let mut unwinder = Unwinder::new(SmoothMotion::new(poses), options);
+    for (sweep, number) in sweeps.iter().zip(1..) {
+        visit(unwinder.place(sweep))?;
+        if !observe(number, sweeps.len() as u64) {
             unwinder.unwound.interrupted = true;
             break;
         }

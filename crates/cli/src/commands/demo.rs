@@ -122,15 +122,16 @@ fn mapped<S: ResultSpace>(
     global: &GlobalArgs,
 ) -> Result<MappedRecording<S>, CliError> {
     let ingest = IngestOptions::default();
-    let preparation = prepared(recording, &ingest, None, &[], global)?;
+    let cloud_args = CloudArgs::default();
+    let mut preparation = prepared(recording, &ingest, None, &[], global)?;
+    preparation.max_kept_bytes = cloud_args.bytes_to_keep(&preparation);
     let start = Instant::now();
     let known = KnownMap::empty(&preparation.options);
     let mapped = map_with_progress::<S>(recording, &ingest, preparation.clone(), known, global)?;
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, folder, seconds, false)?;
     print(&summary(&mapped, &written, seconds))?;
-    let clouds =
-        write_clouds(recording, &ingest, &preparation, &mapped, &CloudArgs::default(), folder, global)?;
+    let clouds = write_clouds(recording, &ingest, &preparation, &mapped, &cloud_args, folder, global)?;
     clouds.map_or(Ok(()), |clouds| report_clouds(&clouds, folder))?;
     Ok(mapped)
 }

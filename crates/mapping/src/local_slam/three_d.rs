@@ -20,6 +20,7 @@ use super::{
     take_odometry,
 };
 use crate::gyroscope_bias::GyroscopeBias;
+use crate::gyroscope_range::GyroscopeRange;
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_3d::ScanMatcher3d;
@@ -28,11 +29,13 @@ use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Spatial, WeakS
 
 mod by_surfaces;
 mod first_sweeps;
+mod standstill;
 mod surface_tracking;
 mod sweep_path;
 mod unwarp;
 
 use by_surfaces::BySurfaces;
+use standstill::Standstill;
 use unwarp::{Gathered, Unwarped, unwarp};
 
 /// Range data wait this long for the first IMU sample before it is decided that there is no IMU.
@@ -49,6 +52,12 @@ pub struct LocalSlam3d {
     extrapolator: Option<PoseExtrapolator>,
     has_imu: bool,
     gyroscope_bias: GyroscopeBias,
+    gyroscope_range: GyroscopeRange,
+    /// When the gyroscope was last at the end of its range.
+    saturated_at: Option<Time>,
+    standstill: Standstill,
+    /// When a scan was last inserted.
+    last_inserted: Option<Time>,
     matcher: ScanMatcher3d,
     /// Set if scans are matched to surfaces instead.
     by_surfaces: Option<BySurfaces>,
@@ -65,6 +74,15 @@ pub struct LocalSlam3d {
     waiting_odometry: VecDeque<OdometryData>,
     repairs: Repairs,
     weak_spans: WeakSpans,
+}
+
+/// Whether a scan is inserted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wanted {
+    Yes,
+    /// If the scanner moved or time passed since the last one.
+    IfMoved,
+    No,
 }
 
 /// A scan that was matched.
@@ -96,6 +114,10 @@ impl LocalSlam3d {
             extrapolator: None,
             has_imu: false,
             gyroscope_bias: GyroscopeBias::default(),
+            gyroscope_range: GyroscopeRange::default(),
+            saturated_at: None,
+            standstill: Standstill::default(),
+            last_inserted: None,
             matcher: ScanMatcher3d::new(options).map_err(|e| contradiction(&e))?,
             inserter: Arc::new(match extras.surface_voxel_size {
                 Some(size) => inserter.with_surfaces(size),
@@ -228,12 +250,30 @@ impl LocalSlam3d {
         matched: MatchedScan,
         measured_gravity: Option<Quaternion>,
     ) -> MatchingResult<Spatial> {
+        self.conclude_as(Wanted::IfMoved, time, matched, measured_gravity)
+    }
+
+    fn was_inserted_since(&self, time: Time) -> bool {
+        self.last_inserted.is_some_and(|last| last > time)
+    }
+
+    /// The same for a scan that is wanted more or less.
+    fn conclude_as(
+        &mut self,
+        wanted: Wanted,
+        time: Time,
+        matched: MatchedScan,
+        measured_gravity: Option<Quaternion>,
+    ) -> MatchingResult<Spatial> {
         let MatchedScan { local_from_tracking, scan, clouds, surface_points } = matched;
         // Without an IMU: the first pose was level, and z of the local map has pointed up ever since.
         let gravity = measured_gravity.unwrap_or(local_from_tracking.rotation);
         let local = to_f32(&local_from_tracking);
         let range_data_in_local = scan.transformed(&local);
-        let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
+        let is_inserted = wanted != Wanted::No
+            && (!self.motion_filter.is_similar(time, &local_from_tracking) || wanted == Wanted::Yes);
+        let inserted = is_inserted.then(|| {
+            self.last_inserted = Some(time);
             let [high, low] = clouds.unwrap_or_else(|| self.clouds(&scan.returns));
             let data = NodeData {
                 time,
@@ -338,9 +378,17 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         match self.extrapolator.as_mut() {
             None => self.start(Some(data)),
             Some(extrapolator) => {
-                if extrapolator.add_imu(&self.gyroscope_bias.corrected(data)).is_err() {
+                if self.gyroscope_range.is_at_end(&data.angular_velocity) {
+                    self.saturated_at = self.saturated_at.max(Some(data.time));
+                }
+                let corrected = self.gyroscope_bias.corrected(data);
+                if extrapolator.add_imu(&corrected).is_ok() {
+                    self.standstill.add_imu(&corrected);
+                } else {
                     self.count("IMU sample older than the last matched scan");
-                } else if !self.has_imu {
+                    return;
+                }
+                if !self.has_imu {
                     self.count("IMU sample that came after the start without an IMU; it tells rotation only");
                 }
             }

@@ -1,11 +1,15 @@
 //! Biases of an IMU, from what local SLAM found: it does not drift within seconds, and it knows nothing of
 //! loop closures that may be wrong.
 
+use std::collections::BTreeSet;
+
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::nalgebra as na;
-use portolan_geometry::{Duration, Time, Vector3, angle_axis_from_quaternion};
+use portolan_geometry::{Duration, Quaternion, Time, Vector3, angle_axis_from_quaternion};
+use portolan_sensor::ImuData;
 
 use super::data::{OptimizationData, OptimizationNode};
+use crate::gyroscope_range::GyroscopeRange;
 use crate::imu_integration::{ImuMotion, integrate_imu};
 use crate::{TrajectoryId, of_trajectory};
 
@@ -13,6 +17,13 @@ use crate::{TrajectoryId, of_trajectory};
 const WINDOW: f64 = 60.0;
 /// A difference beyond this is no bias, rad/s.
 const LARGEST_GYROSCOPE_BIAS: f64 = 0.2;
+/// Turning this fast, rad/s, halves what a difference tells of the bias.
+const FAST: f64 = 0.3;
+/// Gyroscope and scans contradict each other where they differ by more than this within so many seconds,
+/// radians, and by more than this share of the turn.
+const CONTRADICTION_WINDOW: f64 = 1.0;
+const CONTRADICTION: f64 = 0.15;
+const CONTRADICTION_SHARE: f64 = 0.1;
 /// What accelerometers are believed to be off by, and how exactly local SLAM knows velocities (standard
 /// deviations, m/s² and m/s).
 const ACCELEROMETER_SIGMA: f64 = 0.1;
@@ -26,6 +37,22 @@ pub(super) struct ImuBias {
     turns: Vec<(Time, f64, Vector3)>,
     /// m/s² in the tracking frame.
     accelerometer: Vector3,
+    /// Times of nodes after which gyroscope and scans contradict each other.
+    contradicted: BTreeSet<Time>,
+}
+
+/// What lies between two consecutive nodes.
+struct Step {
+    start: Time,
+    seconds: f64,
+    /// By how much the gyroscope turned more than the scans, in the tracking frame at the end.
+    difference: Vector3,
+    /// Tracking in local at the end.
+    rotation: Quaternion,
+    /// How far it turned, radians.
+    turn: f64,
+    /// Whether the gyroscope was at the end of its range.
+    saturated: bool,
 }
 
 impl ImuBias {
@@ -33,23 +60,55 @@ impl ImuBias {
     pub fn estimate(data: &OptimizationData, id: TrajectoryId, options: &OptimizationProblemOptions) -> Self {
         let nodes: Vec<&OptimizationNode> = of_trajectory(&data.nodes, id).map(|(_, node)| node).collect();
         let Some(sensors) = data.sensors.get(&id) else { return Self::default() };
+        let mut range = GyroscopeRange::default();
+        let saturated: BTreeSet<Time> =
+            sensors.imu.values().filter(|d| range.is_at_end(&d.angular_velocity)).map(|d| d.time).collect();
+        let steps = nodes.windows(2).filter_map(|pair| step(pair, &sensors.imu, &saturated));
+        let steps: Vec<Step> = steps.collect();
         let mut bias = Self::default();
         let (mut seconds, mut turn) = (0.0, Vector3::zeros());
-        for pair in nodes.windows(2) {
-            let &[a, b] = pair else { continue };
-            let duration = b.time.seconds_since(a.time);
-            let Some(motion) = integrate_imu(&sensors.imu, a.time, b.time) else { continue };
-            let found = a.local_from_node.rotation.inverse() * b.local_from_node.rotation;
-            let difference = angle_axis_from_quaternion(&(found.inverse() * motion.delta_rotation));
-            if duration > 0.0 && difference.norm() <= LARGEST_GYROSCOPE_BIAS * duration {
-                (seconds, turn) = (seconds + duration, turn + difference);
-                bias.turns.push((b.time, seconds, turn));
-            }
+        let may_be_bias =
+            |s: &&Step| !s.saturated && s.difference.norm() <= LARGEST_GYROSCOPE_BIAS * s.seconds;
+        for step in steps.iter().filter(may_be_bias) {
+            let speed = step.turn / step.seconds / FAST;
+            let told = 1.0 / (1.0 + speed * speed);
+            (seconds, turn) = (seconds + told * step.seconds, turn + step.difference * told);
+            bias.turns.push((step.start + Duration::from_seconds(step.seconds), seconds, turn));
         }
+        bias.contradicted = bias.contradictions(&steps);
         if options.acceleration_weight > 0.0 {
             bias.accelerometer = accelerometer_bias(&nodes, &sensors.imu);
         }
         bias
+    }
+
+    /// Where the gyroscope was at the end of its range, or differs from the scans within a second by more than
+    /// either can be off. Local SLAM tells there.
+    fn contradictions(&self, steps: &[Step]) -> BTreeSet<Time> {
+        let mut contradicted = BTreeSet::new();
+        let mut from = 0;
+        for (to, last) in steps.iter().enumerate() {
+            if last.saturated {
+                contradicted.insert(last.start);
+            }
+            let end = last.start + Duration::from_seconds(last.seconds);
+            while end.seconds_since(steps[from].start) > CONTRADICTION_WINDOW && from < to {
+                from += 1;
+            }
+            let within = &steps[from..=to];
+            let unexplained = |s: &Step| s.rotation * (s.difference - self.gyroscope(s.start) * s.seconds);
+            let error = within.iter().map(unexplained).sum::<Vector3>().norm();
+            let turn: f64 = within.iter().map(|s| s.turn).sum();
+            if error > CONTRADICTION + CONTRADICTION_SHARE * turn {
+                contradicted.extend(within.iter().map(|s| s.start));
+            }
+        }
+        contradicted
+    }
+
+    /// Whether gyroscope and scans agree on the turn from the node of this time to the next.
+    pub fn agrees_after(&self, time: Time) -> bool {
+        !self.contradicted.contains(&time)
     }
 
     /// The bias of the gyroscope around a time, rad/s in the tracking frame; zero if nothing is known.
@@ -78,6 +137,21 @@ impl ImuBias {
             delta_translation: motion.delta_translation - self.accelerometer * (0.5 * seconds * seconds),
         }
     }
+}
+
+fn step(
+    pair: &[&OptimizationNode],
+    imu: &std::collections::BTreeMap<Time, ImuData>,
+    saturated: &BTreeSet<Time>,
+) -> Option<Step> {
+    let &[a, b] = pair else { return None };
+    let seconds = b.time.seconds_since(a.time);
+    let motion = integrate_imu(imu, a.time, b.time).filter(|_| seconds > 0.0)?;
+    let found = a.local_from_node.rotation.inverse() * b.local_from_node.rotation;
+    let difference = angle_axis_from_quaternion(&(found.inverse() * motion.delta_rotation));
+    let (rotation, turn) = (b.local_from_node.rotation, found.angle());
+    let saturated = saturated.range(a.time..=b.time).next().is_some();
+    Some(Step { start: a.time, seconds, difference, rotation, turn, saturated })
 }
 
 /// The bias b and the gravity g (in the local map) at which measured changes of velocity agree best with
@@ -166,7 +240,8 @@ mod tests {
             let sample = ImuData {
                 time: time(0.005 * f64::from(i)),
                 linear_acceleration: Vector3::new(0.0, 4.0 * rate * rate, 9.8) + accelerometer,
-                angular_velocity: Vector3::z() * rate + gyroscope,
+                // Not the same value every time: that would be the end of a range.
+                angular_velocity: Vector3::z() * rate + gyroscope * (1.0 + 1e-3 * f64::from(i % 2)),
             };
             data.sensors_mut(id).imu.insert(sample.time, sample);
         }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use portolan_config::OptimizationProblemOptions;
-use portolan_geometry::{Duration, Quaternion, Rigid3, rotation_from_roll_pitch_yaw, yaw};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, rotation_from_roll_pitch_yaw, yaw};
 use portolan_solver::{Loss, Problem, RotationFreedom, TranslationFreedom, VariableId, factors};
 
 use super::data::{ImuState, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
@@ -98,7 +98,11 @@ impl<'a> SpatialProblem<'a> {
         self.imu_biases = moving.map(|id| (*id, ImuBias::estimate(data, *id, options))).collect();
     }
 
-    /// False if the IMU did not measure what lies between the nodes.
+    fn imu_agrees_after(&self, id: TrajectoryId, time: Time) -> bool {
+        self.imu_biases.get(&id).is_none_or(|bias| bias.agrees_after(time))
+    }
+
+    /// False if the IMU did not measure what lies between the nodes, or not rightly.
     fn add_imu_rotation(
         &mut self,
         data: &OptimizationData,
@@ -110,6 +114,9 @@ impl<'a> SpatialProblem<'a> {
         let Some(motion) = integrate_imu(&sensors.imu, a.time, b.time).filter(|_| duration > 0.0) else {
             return false;
         };
+        if !self.imu_agrees_after(id_a.trajectory_id, a.time) {
+            return false;
+        }
         let middle = a.time + Duration::from_seconds(0.5 * duration);
         let motion = match self.imu_biases.get(&id_a.trajectory_id) {
             Some(bias) => bias.corrected(&motion, middle, duration),
@@ -130,7 +137,8 @@ impl<'a> SpatialProblem<'a> {
         let Some(imu_data) = data.sensors.get(&id).map(|s| &s.imu) else { return };
         let times = nodes.map(|(_, node)| node.time);
         let (first, second) = (times[1].seconds_since(times[0]), times[2].seconds_since(times[1]));
-        if !(first > 0.0 && second > 0.0) {
+        let agrees = times[..2].iter().all(|time| self.imu_agrees_after(id, *time));
+        if !(first > 0.0 && second > 0.0 && agrees) {
             return;
         }
         let Some(measured) = velocity_change(imu_data, times) else { return };

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use portolan_config::Options;
 use portolan_geometry::{Rigid3, Time};
 
 use super::{InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
@@ -98,6 +99,17 @@ impl<S: Space> PoseGraph<S> {
     pub fn load_trajectory(&mut self, id: TrajectoryId, initial_pose: Option<InitialTrajectoryPose>) {
         self.add_trajectory(id, initial_pose);
         self.state.trajectory_mut(id).state = TrajectoryState::Finished;
+    }
+
+    /// Gives loaded submaps what files do not keep (see [`Space::complete_loaded`]); to be called once all
+    /// nodes and constraints are loaded.
+    pub fn complete_loaded_submaps(&mut self, options: &Options) {
+        let nodes = &self.state.nodes;
+        for entry in self.state.submaps.values_mut() {
+            let Some(submap) = entry.submap.as_mut().filter(|_| entry.insertion_finished) else { continue };
+            let mut inserted = entry.node_ids.iter().filter_map(|id| Some(nodes.get(id)?.data.as_ref()));
+            S::complete_loaded(Arc::make_mut(submap), &mut inserted, options);
+        }
     }
 
     /// Takes over a submap of a file.

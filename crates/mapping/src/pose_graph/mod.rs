@@ -12,6 +12,7 @@ mod editing;
 mod final_search;
 mod search;
 mod state;
+mod travel;
 mod trimming;
 
 use std::borrow::Cow;
@@ -22,6 +23,7 @@ use agreement::WaitingMatches;
 pub use connectivity::TrajectoryConnectivity;
 pub use search::SearchCounts;
 pub use state::{GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState};
+use travel::TravelGraph;
 pub use trimming::Trimmer;
 
 use portolan_config::PoseGraphOptions;
@@ -277,7 +279,7 @@ impl<S: Space> PoseGraph<S> {
 
     /// Tries the pairs that wait, adds what was found, optimises, and trims.
     pub fn optimize(&mut self) {
-        let found = self.search.run();
+        let found = self.search.run(&TravelGraph::new(&self.state));
         self.add_found(found);
         self.run_optimization();
         self.delete_requested_trajectories();

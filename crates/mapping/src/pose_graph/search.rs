@@ -9,8 +9,11 @@ use portolan_geometry::Rigid3;
 use portolan_sensor::FixedRatioSampler;
 use rayon::prelude::*;
 
+use super::travel::TravelGraph;
 use crate::histogram::Histogram;
-use crate::{Constraint, ConstraintTag, NodeData, NodeId, SearchRegion, Space, SubmapId};
+use crate::{
+    Constraint, ConstraintTag, MatchedPose, Nearby, NodeData, NodeId, SearchRegion, Space, SubmapId,
+};
 
 /// A pair to try.
 struct SearchTask<S: Space> {
@@ -20,6 +23,16 @@ struct SearchTask<S: Space> {
     node: Arc<NodeData>,
     guess_submap_from_node: Rigid3,
     region: SearchRegion,
+}
+
+impl<S: Space> SearchTask<S> {
+    /// `lengths` are those of the ways from the submap to others.
+    fn set_travelled(&mut self, travel: &TravelGraph, lengths: &BTreeMap<SubmapId, f64>) {
+        if let SearchRegion::Window { travelled } = &mut self.region {
+            let length = travel.submap_of(self.node_id).and_then(|of_node| lengths.get(&of_node));
+            *travelled = length.copied().unwrap_or(f64::INFINITY);
+        }
+    }
 }
 
 /// How many pairs were tried and found.
@@ -83,7 +96,8 @@ impl<S: Space> ConstraintSearch<S> {
         (node_id, node): (NodeId, &Arc<NodeData>),
         guess_submap_from_node: Rigid3,
     ) {
-        self.push(submap_id, submap, node_id, node, guess_submap_from_node, SearchRegion::Window);
+        let region = SearchRegion::Window { travelled: f64::INFINITY };
+        self.push(submap_id, submap, node_id, node, guess_submap_from_node, region);
     }
 
     /// Adds a pair whose relative pose is unknown.
@@ -120,24 +134,42 @@ impl<S: Space> ConstraintSearch<S> {
     }
 
     /// Tries all pairs on the threads of the current pool and returns the constraints found, in the
-    /// order in which the pairs were added.
-    pub fn run(&mut self) -> Vec<Constraint> {
-        let tasks = std::mem::take(&mut self.tasks);
+    /// order in which the pairs were added. `travel` tells how far nodes are from submaps by now.
+    pub fn run(&mut self, travel: &TravelGraph) -> Vec<Constraint> {
+        let mut tasks = std::mem::take(&mut self.tasks);
         let mut by_submap: BTreeMap<SubmapId, Vec<usize>> = BTreeMap::new();
         for (index, task) in tasks.iter().enumerate() {
             by_submap.entry(task.submap_id).or_default().push(index);
         }
         // One submap after the other, so that only as many matchers are in memory as there are threads.
         let groups: Vec<(SubmapId, Vec<usize>)> = by_submap.into_iter().collect();
+        for (submap_id, members) in &groups {
+            let lengths = travel.lengths_from(*submap_id);
+            members.iter().for_each(|i| tasks[*i].set_travelled(travel, &lengths));
+        }
         let (matchers, options) = (&self.matchers, &self.options);
         let mut found: Vec<(usize, Option<Constraint>)> = groups
             .par_iter()
             .with_max_len(1)
             .flat_map_iter(|(submap_id, members)| {
-                let matcher = matchers.get_or_build(*submap_id, &tasks[members[0]].submap, options);
-                let found: Vec<_> = members
-                    .par_iter()
-                    .map(|i| (*i, find_constraint::<S>(matcher.as_deref(), &tasks[*i], options)))
+                let nearby: Vec<(usize, Nearby)> =
+                    members.par_iter().map(|i| (*i, find_nearby(&tasks[*i], options))).collect();
+                // What is needed for searching takes long to make.
+                let is_searched = nearby.iter().any(|(_, nearby)| *nearby == Nearby::Unknown);
+                let submap = &tasks[members[0]].submap;
+                let matcher =
+                    is_searched.then(|| matchers.get_or_build(*submap_id, submap, options)).flatten();
+                let search = |task: &SearchTask<S>| search_node(matcher.as_deref(), task, options);
+                let found: Vec<_> = nearby
+                    .into_par_iter()
+                    .map(|(i, nearby)| {
+                        let found = match nearby {
+                            Nearby::Found(found) => Some(found),
+                            Nearby::Unknown => search(&tasks[i]),
+                            Nearby::Ambiguous => None,
+                        };
+                        (i, found.map(|found| constraint_of(&tasks[i], &found, options)))
+                    })
                     .collect();
                 found
             })
@@ -155,7 +187,7 @@ impl<S: Space> ConstraintSearch<S> {
 
     fn count(&mut self, region: SearchRegion, found: bool) {
         let (searched, hits) = match region {
-            SearchRegion::Window => (&mut self.counts.window_searched, &mut self.counts.window_found),
+            SearchRegion::Window { .. } => (&mut self.counts.window_searched, &mut self.counts.window_found),
             SearchRegion::WholeSubmap => {
                 (&mut self.counts.whole_submap_searched, &mut self.counts.whole_submap_found)
             }
@@ -266,17 +298,32 @@ impl<K: Ord> Samplers<K> {
     }
 }
 
-fn find_constraint<S: Space>(
+fn find_nearby<S: Space>(task: &SearchTask<S>, options: &ConstraintBuilderOptions) -> Nearby {
+    match task.region {
+        SearchRegion::Window { .. } => {
+            S::find_nearby(&task.submap, &task.node, &task.guess_submap_from_node, options)
+        }
+        SearchRegion::WholeSubmap => Nearby::Unknown,
+    }
+}
+
+fn search_node<S: Space>(
     matcher: Option<&S::Matcher>,
     task: &SearchTask<S>,
     options: &ConstraintBuilderOptions,
-) -> Option<Constraint> {
-    let found =
-        S::find_node(matcher?, &task.submap, &task.node, &task.guess_submap_from_node, task.region, options)?;
+) -> Option<MatchedPose> {
+    S::find_node(matcher?, &task.submap, &task.node, &task.guess_submap_from_node, task.region, options)
+}
+
+fn constraint_of<S: Space>(
+    task: &SearchTask<S>,
+    found: &MatchedPose,
+    options: &ConstraintBuilderOptions,
+) -> Constraint {
     if options.log_matches {
-        log_match(task.node_id, task.submap_id, task.region, &task.guess_submap_from_node, &found);
+        log_match(task.node_id, task.submap_id, task.region, &task.guess_submap_from_node, found);
     }
-    Some(Constraint {
+    Constraint {
         submap_id: task.submap_id,
         node_id: task.node_id,
         submap_from_node: found.submap_from_node,
@@ -284,7 +331,7 @@ fn find_constraint<S: Space>(
         rotation_weight: options.loop_closure_rotation_weight,
         tag: ConstraintTag::InterSubmap,
         score: Some(found.score),
-    })
+    }
 }
 
 /// Logs how well nodes matched, apart for the two ways of searching.
@@ -293,9 +340,9 @@ fn log_scores(regions: impl Iterator<Item = SearchRegion>, found: &[(usize, Opti
         return;
     }
     let regions: Vec<SearchRegion> = regions.collect();
-    for (region, words) in [(SearchRegion::Window, "a window"), (SearchRegion::WholeSubmap, "whole submaps")]
-    {
-        let scores = found.iter().filter(|(index, _)| regions.get(*index) == Some(&region));
+    for (is_window, words) in [(true, "a window"), (false, "whole submaps")] {
+        let is_of = |region: &SearchRegion| matches!(region, SearchRegion::Window { .. }) == is_window;
+        let scores = found.iter().filter(|(index, _)| regions.get(*index).is_some_and(is_of));
         let scores: Histogram =
             scores.filter_map(|(_, constraint)| constraint.as_ref()?.score).map(f64::from).collect();
         tracing::info!("Scores of matches in {words}: {scores}");
@@ -314,7 +361,7 @@ fn log_match(
         SearchRegion::WholeSubmap => {
             tracing::debug!("Node {node_id} on submap {submap_id} matches with score {score:.1}%.");
         }
-        SearchRegion::Window => {
+        SearchRegion::Window { .. } => {
             let difference = guess.inverse() * found.submap_from_node;
             tracing::debug!(
                 "Node {node_id} on submap {submap_id} differs by translation {:.2} rotation {:.3} with score {score:.1}%.",

@@ -86,6 +86,17 @@ pub struct SubmapToSearch<'a> {
     pub rotational_histogram: &'a [f32],
 }
 
+/// How far around a guess is searched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SearchReach3d {
+    /// Metres to either side along x and y of the submap.
+    pub linear_xy: f64,
+    /// Metres to either side along z of the submap.
+    pub linear_z: f64,
+    /// Radians of yaw to either side.
+    pub angular: f64,
+}
+
 /// A node found in a submap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FastMatch3d {
@@ -169,16 +180,36 @@ impl FastCorrelativeMatcher3d {
         submap: &SubmapToSearch<'_>,
         min_score: f32,
     ) -> Option<FastMatch3d> {
+        self.match_within(&self.reach_of_options(), map_from_node, map_from_submap, node, submap, min_score)
+    }
+
+    /// The windows of the options.
+    pub fn reach_of_options(&self) -> SearchReach3d {
+        SearchReach3d {
+            linear_xy: self.options.linear_xy_search_window,
+            linear_z: self.options.linear_z_search_window,
+            angular: self.options.angular_search_window,
+        }
+    }
+
+    /// The same as [`Self::match_local`] in other windows, none of which may be negative.
+    pub fn match_within(
+        &self,
+        reach: &SearchReach3d,
+        map_from_node: &Rigid3,
+        map_from_submap: &Rigid3,
+        node: &NodeToFind<'_>,
+        submap: &SubmapToSearch<'_>,
+        min_score: f32,
+    ) -> Option<FastMatch3d> {
         let cells = |metres: f64| (metres / f64::from(self.lattice.resolution)).round() as i32;
-        let xy = cells(self.options.linear_xy_search_window);
+        let xy = cells(reach.linear_xy);
         let offset = (map_from_submap.inverse() * map_from_node).translation.vector;
-        let reach = self.reach(node);
+        let extent = self.reach(node);
         // Beyond no shift puts a point on the grid.
-        let useful = |axis: usize| reach.saturating_add(cells(offset[axis].abs())).saturating_add(1);
-        let window =
-            [cells(self.options.linear_z_search_window).min(useful(2)), xy.min(useful(1)), xy.min(useful(0))];
-        let angular = self.options.angular_search_window;
-        self.search(map_from_node, map_from_submap, node, submap, window, angular, min_score)
+        let useful = |axis: usize| extent.saturating_add(cells(offset[axis].abs())).saturating_add(1);
+        let window = [cells(reach.linear_z).min(useful(2)), xy.min(useful(1)), xy.min(useful(0))];
+        self.search(map_from_node, map_from_submap, node, submap, window, reach.angular, min_score)
     }
 
     /// The same anywhere in the submap at any yaw; only the directions of gravity of the two rotations
@@ -316,6 +347,27 @@ fn max_exponent(options: &FastCorrelativeOptions3d) -> u32 {
 
 fn farthest(points: &[Point3f]) -> f32 {
     points.iter().map(|p| p.coords.norm()).fold(0.0, f32::max)
+}
+
+/// How well a node fits a submap at a pose, with the scores that a search goes by.
+pub fn judge_placement_3d(
+    submap_from_node: &Rigid3,
+    node: &NodeToFind<'_>,
+    submap: &SubmapToSearch<'_>,
+    high_resolution_grid: &HybridGrid,
+) -> FastMatch3d {
+    let pose = to_f32(submap_from_node);
+    let turn = yaw(&(submap_from_node.rotation * node.gravity_alignment.inverse())) as f32;
+    let rotated = rotate_histogram(node.rotational_histogram, turn);
+    let mean = |cloud: &PointCloud, grid: &HybridGrid| mean_probability(&cloud.points, &pose, grid);
+    FastMatch3d {
+        found: MatchResult {
+            score: mean(node.high_resolution_cloud, high_resolution_grid),
+            pose: *submap_from_node,
+        },
+        rotational_score: histogram_similarity(submap.rotational_histogram, &rotated),
+        low_resolution_score: mean(node.low_resolution_cloud, submap.low_resolution_grid),
+    }
 }
 
 /// The mean probability of the cells that points meet; 0.1 without points.

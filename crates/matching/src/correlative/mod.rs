@@ -20,7 +20,8 @@ mod rotational;
 
 pub use fast2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d};
 pub use fast3d::{
-    FastCorrelativeMatcher3d, FastCorrelativeOptions3d, FastMatch3d, NodeToFind, SubmapToSearch,
+    FastCorrelativeMatcher3d, FastCorrelativeOptions3d, FastMatch3d, NodeToFind, SearchReach3d,
+    SubmapToSearch, judge_placement_3d,
 };
 pub use real_time2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
 pub use real_time3d::RealTimeCorrelativeMatcher3d;

@@ -15,6 +15,9 @@ const MAX_THICKNESS: f32 = 0.02;
 const MIN_SPREAD_RATIO: f32 = 3.0;
 const MIN_SPREAD_SHARE: f32 = 0.06;
 
+/// Cosine of the angle at which a plane is seen edge-on: its side is not known then.
+const MIN_SIDE: f32 = 0.1;
+
 /// Statistics of the hits in a voxel.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SurfaceCell {
@@ -24,7 +27,12 @@ pub(super) struct SurfaceCell {
     pub mean: na::Vector3<f32>,
     /// Sum of outer products of differences from the mean: xx, xy, xz, yy, yz, zz.
     scatter: [f32; 6],
+    /// Sum of unit vectors from the hits to where they were seen from.
+    toward: na::Vector3<f32>,
+    /// To the side from which the hits were seen, if that is one.
     pub normal: na::Vector3<f32>,
+    /// Whether the hits were seen from one side of the plane.
+    pub is_one_sided: bool,
     /// Mean square distance of the hits from the plane; negative where they make none.
     pub variance: f32,
 }
@@ -36,7 +44,9 @@ impl SurfaceCell {
             next_fit: MIN_COUNT,
             mean: na::Vector3::zeros(),
             scatter: [0.0; 6],
+            toward: na::Vector3::zeros(),
             normal: na::Vector3::zeros(),
+            is_one_sided: false,
             variance: -1.0,
         }
     }
@@ -45,12 +55,20 @@ impl SurfaceCell {
         self.variance >= 0.0
     }
 
-    /// Counts a hit (Welford's update), and fits the plane anew each time the hits are a third more.
-    pub fn add(&mut self, point: &Point3f, edge: f32) {
+    /// Whether a hit seen from the direction `toward` (unit length) shows the other side of the plane.
+    #[inline]
+    pub fn shows_other_side(&self, toward: &na::Vector3<f32>) -> bool {
+        self.is_one_sided && self.normal.dot(toward) < -MIN_SIDE
+    }
+
+    /// Counts a hit (Welford's update) seen from the direction `toward` (unit length, or zero if that is not
+    /// known), and fits the plane anew each time the hits are a third more.
+    pub fn add(&mut self, point: &Point3f, toward: &na::Vector3<f32>, edge: f32) {
         if self.count >= MAX_COUNT {
             return;
         }
         self.count += 1;
+        self.toward += toward;
         let before = point.coords - self.mean;
         self.mean += before / self.count as f32;
         let after = point.coords - self.mean;
@@ -74,7 +92,10 @@ impl SurfaceCell {
             && along >= MIN_SPREAD_RATIO * MIN_SPREAD_RATIO * across
             && along >= (MIN_SPREAD_SHARE * edge) * (MIN_SPREAD_SHARE * edge);
         self.variance = if is_flat { across } else { -1.0 };
-        self.normal = normal.cast();
+        let normal: na::Vector3<f32> = normal.cast();
+        let side = normal.dot(&self.toward) / self.count as f32;
+        self.normal = if side < 0.0 { -normal } else { normal };
+        self.is_one_sided = side.abs() > MIN_SIDE;
     }
 }
 
@@ -132,9 +153,10 @@ mod tests {
         for i in 0..60 {
             let (u, v) = ((i % 8) as f32 * 0.1, (i / 8) as f32 * 0.1);
             let noise = [0.01, -0.01, 0.0][i % 3];
-            flat.add(&Point3f::new(u, v, 0.3 + noise), 1.0);
-            line.add(&Point3f::new(0.1 * (i % 10) as f32, noise, 0.3), 1.0);
-            corner.add(&if i % 2 == 0 { Point3f::new(u, v, 0.0) } else { Point3f::new(0.0, v, u) }, 1.0);
+            flat.add(&Point3f::new(u, v, 0.3 + noise), &na::Vector3::zeros(), 1.0);
+            line.add(&Point3f::new(0.1 * (i % 10) as f32, noise, 0.3), &na::Vector3::zeros(), 1.0);
+            let side = if i % 2 == 0 { Point3f::new(u, v, 0.0) } else { Point3f::new(0.0, v, u) };
+            corner.add(&side, &na::Vector3::zeros(), 1.0);
         }
         assert!(flat.is_plane() && flat.normal.z.abs() > 0.999 && flat.variance < 2e-4);
         assert!((flat.mean.z - 0.3).abs() < 1e-3);

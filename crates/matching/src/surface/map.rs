@@ -22,7 +22,7 @@ const MIN_PROBABILITY: f32 = 0.6;
 pub struct Plane {
     /// A point on it, metres.
     pub point: na::Vector3<f32>,
-    /// Unit length, to either side.
+    /// Unit length; to the side from which it was seen, if it was seen from one.
     pub normal: na::Vector3<f32>,
     /// Mean square distance of the hits from it, m².
     pub variance: f32,
@@ -64,10 +64,21 @@ impl SurfaceMap {
         self.index.memory_bytes() + self.cells.capacity() * size_of::<SurfaceCell>()
     }
 
-    /// Adds a hit (metres, in the frame of the map). One that is not finite or far away changes nothing.
+    /// Adds a hit (metres, in the frame of the map) of which nobody knows from where it was seen. One that is
+    /// not finite or far away changes nothing.
     pub fn insert(&mut self, point: &Point3f) {
+        self.insert_toward(point, &na::Vector3::zeros());
+    }
+
+    /// Adds a hit that was seen from `origin` (both metres, in the frame of the map).
+    pub fn insert_seen_from(&mut self, point: &Point3f, origin: &Point3f) {
+        self.insert_toward(point, &(origin - point).try_normalize(1e-6).unwrap_or_else(na::Vector3::zeros));
+    }
+
+    fn insert_toward(&mut self, point: &Point3f, toward: &na::Vector3<f32>) {
+        let scaled = (point / self.edge).coords.map(|v| v + OFFSET);
         for level in 0..LEVELS {
-            let Some(key) = self.key(point, level) else { return };
+            let Some(key) = key(&scaled, level) else { return };
             let number = match self.index.get(key) {
                 Some(number) => number,
                 None => {
@@ -77,8 +88,13 @@ impl SurfaceMap {
                 }
             };
             let cell = &mut self.cells[number];
-            cell.add(point, self.edge / (1 << level) as f32);
-            if cell.count > SETTLED && cell.is_plane() {
+            let is_settled = cell.count > SETTLED && cell.is_plane();
+            // The other side of a floor or of a wall is a surface of its own.
+            if is_settled && cell.shows_other_side(toward) {
+                continue;
+            }
+            cell.add(point, toward, self.edge / (1 << level) as f32);
+            if is_settled {
                 return;
             }
         }
@@ -86,23 +102,29 @@ impl SurfaceMap {
 
     /// The plane near a place: that of the largest flat voxel around it, or of the neighbour across the
     /// nearest side of the largest voxel.
-    #[inline]
     pub fn plane_near(&self, place: &Point3f) -> Option<Plane> {
-        self.plane_around(place).or_else(|| {
-            let scaled = (place / self.edge).coords.map(|v| v + OFFSET);
-            let to_side = scaled.map(|v| v - v.floor() - 0.5);
+        self.plane_seen(place, &na::Vector3::zeros())
+    }
+
+    /// The same without planes that are seen from the other side than from the direction `toward` (unit length).
+    #[inline]
+    pub fn plane_seen(&self, place: &Point3f, toward: &na::Vector3<f32>) -> Option<Plane> {
+        let scaled = (place / self.edge).coords.map(|v| v + OFFSET);
+        self.plane_around(&scaled, toward).or_else(|| {
+            let to_side = scaled.map(|v| v - floor(v) - 0.5);
             let axis = to_side.iamax();
-            let mut across = *place;
-            across[axis] += to_side[axis].signum() * (0.51 - to_side[axis].abs()) * self.edge;
-            self.plane_around(&across)
+            let mut across = scaled;
+            across[axis] += to_side[axis].signum() * (0.51 - to_side[axis].abs());
+            self.plane_around(&across, toward)
         })
     }
 
+    /// `scaled` counts in largest voxels.
     #[inline]
-    fn plane_around(&self, place: &Point3f) -> Option<Plane> {
+    fn plane_around(&self, scaled: &na::Vector3<f32>, toward: &na::Vector3<f32>) -> Option<Plane> {
         for level in 0..LEVELS {
-            let cell = &self.cells[self.index.get(self.key(place, level)?)?];
-            if cell.is_plane() {
+            let cell = &self.cells[self.index.get(key(scaled, level)?)?];
+            if cell.is_plane() && !cell.shows_other_side(toward) {
                 return Some(Plane { point: cell.mean, normal: cell.normal, variance: cell.variance });
             }
         }
@@ -133,20 +155,35 @@ impl SurfaceMap {
         let cells = self.cells.iter().filter(|cell| cell.is_plane());
         cells.map(|c| (Plane { point: c.mean, normal: c.normal, variance: c.variance }, c.count))
     }
+}
 
-    /// 11 bits per axis and two for the size; smaller voxels lie wholly inside of larger ones.
-    #[inline]
-    fn key(&self, point: &Point3f, level: u32) -> Option<u64> {
-        let parts = (1 << level) as f32;
-        let cell = [point.x, point.y, point.z].map(|v| ((v / self.edge + OFFSET) * parts).floor());
-        let bound = MAX_INDEX as f32;
-        if !cell.iter().all(|v| v.abs() < bound) {
-            return None;
-        }
-        let [x, y, z] = cell.map(|v| (v as i32 + MAX_INDEX) as u64);
-        let level = u64::from(level);
-        Some((x | (level & 1) << 11) | (y | (level >> 1) << 11) << 12 | z << 24)
+/// The key of the voxel around a place in largest voxels: 11 bits per axis and two for the size; smaller
+/// voxels lie wholly inside of larger ones.
+#[inline]
+fn key(scaled: &na::Vector3<f32>, level: u32) -> Option<u64> {
+    let parts = (1 << level) as f32;
+    // Written out: this is the innermost loop of matching.
+    let (x, y, z) = (floor(scaled.x * parts), floor(scaled.y * parts), floor(scaled.z * parts));
+    let bound = MAX_INDEX as f32;
+    // Not a number is not less than anything.
+    if !(x.abs() < bound && y.abs() < bound && z.abs() < bound) {
+        return None;
     }
+    let (x, y, z) =
+        ((x as i32 + MAX_INDEX) as u64, (y as i32 + MAX_INDEX) as u64, (z as i32 + MAX_INDEX) as u64);
+    let level = u64::from(level);
+    Some((x | (level & 1) << 11) | (y | (level >> 1) << 11) << 12 | z << 24)
+}
+
+/// `v.floor()` without a call of the standard library for numbers whose cells can have a key; larger ones
+/// stay as they are.
+#[inline]
+fn floor(v: f32) -> f32 {
+    if v.abs() >= 1e6 || v.is_nan() {
+        return v;
+    }
+    let whole = (v as i32) as f32;
+    if whole > v { whole - 1.0 } else { whole }
 }
 
 #[cfg(test)]
@@ -186,6 +223,26 @@ mod tests {
         let map = room(-1.2);
         let near = map.plane_near(&Point3f::new(1.7, 0.4, -1.19)).unwrap();
         assert!(near.normal.z.abs() > 0.9, "{near:?}");
+    }
+
+    #[test]
+    fn floor_and_ceiling_below_it_are_two_surfaces() {
+        let mut map = SurfaceMap::new(1.0);
+        let mut add = |height: f32, origin: f32| {
+            for i in 0..400 {
+                let (u, v) = (0.05 * (i % 20) as f32, 0.05 * (i / 20) as f32);
+                map.insert_seen_from(&Point3f::new(u, v, height), &Point3f::new(0.5, 0.5, origin));
+            }
+        };
+        // The ceiling is seen from below first, then the floor above it.
+        add(0.0, -2.0);
+        add(0.25, 2.0);
+        let place = Point3f::new(0.3, 0.3, 0.2);
+        let up = na::Vector3::z();
+        let floor = map.plane_seen(&place, &up).unwrap();
+        assert!((floor.point.z - 0.25).abs() < 0.01 && floor.normal.z > 0.99, "{floor:?}");
+        let ceiling = map.plane_seen(&place, &-up).unwrap();
+        assert!(ceiling.point.z.abs() < 0.01 && ceiling.normal.z < -0.99, "{ceiling:?}");
     }
 
     #[test]

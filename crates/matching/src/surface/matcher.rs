@@ -4,6 +4,9 @@ use nalgebra as na;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
 
 use super::map::SurfaceMap;
+use sums::{Accumulator, Pairs, Sums};
+
+mod sums;
 
 /// How scans are matched to surfaces.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,8 +71,6 @@ pub struct SurfaceMatch {
     pub weak: WeakDirections,
 }
 
-/// Neighbouring points share their error, so that so many count as one.
-const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
 /// The prior holds this many times more than the points in a direction in which they do not.
 const PRIOR_IN_WEAK_DIRECTIONS: f64 = 30.0;
 /// A direction is told when there is so many times more information than errors of normals feign.
@@ -82,17 +83,6 @@ const SCALE_DECAY: f64 = 0.6;
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurfaceMatcher {
     options: SurfaceMatcherOptions,
-}
-
-/// Sums over the points at one pose.
-struct Sums {
-    hessian: na::Matrix6<f64>,
-    gradient: na::Vector6<f64>,
-    /// Sum of weights, and of weights times squared distance from the origin of the scan.
-    weight: f64,
-    weight_by_lever: f64,
-    matched: usize,
-    squares: f64,
 }
 
 impl SurfaceMatcher {
@@ -114,8 +104,9 @@ impl SurfaceMatcher {
         let mut pose = *initial;
         let mut scale = scale.max(self.options.final_scale);
         let mut weak = WeakDirections::default();
+        let mut pairs = Pairs::new(points.len(), surfaces.edge());
         for _ in 0..self.options.max_iterations {
-            let sums = self.sums(surfaces, points, &pose, scale);
+            let sums = self.sums(surfaces, points, &mut pairs, &pose, scale);
             if sums.matched < 20 {
                 return None;
             }
@@ -128,7 +119,7 @@ impl SurfaceMatcher {
             }
             scale = (scale * SCALE_DECAY).max(self.options.final_scale);
         }
-        let sums = self.sums(surfaces, points, &pose, self.options.final_scale);
+        let sums = self.sums(surfaces, points, &mut pairs, &pose, self.options.final_scale);
         pose.translation.vector.iter().all(|v| v.is_finite()).then(|| SurfaceMatch {
             pose,
             matched_share: sums.matched as f64 / points.len().max(1) as f64,
@@ -138,25 +129,29 @@ impl SurfaceMatcher {
         })
     }
 
-    fn sums(&self, surfaces: &SurfaceMap, points: &[Point3f], pose: &Rigid3, scale: f64) -> Sums {
+    /// Pairs points with planes where they moved, and sums up what all of them say at a pose.
+    fn sums(
+        &self,
+        surfaces: &SurfaceMap,
+        points: &[Point3f],
+        pairs: &mut Pairs,
+        pose: &Rigid3,
+        scale: f64,
+    ) -> Sums {
         let single = to_f32(pose);
         let rotation = single.rotation.to_rotation_matrix();
         let noise = (self.options.range_noise * self.options.range_noise) as f32;
         let squared_scale = (scale * scale) as f32;
-        let mut upper = [0.0_f64; 21];
-        let mut gradient = [0.0_f64; 6];
-        let mut sums = Sums {
-            hessian: na::Matrix6::zeros(),
-            gradient: na::Vector6::zeros(),
-            weight: 0.0,
-            weight_by_lever: 0.0,
-            matched: 0,
-            squares: 0.0,
-        };
-        for point in points {
+        let mut all = Accumulator::default();
+        for (point, pair) in points.iter().zip(&mut pairs.pairs) {
             let turned = rotation * point.coords;
             let place = turned + single.translation.vector;
-            let Some(plane) = surfaces.plane_near(&place.into()) else { continue };
+            if (place - pair.looked_up_at).norm_squared() > pairs.squared_slack {
+                pair.looked_up_at = place;
+                let toward = turned.try_normalize(1e-6).map_or_else(na::Vector3::zeros, |v| -v);
+                pair.plane = surfaces.plane_seen(&place.into(), &toward);
+            }
+            let Some(plane) = &pair.plane else { continue };
             let residual = plane.normal.dot(&(place - plane.point));
             let squared = residual * residual;
             if squared > 9.0 * squared_scale {
@@ -166,35 +161,10 @@ impl SurfaceMatcher {
             let robust = squared_scale / (squared_scale + squared);
             let weight = robust * robust / (noise + plane.variance);
             let lever = turned.cross(&plane.normal);
-            let row =
-                [plane.normal.x, plane.normal.y, plane.normal.z, lever.x, lever.y, lever.z].map(f64::from);
-            let (weight, residual) = (f64::from(weight), f64::from(residual));
-            let mut k = 0;
-            for i in 0..6 {
-                let weighted = weight * row[i];
-                gradient[i] += weighted * residual;
-                for value in &row[i..] {
-                    upper[k] += weighted * value;
-                    k += 1;
-                }
-            }
-            sums.weight += weight;
-            sums.weight_by_lever += weight * f64::from(turned.norm_squared());
-            sums.matched += 1;
-            sums.squares += residual * residual;
+            let n = &plane.normal;
+            all.add([n.x, n.y, n.z, lever.x, lever.y, lever.z, residual, turned.norm()], weight);
         }
-        let mut k = 0;
-        sums.gradient = na::Vector6::from(gradient) / POINTS_PER_INDEPENDENT_ONE;
-        for i in 0..6 {
-            for j in i..6 {
-                sums.hessian[(i, j)] = upper[k] / POINTS_PER_INDEPENDENT_ONE;
-                sums.hessian[(j, i)] = sums.hessian[(i, j)];
-                k += 1;
-            }
-        }
-        sums.weight /= POINTS_PER_INDEPENDENT_ONE;
-        sums.weight_by_lever /= POINTS_PER_INDEPENDENT_ONE;
-        sums
+        all.finish()
     }
 
     /// The eigenvectors of both halves of the information that errors of normals alone could explain (Zhang,

@@ -146,7 +146,14 @@ fn find(options: &Options, guess: [f64; 3], node: &NodeData) -> Option<MatchedPo
     let submap = &submap_and_node().0;
     let matcher = Planar::build_matcher(submap, search).unwrap();
     let guess = pose(guess[0], guess[1], guess[2]);
-    Planar::find_node(&matcher, submap, node, &guess, SearchRegion::Window, search)
+    Planar::find_node(
+        &matcher,
+        submap,
+        node,
+        &guess,
+        SearchRegion::Window { travelled: f64::INFINITY },
+        search,
+    )
 }
 
 /// Whether it is found (1) or not (0).

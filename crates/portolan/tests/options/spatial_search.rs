@@ -31,7 +31,14 @@ fn find(options: &Options, offset: Rigid3) -> Option<MatchedPose> {
     let (submap, node) = submap_and_node();
     let matcher = Spatial::build_matcher(submap, search).unwrap();
     let guess = submap.local_from_submap.inverse() * node.local_from_tracking * offset;
-    Spatial::find_node(&matcher, submap, node, &guess, SearchRegion::Window, search)
+    Spatial::find_node(
+        &matcher,
+        submap,
+        node,
+        &guess,
+        SearchRegion::Window { travelled: f64::INFINITY },
+        search,
+    )
 }
 
 fn is_found(options: &Options, offset: Rigid3) -> f64 {

@@ -1,9 +1,10 @@
-//! The map as a cloud and as X-ray pictures: a second pass over the recording with the finished trajectory.
+//! The map as a cloud and as X-ray pictures: all points once more with the finished trajectory, from a second
+//! pass over the recording or, for pictures of a short one, from memory.
 
 use std::path::{Path, PathBuf};
 
 use portolan::pipeline::{MappedRecording, PipelineError, Preparation};
-use portolan::unwind::{MapPoint, UnwindOptions, Unwound, unwind};
+use portolan::unwind::{MapPoint, UnwindOptions, Unwound, unwind, unwind_kept};
 use portolan_geometry::{Rigid3, Time};
 use portolan_mapping::Space;
 use portolan_pointcloud::{
@@ -11,6 +12,7 @@ use portolan_pointcloud::{
     create,
 };
 use portolan_recording::{Dimension, IngestOptions, Recording};
+use portolan_sensor::TimedPointCloudData;
 
 use super::xray;
 use crate::GlobalArgs;
@@ -39,7 +41,22 @@ pub struct CloudArgs {
     pub no_xray: bool,
 }
 
+/// Points that X-rays are made of are kept while mapping as long as they take no more memory than this: six
+/// million points.
+const MAX_KEPT_BYTES: usize = 96 << 20;
+
 impl CloudArgs {
+    /// How many bytes of sweeps mapping should keep for what [`write_clouds`] draws.
+    pub fn bytes_to_keep(&self, preparation: &Preparation) -> usize {
+        // Clouds have intensities, which are not kept.
+        let only_xrays = self.cloud.is_none() && self.with_xrays(preparation);
+        if only_xrays { MAX_KEPT_BYTES } else { 0 }
+    }
+
+    fn with_xrays(&self, preparation: &Preparation) -> bool {
+        preparation.dimension == Dimension::Three && !self.no_xray
+    }
+
     /// Refuses what cannot be done before anything is mapped.
     pub fn check(&self) -> Result<(), CliError> {
         let usage = |error: CloudError| CliError::Usage(error.to_string());
@@ -134,7 +151,7 @@ pub fn write_clouds<S: Space>(
     folder: &Path,
     global: &GlobalArgs,
 ) -> Result<Option<CloudResults>, CliError> {
-    let with_xrays = preparation.dimension == Dimension::Three && !args.no_xray;
+    let with_xrays = args.with_xrays(preparation);
     let cloud = args.path(folder);
     if cloud.is_none() && !with_xrays {
         return Ok(None);
@@ -159,7 +176,8 @@ pub fn write_clouds<S: Space>(
         }
         cloud_sink.as_mut().map_or(Ok(()), |sink| sink.add(points))
     };
-    let unwound = unwind_all(recording, ingest, preparation, poses.clone(), &mut sink, global)?;
+    let kept = if cloud.is_none() { mapped.kept_sweeps.complete() } else { None };
+    let unwound = unwind_all(recording, ingest, preparation, kept, poses.clone(), &mut sink, global)?;
     if unwound.interrupted {
         say("stopped: no cloud and no X-rays of it");
         return Ok(None);
@@ -187,6 +205,7 @@ fn unwind_all(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     preparation: &Preparation,
+    kept: Option<&[TimedPointCloudData]>,
     poses: Vec<(Time, Rigid3)>,
     sink: &mut dyn FnMut(&[MapPoint]) -> Result<(), CloudError>,
     global: &GlobalArgs,
@@ -199,7 +218,10 @@ fn unwind_all(
         }
         !interrupt::interrupted()
     };
-    let unwound = unwind(recording, ingest, preparation, poses, options, &mut observe, sink);
+    let unwound = match kept {
+        Some(sweeps) => unwind_kept(sweeps, poses, options, &mut observe, sink),
+        None => unwind(recording, ingest, preparation, poses, options, &mut observe, sink),
+    };
     progress.finish();
     unwound.map_err(|error| match error {
         PipelineError::Cloud(error) => failed(error),

@@ -6,9 +6,16 @@ use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
 use super::sweep_path::SweepPath;
 use super::unwarp::Gathered;
-use super::{LocalSlam3d, MatchedScan};
+use super::{LocalSlam3d, MatchedScan, Wanted};
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::{MatchingResult, Spatial, WeakMotion};
+
+/// Submaps of fewer scans are young.
+const YOUNG: u32 = 10;
+/// A match without the gyroscope has to fit so much better than one with it, unless that is saturated.
+const CLEARLY_BETTER: f64 = 1.3;
+/// While it stands still a sweep is inserted every so often.
+const STANDING_INTERVAL: Duration = Duration::from_ticks(20_000_000);
 
 /// What matching to surfaces needs besides the submaps.
 pub(super) struct BySurfaces {
@@ -86,42 +93,90 @@ impl LocalSlam3d {
     /// Matches a sweep to the older active submap.
     fn follow(&mut self, sweep: &TimedSweep) -> Option<MatchingResult<Spatial>> {
         let has_imu = self.has_imu;
+        let stood = self.standstill.pose();
         let extrapolator = self.extrapolator.as_mut()?;
         extrapolator.prepare(sweep.end);
-        let mut path = SweepPath::predicted(extrapolator, sweep.end);
+        let start = extrapolator.last_pose_time();
+        let predicted = SweepPath::predicted(extrapolator, sweep.end);
+        let mut path = match &stood {
+            Some(pose) => SweepPath::standing(extrapolator, sweep.end, pose),
+            None => predicted.clone(),
+        };
         path.turn_is_measured = has_imu && extrapolator.has_gyroscope(sweep.end);
-        path.way_is_measured = extrapolator.has_odometry(sweep.end);
+        path.way_is_measured = stood.is_some() || extrapolator.has_odometry(sweep.end);
+        let unmeasured = path.turn_is_measured.then(|| SweepPath::turning_on(extrapolator, sweep.end));
         let gravity = has_imu.then(|| extrapolator.estimate_gravity_orientation(sweep.end));
         let by_surfaces = self.by_surfaces.as_mut()?;
         let selection = by_surfaces.tracker.selection(&sweep.points);
         let submap = self.active_submaps.matching_submap()?;
-        let surfaces = submap.surfaces.as_ref()?;
-        let matched =
-            by_surfaces.tracker.match_sweep(&selection, &path, (&submap.local_from_submap, surfaces));
-        match &matched.found {
-            None => self.count("scan that fits no surface; matched to grids instead"),
-            Some(found) => {
-                let to_tracking = found.pose.rotation.inverse();
-                for direction in &found.weak.translations {
-                    self.weak_spans.add(sweep.end, WeakMotion::Shift, to_tracking * direction);
-                }
-                for direction in &found.weak.rotations {
-                    self.weak_spans.add(sweep.end, WeakMotion::Turn, to_tracking * direction);
-                }
+        let target = (&submap.local_from_submap, submap.surfaces.as_ref()?);
+        let mut matched = by_surfaces.tracker.match_sweep(&selection, &path, target);
+        let saturated = self.saturated_at > start;
+        if let Some(other) = unmeasured.filter(|_| saturated || matched.contradicts_turn(&path)) {
+            let by_scans = by_surfaces.tracker.match_sweep(&selection, &other, target);
+            let wanted = if saturated { 1.0 } else { CLEARLY_BETTER };
+            if by_scans.fit() > wanted * matched.fit() {
+                (matched, path) = (by_scans, other);
+                self.count("sweep whose turn the gyroscope did not tell; scans told it");
             }
         }
-        let holds_rotation = matched.found.as_ref().is_some_and(|f| f.weak.rotations.is_empty());
-        if path.turn_is_measured && holds_rotation {
-            let (predicted, found) = (path.end().rotation, matched.local_from_tracking.rotation);
-            self.gyroscope_bias.observe(&predicted, &found, path.seconds());
+        match stood {
+            Some(_) => {
+                self.gyroscope_bias.observe(&predicted.turn(), &Quaternion::identity(), path.seconds())
+            }
+            None if saturated => {}
+            None => self.learn_bias(&path, &matched),
         }
+        self.report_match(sweep.end, &matched);
         let fits_surfaces = matched.found.is_some();
         let mut scan = self.seen_from_end(sweep, matched);
-        if !fits_surfaces {
+        let is_measured = path.turn_is_measured && path.way_is_measured;
+        if !fits_surfaces && !is_measured {
             self.match_to_grids(&mut scan);
         }
+        self.standstill.add_match(sweep.end, &scan.local_from_tracking);
+        let stands = self.standstill.pose();
+        if let Some(pose) = stands {
+            scan.local_from_tracking = pose;
+        }
         self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
-        Some(self.conclude(sweep.end, scan, gravity))
+        let enough =
+            stands.is_some() && !self.is_young() && self.was_inserted_since(sweep.end - STANDING_INTERVAL);
+        let wanted = match enough {
+            true => Wanted::No,
+            false if self.is_young() => Wanted::Yes,
+            false => Wanted::IfMoved,
+        };
+        Some(self.conclude_as(wanted, sweep.end, scan, gravity))
+    }
+
+    /// Whether the first submap does not know its surfaces yet: a single sweep shows few of them.
+    fn is_young(&self) -> bool {
+        self.active_submaps.matching_submap().is_none_or(|submap| submap.num_range_data < YOUNG)
+    }
+
+    /// What a match says of the gyroscope.
+    fn learn_bias(&mut self, path: &SweepPath, matched: &MatchedSweep) {
+        let holds_rotation = matched.found.as_ref().is_some_and(|f| f.weak.rotations.is_empty());
+        if path.turn_is_measured && holds_rotation {
+            let turn = path.start().rotation.inverse() * matched.local_from_tracking.rotation;
+            self.gyroscope_bias.observe(&path.turn(), &turn, path.seconds());
+        }
+    }
+
+    /// What a match says of directions that scans leave open.
+    fn report_match(&mut self, end: Time, matched: &MatchedSweep) {
+        let Some(found) = &matched.found else {
+            self.count("scan that fits no surface; grids or odometry and gyroscope told its pose");
+            return;
+        };
+        let to_tracking = found.pose.rotation.inverse();
+        for direction in &found.weak.translations {
+            self.weak_spans.add(end, WeakMotion::Shift, to_tracking * direction);
+        }
+        for direction in &found.weak.rotations {
+            self.weak_spans.add(end, WeakMotion::Turn, to_tracking * direction);
+        }
     }
 
     /// Puts a scan where it fits the grids of the older submap best.

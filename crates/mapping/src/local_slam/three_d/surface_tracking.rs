@@ -17,6 +17,10 @@ const SMALL_SHIFT: f64 = 0.003;
 const SMALL_TURN: f64 = 0.0005;
 /// A match of fewer points is no match. Among trees not much is flat.
 const MIN_MATCHED_SHARE: f64 = 0.15;
+/// A match contradicts a measured turn if it is so many standard deviations off.
+const CONTRADICTION_SIGMAS: f64 = 4.0;
+/// Points that lie so far off, metres, halve what a match is worth.
+const POOR_RMS: f64 = 0.1;
 /// Points may be off by this at the beginning, metres, and by this many times the error that the
 /// prediction may have.
 const START_SCALE: f64 = 0.3;
@@ -45,6 +49,28 @@ pub(super) struct MatchedSweep {
     pub pieces: StraightPieces,
     /// The match; none where the sweep fits nothing and the prediction is all there is.
     pub found: Option<SurfaceMatch>,
+}
+
+impl MatchedSweep {
+    /// Whether the sweep fits only far from the turn that was measured.
+    pub fn contradicts_turn(&self, path: &SweepPath) -> bool {
+        let error = path.end().rotation.angle_to(&self.local_from_tracking.rotation);
+        self.found.is_some() && error > CONTRADICTION_SIGMAS * rotation_sigma(path)
+    }
+
+    /// How well it fits: the share of points on surfaces, less if they lie far off.
+    pub fn fit(&self) -> f64 {
+        self.found.as_ref().map_or(0.0, |f| f.matched_share / (1.0 + (f.rms / POOR_RMS).powi(2)))
+    }
+}
+
+/// How far off the turn of a predicted way may be, radians (standard deviation).
+fn rotation_sigma(path: &SweepPath) -> f64 {
+    let seconds = path.seconds();
+    match path.turn_is_measured {
+        true => 0.002 + GYROSCOPE_ERROR * seconds,
+        false => 0.005 + 0.5 * TURN_ACCELERATION * seconds * seconds,
+    }
 }
 
 /// Matches sweeps to surfaces.
@@ -99,10 +125,7 @@ impl SurfaceTracker {
                 true => 0.01 + ODOMETRY_ERROR * seconds,
                 false => 0.01 + 0.5 * ACCELERATION * seconds * seconds,
             },
-            rotation_sigma: match path.turn_is_measured {
-                true => 0.002 + GYROSCOPE_ERROR * seconds,
-                false => 0.005 + 0.5 * TURN_ACCELERATION * seconds * seconds,
-            },
+            rotation_sigma: rotation_sigma(path),
         };
         let first_scale = START_SCALE.max(SCALE_OF_SIGMA * prior.translation_sigma).min(2.0);
         let mut end = path.end();

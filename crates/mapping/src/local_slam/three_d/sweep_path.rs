@@ -2,7 +2,7 @@
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{
-    Duration, Point3f, Rigid3, Time, angle_axis_from_quaternion, quaternion_from_angle_axis,
+    Duration, Point3f, Quaternion, Rigid3, Time, angle_axis_from_quaternion, quaternion_from_angle_axis,
 };
 
 use crate::pose_extrapolator::PoseExtrapolator;
@@ -43,9 +43,41 @@ impl SweepPath {
         Self::new(start, end, |t| extrapolator.extrapolate_pose(t))
     }
 
+    /// As an extrapolator predicts it, but turning as the last scans did instead of as a gyroscope says.
+    pub fn turning_on(extrapolator: &mut PoseExtrapolator, end: Time) -> Self {
+        let last = extrapolator.last_pose();
+        let turn_rate = extrapolator.angular_velocity_from_poses();
+        let way_is_measured = extrapolator.has_odometry(end);
+        let mut path = Self::predicted(extrapolator, end);
+        if let Some((_, pose)) = last {
+            for (i, predicted) in path.poses.iter_mut().enumerate() {
+                let turn = turn_rate * (path.spacing * i as f64);
+                predicted.rotation = pose.rotation * quaternion_from_angle_axis(&turn);
+            }
+        }
+        path.way_is_measured = way_is_measured;
+        path
+    }
+
+    /// Standing at `pose` since the last pose.
+    pub fn standing(extrapolator: &PoseExtrapolator, end: Time, pose: &Rigid3) -> Self {
+        let start = extrapolator.last_pose_time().unwrap_or(end).min(end);
+        Self::new(start, end, |_| *pose)
+    }
+
+    /// The first pose.
+    pub fn start(&self) -> Rigid3 {
+        self.poses.first().copied().unwrap_or_else(Rigid3::identity)
+    }
+
     /// The last pose.
     pub fn end(&self) -> Rigid3 {
         self.poses.last().copied().unwrap_or_else(Rigid3::identity)
+    }
+
+    /// How it turns from the first pose to the last.
+    pub fn turn(&self) -> Quaternion {
+        self.start().rotation.inverse() * self.end().rotation
     }
 
     /// Seconds from the first pose to the last.

@@ -1,0 +1,122 @@
+//! How far the scanner travelled between a node and a submap.
+//!
+//! What two places are off against each other grows with the way between them, and starts afresh where a
+//! loop is closed: the shortest way over the trajectory and over loop closures tells how widely a node has
+//! to be searched.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BinaryHeap};
+
+use crate::{NodeId, Space, SubmapId};
+
+use super::state::GraphState;
+
+/// A loop closure counts as a way of so many metres: it is no more exact than that much of a trajectory.
+const LENGTH_OF_LOOP_CLOSURE: f64 = 2.0;
+
+/// Submaps and the ways between neighbouring ones, metres.
+#[derive(Clone, Debug, Default)]
+pub(super) struct TravelGraph {
+    neighbours: BTreeMap<SubmapId, BTreeMap<SubmapId, f64>>,
+    /// The first submap that each node was inserted into.
+    submap_of_node: BTreeMap<NodeId, SubmapId>,
+}
+
+impl TravelGraph {
+    /// The ways in a map as it is: from each submap to the next of its trajectory, and where loop closures
+    /// lead.
+    pub fn new<S: Space>(state: &GraphState<S>) -> Self {
+        let mut graph = Self::default();
+        let mut previous: Option<(SubmapId, &crate::SubmapEntry<S>)> = None;
+        for (id, entry) in &state.submaps {
+            for node_id in &entry.node_ids {
+                graph.submap_of_node.entry(*node_id).or_insert(*id);
+            }
+            if let Some((before, known)) = previous.filter(|(b, _)| b.trajectory_id == id.trajectory_id) {
+                let [from, to] = [known, entry].map(|e| e.local_from_submap.translation.vector);
+                graph.connect(before, *id, (to - from).norm());
+            }
+            previous = Some((*id, entry));
+        }
+        for constraint in state.constraints.iter().filter(|c| c.is_loop_closure()) {
+            if let Some(of_node) = graph.submap_of_node.get(&constraint.node_id) {
+                graph.connect(*of_node, constraint.submap_id, LENGTH_OF_LOOP_CLOSURE);
+            }
+        }
+        graph
+    }
+
+    fn connect(&mut self, a: SubmapId, b: SubmapId, length: f64) {
+        let length = if length.is_finite() { length } else { f64::MAX };
+        for (from, to) in [(a, b), (b, a)] {
+            let known = self.neighbours.entry(from).or_default().entry(to).or_insert(length);
+            *known = known.min(length);
+        }
+    }
+
+    /// The first submap that a node was inserted into.
+    pub fn submap_of(&self, node_id: NodeId) -> Option<SubmapId> {
+        self.submap_of_node.get(&node_id).copied()
+    }
+
+    /// The shortest ways from one submap to all that can be reached, metres (Dijkstra).
+    pub fn lengths_from(&self, start: SubmapId) -> BTreeMap<SubmapId, f64> {
+        let mut lengths = BTreeMap::new();
+        let mut waiting = BinaryHeap::from([Reached { length: 0.0, at: start }]);
+        while let Some(Reached { length, at }) = waiting.pop() {
+            if lengths.contains_key(&at) {
+                continue;
+            }
+            lengths.insert(at, length);
+            for (next, way) in self.neighbours.get(&at).into_iter().flatten() {
+                if !lengths.contains_key(next) {
+                    waiting.push(Reached { length: length + way, at: *next });
+                }
+            }
+        }
+        lengths
+    }
+}
+
+/// The nearest is the greatest.
+#[derive(PartialEq)]
+struct Reached {
+    length: f64,
+    at: SubmapId,
+}
+
+impl Eq for Reached {}
+
+impl Ord for Reached {
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.length.total_cmp(&self.length).then(other.at.cmp(&self.at))
+    }
+}
+
+impl PartialOrd for Reached {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::TrajectoryId;
+
+    #[test]
+    fn loop_closures_are_short_cuts() {
+        let id = |trajectory: u32, index: u32| SubmapId::new(TrajectoryId(trajectory), index);
+        let mut graph = TravelGraph::default();
+        for i in 0..10 {
+            graph.connect(id(0, i), id(0, i + 1), 5.0);
+        }
+        graph.connect(id(1, 0), id(1, 1), f64::NAN);
+        assert_eq!(graph.lengths_from(id(0, 2))[&id(0, 9)], 35.0);
+        assert!(!graph.lengths_from(id(0, 2)).contains_key(&id(1, 0)));
+        graph.connect(id(0, 0), id(0, 10), LENGTH_OF_LOOP_CLOSURE);
+        graph.connect(id(0, 0), id(0, 10), 80.0);
+        assert_eq!(graph.lengths_from(id(0, 2))[&id(0, 9)], 17.0);
+        assert_eq!(graph.lengths_from(id(5, 5)).len(), 1);
+    }
+}

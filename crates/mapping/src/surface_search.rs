@@ -1,0 +1,136 @@
+//! Finding nodes in submaps that know their surfaces: where a node is believed to be first, then around it
+//! as widely as it may be off by now.
+
+use portolan_config::ConstraintBuilderOptions;
+use portolan_geometry::{Point3f, Rigid3, is_valid_pose, to_f32};
+use portolan_matching::{
+    NodeToFind, PosePrior, SearchReach3d, SubmapToSearch, SurfaceMap, SurfaceMatch, SurfaceMatcher,
+    SurfaceMatcherOptions, judge_placement_3d,
+};
+use portolan_sensor::PointCloud;
+
+use crate::submap_3d::Submap3d;
+use crate::{MatchedPose, Nearby, NodeData};
+
+/// A believed or a found pose may be off by this: metres and radians.
+const SIGMA: (f64, f64) = (0.2, 0.05);
+/// Points may be off by this at the beginning of the refinement, metres.
+const REFINEMENT_SCALE: f64 = 0.4;
+/// A loop closure needs so large a share of its points on surfaces.
+const MIN_MATCHED_SHARE: f64 = 0.5;
+/// What a node may be off after no way at all, and for each metre travelled since: metres and radians.
+/// Matched to planes, trajectories drift by a fifth of this at most (simulated buildings, with and without
+/// an IMU); the nodes may have moved since the guess was made, too.
+const DRIFT_AT_START: (f64, f64) = (0.5, 0.035);
+const DRIFT_PER_METRE: (f64, f64) = (0.04, 0.002);
+
+/// Fewer nodes than this do not show the surfaces of a submap.
+const MIN_NODES: usize = 8;
+
+/// The surfaces of a submap from a file: from the points of its nodes, which are where they were measured, or
+/// where the file has none, from the centres of occupied cells.
+pub(crate) fn surfaces_of_loaded(
+    submap: &Submap3d,
+    nodes: &mut dyn Iterator<Item = &NodeData>,
+    voxel_size: f32,
+) -> SurfaceMap {
+    let mut surfaces = SurfaceMap::new(voxel_size);
+    let submap_from_local = submap.local_from_submap.inverse();
+    let mut count = 0;
+    for node in nodes {
+        let pose = to_f32(&(submap_from_local * node.local_from_tracking));
+        let clouds = [&node.high_resolution_point_cloud, &node.low_resolution_point_cloud];
+        let origin = Point3f::from(pose.translation.vector);
+        for point in clouds.iter().flat_map(|cloud| &cloud.points) {
+            surfaces.insert_seen_from(&(pose * point), &origin);
+        }
+        count += usize::from(clouds.iter().any(|cloud| !cloud.is_empty()));
+    }
+    if count < MIN_NODES {
+        surfaces = SurfaceMap::from_grid(&submap.high_resolution_grid, voxel_size);
+    }
+    surfaces.compacted()
+}
+
+/// How far around its guess a node is searched when the scanner travelled so many metres since: never
+/// farther than the options say.
+pub(crate) fn reach_after(travelled: f64, options: &SearchReach3d) -> SearchReach3d {
+    let grown = |at_start: f64, per_metre: f64| at_start + per_metre * travelled;
+    let metres = grown(DRIFT_AT_START.0, DRIFT_PER_METRE.0);
+    SearchReach3d {
+        linear_xy: options.linear_xy.min(metres),
+        linear_z: options.linear_z.min(metres),
+        angular: options.angular.min(grown(DRIFT_AT_START.1, DRIFT_PER_METRE.1)),
+    }
+}
+
+/// The pose near `initial` that puts a node on the surfaces of a submap. None if it does not fit them, or if
+/// they leave a direction open: what a search found along a bare corridor is no measurement.
+pub(crate) fn refined_by_surfaces(
+    surfaces: &SurfaceMap,
+    clouds: [&PointCloud; 2],
+    initial: &Rigid3,
+) -> Option<Rigid3> {
+    let found = match_to_surfaces(surfaces, clouds, initial)?;
+    found.weak.is_empty().then_some(found.pose)
+}
+
+/// None if the node does not fit the surfaces.
+fn match_to_surfaces(
+    surfaces: &SurfaceMap,
+    clouds: [&PointCloud; 2],
+    initial: &Rigid3,
+) -> Option<SurfaceMatch> {
+    let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
+    let (translation_sigma, rotation_sigma) = SIGMA;
+    let prior = PosePrior { pose: *initial, translation_sigma, rotation_sigma };
+    let final_scale = 0.1 * f64::from(surfaces.edge());
+    let matcher =
+        SurfaceMatcher::new(SurfaceMatcherOptions { final_scale, ..SurfaceMatcherOptions::default() });
+    let found = matcher.match_scan(surfaces, &points, initial, &prior, REFINEMENT_SCALE)?;
+    (found.matched_share >= MIN_MATCHED_SHARE && is_valid_pose(&found.pose)).then_some(found)
+}
+
+/// Puts a node on the surfaces near its guess, and judges the result as a search would.
+pub(crate) fn find_nearby(
+    submap: &Submap3d,
+    surfaces: &SurfaceMap,
+    node: &NodeToFind<'_>,
+    guess_submap_from_node: &Rigid3,
+    options: &ConstraintBuilderOptions,
+) -> Nearby {
+    let clouds = [node.high_resolution_cloud, node.low_resolution_cloud];
+    let Some(found) = match_to_surfaces(surfaces, clouds, guess_submap_from_node) else {
+        return Nearby::Unknown;
+    };
+    let target = SubmapToSearch {
+        low_resolution_grid: &submap.low_resolution_grid,
+        rotational_histogram: &submap.rotational_histogram,
+    };
+    let judged = judge_placement_3d(&found.pose, node, &target, &submap.high_resolution_grid);
+    let wanted = &options.fast_correlative_scan_matcher_3d;
+    let fits = f64::from(judged.found.score) >= options.min_score
+        && f64::from(judged.low_resolution_score) >= wanted.min_low_resolution_score
+        && f64::from(judged.rotational_score) >= wanted.min_rotational_score;
+    match (fits, found.weak.is_empty()) {
+        (true, true) => {
+            Nearby::Found(MatchedPose { submap_from_node: found.pose, score: judged.found.score })
+        }
+        (true, false) => Nearby::Ambiguous,
+        (false, _) => Nearby::Unknown,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_longer_the_way_the_wider_the_search() {
+        let options = SearchReach3d { linear_xy: 5.0, linear_z: 1.0, angular: 0.26 };
+        let near = reach_after(10.0, &options);
+        assert!((near.linear_xy - 0.9).abs() < 1e-9 && (near.linear_z - 0.9).abs() < 1e-9);
+        assert!((near.angular - 0.055).abs() < 1e-9);
+        assert_eq!(reach_after(f64::INFINITY, &options), options);
+    }
+}

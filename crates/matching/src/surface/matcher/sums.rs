@@ -1,0 +1,130 @@
+//! What all points of a scan say together, and which planes they are paired with.
+
+use nalgebra as na;
+
+use crate::surface::map::Plane;
+
+/// Neighbouring points share their error, so that so many count as one.
+const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
+/// A point is paired anew when it has moved by this share of the edge of the largest voxels.
+const SLACK_SHARE: f32 = 0.03;
+/// So many points are summed in single precision before the sum is added to that of all.
+const BLOCK: u32 = 64;
+/// Entries of a row: three of the translation, three of the rotation, the residual, the distance from the
+/// origin of the scan.
+const ROW: usize = 8;
+const RESIDUAL: usize = 6;
+const LEVER: usize = 7;
+
+/// The plane that a point was paired with, and where the point was then.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pair {
+    pub looked_up_at: na::Vector3<f32>,
+    pub plane: Option<Plane>,
+}
+
+/// The pairs of all points, kept from one iteration to the next.
+pub(super) struct Pairs {
+    pub pairs: Vec<Pair>,
+    /// Points that moved farther are paired anew, m².
+    pub squared_slack: f32,
+}
+
+impl Pairs {
+    pub fn new(num_points: usize, edge: f32) -> Self {
+        let nowhere = Pair { looked_up_at: na::Vector3::repeat(f32::INFINITY), plane: None };
+        Self { pairs: vec![nowhere; num_points], squared_slack: (SLACK_SHARE * edge).powi(2) }
+    }
+}
+
+/// Sums over the points at one pose.
+pub(super) struct Sums {
+    pub hessian: na::Matrix6<f64>,
+    pub gradient: na::Vector6<f64>,
+    /// Sum of weights, and of weights times squared distance from the origin of the scan.
+    pub weight: f64,
+    pub weight_by_lever: f64,
+    pub matched: usize,
+    pub squares: f64,
+}
+
+/// Adds up products of rows.
+#[derive(Default)]
+pub(super) struct Accumulator {
+    block: [[f32; ROW]; 6],
+    block_weights: [f32; 3],
+    in_block: u32,
+    total: [[f64; ROW]; 6],
+    weights: [f64; 3],
+    matched: usize,
+}
+
+impl Accumulator {
+    #[inline]
+    pub fn add(&mut self, row: [f32; ROW], weight: f32) {
+        // Whole rows, not only the upper triangle: these are single vector instructions.
+        for (sums, value) in self.block.iter_mut().zip(&row[..6]) {
+            let weighted = weight * value;
+            for (sum, other) in sums.iter_mut().zip(&row) {
+                *sum += weighted * other;
+            }
+        }
+        let (residual, lever) = (row[RESIDUAL], row[LEVER]);
+        self.block_weights[0] += weight;
+        self.block_weights[1] += weight * lever * lever;
+        self.block_weights[2] += residual * residual;
+        self.in_block += 1;
+        if self.in_block == BLOCK {
+            self.end_block();
+        }
+    }
+
+    fn end_block(&mut self) {
+        for (total, block) in self.total.iter_mut().flatten().zip(self.block.as_flattened()) {
+            *total += f64::from(*block);
+        }
+        for (total, block) in self.weights.iter_mut().zip(self.block_weights) {
+            *total += f64::from(block);
+        }
+        self.matched += self.in_block as usize;
+        (self.block, self.block_weights, self.in_block) = Default::default();
+    }
+
+    pub fn finish(mut self) -> Sums {
+        self.end_block();
+        let entry = |i: usize, j: usize| self.total[i.min(j)][i.max(j)] / POINTS_PER_INDEPENDENT_ONE;
+        Sums {
+            hessian: na::Matrix6::from_fn(entry),
+            gradient: na::Vector6::from_fn(|i, _| entry(i, RESIDUAL)),
+            weight: self.weights[0] / POINTS_PER_INDEPENDENT_ONE,
+            weight_by_lever: self.weights[1] / POINTS_PER_INDEPENDENT_ONE,
+            matched: self.matched,
+            squares: self.weights[2],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::Lcg;
+
+    #[test]
+    fn sums_are_those_of_the_textbook() {
+        let (mut lcg, mut all) = (Lcg::new(3), Accumulator::default());
+        let mut hessian = na::Matrix6::<f64>::zeros();
+        let mut gradient = na::Vector6::<f64>::zeros();
+        for _ in 0..1000 {
+            let row = [0; ROW].map(|_| lcg.symmetric(3.0));
+            let weight = 1000.0 * lcg.unit();
+            all.add(row, weight);
+            let jacobian = na::Vector6::from_fn(|i, _| f64::from(row[i]));
+            hessian += jacobian * jacobian.transpose() * f64::from(weight) / POINTS_PER_INDEPENDENT_ONE;
+            gradient += jacobian * f64::from(row[RESIDUAL] * weight) / POINTS_PER_INDEPENDENT_ONE;
+        }
+        let sums = all.finish();
+        assert!((sums.hessian - hessian).norm() < 1e-5 * hessian.norm());
+        assert!((sums.gradient - gradient).norm() < 1e-5 * hessian.norm());
+        assert_eq!(sums.matched, 1000);
+    }
+}

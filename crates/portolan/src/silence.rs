@@ -1,0 +1,82 @@
+//! Sensors that fall silent before the recording ends.
+
+use std::collections::BTreeMap;
+
+use portolan_geometry::Time;
+use portolan_recording::Repair;
+use portolan_sensor::{SensorId, SensorKind};
+
+/// Silence counts from so many seconds on, and from so many times the usual time between messages.
+const MIN_SILENCE: f64 = 2.0;
+const MIN_PERIODS: f64 = 20.0;
+
+/// When each sensor was first and last heard of.
+#[derive(Debug, Default)]
+pub(crate) struct Silences {
+    heard: BTreeMap<SensorId, Heard>,
+    end: Option<Time>,
+}
+
+#[derive(Debug)]
+struct Heard {
+    first: Time,
+    last: Time,
+    messages: u64,
+}
+
+impl Silences {
+    pub fn add(&mut self, sensor: &SensorId, time: Time) {
+        self.end = self.end.max(Some(time));
+        match self.heard.get_mut(sensor) {
+            Some(heard) => {
+                heard.last = heard.last.max(time);
+                heard.messages += 1;
+            }
+            None => {
+                self.heard.insert(sensor.clone(), Heard { first: time, last: time, messages: 1 });
+            }
+        }
+    }
+
+    /// A line for each sensor that was silent at the end. Satellite fixes and landmarks come and go.
+    pub fn repairs(&self) -> Vec<Repair> {
+        let is_steady = |id: &SensorId| !matches!(id.kind, SensorKind::Landmark | SensorKind::FixedFramePose);
+        let silence = |(id, heard): (&SensorId, &Heard)| {
+            let silent = self.end?.seconds_since(heard.last);
+            let period = heard.last.seconds_since(heard.first) / heard.messages.max(1) as f64;
+            let what = format!(
+                "{}: falls silent {silent:.1} s before the end; the rest is mapped without it",
+                id.id
+            );
+            let is_long = silent > MIN_SILENCE && silent > MIN_PERIODS * period;
+            (is_long && is_steady(id)).then_some(Repair { what, count: 1, lost_data: false })
+        };
+        self.heard.iter().filter_map(silence).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Duration;
+
+    #[test]
+    fn only_what_stays_silent_is_told() {
+        let sensor = |name: &str, kind| SensorId { id: name.into(), kind };
+        let mut silences = Silences::default();
+        for i in 0..600 {
+            let time = Time::from_ticks(0) + Duration::from_seconds(0.1 * f64::from(i));
+            silences.add(&sensor("left", SensorKind::Range), time);
+            if i < 300 {
+                silences.add(&sensor("right", SensorKind::Range), time);
+                silences.add(&sensor("tags", SensorKind::Landmark), time);
+            }
+            if i % 250 == 0 {
+                silences.add(&sensor("slow", SensorKind::Odometry), time);
+            }
+        }
+        let told = silences.repairs();
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert!(told[0].what.starts_with("right: falls silent 30.0 s before"), "{told:?}");
+    }
+}
