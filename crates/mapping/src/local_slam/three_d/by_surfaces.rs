@@ -144,7 +144,8 @@ impl LocalSlam3d {
             stands.is_some() && !self.is_young() && self.was_inserted_since(sweep.end - STANDING_INTERVAL);
         let wanted = match enough {
             true => Wanted::No,
-            false if self.is_young() => Wanted::Yes,
+            // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
+            false if path.turn_is_measured && self.is_young() => Wanted::Yes,
             false => Wanted::IfMoved,
         };
         Some(self.conclude_as(wanted, sweep.end, scan, gravity))
