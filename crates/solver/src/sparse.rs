@@ -4,6 +4,7 @@ mod block_pattern;
 mod block_system;
 mod condition;
 mod covariance;
+mod elimination_order;
 mod factor;
 mod factor_view;
 mod jacobian_check;

@@ -85,6 +85,7 @@ pub fn optimize_pose_graph<P: GraphPose>(
     let chi2_before = graph.chi2(options.convention);
     // Before there is room for the normal equations, because some starts solve equations of their own.
     let starts = Starts::collect(graph, &adjacency, &held, options);
+    drop(adjacency);
     let mut optimizer = Optimizer::new(graph, &held, options)?;
     let start = optimizer.choose_start(starts, options)?;
     let summary = optimizer.finish(graph, &start, options)?;

@@ -1,10 +1,7 @@
-//! Where the blocks of a symmetric sparse matrix are: fill-reducing order and storage.
-
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::sparse::SymbolicSparseColMatRef;
-use faer::sparse::linalg::amd;
+//! Where the blocks of a symmetric sparse matrix are stored.
 
 use super::ProblemError;
+use super::elimination_order::elimination_order;
 
 /// The lower triangle of a symmetric matrix of blocks, in the order of elimination. Blocks below the
 /// diagonal block of a column, and that block itself as a full square, make up one dense panel per block
@@ -155,34 +152,6 @@ impl BlockPattern {
         }
         (column_starts, row_indices)
     }
-}
-
-/// Approximate minimum degree order of the graph of blocks: `order[new] = old`.
-fn elimination_order(n: usize, pairs: &[(u32, u32)]) -> Result<Vec<u32>, ProblemError> {
-    if n == 0 {
-        return Ok(Vec::new());
-    }
-    let mut column_starts = vec![0u32; n + 1];
-    for (_, column) in pairs {
-        column_starts[*column as usize + 1] += 1;
-    }
-    for i in 0..n {
-        column_starts[i + 1] += column_starts[i];
-    }
-    let mut next = column_starts.clone();
-    let mut rows = vec![0u32; pairs.len()];
-    for (row, column) in pairs {
-        rows[next[*column as usize] as usize] = *row;
-        next[*column as usize] += 1;
-    }
-    let matrix = SymbolicSparseColMatRef::new_checked(n, n, &column_starts, None, &rows);
-    let (mut order, mut inverse) = (vec![0u32; n], vec![0u32; n]);
-    let request = amd::order_scratch::<u32>(n, pairs.len());
-    let mut memory = MemBuffer::try_new(request).map_err(|_| ProblemError::OutOfMemory)?;
-    let control = amd::Control::default();
-    amd::order(&mut order, &mut inverse, matrix, control, MemStack::new(&mut memory))
-        .map_err(|_| ProblemError::TooLarge("couplings"))?;
-    Ok(order)
 }
 
 /// Pairs as block columns of the lower triangle in the new order, rows ascending; offsets still zero.
