@@ -8,11 +8,15 @@ const BELIEF_AT_START: f64 = 1.0;
 /// Biases wander: evidence older than about this is forgotten, seconds.
 const MEMORY: f64 = 20.0;
 /// A difference beyond this is no bias but a poor match or a saturated gyroscope, rad/s.
-const LARGEST_BIAS: f64 = 0.2;
-
-/// Turning this fast, rad/s, halves what a difference tells of the bias: errors of scale and alignment and
-/// the end of the range grow with the turn.
+pub(crate) const LARGEST_BIAS: f64 = 0.2;
+/// Turning this fast, rad/s, halves what a difference tells of the bias.
 const FAST: f64 = 0.3;
+
+/// How much a difference tells of the bias at this turn rate, rad/s: errors of scale and alignment and the end
+/// of the range grow with the turn.
+pub(crate) fn weight_at(turn_rate: f64) -> f64 {
+    1.0 / (1.0 + (turn_rate / FAST).powi(2))
+}
 
 /// The bias of a gyroscope, as the mean difference between the turns that it measured and those at which
 /// scans matched.
@@ -52,8 +56,7 @@ impl GyroscopeBias {
         if !error.iter().all(|v| v.is_finite()) || error.norm() > LARGEST_BIAS {
             return;
         }
-        let speed = matched.angle() / seconds / FAST;
-        let told = seconds / (1.0 + speed * speed);
+        let told = seconds * weight_at(matched.angle() / seconds);
         self.evidence = (self.evidence + told).min(MEMORY);
         self.bias += error * (told / self.evidence).min(1.0);
     }

@@ -9,16 +9,13 @@ use portolan_geometry::{Duration, Quaternion, Time, Vector3, angle_axis_from_qua
 use portolan_sensor::ImuData;
 
 use super::data::{OptimizationData, OptimizationNode};
+use crate::gyroscope_bias::{LARGEST_BIAS, weight_at};
 use crate::gyroscope_range::GyroscopeRange;
 use crate::imu_integration::{ImuMotion, integrate_imu};
 use crate::{TrajectoryId, of_trajectory};
 
 /// The bias of a gyroscope is the mean of this long around a time, seconds.
 const WINDOW: f64 = 60.0;
-/// A difference beyond this is no bias, rad/s.
-const LARGEST_GYROSCOPE_BIAS: f64 = 0.2;
-/// Turning this fast, rad/s, halves what a difference tells of the bias.
-const FAST: f64 = 0.3;
 /// Gyroscope and scans contradict each other where they differ by more than this within so many seconds,
 /// radians, and by more than this share of the turn.
 const CONTRADICTION_WINDOW: f64 = 1.0;
@@ -67,11 +64,9 @@ impl ImuBias {
         let steps: Vec<Step> = steps.collect();
         let mut bias = Self::default();
         let (mut seconds, mut turn) = (0.0, Vector3::zeros());
-        let may_be_bias =
-            |s: &&Step| !s.saturated && s.difference.norm() <= LARGEST_GYROSCOPE_BIAS * s.seconds;
+        let may_be_bias = |s: &&Step| !s.saturated && s.difference.norm() <= LARGEST_BIAS * s.seconds;
         for step in steps.iter().filter(may_be_bias) {
-            let speed = step.turn / step.seconds / FAST;
-            let told = 1.0 / (1.0 + speed * speed);
+            let told = weight_at(step.turn / step.seconds);
             (seconds, turn) = (seconds + told * step.seconds, turn + step.difference * told);
             bias.turns.push((step.start + Duration::from_seconds(step.seconds), seconds, turn));
         }

@@ -3,7 +3,7 @@
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, rotation_angle};
 use portolan::mapping::Spatial;
-use portolan::sensor::Measurement;
+use portolan::sensor::{Measurement, TimedPointCloudData};
 
 use crate::effect::{Effect, check, effects};
 use crate::run::run;
@@ -26,6 +26,13 @@ fn roll_after_leaning(options: &Options) -> f64 {
     roll(&run.map.graph.state().nodes.values().next_back().unwrap().data.gravity_alignment)
 }
 
+/// Leaves so little of a scan that it is put where predicted.
+fn blind(scan: &mut TimedPointCloudData) {
+    scan.points_in_tracking.truncate(1);
+    scan.intensities.truncate(1);
+    scan.points_in_tracking[0].position = [1.5, 0.0, 1.0].into();
+}
+
 /// At rest, then 0.5 m/s ahead, well matched; the last scan sees next to nothing, so that it is put where
 /// predicted.
 fn way_predicted(options: &Options) -> f64 {
@@ -42,11 +49,9 @@ fn way_predicted(options: &Options) -> f64 {
     }
     let place = |step: u32| pose(0.1 * f64::from(step.saturating_sub(6)), 0.0, 0.0);
     let mut clouds: Vec<_> = (0..9).map(|step| dense_scan(&place(step), 0.2 * f64::from(step))).collect();
-    let mut blind = spatial_scan(&place(9), 1.8);
-    blind.points_in_tracking.truncate(1);
-    blind.intensities.truncate(1);
-    blind.points_in_tracking[0].position = [1.5, 0.0, 1.0].into();
-    clouds.push(blind);
+    let mut last = spatial_scan(&place(9), 1.8);
+    blind(&mut last);
+    clouds.push(last);
     scans(&options, clouds).last_pose().translation.x
 }
 
@@ -94,9 +99,7 @@ fn predicted(options: &Options, wild: f64) -> Rigid3 {
         }
         let mut scan = spatial_scan(&truth, seconds);
         if step == 60 {
-            scan.points_in_tracking.truncate(1);
-            scan.intensities.truncate(1);
-            scan.points_in_tracking[0].position = [1.5, 0.0, 1.0].into();
+            blind(&mut scan);
         }
         measurements.push(Measurement::Range(scan));
     }
@@ -115,36 +118,41 @@ fn hard_predictions(options: &Options) -> f64 {
 }
 
 pub fn table() -> Vec<Effect> {
+    let mut table = by_velocity();
+    table.extend(by_optimisation());
+    table
+}
+
+fn by_velocity() -> Vec<Effect> {
     effects! {
         "trajectory_builder_3d.pose_extrapolator.constant_velocity.imu_gravity_time_constant", "0.1" => "100", Falls, roll_after_leaning;
         "trajectory_builder_3d.pose_extrapolator.constant_velocity.pose_queue_duration", "0.001" => "1", Falls, way_predicted;
         "portolan.use_all_odometry", "false" => "true", Falls, error_with_odometry;
         "trajectory_builder_3d.pose_extrapolator.use_imu_based", "false" => "true", Changes, prediction;
-        "trajectory_builder_3d.pose_extrapolator.imu_based.pose_queue_duration", "0.3" => "5", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
-        "trajectory_builder_3d.pose_extrapolator.imu_based.gravity_constant", "9.806" => "8", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
-        "trajectory_builder_3d.pose_extrapolator.imu_based.pose_translation_weight", "0.01" => "100", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
-        "trajectory_builder_3d.pose_extrapolator.imu_based.pose_rotation_weight", "0.01" => "100", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
-        "trajectory_builder_3d.pose_extrapolator.imu_based.imu_acceleration_weight", "0.01" => "100", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
-        "trajectory_builder_3d.pose_extrapolator.imu_based.imu_rotation_weight", "0.01" => "100", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
-        "trajectory_builder_3d.pose_extrapolator.imu_based.odometry_translation_weight", "0.01" => "100", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
-        "trajectory_builder_3d.pose_extrapolator.imu_based.odometry_rotation_weight", "0.01" => "100", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
-        "trajectory_builder_3d.pose_extrapolator.imu_based.solver_options.max_num_iterations", "1" => "10", Changes, prediction,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true"];
+    }
+}
+
+fn by_optimisation() -> Vec<Effect> {
+    effects! {
+        "trajectory_builder_3d.pose_extrapolator.imu_based.pose_queue_duration", "0.3" => "5", Changes, prediction;
+        "trajectory_builder_3d.pose_extrapolator.imu_based.gravity_constant", "9.806" => "8", Changes, prediction;
+        "trajectory_builder_3d.pose_extrapolator.imu_based.pose_translation_weight", "0.01" => "100", Changes, prediction;
+        "trajectory_builder_3d.pose_extrapolator.imu_based.pose_rotation_weight", "0.01" => "100", Changes, prediction;
+        "trajectory_builder_3d.pose_extrapolator.imu_based.imu_acceleration_weight", "0.01" => "100", Changes, prediction;
+        "trajectory_builder_3d.pose_extrapolator.imu_based.imu_rotation_weight", "0.01" => "100", Changes, prediction;
+        "trajectory_builder_3d.pose_extrapolator.imu_based.odometry_translation_weight", "0.01" => "100", Changes, prediction;
+        "trajectory_builder_3d.pose_extrapolator.imu_based.odometry_rotation_weight", "0.01" => "100", Changes, prediction;
+        "trajectory_builder_3d.pose_extrapolator.imu_based.solver_options.max_num_iterations", "1" => "10", Changes, prediction;
         "trajectory_builder_3d.pose_extrapolator.imu_based.solver_options.use_nonmonotonic_steps", "false" => "true", Changes, hard_predictions,
-            ["trajectory_builder_3d.pose_extrapolator.use_imu_based=true", "trajectory_builder_3d.pose_extrapolator.imu_based.odometry_rotation_weight=100",
-             "trajectory_builder_3d.pose_extrapolator.imu_based.imu_rotation_weight=100", "trajectory_builder_3d.pose_extrapolator.imu_based.imu_acceleration_weight=100", "trajectory_builder_3d.pose_extrapolator.imu_based.solver_options.max_num_iterations=50"];
+            ["trajectory_builder_3d.pose_extrapolator.imu_based.odometry_rotation_weight=100", "trajectory_builder_3d.pose_extrapolator.imu_based.imu_rotation_weight=100",
+             "trajectory_builder_3d.pose_extrapolator.imu_based.imu_acceleration_weight=100", "trajectory_builder_3d.pose_extrapolator.imu_based.solver_options.max_num_iterations=50"];
     }
 }
 
 #[test]
 fn options_of_predicting_in_space_have_their_effects() {
-    check(&base(), &table());
+    check(&base(), &by_velocity());
+    let mut options = base();
+    options.set("trajectory_builder_3d.pose_extrapolator.use_imu_based=true").unwrap();
+    check(&options, &by_optimisation());
 }
