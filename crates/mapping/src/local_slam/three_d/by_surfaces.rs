@@ -1,6 +1,6 @@
 //! Local SLAM by matching sweeps to surfaces.
 
-use portolan_geometry::{Duration, Quaternion, Time, is_valid_pose};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, is_valid_pose};
 
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
@@ -86,6 +86,7 @@ impl LocalSlam3d {
         let extrapolator = self.extrapolator.as_mut()?;
         extrapolator.add_pose(before, pose_before);
         extrapolator.add_pose(first.end, end);
+        let gravity = gravity.map(|level| self.leveled(first.end, &end, level));
         let matched = MatchedSweep { local_from_tracking: end, pieces, found: None };
         Some(self.conclude(first.end, self.seen_from_end(first, matched), gravity))
     }
@@ -140,6 +141,7 @@ impl LocalSlam3d {
             scan.local_from_tracking = pose;
         }
         self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
+        let gravity = gravity.map(|level| self.leveled(sweep.end, &scan.local_from_tracking, level));
         let enough =
             stands.is_some() && !self.is_young() && self.was_inserted_since(sweep.end - STANDING_INTERVAL);
         let wanted = match enough {
@@ -149,6 +151,12 @@ impl LocalSlam3d {
             false => Wanted::IfMoved,
         };
         Some(self.conclude_as(wanted, sweep.end, scan, gravity))
+    }
+
+    /// From the tracking frame to a level one, where a sweep matched and the IMU alone says `level`.
+    fn leveled(&mut self, end: Time, local_from_tracking: &Rigid3, level: Quaternion) -> Quaternion {
+        self.upright.add_sweep(end, local_from_tracking, &level);
+        self.upright.level_from_tracking(&local_from_tracking.rotation).unwrap_or(level)
     }
 
     /// Whether the first submap does not know its surfaces yet: a single sweep shows few of them.
