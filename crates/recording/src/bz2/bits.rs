@@ -74,7 +74,7 @@ impl<'a> Bits<'a> {
     }
 
     /// Goes on to the next whole byte.
-    pub(super) fn to_byte(&mut self) {
+    pub(super) fn align_to_byte(&mut self) {
         self.skip(self.count % 8);
     }
 

@@ -102,7 +102,7 @@ impl BlockReader {
                 if symbol == end {
                     return bits.check();
                 }
-                self.transformed.push(order.to_front(usize::from(symbol) - 1));
+                self.transformed.push(order.move_to_front(usize::from(symbol) - 1));
             }
             bits.check()?;
         }
@@ -138,9 +138,9 @@ impl Order {
 
     /// Moves the byte at `place` to the front.
     #[inline]
-    fn to_front(&mut self, place: usize) -> u8 {
+    fn move_to_front(&mut self, place: usize) -> u8 {
         if place < 16 {
-            return self.to_front_of_sixteen(place);
+            return self.move_within_sixteen(place);
         }
         let byte = self.0[place & 255];
         self.0.copy_within(..place & 255, 1);
@@ -150,7 +150,7 @@ impl Order {
 
     /// Most bytes come from the first few places: these are moved in one register.
     #[inline]
-    fn to_front_of_sixteen(&mut self, place: usize) -> u8 {
+    fn move_within_sixteen(&mut self, place: usize) -> u8 {
         let Some(front) = self.0.first_chunk_mut::<16>() else { return 0 };
         let sixteen = u128::from_le_bytes(*front);
         let shift = 8 * place as u32;

@@ -70,7 +70,7 @@ impl Unpacker {
                     checksum = checksum.rotate_left(1) ^ expected;
                 }
                 END_OF_STREAM if expected == checksum => {
-                    bits.to_byte();
+                    bits.align_to_byte();
                     return Ok(());
                 }
                 END_OF_STREAM => return Err(damaged("the checksum of a stream is wrong")),
