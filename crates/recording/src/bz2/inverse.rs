@@ -2,7 +2,7 @@
 //!
 //! The transform leaves a permutation whose cycle, followed from the origin, spells the text. Each step
 //! waits for a memory access at a place that looks random. The cycle is therefore cut into many pieces,
-//! and eight of them are followed at the same time, so that eight accesses are under way. Where a piece
+//! and sixteen of them are followed at the same time, so that sixteen accesses are under way. Where a piece
 //! ends tells which one is next.
 
 use std::io::Result;
@@ -16,7 +16,7 @@ const INDEX: usize = ENTRIES - 1;
 const REST: usize = INDEX;
 /// Marks an entry where a piece begins.
 const BEGIN: u32 = 1 << 31;
-const LANES: usize = 8;
+const LANES: usize = 16;
 /// Mean length of a piece, bytes: the shorter, the less time do lanes rest at the end.
 const PIECE_BYTES: usize = 1024;
 

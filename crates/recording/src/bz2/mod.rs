@@ -4,7 +4,7 @@
 //! their checksums; streams may follow each other. A block is a Burrows-Wheeler transform, moved to the
 //! front, runs of zeros counted, Huffman coded, and its text had runs of four to 259 equal bytes
 //! shortened. The `bzip2` library reads it too, a bit of each code and a byte of the transform at a time;
-//! here codes are looked up whole, and the transform is undone at eight places at once because each
+//! here codes are looked up whole, and the transform is undone at sixteen places at once because each
 //! step waits for memory ([`inverse`]). Unpacking was the half of what mapping a bag costs.
 
 mod bits;
