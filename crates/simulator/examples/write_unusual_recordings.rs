@@ -72,8 +72,7 @@ fn write(
     stem: &Path,
     change: fn(&mut Message, Context),
 ) -> Result<u64, Box<dyn Error>> {
-    let mut writer: Box<dyn RecordingWriter> =
-        portolan_recording::create(&stem.with_extension("mcap"), None)?;
+    let mut writer: Box<dyn RecordingWriter> = portolan_recording::create(stem.with_extension("mcap"), None)?;
     let mut reader = simulation.read(&|_| true)?;
     let (mut count, mut clouds) = (0, 0);
     while let Some(mut message) = reader.next_message()? {
