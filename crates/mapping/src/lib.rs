@@ -57,4 +57,4 @@ pub use space::{MatchedPose, Nearby, SearchRegion, Space};
 pub use spatial::{Spatial, SpatialMatcher};
 pub use submap_2d::{Inserter2d, Submap2d};
 pub use submap_3d::{Inserter3d, Scan3d, Submap3d};
-pub use weak_span::{WeakMotion, WeakSpan, WeakSpans};
+pub use weak_span::{TakenInstead, WeakMotion, WeakSpan, WeakSpans};

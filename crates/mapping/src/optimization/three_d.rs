@@ -12,6 +12,11 @@ use super::imu_bias::{ImuBias, velocity_change};
 use crate::imu_integration::integrate_imu;
 use crate::{Constraint, NodeId, TrajectoryId};
 
+/// How far off an IMU may be mounted, radians (standard deviation). Without this a walk that hardly turns says
+/// nothing of whether the IMU or the whole map is tilted, and noise decides: simulated drives of 8 and 12 s were
+/// mapped 30 and 120 degrees off level.
+const MOUNTING_SIGMA: f64 = 0.02;
+
 /// Moves submaps, nodes, landmarks, fixed-frame origins, gravity and the calibration of IMUs to where
 /// everything agrees best. The first submap only aligns itself with gravity; frozen trajectories and
 /// landmarks stay where they are.
@@ -78,17 +83,25 @@ impl<'a> SpatialProblem<'a> {
     /// Variables of the IMU of a trajectory.
     fn imu(&mut self, data: &OptimizationData, id: TrajectoryId) -> ImuVariables {
         let (problem, options) = (&mut self.graph.problem, self.options);
-        *self.imus.entry(id).or_insert_with(|| {
-            let state = data.sensors.get(&id).map_or_else(ImuState::default, |s| s.imu_state);
-            let freedom = match options.use_online_imu_extrinsics_in_3d {
-                true => RotationFreedom::Free,
-                false => RotationFreedom::Constant,
-            };
-            ImuVariables {
-                gravity: problem.add_nonnegative(state.gravity_constant),
-                calibration: problem.add_rotation(&state.calibration, freedom),
-            }
-        })
+        if let Some(known) = self.imus.get(&id) {
+            return *known;
+        }
+        let state = data.sensors.get(&id).map_or_else(ImuState::default, |s| s.imu_state);
+        let freedom = match options.use_online_imu_extrinsics_in_3d {
+            true => RotationFreedom::Free,
+            false => RotationFreedom::Constant,
+        };
+        let variables = ImuVariables {
+            gravity: problem.add_nonnegative(state.gravity_constant),
+            calibration: problem.add_rotation(&state.calibration, freedom),
+        };
+        self.imus.insert(id, variables);
+        if freedom == RotationFreedom::Free && data.corrects_imu_biases {
+            let (variable, rotation) = (variables.calibration, Quaternion::identity());
+            let factor = factors::RotationPrior { variable, rotation, weight: 1.0 / MOUNTING_SIGMA };
+            self.graph.add_factor(factor, Loss::None);
+        }
+        variables
     }
 
     fn estimate_imu_biases(&mut self, data: &OptimizationData) {

@@ -1,6 +1,6 @@
 //! Local SLAM by matching sweeps to surfaces.
 
-use portolan_geometry::{Duration, Quaternion, Time, is_valid_pose};
+use portolan_geometry::{Duration, Quaternion, Time, Vector3, is_valid_pose};
 
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
@@ -8,7 +8,8 @@ use super::sweep_path::SweepPath;
 use super::unwarp::Gathered;
 use super::{LocalSlam3d, MatchedScan, Wanted};
 use crate::pose_extrapolator::PoseExtrapolator;
-use crate::{MatchingResult, Spatial, WeakMotion};
+use crate::weak_span::WeakScan;
+use crate::{MatchingResult, Spatial, TakenInstead};
 
 /// Submaps of fewer scans are young.
 const YOUNG: u32 = 10;
@@ -93,11 +94,14 @@ impl LocalSlam3d {
     /// Matches a sweep to the older active submap.
     fn follow(&mut self, sweep: &TimedSweep) -> Option<MatchingResult<Spatial>> {
         let has_imu = self.has_imu;
-        let stood = self.standstill.pose();
         let extrapolator = self.extrapolator.as_mut()?;
         extrapolator.prepare(sweep.end);
         let start = extrapolator.last_pose_time();
         let predicted = SweepPath::predicted(extrapolator, sweep.end);
+        if extrapolator.has_odometry(sweep.end) {
+            self.standstill.add_odometry(&predicted.shift(), predicted.seconds());
+        }
+        let stood = self.standstill.pose();
         let mut path = match &stood {
             Some(pose) => SweepPath::standing(extrapolator, sweep.end, pose),
             None => predicted.clone(),
@@ -127,7 +131,7 @@ impl LocalSlam3d {
             None if saturated => {}
             None => self.learn_bias(&path, &matched),
         }
-        self.report_match(sweep.end, &matched);
+        self.report_match(sweep.end, &path, &matched);
         let fits_surfaces = matched.found.is_some();
         let mut scan = self.seen_from_end(sweep, matched);
         let is_measured = path.turn_is_measured && path.way_is_measured;
@@ -166,18 +170,23 @@ impl LocalSlam3d {
     }
 
     /// What a match says of directions that scans leave open.
-    fn report_match(&mut self, end: Time, matched: &MatchedSweep) {
+    fn report_match(&mut self, end: Time, path: &SweepPath, matched: &MatchedSweep) {
+        let to_tracking = matched.local_from_tracking.rotation.inverse();
+        let (up, seconds) = (to_tracking * Vector3::z(), path.seconds());
+        let shift = matched.local_from_tracking.translation.vector - path.start().translation.vector;
+        self.weak_spans.moved(&(to_tracking * shift), seconds, &up);
         let Some(found) = &matched.found else {
             self.count("scan that fits no surface; grids or odometry and gyroscope told its pose");
             return;
         };
-        let to_tracking = found.pose.rotation.inverse();
-        for direction in &found.weak.translations {
-            self.weak_spans.add(end, WeakMotion::Shift, to_tracking * direction);
-        }
-        for direction in &found.weak.rotations {
-            self.weak_spans.add(end, WeakMotion::Turn, to_tracking * direction);
-        }
+        let from_submap = found.pose.rotation.inverse();
+        let open = |directions: &[Vector3]| directions.iter().map(|d| from_submap * d).collect::<Vec<_>>();
+        let told = |is_told: bool, by: TakenInstead| if is_told { by } else { TakenInstead::Velocity };
+        let scan = |taken| WeakScan { time: end, seconds, taken };
+        let shifts = scan(told(path.way_is_measured, TakenInstead::Odometry));
+        let turns = scan(told(path.turn_is_measured, TakenInstead::Gyroscope));
+        self.weak_spans.add_shifts(&shifts, &open(&found.weak.translations), &up);
+        self.weak_spans.add_turns(&turns, &open(&found.weak.rotations), &up);
     }
 
     /// Puts a scan where it fits the grids of the older submap best.
