@@ -9,14 +9,12 @@ use super::unwarp::Gathered;
 use super::{LocalSlam3d, MatchedScan, Wanted};
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::weak_span::WeakScan;
-use crate::{MatchingResult, Spatial, TakenInstead};
+use crate::{MatchingResult, OpenDirections, Spatial, TakenInstead};
 
 /// Submaps of fewer scans are young.
 const YOUNG: u32 = 10;
 /// A match without the gyroscope has to fit so much better than one with it, unless that is saturated.
 const CLEARLY_BETTER: f64 = 1.3;
-/// While it stands still a sweep is inserted every so often.
-const STANDING_INTERVAL: Duration = Duration::from_ticks(20_000_000);
 
 /// What matching to surfaces needs besides the submaps.
 pub(super) struct BySurfaces {
@@ -131,9 +129,9 @@ impl LocalSlam3d {
             None if saturated => {}
             None => self.learn_bias(&path, &matched),
         }
-        self.report_match(sweep.end, &path, &matched);
+        let open = self.report_match(sweep.end, &path, &matched);
         let fits_surfaces = matched.found.is_some();
-        let mut scan = self.seen_from_end(sweep, matched);
+        let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
         let is_measured = path.turn_is_measured && path.way_is_measured;
         if !fits_surfaces && !is_measured {
             self.match_to_grids(&mut scan);
@@ -144,15 +142,19 @@ impl LocalSlam3d {
             scan.local_from_tracking = pose;
         }
         self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
-        let enough =
-            stands.is_some() && !self.is_young() && self.was_inserted_since(sweep.end - STANDING_INTERVAL);
+        let enough = stands.is_some() && !self.is_young() && self.stands_since_inserted(sweep.end);
         let wanted = match enough {
             true => Wanted::No,
             // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
             false if path.turn_is_measured && self.is_young() => Wanted::Yes,
             false => Wanted::IfMoved,
         };
-        Some(self.conclude_as(wanted, sweep.end, scan, gravity))
+        let result = self.conclude_as(wanted, sweep.end, scan, gravity);
+        match stands {
+            Some(_) => self.inserted_standing += i32::from(result.inserted.is_some()),
+            None => self.inserted_standing = 0,
+        }
+        Some(result)
     }
 
     /// Whether the first submap does not know its surfaces yet: a single sweep shows few of them.
@@ -169,15 +171,15 @@ impl LocalSlam3d {
         }
     }
 
-    /// What a match says of directions that scans leave open.
-    fn report_match(&mut self, end: Time, path: &SweepPath, matched: &MatchedSweep) {
+    /// What a match says of directions that scans leave open, in the tracking frame.
+    fn report_match(&mut self, end: Time, path: &SweepPath, matched: &MatchedSweep) -> OpenDirections {
         let to_tracking = matched.local_from_tracking.rotation.inverse();
         let (up, seconds) = (to_tracking * Vector3::z(), path.seconds());
         let shift = matched.local_from_tracking.translation.vector - path.start().translation.vector;
         self.weak_spans.moved(&(to_tracking * shift), seconds, &up);
         let Some(found) = &matched.found else {
             self.count("scan that fits no surface; grids or odometry and gyroscope told its pose");
-            return;
+            return OpenDirections::default();
         };
         let from_submap = found.pose.rotation.inverse();
         let open = |directions: &[Vector3]| directions.iter().map(|d| from_submap * d).collect::<Vec<_>>();
@@ -185,8 +187,11 @@ impl LocalSlam3d {
         let scan = |taken| WeakScan { time: end, seconds, taken };
         let shifts = scan(told(path.way_is_measured, TakenInstead::Odometry));
         let turns = scan(told(path.turn_is_measured, TakenInstead::Gyroscope));
-        self.weak_spans.add_shifts(&shifts, &open(&found.weak.translations), &up);
-        self.weak_spans.add_turns(&turns, &open(&found.weak.rotations), &up);
+        let (translations, rotations) = (open(&found.weak.translations), open(&found.weak.rotations));
+        self.weak_spans.add_shifts(&shifts, &translations, &up);
+        self.weak_spans.add_turns(&turns, &rotations, &up);
+        let SweepPath { way_is_measured, turn_is_measured, .. } = *path;
+        OpenDirections { translations, rotations, way_is_measured, turn_is_measured }
     }
 
     /// Puts a scan where it fits the grids of the older submap best.
@@ -205,7 +210,13 @@ impl LocalSlam3d {
     fn seen_from_end(&self, sweep: &TimedSweep, matched: MatchedSweep) -> MatchedScan {
         let (voxel_size, use_intensities) = (self.options.voxel_filter_size, self.options.use_intensities);
         let (scan, surface_points) = in_tracking(&sweep.points, &matched.pieces, voxel_size, use_intensities);
-        MatchedScan { local_from_tracking: matched.local_from_tracking, scan, clouds: None, surface_points }
+        MatchedScan {
+            local_from_tracking: matched.local_from_tracking,
+            scan,
+            clouds: None,
+            surface_points,
+            open: OpenDirections::default(),
+        }
     }
 
     pub(super) fn new_extrapolator(&self) -> PoseExtrapolator {
