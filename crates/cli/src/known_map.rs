@@ -88,6 +88,8 @@ pub struct Localisation {
     pub loop_closures: usize,
     /// Seconds from the recording's first node to the first one that was found in a known map.
     pub first_found_after_seconds: Option<f64>,
+    /// Seconds of the recording, from its first node, that it took until its place was known.
+    pub placed_after_seconds: Option<f64>,
 }
 
 impl Localisation {
@@ -112,12 +114,14 @@ impl Localisation {
         });
         let first_found_after_seconds =
             first.min().zip(start).map(|(found, start)| found.seconds_since(start));
-        Some(Self { loop_closures: between.len(), first_found_after_seconds })
+        let placed = mapped.map.graph.placed_at();
+        let placed_after_seconds = placed.zip(start).map(|(placed, start)| placed.seconds_since(start));
+        Some(Self { loop_closures: between.len(), first_found_after_seconds, placed_after_seconds })
     }
 
     /// For people.
     pub fn sentence(&self) -> String {
-        match self.first_found_after_seconds {
+        match self.placed_after_seconds.or(self.first_found_after_seconds) {
             Some(seconds) => format!(
                 "found in the known map after {seconds:.0} s, {} loop closures with it",
                 self.loop_closures

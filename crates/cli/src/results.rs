@@ -193,6 +193,7 @@ fn report<S: Space>(
         "known_map": Localisation::of(mapped).map(|l| serde_json::json!({
             "loop_closures": l.loop_closures,
             "first_found_after_seconds": l.first_found_after_seconds,
+            "placed_after_seconds": l.placed_after_seconds,
         })),
         "recording_seconds": mapped.recording_seconds,
         "wall_seconds": seconds,

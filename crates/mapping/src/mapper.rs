@@ -90,6 +90,7 @@ impl<S: Space> Mapper<S> {
         graph.set_drops_contradicted(options.portolan.drop_contradicted_loop_closures);
         graph.set_corrects_imu_biases(options.portolan.match_surfaces);
         graph.set_min_agreeing_matches(options.portolan.global_localization_min_matches);
+        graph.set_localises_while_recording(options.portolan.match_surfaces);
         graph.set_min_loop_closure_searches(options.portolan.min_loop_closure_searches as u64);
         graph.complete_loaded_submaps(options);
         let next_trajectory = graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);

@@ -78,7 +78,7 @@ impl Space for Planar {
                 let guess = local_from_submap * project_2d(guess_submap_from_node);
                 matcher.search.match_local(&guess, cloud, options.min_score as f32)
             }
-            SearchRegion::WholeSubmap => {
+            SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => {
                 matcher.search.match_full(cloud, options.global_localization_min_score as f32)
             }
         }?;

@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Quaternion, Rigid3, Vector2};
+use portolan_geometry::{Quaternion, Rigid3, Vector2, Vector3};
 use portolan_sensor::SensorId;
 
 use crate::local_slam::LocalSlam;
@@ -20,6 +20,13 @@ pub enum SearchRegion {
     },
     /// Anywhere in the submap.
     WholeSubmap,
+    /// At any heading in the box around the guess (in space).
+    NearNodes {
+        /// Rotation from the submap to a level frame.
+        level_from_submap: Quaternion,
+        /// Half of the size of the box along the axes of the submap, metres.
+        half_size: Vector3,
+    },
 }
 
 /// A node found in a submap.

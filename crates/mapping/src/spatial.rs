@@ -2,7 +2,9 @@
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Quaternion, Rigid3, Vector2, is_valid_pose};
-use portolan_matching::{FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SubmapToSearch};
+use portolan_matching::{
+    FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SearchReach3d, SubmapToSearch,
+};
 use portolan_sensor::SensorId;
 
 use crate::local_slam::three_d::LocalSlam3d;
@@ -10,7 +12,7 @@ use crate::local_slam::two_d::LocalSlamExtras;
 use crate::optimization::{OptimizationData, OptimizationSummary, optimize_3d};
 use crate::scan_matching_3d::{clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 use crate::submap_3d::Submap3d;
-use crate::surface_search::{find_nearby, reach_after, refined_by_surfaces, surfaces_of_loaded};
+use crate::surface_search::{confirmed, find_nearby, reach_after, refined_by_surfaces, surfaces_of_loaded};
 use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion, Space};
 
 /// 3D mapping: poses in space, hybrid grids.
@@ -121,9 +123,24 @@ impl Space for Spatial {
                 let min_score = options.global_localization_min_score as f32;
                 matcher.search.match_full(&node_rotation, &submap_rotation, &wanted, &target, min_score)
             }
+            SearchRegion::NearNodes { level_from_submap, half_size } => {
+                let reach = SearchReach3d {
+                    linear_xy: half_size.x.max(half_size.y),
+                    linear_z: half_size.z,
+                    angular: std::f64::consts::PI,
+                };
+                let level_from_submap = Rigid3::from_parts(Default::default(), level_from_submap);
+                let level_from_node = level_from_submap * guess_submap_from_node;
+                let poses = (&level_from_node, &level_from_submap);
+                let min_score = options.global_localization_min_score as f32;
+                matcher.search.propose(&reach, poses.0, poses.1, &wanted, &target, min_score)
+            }
         }?;
         let initial = found.found.pose;
         if let Some(surfaces) = &submap.surfaces {
+            if matches!(region, SearchRegion::NearNodes { .. }) {
+                return confirmed(submap, surfaces, &wanted, &initial, options);
+            }
             let submap_from_node = refined_by_surfaces(surfaces, clouds, &initial)?;
             return Some(MatchedPose { submap_from_node, score: found.found.score });
         }

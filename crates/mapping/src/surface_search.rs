@@ -16,6 +16,9 @@ use crate::{MatchedPose, Nearby, NodeData};
 const SIGMA: (f64, f64) = (0.2, 0.05);
 /// Points may be off by this at the beginning of the refinement, metres.
 const REFINEMENT_SCALE: f64 = 0.4;
+/// The same where a node was found without a guess: gravity is off by a degree in the first second, which is
+/// 0.5 m in 30 m.
+const UNCERTAIN_SCALE: f64 = 0.8;
 /// A loop closure needs so large a share of its points on surfaces.
 const MIN_MATCHED_SHARE: f64 = 0.5;
 /// What a node may be off after no way at all, and for each metre travelled since: metres and radians.
@@ -71,7 +74,7 @@ pub(crate) fn refined_by_surfaces(
     clouds: [&PointCloud; 2],
     initial: &Rigid3,
 ) -> Option<Rigid3> {
-    let found = match_to_surfaces(surfaces, clouds, initial)?;
+    let found = match_to_surfaces(surfaces, clouds, initial, REFINEMENT_SCALE)?;
     found.weak.is_empty().then_some(found.pose)
 }
 
@@ -80,6 +83,7 @@ fn match_to_surfaces(
     surfaces: &SurfaceMap,
     clouds: [&PointCloud; 2],
     initial: &Rigid3,
+    scale: f64,
 ) -> Option<SurfaceMatch> {
     let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
     let (translation_sigma, rotation_sigma) = SIGMA;
@@ -87,7 +91,7 @@ fn match_to_surfaces(
     let final_scale = 0.1 * f64::from(surfaces.edge());
     let matcher =
         SurfaceMatcher::new(SurfaceMatcherOptions { final_scale, ..SurfaceMatcherOptions::default() });
-    let found = matcher.match_scan(surfaces, &points, initial, &prior, REFINEMENT_SCALE)?;
+    let found = matcher.match_scan(surfaces, &points, initial, &prior, scale)?;
     (found.matched_share >= MIN_MATCHED_SHARE && is_valid_pose(&found.pose)).then_some(found)
 }
 
@@ -100,25 +104,48 @@ pub(crate) fn find_nearby(
     options: &ConstraintBuilderOptions,
 ) -> Nearby {
     let clouds = [node.high_resolution_cloud, node.low_resolution_cloud];
-    let Some(found) = match_to_surfaces(surfaces, clouds, guess_submap_from_node) else {
+    let Some(found) = match_to_surfaces(surfaces, clouds, guess_submap_from_node, REFINEMENT_SCALE) else {
         return Nearby::Unknown;
     };
+    match (judged(submap, node, &found.pose, options), found.weak.is_empty()) {
+        (Some(fits), true) => Nearby::Found(fits),
+        (Some(_), false) => Nearby::Ambiguous,
+        (None, _) => Nearby::Unknown,
+    }
+}
+
+/// The pose near one found anywhere in a submap that puts a node on its surfaces, judged as strictly as where
+/// nodes are believed to be. None if it does not fit, or may be shifted.
+pub(crate) fn confirmed(
+    submap: &Submap3d,
+    surfaces: &SurfaceMap,
+    node: &NodeToFind<'_>,
+    found: &Rigid3,
+    options: &ConstraintBuilderOptions,
+) -> Option<MatchedPose> {
+    let clouds = [node.high_resolution_cloud, node.low_resolution_cloud];
+    let refined = match_to_surfaces(surfaces, clouds, found, UNCERTAIN_SCALE)?;
+    let judged = judged(submap, node, &refined.pose, options)?;
+    refined.weak.is_empty().then_some(judged)
+}
+
+/// The node at a pose, if its scores are those that a search asks for.
+fn judged(
+    submap: &Submap3d,
+    node: &NodeToFind<'_>,
+    submap_from_node: &Rigid3,
+    options: &ConstraintBuilderOptions,
+) -> Option<MatchedPose> {
     let target = SubmapToSearch {
         low_resolution_grid: &submap.low_resolution_grid,
         rotational_histogram: &submap.rotational_histogram,
     };
-    let judged = judge_placement_3d(&found.pose, node, &target, &submap.high_resolution_grid);
+    let judged = judge_placement_3d(submap_from_node, node, &target, &submap.high_resolution_grid);
     let wanted = &options.fast_correlative_scan_matcher_3d;
     let fits = f64::from(judged.found.score) >= options.min_score
         && f64::from(judged.low_resolution_score) >= wanted.min_low_resolution_score
         && f64::from(judged.rotational_score) >= wanted.min_rotational_score;
-    match (fits, found.weak.is_empty()) {
-        (true, true) => {
-            Nearby::Found(MatchedPose { submap_from_node: found.pose, score: judged.found.score })
-        }
-        (true, false) => Nearby::Ambiguous,
-        (false, _) => Nearby::Unknown,
-    }
+    fits.then_some(MatchedPose { submap_from_node: *submap_from_node, score: judged.found.score })
 }
 
 #[cfg(test)]

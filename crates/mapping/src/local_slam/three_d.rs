@@ -35,13 +35,20 @@ mod standstill;
 mod surface_tracking;
 mod sweep_path;
 mod unwarp;
+mod upright;
 
 use by_surfaces::BySurfaces;
 use standstill::Standstill;
 use unwarp::{Gathered, Unwarped, unwarp};
+use upright::{Upright, mean_acceleration};
 
 /// Range data wait this long for the first IMU sample before it is decided that there is no IMU.
 const IMU_WAIT: Duration = Duration::from_ticks(10_000_000);
+
+/// Accelerations are averaged over this before matching to surfaces starts: about two steps of who carries it.
+const LEVELING_TIME: Duration = Duration::from_ticks(10_000_000);
+/// So many samples are averaged at most.
+const MOST_LEVELING_SAMPLES: usize = 4000;
 
 /// Without an IMU a scan is unwarped again with the pose it was matched at, so many times.
 const STRAIGHTENING_PASSES: u32 = 2;
@@ -62,6 +69,9 @@ pub struct LocalSlam3d {
     /// When the gyroscope was last at the end of its range.
     saturated_at: Option<Time>,
     standstill: Standstill,
+    upright: Upright,
+    /// Samples from before the start.
+    waiting_imu: Vec<ImuData>,
     /// When a scan was last inserted.
     last_inserted: Option<Time>,
     /// How many were inserted since it stands.
@@ -127,6 +137,8 @@ impl LocalSlam3d {
             gyroscope_range: GyroscopeRange::default(),
             saturated_at: None,
             standstill: Standstill::default(),
+            upright: Upright::default(),
+            waiting_imu: Vec::new(),
             last_inserted: None,
             inserted_standing: 0,
             matcher: ScanMatcher3d::new(options).map_err(|e| contradiction(&e))?,
@@ -150,17 +162,17 @@ impl LocalSlam3d {
         *self.repairs.entry(what).or_default() += 1;
     }
 
-    /// Starts predicting, at an IMU sample or, without one, level at the first scan.
-    fn start(&mut self, imu: Option<&ImuData>) {
-        let mut extrapolator = match imu {
-            Some(imu) => {
-                let Ok(started) = self.new_extrapolator().started_at_rest(imu) else {
-                    self.count("IMU sample that is not finite");
-                    return;
-                };
+    /// Starts predicting, at the first IMU sample that waits, upright as all of them together say, or
+    /// without one, level at the first scan.
+    fn start(&mut self) {
+        let waiting = std::mem::take(&mut self.waiting_imu);
+        let mut extrapolator = match (waiting.first(), mean_acceleration(&waiting)) {
+            (Some(first), Some(linear_acceleration)) => {
+                let first = ImuData { linear_acceleration, ..*first };
+                let Ok(started) = self.new_extrapolator().started_at_rest(&first) else { return };
                 started
             }
-            None => {
+            _ => {
                 let Some(first) = self.waiting_ranges.front() else { return };
                 let mut level = self.new_extrapolator();
                 level.add_pose(first_point_time(first), Rigid3::identity());
@@ -170,22 +182,62 @@ impl LocalSlam3d {
         for odometry in self.waiting_odometry.drain(..) {
             let _ = extrapolator.add_odometry(&odometry);
         }
-        self.has_imu = imu.is_some();
+        self.has_imu = !waiting.is_empty();
         if !self.has_imu
             && let Ok(matcher) = ScanMatcher3d::new(&without_imu(&self.options))
         {
             self.matcher = matcher;
         }
         self.extrapolator = Some(extrapolator);
+        if let Some(first) = waiting.first() {
+            self.upright.add_imu(first);
+        }
+        waiting.iter().skip(1).for_each(|data| self.follow_imu(data));
+    }
+
+    /// Starts if enough is known, or if too little comes to wait for more.
+    fn start_if_ready(&mut self) {
+        let span = |first: Option<Time>, last: Option<Time>| match (first, last) {
+            (Some(first), Some(last)) => last - first,
+            _ => Duration::ZERO,
+        };
+        let ranges = &self.waiting_ranges;
+        let waited = span(ranges.front().map(|r| r.time), ranges.back().map(|r| r.time));
+        let imu = &self.waiting_imu;
+        let averaged = span(imu.first().map(|d| d.time), imu.last().map(|d| d.time));
+        let leveling = if self.by_surfaces.is_some() { LEVELING_TIME } else { Duration::ZERO };
+        let is_ready = match imu.len() {
+            0 => waited >= IMU_WAIT,
+            count => averaged >= leveling || count >= MOST_LEVELING_SAMPLES || waited >= IMU_WAIT + leveling,
+        };
+        if is_ready {
+            self.start();
+        }
+    }
+
+    /// Takes a sample after the start.
+    fn follow_imu(&mut self, data: &ImuData) {
+        let Some(extrapolator) = self.extrapolator.as_mut() else { return };
+        if self.gyroscope_range.is_at_end(&data.angular_velocity) {
+            self.saturated_at = self.saturated_at.max(Some(data.time));
+        }
+        let corrected = self.gyroscope_bias.corrected(data);
+        if extrapolator.add_imu(&corrected).is_ok() {
+            self.standstill.add_imu(&corrected);
+            self.upright.add_imu(&corrected);
+        } else {
+            self.count("IMU sample older than the last matched scan");
+            return;
+        }
+        if !self.has_imu {
+            self.count("IMU sample that came after the start without an IMU; it tells rotation only");
+        }
     }
 
     /// Matches what waited for the start.
     fn match_waiting(&mut self) -> Vec<MatchingResult<Spatial>> {
-        let newest = self.waiting_ranges.back().map(|r| r.time);
-        let oldest = self.waiting_ranges.front().map(|r| r.time);
-        let waited = newest.zip(oldest).map(|(newest, oldest)| newest - oldest);
-        if self.extrapolator.is_none() && waited.is_some_and(|w| w >= IMU_WAIT) {
-            self.start(None);
+        if self.extrapolator.is_none() {
+            self.start_if_ready();
         }
         if self.extrapolator.is_none() {
             return Vec::new();
@@ -391,23 +443,18 @@ impl LocalSlam<Spatial> for LocalSlam3d {
     }
 
     fn add_imu_data(&mut self, data: &ImuData) {
-        match self.extrapolator.as_mut() {
-            None => self.start(Some(data)),
-            Some(extrapolator) => {
-                if self.gyroscope_range.is_at_end(&data.angular_velocity) {
-                    self.saturated_at = self.saturated_at.max(Some(data.time));
-                }
-                let corrected = self.gyroscope_bias.corrected(data);
-                if extrapolator.add_imu(&corrected).is_ok() {
-                    self.standstill.add_imu(&corrected);
-                } else {
-                    self.count("IMU sample older than the last matched scan");
-                    return;
-                }
-                if !self.has_imu {
-                    self.count("IMU sample that came after the start without an IMU; it tells rotation only");
-                }
-            }
+        if self.extrapolator.is_some() {
+            self.follow_imu(data);
+            return;
+        }
+        let mut values = data.linear_acceleration.iter().chain(data.angular_velocity.iter());
+        if !values.all(|v| v.is_finite()) {
+            self.count("IMU sample that is not finite");
+        } else if self.waiting_imu.last().is_some_and(|last| data.time < last.time) {
+            self.count("IMU sample older than the last matched scan");
+        } else {
+            self.waiting_imu.push(*data);
+            self.start_if_ready();
         }
     }
 
@@ -420,7 +467,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
 
     fn flush(&mut self) -> Vec<MatchingResult<Spatial>> {
         if self.extrapolator.is_none() {
-            self.start(None);
+            self.start();
         }
         let mut results = self.match_waiting();
         results.extend(self.insert_waiting_first());

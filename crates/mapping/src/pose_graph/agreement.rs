@@ -4,7 +4,7 @@
 //! next. Each match says where the whole trajectory would lie; wrong ones say something different every
 //! time, right ones agree. So matches wait until enough of them do.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use portolan_geometry::{Rigid3, Vector3, rotation_angle};
 
@@ -15,8 +15,12 @@ use crate::{Constraint, NodeId, Space, TrajectoryId, of_trajectory};
 /// a few submaps.
 const MAX_TRANSLATION: f64 = 0.5;
 const MAX_ROTATION: f64 = 0.09;
-/// The winning place needs so many times the matches of any other.
-const LEAD: usize = 2;
+/// The winning place needs so many times the support of any other.
+const LEAD: f64 = 2.0;
+/// What a match says grows with its score above this, which the halves of symmetric buildings reach of each
+/// other.
+const SCORE_BY_CHANCE: f64 = 0.5;
+const MIN_WEIGHT: f64 = 0.01;
 
 /// A match that waits for others to agree.
 #[derive(Clone, Debug)]
@@ -29,6 +33,12 @@ struct WaitingMatch {
 }
 
 impl WaitingMatch {
+    /// What it counts.
+    fn weight(&self) -> f64 {
+        let score = self.constraint.score.map_or(1.0, f64::from);
+        (score - SCORE_BY_CHANCE).max(MIN_WEIGHT)
+    }
+
     fn log(&self) {
         let at = self.earlier_from_later.translation.vector;
         let yaw = self.earlier_from_later.rotation.euler_angles().2.to_degrees();
@@ -126,6 +136,8 @@ impl<S: Space> PoseGraph<S> {
         let holds_still = |graph: &Self, part: TrajectoryId| {
             graph.state.connectivity.members(part).iter().any(|id| graph.problem.frozen.contains(id))
         };
+        let newest = self.problem.nodes.iter().next_back().map(|(_, node)| node.time);
+        self.localisation.placed_at = self.localisation.placed_at.or(newest);
         // The later part moves, unless only that one is frozen.
         if holds_still(self, later) && !holds_still(self, earlier) {
             self.move_part(earlier, &earlier_from_later.inverse());
@@ -159,16 +171,19 @@ impl<S: Space> PoseGraph<S> {
 fn agreed(waiting: &mut Vec<WaitingMatch>, needed: usize) -> Option<Vec<WaitingMatch>> {
     let support = |of: &WaitingMatch| {
         // One scan that is found in several submaps of a place says it only once.
-        let nodes: BTreeSet<NodeId> =
-            waiting.iter().filter(|m| agree(m, of)).map(|m| m.constraint.node_id).collect();
-        nodes.len()
+        let mut nodes: BTreeMap<NodeId, f64> = BTreeMap::new();
+        for m in waiting.iter().filter(|m| agree(m, of)) {
+            let weight = nodes.entry(m.constraint.node_id).or_default();
+            *weight = weight.max(m.weight());
+        }
+        (nodes.len(), nodes.values().sum::<f64>())
     };
     let newest = waiting.last()?.clone();
-    let own = support(&newest);
-    if own < needed {
+    let (nodes, own) = support(&newest);
+    if nodes < needed {
         return None;
     }
-    let others = waiting.iter().filter(|m| !agree(m, &newest)).map(support).max().unwrap_or(0);
+    let others = waiting.iter().filter(|m| !agree(m, &newest)).map(|m| support(m).1).fold(0.0, f64::max);
     if own < LEAD * others {
         return None;
     }
@@ -199,7 +214,7 @@ mod tests {
             translation_weight: 1.0,
             rotation_weight: 1.0,
             tag: ConstraintTag::InterSubmap,
-            score: Some(0.7),
+            score: Some(0.75),
         };
         let earlier_from_later = Rigid3::from_parts(
             Vector3::new(x, 0.0, 0.0).into(),
@@ -215,6 +230,21 @@ mod tests {
         waiting.extend([at(7, 40.0, 0.5), at(8, 40.2, -0.5), at(9, 40.1, 0.5)]);
         assert!(agreed(&mut waiting, 3).is_none());
         assert_eq!(waiting.len(), 9);
+    }
+
+    #[test]
+    fn good_matches_outweigh_as_many_poor_ones() {
+        let scored = |node, x, score| {
+            let mut waiting = at(node, x, 0.0);
+            waiting.constraint.score = Some(score);
+            waiting
+        };
+        let poor = || (0..4).map(|i| scored(i, 9.0, 0.56));
+        let good = |score| (4..8).map(move |i| scored(i, 1.0, score));
+        assert!(agreed(&mut poor().chain(good(0.6)).collect(), 3).is_none());
+        let mut waiting = poor().chain(good(0.75)).collect();
+        assert_eq!(agreed(&mut waiting, 3).unwrap().len(), 4);
+        assert!(agreed(&mut good(0.75).chain(poor()).collect(), 3).is_none());
     }
 
     #[test]

@@ -10,6 +10,7 @@ mod connectivity;
 mod contradictions;
 mod editing;
 mod final_search;
+mod localisation;
 mod search;
 mod state;
 mod travel;
@@ -26,6 +27,7 @@ pub use state::{GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry,
 use travel::TravelGraph;
 pub use trimming::Trimmer;
 
+use localisation::Localisation;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::{Rigid3, Time};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
@@ -78,6 +80,7 @@ pub struct PoseGraph<S: Space> {
     min_searches: u64,
     min_agreeing: usize,
     waiting: WaitingMatches,
+    localisation: Localisation,
     optimizations: u64,
     last_summary: OptimizationSummary,
 }
@@ -99,6 +102,7 @@ impl<S: Space> PoseGraph<S> {
             min_searches: 0,
             min_agreeing: 1,
             waiting: WaitingMatches::default(),
+            localisation: Localisation::default(),
             optimizations: 0,
             last_summary: OptimizationSummary::default(),
         }
@@ -158,6 +162,7 @@ impl<S: Space> PoseGraph<S> {
             self.finish_submap(*id, Arc::clone(submap));
         }
         self.nodes_since_optimization += 1;
+        self.localise(node_id);
         let due = i64::from(self.options.optimize_every_n_nodes);
         if due > 0 && self.nodes_since_optimization > due {
             self.optimize();
@@ -290,8 +295,9 @@ impl<S: Space> PoseGraph<S> {
             let map_from_node = self.problem.nodes[&node_id].map_from_node;
             let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
             self.search.add_local((submap_id, submap), (node_id, &node.data), guess);
-        } else if self.global_samplers.pulse(a) {
-            self.search.add_global((submap_id, submap), (node_id, &node.data));
+        } else if self.global_samplers.pulse(a) && self.localisation.take_one() {
+            let (guess, region) = self.anywhere(node_id, submap_id);
+            self.search.add_global((submap_id, submap), (node_id, &node.data), guess, region);
         }
     }
 

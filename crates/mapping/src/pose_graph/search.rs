@@ -105,8 +105,23 @@ impl<S: Space> ConstraintSearch<S> {
         &mut self,
         (submap_id, submap): (SubmapId, &Arc<S::Submap>),
         (node_id, node): (NodeId, &Arc<NodeData>),
+        guess_submap_from_node: Rigid3,
+        region: SearchRegion,
     ) {
-        self.push(submap_id, submap, node_id, node, Rigid3::identity(), SearchRegion::WholeSubmap);
+        self.push(submap_id, submap, node_id, node, guess_submap_from_node, region);
+    }
+
+    /// Whether pairs wait whose relative pose is unknown.
+    pub fn has_unplaced(&self) -> bool {
+        self.tasks.iter().any(|task| !is_window(task.region))
+    }
+
+    /// Tries the pairs whose relative pose is unknown, as [`Self::run`] does.
+    pub fn run_unplaced(&mut self) -> Vec<Constraint> {
+        let (unplaced, others) =
+            std::mem::take(&mut self.tasks).into_iter().partition(|t| !is_window(t.region));
+        self.tasks = others;
+        self.run_tasks(unplaced, &TravelGraph::default())
     }
 
     fn push(
@@ -136,7 +151,11 @@ impl<S: Space> ConstraintSearch<S> {
     /// Tries all pairs on the threads of the current pool and returns the constraints found, in the
     /// order in which the pairs were added. `travel` tells how far nodes are from submaps by now.
     pub fn run(&mut self, travel: &TravelGraph) -> Vec<Constraint> {
-        let mut tasks = std::mem::take(&mut self.tasks);
+        let tasks = std::mem::take(&mut self.tasks);
+        self.run_tasks(tasks, travel)
+    }
+
+    fn run_tasks(&mut self, mut tasks: Vec<SearchTask<S>>, travel: &TravelGraph) -> Vec<Constraint> {
         let mut by_submap: BTreeMap<SubmapId, Vec<usize>> = BTreeMap::new();
         for (index, task) in tasks.iter().enumerate() {
             by_submap.entry(task.submap_id).or_default().push(index);
@@ -188,7 +207,7 @@ impl<S: Space> ConstraintSearch<S> {
     fn count(&mut self, region: SearchRegion, found: bool) {
         let (searched, hits) = match region {
             SearchRegion::Window { .. } => (&mut self.counts.window_searched, &mut self.counts.window_found),
-            SearchRegion::WholeSubmap => {
+            SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => {
                 (&mut self.counts.whole_submap_searched, &mut self.counts.whole_submap_found)
             }
         };
@@ -298,12 +317,16 @@ impl<K: Ord> Samplers<K> {
     }
 }
 
+fn is_window(region: SearchRegion) -> bool {
+    matches!(region, SearchRegion::Window { .. })
+}
+
 fn find_nearby<S: Space>(task: &SearchTask<S>, options: &ConstraintBuilderOptions) -> Nearby {
     match task.region {
         SearchRegion::Window { .. } => {
             S::find_nearby(&task.submap, &task.node, &task.guess_submap_from_node, options)
         }
-        SearchRegion::WholeSubmap => Nearby::Unknown,
+        SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => Nearby::Unknown,
     }
 }
 
@@ -340,8 +363,8 @@ fn log_scores(regions: impl Iterator<Item = SearchRegion>, found: &[(usize, Opti
         return;
     }
     let regions: Vec<SearchRegion> = regions.collect();
-    for (is_window, words) in [(true, "a window"), (false, "whole submaps")] {
-        let is_of = |region: &SearchRegion| matches!(region, SearchRegion::Window { .. }) == is_window;
+    for (in_window, words) in [(true, "a window"), (false, "whole submaps")] {
+        let is_of = |region: &SearchRegion| is_window(*region) == in_window;
         let scores = found.iter().filter(|(index, _)| regions.get(*index).is_some_and(is_of));
         let scores: Histogram =
             scores.filter_map(|(_, constraint)| constraint.as_ref()?.score).map(f64::from).collect();
@@ -358,7 +381,7 @@ fn log_match(
 ) {
     let score = 100.0 * found.score;
     match region {
-        SearchRegion::WholeSubmap => {
+        SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => {
             tracing::debug!("Node {node_id} on submap {submap_id} matches with score {score:.1}%.");
         }
         SearchRegion::Window { .. } => {

@@ -145,6 +145,33 @@ pub(crate) fn best_first<B: Branching>(
     best.finish()
 }
 
+/// Searches in bounded time: of the boxes of each size only the `width` most promising ones are split. What is
+/// best may be missed where everything looks alike; nothing found is worse than an exhaustive search says.
+pub(crate) fn beam<B: Branching>(
+    boxes: &mut B,
+    mut best: Best<B::Placement>,
+    width: usize,
+) -> (f32, Vec<B::Placement>) {
+    let mut waiting: Vec<Node<B::Placement>> = Vec::new();
+    boxes.roots(&mut best, &mut |node| waiting.push(node));
+    while !waiting.is_empty() {
+        if waiting.len() > width {
+            waiting.select_nth_unstable_by(width, |a, b| b.cmp(a));
+            waiting.truncate(width);
+        }
+        // The most promising first: a good placement spares the rest.
+        waiting.sort_unstable_by(|a, b| b.cmp(a));
+        let mut parts = Vec::new();
+        for node in waiting.iter().filter(|node| node.exponent > 0) {
+            if best.is_promising(node.bound) {
+                boxes.split(node, &mut best, &mut |part| parts.push(part));
+            }
+        }
+        waiting = parts;
+    }
+    best.finish()
+}
+
 /// Splits a box. Its parts wait, too, unless very many do: then they are split at once, which finds the
 /// same but keeps memory in bounds.
 fn split<B: Branching>(
@@ -192,6 +219,44 @@ mod tests {
                 (0..2).for_each(|i| hand_on(Node { first: node.first.wrapping_add(i), ..*node }));
             }
         }
+    }
+
+    /// Numbers below 2¹⁰ score what `score` says; a box promises its best.
+    struct Line<F>(F, usize);
+
+    impl<F: Fn(u32) -> f32> Line<F> {
+        fn node(&mut self, first: u32, exponent: u32, best: &mut Best<u32>) -> Option<Node<u32>> {
+            self.1 += 1;
+            let bound = (first..first + (1 << exponent)).map(&self.0).fold(0.0, f32::max);
+            if exponent == 0 {
+                best.offer(first, bound);
+            }
+            (exponent > 0).then_some(Node { bound, exponent, first })
+        }
+    }
+
+    impl<F: Fn(u32) -> f32> Branching for Line<F> {
+        type Placement = u32;
+
+        fn roots(&mut self, best: &mut Best<u32>, hand_on: &mut dyn FnMut(Node<u32>)) {
+            self.node(0, 10, best).into_iter().for_each(hand_on);
+        }
+
+        fn split(&mut self, node: &Node<u32>, best: &mut Best<u32>, hand_on: &mut dyn FnMut(Node<u32>)) {
+            let exponent = node.exponent - 1;
+            for first in [node.first, node.first + (1 << exponent)] {
+                self.node(first, exponent, best).into_iter().for_each(&mut *hand_on);
+            }
+        }
+    }
+
+    #[test]
+    fn a_beam_finds_what_stands_out_and_looks_at_few() {
+        let score = |i: u32| if i == 700 { 0.9 } else { 0.3 + 0.1 * ((i * 7919 % 101) as f32 / 101.0) };
+        let mut line = Line(score, 0);
+        assert_eq!(beam(&mut line, Best::single_above(0.2), 4), (0.9, vec![700]));
+        assert!(line.1 <= 2 * 4 * 10, "{}", line.1);
+        assert_eq!(beam(&mut Line(|_| 0.1, 0), Best::single_above(0.2), 4), (0.2, vec![]));
     }
 
     #[test]

@@ -1,10 +1,12 @@
 //! Matching anywhere in a finished submap in space.
 
+use std::collections::BTreeMap;
+
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Rigid3f, to_f32, to_f64, yaw};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
-use super::best_first::{Best, best_first};
+use super::best_first::{Best, beam, best_first};
 use super::byte_score::ByteScore;
 use super::rotational::{histogram_similarity, rotate_histogram};
 use super::search_window::angular_steps_in_space;
@@ -61,6 +63,12 @@ const MAX_EXPONENT: u32 = 6;
 /// Points at all yaws together that are searched at most, twice what a thousand points 60 m away at
 /// resolution 0.1 m ask for: some hundreds of megabytes.
 const MAX_TURNED_POINTS: usize = 1 << 23;
+/// Proposals are made with at most so many points, by following so many boxes of each size: some 50 ms. (Of
+/// 100 to 4000 boxes, 100 find a park half as often, 4000 nothing more than 1000.)
+const MAX_PROPOSING_POINTS: usize = 160;
+const BEAM_WIDTH: usize = 1000;
+/// Height of the slices of which as many points each are chosen, metres.
+const SLICE_HEIGHT: f32 = 0.3;
 /// Histograms of more buckets are not compared.
 const MAX_BUCKETS: usize = 1 << 14;
 
@@ -123,6 +131,15 @@ pub struct FastCorrelativeMatcher3d {
     pyramid: MaxPyramid3d,
 }
 
+/// How thoroughly is searched.
+#[derive(Clone, Copy, Debug)]
+enum Effort {
+    /// Until nothing can be better.
+    Exhaustive,
+    /// So many boxes of each size.
+    Beam(usize),
+}
+
 /// One yaw that is searched.
 struct Turn {
     pose: Rigid3f,
@@ -183,6 +200,30 @@ impl FastCorrelativeMatcher3d {
         self.match_within(&self.reach_of_options(), map_from_node, map_from_submap, node, submap, min_score)
     }
 
+    /// The same at any yaw in wide windows, in bounded time: `reach` tells the windows along x, y and z. What it
+    /// finds is a proposal that wants to be refined and judged.
+    ///
+    /// Where floors and ceilings are most of what is seen, a node fits nearly anywhere: points are chosen
+    /// evenly over heights, and the most promising boxes of each size are followed.
+    pub fn propose(
+        &self,
+        reach: &SearchReach3d,
+        map_from_node: &Rigid3,
+        map_from_submap: &Rigid3,
+        node: &NodeToFind<'_>,
+        submap: &SubmapToSearch<'_>,
+        min_score: f32,
+    ) -> Option<FastMatch3d> {
+        let usable = self.usable(node.high_resolution_cloud);
+        let balanced = evenly_over_heights(&usable, &to_f32(map_from_node), MAX_PROPOSING_POINTS);
+        let cloud = PointCloud { points: balanced, intensities: Vec::new() };
+        let node = NodeToFind { high_resolution_cloud: &cloud, ..*node };
+        let window = self.window(reach, map_from_node, map_from_submap, &node);
+        let effort = Effort::Beam(BEAM_WIDTH);
+        let angular = std::f64::consts::PI;
+        self.search(map_from_node, map_from_submap, &node, submap, window, angular, min_score, effort)
+    }
+
     /// The windows of the options.
     pub fn reach_of_options(&self) -> SearchReach3d {
         SearchReach3d {
@@ -202,14 +243,26 @@ impl FastCorrelativeMatcher3d {
         submap: &SubmapToSearch<'_>,
         min_score: f32,
     ) -> Option<FastMatch3d> {
+        let window = self.window(reach, map_from_node, map_from_submap, node);
+        let effort = Effort::Exhaustive;
+        self.search(map_from_node, map_from_submap, node, submap, window, reach.angular, min_score, effort)
+    }
+
+    /// Cells along z, y, x.
+    fn window(
+        &self,
+        reach: &SearchReach3d,
+        map_from_node: &Rigid3,
+        map_from_submap: &Rigid3,
+        node: &NodeToFind<'_>,
+    ) -> [i32; 3] {
         let cells = |metres: f64| (metres / f64::from(self.lattice.resolution)).round() as i32;
         let xy = cells(reach.linear_xy);
         let offset = (map_from_submap.inverse() * map_from_node).translation.vector;
         let extent = self.reach(node);
         // Beyond no shift puts a point on the grid.
         let useful = |axis: usize| extent.saturating_add(cells(offset[axis].abs())).saturating_add(1);
-        let window = [cells(reach.linear_z).min(useful(2)), xy.min(useful(1)), xy.min(useful(0))];
-        self.search(map_from_node, map_from_submap, node, submap, window, reach.angular, min_score)
+        [cells(reach.linear_z).min(useful(2)), xy.min(useful(1)), xy.min(useful(0))]
     }
 
     /// The same anywhere in the submap at any yaw; only the directions of gravity of the two rotations
@@ -227,7 +280,8 @@ impl FastCorrelativeMatcher3d {
             [map_from_node, map_from_submap].map(|r| Rigid3::from_parts(Default::default(), *r));
         let window = [reach; 3];
         let angular = std::f64::consts::PI;
-        self.search(&node_rotation, &submap_rotation, node, submap, window, angular, min_score)
+        let effort = Effort::Exhaustive;
+        self.search(&node_rotation, &submap_rotation, node, submap, window, angular, min_score, effort)
     }
 
     /// Cells by which a node at the origin may be shifted and still meet the grid.
@@ -236,7 +290,7 @@ impl FastCorrelativeMatcher3d {
         self.extent.div_ceil(2) as i32 + (range + 0.5).round().min(MAX_SHIFT as f32) as i32
     }
 
-    #[allow(clippy::too_many_arguments)] // two ways in, one search
+    #[allow(clippy::too_many_arguments)] // several ways in, one search
     fn search(
         &self,
         map_from_node: &Rigid3,
@@ -246,6 +300,7 @@ impl FastCorrelativeMatcher3d {
         window: [i32; 3],
         angular: f64,
         min_score: f32,
+        effort: Effort,
     ) -> Option<FastMatch3d> {
         let points = self.usable(node.high_resolution_cloud);
         let coarse: Vec<Point3f> =
@@ -269,7 +324,11 @@ impl FastCorrelativeMatcher3d {
             num_coarse: coarse.len(),
             fits: |p| coarse_score(p).is_some_and(|s| f64::from(s) >= self.options.min_low_resolution_score),
         };
-        let (score, placements) = best_first(&mut search, Best::single_above(min_score));
+        let best = Best::single_above(min_score);
+        let (score, placements) = match effort {
+            Effort::Exhaustive => best_first(&mut search, best),
+            Effort::Beam(width) => beam(&mut search, best, width),
+        };
         let placement = *placements.first()?;
         Some(FastMatch3d {
             found: MatchResult { score, pose: to_f64(&self.pose(&turns, placement)?) },
@@ -338,6 +397,25 @@ fn thinned(mut points: Vec<Point3f>, turns: usize) -> Vec<Point3f> {
         (index - 1) % stride == 0
     });
     points
+}
+
+/// At most about `most` points, chosen so that as many as possible are of each height (slices of
+/// [`SLICE_HEIGHT`] after a level rotation).
+fn evenly_over_heights(points: &[Point3f], level: &Rigid3f, most: usize) -> Vec<Point3f> {
+    let slice = |p: &Point3f| ((level.rotation * p).z / SLICE_HEIGHT).floor() as i32;
+    let mut slices: BTreeMap<i32, Vec<Point3f>> = BTreeMap::new();
+    for point in points {
+        slices.entry(slice(point)).or_default().push(*point);
+    }
+    // The largest share of each slice with which all of them together are few enough.
+    let kept = |share: usize| slices.values().map(|s| s.len().min(share)).sum::<usize>();
+    let largest = slices.values().map(Vec::len).max().unwrap_or(0);
+    let share = (1..=largest).rev().find(|share| kept(*share) <= most).unwrap_or(1);
+    let evenly = |slice: &Vec<Point3f>| {
+        let count = slice.len().min(share);
+        (0..count).filter_map(|i| slice.get(i * slice.len() / count).copied()).collect::<Vec<_>>()
+    };
+    slices.values().flat_map(evenly).collect()
 }
 
 /// The largest boxes of a search.

@@ -1,6 +1,6 @@
 //! Local SLAM by matching sweeps to surfaces.
 
-use portolan_geometry::{Duration, Quaternion, Time, Vector3, is_valid_pose};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, is_valid_pose};
 
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
@@ -85,6 +85,7 @@ impl LocalSlam3d {
         let extrapolator = self.extrapolator.as_mut()?;
         extrapolator.add_pose(before, pose_before);
         extrapolator.add_pose(first.end, end);
+        let gravity = gravity.map(|level| self.leveled(first.end, &end, level));
         let matched = MatchedSweep { local_from_tracking: end, pieces, found: None };
         Some(self.conclude(first.end, self.seen_from_end(first, matched), gravity))
     }
@@ -142,6 +143,7 @@ impl LocalSlam3d {
             scan.local_from_tracking = pose;
         }
         self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
+        let gravity = gravity.map(|level| self.leveled(sweep.end, &scan.local_from_tracking, level));
         let enough = stands.is_some() && !self.is_young() && self.stands_since_inserted(sweep.end);
         let wanted = match enough {
             true => Wanted::No,
@@ -155,6 +157,12 @@ impl LocalSlam3d {
             None => self.inserted_standing = 0,
         }
         Some(result)
+    }
+
+    /// From the tracking frame to a level one, where a sweep matched and the IMU alone says `level`.
+    fn leveled(&mut self, end: Time, local_from_tracking: &Rigid3, level: Quaternion) -> Quaternion {
+        self.upright.add_sweep(end, local_from_tracking, &level);
+        self.upright.level_from_tracking(&local_from_tracking.rotation).unwrap_or(level)
     }
 
     /// Whether the first submap does not know its surfaces yet: a single sweep shows few of them.
