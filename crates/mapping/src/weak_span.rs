@@ -49,6 +49,8 @@ pub enum TakenInstead {
     Odometry,
     /// What a gyroscope measured.
     Gyroscope,
+    /// That it stands: the IMU is at rest.
+    Rest,
     /// That it moves on as it did before: nothing measured it.
     Velocity,
 }
@@ -59,6 +61,7 @@ impl TakenInstead {
         match self {
             Self::Odometry => "odometry",
             Self::Gyroscope => "the gyroscope",
+            Self::Rest => "rest, as the IMU felt it,",
             Self::Velocity => "the velocity before, which nothing measured,",
         }
     }

@@ -110,7 +110,7 @@ pub(super) struct Angle {
 }
 
 impl Angle {
-    fn new(turns: &[Turn]) -> Self {
+    pub(super) fn new(turns: &[Turn]) -> Self {
         let mut points: Vec<(Time, f64, bool)> = Vec::with_capacity(turns.len() + 1);
         let mut angle = 0.0;
         for (from, to, turn) in turns {

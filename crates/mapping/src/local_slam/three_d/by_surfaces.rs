@@ -130,7 +130,7 @@ impl LocalSlam3d {
             None if saturated => {}
             None => self.learn_bias(&path, &matched),
         }
-        let open = self.report_match(sweep.end, &path, &matched);
+        let open = self.report_match(sweep.end, &path, stood.is_some(), &matched);
         let fits_surfaces = matched.found.is_some();
         let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
         let is_measured = path.turn_is_measured && path.way_is_measured;
@@ -180,20 +180,33 @@ impl LocalSlam3d {
     }
 
     /// What a match says of directions that scans leave open, in the tracking frame.
-    fn report_match(&mut self, end: Time, path: &SweepPath, matched: &MatchedSweep) -> OpenDirections {
+    fn report_match(
+        &mut self,
+        end: Time,
+        path: &SweepPath,
+        stood: bool,
+        matched: &MatchedSweep,
+    ) -> OpenDirections {
         let to_tracking = matched.local_from_tracking.rotation.inverse();
         let (up, seconds) = (to_tracking * Vector3::z(), path.seconds());
-        let shift = matched.local_from_tracking.translation.vector - path.start().translation.vector;
-        self.weak_spans.moved(&(to_tracking * shift), seconds, &up);
+        // Where nothing tells how it moved, nothing tells in which direction either.
+        if path.way_is_measured || matched.found.as_ref().is_some_and(|f| f.weak.translations.is_empty()) {
+            let shift = matched.local_from_tracking.translation.vector - path.start().translation.vector;
+            self.weak_spans.moved(&(to_tracking * shift), seconds, &up);
+        }
         let Some(found) = &matched.found else {
             self.count("scan that fits no surface; grids or odometry and gyroscope told its pose");
             return OpenDirections::default();
         };
         let from_submap = found.pose.rotation.inverse();
         let open = |directions: &[Vector3]| directions.iter().map(|d| from_submap * d).collect::<Vec<_>>();
-        let told = |is_told: bool, by: TakenInstead| if is_told { by } else { TakenInstead::Velocity };
+        let told = |is_told: bool, by: TakenInstead| match is_told {
+            true => by,
+            false if stood => TakenInstead::Rest,
+            false => TakenInstead::Velocity,
+        };
         let scan = |taken| WeakScan { time: end, seconds, taken };
-        let shifts = scan(told(path.way_is_measured, TakenInstead::Odometry));
+        let shifts = scan(told(path.way_is_measured && !stood, TakenInstead::Odometry));
         let turns = scan(told(path.turn_is_measured, TakenInstead::Gyroscope));
         let (translations, rotations) = (open(&found.weak.translations), open(&found.weak.rotations));
         self.weak_spans.add_shifts(&shifts, &translations, &up);
