@@ -74,6 +74,8 @@ fn maps_in_space_survive_memory() {
                 + message.low_resolution_hybrid_grid.as_ref().unwrap().encoded_len();
         }
         eprintln!("{}: grids take {memory} bytes, {stored} in the file unpacked", path.display());
+        // Grids that are only read take no more memory than a fifth more than their messages.
+        assert!(5 * memory <= 6 * stored, "{}: {memory} bytes, {stored} in the file", path.display());
         count += 1;
     }
     assert!(count > 0 || all_maps().is_empty());

@@ -57,7 +57,13 @@ struct Shared {
 pub struct Backend<S: Space> {
     place: Place<S>,
     shared: Arc<Shared>,
+    /// Work that goes along with the next that is enqueued.
+    along: Vec<Work<S>>,
 }
+
+/// Work that waits at most for more: an IMU brings hundreds a second, and waking a thread for each would
+/// take longer than the work.
+const MAX_ALONG: usize = 256;
 
 enum Place<S: Space> {
     Inline { graph: Box<PoseGraph<S>>, pool: ThreadPool },
@@ -78,7 +84,11 @@ impl<S: Space> Backend<S> {
             progress: Mutex::new(BackendProgress::default()),
         });
         if threads == 1 {
-            return Ok(Self { place: Place::Inline { graph: Box::new(graph), pool }, shared });
+            return Ok(Self {
+                place: Place::Inline { graph: Box::new(graph), pool },
+                shared,
+                along: Vec::new(),
+            });
         }
         let (sender, receiver) = unbounded::<Work<S>>();
         let worker_shared = Arc::clone(&shared);
@@ -94,7 +104,8 @@ impl<S: Space> Backend<S> {
                 graph
             })
             .map_err(|e| MapperError::Threads(e.to_string()))?;
-        Ok(Self { place: Place::Thread { sender: Some(sender), handle: Some(handle) }, shared })
+        let place = Place::Thread { sender: Some(sender), handle: Some(handle) };
+        Ok(Self { place, shared, along: Vec::new() })
     }
 
     /// Gives work; it is done later, in order.
@@ -109,11 +120,28 @@ impl<S: Space> Backend<S> {
                 Ok(())
             }
             Place::Thread { sender, .. } => {
+                let along = std::mem::take(&mut self.along);
+                let work = move |graph: &mut PoseGraph<S>| {
+                    along.into_iter().for_each(|earlier| earlier(graph));
+                    work(graph);
+                };
                 self.shared.backlog.fetch_add(1, Ordering::AcqRel);
                 let sent = sender.as_ref().is_some_and(|s| s.send(Box::new(work)).is_ok());
                 if sent { Ok(()) } else { Err(MapperError::PoseGraphStopped) }
             }
         }
+    }
+
+    /// Gives work of microseconds; it is done in its turn, with the next work that is enqueued.
+    pub fn enqueue_along(
+        &mut self,
+        work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,
+    ) -> Result<(), MapperError> {
+        match &mut self.place {
+            Place::Inline { graph, .. } => work(graph),
+            Place::Thread { .. } => self.along.push(Box::new(work)),
+        }
+        if self.along.len() >= MAX_ALONG { self.enqueue(|_| {}) } else { Ok(()) }
     }
 
     /// Does work after everything given before, and waits for its answer.
@@ -150,7 +178,8 @@ impl<S: Space> Backend<S> {
     }
 
     /// Finishes all work and gives the graph back.
-    pub fn into_graph(self) -> Result<PoseGraph<S>, MapperError> {
+    pub fn into_graph(mut self) -> Result<PoseGraph<S>, MapperError> {
+        self.enqueue(|_| {})?;
         match self.place {
             Place::Inline { graph, .. } => Ok(*graph),
             Place::Thread { sender, handle } => {

@@ -183,7 +183,7 @@ impl<S: Space> Mapper<S> {
             Measurement::Imu(data) => {
                 trajectory.local_slam.add_imu_data(&data);
                 if S::OPTIMIZES_WITH_IMU {
-                    self.backend.enqueue(move |graph| graph.add_imu_data(id, data))?;
+                    self.backend.enqueue_along(move |graph| graph.add_imu_data(id, data))?;
                 }
             }
             Measurement::Odometry(data) => {
@@ -193,14 +193,14 @@ impl<S: Space> Mapper<S> {
                     .as_mut()
                     .is_some_and(|filter| filter.is_similar(data.time, &data.odom_from_tracking));
                 if !similar {
-                    self.backend.enqueue(move |graph| graph.add_odometry_data(id, data))?;
+                    self.backend.enqueue_along(move |graph| graph.add_odometry_data(id, data))?;
                 }
             }
             Measurement::FixedFramePose(data) => {
-                self.backend.enqueue(move |graph| graph.add_fixed_frame_pose_data(id, data))?;
+                self.backend.enqueue_along(move |graph| graph.add_fixed_frame_pose_data(id, data))?;
             }
             Measurement::Landmark(data) => {
-                self.backend.enqueue(move |graph| graph.add_landmark_data(id, data))?;
+                self.backend.enqueue_along(move |graph| graph.add_landmark_data(id, data))?;
             }
         }
         if let Ok(matched @ 1..) = u32::try_from(results.len()) {

@@ -118,6 +118,17 @@ impl Submap3d {
         })
     }
 
+    /// Adds hits seen from `origin` (both in the local map) to the surfaces, if it keeps any.
+    pub fn insert_surfaces(&mut self, points_in_local: &[Point3f], origin_in_local: &Point3f) {
+        let submap_from_local = to_f32(&self.local_from_submap.inverse());
+        let origin = submap_from_local * origin_in_local;
+        if let Some(surfaces) = &mut self.surfaces {
+            for point in points_in_local {
+                surfaces.insert_seen_from(&(submap_from_local * point), &origin);
+            }
+        }
+    }
+
     /// A submap as a file has it.
     pub fn from_parts(
         local_from_submap: Rigid3,
@@ -165,12 +176,7 @@ impl GrowingSubmap for Submap3d {
         let high =
             fine.insert(&data, max_range, &mut self.high_resolution_grid, self.intensity_grid.as_mut());
         let low = fine.insert(&data, f32::INFINITY, &mut self.low_resolution_grid, None);
-        if let Some(surfaces) = &mut self.surfaces {
-            let submap_from_local = to_f32(&submap_from_local);
-            for point in &scan.surface_points_in_local {
-                surfaces.insert_seen_from(&(submap_from_local * point), &data.origin);
-            }
-        }
+        self.insert_surfaces(&scan.surface_points_in_local, &scan.range_data_in_local.origin);
         let drawn = high.is_ok() && low.is_ok();
         self.refused_scans += u32::from(!drawn);
         let turn = yaw(&(submap_from_local.rotation * scan.local_from_gravity_aligned)) as f32;

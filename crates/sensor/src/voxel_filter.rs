@@ -7,6 +7,7 @@ mod adaptive;
 mod reservoir;
 #[cfg(test)]
 mod tests;
+mod voxel_count;
 
 pub use adaptive::{adaptive_voxel_filter, adaptive_voxel_filter_indices};
 

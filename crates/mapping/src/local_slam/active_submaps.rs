@@ -59,6 +59,11 @@ where
         self.submaps.iter().map(|(index, submap)| (*index, submap))
     }
 
+    /// All of them to be changed, oldest first.
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut S::Submap> {
+        self.submaps.iter_mut().map(|(_, submap)| submap)
+    }
+
     /// Inserts a scan; `create` makes a new submap at an origin in the local map, or
     /// none where that is impossible. Returns the submaps
     /// that took it, oldest first; a complete one comes with its grid and is given away.

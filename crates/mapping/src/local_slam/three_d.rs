@@ -339,6 +339,12 @@ impl LocalSlam3d {
         let range_data_in_local = scan.transformed(&local);
         let is_inserted = wanted != Wanted::No
             && (!self.motion_filter.is_similar(time, &local_from_tracking) || wanted == Wanted::Yes);
+        if !is_inserted && wanted != Wanted::No {
+            let points: Vec<Point3f> = surface_points.iter().map(|p| local * p).collect();
+            for submap in self.active_submaps.iter_mut() {
+                submap.insert_surfaces(&points, &range_data_in_local.origin);
+            }
+        }
         let inserted = is_inserted.then(|| {
             self.last_inserted = Some(time);
             let [high, low] = clouds.unwrap_or_else(|| self.clouds(&scan.returns));

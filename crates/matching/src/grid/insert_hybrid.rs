@@ -105,16 +105,25 @@ impl HybridInserter {
         Ok(report)
     }
 
-    /// The last few cells on the way from `begin` to `end`.
+    /// The last few cells on the way from `begin` to `end`: step k of n is k/n of the way along each axis,
+    /// without its fraction.
     fn clear_before(&self, begin: VoxelIndex, end: VoxelIndex, grid: &mut HybridGrid) {
-        let delta = [0, 1, 2].map(|a| end[a] - begin[a]);
-        let steps = delta.iter().map(|d| d.abs()).max().unwrap_or(0);
+        let delta = [end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]];
+        let steps = delta[0].abs().max(delta[1].abs()).max(delta[2].abs());
+        let slope = delta.map(|d| f64::from(d) / f64::from(steps));
         for k in (steps - self.num_free_space_voxels).max(0)..steps {
-            // Indices have 14 bits, so that products have 29.
-            let cell = [0, 1, 2].map(|a| begin[a] + delta[a] * k / steps);
-            grid.apply(cell, &self.miss_table);
+            let along = |axis: usize| begin[axis] + whole_part(slope[axis] * f64::from(k));
+            grid.apply([along(0), along(1), along(2)], &self.miss_table);
         }
     }
+}
+
+/// The whole part of a quotient of numbers of at most 15 bits, which is off by rounding: it is a whole number,
+/// or at least 1/2^15 away from one. Divisions of integers would take several times longer.
+#[inline]
+fn whole_part(quotient: f64) -> i32 {
+    const MORE: f64 = 1.0 / (1 << 20) as f64;
+    (quotient + MORE.copysign(quotient)) as i32
 }
 
 #[cfg(test)]

@@ -39,13 +39,27 @@ pub struct SurfaceMap {
     edge: f32,
     index: LeafIndex,
     cells: Vec<SurfaceCell>,
+    /// Key and number of the voxel of each size that was changed last: neighbouring hits share it.
+    recent: [(u64, usize); LEVELS as usize],
 }
+
+/// No voxel has this key.
+const NO_KEY: u64 = u64::MAX;
 
 impl SurfaceMap {
     /// An empty map whose largest voxels have an edge of `edge` metres (at least a millimetre).
     pub fn new(edge: f32) -> Self {
         let edge = if edge.is_finite() { edge.max(1e-3) } else { 1.0 };
-        Self { edge, index: LeafIndex::with_capacity(0), cells: Vec::new() }
+        Self::with_capacity(edge, 0)
+    }
+
+    fn with_capacity(edge: f32, planes: usize) -> Self {
+        Self {
+            edge,
+            index: LeafIndex::with_capacity(planes),
+            cells: Vec::with_capacity(planes),
+            recent: [(NO_KEY, 0); LEVELS as usize],
+        }
     }
 
     /// Surfaces as far as the occupied cells of a grid tell, for maps from files, which keep no others.
@@ -84,14 +98,7 @@ impl SurfaceMap {
         let scaled = (point / self.edge).coords.map(|v| v + OFFSET);
         for level in 0..LEVELS {
             let Some(key) = key(&scaled, level) else { return };
-            let number = match self.index.get(key) {
-                Some(number) => number,
-                None => {
-                    self.index.insert(key, self.cells.len());
-                    self.cells.push(SurfaceCell::new());
-                    self.cells.len() - 1
-                }
-            };
+            let number = self.number_of(key, level as usize);
             let cell = &mut self.cells[number];
             let is_settled = cell.count > SETTLED && cell.is_plane();
             // The other side of a floor or of a wall is a surface of its own.
@@ -103,6 +110,22 @@ impl SurfaceMap {
                 return;
             }
         }
+    }
+
+    /// The number of a voxel, which is made if it is not there yet.
+    #[inline]
+    fn number_of(&mut self, key: u64, level: usize) -> usize {
+        let (recent, number) = self.recent[level];
+        if recent == key {
+            return number;
+        }
+        let number = self.index.get(key).unwrap_or_else(|| {
+            self.index.insert(key, self.cells.len());
+            self.cells.push(SurfaceCell::new());
+            self.cells.len() - 1
+        });
+        self.recent[level] = (key, number);
+        number
     }
 
     /// The plane near a place: that of the largest flat voxel around it, or of the neighbour across the
@@ -142,11 +165,7 @@ impl SurfaceMap {
         let number_of = |(key, number): (u64, usize)| self.cells[number].is_plane().then_some((number, key));
         let mut kept: Vec<(usize, u64)> = self.index.iter().filter_map(number_of).collect();
         kept.sort_unstable();
-        let mut compacted = Self {
-            edge: self.edge,
-            index: LeafIndex::with_capacity(kept.len()),
-            cells: Vec::with_capacity(kept.len()),
-        };
+        let mut compacted = Self::with_capacity(self.edge, kept.len());
         for (number, key) in kept {
             compacted.index.insert(key, compacted.cells.len());
             compacted.cells.push(self.cells[number]);

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::io::{self, Read};
 
+use crate::bz2;
+
 /// How a chunk is compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Compression {
@@ -36,30 +38,46 @@ impl fmt::Display for Compression {
     }
 }
 
-/// Decompresses at most `limit` bytes into `into`, which is replaced. What could be decompressed before
-/// an error stays in `into`.
-pub(crate) fn decompress(
-    compression: Compression,
-    packed: &[u8],
-    limit: u64,
-    into: &mut Vec<u8>,
-) -> io::Result<()> {
-    into.clear();
-    // The limit may lie, so that it alone must not decide how much is allocated at once.
-    let guess = limit.min(8 * packed.len() as u64 + 4096);
-    into.reserve(usize::try_from(guess).unwrap_or_default());
-    let mut reader: Box<dyn Read + '_> = match compression {
-        Compression::None => Box::new(packed),
-        Compression::Bz2 => Box::new(bzip2::bufread::MultiBzDecoder::new(packed)),
-        Compression::Lz4 => Box::new(lz4_flex::frame::FrameDecoder::new(packed)),
-        Compression::Zstd => Box::new(zstd::stream::read::Decoder::with_buffer(packed)?),
-    };
-    let read = reader.by_ref().take(limit).read_to_end(into)?;
-    // One byte more is asked for so that checksums behind the last byte are checked.
-    if read as u64 == limit && reader.read(&mut [0])? != 0 {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "more data than announced"));
+/// Decompresses chunks; keeps its memory for the next.
+#[derive(Default)]
+pub(crate) struct Decompressor {
+    bz2: bz2::Unpacker,
+}
+
+impl Decompressor {
+    /// Decompresses at most `limit` bytes into `into`, which is replaced. What could be decompressed before
+    /// an error stays in `into`.
+    pub(crate) fn decompress(
+        &mut self,
+        compression: Compression,
+        packed: &[u8],
+        limit: u64,
+        into: &mut Vec<u8>,
+    ) -> io::Result<()> {
+        into.clear();
+        // The limit may lie, so that it alone must not decide how much is allocated at once.
+        let guess = limit.min(8 * packed.len() as u64 + 4096);
+        into.reserve(usize::try_from(guess).unwrap_or_default());
+        let mut reader: Box<dyn Read + '_> = match compression {
+            Compression::None => Box::new(packed),
+            Compression::Bz2 => {
+                let limit = usize::try_from(limit).unwrap_or(usize::MAX);
+                match self.bz2.unpack(packed, limit, into) {
+                    Err(error) if error.kind() == io::ErrorKind::Unsupported => into.clear(),
+                    result => return result,
+                }
+                Box::new(bzip2::bufread::MultiBzDecoder::new(packed))
+            }
+            Compression::Lz4 => Box::new(lz4_flex::frame::FrameDecoder::new(packed)),
+            Compression::Zstd => Box::new(zstd::stream::read::Decoder::with_buffer(packed)?),
+        };
+        let read = reader.by_ref().take(limit).read_to_end(into)?;
+        // One byte more is asked for so that checksums behind the last byte are checked.
+        if read as u64 == limit && reader.read(&mut [0])? != 0 {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "more data than announced"));
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -90,11 +108,14 @@ mod tests {
         for compression in [Compression::None, Compression::Bz2, Compression::Lz4, Compression::Zstd] {
             let packed = packed(compression, &data);
             let mut out = Vec::new();
-            decompress(compression, &packed, data.len() as u64, &mut out).unwrap();
+            Decompressor::default().decompress(compression, &packed, data.len() as u64, &mut out).unwrap();
             assert_eq!(out, data, "{compression}");
-            decompress(compression, &packed, u64::MAX, &mut out).unwrap();
+            Decompressor::default().decompress(compression, &packed, u64::MAX, &mut out).unwrap();
             assert_eq!(out, data, "{compression}");
-            assert!(decompress(compression, &packed, 1000, &mut out).is_err(), "{compression}");
+            assert!(
+                Decompressor::default().decompress(compression, &packed, 1000, &mut out).is_err(),
+                "{compression}"
+            );
             assert_eq!(out.len(), 1000, "{compression}");
         }
     }
@@ -106,7 +127,10 @@ mod tests {
             let packed = packed(compression, &data);
             let mut out = Vec::new();
             let cut = &packed[..packed.len() * 3 / 4];
-            assert!(decompress(compression, cut, data.len() as u64, &mut out).is_err(), "{compression}");
+            assert!(
+                Decompressor::default().decompress(compression, cut, data.len() as u64, &mut out).is_err(),
+                "{compression}"
+            );
             assert!(out.len() > 1_000_000, "{compression}: {}", out.len());
             assert!(data.starts_with(&out), "{compression}");
         }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::codec::{Decoder, Encoding, MessageKind, normalized_type_name};
-use crate::container::{Compression, decompress};
+use crate::container::{Compression, Decompressor};
 use crate::repairs::RepairLog;
 use crate::{Message, TopicInfo};
 
@@ -48,6 +48,7 @@ pub(crate) fn topics<'a>(connections: impl Iterator<Item = (&'a Connection, Opti
 #[derive(Default)]
 pub(crate) struct MessageDecoder {
     decoder: Decoder,
+    decompressor: Decompressor,
     unpacked: Vec<u8>,
 }
 
@@ -70,7 +71,8 @@ impl MessageDecoder {
         // ROS 2 recorders can compress message by message. No CDR message starts like this.
         if connection.encoding == Encoding::Cdr && payload.starts_with(&ZSTD_MAGIC) {
             let mut unpacked = std::mem::take(&mut self.unpacked);
-            if decompress(Compression::Zstd, &payload, MAX_MESSAGE_BYTES, &mut unpacked).is_err() {
+            let (zstd, limit) = (Compression::Zstd, MAX_MESSAGE_BYTES);
+            if self.decompressor.decompress(zstd, &payload, limit, &mut unpacked).is_err() {
                 repairs.lost(format!(
                     "a message on {} was dropped: its zstd compression is damaged",
                     connection.topic

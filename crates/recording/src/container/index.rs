@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::connection::topics;
-use super::{Compression, Connection, FileBytes, decompress};
+use super::{Compression, Connection, Decompressor, FileBytes};
 use crate::repairs::RepairLog;
 use crate::{RecordingError, TopicInfo};
 
@@ -141,32 +141,42 @@ impl LooseRun {
     }
 }
 
-/// Reads and decompresses a segment into `into`. Damage is counted; what can be had is kept.
-pub(crate) fn load(
-    segment: &Segment,
-    file: &mut FileBytes,
-    packed: &mut Vec<u8>,
-    into: &mut Vec<u8>,
-    repairs: &mut RepairLog,
-) -> Result<(), RecordingError> {
-    into.clear();
-    if segment.stored_bytes.max(segment.unpacked_bytes) > MAX_SEGMENT_BYTES {
-        repairs.lost("a chunk of more than 1 GiB was skipped");
-        return Ok(());
+/// Loads segments; keeps its memory for the next.
+#[derive(Default)]
+pub(crate) struct SegmentLoader {
+    packed: Vec<u8>,
+    decompressor: Decompressor,
+}
+
+impl SegmentLoader {
+    /// Reads and decompresses a segment into `into`. Damage is counted; what can be had is kept.
+    pub(crate) fn load(
+        &mut self,
+        segment: &Segment,
+        file: &mut FileBytes,
+        into: &mut Vec<u8>,
+        repairs: &mut RepairLog,
+    ) -> Result<(), RecordingError> {
+        into.clear();
+        if segment.stored_bytes.max(segment.unpacked_bytes) > MAX_SEGMENT_BYTES {
+            repairs.lost("a chunk of more than 1 GiB was skipped");
+            return Ok(());
+        }
+        let mut sound = true;
+        if segment.compression == Compression::None {
+            file.read(segment.offset, segment.stored_bytes, into)?;
+        } else {
+            file.read(segment.offset, segment.stored_bytes, &mut self.packed)?;
+            let (compression, limit) = (segment.compression, segment.unpacked_bytes);
+            sound = self.decompressor.decompress(compression, &self.packed, limit, into).is_ok();
+        }
+        if !sound {
+            repairs.lost("the compressed data of a chunk are damaged; what could be decompressed was kept");
+        } else if (into.len() as u64) < segment.unpacked_bytes {
+            repairs.lost("a chunk is shorter than it should be; its whole records were kept");
+        } else if segment.crc != 0 && crc32fast::hash(into) != segment.crc {
+            repairs.lost("the checksum of a chunk is wrong; its readable messages were kept");
+        }
+        Ok(())
     }
-    let mut sound = true;
-    if segment.compression == Compression::None {
-        file.read(segment.offset, segment.stored_bytes, into)?;
-    } else {
-        file.read(segment.offset, segment.stored_bytes, packed)?;
-        sound = decompress(segment.compression, packed, segment.unpacked_bytes, into).is_ok();
-    }
-    if !sound {
-        repairs.lost("the compressed data of a chunk are damaged; what could be decompressed was kept");
-    } else if (into.len() as u64) < segment.unpacked_bytes {
-        repairs.lost("a chunk is shorter than it should be; its whole records were kept");
-    } else if segment.crc != 0 && crc32fast::hash(into) != segment.crc {
-        repairs.lost("the checksum of a chunk is wrong; its readable messages were kept");
-    }
-    Ok(())
 }

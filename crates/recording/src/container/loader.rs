@@ -5,7 +5,9 @@ use std::ops::Range;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{ChunkIndex, Compression, Content, FileBytes, RecordFormat, Segment, Source, load, walk};
+use super::{
+    ChunkIndex, Compression, Content, FileBytes, RecordFormat, Segment, SegmentLoader, Source, walk,
+};
 use crate::RecordingError;
 use crate::repairs::RepairLog;
 
@@ -47,11 +49,11 @@ impl Plan {
         &self,
         segment: &Segment,
         file: &mut FileBytes,
-        packed: &mut Vec<u8>,
+        loader: &mut SegmentLoader,
         mut data: Vec<u8>,
     ) -> Result<LoadedSegment, RecordingError> {
         let mut damage = RepairLog::default();
-        load(segment, file, packed, &mut data, &mut damage)?;
+        loader.load(segment, file, &mut data, &mut damage)?;
         let (mut entries, mut undescribed) = (Vec::new(), 0);
         let gaps = walk(&*self.format, &data, |record| {
             let Content::Message { connection, nanoseconds, payload } = record.content else { return };
@@ -85,7 +87,7 @@ const MAX_THREADS: usize = 8;
 pub(super) struct Loader {
     plan: Arc<Plan>,
     file: FileBytes,
-    packed: Vec<u8>,
+    segments: SegmentLoader,
     /// Memory of closed segments, for the next ones.
     spare: Vec<Vec<u8>>,
     threads: usize,
@@ -103,7 +105,7 @@ impl Loader {
         Ok(Self {
             file: plan.source.open()?,
             plan: Arc::new(plan),
-            packed: Vec::new(),
+            segments: SegmentLoader::default(),
             spare: Vec::new(),
             threads,
             jobs: None,
@@ -143,7 +145,7 @@ impl Loader {
     pub(super) fn load_now(&mut self, number: usize) -> Result<LoadedSegment, RecordingError> {
         let data = self.spare.pop().unwrap_or_default();
         match self.plan.index.segments.get(number) {
-            Some(segment) => self.plan.load(segment, &mut self.file, &mut self.packed, data),
+            Some(segment) => self.plan.load(segment, &mut self.file, &mut self.segments, data),
             None => Ok(LoadedSegment { data, entries: Vec::new(), damage: RepairLog::default() }),
         }
     }
@@ -201,13 +203,13 @@ fn start_threads(plan: &Arc<Plan>, threads: usize) -> Sender<Job> {
         let (plan, receiver) = (plan.clone(), receiver.clone());
         let work = move || {
             let Ok(mut file) = plan.source.open() else { return };
-            let mut packed = Vec::new();
+            let mut loader = SegmentLoader::default();
             loop {
                 let job = receiver.lock().unwrap_or_else(PoisonError::into_inner).recv();
                 let Ok((number, data, reply)) = job else { return };
                 if let Some(segment) = plan.index.segments.get(number) {
                     // Nobody waits any more if the reader was dropped.
-                    let _ = reply.send(plan.load(segment, &mut file, &mut packed, data));
+                    let _ = reply.send(plan.load(segment, &mut file, &mut loader, data));
                 }
             }
         };

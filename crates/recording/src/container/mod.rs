@@ -12,8 +12,8 @@ mod reader;
 mod walk;
 
 pub(crate) use bytes::{FileBytes, Source};
-pub(crate) use compression::{Compression, decompress};
+pub(crate) use compression::{Compression, Decompressor};
 pub(crate) use connection::{Connection, MessageDecoder, topics};
-pub(crate) use index::{ChunkIndex, LooseRun, MAX_SEGMENT_BYTES, Segment, load};
+pub(crate) use index::{ChunkIndex, LooseRun, MAX_SEGMENT_BYTES, Segment, SegmentLoader};
 pub(crate) use reader::ChunkedRecording;
 pub(crate) use walk::{Content, Record, RecordFormat, walk};

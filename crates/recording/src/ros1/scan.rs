@@ -10,8 +10,8 @@ use super::record::{BagFormat, Head, Op, parse_head, peek_head};
 use super::tail::{Tail, TailState, parse_connection, read_connection};
 use crate::RecordingError;
 use crate::container::{
-    ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment, load,
-    walk,
+    ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
+    SegmentLoader, walk,
 };
 use crate::repairs::RepairLog;
 
@@ -227,10 +227,10 @@ impl Scan<'_> {
     }
 
     fn look_inside(&mut self, pending: &mut PendingChunk) -> Result<(), RecordingError> {
-        let (mut packed, mut data) = (Vec::new(), Vec::new());
+        let mut data = Vec::new();
         let segment = &mut pending.segment;
         let mut damage = RepairLog::default();
-        load(segment, self.file, &mut packed, &mut data, &mut damage)?;
+        SegmentLoader::default().load(segment, self.file, &mut data, &mut damage)?;
         pending.counts.clear();
         (segment.first, segment.last) = (u64::MAX, 0);
         let connections = &mut self.index.connections;

@@ -4,6 +4,7 @@ use portolan_geometry::Point3f;
 
 use super::reservoir::Reservoir;
 use super::select;
+use super::voxel_count::VoxelCount;
 use crate::PointCloud;
 
 /// Keeps the points within `max_range` metres of the frame's origin, thinned with the largest voxels
@@ -32,7 +33,13 @@ pub fn adaptive_voxel_filter_indices(
     if near.len() <= min_num_points {
         return near;
     }
-    let mut search = Search { points, near: &near, min_num_points, reservoir: Reservoir::default() };
+    let mut search = Search {
+        points,
+        near: &near,
+        min_num_points,
+        voxels: VoxelCount::default(),
+        reservoir: Reservoir::default(),
+    };
     search.run(max_length)
 }
 
@@ -44,45 +51,49 @@ struct Search<'a> {
     points: &'a [Point3f],
     near: &'a [u32],
     min_num_points: usize,
+    voxels: VoxelCount,
     reservoir: Reservoir,
 }
 
 impl Search<'_> {
-    /// Filters with one edge length; the kept indices, and whether they are enough.
-    fn filter(&mut self, length: f32, kept: &mut Vec<u32>) -> bool {
-        let near = self.near;
-        let chosen = self.reservoir.sample(near.iter().map(|i| self.points[*i as usize]), length);
-        kept.clear();
-        kept.extend(chosen.map(|i| near[i as usize]));
-        kept.len() >= self.min_num_points
+    /// Whether filtering with this edge leaves enough points.
+    fn leaves_enough(&mut self, length: f32) -> bool {
+        let near = self.near.iter().map(|i| self.points[*i as usize]);
+        self.voxels.are_at_least(self.min_num_points, near, length)
     }
 
     fn run(&mut self, max_length: f32) -> Vec<u32> {
-        let mut best = Vec::new();
-        if self.filter(max_length, &mut best) {
-            return best;
+        let length = self.length(max_length);
+        let near = self.near;
+        let chosen = self.reservoir.sample(near.iter().map(|i| self.points[*i as usize]), length);
+        chosen.map(|i| near[i as usize]).collect()
+    }
+
+    /// The edge to filter with: the largest found that leaves enough, or the finest tried.
+    fn length(&mut self, max_length: f32) -> f32 {
+        if self.leaves_enough(max_length) {
+            return max_length;
         }
-        let mut candidate = Vec::new();
-        let mut high = max_length;
+        let (mut high, mut finest) = (max_length, max_length);
         while high > 1e-2 * max_length {
             let mut low = high / 2.0;
-            if self.filter(low, &mut best) {
+            finest = low;
+            if self.leaves_enough(low) {
                 while (high - low) / low > 1e-1 {
                     let middle = (low + high) / 2.0;
                     if middle <= low || middle >= high {
                         break; // nothing lies between two neighbouring floats
                     }
-                    if self.filter(middle, &mut candidate) {
+                    if self.leaves_enough(middle) {
                         low = middle;
-                        std::mem::swap(&mut best, &mut candidate);
                     } else {
                         high = middle;
                     }
                 }
-                return best;
+                return low;
             }
             high /= 2.0;
         }
-        best
+        finest
     }
 }

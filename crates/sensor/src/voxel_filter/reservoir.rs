@@ -89,17 +89,23 @@ impl Reservoir {
 #[inline]
 fn find(slots: &mut [Voxel], key: u64) -> &mut Voxel {
     let mask = slots.len() - 1;
-    // Fibonacci hashing: only the highest bits of the product depend on all three axes.
-    let mut i = (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - slots.len().trailing_zeros())) as usize;
+    let mut i = slot_of(key, slots.len());
     while slots[i].count != 0 && slots[i].key != key {
         i = (i + 1) & mask;
     }
     &mut slots[i]
 }
 
+/// Where to look first for a key among so many slots (a power of two, two at least): Fibonacci hashing,
+/// because only the highest bits of the product depend on all three axes.
+#[inline]
+pub(super) fn slot_of(key: u64, slots: usize) -> usize {
+    (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - slots.trailing_zeros())) as usize
+}
+
 /// 21 bits per axis, overlapping beyond ±2^20 voxels as in the reference.
 #[inline]
-fn voxel_key(point: &Point3f, resolution: f32) -> u64 {
+pub(super) fn voxel_key(point: &Point3f, resolution: f32) -> u64 {
     let cell = |coordinate: f32| lround(coordinate / resolution) as u64;
     (cell(point.x) << 42).wrapping_add(cell(point.y) << 21).wrapping_add(cell(point.z))
 }

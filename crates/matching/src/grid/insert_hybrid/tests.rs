@@ -2,7 +2,7 @@ use portolan_geometry::Point3f;
 use portolan_sensor::PointCloud;
 
 use super::*;
-use crate::testing::{cloud_b, crc_cells, drawn_cloud_b, range_data_b};
+use crate::testing::{Lcg, cloud_b, crc_cells, drawn_cloud_b, range_data_b};
 
 fn small_scan() -> (RangeData, HybridInserter) {
     let options = HybridInserterOptions {
@@ -118,5 +118,17 @@ fn grids_take_no_more_memory_than_their_files() {
                 grid.num_cells()
             );
         }
+    }
+}
+
+#[test]
+fn quotients_of_cells_lose_their_fraction_exactly() {
+    let mut lcg = Lcg::new(5);
+    for _ in 0..200_000 {
+        let steps = 1 + (lcg.symmetric(0.5) + 0.5).mul_add(16_383.0, 0.0) as i32;
+        let delta = (lcg.symmetric(1.0) * steps as f32) as i32;
+        let k = ((lcg.symmetric(0.5) + 0.5) * steps as f32) as i32;
+        let slope = f64::from(delta) / f64::from(steps);
+        assert_eq!(whole_part(slope * f64::from(k)), delta * k / steps, "{delta} {k} {steps}");
     }
 }
