@@ -206,7 +206,8 @@ mod tests {
         sensors.thin_out_rest(time(100), time(900));
         assert!(sensors.imu.len() < 250, "{}", sensors.imu.len());
         let after = motion(&sensors);
-        assert!((before.delta_velocity - after.delta_velocity).norm() < 1e-4, "{before:?} {after:?}");
+        // Gravity is turned in steps of a tenth of a second then: within 4 s as much as a tilt of 0.1 mrad.
+        assert!((before.delta_velocity - after.delta_velocity).norm() < 5e-3, "{before:?} {after:?}");
         assert!(before.delta_rotation.angle_to(&after.delta_rotation) < 1e-5);
         sensors.thin_out_rest(time(900), time(100));
         sensors.thin_out_rest(time(100), time(900));
