@@ -6,10 +6,12 @@ use super::PoseGraph;
 use crate::{Constraint, Space};
 
 /// A loop closure is contradicted if the optimised graph disagrees with it by so many times the median
-/// disagreement, and by more than these metres or radians.
+/// disagreement, and by more than these metres and radians. (Of normally distributed errors along three axes
+/// not one in 10¹² is so large.)
 const TIMES_MEDIAN: f64 = 5.0;
-const MIN_TRANSLATION: f64 = 0.2;
-const MIN_ROTATION: f64 = 0.05;
+/// In the plane as much as cells and bent submaps explain; in space scans lie on planes within a centimetre.
+const MIN_IN_PLANE: (f64, f64) = (0.2, 0.05);
+const MIN_IN_SPACE: (f64, f64) = (0.05, 0.015);
 /// Fewer loop closures than this cannot outvote one of them.
 const MIN_LOOP_CLOSURES: usize = 5;
 
@@ -39,8 +41,9 @@ impl<S: Space> PoseGraph<S> {
         if translations.len() < MIN_LOOP_CLOSURES {
             return 0;
         }
-        let translation_limit = MIN_TRANSLATION.max(TIMES_MEDIAN * median(&mut translations));
-        let rotation_limit = MIN_ROTATION.max(TIMES_MEDIAN * median(&mut rotations));
+        let (metres, radians) = if S::OPTIMIZES_WITH_IMU { MIN_IN_SPACE } else { MIN_IN_PLANE };
+        let translation_limit = metres.max(TIMES_MEDIAN * median(&mut translations));
+        let rotation_limit = radians.max(TIMES_MEDIAN * median(&mut rotations));
         let mut errors = errors.iter();
         let before = self.state.constraints.len();
         self.state.constraints.retain(|_| {

@@ -7,6 +7,7 @@
 mod absurd;
 mod effect;
 mod graph;
+mod in_worlds;
 mod optimization;
 mod planar;
 mod prediction;

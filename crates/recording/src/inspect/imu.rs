@@ -59,7 +59,7 @@ const LEANING: Kind = Kind {
 const AXES: Kind = Kind {
     name: "axes",
     severity: Severity::Error,
-    effect: "in the plane the IMU is left out; in space level is found from gravity, but turns are taken about the wrong axes where transforms connect it with the lidar",
+    effect: "the IMU is left out where the frame of the robot shows it; elsewhere in space level is found from gravity, but turns are taken about the wrong axes where transforms connect it with the lidar",
     to_do: "give the mounting of the IMU in the transforms, or let the driver send x forward, y left, z up",
 };
 

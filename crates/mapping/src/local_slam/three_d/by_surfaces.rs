@@ -15,6 +15,8 @@ use crate::{MatchingResult, OpenDirections, Spatial, TakenInstead};
 const YOUNG: u32 = 10;
 /// A match without the gyroscope has to fit so much better than one with it, unless that is saturated.
 const CLEARLY_BETTER: f64 = 1.3;
+/// After so many seconds without a sweep it may have gone on as before, or stopped; or a clock jumped.
+const LONG_GAP: f64 = 0.5;
 
 /// What matching to surfaces needs besides the submaps.
 pub(super) struct BySurfaces {
@@ -114,6 +116,15 @@ impl LocalSlam3d {
         let submap = self.active_submaps.matching_submap()?;
         let target = (&submap.local_from_submap, submap.surfaces.as_ref()?);
         let mut matched = by_surfaces.tracker.match_sweep(&selection, &path, target);
+        if path.seconds() > LONG_GAP
+            && let Some((_, last)) = extrapolator.last_pose()
+        {
+            let stayed = SweepPath::standing(extrapolator, sweep.end, &last);
+            let matched_there = by_surfaces.tracker.match_sweep(&selection, &stayed, target);
+            if matched_there.fit() > matched.fit() {
+                (matched, path) = (matched_there, stayed);
+            }
+        }
         let saturated = self.saturated_at > start;
         if let Some(other) = unmeasured.filter(|_| saturated || matched.contradicts_turn(&path)) {
             let by_scans = by_surfaces.tracker.match_sweep(&selection, &other, target);

@@ -195,6 +195,29 @@ fn in_the_plane_an_imu_whose_axes_are_swapped_is_left_out() {
     assert!(planned(&mounted, &IngestOptions::default()).unwrap().imu.is_some());
 }
 
+#[test]
+fn in_space_an_imu_that_leans_against_the_robot_is_left_out_and_one_in_the_hand_may_lean() {
+    let with = |acceleration: [f64; 3], robot: &'static str| {
+        let recording = recording(&[
+            ("/points", &|t| cloud(t, "lidar")),
+            ("/imu", &|t| imu(t, acceleration)),
+            ("/tf_static", &|_| {
+                Message::Tf(fixed(&[
+                    (robot, "lidar", [0.0, 0.0, 0.3], 0.0),
+                    (robot, "imu_link", [0.0; 3], 0.0),
+                ]))
+            }),
+        ]);
+        planned(&recording, &IngestOptions::default()).unwrap()
+    };
+    let swapped = with([0.3, 9.8, 0.1], "base_link");
+    assert!(swapped.imu.is_none() && swapped.dimension == Dimension::Three);
+    assert!(swapped.notices.iter().any(|n| n.what.contains("leaning 89°")));
+    assert!(with([0.3, 0.1, -9.8], "base_link").imu.is_none());
+    assert!(with([4.0, 0.1, 9.0], "base_link").imu.is_some());
+    assert!(with([0.3, 9.8, 0.1], "handle").imu.is_some());
+}
+
 /// A cloud of four rings all around without times, of a lidar that stands.
 fn timeless(seconds: f64, lag: f64) -> Message {
     let Message::PointCloud2(mut message) = cloud(seconds - lag, "lidar") else { panic!() };

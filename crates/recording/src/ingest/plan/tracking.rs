@@ -18,7 +18,7 @@ const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
 const MIN_RATE: f64 = 10.0;
 /// The IMU sits at the tracking frame if it is nearer than this, metres.
 const SAME_PLACE: f64 = 1e-5;
-/// In the plane an IMU that leans more than this against robot and scanner is of no use.
+/// An IMU that leans more than this against the robot is of no use.
 const MAX_LEAN_DEGREES: f64 = 45.0;
 /// Frames of robots by convention, best first.
 const BASE_FRAMES: [&str; 6] = ["base_link", "base_footprint", "base", "base_frame", "robot_base", "chassis"];
@@ -68,7 +68,7 @@ pub(super) fn choose_imu<'a>(
             );
             continue;
         }
-        let leans = || leaning(&chosen, inventory, range).filter(|_| plan.dimension == Dimension::Two);
+        let leans = || leaning(&chosen, inventory, range, plan.dimension);
         match objection(&chosen, inventory, range).or_else(leans) {
             Some(why) => plan.note(
                 format!("the IMU {} is not used: {why}", chosen.topic()),
@@ -123,18 +123,20 @@ fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option
     })
 }
 
-/// Why an IMU cannot tell level for a scanner in the plane: what it shows as up leans far against the upright of
-/// the robot, or of the scanner where no robot is known. Its axes are swapped, or its mounting is not in the
-/// transforms; scans levelled by it would be folded.
-fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option<String> {
+/// Why an IMU cannot tell level: what it shows as up leans far against the upright of the robot, or of the scanner
+/// in the plane where no robot is known. Its axes are swapped, or its mounting is not in the transforms; scans
+/// levelled by it would be folded, and in space it tells turns about the wrong axes. There a scanner that is
+/// carried in the hand may lean as it likes.
+fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen], dimension: Dimension) -> Option<String> {
     let up = Vector3::from(chosen.survey.imu.as_ref()?.mean_acceleration).try_normalize(1e-9)?;
     let tree = &inventory.tree;
     let base = ["base_link", "base_footprint"].into_iter().find(|b| tree.connected(b, chosen.frame()));
-    let upright =
-        base.or_else(|| range.iter().map(Chosen::frame).find(|f| tree.connected(f, chosen.frame())))?;
+    let scanner = || range.iter().map(Chosen::frame).find(|f| tree.connected(f, chosen.frame()));
+    let upright = base.or_else(|| scanner().filter(|_| dimension == Dimension::Two))?;
     let up = tree.lookup_static(upright, chosen.frame())?.rotation * up;
-    // Scanners and whole robots may be upside down.
-    let degrees = up.z.abs().min(1.0).acos().to_degrees();
+    // Planar scanners and their robots may be upside down: turns about z change nothing but their sign.
+    let upward = if dimension == Dimension::Two { up.z.abs() } else { up.z };
+    let degrees = upward.clamp(-1.0, 1.0).acos().to_degrees();
     let [x, y, z] = up.into();
     (degrees > MAX_LEAN_DEGREES).then(|| {
         format!(
