@@ -142,6 +142,17 @@ fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
     })
 }
 
+/// How long scans did not tell each kind of motion, by its name.
+fn weak_seconds(spans: &[WeakSpan]) -> serde_json::Value {
+    let seconds =
+        |motion: WeakMotion| -> f64 { spans.iter().filter(|s| s.motion == motion).map(|s| s.seconds).sum() };
+    let all = WeakMotion::ALL.map(|m| (m.name().to_owned(), (10.0 * seconds(m)).round() / 10.0));
+    all.into_iter()
+        .map(|(name, seconds)| (name, serde_json::json!(seconds)))
+        .collect::<serde_json::Map<_, _>>()
+        .into()
+}
+
 /// Stretches of time in which scans left a direction open.
 fn weak_spans(spans: &[WeakSpan]) -> Vec<serde_json::Value> {
     let span = |s: &WeakSpan| {
@@ -149,10 +160,9 @@ fn weak_spans(spans: &[WeakSpan]) -> Vec<serde_json::Value> {
             "from": s.start.unix_seconds(),
             "to": s.end.unix_seconds(),
             "scans": s.scans,
-            "open": match s.motion {
-                WeakMotion::Shift => "shift along",
-                WeakMotion::Turn => "turn about",
-            },
+            "seconds": (1e3 * s.seconds).round() / 1e3,
+            "not_told": s.motion.name(),
+            "taken_instead": s.taken.name(),
             "direction_in_tracking_frame": s.direction_in_tracking.as_slice(),
         })
     };
@@ -193,6 +203,7 @@ fn report<S: Space>(
             "peak_while_mapping": memory_while_mapping.map(|(_, peak)| peak),
             "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
         },
+        "weak_seconds": weak_seconds(&mapped.weak_spans),
         "weak_stretches": weak_spans(&mapped.weak_spans),
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,

@@ -19,6 +19,7 @@ mod map;
 mod mapper;
 mod motion_filter;
 mod node;
+mod open_directions;
 mod optimization;
 mod planar;
 mod pose_extrapolator;
@@ -43,6 +44,7 @@ pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Mapper, MapperSettings};
 pub use motion_filter::MotionFilter;
 pub use node::{Node, NodeData};
+pub use open_directions::OpenDirections;
 pub use optimization::{
     ImuState, LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
     TrajectorySensors, optimize_2d, optimize_3d,
@@ -57,4 +59,4 @@ pub use space::{MatchedPose, Nearby, SearchRegion, Space};
 pub use spatial::{Spatial, SpatialMatcher};
 pub use submap_2d::{Inserter2d, Submap2d};
 pub use submap_3d::{Inserter3d, Scan3d, Submap3d};
-pub use weak_span::{WeakMotion, WeakSpan, WeakSpans};
+pub use weak_span::{TakenInstead, WeakMotion, WeakSpan, WeakSpans};

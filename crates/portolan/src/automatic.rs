@@ -59,7 +59,7 @@ pub fn search_in_known_map(options: &mut Options, submaps: usize) {
     graph.global_sampling_ratio = (golden / submaps.max(1) as f64).min(1.0);
     if options.portolan.match_surfaces {
         // This only proposes places; what is found is refined and has to score `min_score` then. Right places
-        // score up to 0.15 less before, because cells and steps of yaw are coarse (17 of them, in three
+        // score up to 0.15 less before, because cells and steps of yaw are coarse (a dozen of them, in three
         // worlds: 0.05 to 0.23 less).
         graph.constraint_builder.global_localization_min_score = 0.4;
     }

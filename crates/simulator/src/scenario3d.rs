@@ -1,102 +1,15 @@
 //! What to simulate in space, and checks of it.
 
-use std::fmt;
-use std::str::FromStr;
-
 use portolan_geometry::{Rigid3, Time, Vector3, nalgebra as na};
 
 use crate::SimulatorError;
 use crate::motion::{Carrier, rotation};
 use crate::scenario::{LONGEST, check_imu, check_odometry, check_unique, within};
+use crate::scene3d::Scene3d;
 use crate::sensors::{
     Fault, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
-use crate::solid::{SolidPlan, draw_garage, draw_museum, draw_park};
-
-/// The kinds of surroundings in space.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Scene3d {
-    /// Storeys of halls around an atrium, stairs, a ramp, and a garden: walked with a backpack.
-    #[default]
-    Museum,
-    /// Decks that look alike, joined by sloped ramps: driven.
-    Garage,
-    /// Hills, trees and winding paths: driven or walked under the open sky.
-    Park,
-}
-
-impl Scene3d {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Museum, Self::Garage, Self::Park];
-
-    /// The name by which it is chosen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Museum => "museum",
-            Self::Garage => "garage",
-            Self::Park => "park",
-        }
-    }
-
-    /// Width and depth of the ground, metres, where nothing else is asked for.
-    pub fn default_size(self) -> [f64; 2] {
-        match self {
-            Self::Museum => [34.0, 24.0],
-            Self::Garage => [48.0, 32.0],
-            Self::Park => [80.0, 64.0],
-        }
-    }
-
-    /// The smallest that can be drawn, metres.
-    pub fn minimum_size(self) -> [f64; 2] {
-        match self {
-            Self::Museum => [22.0, 19.0],
-            Self::Garage => [40.0, 26.0],
-            Self::Park => [30.0, 30.0],
-        }
-    }
-
-    /// Storeys or decks.
-    pub fn default_storeys(self) -> usize {
-        match self {
-            Self::Museum | Self::Garage => 3,
-            Self::Park => 1,
-        }
-    }
-
-    /// Who carries the sensors.
-    pub fn default_carrier(self) -> Carrier {
-        match self {
-            Self::Museum => Carrier::Walker,
-            Self::Garage | Self::Park => Carrier::Wheels,
-        }
-    }
-
-    fn default_people(self) -> usize {
-        match self {
-            Self::Museum => 12,
-            Self::Garage => 3,
-            Self::Park => 8,
-        }
-    }
-}
-
-impl fmt::Display for Scene3d {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Scene3d {
-    type Err = SimulatorError;
-
-    fn from_str(name: &str) -> Result<Self, SimulatorError> {
-        Self::ALL.into_iter().find(|scene| scene.name() == name).ok_or_else(|| SimulatorError::UnknownScene {
-            name: name.to_owned(),
-            known: Self::ALL.map(Self::name).join(", "),
-        })
-    }
-}
+use crate::solid::{SolidPlan, draw_field, draw_garage, draw_museum, draw_park, draw_tunnel};
 
 /// What a world looks like.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -121,7 +34,7 @@ pub struct Scenario3dOptions {
     pub seed: u64,
     /// Seed of the world alone; none for `seed`.
     pub building_seed: Option<u64>,
-    /// Width and depth, metres; none for what suits the scene. At most 200 each.
+    /// Width and depth, metres; none for what suits the scene. At most 400 each.
     pub size: Option<[f64; 2]>,
     /// Storeys or decks, 1 to 6; none for what suits the scene.
     pub storeys: Option<usize>,
@@ -261,6 +174,8 @@ impl Scenario3dOptions {
             Scene3d::Museum => draw_museum(&style, seed),
             Scene3d::Garage => draw_garage(&style, seed),
             Scene3d::Park => draw_park(&style, seed),
+            Scene3d::Tunnel => draw_tunnel(&style, seed),
+            Scene3d::Field => draw_field(&style, seed),
         }
     }
 
@@ -268,8 +183,8 @@ impl Scenario3dOptions {
     pub fn check(&self) -> Result<(), SimulatorError> {
         let style = self.style();
         let [least_width, least_depth] = self.scene.minimum_size();
-        within("size (width)", style.size[0], least_width, 200.0)?;
-        within("size (depth)", style.size[1], least_depth, 200.0)?;
+        within("size (width)", style.size[0], least_width, 400.0)?;
+        within("size (depth)", style.size[1], least_depth, 400.0)?;
         within("storeys", style.storeys as f64, 1.0, 6.0)?;
         within("duration", self.duration.unwrap_or(1.0), 0.1, LONGEST)?;
         within("people", self.people() as f64, 0.0, 1000.0)?;
@@ -363,11 +278,17 @@ mod tests {
         assert!(Scenario3dOptions::default().check().is_ok());
         let refused = |options: Scenario3dOptions| options.check().unwrap_err().to_string();
         let tiny = Scenario3dOptions { size: Some([5.0, 30.0]), ..Scenario3dOptions::default() };
-        assert_eq!(refused(tiny), "size (width) must be from 22 to 200, but is 5");
+        assert_eq!(refused(tiny), "size (width) must be from 22 to 400, but is 5");
         let mut twice = Scenario3dOptions::default();
         twice.lidars.extend(usual_lidars(1));
         assert!(refused(twice).contains("topic /points2 is used twice"));
-        assert!("mall".parse::<Scene3d>().unwrap_err().to_string().contains("museum, garage, park"));
+        assert!(
+            "mall"
+                .parse::<Scene3d>()
+                .unwrap_err()
+                .to_string()
+                .contains("museum, garage, park, tunnel, field")
+        );
         assert!(Scenario3dOptions::new(Scene3d::Park, 1, 4).check().is_ok());
     }
 }

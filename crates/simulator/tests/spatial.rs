@@ -230,9 +230,13 @@ fn lidars_die_and_imus_saturate_or_are_turned() {
 /// The whole tour keeps away from walls and furniture, climbs stairs, and ends at home.
 #[test]
 fn tours_are_free_of_obstacles_and_end_where_they_began() {
-    for (scene, seeds, climb) in
-        [(Scene3d::Museum, 1..6, 8.0), (Scene3d::Garage, 1..4, 5.5), (Scene3d::Park, 1..4, 0.3)]
-    {
+    for (scene, seeds, climb) in [
+        (Scene3d::Museum, 1..6, 8.0),
+        (Scene3d::Garage, 1..4, 5.5),
+        (Scene3d::Park, 1..4, 0.3),
+        (Scene3d::Tunnel, 1..4, -0.1),
+        (Scene3d::Field, 1..3, 0.02),
+    ] {
         for seed in seeds {
             let options = Scenario3dOptions { people: Some(0), ..Scenario3dOptions::new(scene, seed, 1) };
             let simulation = Simulation3d::new(options).unwrap();

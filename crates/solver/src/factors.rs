@@ -17,7 +17,7 @@ mod se3_information;
 pub use imu::{ImuAcceleration, ImuRotation};
 pub use information::square_root_information;
 pub use landmark::{Landmark2d, Landmark3d};
-pub use prior::{EuclideanPrior, Se2Prior, Se3Prior};
+pub use prior::{EuclideanPrior, RotationPrior, Se2Prior, Se3Prior};
 pub use se2_between::{Se2Between, Se2BetweenInformation};
 pub use se3_between::Se3Between;
 pub use se3_information::{Se3BetweenInformation, Se3ErrorConvention};

@@ -86,6 +86,8 @@ proptest! {
         }
         let [variable] = ids();
         let pose = near(&b, &noise);
+        let rotation = pose.rotation;
+        check(&RotationPrior { variable, rotation, weight: 0.7 }, &[rotation_variable(&b.rotation)])?;
         check(&Se3Prior { variable, pose, translation_weight: 2.0, rotation_weight: 0.7 }, &variables[1..])?;
     }
 

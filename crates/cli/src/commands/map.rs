@@ -1,6 +1,7 @@
 //! `portolan map`: from a recording to a map.
 
 mod cloud;
+mod weak;
 mod xray;
 
 use std::path::{Path, PathBuf};
@@ -11,7 +12,7 @@ use portolan::pipeline::{
 };
 use portolan_config::{Loader, Options};
 use portolan_geometry::Duration;
-use portolan_mapping::{MapperSettings, Planar, Space, Spatial, WeakMotion, WeakSpan};
+use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
 use portolan_recording::{AzimuthTimes, Dimension, IngestOptions, Recording, open_all, read_urdf};
 
 use super::argument::seconds;
@@ -359,7 +360,7 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
     if contradicted > 0 {
         text += &format!("{contradicted} more loop closures were left out: the others contradict them\n");
     }
-    text += &weak_stretches(&mapped.weak_spans);
+    text += &weak::weak_stretches(&mapped.weak_spans, mapped.recording_seconds);
     for repair in &mapped.reading_repairs {
         text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
     }
@@ -373,21 +374,4 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
         text += &format!("{}\n", file.display());
     }
     text.trim_end().to_owned()
-}
-
-/// Where scans did not tell everything, in a line.
-fn weak_stretches(spans: &[WeakSpan]) -> String {
-    let line = |motion: WeakMotion, what: &str| {
-        let of_kind: Vec<&WeakSpan> = spans.iter().filter(|s| s.motion == motion).collect();
-        let scans: u64 = of_kind.iter().map(|s| s.scans).sum();
-        match scans {
-            0 => String::new(),
-            _ => format!(
-                "{scans} scans in {} stretches did not tell {what}; the prediction decided (see report.json)\n",
-                of_kind.len()
-            ),
-        }
-    };
-    line(WeakMotion::Shift, "how far it went along a direction")
-        + &line(WeakMotion::Turn, "how far it turned about a direction")
 }

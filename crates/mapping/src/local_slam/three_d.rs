@@ -25,7 +25,9 @@ use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_3d::ScanMatcher3d;
 use crate::submap_3d::{Inserter3d, Scan3d, Submap3d};
-use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Spatial, WeakSpan, WeakSpans};
+use crate::{
+    InsertedNode, InsertionSubmap, MapperError, NodeData, OpenDirections, Spatial, WeakSpan, WeakSpans,
+};
 
 mod by_surfaces;
 mod first_sweeps;
@@ -51,6 +53,10 @@ const MOST_LEVELING_SAMPLES: usize = 4000;
 /// Without an IMU a scan is unwarped again with the pose it was matched at, so many times.
 const STRAIGHTENING_PASSES: u32 = 2;
 
+/// Seconds from one scan that is inserted to the next while it stands: at first, doubled with each, at most.
+const STANDING_INTERVAL: f64 = 2.0;
+const LONGEST_STANDING_INTERVAL: f64 = 16.0;
+
 /// Local SLAM of one trajectory in 3D.
 pub struct LocalSlam3d {
     options: TrajectoryBuilder3dOptions,
@@ -68,6 +74,8 @@ pub struct LocalSlam3d {
     waiting_imu: Vec<ImuData>,
     /// When a scan was last inserted.
     last_inserted: Option<Time>,
+    /// How many were inserted since it stands.
+    inserted_standing: i32,
     matcher: ScanMatcher3d,
     /// Set if scans are matched to surfaces instead.
     by_surfaces: Option<BySurfaces>,
@@ -104,6 +112,8 @@ struct MatchedScan {
     clouds: Option<[PointCloud; 2]>,
     /// In the tracking frame.
     surface_points: Vec<Point3f>,
+    /// What it left open.
+    open: OpenDirections,
 }
 
 impl LocalSlam3d {
@@ -130,6 +140,7 @@ impl LocalSlam3d {
             upright: Upright::default(),
             waiting_imu: Vec::new(),
             last_inserted: None,
+            inserted_standing: 0,
             matcher: ScanMatcher3d::new(options).map_err(|e| contradiction(&e))?,
             inserter: Arc::new(match extras.surface_voxel_size {
                 Some(size) => inserter.with_surfaces(size),
@@ -305,8 +316,12 @@ impl LocalSlam3d {
         self.conclude_as(Wanted::IfMoved, time, matched, measured_gravity)
     }
 
-    fn was_inserted_since(&self, time: Time) -> bool {
-        self.last_inserted.is_some_and(|last| last > time)
+    /// Whether a scan was inserted so short a time ago that one from where it stands tells nothing new yet: the
+    /// longer it stands the longer that is.
+    fn stands_since_inserted(&self, time: Time) -> bool {
+        let interval =
+            (STANDING_INTERVAL * 2_f64.powi(self.inserted_standing.min(8))).min(LONGEST_STANDING_INTERVAL);
+        self.last_inserted.is_some_and(|last| time.seconds_since(last) < interval)
     }
 
     /// The same for a scan that is wanted more or less.
@@ -317,7 +332,7 @@ impl LocalSlam3d {
         matched: MatchedScan,
         measured_gravity: Option<Quaternion>,
     ) -> MatchingResult<Spatial> {
-        let MatchedScan { local_from_tracking, scan, clouds, surface_points } = matched;
+        let MatchedScan { local_from_tracking, scan, clouds, surface_points, open } = matched;
         // Without an IMU: the first pose was level, and z of the local map has pointed up ever since.
         let gravity = measured_gravity.unwrap_or(local_from_tracking.rotation);
         let local = to_f32(&local_from_tracking);
@@ -343,7 +358,7 @@ impl LocalSlam3d {
                 local_from_tracking,
             };
             let surface_points = surface_points.iter().map(|p| local * p).collect();
-            self.insert(&range_data_in_local, surface_points, data)
+            InsertedNode { open, ..self.insert(&range_data_in_local, surface_points, data) }
         });
         MatchingResult { time, local_from_tracking, range_data_in_local, inserted }
     }
@@ -376,7 +391,8 @@ impl LocalSlam3d {
             return None;
         }
         let clouds = Some([high, low]);
-        Some(MatchedScan { local_from_tracking, scan, clouds, surface_points: Vec::new() })
+        let open = OpenDirections::default();
+        Some(MatchedScan { local_from_tracking, scan, clouds, surface_points: Vec::new(), open })
     }
 
     fn histogram(&self, returns_in_tracking: &PointCloud, gravity_alignment: &Quaternion) -> Vec<f32> {
@@ -402,7 +418,7 @@ impl LocalSlam3d {
         let submaps = self.active_submaps.insert(&scan, |origin: Point3f| {
             Submap3d::new(origin, local_from_gravity_aligned, inserter).ok()
         });
-        InsertedNode { data: Arc::new(data), submaps }
+        InsertedNode { data: Arc::new(data), submaps, open: OpenDirections::default() }
     }
 }
 

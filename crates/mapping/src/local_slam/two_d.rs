@@ -254,7 +254,7 @@ impl LocalSlam2d {
             rotational_scan_matcher_histogram: Vec::new(),
             local_from_tracking,
         });
-        InsertedNode { data, submaps }
+        InsertedNode { data, submaps, open: Default::default() }
     }
 }
 

@@ -1,11 +1,12 @@
 //! Everything that is optimised or measured, by trajectory.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Bound;
 
-use portolan_geometry::{Quaternion, Rigid3, Time};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkObservation, OdometryData};
 
-use crate::{NodeId, SubmapId, TrajectoryId};
+use crate::{NodeId, OpenDirections, SubmapId, TrajectoryId};
 
 /// A node as the optimisation sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,6 +81,8 @@ pub struct OptimizationData {
     pub submaps: BTreeMap<SubmapId, Rigid3>,
     /// Nodes.
     pub nodes: BTreeMap<NodeId, OptimizationNode>,
+    /// What the scans of nodes left open, of those that left anything open. Files do not keep it.
+    pub open: BTreeMap<NodeId, OpenDirections>,
     /// Landmarks by name.
     pub landmarks: BTreeMap<String, LandmarkNode>,
     /// Measurements.
@@ -122,6 +125,7 @@ impl OptimizationData {
         if self.nodes.remove(&node_id).is_none() {
             return;
         }
+        self.open.remove(&node_id);
         let trajectory_id = node_id.trajectory_id;
         let previous =
             self.nodes.range(NodeId::new(trajectory_id, 0)..node_id).next_back().map(|(_, n)| n.time);
@@ -134,6 +138,36 @@ impl OptimizationData {
         if previous.is_none() && next.is_none() {
             self.sensors.remove(&trajectory_id);
         }
+    }
+}
+
+/// Samples of an IMU at rest are averaged over this long.
+const REST_INTERVAL: Duration = Duration::from_ticks(1_000_000);
+
+impl TrajectorySensors {
+    /// Averages the samples of an IMU that was at rest between two times, so that standing for long takes little
+    /// memory. Each mean holds as long as the samples that it is made of did.
+    pub fn thin_out_rest(&mut self, start: Time, end: Time) {
+        if start >= end {
+            return;
+        }
+        let mut means: Vec<(ImuData, f64)> = Vec::new();
+        let inside = (Bound::Excluded(start), Bound::Excluded(end));
+        for sample in self.imu.range(inside).map(|(_, sample)| sample) {
+            match means.last_mut() {
+                Some((mean, count)) if sample.time - mean.time < REST_INTERVAL => {
+                    *count += 1.0;
+                    mean.linear_acceleration +=
+                        (sample.linear_acceleration - mean.linear_acceleration) / *count;
+                    mean.angular_velocity += (sample.angular_velocity - mean.angular_velocity) / *count;
+                }
+                _ => means.push((*sample, 1.0)),
+            }
+        }
+        let mut after = self.imu.split_off(&end);
+        self.imu.split_off(&(start + Duration::from_ticks(1)));
+        self.imu.extend(means.into_iter().map(|(mean, _)| (mean.time, mean)));
+        self.imu.append(&mut after);
     }
 }
 
@@ -153,6 +187,32 @@ fn trim_gap<T>(data: &mut BTreeMap<Time, T>, previous: Option<Time>, next: Optio
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imu_integration::integrate_imu;
+    use portolan_geometry::Vector3;
+
+    #[test]
+    fn an_imu_at_rest_is_thinned_out_without_changing_its_integral() {
+        let time = |i: i64| Time::from_ticks(50_000 * i);
+        let mut sensors = TrajectorySensors::default();
+        for i in 0..1000 {
+            let k = i as f64;
+            let linear_acceleration = Vector3::new(0.01 * (k * 0.7).sin(), 0.02 * (k * 1.3).cos(), 9.81);
+            let angular_velocity = Vector3::new(1e-3 * (k * 2.1).sin(), 2e-3, -1e-3);
+            let sample = ImuData { time: time(i), linear_acceleration, angular_velocity };
+            sensors.imu.insert(time(i), sample);
+        }
+        let motion = |sensors: &TrajectorySensors| integrate_imu(&sensors.imu, time(100), time(900)).unwrap();
+        let before = motion(&sensors);
+        sensors.thin_out_rest(time(100), time(900));
+        assert!(sensors.imu.len() < 250, "{}", sensors.imu.len());
+        let after = motion(&sensors);
+        // Gravity is turned in steps of a tenth of a second then: within 4 s as much as a tilt of 0.1 mrad.
+        assert!((before.delta_velocity - after.delta_velocity).norm() < 5e-3, "{before:?} {after:?}");
+        assert!(before.delta_rotation.angle_to(&after.delta_rotation) < 1e-5);
+        sensors.thin_out_rest(time(900), time(100));
+        sensors.thin_out_rest(time(100), time(900));
+        assert!(sensors.imu.contains_key(&time(900)) && sensors.imu.contains_key(&time(100)));
+    }
 
     #[test]
     fn trimming_keeps_what_interpolation_needs() {

@@ -1,15 +1,20 @@
 //! What the optimisation problems of the plane and of space have in common.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::marker::PhantomData;
 
 use portolan_config::OptimizationProblemOptions;
-use portolan_geometry::{Rigid3, interpolate};
+use portolan_geometry::nalgebra as na;
+use portolan_geometry::{Rigid3, Time, interpolate};
 use portolan_solver::{Factor, Loss, Problem, SolverOptions, VariableId};
 
 use super::data::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
 use super::interpolation::{fixed_frame_at, odometry_at};
 use crate::{Constraint, NodeId, SubmapId, TrajectoryId, of_trajectory};
+
+/// So little of the weight of rotations counts for poses that have none: enough for a heading to be found where
+/// nothing moved.
+const HEADING_OF_A_FIX: f64 = 1e-3;
 
 /// What a pose may do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +47,12 @@ pub(super) trait ProblemSpace {
     /// `measured` is the pose of the second variable in the first.
     fn between(variables: [VariableId; 2], measured: &Rigid3, weights: Weights) -> Self::Between;
 
+    /// Adds a relative pose with a square root of its information, by translation and rotation in the second
+    /// frame; false where that is not provided for.
+    fn add_open_between(_: &mut Problem, _: [VariableId; 2], _: &Rigid3, _: &na::Matrix6<f64>) -> bool {
+        false
+    }
+
     /// `variables` are the nodes before and after the sighting and the landmark.
     fn landmark(
         variables: [VariableId; 3],
@@ -66,6 +77,8 @@ pub(super) struct GraphProblem<'a, S> {
     submaps: BTreeMap<SubmapId, VariableId>,
     landmarks: BTreeMap<String, VariableId>,
     fixed_frames: BTreeMap<TrajectoryId, VariableId>,
+    /// Trajectories of which more is known than what local SLAM found.
+    held: BTreeSet<TrajectoryId>,
     options: &'a OptimizationProblemOptions,
     space: PhantomData<S>,
 }
@@ -89,7 +102,15 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             nodes.insert(*id, S::add_pose(&mut problem, &node.map_from_node, role, options));
         }
         let (landmarks, fixed_frames) = (BTreeMap::new(), BTreeMap::new());
-        Self { problem, nodes, submaps, landmarks, fixed_frames, options, space: PhantomData }
+        let held = held_trajectories(data);
+        Self { problem, nodes, submaps, landmarks, fixed_frames, held, options, space: PhantomData }
+    }
+
+    /// Whether anything but local SLAM tells where the nodes of a trajectory are: satellites, landmarks, or other
+    /// parts of the map. Otherwise there is no reason to move along directions that scans left open: an
+    /// accelerometer alone runs away.
+    pub fn is_held(&self, id: TrajectoryId) -> bool {
+        self.held.contains(&id)
     }
 
     /// Errors are impossible: the variables are this problem's own and different.
@@ -102,7 +123,17 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         self.add_factor(S::between(variables, measured, weights), loss);
     }
 
-    pub fn add_constraints(&mut self, constraints: &[Constraint]) {
+    pub fn add_constraints(&mut self, constraints: &[Constraint], data: &OptimizationData) {
+        let by_loops = constraints.iter().filter(|c| c.is_loop_closure()).map(|c| c.node_id.trajectory_id);
+        self.held.extend(by_loops);
+        // When the first node of each submap was measured: what the scans left open drifts from then on.
+        let mut begun: BTreeMap<SubmapId, Time> = BTreeMap::new();
+        if !data.open.is_empty() {
+            for constraint in constraints.iter().filter(|c| !c.is_loop_closure()) {
+                let Some(node) = data.nodes.get(&constraint.node_id) else { continue };
+                begun.entry(constraint.submap_id).and_modify(|t| *t = node.time.min(*t)).or_insert(node.time);
+            }
+        }
         for constraint in constraints {
             let (Some(submap), Some(node)) =
                 (self.submaps.get(&constraint.submap_id), self.nodes.get(&constraint.node_id))
@@ -112,6 +143,20 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             let is_loop = constraint.is_loop_closure();
             let loss = if is_loop { Loss::Huber(self.options.huber_scale) } else { Loss::None };
             let weights = (constraint.translation_weight, constraint.rotation_weight);
+            let seconds = || -> Option<f64> {
+                let time = data.nodes.get(&constraint.node_id)?.time;
+                Some(time.seconds_since(*begun.get(&constraint.submap_id)?))
+            };
+            if !is_loop
+                && self.is_held(constraint.node_id.trajectory_id)
+                && let Some((open, seconds)) = data.open.get(&constraint.node_id).zip(seconds())
+            {
+                let root = open.weaken(weights, &constraint.submap_from_node, seconds);
+                let variables = [*submap, *node];
+                if S::add_open_between(&mut self.problem, variables, &constraint.submap_from_node, &root) {
+                    continue;
+                }
+            }
             self.add_between([*submap, *node], &constraint.submap_from_node, weights, loss);
         }
     }
@@ -177,6 +222,9 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
                     let origin = known.unwrap_or_else(|| node.map_from_node * measured.inverse());
                     S::add_pose(&mut self.problem, &origin, Role::FixedFrame, o)
                 });
+                // A satellite fix says nothing of rotations. The reference takes it for heading east.
+                let is_fix = data.corrects_imu_biases && measured.rotation.angle() < 1e-9;
+                let weights = if is_fix { (weights.0, HEADING_OF_A_FIX * weights.1) } else { weights };
                 self.add_between([origin, self.nodes[&node_id]], &measured, weights, loss);
             }
         }
@@ -233,6 +281,14 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             }
         }
     }
+}
+
+/// Trajectories with satellite fixes or landmarks.
+fn held_trajectories(data: &OptimizationData) -> BTreeSet<TrajectoryId> {
+    let by_fixes =
+        data.sensors.iter().filter(|(_, sensors)| !sensors.fixed_frame.is_empty()).map(|(id, _)| *id);
+    let sightings = data.landmarks.values().flat_map(|landmark| &landmark.sightings);
+    by_fixes.chain(sightings.map(|sighting| sighting.trajectory_id)).collect()
 }
 
 /// Whether the second node comes right after the first.

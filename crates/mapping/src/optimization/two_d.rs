@@ -19,7 +19,7 @@ pub fn optimize_2d(
         return OptimizationSummary::default();
     }
     let mut problem = GraphProblem::<InPlane>::new(data, options);
-    problem.add_constraints(constraints);
+    problem.add_constraints(constraints, data);
     problem.add_landmarks(data);
     for (first, second) in data.nodes.iter().zip(data.nodes.iter().skip(1)) {
         if follows(first.0, second.0) && !data.frozen.contains(&first.0.trajectory_id) {

@@ -36,7 +36,8 @@ use search::{ConstraintSearch, Samplers};
 use crate::histogram::Histogram;
 use crate::optimization::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
 use crate::{
-    Constraint, ConstraintTag, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId, of_trajectory,
+    Constraint, ConstraintTag, Node, NodeData, NodeId, OpenDirections, Space, SubmapId, TrajectoryId,
+    of_trajectory,
 };
 
 /// A submap into which local SLAM inserted a scan.
@@ -57,7 +58,13 @@ pub struct InsertedNode<S: Space> {
     pub data: Arc<NodeData>,
     /// The submaps that it was inserted into, oldest first.
     pub submaps: Vec<InsertionSubmap<S>>,
+    /// What its scan left open.
+    pub open: OpenDirections,
 }
+
+/// Nodes this far apart at most, metres and radians, and at least so many seconds, were measured standing.
+const STANDING: (f64, f64) = (0.005, 0.003);
+const LONG_REST: f64 = 1.5;
 
 /// The pose graph.
 pub struct PoseGraph<S: Space> {
@@ -210,6 +217,10 @@ impl<S: Space> PoseGraph<S> {
             }
             _ => self.state.map_from_local(node_id.trajectory_id) * local_from_node,
         };
+        self.thin_out_rest(node_id, inserted.data.time, &local_from_node);
+        if !inserted.open.is_empty() {
+            self.problem.open.insert(node_id, inserted.open.clone());
+        }
         self.problem.nodes.insert(
             node_id,
             OptimizationNode { time: inserted.data.time, local_from_node, map_from_node, gravity_alignment },
@@ -227,6 +238,19 @@ impl<S: Space> PoseGraph<S> {
                 tag: ConstraintTag::IntraSubmap,
                 score: None,
             });
+        }
+    }
+
+    /// Averages what the IMU measured since the node before if it stood all the time.
+    fn thin_out_rest(&mut self, node_id: NodeId, time: Time, local_from_node: &Rigid3) {
+        let Some((_, before)) = of_trajectory(&self.problem.nodes, node_id.trajectory_id).next_back() else {
+            return;
+        };
+        let motion = before.local_from_node.inverse() * local_from_node;
+        let stood = motion.translation.vector.norm() < STANDING.0 && motion.rotation.angle() < STANDING.1;
+        let start = before.time;
+        if stood && time.seconds_since(start) >= LONG_REST {
+            self.problem.sensors_mut(node_id.trajectory_id).thin_out_rest(start, time);
         }
     }
 

@@ -63,8 +63,9 @@ const MAX_EXPONENT: u32 = 6;
 /// Points at all yaws together that are searched at most, twice what a thousand points 60 m away at
 /// resolution 0.1 m ask for: some hundreds of megabytes.
 const MAX_TURNED_POINTS: usize = 1 << 23;
-/// Proposals are made with at most so many points, by following so many boxes of each size: some 50 ms. (Of
-/// 100 to 4000 boxes, 100 find a park half as often, 4000 nothing more than 1000.)
+/// Proposals are made with at most so many points, by following so many boxes of each size: some 50 ms. (In a
+/// museum and a garage 100 to 4000 boxes found the same; a park took 37, 26, 26 and 20 searches with 100, 300, 1000
+/// and 4000.)
 const MAX_PROPOSING_POINTS: usize = 160;
 const BEAM_WIDTH: usize = 1000;
 /// Height of the slices of which as many points each are chosen, metres.

@@ -3,6 +3,8 @@
 use nalgebra as na;
 use portolan_geometry::Point3f;
 
+use super::map::Plane;
+
 /// Fewer hits make no plane.
 const MIN_COUNT: u32 = 6;
 /// More hits change nothing: what a place looks like is known by then.
@@ -14,6 +16,13 @@ const MAX_THICKNESS: f32 = 0.02;
 /// this share of the edge of the voxel.
 const MIN_SPREAD_RATIO: f32 = 3.0;
 const MIN_SPREAD_SHARE: f32 = 0.06;
+
+/// Hits of one sweep share their errors, so that so many count as one.
+const HITS_PER_INDEPENDENT_ONE: f32 = 6.0;
+
+/// Cosine of the angle at which hits of one beam lie in the cone on which that beam turns, whatever it meets: a
+/// carrier tilts by so much, radians.
+const EDGE_ON: f32 = 0.03;
 
 /// Cosine of the angle at which a plane is seen edge-on: its side is not known then.
 const MIN_SIDE: f32 = 0.1;
@@ -35,6 +44,10 @@ pub(super) struct SurfaceCell {
     pub is_one_sided: bool,
     /// Mean square distance of the hits from the plane; negative where they make none.
     pub variance: f32,
+    /// Square of how far the normal may be off for the noise of the hits, rad².
+    pub normal_variance: f32,
+    /// Whether the hits were seen along the plane: then it may be made of the beams instead of of a surface.
+    is_edge_on: bool,
 }
 
 impl SurfaceCell {
@@ -48,11 +61,25 @@ impl SurfaceCell {
             normal: na::Vector3::zeros(),
             is_one_sided: false,
             variance: -1.0,
+            normal_variance: 0.0,
+            is_edge_on: false,
         }
     }
 
     pub fn is_plane(&self) -> bool {
         self.variance >= 0.0
+    }
+
+    /// The plane, if [`Self::is_plane`].
+    #[inline]
+    pub fn plane(&self) -> Plane {
+        Plane {
+            point: self.mean,
+            normal: self.normal,
+            variance: self.variance,
+            normal_variance: self.normal_variance,
+            is_edge_on: self.is_edge_on,
+        }
     }
 
     /// Whether a hit seen from the direction `toward` (unit length) shows the other side of the plane.
@@ -92,10 +119,15 @@ impl SurfaceCell {
             && along >= MIN_SPREAD_RATIO * MIN_SPREAD_RATIO * across
             && along >= (MIN_SPREAD_SHARE * edge) * (MIN_SPREAD_SHARE * edge);
         self.variance = if is_flat { across } else { -1.0 };
+        // Of the slope of a line fitted to that many hits, along the direction in which they spread less.
+        self.normal_variance =
+            across / along.max(f32::MIN_POSITIVE) * HITS_PER_INDEPENDENT_ONE / self.count as f32;
         let normal: na::Vector3<f32> = normal.cast();
         let side = normal.dot(&self.toward) / self.count as f32;
         self.normal = if side < 0.0 { -normal } else { normal };
         self.is_one_sided = side.abs() > MIN_SIDE;
+        let seen = self.toward.norm() / self.count as f32;
+        self.is_edge_on = side.abs() < seen * (EDGE_ON + 2.0 * self.normal_variance.sqrt());
     }
 }
 

@@ -26,6 +26,11 @@ pub struct Plane {
     pub normal: na::Vector3<f32>,
     /// Mean square distance of the hits from it, m².
     pub variance: f32,
+    /// Square of how far the normal may be off for the noise of the hits, rad².
+    pub normal_variance: f32,
+    /// Whether the hits were seen along it. A lidar that moves unnoticed over uneven ground sees such planes:
+    /// they move with it.
+    pub is_edge_on: bool,
 }
 
 /// Surfaces near the origin of a frame.
@@ -148,7 +153,7 @@ impl SurfaceMap {
         for level in 0..LEVELS {
             let cell = &self.cells[self.index.get(key(scaled, level)?)?];
             if cell.is_plane() && !cell.shows_other_side(toward) {
-                return Some(Plane { point: cell.mean, normal: cell.normal, variance: cell.variance });
+                return Some(cell.plane());
             }
         }
         None
@@ -172,7 +177,7 @@ impl SurfaceMap {
     /// seen.
     pub fn planes(&self) -> impl Iterator<Item = (Plane, u32)> + '_ {
         let cells = self.cells.iter().filter(|cell| cell.is_plane());
-        cells.map(|c| (Plane { point: c.mean, normal: c.normal, variance: c.variance }, c.count))
+        cells.map(|c| (c.plane(), c.count))
     }
 }
 

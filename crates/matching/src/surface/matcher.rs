@@ -17,8 +17,8 @@ pub struct SurfaceMatcherOptions {
     pub final_scale: f64,
     /// Iterations at most.
     pub max_iterations: u32,
-    /// How far normals of planes are off, radians (standard deviation). Where scans tell no more than such
-    /// errors feign, they tell nothing.
+    /// How far normals of planes are off at least, radians (standard deviation): surfaces are not flat. The noise
+    /// of the hits comes on top. Where scans tell no more than such errors feign, they tell nothing.
     pub normal_noise: f64,
 }
 
@@ -76,6 +76,8 @@ const PRIOR_IN_WEAK_DIRECTIONS: f64 = 30.0;
 /// A direction is told when there is so many times more information than errors of normals feign.
 const TIMES_FEIGNED_SHIFT: f64 = 4.0;
 const TIMES_FEIGNED_TURN: f64 = 1.0;
+/// Every so many points tell where the points are.
+const ARM_SAMPLE: usize = 4;
 /// The scale of the loss shrinks by this with every iteration.
 const SCALE_DECAY: f64 = 0.6;
 
@@ -110,7 +112,7 @@ impl SurfaceMatcher {
             if sums.matched < 20 {
                 return None;
             }
-            weak = self.weak_directions(&sums);
+            weak = Self::weak_directions(&sums);
             let step = solve(&sums, &pose, prior, &weak)?;
             pose = moved(&pose, &step);
             let is_small = step.fixed_rows::<3>(0).norm() < 2e-4 && step.fixed_rows::<3>(3).norm() < 2e-5;
@@ -142,8 +144,9 @@ impl SurfaceMatcher {
         let rotation = single.rotation.to_rotation_matrix();
         let noise = (self.options.range_noise * self.options.range_noise) as f32;
         let squared_scale = (scale * scale) as f32;
+        let least_variance = (self.options.normal_noise * self.options.normal_noise) as f32;
         let mut all = Accumulator::default();
-        for (point, pair) in points.iter().zip(&mut pairs.pairs) {
+        for (i, (point, pair)) in points.iter().zip(&mut pairs.pairs).enumerate() {
             let turned = rotation * point.coords;
             let place = turned + single.translation.vector;
             if (place - pair.looked_up_at).norm_squared() > pairs.squared_slack {
@@ -162,7 +165,15 @@ impl SurfaceMatcher {
             let weight = robust * robust / (noise + plane.variance);
             let lever = turned.cross(&plane.normal);
             let n = &plane.normal;
-            all.add([n.x, n.y, n.z, lever.x, lever.y, lever.z, residual, turned.norm()], weight);
+            let normal_variance = least_variance + plane.normal_variance;
+            // A sample tells where points are.
+            if i.is_multiple_of(ARM_SAMPLE) {
+                all.add_arm(&turned, weight * normal_variance * ARM_SAMPLE as f32);
+            }
+            if plane.is_edge_on {
+                all.add_edge_on(n, &lever, weight);
+            }
+            all.add([n.x, n.y, n.z, lever.x, lever.y, lever.z, residual, 0.0], weight, normal_variance);
         }
         all.finish()
     }
@@ -170,18 +181,23 @@ impl SurfaceMatcher {
     /// The eigenvectors of both halves of the information that errors of normals alone could explain (Zhang,
     /// Kaess and Singh, "On degeneracy of optimization-based state estimation problems", 2016). In a
     /// direction in which no surface faces, n·d is the error of the normal; about an axis about which
-    /// nothing can turn, (p × n)·d is that error times |p|.
-    fn weak_directions(&self, sums: &Sums) -> WeakDirections {
-        let feigned = self.options.normal_noise * self.options.normal_noise;
-        let weak = |at: usize, total: f64, times: f64| -> Vec<Vector3> {
-            let half = sums.hessian.fixed_view::<3, 3>(at, at).into_owned();
+    /// nothing can turn, (p × n)·d is that error times the distance of p from the axis. Planes seen edge-on tell nothing here.
+    fn weak_directions(sums: &Sums) -> WeakDirections {
+        let weak = |at: usize, feigned: &na::Matrix3<f64>, times: f64| -> Vec<Vector3> {
+            let half = sums.hessian.fixed_view::<3, 3>(at, at) - sums.edge_on[at / 3];
             let eigen = na::SymmetricEigen::new(half);
-            let is_weak = |i: &usize| eigen.eigenvalues[*i] < times * feigned * total;
-            (0..3).filter(is_weak).map(|i| eigen.eigenvectors.column(i).into_owned()).collect()
+            let directions =
+                (0..3).map(|i| (eigen.eigenvalues[i], eigen.eigenvectors.column(i).into_owned()));
+            let is_weak = |(told, d): &(f64, Vector3)| *told < times * d.dot(&(feigned * d));
+            directions.filter(is_weak).map(|(_, direction)| direction).collect()
         };
         WeakDirections {
-            translations: weak(0, sums.weight, TIMES_FEIGNED_SHIFT),
-            rotations: weak(3, sums.weight_by_lever, TIMES_FEIGNED_TURN),
+            translations: weak(
+                0,
+                &na::Matrix3::from_diagonal_element(sums.feigned_shift),
+                TIMES_FEIGNED_SHIFT,
+            ),
+            rotations: weak(3, &sums.feigned_turn, TIMES_FEIGNED_TURN),
         }
     }
 }

@@ -8,6 +8,7 @@ mod imu;
 mod imu_values;
 mod info;
 mod odometry;
+mod offset;
 mod rotation;
 mod scan_turns;
 mod scans;

@@ -3,13 +3,13 @@
 //!
 //! Each sensor gives the angle turned about the vertical between two times: odometry and IMU directly,
 //! a lidar by the shift of its range profile that fits the profile before best ([`super::scan_turns`]). The
-//! turns of two sensors over windows of a second are compared at every lag up to half a second, then over
-//! shorter windows near the best lag: the lag of the best correlation is the offset of their clocks, the
-//! slope of the best line tells direction and scale.
+//! turns of two sensors over windows of a second are compared at every lag up to half a second: the slope of
+//! the best line tells direction and scale. Shorter windows tell the offset of their clocks ([`super::offset`]).
 
 use portolan_geometry::Time;
 
 use super::finding::{Finding, Findings, Severity};
+use super::offset::{Offset, clock_offset};
 
 /// The angle turned between two times, counter-clockwise seen from above.
 pub(crate) type Turn = (Time, Time, f64);
@@ -23,24 +23,25 @@ pub(crate) struct Agreement {
     pub slope: f64,
     /// By how many seconds the second sensor is stamped too late.
     pub lag: f64,
-    /// Correlation over short windows, without the lag and with it.
-    pub fine_correlations: [f64; 2],
+    /// By how much that may be off, seconds (standard deviation).
+    pub lag_sigma: f64,
+    /// By how large a share differences of turns are smaller with the lag than without.
+    pub lag_gain: f64,
     /// How much the first sensor turned in all, radians.
     pub turned: f64,
 }
 
-/// Windows in which turns are compared, and from one to the next, seconds: first long ones at every lag …
+/// Windows in which turns are compared, and from one to the next, seconds.
 const COARSE: Windows = Windows { length: 1.0, step: 0.5 };
 const LAG_STEP: f64 = 0.02;
 const LAG_STEPS: i32 = 25;
-/// … then short ones about the best lag, which show it more exactly.
-const FINE: Windows = Windows { length: 0.3, step: 0.15 };
-const FINE_LAG_STEP: f64 = 0.005;
-const FINE_LAG_STEPS: i32 = 8;
 /// So many windows must be common.
 const ENOUGH_WINDOWS: usize = 20;
 /// Windows in which a sensor has no data for so long are not used, seconds.
 const MAX_HOLE: f64 = 0.6;
+/// Turns follow each other if one ends and the next begins within so many seconds: what tells a turn was measured
+/// at a time of its own in a sweep.
+pub(super) const JOINT: f64 = 0.06;
 
 #[derive(Clone, Copy)]
 struct Windows {
@@ -81,25 +82,6 @@ impl<'a> Comparison<'a> {
         }
         (count >= ENOUGH_WINDOWS && aa > 0.0 && bb > 0.0).then(|| (ab / (aa * bb).sqrt(), ab / aa))
     }
-
-    /// The lag with the highest correlation near `about`, to a fraction of a step, and that correlation; both of
-    /// the sign of `sign`.
-    fn refined(&self, about: f64, sign: f64) -> Option<(f64, f64)> {
-        let lag = |step: i32| about + FINE_LAG_STEP * f64::from(step);
-        let steps = -FINE_LAG_STEPS..=FINE_LAG_STEPS;
-        let tries: Vec<(f64, f64)> =
-            steps.filter_map(|step| Some((lag(step), sign * self.at_lag(lag(step))?.0))).collect();
-        let best = (0..tries.len()).max_by(|a, b| tries[*a].1.total_cmp(&tries[*b].1))?;
-        let (at, height) = tries[best];
-        let (Some(before), Some(after)) =
-            (best.checked_sub(1).and_then(|i| tries.get(i)), tries.get(best + 1))
-        else {
-            return Some((at, height));
-        };
-        let curvature = before.1 - 2.0 * height + after.1;
-        let fraction = if curvature < 0.0 { 0.5 * (before.1 - after.1) / curvature } else { 0.0 };
-        Some((at + FINE_LAG_STEP * fraction.clamp(-0.5, 0.5), height))
-    }
 }
 
 /// Compares two sensors; `None` without enough common data.
@@ -117,27 +99,24 @@ pub(crate) fn compare(first: &[Turn], second: &[Turn]) -> Option<Agreement> {
             (correlation, slope, lag) = (c, s, this_lag);
         }
     }
-    let fine = Comparison::new(&a, &b, FINE)?;
-    let sign = f64::signum(correlation);
-    let (lag, at_lag) = fine.refined(lag, sign)?;
-    let without_lag = sign * fine.at_lag(0.0)?.0;
-    Some(Agreement { correlation, slope, lag, fine_correlations: [without_lag, at_lag], turned })
+    let Offset { lag, sigma: lag_sigma, gain: lag_gain } = clock_offset(&a, second, slope, lag)?;
+    Some(Agreement { correlation, slope, lag, lag_sigma, lag_gain, turned })
 }
 
 /// Angle as a function of time, and where it has holes.
-struct Angle {
+pub(super) struct Angle {
     /// Time, angle, and whether the way from the point before is known.
     points: Vec<(Time, f64, bool)>,
 }
 
 impl Angle {
-    fn new(turns: &[Turn]) -> Self {
+    pub(super) fn new(turns: &[Turn]) -> Self {
         let mut points: Vec<(Time, f64, bool)> = Vec::with_capacity(turns.len() + 1);
         let mut angle = 0.0;
         for (from, to, turn) in turns {
             match points.last() {
-                Some((last, ..)) if from < last => continue,
-                Some((last, ..)) if from == last => {}
+                Some((last, ..)) if to <= last || from.seconds_since(*last) < -JOINT => continue,
+                Some((last, ..)) if from.seconds_since(*last) < JOINT => {}
                 Some((last, ..)) => points.push((*from, angle, from.seconds_since(*last) < MAX_HOLE)),
                 None => points.push((*from, angle, false)),
             }
@@ -158,7 +137,11 @@ impl Angle {
     /// The turn in the window that begins `seconds` after `origin`, if it is known all along.
     fn turned(&self, origin: Time, seconds: f64, length: f64) -> Option<f64> {
         let at = |seconds: f64| origin + portolan_geometry::Duration::from_seconds(seconds);
-        let (begin, end) = (at(seconds), at(seconds + length));
+        self.between(at(seconds), at(seconds + length))
+    }
+
+    /// The turn from one time to another, if it is known all along.
+    pub(super) fn between(&self, begin: Time, end: Time) -> Option<f64> {
         let (i, j) = (self.index(begin), self.index(end));
         let known = self.points.get(i..=j)?.iter().all(|p| p.2);
         known.then(|| self.angle(j, end) - self.angle(i, begin))
@@ -186,23 +169,22 @@ pub(crate) const ENOUGH_TURNS: f64 = std::f64::consts::PI;
 /// sample, and of others.
 const OFFSETS: [[f64; 2]; 2] = [[0.02, 0.035], [0.05, 0.1]];
 
-/// Tells how `second` turns against `first`. `is_exact` says that both know the times of their turns well.
-pub(crate) fn tell(first: (&str, &[Turn]), second: (&str, &[Turn]), is_exact: bool, findings: &mut Findings) {
+/// Offsets must exceed them by so many standard deviations.
+const SURE: f64 = 2.0;
+/// Sensors must turn so much alike, and so much more with the offset than without, or it is chance.
+const ALIKE: f64 = 0.7;
+const LEAST_GAIN: f64 = 0.04;
+
+/// Tells how far and in which direction `second` turns against `first`.
+pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findings: &mut Findings) {
     let Some(agreement) = compare(first.1, second.1) else { return };
-    let Agreement { correlation, slope, lag, turned, fine_correlations: [without_lag, with_lag] } = agreement;
+    let Agreement { correlation, slope, turned, .. } = agreement;
     if turned < ENOUGH_TURNS {
         return;
     }
     let (a, b) = (first.0, second.0);
     let mut add = |severity, what: String, effect: &str, to_do: &str| {
-        findings.push(Finding {
-            severity,
-            topic: b.to_owned(),
-            count: 1,
-            what,
-            effect_on_slam: effect.to_owned(),
-            what_to_do: to_do.to_owned(),
-        });
+        findings.push(finding(b, severity, what, effect, to_do));
     };
     if correlation < -0.6 {
         add(
@@ -231,19 +213,42 @@ pub(crate) fn tell(first: (&str, &[Turn]), second: (&str, &[Turn]), is_exact: bo
             "calibrate the wheel base or the gyroscope, or leave it out with --no-odom or --no-imu",
         );
     }
-    // What is left unexplained must shrink by the lag, or it is chance.
-    let unexplained = |c: f64| 1.0 - c * c;
-    let is_better = unexplained(with_lag) < 0.8 * unexplained(without_lag);
+}
+
+/// Tells by how much the clock of `second` is off against that of `first`. `is_exact` says that both know the times
+/// of their turns well.
+pub(crate) fn tell_clocks(
+    first: (&str, &[Turn]),
+    second: (&str, &[Turn]),
+    is_exact: bool,
+    findings: &mut Findings,
+) {
+    let Some(agreement) = compare(first.1, second.1) else { return };
+    let Agreement { correlation, lag, lag_sigma, lag_gain, turned, .. } = agreement;
     let [told, warned] = OFFSETS[usize::from(!is_exact)];
-    if correlation > 0.8 && lag.abs() > told && is_better {
-        let size = if lag.abs() < 0.1 { format!("{:.3}", lag.abs()) } else { format!("{:.2}", lag.abs()) };
-        let direction = if lag > 0.0 { "later" } else { "earlier" };
-        add(
-            if lag.abs() > warned { Severity::Warning } else { Severity::Info },
-            format!("stamps are about {size} s {direction} than those of {a}, as turns of both show"),
-            "turns are taken from the wrong time, so that scans are unwound and predicted wrongly; the map blurs",
-            "synchronise the two clocks (PTP), or let both drivers stamp the time of measurement, not that of arrival",
-        );
+    let is_sure = lag.abs() - SURE * lag_sigma > told && lag_gain > LEAST_GAIN;
+    if turned < ENOUGH_TURNS || correlation < ALIKE || !is_sure {
+        return;
+    }
+    let size = if lag.abs() < 0.1 { format!("{:.3}", lag.abs()) } else { format!("{:.2}", lag.abs()) };
+    let direction = if lag > 0.0 { "later" } else { "earlier" };
+    findings.push(finding(
+        second.0,
+        if lag.abs() > warned { Severity::Warning } else { Severity::Info },
+        format!("stamps are about {size} s {direction} than those of {}, as turns of both show", first.0),
+        "turns are taken from the wrong time, so that scans are unwound and predicted wrongly; the map blurs",
+        "synchronise the two clocks (PTP), or let both drivers stamp the time of measurement, not that of arrival",
+    ));
+}
+
+fn finding(topic: &str, severity: Severity, what: String, effect: &str, to_do: &str) -> Finding {
+    Finding {
+        severity,
+        topic: topic.to_owned(),
+        count: 1,
+        what,
+        effect_on_slam: effect.to_owned(),
+        what_to_do: to_do.to_owned(),
     }
 }
 
@@ -284,12 +289,9 @@ pub(super) mod tests {
     fn findings_name_the_fault() {
         let text = |delay, scale| {
             let mut findings = Findings::default();
-            tell(
-                ("/odom", &turns(0.0, 1.0, 0.05)),
-                ("/scan", &turns(delay, scale, 0.2)),
-                true,
-                &mut findings,
-            );
+            let (odom, scan) = (turns(0.0, 1.0, 0.05), turns(delay, scale, 0.2));
+            tell_turns(("/odom", &odom), ("/scan", &scan), &mut findings);
+            tell_clocks(("/odom", &odom), ("/scan", &scan), true, &mut findings);
             super::super::findings_to_text(&findings.finish())
         };
         assert_eq!(text(0.0, 1.0), "");

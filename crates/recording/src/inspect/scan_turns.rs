@@ -74,7 +74,7 @@ fn best_shift(before: &[f32], now: &[f32], window: usize, costs: &mut Vec<f32>) 
 /// Turns of a spinning lidar about its own axis, from its beams near the horizontal.
 #[derive(Debug, Default)]
 pub(crate) struct CloudTurns {
-    last: Option<(Time, Vec<f32>)>,
+    last: Option<(Time, Profile)>,
     costs: Vec<f32>,
     pub turns: Vec<Turn>,
     /// Whether points have times; without, it is not known when within a turn of the head they were measured.
@@ -82,25 +82,45 @@ pub(crate) struct CloudTurns {
 }
 
 impl CloudTurns {
-    /// Takes the next cloud, in the frame of its sensor. Its time is the middle of its points.
+    /// Takes the next cloud, in the frame of its sensor.
     pub fn add(&mut self, cloud: &TimedPoints) {
         let Some(first) = cloud.points.first().filter(|_| self.turns.len() < MAX_SCANS) else { return };
         self.has_times |= first.time < 0.0;
-        let time = cloud.time + portolan_geometry::Duration::from_seconds(0.5 * f64::from(first.time));
         let profile = profile(cloud);
-        if let Some((last_time, last)) = self.last.replace((time, profile))
-            && (0.0..MAX_INTERVAL).contains(&time.seconds_since(last_time))
+        if let Some((last_time, last)) = self.last.replace((cloud.time, profile))
+            && (0.0..MAX_INTERVAL).contains(&cloud.time.seconds_since(last_time))
             && let Some((_, profile)) = &self.last
-            && let Some(turn) = best_turn(&last, profile, &mut self.costs)
+            && let Some(found) = best_turn(&last, profile, &mut self.costs)
         {
-            self.turns.push((last_time, time, f64::from(turn)));
+            let middle = 0.5 * first.time;
+            let [before, now] = found
+                .offsets
+                .unwrap_or([middle; 2])
+                .map(|offset| portolan_geometry::Duration::from_seconds(f64::from(offset)));
+            self.turns.push((last_time + before, cloud.time + now, f64::from(found.turn)));
         }
     }
 }
 
-/// Horizontal range of the most level point in each direction; NaN where there is none.
-fn profile(cloud: &TimedPoints) -> Vec<f32> {
-    let mut cells = vec![(f32::INFINITY, f32::NAN); CELLS];
+/// What a sweep saw around it, degree by degree.
+#[derive(Debug)]
+struct Profile {
+    /// Horizontal range of the most level point in each direction; NaN where there is none.
+    ranges: Vec<f32>,
+    /// When that was measured, seconds before the time of the cloud (not positive).
+    offsets: Vec<f32>,
+}
+
+/// How far the sensor turned between two sweeps.
+struct FoundTurn {
+    turn: f32,
+    /// When what tells it was measured in the sweep before and in this one, if that is known: walls on one side
+    /// are seen at one time in each turn of the head.
+    offsets: Option<[f32; 2]>,
+}
+
+fn profile(cloud: &TimedPoints) -> Profile {
+    let mut cells = vec![(f32::INFINITY, f32::NAN, 0.0); CELLS];
     for point in &cloud.points {
         let [x, y, z] = point.position.coords.into();
         let range = x.hypot(y);
@@ -108,24 +128,25 @@ fn profile(cloud: &TimedPoints) -> Vec<f32> {
         let share = y.atan2(x) / std::f32::consts::TAU + 0.5;
         let Some(cell) = cells.get_mut((share * CELLS as f32) as usize) else { continue };
         if slope < STEEPEST && slope < cell.0 {
-            *cell = (slope, range);
+            *cell = (slope, range, point.time);
         }
     }
-    cells.into_iter().map(|(_, range)| range).collect()
+    let (ranges, offsets) = cells.into_iter().map(|(_, range, offset)| (range, offset)).unzip();
+    Profile { ranges, offsets }
 }
 
 /// By which angle the sensor turned counter-clockwise, radians.
-fn best_turn(before: &[f32], now: &[f32], costs: &mut Vec<f32>) -> Option<f32> {
+fn best_turn(before: &Profile, now: &Profile, costs: &mut Vec<f32>) -> Option<FoundTurn> {
     let cell = std::f32::consts::TAU / CELLS as f32;
     let window = (MAX_TURN / cell) as usize;
     costs.clear();
     for shift in 0..=2 * window {
         // What was seen ahead of the turn is seen straight on after it.
-        let (a, b) = before.split_at((CELLS + shift - window) % CELLS);
-        costs.push(cost(b.iter().chain(a), now.iter(), MIN_OVERLAP * CELLS as f32));
+        let (a, b) = before.ranges.split_at((CELLS + shift - window) % CELLS);
+        costs.push(cost(b.iter().chain(a), now.ranges.iter(), MIN_OVERLAP * CELLS as f32));
     }
     let turn = (lowest(costs)? - window as f32) * cell;
-    Some(turn_and_shift(before, now, turn).unwrap_or(turn))
+    Some(turn_and_shift(before, now, turn).unwrap_or(FoundTurn { turn, offsets: None }))
 }
 
 /// Passes that take the shift of the sensor out of its turn, and the most that a range may differ in each, metres.
@@ -138,16 +159,19 @@ const EDGE: f32 = 0.4;
 /// A surface whose range grows by `slope` times itself for each radian comes nearer by `x (cos + slope sin) +
 /// y (sin - slope cos)` if the sensor shifts by (x, y), and goes away by `slope` times its range for each radian of
 /// turn: least squares in the three.
-fn turn_and_shift(before: &[f32], now: &[f32], mut turn: f32) -> Option<f32> {
+fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<FoundTurn> {
     let cell = std::f32::consts::TAU / CELLS as f32;
     let mut shift = [0.0_f32; 2];
+    let mut offsets = None;
     for most in PASSES {
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         let mut count = 0.0_f32;
-        for (i, range) in now.iter().enumerate() {
+        // Sum of how much each direction tells, and of that times when it was measured.
+        let mut told = [0.0_f32; 3];
+        for (i, range) in now.ranges.iter().enumerate() {
             let at = (i as f32 + turn / cell).rem_euclid(CELLS as f32);
             let (index, share) = (at as usize % CELLS, at.fract());
-            let (a, b) = (before[index], before[(index + 1) % CELLS]);
+            let (a, b) = (before.ranges[index], before.ranges[(index + 1) % CELLS]);
             let slope = (b - a) / (cell * a);
             let (s, c) = ((i as f32 + 0.5) * cell - std::f32::consts::PI).sin_cos();
             let row = [slope * a, -(c + slope * s), -(s - slope * c)];
@@ -157,6 +181,9 @@ fn turn_and_shift(before: &[f32], now: &[f32], mut turn: f32) -> Option<f32> {
             if !(difference.abs() < most && (b - a).abs() < EDGE) {
                 continue;
             }
+            let tells = row[0] * row[0];
+            told =
+                [told[0] + tells, told[1] + tells * before.offsets[index], told[2] + tells * now.offsets[i]];
             let row = Vector3::new(row[0], row[1], row[2]).map(f64::from);
             normal += row * row.transpose();
             right += row * f64::from(difference);
@@ -170,9 +197,10 @@ fn turn_and_shift(before: &[f32], now: &[f32], mut turn: f32) -> Option<f32> {
         normal[(2, 2)] += f64::from(1e-3 * count);
         let change = normal.cholesky()?.solve(&right);
         turn += change.x as f32;
+        offsets = (told[0] > 0.0).then(|| [told[1] / told[0], told[2] / told[0]]);
         shift = [shift[0] + change.y as f32, shift[1] + change.z as f32];
     }
-    (turn.abs() < MAX_TURN).then_some(turn)
+    (turn.abs() < MAX_TURN).then_some(FoundTurn { turn, offsets })
 }
 
 /// Mean difference of two profiles.

@@ -84,19 +84,26 @@ pub(super) struct Turning<'a> {
     pub turns: Vec<Turn>,
 }
 
-/// Compares all with odometry, or with the IMU if there is no odometry; `imus` also have their axes.
+/// Compares all with odometry, or with the IMU if there is no odometry; `imus` also have their axes. Clocks are
+/// compared with that of the first IMU, if there is one: wheels slip, and their counts are coarse.
 pub(super) fn compare_all(mut all: Vec<Turning>, imus: &[(&str, &ImuTurns)], findings: &mut Findings) {
     all.sort_by_key(|turning| turning.source);
     let Some((first, others)) = all.split_first() else { return };
+    let imu = all.iter().position(|turning| turning.source == Source::Imu);
+    let clock = &all[imu.unwrap_or(0)];
     for other in others {
-        let is_exact = first.source.is_exact() && other.source.is_exact();
         let other_axis = [first, other].into_iter().find_map(|turning| {
             let (topic, imu) = imus.iter().find(|(topic, _)| *topic == turning.topic)?;
             let reference = if std::ptr::eq(turning, first) { other } else { first };
             tell_axis(topic, imu, &turning.turns, reference, findings)
         });
         if other_axis.is_none() {
-            rotation::tell((first.topic, &first.turns), (other.topic, &other.turns), is_exact, findings);
+            rotation::tell_turns((first.topic, &first.turns), (other.topic, &other.turns), findings);
+            // The IMU itself is compared with what there is besides.
+            let reference = if std::ptr::eq(clock, other) { first } else { clock };
+            let is_exact = reference.source.is_exact() && other.source.is_exact();
+            let (a, b) = ((reference.topic, &*reference.turns), (other.topic, &*other.turns));
+            rotation::tell_clocks(a, b, is_exact, findings);
         }
     }
 }

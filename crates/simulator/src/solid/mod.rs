@@ -2,6 +2,7 @@
 
 mod bvh;
 mod draft;
+mod field;
 mod furnishing;
 mod garage;
 mod museum;
@@ -11,16 +12,19 @@ mod primitive;
 mod stairs;
 mod terrain;
 mod tree;
+mod tunnel;
 mod world;
 
 pub use bvh::Hierarchy;
 pub use draft::SolidDraft;
+pub(crate) use field::draw_field;
 pub(crate) use garage::draw_garage;
 pub(crate) use museum::draw_museum;
 pub(crate) use park::draw_park;
 pub use pedestrian::Pedestrian;
 pub use primitive::{Body, Bounds, Hit3, Ray3, Solid};
 pub use terrain::Terrain;
+pub(crate) use tunnel::draw_tunnel;
 pub use world::{Echo, Moment, SolidWorld};
 
 use portolan_geometry::Vector3;

@@ -1,9 +1,9 @@
 //! Factors that pull one variable towards a value.
 
 use nalgebra as na;
-use portolan_geometry::{Rigid2, Rigid3, normalize_angle};
+use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector3, normalize_angle};
 
-use super::rotation::{put, put_residual, read_se2, read_se3, vector_part_jacobian};
+use super::rotation::{Matrix3, put, put_residual, read_rotation, read_se2, read_se3, vector_part_jacobian};
 use crate::sparse::{Factor, VariableId};
 
 /// A planar pose near a given one: `( w_t (t − t*), w_r norm(θ − θ*) )`.
@@ -31,6 +31,18 @@ pub struct Se3Prior {
     pub translation_weight: f64,
     /// Weight of the rotation residual, 1/rad.
     pub rotation_weight: f64,
+}
+
+/// A rotation near a given one: `2 w vec(q*⁻¹ ⊗ q)`, the quaternion taken with w ≥ 0, so that the residual is
+/// about the rotation vector in the given frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RotationPrior {
+    /// The rotation.
+    pub variable: VariableId,
+    /// Where it is pulled.
+    pub rotation: Quaternion,
+    /// Weight of the residual, 1/rad.
+    pub weight: f64,
 }
 
 /// Numbers near given ones: `w (x − x*)`, for up to four numbers of a Euclidean, planar or scalar variable.
@@ -88,18 +100,48 @@ impl Factor for Se3Prior {
         jacobians: Option<&mut [&mut [f64]]>,
     ) -> bool {
         let Some(pose) = parameters.first().and_then(|p| read_se3(p)) else { return false };
-        let mut error = self.pose.rotation.inverse() * pose.rotation;
-        if error.w < 0.0 {
-            error = na::Unit::new_unchecked(-error.into_inner());
-        }
+        let (turn, by_rotation) = turn_between(&self.pose.rotation, &pose.rotation, self.rotation_weight);
         let translation = pose.translation.vector - self.pose.translation.vector;
         put_residual(residual, 0, &(translation * self.translation_weight));
-        put_residual(residual, 3, &(error.imag() * (2.0 * self.rotation_weight)));
+        put_residual(residual, 3, &turn);
         if let Some([jacobian]) = jacobians {
-            let turned = self.pose.rotation.inverse().to_rotation_matrix().into_inner();
-            let by_rotation = vector_part_jacobian(&error) * turned * (2.0 * self.rotation_weight);
             put(jacobian, 6, 0, 0, &(na::Matrix3::identity() * self.translation_weight));
             put(jacobian, 6, 3, 3, &by_rotation);
+        }
+        true
+    }
+}
+
+/// Twice the weighted vector part of the turn from a rotation to another, and its derivative by the latter.
+fn turn_between(from: &Quaternion, to: &Quaternion, weight: f64) -> (Vector3, Matrix3) {
+    let mut error = from.inverse() * to;
+    if error.w < 0.0 {
+        error = na::Unit::new_unchecked(-error.into_inner());
+    }
+    let turned = from.inverse().to_rotation_matrix().into_inner();
+    (error.imag() * (2.0 * weight), vector_part_jacobian(&error) * turned * (2.0 * weight))
+}
+
+impl Factor for RotationPrior {
+    fn variables(&self) -> &[VariableId] {
+        std::slice::from_ref(&self.variable)
+    }
+
+    fn residual_dimension(&self) -> usize {
+        3
+    }
+
+    fn evaluate(
+        &self,
+        parameters: &[&[f64]],
+        residual: &mut [f64],
+        jacobians: Option<&mut [&mut [f64]]>,
+    ) -> bool {
+        let Some(rotation) = parameters.first().and_then(|p| read_rotation(p)) else { return false };
+        let (turn, by_rotation) = turn_between(&self.rotation, &rotation, self.weight);
+        put_residual(residual, 0, &turn);
+        if let Some([jacobian]) = jacobians {
+            put(jacobian, 3, 0, 0, &by_rotation);
         }
         true
     }

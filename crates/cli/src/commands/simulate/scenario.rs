@@ -28,7 +28,8 @@ pub enum AnyScenario {
 #[derive(clap::Args, Clone, Debug)]
 pub struct ScenarioArgs {
     /// Kind of surroundings: office, corridors, hall and warehouse are floors for a robot with a planar
-    /// lidar; museum (storeys, stairs, garden), garage (decks and ramps) and park are in 3D.
+    /// lidar; museum (storeys, stairs, garden), garage (decks and ramps), park, tunnel and field (where a lidar
+    /// cannot tell how far it went) are in 3D.
     #[arg(default_value = "office", value_name = "SCENARIO", value_parser = scene_parser())]
     scene: AnyScene,
     /// Building, walk, people and noise follow from it.

@@ -1,6 +1,6 @@
 //! Local SLAM by matching sweeps to surfaces.
 
-use portolan_geometry::{Duration, Quaternion, Rigid3, Time, is_valid_pose};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, is_valid_pose};
 
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
@@ -8,7 +8,8 @@ use super::sweep_path::SweepPath;
 use super::unwarp::Gathered;
 use super::{LocalSlam3d, MatchedScan, Wanted};
 use crate::pose_extrapolator::PoseExtrapolator;
-use crate::{MatchingResult, Spatial, WeakMotion};
+use crate::weak_span::WeakScan;
+use crate::{MatchingResult, OpenDirections, Spatial, TakenInstead};
 
 /// Submaps of fewer scans are young.
 const YOUNG: u32 = 10;
@@ -16,8 +17,6 @@ const YOUNG: u32 = 10;
 const CLEARLY_BETTER: f64 = 1.3;
 /// After so many seconds without a sweep it may have gone on as before, or stopped; or a clock jumped.
 const LONG_GAP: f64 = 0.5;
-/// While it stands still a sweep is inserted every so often.
-const STANDING_INTERVAL: Duration = Duration::from_ticks(20_000_000);
 
 /// What matching to surfaces needs besides the submaps.
 pub(super) struct BySurfaces {
@@ -96,11 +95,14 @@ impl LocalSlam3d {
     /// Matches a sweep to the older active submap.
     fn follow(&mut self, sweep: &TimedSweep) -> Option<MatchingResult<Spatial>> {
         let has_imu = self.has_imu;
-        let stood = self.standstill.pose();
         let extrapolator = self.extrapolator.as_mut()?;
         extrapolator.prepare(sweep.end);
         let start = extrapolator.last_pose_time();
         let predicted = SweepPath::predicted(extrapolator, sweep.end);
+        if extrapolator.has_odometry(sweep.end) {
+            self.standstill.add_odometry(&predicted.shift(), predicted.seconds());
+        }
+        let stood = self.standstill.pose();
         let mut path = match &stood {
             Some(pose) => SweepPath::standing(extrapolator, sweep.end, pose),
             None => predicted.clone(),
@@ -139,9 +141,9 @@ impl LocalSlam3d {
             None if saturated => {}
             None => self.learn_bias(&path, &matched),
         }
-        self.report_match(sweep.end, &matched);
+        let open = self.report_match(sweep.end, &path, stood.is_some(), &matched);
         let fits_surfaces = matched.found.is_some();
-        let mut scan = self.seen_from_end(sweep, matched);
+        let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
         let is_measured = path.turn_is_measured && path.way_is_measured;
         if !fits_surfaces && !is_measured {
             self.match_to_grids(&mut scan);
@@ -153,15 +155,19 @@ impl LocalSlam3d {
         }
         self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
         let gravity = gravity.map(|level| self.leveled(sweep.end, &scan.local_from_tracking, level));
-        let enough =
-            stands.is_some() && !self.is_young() && self.was_inserted_since(sweep.end - STANDING_INTERVAL);
+        let enough = stands.is_some() && !self.is_young() && self.stands_since_inserted(sweep.end);
         let wanted = match enough {
             true => Wanted::No,
             // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
             false if path.turn_is_measured && self.is_young() => Wanted::Yes,
             false => Wanted::IfMoved,
         };
-        Some(self.conclude_as(wanted, sweep.end, scan, gravity))
+        let result = self.conclude_as(wanted, sweep.end, scan, gravity);
+        match stands {
+            Some(_) => self.inserted_standing += i32::from(result.inserted.is_some()),
+            None => self.inserted_standing = 0,
+        }
+        Some(result)
     }
 
     /// From the tracking frame to a level one, where a sweep matched and the IMU alone says `level`.
@@ -184,19 +190,40 @@ impl LocalSlam3d {
         }
     }
 
-    /// What a match says of directions that scans leave open.
-    fn report_match(&mut self, end: Time, matched: &MatchedSweep) {
+    /// What a match says of directions that scans leave open, in the tracking frame.
+    fn report_match(
+        &mut self,
+        end: Time,
+        path: &SweepPath,
+        stood: bool,
+        matched: &MatchedSweep,
+    ) -> OpenDirections {
+        let to_tracking = matched.local_from_tracking.rotation.inverse();
+        let (up, seconds) = (to_tracking * Vector3::z(), path.seconds());
+        // Where nothing tells how it moved, nothing tells in which direction either.
+        if path.way_is_measured || matched.found.as_ref().is_some_and(|f| f.weak.translations.is_empty()) {
+            let shift = matched.local_from_tracking.translation.vector - path.start().translation.vector;
+            self.weak_spans.moved(&(to_tracking * shift), seconds, &up);
+        }
         let Some(found) = &matched.found else {
             self.count("scan that fits no surface; grids or odometry and gyroscope told its pose");
-            return;
+            return OpenDirections::default();
         };
-        let to_tracking = found.pose.rotation.inverse();
-        for direction in &found.weak.translations {
-            self.weak_spans.add(end, WeakMotion::Shift, to_tracking * direction);
-        }
-        for direction in &found.weak.rotations {
-            self.weak_spans.add(end, WeakMotion::Turn, to_tracking * direction);
-        }
+        let from_submap = found.pose.rotation.inverse();
+        let open = |directions: &[Vector3]| directions.iter().map(|d| from_submap * d).collect::<Vec<_>>();
+        let told = |is_told: bool, by: TakenInstead| match is_told {
+            true => by,
+            false if stood => TakenInstead::Rest,
+            false => TakenInstead::Velocity,
+        };
+        let scan = |taken| WeakScan { time: end, seconds, taken };
+        let shifts = scan(told(path.way_is_measured && !stood, TakenInstead::Odometry));
+        let turns = scan(told(path.turn_is_measured, TakenInstead::Gyroscope));
+        let (translations, rotations) = (open(&found.weak.translations), open(&found.weak.rotations));
+        self.weak_spans.add_shifts(&shifts, &translations, &up);
+        self.weak_spans.add_turns(&turns, &rotations, &up);
+        let SweepPath { way_is_measured, turn_is_measured, .. } = *path;
+        OpenDirections { translations, rotations, way_is_measured, turn_is_measured }
     }
 
     /// Puts a scan where it fits the grids of the older submap best.
@@ -215,7 +242,13 @@ impl LocalSlam3d {
     fn seen_from_end(&self, sweep: &TimedSweep, matched: MatchedSweep) -> MatchedScan {
         let (voxel_size, use_intensities) = (self.options.voxel_filter_size, self.options.use_intensities);
         let (scan, surface_points) = in_tracking(&sweep.points, &matched.pieces, voxel_size, use_intensities);
-        MatchedScan { local_from_tracking: matched.local_from_tracking, scan, clouds: None, surface_points }
+        MatchedScan {
+            local_from_tracking: matched.local_from_tracking,
+            scan,
+            clouds: None,
+            surface_points,
+            open: OpenDirections::default(),
+        }
     }
 
     pub(super) fn new_extrapolator(&self) -> PoseExtrapolator {

@@ -24,6 +24,8 @@ const MAX_TURN: f64 = 0.015;
 /// How far the median of the newest matches may be from that of all while it stands, metres and radians.
 const MAX_CREEP: f64 = 0.02;
 const MAX_CREEP_TURN: f64 = 0.005;
+/// Wheels that stand turn slower than this, m/s.
+const MAX_ODOMETRY_SPEED: f64 = 0.02;
 /// Matches are remembered this long, seconds; the newest third tell whether it moves again.
 const MEMORY: f64 = 3.0;
 /// So many matches are needed.
@@ -44,6 +46,8 @@ pub(super) struct Standstill {
     filling: Option<(Time, u32, Bin)>,
     /// Poses (tracking in local) at which sweeps matched, not those that were made of them.
     matches: VecDeque<(Time, Rigid3)>,
+    /// How far odometry went since it stands, metres.
+    crept: Vector3,
 }
 
 impl Standstill {
@@ -74,6 +78,22 @@ impl Standstill {
         self.matches.push_back((time, *local_from_tracking));
         while self.matches.front().is_some_and(|(t, _)| time.seconds_since(*t) > MEMORY) {
             self.matches.pop_front();
+        }
+    }
+
+    /// Takes the shift that odometry measured since the last sweep (metres) and how long that took (seconds).
+    /// Scans that leave a direction open match where the scanner is believed to stand, and an IMU feels no even
+    /// motion: what odometry saw moving does not stand.
+    pub fn add_odometry(&mut self, shift: &Vector3, seconds: f64) {
+        if shift.norm() > MAX_ODOMETRY_SPEED * seconds {
+            self.matches.clear();
+            self.crept = Vector3::zeros();
+            return;
+        }
+        self.crept += shift;
+        if self.crept.norm() > MAX_CREEP {
+            self.matches.clear();
+            self.crept = Vector3::zeros();
         }
     }
 
@@ -171,6 +191,27 @@ mod tests {
     fn it_stands_where_most_sweeps_match() {
         let pose = after_ten_seconds(0.0, 0.0).unwrap();
         assert!(pose.translation.vector.norm() < 0.005, "{pose}");
+    }
+
+    #[test]
+    fn what_odometry_saw_moving_does_not_stand() {
+        let after = |speed: f64| {
+            let mut standstill = Standstill::default();
+            for i in 0..2000 {
+                let t = 0.005 * f64::from(i);
+                standstill.add_imu(&sample(t, 0.0));
+                if i % 20 == 0 {
+                    if i > 1000 {
+                        standstill.add_odometry(&(Vector3::x() * speed * 0.1), 0.1);
+                    }
+                    // As matches in a tunnel: where it was believed to be.
+                    standstill.add_match(time(t), &Rigid3::identity());
+                }
+            }
+            standstill.pose().is_some()
+        };
+        assert!(after(0.0) && after(0.001));
+        assert!(!after(0.5));
     }
 
     #[test]

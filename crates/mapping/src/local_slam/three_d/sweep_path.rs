@@ -2,7 +2,8 @@
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{
-    Duration, Point3f, Quaternion, Rigid3, Time, angle_axis_from_quaternion, quaternion_from_angle_axis,
+    Duration, Point3f, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion,
+    quaternion_from_angle_axis,
 };
 
 use crate::pose_extrapolator::PoseExtrapolator;
@@ -80,6 +81,11 @@ impl SweepPath {
         self.start().rotation.inverse() * self.end().rotation
     }
 
+    /// How far it goes from the first pose to the last, metres in the local map.
+    pub fn shift(&self) -> Vector3 {
+        self.end().translation.vector - self.start().translation.vector
+    }
+
     /// Seconds from the first pose to the last.
     pub fn seconds(&self) -> f64 {
         self.spacing * (self.poses.len() - 1) as f64
@@ -135,7 +141,6 @@ impl StraightPieces {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_geometry::Vector3;
 
     /// Speeding up along x with 4 m/s², turning with 2 rad/s about z.
     fn truth(t: f64) -> Rigid3 {

@@ -10,11 +10,9 @@ const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
 const SLACK_SHARE: f32 = 0.03;
 /// So many points are summed in single precision before the sum is added to that of all.
 const BLOCK: u32 = 64;
-/// Entries of a row: three of the translation, three of the rotation, the residual, the distance from the
-/// origin of the scan.
+/// Entries of a row: three of the translation, three of the rotation, the residual, and one to spare.
 const ROW: usize = 8;
 const RESIDUAL: usize = 6;
-const LEVER: usize = 7;
 
 /// The plane that a point was paired with, and where the point was then.
 #[derive(Clone, Copy, Debug)]
@@ -41,9 +39,12 @@ impl Pairs {
 pub(super) struct Sums {
     pub hessian: na::Matrix6<f64>,
     pub gradient: na::Vector6<f64>,
-    /// Sum of weights, and of weights times squared distance from the origin of the scan.
-    pub weight: f64,
-    pub weight_by_lever: f64,
+    /// Sum of weights times the squared errors of normals: the information about any shift that these feign.
+    pub feigned_shift: f64,
+    /// The same about turns, as a quadratic form of their axis: with squared distances from the axis.
+    pub feigned_turn: na::Matrix3<f64>,
+    /// What planes that were seen edge-on say of shifts and turns: the part of the Hessian that may be feigned.
+    pub edge_on: [na::Matrix3<f64>; 2],
     pub matched: usize,
     pub squares: f64,
 }
@@ -52,16 +53,19 @@ pub(super) struct Sums {
 #[derive(Default)]
 pub(super) struct Accumulator {
     block: [[f32; ROW]; 6],
-    block_weights: [f32; 3],
+    block_weights: [f32; 2],
     in_block: u32,
     total: [[f64; ROW]; 6],
-    weights: [f64; 3],
+    weights: [f64; 2],
+    moments: na::Matrix3<f64>,
+    edge_on: [na::Matrix3<f64>; 2],
     matched: usize,
 }
 
 impl Accumulator {
+    /// Adds a row whose plane has a normal with this squared error.
     #[inline]
-    pub fn add(&mut self, row: [f32; ROW], weight: f32) {
+    pub fn add(&mut self, row: [f32; ROW], weight: f32, normal_variance: f32) {
         // Whole rows, not only the upper triangle: these are single vector instructions.
         for (sums, value) in self.block.iter_mut().zip(&row[..6]) {
             let weighted = weight * value;
@@ -69,13 +73,27 @@ impl Accumulator {
                 *sum += weighted * other;
             }
         }
-        let (residual, lever) = (row[RESIDUAL], row[LEVER]);
-        self.block_weights[0] += weight;
-        self.block_weights[1] += weight * lever * lever;
-        self.block_weights[2] += residual * residual;
+        let residual = row[RESIDUAL];
+        self.block_weights[0] += weight * normal_variance;
+        self.block_weights[1] += residual * residual;
         self.in_block += 1;
         if self.in_block == BLOCK {
             self.end_block();
+        }
+    }
+
+    /// Adds to what errors of normals feign about turns: `feigned` is the weight times the squared error of the
+    /// normal, `arm` goes from the origin of the scan to the point.
+    pub fn add_arm(&mut self, arm: &na::Vector3<f32>, feigned: f32) {
+        let arm: na::Vector3<f64> = arm.cast();
+        self.moments += arm * arm.transpose() * f64::from(feigned);
+    }
+
+    /// Adds to what planes that were seen edge-on say: the normal and the lever of a row that is added, too.
+    pub fn add_edge_on(&mut self, normal: &na::Vector3<f32>, lever: &na::Vector3<f32>, weight: f32) {
+        for (sum, direction) in self.edge_on.iter_mut().zip([normal, lever]) {
+            let direction: na::Vector3<f64> = direction.cast();
+            *sum += direction * direction.transpose() * f64::from(weight);
         }
     }
 
@@ -96,10 +114,12 @@ impl Accumulator {
         Sums {
             hessian: na::Matrix6::from_fn(entry),
             gradient: na::Vector6::from_fn(|i, _| entry(i, RESIDUAL)),
-            weight: self.weights[0] / POINTS_PER_INDEPENDENT_ONE,
-            weight_by_lever: self.weights[1] / POINTS_PER_INDEPENDENT_ONE,
+            feigned_shift: self.weights[0] / POINTS_PER_INDEPENDENT_ONE,
+            feigned_turn: (na::Matrix3::from_diagonal_element(self.moments.trace()) - self.moments)
+                / POINTS_PER_INDEPENDENT_ONE,
+            edge_on: self.edge_on.map(|sum| sum / POINTS_PER_INDEPENDENT_ONE),
             matched: self.matched,
-            squares: self.weights[2],
+            squares: self.weights[1],
         }
     }
 }
@@ -117,7 +137,7 @@ mod tests {
         for _ in 0..1000 {
             let row = [0; ROW].map(|_| lcg.symmetric(3.0));
             let weight = 1000.0 * lcg.unit();
-            all.add(row, weight);
+            all.add(row, weight, 0.0);
             let jacobian = na::Vector6::from_fn(|i, _| f64::from(row[i]));
             hessian += jacobian * jacobian.transpose() * f64::from(weight) / POINTS_PER_INDEPENDENT_ONE;
             gradient += jacobian * f64::from(row[RESIDUAL] * weight) / POINTS_PER_INDEPENDENT_ONE;

@@ -72,3 +72,55 @@ fn nothing_near_is_no_match() {
     assert_eq!(matcher.match_scan(&map, &points, &far, &prior, 0.3), None);
     assert_eq!(matcher.match_scan(&map, &[], &Rigid3::identity(), &prior, 0.3), None);
 }
+
+#[test]
+fn hits_that_lie_in_the_cone_of_their_beam_tell_nothing() {
+    // A lidar that moved unnoticed over uneven ground: every beam met it at several ranges.
+    let mut lcg = Lcg::new(8);
+    let mut sweep = |count: usize| -> Vec<Point3f> {
+        let mut points = Vec::new();
+        for i in 0..count {
+            let azimuth = (i % 360) as f32 * std::f32::consts::TAU / 360.0;
+            for elevation in [-15.0_f32, -13.0, -11.0, -9.0, -7.0, -5.0] {
+                let slope = elevation.to_radians().tan();
+                let range = -1.8 / slope * (1.0 + lcg.symmetric(0.12));
+                let noise = lcg.symmetric(0.01);
+                points.push(Point3f::new(
+                    range * azimuth.cos(),
+                    range * azimuth.sin(),
+                    range * slope + noise,
+                ));
+            }
+        }
+        points
+    };
+    let mut map = SurfaceMap::new(1.0);
+    sweep(7200).iter().for_each(|p| map.insert_seen_from(p, &Point3f::origin()));
+    let scan = sweep(360);
+    let pose = Rigid3::identity();
+    let prior = PosePrior { pose, translation_sigma: 0.05, rotation_sigma: 0.01 };
+    let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
+    let found = matcher.match_scan(&map, &scan, &pose, &prior, 0.3).unwrap();
+    let level = found.weak.translations.iter().filter(|d| d.z.abs() < 0.3).count();
+    assert_eq!(level, 2, "{:?}", found.weak);
+}
+
+#[test]
+fn about_the_axis_of_a_long_tunnel_nothing_is_open() {
+    // Far points lie near the axis: errors of their normals feign nothing about a turn round it.
+    let mut lcg = Lcg::new(9);
+    let mut points = Vec::new();
+    for _ in 0..40_000 {
+        let (u, v) = (lcg.symmetric(60.0), lcg.symmetric(2.5));
+        let mut n = || lcg.symmetric(0.02);
+        points.push(Point3f::new(u, v, -1.0 + n()));
+        points.push(Point3f::new(u, 2.5 + n(), 0.5 + 0.6 * v));
+        points.push(Point3f::new(u, -2.5 + n(), 0.5 + 0.6 * v));
+    }
+    let map = surfaces(&points);
+    let pose = Rigid3::identity();
+    let prior = PosePrior { pose, translation_sigma: 0.05, rotation_sigma: 0.05 };
+    let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
+    let found = matcher.match_scan(&map, &seen_from(&points, &pose), &pose, &prior, 0.3).unwrap();
+    assert!(found.weak.rotations.is_empty() && found.weak.translations.len() == 1, "{:?}", found.weak);
+}
