@@ -60,7 +60,7 @@ fn in_a_field_heading_is_open_too_and_satellites_help() {
 }
 
 #[test]
-fn among_cars_nothing_is_open_and_a_short_drive_is_level() {
+fn among_cars_nothing_is_open_and_a_short_stay_is_level() {
     let folder = tempfile::tempdir().unwrap();
     let (summary, report) = mapped(folder.path(), &["garage", "--seconds", "10"], &[]);
     assert!(!summary.contains("did not tell"), "{summary}");

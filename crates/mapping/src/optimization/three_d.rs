@@ -14,7 +14,7 @@ use crate::imu_integration::integrate_imu;
 use crate::{Constraint, NodeId, TrajectoryId};
 
 /// How far off an IMU may be mounted, radians (standard deviation). Without this a walk that hardly turns says
-/// nothing of whether the IMU or the whole map is tilted, and noise decides: simulated drives of 8 and 12 s were
+/// nothing of whether the IMU or the whole map is tilted, and noise decides: simulated recordings of 8 and 12 s without motion were
 /// mapped 30 and 120 degrees off level.
 const MOUNTING_SIGMA: f64 = 0.02;
 
