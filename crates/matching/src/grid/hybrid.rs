@@ -61,8 +61,9 @@ impl VoxelLattice {
 pub struct HybridGrid {
     lattice: VoxelLattice,
     cells: VoxelMap<u16>,
-    /// Leaves with cells that carry the update marker, some of them repeated.
+    /// Leaves with cells that carry the update marker, and a bit for each of these; empty between scans.
     touched: Vec<u32>,
+    is_touched: Vec<u64>,
 }
 
 impl HybridGrid {
@@ -71,7 +72,11 @@ impl HybridGrid {
     /// # Errors
     /// If the resolution is not positive and finite.
     pub fn new(resolution: f32) -> Result<Self, GridError> {
-        Ok(Self { lattice: VoxelLattice::new(resolution)?, cells: VoxelMap::default(), touched: Vec::new() })
+        Ok(Self::of_cells(VoxelLattice::new(resolution)?, VoxelMap::default()))
+    }
+
+    fn of_cells(lattice: VoxelLattice, cells: VoxelMap<u16>) -> Self {
+        Self { lattice, cells, touched: Vec::new(), is_touched: Vec::new() }
     }
 
     /// Edge of a cell, metres.
@@ -143,17 +148,30 @@ impl HybridGrid {
             return Some(false);
         }
         *code = table.updated(*code);
-        if self.touched.last() != Some(&(leaf as u32)) {
+        self.touch(leaf);
+        Some(true)
+    }
+
+    /// Remembers a leaf for the end of the scan, once.
+    #[inline]
+    fn touch(&mut self, leaf: usize) {
+        let (word, bit) = (leaf / 64, 1 << (leaf % 64));
+        if word >= self.is_touched.len() {
+            self.is_touched.resize(word + 1, 0);
+        }
+        if self.is_touched[word] & bit == 0 {
+            self.is_touched[word] |= bit;
             self.touched.push(leaf as u32);
         }
-        Some(true)
     }
 
     /// Ends the scan: the next one may change every cell again.
     pub(crate) fn finish_update(&mut self) {
+        // Its memory goes with the scan: most grids get no other for long.
         for leaf in std::mem::take(&mut self.touched) {
             self.cells.leaf_values_mut(leaf as usize).iter_mut().for_each(|v| *v &= !UPDATE_MARKER);
         }
+        self.is_touched = Vec::new();
     }
 
     /// Hands on every known cell with its code, in the order of map files.
@@ -164,12 +182,14 @@ impl HybridGrid {
     /// The same grid without spare memory, for submaps that are finished.
     #[must_use]
     pub fn compacted(&self) -> Self {
-        Self { lattice: self.lattice, cells: self.cells.compacted(), touched: Vec::new() }
+        Self::of_cells(self.lattice, self.cells.compacted())
     }
 
     /// Memory taken, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.cells.memory_bytes() + self.touched.capacity() * size_of::<u32>()
+        let touched =
+            self.touched.capacity() * size_of::<u32>() + self.is_touched.capacity() * size_of::<u64>();
+        self.cells.memory_bytes() + touched
     }
 }
 

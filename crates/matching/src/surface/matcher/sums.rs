@@ -39,7 +39,8 @@ impl Pairs {
 pub(super) struct Sums {
     pub hessian: na::Matrix6<f64>,
     pub gradient: na::Vector6<f64>,
-    /// Sum of weights times the squared errors of normals: the information about any shift that these feign.
+    /// Sum of weights times the squared errors of normals that count for shifts: so much information about any
+    /// shift may be feigned.
     pub feigned_shift: f64,
     /// The same about turns, as a quadratic form of their axis: with squared distances from the axis.
     pub feigned_turn: na::Matrix3<f64>,
@@ -63,7 +64,7 @@ pub(super) struct Accumulator {
 }
 
 impl Accumulator {
-    /// Adds a row whose plane has a normal with this squared error.
+    /// Adds a row whose plane has a normal with this squared error, as it counts for shifts.
     #[inline]
     pub fn add(&mut self, row: [f32; ROW], weight: f32, normal_variance: f32) {
         // Whole rows, not only the upper triangle: these are single vector instructions.
