@@ -4,7 +4,7 @@
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::{Point3f, Rigid3, is_valid_pose, to_f32};
 use portolan_matching::{
-    NodeToFind, PosePrior, SearchReach3d, SubmapToSearch, SurfaceMap, SurfaceMatch, SurfaceMatcher,
+    NodeToFind, PosePrior, SearchReach3d, Sigmas, SubmapToSearch, SurfaceMap, SurfaceMatch, SurfaceMatcher,
     SurfaceMatcherOptions, judge_placement_3d,
 };
 use portolan_sensor::PointCloud;
@@ -12,8 +12,8 @@ use portolan_sensor::PointCloud;
 use crate::submap_3d::Submap3d;
 use crate::{MatchedPose, Nearby, NodeData};
 
-/// A believed or a found pose may be off by this: metres and radians.
-const SIGMA: (f64, f64) = (0.2, 0.05);
+/// A believed or a found pose may be off by this.
+const SIGMAS: Sigmas = Sigmas { shift: 0.2, turn: 0.05 };
 /// Points may be off by this at the beginning of the refinement, metres.
 const REFINEMENT_SCALE: f64 = 0.4;
 /// The same where a node was found without a guess: gravity is off by a degree in the first second, which is
@@ -86,12 +86,11 @@ fn match_to_surfaces(
     scale: f64,
 ) -> Option<SurfaceMatch> {
     let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
-    let (translation_sigma, rotation_sigma) = SIGMA;
-    let prior = PosePrior { pose: *initial, translation_sigma, rotation_sigma };
+    let prior = PosePrior { pose: *initial, sigmas: SIGMAS };
     let final_scale = 0.1 * f64::from(surfaces.edge());
     let matcher =
         SurfaceMatcher::new(SurfaceMatcherOptions { final_scale, ..SurfaceMatcherOptions::default() });
-    let found = matcher.match_scan(surfaces, &points, initial, &prior, scale)?;
+    let found = matcher.match_scan(surfaces, &points, &prior, scale)?;
     (found.matched_share >= MIN_MATCHED_SHARE && is_valid_pose(&found.pose)).then_some(found)
 }
 

@@ -41,6 +41,7 @@ pub use grid::{
 };
 pub use planar_transform::PlanarTransform;
 pub use surface::{
-    Plane, PosePrior, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, WeakDirections,
-    align_coarsely, up_direction,
+    Plane, PosePrior, Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher,
+    SurfaceMatcherOptions, SweptPoint, Way, WayCorrection, WayPrior, WeakDirections, align_coarsely,
+    up_direction,
 };

@@ -11,8 +11,13 @@ mod cell;
 mod leveling;
 mod map;
 mod matcher;
+mod way;
 
 pub use bootstrap::align_coarsely;
 pub use leveling::up_direction;
 pub use map::{Plane, SurfaceMap};
-pub use matcher::{PosePrior, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, WeakDirections};
+pub use matcher::{
+    PosePrior, Sigmas, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, WayPrior,
+    WeakDirections,
+};
+pub use way::{StraightPieces, Way, WayCorrection};

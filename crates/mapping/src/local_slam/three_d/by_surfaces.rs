@@ -1,12 +1,12 @@
 //! Local SLAM by matching sweeps to surfaces.
 
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, is_valid_pose};
+use portolan_matching::Way;
 
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
-use super::sweep_path::SweepPath;
 use super::unwarp::Gathered;
-use super::{LocalSlam3d, MatchedScan, Wanted};
+use super::{LocalSlam3d, MatchedScan, Wanted, sweep_path};
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::weak_span::WeakScan;
 use crate::{MatchingResult, OpenDirections, Spatial, TakenInstead};
@@ -98,53 +98,51 @@ impl LocalSlam3d {
         let extrapolator = self.extrapolator.as_mut()?;
         extrapolator.prepare(sweep.end);
         let start = extrapolator.last_pose_time();
-        let predicted = SweepPath::predicted(extrapolator, sweep.end);
+        let predicted = sweep_path::predicted(extrapolator, sweep.end);
         if extrapolator.has_odometry(sweep.end) {
             self.standstill.add_odometry(&predicted.shift(), predicted.seconds());
         }
         let stood = self.standstill.pose();
-        let mut path = match &stood {
-            Some(pose) => SweepPath::standing(extrapolator, sweep.end, pose),
+        let mut way = match &stood {
+            Some(pose) => sweep_path::standing(extrapolator, sweep.end, pose),
             None => predicted.clone(),
         };
-        path.turn_is_measured = has_imu && extrapolator.has_gyroscope(sweep.end);
-        path.way_is_measured = stood.is_some() || extrapolator.has_odometry(sweep.end);
-        let unmeasured = path.turn_is_measured.then(|| SweepPath::turning_on(extrapolator, sweep.end));
+        way.turn_is_measured = has_imu && extrapolator.has_gyroscope(sweep.end);
+        way.shift_is_measured = stood.is_some() || extrapolator.has_odometry(sweep.end);
+        let unmeasured = way.turn_is_measured.then(|| sweep_path::turning_on(extrapolator, sweep.end));
         let gravity = has_imu.then(|| extrapolator.estimate_gravity_orientation(sweep.end));
         let by_surfaces = self.by_surfaces.as_mut()?;
         let selection = by_surfaces.tracker.selection(&sweep.points);
         let submap = self.active_submaps.matching_submap()?;
         let target = (&submap.local_from_submap, submap.surfaces.as_ref()?);
-        let mut matched = by_surfaces.tracker.match_sweep(&selection, &path, target);
-        if path.seconds() > LONG_GAP
+        let mut matched = by_surfaces.tracker.match_sweep(&selection, &way, target);
+        if way.seconds() > LONG_GAP
             && let Some((_, last)) = extrapolator.last_pose()
         {
-            let stayed = SweepPath::standing(extrapolator, sweep.end, &last);
+            let stayed = sweep_path::standing(extrapolator, sweep.end, &last);
             let matched_there = by_surfaces.tracker.match_sweep(&selection, &stayed, target);
             if matched_there.fit() > matched.fit() {
-                (matched, path) = (matched_there, stayed);
+                (matched, way) = (matched_there, stayed);
             }
         }
         let saturated = self.saturated_at > start;
-        if let Some(other) = unmeasured.filter(|_| saturated || matched.contradicts_turn(&path)) {
+        if let Some(other) = unmeasured.filter(|_| saturated || matched.contradicts_turn(&way)) {
             let by_scans = by_surfaces.tracker.match_sweep(&selection, &other, target);
             let wanted = if saturated { 1.0 } else { CLEARLY_BETTER };
             if by_scans.fit() > wanted * matched.fit() {
-                (matched, path) = (by_scans, other);
+                (matched, way) = (by_scans, other);
                 self.count("sweep whose turn the gyroscope did not tell; scans told it");
             }
         }
         match stood {
-            Some(_) => {
-                self.gyroscope_bias.observe(&predicted.turn(), &Quaternion::identity(), path.seconds())
-            }
+            Some(_) => self.gyroscope_bias.observe(&predicted.turn(), &Quaternion::identity(), way.seconds()),
             None if saturated => {}
-            None => self.learn_bias(&path, &matched),
+            None => self.learn_bias(&way, &matched),
         }
-        let open = self.report_match(sweep.end, &path, stood.is_some(), &matched);
+        let open = self.report_match(sweep.end, &way, stood.is_some(), &matched);
         let fits_surfaces = matched.found.is_some();
         let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
-        let is_measured = path.turn_is_measured && path.way_is_measured;
+        let is_measured = way.turn_is_measured && way.shift_is_measured;
         if !fits_surfaces && !is_measured {
             self.match_to_grids(&mut scan);
         }
@@ -159,7 +157,7 @@ impl LocalSlam3d {
         let wanted = match enough {
             true => Wanted::No,
             // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
-            false if path.turn_is_measured && self.is_young() => Wanted::Yes,
+            false if way.turn_is_measured && self.is_young() => Wanted::Yes,
             false => Wanted::IfMoved,
         };
         let result = self.conclude_as(wanted, sweep.end, scan, gravity);
@@ -182,27 +180,22 @@ impl LocalSlam3d {
     }
 
     /// What a match says of the gyroscope.
-    fn learn_bias(&mut self, path: &SweepPath, matched: &MatchedSweep) {
+    fn learn_bias(&mut self, way: &Way, matched: &MatchedSweep) {
         let holds_rotation = matched.found.as_ref().is_some_and(|f| f.weak.rotations.is_empty());
-        if path.turn_is_measured && holds_rotation {
-            let turn = path.start().rotation.inverse() * matched.local_from_tracking.rotation;
-            self.gyroscope_bias.observe(&path.turn(), &turn, path.seconds());
+        // What the first sweeps got wrong fits the map that was made of them.
+        if way.turn_is_measured && holds_rotation && !self.is_young() {
+            let turn = way.start().rotation.inverse() * matched.local_from_tracking.rotation;
+            self.gyroscope_bias.observe(&way.turn(), &turn, way.seconds());
         }
     }
 
     /// What a match says of directions that scans leave open, in the tracking frame.
-    fn report_match(
-        &mut self,
-        end: Time,
-        path: &SweepPath,
-        stood: bool,
-        matched: &MatchedSweep,
-    ) -> OpenDirections {
+    fn report_match(&mut self, end: Time, way: &Way, stood: bool, matched: &MatchedSweep) -> OpenDirections {
         let to_tracking = matched.local_from_tracking.rotation.inverse();
-        let (up, seconds) = (to_tracking * Vector3::z(), path.seconds());
+        let (up, seconds) = (to_tracking * Vector3::z(), way.seconds());
         // Where nothing tells how it moved, nothing tells in which direction either.
-        if path.way_is_measured || matched.found.as_ref().is_some_and(|f| f.weak.translations.is_empty()) {
-            let shift = matched.local_from_tracking.translation.vector - path.start().translation.vector;
+        if way.shift_is_measured || matched.found.as_ref().is_some_and(|f| f.weak.translations.is_empty()) {
+            let shift = matched.local_from_tracking.translation.vector - way.start().translation.vector;
             self.weak_spans.moved(&(to_tracking * shift), seconds, &up);
         }
         let Some(found) = &matched.found else {
@@ -217,12 +210,12 @@ impl LocalSlam3d {
             false => TakenInstead::Velocity,
         };
         let scan = |taken| WeakScan { time: end, seconds, taken };
-        let shifts = scan(told(path.way_is_measured && !stood, TakenInstead::Odometry));
-        let turns = scan(told(path.turn_is_measured, TakenInstead::Gyroscope));
+        let shifts = scan(told(way.shift_is_measured && !stood, TakenInstead::Odometry));
+        let turns = scan(told(way.turn_is_measured, TakenInstead::Gyroscope));
         let (translations, rotations) = (open(&found.weak.translations), open(&found.weak.rotations));
         self.weak_spans.add_shifts(&shifts, &translations, &up);
         self.weak_spans.add_turns(&turns, &rotations, &up);
-        let SweepPath { way_is_measured, turn_is_measured, .. } = *path;
+        let (way_is_measured, turn_is_measured) = (way.shift_is_measured, way.turn_is_measured);
         OpenDirections { translations, rotations, way_is_measured, turn_is_measured }
     }
 

@@ -5,12 +5,12 @@ use portolan_geometry::{
     quaternion_from_angle_axis, rotation_between,
 };
 use portolan_matching::{
-    PosePrior, SurfaceMap, SurfaceMatcher, SurfaceMatcherOptions, align_coarsely, up_direction,
+    PosePrior, Sigmas, StraightPieces, SurfaceMap, SurfaceMatcher, SurfaceMatcherOptions, Way, WayCorrection,
+    align_coarsely, up_direction,
 };
 use portolan_sensor::voxel_filter_points;
 
 use super::surface_tracking::SweepPoint;
-use super::sweep_path::{StraightPieces, SweepPath};
 
 /// Velocity and the sweeps that it unwarps are found in turns.
 const TURNS: u32 = 4;
@@ -102,14 +102,14 @@ impl<'a> FirstSweeps<'a> {
     pub fn pieces(&self, sweep: &TimedSweep) -> StraightPieces {
         let longest = sweep.points.iter().map(|p| -p.offset).fold(0.0, f32::max);
         let begin = sweep.end - Duration::from_seconds(f64::from(longest));
-        let path = SweepPath::new(begin, sweep.end, |t| self.pose_at(t));
-        path.bent_to(&path.end())
+        let way = Way::new(begin, sweep.end, |t| self.pose_at(t));
+        way.bent_to_end(&WayCorrection::default())
     }
 
     /// A sweep as seen from its end.
     fn seen(&self, sweep: &TimedSweep) -> Vec<Point3f> {
         let pieces = self.pieces(sweep);
-        sweep.points.iter().map(|p| pieces.in_end(&p.position, p.offset)).collect()
+        sweep.points.iter().map(|p| pieces.moved(&p.position, p.offset)).collect()
     }
 
     fn reference(&self) -> Reference {
@@ -126,12 +126,11 @@ impl<'a> FirstSweeps<'a> {
         } else {
             believed
         };
-        let prior = PosePrior { pose: initial, translation_sigma: 1.0, rotation_sigma: 0.1 };
+        let prior = PosePrior { pose: initial, sigmas: Sigmas { shift: 1.0, turn: 0.1 } };
         let options =
             SurfaceMatcherOptions { final_scale: 0.1 * self.voxel_size, ..SurfaceMatcherOptions::default() };
         let points = voxel_filter_points(&all, SPACING);
-        let found =
-            SurfaceMatcher::new(options).match_scan(&reference.surfaces, &points, &initial, &prior, SCALE)?;
+        let found = SurfaceMatcher::new(options).match_scan(&reference.surfaces, &points, &prior, SCALE)?;
         (found.matched_share >= MIN_MATCHED_SHARE).then_some(found.pose)
     }
 }

@@ -2,19 +2,16 @@
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Point3f, Rigid3, Time};
-use portolan_matching::{PosePrior, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions};
+use portolan_matching::{
+    Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, Way,
+    WayCorrection, WayPrior,
+};
 use portolan_sensor::{PointCloud, RangeData, voxel_filter, voxel_filter_indices};
 
-use super::sweep_path::{StraightPieces, SweepPath};
 use super::unwarp::Gathered;
 
 /// So many points of a sweep are matched, spread evenly over what it sees.
 const WANTED_POINTS: f32 = 1500.0;
-/// The way of a sweep and its end are found in turns, so many at most.
-const TURNS: u32 = 3;
-/// A turn that moves the end by less is the last, metres and radians.
-const SMALL_SHIFT: f64 = 0.003;
-const SMALL_TURN: f64 = 0.0005;
 /// A match of fewer points is no match. Among trees not much is flat.
 const MIN_MATCHED_SHARE: f64 = 0.15;
 /// A match contradicts a measured turn if it is so many standard deviations off.
@@ -25,11 +22,15 @@ const POOR_RMS: f64 = 0.1;
 /// prediction may have.
 const START_SCALE: f64 = 0.3;
 const SCALE_OF_SIGMA: f64 = 3.0;
+/// Where the sweep before ended is known to this, metres and radians (standard deviations), and without a
+/// gyroscope.
+const LAST_END: Sigmas = Sigmas { shift: 0.01, turn: 0.0005 };
+const LAST_TURN_ALONE: f64 = 0.002;
 /// What a carrier may do unseen: m/s² and rad/s², and errors of measured ways and turns per second.
 const ACCELERATION: f64 = 4.0;
 const TURN_ACCELERATION: f64 = 10.0;
 const ODOMETRY_ERROR: f64 = 0.2;
-const GYROSCOPE_ERROR: f64 = 0.02;
+const GYROSCOPE_ERROR: f64 = 0.01;
 
 /// A point of a sweep as it was measured.
 #[derive(Clone, Copy, Debug)]
@@ -53,9 +54,9 @@ pub(super) struct MatchedSweep {
 
 impl MatchedSweep {
     /// Whether the sweep fits only far from the turn that was measured.
-    pub fn contradicts_turn(&self, path: &SweepPath) -> bool {
-        let error = path.end().rotation.angle_to(&self.local_from_tracking.rotation);
-        self.found.is_some() && error > CONTRADICTION_SIGMAS * rotation_sigma(path)
+    pub fn contradicts_turn(&self, way: &Way) -> bool {
+        let error = way.end().rotation.angle_to(&self.local_from_tracking.rotation);
+        self.found.is_some() && error > CONTRADICTION_SIGMAS * rotation_sigma(way)
     }
 
     /// How well it fits: the share of points on surfaces, less if they lie far off.
@@ -65,10 +66,10 @@ impl MatchedSweep {
 }
 
 /// How far off the turn of a predicted way may be, radians (standard deviation).
-fn rotation_sigma(path: &SweepPath) -> f64 {
-    let seconds = path.seconds();
-    match path.turn_is_measured {
-        true => 0.002 + GYROSCOPE_ERROR * seconds,
+fn rotation_sigma(way: &Way) -> f64 {
+    let seconds = way.seconds();
+    match way.turn_is_measured {
+        true => 0.001 + GYROSCOPE_ERROR * seconds,
         false => 0.005 + 0.5 * TURN_ACCELERATION * seconds * seconds,
     }
 }
@@ -101,58 +102,50 @@ impl SurfaceTracker {
             .collect()
     }
 
-    /// A selection that covers everything seen.
-    pub fn selection(&mut self, sweep: &[SweepPoint]) -> Vec<SweepPoint> {
+    /// A selection that covers everything seen, in the order of time.
+    pub fn selection(&mut self, sweep: &[SweepPoint]) -> Vec<SweptPoint> {
         let kept = voxel_filter_indices(sweep, |p| p.position, self.spacing);
         if !kept.is_empty() {
             let correction = (kept.len() as f32 / WANTED_POINTS).sqrt().clamp(0.7, 1.4);
             self.spacing = (self.spacing * correction).clamp(0.02, 5.0);
         }
-        kept.into_iter().filter_map(|i| sweep.get(i as usize).copied()).collect()
+        let swept = |p: &SweepPoint| SweptPoint { offset: p.offset, position: p.position };
+        let mut selection: Vec<SweptPoint> =
+            kept.into_iter().filter_map(|i| sweep.get(i as usize).map(swept)).collect();
+        selection.sort_by(|a, b| a.offset.total_cmp(&b.offset));
+        selection
     }
 
-    /// Finds the end of a sweep on surfaces given in the frame of a submap.
+    /// Finds the way of a sweep on surfaces given in the frame of a submap.
     pub fn match_sweep(
         &self,
-        selection: &[SweepPoint],
-        path: &SweepPath,
+        selection: &[SweptPoint],
+        way: &Way,
         (local_from_submap, surfaces): (&Rigid3, &SurfaceMap),
     ) -> MatchedSweep {
-        let seconds = path.seconds();
-        let prior = PosePrior {
-            pose: local_from_submap.inverse() * path.end(),
-            translation_sigma: match path.way_is_measured {
+        let seconds = way.seconds();
+        let bend = Sigmas {
+            shift: match way.shift_is_measured {
                 true => 0.01 + ODOMETRY_ERROR * seconds,
                 false => 0.01 + 0.5 * ACCELERATION * seconds * seconds,
             },
-            rotation_sigma: rotation_sigma(path),
+            turn: rotation_sigma(way),
         };
-        let first_scale = START_SCALE.max(SCALE_OF_SIGMA * prior.translation_sigma).min(2.0);
-        let mut end = path.end();
-        let mut pieces = path.bent_to(&end);
-        let mut found: Option<SurfaceMatch> = None;
-        let mut in_end: Vec<Point3f> = Vec::with_capacity(selection.len());
-        for turn in 0..TURNS {
-            in_end.clear();
-            in_end.extend(selection.iter().map(|p| pieces.in_end(&p.position, p.offset)));
-            let scale = if turn == 0 { first_scale } else { 0.0 };
-            let initial = local_from_submap.inverse() * end;
-            let Some(matched) = self.matcher.match_scan(surfaces, &in_end, &initial, &prior, scale) else {
-                break;
-            };
-            if matched.matched_share < MIN_MATCHED_SHARE {
-                break;
-            }
-            let new_end = local_from_submap * matched.pose;
-            let change = end.inverse() * new_end;
-            end = new_end;
-            pieces = path.bent_to(&end);
-            found = Some(matched);
-            if change.translation.vector.norm() < SMALL_SHIFT && change.rotation.angle() < SMALL_TURN {
-                break;
-            }
+        let start = match way.turn_is_measured {
+            true => LAST_END,
+            false => Sigmas { turn: LAST_TURN_ALONE, ..LAST_END },
+        };
+        let prior = WayPrior { start, bend };
+        let scale = START_SCALE.max(SCALE_OF_SIGMA * bend.shift).min(2.0);
+        let in_submap = way.seen_from(&local_from_submap.inverse());
+        let found = self.matcher.match_sweep(surfaces, selection, &in_submap, &prior, scale);
+        let found = found.filter(|found| found.matched_share >= MIN_MATCHED_SHARE);
+        let correction = found.as_ref().map_or_else(WayCorrection::default, |found| found.correction);
+        MatchedSweep {
+            local_from_tracking: local_from_submap * in_submap.corrected_end(&correction),
+            pieces: in_submap.bent_to_end(&correction),
+            found,
         }
-        MatchedSweep { local_from_tracking: end, pieces, found }
     }
 }
 
@@ -163,7 +156,7 @@ pub(super) fn in_tracking(
     voxel_size: f32,
     use_intensities: bool,
 ) -> (RangeData, Vec<Point3f>) {
-    let points: Vec<Point3f> = sweep.iter().map(|p| pieces.in_end(&p.position, p.offset)).collect();
+    let points: Vec<Point3f> = sweep.iter().map(|p| pieces.moved(&p.position, p.offset)).collect();
     let intensities = match use_intensities {
         true => sweep.iter().map(|p| p.intensity).collect(),
         false => Vec::new(),

@@ -35,10 +35,16 @@ impl Pairs {
     }
 }
 
-/// Sums over the points at one pose.
+/// Sums over the points on one way.
+#[derive(Default)]
 pub(super) struct Sums {
+    /// By corrections of the start, which move all points alike.
     pub hessian: na::Matrix6<f64>,
     pub gradient: na::Vector6<f64>,
+    /// By bends of the way, which move every point by the share of its time; and by both.
+    pub bend_hessian: na::Matrix6<f64>,
+    pub bend_gradient: na::Vector6<f64>,
+    pub between: na::Matrix6<f64>,
     /// Sum of weights times the squared errors of normals that count for shifts: so much information about any
     /// shift may be feigned.
     pub feigned_shift: f64,
@@ -61,12 +67,13 @@ pub(super) struct Accumulator {
     moments: na::Matrix3<f64>,
     edge_on: [na::Matrix3<f64>; 2],
     matched: usize,
+    sums: Sums,
 }
 
 impl Accumulator {
-    /// Adds a row whose plane has a normal with this squared error, as it counts for shifts.
+    /// Adds a row with its weight, and what errors of its normal feign about shifts.
     #[inline]
-    pub fn add(&mut self, row: [f32; ROW], weight: f32, normal_variance: f32) {
+    pub fn add(&mut self, row: [f32; ROW], weight: f32, feigned_shift: f32) {
         // Whole rows, not only the upper triangle: these are single vector instructions.
         for (sums, value) in self.block.iter_mut().zip(&row[..6]) {
             let weighted = weight * value;
@@ -75,7 +82,7 @@ impl Accumulator {
             }
         }
         let residual = row[RESIDUAL];
-        self.block_weights[0] += weight * normal_variance;
+        self.block_weights[0] += feigned_shift;
         self.block_weights[1] += residual * residual;
         self.in_block += 1;
         if self.in_block == BLOCK {
@@ -109,18 +116,31 @@ impl Accumulator {
         (self.block, self.block_weights, self.in_block) = Default::default();
     }
 
-    pub fn finish(mut self) -> Sums {
+    /// Ends a part of the sweep, of which a bend of the way shifts and turns points by these shares.
+    pub fn end_part(&mut self, [shift, turn]: [f64; 2]) {
         self.end_block();
-        let entry = |i: usize, j: usize| self.total[i.min(j)][i.max(j)] / POINTS_PER_INDEPENDENT_ONE;
+        let total = std::mem::take(&mut self.total);
+        let entry = |i: usize, j: usize| total[i.min(j)][i.max(j)] / POINTS_PER_INDEPENDENT_ONE;
+        let hessian = na::Matrix6::from_fn(entry);
+        let gradient = na::Vector6::from_fn(|i, _| entry(i, RESIDUAL));
+        let share = na::Matrix6::from_diagonal(&na::Vector6::new(shift, shift, shift, turn, turn, turn));
+        let between = hessian * share;
+        self.sums.hessian += hessian;
+        self.sums.gradient += gradient;
+        self.sums.between += between;
+        self.sums.bend_hessian += share * between;
+        self.sums.bend_gradient += share * gradient;
+    }
+
+    pub fn finish(self) -> Sums {
         Sums {
-            hessian: na::Matrix6::from_fn(entry),
-            gradient: na::Vector6::from_fn(|i, _| entry(i, RESIDUAL)),
             feigned_shift: self.weights[0] / POINTS_PER_INDEPENDENT_ONE,
             feigned_turn: (na::Matrix3::from_diagonal_element(self.moments.trace()) - self.moments)
                 / POINTS_PER_INDEPENDENT_ONE,
             edge_on: self.edge_on.map(|sum| sum / POINTS_PER_INDEPENDENT_ONE),
             matched: self.matched,
             squares: self.weights[1],
+            ..self.sums
         }
     }
 }
@@ -143,9 +163,16 @@ mod tests {
             hessian += jacobian * jacobian.transpose() * f64::from(weight) / POINTS_PER_INDEPENDENT_ONE;
             gradient += jacobian * f64::from(row[RESIDUAL] * weight) / POINTS_PER_INDEPENDENT_ONE;
         }
+        all.end_part([0.5, 0.25]);
         let sums = all.finish();
         assert!((sums.hessian - hessian).norm() < 1e-5 * hessian.norm());
         assert!((sums.gradient - gradient).norm() < 1e-5 * hessian.norm());
         assert_eq!(sums.matched, 1000);
+        let entry =
+            |i: usize, j: usize| (sums.hessian[(i, j)], sums.between[(i, j)], sums.bend_hessian[(i, j)]);
+        for ((i, j), between, bend) in [((0, 1), 0.5, 0.25), ((2, 5), 0.25, 0.125), ((4, 3), 0.25, 0.0625)] {
+            let (all, by_both, by_bend) = entry(i, j);
+            assert!((by_both - between * all).abs() < 1e-9 && (by_bend - bend * all).abs() < 1e-9);
+        }
     }
 }

@@ -1,5 +1,6 @@
 use super::*;
 use crate::testing::Lcg;
+use portolan_geometry::{Duration, Time, to_f32};
 
 /// Hits on the walls of a room, 8 m long, 5 m wide and 3 m high, with some noise.
 fn room(lcg: &mut Lcg, with_ends: bool, noise: f32) -> Vec<Point3f> {
@@ -36,9 +37,9 @@ fn a_scan_is_found_to_millimetres() {
     let expected = Rigid3::new(Vector3::new(0.4, -0.3, 0.1), Vector3::new(0.03, -0.02, 0.5));
     let scan = seen_from(&room(&mut lcg, true, 0.03), &expected);
     let initial = Rigid3::new(Vector3::new(0.25, -0.2, 0.0), Vector3::new(0.0, 0.0, 0.45));
-    let prior = PosePrior { pose: initial, translation_sigma: 0.1, rotation_sigma: 0.1 };
+    let prior = PosePrior { pose: initial, sigmas: Sigmas { shift: 0.1, turn: 0.1 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_scan(&map, &scan, &initial, &prior, 0.3).unwrap();
+    let found = matcher.match_scan(&map, &scan, &prior, 0.3).unwrap();
     let error = expected.inverse() * found.pose;
     assert!(error.translation.vector.norm() < 0.003, "{error}");
     assert!(error.rotation.angle() < 0.001, "{error}");
@@ -52,9 +53,9 @@ fn along_a_bare_corridor_the_prior_decides() {
     let expected = Rigid3::translation(0.3, 0.1, 0.0);
     let scan = seen_from(&room(&mut lcg, false, 0.02), &expected);
     let initial = Rigid3::translation(0.2, 0.0, 0.05);
-    let prior = PosePrior { pose: initial, translation_sigma: 0.1, rotation_sigma: 0.1 };
+    let prior = PosePrior { pose: initial, sigmas: Sigmas { shift: 0.1, turn: 0.1 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_scan(&map, &scan, &initial, &prior, 0.3).unwrap();
+    let found = matcher.match_scan(&map, &scan, &prior, 0.3).unwrap();
     assert_eq!(found.weak.translations.len(), 1);
     assert!(found.weak.translations[0].x.abs() > 0.99 && found.weak.rotations.is_empty());
     let translation = found.pose.translation.vector;
@@ -66,11 +67,11 @@ fn along_a_bare_corridor_the_prior_decides() {
 fn nothing_near_is_no_match() {
     let map = surfaces(&room(&mut Lcg::new(7), true, 0.01));
     let far = Rigid3::translation(100.0, 0.0, 0.0);
-    let prior = PosePrior { pose: far, translation_sigma: 0.1, rotation_sigma: 0.1 };
+    let prior = PosePrior { pose: far, sigmas: Sigmas { shift: 0.1, turn: 0.1 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
     let points = [Point3f::origin(); 100];
-    assert_eq!(matcher.match_scan(&map, &points, &far, &prior, 0.3), None);
-    assert_eq!(matcher.match_scan(&map, &[], &Rigid3::identity(), &prior, 0.3), None);
+    assert_eq!(matcher.match_scan(&map, &points, &prior, 0.3), None);
+    assert_eq!(matcher.match_scan(&map, &[], &prior, 0.3), None);
 }
 
 #[test]
@@ -98,9 +99,9 @@ fn hits_that_lie_in_the_cone_of_their_beam_tell_nothing() {
     sweep(7200).iter().for_each(|p| map.insert_seen_from(p, &Point3f::origin()));
     let scan = sweep(360);
     let pose = Rigid3::identity();
-    let prior = PosePrior { pose, translation_sigma: 0.05, rotation_sigma: 0.01 };
+    let prior = PosePrior { pose, sigmas: Sigmas { shift: 0.05, turn: 0.01 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_scan(&map, &scan, &pose, &prior, 0.3).unwrap();
+    let found = matcher.match_scan(&map, &scan, &prior, 0.3).unwrap();
     let level = found.weak.translations.iter().filter(|d| d.z.abs() < 0.3).count();
     assert_eq!(level, 2, "{:?}", found.weak);
 }
@@ -119,8 +120,39 @@ fn about_the_axis_of_a_long_tunnel_nothing_is_open() {
     }
     let map = surfaces(&points);
     let pose = Rigid3::identity();
-    let prior = PosePrior { pose, translation_sigma: 0.05, rotation_sigma: 0.05 };
+    let prior = PosePrior { pose, sigmas: Sigmas { shift: 0.05, turn: 0.05 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_scan(&map, &seen_from(&points, &pose), &pose, &prior, 0.3).unwrap();
+    let found = matcher.match_scan(&map, &seen_from(&points, &pose), &prior, 0.3).unwrap();
     assert!(found.weak.rotations.is_empty() && found.weak.translations.len() == 1, "{:?}", found.weak);
+}
+
+#[test]
+fn a_sweep_is_found_whose_start_and_speed_were_off() {
+    let mut lcg = Lcg::new(10);
+    let map = surfaces(&room(&mut lcg, true, 0.02));
+    // The way goes with 1 m/s and turns with 1 rad/s; it was predicted to start 1 cm beside and to be slower.
+    let pose_at =
+        |speed: f64, t: f64, beside: f64| Rigid3::new(Vector3::new(speed * t, beside, 0.0), Vector3::z() * t);
+    let (start, seconds) = (Time::from_ticks(0), 0.1);
+    let end = start + Duration::from_seconds(seconds);
+    let mut way = Way::new(start, end, |t| pose_at(0.6, t.seconds_since(start), 0.01));
+    (way.turn_is_measured, way.shift_is_measured) = (true, true);
+    let fixed = room(&mut lcg, true, 0.02);
+    let points: Vec<SweptPoint> = fixed
+        .iter()
+        .step_by(7)
+        .enumerate()
+        .map(|(i, p)| {
+            let t = seconds * (i * 7) as f64 / fixed.len() as f64;
+            SweptPoint { offset: (t - seconds) as f32, position: to_f32(&pose_at(1.0, t, 0.0).inverse()) * p }
+        })
+        .collect();
+    let prior =
+        WayPrior { start: Sigmas { shift: 0.02, turn: 0.005 }, bend: Sigmas { shift: 0.05, turn: 0.01 } };
+    let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
+    let found = matcher.match_sweep(&map, &points, &way, &prior, 0.3).unwrap();
+    let error = pose_at(1.0, seconds, 0.0).inverse() * found.pose;
+    assert!(error.translation.vector.norm() < 0.004, "{error}");
+    assert!((found.correction.start.y + 0.01).abs() < 0.003, "{:?}", found.correction);
+    assert!((found.correction.bend.x - 0.04).abs() < 0.006, "{:?}", found.correction);
 }
