@@ -9,7 +9,7 @@ use portolan_matching::{
 };
 use portolan_sensor::voxel_filter_points;
 
-use super::surface_tracking::SweepPoint;
+use super::super::SweepPoint;
 use super::sweep_path::{StraightPieces, SweepPath};
 
 /// Velocity and the sweeps that it unwarps are found in turns.
