@@ -60,7 +60,7 @@ pub fn write_results<S: ResultSpace>(
         path
     };
     let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
-    write_map(map, &file("map.pbstream"), true).map_err(|e| failed(&e))?;
+    write_map(map, file("map.pbstream"), true).map_err(|e| failed(&e))?;
     // Trajectories that were known before are in the map; these files are of the recording.
     let id = mapped.trajectory_id;
     write_tum(&file("trajectory.tum"), &map.node_poses(id)).map_err(|e| failed(&e))?;

@@ -121,10 +121,10 @@ mod tests {
 
     #[test]
     fn blocks_are_bounded() {
-        let mut voxels = OccupiedVoxels::with_blocks(0.1, 100).unwrap();
+        let mut voxels = OccupiedVoxels::with_blocks(0.1, 40).unwrap();
         let firsts = points().filter(|point| voxels.add(*point)).count();
         let all: BTreeSet<_> = points().map(|p| p.map(|v| (v * 10.0).floor() as i64)).collect();
-        assert!(voxels.bits.len() <= 100 && firsts > all.len(), "{firsts}");
+        assert!(voxels.bits.len() <= 40 && firsts > all.len(), "{firsts}");
         assert!(OccupiedVoxels::new(0.0).is_err());
     }
 }

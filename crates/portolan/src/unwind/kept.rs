@@ -25,7 +25,11 @@ const STEPS: f32 = 32_767.0;
 const STEPS_OF_TIME: f32 = 65_535.0;
 /// Points kept of a scan, evenly spread over those there are: some 300 kB a second.
 const MOST_POINTS: usize = 4096;
-/// A scan shows new places if it is so far from the last one that was kept: seconds, metres, radians.
+/// While there are few scans more is kept of them, so that short recordings have full pictures: of the n-th scan this
+/// many points divided by n.
+const FIRST_POINTS: usize = 2_000_000;
+const FIRST_SCANS: u64 = (FIRST_POINTS / MOST_POINTS) as u64;
+/// After those a scan shows new places if it is so far from the last one that was kept: seconds, metres, radians.
 const FAR: (f64, f64, f64) = (0.5, 0.02, 0.005);
 /// Local SLAM left out what is out of range.
 const ALL: UnwindOptions = UnwindOptions { min_range: 0.0, max_range: f32::INFINITY };
@@ -55,7 +59,7 @@ impl KeptScans {
     /// [`KeptScans::failure`] says so.
     pub fn keep<S: Space>(&mut self, scan: &MatchingResult<S>) {
         let is_similar = |last: &mut MotionFilter| last.is_similar(scan.time, &scan.local_from_tracking);
-        if !self.last.as_mut().is_none_or(is_similar) {
+        if !self.last.as_mut().is_none_or(is_similar) || self.scans < FIRST_SCANS {
             self.keep_points(scan.time, &scan.measured);
         }
     }
@@ -67,7 +71,8 @@ impl KeptScans {
             let values = [p.position.x, p.position.y, p.position.z, p.offset];
             values.iter().all(|v| v.is_finite()).then_some(values)
         };
-        let (mut farthest, mut earliest) = (f32::MIN_POSITIVE, -f32::MIN_POSITIVE);
+        // A micrometre and a microsecond at least, so that steps are never nothing.
+        let (mut farthest, mut earliest) = (1e-6_f32, -1e-6_f32);
         for [x, y, z, offset] in points.iter().filter_map(values) {
             farthest = farthest.max(x.abs()).max(y.abs()).max(z.abs());
             earliest = earliest.min(offset);
@@ -75,13 +80,15 @@ impl KeptScans {
         let (step, step_of_time) = (farthest / STEPS, -earliest / STEPS_OF_TIME);
         self.bytes.clear();
         self.bytes.resize(HEAD, 0);
-        let wanted = points.len().min(MOST_POINTS);
+        let most = (FIRST_POINTS / (self.scans as usize + 1)).max(MOST_POINTS);
+        let wanted = points.len().min(most);
         let spread = (0..wanted).map(|i| &points[i * points.len() / wanted]);
+        let (per_step, per_step_of_time) = (1.0 / step, 1.0 / step_of_time);
         for [x, y, z, offset] in spread.filter_map(values) {
-            for value in [x, y, z] {
-                self.bytes.extend(((value / step).round_ties_even() as i16).to_le_bytes());
-            }
-            self.bytes.extend(((-offset / step_of_time).round_ties_even() as u16).to_le_bytes());
+            // Rounded by cutting off, for `round` is a call on machines of no particular kind.
+            let [x, y, z] = [x, y, z].map(|v| ((v * per_step + 0.5_f32.copysign(v)) as i16).to_le_bytes());
+            let [g, h] = ((0.5 - offset * per_step_of_time) as u16).to_le_bytes();
+            self.bytes.extend_from_slice(&[x[0], x[1], y[0], y[1], z[0], z[1], g, h]);
         }
         let count = ((self.bytes.len() - HEAD) / POINT) as u32;
         self.bytes[..8].copy_from_slice(&time.ticks().to_le_bytes());
@@ -248,6 +255,7 @@ mod tests {
             intensity: 0.0,
         };
         let points: Vec<SweepPoint> = (0..100_000).map(point).collect();
+        (0..FIRST_SCANS).for_each(|_| kept.keep_points(at(0), &[]));
         kept.keep_points(at(0), &points);
         kept.finish();
         let motion = SmoothMotion::new(vec![(at(0), Rigid3::identity())]);
