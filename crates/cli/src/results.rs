@@ -7,7 +7,7 @@ use portolan_export::{
     ConstraintLine, MapContent, PictureOptions, TrajectoryLine, draw_map, write_picture, write_tum,
 };
 use portolan_mapfile::{
-    ImageName, MapReader, MapSpace, PaintOptions, PlacedTexture, load_textures, paint, submap_textures_2d,
+    ImageName, MapSpace, PaintOptions, PlacedTexture, paint, submap_textures_2d, submap_textures_3d,
     write_map, write_ros_map,
 };
 use portolan_mapping::{LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId, WeakMotion, WeakSpan};
@@ -22,21 +22,19 @@ const ROS_MAP_RESOLUTION: f64 = 0.05;
 
 /// A space whose maps can be shown from above.
 pub trait ResultSpace: MapSpace {
-    /// The submaps as textures; `file` is where the map was written.
-    fn textures(map: &Map<Self>, file: &Path) -> Result<Vec<PlacedTexture>, CliError>;
+    /// The submaps as textures.
+    fn textures(map: &Map<Self>) -> Vec<PlacedTexture>;
 }
 
 impl ResultSpace for Planar {
-    fn textures(map: &Map<Self>, _file: &Path) -> Result<Vec<PlacedTexture>, CliError> {
-        Ok(submap_textures_2d(map))
+    fn textures(map: &Map<Self>) -> Vec<PlacedTexture> {
+        submap_textures_2d(map)
     }
 }
 
 impl ResultSpace for Spatial {
-    fn textures(_map: &Map<Self>, file: &Path) -> Result<Vec<PlacedTexture>, CliError> {
-        let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
-        let mut reader = MapReader::open(file).map_err(|e| failed(&e))?;
-        Ok(load_textures(&mut reader).map_err(|e| failed(&e))?.textures)
+    fn textures(map: &Map<Self>) -> Vec<PlacedTexture> {
+        submap_textures_3d(map)
     }
 }
 
@@ -62,15 +60,14 @@ pub fn write_results<S: ResultSpace>(
         path
     };
     let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
-    let map_file = file("map.pbstream");
-    write_map(map, &map_file, true).map_err(|e| failed(&e))?;
+    write_map(map, file("map.pbstream"), true).map_err(|e| failed(&e))?;
     // Trajectories that were known before are in the map; these files are of the recording.
     let id = mapped.trajectory_id;
     write_tum(&file("trajectory.tum"), &map.node_poses(id)).map_err(|e| failed(&e))?;
     if all_poses {
         write_tum(&file("all_poses.tum"), &map.scan_poses(id)).map_err(|e| failed(&e))?;
     }
-    let textures = S::textures(map, &map_file)?;
+    let textures = S::textures(map);
     let content = MapContent {
         textures: &textures,
         trajectories: &trajectory_lines(map),

@@ -108,7 +108,10 @@ pub(crate) fn compose(
     scale_bar: bool,
     draw: &mut dyn FnMut(&mut PixmapMut, f32),
 ) -> Result<Picture, PictureError> {
-    let rgba: Vec<u8> = ground.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+    let mut rgba = vec![255; ground.len() / 3 * 4];
+    for (opaque, pixel) in rgba.as_chunks_mut::<4>().0.iter_mut().zip(ground.as_chunks::<3>().0) {
+        opaque[..3].copy_from_slice(pixel);
+    }
     let size = IntSize::from_wh(frame.width as u32, frame.height as u32);
     let mut pixmap = size
         .and_then(|size| Pixmap::from_vec(rgba, size))
@@ -121,7 +124,11 @@ pub(crate) fn compose(
         bar.draw(&mut canvas, place);
     }
     // Every pixel is opaque, so premultiplied colours are the colours.
-    let rgb = pixmap.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    let mut rgb = vec![0; pixmap.data().len() / 4 * 3];
+    for (pixel, &[r, g, b, _]) in rgb.as_chunks_mut::<3>().0.iter_mut().zip(pixmap.data().as_chunks::<4>().0)
+    {
+        *pixel = [r, g, b];
+    }
     Ok(Picture { frame, rgb })
 }
 

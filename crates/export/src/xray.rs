@@ -55,9 +55,10 @@ impl XrayView {
 #[derive(Clone, Debug)]
 pub struct XrayPicture {
     frame: Frame,
+    pixels_per_metre: f64,
     weights: Vec<f32>,
-    /// Weighted sums of colours; empty for ink on paper.
-    colours: Vec<Rgb>,
+    /// Weighted sums of what colours the pixels; empty for ink on paper.
+    tints: Vec<f32>,
 }
 
 impl XrayPicture {
@@ -72,35 +73,46 @@ impl XrayPicture {
         let [width, height] = size.map(|s| ((s / resolution).ceil() as usize).clamp(1, max_edge));
         let frame = Frame { width, height, resolution, upper_left: [from[0] - margin, to[1] + margin] };
         let pixels = width * height;
-        let colours = if is_coloured { vec![[0.0; 3]; pixels] } else { Vec::new() };
-        Self { frame, weights: vec![0.0; pixels], colours }
+        let tints = if is_coloured { vec![0.0; pixels] } else { Vec::new() };
+        Self { frame, pixels_per_metre: 1.0 / resolution, weights: vec![0.0; pixels], tints }
     }
 
-    /// Adds a voxel at a projected position; the colour counts in coloured pictures only.
-    pub fn add(&mut self, position: [f64; 2], colour: Rgb) {
-        let (x, y) = self.frame.pixel(position);
-        let (x, y) = (x - 0.5, y - 0.5);
-        let (left, top) = (x.floor(), y.floor());
-        let (fx, fy) = (x - left, y - top);
-        for (dx, dy, weight) in [
-            (0.0, 0.0, (1.0 - fx) * (1.0 - fy)),
-            (1.0, 0.0, fx * (1.0 - fy)),
-            (0.0, 1.0, (1.0 - fx) * fy),
-            (1.0, 1.0, fx * fy),
-        ] {
-            let (column, row) = (left + dx, top + dy);
-            let inside = column >= 0.0
-                && row >= 0.0
-                && column < self.frame.width as f32
-                && row < self.frame.height as f32;
-            if !inside {
+    /// Adds an occupied voxel at a projected position. In coloured pictures `tint` is 0 for the first colour and 1
+    /// for the last, and pixels get the mean.
+    #[inline]
+    pub fn add(&mut self, position: [f64; 2], tint: f64) {
+        let [left, top] = self.frame.upper_left;
+        let x = ((position[0] - left) * self.pixels_per_metre) as f32 - 0.5;
+        let y = ((top - position[1]) * self.pixels_per_metre) as f32 - 0.5;
+        let (width, height) = (self.frame.width, self.frame.height);
+        if !((-1.0..width as f32).contains(&x) && (-1.0..height as f32).contains(&y)) {
+            return;
+        }
+        // One more pixel to the left and above, so that rounding to zero rounds down.
+        let (column, row) = ((x + 1.0) as usize, (y + 1.0) as usize);
+        let (fx, fy) = (x + 1.0 - column as f32, y + 1.0 - row as f32);
+        let shares = [[(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy)], [(1.0 - fx) * fy, fx * fy]];
+        for (row, [left, right]) in (row..).zip(shares) {
+            if !(1..=height).contains(&row) {
                 continue;
             }
-            let at = row as usize * self.frame.width + column as usize;
-            self.weights[at] += weight;
-            if let Some(sum) = self.colours.get_mut(at) {
-                *sum = std::array::from_fn(|i| sum[i] + weight * colour[i]);
+            let line = (row - 1) * width;
+            if column > 0 {
+                self.add_to_pixel(line + column - 1, left, tint);
             }
+            if column < width {
+                self.add_to_pixel(line + column, right, tint);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn add_to_pixel(&mut self, at: usize, share: f32, tint: f64) {
+        if let Some(sum) = self.weights.get_mut(at) {
+            *sum += share;
+        }
+        if let Some(sum) = self.tints.get_mut(at) {
+            *sum += share * tint as f32;
         }
     }
 
@@ -111,12 +123,13 @@ impl XrayPicture {
     pub fn finish(&self, trajectories: &[TrajectoryLine], title: &str) -> Result<Picture, PictureError> {
         let full = self.darkest();
         let tone = |weight: f32| (weight.ln_1p() / full.ln_1p()).min(1.0);
-        let is_coloured = !self.colours.is_empty();
+        let is_coloured = !self.tints.is_empty();
         let mut ground = Vec::with_capacity(3 * self.weights.len());
         for (i, weight) in self.weights.iter().enumerate() {
-            let colour = match self.colours.get(i) {
+            let colour = match self.tints.get(i) {
                 Some(sum) if *weight > 0.0 => {
-                    mix(NIGHT, sum.map(|v| v / weight), (1.6 * tone(*weight).sqrt()).min(1.0))
+                    let colour = colour_of_share(f64::from(sum / weight));
+                    mix(NIGHT, colour, (1.6 * tone(*weight).sqrt()).min(1.0))
                 }
                 Some(_) => NIGHT,
                 None => mix(PAPER, INK, tone(*weight)),
@@ -159,9 +172,9 @@ mod tests {
         for i in 0..100 {
             for k in 0..100 {
                 let (u, v) = (0.05 + 0.1 * f64::from(i), 0.05 + 0.1 * f64::from(k));
-                top.add(view.project([u, v, 0.0]), PAPER);
+                top.add(view.project([u, v, 0.0]), 0.0);
                 if k < 30 {
-                    top.add(view.project([5.05, u, 0.1 * f64::from(k)]), PAPER);
+                    top.add(view.project([5.05, u, 0.1 * f64::from(k)]), 0.0);
                 }
             }
         }
@@ -193,7 +206,7 @@ mod tests {
     fn sizes_are_bounded_whatever_is_asked_for() {
         for (to, resolution) in [([1e6, 10.0], 0.01), ([f64::NAN, f64::INFINITY], 0.1), ([0.0, 0.0], 0.0)] {
             let mut picture = XrayPicture::new([0.0, 0.0], to, resolution, 400, true);
-            picture.add([f64::NAN, 1e300], PAPER);
+            picture.add([f64::NAN, 1e300], 0.0);
             assert!(picture.frame.width <= 400 && picture.frame.height <= 400, "{:?}", picture.frame);
             assert!(picture.finish(&[], "a title that does not fit").is_ok());
         }

@@ -76,8 +76,9 @@ impl<'a> Sampler<'a> {
         let Some(span) = row.get_mut(first..end) else { return };
         if self.samples == 1 {
             let (mut position, step) = (self.position(first as f64 + 0.5, y as f64 + 0.5), self.step(1.0));
+            let mut cell = Cell::NONE;
             for pixel in span {
-                let sample = self.bilinear(position);
+                let sample = self.bilinear(position, &mut cell);
                 if sample != [0; 3] {
                     blend(pixel, sample);
                 }
@@ -130,11 +131,11 @@ impl<'a> Sampler<'a> {
         let n = self.samples;
         let distance = 1.0 / n as f64;
         let step = self.step(distance);
-        let mut sum = [0; 3];
+        let (mut sum, mut cell) = ([0; 3], Cell::NONE);
         for j in 0..n {
             let mut position = self.position(x + 0.5 * distance, y + (j as f64 + 0.5) * distance);
             for _ in 0..n {
-                let sample = self.bilinear(position);
+                let sample = self.bilinear(position, &mut cell);
                 sum = [0, 1, 2].map(|i| sum[i] + sample[i]);
                 position = advance(position, step);
             }
@@ -143,14 +144,20 @@ impl<'a> Sampler<'a> {
         sum.map(|s| (s + count / 2) / count)
     }
 
-    /// Outside of the texture everything is transparent.
+    /// Outside of the texture everything is transparent. `cell` is what the sample before lay between: pictures that
+    /// magnify a texture have many samples between the same pixels.
     #[inline]
-    fn bilinear(&self, position: [i64; 2]) -> Sample {
+    fn bilinear(&self, position: [i64; 2], cell: &mut Cell) -> Sample {
         let [x, y] = position.map(|v| v.saturating_add(ROUND_POSITION));
-        let neighbours = self.neighbours(x >> POSITION_BITS, y >> POSITION_BITS);
-        if neighbours == [[0, 0]; 4] {
+        let at = [x >> POSITION_BITS, y >> POSITION_BITS];
+        if cell.at != at {
+            let neighbours = self.neighbours(at[0], at[1]);
+            *cell = Cell { at, neighbours, is_empty: neighbours == [[0, 0]; 4] };
+        }
+        if cell.is_empty {
             return [0; 3];
         }
+        let neighbours = cell.neighbours;
         let fraction = |v: i64| ((v >> (POSITION_BITS - WEIGHT_BITS)) & ((1 << WEIGHT_BITS) - 1)) as u32;
         // Weights in 256ths.
         let (dx, dy) = (fraction(x) << (8 - WEIGHT_BITS), fraction(y) << (8 - WEIGHT_BITS));
@@ -186,6 +193,20 @@ impl<'a> Sampler<'a> {
         }
         self.pixels.get(row as usize * self.width + column as usize).copied().unwrap_or_default()
     }
+}
+
+/// Four pixels of a texture that samples lie between.
+struct Cell {
+    /// Column and row of the first.
+    at: [i64; 2],
+    neighbours: [[u8; 2]; 4],
+    /// Whether nothing is known there.
+    is_empty: bool,
+}
+
+impl Cell {
+    /// Positions do not reach so far: they are shifted.
+    const NONE: Self = Self { at: [i64::MAX; 2], neighbours: [[0; 2]; 4], is_empty: true };
 }
 
 /// Saturates, because textures may lie absurdly far away.

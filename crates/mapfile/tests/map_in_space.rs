@@ -5,12 +5,15 @@ mod common;
 
 use std::path::Path;
 
-use common::all_maps;
 use common::small_map::SmallMap;
+use common::{all_maps, shared};
 use portolan_config::Options;
 use portolan_mapfile::proto::mapping as m;
 use portolan_mapfile::proto::mapping::serialized_data::Data;
-use portolan_mapfile::{LoadedMap, MapConversionError, MapLoadSettings, MapReader, read_map, write_graph};
+use portolan_mapfile::{
+    LoadedMap, MapConversionError, MapLoadSettings, MapReader, load_textures, read_map, submap_textures_3d,
+    write_graph,
+};
 use portolan_mapping::{Planar, Spatial};
 use prost::Message as _;
 
@@ -33,6 +36,22 @@ fn through_memory(path: &Path, copy: &Path) -> LoadedMap<Spatial> {
     let options = Options::default().trajectory_builder;
     write_graph(&loaded.graph, &loaded.trajectories, &options, copy, true).unwrap();
     loaded
+}
+
+#[test]
+fn textures_of_memory_and_file_agree() {
+    let Some(path) = shared("data/maps/reference/small_3d.pbstream") else { return };
+    let from_file = load_textures(&mut MapReader::open(&path).unwrap()).unwrap().textures;
+    let loaded: LoadedMap<Spatial> = read_map(&path, &MapLoadSettings::default()).unwrap();
+    let in_memory = submap_textures_3d(&loaded.into_map(Options::default()));
+    assert!(!from_file.is_empty());
+    assert_eq!(from_file.len(), in_memory.len());
+    for (a, b) in from_file.iter().zip(&in_memory) {
+        // Rotations are normalised when they are read into memory.
+        assert!((a.map_from_submap.inverse() * b.map_from_submap).rotation.angle() < 1e-9);
+        assert_eq!((a.id, a.texture.width, a.texture.height), (b.id, b.texture.width, b.texture.height));
+        assert!(a.texture.pixels() == b.texture.pixels(), "{:?}", a.id);
+    }
 }
 
 #[test]

@@ -39,7 +39,7 @@ pub use constraint::{Constraint, ConstraintTag};
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
 pub use imu_integration::{ImuMotion, integrate_imu};
 pub use latency::LatencyHistogram;
-pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, MatchingResult, Repairs};
+pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, MatchingResult, Repairs, SweepPoint};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Mapper, MapperSettings};
 pub use motion_filter::MotionFilter;

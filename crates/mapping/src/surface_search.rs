@@ -90,7 +90,7 @@ fn match_to_surfaces(
     let final_scale = 0.1 * f64::from(surfaces.edge());
     let matcher =
         SurfaceMatcher::new(SurfaceMatcherOptions { final_scale, ..SurfaceMatcherOptions::default() });
-    let found = matcher.match_scan(surfaces, &points, &prior, scale)?;
+    let found = matcher.match_scan(surfaces, &points, initial, &prior, scale)?;
     (found.matched_share >= MIN_MATCHED_SHARE && is_valid_pose(&found.pose)).then_some(found)
 }
 

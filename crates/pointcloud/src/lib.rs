@@ -39,6 +39,7 @@ mod fields;
 mod format;
 mod input;
 mod las;
+mod occupied;
 mod output;
 mod pcd;
 mod ply;
@@ -53,6 +54,7 @@ pub use fields::Scalar;
 pub use format::{
     CloudFormat, CloudReader, CloudWriter, Encoding, Precision, WriteOptions, Written, create, open,
 };
+pub use occupied::OccupiedVoxels;
 pub use ply_header::{PlyElement, PlyHeader, PlyHeaderError, PlyHeaderLines, PlyProperty, PlyStorage};
 pub use thin::{CELLS_IN_MEMORY, ThinnedCloud, VoxelPoint, VoxelThinner};
 pub use uos::{UosFolder, UosFrame, UosScan, uos_frames_text, uos_pose_text};

@@ -18,7 +18,7 @@ pub const CELLS_IN_MEMORY: usize = 1 << 20;
 
 /// Which voxel, in voxels from the origin along x, y and z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-struct Key(i32, i32, i32);
+pub(crate) struct Key(pub i32, pub i32, pub i32);
 
 /// The points of a voxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,9 +58,7 @@ impl VoxelThinner {
     /// # Errors
     /// Fails if the size is not 0.1 mm to 1 km.
     pub fn with_memory(voxel_size: f64, cells_in_memory: usize) -> Result<Self, CloudError> {
-        if !(1e-4..=1e3).contains(&voxel_size) {
-            return Err(CloudError::VoxelSize(voxel_size));
-        }
+        check_voxel_size(voxel_size)?;
         Ok(Self {
             voxel_size,
             cells_in_memory: cells_in_memory.max(1),
@@ -109,6 +107,10 @@ impl VoxelThinner {
     }
 }
 
+pub(crate) fn check_voxel_size(voxel_size: f64) -> Result<(), CloudError> {
+    if (1e-4..=1e3).contains(&voxel_size) { Ok(()) } else { Err(CloudError::VoxelSize(voxel_size)) }
+}
+
 fn sorted(cells: &mut HashMap<Key, Cell, BuildHasherDefault<KeyHasher>>) -> Vec<(Key, Cell)> {
     let mut sorted: Vec<(Key, Cell)> = cells.drain().collect();
     sorted.sort_unstable_by_key(|(key, _)| *key);
@@ -150,7 +152,7 @@ impl ThinnedCloud {
 
 /// Multiplies and folds; the default hasher takes as long as everything else together.
 #[derive(Default)]
-struct KeyHasher(u64);
+pub(crate) struct KeyHasher(u64);
 
 impl Hasher for KeyHasher {
     fn finish(&self) -> u64 {

@@ -2,6 +2,7 @@
 //! ([`pipeline::map_recording`]); the map as a cloud ([`unwind`]).
 
 pub mod automatic;
+pub mod clocks;
 pub mod pipeline;
 mod requested;
 mod silence;

@@ -1,12 +1,13 @@
 //! The whole job: from a recording to a map.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 
 use portolan_config::Options;
 use portolan_geometry::{Rigid3, Time, TransformBuffer};
 use portolan_mapping::{
     BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Map, Mapper, MapperError,
-    MapperSettings, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan, of_trajectory,
+    MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan, of_trajectory,
 };
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
@@ -16,7 +17,7 @@ use portolan_sensor::SensorId;
 
 use crate::automatic;
 use crate::silence::Silences;
-use crate::unwind::KeptSweeps;
+use crate::unwind::KeptScans;
 
 /// Why a recording could not be mapped.
 #[derive(Debug, thiserror::Error)]
@@ -40,6 +41,9 @@ pub enum PipelineError {
     #[error("not a single scan could be used; `portolan check` tells what is wrong with the recording")]
     NoScans,
 }
+
+/// What is counted where the disk cannot hold the scans.
+const NOT_KEPT: &str = "scans could not be kept on disk for pictures; the recording is read again for them";
 
 /// How far mapping is.
 #[derive(Clone, Copy, Debug)]
@@ -74,8 +78,8 @@ pub struct MappedRecording<S: Space> {
     pub mapping_repairs: Repairs,
     /// Where scans left directions open and the prediction decided (3D).
     pub weak_spans: Vec<WeakSpan>,
-    /// What range sensors measured, if that was asked for and is not too much.
-    pub kept_sweeps: KeptSweeps,
+    /// The scans, if they were to be kept.
+    pub kept_scans: KeptScans,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
 }
@@ -93,8 +97,8 @@ pub struct Preparation {
     /// Most threads for searching and optimising, if somebody set a number
     /// ([`RequestedOptions::background_threads`](crate::RequestedOptions::background_threads)).
     pub background_threads: Option<usize>,
-    /// Sweeps are kept for [`unwind_kept`](crate::unwind::unwind_kept) up to so many bytes; 0 unless it is set.
-    pub max_kept_bytes: usize,
+    /// Scans are kept for pictures in a nameless file in this folder; not at all unless it is set.
+    pub keep_scans_in: Option<PathBuf>,
 }
 
 impl Preparation {
@@ -121,7 +125,7 @@ pub fn prepare(
         Ok(portolan_config::Dimension::Three) => Dimension::Three,
         Err(error) => return Err(PipelineError::Setting(error.to_string())),
     };
-    Ok(Preparation { inventory, plan, options, dimension, background_threads: None, max_kept_bytes: 0 })
+    Ok(Preparation { inventory, plan, options, dimension, background_threads: None, keep_scans_in: None })
 }
 
 /// A map that a recording is added to.
@@ -163,24 +167,27 @@ pub fn map_recording<S: Space>(
     settings: MapperSettings,
     observe: &mut dyn FnMut(&PipelineProgress) -> bool,
 ) -> Result<MappedRecording<S>, PipelineError> {
-    let Preparation { inventory, plan, options, max_kept_bytes, .. } = preparation;
+    let Preparation { inventory, plan, options, keep_scans_in, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
     let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let trajectory_id = mapper.add_trajectory(&sensors, initial_pose)?;
     let mut silences = Silences::default();
-    let mut kept_sweeps = KeptSweeps::up_to(max_kept_bytes);
+    let mut kept_scans = keep_scans_in.as_deref().map_or_else(KeptScans::default, KeptScans::in_folder);
     let (mut scans, mut interrupted) = (0, false);
+    let mut take = |matched: Vec<MatchingResult<S>>| {
+        matched.iter().for_each(|scan| kept_scans.keep(scan));
+        scans += matched.len() as u64;
+    };
     let mut span: Option<(Time, Time)> = None;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement()? {
         let time = measurement.time();
         let (first, last) = span.get_or_insert((time, time));
         *last = time.max(*last);
         let recording_seconds = last.seconds_since(*first);
-        kept_sweeps.keep(&measurement);
         silences.add(&sensor_id, time);
-        scans += mapper.add(trajectory_id, &sensor_id, measurement)?.len() as u64;
+        take(mapper.add(trajectory_id, &sensor_id, measurement)?);
         let (position_bytes, total_bytes) = ingestion.progress();
         let backend = mapper.progress();
         if !observe(&PipelineProgress { position_bytes, total_bytes, recording_seconds, backend }) {
@@ -188,10 +195,14 @@ pub fn map_recording<S: Space>(
             break;
         }
     }
-    scans += mapper.finish_trajectory(trajectory_id)?.len() as u64;
+    take(mapper.finish_trajectory(trajectory_id)?);
+    kept_scans.finish();
     let scan_times = mapper.scan_times().clone();
     let weak_spans = mapper.weak_spans().to_vec();
-    let (map, mapping_repairs) = mapper.finish()?;
+    let (map, mut mapping_repairs) = mapper.finish()?;
+    if kept_scans.failure().is_some() {
+        mapping_repairs.insert(NOT_KEPT, 1);
+    }
     if scans == 0 {
         return Err(PipelineError::NoScans);
     }
@@ -209,7 +220,7 @@ pub fn map_recording<S: Space>(
         reading_repairs,
         mapping_repairs,
         weak_spans,
-        kept_sweeps,
+        kept_scans,
         interrupted,
     })
 }

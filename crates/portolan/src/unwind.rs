@@ -3,6 +3,8 @@
 //! The recording is read a second time. Each point is put where the tracking frame was at the time of that
 //! point, so that motion during a sweep is unwound with the final trajectory, not with the one that was
 //! predicted. Points come sweep by sweep; nothing of the recording is kept.
+//!
+//! Pictures need less: scans that mapping kept on disk ([`KeptScans`]) are placed without the recording.
 
 mod kept;
 mod motion;
@@ -15,7 +17,7 @@ use portolan_recording::{IngestError, IngestOptions, Ingestion, Recording};
 use portolan_sensor::{Measurement, TimedPointCloudData};
 
 use crate::pipeline::{PipelineError, Preparation};
-pub use kept::KeptSweeps;
+pub use kept::KeptScans;
 pub use motion::SmoothMotion;
 use motion::{LONGEST_SWEEP, SweepMotion, place};
 
@@ -83,36 +85,14 @@ pub fn unwind(
     observe: &mut dyn FnMut(u64, u64) -> bool,
     visit: &mut dyn FnMut(&[MapPoint]) -> Result<(), CloudError>,
 ) -> Result<Unwound, PipelineError> {
-    let mut unwinder = Unwinder::new(SmoothMotion::new(poses), options);
+    let motion = SmoothMotion::new(poses);
+    let mut unwinder = Unwinder::new(&motion, options);
     let mut ingestion = range_sensors(recording, ingest, preparation)?;
     while let Some((_, measurement)) = ingestion.next_measurement()? {
         let Measurement::Range(sweep) = measurement else { continue };
         visit(unwinder.place(&sweep))?;
         let (position, total) = ingestion.progress();
         if !observe(position, total) {
-            unwinder.unwound.interrupted = true;
-            break;
-        }
-    }
-    Ok(unwinder.unwound)
-}
-
-/// The same with sweeps that mapping kept; points have no intensities then. `observe` gets the sweeps placed
-/// and all of them.
-///
-/// # Errors
-/// Fails as `visit` does.
-pub fn unwind_kept(
-    sweeps: &[TimedPointCloudData],
-    poses: Vec<(Time, Rigid3)>,
-    options: UnwindOptions,
-    observe: &mut dyn FnMut(u64, u64) -> bool,
-    visit: &mut dyn FnMut(&[MapPoint]) -> Result<(), CloudError>,
-) -> Result<Unwound, PipelineError> {
-    let mut unwinder = Unwinder::new(SmoothMotion::new(poses), options);
-    for (sweep, number) in sweeps.iter().zip(1..) {
-        visit(unwinder.place(sweep))?;
-        if !observe(number, sweeps.len() as u64) {
             unwinder.unwound.interrupted = true;
             break;
         }
@@ -135,16 +115,16 @@ fn range_sensors(
 }
 
 /// Places sweeps.
-struct Unwinder {
-    motion: SmoothMotion,
+struct Unwinder<'a> {
+    motion: &'a SmoothMotion,
     options: UnwindOptions,
     sweep_motion: SweepMotion,
     points: Vec<MapPoint>,
     unwound: Unwound,
 }
 
-impl Unwinder {
-    fn new(motion: SmoothMotion, options: UnwindOptions) -> Self {
+impl<'a> Unwinder<'a> {
+    fn new(motion: &'a SmoothMotion, options: UnwindOptions) -> Self {
         let (points, sweep_motion) = (Vec::new(), SweepMotion::default());
         Self { motion, options, sweep_motion, points, unwound: Unwound::default() }
     }
@@ -152,16 +132,15 @@ impl Unwinder {
     /// The points of a sweep in the map.
     fn place(&mut self, sweep: &TimedPointCloudData) -> &[MapPoint] {
         self.points.clear();
-        // Points are in order of time.
-        let first = sweep.points_in_tracking.first().map_or(0.0, |p| f64::from(p.time));
+        let first = f64::from(sweep.points_in_tracking.iter().map(|p| p.time).fold(0.0, f32::min));
         let start = sweep.time + Duration::from_seconds(first);
         let is_short = -first < LONGEST_SWEEP && self.motion.covers(start..=sweep.time);
-        if is_short && self.sweep_motion.fill(&self.motion, start, sweep.time) {
+        if is_short && self.sweep_motion.fill(self.motion, start, sweep.time) {
             let motion = &self.sweep_motion;
             let position = |time: f64, point| Some(motion.to_map(time - first, point));
             place_all(sweep, self.options, position, &mut self.points, &mut self.unwound);
         } else {
-            let motion = &self.motion;
+            let motion = self.motion;
             let position = |time: f64, point| {
                 Some(place(&motion.pose(sweep.time + Duration::from_seconds(time))?, point))
             };

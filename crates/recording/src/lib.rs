@@ -35,8 +35,8 @@ pub use ingest::{
     plan,
 };
 pub use inspect::{
-    CheckReport, Finding, Histogram, PlanDescription, RecordingInfo, RepairDescription, Severity,
-    TopicDescription, check, findings_to_text, info,
+    CheckReport, ClockOffset, Finding, Histogram, PlanDescription, RecordingInfo, RepairDescription,
+    Severity, TopicDescription, check, check_with_clocks, findings_to_text, info,
 };
 pub use memory::MemoryRecording;
 pub use message::*;

@@ -124,7 +124,7 @@ fn mapped<S: ResultSpace>(
     let ingest = IngestOptions::default();
     let cloud_args = CloudArgs::default();
     let mut preparation = prepared(recording, &ingest, None, &[], global)?;
-    preparation.max_kept_bytes = cloud_args.bytes_to_keep(&preparation);
+    cloud_args.keep_scans(&mut preparation, folder);
     let start = Instant::now();
     let known = KnownMap::empty(&preparation.options);
     let mapped = map_with_progress::<S>(recording, &ingest, preparation.clone(), known, global)?;

@@ -167,7 +167,7 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     }
     change_options(&mut preparation, &settings)?;
     preparation.background_threads = threads;
-    preparation.max_kept_bytes = args.cloud.bytes_to_keep(&preparation);
+    args.cloud.keep_scans(&mut preparation, &folder);
     match preparation.dimension {
         Dimension::Two => finish::<Planar>(recording.as_ref(), &ingest, preparation, &folder, &args, global),
         Dimension::Three => {

@@ -9,6 +9,11 @@ const MOST_FOR_WALLS: usize = 20_000;
 /// Width of the bins in which walls gather, metres: to find their direction, and to find it exactly.
 const BIN: f64 = 0.1;
 const FINE_BIN: f64 = 0.03;
+/// Bins in each direction. Farther places fall into them once more, 123 m apart and more, where they hardly meet
+/// other walls.
+const BINS: usize = 1 << 12;
+/// Points by the bins along a direction and across it.
+type Bins = [[u32; 2]; BINS];
 /// Walls stand out if the best direction gathers so much more than the middle one.
 const STANDS_OUT: f64 = 1.1;
 
@@ -57,10 +62,16 @@ impl CloudSample {
     pub fn extent(&self, outliers: f64, measure: impl Fn([f64; 3]) -> f64) -> Option<Extent> {
         let mut values: Vec<f64> =
             self.points.iter().map(|p| measure(*p)).filter(|v| v.is_finite()).collect();
-        values.sort_by(f64::total_cmp);
         let outliers = (outliers.clamp(0.0, 0.4) * values.len() as f64) as usize;
-        let (from, to) = (values.get(outliers)?, values.get(values.len() - 1 - outliers)?);
-        Some(Extent { from: *from, to: *to })
+        let last = values.len().checked_sub(1)?;
+        let (_, from, above) = values.select_nth_unstable_by(outliers, f64::total_cmp);
+        let from = *from;
+        // The first of those above is number `outliers` + 1 of all.
+        let to = match (last - outliers).checked_sub(outliers + 1) {
+            Some(index) => *above.select_nth_unstable_by(index, f64::total_cmp).1,
+            None => from,
+        };
+        Some(Extent { from, to })
     }
 
     /// The direction in the map in which most walls run, from −π/4 to π/4, radians; none if there are no walls
@@ -69,8 +80,9 @@ impl CloudSample {
         let step = self.points.len().div_ceil(MOST_FOR_WALLS).max(1);
         let points: Vec<[f64; 2]> = self.points.iter().step_by(step).map(|p| [p[0], p[1]]).collect();
         let degree = 1f64.to_radians();
+        let bins = &mut [[0; 2]; BINS];
         let coarse: Vec<(f64, f64)> =
-            (-45..45).map(f64::from).map(|d| (gathered(&points, d * degree, BIN), d)).collect();
+            (-45..45).map(f64::from).map(|d| (gathered(&points, d * degree, BIN, bins), d)).collect();
         let mut scores: Vec<f64> = coarse.iter().map(|(score, _)| *score).collect();
         scores.sort_by(f64::total_cmp);
         let middle = *scores.get(scores.len() / 2)?;
@@ -81,7 +93,7 @@ impl CloudSample {
         }
         let fine: Vec<(f64, f64)> = (-10..=10)
             .map(|i| about + 0.1 * f64::from(i))
-            .map(|d| (gathered(&points, d * degree, FINE_BIN), d))
+            .map(|d| (gathered(&points, d * degree, FINE_BIN, bins), d))
             .collect();
         let yaw = best(&fine)?.1 * degree;
         Some(yaw - (yaw / FRAC_PI_2).round() * FRAC_PI_2)
@@ -89,16 +101,16 @@ impl CloudSample {
 }
 
 /// How much points gather in lines along a direction and across it.
-fn gathered(points: &[[f64; 2]], yaw: f64, bin: f64) -> f64 {
-    let (s, c) = yaw.sin_cos();
-    let along = |p: &[f64; 2]| c * p[0] + s * p[1];
-    let across = |p: &[f64; 2]| c * p[1] - s * p[0];
-    let lines = |measure: &dyn Fn(&[f64; 2]) -> f64| {
-        let mut bins: Vec<i64> = points.iter().map(|p| (measure(p) / bin).floor() as i64).collect();
-        bins.sort_unstable();
-        bins.chunk_by(|a, b| a == b).map(|same| (same.len() as f64).powi(2)).sum::<f64>()
-    };
-    lines(&along) + lines(&across)
+fn gathered(points: &[[f64; 2]], yaw: f64, bin: f64, bins: &mut Bins) -> f64 {
+    let ((s, c), per_bin) = (yaw.sin_cos(), 1.0 / bin);
+    bins.fill([0; 2]);
+    for p in points {
+        let along = ((c * p[0] + s * p[1]) * per_bin).floor();
+        let across = ((c * p[1] - s * p[0]) * per_bin).floor();
+        bins[along as i64 as usize % BINS][0] += 1;
+        bins[across as i64 as usize % BINS][1] += 1;
+    }
+    bins.iter().flatten().map(|count| f64::from(*count).powi(2)).sum()
 }
 
 #[cfg(test)]

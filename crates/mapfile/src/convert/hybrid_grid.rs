@@ -57,7 +57,7 @@ pub fn encode_hybrid_grid(grid: &HybridGrid) -> Vec<u8> {
 }
 
 /// A hybrid grid as a message.
-fn hybrid_grid_to_proto(grid: &HybridGrid) -> m::HybridGrid {
+pub(super) fn hybrid_grid_to_proto(grid: &HybridGrid) -> m::HybridGrid {
     let HybridGridParts { resolution, x_indices, y_indices, z_indices, values } = grid.to_parts();
     m::HybridGrid { resolution, x_indices, y_indices, z_indices, values }
 }

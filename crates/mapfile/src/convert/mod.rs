@@ -25,7 +25,7 @@ pub use read::{
     FrozenTrajectories, LoadedMap, LoadedTrajectories, MapLoadSettings, load_map, read_map, read_map_2d,
 };
 pub(crate) use sensors::{imu_from_proto, imu_state_from_proto};
-pub use textures::submap_textures_2d;
+pub use textures::{submap_textures_2d, submap_textures_3d};
 pub use trajectory_options::{
     builder_options_from_proto, builder_options_to_proto, trajectory_options_from_proto,
     trajectory_options_to_proto,

@@ -9,7 +9,7 @@ pub use active_submaps::{ActiveSubmaps, GrowingSubmap};
 use std::collections::VecDeque;
 
 use portolan_config::MotionFilterOptions;
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{Point3f, Rigid3, Time};
 use portolan_sensor::{ImuData, OdometryData, RangeData, SensorId, TimedPointCloudData};
 
 use crate::motion_filter::MotionFilter;
@@ -25,8 +25,22 @@ pub struct MatchingResult<S: Space> {
     pub local_from_tracking: Rigid3,
     /// The scan itself in the local map.
     pub range_data_in_local: RangeData,
+    /// Its points as they were measured, in range and thinned with small voxels, whatever was found of the
+    /// motion on the way (3D).
+    pub measured: Vec<SweepPoint>,
     /// The node, if the scan was different enough from the last one to be inserted.
     pub inserted: Option<InsertedNode<S>>,
+}
+
+/// A point of a sweep as it was measured.
+#[derive(Clone, Copy, Debug)]
+pub struct SweepPoint {
+    /// Seconds before the end of the sweep, not positive.
+    pub offset: f32,
+    /// In the tracking frame at its own time, metres.
+    pub position: Point3f,
+    /// As the sensor gave it; 0 without.
+    pub intensity: f32,
 }
 
 /// A scan is matched when so many points are gathered, however many messages it was to have.

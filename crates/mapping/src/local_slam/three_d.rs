@@ -40,6 +40,7 @@ mod upright;
 
 use by_surfaces::BySurfaces;
 use standstill::Standstill;
+use surface_tracking::SurfaceTracker;
 use unwarp::{Gathered, Unwarped, unwarp};
 use upright::Upright;
 
@@ -210,7 +211,12 @@ impl LocalSlam3d {
         self.gathering_since = Some(ranges.time);
         match self.by_surfaces {
             Some(_) => self.match_to_surfaces(ranges.time, &gathered),
-            None => self.match_gathered(ranges.time, &gathered).into_iter().collect(),
+            None => {
+                let matched = self.match_gathered(ranges.time, &gathered);
+                let measured = |_: &_| SurfaceTracker::sweep(&gathered, ranges.time, &self.options);
+                let measured = matched.as_ref().map(measured).unwrap_or_default();
+                matched.map(|result| MatchingResult { measured, ..result }).into_iter().collect()
+            }
         }
     }
 
@@ -300,7 +306,7 @@ impl LocalSlam3d {
             let surface_points = surface_points.iter().map(|p| local * p).collect();
             InsertedNode { open, ..self.insert(&range_data_in_local, surface_points, data) }
         });
-        MatchingResult { time, local_from_tracking, range_data_in_local, inserted }
+        MatchingResult { time, local_from_tracking, range_data_in_local, measured: Vec::new(), inserted }
     }
 
     /// The fine and the coarse cloud of a scan.

@@ -207,7 +207,8 @@ impl LocalSlam2d {
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
         let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking))
             .then(|| self.insert(time, &range_data_in_local, matching_cloud, local_from_tracking, gravity));
-        Some(MatchingResult { time, local_from_tracking, range_data_in_local, inserted })
+        let measured = Vec::new();
+        Some(MatchingResult { time, local_from_tracking, range_data_in_local, measured, inserted })
     }
 
     /// Where the scan fits when time has passed since `last_pose` with nothing measured: the old

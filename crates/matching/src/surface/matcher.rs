@@ -94,6 +94,9 @@ pub struct SurfaceMatch {
     pub matched_share: f64,
     /// Root of the mean square distance from the planes of those, metres.
     pub rms: f64,
+    /// `JᵀWJ` of the points alone, by a shift and a rotation vector about the scanner, in the frame of the
+    /// surfaces: 1/m², 1/(m rad), 1/rad².
+    pub information: na::Matrix6<f64>,
     /// Where the prior decided instead of the scan.
     pub weak: WeakDirections,
 }
@@ -134,19 +137,22 @@ impl SurfaceMatcher {
         Self { options }
     }
 
-    /// The pose near that of the prior that puts the points (metres) on the surfaces. `scale` is how far off
-    /// points may be at the beginning, metres. None if hardly any point lies near a surface.
+    /// The pose near `initial` that puts the points (metres) on the surfaces. `scale` is how far off points
+    /// may be at the beginning, metres. None if hardly any point lies near a surface.
     pub fn match_scan(
         &self,
         surfaces: &SurfaceMap,
         points: &[Point3f],
+        initial: &Rigid3,
         prior: &PosePrior,
         scale: f64,
     ) -> Option<SurfaceMatch> {
         let points: Vec<SweptPoint> =
             points.iter().map(|p| SweptPoint { offset: 0.0, position: *p }).collect();
         let way_prior = WayPrior { start: prior.sigmas, bend: STIFF };
-        self.match_sweep(surfaces, &points, &Way::standing(prior.pose), &way_prior, scale)
+        let way = Way::standing(prior.pose);
+        let first = WayCorrection { start: way.correction_to(initial).end(), ..WayCorrection::default() };
+        self.run(surfaces, &points, &way, first, &way_prior, scale)
     }
 
     /// The way near a predicted one (in the frame of the surfaces) on which a sweep was measured, and its end: the
@@ -164,8 +170,19 @@ impl SurfaceMatcher {
         prior: &WayPrior,
         scale: f64,
     ) -> Option<SurfaceMatch> {
+        self.run(surfaces, points, way, WayCorrection::default(), prior, scale)
+    }
+
+    fn run(
+        &self,
+        surfaces: &SurfaceMap,
+        points: &[SweptPoint],
+        way: &Way,
+        mut correction: WayCorrection,
+        prior: &WayPrior,
+        scale: f64,
+    ) -> Option<SurfaceMatch> {
         let parts = parts_of(points, way);
-        let mut correction = WayCorrection::default();
         let mut scale = scale.max(self.options.final_scale);
         let mut pairs = Pairs::new(points.len(), surfaces.edge());
         let mut last = None;
@@ -178,7 +195,7 @@ impl SurfaceMatcher {
             let step = solve(&sums, &correction, prior, &weak)?;
             correction.start += step.start;
             correction.bend += step.bend;
-            last = Some((sums.matched, sums.squares, weak));
+            last = Some((sums, weak));
             let moved = step.end();
             let is_small =
                 moved.fixed_rows::<3>(0).norm() < SMALL_SHIFT && moved.fixed_rows::<3>(3).norm() < SMALL_TURN;
@@ -187,13 +204,14 @@ impl SurfaceMatcher {
             }
             scale = (scale * SCALE_DECAY).max(self.options.final_scale);
         }
-        let (matched, squares, weak) = last?;
+        let (sums, weak) = last?;
         let pose = way.corrected_end(&correction);
         pose.translation.vector.iter().all(|v| v.is_finite()).then(|| SurfaceMatch {
             pose,
             correction,
-            matched_share: matched as f64 / points.len().max(1) as f64,
-            rms: (squares / matched.max(1) as f64).sqrt(),
+            matched_share: sums.matched as f64 / points.len().max(1) as f64,
+            rms: (sums.squares / sums.matched.max(1) as f64).sqrt(),
+            information: sums.hessian,
             weak,
         })
     }

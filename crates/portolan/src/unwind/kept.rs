@@ -1,66 +1,286 @@
-//! Sweeps kept from mapping, so that a short recording need not be read a second time.
+//! Scans kept from mapping, so that pictures need no second reading of the recording.
+//!
+//! What is kept of a scan is what local SLAM took of it: thinned, but as it was measured, so that the final
+//! trajectory unwinds it. It waits on disk, in a file without a name that is gone when nobody holds it, whatever
+//! happens. Memory is that of one buffer, however long the recording is.
 
-use portolan_sensor::{Measurement, TimedPoint, TimedPointCloudData};
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
+use std::path::Path;
 
-/// What range sensors measured, as far as it fits into memory.
-#[derive(Clone, Debug, Default)]
-pub struct KeptSweeps {
-    sweeps: Vec<TimedPointCloudData>,
-    bytes: usize,
-    max_bytes: usize,
-    overflowed: bool,
+use portolan_geometry::{Point3f, Time};
+use portolan_mapping::{MatchingResult, MotionFilter, Space, SweepPoint};
+use portolan_sensor::{TimedPoint, TimedPointCloudData};
+
+use super::{MapPoint, SmoothMotion, UnwindOptions, Unwinder, Unwound};
+
+/// Bytes that are written or read at a time.
+const BUFFER: usize = 1 << 17;
+/// Bytes before the points of a scan: its time in ticks, metres and seconds of a step, how many points.
+const HEAD: usize = 20;
+/// Bytes of a point: steps along x, y and z, and back in time.
+const POINT: usize = 8;
+/// Coordinates are this many steps at most, either way: 3 mm each in a scan that reaches 100 m.
+const STEPS: f32 = 32_767.0;
+const STEPS_OF_TIME: f32 = 65_535.0;
+/// Points kept of a scan, evenly spread over those there are: some 300 kB a second.
+const MOST_POINTS: usize = 4096;
+/// While there are few scans more is kept of them, so that short recordings have full pictures: of the n-th scan this
+/// many points divided by n.
+const FIRST_POINTS: usize = 2_000_000;
+const FIRST_SCANS: u64 = (FIRST_POINTS / MOST_POINTS) as u64;
+/// After those a scan shows new places if it is so far from the last one that was kept: seconds, metres, radians.
+const FAR: (f64, f64, f64) = (0.5, 0.02, 0.005);
+/// Local SLAM left out what is out of range.
+const ALL: UnwindOptions = UnwindOptions { min_range: 0.0, max_range: f32::INFINITY };
+
+/// What local SLAM took of the scans of a recording, on disk.
+#[derive(Debug, Default)]
+pub struct KeptScans {
+    file: Option<BufWriter<File>>,
+    failure: Option<io::Error>,
+    last: Option<MotionFilter>,
+    scans: u64,
+    bytes: Vec<u8>,
 }
 
-impl KeptSweeps {
-    /// Keeps at most so many bytes; with none nothing is kept.
-    pub fn up_to(max_bytes: usize) -> Self {
-        Self { max_bytes, ..Self::default() }
-    }
-
-    /// Keeps a sweep, without its intensities; forgets everything once it is too much.
-    pub fn keep(&mut self, measurement: &Measurement) {
-        let Measurement::Range(sweep) = measurement else { return };
-        self.bytes += size_of_val(sweep) + sweep.points_in_tracking.len() * size_of::<TimedPoint>();
-        if self.bytes > self.max_bytes || self.overflowed {
-            self.overflowed = true;
-            self.sweeps = Vec::new();
-            return;
+impl KeptScans {
+    /// Keeps scans in a file in this folder, which has no name and vanishes with its last user.
+    pub fn in_folder(folder: &Path) -> Self {
+        let file = tempfile::tempfile_in(folder);
+        let last = Some(MotionFilter::new(FAR.0, FAR.1, FAR.2));
+        match file.map(|file| BufWriter::with_capacity(BUFFER, file)) {
+            Ok(file) => Self { file: Some(file), last, ..Self::default() },
+            Err(error) => Self { failure: Some(error), ..Self::default() },
         }
-        self.sweeps.push(TimedPointCloudData {
-            time: sweep.time,
-            origin_in_tracking: sweep.origin_in_tracking,
-            points_in_tracking: sweep.points_in_tracking.clone(),
-            intensities: Vec::new(),
-        });
     }
 
-    /// All sweeps; none unless every one could be kept.
-    pub fn complete(&self) -> Option<&[TimedPointCloudData]> {
-        (!self.overflowed && !self.sweeps.is_empty()).then_some(&self.sweeps)
+    /// Keeps a scan that shows new places. When the disk is full everything is forgotten, and
+    /// [`KeptScans::failure`] says so.
+    pub fn keep<S: Space>(&mut self, scan: &MatchingResult<S>) {
+        let is_similar = |last: &mut MotionFilter| last.is_similar(scan.time, &scan.local_from_tracking);
+        if !self.last.as_mut().is_none_or(is_similar) || self.scans < FIRST_SCANS {
+            self.keep_points(scan.time, &scan.measured);
+        }
     }
+
+    fn keep_points(&mut self, time: Time, points: &[SweepPoint]) {
+        let Some(file) = &mut self.file else { return };
+        // Place and time of a point, finite.
+        let values = |p: &SweepPoint| {
+            let values = [p.position.x, p.position.y, p.position.z, p.offset];
+            values.iter().all(|v| v.is_finite()).then_some(values)
+        };
+        // A micrometre and a microsecond at least, so that steps are never nothing.
+        let (mut farthest, mut earliest) = (1e-6_f32, -1e-6_f32);
+        for [x, y, z, offset] in points.iter().filter_map(values) {
+            farthest = farthest.max(x.abs()).max(y.abs()).max(z.abs());
+            earliest = earliest.min(offset);
+        }
+        let (step, step_of_time) = (farthest / STEPS, -earliest / STEPS_OF_TIME);
+        self.bytes.clear();
+        self.bytes.resize(HEAD, 0);
+        let most = (FIRST_POINTS / (self.scans as usize + 1)).max(MOST_POINTS);
+        let wanted = points.len().min(most);
+        let spread = (0..wanted).map(|i| &points[i * points.len() / wanted]);
+        let (per_step, per_step_of_time) = (1.0 / step, 1.0 / step_of_time);
+        for [x, y, z, offset] in spread.filter_map(values) {
+            // Rounded by cutting off, for `round` is a call on machines of no particular kind.
+            let [x, y, z] = [x, y, z].map(|v| ((v * per_step + 0.5_f32.copysign(v)) as i16).to_le_bytes());
+            let [g, h] = ((0.5 - offset * per_step_of_time) as u16).to_le_bytes();
+            self.bytes.extend_from_slice(&[x[0], x[1], y[0], y[1], z[0], z[1], g, h]);
+        }
+        let count = ((self.bytes.len() - HEAD) / POINT) as u32;
+        self.bytes[..8].copy_from_slice(&time.ticks().to_le_bytes());
+        self.bytes[8..12].copy_from_slice(&step.to_le_bytes());
+        self.bytes[12..16].copy_from_slice(&step_of_time.to_le_bytes());
+        self.bytes[16..HEAD].copy_from_slice(&count.to_le_bytes());
+        match file.write_all(&self.bytes) {
+            Ok(()) => self.scans += 1,
+            Err(error) => self.fail(error),
+        }
+    }
+
+    fn fail(&mut self, error: io::Error) {
+        // What is in the buffer would be written when it is dropped.
+        drop(self.file.take().map(BufWriter::into_parts));
+        self.failure = Some(error);
+    }
+
+    /// Ends the keeping: everything is in the file.
+    pub fn finish(&mut self) {
+        if let Some(Err(error)) = self.file.as_mut().map(Write::flush) {
+            self.fail(error);
+        }
+        self.bytes = Vec::new();
+    }
+
+    /// Why scans that were to be kept are not there.
+    pub fn failure(&self) -> Option<&io::Error> {
+        self.failure.as_ref()
+    }
+
+    /// Whether every scan was kept.
+    pub fn is_complete(&self) -> bool {
+        self.file.is_some()
+    }
+
+    /// Places points by the motion of a finished trajectory: each n-th of every scan, all for `every` = 1; those
+    /// outside of the trajectory are left out and counted. `visit` gets the points of each scan, which have its time and no intensity, and stops everything by returning
+    /// false. To be called after [`KeptScans::finish`], as often as needed.
+    ///
+    /// # Errors
+    /// The file cannot be read, or nothing was kept.
+    pub fn unwind(
+        &self,
+        motion: &SmoothMotion,
+        every: usize,
+        visit: &mut dyn FnMut(&[MapPoint]) -> bool,
+    ) -> io::Result<Unwound> {
+        let missing = || io::Error::new(io::ErrorKind::NotFound, "no scans were kept");
+        let mut reader = BufReader::with_capacity(BUFFER, self.file.as_ref().ok_or_else(missing)?.get_ref());
+        reader.rewind()?;
+        let mut unwinder = Unwinder::new(motion, ALL);
+        let mut bytes = Vec::new();
+        let mut scan = TimedPointCloudData {
+            time: Time::MIN,
+            origin_in_tracking: Point3f::origin(),
+            points_in_tracking: Vec::new(),
+            intensities: Vec::new(),
+        };
+        for _ in 0..self.scans {
+            read_scan(&mut reader, every, &mut bytes, &mut scan)?;
+            if !visit(unwinder.place(&scan)) {
+                unwinder.unwound.interrupted = true;
+                break;
+            }
+        }
+        Ok(unwinder.unwound)
+    }
+}
+
+/// Reads each n-th point of the next scan.
+fn read_scan(
+    reader: &mut impl Read,
+    every: usize,
+    bytes: &mut Vec<u8>,
+    scan: &mut TimedPointCloudData,
+) -> io::Result<()> {
+    let mut head = [0; HEAD];
+    reader.read_exact(&mut head)?;
+    let (ticks, rest) = head.split_first_chunk().unwrap_or((&[0; 8], &[]));
+    let &[[a, b, c, d], of_time, count] = rest.as_chunks::<4>().0 else { return Ok(()) };
+    let (step, step_of_time) = (f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes(of_time));
+    bytes.resize(u32::from_le_bytes(count) as usize * POINT, 0);
+    reader.read_exact(bytes)?;
+    scan.time = Time::from_ticks(i64::from_le_bytes(*ticks));
+    scan.points_in_tracking.clear();
+    let points = bytes.as_chunks::<POINT>().0.iter().step_by(every.max(1));
+    scan.points_in_tracking.extend(points.map(|&[a, b, c, d, e, f, g, h]| {
+        let metres = [[a, b], [c, d], [e, f]].map(|v| f32::from(i16::from_le_bytes(v)) * step);
+        let time = -f32::from(u16::from_le_bytes([g, h])) * step_of_time;
+        TimedPoint { position: Point3f::from(metres), time }
+    }));
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_geometry::{Point3f, Time};
+    use portolan_geometry::{Duration, Rigid3, Vector3, nalgebra::Point3};
+
+    fn at(scan: i64) -> Time {
+        Time::from_ros(1_700_000_000, 0) + Duration::from_seconds(0.1 * scan as f64)
+    }
+
+    fn points(scan: i64) -> Vec<SweepPoint> {
+        let point = |i: usize| {
+            let position = Point3f::new(i as f32 * 0.3, scan as f32 - 7.0, -60.0 / (i + 1) as f32);
+            SweepPoint { offset: -0.0995 + 0.0005 * i as f32, position, intensity: 0.0 }
+        };
+        (0..200).map(point).collect()
+    }
+
+    fn kept(folder: &Path) -> KeptScans {
+        let mut kept = KeptScans::in_folder(folder);
+        for scan in 0..40 {
+            let mut points = points(scan);
+            points.push(SweepPoint { position: Point3f::new(1.0, f32::NAN, 0.0), ..points[0] });
+            kept.keep_points(at(scan), &points);
+        }
+        kept.keep_points(at(40), &[]);
+        kept.finish();
+        kept
+    }
+
+    /// Going straight on with 20 m/s, turned.
+    fn pose(scan: f64) -> Rigid3 {
+        Rigid3::new(Vector3::new(2.0 * scan, 2.0, 3.0), Vector3::new(0.1, 0.2, 0.3))
+    }
 
     #[test]
-    fn all_or_nothing_is_kept() {
-        let sweep = |points: usize| {
-            Measurement::Range(TimedPointCloudData {
-                time: Time::from_ticks(5),
-                origin_in_tracking: Point3f::origin(),
-                points_in_tracking: vec![TimedPoint { position: Point3f::origin(), time: 0.0 }; points],
-                intensities: vec![1.0; points],
-            })
+    fn scans_come_back_where_the_trajectory_puts_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let kept = kept(folder.path());
+        assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "the file has a name");
+        let motion = SmoothMotion::new((1..40).map(|scan| (at(scan), pose(scan as f64))).collect());
+        for _ in 0..2 {
+            let mut scans = 0..;
+            let unwound = kept.unwind(&motion, 1, &mut |placed| {
+                let scan: i64 = scans.next().unwrap();
+                let expected = points(scan);
+                for (placed, point) in placed.iter().zip(expected).filter(|_| scan > 1) {
+                    let place = pose(scan as f64 + 10.0 * f64::from(point.offset));
+                    let error = (Point3::from(placed.position) - place * point.position.cast::<f64>()).norm();
+                    // Half a step along each axis, and of the way of half a step of time.
+                    assert!(error < 0.002, "{scan}: {error}");
+                }
+                scan < 2 || placed.len() == 200 || scan == 40
+            });
+            // Before the second scan ends nothing is known of the motion.
+            let expected = Unwound { points: 38 * 200 + 1, outside_trajectory: 399, ..Unwound::default() };
+            assert_eq!(unwound.unwrap(), expected);
+        }
+        let stopped = kept.unwind(&motion, 1, &mut |_| false).unwrap();
+        assert!(stopped.interrupted && stopped.points == 0);
+    }
+
+    #[test]
+    fn of_large_scans_points_all_over_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut kept = KeptScans::in_folder(folder.path());
+        let point = |i: usize| SweepPoint {
+            offset: 0.0,
+            position: Point3f::new(i as f32 * 0.001, 0.0, 0.0),
+            intensity: 0.0,
         };
-        let mut kept = KeptSweeps::up_to(2000);
-        kept.keep(&sweep(50));
-        assert_eq!(kept.complete().map(|s| s[0].points_in_tracking.len()), Some(50));
-        kept.keep(&sweep(100));
-        kept.keep(&sweep(1));
-        assert_eq!(kept.complete(), None);
-        assert_eq!(KeptSweeps::default().complete(), None);
+        let points: Vec<SweepPoint> = (0..100_000).map(point).collect();
+        (0..FIRST_SCANS).for_each(|_| kept.keep_points(at(0), &[]));
+        kept.keep_points(at(0), &points);
+        kept.finish();
+        let motion = SmoothMotion::new(vec![(at(0), Rigid3::identity())]);
+        let mut widest = 0.0_f64;
+        let unwound = kept.unwind(&motion, 1, &mut |placed| {
+            widest = placed.windows(2).map(|w| w[1].position[0] - w[0].position[0]).fold(0.0, f64::max);
+            true
+        });
+        assert_eq!(unwound.unwrap().points, MOST_POINTS as u64);
+        assert!(widest < 0.03, "{widest}");
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_no_scan_kept() {
+        let motion = SmoothMotion::new(Vec::new());
+        let mut kept = KeptScans::in_folder(Path::new("/no such folder"));
+        kept.keep_points(at(0), &points(0));
+        kept.finish();
+        assert!(kept.failure().is_some() && !kept.is_complete());
+        assert!(kept.unwind(&motion, 1, &mut |_| true).is_err());
+        assert!(KeptScans::default().failure().is_none() && !KeptScans::default().is_complete());
+        let Ok(full) = File::options().write(true).open("/dev/full") else { return };
+        let mut kept = KeptScans { file: Some(BufWriter::new(full)), ..KeptScans::default() };
+        (0..100).for_each(|scan| kept.keep_points(at(scan), &points(scan)));
+        kept.finish();
+        assert!(kept.failure().is_some() && !kept.is_complete());
     }
 }

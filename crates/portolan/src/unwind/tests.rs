@@ -46,7 +46,8 @@ fn distances(points: &[MapPoint], seen: na::Point3<f64>) -> f64 {
 #[test]
 fn a_place_seen_while_walking_is_one_place() {
     let seen = na::Point3::new(3.0, 8.0, 1.0);
-    let mut unwinder = Unwinder::new(SmoothMotion::new(poses(0..0)), ALL);
+    let motion = SmoothMotion::new(poses(0..0));
+    let mut unwinder = Unwinder::new(&motion, ALL);
     let mut largest = 0.0_f64;
     for end in [2.0, 4.03, 6.05, 9.9] {
         let points = unwinder.place(&sweep(end, seen)).to_vec();
@@ -61,7 +62,8 @@ fn a_place_seen_while_walking_is_one_place() {
 #[test]
 fn points_without_a_pose_are_left_out_and_counted() {
     let seen = na::Point3::new(3.0, 8.0, 1.0);
-    let mut unwinder = Unwinder::new(SmoothMotion::new(poses(40..60)), ALL);
+    let motion = SmoothMotion::new(poses(40..60));
+    let mut unwinder = Unwinder::new(&motion, ALL);
     for (end, kept) in
         [(0.05, 51), (3.9, 101), (3.95, 51), (5.0, 0), (6.0, 1), (6.1, 101), (9.95, 51), (20.0, 0)]
     {
@@ -80,9 +82,9 @@ fn sweeps_of_any_length_are_unwound() {
     let mut long = sweep(9.0, na::Point3::new(3.0, 8.0, 1.0));
     long.points_in_tracking[0].time = -1e9;
     long.points_in_tracking[1].time = f32::MIN;
-    let mut unwinder = Unwinder::new(motion, ALL);
+    let mut unwinder = Unwinder::new(&motion, ALL);
     assert_eq!(unwinder.place(&long).len(), 99);
     long.points_in_tracking.clear();
     assert_eq!(unwinder.place(&long).len(), 0);
-    assert_eq!(Unwinder::new(SmoothMotion::new(Vec::new()), ALL).place(&long).len(), 0);
+    assert_eq!(Unwinder::new(&SmoothMotion::new(Vec::new()), ALL).place(&long).len(), 0);
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Vector3};
 
+use super::clock_offset::ClockOffset;
 use super::clouds::CloudChecks;
 use super::finding::{Finding, Findings, Kind, Severity};
 use super::imu::ImuChecks;
@@ -69,6 +70,16 @@ pub fn check(
     options: &IngestOptions,
     progress: &mut dyn FnMut(u64),
 ) -> Result<CheckReport, RecordingError> {
+    check_with_clocks(recording, options, &[], progress)
+}
+
+/// The same where offsets of clocks were measured before: those sensors are not compared once more.
+pub fn check_with_clocks(
+    recording: &dyn Recording,
+    options: &IngestOptions,
+    offsets: &[ClockOffset],
+    progress: &mut dyn FnMut(u64),
+) -> Result<CheckReport, RecordingError> {
     let inventory = Inventory::of(recording, options)?;
     let plan = plan(&inventory, options);
     let mut check = Check::new(&inventory, options);
@@ -85,7 +96,7 @@ pub fn check(
         Ok(plan) => check.add_plan(plan),
         Err(error) => check.findings.add(&NO_PLAN, "", || error.to_string()),
     }
-    Ok(check.finish(plan.as_ref().ok(), &reader.repairs()))
+    Ok(check.finish(plan.as_ref().ok(), offsets, &reader.repairs()))
 }
 
 /// What is checked of one topic.
@@ -194,14 +205,20 @@ impl<'a> Check<'a> {
         }
     }
 
-    fn finish(mut self, plan: Option<&SensorPlan>, repairs: &[Repair]) -> CheckReport {
+    fn finish(
+        mut self,
+        plan: Option<&SensorPlan>,
+        offsets: &[ClockOffset],
+        repairs: &[Repair],
+    ) -> CheckReport {
         let common_lag = self.common_lag();
         for (topic, stamps) in &self.stamps {
             stamps.finish(topic, common_lag, &mut self.findings);
         }
         self.check_spans();
         check_frames(self.stamps.iter().map(|(topic, stamps)| (&**topic, stamps)), &mut self.findings);
-        self.compare_turns(plan);
+        self.compare_turns(plan, offsets);
+        offsets.iter().for_each(|offset| offset.tell(&mut self.findings));
         for (topic, checks) in std::mem::take(&mut self.topics) {
             self.finish_topic(&topic, checks, plan);
         }
@@ -265,7 +282,7 @@ impl<'a> Check<'a> {
 
 impl Check<'_> {
     /// Turns of each sensor against odometry, or against the IMU if there is no odometry.
-    fn compare_turns(&mut self, plan: Option<&SensorPlan>) {
+    fn compare_turns(&mut self, plan: Option<&SensorPlan>, offsets: &[ClockOffset]) {
         let (mut all, mut imus) = (Vec::new(), Vec::new());
         for (topic, checks) in &self.topics {
             let base_from_sensor = mounting(self.inventory, topic, plan).unwrap_or_else(Rigid3::identity);
@@ -287,7 +304,7 @@ impl Check<'_> {
             };
             all.push(Turning { source, topic, turns });
         }
-        compare_all(all, &imus, &mut self.findings);
+        compare_all(all, &imus, offsets, &mut self.findings);
     }
 }
 

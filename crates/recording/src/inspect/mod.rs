@@ -1,6 +1,7 @@
 //! What a recording holds, and what is wrong with it.
 
 mod check;
+mod clock_offset;
 mod clouds;
 mod finding;
 mod histogram;
@@ -15,7 +16,8 @@ mod scans;
 mod stamps;
 mod turns;
 
-pub use check::{CheckReport, check};
+pub use check::{CheckReport, check, check_with_clocks};
+pub use clock_offset::ClockOffset;
 pub use finding::{Finding, Severity, findings_to_text};
 pub use histogram::Histogram;
 pub use info::{PlanDescription, RecordingInfo, RepairDescription, TopicDescription, info};

@@ -230,15 +230,20 @@ pub(crate) fn tell_clocks(
     if turned < ENOUGH_TURNS || correlation < ALIKE || !is_sure {
         return;
     }
+    findings.push(offset_finding(first.0, second.0, lag, warned));
+}
+
+/// Says that `second` is stamped too late by `lag` against `first`.
+pub(super) fn offset_finding(first: &str, second: &str, lag: f64, warned: f64) -> Finding {
     let size = if lag.abs() < 0.1 { format!("{:.3}", lag.abs()) } else { format!("{:.2}", lag.abs()) };
     let direction = if lag > 0.0 { "later" } else { "earlier" };
-    findings.push(finding(
-        second.0,
+    finding(
+        second,
         if lag.abs() > warned { Severity::Warning } else { Severity::Info },
-        format!("stamps are about {size} s {direction} than those of {}, as turns of both show", first.0),
+        format!("stamps are about {size} s {direction} than those of {first}, as turns of both show"),
         "turns are taken from the wrong time, so that scans are unwound and predicted wrongly; the map blurs",
         "synchronise the two clocks (PTP), or let both drivers stamp the time of measurement, not that of arrival",
-    ));
+    )
 }
 
 fn finding(topic: &str, severity: Severity, what: String, effect: &str, to_do: &str) -> Finding {

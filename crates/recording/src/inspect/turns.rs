@@ -2,6 +2,7 @@
 
 use portolan_geometry::{Time, Vector3};
 
+use super::clock_offset::ClockOffset;
 use super::finding::{Findings, Kind, Severity};
 use super::imu::axis_of;
 use super::rotation::{self, ENOUGH_TURNS, Turn, compare};
@@ -85,8 +86,14 @@ pub(super) struct Turning<'a> {
 }
 
 /// Compares all with odometry, or with the IMU if there is no odometry; `imus` also have their axes. Clocks are
-/// compared with that of the first IMU, if there is one: wheels slip, and their counts are coarse.
-pub(super) fn compare_all(mut all: Vec<Turning>, imus: &[(&str, &ImuTurns)], findings: &mut Findings) {
+/// compared with that of the first IMU, if there is one: wheels slip, and their counts are coarse. Those whose
+/// `offsets` are known already are not compared.
+pub(super) fn compare_all(
+    mut all: Vec<Turning>,
+    imus: &[(&str, &ImuTurns)],
+    offsets: &[ClockOffset],
+    findings: &mut Findings,
+) {
     all.sort_by_key(|turning| turning.source);
     let Some((first, others)) = all.split_first() else { return };
     let imu = all.iter().position(|turning| turning.source == Source::Imu);
@@ -103,7 +110,9 @@ pub(super) fn compare_all(mut all: Vec<Turning>, imus: &[(&str, &ImuTurns)], fin
             let reference = if std::ptr::eq(clock, other) { first } else { clock };
             let is_exact = reference.source.is_exact() && other.source.is_exact();
             let (a, b) = ((reference.topic, &*reference.turns), (other.topic, &*other.turns));
-            rotation::tell_clocks(a, b, is_exact, findings);
+            if !offsets.iter().any(|known| (&*known.imu, &*known.lidar) == (a.0, b.0)) {
+                rotation::tell_clocks(a, b, is_exact, findings);
+            }
         }
     }
 }
@@ -161,7 +170,7 @@ mod tests {
         };
         let about_up = Turning { source: Source::Imu, topic: "/imu", turns: imu.about(&Vector3::z()) };
         let mut findings = Findings::default();
-        compare_all(vec![cloud, about_up], &[("/imu", &imu)], &mut findings);
+        compare_all(vec![cloud, about_up], &[("/imu", &imu)], &[], &mut findings);
         let text = findings_to_text(&findings.finish());
         assert!(
             text.contains("/imu: turns of /points about the vertical") && text.contains("about -y"),

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use portolan_recording::{IngestOptions, open};
+use portolan_recording::{IngestOptions, check_with_clocks, open};
 
 use super::Finding;
 use crate::error::CliError;
@@ -13,11 +13,14 @@ pub fn check(path: &Path, quiet: bool) -> Result<(Vec<Finding>, Vec<String>), Cl
     let recording = open(path)?;
     let size = recording.size_bytes();
     let mut progress = Progress::start("check", size, quiet);
-    let report = portolan_recording::check(recording.as_ref(), &IngestOptions::default(), &mut |position| {
+    let mut show = |position| {
         if progress.is_due() {
             progress.update(position, size, String::new());
         }
-    })?;
+    };
+    let options = IngestOptions::default();
+    let offsets = portolan::clocks::measure(recording.as_ref(), &options, &mut show);
+    let report = check_with_clocks(recording.as_ref(), &options, &offsets, &mut show)?;
     progress.finish();
     let finding = |found: portolan_recording::Finding| Finding {
         severity: found.severity,

@@ -1,10 +1,10 @@
-//! The map as a cloud and as X-ray pictures: all points once more with the finished trajectory, from a second
-//! pass over the recording or, for pictures of a short one, from memory.
+//! The map as a cloud and as X-ray pictures, all points with the finished trajectory: those of the cloud from a
+//! second pass over the recording, those of the pictures as mapping used and kept them.
 
 use std::path::{Path, PathBuf};
 
 use portolan::pipeline::{MappedRecording, PipelineError, Preparation};
-use portolan::unwind::{MapPoint, UnwindOptions, Unwound, unwind, unwind_kept};
+use portolan::unwind::{KeptScans, MapPoint, SmoothMotion, UnwindOptions, Unwound, unwind};
 use portolan_geometry::{Rigid3, Time};
 use portolan_mapping::Space;
 use portolan_pointcloud::{
@@ -12,9 +12,8 @@ use portolan_pointcloud::{
     create,
 };
 use portolan_recording::{Dimension, IngestOptions, Recording};
-use portolan_sensor::TimedPointCloudData;
 
-use super::xray;
+use super::xray::{self, NotDrawn, Points};
 use crate::GlobalArgs;
 use crate::error::CliError;
 use crate::interrupt;
@@ -36,21 +35,15 @@ pub struct CloudArgs {
     /// does not grow with the recording, with or without.
     #[arg(long, value_name = "METRES", requires = "cloud")]
     pub cloud_voxel: Option<f64>,
-    /// Draw no X-ray pictures of maps in 3D, which need that pass, too.
+    /// Draw no X-ray pictures of maps in 3D.
     #[arg(long)]
     pub no_xray: bool,
 }
 
-/// Points that X-rays are made of are kept while mapping as long as they take no more memory than this: six
-/// million points.
-const MAX_KEPT_BYTES: usize = 96 << 20;
-
 impl CloudArgs {
-    /// How many bytes of sweeps mapping should keep for what [`write_clouds`] draws.
-    pub fn bytes_to_keep(&self, preparation: &Preparation) -> usize {
-        // Clouds have intensities, which are not kept.
-        let only_xrays = self.cloud.is_none() && self.with_xrays(preparation);
-        if only_xrays { MAX_KEPT_BYTES } else { 0 }
+    /// Has mapping keep in the folder of the results what [`write_clouds`] draws.
+    pub fn keep_scans(&self, preparation: &mut Preparation, folder: &Path) {
+        preparation.keep_scans_in = self.with_xrays(preparation).then(|| folder.to_owned());
     }
 
     fn with_xrays(&self, preparation: &Preparation) -> bool {
@@ -73,7 +66,8 @@ impl CloudArgs {
     }
 }
 
-/// What the second pass gave.
+/// What was made of the points.
+#[derive(Default)]
 pub struct CloudResults {
     /// Files in order.
     pub files: Vec<PathBuf>,
@@ -81,6 +75,49 @@ pub struct CloudResults {
     pub report: serde_json::Value,
     /// For people; may be empty.
     pub text: String,
+}
+
+/// Takes the points of a sweep.
+type Sink<'a> = dyn FnMut(&[MapPoint]) -> Result<(), CloudError> + 'a;
+
+impl CloudResults {
+    /// Writes the cloud (its file and voxels) and draws the X-rays, as far as they are asked for, of all points that
+    /// `unwind` gives.
+    fn add_second_pass(
+        &mut self,
+        cloud: Option<(PathBuf, Option<f64>)>,
+        to_draw: Option<&xray::Request>,
+        folder: &Path,
+        unwind: &mut dyn FnMut(&mut Sink) -> Result<Unwound, CliError>,
+    ) -> Result<(), CliError> {
+        let cloud_sink = cloud.as_ref().map(|(path, voxel)| CloudSink::create(path, *voxel));
+        let mut cloud_sink = cloud_sink.transpose().map_err(failed)?;
+        let xray_sink = to_draw.map(|request| VoxelThinner::new(request.voxel_size));
+        let mut xray_sink = xray_sink.transpose().map_err(failed)?;
+        let unwound = unwind(&mut |points| {
+            if let Some(thinner) = &mut xray_sink {
+                points.iter().try_for_each(|p| thinner.add(p.position, p.intensity, p.time))?;
+            }
+            cloud_sink.as_mut().map_or(Ok(()), |sink| sink.add(points))
+        })?;
+        if unwound.interrupted {
+            say("stopped: nothing was made of the second pass");
+            return Ok(());
+        }
+        self.report["unwound"] = serde_json::json!(unwound);
+        if let Some((sink, (path, voxel))) = cloud_sink.zip(cloud) {
+            let points = sink.finish().map_err(failed)?;
+            self.text = summary(&unwound, points);
+            self.report["points_in_file"] = points.into();
+            self.report["voxel_size"] = voxel.into();
+            self.files.push(path);
+        }
+        if let Some((thinner, request)) = xray_sink.zip(to_draw) {
+            let mut points = Points::Thinned(thinner.finish().map_err(failed)?);
+            self.files.extend(request.draw(&mut points, folder).or_else(not_drawn)?);
+        }
+        Ok(())
+    }
 }
 
 /// Points on their way to the cloud: as they come, or thinned.
@@ -162,52 +199,65 @@ pub fn write_clouds<S: Space>(
     }
     let poses = mapped.map.scan_poses(mapped.trajectory_id);
     let view = with_xrays.then(|| xray::Request::new(&poses, &mapped.plan, preparation));
-    let mut cloud_sink = match &cloud {
-        Some(path) => Some(CloudSink::create(path, args.cloud_voxel).map_err(failed)?),
-        None => None,
+    let drawn = match &view {
+        Some(request) => draw_kept(request, &mapped.kept_scans, &poses, folder)?,
+        None => Some(Vec::new()),
     };
-    let mut xray_sink = match &view {
-        Some(request) => Some(VoxelThinner::new(request.voxel_size).map_err(failed)?),
-        None => None,
-    };
-    let mut sink = |points: &[MapPoint]| {
-        if let Some(thinner) = &mut xray_sink {
-            points.iter().try_for_each(|p| thinner.add(p.position, p.intensity, p.time))?;
-        }
-        cloud_sink.as_mut().map_or(Ok(()), |sink| sink.add(points))
-    };
-    let kept = if cloud.is_none() { mapped.kept_sweeps.complete() } else { None };
-    let unwound = unwind_all(recording, ingest, preparation, kept, poses.clone(), &mut sink, global)?;
-    if unwound.interrupted {
-        say("stopped: no cloud and no X-rays of it");
+    let mut results = CloudResults { report: serde_json::json!({}), ..CloudResults::default() };
+    if with_xrays {
+        let source = if drawn.is_some() { "scans kept while mapping" } else { "a second pass" };
+        results.report["xrays_from"] = source.into();
+    }
+    if cloud.is_some() || drawn.is_none() {
+        let to_draw = view.as_ref().filter(|_| drawn.is_none());
+        let mut unwind = |sink: &mut Sink| unwind_all(recording, ingest, preparation, &poses, sink, global);
+        results.add_second_pass(cloud.zip(Some(args.cloud_voxel)), to_draw, folder, &mut unwind)?;
+    }
+    results.files.extend(drawn.into_iter().flatten());
+    Ok(Some(results))
+}
+
+/// X-rays of what mapping kept; none if that is not there.
+fn draw_kept(
+    request: &xray::Request,
+    scans: &KeptScans,
+    poses: &[(Time, Rigid3)],
+    folder: &Path,
+) -> Result<Option<Vec<PathBuf>>, CliError> {
+    if let Some(error) = scans.failure() {
+        say(&format!("scans could not be kept in {} ({error}): X-rays need a second pass", folder.display()));
+    }
+    if !scans.is_complete() {
         return Ok(None);
     }
-    let mut results = CloudResults {
-        files: Vec::new(),
-        report: serde_json::json!({ "unwound": unwound }),
-        text: String::new(),
-    };
-    if let (Some(sink), Some(path)) = (cloud_sink, cloud) {
-        let points = sink.finish().map_err(failed)?;
-        results.text = summary(&unwound, points);
-        results.report["points_in_file"] = points.into();
-        results.report["voxel_size"] = args.cloud_voxel.into();
-        results.files.push(path);
+    let motion = SmoothMotion::new(poses.to_vec());
+    match request.draw(&mut Points::Kept(scans, &motion), folder) {
+        Ok(files) => Ok(Some(files)),
+        Err(NotDrawn::Points(error)) => {
+            say(&format!("scans that were kept cannot be read ({error}): X-rays need a second pass"));
+            Ok(None)
+        }
+        Err(other) => not_drawn(other).map(Some),
     }
-    if let (Some(thinner), Some(request)) = (xray_sink, view) {
-        let mut thinned = thinner.finish().map_err(failed)?;
-        results.files.extend(request.draw(&mut thinned, folder)?);
+}
+
+fn not_drawn(reason: NotDrawn) -> Result<Vec<PathBuf>, CliError> {
+    match reason {
+        NotDrawn::Interrupted => {
+            say("stopped: no X-rays of it");
+            Ok(Vec::new())
+        }
+        NotDrawn::Points(error) => Err(failed(error)),
+        NotDrawn::Failed(error) => Err(error),
     }
-    Ok(Some(results))
 }
 
 fn unwind_all(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     preparation: &Preparation,
-    kept: Option<&[TimedPointCloudData]>,
-    poses: Vec<(Time, Rigid3)>,
-    sink: &mut dyn FnMut(&[MapPoint]) -> Result<(), CloudError>,
+    poses: &[(Time, Rigid3)],
+    sink: &mut Sink,
     global: &GlobalArgs,
 ) -> Result<Unwound, CliError> {
     let mut progress = Progress::start("placing points", recording.size_bytes(), global.quiet);
@@ -218,10 +268,7 @@ fn unwind_all(
         }
         !interrupt::interrupted()
     };
-    let unwound = match kept {
-        Some(sweeps) => unwind_kept(sweeps, poses, options, &mut observe, sink),
-        None => unwind(recording, ingest, preparation, poses, options, &mut observe, sink),
-    };
+    let unwound = unwind(recording, ingest, preparation, poses.to_vec(), options, &mut observe, sink);
     progress.finish();
     unwound.map_err(|error| match error {
         PipelineError::Cloud(error) => failed(error),

@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use portolan::pipeline::Preparation;
-use portolan_export::{
-    CloudSample, Extent, TrajectoryLine, XrayPicture, XrayView, colour_of_share, write_picture,
-};
+use portolan::unwind::{KeptScans, SmoothMotion};
+use portolan_export::{CloudSample, Extent, TrajectoryLine, XrayPicture, XrayView, write_picture};
 use portolan_geometry::{Rigid3, Time};
-use portolan_pointcloud::{CloudError, ThinnedCloud, VoxelPoint};
+use portolan_pointcloud::{CloudError, OccupiedVoxels, ThinnedCloud};
 use portolan_recording::SensorPlan;
 
 use crate::error::CliError;
+use crate::interrupt;
 
 /// Voxels are so large that the longest edge has about this many of them …
 const VOXELS_ALONG: f64 = 1500.0;
@@ -25,6 +25,55 @@ const OUTLIERS: f64 = 0.001;
 const OUTLIERS_OF_SECTION: f64 = 0.01;
 /// Width of the strips of which the section takes the one with most of the way, metres.
 const STRIP: f64 = 0.5;
+
+/// Which way the map reaches is judged by one point in each cube of so many voxels along an edge.
+const SAMPLED: f64 = 4.0;
+/// So few points of each scan are enough for that.
+const EVERY_SAMPLED: usize = 5;
+
+/// Where the points are that are drawn.
+pub enum Points<'a> {
+    /// Scans that mapping kept, and the motion by the final trajectory.
+    Kept(&'a KeptScans, &'a SmoothMotion),
+    /// One for each voxel of a second reading.
+    Thinned(ThinnedCloud),
+}
+
+/// Why there are no pictures.
+pub enum NotDrawn {
+    /// The points could not be read.
+    Points(CloudError),
+    /// Somebody wants to stop.
+    Interrupted,
+    /// The pictures could not be made or written.
+    Failed(CliError),
+}
+
+impl From<CloudError> for NotDrawn {
+    fn from(error: CloudError) -> Self {
+        Self::Points(error)
+    }
+}
+
+impl Points<'_> {
+    /// Visits all points with their times, seconds since 1970, or `every` n-th if there are scans; as often as needed.
+    fn for_each(&mut self, every: usize, mut visit: impl FnMut([f64; 3], f64)) -> Result<(), NotDrawn> {
+        match self {
+            Self::Kept(scans, motion) => {
+                let unwound = scans.unwind(motion, every, &mut |points| {
+                    points.iter().for_each(|p| visit(p.position, p.time));
+                    !interrupt::interrupted()
+                });
+                let unwound = unwound.map_err(CloudError::Temporary)?;
+                if unwound.interrupted { Err(NotDrawn::Interrupted) } else { Ok(()) }
+            }
+            Self::Thinned(cloud) => Ok(cloud.for_each(&mut |voxel| {
+                visit(voxel.position, voxel.time);
+                Ok(())
+            })?),
+        }
+    }
+}
 
 /// What is drawn of which way.
 pub struct Request {
@@ -54,16 +103,9 @@ impl Request {
         Self { way, voxel_size: size.clamp(*VOXEL_SIZES.start(), *VOXEL_SIZES.end()) }
     }
 
-    /// Draws all pictures of a cloud; the files. None of an empty cloud.
-    pub fn draw(&self, cloud: &mut ThinnedCloud, folder: &Path) -> Result<Vec<PathBuf>, CliError> {
-        let failed = |error: CloudError| CliError::Failed(error.to_string());
-        let mut sample = CloudSample::default();
-        cloud
-            .for_each(&mut |voxel| {
-                sample.add(voxel.position);
-                Ok(())
-            })
-            .map_err(failed)?;
+    /// Draws all pictures; the files. None where there are no points.
+    pub fn draw(&self, points: &mut Points, folder: &Path) -> Result<Vec<PathBuf>, NotDrawn> {
+        let sample = self.sample(points)?;
         let views = self.views(&sample);
         let mut pictures = Vec::new();
         for (name, title, view) in &views.views {
@@ -73,27 +115,38 @@ impl Request {
         let front = views.views[1].2;
         let (Some(right), Some(up)) = views.extents_of_section(&sample) else { return Ok(Vec::new()) };
         let mut section = self.picture(right, up, true);
-        let times = self.times();
-        cloud
-            .for_each(&mut |voxel| {
-                for (.., view, picture) in &mut pictures {
-                    picture.add(view.project(voxel.position), [0.0; 3]);
-                }
-                if views.is_cut(voxel.position) {
-                    section.add(front.project(voxel.position), colour(voxel, times));
-                }
-                Ok(())
-            })
-            .map_err(failed)?;
+        let (first, last) = self.times();
+        let mut occupied = OccupiedVoxels::new(self.voxel_size)?;
+        points.for_each(1, |position, time| {
+            if !occupied.add(position) {
+                return;
+            }
+            pictures.iter_mut().for_each(|(.., view, picture)| picture.add(view.project(position), 0.0));
+            if views.is_cut(position) {
+                section.add(front.project(position), (time - first) / (last - first).max(1e-3));
+            }
+        })?;
         let mut files = Vec::new();
         for (name, title, view, picture) in &pictures {
             let way = self.line(|p| Some(view.project(p)));
             files.push(write(picture, way, title, folder, name)?);
         }
         let way = self.line(|p| views.is_cut(p).then(|| front.project(p)));
-        let title = format!("section, {SECTION} m thick, seen early: blue, late: red");
+        let title = format!("section, {SECTION} m thick, first seen early: blue, late: red");
         files.push(write(&section, way, &title, folder, "map_section.png")?);
         Ok(files)
+    }
+
+    /// Some points from wherever there are any.
+    fn sample(&self, points: &mut Points) -> Result<CloudSample, NotDrawn> {
+        let mut sample = CloudSample::default();
+        let mut occupied = OccupiedVoxels::new(SAMPLED * self.voxel_size)?;
+        points.for_each(EVERY_SAMPLED, |position, _| {
+            if occupied.add(position) {
+                sample.add(position);
+            }
+        })?;
+        Ok(sample)
     }
 
     /// Along the walls, if there are any; the front is the longer side.
@@ -162,20 +215,17 @@ impl Views {
     }
 }
 
-fn colour(voxel: &VoxelPoint, (first, last): (f64, f64)) -> [f32; 3] {
-    colour_of_share((voxel.time - first) / (last - first).max(1e-3))
-}
-
 fn write(
     picture: &XrayPicture,
     way: TrajectoryLine,
     title: &str,
     folder: &Path,
     name: &str,
-) -> Result<PathBuf, CliError> {
-    let picture = picture.finish(&[way], title).map_err(|e| CliError::Failed(e.to_string()))?;
+) -> Result<PathBuf, NotDrawn> {
+    let picture = picture.finish(&[way], title);
+    let picture = picture.map_err(|e| NotDrawn::Failed(CliError::Failed(e.to_string())))?;
     let path = folder.join(name);
-    write_picture(&path, &picture)?;
+    write_picture(&path, &picture).map_err(|e| NotDrawn::Failed(e.into()))?;
     Ok(path)
 }
 

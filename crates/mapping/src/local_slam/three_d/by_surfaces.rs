@@ -52,16 +52,19 @@ impl LocalSlam3d {
                 by_surfaces.first = Some(sweep);
                 return results;
             };
-            results.extend(self.insert_first(&first, Some(&sweep)));
+            let inserted = self.insert_first(&first, Some(&sweep));
+            results.extend(inserted.map(|result| MatchingResult { measured: first.points, ..result }));
         }
-        results.extend(self.follow(&sweep));
+        let matched = self.follow(&sweep);
+        results.extend(matched.map(|result| MatchingResult { measured: sweep.points, ..result }));
         results
     }
 
     /// Inserts a first sweep for which no second came.
     pub(super) fn insert_waiting_first(&mut self) -> Vec<MatchingResult<Spatial>> {
-        let first = self.by_surfaces.as_mut().and_then(|s| s.first.take());
-        first.and_then(|first| self.insert_first(&first, None)).into_iter().collect()
+        let Some(first) = self.by_surfaces.as_mut().and_then(|s| s.first.take()) else { return Vec::new() };
+        let inserted = self.insert_first(&first, None);
+        inserted.map(|result| MatchingResult { measured: first.points, ..result }).into_iter().collect()
     }
 
     fn insert_first(

@@ -10,7 +10,7 @@ use portolan_matching::{
 };
 use portolan_sensor::voxel_filter_points;
 
-use super::surface_tracking::SweepPoint;
+use super::super::SweepPoint;
 
 /// Velocity and the sweeps that it unwarps are found in turns.
 const TURNS: u32 = 4;
@@ -130,7 +130,8 @@ impl<'a> FirstSweeps<'a> {
         let options =
             SurfaceMatcherOptions { final_scale: 0.1 * self.voxel_size, ..SurfaceMatcherOptions::default() };
         let points = voxel_filter_points(&all, SPACING);
-        let found = SurfaceMatcher::new(options).match_scan(&reference.surfaces, &points, &prior, SCALE)?;
+        let found =
+            SurfaceMatcher::new(options).match_scan(&reference.surfaces, &points, &initial, &prior, SCALE)?;
         (found.matched_share >= MIN_MATCHED_SHARE).then_some(found.pose)
     }
 }

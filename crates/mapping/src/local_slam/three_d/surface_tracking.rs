@@ -8,6 +8,7 @@ use portolan_matching::{
 };
 use portolan_sensor::{PointCloud, RangeData, voxel_filter, voxel_filter_indices};
 
+use super::super::SweepPoint;
 use super::unwarp::Gathered;
 
 /// So many points of a sweep are matched, spread evenly over what it sees.
@@ -31,16 +32,6 @@ const ACCELERATION: f64 = 4.0;
 const TURN_ACCELERATION: f64 = 10.0;
 const ODOMETRY_ERROR: f64 = 0.2;
 const GYROSCOPE_ERROR: f64 = 0.01;
-
-/// A point of a sweep as it was measured.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct SweepPoint {
-    /// Seconds before the end of the sweep, not positive.
-    pub offset: f32,
-    /// In the tracking frame at its own time.
-    pub position: Point3f,
-    pub intensity: f32,
-}
 
 /// A sweep matched to surfaces.
 pub(super) struct MatchedSweep {

@@ -39,7 +39,7 @@ fn a_scan_is_found_to_millimetres() {
     let initial = Rigid3::new(Vector3::new(0.25, -0.2, 0.0), Vector3::new(0.0, 0.0, 0.45));
     let prior = PosePrior { pose: initial, sigmas: Sigmas { shift: 0.1, turn: 0.1 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_scan(&map, &scan, &prior, 0.3).unwrap();
+    let found = matcher.match_scan(&map, &scan, &prior.pose, &prior, 0.3).unwrap();
     let error = expected.inverse() * found.pose;
     assert!(error.translation.vector.norm() < 0.003, "{error}");
     assert!(error.rotation.angle() < 0.001, "{error}");
@@ -55,7 +55,7 @@ fn along_a_bare_corridor_the_prior_decides() {
     let initial = Rigid3::translation(0.2, 0.0, 0.05);
     let prior = PosePrior { pose: initial, sigmas: Sigmas { shift: 0.1, turn: 0.1 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_scan(&map, &scan, &prior, 0.3).unwrap();
+    let found = matcher.match_scan(&map, &scan, &prior.pose, &prior, 0.3).unwrap();
     assert_eq!(found.weak.translations.len(), 1);
     assert!(found.weak.translations[0].x.abs() > 0.99 && found.weak.rotations.is_empty());
     let translation = found.pose.translation.vector;
@@ -70,8 +70,8 @@ fn nothing_near_is_no_match() {
     let prior = PosePrior { pose: far, sigmas: Sigmas { shift: 0.1, turn: 0.1 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
     let points = [Point3f::origin(); 100];
-    assert_eq!(matcher.match_scan(&map, &points, &prior, 0.3), None);
-    assert_eq!(matcher.match_scan(&map, &[], &prior, 0.3), None);
+    assert_eq!(matcher.match_scan(&map, &points, &prior.pose, &prior, 0.3), None);
+    assert_eq!(matcher.match_scan(&map, &[], &prior.pose, &prior, 0.3), None);
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn hits_that_lie_in_the_cone_of_their_beam_tell_nothing() {
     let pose = Rigid3::identity();
     let prior = PosePrior { pose, sigmas: Sigmas { shift: 0.05, turn: 0.01 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_scan(&map, &scan, &prior, 0.3).unwrap();
+    let found = matcher.match_scan(&map, &scan, &prior.pose, &prior, 0.3).unwrap();
     let level = found.weak.translations.iter().filter(|d| d.z.abs() < 0.3).count();
     assert_eq!(level, 2, "{:?}", found.weak);
 }
@@ -122,7 +122,7 @@ fn about_the_axis_of_a_long_tunnel_nothing_is_open() {
     let pose = Rigid3::identity();
     let prior = PosePrior { pose, sigmas: Sigmas { shift: 0.05, turn: 0.05 } };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_scan(&map, &seen_from(&points, &pose), &prior, 0.3).unwrap();
+    let found = matcher.match_scan(&map, &seen_from(&points, &pose), &prior.pose, &prior, 0.3).unwrap();
     assert!(found.weak.rotations.is_empty() && found.weak.translations.len() == 1, "{:?}", found.weak);
 }
 

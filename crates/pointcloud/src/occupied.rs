@@ -1,0 +1,130 @@
+//! Which voxels hold points: a bit for each, in blocks.
+
+use std::collections::HashMap;
+use std::hash::BuildHasherDefault;
+
+use crate::error::CloudError;
+use crate::thin::{Key, KeyHasher, check_voxel_size};
+
+/// A block has 2³ voxels along each edge.
+const BLOCK: i32 = 3;
+/// Blocks that are held at most: 25 MB. A picture of 1500 by 1500 voxels has 35,000 blocks in each layer.
+const MAX_BLOCKS: usize = 1 << 18;
+
+/// Blocks to be found without a search.
+const RECENT: usize = 256;
+/// Where no block is yet.
+const NONE: u32 = u32::MAX;
+
+/// Voxels with points in them, in memory that is bounded.
+#[derive(Debug)]
+pub struct OccupiedVoxels {
+    per_metre: f64,
+    max_blocks: usize,
+    blocks: HashMap<Key, u32, BuildHasherDefault<KeyHasher>>,
+    bits: Vec<[u64; 8]>,
+    /// Blocks that were used lately, by some bits of their keys: scans come back to them all the time.
+    recent: [(Key, u32); RECENT],
+}
+
+impl OccupiedVoxels {
+    /// No points yet; `voxel_size` in metres.
+    ///
+    /// # Errors
+    /// Fails if the size is not 0.1 mm to 1 km.
+    pub fn new(voxel_size: f64) -> Result<Self, CloudError> {
+        Self::with_blocks(voxel_size, MAX_BLOCKS)
+    }
+
+    fn with_blocks(voxel_size: f64, max_blocks: usize) -> Result<Self, CloudError> {
+        check_voxel_size(voxel_size)?;
+        Ok(Self {
+            per_metre: 1.0 / voxel_size,
+            max_blocks,
+            blocks: HashMap::default(),
+            bits: Vec::new(),
+            recent: [(Key(0, 0, 0), NONE); RECENT],
+        })
+    }
+
+    /// Adds a point and tells whether it is the first in its voxel; never of one that is not finite or farther
+    /// than two thousand million voxels. When there are too many blocks all voxels are forgotten: where points
+    /// come again after that, they are the first once more.
+    #[inline]
+    pub fn add(&mut self, position: [f64; 3]) -> bool {
+        let scaled = position.map(|v| v * self.per_metre);
+        if !scaled.iter().all(|v| v.abs() < 2e9) {
+            return false;
+        }
+        let [x, y, z] = scaled.map(rounded_down);
+        let key = Key(x >> BLOCK, y >> BLOCK, z >> BLOCK);
+        let place = (key.0 ^ key.1 << 3 ^ key.2 << 5) as usize % RECENT;
+        let index = match self.recent[place] {
+            (recent, index) if recent == key && index != NONE => index,
+            _ => self.block(key, place),
+        } as usize;
+        let within = |v: i32| (v & ((1 << BLOCK) - 1)) as usize;
+        let Some(layer) = self.bits.get_mut(index).map(|block| &mut block[within(z)]) else { return false };
+        let bit = 1 << (within(y) << BLOCK | within(x));
+        let is_first = *layer & bit == 0;
+        *layer |= bit;
+        is_first
+    }
+
+    fn block(&mut self, key: Key, place: usize) -> u32 {
+        if self.bits.len() >= self.max_blocks && !self.blocks.contains_key(&key) {
+            self.blocks.clear();
+            self.bits.clear();
+            self.recent = [(key, NONE); RECENT];
+        }
+        let index = *self.blocks.entry(key).or_insert_with(|| {
+            self.bits.push([0; 8]);
+            (self.bits.len() - 1) as u32
+        });
+        self.recent[place] = (key, index);
+        index
+    }
+}
+
+/// The whole number below; `floor` is a call on machines of no particular kind.
+#[inline]
+fn rounded_down(value: f64) -> i32 {
+    let whole = value as i32;
+    whole - i32::from(f64::from(whole) > value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn points() -> impl Iterator<Item = [f64; 3]> {
+        let mut state = 77_u64;
+        let mut random = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / f64::from(1 << 24)
+        };
+        (0..40_000).map(move |_| [6.0 * random() - 3.0, 4.0 * random() - 2.0, random() - 0.5])
+    }
+
+    #[test]
+    fn each_voxel_is_first_once() {
+        let mut voxels = OccupiedVoxels::new(0.1).unwrap();
+        let mut expected = BTreeSet::new();
+        for point in points().chain(points()) {
+            let is_new = expected.insert(point.map(|v| (v * 10.0).floor() as i64));
+            assert_eq!(voxels.add(point), is_new, "{point:?}");
+        }
+        assert!(!voxels.add([f64::NAN, 0.0, 0.0]) && !voxels.add([0.0, 1e300, 0.0]));
+        assert!(voxels.add([1.9e8, -1.9e8, 0.0]));
+    }
+
+    #[test]
+    fn blocks_are_bounded() {
+        let mut voxels = OccupiedVoxels::with_blocks(0.1, 40).unwrap();
+        let firsts = points().filter(|point| voxels.add(*point)).count();
+        let all: BTreeSet<_> = points().map(|p| p.map(|v| (v * 10.0).floor() as i64)).collect();
+        assert!(voxels.bits.len() <= 40 && firsts > all.len(), "{firsts}");
+        assert!(OccupiedVoxels::new(0.0).is_err());
+    }
+}

@@ -1,0 +1,166 @@
+//! Offsets between the clocks of lidars and IMU, from turns that both tell.
+//!
+//! A range profile tells turns in rooms, and about one axis. Here sweeps are matched to the surfaces that the last
+//! seconds showed, as local SLAM does it, which tells turns about all axes to a hundredth of a degree: every step
+//! of somebody who walks, and every bump in the way of wheels, is a signal of 1 to 3 Hz for the comparison with the
+//! gyroscope. Where the clocks are apart, sweeps are straightened with turns of the wrong time, so that a twentieth
+//! of the offset may be missed: enough to name it.
+
+mod gyroscope;
+mod lag;
+mod sweeps;
+mod tracker;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use portolan_geometry::Duration;
+use portolan_recording::{
+    ClockOffset, IngestError, IngestOptions, Ingestion, Inventory, PlannedRange, Recording, SensorPlan, plan,
+};
+use portolan_sensor::{Measurement, SensorId, SensorKind, TimedPointCloudData};
+
+use gyroscope::Gyroscope;
+use sweeps::{Sweep, SweepGatherer};
+use tracker::{SweepTracker, TrackedSweep};
+
+/// After so many sweeps, and after as many again if that does not suffice, offsets are computed.
+const SWEEPS: usize = 600;
+/// So many sweeps are looked at in all.
+const MAX_SWEEPS: usize = 5 * SWEEPS;
+/// An offset that is so sure suffices, seconds (standard deviation).
+const SURE: f64 = 0.002;
+/// So many sweeps wait at most for samples of the IMU that come later.
+const MAX_WAITING: usize = 20;
+/// Clouds that are flatter are those of scanners in the plane, radians.
+const FLAT: f64 = 0.05;
+
+/// The offset of the clock of each lidar in space against that of the IMU; of those for which the recording tells
+/// it. Ends when enough was read. What cannot be read tells nothing: [`portolan_recording::check`] says why.
+/// `progress` is told the bytes read so far.
+pub fn measure(
+    recording: &dyn Recording,
+    options: &IngestOptions,
+    progress: &mut dyn FnMut(u64),
+) -> Vec<ClockOffset> {
+    match Clocks::new(recording, options) {
+        Ok(Some((mut clocks, mut ingestion))) => {
+            // An error ends the reading, and what was read before it counts.
+            while let Ok(Some((id, measurement))) = ingestion.next_measurement() {
+                clocks.add(&id, measurement);
+                if clocks.is_enough() {
+                    break;
+                }
+                progress(ingestion.progress().0);
+            }
+            clocks.finish(ingestion.plan())
+        }
+        Ok(None) | Err(_) => Vec::new(),
+    }
+}
+
+/// All sensors while the recording is read.
+struct Clocks {
+    gyroscope: Gyroscope,
+    lidars: BTreeMap<SensorId, Lidar>,
+    /// When offsets are computed next, in sweeps of one lidar.
+    next: usize,
+}
+
+/// One lidar while the recording is read.
+#[derive(Default)]
+struct Lidar {
+    gatherer: SweepGatherer,
+    waiting: VecDeque<Sweep>,
+    tracker: SweepTracker,
+    tracked: Vec<TrackedSweep>,
+    sweeps: usize,
+}
+
+impl Clocks {
+    /// None if there is nothing to compare.
+    fn new(
+        recording: &dyn Recording,
+        options: &IngestOptions,
+    ) -> Result<Option<(Self, Ingestion)>, IngestError> {
+        let inventory = Inventory::of(recording, options)?;
+        let mut plan = plan(&inventory, options)?;
+        let Some(imu) = &plan.imu else { return Ok(None) };
+        let shift = imu.source.clock_shift;
+        // A clock that was put right already is known to be wrong.
+        let is_usable = |range: &PlannedRange| {
+            range.source.clock_shift == shift && range.statistics.vertical_field_of_view > FLAT
+        };
+        plan.range.retain(is_usable);
+        if plan.range.is_empty() {
+            return Ok(None);
+        }
+        (plan.odometry, plan.nav_sat, plan.fixed_frame_pose, plan.landmarks) = (None, None, None, None);
+        let lidars = plan.range.iter().map(|range| (range.source.sensor.clone(), Lidar::default())).collect();
+        let ingestion = Ingestion::with_plan(recording, &inventory, plan, options)?;
+        Ok(Some((Self { gyroscope: Gyroscope::default(), lidars, next: SWEEPS }, ingestion)))
+    }
+
+    fn add(&mut self, id: &SensorId, measurement: Measurement) {
+        match measurement {
+            Measurement::Imu(imu) => self.gyroscope.add(&imu),
+            Measurement::Range(cloud) if id.kind == SensorKind::Range => {
+                if let Some(lidar) = self.lidars.get_mut(id) {
+                    lidar.add(cloud, &self.gyroscope);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Whether all offsets are known well enough, or looked for long enough.
+    fn is_enough(&mut self) -> bool {
+        let most = self.lidars.values().map(|lidar| lidar.sweeps).max().unwrap_or(0);
+        if most < self.next {
+            return false;
+        }
+        self.next += SWEEPS;
+        let is_sure = |lidar: &Lidar| {
+            lag::find_lag(&lidar.tracked, &self.gyroscope).is_some_and(|found| found.sigma < SURE)
+        };
+        most >= MAX_SWEEPS || self.lidars.values().all(is_sure)
+    }
+
+    fn finish(mut self, plan: &SensorPlan) -> Vec<ClockOffset> {
+        let Some(imu) = &plan.imu else { return Vec::new() };
+        let mut offset = |range: &PlannedRange| {
+            let lidar = self.lidars.get_mut(&range.source.sensor)?;
+            lidar.track(&self.gyroscope, 0);
+            let found = lag::find_lag(&lidar.tracked, &self.gyroscope)?;
+            Some(ClockOffset {
+                lidar: range.source.topic.clone(),
+                imu: imu.source.topic.clone(),
+                // What is late of the one is early of the other.
+                seconds: -found.seconds,
+                sigma: found.sigma,
+                has_point_times: range.point_time.is_some(),
+            })
+        };
+        plan.range.iter().filter_map(&mut offset).collect()
+    }
+}
+
+impl Lidar {
+    fn add(&mut self, cloud: TimedPointCloudData, gyroscope: &Gyroscope) {
+        self.waiting.extend(self.gatherer.add(cloud));
+        self.track(gyroscope, MAX_WAITING);
+    }
+
+    /// Tracks the sweeps whose turn the gyroscope has told, until at most so many wait.
+    fn track(&mut self, gyroscope: &Gyroscope, may_wait: usize) {
+        while let Some(sweep) = self.waiting.front() {
+            let end = sweep.middle + Duration::from_seconds(sweep.half);
+            let is_known = gyroscope.end().is_some_and(|known| known >= end);
+            if !is_known && self.waiting.len() <= may_wait {
+                return;
+            }
+            self.sweeps += 1;
+            self.tracked.extend(self.tracker.add(sweep, gyroscope));
+            self.waiting.pop_front();
+        }
+    }
+}

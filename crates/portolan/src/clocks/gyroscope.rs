@@ -1,0 +1,101 @@
+//! How the IMU turned, as a function of its own time.
+
+use portolan_geometry::{Quaternion, Time, Vector3, quaternion_from_angle_axis};
+use portolan_sensor::ImuData;
+
+/// Without a sample for so long nothing is known of the turn, seconds.
+const MAX_GAP: f64 = 0.1;
+/// So many samples are kept: eight minutes of 1 kHz.
+const MAX_SAMPLES: usize = 500_000;
+
+/// Rates of turn summed up.
+#[derive(Debug, Default)]
+pub(super) struct Gyroscope {
+    samples: Vec<Sample>,
+}
+
+#[derive(Debug)]
+struct Sample {
+    time: Time,
+    rate: Vector3,
+    /// The frame of the IMU then in that of the first sample.
+    rotation: Quaternion,
+    /// How many gaps there were before.
+    gaps: u32,
+}
+
+impl Gyroscope {
+    /// Takes a sample. One that is not later than the last, or no number, is left out.
+    pub fn add(&mut self, imu: &ImuData) {
+        let (time, rate) = (imu.time, imu.angular_velocity);
+        if self.samples.len() >= MAX_SAMPLES || !rate.iter().all(|v| v.is_finite()) {
+            return;
+        }
+        let sample = match self.samples.last() {
+            None => Sample { time, rate, rotation: Quaternion::identity(), gaps: 0 },
+            Some(last) => {
+                let seconds = time.seconds_since(last.time);
+                if seconds <= 0.0 {
+                    return;
+                }
+                // Half of it at each rate: a sample is of its own time, not of that after it.
+                let turn = quaternion_from_angle_axis(&((last.rate + rate) * (0.5 * seconds)));
+                let rotation = Quaternion::new_normalize((last.rotation * turn).into_inner());
+                Sample { time, rate, rotation, gaps: last.gaps + u32::from(seconds > MAX_GAP) }
+            }
+        };
+        self.samples.push(sample);
+    }
+
+    /// Time of the last sample.
+    pub fn end(&self) -> Option<Time> {
+        self.samples.last().map(|sample| sample.time)
+    }
+
+    /// From the frame at `to` to that at `from`; none where that is not known all along.
+    pub fn turn(&self, from: Time, to: Time) -> Option<Quaternion> {
+        let ((a, gaps_a), (b, gaps_b)) = (self.at(from)?, self.at(to)?);
+        (gaps_a == gaps_b).then(|| a.inverse() * b)
+    }
+
+    fn at(&self, time: Time) -> Option<(Quaternion, u32)> {
+        let index = self.samples.partition_point(|sample| sample.time <= time);
+        let before = self.samples.get(index.checked_sub(1)?)?;
+        let seconds = time.seconds_since(before.time);
+        let rate = match self.samples.get(index) {
+            Some(after) => {
+                let share = seconds / after.time.seconds_since(before.time);
+                before.rate + (after.rate - before.rate) * (0.5 * share)
+            }
+            None if seconds > 0.0 => return None,
+            None => before.rate,
+        };
+        Some((before.rotation * quaternion_from_angle_axis(&(rate * seconds)), before.gaps))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Duration;
+
+    #[test]
+    fn turns_are_those_of_the_rates_and_unknown_across_gaps() {
+        let at = |seconds: f64| Time::UNIX_EPOCH + Duration::from_seconds(seconds);
+        let mut gyroscope = Gyroscope::default();
+        for i in (0..400).filter(|i| !(200..230).contains(i)) {
+            let t = 0.01 * f64::from(i);
+            gyroscope.add(&ImuData {
+                time: at(t),
+                linear_acceleration: Vector3::z(),
+                angular_velocity: Vector3::new(0.0, 0.0, t.cos()),
+            });
+        }
+        let turn = gyroscope.turn(at(0.503), at(1.497)).unwrap().angle();
+        assert!((turn - (1.497_f64.sin() - 0.503_f64.sin())).abs() < 1e-5, "{turn}");
+        assert!(gyroscope.turn(at(1.5), at(2.5)).is_none());
+        assert!(gyroscope.turn(at(2.5), at(3.5)).is_some());
+        assert!(gyroscope.turn(at(3.5), at(4.5)).is_none());
+        assert!(gyroscope.turn(at(-0.5), at(0.5)).is_none());
+    }
+}

@@ -1,0 +1,246 @@
+//! The offset of the clock of a lidar against that of an IMU, from turns about all axes.
+//!
+//! Turns over 0.3 s that sweeps tell are compared with those that the gyroscope shows some time later. The lag at
+//! which the median difference is smallest is where least squares begin, in the lag, the bias of the gyroscope,
+//! and a matrix that may be a little more or less than the identity: sensors are mounted a degree or two off, and
+//! scales are not exact. How sure the lag is, leaving out parts of the recording in turn tells (block jackknife): its
+//! error over its standard deviation is about that of Student's t with [`BLOCKS`] − 1 degrees of freedom.
+
+use portolan_geometry::nalgebra::{Matrix3, SMatrix, SVector};
+use portolan_geometry::{Duration, Quaternion, Time, Vector3, angle_axis_from_quaternion};
+
+use super::gyroscope::Gyroscope;
+use super::tracker::TrackedSweep;
+
+/// Turns are over so long a time, seconds: about half a step, so that turning to and fro is not lost.
+const LENGTH: f64 = 0.3;
+/// A turn over more than so much longer is left out, seconds.
+const MAX_EXCESS: f64 = 0.2;
+/// Lags that are tried: up to so many seconds, and so densely.
+const REACH: f64 = 0.5;
+const STEP: f64 = 0.01;
+/// Turns of less than this share of large ones (19 of 20 are smaller) are none: it may rest most of the time. Steps
+/// turn a tenth as far as corners, and what is matched at rest a thousandth.
+const SMALL_SHARE: f64 = 0.02;
+/// So many turns are needed.
+const ENOUGH_TURNS: usize = 60;
+/// Parts of the recording of which each is left out once.
+pub(super) const BLOCKS: usize = 20;
+/// Least squares are repeated so often with new weights.
+const ITERATIONS: u32 = 8;
+/// Differences beyond so many times their usual size count less.
+const LIMIT: f64 = 3.0;
+/// How far mounting and scale of an IMU may be off, radians and share (standard deviation).
+const MOUNTING_SIGMA: f64 = 0.03;
+/// Matches are wrong by so much besides what they say, radians: surfaces are not planes.
+const MATCH_ERROR: f64 = 1e-4;
+/// Differences may have such a share of the turns themselves (of root mean squares), or the two do not turn alike.
+const MAX_SHARE: f64 = 0.5;
+
+/// Lag, three of the bias of the gyroscope, nine of the matrix.
+const UNKNOWNS: usize = 13;
+type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type Unknowns = SVector<f64, UNKNOWNS>;
+
+/// An offset of clocks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Lag {
+    /// By how many seconds the IMU is stamped too late against the lidar.
+    pub seconds: f64,
+    /// Standard deviation of that, seconds.
+    pub sigma: f64,
+}
+
+/// A turn that sweeps tell.
+struct SweepTurn {
+    from: Time,
+    to: Time,
+    /// Rotation vector in the tracking frame.
+    turn: Vector3,
+    /// What makes its errors alike about all axes and of unit size.
+    whiten: Matrix3<f64>,
+}
+
+impl SweepTurn {
+    fn new(a: &TrackedSweep, b: &TrackedSweep) -> Option<Self> {
+        let covariance =
+            a.covariance + b.covariance + Matrix3::from_diagonal_element(2.0 * MATCH_ERROR * MATCH_ERROR);
+        let whiten = covariance.cholesky()?.l().try_inverse()?;
+        Some(Self { from: a.time, to: b.time, turn: vector(&(a.rotation.inverse() * b.rotation)), whiten })
+    }
+
+    /// How large it is against its error.
+    fn size(&self) -> f64 {
+        (self.whiten * self.turn).norm()
+    }
+
+    /// What the gyroscope shows if it is stamped too late by `lag`.
+    fn shown(&self, gyroscope: &Gyroscope, lag: f64) -> Option<Vector3> {
+        let lag = Duration::from_seconds(lag);
+        Some(vector(&gyroscope.turn(self.from + lag, self.to + lag)?))
+    }
+}
+
+fn vector(rotation: &Quaternion) -> Vector3 {
+    angle_axis_from_quaternion(rotation)
+}
+
+/// Finds the offset; none if too little is known or if the two do not turn alike.
+pub(super) fn find_lag(sweeps: &[TrackedSweep], gyroscope: &Gyroscope) -> Option<Lag> {
+    let turns = turns(sweeps);
+    if turns.len() < ENOUGH_TURNS {
+        return None;
+    }
+    let steps = (REACH / STEP) as i32;
+    let lags = (0..=steps).flat_map(|i| [STEP * f64::from(i), -STEP * f64::from(i)]);
+    let medians = lags.filter_map(|lag| Some((median_difference(&turns, gyroscope, lag)?, lag)));
+    // The first of equals is nearest to zero.
+    let (_, mut lag) = medians.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let mut unknowns = Unknowns::zeros();
+    let mut equations = Vec::new();
+    for _ in 0..ITERATIONS {
+        unknowns[0] = 0.0;
+        equations = linearised(&turns, gyroscope, lag);
+        let limit = LIMIT * usual(&equations, &unknowns)?;
+        let blocks = normal_equations(&equations, &unknowns, limit);
+        unknowns = solve(&blocks, None)?;
+        let change = unknowns[0].clamp(-2.0 * STEP, 2.0 * STEP);
+        lag += change;
+        if change.abs() < 1e-5 {
+            break;
+        }
+    }
+    let limit = LIMIT * usual(&equations, &unknowns)?;
+    if lag.abs() > REACH || share_left(&equations, &unknowns, limit) > MAX_SHARE {
+        return None;
+    }
+    let blocks = normal_equations(&equations, &unknowns, limit);
+    let parts: Option<Vec<f64>> =
+        (0..blocks.len()).map(|left_out| Some(solve(&blocks, Some(left_out))?[0])).collect();
+    let parts = parts?;
+    let mean = parts.iter().sum::<f64>() / parts.len() as f64;
+    let squares: f64 = parts.iter().map(|part| (part - mean).powi(2)).sum();
+    let sigma = (squares * (parts.len() - 1) as f64 / parts.len() as f64).sqrt();
+    Some(Lag { seconds: lag, sigma })
+}
+
+/// The share of turns that is left (of root mean squares, weighted).
+fn share_left(equations: &[Equations], unknowns: &Unknowns, limit: f64) -> f64 {
+    // With the matrix zero the gyroscope shows nothing.
+    let mut nothing_shown = Unknowns::zeros();
+    for axis in 0..3 {
+        nothing_shown[4 + 4 * axis] = -1.0;
+    }
+    let squares = |of: &Unknowns| -> f64 {
+        equations.iter().map(|e| weight(e, unknowns, limit) * e.left(of).norm_squared()).sum()
+    };
+    (squares(unknowns) / squares(&nothing_shown)).sqrt()
+}
+
+/// Turns from each sweep on to the first one that is long enough after it. Not those while it rests: they tell
+/// no lag, and matches are so good then that the others would pass for wrong ones.
+fn turns(sweeps: &[TrackedSweep]) -> Vec<SweepTurn> {
+    let from = |i: usize| {
+        let a = &sweeps[i];
+        let seconds = |b: &TrackedSweep| b.time.seconds_since(a.time);
+        let b = sweeps[i..].iter().find(|b| seconds(b) >= LENGTH)?;
+        let is_one = a.segment == b.segment && seconds(b) < LENGTH + MAX_EXCESS;
+        is_one.then(|| SweepTurn::new(a, b))?
+    };
+    let mut turns: Vec<SweepTurn> = (0..sweeps.len()).filter_map(from).collect();
+    let mut sizes: Vec<f64> = turns.iter().map(SweepTurn::size).collect();
+    sizes.sort_unstable_by(f64::total_cmp);
+    let large = sizes.get(sizes.len() * 19 / 20).copied().unwrap_or(0.0);
+    turns.retain(|turn| turn.size() > SMALL_SHARE * large);
+    turns
+}
+
+/// The median whitened difference at a lag, the mean difference (the bias of the gyroscope) taken out.
+fn median_difference(turns: &[SweepTurn], gyroscope: &Gyroscope, lag: f64) -> Option<f64> {
+    let known: Vec<(Vector3, &SweepTurn)> =
+        turns.iter().filter_map(|t| Some((t.turn - t.shown(gyroscope, lag)?, t))).collect();
+    if known.len() < ENOUGH_TURNS {
+        return None;
+    }
+    let mean = known.iter().map(|(d, _)| d).sum::<Vector3>() / known.len() as f64;
+    Some(median(known.iter().map(|(d, t)| (t.whiten * (d - mean)).norm()).collect()))
+}
+
+/// What one turn says: three rows.
+struct Equations {
+    /// Difference that is left with all unknowns zero, whitened.
+    difference: Vector3,
+    /// What each unknown takes from it, whitened.
+    rows: SMatrix<f64, 3, UNKNOWNS>,
+}
+
+impl Equations {
+    fn left(&self, unknowns: &Unknowns) -> Vector3 {
+        self.difference - self.rows * unknowns
+    }
+}
+
+fn linearised(turns: &[SweepTurn], gyroscope: &Gyroscope, lag: f64) -> Vec<Equations> {
+    let of_turn = |turn: &SweepTurn| {
+        let shown = turn.shown(gyroscope, lag)?;
+        let around = [-0.5 * STEP, 0.5 * STEP].map(|change| turn.shown(gyroscope, lag + change));
+        let [before, after] = around;
+        let mut rows = SMatrix::<f64, 3, UNKNOWNS>::zeros();
+        rows.set_column(0, &((after? - before?) / STEP));
+        for axis in 0..3 {
+            rows[(axis, 1 + axis)] = turn.to.seconds_since(turn.from);
+            for other in 0..3 {
+                rows[(axis, 4 + 3 * axis + other)] = shown[other];
+            }
+        }
+        Some(Equations { difference: turn.whiten * (turn.turn - shown), rows: turn.whiten * rows })
+    };
+    turns.iter().filter_map(of_turn).collect()
+}
+
+/// The usual size of what is left (median, as a standard deviation of one axis).
+fn usual(equations: &[Equations], unknowns: &Unknowns) -> Option<f64> {
+    // The median of the length of a normal vector in space is 1.538 standard deviations.
+    let size = median(equations.iter().map(|e| e.left(unknowns).norm()).collect()) / 1.538;
+    (equations.len() >= ENOUGH_TURNS && size.is_finite()).then_some(size.max(1e-9))
+}
+
+/// Geman and McClure's weight.
+fn weight(equation: &Equations, unknowns: &Unknowns, limit: f64) -> f64 {
+    let squared = limit * limit;
+    (squared / (squared + equation.left(unknowns).norm_squared())).powi(2)
+}
+
+/// The normal equations of each block.
+fn normal_equations(equations: &[Equations], unknowns: &Unknowns, limit: f64) -> Vec<(Normal, Unknowns)> {
+    let mut blocks = vec![(Normal::zeros(), Unknowns::zeros()); BLOCKS];
+    let variance = (limit / LIMIT).powi(2);
+    for (i, equation) in equations.iter().enumerate() {
+        let weight = weight(equation, unknowns, limit) / variance;
+        let (normal, right) = &mut blocks[i * BLOCKS / equations.len()];
+        *normal += equation.rows.transpose() * equation.rows * weight;
+        *right += equation.rows.transpose() * equation.difference * weight;
+    }
+    blocks
+}
+
+fn solve(blocks: &[(Normal, Unknowns)], left_out: Option<usize>) -> Option<Unknowns> {
+    let mut normal = Normal::identity() * 1e-9;
+    let mut right = Unknowns::zeros();
+    for i in 4..UNKNOWNS {
+        normal[(i, i)] += 1.0 / (MOUNTING_SIGMA * MOUNTING_SIGMA);
+    }
+    for (_, (block, block_right)) in blocks.iter().enumerate().filter(|(i, _)| Some(*i) != left_out) {
+        normal += block;
+        right += block_right;
+    }
+    Some(normal.cholesky()?.solve(&right)).filter(|x| x.iter().all(|v| v.is_finite()))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,271 @@
+//! How a lidar turns: sweep after sweep matched to the surfaces that the last seconds showed.
+
+use std::collections::VecDeque;
+
+use portolan_geometry::nalgebra::{Matrix3, Rotation3};
+use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
+use portolan_matching::{PosePrior, Sigmas, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions};
+use portolan_sensor::voxel_filter_indices;
+
+use super::gyroscope::Gyroscope;
+use super::sweeps::Sweep;
+
+/// Edge of the voxels of the surfaces, metres.
+const EDGE: f64 = 1.0;
+/// A map has so many sweeps when the next one is begun, and is left when that one has as many.
+const SWEEPS_OF_A_MAP: u32 = 15;
+/// So many points of a sweep are matched.
+const WANTED_POINTS: f32 = 1500.0;
+/// A match of fewer points is no match.
+const MIN_MATCHED_SHARE: f64 = 0.15;
+/// Sweeps farther apart do not tell one turn, seconds.
+const MAX_INTERVAL: f64 = 0.35;
+/// A sweep is straightened with the velocity that its match tells, so many times.
+const TURNS: u32 = 3;
+/// Rotations of a sweep are kept this far apart, seconds.
+const ROTATION_SPACING: f64 = 0.001;
+/// So many sweeps in a row may fit nothing: first sweeps alone do not show many surfaces.
+const MAX_UNMATCHED: u32 = 10;
+/// How far off the turn of the gyroscope may be, radians: an offset of its clock is no hindrance, and scans tell
+/// turns a hundred times better than this prior does.
+const TURN_SIGMA: f64 = 0.05;
+/// What a carrier may do unseen, m/s².
+const ACCELERATION: f64 = 6.0;
+/// How far the second sweep may be from the first, metres.
+const FIRST_SIGMA: f64 = 1.0;
+
+/// A sweep and how the tracking frame was turned in its middle.
+#[derive(Clone, Debug)]
+pub(super) struct TrackedSweep {
+    pub time: Time,
+    /// The tracking frame in a local one.
+    pub rotation: Quaternion,
+    /// How sure that is: of a rotation vector in the tracking frame, rad².
+    pub covariance: Matrix3<f64>,
+    /// Sweeps of different numbers have different local frames.
+    pub segment: u32,
+}
+
+struct LocalMap {
+    local_from_map: Rigid3,
+    surfaces: SurfaceMap,
+    sweeps: u32,
+}
+
+struct Last {
+    time: Time,
+    local_from_tracking: Rigid3,
+    /// In the local frame, m/s.
+    velocity: Vector3,
+    is_first: bool,
+}
+
+impl Last {
+    fn first(time: Time) -> Self {
+        Self { time, local_from_tracking: Rigid3::identity(), velocity: Vector3::zeros(), is_first: true }
+    }
+
+    /// Going on as before, and turning as the gyroscope says.
+    fn predicted(&self, time: Time, gyroscope: &Gyroscope) -> Option<Rigid3> {
+        let seconds = time.seconds_since(self.time);
+        let turn = gyroscope.turn(self.time, time).filter(|_| (1e-3..MAX_INTERVAL).contains(&seconds))?;
+        let place = self.local_from_tracking.translation.vector + self.velocity * seconds;
+        Some(Rigid3::from_parts(place.into(), self.local_from_tracking.rotation * turn))
+    }
+}
+
+/// Follows one lidar.
+pub(super) struct SweepTracker {
+    matcher: SurfaceMatcher,
+    maps: VecDeque<LocalMap>,
+    last: Option<Last>,
+    segment: u32,
+    unmatched: u32,
+    spacing: f32,
+    /// The points of a sweep as seen from its middle, those that are matched, and which these are.
+    straight: Vec<Point3f>,
+    chosen: Vec<Point3f>,
+    kept: Vec<u32>,
+}
+
+impl Default for SweepTracker {
+    fn default() -> Self {
+        let options = SurfaceMatcherOptions { final_scale: 0.1 * EDGE, ..SurfaceMatcherOptions::default() };
+        Self {
+            matcher: SurfaceMatcher::new(options),
+            maps: VecDeque::new(),
+            last: None,
+            segment: 0,
+            unmatched: 0,
+            spacing: 0.4,
+            straight: Vec::new(),
+            chosen: Vec::new(),
+            kept: Vec::new(),
+        }
+    }
+}
+
+impl SweepTracker {
+    /// Takes the next sweep; none if it tells no turn.
+    pub fn add(&mut self, sweep: &Sweep, gyroscope: &Gyroscope) -> Option<TrackedSweep> {
+        let Some(rotations) = Rotations::of(sweep, gyroscope) else {
+            self.lose();
+            return None;
+        };
+        let predicted = self.last.as_ref().and_then(|last| last.predicted(sweep.middle, gyroscope));
+        let Some(predicted) = predicted.filter(|_| self.unmatched < MAX_UNMATCHED) else {
+            self.lose();
+            self.straighten(sweep, &rotations, &Vector3::zeros());
+            self.last = Some(Last::first(sweep.middle));
+            self.insert(&sweep.origin);
+            return None;
+        };
+        let found = self.follow(sweep, &rotations, &predicted);
+        match &found {
+            Some(_) => self.unmatched = 0,
+            None => {
+                self.unmatched += 1;
+                if let Some(last) = &mut self.last {
+                    (last.time, last.local_from_tracking) = (sweep.middle, predicted);
+                }
+            }
+        }
+        self.insert(&sweep.origin);
+        found
+    }
+
+    fn lose(&mut self) {
+        self.maps.clear();
+        self.last = None;
+        self.unmatched = 0;
+        self.segment += 1;
+    }
+
+    fn follow(&mut self, sweep: &Sweep, rotations: &Rotations, predicted: &Rigid3) -> Option<TrackedSweep> {
+        let last = self.last.as_ref()?;
+        let seconds = sweep.middle.seconds_since(last.time);
+        let (from, is_first) = (last.local_from_tracking, last.is_first);
+        let mut velocity = last.velocity;
+        let sigma = match is_first {
+            true => FIRST_SIGMA,
+            false => 0.02 + 0.5 * ACCELERATION * seconds * seconds,
+        };
+        let mut pose = *predicted;
+        let mut found = None;
+        for turn in 0..TURNS {
+            self.straighten(sweep, rotations, &(pose.rotation.inverse() * velocity));
+            if turn == 0 {
+                self.choose();
+            }
+            self.chosen.clear();
+            self.chosen.extend(self.kept.iter().filter_map(|i| self.straight.get(*i as usize)));
+            let map = self.maps.front()?;
+            let map_from_local = map.local_from_map.inverse();
+            let prior = PosePrior {
+                pose: map_from_local * predicted,
+                sigmas: Sigmas { shift: sigma, turn: TURN_SIGMA },
+            };
+            let scale = if turn == 0 { (3.0 * sigma).clamp(0.3, 2.0) } else { 0.0 };
+            let initial = map_from_local * pose;
+            let matched = self.matcher.match_scan(&map.surfaces, &self.chosen, &initial, &prior, scale)?;
+            if matched.matched_share < MIN_MATCHED_SHARE {
+                return None;
+            }
+            pose = map.local_from_map * matched.pose;
+            let shift = pose.translation.vector - from.translation.vector;
+            let change = (shift / seconds - velocity).norm() * sweep.half;
+            velocity = shift / seconds;
+            found = Some(matched);
+            if change < 0.003 {
+                break;
+            }
+        }
+        let found = found?;
+        let covariance = covariance_of_rotation(&found, sigma)?;
+        self.last = Some(Last { time: sweep.middle, local_from_tracking: pose, velocity, is_first: false });
+        Some(TrackedSweep { time: sweep.middle, rotation: pose.rotation, covariance, segment: self.segment })
+    }
+
+    /// The points as they were seen from the middle of the sweep; `velocity` in the tracking frame.
+    fn straighten(&mut self, sweep: &Sweep, rotations: &Rotations, velocity: &Vector3) {
+        let velocity = velocity.cast::<f32>();
+        self.straight.clear();
+        let seen = |(offset, position): &(f32, Point3f)| {
+            Point3f::from(rotations.at(*offset) * position.coords + velocity * *offset)
+        };
+        self.straight.extend(sweep.points.iter().map(seen));
+    }
+
+    /// Chooses points that cover everything seen.
+    fn choose(&mut self) {
+        self.kept = voxel_filter_indices(&self.straight, |p| *p, self.spacing);
+        if !self.kept.is_empty() {
+            let correction = (self.kept.len() as f32 / WANTED_POINTS).sqrt().clamp(0.7, 1.4);
+            self.spacing = (self.spacing * correction).clamp(0.02, 5.0);
+        }
+    }
+
+    /// Inserts the straight points where the last pose is.
+    fn insert(&mut self, origin: &Point3f) {
+        let Some(last) = &self.last else { return };
+        if self.maps.back().is_none_or(|map| map.sweeps >= SWEEPS_OF_A_MAP) {
+            let (local_from_map, surfaces) = (last.local_from_tracking, SurfaceMap::new(EDGE as f32));
+            self.maps.push_back(LocalMap { local_from_map, surfaces, sweeps: 0 });
+        }
+        if self.maps.len() > 2 {
+            self.maps.pop_front();
+        }
+        for map in &mut self.maps {
+            let map_from_tracking = to_f32(&(map.local_from_map.inverse() * last.local_from_tracking));
+            let origin = map_from_tracking * origin;
+            for point in &self.straight {
+                map.surfaces.insert_seen_from(&(map_from_tracking * point), &origin);
+            }
+            map.sweeps += 1;
+        }
+    }
+}
+
+/// How sure a match is of its rotation, whatever the translation is.
+fn covariance_of_rotation(found: &SurfaceMatch, translation_sigma: f64) -> Option<Matrix3<f64>> {
+    let information = &found.information;
+    let block = |i: usize, j: usize| information.fixed_view::<3, 3>(i, j).into_owned();
+    let held = Matrix3::from_diagonal_element(1.0 / (translation_sigma * translation_sigma));
+    let translation = (block(0, 0) + held).try_inverse()?;
+    let told = block(3, 3) - block(3, 0) * translation * block(0, 3)
+        + Matrix3::from_diagonal_element(1.0 / (TURN_SIGMA * TURN_SIGMA));
+    let mut covariance = told.try_inverse()?;
+    for axis in &found.weak.rotations {
+        covariance += axis * axis.transpose() * (TURN_SIGMA * TURN_SIGMA);
+    }
+    let to_tracking = found.pose.rotation.inverse().to_rotation_matrix();
+    Some(to_tracking * covariance * to_tracking.inverse())
+}
+
+/// Rotations from the tracking frame on the way to that in the middle of the sweep.
+struct Rotations {
+    half: f32,
+    rotations: Vec<Rotation3<f32>>,
+}
+
+impl Rotations {
+    fn of(sweep: &Sweep, gyroscope: &Gyroscope) -> Option<Self> {
+        let count = (2.0 * sweep.half / ROTATION_SPACING).ceil().clamp(0.0, 1000.0) as usize;
+        let spacing = 2.0 * sweep.half / count.max(1) as f64;
+        let rotation = |i: usize| {
+            let time = sweep.middle + Duration::from_seconds(spacing * i as f64 - sweep.half);
+            Some(gyroscope.turn(sweep.middle, time)?.cast::<f32>().to_rotation_matrix())
+        };
+        let rotations = (0..=count).map(rotation).collect::<Option<_>>()?;
+        Some(Self { half: sweep.half as f32, rotations })
+    }
+
+    fn at(&self, offset: f32) -> &Rotation3<f32> {
+        let last = self.rotations.len() - 1;
+        let share = (offset + self.half) / (2.0 * self.half).max(1e-6);
+        &self.rotations[((share * last as f32 + 0.5) as usize).min(last)]
+    }
+}
+
+#[cfg(test)]
+mod tests;
