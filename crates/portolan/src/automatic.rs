@@ -40,7 +40,11 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     options.portolan.match_surfaces = true;
     // A tenth of a second is one turn of most lidars, and short enough to go straight in.
     options.portolan.min_scan_duration = MAX_SCAN_DURATION;
-    local.submaps.num_range_data = 80;
+    // Every second sweep of who walks. The sweeps between show the surfaces, too; ten a second make maps no better
+    // by more than a millimetre.
+    local.motion_filter.max_distance_meters = 0.15;
+    local.motion_filter.max_angle_radians = 0.05;
+    local.submaps.num_range_data = 45;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;
     options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
