@@ -23,16 +23,16 @@ const POOR_RMS: f64 = 0.1;
 /// prediction may have.
 const START_SCALE: f64 = 0.3;
 const SCALE_OF_SIGMA: f64 = 3.0;
-/// Where the sweep before ended is known to this, metres and radians (standard deviations); and how it was turned
-/// without a gyroscope: less surely, or errors of one sweep come back in the next with the opposite sign
-/// (corridor_imu without its IMU: lost with 0.002, 0.031 m with anything from 0.005 to 0.05).
-const LAST_END: Sigmas = Sigmas { shift: 0.01, turn: 0.0005 };
-const LAST_TURN_ALONE: f64 = 0.01;
+/// How far off the end of the sweep before may be, metres and radians (standard deviations); turns that a gyroscope
+/// told may be as far off there as at the end of this sweep. A start held faster than its way is a trap: errors of one
+/// sweep come back in the next with the opposite sign. Corridor_imu without its IMU is lost with 0.002, and 0.031 m off
+/// with anything from 0.005 to 0.05; a gyroscope with swapped axes or a bias turns maps with a half of this.
+const LAST_END: Sigmas = Sigmas { shift: 0.01, turn: 0.01 };
 /// What a carrier may do unseen: m/s² and rad/s², and errors of measured ways and turns per second.
 const ACCELERATION: f64 = 4.0;
 const TURN_ACCELERATION: f64 = 10.0;
 const ODOMETRY_ERROR: f64 = 0.2;
-const GYROSCOPE_ERROR: f64 = 0.01;
+const GYROSCOPE_ERROR: f64 = 0.02;
 
 /// A sweep matched to surfaces.
 pub(super) struct MatchedSweep {
@@ -61,7 +61,7 @@ impl MatchedSweep {
 fn rotation_sigma(way: &Way) -> f64 {
     let seconds = way.seconds();
     match way.turn_is_measured {
-        true => 0.001 + GYROSCOPE_ERROR * seconds,
+        true => 0.002 + GYROSCOPE_ERROR * seconds,
         false => 0.005 + 0.5 * TURN_ACCELERATION * seconds * seconds,
     }
 }
@@ -124,8 +124,8 @@ impl SurfaceTracker {
             turn: rotation_sigma(way),
         };
         let start = match way.turn_is_measured {
-            true => LAST_END,
-            false => Sigmas { turn: LAST_TURN_ALONE, ..LAST_END },
+            true => Sigmas { turn: bend.turn, ..LAST_END },
+            false => LAST_END,
         };
         let prior = WayPrior { start, bend };
         let scale = START_SCALE.max(SCALE_OF_SIGMA * bend.shift).min(2.0);
