@@ -110,8 +110,8 @@ const PRIOR_IN_WEAK_DIRECTIONS: f64 = 30.0;
 const TIMES_UNEVEN: f32 = 4.0;
 const TIMES_NOISE: f32 = 2.0;
 /// Planes that were seen edge-on may be made of the beams themselves, and hold the scanner where it was then: they
-/// count so much. With all of their weight, walks through parks whose wheels tell the way lose up to 10 % of it;
-/// with none, nothing holds the tilt over open ground.
+/// count so much. With all of their weight, walks through parks whose wheels tell the way lose up to 10 % of it; a
+/// tenth or nothing makes no difference on 13 simulated walks, and far floors are seen edge-on, too.
 const EDGE_ON_SHARE: f32 = 0.1;
 /// Every so many points tell where the points are.
 const ARM_SAMPLE: usize = 4;
