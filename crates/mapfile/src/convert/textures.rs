@@ -1,7 +1,9 @@
 //! Pictures of submaps that are in memory.
 
+use std::sync::Arc;
+
 use portolan_geometry::Rigid3;
-use portolan_mapping::{Map, Planar, Spatial, Submap3d, SubmapId};
+use portolan_mapping::{Map, Planar, Space, Spatial, SubmapId};
 use portolan_matching::Texture;
 use rayon::prelude::*;
 
@@ -14,39 +16,35 @@ use crate::texture_3d::xray_texture;
 /// The textures of all submaps that have a grid, ascending by id: what [`crate::paint`] takes, without
 /// the way through a file.
 pub fn submap_textures_2d(map: &Map<Planar>) -> Vec<PlacedTexture> {
-    let state = map.graph.state();
-    let submaps: Vec<_> = state
-        .submaps
-        .iter()
-        .filter_map(|(id, entry)| Some((*id, entry.submap.as_ref()?, state.map_from_submap(*id)?)))
-        .collect();
-    let place = |(id, submap, map_from_submap): &(_, &std::sync::Arc<portolan_mapping::Submap2d>, _)| {
-        let id: portolan_mapping::SubmapId = *id;
-        PlacedTexture {
-            id: id_for_errors(id.trajectory_id, id.index),
-            map_from_submap: *map_from_submap,
-            texture: texture_in_memory(&Texture::of_grid(&submap.grid, &submap.local_from_submap)).into(),
-        }
-    };
-    submaps.par_iter().map(place).collect()
+    placed_textures(map, |submap, _| {
+        Some(texture_in_memory(&Texture::of_grid(&submap.grid, &submap.local_from_submap)))
+    })
 }
 
 /// The same in space: X-rays of the fine grids, as [`load_textures`](crate::load_textures) makes them of the file that
 /// is written of the map. Submaps that cannot be shown are left out.
 pub fn submap_textures_3d(map: &Map<Spatial>) -> Vec<PlacedTexture> {
+    placed_textures(map, |submap, map_from_submap| {
+        xray_texture(&hybrid_grid_to_proto(&submap.high_resolution_grid), map_from_submap).ok()
+    })
+}
+
+/// Draws every submap that is in memory, given with its pose in the map.
+fn placed_textures<S: Space>(
+    map: &Map<S>,
+    draw: impl Fn(&S::Submap, &Rigid3) -> Option<SubmapTexture> + Sync,
+) -> Vec<PlacedTexture> {
     let state = map.graph.state();
     let submaps: Vec<_> = state
         .submaps
         .iter()
         .filter_map(|(id, entry)| Some((*id, entry.submap.as_ref()?, state.map_from_submap(*id)?)))
         .collect();
-    let place = |(id, submap, map_from_submap): &(SubmapId, &std::sync::Arc<Submap3d>, Rigid3)| {
-        let grid = hybrid_grid_to_proto(&submap.high_resolution_grid);
-        let texture = xray_texture(&grid, map_from_submap).ok()?;
+    let place = |(id, submap, map_from_submap): &(SubmapId, &Arc<S::Submap>, Rigid3)| {
         Some(PlacedTexture {
             id: id_for_errors(id.trajectory_id, id.index),
             map_from_submap: *map_from_submap,
-            texture: texture.into(),
+            texture: draw(submap, map_from_submap)?.into(),
         })
     };
     submaps.par_iter().filter_map(place).collect()
