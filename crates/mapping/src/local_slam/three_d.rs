@@ -11,7 +11,7 @@ use portolan_geometry::{Point3f, Quaternion, Rigid3, Time, interpolate, is_valid
 use portolan_matching::rotational_histogram;
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
-    TimedPointCloudData,
+    TimedPointCloudData, voxel_filter,
 };
 
 use super::two_d::{LocalSlamExtras, filtered, first_point_time};
@@ -100,12 +100,10 @@ enum Wanted {
 /// A scan that was matched.
 struct MatchedScan {
     local_from_tracking: Rigid3,
-    /// In the tracking frame.
+    /// In the tracking frame; thinned unless it was matched to surfaces, which take every point.
     scan: RangeData,
     /// The fine and the coarse cloud, if they were needed for matching.
     clouds: Option<[PointCloud; 2]>,
-    /// In the tracking frame.
-    surface_points: Vec<Point3f>,
     /// What it left open.
     open: OpenDirections,
 }
@@ -278,35 +276,69 @@ impl LocalSlam3d {
         matched: MatchedScan,
         measured_gravity: Option<Quaternion>,
     ) -> MatchingResult<Spatial> {
-        let MatchedScan { local_from_tracking, scan, clouds, surface_points, open } = matched;
-        // Without an IMU: the first pose was level, and z of the local map has pointed up ever since.
-        let gravity = measured_gravity.unwrap_or(local_from_tracking.rotation);
+        let MatchedScan { local_from_tracking, scan, clouds, open } = matched;
         let local = to_f32(&local_from_tracking);
-        let range_data_in_local = scan.transformed(&local);
         let is_inserted = wanted != Wanted::No
             && (!self.motion_filter.is_similar(time, &local_from_tracking) || wanted == Wanted::Yes);
-        if !is_inserted && wanted != Wanted::No {
-            let points: Vec<Point3f> = surface_points.iter().map(|p| local * p).collect();
+        if !is_inserted {
+            let range_data_in_local = scan.transformed(&local);
+            if wanted != Wanted::No {
+                self.insert_surfaces(&range_data_in_local);
+            }
+            return MatchingResult {
+                time,
+                local_from_tracking,
+                range_data_in_local,
+                measured: Vec::new(),
+                inserted: None,
+            };
+        }
+        self.last_inserted = Some(time);
+        let surface_points: Vec<Point3f> = match self.by_surfaces {
+            Some(_) => scan.returns.transformed(&local).points,
+            None => Vec::new(),
+        };
+        let scan = self.thinned(scan);
+        let [high, low] = clouds.unwrap_or_else(|| self.clouds(&scan.returns));
+        // Without an IMU: the first pose was level, and z of the local map has pointed up ever since.
+        let gravity = measured_gravity.unwrap_or(local_from_tracking.rotation);
+        let data = NodeData {
+            time,
+            gravity_alignment: gravity,
+            filtered_gravity_aligned_point_cloud: PointCloud::default(),
+            high_resolution_point_cloud: high,
+            low_resolution_point_cloud: low,
+            rotational_scan_matcher_histogram: self.histogram(&scan.returns, &gravity),
+            local_from_tracking,
+        };
+        let range_data_in_local = scan.transformed(&local);
+        let inserted = InsertedNode { open, ..self.insert(&range_data_in_local, surface_points, data) };
+        MatchingResult {
+            time,
+            local_from_tracking,
+            range_data_in_local,
+            measured: Vec::new(),
+            inserted: Some(inserted),
+        }
+    }
+
+    /// Shows the surfaces of the active submaps what a sweep that is no node saw, given in the local map.
+    fn insert_surfaces(&mut self, range_data_in_local: &RangeData) {
+        if self.by_surfaces.is_some() {
             for submap in self.active_submaps.iter_mut() {
-                submap.insert_surfaces(&points, &range_data_in_local.origin);
+                submap.insert_surfaces(&range_data_in_local.returns.points, &range_data_in_local.origin);
             }
         }
-        let inserted = is_inserted.then(|| {
-            self.last_inserted = Some(time);
-            let [high, low] = clouds.unwrap_or_else(|| self.clouds(&scan.returns));
-            let data = NodeData {
-                time,
-                gravity_alignment: gravity,
-                filtered_gravity_aligned_point_cloud: PointCloud::default(),
-                high_resolution_point_cloud: high,
-                low_resolution_point_cloud: low,
-                rotational_scan_matcher_histogram: self.histogram(&scan.returns, &gravity),
-                local_from_tracking,
-            };
-            let surface_points = surface_points.iter().map(|p| local * p).collect();
-            InsertedNode { open, ..self.insert(&range_data_in_local, surface_points, data) }
-        });
-        MatchingResult { time, local_from_tracking, range_data_in_local, measured: Vec::new(), inserted }
+    }
+
+    /// A scan as grids take it.
+    fn thinned(&self, scan: RangeData) -> RangeData {
+        match self.by_surfaces {
+            Some(_) => {
+                RangeData { returns: voxel_filter(&scan.returns, self.options.voxel_filter_size), ..scan }
+            }
+            None => scan,
+        }
     }
 
     /// The fine and the coarse cloud of a scan.
@@ -338,7 +370,7 @@ impl LocalSlam3d {
         }
         let clouds = Some([high, low]);
         let open = OpenDirections::default();
-        Some(MatchedScan { local_from_tracking, scan, clouds, surface_points: Vec::new(), open })
+        Some(MatchedScan { local_from_tracking, scan, clouds, open })
     }
 
     fn histogram(&self, returns_in_tracking: &PointCloud, gravity_alignment: &Quaternion) -> Vec<f32> {

@@ -2,6 +2,7 @@
 
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, is_valid_pose};
 use portolan_matching::Way;
+use portolan_sensor::voxel_filter;
 
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
@@ -224,7 +225,8 @@ impl LocalSlam3d {
 
     /// Puts a scan where it fits the grids of the older submap best.
     fn match_to_grids(&self, scan: &mut MatchedScan) {
-        let [high, low] = self.clouds(&scan.scan.returns);
+        let thinned = voxel_filter(&scan.scan.returns, self.options.voxel_filter_size);
+        let [high, low] = self.clouds(&thinned);
         if !high.is_empty() && !low.is_empty() {
             let submap = self.active_submaps.matching_submap();
             let (matched, _) = self.matcher.match_scan(&scan.local_from_tracking, [&high, &low], submap);
@@ -236,13 +238,10 @@ impl LocalSlam3d {
     }
 
     fn seen_from_end(&self, sweep: &TimedSweep, matched: MatchedSweep) -> MatchedScan {
-        let (voxel_size, use_intensities) = (self.options.voxel_filter_size, self.options.use_intensities);
-        let (scan, surface_points) = in_tracking(&sweep.points, &matched.pieces, voxel_size, use_intensities);
         MatchedScan {
             local_from_tracking: matched.local_from_tracking,
-            scan,
+            scan: in_tracking(&sweep.points, &matched.pieces, self.options.use_intensities),
             clouds: None,
-            surface_points,
             open: OpenDirections::default(),
         }
     }

@@ -6,7 +6,7 @@ use portolan_matching::{
     Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, Way,
     WayCorrection, WayPrior,
 };
-use portolan_sensor::{PointCloud, RangeData, voxel_filter, voxel_filter_indices};
+use portolan_sensor::{PointCloud, RangeData, voxel_filter_indices};
 
 use super::super::SweepPoint;
 use super::unwarp::Gathered;
@@ -141,19 +141,13 @@ impl SurfaceTracker {
     }
 }
 
-/// The sweep as seen from its end: thinned for grids, and all of it for surfaces.
-pub(super) fn in_tracking(
-    sweep: &[SweepPoint],
-    pieces: &StraightPieces,
-    voxel_size: f32,
-    use_intensities: bool,
-) -> (RangeData, Vec<Point3f>) {
+/// The sweep as seen from its end.
+pub(super) fn in_tracking(sweep: &[SweepPoint], pieces: &StraightPieces, use_intensities: bool) -> RangeData {
     let points: Vec<Point3f> = sweep.iter().map(|p| pieces.moved(&p.position, p.offset)).collect();
     let intensities = match use_intensities {
         true => sweep.iter().map(|p| p.intensity).collect(),
         false => Vec::new(),
     };
-    let all = PointCloud { points, intensities };
-    let returns = voxel_filter(&all, voxel_size);
-    (RangeData { origin: Point3f::origin(), returns, misses: PointCloud::default() }, all.points)
+    let returns = PointCloud { points, intensities };
+    RangeData { origin: Point3f::origin(), returns, misses: PointCloud::default() }
 }
