@@ -92,7 +92,23 @@ pub struct Submap3d {
     /// Scans that could not be inserted because they lay too far from the origin of the submap.
     pub refused_scans: u32,
     inserter: Option<Arc<Inserter3d>>,
+    /// Whether scans are matched against it by now.
+    is_matched: bool,
+    waiting: Waiting,
 }
+
+/// What grids and surfaces nobody looks at yet do not know so far, in the frame of the submap: drawn at once it takes
+/// less time, because each place in memory is then visited once.
+#[derive(Clone, Debug, Default)]
+struct Waiting {
+    scans: Vec<RangeData>,
+    /// Hits, and where they were seen from.
+    sweeps: Vec<(Vec<Point3f>, Point3f)>,
+    num_points: usize,
+}
+
+/// So many points are not kept waiting (at most 24 MB).
+const MOST_WAITING_POINTS: usize = 2_000_000;
 
 impl Submap3d {
     /// An empty submap at an origin in the local map, with the axes of a scan's gravity-aligned frame.
@@ -115,6 +131,8 @@ impl Submap3d {
             surfaces: inserter.surface_voxel_size.map(SurfaceMap::new),
             refused_scans: 0,
             inserter: Some(Arc::clone(inserter)),
+            is_matched: false,
+            waiting: Waiting::default(),
         })
     }
 
@@ -122,11 +140,66 @@ impl Submap3d {
     pub fn insert_surfaces(&mut self, points_in_local: &[Point3f], origin_in_local: &Point3f) {
         let submap_from_local = to_f32(&self.local_from_submap.inverse());
         let origin = submap_from_local * origin_in_local;
-        if let Some(surfaces) = &mut self.surfaces {
-            for point in points_in_local {
-                surfaces.insert_seen_from(&(submap_from_local * point), &origin);
-            }
+        let Some(surfaces) = &mut self.surfaces else { return };
+        let points: Vec<Point3f> = points_in_local.iter().map(|p| submap_from_local * p).collect();
+        if self.is_matched {
+            points.iter().for_each(|point| surfaces.insert_seen_from(point, &origin));
+        } else {
+            self.waiting.num_points += points.len();
+            self.waiting.sweeps.push((points, origin));
+            self.draw_if_much_waits();
         }
+    }
+
+    /// Draws a scan, given in the frame of the submap, into the grids; or keeps it until they are needed. False if that
+    /// is impossible.
+    fn insert_into_grids(&mut self, scan: RangeData, inserter: &Inserter3d) -> bool {
+        let grids = [&self.high_resolution_grid, &self.low_resolution_grid];
+        if grids.iter().any(|grid| grid.cell_index(&scan.origin).is_none()) {
+            return false;
+        }
+        if let Some(intensities) = &mut self.intensity_grid {
+            inserter.inserter.insert_intensities(&scan, inserter.high_resolution_max_range, intensities);
+        }
+        self.waiting.num_points += scan.returns.len();
+        self.waiting.scans.push(scan);
+        // With surfaces nobody looks at grids that grow.
+        match self.surfaces {
+            Some(_) => self.draw_if_much_waits(),
+            None => self.draw_grids(),
+        }
+        true
+    }
+
+    fn draw_if_much_waits(&mut self) {
+        if self.waiting.num_points >= MOST_WAITING_POINTS {
+            self.draw_grids();
+            self.draw_surfaces();
+        }
+    }
+
+    /// Draws the scans that wait into the grids.
+    pub fn draw_grids(&mut self) {
+        let scans = std::mem::take(&mut self.waiting.scans);
+        let Some(inserter) = &self.inserter else { return };
+        let (fine, max_range) = (&inserter.inserter, inserter.high_resolution_max_range);
+        fine.insert_all(&scans, max_range, &mut self.high_resolution_grid);
+        fine.insert_all(&scans, f32::INFINITY, &mut self.low_resolution_grid);
+        self.count_waiting();
+    }
+
+    fn draw_surfaces(&mut self) {
+        let sweeps = std::mem::take(&mut self.waiting.sweeps);
+        if let Some(surfaces) = &mut self.surfaces {
+            surfaces.insert_sweeps(&sweeps);
+        }
+        self.count_waiting();
+    }
+
+    fn count_waiting(&mut self) {
+        let scans: usize = self.waiting.scans.iter().map(|scan| scan.returns.len()).sum();
+        self.waiting.num_points =
+            scans + self.waiting.sweeps.iter().map(|(points, _)| points.len()).sum::<usize>();
     }
 
     /// A submap as a file has it.
@@ -148,6 +221,8 @@ impl Submap3d {
             surfaces: None,
             refused_scans: 0,
             inserter: None,
+            is_matched: false,
+            waiting: Waiting::default(),
         }
     }
 }
@@ -168,16 +243,11 @@ impl GrowingSubmap for Submap3d {
     }
 
     fn insert(&mut self, scan: &Scan3d) -> bool {
-        let Some(inserter) = &self.inserter else { return true };
+        let Some(inserter) = self.inserter.clone() else { return true };
         let submap_from_local = self.local_from_submap.inverse();
         let data = scan.range_data_in_local.transformed(&to_f32(&submap_from_local));
-        let max_range = inserter.high_resolution_max_range;
-        let fine = &inserter.inserter;
-        let high =
-            fine.insert(&data, max_range, &mut self.high_resolution_grid, self.intensity_grid.as_mut());
-        let low = fine.insert(&data, f32::INFINITY, &mut self.low_resolution_grid, None);
+        let drawn = self.insert_into_grids(data, &inserter);
         self.insert_surfaces(&scan.surface_points_in_local, &scan.range_data_in_local.origin);
-        let drawn = high.is_ok() && low.is_ok();
         self.refused_scans += u32::from(!drawn);
         let turn = yaw(&(submap_from_local.rotation * scan.local_from_gravity_aligned)) as f32;
         let turned = rotate_histogram(&scan.rotational_histogram, turn);
@@ -186,7 +256,16 @@ impl GrowingSubmap for Submap3d {
         drawn
     }
 
+    fn prepare_for_matching(&mut self) {
+        if !self.is_matched {
+            self.is_matched = true;
+            self.draw_surfaces();
+        }
+    }
+
     fn finish(&mut self) {
+        self.draw_grids();
+        self.draw_surfaces();
         self.high_resolution_grid = self.high_resolution_grid.compacted();
         self.low_resolution_grid = self.low_resolution_grid.compacted();
         self.surfaces = self.surfaces.as_ref().map(SurfaceMap::compacted);
@@ -223,6 +302,7 @@ mod tests {
         };
         submap.insert(&scan);
         submap.insert(&scan);
+        submap.draw_grids();
         assert_eq!((submap.num_range_data, submap.refused_scans), (2, 0));
         assert!(submap.high_resolution_grid.probability([30, 0, 0]) > 0.55);
         assert!(!submap.high_resolution_grid.is_known([-90, 0, 0]), "too far");

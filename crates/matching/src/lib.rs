@@ -14,6 +14,7 @@ pub mod gradient;
 pub mod grid;
 mod planar_transform;
 pub mod surface;
+mod voxel_order;
 
 #[cfg(test)]
 extern crate self as portolan_matching;

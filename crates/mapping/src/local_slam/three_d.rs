@@ -452,7 +452,12 @@ impl LocalSlam<Spatial> for LocalSlam3d {
     }
 
     fn active_submaps(&self) -> Vec<(u32, Submap3d)> {
-        self.active_submaps.iter().map(|(index, submap)| (index, submap.clone())).collect()
+        let drawn = |submap: &Submap3d| {
+            let mut submap = submap.clone();
+            submap.draw_grids();
+            submap
+        };
+        self.active_submaps.iter().map(|(index, submap)| (index, drawn(submap))).collect()
     }
 
     fn repairs(&self) -> Repairs {

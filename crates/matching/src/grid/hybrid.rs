@@ -2,8 +2,8 @@
 
 use portolan_geometry::Point3f;
 
-use super::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL, UPDATE_MARKER, UpdateTable};
-use super::voxel_map::VoxelMap;
+use super::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL};
+use super::voxel_map::{Block, BlockKey, VoxelMap};
 use super::{GridError, MAX_VOXEL_INDEX, VoxelIndex};
 
 /// Where the cells of a grid in space are: cell i spans half an edge to both sides of i times the edge.
@@ -61,9 +61,6 @@ impl VoxelLattice {
 pub struct HybridGrid {
     lattice: VoxelLattice,
     cells: VoxelMap<u16>,
-    /// Leaves with cells that carry the update marker, and a bit for each of these; empty between scans.
-    touched: Vec<u32>,
-    is_touched: Vec<u64>,
 }
 
 impl HybridGrid {
@@ -76,7 +73,7 @@ impl HybridGrid {
     }
 
     fn of_cells(lattice: VoxelLattice, cells: VoxelMap<u16>) -> Self {
-        Self { lattice, cells, touched: Vec::new(), is_touched: Vec::new() }
+        Self { lattice, cells }
     }
 
     /// Edge of a cell, metres.
@@ -113,7 +110,7 @@ impl HybridGrid {
         self.lattice.center(cell)
     }
 
-    /// The code of a cell, with the marker if the scan being inserted has changed it; 0 if unknown.
+    /// The code of a cell; 0 if unknown.
     #[inline]
     pub fn code(&self, cell: VoxelIndex) -> u16 {
         self.cells.get(cell).unwrap_or(UNKNOWN_CELL)
@@ -136,42 +133,12 @@ impl HybridGrid {
     }
 
     pub(crate) fn set_code(&mut self, cell: VoxelIndex, code: u16) -> bool {
-        self.cells.entry(cell).map(|(_, value)| *value = code).is_some()
+        self.cells.entry(cell).map(|value| *value = code).is_some()
     }
 
-    /// Applies a table to a cell unless this scan has changed it already. None if there is no such cell,
-    /// otherwise whether it changed.
-    #[inline]
-    pub(crate) fn apply(&mut self, cell: VoxelIndex, table: &UpdateTable) -> Option<bool> {
-        let (leaf, code) = self.cells.entry(cell)?;
-        if *code & UPDATE_MARKER != 0 {
-            return Some(false);
-        }
-        *code = table.updated(*code);
-        self.touch(leaf);
-        Some(true)
-    }
-
-    /// Remembers a leaf for the end of the scan, once.
-    #[inline]
-    fn touch(&mut self, leaf: usize) {
-        let (word, bit) = (leaf / 64, 1 << (leaf % 64));
-        if word >= self.is_touched.len() {
-            self.is_touched.resize(word + 1, 0);
-        }
-        if self.is_touched[word] & bit == 0 {
-            self.is_touched[word] |= bit;
-            self.touched.push(leaf as u32);
-        }
-    }
-
-    /// Ends the scan: the next one may change every cell again.
-    pub(crate) fn finish_update(&mut self) {
-        // Its memory goes with the scan: most grids get no other for long.
-        for leaf in std::mem::take(&mut self.touched) {
-            self.cells.leaf_values_mut(leaf as usize).iter_mut().for_each(|v| *v &= !UPDATE_MARKER);
-        }
-        self.is_touched = Vec::new();
+    /// Changes codes of the cells of one block. False if there is no room for them.
+    pub(crate) fn update_block(&mut self, key: BlockKey, update: impl FnOnce(&mut Block<u16>)) -> bool {
+        self.cells.update_block(key, update)
     }
 
     /// Hands on every known cell with its code, in the order of map files.
@@ -187,16 +154,13 @@ impl HybridGrid {
 
     /// Memory taken, bytes.
     pub fn memory_bytes(&self) -> usize {
-        let touched =
-            self.touched.capacity() * size_of::<u32>() + self.is_touched.capacity() * size_of::<u64>();
-        self.cells.memory_bytes() + touched
+        self.cells.memory_bytes()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::value::odds;
     use crate::testing::Lcg;
 
     #[test]
@@ -233,23 +197,12 @@ mod tests {
     }
 
     #[test]
-    fn odds_multiply_once_per_scan() {
+    fn probabilities_are_kept() {
         let mut grid = HybridGrid::new(1.0).unwrap();
-        let (cell, near) = ([5, -5, 2], |a: f32, b: f32| (a - b).abs() < 1e-4);
+        let cell = [5, -5, 2];
         assert!(!grid.is_known(cell) && grid.probability(cell) == 0.1);
-        let hit = UpdateTable::for_probabilities(odds(0.7));
-        assert_eq!(grid.apply(cell, &hit), Some(true));
-        assert_eq!(grid.apply(cell, &hit), Some(false));
-        assert_eq!(grid.apply([9000, 0, 0], &hit), None);
-        grid.finish_update();
-        assert!(grid.is_known(cell) && near(grid.probability(cell), 0.7));
-        assert!(grid.set_probability(cell, 0.5) && near(grid.probability(cell), 0.5));
-        for p in [0.55f32, 0.42] {
-            grid.set_probability(cell, 0.5);
-            grid.apply(cell, &UpdateTable::for_probabilities(odds(p)));
-            grid.finish_update();
-            assert!(near(grid.probability(cell), p), "{p}");
-        }
+        assert!(grid.set_probability(cell, 0.7) && !grid.set_probability([9000, 0, 0], 0.7));
+        assert!(grid.is_known(cell) && (grid.probability(cell) - 0.7).abs() < 1e-4);
         assert!(HybridGrid::new(0.0).is_err() && HybridGrid::new(f32::NAN).is_err());
     }
 }

@@ -2,8 +2,10 @@
 
 use portolan_sensor::RangeData;
 
-use super::value::{UpdateTable, odds};
+use super::value::{UPDATE_MARKER, UpdateTable, odds};
+use super::voxel_map::BlockKey;
 use super::{GridError, HybridGrid, InsertReport, InserterOptionError, IntensityGrid, VoxelIndex, is_finite};
+use crate::voxel_order::sort_by_voxel;
 
 /// How strongly a scan changes the cells it meets.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,53 +70,149 @@ impl HybridInserter {
         intensities: Option<&mut IntensityGrid>,
     ) -> Result<InsertReport, GridError> {
         let origin = range_data.origin;
-        let Some(begin) = grid.cell_index(&origin) else {
+        if grid.cell_index(&origin).is_none() {
             return Err(GridError::InvalidOrigin { x: origin.x, y: origin.y, z: origin.z });
-        };
+        }
+        if let Some(intensities) = intensities {
+            self.insert_intensities(range_data, max_range, intensities);
+        }
+        Ok(self.insert_all(std::slice::from_ref(range_data), max_range, grid))
+    }
+
+    /// Gives cells the intensities of the returns of a scan, as [`Self::insert`] does.
+    pub fn insert_intensities(&self, range_data: &RangeData, max_range: f32, grid: &mut IntensityGrid) {
+        let returns = &range_data.returns;
+        for (point, intensity) in returns.points.iter().zip(&returns.intensities) {
+            if *intensity <= self.intensity_threshold && (point - range_data.origin).norm() <= max_range {
+                let cell = grid.cell_index(point);
+                cell.map(|cell| grid.add_intensity(cell, *intensity));
+            }
+        }
+    }
+
+    /// Draws scans one after the other, as [`Self::insert`] does, without their intensities. Scans whose origin
+    /// the grid cannot hold are passed over. All changes are put in the order of blocks of cells first, so that
+    /// each block is fetched from memory once, however many scans change it.
+    pub fn insert_all(&self, scans: &[RangeData], max_range: f32, grid: &mut HybridGrid) -> InsertReport {
         let mut report = InsertReport::default();
-        let mut ends: Vec<VoxelIndex> = Vec::new();
-        let in_range = |p: &portolan_geometry::Point3f| (p - origin).norm() <= max_range;
-        for point in &range_data.returns.points {
-            if in_range(point) {
-                match grid.cell_index(point).map(|cell| (cell, grid.apply(cell, &self.hit_table))) {
-                    Some((cell, Some(first_hit))) => {
-                        report.hits += 1;
-                        if first_hit {
-                            ends.push(cell);
-                        }
-                    }
-                    _ => report.outside += 1,
+        for scans in scans.chunks(1 << SCAN_BITS) {
+            let mut changes = Changes::default();
+            for (number, scan) in (0..).zip(scans) {
+                self.collect(scan, number, max_range, grid, &mut changes, &mut report);
+            }
+            self.apply(changes, grid);
+        }
+        report
+    }
+
+    /// Adds what a scan changes.
+    fn collect(
+        &self,
+        scan: &RangeData,
+        number: u64,
+        max_range: f32,
+        grid: &HybridGrid,
+        changes: &mut Changes,
+        report: &mut InsertReport,
+    ) {
+        let Some(begin) = grid.cell_index(&scan.origin) else { return };
+        let mut ends: Vec<VoxelIndex> = Vec::with_capacity(scan.returns.len());
+        for point in &scan.returns.points {
+            if (point - scan.origin).norm() <= max_range {
+                match grid.cell_index(point) {
+                    Some(end) => ends.push(end),
+                    None => report.outside += 1,
                 }
             } else if !is_finite(point) {
                 report.not_finite += 1;
             }
         }
+        report.hits += ends.len();
+        ends.dedup();
+        ends.iter().for_each(|end| changes.add(*end, number, Change::Hit));
         for end in ends {
-            self.clear_before(begin, end, grid);
+            self.clear_before(begin, end, |cell| changes.add(cell, number, Change::Miss));
         }
-        grid.finish_update();
-        if let Some(intensities) = intensities {
-            let returns = &range_data.returns;
-            for (point, intensity) in returns.points.iter().zip(&returns.intensities) {
-                if *intensity <= self.intensity_threshold && in_range(point) {
-                    let cell = intensities.cell_index(point);
-                    cell.map(|cell| intensities.add_intensity(cell, *intensity));
-                }
-            }
-        }
-        Ok(report)
     }
 
     /// The last few cells on the way from `begin` to `end`: step k of n is k/n of the way along each axis,
     /// without its fraction.
-    fn clear_before(&self, begin: VoxelIndex, end: VoxelIndex, grid: &mut HybridGrid) {
+    #[inline]
+    fn clear_before(&self, begin: VoxelIndex, end: VoxelIndex, mut clear: impl FnMut(VoxelIndex)) {
         let delta = [end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]];
         let steps = delta[0].abs().max(delta[1].abs()).max(delta[2].abs());
         let slope = delta.map(|d| f64::from(d) / f64::from(steps));
         for k in (steps - self.num_free_space_voxels).max(0)..steps {
             let along = |axis: usize| begin[axis] + whole_part(slope[axis] * f64::from(k));
-            grid.apply([along(0), along(1), along(2)], &self.miss_table);
+            clear([along(0), along(1), along(2)]);
         }
+    }
+
+    fn apply(&self, changes: Changes, grid: &mut HybridGrid) {
+        let changes = changes.in_order();
+        for of_block in changes.chunk_by(|a, b| a >> CHANGE_BITS == b >> CHANGE_BITS) {
+            let key = BlockKey::from_number(of_block[0] >> CHANGE_BITS);
+            grid.update_block(key, |block| {
+                let (mut scan, mut changed) = (u64::MAX, 0u64);
+                for change in of_block {
+                    let place = (change & PLACE_MASK) as u32;
+                    let scan_of_change = change >> (PLACE_BITS + 1);
+                    if scan_of_change != scan {
+                        (scan, changed) = (scan_of_change, 0);
+                    }
+                    if changed & 1 << place == 0 {
+                        changed |= 1 << place;
+                        let is_miss = change >> PLACE_BITS & 1 == 1;
+                        let table = if is_miss { &self.miss_table } else { &self.hit_table };
+                        block.change(place, |code| table.updated(code) & !UPDATE_MARKER);
+                    }
+                }
+            });
+        }
+    }
+}
+
+/// Bits of a change: its scan, whether it is a miss, the place in the block; above these those of the block.
+const SCAN_BITS: u32 = 63 - BlockKey::BITS - PLACE_BITS;
+const PLACE_BITS: u32 = 6;
+const PLACE_MASK: u64 = (1 << PLACE_BITS) - 1;
+const CHANGE_BITS: u32 = SCAN_BITS + 1 + PLACE_BITS;
+/// More changes than this are looked through for equal ones.
+const MANY: usize = 1 << 22;
+
+/// How a scan changes a cell.
+#[derive(Clone, Copy)]
+enum Change {
+    Hit = 0,
+    Miss = 1,
+}
+
+/// Changes of cells by scans, a number each: in the order of scans, for each scan its hits first.
+#[derive(Default)]
+struct Changes {
+    numbers: Vec<u64>,
+    /// How many there may be until they are looked through.
+    limit: usize,
+}
+
+impl Changes {
+    #[inline]
+    fn add(&mut self, cell: VoxelIndex, scan: u64, change: Change) {
+        // Rays begin and end in cells that can be, and so do all between.
+        let Some((key, place)) = BlockKey::of(cell) else { return };
+        let of_block = scan << 1 | change as u64;
+        self.numbers.push(key.number() << CHANGE_BITS | of_block << PLACE_BITS | u64::from(place));
+        if self.numbers.len() >= self.limit.max(MANY) {
+            self.numbers.sort_unstable();
+            self.numbers.dedup();
+            self.limit = 2 * self.numbers.len();
+        }
+    }
+
+    /// Block by block.
+    fn in_order(mut self) -> Vec<u64> {
+        sort_by_voxel(&mut self.numbers, CHANGE_BITS);
+        self.numbers
     }
 }
 

@@ -64,7 +64,7 @@ impl IntensityGrid {
         if !intensity.is_finite() {
             return false;
         }
-        let Some((_, average)) = self.cells.entry(cell) else { return false };
+        let Some(average) = self.cells.entry(cell) else { return false };
         average.sum += intensity;
         average.count = average.count.saturating_add(1);
         true

@@ -44,6 +44,64 @@ pub(crate) struct VoxelMap<T> {
     root_bits: u32,
 }
 
+/// Cells in a block.
+const BLOCK_CELLS: usize = 64;
+
+/// Which block of cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct BlockKey(u64);
+
+impl BlockKey {
+    /// So many bits has the number of a block.
+    pub const BITS: u32 = 36;
+
+    /// The block with a cell and the cell's place in it, less than 64; none for cells that cannot be.
+    #[inline]
+    pub fn of(cell: VoxelIndex) -> Option<(Self, u32)> {
+        is_possible(cell).then(|| (Self(key_of(cell)), bit_of(cell).trailing_zeros()))
+    }
+
+    /// A number less than 2^[`Self::BITS`].
+    pub fn number(self) -> u64 {
+        self.0
+    }
+
+    /// The block with a number that [`Self::number`] gave.
+    pub fn from_number(number: u64) -> Self {
+        Self(number)
+    }
+}
+
+/// The cells of a block while they are changed; those not known have the default value.
+pub(crate) struct Block<T> {
+    known: u64,
+    values: [T; BLOCK_CELLS],
+}
+
+impl<T: Copy> Block<T> {
+    /// Changes the cell at a place (less than 64), which is known from then on.
+    #[inline]
+    pub fn change(&mut self, place: u32, change: impl FnOnce(T) -> T) {
+        self.known |= 1 << (place & 63);
+        let value = &mut self.values[(place & 63) as usize];
+        *value = change(*value);
+    }
+}
+
+/// Places of the bits that are set, ascending.
+struct Bits(u64);
+
+impl Iterator for Bits {
+    type Item = usize;
+
+    #[inline]
+    fn next(&mut self) -> Option<usize> {
+        let place = self.0.trailing_zeros() as usize;
+        self.0 &= self.0.wrapping_sub(1);
+        (place < BLOCK_CELLS).then_some(place)
+    }
+}
+
 /// No block has this key.
 const NO_KEY: u64 = u64::MAX;
 
@@ -158,22 +216,14 @@ impl<T: Copy + Default> VoxelMap<T> {
         values
     }
 
-    /// The value of a cell to be changed, with the number of its leaf; a cell not known so far becomes
-    /// known with the default value. None for cells that cannot be.
+    /// The value of a cell to be changed; a cell not known so far becomes known with the default value. None for
+    /// cells that cannot be.
     #[inline]
-    pub fn entry(&mut self, cell: VoxelIndex) -> Option<(usize, &mut T)> {
+    pub fn entry(&mut self, cell: VoxelIndex) -> Option<&mut T> {
         if !is_possible(cell) {
             return None;
         }
-        let key = key_of(cell);
-        if self.recent.0 != key {
-            let found = match self.index.get(key) {
-                Some(leaf) => leaf,
-                None => self.add_leaf(key)?,
-            };
-            self.recent = (key, found);
-        }
-        let (number, bit) = (self.recent.1, bit_of(cell));
+        let (number, bit) = (self.leaf_of(key_of(cell))?, bit_of(cell));
         let leaf = self.leaves[number];
         let mask = leaf.mask;
         let rank = (mask & (bit - 1)).count_ones() as usize;
@@ -183,7 +233,37 @@ impl<T: Copy + Default> VoxelMap<T> {
             self.leaves[number] = Leaf { mask: mask | bit, start };
             self.num_cells += 1;
         }
-        Some((number, self.values.at_mut(start as usize + rank)))
+        Some(self.values.at_mut(start as usize + rank))
+    }
+
+    /// Changes cells of one block, all at once. False if there is no room for them.
+    pub fn update_block(&mut self, key: BlockKey, update: impl FnOnce(&mut Block<T>)) -> bool {
+        let Some(number) = self.leaf_of(key.0) else { return false };
+        let Leaf { mask: before, start } = self.leaves[number];
+        let mut block = Block { known: before, values: [T::default(); BLOCK_CELLS] };
+        let list = self.values.list(start, before.count_ones() as usize);
+        Bits(before).zip(list).for_each(|(place, value)| block.values[place] = *value);
+        update(&mut block);
+        let counts = [before, block.known].map(|mask| mask.count_ones() as usize);
+        let Some(start) = self.values.resize(start, counts) else { return false };
+        let list = self.values.list_mut(start, counts[1]);
+        Bits(block.known).zip(list).for_each(|(place, value)| *value = block.values[place]);
+        self.leaves[number] = Leaf { mask: block.known, start };
+        self.num_cells = self.num_cells + counts[1] - counts[0];
+        true
+    }
+
+    /// The number of the leaf of a block, which is made if there is none yet.
+    #[inline]
+    fn leaf_of(&mut self, key: u64) -> Option<usize> {
+        if self.recent.0 != key {
+            let found = match self.index.get(key) {
+                Some(leaf) => leaf,
+                None => self.add_leaf(key)?,
+            };
+            self.recent = (key, found);
+        }
+        Some(self.recent.1)
     }
 
     #[cold]
@@ -201,13 +281,6 @@ impl<T: Copy + Default> VoxelMap<T> {
             }
         }
         Some(number)
-    }
-
-    /// All values of the leaf with a number, to be changed.
-    pub fn leaf_values_mut(&mut self, number: usize) -> &mut [T] {
-        let leaf = self.leaves[number];
-        let mask = leaf.mask;
-        self.values.list_mut(leaf.start, mask.count_ones() as usize)
     }
 
     /// Hands on every known cell in the order of memory, which is the same for the same history.
@@ -243,11 +316,10 @@ impl<T: Copy + Default> VoxelMap<T> {
     /// Hands on the known cells of the leaf of the block that starts at `first`.
     #[inline]
     fn for_each_in_leaf(&self, first: VoxelIndex, leaf: Leaf, mut visit: impl FnMut(VoxelIndex, T)) {
-        let mut mask = leaf.mask;
-        for value in self.values.list(leaf.start, mask.count_ones() as usize) {
-            let bit = mask.trailing_zeros() as i32;
-            mask &= mask - 1;
-            visit([first[0] + (bit & 3), first[1] + (bit >> 2 & 3), first[2] + (bit >> 4)], *value);
+        let mask = leaf.mask;
+        for (place, value) in Bits(mask).zip(self.values.list(leaf.start, mask.count_ones() as usize)) {
+            let place = place as i32;
+            visit([first[0] + (place & 3), first[1] + (place >> 2 & 3), first[2] + (place >> 4)], *value);
         }
     }
 

@@ -5,6 +5,7 @@ use portolan_geometry::Point3f;
 
 use super::cell::SurfaceCell;
 use crate::grid::{HybridGrid, LeafIndex};
+use crate::voxel_order::sort_by_voxel;
 
 /// Sizes of voxels, each half of the one before.
 const LEVELS: u32 = 3;
@@ -14,6 +15,8 @@ const MAX_INDEX: i32 = 1 << 10;
 const SETTLED: u32 = 100;
 /// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
 const OFFSET: f32 = 0.37;
+/// Bits for the number of a hit beside the 36 of a key.
+const HIT_BITS: u32 = 28;
 /// Cells of a grid count as surface from this probability on.
 const MIN_PROBABILITY: f32 = 0.6;
 
@@ -94,8 +97,35 @@ impl SurfaceMap {
         self.insert_toward(point, &(origin - point).try_normalize(1e-6).unwrap_or_else(na::Vector3::zeros));
     }
 
+    /// Adds the hits of sweeps, each with where they were seen from (all metres, in the frame of the map), as
+    /// [`Self::insert_seen_from`] would one after the other. Hits are put in the order of voxels first: those in
+    /// other voxels make no difference to one.
+    pub fn insert_sweeps(&mut self, sweeps: &[(Vec<Point3f>, Point3f)]) {
+        let of_sweep = |(sweep, (points, _)): (u32, &(Vec<Point3f>, Point3f))| {
+            points.iter().map(|point| (*point, sweep)).collect::<Vec<_>>()
+        };
+        let hits: Vec<(Point3f, u32)> = (0..).zip(sweeps).flat_map(of_sweep).collect();
+        for hits in hits.chunks(1 << HIT_BITS) {
+            let in_voxel = |(number, (point, _)): (u64, &(Point3f, u32))| {
+                key(&self.scaled(point), 0).map(|key| key << HIT_BITS | number)
+            };
+            let mut order: Vec<u64> = (0..).zip(hits).filter_map(in_voxel).collect();
+            sort_by_voxel(&mut order, HIT_BITS);
+            for number in order {
+                let (point, sweep) = &hits[(number & ((1 << HIT_BITS) - 1)) as usize];
+                self.insert_seen_from(point, &sweeps[*sweep as usize].1);
+            }
+        }
+    }
+
+    /// A place in largest voxels.
+    #[inline]
+    fn scaled(&self, place: &Point3f) -> na::Vector3<f32> {
+        (place / self.edge).coords.map(|v| v + OFFSET)
+    }
+
     fn insert_toward(&mut self, point: &Point3f, toward: &na::Vector3<f32>) {
-        let scaled = (point / self.edge).coords.map(|v| v + OFFSET);
+        let scaled = self.scaled(point);
         for level in 0..LEVELS {
             let Some(key) = key(&scaled, level) else { return };
             let number = self.number_of(key, level as usize);
@@ -137,7 +167,7 @@ impl SurfaceMap {
     /// The same without planes that are seen from the other side than from the direction `toward` (unit length).
     #[inline]
     pub fn plane_seen(&self, place: &Point3f, toward: &na::Vector3<f32>) -> Option<Plane> {
-        let scaled = (place / self.edge).coords.map(|v| v + OFFSET);
+        let scaled = self.scaled(place);
         self.plane_around(&scaled, toward).or_else(|| {
             let to_side = scaled.map(|v| v - floor(v) - 0.5);
             let axis = to_side.iamax();

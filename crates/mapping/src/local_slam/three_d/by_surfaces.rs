@@ -224,7 +224,10 @@ impl LocalSlam3d {
     }
 
     /// Puts a scan where it fits the grids of the older submap best.
-    fn match_to_grids(&self, scan: &mut MatchedScan) {
+    fn match_to_grids(&mut self, scan: &mut MatchedScan) {
+        if let Some(submap) = self.active_submaps.matching_submap_mut() {
+            submap.draw_grids();
+        }
         let thinned = voxel_filter(&scan.scan.returns, self.options.voxel_filter_size);
         let [high, low] = self.clouds(&thinned);
         if !high.is_empty() && !low.is_empty() {

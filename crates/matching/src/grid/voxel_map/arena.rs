@@ -75,6 +75,18 @@ impl<T: Copy + Default> Arena<T> {
         Some(place)
     }
 
+    /// Room for as many values as the second of two counts, for a list with the first. Where the list starts
+    /// afterwards; its values are lost if it moves.
+    pub fn resize(&mut self, start: u32, [before, after]: [usize; 2]) -> Option<u32> {
+        let [old_class, new_class] = [before, after].map(|count| CLASS_OF_COUNT[count]);
+        if old_class == new_class {
+            return Some(start);
+        }
+        let place = self.allocate(after)?;
+        push_tight(&mut self.free[usize::from(old_class)], start);
+        Some(place)
+    }
+
     #[inline]
     pub fn at(&self, index: usize) -> T {
         self.values[index]

@@ -11,7 +11,7 @@ fn random_cells(seed: u32, n: usize, reach: f32) -> BTreeMap<VoxelIndex, u16> {
 fn filled(cells: &BTreeMap<VoxelIndex, u16>) -> VoxelMap<u16> {
     let mut map = VoxelMap::default();
     for (cell, value) in cells {
-        *map.entry(*cell).unwrap().1 = *value;
+        *map.entry(*cell).unwrap() = *value;
     }
     map
 }
