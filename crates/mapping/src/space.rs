@@ -47,6 +47,8 @@ pub enum Nearby {
     Unknown,
     /// It is there, but fits in more than one place; searching finds no better.
     Ambiguous,
+    /// It is nowhere it may be; searching would not find it either.
+    Absent,
 }
 
 /// A space to map in: the planar or the full one. Poses cross this interface as [`Rigid3`].
@@ -95,11 +97,13 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
     ) {
     }
 
-    /// Looks whether the node is close to where it is believed to be, which takes less than searching.
+    /// Looks whether the node is close to where it is believed to be, from which the scanner travelled so many metres;
+    /// that takes less than searching.
     fn find_nearby(
         _submap: &Self::Submap,
         _node: &NodeData,
         _guess_submap_from_node: &Rigid3,
+        _travelled: f64,
         _options: &ConstraintBuilderOptions,
     ) -> Nearby {
         Nearby::Unknown

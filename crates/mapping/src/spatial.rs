@@ -81,10 +81,13 @@ impl Space for Spatial {
         submap: &Submap3d,
         node: &NodeData,
         guess_submap_from_node: &Rigid3,
+        travelled: f64,
         options: &ConstraintBuilderOptions,
     ) -> Nearby {
         match &submap.surfaces {
-            Some(surfaces) => find_nearby(submap, surfaces, &to_find(node), guess_submap_from_node, options),
+            Some(surfaces) => {
+                find_nearby(submap, surfaces, &to_find(node), guess_submap_from_node, travelled, options)
+            }
             None => Nearby::Unknown,
         }
     }

@@ -2,7 +2,7 @@
 //! as widely as it may be off by now.
 
 use portolan_config::ConstraintBuilderOptions;
-use portolan_geometry::{Point3f, Rigid3, is_valid_pose, to_f32};
+use portolan_geometry::{Point3f, Rigid3, Vector3, is_valid_pose, to_f32};
 use portolan_matching::{
     NodeToFind, PosePrior, SearchReach3d, Sigmas, SubmapToSearch, SurfaceMap, SurfaceMatch, SurfaceMatcher,
     SurfaceMatcherOptions, judge_placement_3d,
@@ -26,6 +26,13 @@ const MIN_MATCHED_SHARE: f64 = 0.5;
 /// an IMU); the nodes may have moved since the guess was made, too.
 const DRIFT_AT_START: (f64, f64) = (0.5, 0.035);
 const DRIFT_PER_METRE: (f64, f64) = (0.04, 0.002);
+
+/// A node that is off by so much, metres, is put where it belongs: of 823 right loop closures in a corridor, a museum,
+/// a garage and a park 99 % from 0.5 m away, 92 % from 0.75 m, 70 % from 1 m.
+const CAPTURE: f64 = 0.75;
+/// Beginning at places so far from the guess, metres, too, finds nodes that are off by so much.
+const RING: f64 = 0.9;
+const CAPTURE_OF_RING: f64 = 1.5;
 
 /// Fewer nodes than this do not show the surfaces of a submap.
 const MIN_NODES: usize = 8;
@@ -94,16 +101,56 @@ fn match_to_surfaces(
     (found.matched_share >= MIN_MATCHED_SHARE && is_valid_pose(&found.pose)).then_some(found)
 }
 
-/// Puts a node on the surfaces near its guess, and judges the result as a search would.
+/// Puts a node on the surfaces near its guess, which may be off by what a way of `travelled` metres explains, and judges
+/// the result as a search would.
 pub(crate) fn find_nearby(
     submap: &Submap3d,
     surfaces: &SurfaceMap,
     node: &NodeToFind<'_>,
     guess_submap_from_node: &Rigid3,
+    travelled: f64,
+    options: &ConstraintBuilderOptions,
+) -> Nearby {
+    let reach = DRIFT_AT_START.0 + DRIFT_PER_METRE.0 * travelled;
+    let from = |start: &Rigid3| fit(submap, surfaces, node, start, options);
+    match from(guess_submap_from_node) {
+        Nearby::Unknown if reach <= CAPTURE => Nearby::Absent,
+        Nearby::Unknown if reach <= CAPTURE_OF_RING => {
+            let around = ring(guess_submap_from_node).map(|start| from(&start));
+            // What is clear counts, and of that what fits best.
+            let rank = |nearby: &Nearby| match nearby {
+                Nearby::Found(found) => 1.0 + found.score,
+                Nearby::Ambiguous => 1.0,
+                Nearby::Unknown | Nearby::Absent => 0.0,
+            };
+            let best = around.into_iter().max_by(|a, b| rank(a).total_cmp(&rank(b)));
+            best.filter(|nearby| *nearby != Nearby::Unknown).unwrap_or(Nearby::Absent)
+        }
+        nearby => nearby,
+    }
+}
+
+/// Poses to begin with around a guess, at equal distances from it and from each other.
+fn ring(guess_submap_from_node: &Rigid3) -> [Rigid3; 6] {
+    std::array::from_fn(|i| {
+        let (sin, cos) = (i as f64 * std::f64::consts::FRAC_PI_3).sin_cos();
+        let mut pose = *guess_submap_from_node;
+        // The frame of a submap is level.
+        pose.translation.vector += Vector3::new(RING * cos, RING * sin, 0.0);
+        pose
+    })
+}
+
+/// Where a node lies on the surfaces near `start`.
+fn fit(
+    submap: &Submap3d,
+    surfaces: &SurfaceMap,
+    node: &NodeToFind<'_>,
+    start: &Rigid3,
     options: &ConstraintBuilderOptions,
 ) -> Nearby {
     let clouds = [node.high_resolution_cloud, node.low_resolution_cloud];
-    let Some(found) = match_to_surfaces(surfaces, clouds, guess_submap_from_node, REFINEMENT_SCALE) else {
+    let Some(found) = match_to_surfaces(surfaces, clouds, start, REFINEMENT_SCALE) else {
         return Nearby::Unknown;
     };
     match (judged(submap, node, &found.pose, options), found.weak.is_empty()) {

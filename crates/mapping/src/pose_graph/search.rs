@@ -185,7 +185,7 @@ impl<S: Space> ConstraintSearch<S> {
                         let found = match nearby {
                             Nearby::Found(found) => Some(found),
                             Nearby::Unknown => search(&tasks[i]),
-                            Nearby::Ambiguous => None,
+                            Nearby::Ambiguous | Nearby::Absent => None,
                         };
                         (i, found.map(|found| constraint_of(&tasks[i], &found, options)))
                     })
@@ -323,8 +323,8 @@ fn is_window(region: SearchRegion) -> bool {
 
 fn find_nearby<S: Space>(task: &SearchTask<S>, options: &ConstraintBuilderOptions) -> Nearby {
     match task.region {
-        SearchRegion::Window { .. } => {
-            S::find_nearby(&task.submap, &task.node, &task.guess_submap_from_node, options)
+        SearchRegion::Window { travelled } => {
+            S::find_nearby(&task.submap, &task.node, &task.guess_submap_from_node, travelled, options)
         }
         SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => Nearby::Unknown,
     }
