@@ -95,8 +95,11 @@ fn match_to_surfaces(
     let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
     let prior = PosePrior { pose: *initial, sigmas: SIGMAS };
     let final_scale = 0.1 * f64::from(surfaces.edge());
-    let matcher =
-        SurfaceMatcher::new(SurfaceMatcherOptions { final_scale, ..SurfaceMatcherOptions::default() });
+    let matcher = SurfaceMatcher::new(SurfaceMatcherOptions {
+        final_scale,
+        min_matched_share: MIN_MATCHED_SHARE,
+        ..SurfaceMatcherOptions::default()
+    });
     let found = matcher.match_scan(surfaces, &points, initial, &prior, scale)?;
     (found.matched_share >= MIN_MATCHED_SHARE && is_valid_pose(&found.pose)).then_some(found)
 }

@@ -20,6 +20,8 @@ pub struct SurfaceMatcherOptions {
     pub final_scale: f64,
     /// Iterations at most.
     pub max_iterations: u32,
+    /// A match that puts a smaller share of the points on surfaces is of no use; it may be given up early then.
+    pub min_matched_share: f64,
     /// How far normals of planes are off at least, radians (standard deviation): surfaces are not flat. The noise
     /// of the hits comes on top. Where scans tell no more than such errors feign, they tell nothing.
     pub normal_noise: f64,
@@ -27,7 +29,13 @@ pub struct SurfaceMatcherOptions {
 
 impl Default for SurfaceMatcherOptions {
     fn default() -> Self {
-        Self { range_noise: 0.02, final_scale: 0.1, max_iterations: 20, normal_noise: 0.03 }
+        Self {
+            range_noise: 0.02,
+            final_scale: 0.1,
+            max_iterations: 20,
+            min_matched_share: 0.0,
+            normal_noise: 0.03,
+        }
     }
 }
 
@@ -122,6 +130,8 @@ const SMALL_SHIFT: f64 = 2e-4;
 const SMALL_TURN: f64 = 2e-5;
 /// Points of so many parts of a sweep are summed up apart.
 const PARTS: f64 = 8.0;
+/// With this part of the share that is wanted a match has no hope, once the loss has its final scale.
+const HOPELESS_SHARE: f64 = 0.6;
 /// A scan that took no time does not bend.
 const STIFF: Sigmas = Sigmas { shift: 1e-6, turn: 1e-6 };
 
@@ -187,8 +197,13 @@ impl SurfaceMatcher {
         let mut pairs = Pairs::new(points.len(), surfaces.edge());
         let mut last = None;
         for _ in 0..self.options.max_iterations {
+            let is_coarse = scale > self.options.final_scale;
             let sums = self.sums(surfaces, points, &parts, &mut pairs, &way.bent(&correction), scale);
             if sums.matched < 20 {
+                return None;
+            }
+            let share = sums.matched as f64 / points.len() as f64;
+            if !is_coarse && share < HOPELESS_SHARE * self.options.min_matched_share {
                 return None;
             }
             let weak = Self::weak_directions(&sums);
