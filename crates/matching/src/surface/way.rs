@@ -157,20 +157,21 @@ fn corrected(pose: &Rigid3, correction: &na::Vector6<f64>) -> Rigid3 {
     Rigid3::from_parts((pose.translation.vector + shift).into(), rotation)
 }
 
+/// A rotation and a translation: the images of the axes, and of the origin. With a fourth number, a column is one vector
+/// instruction.
+type Columns = [[f32; 4]; 4];
+
 /// From the scanner on its way to another frame.
 #[derive(Clone, Debug)]
 pub struct StraightPieces {
     per_second: f32,
-    pieces: Vec<na::Matrix3x4<f32>>,
+    pieces: Vec<Columns>,
 }
 
 impl StraightPieces {
     fn new(spacing: f64, poses: impl Iterator<Item = Rigid3>) -> Self {
-        let matrix = |pose: Rigid3| {
-            let single = pose.to_homogeneous().cast::<f32>();
-            single.fixed_view::<3, 4>(0, 0).into_owned()
-        };
-        Self { per_second: (1.0 / spacing.max(1e-9)) as f32, pieces: poses.map(matrix).collect() }
+        let columns = |pose: Rigid3| pose.to_homogeneous().cast::<f32>().data.0;
+        Self { per_second: (1.0 / spacing.max(1e-9)) as f32, pieces: poses.map(columns).collect() }
     }
 
     /// The direction and distance of a point measured `offset` seconds (not positive) before the end, and where the
@@ -182,8 +183,13 @@ impl StraightPieces {
         let whole = (place as usize).min(last.saturating_sub(1));
         let share = place - whole as f32;
         let (a, b) = (&self.pieces[whole], &self.pieces[(whole + 1).min(last)]);
-        let piece = a + (b - a) * share;
-        (piece.fixed_view::<3, 3>(0, 0) * position.coords, piece.column(3).into_owned())
+        let column = |axis: usize| {
+            let (a, b) = (&a[axis], &b[axis]);
+            [0, 1, 2, 3].map(|i| a[i] + (b[i] - a[i]) * share)
+        };
+        let ([x, y, z], from) = ([column(0), column(1), column(2)], column(3));
+        let turned = [0, 1, 2, 3].map(|i| x[i] * position.x + y[i] * position.y + z[i] * position.z);
+        (na::Vector3::new(turned[0], turned[1], turned[2]), na::Vector3::new(from[0], from[1], from[2]))
     }
 
     /// A point measured `offset` seconds (not positive) before the end, in the other frame.

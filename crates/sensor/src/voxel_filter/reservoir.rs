@@ -6,6 +6,8 @@ use crate::lround;
 
 /// Smallest number of slots; a power of two.
 const MIN_SLOTS: usize = 256;
+/// A first call begins with half a slot for each point, and no more than this: tables that grow are filled twice.
+const MOST_FIRST_SLOTS: usize = 1 << 14;
 
 /// What is known of one voxel. `count == 0` marks a free slot.
 #[derive(Clone, Copy, Default)]
@@ -37,7 +39,8 @@ impl Reservoir {
         self.kept.clear();
         self.kept.resize(points.len().div_ceil(64), 0);
         // The finest filter of an adaptive search needs about as many voxels as the one before it.
-        let slots = (2 * voxels_of_last_call).next_power_of_two().max(MIN_SLOTS);
+        let expected = (2 * voxels_of_last_call).max((points.len() / 2).min(MOST_FIRST_SLOTS));
+        let slots = expected.next_power_of_two().max(MIN_SLOTS);
         self.slots.clear();
         self.slots.resize(slots, Voxel::default());
         self.occupied = 0;
