@@ -25,7 +25,7 @@ const HITS_PER_INDEPENDENT_ONE: f32 = 6.0;
 const EDGE_ON: f32 = 0.03;
 
 /// A plane with a steeper normal than this (its sine) is more of a floor or ceiling than of a wall. Walls, cars and
-/// crowns of trees look down a bit; with 0.3 here walks through parks without wheels are 0.25 m off and more.
+/// crowns of trees may look down a bit.
 const LEVEL: f32 = 0.7;
 
 /// Cosine of the angle at which a plane is seen edge-on: its side is not known then.
