@@ -97,9 +97,10 @@ impl Accumulator {
         self.moments += arm * arm.transpose() * f64::from(feigned);
     }
 
-    /// Adds to what doubtful planes say: the normal and the lever of a row that is added, too.
-    pub fn add_doubtful(&mut self, normal: &na::Vector3<f32>, lever: &na::Vector3<f32>, weight: f32) {
-        for (sum, direction) in self.doubtful.iter_mut().zip([normal, lever]) {
+    /// Adds to what doubtful planes say: the normal and the lever of a row that is added, too,
+    /// each with what is feigned of its weight.
+    pub fn add_doubtful(&mut self, normal: &na::Vector3<f32>, lever: &na::Vector3<f32>, weights: [f32; 2]) {
+        for ((sum, direction), weight) in self.doubtful.iter_mut().zip([normal, lever]).zip(weights) {
             let direction: na::Vector3<f64> = direction.cast();
             *sum += direction * direction.transpose() * f64::from(weight);
         }
