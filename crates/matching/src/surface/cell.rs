@@ -24,6 +24,10 @@ const HITS_PER_INDEPENDENT_ONE: f32 = 6.0;
 /// carrier tilts by so much, radians.
 const EDGE_ON: f32 = 0.03;
 
+/// A plane with a steeper normal than this (its sine) is more of a floor or ceiling than of a wall. Walls, cars and
+/// crowns of trees may look down a bit.
+const LEVEL: f32 = 0.7;
+
 /// Cosine of the angle at which a plane is seen edge-on: its side is not known then.
 const MIN_SIDE: f32 = 0.1;
 
@@ -46,8 +50,8 @@ pub(super) struct SurfaceCell {
     pub variance: f32,
     /// Square of how far the normal may be off for the noise of the hits, rad².
     pub normal_variance: f32,
-    /// Whether the hits were seen along the plane: then it may be made of the beams instead of of a surface.
-    is_edge_on: bool,
+    /// Whether the plane may be made of the beams instead of of a surface.
+    is_doubtful: bool,
 }
 
 impl SurfaceCell {
@@ -62,7 +66,7 @@ impl SurfaceCell {
             is_one_sided: false,
             variance: -1.0,
             normal_variance: 0.0,
-            is_edge_on: false,
+            is_doubtful: false,
         }
     }
 
@@ -78,7 +82,7 @@ impl SurfaceCell {
             normal: self.normal,
             variance: self.variance,
             normal_variance: self.normal_variance,
-            is_edge_on: self.is_edge_on,
+            is_doubtful: self.is_doubtful,
         }
     }
 
@@ -127,7 +131,9 @@ impl SurfaceCell {
         self.normal = if side < 0.0 { -normal } else { normal };
         self.is_one_sided = side.abs() > MIN_SIDE;
         let seen = self.toward.norm() / self.count as f32;
-        self.is_edge_on = side.abs() < seen * (EDGE_ON + 2.0 * self.normal_variance.sqrt());
+        let is_edge_on = side.abs() < seen * (EDGE_ON + 2.0 * self.normal_variance.sqrt());
+        let is_ground_from_below = self.toward.z > 0.0 && self.normal.z < -LEVEL;
+        self.is_doubtful = is_edge_on || is_ground_from_below;
     }
 }
 

@@ -31,9 +31,10 @@ pub struct Plane {
     pub variance: f32,
     /// Square of how far the normal may be off for the noise of the hits, rad².
     pub normal_variance: f32,
-    /// Whether the hits were seen along it. A lidar that moves unnoticed over uneven ground sees such planes:
-    /// they move with it.
-    pub is_edge_on: bool,
+    /// Whether it may be made of the beams instead of of a surface: its hits were seen along it, or it looks down at
+    /// them from above where they were seen. A lidar that moves unnoticed over uneven ground sees such planes: its
+    /// beams meet the ground always at the same distance, now higher and now lower, and the planes move with it.
+    pub is_doubtful: bool,
 }
 
 /// Surfaces near the origin of a frame.
@@ -297,6 +298,26 @@ mod tests {
         assert!((floor.point.z - 0.25).abs() < 0.01 && floor.normal.z > 0.99, "{floor:?}");
         let ceiling = map.plane_seen(&place, &-up).unwrap();
         assert!(ceiling.point.z.abs() < 0.01 && ceiling.normal.z < -0.99, "{ceiling:?}");
+    }
+
+    #[test]
+    fn ground_that_looks_down_is_doubtful() {
+        // A piece of ground 10 m off that falls away from the scanner with 0.25, seen from a height of `eye`.
+        let seen_from = |eye: f32| {
+            let mut map = SurfaceMap::new(1.0);
+            let origin = Point3f::new(0.0, 0.0, eye);
+            for i in 0..400 {
+                let (u, v) = (0.05 * (i % 20) as f32 - 0.5, 0.05 * (i / 20) as f32 - 0.5);
+                map.insert_seen_from(&Point3f::new(10.1 + u, 0.1 + v, -0.25 * u), &origin);
+            }
+            map.plane_near(&Point3f::new(10.1, 0.1, 0.0)).unwrap()
+        };
+        // From 1 m above the beams come through the ground, from 5 m they come from above.
+        let (from_below, from_above) = (seen_from(1.0), seen_from(5.0));
+        assert!(from_below.normal.z < -0.9 && from_below.is_doubtful, "{from_below:?}");
+        assert!(from_above.normal.z > 0.9 && !from_above.is_doubtful, "{from_above:?}");
+        // What hangs above the eye looks down rightly.
+        assert!(!seen_from(-5.0).is_doubtful);
     }
 
     #[test]

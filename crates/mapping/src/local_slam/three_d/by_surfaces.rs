@@ -146,8 +146,8 @@ impl LocalSlam3d {
         let open = self.report_match(sweep.end, &way, stood.is_some(), &matched);
         let fits_surfaces = matched.found.is_some();
         let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
-        let is_measured = way.turn_is_measured && way.shift_is_measured;
-        if !fits_surfaces && !is_measured {
+        // Where grids of a bare place hold a scanner that wheels saw moving, they were made by its beams.
+        if !fits_surfaces && !way.shift_is_measured {
             self.match_to_grids(&mut scan);
         }
         self.standstill.add_match(sweep.end, &scan.local_from_tracking);
@@ -215,7 +215,12 @@ impl LocalSlam3d {
         };
         let scan = |taken| WeakScan { time: end, seconds, taken };
         let shifts = scan(told(way.shift_is_measured && !stood, TakenInstead::Odometry));
-        let turns = scan(told(way.turn_is_measured, TakenInstead::Gyroscope));
+        // Where a gyroscope was not believed, the way turns as it did before and not as wheels did.
+        let has_gyroscope = self.has_imu && self.extrapolator.as_ref().is_some_and(|e| e.has_gyroscope(end));
+        let turns = scan(match way.turn_is_measured {
+            true => TakenInstead::Gyroscope,
+            false => told(way.shift_is_measured && !stood && !has_gyroscope, TakenInstead::Odometry),
+        });
         let (translations, rotations) = (open(&found.weak.translations), open(&found.weak.rotations));
         self.weak_spans.add_shifts(&shifts, &translations, &up);
         self.weak_spans.add_turns(&turns, &rotations, &up);

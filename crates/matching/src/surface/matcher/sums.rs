@@ -50,8 +50,8 @@ pub(super) struct Sums {
     pub feigned_shift: f64,
     /// The same about turns, as a quadratic form of their axis: with squared distances from the axis.
     pub feigned_turn: na::Matrix3<f64>,
-    /// What planes that were seen edge-on say of shifts and turns: the part of the Hessian that may be feigned.
-    pub edge_on: [na::Matrix3<f64>; 2],
+    /// What doubtful planes say of shifts and turns: the part of the Hessian that may be feigned.
+    pub doubtful: [na::Matrix3<f64>; 2],
     pub matched: usize,
     pub squares: f64,
 }
@@ -65,7 +65,7 @@ pub(super) struct Accumulator {
     total: [[f64; ROW]; 6],
     weights: [f64; 2],
     moments: na::Matrix3<f64>,
-    edge_on: [na::Matrix3<f64>; 2],
+    doubtful: [na::Matrix3<f64>; 2],
     matched: usize,
     sums: Sums,
 }
@@ -97,9 +97,10 @@ impl Accumulator {
         self.moments += arm * arm.transpose() * f64::from(feigned);
     }
 
-    /// Adds to what planes that were seen edge-on say: the normal and the lever of a row that is added, too.
-    pub fn add_edge_on(&mut self, normal: &na::Vector3<f32>, lever: &na::Vector3<f32>, weight: f32) {
-        for (sum, direction) in self.edge_on.iter_mut().zip([normal, lever]) {
+    /// Adds to what doubtful planes say: the normal and the lever of a row that is added, too,
+    /// each with what is feigned of its weight.
+    pub fn add_doubtful(&mut self, normal: &na::Vector3<f32>, lever: &na::Vector3<f32>, weights: [f32; 2]) {
+        for ((sum, direction), weight) in self.doubtful.iter_mut().zip([normal, lever]).zip(weights) {
             let direction: na::Vector3<f64> = direction.cast();
             *sum += direction * direction.transpose() * f64::from(weight);
         }
@@ -137,7 +138,7 @@ impl Accumulator {
             feigned_shift: self.weights[0] / POINTS_PER_INDEPENDENT_ONE,
             feigned_turn: (na::Matrix3::from_diagonal_element(self.moments.trace()) - self.moments)
                 / POINTS_PER_INDEPENDENT_ONE,
-            edge_on: self.edge_on.map(|sum| sum / POINTS_PER_INDEPENDENT_ONE),
+            doubtful: self.doubtful.map(|sum| sum / POINTS_PER_INDEPENDENT_ONE),
             matched: self.matched,
             squares: self.weights[1],
             ..self.sums
