@@ -116,21 +116,23 @@ pub(crate) fn find_nearby(
 ) -> Nearby {
     let reach = DRIFT_AT_START.0 + DRIFT_PER_METRE.0 * travelled;
     let from = |start: &Rigid3| fit(submap, surfaces, node, start, options);
-    match from(guess_submap_from_node) {
-        Nearby::Unknown if reach <= CAPTURE => Nearby::Absent,
-        Nearby::Unknown if reach <= CAPTURE_OF_RING => {
-            let around = ring(guess_submap_from_node).map(|start| from(&start));
-            // What is clear counts, and of that what fits best.
-            let rank = |nearby: &Nearby| match nearby {
-                Nearby::Found(found) => 1.0 + found.score,
-                Nearby::Ambiguous => 1.0,
-                Nearby::Unknown | Nearby::Absent => 0.0,
-            };
-            let best = around.into_iter().max_by(|a, b| rank(a).total_cmp(&rank(b)));
-            best.filter(|nearby| *nearby != Nearby::Unknown).unwrap_or(Nearby::Absent)
-        }
-        nearby => nearby,
+    let nearby = from(guess_submap_from_node);
+    if matches!(nearby, Nearby::Found(_)) || reach > CAPTURE_OF_RING {
+        return nearby;
     }
+    // What is clear counts, and of that what fits best.
+    let rank = |nearby: &Nearby| match nearby {
+        Nearby::Found(found) => 1.0 + found.score,
+        Nearby::Ambiguous => 1.0,
+        Nearby::Unknown | Nearby::Absent => 0.0,
+    };
+    let mut best = nearby;
+    if reach > CAPTURE {
+        for nearby in ring(guess_submap_from_node).map(|start| from(&start)) {
+            best = if rank(&nearby) > rank(&best) { nearby } else { best };
+        }
+    }
+    if best == Nearby::Unknown { Nearby::Absent } else { best }
 }
 
 /// Poses to begin with around a guess, at equal distances from it and from each other.
@@ -200,6 +202,71 @@ fn judged(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Walls, floor and ceiling of a room with a chimney, points close together, as a scanner at the origin sees them.
+    fn room() -> Vec<Point3f> {
+        let mut points = Vec::new();
+        for i in -50..50 {
+            for k in -10..15 {
+                let (along, up) = (0.1 * i as f32, 0.1 * k as f32);
+                points.push(Point3f::new(along, 4.0, up));
+                points.push(Point3f::new(along, if along.abs() < 1.0 { -3.0 } else { -4.0 }, up));
+                points.extend([-5.0, 5.0].map(|x| Point3f::new(x, 0.8 * along, up)));
+            }
+            for j in -13..13 {
+                points.extend([-1.0, 1.5].map(|z| Point3f::new(0.1 * i as f32, 0.3 * j as f32, z)));
+            }
+        }
+        points
+    }
+
+    #[test]
+    fn nodes_are_found_from_as_far_as_they_may_be_off() {
+        let options = portolan_config::Options::for_3d();
+        let local = &options.trajectory_builder.trajectory_builder_3d;
+        let constraints = &options.map_builder.pose_graph.constraint_builder;
+        let inserter =
+            crate::submap_3d::Inserter3d::new(&local.submaps, 120, false).unwrap().with_surfaces(1.0);
+        let cloud = PointCloud::new(room());
+        let histogram = portolan_matching::rotational_histogram(&cloud, 120);
+        let level = portolan_geometry::Quaternion::identity();
+        let mut submap = Submap3d::new(Point3f::origin(), level, &inserter.into()).unwrap();
+        let scan = crate::submap_3d::Scan3d {
+            range_data_in_local: portolan_sensor::RangeData {
+                origin: Point3f::origin(),
+                returns: cloud.clone(),
+                misses: PointCloud::default(),
+            },
+            surface_points_in_local: cloud.points.clone(),
+            rotational_histogram: histogram.clone(),
+            local_from_gravity_aligned: level,
+        };
+        use crate::GrowingSubmap;
+        (0..12).for_each(|_| assert!(submap.insert(&scan)));
+        submap.finish();
+        let sparse = PointCloud::new(cloud.points.iter().step_by(37).copied().collect());
+        let node = NodeToFind {
+            high_resolution_cloud: &sparse,
+            low_resolution_cloud: &sparse,
+            rotational_histogram: &histogram,
+            gravity_alignment: level,
+        };
+        let surfaces = submap.surfaces.clone().unwrap();
+        let from = |off: f64, travelled: f64| {
+            let guess = Rigid3::translation(off, 0.3 * off, 0.0);
+            find_nearby(&submap, &surfaces, &node, &guess, travelled, constraints)
+        };
+        for (off, travelled) in [(0.0, 1.0), (0.4, 1.0), (1.0, 20.0)] {
+            let Nearby::Found(found) = from(off, travelled) else {
+                panic!("{off} {:?}", from(off, travelled))
+            };
+            assert!(found.submap_from_node.translation.vector.norm() < 0.05, "{off} {found:?}");
+        }
+        // Much farther off it is not there, or has to be searched if it may be.
+        assert_eq!(from(6.0, 1.0), Nearby::Absent);
+        assert_eq!(from(6.0, 20.0), Nearby::Absent);
+        assert_eq!(from(6.0, 100.0), Nearby::Unknown);
+    }
 
     #[test]
     fn the_longer_the_way_the_wider_the_search() {

@@ -321,6 +321,28 @@ mod tests {
     }
 
     #[test]
+    fn sweeps_at_once_make_the_same_planes_as_hit_after_hit() {
+        let mut lcg = crate::testing::Lcg::new(7);
+        let sweeps: Vec<(Vec<Point3f>, Point3f)> = (0..6)
+            .map(|i| {
+                let hit = |_| Point3f::new(lcg.symmetric(3.0), lcg.symmetric(3.0), lcg.symmetric(0.02));
+                let points = (0..2000).map(hit).chain([Point3f::new(f32::NAN, 0.0, 0.0)]).collect();
+                (points, Point3f::new(0.1 * i as f32, 0.0, 1.5))
+            })
+            .collect();
+        let (mut at_once, mut in_turn) = (SurfaceMap::new(1.0), SurfaceMap::new(1.0));
+        at_once.insert_sweeps(&sweeps);
+        for (points, origin) in &sweeps {
+            points.iter().for_each(|point| in_turn.insert_seen_from(point, origin));
+        }
+        for i in 0..200 {
+            let place = Point3f::new(0.03 * i as f32 - 3.0, 0.02 * i as f32 - 2.0, 0.0);
+            assert_eq!(at_once.plane_near(&place), in_turn.plane_near(&place));
+        }
+        assert!(at_once.planes().count() > 30 && at_once.planes().count() == in_turn.planes().count());
+    }
+
+    #[test]
     fn what_is_far_or_no_number_is_left_out() {
         let mut map = SurfaceMap::new(f32::NAN);
         for v in [f32::NAN, f32::INFINITY, 1e30, -1e7] {

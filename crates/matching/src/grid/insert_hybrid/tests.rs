@@ -98,6 +98,22 @@ fn absurd_points_do_no_harm() {
     }
 }
 
+#[test]
+fn many_scans_at_once_are_drawn_as_one_after_the_other() {
+    let inserter = HybridInserter::new(&HybridInserterOptions::default()).unwrap();
+    let scans: Vec<RangeData> = (0..12)
+        .map(|seed| RangeData { returns: crate::testing::oval_hall(seed % 5, 700), ..range_data_b() })
+        .chain([RangeData { origin: Point3f::new(f32::NAN, 0.0, 0.0), ..range_data_b() }])
+        .collect();
+    let (mut at_once, mut in_turn) = (HybridGrid::new(0.2).unwrap(), HybridGrid::new(0.2).unwrap());
+    let report = inserter.insert_all(&scans, 12.0, &mut at_once);
+    let hits: usize =
+        scans.iter().filter_map(|s| inserter.insert(s, 12.0, &mut in_turn, None).ok()).map(|r| r.hits).sum();
+    assert_eq!(at_once, in_turn);
+    assert!(report.hits == hits && hits > 1000);
+    assert_eq!(at_once.num_cells(), at_once.compacted().num_cells());
+}
+
 /// The hall seen by as many scans as make a submap, each with what a voxel filter leaves.
 #[test]
 fn grids_take_no_more_memory_than_their_files() {
