@@ -7,9 +7,12 @@
 use std::fmt;
 
 mod arena;
+mod block;
 mod leaf_index;
 
 use arena::{Arena, push_tight};
+use block::{BLOCK_CELLS, Bits};
+pub(crate) use block::{Block, BlockKey};
 pub(crate) use leaf_index::LeafIndex;
 use leaf_index::MAX_LEAVES;
 
@@ -42,64 +45,6 @@ pub(crate) struct VoxelMap<T> {
     recent: (u64, usize),
     /// All cells are within ±(32 << this) of the origin: how far the reference's grid has grown.
     root_bits: u32,
-}
-
-/// Cells in a block.
-const BLOCK_CELLS: usize = 64;
-
-/// Which block of cells.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct BlockKey(u64);
-
-impl BlockKey {
-    /// So many bits has the number of a block.
-    pub const BITS: u32 = 36;
-
-    /// The block with a cell and the cell's place in it, less than 64; none for cells that cannot be.
-    #[inline]
-    pub fn of(cell: VoxelIndex) -> Option<(Self, u32)> {
-        is_possible(cell).then(|| (Self(key_of(cell)), bit_of(cell).trailing_zeros()))
-    }
-
-    /// A number less than 2^[`Self::BITS`].
-    pub fn number(self) -> u64 {
-        self.0
-    }
-
-    /// The block with a number that [`Self::number`] gave.
-    pub fn from_number(number: u64) -> Self {
-        Self(number)
-    }
-}
-
-/// The cells of a block while they are changed; those not known have the default value.
-pub(crate) struct Block<T> {
-    known: u64,
-    values: [T; BLOCK_CELLS],
-}
-
-impl<T: Copy> Block<T> {
-    /// Changes the cell at a place (less than 64), which is known from then on.
-    #[inline]
-    pub fn change(&mut self, place: u32, change: impl FnOnce(T) -> T) {
-        self.known |= 1 << (place & 63);
-        let value = &mut self.values[(place & 63) as usize];
-        *value = change(*value);
-    }
-}
-
-/// Places of the bits that are set, ascending.
-struct Bits(u64);
-
-impl Iterator for Bits {
-    type Item = usize;
-
-    #[inline]
-    fn next(&mut self) -> Option<usize> {
-        let place = self.0.trailing_zeros() as usize;
-        self.0 &= self.0.wrapping_sub(1);
-        (place < BLOCK_CELLS).then_some(place)
-    }
 }
 
 /// No block has this key.

@@ -102,10 +102,10 @@ impl SurfaceMap {
     /// [`Self::insert_seen_from`] would one after the other. Hits are put in the order of voxels first: those in
     /// other voxels make no difference to one.
     pub fn insert_sweeps(&mut self, sweeps: &[(Vec<Point3f>, Point3f)]) {
-        let of_sweep = |(sweep, (points, _)): (u32, &(Vec<Point3f>, Point3f))| {
-            points.iter().map(|point| (*point, sweep)).collect::<Vec<_>>()
-        };
-        let hits: Vec<(Point3f, u32)> = (0..).zip(sweeps).flat_map(of_sweep).collect();
+        let mut hits: Vec<(Point3f, u32)> = Vec::new();
+        for ((points, _), sweep) in sweeps.iter().zip(0..) {
+            hits.extend(points.iter().map(|point| (*point, sweep)));
+        }
         for hits in hits.chunks(1 << HIT_BITS) {
             let in_voxel = |(number, (point, _)): (u64, &(Point3f, u32))| {
                 key(&self.scaled(point), 0).map(|key| key << HIT_BITS | number)

@@ -4,10 +4,11 @@ use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, is_valid_po
 use portolan_matching::Way;
 use portolan_sensor::voxel_filter;
 
+use super::conclusion::Wanted;
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
 use super::unwarp::Gathered;
-use super::{LocalSlam3d, MatchedScan, Wanted, sweep_path};
+use super::{LocalSlam3d, MatchedScan, sweep_path};
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::weak_span::WeakScan;
 use crate::{MatchingResult, OpenDirections, Spatial, TakenInstead};

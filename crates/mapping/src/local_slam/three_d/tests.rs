@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use portolan_geometry::{Vector3, quaternion_from_angle_axis};
+use portolan_geometry::{Point3f, Vector3, quaternion_from_angle_axis};
 use portolan_sensor::{SensorKind, TimedPoint};
 
 use super::*;
