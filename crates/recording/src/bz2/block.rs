@@ -21,17 +21,49 @@ pub(super) struct Head {
     pub(super) origin: usize,
 }
 
+/// The last bytes of the sorted rotations of a block.
+pub(super) struct Transformed {
+    pub(super) bytes: Vec<u8>,
+    /// How often each byte occurs.
+    pub(super) counts: [u32; 256],
+}
+
+impl Default for Transformed {
+    fn default() -> Self {
+        Self { bytes: Vec::new(), counts: [0; 256] }
+    }
+}
+
+impl Transformed {
+    #[inline]
+    fn push(&mut self, byte: u8) {
+        self.bytes.push(byte);
+        self.counts[usize::from(byte)] += 1;
+    }
+
+    /// Blocks have less than a million bytes.
+    fn push_run(&mut self, byte: u8, length: usize) {
+        self.bytes.resize(self.bytes.len() + length, byte);
+        self.counts[usize::from(byte)] += length as u32;
+    }
+
+    fn clear(&mut self) {
+        self.bytes.clear();
+        self.counts = [0; 256];
+    }
+}
+
 /// Reads blocks.
 #[derive(Default)]
 pub(super) struct BlockReader {
     tables: [Codes; MAX_TABLES],
     selectors: Vec<u8>,
-    transformed: Vec<u8>,
+    transformed: Transformed,
 }
 
 impl BlockReader {
-    /// The last bytes of the sorted rotations, of the block that was read last.
-    pub(super) fn transformed(&self) -> &[u8] {
+    /// The block that was read last.
+    pub(super) fn transformed(&self) -> &Transformed {
         &self.transformed
     }
 
@@ -93,10 +125,10 @@ impl BlockReader {
                     continue;
                 }
                 if run > 0 {
-                    self.transformed.resize(self.transformed.len() + run, order.front());
+                    self.transformed.push_run(order.front(), run);
                     (run, digit) = (0, 1);
                 }
-                if self.transformed.len() > largest {
+                if self.transformed.bytes.len() > largest {
                     return Err(damaged("a block that is too long"));
                 }
                 if symbol == end {

@@ -7,6 +7,7 @@
 
 use std::io::Result;
 
+use super::block::Transformed;
 use super::damaged;
 
 /// Entries of the permutation: blocks have at most 900,000 bytes.
@@ -50,30 +51,28 @@ impl Inverse {
     ///
     /// # Errors
     /// There is no such rotation.
-    pub(super) fn undo(&mut self, transformed: &[u8], origin: usize) -> Result<&[u8]> {
-        if transformed.len() >= REST || origin >= transformed.len() {
+    pub(super) fn undo(&mut self, transformed: &Transformed, origin: usize) -> Result<&[u8]> {
+        let length = transformed.bytes.len();
+        if length >= REST || origin >= length {
             return Err(damaged("a block that begins behind its end"));
         }
         self.sort(transformed);
-        self.cut(transformed.len(), origin);
+        self.cut(length, origin);
         self.follow();
-        self.join(transformed.len());
+        self.join(length);
         Ok(&self.text)
     }
 
     /// The permutation: all bytes in ascending order, each with where it stands in `transformed`.
-    fn sort(&mut self, transformed: &[u8]) {
-        let mut places = [0u32; 256];
-        for &byte in transformed {
-            places[usize::from(byte)] += 1;
-        }
+    fn sort(&mut self, transformed: &Transformed) {
+        let mut places = transformed.counts;
         let mut sum = 0;
         for place in &mut places {
             sum += std::mem::replace(place, sum);
         }
         self.next.resize(ENTRIES, 0);
         let Some(next) = self.next.first_chunk_mut::<ENTRIES>() else { return };
-        for (index, &byte) in transformed.iter().enumerate() {
+        for (index, &byte) in transformed.bytes.iter().enumerate() {
             let place = &mut places[usize::from(byte)];
             next[*place as usize & INDEX] = (index as u32) << 8 | u32::from(byte);
             *place += 1;
