@@ -183,12 +183,18 @@ impl StraightPieces {
         let whole = (place as usize).min(last.saturating_sub(1));
         let share = place - whole as f32;
         let (a, b) = (&self.pieces[whole], &self.pieces[(whole + 1).min(last)]);
-        let column = |axis: usize| {
-            let (a, b) = (&a[axis], &b[axis]);
-            [0, 1, 2, 3].map(|i| a[i] + (b[i] - a[i]) * share)
-        };
-        let ([x, y, z], from) = ([column(0), column(1), column(2)], column(3));
-        let turned = [0, 1, 2, 3].map(|i| x[i] * position.x + y[i] * position.y + z[i] * position.z);
+        // Loops, because `map` on arrays is not always compiled into the loop that needs it.
+        let mut columns = Columns::default();
+        for axis in 0..4 {
+            for i in 0..4 {
+                columns[axis][i] = a[axis][i] + (b[axis][i] - a[axis][i]) * share;
+            }
+        }
+        let [x, y, z, from] = columns;
+        let mut turned = [0.0; 4];
+        for i in 0..4 {
+            turned[i] = x[i] * position.x + y[i] * position.y + z[i] * position.z;
+        }
         (na::Vector3::new(turned[0], turned[1], turned[2]), na::Vector3::new(from[0], from[1], from[2]))
     }
 
