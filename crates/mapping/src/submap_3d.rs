@@ -107,8 +107,8 @@ struct Waiting {
     num_points: usize,
 }
 
-/// So many points are not kept waiting (5 MB): drawing them takes 20 ms.
-const MOST_WAITING_POINTS: usize = 400_000;
+/// So many points are not kept waiting: drawing more holds up the next sweeps.
+const MOST_WAITING_POINTS: usize = 80_000;
 
 impl Submap3d {
     /// An empty submap at an origin in the local map, with the axes of a scan's gravity-aligned frame.
