@@ -27,8 +27,9 @@ const MIN_MATCHED_SHARE: f64 = 0.5;
 const DRIFT_AT_START: (f64, f64) = (0.5, 0.035);
 const DRIFT_PER_METRE: (f64, f64) = (0.04, 0.002);
 
-/// A node that is off by so much, metres, is put where it belongs: of 823 right loop closures in a corridor, a museum,
-/// a garage and a park 99 % from 0.5 m away, 92 % from 0.75 m, 70 % from 1 m.
+/// A node that is off by so much, metres, is put where it belongs: 178 right loop closures in a corridor, a museum, a
+/// garage and a park, begun from four places each, were found again in 99 % from 0.5 m away, 89 % from 0.75 m, 56 % from
+/// 1 m.
 const CAPTURE: f64 = 0.75;
 /// Beginning at places so far from the guess, metres, too, finds nodes that are off by so much.
 const RING: f64 = 0.9;
