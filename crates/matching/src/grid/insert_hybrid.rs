@@ -100,7 +100,7 @@ impl HybridInserter {
             for (number, scan) in (0..).zip(scans) {
                 self.collect(scan, number, max_range, grid, &mut changes, &mut report);
             }
-            self.apply(changes, grid);
+            report.outside += self.apply(changes, grid);
         }
         report
     }
@@ -148,11 +148,14 @@ impl HybridInserter {
         }
     }
 
-    fn apply(&self, changes: Changes, grid: &mut HybridGrid) {
+    /// Changes the cells; how many hits there was no room for.
+    fn apply(&self, changes: Changes, grid: &mut HybridGrid) -> usize {
+        let is_hit = |change: &&u64| **change >> PLACE_BITS & 1 == 0;
+        let mut left_out = 0;
         let changes = changes.in_order();
         for of_block in changes.chunk_by(|a, b| a >> CHANGE_BITS == b >> CHANGE_BITS) {
             let key = BlockKey::from_number(of_block[0] >> CHANGE_BITS);
-            grid.update_block(key, |block| {
+            let has_room = grid.update_block(key, |block| {
                 let (mut scan, mut changed) = (u64::MAX, 0u64);
                 for change in of_block {
                     let place = (change & PLACE_MASK) as u32;
@@ -168,7 +171,11 @@ impl HybridInserter {
                     }
                 }
             });
+            if !has_room {
+                left_out += of_block.iter().filter(is_hit).count();
+            }
         }
+        left_out
     }
 }
 
