@@ -7,6 +7,7 @@ mod adaptive;
 mod reservoir;
 #[cfg(test)]
 mod tests;
+mod voxel;
 mod voxel_count;
 
 pub use adaptive::{adaptive_voxel_filter, adaptive_voxel_filter_indices};
@@ -14,7 +15,7 @@ pub use adaptive::{adaptive_voxel_filter, adaptive_voxel_filter_indices};
 use portolan_geometry::Point3f;
 
 use crate::{PointCloud, TimedPoint};
-use reservoir::Reservoir;
+use reservoir::sample;
 
 /// Keeps one point per voxel of edge `resolution` metres, in the order of the input and with its
 /// intensity. Points that are not finite lie in no voxel and are left out. A resolution that is not
@@ -39,7 +40,7 @@ pub fn voxel_filter_timed(points: &[TimedPoint], resolution: f32) -> Vec<TimedPo
 /// Indices of the points that [`voxel_filter`] keeps, ascending, for anything that has a position in
 /// metres.
 pub fn voxel_filter_indices<T>(items: &[T], position: impl Fn(&T) -> Point3f, resolution: f32) -> Vec<u32> {
-    Reservoir::default().sample(items.iter().map(position), resolution).collect()
+    sample(items.iter().map(position), resolution)
 }
 
 /// The points at `indices` with their intensities.

@@ -102,7 +102,7 @@ impl SurfaceCell {
         self.count += 1;
         self.toward += toward;
         let before = point.coords - self.mean;
-        self.mean += before / self.count as f32;
+        self.mean += before * (1.0 / self.count as f32);
         let after = point.coords - self.mean;
         let pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
         for (sum, (i, j)) in self.scatter.iter_mut().zip(pairs) {

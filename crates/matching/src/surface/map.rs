@@ -9,8 +9,13 @@ use crate::voxel_order::sort_by_voxel;
 
 /// Sizes of voxels, each half of the one before.
 const LEVELS: u32 = 3;
-/// Voxels reach this far from the origin along each axis.
-const MAX_INDEX: i32 = 1 << 10;
+/// Voxels of each size reach this far from the origin along each axis.
+const MAX_INDEX: u32 = 1 << INDEX_BITS >> 1;
+const INDEX_BITS: u32 = 11;
+/// Smallest voxels along the edge of a largest one, and along the edge of all largest ones.
+const SMALLEST_IN_LARGEST: f32 = (1 << (LEVELS - 1)) as f32;
+const SMALLEST_IN_ALL: f32 = (1 << SMALLEST_BITS) as f32;
+const SMALLEST_BITS: u32 = INDEX_BITS + LEVELS - 1;
 /// Once so many hits make a plane, no smaller voxels are kept there.
 const SETTLED: u32 = 100;
 /// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
@@ -41,6 +46,7 @@ pub struct Plane {
 #[derive(Clone, Debug)]
 pub struct SurfaceMap {
     edge: f32,
+    smallest_per_metre: f32,
     index: LeafIndex,
     cells: Vec<SurfaceCell>,
     /// Key and number of the voxel of each size that was changed last: neighbouring hits share it.
@@ -60,6 +66,7 @@ impl SurfaceMap {
     fn with_capacity(edge: f32, planes: usize) -> Self {
         Self {
             edge,
+            smallest_per_metre: SMALLEST_IN_LARGEST / edge,
             index: LeafIndex::with_capacity(planes),
             cells: Vec::with_capacity(planes),
             recent: [(NO_KEY, 0); LEVELS as usize],
@@ -95,7 +102,10 @@ impl SurfaceMap {
 
     /// Adds a hit that was seen from `origin` (both metres, in the frame of the map).
     pub fn insert_seen_from(&mut self, point: &Point3f, origin: &Point3f) {
-        self.insert_toward(point, &(origin - point).try_normalize(1e-6).unwrap_or_else(na::Vector3::zeros));
+        let toward = origin - point;
+        let distance = toward.norm();
+        let toward = if distance > 1e-6 { toward * (1.0 / distance) } else { na::Vector3::zeros() };
+        self.insert_toward(point, &toward);
     }
 
     /// Adds the hits of sweeps, each with where they were seen from (all metres, in the frame of the map), as
@@ -108,7 +118,7 @@ impl SurfaceMap {
         }
         for hits in hits.chunks(1 << HIT_BITS) {
             let in_voxel = |(number, (point, _)): (u64, &(Point3f, u32))| {
-                key(&self.scaled(point), 0).map(|key| key << HIT_BITS | number)
+                Some(Smallest::around(&self.scaled(point))?.key(0)? << HIT_BITS | number)
             };
             let mut order: Vec<u64> = (0..).zip(hits).filter_map(in_voxel).collect();
             sort_by_voxel(&mut order, HIT_BITS);
@@ -119,16 +129,17 @@ impl SurfaceMap {
         }
     }
 
-    /// A place in largest voxels.
+    /// A place in smallest voxels from the corner of all of them.
     #[inline]
     fn scaled(&self, place: &Point3f) -> na::Vector3<f32> {
-        (place / self.edge).coords.map(|v| v + OFFSET)
+        let to_corner = OFFSET * SMALLEST_IN_LARGEST + 0.5 * SMALLEST_IN_ALL;
+        place.coords * self.smallest_per_metre + na::Vector3::repeat(to_corner)
     }
 
     fn insert_toward(&mut self, point: &Point3f, toward: &na::Vector3<f32>) {
-        let scaled = self.scaled(point);
+        let Some(smallest) = Smallest::around(&self.scaled(point)) else { return };
         for level in 0..LEVELS {
-            let Some(key) = key(&scaled, level) else { return };
+            let Some(key) = smallest.key(level) else { return };
             let number = self.number_of(key, level as usize);
             let cell = &mut self.cells[number];
             let is_settled = cell.count > SETTLED && cell.is_plane();
@@ -170,19 +181,20 @@ impl SurfaceMap {
     pub fn plane_seen(&self, place: &Point3f, toward: &na::Vector3<f32>) -> Option<Plane> {
         let scaled = self.scaled(place);
         self.plane_around(&scaled, toward).or_else(|| {
-            let to_side = scaled.map(|v| v - floor(v) - 0.5);
+            let to_side = (scaled / SMALLEST_IN_LARGEST).map(|v| v - (v as u32) as f32 - 0.5);
             let axis = to_side.iamax();
             let mut across = scaled;
-            across[axis] += to_side[axis].signum() * (0.51 - to_side[axis].abs());
+            across[axis] += to_side[axis].signum() * (0.51 - to_side[axis].abs()) * SMALLEST_IN_LARGEST;
             self.plane_around(&across, toward)
         })
     }
 
-    /// `scaled` counts in largest voxels.
+    /// The place is as [`Self::scaled`] gives it.
     #[inline]
     fn plane_around(&self, scaled: &na::Vector3<f32>, toward: &na::Vector3<f32>) -> Option<Plane> {
+        let smallest = Smallest::around(scaled)?;
         for level in 0..LEVELS {
-            let cell = &self.cells[self.index.get(key(scaled, level)?)?];
+            let cell = &self.cells[self.index.get(smallest.key(level)?)?];
             if cell.is_plane() && !cell.shows_other_side(toward) {
                 return Some(cell.plane());
             }
@@ -212,33 +224,36 @@ impl SurfaceMap {
     }
 }
 
-/// The key of the voxel around a place in largest voxels: 11 bits per axis and two for the size; smaller
-/// voxels lie wholly inside of larger ones.
-#[inline]
-fn key(scaled: &na::Vector3<f32>, level: u32) -> Option<u64> {
-    let parts = (1 << level) as f32;
-    // Written out: this is the innermost loop of matching.
-    let (x, y, z) = (floor(scaled.x * parts), floor(scaled.y * parts), floor(scaled.z * parts));
-    let bound = MAX_INDEX as f32;
-    // Not a number is not less than anything.
-    if !(x.abs() < bound && y.abs() < bound && z.abs() < bound) {
-        return None;
-    }
-    let (x, y, z) =
-        ((x as i32 + MAX_INDEX) as u64, (y as i32 + MAX_INDEX) as u64, (z as i32 + MAX_INDEX) as u64);
-    let level = u64::from(level);
-    Some((x | (level & 1) << 11) | (y | (level >> 1) << 11) << 12 | z << 24)
-}
+/// Indices of a smallest voxel from the corner of all of them. A larger one has those without their last bits.
+#[derive(Clone, Copy)]
+struct Smallest([u32; 3]);
 
-/// `v.floor()` without a call of the standard library for numbers whose cells can have a key; larger ones
-/// stay as they are.
-#[inline]
-fn floor(v: f32) -> f32 {
-    if v.abs() >= 1e6 || v.is_nan() {
-        return v;
+impl Smallest {
+    /// The voxel around a place in smallest voxels from the corner, if it is one of all.
+    #[inline]
+    fn around(scaled: &na::Vector3<f32>) -> Option<Self> {
+        // Numbers from here to twice that share their exponent, and what they are more stands in the bits below it.
+        const EXPONENT: u32 = SMALLEST_IN_ALL.to_bits();
+        let bits = |v: f32| (v + SMALLEST_IN_ALL).to_bits() ^ EXPONENT;
+        let [x, y, z] = [bits(scaled.x), bits(scaled.y), bits(scaled.z)];
+        if (x | y | z) >> (f32::MANTISSA_DIGITS - 1) != 0 {
+            return None;
+        }
+        let whole = |bits: u32| bits >> (f32::MANTISSA_DIGITS - 1 - SMALLEST_BITS);
+        Some(Self([whole(x), whole(y), whole(z)]))
     }
-    let whole = (v as i32) as f32;
-    if whole > v { whole - 1.0 } else { whole }
+
+    /// The key of the voxel of a size around it: 11 bits per axis and two for the size.
+    #[inline]
+    fn key(self, level: u32) -> Option<u64> {
+        let first = (MAX_INDEX << level) - MAX_INDEX;
+        let [x, y, z] = self.0.map(|index| (index >> (LEVELS - 1 - level)).wrapping_sub(first));
+        if (x | y | z) >> INDEX_BITS != 0 {
+            return None;
+        }
+        let [x, y, z, level] = [x, y, z, level].map(u64::from);
+        Some((x | (level & 1) << 11) | (y | (level >> 1) << 11) << 12 | z << 24)
+    }
 }
 
 #[cfg(test)]

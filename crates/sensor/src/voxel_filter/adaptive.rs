@@ -2,9 +2,9 @@
 
 use portolan_geometry::Point3f;
 
-use super::reservoir::Reservoir;
+use super::reservoir::sample;
 use super::select;
-use super::voxel_count::VoxelCount;
+use super::voxel_count::CountedPoints;
 use crate::PointCloud;
 
 /// Keeps the points within `max_range` metres of the frame's origin, thinned with the largest voxels
@@ -33,40 +33,25 @@ pub fn adaptive_voxel_filter_indices(
     if near.len() <= min_num_points {
         return near;
     }
-    let mut search = Search {
-        points,
-        near: &near,
-        min_num_points,
-        voxels: VoxelCount::default(),
-        reservoir: Reservoir::default(),
-    };
-    search.run(max_length)
+    let near_points = || near.iter().map(|i| points[*i as usize]);
+    let mut search = Search { points: CountedPoints::new(near_points()), min_num_points };
+    let chosen = sample(near_points(), search.length(max_length));
+    chosen.into_iter().map(|i| near[i as usize]).collect()
 }
 
 fn range(p: &Point3f) -> f32 {
     (p.x * p.x + (p.y * p.y + p.z * p.z)).sqrt()
 }
 
-struct Search<'a> {
-    points: &'a [Point3f],
-    near: &'a [u32],
+struct Search {
+    points: CountedPoints,
     min_num_points: usize,
-    voxels: VoxelCount,
-    reservoir: Reservoir,
 }
 
-impl Search<'_> {
+impl Search {
     /// Whether filtering with this edge leaves enough points.
-    fn leaves_enough(&mut self, length: f32) -> bool {
-        let near = self.near.iter().map(|i| self.points[*i as usize]);
-        self.voxels.are_at_least(self.min_num_points, near, length)
-    }
-
-    fn run(&mut self, max_length: f32) -> Vec<u32> {
-        let length = self.length(max_length);
-        let near = self.near;
-        let chosen = self.reservoir.sample(near.iter().map(|i| self.points[*i as usize]), length);
-        chosen.map(|i| near[i as usize]).collect()
+    fn leaves_enough(&mut self, edge: f32) -> bool {
+        self.points.are_in(self.min_num_points, edge)
     }
 
     /// The edge to filter with: the largest found that leaves enough, or the finest tried.

@@ -1,0 +1,143 @@
+//! In which voxels points are.
+
+use portolan_geometry::Point3f;
+
+use crate::lround;
+
+/// So many points are divided into voxels at once.
+pub(super) const BATCH: usize = 8;
+/// Indices below this are rounded many at once.
+const MAX_SMALL_INDEX: f32 = (1 << 22) as f32;
+/// From here to twice that the numbers in single precision are the whole ones: in the low bits is how many they are more.
+const WHOLE: f32 = (1 << 23) as f32;
+
+/// Hands on the index of the voxel with this edge (positive, metres) around each point whose coordinates are finite,
+/// and the number of the point, until `visit` gives false.
+pub(super) fn for_each_voxel(
+    points: impl Iterator<Item = Point3f>,
+    edge: f32,
+    mut visit: impl FnMut(VoxelKey, u32) -> bool,
+) {
+    let mut points = points.fuse();
+    let mut batch = [[0.0; 3]; BATCH];
+    let mut first = 0;
+    loop {
+        let mut filled = 0;
+        for (place, point) in batch.iter_mut().zip(points.by_ref()) {
+            *place = point.coords.data.0[0];
+            filled += 1;
+        }
+        // A count of points beyond u32 would need 48 GiB of them.
+        let small = small_indices(&batch, edge);
+        for i in 0..filled {
+            let key = match &small {
+                Some(indices) => Some(VoxelKey::of_index(indices[i])),
+                None => VoxelKey::of_point(&batch[i], edge),
+            };
+            if key.is_some_and(|key| !visit(key, first + i as u32)) {
+                return;
+            }
+        }
+        if filled < BATCH {
+            return;
+        }
+        first += BATCH as u32;
+    }
+}
+
+/// Indices of the voxels around points, if all of these are small numbers.
+#[inline]
+pub(super) fn small_indices<const N: usize>(points: &[[f32; 3]; N], edge: f32) -> Option<[[i32; 3]; N]> {
+    let mut indices = [[0; 3]; N];
+    let mut are_small = true;
+    // Like this, it is compiled into a few vector instructions.
+    for (index, coordinate) in indices.as_flattened_mut().iter_mut().zip(points.as_flattened()) {
+        let place = coordinate / edge;
+        are_small &= place.abs() < MAX_SMALL_INDEX;
+        *index = rounded(place);
+    }
+    are_small.then_some(indices)
+}
+
+/// The nearest integer, halves away from zero, of a small number; anything of others. (Conversions of Rust, which look
+/// for numbers beyond integers, are not compiled into vector instructions.)
+#[inline]
+fn rounded(small: f32) -> i32 {
+    let size = small.abs();
+    let to_even = size + WHOLE - WHOLE;
+    let nearest = to_even + if size - to_even == 0.5 { 1.0 } else { 0.0 };
+    let whole = (nearest + WHOLE).to_bits().wrapping_sub(WHOLE.to_bits()) as i32;
+    let sign = small.to_bits() as i32 >> 31;
+    (whole ^ sign).wrapping_sub(sign)
+}
+
+/// A voxel in 21 bits per axis, overlapping beyond ±2^20 voxels as in the reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct VoxelKey(u64);
+
+impl VoxelKey {
+    #[inline]
+    fn of_index([x, y, z]: [i32; 3]) -> Self {
+        Self::of_indices([x, y, z].map(i64::from))
+    }
+
+    #[inline]
+    fn of_indices(indices: [i64; 3]) -> Self {
+        let [x, y, z] = indices.map(|index| index as u64);
+        Self((x << 42).wrapping_add(y << 21).wrapping_add(z))
+    }
+
+    /// None for a point that is not finite.
+    #[cold]
+    fn of_point(point: &[f32; 3], edge: f32) -> Option<Self> {
+        let is_finite = point.iter().all(|coordinate| coordinate.is_finite());
+        is_finite.then(|| Self::of_indices(point.map(|coordinate| lround(coordinate / edge))))
+    }
+
+    /// Where to look first for a voxel among so many slots (a power of two, two at least): Fibonacci hashing,
+    /// because only the highest bits of the product depend on all three axes.
+    #[inline]
+    pub fn slot(self, slots: usize) -> usize {
+        (self.0.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - slots.trailing_zeros())) as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn keys(points: &[[f32; 3]], edge: f32) -> Vec<Option<VoxelKey>> {
+        let mut keys = vec![None; points.len()];
+        for_each_voxel(points.iter().map(|p| Point3f::from(*p)), edge, |key, i| {
+            keys[i as usize] = Some(key);
+            true
+        });
+        keys
+    }
+
+    proptest! {
+        #[test]
+        fn voxels_are_the_same_one_by_one_and_in_batches(
+            near in prop::collection::vec(prop::array::uniform3(-60.0f32..60.0), 0..30),
+            any in prop::collection::vec(prop::array::uniform3(any::<f32>()), 0..3),
+            edge in 0.01f32..4.0,
+        ) {
+            let on_edges = [[0.5 * edge, -0.5 * edge, 1.5 * edge], [2.5 * edge, -2.5 * edge, 0.0]];
+            let points: Vec<[f32; 3]> = near.into_iter().chain(on_edges).chain(any).collect();
+            let expected: Vec<_> = points.iter().map(|p| VoxelKey::of_point(p, edge)).collect();
+            prop_assert_eq!(keys(&points, edge), expected);
+        }
+    }
+
+    #[test]
+    fn visits_end_when_asked_to() {
+        let points = [Point3f::origin(); 20];
+        let mut visits = 0;
+        for_each_voxel(points.into_iter(), 1.0, |_, i| {
+            visits += 1;
+            i < 10
+        });
+        assert_eq!(visits, 11);
+    }
+}
