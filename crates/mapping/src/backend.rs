@@ -74,16 +74,15 @@ impl<S: Space> Backend<S> {
     /// Takes the graph to where it will work. `threads` is the number used for searching.
     pub fn start(graph: PoseGraph<S>, threads: usize) -> Result<Self, MapperError> {
         let threads = threads.max(1);
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .thread_name(|i| format!("search-{i}"))
-            .build()
-            .map_err(|e| MapperError::Threads(e.to_string()))?;
+        let pool = move || {
+            rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("search-{i}"))
+        };
         let shared = Arc::new(Shared {
             backlog: AtomicUsize::new(0),
             progress: Mutex::new(BackendProgress::default()),
         });
         if threads == 1 {
+            let pool = pool().build().map_err(|e| failed_to_start(&e))?;
             return Ok(Self {
                 place: Place::Inline { graph: Box::new(graph), pool },
                 shared,
@@ -91,10 +90,15 @@ impl<S: Space> Backend<S> {
             });
         }
         let (sender, receiver) = unbounded::<Work<S>>();
+        let (started, has_started) = bounded(1);
         let worker_shared = Arc::clone(&shared);
         let handle = std::thread::Builder::new()
             .name("pose-graph".to_owned())
             .spawn(move || {
+                // One of the threads for searching: to wake another one for each node takes longer than its work.
+                let pool = pool().use_current_thread().build();
+                let _ = started.send(pool.as_ref().map(|_| ()).map_err(failed_to_start));
+                let Ok(pool) = pool else { return graph };
                 let mut graph = graph;
                 for work in receiver {
                     pool.install(|| work(&mut graph));
@@ -104,6 +108,7 @@ impl<S: Space> Backend<S> {
                 graph
             })
             .map_err(|e| MapperError::Threads(e.to_string()))?;
+        has_started.recv().map_err(|_| MapperError::PoseGraphStopped)??;
         let place = Place::Thread { sender: Some(sender), handle: Some(handle) };
         Ok(Self { place, shared, along: Vec::new() })
     }
@@ -189,6 +194,10 @@ impl<S: Space> Backend<S> {
             }
         }
     }
+}
+
+fn failed_to_start(error: &rayon::ThreadPoolBuildError) -> MapperError {
+    MapperError::Threads(error.to_string())
 }
 
 fn publish<S: Space>(shared: &Shared, graph: &PoseGraph<S>) {

@@ -12,7 +12,7 @@ const CHUNK: usize = 32;
 /// Chunks evaluated before their blocks are added up.
 const WAVE: usize = 32;
 /// Below so many factors threads cost more than they give.
-const PARALLEL_FROM: usize = 256;
+const PARALLEL_FROM: usize = 2048;
 
 /// A factor with at least one free variable.
 struct ActiveFactor {
