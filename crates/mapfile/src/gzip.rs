@@ -8,6 +8,10 @@ use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, 
 /// Deflate cannot shrink data by more than this factor.
 const MAX_DEFLATE_RATIO: usize = 1032;
 
+/// So few bytes, those of an IMU sample, hardly shrink; to make a compressor ready for them takes far longer than
+/// anything else that happens to them.
+const MOST_STORED: usize = 128;
+
 /// As other writers of pbstream files do: no name, no time, "fastest", unknown system.
 const HEADER: [u8; 10] = [0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 4, 0xff];
 
@@ -63,22 +67,46 @@ pub fn gunzip(mut input: &[u8], limit: usize) -> Result<Vec<u8>, GzipError> {
 /// Packs `data` as one gzip stream, always the same bytes for the same data. There is no error unless
 /// the compressor itself is broken.
 pub fn gzip(data: &[u8]) -> io::Result<Vec<u8>> {
-    // Room for stored blocks, so that the loop below runs once in nearly every case.
-    let mut output = Vec::with_capacity(data.len() / 2 + 64);
+    let mut output = Vec::new();
+    gzip_into(data, &mut output)?;
+    Ok(output)
+}
+
+/// [`gzip`], appended to `output`.
+pub fn gzip_into(data: &[u8], output: &mut Vec<u8>) -> io::Result<()> {
+    // Room for stored blocks, so that deflating is one call in nearly every case.
+    output.reserve(data.len() / 2 + 64);
     output.extend_from_slice(&HEADER);
+    match data.len() <= MOST_STORED {
+        true => store(data, output),
+        false => deflate(data, output)?,
+    }
+    output.extend_from_slice(&trailer_of(data));
+    Ok(())
+}
+
+/// One last block of data as they are (RFC 1951, 3.2.4).
+fn store(data: &[u8], output: &mut Vec<u8>) {
+    let length = data.len() as u16;
+    output.push(1);
+    output.extend_from_slice(&length.to_le_bytes());
+    output.extend_from_slice(&(!length).to_le_bytes());
+    output.extend_from_slice(data);
+}
+
+fn deflate(data: &[u8], output: &mut Vec<u8>) -> io::Result<()> {
+    let before = output.len();
     DEFLATE.with_borrow_mut(|deflate| {
         deflate.reset();
         loop {
             let consumed = (deflate.total_in() as usize).min(data.len());
-            match deflate.compress_vec(&data[consumed..], &mut output, FlushCompress::Finish) {
+            match deflate.compress_vec(&data[consumed..], output, FlushCompress::Finish) {
                 Ok(Status::StreamEnd) => return Ok(()),
-                Ok(Status::Ok | Status::BufError) => output.reserve(output.capacity().max(64)),
+                Ok(Status::Ok | Status::BufError) => output.reserve((output.len() - before).max(64)),
                 Err(error) => return Err(io::Error::other(error)),
             }
         }
-    })?;
-    output.extend_from_slice(&trailer_of(data));
-    Ok(output)
+    })
 }
 
 /// How much to reserve: what the stream's own length field says, as far as it can be believed.

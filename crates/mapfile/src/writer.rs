@@ -9,7 +9,7 @@ use prost::Message as _;
 use crate::atomic_file::AtomicFile;
 use crate::error::PbstreamError;
 use crate::frames::MAGIC;
-use crate::gzip::gzip;
+use crate::gzip::gzip_into;
 use crate::ordered::OrderedWorkers;
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{SerializationHeader, SerializedData};
@@ -31,9 +31,8 @@ const MAX_WAITING_BYTES: usize = 32 << 20;
 pub struct PbstreamWriter {
     output: Output,
     path: PathBuf,
-    batch: Vec<Item>,
-    batch_bytes: usize,
-    workers: OrderedWorkers<Vec<Item>, io::Result<Vec<u8>>>,
+    batch: Batch,
+    workers: OrderedWorkers<Batch, io::Result<Vec<u8>>>,
     /// Sizes of the batches under way.
     under_way: VecDeque<usize>,
     messages: u64,
@@ -44,10 +43,25 @@ enum Output {
     Other(Box<dyn Write + Send>),
 }
 
+/// Messages that are packed together.
+#[derive(Default)]
+struct Batch {
+    items: Vec<Item>,
+    /// Short messages one after the other, so that a measurement takes no memory of its own from one thread to the
+    /// other.
+    short: Vec<u8>,
+    bytes: usize,
+}
+
 enum Item {
+    /// So many bytes of the short messages.
+    Short(usize),
     Bytes(Vec<u8>),
     Message(Box<SerializedData>),
 }
+
+/// Messages of up to so many bytes are short.
+const MOST_SHORT: usize = 1024;
 
 impl PbstreamWriter {
     /// Begins a file. Errors: the folder is missing or not writable.
@@ -73,8 +87,7 @@ impl PbstreamWriter {
         Ok(Self {
             output,
             path,
-            batch: Vec::new(),
-            batch_bytes: 0,
+            batch: Batch::default(),
             workers: OrderedWorkers::new(pack),
             under_way: VecDeque::new(),
             messages: 0,
@@ -90,7 +103,14 @@ impl PbstreamWriter {
     pub fn write(&mut self, data: Data) -> Result<(), PbstreamError> {
         let message = SerializedData { data: Some(data) };
         let size = message.encoded_len();
-        self.push(Item::Message(Box::new(message)), size)
+        if size > MOST_SHORT {
+            return self.push(Item::Message(Box::new(message)), size);
+        }
+        message.encode(&mut self.batch.short).map_err(|error| PbstreamError::Write {
+            path: self.path.clone(),
+            source: io::Error::other(error),
+        })?;
+        self.push(Item::Short(size), size)
     }
 
     /// Writes one message as it is, header or other.
@@ -121,10 +141,10 @@ impl PbstreamWriter {
     }
 
     fn push(&mut self, item: Item, size: usize) -> Result<(), PbstreamError> {
-        self.batch.push(item);
-        self.batch_bytes += size;
+        self.batch.items.push(item);
+        self.batch.bytes += size;
         self.messages += 1;
-        if self.batch_bytes < BATCH_BYTES {
+        if self.batch.bytes < BATCH_BYTES {
             return Ok(());
         }
         self.hand_in();
@@ -135,9 +155,9 @@ impl PbstreamWriter {
     }
 
     fn hand_in(&mut self) {
-        if !self.batch.is_empty() {
+        if !self.batch.items.is_empty() {
+            self.under_way.push_back(self.batch.bytes);
             self.workers.push(std::mem::take(&mut self.batch));
-            self.under_way.push_back(std::mem::take(&mut self.batch_bytes));
         }
     }
 
@@ -160,15 +180,29 @@ impl Output {
 }
 
 /// The records of a batch as they stand in the file.
-fn pack(batch: Vec<Item>) -> io::Result<Vec<u8>> {
+fn pack(batch: Batch) -> io::Result<Vec<u8>> {
     let mut records = Vec::new();
-    for item in batch {
-        let payload = match item {
-            Item::Bytes(bytes) => gzip(&bytes)?,
-            Item::Message(message) => gzip(&message.encode_to_vec())?,
-        };
-        records.extend_from_slice(&(payload.len() as u64).to_le_bytes());
-        records.extend_from_slice(&payload);
+    let mut short = &batch.short[..];
+    for item in batch.items {
+        match item {
+            Item::Short(size) => {
+                let (message, rest) = short.split_at(size);
+                short = rest;
+                push_record(message, &mut records)?;
+            }
+            Item::Bytes(bytes) => push_record(&bytes, &mut records)?,
+            Item::Message(message) => push_record(&message.encode_to_vec(), &mut records)?,
+        }
     }
     Ok(records)
+}
+
+/// Appends a message packed, behind the length of that.
+fn push_record(message: &[u8], records: &mut Vec<u8>) -> io::Result<()> {
+    let length_at = records.len();
+    records.extend_from_slice(&[0; 8]);
+    gzip_into(message, records)?;
+    let length = (records.len() - length_at - 8) as u64;
+    records[length_at..length_at + 8].copy_from_slice(&length.to_le_bytes());
+    Ok(())
 }
