@@ -8,7 +8,7 @@ use super::map::Plane;
 /// Fewer hits make no plane.
 const MIN_COUNT: u32 = 6;
 /// More hits change nothing: what a place looks like is known by then.
-const MAX_COUNT: u32 = 1000;
+const MAX_COUNT: u32 = 400;
 /// A plane is at most this share of the edge of its voxel thick (standard deviation), and this much more.
 const MAX_THICKNESS_SHARE: f32 = 0.04;
 const MAX_THICKNESS: f32 = 0.02;

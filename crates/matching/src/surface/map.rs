@@ -17,7 +17,7 @@ const SMALLEST_IN_LARGEST: f32 = (1 << (LEVELS - 1)) as f32;
 const SMALLEST_IN_ALL: f32 = (1 << SMALLEST_BITS) as f32;
 const SMALLEST_BITS: u32 = INDEX_BITS + LEVELS - 1;
 /// Once so many hits make a plane, no smaller voxels are kept there.
-const SETTLED: u32 = 100;
+const SETTLED: u32 = 50;
 /// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
 const OFFSET: f32 = 0.37;
 /// Bits for the number of a hit beside the 36 of a key.
