@@ -92,23 +92,13 @@ pub struct Submap3d {
     /// Scans that could not be inserted because they lay too far from the origin of the submap.
     pub refused_scans: u32,
     inserter: Option<Arc<Inserter3d>>,
-    /// Whether scans are matched against it by now.
-    is_matched: bool,
-    waiting: Waiting,
-}
-
-/// What grids and surfaces nobody looks at yet do not know so far, in the frame of the submap: drawn at once it takes
-/// less time, because each place in memory is then visited once.
-#[derive(Clone, Debug, Default)]
-struct Waiting {
-    scans: Vec<RangeData>,
-    /// Hits, and where they were seen from.
-    sweeps: Vec<(Vec<Point3f>, Point3f)>,
-    num_points: usize,
+    /// Scans that grids nobody looks at yet do not know so far, in the frame of the submap: drawn at once they take
+    /// less time, because each place in memory is then visited once.
+    waiting: Vec<RangeData>,
 }
 
 /// So many points are not kept waiting: drawing more holds up the next sweeps.
-const MOST_WAITING_POINTS: usize = 80_000;
+const MOST_WAITING_POINTS: usize = 30_000;
 
 impl Submap3d {
     /// An empty submap at an origin in the local map, with the axes of a scan's gravity-aligned frame.
@@ -131,8 +121,7 @@ impl Submap3d {
             surfaces: inserter.surface_voxel_size.map(SurfaceMap::new),
             refused_scans: 0,
             inserter: Some(Arc::clone(inserter)),
-            is_matched: false,
-            waiting: Waiting::default(),
+            waiting: Vec::new(),
         })
     }
 
@@ -141,13 +130,8 @@ impl Submap3d {
         let submap_from_local = to_f32(&self.local_from_submap.inverse());
         let origin = submap_from_local * origin_in_local;
         let Some(surfaces) = &mut self.surfaces else { return };
-        let points: Vec<Point3f> = points_in_local.iter().map(|p| submap_from_local * p).collect();
-        if self.is_matched {
-            points.iter().for_each(|point| surfaces.insert_seen_from(point, &origin));
-        } else {
-            self.waiting.num_points += points.len();
-            self.waiting.sweeps.push((points, origin));
-            self.draw_if_much_waits();
+        for point in points_in_local {
+            surfaces.insert_seen_from(&(submap_from_local * point), &origin);
         }
     }
 
@@ -161,45 +145,22 @@ impl Submap3d {
         if let Some(intensities) = &mut self.intensity_grid {
             inserter.inserter.insert_intensities(&scan, inserter.high_resolution_max_range, intensities);
         }
-        self.waiting.num_points += scan.returns.len();
-        self.waiting.scans.push(scan);
+        self.waiting.push(scan);
+        let waiting_points: usize = self.waiting.iter().map(|scan| scan.returns.len()).sum();
         // With surfaces nobody looks at grids that grow.
-        match self.surfaces {
-            Some(_) => self.draw_if_much_waits(),
-            None => self.draw_grids(),
+        if self.surfaces.is_none() || waiting_points >= MOST_WAITING_POINTS {
+            self.draw_grids();
         }
         true
     }
 
-    fn draw_if_much_waits(&mut self) {
-        if self.waiting.num_points >= MOST_WAITING_POINTS {
-            self.draw_grids();
-            self.draw_surfaces();
-        }
-    }
-
     /// Draws the scans that wait into the grids.
     pub fn draw_grids(&mut self) {
-        let scans = std::mem::take(&mut self.waiting.scans);
+        let scans = std::mem::take(&mut self.waiting);
         let Some(inserter) = &self.inserter else { return };
         let (fine, max_range) = (&inserter.inserter, inserter.high_resolution_max_range);
         fine.insert_all(&scans, max_range, &mut self.high_resolution_grid);
         fine.insert_all(&scans, f32::INFINITY, &mut self.low_resolution_grid);
-        self.count_waiting();
-    }
-
-    fn draw_surfaces(&mut self) {
-        let sweeps = std::mem::take(&mut self.waiting.sweeps);
-        if let Some(surfaces) = &mut self.surfaces {
-            surfaces.insert_sweeps(&sweeps);
-        }
-        self.count_waiting();
-    }
-
-    fn count_waiting(&mut self) {
-        let scans: usize = self.waiting.scans.iter().map(|scan| scan.returns.len()).sum();
-        self.waiting.num_points =
-            scans + self.waiting.sweeps.iter().map(|(points, _)| points.len()).sum::<usize>();
     }
 
     /// A submap as a file has it.
@@ -221,8 +182,7 @@ impl Submap3d {
             surfaces: None,
             refused_scans: 0,
             inserter: None,
-            is_matched: false,
-            waiting: Waiting::default(),
+            waiting: Vec::new(),
         }
     }
 }
@@ -256,16 +216,8 @@ impl GrowingSubmap for Submap3d {
         drawn
     }
 
-    fn prepare_for_matching(&mut self) {
-        if !self.is_matched {
-            self.is_matched = true;
-            self.draw_surfaces();
-        }
-    }
-
     fn finish(&mut self) {
         self.draw_grids();
-        self.draw_surfaces();
         self.high_resolution_grid = self.high_resolution_grid.compacted();
         self.low_resolution_grid = self.low_resolution_grid.compacted();
         self.surfaces = self.surfaces.as_ref().map(SurfaceMap::compacted);

@@ -3,26 +3,79 @@
 /// Bits along each axis in a number of a voxel.
 const AXIS_BITS: u32 = 12;
 const AXES: u32 = 3;
+/// So many bits of voxels are sorted by at a time: so many beginnings fit the nearest memory.
+const DIGIT_BITS: u32 = 11;
+const DIGITS: usize = (AXES * AXIS_BITS).div_ceil(DIGIT_BITS) as usize;
 
 /// Sorts numbers whose bits from `shift` on are a voxel, 12 bits along each of three axes. Those of one voxel keep
-/// their order. (By counting, axis by axis: few of the indices along an axis occur, so that this takes a third of the
-/// time of sorting by comparisons.)
+/// their order. (By counting: voxels lie close to each other, so that those in the box around all of them are told by
+/// about half of the bits. Takes a fifth of the time of sorting by comparisons.)
 pub(crate) fn sort_by_voxel(numbers: &mut Vec<u64>, shift: u32) {
+    let bounds = Bounds::around(numbers, shift);
+    let digits = bounds.bits().div_ceil(DIGIT_BITS) as usize;
+    let mut begins = vec![[0u32; 1 << DIGIT_BITS]; digits];
+    for number in numbers.iter() {
+        let place = bounds.place(*number);
+        begins.iter_mut().enumerate().for_each(|(digit, begins)| begins[digit_of(place, digit)] += 1);
+    }
     let mut sorted = vec![0; numbers.len()];
-    let mut begins = vec![0u32; 1 << AXIS_BITS];
-    for axis in 0..AXES {
-        let index = |number: &u64| (number >> (shift + axis * AXIS_BITS)) as usize & ((1 << AXIS_BITS) - 1);
-        begins.fill(0);
-        numbers.iter().for_each(|number| begins[index(number)] += 1);
+    for (digit, begins) in begins.iter_mut().enumerate() {
         let mut sum = 0;
         begins.iter_mut().for_each(|begin| sum += std::mem::replace(begin, sum));
         for number in numbers.iter() {
-            let begin = &mut begins[index(number)];
+            let begin = &mut begins[digit_of(bounds.place(*number), digit)];
             sorted[*begin as usize] = *number;
             *begin += 1;
         }
         std::mem::swap(numbers, &mut sorted);
     }
+}
+
+#[inline]
+fn digit_of(place: u64, digit: usize) -> usize {
+    debug_assert!(digit < DIGITS);
+    (place >> (DIGIT_BITS * digit as u32)) as usize & ((1 << DIGIT_BITS) - 1)
+}
+
+/// The box around voxels.
+struct Bounds {
+    shift: u32,
+    first: [u64; AXES as usize],
+    /// How many voxels it is long along each axis.
+    sizes: [u64; AXES as usize],
+}
+
+impl Bounds {
+    fn around(numbers: &[u64], shift: u32) -> Self {
+        let (mut first, mut last) = ([u64::MAX; 3], [0; 3]);
+        for number in numbers {
+            for (axis, index) in indices(*number, shift).into_iter().enumerate() {
+                first[axis] = index.min(first[axis]);
+                last[axis] = index.max(last[axis]);
+            }
+        }
+        Self { shift, first, sizes: [0, 1, 2].map(|axis| (last[axis] + 1).saturating_sub(first[axis])) }
+    }
+
+    /// Bits of the largest place.
+    fn bits(&self) -> u32 {
+        u64::BITS - self.sizes.iter().product::<u64>().leading_zeros()
+    }
+
+    /// The voxel counted through the box, along the first axis first.
+    #[inline]
+    fn place(&self, number: u64) -> u64 {
+        let [x, y, z] = indices(number, self.shift);
+        let [first_x, first_y, first_z] = self.first;
+        ((z - first_z) * self.sizes[1] + (y - first_y)) * self.sizes[0] + (x - first_x)
+    }
+}
+
+/// The indices of a voxel along each axis.
+#[inline]
+fn indices(number: u64, shift: u32) -> [u64; 3] {
+    let index = |axis: u32| number >> (shift + axis * AXIS_BITS) & ((1 << AXIS_BITS) - 1);
+    [index(0), index(1), index(2)]
 }
 
 #[cfg(test)]
@@ -40,6 +93,18 @@ mod tests {
             let mut expected = numbers.clone();
             expected.sort_by_key(|number| number >> 28);
             sort_by_voxel(&mut numbers, 28);
+            prop_assert_eq!(numbers, expected);
+        }
+
+        #[test]
+        fn voxels_in_a_small_box_are_in_order(
+            voxels in prop::collection::vec(prop::array::uniform3(2000u64..2100), 0..300),
+        ) {
+            let number = |(i, [x, y, z]): (u64, &[u64; 3])| (z << 24 | y << 12 | x) << 20 | i;
+            let mut numbers: Vec<u64> = (0..).zip(&voxels).map(number).collect();
+            let mut expected = numbers.clone();
+            expected.sort_unstable();
+            sort_by_voxel(&mut numbers, 20);
             prop_assert_eq!(numbers, expected);
         }
     }

@@ -25,7 +25,7 @@ pub use point_cloud::{PointCloud, RangeData, TimedPoint};
 pub use range_data_collator::{
     RangeDataCollator, RangeDataCollatorCounts, SynchronizedPoint, SynchronizedRanges,
 };
-pub use rounding::lround;
+pub use rounding::{lround, lround_small};
 pub use voxel_filter::{
     adaptive_voxel_filter, adaptive_voxel_filter_indices, voxel_filter, voxel_filter_indices,
     voxel_filter_points, voxel_filter_timed,

@@ -10,6 +10,20 @@ pub fn lround(value: f32) -> i64 {
     truncated.saturating_add(i64::from(fraction >= 0.5)).saturating_sub(i64::from(fraction <= -0.5))
 }
 
+/// [`lround`] of a number below 2^22 to both sides of zero; of others anything. (Conversions of Rust, which look for
+/// numbers beyond integers, are not compiled into vector instructions. This is.)
+#[inline]
+pub fn lround_small(value: f32) -> i32 {
+    // From here to twice that the numbers in single precision are the whole ones, counted by their low bits.
+    const WHOLE: f32 = (1 << 23) as f32;
+    let size = value.abs();
+    let to_even = size + WHOLE - WHOLE;
+    let nearest = to_even + if size - to_even == 0.5 { 1.0 } else { 0.0 };
+    let whole = (nearest + WHOLE).to_bits().wrapping_sub(WHOLE.to_bits()) as i32;
+    let sign = value.to_bits() as i32 >> 31;
+    (whole ^ sign).wrapping_sub(sign)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -28,6 +42,9 @@ mod tests {
         ];
         for (value, expected) in cases {
             assert_eq!(lround(value), expected, "{value}");
+            if expected < 1 << 22 {
+                assert_eq!(i64::from(lround_small(value)), expected, "{value}");
+            }
         }
         assert_eq!((lround(f32::NAN), lround(f32::INFINITY)), (0, i64::MAX));
     }
@@ -38,6 +55,9 @@ mod tests {
             let value = f32::from_bits(bits);
             prop_assume!(value.abs() < 9.0e18);
             prop_assert_eq!(lround(value), value.round() as i64);
+            if value.abs() < 4_194_304.0 {
+                prop_assert_eq!(i64::from(lround_small(value)), lround(value));
+            }
         }
     }
 }

@@ -21,8 +21,6 @@ pub trait GrowingSubmap {
     /// Inserts a scan given in the local map. False if it could not be drawn, because the grid would have
     /// become too large.
     fn insert(&mut self, scan: &Self::Scan) -> bool;
-    /// The next scans will be matched against it: makes it ready for that.
-    fn prepare_for_matching(&mut self) {}
     /// No more scans will come: makes it ready for searching.
     fn finish(&mut self);
 }
@@ -104,9 +102,6 @@ where
             let (_, mut full) = self.submaps.remove(0);
             full.finish();
             inserted[0].finished = Some(Arc::new(full));
-        }
-        if let Some(submap) = self.matching_submap_mut() {
-            submap.prepare_for_matching();
         }
         inserted
     }

@@ -1,6 +1,7 @@
 //! The grid of 3D submaps: how probable it is that a cell in space is occupied.
 
 use portolan_geometry::Point3f;
+use portolan_sensor::lround_small;
 
 use super::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL};
 use super::voxel_map::{Block, BlockKey, VoxelMap};
@@ -43,10 +44,7 @@ impl VoxelLattice {
         let scaled = coordinate / self.resolution;
         // Beyond these bounds there are no cells; not-a-number becomes the upper one.
         let bound = MAX_VOXEL_INDEX as f32 + 1.0;
-        let scaled = if scaled < bound { scaled.max(-bound) } else { bound };
-        let truncated = scaled as i32;
-        let fraction = scaled - truncated as f32;
-        truncated + i32::from(fraction >= 0.5) - i32::from(fraction <= -0.5)
+        lround_small(if scaled < bound { scaled.max(-bound) } else { bound })
     }
 
     /// The centre of a cell, metres.

@@ -120,18 +120,22 @@ impl HybridInserter {
         for point in &scan.returns.points {
             if (point - scan.origin).norm() <= max_range {
                 match grid.cell_index(point) {
-                    Some(end) => ends.push(end),
+                    Some(end) => {
+                        report.hits += 1;
+                        if changes.add(end, number, Change::Hit) {
+                            ends.push(end);
+                        }
+                    }
                     None => report.outside += 1,
                 }
             } else if !is_finite(point) {
                 report.not_finite += 1;
             }
         }
-        report.hits += ends.len();
-        ends.dedup();
-        ends.iter().for_each(|end| changes.add(*end, number, Change::Hit));
         for end in ends {
-            self.clear_before(begin, end, |cell| changes.add(cell, number, Change::Miss));
+            self.clear_before(begin, end, |cell| {
+                changes.add(cell, number, Change::Miss);
+            });
         }
     }
 
@@ -140,11 +144,21 @@ impl HybridInserter {
     #[inline]
     fn clear_before(&self, begin: VoxelIndex, end: VoxelIndex, mut clear: impl FnMut(VoxelIndex)) {
         let delta = [end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]];
-        let steps = delta[0].abs().max(delta[1].abs()).max(delta[2].abs());
-        let slope = delta.map(|d| f64::from(d) / f64::from(steps));
-        for k in (steps - self.num_free_space_voxels).max(0)..steps {
-            let along = |axis: usize| begin[axis] + whole_part(slope[axis] * f64::from(k));
-            clear([along(0), along(1), along(2)]);
+        let sizes = delta.map(i32::abs);
+        let steps = sizes[0].max(sizes[1]).max(sizes[2]);
+        // From the end: j steps back along an axis is j/n of its way, with the fraction rounded up; a product that
+        // grows by no more than n is followed by a count, without a division.
+        let (mut products, mut back) = ([0; 3], [0; 3]);
+        for _ in 0..self.num_free_space_voxels.min(steps) {
+            let mut cell = end;
+            for axis in 0..3 {
+                products[axis] += sizes[axis];
+                if back[axis] * steps < products[axis] {
+                    back[axis] += 1;
+                }
+                cell[axis] -= back[axis] * delta[axis].signum();
+            }
+            clear(cell);
         }
     }
 
@@ -195,25 +209,42 @@ enum Change {
 }
 
 /// Changes of cells by scans, a number each: in the order of scans, for each scan its hits first.
-#[derive(Default)]
 struct Changes {
     numbers: Vec<u64>,
     /// How many there may be until they are looked through.
     limit: usize,
+    /// Some of the cells that the scan has changed. Most hits in coarse cells, and many cells before hits, are in one
+    /// that was changed a little earlier.
+    recent: Vec<u64>,
+}
+
+/// Cells that are remembered, a power of two: as many as fit the nearest memory.
+const RECENT_BITS: u32 = 11;
+
+impl Default for Changes {
+    fn default() -> Self {
+        Self { numbers: Vec::new(), limit: MANY, recent: vec![u64::MAX; 1 << RECENT_BITS] }
+    }
 }
 
 impl Changes {
+    /// Adds a change; false for one of a cell that the scan is known to have changed before.
     #[inline]
-    fn add(&mut self, cell: VoxelIndex, scan: u64, change: Change) {
+    fn add(&mut self, cell: VoxelIndex, scan: u64, change: Change) -> bool {
         // Rays begin and end in cells that can be, and so do all between.
-        let Some((key, place)) = BlockKey::of(cell) else { return };
-        let of_block = scan << 1 | change as u64;
-        self.numbers.push(key.number() << CHANGE_BITS | of_block << PLACE_BITS | u64::from(place));
-        if self.numbers.len() >= self.limit.max(MANY) {
+        let Some((key, place)) = BlockKey::of(cell) else { return false };
+        let by_hit = key.number() << CHANGE_BITS | scan << (PLACE_BITS + 1) | u64::from(place);
+        let slot = by_hit.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - RECENT_BITS);
+        if std::mem::replace(&mut self.recent[slot as usize], by_hit) == by_hit {
+            return false;
+        }
+        self.numbers.push(by_hit | (change as u64) << PLACE_BITS);
+        if self.numbers.len() >= self.limit {
             self.numbers.sort_unstable();
             self.numbers.dedup();
-            self.limit = 2 * self.numbers.len();
+            self.limit = MANY.max(2 * self.numbers.len());
         }
+        true
     }
 
     /// Block by block.
@@ -221,14 +252,6 @@ impl Changes {
         sort_by_voxel(&mut self.numbers, CHANGE_BITS);
         self.numbers
     }
-}
-
-/// The whole part of a quotient of numbers of at most 15 bits, which is off by rounding: it is a whole number,
-/// or at least 1/2^15 away from one. Divisions of integers would take several times longer.
-#[inline]
-fn whole_part(quotient: f64) -> i32 {
-    const MORE: f64 = 1.0 / (1 << 20) as f64;
-    (quotient + MORE.copysign(quotient)) as i32
 }
 
 #[cfg(test)]

@@ -5,7 +5,6 @@ use portolan_geometry::Point3f;
 
 use super::cell::SurfaceCell;
 use crate::grid::{HybridGrid, LeafIndex};
-use crate::voxel_order::sort_by_voxel;
 
 /// Sizes of voxels, each half of the one before.
 const LEVELS: u32 = 3;
@@ -20,8 +19,6 @@ const SMALLEST_BITS: u32 = INDEX_BITS + LEVELS - 1;
 const SETTLED: u32 = 50;
 /// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
 const OFFSET: f32 = 0.37;
-/// Bits for the number of a hit beside the 36 of a key.
-const HIT_BITS: u32 = 28;
 /// Cells of a grid count as surface from this probability on.
 const MIN_PROBABILITY: f32 = 0.6;
 
@@ -106,27 +103,6 @@ impl SurfaceMap {
         let distance = toward.norm();
         let toward = if distance > 1e-6 { toward * (1.0 / distance) } else { na::Vector3::zeros() };
         self.insert_toward(point, &toward);
-    }
-
-    /// Adds the hits of sweeps, each with where they were seen from (all metres, in the frame of the map), as
-    /// [`Self::insert_seen_from`] would one after the other. Hits are put in the order of voxels first: those in
-    /// other voxels make no difference to one.
-    pub fn insert_sweeps(&mut self, sweeps: &[(Vec<Point3f>, Point3f)]) {
-        let mut hits: Vec<(Point3f, u32)> = Vec::new();
-        for ((points, _), sweep) in sweeps.iter().zip(0..) {
-            hits.extend(points.iter().map(|point| (*point, sweep)));
-        }
-        for hits in hits.chunks(1 << HIT_BITS) {
-            let in_voxel = |(number, (point, _)): (u64, &(Point3f, u32))| {
-                Some(Smallest::around(&self.scaled(point))?.key(0)? << HIT_BITS | number)
-            };
-            let mut order: Vec<u64> = (0..).zip(hits).filter_map(in_voxel).collect();
-            sort_by_voxel(&mut order, HIT_BITS);
-            for number in order {
-                let (point, sweep) = &hits[(number & ((1 << HIT_BITS) - 1)) as usize];
-                self.insert_seen_from(point, &sweeps[*sweep as usize].1);
-            }
-        }
     }
 
     /// A place in smallest voxels from the corner of all of them.
@@ -333,28 +309,6 @@ mod tests {
         assert!(from_above.normal.z > 0.9 && !from_above.is_doubtful, "{from_above:?}");
         // What hangs above the eye looks down rightly.
         assert!(!seen_from(-5.0).is_doubtful);
-    }
-
-    #[test]
-    fn sweeps_at_once_make_the_same_planes_as_hit_after_hit() {
-        let mut lcg = crate::testing::Lcg::new(7);
-        let sweeps: Vec<(Vec<Point3f>, Point3f)> = (0..6)
-            .map(|i| {
-                let hit = |_| Point3f::new(lcg.symmetric(3.0), lcg.symmetric(3.0), lcg.symmetric(0.02));
-                let points = (0..2000).map(hit).chain([Point3f::new(f32::NAN, 0.0, 0.0)]).collect();
-                (points, Point3f::new(0.1 * i as f32, 0.0, 1.5))
-            })
-            .collect();
-        let (mut at_once, mut in_turn) = (SurfaceMap::new(1.0), SurfaceMap::new(1.0));
-        at_once.insert_sweeps(&sweeps);
-        for (points, origin) in &sweeps {
-            points.iter().for_each(|point| in_turn.insert_seen_from(point, origin));
-        }
-        for i in 0..200 {
-            let place = Point3f::new(0.03 * i as f32 - 3.0, 0.02 * i as f32 - 2.0, 0.0);
-            assert_eq!(at_once.plane_near(&place), in_turn.plane_near(&place));
-        }
-        assert!(at_once.planes().count() > 30 && at_once.planes().count() == in_turn.planes().count());
     }
 
     #[test]

@@ -2,14 +2,12 @@
 
 use portolan_geometry::Point3f;
 
-use crate::lround;
+use crate::{lround, lround_small};
 
 /// So many points are divided into voxels at once.
 pub(super) const BATCH: usize = 8;
 /// Indices below this are rounded many at once.
 const MAX_SMALL_INDEX: f32 = (1 << 22) as f32;
-/// From here to twice that the numbers in single precision are the whole ones: in the low bits is how many they are more.
-const WHOLE: f32 = (1 << 23) as f32;
 
 /// Hands on the index of the voxel with this edge (positive, metres) around each point whose coordinates are finite,
 /// and the number of the point, until `visit` gives false.
@@ -54,21 +52,9 @@ pub(super) fn small_indices<const N: usize>(points: &[[f32; 3]; N], edge: f32) -
     for (index, coordinate) in indices.as_flattened_mut().iter_mut().zip(points.as_flattened()) {
         let place = coordinate / edge;
         are_small &= place.abs() < MAX_SMALL_INDEX;
-        *index = rounded(place);
+        *index = lround_small(place);
     }
     are_small.then_some(indices)
-}
-
-/// The nearest integer, halves away from zero, of a small number; anything of others. (Conversions of Rust, which look
-/// for numbers beyond integers, are not compiled into vector instructions.)
-#[inline]
-fn rounded(small: f32) -> i32 {
-    let size = small.abs();
-    let to_even = size + WHOLE - WHOLE;
-    let nearest = to_even + if size - to_even == 0.5 { 1.0 } else { 0.0 };
-    let whole = (nearest + WHOLE).to_bits().wrapping_sub(WHOLE.to_bits()) as i32;
-    let sign = small.to_bits() as i32 >> 31;
-    (whole ^ sign).wrapping_sub(sign)
 }
 
 /// A voxel in 21 bits per axis, overlapping beyond ±2^20 voxels as in the reference.

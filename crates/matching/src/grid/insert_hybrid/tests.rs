@@ -138,13 +138,19 @@ fn grids_take_no_more_memory_than_their_files() {
 }
 
 #[test]
-fn quotients_of_cells_lose_their_fraction_exactly() {
+fn cells_before_a_hit_are_whole_parts_of_the_way() {
     let mut lcg = Lcg::new(5);
-    for _ in 0..200_000 {
-        let steps = 1 + (lcg.symmetric(0.5) + 0.5).mul_add(16_383.0, 0.0) as i32;
-        let delta = (lcg.symmetric(1.0) * steps as f32) as i32;
-        let k = ((lcg.symmetric(0.5) + 0.5) * steps as f32) as i32;
-        let slope = f64::from(delta) / f64::from(steps);
-        assert_eq!(whole_part(slope * f64::from(k)), delta * k / steps, "{delta} {k} {steps}");
+    let options = HybridInserterOptions { num_free_space_voxels: 7, ..HybridInserterOptions::default() };
+    let inserter = HybridInserter::new(&options).unwrap();
+    for i in 0..50_000 {
+        let reach = [3.0, 40.0, 8000.0][i % 3];
+        let [begin, end] = [(); 2].map(|()| [(); 3].map(|()| lcg.symmetric(reach) as i32));
+        let delta = [0, 1, 2].map(|axis| end[axis] - begin[axis]);
+        let steps = delta.iter().map(|d| d.abs()).max().unwrap();
+        let step = |k: i32| [0, 1, 2].map(|axis| begin[axis] + delta[axis] * k / steps);
+        let expected: Vec<VoxelIndex> = ((steps - 7).max(0)..steps).rev().map(step).collect();
+        let mut cells = Vec::new();
+        inserter.clear_before(begin, end, |cell| cells.push(cell));
+        assert_eq!(cells, expected, "{begin:?} {end:?}");
     }
 }
