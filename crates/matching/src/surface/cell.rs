@@ -6,9 +6,9 @@ use portolan_geometry::Point3f;
 use super::map::Plane;
 
 /// Fewer hits make no plane.
-const MIN_COUNT: u32 = 6;
+const MIN_COUNT: u16 = 6;
 /// More hits change nothing: what a place looks like is known by then.
-const MAX_COUNT: u32 = 400;
+const MAX_COUNT: u16 = 400;
 /// A plane is at most this share of the edge of its voxel thick (standard deviation), and this much more.
 const MAX_THICKNESS_SHARE: f32 = 0.04;
 const MAX_THICKNESS: f32 = 0.02;
@@ -32,12 +32,10 @@ const LEVEL: f32 = 0.87;
 /// Cosine of the angle at which a plane is seen edge-on: its side is not known then.
 const MIN_SIDE: f32 = 0.1;
 
-/// Statistics of the hits in a voxel.
+/// Statistics of the hits in a voxel and the normal of their plane, all that most hits need, in one line of the cache.
 #[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
 pub(super) struct SurfaceCell {
-    pub count: u32,
-    /// The number of hits at which the plane is fitted again.
-    next_fit: u32,
     pub mean: na::Vector3<f32>,
     /// Sum of outer products of differences from the mean: xx, xy, xz, yy, yz, zz.
     scatter: [f32; 6],
@@ -45,45 +43,58 @@ pub(super) struct SurfaceCell {
     toward: na::Vector3<f32>,
     /// To the side from which the hits were seen, if that is one.
     pub normal: na::Vector3<f32>,
+    pub count: u16,
+    pub is_plane: bool,
     /// Whether the hits were seen from one side of the plane.
     pub is_one_sided: bool,
-    /// Mean square distance of the hits from the plane; negative where they make none.
+}
+
+const _: () = assert!(size_of::<SurfaceCell>() == 64);
+
+/// How well the plane of a cell is known.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Fit {
+    /// Mean square distance of the hits from the plane.
     pub variance: f32,
     /// Square of how far the normal may be off for the noise of the hits, rad².
     pub normal_variance: f32,
     /// Whether the plane may be made of the beams instead of of a surface.
-    is_doubtful: bool,
+    pub is_doubtful: bool,
 }
+
+/// Whether so many hits are fitted: a third more than last time.
+const IS_FITTED: [bool; MAX_COUNT as usize + 1] = {
+    let mut is_fitted = [false; MAX_COUNT as usize + 1];
+    let mut count = MIN_COUNT as usize;
+    while count < is_fitted.len() {
+        is_fitted[count] = true;
+        count += count / 3;
+    }
+    is_fitted
+};
 
 impl SurfaceCell {
     pub fn new() -> Self {
         Self {
-            count: 0,
-            next_fit: MIN_COUNT,
             mean: na::Vector3::zeros(),
             scatter: [0.0; 6],
             toward: na::Vector3::zeros(),
             normal: na::Vector3::zeros(),
+            count: 0,
+            is_plane: false,
             is_one_sided: false,
-            variance: -1.0,
-            normal_variance: 0.0,
-            is_doubtful: false,
         }
-    }
-
-    pub fn is_plane(&self) -> bool {
-        self.variance >= 0.0
     }
 
     /// The plane, if [`Self::is_plane`].
     #[inline]
-    pub fn plane(&self) -> Plane {
+    pub fn plane(&self, fit: &Fit) -> Plane {
         Plane {
             point: self.mean,
             normal: self.normal,
-            variance: self.variance,
-            normal_variance: self.normal_variance,
-            is_doubtful: self.is_doubtful,
+            variance: fit.variance,
+            normal_variance: fit.normal_variance,
+            is_doubtful: fit.is_doubtful,
         }
     }
 
@@ -94,47 +105,46 @@ impl SurfaceCell {
     }
 
     /// Counts a hit (Welford's update) seen from the direction `toward` (unit length, or zero if that is not
-    /// known), and fits the plane anew each time the hits are a third more.
-    pub fn add(&mut self, point: &Point3f, toward: &na::Vector3<f32>, edge: f32) {
+    /// known), and fits the plane anew, into `fit`, each time the hits are a third more.
+    #[inline]
+    pub fn add(&mut self, point: &Point3f, toward: &na::Vector3<f32>, edge: f32, fit: &mut Fit) {
         if self.count >= MAX_COUNT {
             return;
         }
         self.count += 1;
         self.toward += toward;
         let before = point.coords - self.mean;
-        self.mean += before * (1.0 / self.count as f32);
+        self.mean += before * (1.0 / f32::from(self.count));
         let after = point.coords - self.mean;
         let pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
         for (sum, (i, j)) in self.scatter.iter_mut().zip(pairs) {
             *sum += before[i] * after[j];
         }
-        if self.count >= self.next_fit {
-            self.next_fit = self.count + self.count / 3;
-            self.fit(edge);
+        if IS_FITTED[usize::from(self.count)] {
+            *fit = self.fitted(edge);
         }
     }
 
-    fn fit(&mut self, edge: f32) {
+    fn fitted(&mut self, edge: f32) -> Fit {
+        let count = f32::from(self.count);
         let [xx, xy, xz, yy, yz, zz] = self.scatter.map(|s| f64::from(s) / f64::from(self.count));
         let covariance = na::Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
         let (values, normal) = smallest_direction(&covariance);
         let thickness = MAX_THICKNESS + MAX_THICKNESS_SHARE * edge;
         let [across, along] = [values[0].max(0.0) as f32, values[1] as f32];
-        let is_flat = across <= thickness * thickness
+        self.is_plane = across <= thickness * thickness
             && along >= MIN_SPREAD_RATIO * MIN_SPREAD_RATIO * across
             && along >= (MIN_SPREAD_SHARE * edge) * (MIN_SPREAD_SHARE * edge);
-        self.variance = if is_flat { across } else { -1.0 };
         // Of the slope of a line fitted to that many hits, along the direction in which they spread less.
-        self.normal_variance =
-            across / along.max(f32::MIN_POSITIVE) * HITS_PER_INDEPENDENT_ONE / self.count as f32;
+        let normal_variance = across / along.max(f32::MIN_POSITIVE) * HITS_PER_INDEPENDENT_ONE / count;
         let normal: na::Vector3<f32> = normal.cast();
-        let side = normal.dot(&self.toward) / self.count as f32;
+        let side = normal.dot(&self.toward) / count;
         self.normal = if side < 0.0 { -normal } else { normal };
         self.is_one_sided = side.abs() > MIN_SIDE;
-        let seen = self.toward.norm() / self.count as f32;
-        let is_edge_on = side.abs() < seen * (EDGE_ON + 2.0 * self.normal_variance.sqrt());
+        let seen = self.toward.norm() / count;
+        let is_edge_on = side.abs() < seen * (EDGE_ON + 2.0 * normal_variance.sqrt());
         let is_ground_from_below = self.toward.z > 0.0 && self.normal.z < -LEVEL;
-        self.is_doubtful = is_edge_on || is_ground_from_below;
+        Fit { variance: across, normal_variance, is_doubtful: is_edge_on || is_ground_from_below }
     }
 }
 
@@ -189,16 +199,18 @@ mod tests {
         let mut flat = SurfaceCell::new();
         let mut line = SurfaceCell::new();
         let mut corner = SurfaceCell::new();
+        let (mut flat_fit, mut fit) = (Fit::default(), Fit::default());
+        let nowhere = na::Vector3::zeros();
         for i in 0..60 {
             let (u, v) = ((i % 8) as f32 * 0.1, (i / 8) as f32 * 0.1);
             let noise = [0.01, -0.01, 0.0][i % 3];
-            flat.add(&Point3f::new(u, v, 0.3 + noise), &na::Vector3::zeros(), 1.0);
-            line.add(&Point3f::new(0.1 * (i % 10) as f32, noise, 0.3), &na::Vector3::zeros(), 1.0);
+            flat.add(&Point3f::new(u, v, 0.3 + noise), &nowhere, 1.0, &mut flat_fit);
+            line.add(&Point3f::new(0.1 * (i % 10) as f32, noise, 0.3), &nowhere, 1.0, &mut fit);
             let side = if i % 2 == 0 { Point3f::new(u, v, 0.0) } else { Point3f::new(0.0, v, u) };
-            corner.add(&side, &na::Vector3::zeros(), 1.0);
+            corner.add(&side, &nowhere, 1.0, &mut fit);
         }
-        assert!(flat.is_plane() && flat.normal.z.abs() > 0.999 && flat.variance < 2e-4);
+        assert!(flat.is_plane && flat.normal.z.abs() > 0.999 && flat_fit.variance < 2e-4);
         assert!((flat.mean.z - 0.3).abs() < 1e-3);
-        assert!(!line.is_plane() && !corner.is_plane());
+        assert!(!line.is_plane && !corner.is_plane);
     }
 }

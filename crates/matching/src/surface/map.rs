@@ -3,7 +3,7 @@
 use nalgebra as na;
 use portolan_geometry::Point3f;
 
-use super::cell::SurfaceCell;
+use super::cell::{Fit, SurfaceCell};
 use crate::grid::{HybridGrid, LeafIndex};
 
 /// Sizes of voxels, each half of the one before.
@@ -16,7 +16,7 @@ const SMALLEST_IN_LARGEST: f32 = (1 << (LEVELS - 1)) as f32;
 const SMALLEST_IN_ALL: f32 = (1 << SMALLEST_BITS) as f32;
 const SMALLEST_BITS: u32 = INDEX_BITS + LEVELS - 1;
 /// Once so many hits make a plane, no smaller voxels are kept there.
-const SETTLED: u32 = 50;
+const SETTLED: u16 = 50;
 /// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
 const OFFSET: f32 = 0.37;
 /// Cells of a grid count as surface from this probability on.
@@ -46,6 +46,8 @@ pub struct SurfaceMap {
     smallest_per_metre: f32,
     index: LeafIndex,
     cells: Vec<SurfaceCell>,
+    /// Of each cell.
+    fits: Vec<Fit>,
     /// Key and number of the voxel of each size that was changed last: neighbouring hits share it.
     recent: [(u64, usize); LEVELS as usize],
 }
@@ -66,6 +68,7 @@ impl SurfaceMap {
             smallest_per_metre: SMALLEST_IN_LARGEST / edge,
             index: LeafIndex::with_capacity(planes),
             cells: Vec::with_capacity(planes),
+            fits: Vec::with_capacity(planes),
             recent: [(NO_KEY, 0); LEVELS as usize],
         }
     }
@@ -88,7 +91,9 @@ impl SurfaceMap {
 
     /// Memory taken, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.index.memory_bytes() + self.cells.capacity() * size_of::<SurfaceCell>()
+        self.index.memory_bytes()
+            + self.cells.capacity() * size_of::<SurfaceCell>()
+            + self.fits.capacity() * size_of::<Fit>()
     }
 
     /// Adds a hit (metres, in the frame of the map) of which nobody knows from where it was seen. One that is
@@ -118,12 +123,12 @@ impl SurfaceMap {
             let Some(key) = smallest.key(level) else { return };
             let number = self.number_of(key, level as usize);
             let cell = &mut self.cells[number];
-            let is_settled = cell.count > SETTLED && cell.is_plane();
+            let is_settled = cell.count > SETTLED && cell.is_plane;
             // The other side of a floor or of a wall is a surface of its own.
             if is_settled && cell.shows_other_side(toward) {
                 continue;
             }
-            cell.add(point, toward, self.edge / (1 << level) as f32);
+            cell.add(point, toward, self.edge / (1 << level) as f32, &mut self.fits[number]);
             if is_settled {
                 return;
             }
@@ -140,6 +145,7 @@ impl SurfaceMap {
         let number = self.index.get(key).unwrap_or_else(|| {
             self.index.insert(key, self.cells.len());
             self.cells.push(SurfaceCell::new());
+            self.fits.push(Fit::default());
             self.cells.len() - 1
         });
         self.recent[level] = (key, number);
@@ -170,9 +176,10 @@ impl SurfaceMap {
     fn plane_around(&self, scaled: &na::Vector3<f32>, toward: &na::Vector3<f32>) -> Option<Plane> {
         let smallest = Smallest::around(scaled)?;
         for level in 0..LEVELS {
-            let cell = &self.cells[self.index.get(smallest.key(level)?)?];
-            if cell.is_plane() && !cell.shows_other_side(toward) {
-                return Some(cell.plane());
+            let number = self.index.get(smallest.key(level)?)?;
+            let cell = &self.cells[number];
+            if cell.is_plane && !cell.shows_other_side(toward) {
+                return Some(cell.plane(&self.fits[number]));
             }
         }
         None
@@ -181,13 +188,14 @@ impl SurfaceMap {
     /// The same map with nothing but its planes, for submaps that are finished.
     #[must_use]
     pub fn compacted(&self) -> Self {
-        let number_of = |(key, number): (u64, usize)| self.cells[number].is_plane().then_some((number, key));
+        let number_of = |(key, number): (u64, usize)| self.cells[number].is_plane.then_some((number, key));
         let mut kept: Vec<(usize, u64)> = self.index.iter().filter_map(number_of).collect();
         kept.sort_unstable();
         let mut compacted = Self::with_capacity(self.edge, kept.len());
         for (number, key) in kept {
             compacted.index.insert(key, compacted.cells.len());
             compacted.cells.push(self.cells[number]);
+            compacted.fits.push(self.fits[number]);
         }
         compacted
     }
@@ -195,8 +203,8 @@ impl SurfaceMap {
     /// All planes that count with their number of hits, in the order in which their places were first
     /// seen.
     pub fn planes(&self) -> impl Iterator<Item = (Plane, u32)> + '_ {
-        let cells = self.cells.iter().filter(|cell| cell.is_plane());
-        cells.map(|c| (c.plane(), c.count))
+        let planes = self.cells.iter().zip(&self.fits).filter(|(cell, _)| cell.is_plane);
+        planes.map(|(cell, fit)| (cell.plane(fit), u32::from(cell.count)))
     }
 }
 
