@@ -130,8 +130,10 @@ impl Submap3d {
         let submap_from_local = to_f32(&self.local_from_submap.inverse());
         let origin = submap_from_local * origin_in_local;
         let Some(surfaces) = &mut self.surfaces else { return };
+        // A matrix turns many points sooner than a quaternion.
+        let (turn, shift) = (submap_from_local.rotation.to_rotation_matrix(), submap_from_local.translation);
         for point in points_in_local {
-            surfaces.insert_seen_from(&(submap_from_local * point), &origin);
+            surfaces.insert_seen_from(&(shift * (turn * point)), &origin);
         }
     }
 

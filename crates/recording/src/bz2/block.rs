@@ -23,34 +23,61 @@ pub(super) struct Head {
 
 /// The last bytes of the sorted rotations of a block.
 pub(super) struct Transformed {
-    pub(super) bytes: Vec<u8>,
+    /// Room for the largest block and [`SPARE`] bytes more.
+    room: Vec<u8>,
+    length: usize,
     /// How often each byte occurs.
     pub(super) counts: [u32; 256],
 }
 
+/// Runs are written in pieces of so many bytes, most of them in one.
+const SPARE: usize = 16;
+
 impl Default for Transformed {
     fn default() -> Self {
-        Self { bytes: Vec::new(), counts: [0; 256] }
+        Self { room: Vec::new(), length: 0, counts: [0; 256] }
     }
 }
 
 impl Transformed {
-    #[inline]
-    fn push(&mut self, byte: u8) {
-        self.bytes.push(byte);
-        self.counts[usize::from(byte)] += 1;
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.room[..self.length]
     }
 
-    /// Blocks have less than a million bytes.
-    fn push_run(&mut self, byte: u8, length: usize) {
-        self.bytes.resize(self.bytes.len() + length, byte);
-        self.counts[usize::from(byte)] += length as u32;
-    }
-
-    fn clear(&mut self) {
-        self.bytes.clear();
+    /// Empties it for a block of at most `largest` bytes.
+    fn begin(&mut self, largest: usize) {
+        self.room.resize(largest + SPARE, 0);
+        self.length = 0;
         self.counts = [0; 256];
     }
+
+    #[inline]
+    fn push(&mut self, byte: u8) -> Result<()> {
+        let place = self.room.get_mut(self.length).ok_or_else(too_long)?;
+        *place = byte;
+        self.length += 1;
+        self.counts[usize::from(byte)] += 1;
+        Ok(())
+    }
+
+    #[inline]
+    fn push_run(&mut self, byte: u8, length: usize) -> Result<()> {
+        let end = self.length + length;
+        if end + SPARE > self.room.len() {
+            return Err(too_long());
+        }
+        while self.length < end {
+            self.room[self.length..self.length + SPARE].fill(byte);
+            self.length += SPARE;
+        }
+        self.length = end;
+        self.counts[usize::from(byte)] += length as u32;
+        Ok(())
+    }
+}
+
+fn too_long() -> std::io::Error {
+    damaged("a block that is too long")
 }
 
 /// Reads blocks.
@@ -69,7 +96,7 @@ impl BlockReader {
 
     /// Reads a block of at most `largest` bytes, from behind its checksum.
     pub(super) fn read(&mut self, bits: &mut Bits<'_>, largest: usize) -> Result<Head> {
-        self.transformed.clear();
+        self.transformed.begin(largest);
         let randomised = bits.take(1)? == 1;
         let origin = bits.take(24)? as usize;
         let (mut order, used) = used_bytes(bits)?;
@@ -120,21 +147,18 @@ impl BlockReader {
                     run += digit << (symbol - RUN_A);
                     digit <<= 1;
                     if run > largest {
-                        return Err(damaged("a block that is too long"));
+                        return Err(too_long());
                     }
                     continue;
                 }
                 if run > 0 {
-                    self.transformed.push_run(order.front(), run);
+                    self.transformed.push_run(order.front(), run)?;
                     (run, digit) = (0, 1);
-                }
-                if self.transformed.bytes.len() > largest {
-                    return Err(damaged("a block that is too long"));
                 }
                 if symbol == end {
                     return bits.check();
                 }
-                self.transformed.push(order.move_to_front(usize::from(symbol) - 1));
+                self.transformed.push(order.move_to_front(usize::from(symbol) - 1))?;
             }
             bits.check()?;
         }

@@ -52,7 +52,7 @@ impl Inverse {
     /// # Errors
     /// There is no such rotation.
     pub(super) fn undo(&mut self, transformed: &Transformed, origin: usize) -> Result<&[u8]> {
-        let length = transformed.bytes.len();
+        let length = transformed.bytes().len();
         if length >= REST || origin >= length {
             return Err(damaged("a block that begins behind its end"));
         }
@@ -72,7 +72,7 @@ impl Inverse {
         }
         self.next.resize(ENTRIES, 0);
         let Some(next) = self.next.first_chunk_mut::<ENTRIES>() else { return };
-        for (index, &byte) in transformed.bytes.iter().enumerate() {
+        for (index, &byte) in transformed.bytes().iter().enumerate() {
             let place = &mut places[usize::from(byte)];
             next[*place as usize & INDEX] = (index as u32) << 8 | u32::from(byte);
             *place += 1;

@@ -85,13 +85,13 @@ impl SurfaceTracker {
         let in_range = options.min_range..=options.max_range;
         let points = gathered.iter().flat_map(|message| &message.points);
         let usable = points.filter(|p| in_range.contains(&(p.position - p.origin).norm()));
-        usable
-            .map(|p| SweepPoint {
-                offset: p.time.seconds_since(end).min(0.0) as f32,
-                position: p.position,
-                intensity: p.intensity,
-            })
-            .collect()
+        let mut sweep = Vec::with_capacity(gathered.iter().map(Gathered::len).sum());
+        sweep.extend(usable.map(|p| SweepPoint {
+            offset: p.time.seconds_since(end).min(0.0) as f32,
+            position: p.position,
+            intensity: p.intensity,
+        }));
+        sweep
     }
 
     /// A selection that covers everything seen, in the order of time.

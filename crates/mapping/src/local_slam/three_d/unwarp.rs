@@ -34,7 +34,9 @@ impl Gathered {
                 intensity: ranges.intensities.get(i as usize).copied().unwrap_or(0.0),
             })
         };
-        Self { points: kept.into_iter().filter_map(point).collect() }
+        let mut points = Vec::with_capacity(kept.len());
+        points.extend(kept.into_iter().filter_map(point));
+        Self { points }
     }
 }
 
