@@ -3,7 +3,7 @@
 use nalgebra as na;
 use portolan_geometry::Point3f;
 
-use super::map::Plane;
+use super::map::{Doubt, Plane};
 
 /// Fewer hits make no plane.
 const MIN_COUNT: u16 = 6;
@@ -58,8 +58,7 @@ pub(super) struct Fit {
     pub variance: f32,
     /// Square of how far the normal may be off for the noise of the hits, rad².
     pub normal_variance: f32,
-    /// Whether the plane may be made of the beams instead of of a surface.
-    pub is_doubtful: bool,
+    pub doubt: Option<Doubt>,
 }
 
 /// Whether so many hits are fitted: a third more than last time.
@@ -94,7 +93,7 @@ impl SurfaceCell {
             normal: self.normal,
             variance: fit.variance,
             normal_variance: fit.normal_variance,
-            is_doubtful: fit.is_doubtful,
+            doubt: fit.doubt,
         }
     }
 
@@ -143,8 +142,13 @@ impl SurfaceCell {
         self.is_one_sided = side.abs() > MIN_SIDE;
         let seen = self.toward.norm() / count;
         let is_edge_on = side.abs() < seen * (EDGE_ON + 2.0 * normal_variance.sqrt());
-        let is_ground_from_below = self.toward.z > 0.0 && self.normal.z < -LEVEL;
-        Fit { variance: across, normal_variance, is_doubtful: is_edge_on || is_ground_from_below }
+        let looks_down = self.toward.z > 0.0 && self.normal.z < -LEVEL;
+        let doubt = match (looks_down, is_edge_on) {
+            (true, _) => Some(Doubt::LooksDown),
+            (false, true) => Some(Doubt::EdgeOn),
+            (false, false) => None,
+        };
+        Fit { variance: across, normal_variance, doubt }
     }
 }
 

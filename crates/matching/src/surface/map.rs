@@ -33,10 +33,19 @@ pub struct Plane {
     pub variance: f32,
     /// Square of how far the normal may be off for the noise of the hits, rad².
     pub normal_variance: f32,
-    /// Whether it may be made of the beams instead of of a surface: its hits were seen along it, or it looks down at
-    /// them from above where they were seen. A lidar that moves unnoticed over uneven ground sees such planes: its
-    /// beams meet the ground always at the same distance, now higher and now lower, and the planes move with it.
-    pub is_doubtful: bool,
+    /// Why it may be made of the beams instead of of a surface. A lidar that moves unnoticed over uneven ground sees
+    /// such planes: its beams meet the ground always at the same distance, now higher and now lower, and the planes
+    /// move with it.
+    pub doubt: Option<Doubt>,
+}
+
+/// Why a plane may be made of beams.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Doubt {
+    /// Its hits were seen along it.
+    EdgeOn,
+    /// It is ground, and was seen from below.
+    LooksDown,
 }
 
 /// Surfaces near the origin of a frame.
@@ -313,10 +322,10 @@ mod tests {
         };
         // From 1 m above the beams come through the ground, from 5 m they come from above.
         let (from_below, from_above) = (seen_from(1.0), seen_from(5.0));
-        assert!(from_below.normal.z < -0.9 && from_below.is_doubtful, "{from_below:?}");
-        assert!(from_above.normal.z > 0.9 && !from_above.is_doubtful, "{from_above:?}");
+        assert!(from_below.normal.z < -0.9 && from_below.doubt == Some(Doubt::LooksDown), "{from_below:?}");
+        assert!(from_above.normal.z > 0.9 && from_above.doubt.is_none(), "{from_above:?}");
         // What hangs above the eye looks down rightly.
-        assert!(!seen_from(-5.0).is_doubtful);
+        assert_eq!(seen_from(-5.0).doubt, None);
     }
 
     #[test]

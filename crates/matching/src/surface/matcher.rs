@@ -5,7 +5,7 @@ use std::ops::Range;
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3};
 
-use super::map::SurfaceMap;
+use super::map::{Doubt, SurfaceMap};
 use super::way::{StraightPieces, Way, WayCorrection};
 use sums::{Accumulator, Pairs, Sums};
 
@@ -25,6 +25,10 @@ pub struct SurfaceMatcherOptions {
     /// How far normals of planes are off at least, radians (standard deviation): surfaces are not flat. The noise
     /// of the hits comes on top. Where scans tell no more than such errors feign, they tell nothing.
     pub normal_noise: f64,
+    /// How much planes count that were seen edge-on. They may be made of the beams themselves, and hold the scanner
+    /// where it was then: where they counted a tenth, four of twelve walks through parks without wheels were lost and
+    /// five without an IMU; with nothing, two and one.
+    pub edge_on_share: f32,
 }
 
 impl Default for SurfaceMatcherOptions {
@@ -35,6 +39,7 @@ impl Default for SurfaceMatcherOptions {
             max_iterations: 20,
             min_matched_share: 0.0,
             normal_noise: 0.03,
+            edge_on_share: 0.0,
         }
     }
 }
@@ -117,11 +122,9 @@ const PRIOR_IN_WEAK_DIRECTIONS: f64 = 30.0;
 /// walks that begin in a hall lost half a metre; counted once, a field without wheels passed for told half of the time.
 const TIMES_UNEVEN: f32 = 4.0;
 const TIMES_NOISE: f32 = 2.0;
-/// Doubtful planes may be made of the beams themselves, and hold the scanner where it was then: they count so much.
-/// With all of the weight of those seen edge-on, walks through parks whose wheels tell the way lose up to 10 % of it; a
-/// tenth or nothing makes no difference on 13 simulated walks, and far floors are seen edge-on, too. With all of the
-/// weight of ground that looks down, a field seems to hold a lidar that is carried over it.
-const DOUBTFUL_SHARE: f32 = 0.1;
+/// Ground that looks down counts so much. With all of its weight a field seems to hold a lidar that is carried over it;
+/// without any of it, more walks without an IMU are off.
+const SHARE_OF_GROUND_FROM_BELOW: f32 = 0.1;
 /// Every so many points tell where the points are.
 const ARM_SAMPLE: usize = 4;
 /// The scale of the loss shrinks by this with every iteration.
@@ -274,11 +277,16 @@ impl SurfaceMatcher {
                 }
                 let shift_variance = TIMES_UNEVEN * least_variance + TIMES_NOISE * plane.normal_variance;
                 let (n, lever) = (&plane.normal, turned.cross(&plane.normal));
-                let told = if plane.is_doubtful { DOUBTFUL_SHARE * weight } else { weight };
-                if plane.is_doubtful {
+                let share = match plane.doubt {
+                    None => 1.0,
+                    Some(Doubt::EdgeOn) => self.options.edge_on_share,
+                    Some(Doubt::LooksDown) => SHARE_OF_GROUND_FROM_BELOW,
+                };
+                let told = share * weight;
+                if let Some(doubt) = plane.doubt {
                     // Ground that looks down feigns no tilt: all of its weight counts there for what is told.
-                    let looks_down = n.z < 0.0 && turned.z < 0.0 && n.z.abs() > n.xy().norm();
-                    all.add_doubtful(n, &lever, [told, if looks_down { told - weight } else { told }]);
+                    let of_turn = if doubt == Doubt::LooksDown { told - weight } else { told };
+                    all.add_doubtful(n, &lever, [told, of_turn]);
                 }
                 let row = [n.x, n.y, n.z, lever.x, lever.y, lever.z, residual, 0.0];
                 all.add(row, told, weight * shift_variance);

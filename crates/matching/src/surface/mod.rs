@@ -16,7 +16,7 @@ mod way;
 
 pub use bootstrap::align_coarsely;
 pub use leveling::up_direction;
-pub use map::{Plane, SurfaceMap};
+pub use map::{Doubt, Plane, SurfaceMap};
 pub use matcher::{
     PosePrior, Sigmas, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, WayPrior,
     WeakDirections,

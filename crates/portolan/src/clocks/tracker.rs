@@ -90,7 +90,13 @@ pub(super) struct SweepTracker {
 
 impl Default for SweepTracker {
     fn default() -> Self {
-        let options = SurfaceMatcherOptions { final_scale: 0.1 * EDGE, ..SurfaceMatcherOptions::default() };
+        // Turns alone are wanted here, and of these planes seen edge-on tell something: without them the offset of a
+        // sparse second lidar among trees is not found.
+        let options = SurfaceMatcherOptions {
+            final_scale: 0.1 * EDGE,
+            edge_on_share: 0.1,
+            ..SurfaceMatcherOptions::default()
+        };
         Self {
             matcher: SurfaceMatcher::new(options),
             maps: VecDeque::new(),
