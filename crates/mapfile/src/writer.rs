@@ -50,6 +50,7 @@ struct Batch {
     /// Short messages one after the other, so that a measurement takes no memory of its own from one thread to the
     /// other.
     short: Vec<u8>,
+    /// Of all messages, before they are packed.
     bytes: usize,
 }
 
