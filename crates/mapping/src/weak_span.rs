@@ -51,6 +51,8 @@ pub enum TakenInstead {
     Gyroscope,
     /// That it stands: the IMU is at rest.
     Rest,
+    /// The velocity before, changed as an accelerometer measured.
+    Accelerometer,
     /// That it moves on as it did before: nothing measured it.
     Velocity,
 }
@@ -62,6 +64,7 @@ impl TakenInstead {
             Self::Odometry => "odometry",
             Self::Gyroscope => "the gyroscope",
             Self::Rest => "rest, as the IMU felt it,",
+            Self::Accelerometer => "the accelerometer",
             Self::Velocity => "the velocity before, which nothing measured,",
         }
     }

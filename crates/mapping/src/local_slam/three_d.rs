@@ -29,6 +29,7 @@ use crate::{InsertionSubmap, MapperError, OpenDirections, Spatial, WeakSpan, Wea
 mod by_surfaces;
 mod conclusion;
 mod first_sweeps;
+mod inertial;
 mod standstill;
 mod start;
 mod surface_tracking;
@@ -37,6 +38,7 @@ mod unwarp;
 mod upright;
 
 use by_surfaces::BySurfaces;
+use inertial::Inertial;
 use standstill::Standstill;
 use surface_tracking::SurfaceTracker;
 use unwarp::{Gathered, Unwarped, unwarp};
@@ -58,6 +60,7 @@ pub struct LocalSlam3d {
     saturated_at: Option<Time>,
     standstill: Standstill,
     upright: Upright,
+    inertial: Inertial,
     /// Samples from before the start.
     waiting_imu: Vec<ImuData>,
     /// When a scan was last inserted.
@@ -115,6 +118,7 @@ impl LocalSlam3d {
             saturated_at: None,
             standstill: Standstill::default(),
             upright: Upright::default(),
+            inertial: Inertial::default(),
             waiting_imu: Vec::new(),
             last_inserted: None,
             inserted_standing: 0,
@@ -149,6 +153,7 @@ impl LocalSlam3d {
         if extrapolator.add_imu(&corrected).is_ok() {
             self.standstill.add_imu(&corrected);
             self.upright.add_imu(&corrected);
+            self.inertial.add_imu(&corrected);
         } else {
             self.count("IMU sample older than the last matched scan");
             return;

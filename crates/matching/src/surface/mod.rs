@@ -21,4 +21,4 @@ pub use matcher::{
     PosePrior, Sigmas, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, WayPrior,
     WeakDirections,
 };
-pub use way::{StraightPieces, Way, WayCorrection};
+pub use way::{Going, StraightPieces, Way, WayCorrection};

@@ -20,8 +20,19 @@ pub struct Way {
     poses: Vec<Rigid3>,
     /// Whether a gyroscope told how it turned, not only the velocity before.
     pub turn_is_measured: bool,
-    /// Whether odometry told how it went, not only the velocity before.
-    pub shift_is_measured: bool,
+    /// What told how it went.
+    pub going: Going,
+}
+
+/// What tells how a scanner goes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Going {
+    /// Odometry, or that it stands.
+    Measured,
+    /// Accelerations, since a velocity that may be off by so much, m/s (standard deviation).
+    Felt(f64),
+    /// Nothing but the velocity before.
+    AsBefore,
 }
 
 /// What a prediction is wrong by: first three entries a shift in metres, last three a rotation vector about
@@ -52,12 +63,12 @@ impl Way {
             false => start + Duration::from_seconds(i as f64 * spacing),
         };
         let poses = (0..=pieces).map(|i| pose_at(time(i))).collect();
-        Self { spacing, poses, turn_is_measured: false, shift_is_measured: false }
+        Self { spacing, poses, turn_is_measured: false, going: Going::AsBefore }
     }
 
     /// Standing at a pose for no time.
     pub fn standing(pose: Rigid3) -> Self {
-        Self { spacing: 0.0, poses: vec![pose; 2], turn_is_measured: true, shift_is_measured: true }
+        Self { spacing: 0.0, poses: vec![pose; 2], turn_is_measured: true, going: Going::Measured }
     }
 
     /// The same way with poses changed, each by its seconds from the start.
@@ -120,7 +131,7 @@ impl Way {
     /// bends the way by (s + s²)/2 of the error at the end.
     pub(super) fn bows(&self, s: f64) -> [f64; 2] {
         let bow = |is_measured: bool| if is_measured { s } else { 0.5 * (s + s * s) };
-        [bow(self.shift_is_measured), bow(self.turn_is_measured)]
+        [bow(self.going != Going::AsBefore), bow(self.turn_is_measured)]
     }
 
     /// The share of the time that has passed so many seconds (not positive) before the end.

@@ -1,11 +1,13 @@
 //! Local SLAM by matching sweeps to surfaces.
 
+use portolan_geometry::nalgebra::Matrix3;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, is_valid_pose};
-use portolan_matching::Way;
+use portolan_matching::{Going, Way};
 use portolan_sensor::voxel_filter;
 
 use super::conclusion::Wanted;
 use super::first_sweeps::{FirstSweeps, TimedSweep};
+use super::inertial::{Arrival, Felt};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
 use super::unwarp::Gathered;
 use super::{LocalSlam3d, MatchedScan, sweep_path};
@@ -19,6 +21,12 @@ const YOUNG: u32 = 10;
 const CLEARLY_BETTER: f64 = 1.3;
 /// After so many seconds without a sweep it may have gone on as before, or stopped; or a clock jumped.
 const LONG_GAP: f64 = 0.5;
+/// m/s², where the IMU has not told it.
+const GRAVITY: f64 = 9.81;
+/// Who seems to go more slowly by the first two sweeps while the IMU rests stands, m/s.
+const SLOW: f64 = 1.0;
+/// How far off matches to grids are, metres, where sweeps fit no surface.
+const GRID_ERROR: f64 = 0.2;
 
 /// What matching to surfaces needs besides the submaps.
 pub(super) struct BySurfaces {
@@ -32,6 +40,22 @@ impl BySurfaces {
     pub fn new(voxel_size: f64) -> Self {
         Self { tracker: SurfaceTracker::new(voxel_size), voxel_size, first: None }
     }
+}
+
+/// What is expected of a sweep.
+struct Outlook {
+    /// The way as the extrapolator predicts it.
+    predicted: Way,
+    /// Where it stood until now, if it stands.
+    stood: Option<Rigid3>,
+    /// The way as accelerations tell it.
+    felt: Option<Felt>,
+    /// The way that is believed.
+    way: Way,
+    /// From the tracking frame to a level one at the end, as the IMU alone says.
+    level: Option<Quaternion>,
+    /// Whether the gyroscope was at the end of its range.
+    saturated: bool,
 }
 
 impl LocalSlam3d {
@@ -97,58 +121,89 @@ impl LocalSlam3d {
         Some(self.conclude(first.end, self.seen_from_end(first, matched), gravity))
     }
 
-    /// Matches a sweep to the older active submap.
-    fn follow(&mut self, sweep: &TimedSweep) -> Option<MatchingResult<Spatial>> {
-        let has_imu = self.has_imu;
+    /// What is expected of a sweep before it is matched.
+    fn look_ahead(&mut self, end: Time) -> Option<Outlook> {
         let extrapolator = self.extrapolator.as_mut()?;
-        extrapolator.prepare(sweep.end);
+        extrapolator.prepare(end);
         let start = extrapolator.last_pose_time();
-        let predicted = sweep_path::predicted(extrapolator, sweep.end);
-        if extrapolator.has_odometry(sweep.end) {
+        let predicted = sweep_path::predicted(extrapolator, end);
+        let has_odometry = extrapolator.has_odometry(end);
+        if has_odometry {
             self.standstill.add_odometry(&predicted.shift(), predicted.seconds());
         }
         let stood = self.standstill.pose();
-        let mut way = match &stood {
-            Some(pose) => sweep_path::standing(extrapolator, sweep.end, pose),
-            None => predicted.clone(),
+        let felt = start.filter(|_| self.has_imu).and_then(|start| self.inertial.felt(start, &predicted));
+        let (mut way, going) = match (&stood, &felt) {
+            (Some(pose), _) => (sweep_path::standing(extrapolator, end, pose), Going::Measured),
+            (None, Some(felt)) if !has_odometry && self.inertial.is_right() => {
+                (felt.way.clone(), Going::Felt(self.inertial.velocity_error()))
+            }
+            _ => (predicted.clone(), predicted.going),
         };
-        way.turn_is_measured = has_imu && extrapolator.has_gyroscope(sweep.end);
-        way.shift_is_measured = stood.is_some() || extrapolator.has_odometry(sweep.end);
-        let unmeasured = way.turn_is_measured.then(|| sweep_path::turning_on(extrapolator, sweep.end));
-        let gravity = has_imu.then(|| extrapolator.estimate_gravity_orientation(sweep.end));
-        let by_surfaces = self.by_surfaces.as_mut()?;
-        let selection = by_surfaces.tracker.selection(&sweep.points);
+        way.going = going;
+        way.turn_is_measured = self.has_imu && extrapolator.has_gyroscope(end);
+        let level = self.has_imu.then(|| extrapolator.estimate_gravity_orientation(end));
+        Some(Outlook { saturated: self.saturated_at > start, predicted, stood, felt, way, level })
+    }
+
+    /// Matches a sweep near the expected way, and near others if that may be wrong: then nothing is felt.
+    fn match_near(&mut self, sweep: &TimedSweep, outlook: &mut Outlook) -> Option<MatchedSweep> {
+        let extrapolator = self.extrapolator.as_mut()?;
+        let tracker = &mut self.by_surfaces.as_mut()?.tracker;
+        let selection = tracker.selection(&sweep.points);
         let submap = self.active_submaps.matching_submap()?;
         let target = (&submap.local_from_submap, submap.surfaces.as_ref()?);
-        let mut matched = by_surfaces.tracker.match_sweep(&selection, &way, target);
-        if way.seconds() > LONG_GAP
+        let unmeasured =
+            outlook.way.turn_is_measured.then(|| sweep_path::turning_on(extrapolator, sweep.end));
+        let mut matched = tracker.match_sweep(&selection, &outlook.way, target);
+        if matched.found.is_none() && matches!(outlook.way.going, Going::Felt(_)) {
+            // A single wrong sample of an accelerometer throws it metres away.
+            let mut as_before = outlook.predicted.clone();
+            as_before.turn_is_measured = outlook.way.turn_is_measured;
+            let matched_there = tracker.match_sweep(&selection, &as_before, target);
+            if matched_there.found.is_some() {
+                (matched, outlook.way, outlook.felt) = (matched_there, as_before, None);
+            }
+        }
+        if outlook.way.seconds() > LONG_GAP
             && let Some((_, last)) = extrapolator.last_pose()
         {
             let stayed = sweep_path::standing(extrapolator, sweep.end, &last);
-            let matched_there = by_surfaces.tracker.match_sweep(&selection, &stayed, target);
+            let matched_there = tracker.match_sweep(&selection, &stayed, target);
             if matched_there.fit() > matched.fit() {
-                (matched, way) = (matched_there, stayed);
+                (matched, outlook.way, outlook.felt) = (matched_there, stayed, None);
             }
         }
-        let saturated = self.saturated_at > start;
-        if let Some(other) = unmeasured.filter(|_| saturated || matched.contradicts_turn(&way)) {
-            let by_scans = by_surfaces.tracker.match_sweep(&selection, &other, target);
-            let wanted = if saturated { 1.0 } else { CLEARLY_BETTER };
+        if let Some(other) =
+            unmeasured.filter(|_| outlook.saturated || matched.contradicts_turn(&outlook.way))
+        {
+            let by_scans = tracker.match_sweep(&selection, &other, target);
+            let wanted = if outlook.saturated { 1.0 } else { CLEARLY_BETTER };
             if by_scans.fit() > wanted * matched.fit() {
-                (matched, way) = (by_scans, other);
+                (matched, outlook.way, outlook.felt) = (by_scans, other, None);
                 self.count("sweep whose turn the gyroscope did not tell; scans told it");
             }
         }
+        Some(matched)
+    }
+
+    /// Matches a sweep to the older active submap.
+    fn follow(&mut self, sweep: &TimedSweep) -> Option<MatchingResult<Spatial>> {
+        let mut outlook = self.look_ahead(sweep.end)?;
+        let matched = self.match_near(sweep, &mut outlook)?;
+        let Outlook { predicted, stood, felt, way, level, saturated } = outlook;
         match stood {
             Some(_) => self.gyroscope_bias.observe(&predicted.turn(), &Quaternion::identity(), way.seconds()),
             None if saturated => {}
             None => self.learn_bias(&way, &matched),
         }
+        let mut held = self.held_in_local(&matched);
         let open = self.report_match(sweep.end, &way, stood.is_some(), &matched);
         let fits_surfaces = matched.found.is_some();
         let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
-        // Where grids of a bare place hold a scanner that wheels saw moving, they were made by its beams.
-        if !fits_surfaces && !way.shift_is_measured {
+        // Where grids of a bare place hold a scanner that wheels or accelerations tell to move, they were made by its beams.
+        if !fits_surfaces && way.going == Going::AsBefore {
+            held = Matrix3::from_diagonal_element(GRID_ERROR * GRID_ERROR);
             self.match_to_grids(&mut scan);
         }
         self.standstill.add_match(sweep.end, &scan.local_from_tracking);
@@ -156,8 +211,11 @@ impl LocalSlam3d {
         if let Some(pose) = stands {
             scan.local_from_tracking = pose;
         }
+        if let Some(level) = &level {
+            self.follow_inertially(sweep.end, &predicted, felt, (&scan, held), level);
+        }
         self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
-        let gravity = gravity.map(|level| self.leveled(sweep.end, &scan.local_from_tracking, level));
+        let gravity = level.map(|level| self.leveled(sweep.end, &scan.local_from_tracking, level));
         let enough = stands.is_some() && !self.is_young() && self.stands_since_inserted(sweep.end);
         let wanted = match enough {
             true => Wanted::No,
@@ -171,6 +229,43 @@ impl LocalSlam3d {
             None => self.inserted_standing = 0,
         }
         Some(result)
+    }
+
+    /// The covariance of what a match may be held off by, m² in the local map.
+    fn held_in_local(&self, matched: &MatchedSweep) -> Matrix3<f64> {
+        match (&matched.found, self.active_submaps.matching_submap()) {
+            (Some(found), Some(submap)) => {
+                let turn = submap.local_from_submap.rotation.to_rotation_matrix();
+                turn * found.held * turn.transpose()
+            }
+            _ => Matrix3::from_diagonal_element(f64::from(f32::MAX)),
+        }
+    }
+
+    /// Tells the inertial filter where a sweep ended, or begins it anew there.
+    fn follow_inertially(
+        &mut self,
+        end: Time,
+        predicted: &Way,
+        felt: Option<Felt>,
+        (scan, held): (&MatchedScan, Matrix3<f64>),
+        level: &Quaternion,
+    ) {
+        let (place, turn) = (scan.local_from_tracking.translation.vector, scan.local_from_tracking.rotation);
+        let open: Vec<Vector3> = scan.open.translations.iter().map(|d| turn * d).collect();
+        if let Some(felt) = felt {
+            let stands = self.standstill.pose().is_some();
+            let before = predicted.end().translation.vector;
+            self.inertial.follow(end, &felt, &before, &Arrival { place, open: &open, held, stands });
+            return;
+        }
+        let at_rest = self.standstill.force_at_rest();
+        let force = turn * (level.inverse() * Vector3::z()) * at_rest.unwrap_or(GRAVITY);
+        let velocity = (place - predicted.start().translation.vector) / predicted.seconds().max(1e-3);
+        // An IMU rests in smooth motion, too.
+        let seems_to_stand = at_rest.is_some() && velocity.norm() < SLOW;
+        let velocity = if seems_to_stand { Vector3::zeros() } else { velocity };
+        self.inertial.begin(end, [&place, &velocity, &force], at_rest.is_some());
     }
 
     /// From the tracking frame to a level one, where a sweep matched and the IMU alone says `level`.
@@ -199,7 +294,8 @@ impl LocalSlam3d {
         let to_tracking = matched.local_from_tracking.rotation.inverse();
         let (up, seconds) = (to_tracking * Vector3::z(), way.seconds());
         // Where nothing tells how it moved, nothing tells in which direction either.
-        if way.shift_is_measured || matched.found.as_ref().is_some_and(|f| f.weak.translations.is_empty()) {
+        let is_measured = way.going == Going::Measured;
+        if is_measured || matched.found.as_ref().is_some_and(|f| f.weak.translations.is_empty()) {
             let shift = matched.local_from_tracking.translation.vector - way.start().translation.vector;
             self.weak_spans.moved(&(to_tracking * shift), seconds, &up);
         }
@@ -209,24 +305,27 @@ impl LocalSlam3d {
         };
         let from_submap = found.pose.rotation.inverse();
         let open = |directions: &[Vector3]| directions.iter().map(|d| from_submap * d).collect::<Vec<_>>();
-        let told = |is_told: bool, by: TakenInstead| match is_told {
-            true => by,
-            false if stood => TakenInstead::Rest,
-            false => TakenInstead::Velocity,
+        let going = match way.going {
+            _ if stood => TakenInstead::Rest,
+            Going::Measured => TakenInstead::Odometry,
+            Going::Felt(_) => TakenInstead::Accelerometer,
+            Going::AsBefore => TakenInstead::Velocity,
         };
-        let scan = |taken| WeakScan { time: end, seconds, taken };
-        let shifts = scan(told(way.shift_is_measured && !stood, TakenInstead::Odometry));
         // Where a gyroscope was not believed, the way turns as it did before and not as wheels did.
         let has_gyroscope = self.has_imu && self.extrapolator.as_ref().is_some_and(|e| e.has_gyroscope(end));
-        let turns = scan(match way.turn_is_measured {
-            true => TakenInstead::Gyroscope,
-            false => told(way.shift_is_measured && !stood && !has_gyroscope, TakenInstead::Odometry),
-        });
+        let turning = match (way.turn_is_measured, going) {
+            (true, _) => TakenInstead::Gyroscope,
+            (false, TakenInstead::Odometry) if has_gyroscope => TakenInstead::Velocity,
+            (false, TakenInstead::Accelerometer) => TakenInstead::Velocity,
+            (false, going) => going,
+        };
+        let scan = |taken| WeakScan { time: end, seconds, taken };
+        let (shifts, turns) = (scan(going), scan(turning));
         let (translations, rotations) = (open(&found.weak.translations), open(&found.weak.rotations));
         self.weak_spans.add_shifts(&shifts, &translations, &up);
         self.weak_spans.add_turns(&turns, &rotations, &up);
-        let (way_is_measured, turn_is_measured) = (way.shift_is_measured, way.turn_is_measured);
-        OpenDirections { translations, rotations, way_is_measured, turn_is_measured }
+        let turn_is_measured = way.turn_is_measured;
+        OpenDirections { translations, rotations, way_is_measured: is_measured, turn_is_measured }
     }
 
     /// Puts a scan where it fits the grids of the older submap best.

@@ -117,6 +117,13 @@ impl Standstill {
         (shift < MAX_CREEP && turn < MAX_CREEP_TURN && half_way(older)).then_some(stands)
     }
 
+    /// The mean specific force (m/s²) of an IMU that has been at rest for half a second or more.
+    pub fn force_at_rest(&self) -> Option<f64> {
+        let sum: Vector3 = self.bins.iter().map(|bin| bin.acceleration).sum();
+        let is_resting = self.bins.len() >= BINS / 2 && self.imu_rests();
+        is_resting.then(|| sum.norm() / self.bins.len() as f64)
+    }
+
     fn imu_rests(&self) -> bool {
         let spread = |value: fn(&Bin) -> Vector3| {
             let count = self.bins.len() as f64;

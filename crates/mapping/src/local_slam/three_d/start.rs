@@ -47,6 +47,7 @@ impl LocalSlam3d {
         self.extrapolator = Some(extrapolator);
         if let Some(first) = waiting.first() {
             self.upright.add_imu(first);
+            self.inertial.add_imu(first);
         }
         waiting.iter().skip(1).for_each(|data| self.follow_imu(data));
     }

@@ -3,8 +3,8 @@
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Point3f, Rigid3, Time};
 use portolan_matching::{
-    Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, Way,
-    WayCorrection, WayPrior,
+    Going, Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions,
+    SweptPoint, Way, WayCorrection, WayPrior,
 };
 use portolan_sensor::{PointCloud, RangeData, voxel_filter_indices};
 
@@ -117,9 +117,10 @@ impl SurfaceTracker {
     ) -> MatchedSweep {
         let seconds = way.seconds();
         let bend = Sigmas {
-            shift: match way.shift_is_measured {
-                true => 0.01 + ODOMETRY_ERROR * seconds,
-                false => 0.01 + 0.5 * ACCELERATION * seconds * seconds,
+            shift: match way.going {
+                Going::Measured => 0.01 + ODOMETRY_ERROR * seconds,
+                Going::Felt(velocity_error) => 0.005 + velocity_error * seconds,
+                Going::AsBefore => 0.01 + 0.5 * ACCELERATION * seconds * seconds,
             },
             turn: rotation_sigma(way),
         };
@@ -127,7 +128,7 @@ impl SurfaceTracker {
             true => Sigmas { turn: bend.turn, ..LAST_END },
             false => LAST_END,
         };
-        let prior = WayPrior { start, bend };
+        let prior = WayPrior { start, bend, is_felt: matches!(way.going, Going::Felt(_)) };
         let scale = START_SCALE.max(SCALE_OF_SIGMA * bend.shift).min(2.0);
         let in_submap = way.seen_from(&local_from_submap.inverse());
         let found = self.matcher.match_sweep(surfaces, selection, &in_submap, &prior, scale);

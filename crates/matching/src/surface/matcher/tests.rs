@@ -1,4 +1,5 @@
 use super::*;
+use crate::surface::Going;
 use crate::testing::Lcg;
 use portolan_geometry::{Duration, Time, to_f32};
 
@@ -136,7 +137,7 @@ fn a_sweep_is_found_whose_start_and_speed_were_off() {
     let (start, seconds) = (Time::from_ticks(0), 0.1);
     let end = start + Duration::from_seconds(seconds);
     let mut way = Way::new(start, end, |t| pose_at(0.6, t.seconds_since(start), 0.01));
-    (way.turn_is_measured, way.shift_is_measured) = (true, true);
+    (way.turn_is_measured, way.going) = (true, Going::Measured);
     let fixed = room(&mut lcg, true, 0.02);
     let points: Vec<SweptPoint> = fixed
         .iter()
@@ -147,12 +148,28 @@ fn a_sweep_is_found_whose_start_and_speed_were_off() {
             SweptPoint { offset: (t - seconds) as f32, position: to_f32(&pose_at(1.0, t, 0.0).inverse()) * p }
         })
         .collect();
-    let prior =
-        WayPrior { start: Sigmas { shift: 0.02, turn: 0.005 }, bend: Sigmas { shift: 0.05, turn: 0.01 } };
+    let prior = WayPrior {
+        start: Sigmas { shift: 0.02, turn: 0.005 },
+        bend: Sigmas { shift: 0.05, turn: 0.01 },
+        is_felt: false,
+    };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
     let found = matcher.match_sweep(&map, &points, &way, &prior, 0.3).unwrap();
     let error = pose_at(1.0, seconds, 0.0).inverse() * found.pose;
     assert!(error.translation.vector.norm() < 0.004, "{error}");
     assert!((found.correction.start.y + 0.01).abs() < 0.003, "{:?}", found.correction);
     assert!((found.correction.bend.x - 0.04).abs() < 0.006, "{:?}", found.correction);
+}
+
+#[test]
+fn errors_of_normals_hold_what_they_feign() {
+    let mut sums = Sums { feigned_shift: 10.0, ..Sums::default() };
+    sums.hessian.fixed_view_mut::<3, 3>(0, 0).set_diagonal(&na::Vector3::new(1e5, 20.0, 0.0));
+    let held = Held::by(&sums).covariance();
+    let expected = [HELD * 1e-4, HELD * 0.5, MOST_HELD].map(|error| error * error);
+    assert!((held.diagonal() - na::Vector3::from(expected)).norm() < 1e-9, "{held}");
+    // Beside points whose information is twice what is feigned a prior of their own error weighs as much as they.
+    let information = na::Matrix3::from_diagonal_element((HELD * 0.5).powi(-2));
+    let stiffer = Held::by(&sums).stiffening(&information);
+    assert!((stiffer[(1, 1)] - 2.0).abs() < 1e-9 && (stiffer[(0, 0)] - 1.0).abs() < 1e-6, "{stiffer}");
 }
