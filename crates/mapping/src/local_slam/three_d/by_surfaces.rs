@@ -203,7 +203,7 @@ impl LocalSlam3d {
         let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
         // Where grids of a bare place hold a scanner that wheels or accelerations tell to move, they were made by its beams.
         if !fits_surfaces && way.going == Going::AsBefore {
-            held = Matrix3::from_diagonal_element(GRID_ERROR * GRID_ERROR);
+            held = Some(Matrix3::from_diagonal_element(GRID_ERROR * GRID_ERROR));
             self.match_to_grids(&mut scan);
         }
         self.standstill.add_match(sweep.end, &scan.local_from_tracking);
@@ -231,15 +231,11 @@ impl LocalSlam3d {
         Some(result)
     }
 
-    /// The covariance of what a match may be held off by, m² in the local map.
-    fn held_in_local(&self, matched: &MatchedSweep) -> Matrix3<f64> {
-        match (&matched.found, self.active_submaps.matching_submap()) {
-            (Some(found), Some(submap)) => {
-                let turn = submap.local_from_submap.rotation.to_rotation_matrix();
-                turn * found.held * turn.transpose()
-            }
-            _ => Matrix3::from_diagonal_element(f64::from(f32::MAX)),
-        }
+    /// The covariance of what a match may be held off by, m² in the local map; none where a sweep fits nothing.
+    fn held_in_local(&self, matched: &MatchedSweep) -> Option<Matrix3<f64>> {
+        let found = matched.found.as_ref()?;
+        let turn = self.active_submaps.matching_submap()?.local_from_submap.rotation.to_rotation_matrix();
+        Some(turn * found.held * turn.transpose())
     }
 
     /// Tells the inertial filter where a sweep ended, or begins it anew there.
@@ -248,7 +244,7 @@ impl LocalSlam3d {
         end: Time,
         predicted: &Way,
         felt: Option<Felt>,
-        (scan, held): (&MatchedScan, Matrix3<f64>),
+        (scan, held): (&MatchedScan, Option<Matrix3<f64>>),
         level: &Quaternion,
     ) {
         let (place, turn) = (scan.local_from_tracking.translation.vector, scan.local_from_tracking.rotation);

@@ -12,6 +12,8 @@ use portolan_sensor::ImuData;
 
 /// Longer than this without a sample, seconds, the motion in between is not known.
 const MAX_GAP: f64 = 0.1;
+/// More than what any carrier does and most accelerometers measure, m/s²: such a sample is wrong.
+const MOST_ACCELERATION: f64 = 200.0;
 /// So many samples between two sweeps are kept.
 const MOST_SAMPLES: usize = 20_000;
 /// Standard deviations at the beginning: of velocity (m/s), and of the force at rest (m/s²) as the first second of an
@@ -63,8 +65,8 @@ pub(super) struct Arrival<'a> {
     pub place: Vector3,
     /// Unit vectors along which it says nothing, in the local map.
     pub open: &'a [Vector3],
-    /// Covariance of what else it may be off by, m².
-    pub held: na::Matrix3<f64>,
+    /// Covariance of what else it may be off by, m². None where the sweep fits nothing.
+    pub held: Option<na::Matrix3<f64>>,
     /// Whether it stands.
     pub stands: bool,
 }
@@ -150,8 +152,9 @@ impl Inertial {
                 next += 1;
             }
             let sample = &self.samples[next - 1];
-            is_known &= seconds - sample.time.seconds_since(start) <= MAX_GAP;
             let acceleration = pose.rotation * sample.linear_acceleration - at_rest;
+            is_known &= seconds - sample.time.seconds_since(start) <= MAX_GAP;
+            is_known &= acceleration.norm() <= MOST_ACCELERATION;
             let (mean, step) = (0.5 * (last.unwrap_or(acceleration) + acceleration), seconds - before);
             place += velocity * step + mean * (0.5 * step * step);
             velocity += mean * step;
@@ -164,14 +167,18 @@ impl Inertial {
     /// Goes on to the end of a sweep, which was predicted to end at `before` with the velocity before.
     pub fn follow(&mut self, end: Time, felt: &Felt, before: &Vector3, arrival: &Arrival<'_>) {
         let seconds = felt.way.seconds();
-        self.compare(&felt.way.end().translation.vector, before, arrival);
+        if arrival.held.is_some() {
+            self.compare(&felt.way.end().translation.vector, before, arrival);
+        }
         let place = self.part(PLACE) + felt.way.shift();
         self.state.fixed_rows_mut::<3>(PLACE).copy_from(&place);
         self.state.fixed_rows_mut::<3>(VELOCITY).copy_from(&felt.velocity);
         self.spread(seconds);
-        let told = na::Matrix3::from_diagonal_element(MATCH * MATCH) + arrival.held;
-        let error = arrival.open.iter().fold(told, |sum, d| sum + d * d.transpose() * (OPEN * OPEN));
-        self.correct(PLACE, &arrival.place, &error);
+        if let Some(held) = arrival.held {
+            let told = na::Matrix3::from_diagonal_element(MATCH * MATCH) + held;
+            let error = arrival.open.iter().fold(told, |sum, d| sum + d * d.transpose() * (OPEN * OPEN));
+            self.correct(PLACE, &arrival.place, &error);
+        }
         let variance = match arrival.stands {
             true => STANDING * STANDING,
             false => USUAL_SPEED * USUAL_SPEED / seconds,
@@ -283,7 +290,7 @@ mod tests {
                 let predicted = felt.way.end().translation.vector;
                 arrived = Vector3::new(predicted.x, predicted.y, arrived.z);
             }
-            let held = na::Matrix3::zeros();
+            let held = Some(na::Matrix3::zeros());
             let arrival = Arrival { place: arrived, open: &open, held, stands: false };
             inertial.follow(end, &felt, &(2.0 * now - before), &arrival);
             (before, now, start) = (now, arrived, end);
@@ -326,5 +333,7 @@ mod tests {
         assert!(inertial.felt(time(0.0), &way).is_none());
         (1..=60).for_each(|i| inertial.add_imu(&sample(0.005 * f64::from(i), &Vector3::zeros())));
         assert!(inertial.felt(time(0.0), &way).is_some());
+        inertial.samples[30].linear_acceleration.x = 1e6;
+        assert!(inertial.felt(time(0.0), &way).is_none());
     }
 }
