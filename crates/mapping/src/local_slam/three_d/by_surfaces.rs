@@ -25,6 +25,8 @@ const LONG_GAP: f64 = 0.5;
 const GRAVITY: f64 = 9.81;
 /// Who seems to go more slowly by the first two sweeps while the IMU rests stands, m/s.
 const SLOW: f64 = 1.0;
+/// Seconds for which sweeps that fit no surface are believed to go on as before.
+const GOES_ON: f64 = 1.0;
 /// How far off matches to grids are, metres, where sweeps fit no surface.
 const GRID_ERROR: f64 = 0.2;
 
@@ -34,11 +36,13 @@ pub(super) struct BySurfaces {
     voxel_size: f64,
     /// The first sweep, until the second one tells how fast it was.
     first: Option<TimedSweep>,
+    /// When a sweep last fitted.
+    fitted_at: Option<Time>,
 }
 
 impl BySurfaces {
     pub fn new(voxel_size: f64) -> Self {
-        Self { tracker: SurfaceTracker::new(voxel_size), voxel_size, first: None }
+        Self { tracker: SurfaceTracker::new(voxel_size), voxel_size, first: None, fitted_at: None }
     }
 }
 
@@ -106,6 +110,7 @@ impl LocalSlam3d {
         let sweeps = FirstSweeps::new(first, second, rotation_at, voxel_size);
         let pieces = sweeps.pieces(first);
         let end = sweeps.pose_at(first.end);
+        self.by_surfaces.as_mut()?.fitted_at = Some(first.end);
         // A pose from before, so that the extrapolator knows how fast it was.
         let earliest = extrapolator.last_pose_time().filter(|_| self.has_imu).unwrap_or(Time::MIN);
         let before = (first.end - Duration::from_seconds(0.05)).max(earliest);
@@ -200,9 +205,11 @@ impl LocalSlam3d {
         let mut held = self.held_in_local(&matched);
         let open = self.report_match(sweep.end, &way, stood.is_some(), &matched);
         let fits_surfaces = matched.found.is_some();
+        if let Some(by_surfaces) = self.by_surfaces.as_mut().filter(|_| fits_surfaces) {
+            by_surfaces.fitted_at = Some(sweep.end);
+        }
         let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
-        // Where grids of a bare place hold a scanner that wheels or accelerations tell to move, they were made by its beams.
-        if !fits_surfaces && way.going == Going::AsBefore {
+        if !fits_surfaces && self.asks_grids(sweep.end, &way) {
             held = Some(Matrix3::from_diagonal_element(GRID_ERROR * GRID_ERROR));
             self.match_to_grids(&mut scan);
         }
@@ -229,6 +236,14 @@ impl LocalSlam3d {
             None => self.inserted_standing = 0,
         }
         Some(result)
+    }
+
+    /// Whether grids tell where a sweep is that fits no surface. Those of a bare place were made by the beams, and hold a
+    /// scanner where it was: where a gyroscope tells how it turns, it goes on as before for a while.
+    fn asks_grids(&self, end: Time, way: &Way) -> bool {
+        let fitted_at = self.by_surfaces.as_ref().and_then(|s| s.fitted_at);
+        let since = fitted_at.map_or(f64::INFINITY, |at| end.seconds_since(at));
+        way.going == Going::AsBefore && (!way.turn_is_measured || since > GOES_ON)
     }
 
     /// The covariance of what a match may be held off by, m² in the local map; none where a sweep fits nothing.

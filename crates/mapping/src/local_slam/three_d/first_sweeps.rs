@@ -5,8 +5,8 @@ use portolan_geometry::{
     quaternion_from_angle_axis, rotation_between,
 };
 use portolan_matching::{
-    PosePrior, Sigmas, StraightPieces, SurfaceMap, SurfaceMatcher, SurfaceMatcherOptions, Way, WayCorrection,
-    align_coarsely, up_direction,
+    PosePrior, Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, Way,
+    WayCorrection, align_coarsely, up_direction,
 };
 use portolan_sensor::voxel_filter_points;
 
@@ -14,7 +14,7 @@ use super::super::SweepPoint;
 
 /// Velocity and the sweeps that it unwarps are found in turns.
 const TURNS: u32 = 4;
-/// A match of fewer points is no match.
+/// A match of fewer points is no match, unless a gyroscope tells the turn and they tell every shift.
 const MIN_MATCHED_SHARE: f64 = 0.3;
 /// Points may be off by this much once velocities have been found coarsely, metres.
 const SCALE: f64 = 0.5;
@@ -120,19 +120,32 @@ impl<'a> FirstSweeps<'a> {
     fn motion(&self, reference: &Reference, second: &TimedSweep, is_first_turn: bool) -> Option<Rigid3> {
         let all = self.seen(second);
         let believed = self.pose_at(self.first.end).inverse() * self.pose_at(second.end);
-        let initial = if is_first_turn {
+        let points = voxel_filter_points(&all, SPACING);
+        let found = self.match_near(reference, &points, &believed);
+        let found = if is_first_turn {
             let own = surfaces_of(&all, self.voxel_size);
-            align_coarsely(&reference.upright, &own.upright, &believed).unwrap_or(believed)
+            let coarse = align_coarsely(&reference.upright, &own.upright, &believed);
+            let there = coarse.and_then(|initial| self.match_near(reference, &points, &initial));
+            let share = |found: &SurfaceMatch| found.matched_share;
+            if there.as_ref().map(share) >= found.as_ref().map(share) { there } else { found }
         } else {
-            believed
-        };
-        let prior = PosePrior { pose: initial, sigmas: Sigmas { shift: 1.0, turn: 0.1 } };
+            found
+        }?;
+        // A single sparse sweep among trees shows few surfaces, but they tell how fast it goes if not how it turns, too.
+        let tells = self.rotation_at.is_some() && found.weak.translations.is_empty();
+        (found.matched_share >= MIN_MATCHED_SHARE || tells).then_some(found.pose)
+    }
+
+    fn match_near(
+        &self,
+        reference: &Reference,
+        points: &[Point3f],
+        initial: &Rigid3,
+    ) -> Option<SurfaceMatch> {
+        let prior = PosePrior { pose: *initial, sigmas: Sigmas { shift: 1.0, turn: 0.1 } };
         let options =
             SurfaceMatcherOptions { final_scale: 0.1 * self.voxel_size, ..SurfaceMatcherOptions::default() };
-        let points = voxel_filter_points(&all, SPACING);
-        let found =
-            SurfaceMatcher::new(options).match_scan(&reference.surfaces, &points, &initial, &prior, SCALE)?;
-        (found.matched_share >= MIN_MATCHED_SHARE).then_some(found.pose)
+        SurfaceMatcher::new(options).match_scan(&reference.surfaces, points, initial, &prior, SCALE)
     }
 }
 
