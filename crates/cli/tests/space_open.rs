@@ -76,6 +76,18 @@ fn rings_on_the_grass_do_not_hold_a_scanner_that_moves() {
 }
 
 #[test]
+fn who_is_recorded_from_the_middle_of_a_walk_among_trees_is_followed() {
+    // Two sparse sweeps show few surfaces, and grids of a few sweeps hold the scanner where its beams drew them.
+    for seed in ["4", "42"] {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = ["park", "--seconds", "16", "--beams", "450", "--seed", seed];
+        mapped_of(folder.path(), &scene, &["--no-odometry", "--skip", "9", "--duration", "7"]);
+        let error = largest_error(folder.path());
+        assert!(error < 0.1, "{seed}: {error}");
+    }
+}
+
+#[test]
 fn wheels_do_not_flatten_ramps() {
     let folder = tempfile::tempdir().unwrap();
     mapped(folder.path(), &["garage", "--seconds", "16"], &["--no-imu"]);

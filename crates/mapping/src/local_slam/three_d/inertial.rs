@@ -41,8 +41,8 @@ const CLEARLY_WORSE: f64 = 2.0;
 const SMALL_ERROR: f64 = 1e-4;
 
 /// They are not followed either before velocity (m/s) and force at rest (m/s²) are known so well: at once if it began at
-/// rest, after ten seconds of sweeps that tell the place if it began on the way. Followed from the first second on, walks
-/// that are recorded from their middle on were up to 78 m off, where going on as before is 4 m off.
+/// rest, after ten seconds of sweeps that tell the place if it began on the way. With 0.5 m/s², of 25 walks among trees
+/// that are recorded from their middle on three were 4 to 27 m off; so two are, 2 and 8 m.
 const SURE_VELOCITY: f64 = 0.5;
 const SURE_FORCE: f64 = 0.1;
 
