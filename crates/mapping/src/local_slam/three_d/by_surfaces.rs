@@ -204,12 +204,9 @@ impl LocalSlam3d {
         }
         let mut held = self.held_in_local(&matched);
         let open = self.report_match(sweep.end, &way, stood.is_some(), &matched);
-        let fits_surfaces = matched.found.is_some();
-        if let Some(by_surfaces) = self.by_surfaces.as_mut().filter(|_| fits_surfaces) {
-            by_surfaces.fitted_at = Some(sweep.end);
-        }
+        let asks_grids = self.asks_grids(sweep.end, &way, matched.found.is_some());
         let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
-        if !fits_surfaces && self.asks_grids(sweep.end, &way) {
+        if asks_grids {
             held = Some(Matrix3::from_diagonal_element(GRID_ERROR * GRID_ERROR));
             self.match_to_grids(&mut scan);
         }
@@ -240,10 +237,13 @@ impl LocalSlam3d {
 
     /// Whether grids tell where a sweep is that fits no surface. Those of a bare place were made by the beams, and hold a
     /// scanner where it was: where a gyroscope tells how it turns, it goes on as before for a while.
-    fn asks_grids(&self, end: Time, way: &Way) -> bool {
-        let fitted_at = self.by_surfaces.as_ref().and_then(|s| s.fitted_at);
-        let since = fitted_at.map_or(f64::INFINITY, |at| end.seconds_since(at));
-        way.going == Going::AsBefore && (!way.turn_is_measured || since > GOES_ON)
+    fn asks_grids(&mut self, end: Time, way: &Way, fits_surfaces: bool) -> bool {
+        let Some(by_surfaces) = &mut self.by_surfaces else { return false };
+        if fits_surfaces {
+            by_surfaces.fitted_at = Some(end);
+        }
+        let since = by_surfaces.fitted_at.map_or(f64::INFINITY, |at| end.seconds_since(at));
+        !fits_surfaces && way.going == Going::AsBefore && (!way.turn_is_measured || since > GOES_ON)
     }
 
     /// The covariance of what a match may be held off by, m² in the local map; none where a sweep fits nothing.
@@ -311,7 +311,9 @@ impl LocalSlam3d {
             self.weak_spans.moved(&(to_tracking * shift), seconds, &up);
         }
         let Some(found) = &matched.found else {
-            self.count("scan that fits no surface; grids or odometry and gyroscope told its pose");
+            self.count(
+                "scan that fits no surface; its pose is what wheels, IMU, the velocity before or grids tell",
+            );
             return OpenDirections::default();
         };
         let from_submap = found.pose.rotation.inverse();
