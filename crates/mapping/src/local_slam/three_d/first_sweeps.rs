@@ -5,8 +5,8 @@ use portolan_geometry::{
     quaternion_from_angle_axis, rotation_between,
 };
 use portolan_matching::{
-    PosePrior, Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, Way,
-    WayCorrection, align_coarsely, up_direction,
+    PosePrior, Sigmas, StraightPieces, SurfaceMap, SurfaceMatcher, SurfaceMatcherOptions, Way, WayCorrection,
+    align_coarsely, up_direction,
 };
 use portolan_sensor::voxel_filter_points;
 
@@ -121,31 +121,24 @@ impl<'a> FirstSweeps<'a> {
         let all = self.seen(second);
         let believed = self.pose_at(self.first.end).inverse() * self.pose_at(second.end);
         let points = voxel_filter_points(&all, SPACING);
-        let found = self.match_near(reference, &points, &believed);
-        let found = if is_first_turn {
+        let coarse = is_first_turn.then(|| {
             let own = surfaces_of(&all, self.voxel_size);
-            let coarse = align_coarsely(&reference.upright, &own.upright, &believed);
-            let there = coarse.and_then(|initial| self.match_near(reference, &points, &initial));
-            let share = |found: &SurfaceMatch| found.matched_share;
-            if there.as_ref().map(share) >= found.as_ref().map(share) { there } else { found }
-        } else {
-            found
-        }?;
-        // A single sparse sweep among trees shows few surfaces, but they tell how fast it goes if not how it turns, too.
-        let tells = self.rotation_at.is_some() && found.weak.translations.is_empty();
-        (found.matched_share >= MIN_MATCHED_SHARE || tells).then_some(found.pose)
+            align_coarsely(&reference.upright, &own.upright, &believed)
+        });
+        let mut initial = [coarse.flatten(), Some(believed)].into_iter().flatten();
+        initial.find_map(|initial| self.match_near(reference, &points, &initial))
     }
 
-    fn match_near(
-        &self,
-        reference: &Reference,
-        points: &[Point3f],
-        initial: &Rigid3,
-    ) -> Option<SurfaceMatch> {
+    /// The second pose in the first as the points tell it, if they do.
+    fn match_near(&self, reference: &Reference, points: &[Point3f], initial: &Rigid3) -> Option<Rigid3> {
         let prior = PosePrior { pose: *initial, sigmas: Sigmas { shift: 1.0, turn: 0.1 } };
         let options =
             SurfaceMatcherOptions { final_scale: 0.1 * self.voxel_size, ..SurfaceMatcherOptions::default() };
-        SurfaceMatcher::new(options).match_scan(&reference.surfaces, points, initial, &prior, SCALE)
+        let found =
+            SurfaceMatcher::new(options).match_scan(&reference.surfaces, points, initial, &prior, SCALE)?;
+        // A single sparse sweep among trees shows few surfaces, but they tell how fast it goes if not how it turns, too.
+        let tells_shift = self.rotation_at.is_some() && found.weak.translations.is_empty();
+        (found.matched_share >= MIN_MATCHED_SHARE || tells_shift).then_some(found.pose)
     }
 }
 
