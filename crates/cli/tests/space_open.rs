@@ -78,7 +78,7 @@ fn rings_on_the_grass_do_not_hold_a_scanner_that_moves() {
 #[test]
 fn who_is_recorded_from_the_middle_of_a_walk_among_trees_is_followed() {
     // Two sparse sweeps show few surfaces, and grids of a few sweeps hold the scanner where its beams drew them.
-    for seed in ["4", "42"] {
+    for seed in ["4", "5", "45"] {
         let folder = tempfile::tempdir().unwrap();
         let scene = ["park", "--seconds", "16", "--beams", "450", "--seed", seed];
         mapped_of(folder.path(), &scene, &["--no-odometry", "--skip", "9", "--duration", "7"]);
