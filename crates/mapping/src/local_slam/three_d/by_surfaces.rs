@@ -10,6 +10,7 @@ use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::inertial::{Arrival, Felt};
 use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
 use super::unwarp::Gathered;
+use super::upright::GRAVITY;
 use super::{LocalSlam3d, MatchedScan, sweep_path};
 use crate::pose_extrapolator::PoseExtrapolator;
 use crate::weak_span::WeakScan;
@@ -21,8 +22,6 @@ const YOUNG: u32 = 10;
 const CLEARLY_BETTER: f64 = 1.3;
 /// After so many seconds without a sweep it may have gone on as before, or stopped; or a clock jumped.
 const LONG_GAP: f64 = 0.5;
-/// m/s², where the IMU has not told it.
-const GRAVITY: f64 = 9.81;
 /// Who seems to go more slowly by the first two sweeps while the IMU rests stands, m/s.
 const SLOW: f64 = 1.0;
 /// Seconds for which sweeps that fit no surface are believed to go on as before.

@@ -25,11 +25,11 @@ const MATCH_ERROR: f64 = 0.05;
 /// How far off the average of accelerations is before anything matched, m/s² (standard deviation): 3°.
 const AVERAGE_ERROR: f64 = 0.5;
 /// Longer than this without a sample, seconds, the motion in between is not known.
-const MAX_GAP: f64 = 0.1;
+pub(super) const MAX_GAP: f64 = 0.1;
 /// So many samples between two sweeps are kept.
-const MOST_SAMPLES: usize = 20_000;
+pub(super) const MOST_SAMPLES: usize = 20_000;
 /// Gravity, m/s², and by how much a fit may differ from it to be believed.
-const GRAVITY: f64 = 9.81;
+pub(super) const GRAVITY: f64 = 9.81;
 const MAX_DIFFERENCE: f64 = 1.0;
 
 /// The mean of accelerations (m/s²) as seen from the tracking frame at the first sample, turned there by the
