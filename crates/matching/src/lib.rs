@@ -42,7 +42,7 @@ pub use grid::{
 };
 pub use planar_transform::PlanarTransform;
 pub use surface::{
-    Doubt, Going, Plane, PosePrior, Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher,
-    SurfaceMatcherOptions, SweptPoint, Way, WayCorrection, WayPrior, WeakDirections, align_coarsely,
-    up_direction,
+    Doubt, Going, Plane, PosePrior, PostMap, PostPoint, Sigmas, StraightPieces, SurfaceMap, SurfaceMatch,
+    SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, Way, WayCorrection, WayPrior, WeakDirections,
+    align_coarsely, up_direction,
 };

@@ -30,6 +30,7 @@ mod by_surfaces;
 mod conclusion;
 mod first_sweeps;
 mod inertial;
+mod posts;
 mod standstill;
 mod start;
 mod surface_tracking;

@@ -6,10 +6,11 @@ use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3};
 
 use super::map::{Doubt, SurfaceMap};
+use super::posts::{PostMap, PostPoint, Posts};
 use super::way::{StraightPieces, Way, WayCorrection};
 use sums::{Accumulator, Pairs, Sums};
 
-mod sums;
+pub(super) mod sums;
 
 /// How scans are matched to surfaces.
 #[derive(Clone, Debug, PartialEq)]
@@ -177,7 +178,7 @@ impl SurfaceMatcher {
         let way_prior = WayPrior { start: prior.sigmas, bend: STIFF, is_felt: false };
         let way = Way::standing(prior.pose);
         let first = WayCorrection { start: way.correction_to(initial).end(), ..WayCorrection::default() };
-        self.run(surfaces, &points, &way, first, &way_prior, scale)
+        self.run((surfaces, None), &points, &way, first, &way_prior, scale)
     }
 
     /// The way near a predicted one (in the frame of the surfaces) on which a sweep was measured, and its end: the
@@ -187,6 +188,9 @@ impl SurfaceMatcher {
     /// The start of the way is corrected together with its bend (as the elastic trajectories of Dellenbach et
     /// al., "CT-ICP", 2022, but held by a prior instead of a penalty): held fast, an error of the sweep before would
     /// come back with the opposite sign. The corrected start serves this sweep alone.
+    ///
+    /// What stands around (in the frame of the surfaces) and points of the sweep that show it, in the order of their
+    /// times, help where hardly anything is flat.
     pub fn match_sweep(
         &self,
         surfaces: &SurfaceMap,
@@ -194,26 +198,35 @@ impl SurfaceMatcher {
         way: &Way,
         prior: &WayPrior,
         scale: f64,
+        posts: Option<(&PostMap, &[PostPoint])>,
     ) -> Option<SurfaceMatch> {
-        self.run(surfaces, points, way, WayCorrection::default(), prior, scale)
+        let mut posts = posts.map(|(map, points)| Posts::new(map, points, way));
+        self.run((surfaces, posts.as_mut()), points, way, WayCorrection::default(), prior, scale)
     }
 
     fn run(
         &self,
-        surfaces: &SurfaceMap,
+        (surfaces, mut posts): (&SurfaceMap, Option<&mut Posts>),
         points: &[SweptPoint],
         way: &Way,
         mut correction: WayCorrection,
         prior: &WayPrior,
         scale: f64,
     ) -> Option<SurfaceMatch> {
-        let parts = parts_of(points, way);
+        let parts = parts_of(points, |p| p.offset, way);
         let mut scale = scale.max(self.options.final_scale);
         let mut pairs = Pairs::new(points.len(), surfaces.edge());
         let mut last = None;
         for _ in 0..self.options.max_iterations {
             let is_coarse = scale > self.options.final_scale;
-            let sums = self.sums(surfaces, points, &parts, &mut pairs, &way.bent(&correction), scale);
+            let bent = way.bent(&correction);
+            let mut all = Accumulator::default();
+            let (matched, squares) =
+                self.add_planes(&mut all, surfaces, (points, &parts), &mut pairs, &bent, scale);
+            if let Some(posts) = posts.as_deref_mut() {
+                posts.add_to(&mut all, &bent, scale);
+            }
+            let sums = Sums { matched, squares, ..all.finish() };
             if sums.matched < 20 {
                 return None;
             }
@@ -248,20 +261,20 @@ impl SurfaceMatcher {
         })
     }
 
-    /// Pairs points with planes where they moved, and sums up what all of them say on a way.
-    fn sums(
+    /// Pairs points with planes where they moved, and adds what all of them say on a way. How many did, and the sum of
+    /// their squared distances.
+    fn add_planes(
         &self,
+        all: &mut Accumulator,
         surfaces: &SurfaceMap,
-        points: &[SweptPoint],
-        parts: &[Part],
+        (points, parts): (&[SweptPoint], &[Part]),
         pairs: &mut Pairs,
         way: &StraightPieces,
         scale: f64,
-    ) -> Sums {
+    ) -> (usize, f64) {
         let noise = (self.options.range_noise * self.options.range_noise) as f32;
         let squared_scale = (scale * scale) as f32;
         let least_variance = (self.options.normal_noise * self.options.normal_noise) as f32;
-        let mut all = Accumulator::default();
         for part in parts {
             for i in part.points.clone() {
                 let (point, pair) = (&points[i], &mut pairs.pairs[i]);
@@ -305,7 +318,7 @@ impl SurfaceMatcher {
             }
             all.end_part(part.bows);
         }
-        all.finish()
+        all.matched()
     }
 
     /// The eigenvectors of both halves of the information that errors of normals alone could explain (Zhang,
@@ -328,13 +341,13 @@ impl SurfaceMatcher {
 
 /// Points of a sweep that were measured at about the same time, and how much the bend of the way shifts and turns
 /// them.
-struct Part {
-    points: Range<usize>,
-    bows: [f64; 2],
+pub(super) struct Part {
+    pub points: Range<usize>,
+    pub bows: [f64; 2],
 }
 
-fn parts_of(points: &[SweptPoint], way: &Way) -> Vec<Part> {
-    let share = |p: &SweptPoint| way.share_at(p.offset);
+pub(super) fn parts_of<T>(points: &[T], offset: impl Fn(&T) -> f32, way: &Way) -> Vec<Part> {
+    let share = |p: &T| way.share_at(offset(p));
     let mut parts: Vec<Part> = Vec::with_capacity(PARTS as usize);
     let mut begin = 0;
     for chunk in points.chunk_by(|a, b| (share(a) * PARTS).floor() == (share(b) * PARTS).floor()) {

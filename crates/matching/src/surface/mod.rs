@@ -12,6 +12,7 @@ mod cell;
 mod leveling;
 mod map;
 mod matcher;
+mod posts;
 mod way;
 
 pub use bootstrap::align_coarsely;
@@ -21,4 +22,5 @@ pub use matcher::{
     PosePrior, Sigmas, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, WayPrior,
     WeakDirections,
 };
+pub use posts::{PostMap, PostPoint};
 pub use way::{Going, StraightPieces, Way, WayCorrection};

@@ -8,7 +8,8 @@ use portolan_sensor::voxel_filter;
 use super::conclusion::Wanted;
 use super::first_sweeps::{FirstSweeps, TimedSweep};
 use super::inertial::{Arrival, Felt};
-use super::surface_tracking::{MatchedSweep, SurfaceTracker, in_tracking};
+use super::posts::{PostsToMatch, RecentPosts};
+use super::surface_tracking::{MatchedSweep, SurfaceTracker, Target, in_tracking};
 use super::unwarp::Gathered;
 use super::upright::GRAVITY;
 use super::{LocalSlam3d, MatchedScan, sweep_path};
@@ -37,11 +38,13 @@ pub(super) struct BySurfaces {
     first: Option<TimedSweep>,
     /// When a sweep last fitted.
     fitted_at: Option<Time>,
+    posts: RecentPosts,
 }
 
 impl BySurfaces {
     pub fn new(voxel_size: f64) -> Self {
-        Self { tracker: SurfaceTracker::new(voxel_size), voxel_size, first: None, fitted_at: None }
+        let (tracker, posts) = (SurfaceTracker::new(voxel_size), RecentPosts::default());
+        Self { tracker, voxel_size, first: None, fitted_at: None, posts }
     }
 }
 
@@ -59,6 +62,8 @@ struct Outlook {
     level: Option<Quaternion>,
     /// Whether the gyroscope was at the end of its range.
     saturated: bool,
+    /// What stands around, where nothing measures how it goes.
+    posts: Option<PostsToMatch>,
 }
 
 impl LocalSlam3d {
@@ -147,24 +152,30 @@ impl LocalSlam3d {
         way.going = going;
         way.turn_is_measured = self.has_imu && extrapolator.has_gyroscope(end);
         let level = self.has_imu.then(|| extrapolator.estimate_gravity_orientation(end));
-        Some(Outlook { saturated: self.saturated_at > start, predicted, stood, felt, way, level })
+        let saturated = self.saturated_at > start;
+        Some(Outlook { predicted, stood, felt, way, level, saturated, posts: None })
     }
 
     /// Matches a sweep near the expected way, and near others if that may be wrong: then nothing is felt.
     fn match_near(&mut self, sweep: &TimedSweep, outlook: &mut Outlook) -> Option<MatchedSweep> {
         let extrapolator = self.extrapolator.as_mut()?;
-        let tracker = &mut self.by_surfaces.as_mut()?.tracker;
+        let BySurfaces { tracker, posts, .. } = self.by_surfaces.as_mut()?;
         let selection = tracker.selection(&sweep.points);
         let submap = self.active_submaps.matching_submap()?;
-        let target = (&submap.local_from_submap, submap.surfaces.as_ref()?);
+        outlook.posts = posts.to_match(sweep, &outlook.way, &submap.local_from_submap.inverse());
+        let target = Target {
+            local_from_submap: &submap.local_from_submap,
+            surfaces: submap.surfaces.as_ref()?,
+            posts: outlook.posts.as_ref(),
+        };
         let unmeasured =
             outlook.way.turn_is_measured.then(|| sweep_path::turning_on(extrapolator, sweep.end));
-        let mut matched = tracker.match_sweep(&selection, &outlook.way, target);
+        let mut matched = tracker.match_sweep(&selection, &outlook.way, &target);
         if matched.found.is_none() && matches!(outlook.way.going, Going::Felt(_)) {
             // A single wrong sample of an accelerometer throws it metres away.
             let mut as_before = outlook.predicted.clone();
             as_before.turn_is_measured = outlook.way.turn_is_measured;
-            let matched_there = tracker.match_sweep(&selection, &as_before, target);
+            let matched_there = tracker.match_sweep(&selection, &as_before, &target);
             if matched_there.found.is_some() {
                 (matched, outlook.way, outlook.felt) = (matched_there, as_before, None);
             }
@@ -173,7 +184,7 @@ impl LocalSlam3d {
             && let Some((_, last)) = extrapolator.last_pose()
         {
             let stayed = sweep_path::standing(extrapolator, sweep.end, &last);
-            let matched_there = tracker.match_sweep(&selection, &stayed, target);
+            let matched_there = tracker.match_sweep(&selection, &stayed, &target);
             if matched_there.fit() > matched.fit() {
                 (matched, outlook.way, outlook.felt) = (matched_there, stayed, None);
             }
@@ -181,7 +192,7 @@ impl LocalSlam3d {
         if let Some(other) =
             unmeasured.filter(|_| outlook.saturated || matched.contradicts_turn(&outlook.way))
         {
-            let by_scans = tracker.match_sweep(&selection, &other, target);
+            let by_scans = tracker.match_sweep(&selection, &other, &target);
             let wanted = if outlook.saturated { 1.0 } else { CLEARLY_BETTER };
             if by_scans.fit() > wanted * matched.fit() {
                 (matched, outlook.way, outlook.felt) = (by_scans, other, None);
@@ -195,7 +206,7 @@ impl LocalSlam3d {
     fn follow(&mut self, sweep: &TimedSweep) -> Option<MatchingResult<Spatial>> {
         let mut outlook = self.look_ahead(sweep.end)?;
         let matched = self.match_near(sweep, &mut outlook)?;
-        let Outlook { predicted, stood, felt, way, level, saturated } = outlook;
+        let Outlook { predicted, stood, felt, way, level, saturated, posts } = outlook;
         match stood {
             Some(_) => self.gyroscope_bias.observe(&predicted.turn(), &Quaternion::identity(), way.seconds()),
             None if saturated => {}
@@ -204,6 +215,7 @@ impl LocalSlam3d {
         let mut held = self.held_in_local(&matched);
         let open = self.report_match(sweep.end, &way, stood.is_some(), &matched);
         let asks_grids = self.asks_grids(sweep.end, &way, matched.found.is_some());
+        let standing = posts.map(|posts| posts.seen_from_end(&matched.pieces));
         let mut scan = MatchedScan { open, ..self.seen_from_end(sweep, matched) };
         if asks_grids {
             held = Some(Matrix3::from_diagonal_element(GRID_ERROR * GRID_ERROR));
@@ -216,6 +228,9 @@ impl LocalSlam3d {
         }
         if let Some(level) = &level {
             self.follow_inertially(sweep.end, &predicted, felt, (&scan, held), level);
+        }
+        if let (Some(points), Some(by_surfaces)) = (standing, &mut self.by_surfaces) {
+            by_surfaces.posts.add(sweep.end, scan.local_from_tracking, points);
         }
         self.extrapolator.as_mut()?.add_pose(sweep.end, scan.local_from_tracking);
         let gravity = level.map(|level| self.leveled(sweep.end, &scan.local_from_tracking, level));

@@ -9,6 +9,7 @@ use portolan_matching::{
 use portolan_sensor::{PointCloud, RangeData, voxel_filter_indices};
 
 use super::super::SweepPoint;
+use super::posts::PostsToMatch;
 use super::unwarp::Gathered;
 
 /// So many points of a sweep are matched, spread evenly over what it sees.
@@ -66,6 +67,14 @@ fn rotation_sigma(way: &Way) -> f64 {
     }
 }
 
+/// What a sweep is matched to.
+pub(super) struct Target<'a> {
+    pub local_from_submap: &'a Rigid3,
+    /// In the frame of the submap.
+    pub surfaces: &'a SurfaceMap,
+    pub posts: Option<&'a PostsToMatch>,
+}
+
 /// Matches sweeps to surfaces.
 pub(super) struct SurfaceTracker {
     matcher: SurfaceMatcher,
@@ -108,13 +117,9 @@ impl SurfaceTracker {
         selection
     }
 
-    /// Finds the way of a sweep on surfaces given in the frame of a submap.
-    pub fn match_sweep(
-        &self,
-        selection: &[SweptPoint],
-        way: &Way,
-        (local_from_submap, surfaces): (&Rigid3, &SurfaceMap),
-    ) -> MatchedSweep {
+    /// Finds the way of a sweep on the surfaces of a submap.
+    pub fn match_sweep(&self, selection: &[SweptPoint], way: &Way, target: &Target) -> MatchedSweep {
+        let &Target { local_from_submap, surfaces, posts } = target;
         let seconds = way.seconds();
         let bend = Sigmas {
             shift: match way.going {
@@ -131,7 +136,8 @@ impl SurfaceTracker {
         let prior = WayPrior { start, bend, is_felt: matches!(way.going, Going::Felt(_)) };
         let scale = START_SCALE.max(SCALE_OF_SIGMA * bend.shift).min(2.0);
         let in_submap = way.seen_from(&local_from_submap.inverse());
-        let found = self.matcher.match_sweep(surfaces, selection, &in_submap, &prior, scale);
+        let posts = posts.map(|posts| (&posts.map, &posts.points[..]));
+        let found = self.matcher.match_sweep(surfaces, selection, &in_submap, &prior, scale, posts);
         let found = found.filter(|found| found.matched_share >= MIN_MATCHED_SHARE);
         let correction = found.as_ref().map_or_else(WayCorrection::default, |found| found.correction);
         MatchedSweep {

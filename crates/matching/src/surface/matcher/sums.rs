@@ -37,7 +37,7 @@ impl Pairs {
 
 /// Sums over the points on one way.
 #[derive(Default)]
-pub(super) struct Sums {
+pub(in crate::surface) struct Sums {
     /// By corrections of the start, which move all points alike.
     pub hessian: na::Matrix6<f64>,
     pub gradient: na::Vector6<f64>,
@@ -58,7 +58,7 @@ pub(super) struct Sums {
 
 /// Adds up products of rows.
 #[derive(Default)]
-pub(super) struct Accumulator {
+pub(in crate::surface) struct Accumulator {
     block: [[f32; ROW]; 6],
     block_weights: [f32; 2],
     in_block: u32,
@@ -131,6 +131,11 @@ impl Accumulator {
         self.sums.between += between;
         self.sums.bend_hessian += share * between;
         self.sums.bend_gradient += share * gradient;
+    }
+
+    /// How many rows were added until the last end of a part, and the sum of their squared residuals.
+    pub fn matched(&self) -> (usize, f64) {
+        (self.matched, self.weights[1])
     }
 
     pub fn finish(self) -> Sums {

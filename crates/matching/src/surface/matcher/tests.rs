@@ -154,7 +154,7 @@ fn a_sweep_is_found_whose_start_and_speed_were_off() {
         is_felt: false,
     };
     let matcher = SurfaceMatcher::new(SurfaceMatcherOptions::default());
-    let found = matcher.match_sweep(&map, &points, &way, &prior, 0.3).unwrap();
+    let found = matcher.match_sweep(&map, &points, &way, &prior, 0.3, None).unwrap();
     let error = pose_at(1.0, seconds, 0.0).inverse() * found.pose;
     assert!(error.translation.vector.norm() < 0.004, "{error}");
     assert!((found.correction.start.y + 0.01).abs() < 0.003, "{:?}", found.correction);
