@@ -8,8 +8,10 @@ use portolan_geometry::{Point3f, Rigid3, Vector3};
 use super::map::{Doubt, SurfaceMap};
 use super::posts::{PostMap, PostPoint, Posts};
 use super::way::{StraightPieces, Way, WayCorrection};
+use step::{Held, solve};
 use sums::{Accumulator, Pairs, Sums};
 
+mod step;
 pub(super) mod sums;
 
 /// How scans are matched to surfaces.
@@ -120,8 +122,6 @@ pub struct SurfaceMatch {
     pub held: na::Matrix3<f64>,
 }
 
-/// The prior holds this many times more than the points in a direction in which they do not.
-const PRIOR_IN_WEAK_DIRECTIONS: f64 = 30.0;
 /// A shift is told when there is so many times more information than errors of normals feign: those of uneven
 /// surfaces, which are off alike over metres, and those for the noise of hits, which differ from plane to plane, so
 /// that their sum is known better. In a map of a few sweeps noise is most of what there is: counted four times,
@@ -143,11 +143,6 @@ const SMALL_TURN: f64 = 5e-5;
 const PARTS: f64 = 8.0;
 /// With this part of the share that is wanted a match has no hope, once the loss has its final scale.
 const HOPELESS_SHARE: f64 = 0.6;
-/// Planes whose normals are all that seems to tell a shift hold the scanner where it was when they were made, so far from
-/// where it is, metres: it goes so far until other planes are seen. Walks through parks without wheels come out alike
-/// with 0.01 to 0.1; without it four of twelve were 0.025 to 0.043 m off instead of 0.005 to 0.014.
-const HELD: f64 = 0.03;
-const MOST_HELD: f64 = 1.0;
 /// A scan that took no time does not bend.
 const STIFF: Sigmas = Sigmas { shift: 1e-6, turn: 1e-6 };
 
@@ -356,78 +351,6 @@ pub(super) fn parts_of<T>(points: &[T], offset: impl Fn(&T) -> f32, way: &Way) -
         begin += chunk.len();
     }
     parts
-}
-
-/// How far points may be off because errors of normals pass for information: as with all errors in variables the shift
-/// comes out too small, by the feigned share of the information.
-struct Held {
-    /// Unit vectors as columns, in the frame of the surfaces.
-    directions: na::Matrix3<f64>,
-    /// Along each, m².
-    variances: Vector3,
-}
-
-impl Held {
-    fn by(sums: &Sums) -> Self {
-        let told = na::SymmetricEigen::new(sums.hessian.fixed_view::<3, 3>(0, 0) - sums.doubtful[0]);
-        let variance =
-            |told: f64| (HELD * sums.feigned_shift / told.max(f64::MIN_POSITIVE)).min(MOST_HELD).powi(2);
-        Self { directions: told.eigenvectors, variances: told.eigenvalues.map(variance) }
-    }
-
-    fn covariance(&self) -> na::Matrix3<f64> {
-        self.directions * na::Matrix3::from_diagonal(&self.variances) * self.directions.transpose()
-    }
-
-    /// How many times stiffer a prior is beside points of so much information (1/m²) than if these were not held.
-    fn stiffening(&self, information: &na::Matrix3<f64>) -> na::Matrix3<f64> {
-        let columns = self.directions.column_iter().zip(&self.variances);
-        columns.fold(na::Matrix3::identity(), |sum, (direction, variance)| {
-            sum + direction * direction.transpose() * (direction.dot(&(information * direction)) * variance)
-        })
-    }
-}
-
-/// One Gauss-Newton step of points and prior together.
-fn solve(
-    sums: &Sums,
-    correction: &WayCorrection,
-    prior: &WayPrior,
-    weak: &WeakDirections,
-    held: Option<&Held>,
-) -> Option<WayCorrection> {
-    let stiffness = |sigmas: &Sigmas| {
-        let mut stiffness = na::Matrix6::zeros();
-        for (at, sigma, directions) in
-            [(0, sigmas.shift, &weak.translations), (3, sigmas.turn, &weak.rotations)]
-        {
-            let information = sums.hessian.fixed_view::<3, 3>(at, at).into_owned();
-            let mut block = na::Matrix3::from_diagonal_element(1.0 / (sigma * sigma));
-            match held.filter(|_| at == 0) {
-                Some(held) => block *= held.stiffening(&information),
-                None => {
-                    for direction in directions {
-                        let told = direction.dot(&(information * direction)).abs();
-                        block += direction * direction.transpose() * (PRIOR_IN_WEAK_DIRECTIONS * told);
-                    }
-                }
-            }
-            stiffness.fixed_view_mut::<3, 3>(at, at).copy_from(&block);
-        }
-        stiffness
-    };
-    let (by_start, by_bend) = (stiffness(&prior.start), stiffness(&prior.bend));
-    let mut hessian = na::SMatrix::<f64, 12, 12>::zeros();
-    hessian.fixed_view_mut::<6, 6>(0, 0).copy_from(&(sums.hessian + by_start));
-    hessian.fixed_view_mut::<6, 6>(0, 6).copy_from(&sums.between);
-    hessian.fixed_view_mut::<6, 6>(6, 0).copy_from(&sums.between.transpose());
-    hessian.fixed_view_mut::<6, 6>(6, 6).copy_from(&(sums.bend_hessian + by_bend));
-    let mut gradient = na::SVector::<f64, 12>::zeros();
-    gradient.fixed_rows_mut::<6>(0).copy_from(&(sums.gradient + by_start * correction.start));
-    gradient.fixed_rows_mut::<6>(6).copy_from(&(sums.bend_gradient + by_bend * correction.bend));
-    let step = hessian.cholesky()?.solve(&-gradient);
-    let (start, bend) = (step.fixed_rows::<6>(0).into(), step.fixed_rows::<6>(6).into());
-    step.iter().all(|v| v.is_finite()).then_some(WayCorrection { start, bend })
 }
 
 #[cfg(test)]

@@ -160,16 +160,3 @@ fn a_sweep_is_found_whose_start_and_speed_were_off() {
     assert!((found.correction.start.y + 0.01).abs() < 0.003, "{:?}", found.correction);
     assert!((found.correction.bend.x - 0.04).abs() < 0.006, "{:?}", found.correction);
 }
-
-#[test]
-fn errors_of_normals_hold_what_they_feign() {
-    let mut sums = Sums { feigned_shift: 10.0, ..Sums::default() };
-    sums.hessian.fixed_view_mut::<3, 3>(0, 0).set_diagonal(&na::Vector3::new(1e5, 20.0, 0.0));
-    let held = Held::by(&sums).covariance();
-    let expected = [HELD * 1e-4, HELD * 0.5, MOST_HELD].map(|error| error * error);
-    assert!((held.diagonal() - na::Vector3::from(expected)).norm() < 1e-9, "{held}");
-    // Beside points whose information is twice what is feigned a prior of their own error weighs as much as they.
-    let information = na::Matrix3::from_diagonal_element((HELD * 0.5).powi(-2));
-    let stiffer = Held::by(&sums).stiffening(&information);
-    assert!((stiffer[(1, 1)] - 2.0).abs() < 1e-9 && (stiffer[(0, 0)] - 1.0).abs() < 1e-6, "{stiffer}");
-}
