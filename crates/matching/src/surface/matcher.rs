@@ -218,9 +218,7 @@ impl SurfaceMatcher {
             let mut all = Accumulator::default();
             let (matched, squares) =
                 self.add_planes(&mut all, surfaces, (points, &parts), &mut pairs, &bent, scale);
-            if let Some(posts) = posts.as_deref_mut() {
-                posts.add_to(&mut all, &bent, scale);
-            }
+            let by_posts = posts.as_deref_mut().map(|posts| posts.add_to(&mut all, &bent, scale));
             let sums = Sums { matched, squares, ..all.finish() };
             if sums.matched < 20 {
                 return None;
@@ -234,7 +232,7 @@ impl SurfaceMatcher {
             let step = solve(&sums, &correction, prior, &weak, held.as_ref())?;
             correction.start += step.start;
             correction.bend += step.bend;
-            last = Some((sums, weak, held));
+            last = Some((sums, weak, held, by_posts));
             let moved = step.end();
             let is_small =
                 moved.fixed_rows::<3>(0).norm() < SMALL_SHIFT && moved.fixed_rows::<3>(3).norm() < SMALL_TURN;
@@ -243,7 +241,12 @@ impl SurfaceMatcher {
             }
             scale = (scale * SCALE_DECAY).max(self.options.final_scale);
         }
-        let (sums, weak, held) = last?;
+        let (mut sums, mut weak, held, by_posts) = last?;
+        if let Some(by_posts) = by_posts {
+            // Some points of bare walls seem to stand alone, too: what is told is reported by planes.
+            sums.doubtful.iter_mut().zip(by_posts).for_each(|(doubtful, told)| *doubtful += told);
+            weak = Self::weak_directions(&sums);
+        }
         let pose = way.corrected_end(&correction);
         pose.translation.vector.iter().all(|v| v.is_finite()).then(|| SurfaceMatch {
             pose,

@@ -11,7 +11,8 @@ use nalgebra as na;
 use portolan_geometry::{Point3f, Quaternion};
 use portolan_sensor::voxel_filter_indices;
 
-use super::matcher::{Part, SweptPoint, parts_of, sums::Accumulator};
+use super::matcher::sums::{Accumulator, POINTS_PER_INDEPENDENT_ONE};
+use super::matcher::{Part, SweptPoint, parts_of};
 use super::way::{StraightPieces, Way};
 use crate::grid::LeafIndex;
 
@@ -234,8 +235,14 @@ impl<'a> Posts<'a> {
         Self { map, points, parts, pairs: vec![nowhere; points.len()] }
     }
 
-    /// Adds what they say on a way.
-    pub fn add_to(&mut self, all: &mut Accumulator, way: &StraightPieces, scale: f64) {
+    /// Adds what they say on a way. What they say of shifts and turns alone: `JᵀWJ` of both.
+    pub fn add_to(
+        &mut self,
+        all: &mut Accumulator,
+        way: &StraightPieces,
+        scale: f64,
+    ) -> [na::Matrix3<f64>; 2] {
+        let mut told = [na::Matrix3::<f32>::zeros(); 2];
         let squared_scale = scale.max(FINAL_SCALE).powi(2) as f32;
         for part in &self.parts {
             for i in part.points.clone() {
@@ -252,12 +259,16 @@ impl<'a> Posts<'a> {
                 let row = row.map(|row| way.seen(&(swept.position + row), swept.offset).0 - turned);
                 for direction in told_by(row).into_iter().flatten() {
                     let lever = turned.cross(&direction);
+                    for (sum, v) in told.iter_mut().zip([direction, lever]) {
+                        *sum += v * v.transpose() * weight;
+                    }
                     let [n, l] = [direction, lever].map(|v| [v.x, v.y, v.z]);
                     all.add([n[0], n[1], n[2], l[0], l[1], l[2], direction.dot(&off), 0.0], weight, 0.0);
                 }
             }
             all.end_part(part.bows);
         }
+        told.map(|sum| sum.cast() / POINTS_PER_INDEPENDENT_ONE)
     }
 }
 

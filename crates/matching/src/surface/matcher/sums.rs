@@ -5,7 +5,7 @@ use nalgebra as na;
 use crate::surface::map::Plane;
 
 /// Neighbouring points share their error, so that so many count as one.
-const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
+pub(in crate::surface) const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
 /// A point is paired anew when it has moved by this share of the edge of the largest voxels.
 const SLACK_SHARE: f32 = 0.03;
 /// So many points are summed in single precision before the sum is added to that of all.
