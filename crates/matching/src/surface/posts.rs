@@ -25,8 +25,8 @@ const FOOT: f32 = 0.3;
 /// Spacing of the points, metres.
 const SPACING: f32 = 0.2;
 /// So many points at most, evenly in time: more outweigh planes, which are known far better. With all 11 500 of a street
-/// seen by 64 beams, it came out 0.053 m off instead of 0.031; with 500, one of six walks
-/// among trees was lost.
+/// seen by 64 beams it came out 0.053 m off instead of 0.032. Where all together weigh no more than 500, one of six
+/// walks among trees was 1 m off.
 const MOST_POINTS: usize = 1000;
 /// What is seen in three by three cells of this edge (metres) is a row if it spreads so far, metres (standard
 /// deviation), and so many times farther than across.
