@@ -112,11 +112,13 @@ impl Localisation {
             }
             state.submaps.get(&c.submap_id)?.node_ids.iter().find_map(|id| time(*id))
         });
-        let first_found_after_seconds =
-            first.min().zip(start).map(|(found, start)| found.seconds_since(start));
+        let trimmed = state.trimmed_ties.get(&new);
+        let first = first.chain(trimmed.map(|ties| ties.first)).min();
+        let first_found_after_seconds = first.zip(start).map(|(found, start)| found.seconds_since(start));
         let placed = mapped.map.graph.placed_at();
         let placed_after_seconds = placed.zip(start).map(|(placed, start)| placed.seconds_since(start));
-        Some(Self { loop_closures: between.len(), first_found_after_seconds, placed_after_seconds })
+        let loop_closures = between.len() + trimmed.map_or(0, |ties| ties.count);
+        Some(Self { loop_closures, first_found_after_seconds, placed_after_seconds })
     }
 
     /// For people.

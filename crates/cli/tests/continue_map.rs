@@ -141,6 +141,28 @@ fn a_map_in_space_goes_on_on_its_surfaces() {
 }
 
 #[test]
+fn a_trajectory_outlives_the_submaps_that_localisation_trims() {
+    let walk = walk();
+    let keep_two = ["--frozen", "--set", "pure_localization_trimmer.max_submaps_to_keep=2"];
+    let output = walk.go_on("trimmed", &[&keep_two[..], &["--all-poses"]].concat());
+    let known = &report(&output)["known_map"];
+    assert!(known["loop_closures"].as_u64().unwrap() > 3, "{known}");
+    assert!(known["first_found_after_seconds"].as_f64().unwrap() < 10.0, "{known}");
+    assert!(walk.error_of_both(&output) < 0.3, "{}", walk.error_of_both(&output));
+    let poses = |folder: &str, file: &str| {
+        let poses = std::fs::read_to_string(walk.folder.path().join(folder).join(file)).unwrap();
+        poses.lines().filter(|l| !l.starts_with('#')).count()
+    };
+    walk.go_on("kept", &["--frozen", "--all-poses"]);
+    for file in ["trajectory.tum", "all_poses.tum"] {
+        assert_eq!(poses("trimmed", file), poses("kept", file), "{file}");
+    }
+    // The map is the known one again.
+    let map = text(&output.join("map.pbstream"));
+    assert_eq!(map_info(&map)["trajectories"].as_array().unwrap().len(), 1);
+}
+
+#[test]
 fn a_map_is_extended_and_optimised_as_a_whole() {
     let walk = walk();
     let output = walk.go_on("extended", &[]);

@@ -53,7 +53,7 @@ pub use planar::Planar;
 pub use pose_extrapolator::{ExtrapolatorCounts, ExtrapolatorError, PoseExtrapolator};
 pub use pose_graph::{
     GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, PoseGraph, SearchCounts, SubmapEntry,
-    TrajectoryConnectivity, TrajectoryEntry, TrajectoryState, Trimmer,
+    TrajectoryConnectivity, TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedTies, Trimmer,
 };
 pub use space::{MatchedPose, Nearby, SearchRegion, Space};
 pub use spatial::{Spatial, SpatialMatcher};

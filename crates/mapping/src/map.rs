@@ -6,7 +6,7 @@ use portolan_config::Options;
 use portolan_geometry::{Rigid3, Time, interpolate};
 
 use crate::mapper::EndedTrajectory;
-use crate::{NodeId, PoseGraph, Space, TrajectoryId, of_trajectory};
+use crate::{NodeId, PoseGraph, Space, TrajectoryId, TrimmedNode, of_trajectory};
 
 /// One scan, inserted or not.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,11 +39,14 @@ impl<S: Space> Map<S> {
         Self { options, graph, trajectories }
     }
 
-    /// Time and global pose of every node of a trajectory.
+    /// Time and global pose of every node of a trajectory, and of those that were trimmed.
     pub fn node_poses(&self, id: TrajectoryId) -> Vec<(Time, Rigid3)> {
-        of_trajectory(&self.graph.state().nodes, id)
-            .map(|(_, node)| (node.data.time, node.map_from_tracking))
-            .collect()
+        let state = self.graph.state();
+        let kept = of_trajectory(&state.nodes, id).map(|(id, n)| (id, (n.data.time, n.map_from_tracking)));
+        let trimmed = of_trajectory(&state.trimmed_nodes, id);
+        let trimmed = trimmed.map(|(id, n)| (id, (n.time, n.map_from_tracking)));
+        let all: BTreeMap<NodeId, (Time, Rigid3)> = kept.chain(trimmed).collect();
+        all.into_values().collect()
     }
 
     /// Time and global pose of every scan of a trajectory, inserted or not: what local SLAM found,
@@ -54,16 +57,26 @@ impl<S: Space> Map<S> {
     }
 
     fn scan_pose(&self, id: TrajectoryId, scan: &ScanPose) -> Option<Rigid3> {
-        let nodes = &self.graph.state().nodes;
-        let before = nodes.get(&NodeId::new(id, scan.last_node_index?))?;
-        let by = |node: &crate::Node| {
-            node.map_from_tracking * node.data.local_from_tracking.inverse() * scan.local_from_tracking
+        let before = self.node_as_last(NodeId::new(id, scan.last_node_index?))?;
+        let by = |node: &TrimmedNode| {
+            node.map_from_tracking * node.local_from_tracking.inverse() * scan.local_from_tracking
         };
-        match nodes.get(&NodeId::new(id, scan.last_node_index? + 1)) {
-            Some(after) if scan.time > before.data.time => {
-                Some(interpolate(before.data.time, &by(before), after.data.time, &by(after), scan.time))
+        match self.node_as_last(NodeId::new(id, scan.last_node_index? + 1)) {
+            Some(after) if scan.time > before.time => {
+                Some(interpolate(before.time, &by(&before), after.time, &by(&after), scan.time))
             }
-            _ => Some(by(before)),
+            _ => Some(by(&before)),
         }
+    }
+
+    /// A node as it is, or as it was when it was trimmed.
+    fn node_as_last(&self, id: NodeId) -> Option<TrimmedNode> {
+        let state = self.graph.state();
+        let kept = state.nodes.get(&id).map(|node| TrimmedNode {
+            time: node.data.time,
+            local_from_tracking: node.data.local_from_tracking,
+            map_from_tracking: node.map_from_tracking,
+        });
+        kept.or_else(|| state.trimmed_nodes.get(&id).copied())
     }
 }

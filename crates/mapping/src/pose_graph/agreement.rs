@@ -154,6 +154,9 @@ impl<S: Space> PoseGraph<S> {
             if self.problem.frozen.contains(&id) {
                 continue;
             }
+            for (_, node) in self.state.trimmed_nodes.iter_mut().filter(|(n, _)| n.trajectory_id == id) {
+                node.map_from_tracking = by * node.map_from_tracking;
+            }
             for (_, pose) in self.problem.submaps.iter_mut().filter(|(s, _)| s.trajectory_id == id) {
                 *pose = by * *pose;
             }

@@ -23,7 +23,9 @@ use std::sync::Arc;
 use agreement::WaitingMatches;
 pub use connectivity::TrajectoryConnectivity;
 pub use search::SearchCounts;
-pub use state::{GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState};
+pub use state::{
+    GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedTies,
+};
 use travel::TravelGraph;
 pub use trimming::Trimmer;
 

@@ -46,6 +46,26 @@ pub struct SubmapEntry<S: Space> {
     pub node_ids: BTreeSet<NodeId>,
 }
 
+/// What is left of a node that a trimmer removed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrimmedNode {
+    /// Time of its scan.
+    pub time: Time,
+    /// Pose of the tracking frame in the local map.
+    pub local_from_tracking: Rigid3,
+    /// Global pose of the tracking frame when it was removed.
+    pub map_from_tracking: Rigid3,
+}
+
+/// Loop closures of a trajectory with others that went with trimmed nodes and submaps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrimmedTies {
+    /// How many.
+    pub count: usize,
+    /// Time of the earliest node of the trajectory that took part.
+    pub first: Time,
+}
+
 /// Everything known of one trajectory besides its nodes and submaps.
 #[derive(Clone, Debug)]
 pub struct TrajectoryEntry {
@@ -85,6 +105,11 @@ pub struct GraphState<S: Space> {
     pub connectivity: TrajectoryConnectivity,
     /// Submap poses as the last optimisation left them; those not in it follow their trajectory.
     pub optimized_submaps: BTreeMap<SubmapId, Rigid3>,
+    /// Where the nodes were that trimmers removed: the trajectory of a recording is not lost with them.
+    /// Files do not keep them.
+    pub trimmed_nodes: BTreeMap<NodeId, TrimmedNode>,
+    /// By trajectory.
+    pub trimmed_ties: BTreeMap<TrajectoryId, TrimmedTies>,
 }
 
 impl<S: Space> Default for GraphState<S> {
@@ -96,6 +121,8 @@ impl<S: Space> Default for GraphState<S> {
             constraints: Vec::new(),
             connectivity: TrajectoryConnectivity::default(),
             optimized_submaps: BTreeMap::new(),
+            trimmed_nodes: BTreeMap::new(),
+            trimmed_ties: BTreeMap::new(),
         }
     }
 }

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use portolan_config::OverlappingSubmapsTrimmer2dOptions;
 use portolan_geometry::{Time, embed_3d, project_2d};
 
-use super::{PoseGraph, TrajectoryState};
-use crate::{ConstraintTag, NodeId, Space, SubmapId, TrajectoryId};
+use super::{GraphState, PoseGraph, TrajectoryState, TrimmedNode, TrimmedTies};
+use crate::{Constraint, ConstraintTag, Node, NodeId, Space, SubmapId, TrajectoryId};
 
 /// Decides after each optimisation what to remove.
 #[derive(Clone, Debug)]
@@ -161,6 +161,7 @@ impl<S: Space> PoseGraph<S> {
             .filter(|node| !self.state.submaps.values().any(|s| s.node_ids.contains(node)))
             .copied()
             .collect();
+        self.remember_ties(&entry.node_ids, |c| c.submap_id == id || orphans.contains(&c.node_id));
         let mut weakened: BTreeSet<SubmapId> = BTreeSet::new();
         self.state.constraints.retain(|c| {
             let goes = c.submap_id == id || orphans.contains(&c.node_id);
@@ -179,9 +180,32 @@ impl<S: Space> PoseGraph<S> {
         self.search.forget_tasks(|submap, node| submap == id || orphans.contains(&node));
         self.problem.submaps.remove(&id);
         self.state.optimized_submaps.remove(&id);
-        for node in orphans {
-            self.state.nodes.remove(&node);
-            self.problem.trim_node(node);
+        for id in orphans {
+            if let Some(Node { data, map_from_tracking }) = self.state.nodes.remove(&id) {
+                let (time, local_from_tracking) = (data.time, data.local_from_tracking);
+                let trimmed = TrimmedNode { time, local_from_tracking, map_from_tracking };
+                self.state.trimmed_nodes.insert(id, trimmed);
+            }
+            self.problem.trim_node(id);
+        }
+    }
+
+    /// Counts the loop closures between trajectories that go with a submap of these nodes.
+    fn remember_ties(&mut self, of_submap: &BTreeSet<NodeId>, goes: impl Fn(&Constraint) -> bool) {
+        let submap_since = of_submap.iter().find_map(|id| self.state.nodes.get(id)).map(|n| n.data.time);
+        let GraphState { constraints, nodes, trimmed_ties, .. } = &mut self.state;
+        for c in constraints.iter().filter(|c| goes(c)) {
+            let (of_node, of_submap) = (c.node_id.trajectory_id, c.submap_id.trajectory_id);
+            if of_node == of_submap {
+                continue;
+            }
+            let node_time = nodes.get(&c.node_id).map(|n| n.data.time);
+            for (trajectory_id, time) in [(of_node, node_time), (of_submap, submap_since)] {
+                let Some(time) = time else { continue };
+                let ties = trimmed_ties.entry(trajectory_id).or_insert(TrimmedTies { count: 0, first: time });
+                ties.count += 1;
+                ties.first = ties.first.min(time);
+            }
         }
     }
 }
