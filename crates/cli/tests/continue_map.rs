@@ -163,6 +163,20 @@ fn a_trajectory_outlives_the_submaps_that_localisation_trims() {
 }
 
 #[test]
+fn optimising_a_map_in_space_again_changes_it_little() {
+    let walk = museum_walk();
+    let again = text(&walk.folder.path().join("again.pbstream"));
+    let run = portolan_with_code(0, &["optimize", &walk.known_map, "-o", &again, "--json"]);
+    let done: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    // With the weights of the reference instead of those that the map was made with it is several centimetres.
+    assert!(done["largest_move"].as_f64().unwrap() < 0.005, "{done}");
+    // What was written tells how it was made, too.
+    let run = portolan_with_code(0, &["optimize", &again, "-o", &again, "--json"]);
+    let done: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert!(done["largest_move"].as_f64().unwrap() < 0.005, "{done}");
+}
+
+#[test]
 fn a_map_is_extended_and_optimised_as_a_whole() {
     let walk = walk();
     let output = walk.go_on("extended", &[]);

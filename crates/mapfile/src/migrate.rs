@@ -87,7 +87,7 @@ pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<M
     let mut writer = PbstreamWriter::create(output)?;
     while let Some(raw) = reader.next_message()? {
         match raw.kind() {
-            MessageKind::Header => writer.write_header(FORMAT_VERSION)?,
+            MessageKind::Header => writer.write_header(FORMAT_VERSION, &plan.configuration)?,
             MessageKind::PoseGraph if !plan.unfinished.is_empty() => {
                 writer.write_bytes(without_submaps(raw, &plan.unfinished))?;
             }
@@ -107,6 +107,8 @@ pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<M
 /// What is to be done, known after reading the map once.
 struct Plan {
     from_version: u32,
+    /// Of Portolan, in the header.
+    configuration: String,
     histograms: BTreeMap<IdInFile, Vec<f32>>,
     unfinished: BTreeSet<IdInFile>,
 }
@@ -127,6 +129,7 @@ impl Plan {
             }
         }
         let from_version = reader.header().format_version;
+        let configuration = reader.header().portolan_configuration.clone();
         let mut submaps: BTreeMap<IdInFile, Quaternion> = BTreeMap::new();
         let mut nodes: BTreeMap<IdInFile, NodeTurn> = BTreeMap::new();
         let (mut unfinished, mut first_2d) = (BTreeSet::new(), None);
@@ -179,7 +182,7 @@ impl Plan {
         } else {
             BTreeMap::new()
         };
-        Ok(Self { from_version, histograms, unfinished })
+        Ok(Self { from_version, configuration, histograms, unfinished })
     }
 
     fn submap(&self, raw: RawMessage, report: &mut MigrateReport) -> Option<Vec<u8>> {

@@ -132,7 +132,7 @@ pub fn repair(input: &Path, output: &Path, limits: ReadLimits) -> Result<RepairR
 /// What a damaged file has to offer.
 #[derive(Default)]
 struct Survey {
-    version: Option<u32>,
+    header: Option<SerializationHeader>,
     graph: Option<(PoseGraph, Vec<u8>)>,
     options: Option<(AllTrajectoryBuilderOptions, Vec<u8>)>,
     parts: Parts,
@@ -150,7 +150,7 @@ impl Survey {
         let mut salvage = Salvage::open(input, limits)?;
         while let Some(raw) = salvage.next_message()? {
             if let Some(header) = header(&raw) {
-                survey.version.get_or_insert(header.format_version);
+                survey.header.get_or_insert(header);
             } else if let Some(data) = decode(&raw) {
                 survey.data(data, raw.bytes);
             }
@@ -195,9 +195,9 @@ impl Survey {
     }
 
     fn start(&self, report: &mut RepairReport) -> Start {
-        let format_version = self.version.unwrap_or_else(|| {
+        let header = self.header.clone().unwrap_or_else(|| {
             report.add(Repair::HeaderMade);
-            FORMAT_VERSION
+            SerializationHeader { format_version: FORMAT_VERSION, ..SerializationHeader::default() }
         });
         let graph = self.graph.clone().filter(|(graph, _)| !graph.trajectory.is_empty());
         let (before, graph_bytes) = graph.unwrap_or_else(|| {
@@ -214,7 +214,7 @@ impl Survey {
             if same && !bytes.is_empty() { bytes } else { encode(data) }
         };
         let messages = [
-            SerializationHeader { format_version }.encode_to_vec(),
+            header.encode_to_vec(),
             unless_same(graph == before, graph_bytes, Data::PoseGraph(graph.clone())),
             unless_same(options == options_before, options_bytes, Data::AllTrajectoryBuilderOptions(options)),
         ];

@@ -60,7 +60,7 @@ fn message(data: Data) -> Vec<u8> {
 
 fn start(version: u32) -> Vec<Vec<u8>> {
     vec![
-        mapping::SerializationHeader { format_version: version }.encode_to_vec(),
+        mapping::SerializationHeader { format_version: version, ..Default::default() }.encode_to_vec(),
         message(Data::PoseGraph(mapping::PoseGraph::default())),
         message(Data::AllTrajectoryBuilderOptions(mapping::AllTrajectoryBuilderOptions::default())),
     ]
@@ -255,12 +255,12 @@ fn writing_fails_where_it_must() {
     assert!(error.to_string().contains("does not exist"), "{error}");
     let path = folder.path().join("map.pbstream");
     let mut writer = PbstreamWriter::create(&path).unwrap();
-    writer.write_header(FORMAT_VERSION).unwrap();
+    writer.write_header(FORMAT_VERSION, "").unwrap();
     drop(writer);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     if cfg!(target_os = "linux") {
         let mut writer = PbstreamWriter::create("/dev/full").unwrap();
-        writer.write_header(FORMAT_VERSION).unwrap();
+        writer.write_header(FORMAT_VERSION, "").unwrap();
         assert!(matches!(writer.finish(), Err(PbstreamError::Write { .. })));
     }
 }

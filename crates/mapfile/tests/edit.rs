@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use common::small_map::SmallMap;
 use common::{all_maps, shared};
-use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions};
+use portolan_config::{ConstraintBuilderOptions, Options};
 use portolan_geometry::{Rigid3, Time, Vector3};
 use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::proto::mapping::{PoseGraph, TrajectoryData};
@@ -176,7 +176,7 @@ fn loops_are_dropped_found_again_and_optimised() {
     assert!(matches!(missing, Err(EditError::NoPart { what: "submap", .. })));
     let dropped = map.drop_loops_beyond(1.0, f64::INFINITY);
     assert!(dropped > 0 && map.loop_residuals()[0].translation <= 1.0);
-    let done = map.optimize(&OptimizationProblemOptions::default(), 50).unwrap();
+    let done = map.optimize(&Options::for_2d(), 50).unwrap();
     assert!(done.final_cost < done.initial_cost && done.nodes == 2786, "{done:?}");
     map.write(&out).unwrap();
     summary(&out);
@@ -188,7 +188,7 @@ fn optimising_in_space_keeps_what_fits() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.pbstream");
     let mut map = draft(&path);
-    let done = map.optimize(&OptimizationProblemOptions::default(), 200).unwrap();
+    let done = map.optimize(&Options::for_3d(), 200).unwrap();
     assert!(done.final_cost <= done.initial_cost && done.nodes == 727, "{done:?}");
     assert!(done.largest_move < 0.2, "{done:?}");
     map.write(&out).unwrap();
@@ -254,7 +254,7 @@ fn fixed_frames_move_with_the_map() {
     for optimise in [false, true] {
         let mut map = draft(&path);
         if optimise {
-            map.optimize(&OptimizationProblemOptions::default(), 5).unwrap();
+            map.optimize(&Options::for_2d(), 5).unwrap();
         }
         map.transform(&turn).unwrap();
         map.rename_trajectories(&BTreeMap::from([(0, 2)])).unwrap();

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use common::small_map::{SmallMap, pose};
-use portolan_config::OptimizationProblemOptions;
+use portolan_config::Options;
 use portolan_geometry::{Rigid3, Time};
 use portolan_mapfile::proto::mapping as m;
 use portolan_mapfile::proto::mapping::grid2_d::Grid;
@@ -100,7 +100,7 @@ fn use_every_tool(path: &Path, folder: &Path) {
     }
     drop(draft.walls());
     drop(draft.to_graph());
-    drop(draft.optimize(&OptimizationProblemOptions::default(), 3));
+    drop(draft.optimize(&Options::default(), 3));
     drop(draft.cut_time(Time::from_ticks(1000), Time::from_ticks(1001)));
     drop(draft.cut_area(&MapArea { min_x: -1.0, min_y: -1.0, max_x: 0.5, max_y: 1.0 }, false));
     drop(draft.rename_trajectories(&BTreeMap::from([(0, 7)])));

@@ -274,7 +274,7 @@ fn changed(
     let changed = folder.path().join("changed.pbstream");
     contents.rest.iter_mut().for_each(|data| change(&mut contents.graph, data));
     let mut writer = PbstreamWriter::create(&changed).unwrap();
-    writer.write_header(2).unwrap();
+    writer.write_header(2, "").unwrap();
     writer.write(Data::PoseGraph(contents.graph)).unwrap();
     writer.write(Data::AllTrajectoryBuilderOptions(contents.options)).unwrap();
     contents.rest.into_iter().for_each(|data| writer.write(data).unwrap());

@@ -33,7 +33,7 @@ fn is_3d(path: &Path) -> bool {
 /// Reads a map and writes it again.
 fn through_memory(path: &Path, copy: &Path) -> LoadedMap<Spatial> {
     let loaded: LoadedMap<Spatial> = read_map(path, &MapLoadSettings::default()).unwrap();
-    let options = Options::default().trajectory_builder;
+    let options = Options::default();
     write_graph(&loaded.graph, &loaded.trajectories, &options, copy, true).unwrap();
     loaded
 }

@@ -177,14 +177,14 @@ fn tilted_scanners_come_back_byte_by_byte_too() {
     for constraint in &state.constraints {
         tilted.load_constraint(constraint.clone());
     }
-    let builder = &options.trajectory_builder;
-    write_graph(&tilted, &map.trajectories, builder, &first, true).unwrap();
+    
+    write_graph(&tilted, &map.trajectories, &options, &first, true).unwrap();
     let loaded = read_map_2d(&first, &MapLoadSettings::default()).unwrap();
     for (a, b) in loaded.graph.state().constraints.iter().zip(&tilted.state().constraints) {
         let off = a.submap_from_node.inverse() * b.submap_from_node;
         assert!(off.translation.vector.norm() < 1e-11 && off.rotation.angle() < 1e-11, "{off}");
     }
-    write_graph(&loaded.graph, &loaded.trajectories, builder, &second, true).unwrap();
+    write_graph(&loaded.graph, &loaded.trajectories, &options, &second, true).unwrap();
     assert!(std::fs::read(&first).unwrap() == std::fs::read(&second).unwrap());
 }
 

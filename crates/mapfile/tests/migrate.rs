@@ -116,7 +116,7 @@ fn summed_histograms_are_those_of_the_reference() {
         for raw in PbstreamReader::open(path).unwrap() {
             let raw = raw.unwrap();
             match raw.decode().unwrap() {
-                portolan_mapfile::Message::Header(_) => writer.write_header(1).unwrap(),
+                portolan_mapfile::Message::Header(_) => writer.write_header(1, "").unwrap(),
                 portolan_mapfile::Message::Data(data) => match *data {
                     Data::Submap(mut submap) => {
                         let submap_3d = submap.submap_3d.as_mut().unwrap();

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use portolan_config::TrajectoryBuilderOptions;
+use portolan_config::{Options, TrajectoryBuilderOptions};
 use portolan_mapping::{
     EndedTrajectory, Map, Node, NodeData, NodeId, Planar, PoseGraph, SubmapEntry, SubmapId, TrajectoryId,
 };
@@ -62,27 +62,27 @@ pub fn write_map<S: MapSpace>(
     path: impl AsRef<Path>,
     include_unfinished: bool,
 ) -> Result<WriteReport, MapConversionError> {
-    write_graph(&map.graph, &map.trajectories, &map.options.trajectory_builder, path, include_unfinished)
+    write_graph(&map.graph, &map.trajectories, &map.options, path, include_unfinished)
 }
 
-/// Like [`write_map`], of a pose graph that may still be growing. `options` count for trajectories that
-/// are not in `trajectories`.
+/// Like [`write_map`], of a pose graph that may still be growing. `options` are those of the map; the ones of
+/// `trajectory_builder` count for trajectories that are not in `trajectories`.
 ///
 /// # Errors
 /// As [`write_map`].
 pub fn write_graph<S: MapSpace>(
     graph: &PoseGraph<S>,
     trajectories: &BTreeMap<TrajectoryId, EndedTrajectory>,
-    options: &TrajectoryBuilderOptions,
+    options: &Options,
     path: impl AsRef<Path>,
     include_unfinished: bool,
 ) -> Result<WriteReport, MapConversionError> {
     let mut writer = PbstreamWriter::create(path)?;
     let mut report = WriteReport::default();
     let selection = Selection::new(graph.state(), include_unfinished);
-    writer.write_header(FORMAT_VERSION)?;
+    writer.write_header(FORMAT_VERSION, &options.to_json())?;
     writer.write(Data::PoseGraph(pose_graph_to_proto(graph, &selection, &mut report)?))?;
-    let all_options = all_options_to_proto(graph, &selection, trajectories, options)?;
+    let all_options = all_options_to_proto(graph, &selection, trajectories, &options.trajectory_builder)?;
     writer.write(Data::AllTrajectoryBuilderOptions(all_options))?;
     write_submaps(graph, &selection, &mut writer)?;
     write_nodes(graph, &mut writer, &mut report)?;

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use portolan_config::{ConfigError, Options};
 use portolan_geometry::Rigid3;
 use portolan_mapping::ImuState;
 use prost::Message as _;
@@ -68,6 +69,8 @@ pub(super) struct Estimate {
 /// A map that is being edited.
 pub struct MapDraft {
     pub(super) version: u32,
+    /// As JSON, of the first file; empty unless Portolan made it.
+    configuration: String,
     pub(super) graph: PoseGraph,
     /// Beside `graph.trajectory`.
     pub(super) options: Vec<TrajectoryOptions>,
@@ -95,12 +98,14 @@ impl MapDraft {
         let graph = reader.pose_graph().clone();
         check(path, &graph)?;
         let (unread, options) = Unread::read(path, limits).map_err(failed)?;
-        let version = reader.header().format_version;
+        let header = reader.header();
+        let (version, configuration) = (header.format_version, header.portolan_configuration.clone());
         let dimension = dimension(&mut reader).map_err(failed)?;
         let ids = graph.trajectory.iter().map(|t| (t.trajectory_id, t.trajectory_id)).collect();
         let source = Source { path: path.to_owned(), ids, map_from_source: Rigid3::identity() };
         Ok(Self {
             version,
+            configuration,
             graph,
             options,
             unread,
@@ -111,6 +116,17 @@ impl MapDraft {
             limits,
             report: EditReport::default(),
         })
+    }
+
+    /// The options that the (first) map was made with; none if it does not say so.
+    ///
+    /// # Errors
+    /// If what it says cannot be read.
+    pub fn options(&self) -> Result<Option<Options>, ConfigError> {
+        if self.configuration.is_empty() {
+            return Ok(None);
+        }
+        Options::from_json(&self.configuration).map(|c| Some(c.options))
     }
 
     /// Adds all of another map, placed by `map_from_other` into the global map of this one. Its trajectories
@@ -207,7 +223,7 @@ impl MapDraft {
         let failed = |source| EditError::File { path: output.to_owned(), source };
         self.sort_trajectories();
         let mut writer = PbstreamWriter::create(output).map_err(failed)?;
-        writer.write_header(self.version).map_err(failed)?;
+        writer.write_header(self.version, &self.configuration).map_err(failed)?;
         let mut rest = Rest::new(&self.graph, &self.cuts, &self.estimates);
         let graph = std::mem::take(&mut self.graph).encode_to_vec();
         writer.write_bytes(self.unread.pose_graph_message(graph)).map_err(failed)?;

@@ -4,11 +4,11 @@ mod collect;
 
 use std::collections::BTreeMap;
 
-use portolan_config::OptimizationProblemOptions;
-use portolan_geometry::Rigid3;
+use portolan_config::Options;
+use portolan_geometry::{Rigid3, Time};
 use portolan_mapping::{
     Constraint, ConstraintTag, NodeId, OptimizationData, OptimizationNode, OptimizationSummary, Planar,
-    Space, Spatial, SubmapId, TrajectoryId,
+    Space, Spatial, SubmapId, TrajectoryConnectivity, TrajectoryId,
 };
 use serde::Serialize;
 
@@ -41,13 +41,15 @@ pub struct MapOptimization {
 impl MapDraft {
     /// Optimises all poses of the map, at most `iterations` steps, with all that mapping uses: loop closures and
     /// constraints within submaps, what local SLAM, odometry and (3D) the IMU say of neighbouring nodes,
-    /// fixed-frame poses and landmarks. The first submap stays where it is (3D: it aligns with gravity).
+    /// fixed-frame poses and landmarks. The first submap stays where it is (3D: it aligns with gravity), and so
+    /// does that of every part that nothing ties to the rest. `options` are best those of the map
+    /// ([`MapDraft::options`]): weights that it was not made with bend it.
     ///
     /// # Errors
     /// If the files cannot be read, a node lacks its pose, or there is nothing to optimise.
     pub fn optimize(
         &mut self,
-        options: &OptimizationProblemOptions,
+        options: &Options,
         iterations: u32,
     ) -> Result<MapOptimization, EditError> {
         match self.dimension {
@@ -58,17 +60,19 @@ impl MapDraft {
 
     fn optimize_in<S: Space>(
         &mut self,
-        options: &OptimizationProblemOptions,
+        options: &Options,
         iterations: u32,
     ) -> Result<MapOptimization, EditError> {
         let collected = Collected::read(self)?;
         let mut data = self.problem::<S>(&collected);
         data.max_iterations_override = Some(iterations);
+        data.corrects_imu_biases = options.portolan.match_surfaces;
         let constraints = self.constraints::<S>(&collected);
+        data.set_anchors(&connectivity(&data, &constraints));
         if data.nodes.is_empty() || data.submaps.is_empty() {
             return Err(EditError::Optimization("it has no nodes or no submaps".to_owned()));
         }
-        let summary = S::optimize(&mut data, &constraints, options);
+        let summary = S::optimize(&mut data, &constraints, &options.map_builder.pose_graph.optimization_problem);
         Ok(self.take_over::<S>(&data, constraints.len(), summary))
     }
 
@@ -171,6 +175,16 @@ impl MapDraft {
             largest_move,
         }
     }
+}
+
+/// Which trajectories constraints tie together.
+fn connectivity(data: &OptimizationData, constraints: &[Constraint]) -> TrajectoryConnectivity {
+    let mut connectivity = TrajectoryConnectivity::default();
+    data.submaps.keys().for_each(|id| connectivity.add(id.trajectory_id));
+    for c in constraints {
+        connectivity.connect(c.submap_id.trajectory_id, c.node_id.trajectory_id, Time::MIN);
+    }
+    connectivity
 }
 
 // Ids of a draft are checked to be at least zero.

@@ -67,7 +67,7 @@ impl SmallMap {
     /// Writes the map.
     pub fn write(self, path: &Path) {
         let mut writer = PbstreamWriter::create(path).unwrap();
-        writer.write_header(self.version).unwrap();
+        writer.write_header(self.version, "").unwrap();
         writer.write(Data::PoseGraph(self.graph)).unwrap();
         writer.write(Data::AllTrajectoryBuilderOptions(self.options)).unwrap();
         self.rest.into_iter().for_each(|d| writer.write(d).unwrap());

@@ -6,7 +6,7 @@ use std::ops::Bound;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkObservation, OdometryData};
 
-use crate::{NodeId, OpenDirections, SubmapId, TrajectoryId};
+use crate::{NodeId, OpenDirections, SubmapId, TrajectoryConnectivity, TrajectoryId, of_trajectory};
 
 /// A node as the optimisation sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -117,6 +117,19 @@ impl OptimizationData {
     /// The measurements of a trajectory, created empty when it is new.
     pub fn sensors_mut(&mut self, trajectory_id: TrajectoryId) -> &mut TrajectorySensors {
         self.sensors.entry(trajectory_id).or_default()
+    }
+
+    /// Holds the first submap of every part of the map that neither a landmark nor a frozen trajectory holds.
+    pub fn set_anchors(&mut self, connectivity: &TrajectoryConnectivity) {
+        let sightings = self.landmarks.values().flat_map(|l| &l.sightings);
+        let see_landmarks: BTreeSet<TrajectoryId> = sightings.map(|s| s.trajectory_id).collect();
+        let parts = connectivity.components();
+        let floating = parts
+            .iter()
+            .filter(|part| !part.iter().any(|id| see_landmarks.contains(id) || self.frozen.contains(id)));
+        let first_submap =
+            |id: &TrajectoryId| of_trajectory(&self.submaps, *id).next().map(|(submap_id, _)| submap_id);
+        self.anchors = floating.filter_map(|part| part.iter().find_map(first_submap)).collect();
     }
 
     /// Forgets a node and the measurements that only mattered between its neighbours: strictly inside

@@ -347,7 +347,7 @@ impl<S: Space> PoseGraph<S> {
         if self.problem.submaps.is_empty() || self.problem.nodes.is_empty() {
             return;
         }
-        self.problem.anchors = self.anchors();
+        self.problem.set_anchors(&self.state.connectivity);
         let constraints = constraints_that_move(&self.state.constraints, &self.problem.frozen);
         self.last_summary = S::optimize(&mut self.problem, &constraints, &self.options.optimization_problem);
         self.optimizations += 1;
@@ -371,20 +371,6 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// The first submaps of all parts of the map that neither constraints nor landmarks tie to others.
-    fn anchors(&self) -> BTreeSet<SubmapId> {
-        let sightings = self.problem.landmarks.values().flat_map(|l| &l.sightings);
-        let see_landmarks: BTreeSet<TrajectoryId> = sightings.map(|s| s.trajectory_id).collect();
-        let parts = self.state.connectivity.components();
-        let floating = parts.iter().filter(|part| {
-            !part.iter().any(|id| see_landmarks.contains(id) || self.problem.frozen.contains(id))
-        });
-        floating
-            .filter_map(|part| {
-                part.iter().find_map(|id| of_trajectory(&self.problem.submaps, *id).next().map(|(id, _)| id))
-            })
-            .collect()
-    }
-
     /// Takes over optimised poses; nodes that the problem does not hold move with their trajectory.
     fn publish_poses(&mut self) {
         let trajectories: Vec<TrajectoryId> = self.state.trajectories.keys().copied().collect();

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Rigid3, Time, Vector3};
-use portolan_mapfile::{EditReport, LoopResidual, MapDimension, MapDraft, MapOptimization, ReadLimits};
+use portolan_mapfile::{EditReport, LoopResidual, MapDraft, MapOptimization, ReadLimits};
 use serde::Serialize;
 
 use super::values::{Rotation, time};
@@ -107,8 +107,7 @@ fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> R
         }
         draft.drop_loops_beyond(metres, f64::INFINITY);
     }
-    let spatial = draft.dimension() == Some(MapDimension::Spatial);
-    let options = options(spatial, &args.set)?;
+    let options = options(draft, &args.set)?;
     for new in &args.add_loop {
         let weights = draft.loop_weights();
         let pose = match new.submap_from_node {

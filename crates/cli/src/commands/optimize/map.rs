@@ -40,22 +40,28 @@ pub fn run(args: &OptimizeArgs, _: &GlobalArgs) -> Result<Outcome, CliError> {
     Ok(Outcome::Done)
 }
 
-/// Optimises with the defaults for the map's dimension and `settings`.
+/// Optimises with [`options`].
 pub fn optimize_draft(
     draft: &mut MapDraft,
     settings: &[String],
     iterations: Option<u32>,
 ) -> Result<MapOptimization, CliError> {
-    let spatial = draft.dimension() == Some(MapDimension::Spatial);
-    let options = options(spatial, settings)?;
+    let options = options(draft, settings)?;
     let graph = &options.map_builder.pose_graph;
     let most = iterations.or(u32::try_from(graph.max_num_final_iterations).ok()).unwrap_or(200);
-    Ok(draft.optimize(&graph.optimization_problem, most)?)
+    Ok(draft.optimize(&options, most)?)
 }
 
-/// Default options with settings.
-pub fn options(spatial: bool, settings: &[String]) -> Result<Options, CliError> {
-    let mut options = if spatial { Options::for_3d() } else { Options::for_2d() };
+/// The options that the map was made with, or else the defaults of its dimension; and `settings`.
+pub fn options(draft: &MapDraft, settings: &[String]) -> Result<Options, CliError> {
+    let made_with = draft.options().unwrap_or_else(|error| {
+        tracing::warn!("{error}: the defaults are taken instead");
+        None
+    });
+    let mut options = made_with.unwrap_or_else(|| match draft.dimension() {
+        Some(MapDimension::Spatial) => Options::for_3d(),
+        _ => Options::for_2d(),
+    });
     for setting in settings {
         options.set(setting).map_err(|error| CliError::Usage(error.to_string()))?;
     }
