@@ -177,7 +177,7 @@ fn tilted_scanners_come_back_byte_by_byte_too() {
     for constraint in &state.constraints {
         tilted.load_constraint(constraint.clone());
     }
-    
+
     write_graph(&tilted, &map.trajectories, &options, &first, true).unwrap();
     let loaded = read_map_2d(&first, &MapLoadSettings::default()).unwrap();
     for (a, b) in loaded.graph.state().constraints.iter().zip(&tilted.state().constraints) {

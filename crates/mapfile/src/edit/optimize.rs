@@ -47,11 +47,7 @@ impl MapDraft {
     ///
     /// # Errors
     /// If the files cannot be read, a node lacks its pose, or there is nothing to optimise.
-    pub fn optimize(
-        &mut self,
-        options: &Options,
-        iterations: u32,
-    ) -> Result<MapOptimization, EditError> {
+    pub fn optimize(&mut self, options: &Options, iterations: u32) -> Result<MapOptimization, EditError> {
         match self.dimension {
             Some(MapDimension::Spatial) => self.optimize_in::<Spatial>(options, iterations),
             _ => self.optimize_in::<Planar>(options, iterations),
@@ -72,7 +68,8 @@ impl MapDraft {
         if data.nodes.is_empty() || data.submaps.is_empty() {
             return Err(EditError::Optimization("it has no nodes or no submaps".to_owned()));
         }
-        let summary = S::optimize(&mut data, &constraints, &options.map_builder.pose_graph.optimization_problem);
+        let summary =
+            S::optimize(&mut data, &constraints, &options.map_builder.pose_graph.optimization_problem);
         Ok(self.take_over::<S>(&data, constraints.len(), summary))
     }
 

@@ -24,7 +24,8 @@ use agreement::WaitingMatches;
 pub use connectivity::TrajectoryConnectivity;
 pub use search::SearchCounts;
 pub use state::{
-    GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedTies,
+    GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedNode,
+    TrimmedTies,
 };
 use travel::TravelGraph;
 pub use trimming::Trimmer;

@@ -6,6 +6,7 @@ use portolan_sensor::{
 };
 
 use super::gnss::GeodeticPosition;
+use super::plan::ImuScale;
 use super::statistics::is_partial;
 use super::timed_points::TimedPoints;
 use crate::tf::{TfError, TfTree, frame_name};
@@ -63,14 +64,20 @@ pub(crate) fn odometry(time: Time, odom_from_child: Rigid3, tracking_from_child:
 /// Why an IMU sample cannot be used.
 pub(crate) enum ImuFault {
     NotFinite,
+    Impossible,
     Partial,
 }
+
+/// Twice what common gyroscopes can measure, rad/s; single samples beyond are faults of the transmission.
+pub(crate) const MAX_ANGULAR_VELOCITY: f64 = 80.0;
+/// Twice and a half what common accelerometers can measure (16 g), m/s².
+pub(crate) const MAX_ACCELERATION: f64 = 400.0;
 
 /// An IMU sample rotated into the tracking frame.
 pub(crate) fn imu(
     time: Time,
     message: &Imu,
-    acceleration_scale: f64,
+    scale: ImuScale,
     tracking_from_imu: &Rigid3,
 ) -> Result<ImuData, ImuFault> {
     if is_partial(message) {
@@ -80,11 +87,16 @@ pub(crate) fn imu(
     if values.clone().any(|v| !v.is_finite()) {
         return Err(ImuFault::NotFinite);
     }
+    let linear_acceleration = scale.acceleration * Vector3::from(message.linear_acceleration);
+    let angular_velocity = scale.angular_velocity * Vector3::from(message.angular_velocity);
+    if linear_acceleration.amax() > MAX_ACCELERATION || angular_velocity.amax() > MAX_ANGULAR_VELOCITY {
+        return Err(ImuFault::Impossible);
+    }
     let rotation = tracking_from_imu.rotation;
     Ok(ImuData {
         time,
-        linear_acceleration: rotation * Vector3::from(message.linear_acceleration) * acceleration_scale,
-        angular_velocity: rotation * Vector3::from(message.angular_velocity),
+        linear_acceleration: rotation * linear_acceleration,
+        angular_velocity: rotation * angular_velocity,
     })
 }
 

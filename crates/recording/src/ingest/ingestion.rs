@@ -15,7 +15,7 @@ use super::convert::{Frames, LocalFixes};
 use super::gnss::GeodeticPosition;
 use super::laser::BeamDirections;
 use super::options::IngestOptions;
-use super::plan::{PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};
+use super::plan::{ImuScale, PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};
 use super::point_time::PointTime;
 use super::read_ahead::ReadAhead;
 use super::survey::{Inventory, is_tf};
@@ -45,7 +45,7 @@ enum Role {
         directions: Box<BeamDirections>,
     },
     Imu {
-        acceleration_scale: f64,
+        scale: ImuScale,
     },
     Odometry,
     NavSat,

@@ -10,6 +10,9 @@ use crate::{FieldType, PointCloud2, PointField};
 /// Coordinates beyond this are no measurements, metres.
 const HUGE: f32 = 1e6;
 
+/// Times of clouds are judged by about so many of their points.
+const SAMPLED_TIMES: usize = 256;
+
 /// Why a cloud cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CloudError {
@@ -26,6 +29,8 @@ pub enum CloudError {
 pub struct CloudFaults {
     /// Points with a coordinate or time that is not finite, or farther than 1,000 km.
     pub not_finite: u64,
+    /// Points whose time lies far from those of the others.
+    pub far_time: u64,
     /// Points at exactly (0, 0, 0): no return.
     pub zero: u64,
     /// Points that the header promised and the data do not have.
@@ -177,17 +182,69 @@ impl CloudLayout {
     /// some drivers leave them unset.
     pub fn time_span(&self, cloud: &PointCloud2) -> Option<TimeSpan> {
         let field = self.time?;
+        let (mut least, mut largest) = self.span_of_times(cloud, field, |_| true);
+        let some = self.some_times(cloud, field);
+        // A fiftieth at either end may be wrong.
+        let cut = some.len() / 50;
+        if let (Some(low), Some(high)) = (some.get(cut), some.get(some.len().wrapping_sub(1 + cut)))
+            && largest - least > 1.5 * (high - low)
+        {
+            (least, largest) = (*low, *high);
+        }
+        let (stamp, span) = (cloud.header.stamp, largest - least);
+        (least <= largest).then_some(TimeSpan { field_type: field.field_type, stamp, least, largest, span })
+    }
+
+    /// Time of the last point after the stamp, seconds, without points that have a wrong time.
+    pub fn last_after_stamp(&self, cloud: &PointCloud2, time: PointTime) -> Option<f64> {
+        let field = self.time?;
+        let middle = self.middle_time(cloud, field);
+        let (_, last) = self.span_of_times(cloud, field, |value| is_near(value, middle, time));
+        last.is_finite().then_some(last * time.unit)
+    }
+
+    /// Smallest and largest value of points that are there and meet a condition.
+    fn span_of_times(&self, cloud: &PointCloud2, field: Field, counts: impl Fn(f64) -> bool) -> (f64, f64) {
         let (mut least, mut largest) = (f64::INFINITY, f64::NEG_INFINITY);
         self.for_each(cloud, |point| {
-            let value = field.value(point, self.is_bigendian);
-            let [x, y, z] = self.xyz.map(|field| field.single(point, self.is_bigendian));
-            let is_point = (x + y + z).is_finite() && (x != 0.0 || y != 0.0 || z != 0.0);
-            if is_point && value.is_finite() {
+            if let Some(value) = self.time_value(point, field, cloud.is_bigendian).filter(|v| counts(*v)) {
                 (least, largest) = (least.min(value), largest.max(value));
             }
         });
-        let (stamp, span) = (cloud.header.stamp, largest - least);
-        (least <= largest).then_some(TimeSpan { field_type: field.field_type, stamp, least, largest, span })
+        (least, largest)
+    }
+
+    /// The time value of a point that is there.
+    fn time_value(&self, point: &[u8], field: Field, big: bool) -> Option<f64> {
+        let value = field.value(point, big);
+        let [x, y, z] = self.xyz.map(|field| field.single(point, big));
+        let is_point = (x + y + z).is_finite() && (x != 0.0 || y != 0.0 || z != 0.0);
+        (is_point && value.is_finite()).then_some(value)
+    }
+
+    /// Time values of some points all over the cloud, ascending.
+    fn some_times(&self, cloud: &PointCloud2, field: Field) -> Vec<f64> {
+        let every = |stride: usize| {
+            let (mut index, mut times) = (0, Vec::new());
+            self.for_each(cloud, |point| {
+                if index % stride == 0 {
+                    times.extend(self.time_value(point, field, cloud.is_bigendian));
+                }
+                index += 1;
+            });
+            times
+        };
+        let mut times = every((cloud.data.len() / self.step.max(1) / SAMPLED_TIMES).max(1));
+        if times.len() < SAMPLED_TIMES / 8 {
+            times = every(1);
+        }
+        times.sort_by(f64::total_cmp);
+        times
+    }
+
+    fn middle_time(&self, cloud: &PointCloud2, field: Field) -> f64 {
+        let times = self.some_times(cloud, field);
+        times.get(times.len() / 2).copied().unwrap_or(0.0)
     }
 
     /// Points, with times as `point_time` says (none: all at the stamp).
@@ -201,18 +258,22 @@ impl CloudLayout {
         let available = cloud.data.len() / self.step.max(1);
         let mut result = TimedPoints::with_capacity(available, with_intensities);
         let mut faults = CloudFaults::default();
-        let times = self
-            .time
-            .zip(point_time)
-            .map(|(field, time)| (field, time.unit, self.time_reference(cloud, time)));
+        let times = self.time.zip(point_time).map(|(field, time)| {
+            let middle = self.middle_time(cloud, field);
+            (field, time, middle, self.time_reference(cloud, field, time, middle))
+        });
         let big = self.is_bigendian;
         faults.missing = self.for_each(cloud, |point| {
             let [x, y, z] = self.xyz.map(|field| field.single(point, big));
-            let time = times.map_or(0.0, |(field, unit, reference)| {
-                ((field.value(point, big) - reference) * unit) as f32
+            let (time, is_near) = times.map_or((0.0, true), |(field, time, middle, reference)| {
+                let value = field.value(point, big);
+                // What is not finite is counted as that.
+                (((value - reference) * time.unit) as f32, !value.is_finite() || is_near(value, middle, time))
             });
             if x == 0.0 && y == 0.0 && z == 0.0 {
                 faults.zero += 1;
+            } else if !is_near {
+                faults.far_time += 1;
             } else if x.abs() < HUGE && y.abs() < HUGE && z.abs() < HUGE && time.is_finite() {
                 result.points.push(TimedPoint { position: Point3f::new(x, y, z), time });
                 if with_intensities {
@@ -222,31 +283,37 @@ impl CloudLayout {
                 faults.not_finite += 1;
             }
         });
-        result.rebase(self.base_time(stamp, point_time, times.map(|(_, _, reference)| reference)));
+        result.rebase(self.base_time(stamp, point_time, times.map(|(_, _, _, reference)| reference)));
         (result, faults)
     }
 
     /// The value that counts as zero: that of the first point for clocks, so that no digits are lost.
-    fn time_reference(&self, cloud: &PointCloud2, time: PointTime) -> f64 {
+    fn time_reference(&self, cloud: &PointCloud2, field: Field, time: PointTime, middle: f64) -> f64 {
         match time.origin {
             PointTimeOrigin::Stamp => 0.0,
             PointTimeOrigin::Epoch | PointTimeOrigin::OtherClock => {
-                self.time_span(cloud).map_or(0.0, |s| s.least)
+                let (least, _) = self.span_of_times(cloud, field, |value| is_near(value, middle, time));
+                if least.is_finite() { least } else { 0.0 }
             }
         }
     }
 
     fn base_time(&self, stamp: Time, time: Option<PointTime>, reference: Option<f64>) -> Time {
         match (time, reference) {
-            (Some(PointTime { unit: 1.0, origin: PointTimeOrigin::Epoch }), Some(reference)) => {
+            (Some(PointTime { unit: 1.0, origin: PointTimeOrigin::Epoch, .. }), Some(reference)) => {
                 Time::from_unix_seconds(reference)
             }
-            (Some(PointTime { unit, origin: PointTimeOrigin::Epoch }), Some(reference)) => {
+            (Some(PointTime { unit, origin: PointTimeOrigin::Epoch, .. }), Some(reference)) => {
                 Time::from_unix_nanoseconds((reference * (unit * 1e9).round()) as i64)
             }
             _ => stamp,
         }
     }
+}
+
+/// Whether a time value can belong to the sweep whose median it is compared with.
+fn is_near(value: f64, middle: f64, time: PointTime) -> bool {
+    (value - middle).abs() * time.unit <= time.reach
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::Header;
+use crate::ingest::point_time::detect;
 
 /// A cloud of one row whose points have these fields, with a byte of padding.
 pub(crate) fn cloud(fields: &[(&str, FieldType)], points: &[Vec<f64>], big: bool) -> PointCloud2 {
@@ -52,7 +53,7 @@ fn convert(cloud: &PointCloud2, time: Option<PointTime>) -> (TimedPoints, CloudF
 #[test]
 fn any_order_type_and_byte_order_reads_the_same() {
     use FieldType::{Float32, Float64, Int16, Uint8, Uint32};
-    let time = Some(PointTime { unit: 1e-9, origin: PointTimeOrigin::Stamp });
+    let time = Some(PointTime { unit: 1e-9, origin: PointTimeOrigin::Stamp, reach: 1.0 });
     for big in [false, true] {
         let a = cloud(
             &[("x", Float32), ("y", Float32), ("z", Float32), ("intensity", Float32), ("t", Uint32)],
@@ -100,7 +101,7 @@ fn points_that_are_none_are_counted() {
     message.data.truncate(message.data.len() - 1);
     let (points, faults) = convert(&message, None);
     assert_eq!(points.points.len(), 1);
-    assert_eq!(faults, CloudFaults { not_finite: 2, zero: 1, missing: 1 });
+    assert_eq!(faults, CloudFaults { not_finite: 2, far_time: 0, zero: 1, missing: 1 });
     assert_eq!(points.time, message.header.stamp);
 }
 
@@ -127,11 +128,43 @@ fn times_of_clocks_keep_their_digits() {
     ];
     let points: Vec<Vec<f64>> = (0..10).map(|i| vec![1.0, 1.0, 1.0, 1.7e9 + 0.01 * f64::from(i)]).collect();
     let message = cloud(&fields, &points, false);
-    let (points, _) = convert(&message, Some(PointTime { unit: 1.0, origin: PointTimeOrigin::Epoch }));
+    let (points, _) =
+        convert(&message, Some(PointTime { unit: 1.0, origin: PointTimeOrigin::Epoch, reach: 1.0 }));
     assert!((points.time.seconds_since(message.header.stamp) - 0.09).abs() < 1e-6);
     assert!((points.points[0].time + 0.09).abs() < 1e-6);
-    let (points, _) = convert(&message, Some(PointTime { unit: 1.0, origin: PointTimeOrigin::OtherClock }));
+    let (points, _) =
+        convert(&message, Some(PointTime { unit: 1.0, origin: PointTimeOrigin::OtherClock, reach: 1.0 }));
     assert!((points.time.seconds_since(message.header.stamp) - 0.09).abs() < 1e-6);
+}
+
+#[test]
+fn points_with_a_time_of_their_own_are_left_out_and_counted() {
+    let fields =
+        |kind| [("x", FieldType::Float32), ("y", FieldType::Float32), ("z", FieldType::Float32), ("t", kind)];
+    let times = |base: f64, wrong: f64| -> Vec<Vec<f64>> {
+        let time = |i: u32| if i % 60 == 7 { wrong } else { base + 1e-4 * f64::from(i) };
+        (0..1000).map(|i| vec![1.0, 1.0, 1.0, time(i)]).collect()
+    };
+    let date = 1.7e9;
+    for (kind, base, wrong) in [
+        (FieldType::Float32, 0.0, 1e9),
+        (FieldType::Float32, 0.0, 0.6),
+        (FieldType::Float32, -0.1, -5.0),
+        (FieldType::Float64, date, 0.0),
+        (FieldType::Float64, date, date + 5.0),
+    ] {
+        let message = cloud(&fields(kind), &times(base, wrong), false);
+        let span = CloudLayout::of(&message).unwrap().time_span(&message).unwrap();
+        let time = detect(&[span], Some(0.1)).unwrap();
+        let (points, faults) = convert(&message, Some(time));
+        assert_eq!((points.points.len(), faults.far_time), (983, 17), "{base} {wrong} {time:?}");
+        let end = if base == 0.0 { date } else { date + base.min(0.0) } + 0.0999;
+        assert!(
+            (points.time.unix_seconds() - end).abs() < 1e-4,
+            "{base} {wrong} {}",
+            points.time.unix_seconds()
+        );
+    }
 }
 
 fn field_type() -> impl Strategy<Value = Option<FieldType>> {
@@ -161,6 +194,7 @@ proptest! {
         data in prop::collection::vec(any::<u8>(), 0..600),
         flags in any::<(bool, bool)>(),
         unit in prop::sample::select(vec![1.0, 1e-3, 1e-9]),
+        reach in prop::sample::select(vec![0.25, 1e9, f64::INFINITY]),
         origin in prop::sample::select(vec![PointTimeOrigin::Stamp, PointTimeOrigin::Epoch, PointTimeOrigin::OtherClock]),
     ) {
         let message = PointCloud2 {
@@ -179,7 +213,7 @@ proptest! {
         };
         if let Ok(layout) = CloudLayout::of(&message) {
             layout.time_span(&message);
-            let (points, _) = layout.points(message.header.stamp, &message, Some(PointTime { unit, origin }), flags.1);
+            let (points, _) = layout.points(message.header.stamp, &message, Some(PointTime { unit, origin, reach }), flags.1);
             prop_assert!(points.points.iter().all(|p| p.time <= 0.0));
             prop_assert!(points.points.is_sorted_by(|a, b| a.time <= b.time));
         }

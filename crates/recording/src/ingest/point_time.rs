@@ -11,7 +11,9 @@
 //!    one of the units, that unit is right, whatever the span says.
 //! 3. A clock that agrees with the stamps to 10 s gives absolute times. Any other clock gives times
 //!    after the stamp, the first point being measured at it.
-//! 4. Values of an integer field that are all equal, and single-precision dates, tell nothing: all
+//! 4. A sweep takes about as long as the interval between clouds. Single values far outside it are faults of a
+//!    driver: they do not count here, and their points are left out.
+//! 5. Values of an integer field that are all equal, and single-precision dates, tell nothing: all
 //!    points count as measured at the stamp.
 
 use portolan_geometry::Time;
@@ -40,6 +42,8 @@ pub struct PointTime {
     pub unit: f64,
     /// What values count from.
     pub origin: PointTimeOrigin,
+    /// Points further than this from the median of their cloud have a wrong time, seconds.
+    pub reach: f64,
 }
 
 /// The time values of one cloud.
@@ -47,7 +51,7 @@ pub struct PointTime {
 pub(crate) struct TimeSpan {
     pub field_type: FieldType,
     pub stamp: Time,
-    /// Smallest and largest value as they stand.
+    /// Smallest and largest value as they stand, without single values far away.
     pub least: f64,
     pub largest: f64,
     /// Largest minus smallest, without loss of digits.
@@ -57,6 +61,8 @@ pub(crate) struct TimeSpan {
 const UNITS: [f64; 4] = [1.0, 1e-3, 1e-6, 1e-9];
 /// Interval between sweeps where none is known, seconds.
 const USUAL_INTERVAL: f64 = 0.1;
+/// Sweeps last at most so many times the interval between clouds, or the usual length of sweeps.
+const LONGEST_SWEEP: f64 = 2.5;
 /// Clocks nearer than this to the stamps are the clock of the stamps, seconds.
 const SAME_CLOCK: f64 = 10.0;
 
@@ -70,8 +76,9 @@ pub(crate) fn detect(spans: &[TimeSpan], interval: Option<f64>) -> Option<PointT
     let interval = interval.filter(|i| *i > 0.0).unwrap_or(USUAL_INTERVAL).clamp(1e-3, 10.0);
     let by_span = unit_of_span(typical.span, interval);
     let far = typical.least.abs().min(typical.largest.abs());
+    let reach = |unit: f64| LONGEST_SWEEP * interval.max(typical.span * unit);
     if far <= 100.0 * typical.span && far * by_span <= SAME_CLOCK {
-        return Some(PointTime { unit: by_span, origin: PointTimeOrigin::Stamp });
+        return Some(PointTime { unit: by_span, origin: PointTimeOrigin::Stamp, reach: reach(by_span) });
     }
     let date_unit = UNITS.into_iter().find(|unit| (1e8..1e10).contains(&(typical.least * unit)));
     if date_unit.is_some() && typical.field_type == FieldType::Float32 {
@@ -80,7 +87,7 @@ pub(crate) fn detect(spans: &[TimeSpan], interval: Option<f64>) -> Option<PointT
     let unit = date_unit.unwrap_or(by_span);
     let same_clock = (typical.least * unit - typical.stamp.unix_seconds()).abs() < SAME_CLOCK;
     let origin = if same_clock { PointTimeOrigin::Epoch } else { PointTimeOrigin::OtherClock };
-    Some(PointTime { unit, origin })
+    Some(PointTime { unit, origin, reach: reach(unit) })
 }
 
 fn unit_of_span(span: f64, interval: f64) -> f64 {

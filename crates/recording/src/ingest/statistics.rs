@@ -77,6 +77,8 @@ pub struct ImuStatistics {
     pub mean_acceleration: [f64; 3],
     /// Median length of the measured angular velocity, as it stands.
     pub median_angular_velocity: f64,
+    /// Share of the samples whose angular velocity, as it stands, is above 12: too fast for rad/s.
+    pub fast_share: f64,
     /// Whether it says that it measures no acceleration or no angular velocity.
     pub is_partial: bool,
 }
@@ -270,6 +272,9 @@ impl RangeSampler {
     }
 }
 
+/// Nobody who maps turns faster than this for long, rad/s.
+pub(crate) const FAST_TURN: f64 = 12.0;
+
 /// Collects [`ImuStatistics`].
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ImuSampler {
@@ -295,12 +300,14 @@ impl ImuSampler {
 
     pub fn finish(mut self, interval: Option<f64>) -> ImuStatistics {
         let count = self.accelerations.len();
+        let fast = self.angular_velocities.iter().filter(|rate| **rate > FAST_TURN).count();
         ImuStatistics {
             messages: count,
             rate: interval.map_or(0.0, |i| 1.0 / i),
             median_acceleration: median(&mut self.accelerations).unwrap_or(0.0),
             mean_acceleration: (self.sum / count.max(1) as f64).into(),
             median_angular_velocity: median(&mut self.angular_velocities).unwrap_or(0.0),
+            fast_share: fast as f64 / count.max(1) as f64,
             is_partial: self.partial * 2 > count,
         }
     }

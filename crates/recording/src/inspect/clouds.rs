@@ -35,6 +35,12 @@ const OTHER_CLOCK: Kind = Kind {
     effect: "the first point of a cloud is taken to be measured at the stamp",
     to_do: "synchronise the clock of the lidar with that of the computer (PTP), or stamp with its time",
 };
+const FAR_TIME: Kind = Kind {
+    name: "wrong times",
+    severity: Severity::Warning,
+    effect: "these points are left out",
+    to_do: "mend the driver: it writes other values than times for some points, often zero where nothing came back",
+};
 const NOT_FINITE: Kind =
     Kind { name: "no points", severity: Severity::Info, effect: "these points are left out", to_do: "" };
 
@@ -57,6 +63,7 @@ const HUGE_POINTS: u64 = 1_000_000;
 #[derive(Debug, Default)]
 pub(crate) struct CloudChecks {
     not_finite: u64,
+    far_time: u64,
     zero: u64,
 }
 
@@ -84,6 +91,7 @@ impl CloudChecks {
             findings.add(&HUGE, topic, || format!("clouds of {points} points"));
         }
         self.not_finite += faults.not_finite;
+        self.far_time += faults.far_time;
         self.zero += faults.zero;
         if faults.missing > 0 {
             findings.add(&MISSING, topic, || {
@@ -91,9 +99,8 @@ impl CloudChecks {
             });
         }
         match (layout.has_time(), time) {
-            (true, Some(PointTime { origin: PointTimeOrigin::Stamp, unit })) => {
-                if let Some(span) = layout.time_span(cloud).filter(|s| s.largest != 0.0) {
-                    let last = span.largest * unit;
+            (true, Some(time @ PointTime { origin: PointTimeOrigin::Stamp, .. })) => {
+                if let Some(last) = layout.last_after_stamp(cloud, time).filter(|last| *last != 0.0) {
                     findings.add(&TIMES_FROM_START, topic, || {
                         format!("range data whose last point has relative time {last:.6} s, should be zero")
                     });
@@ -114,7 +121,12 @@ impl CloudChecks {
 
     /// Findings about the whole topic.
     pub fn finish(self, topic: &str, findings: &mut Findings) {
-        let (not_finite, zero) = (self.not_finite, self.zero);
+        let (not_finite, far_time, zero) = (self.not_finite, self.far_time, self.zero);
+        if far_time > 0 {
+            findings.add(&FAR_TIME, topic, || {
+                format!("{far_time} points whose time lies far outside their cloud")
+            });
+        }
         if not_finite + zero > 0 {
             findings.add(&NOT_FINITE, topic, || {
                 format!("{not_finite} points that are not a number or beyond 1,000 km, {zero} at (0, 0, 0)")

@@ -5,7 +5,8 @@ use portolan_geometry::{Rigid3, Vector3};
 use super::finding::{Findings, Kind, Severity};
 use super::imu_values::{Rest, Saturation};
 use crate::Imu;
-use crate::ingest::statistics::is_partial;
+use crate::ingest::convert::{MAX_ACCELERATION, MAX_ANGULAR_VELOCITY};
+use crate::ingest::statistics::{FAST_TURN, is_partial};
 
 const ACCELERATION: Kind = Kind {
     name: "acceleration",
@@ -31,6 +32,12 @@ const NOT_A_NUMBER: Kind = Kind {
     effect: "these samples are left out",
     to_do: "mend the driver",
 };
+const IMPOSSIBLE: Kind = Kind {
+    name: "impossible values",
+    severity: Severity::Error,
+    effect: "these samples are left out",
+    to_do: "look for faults of the transmission or of the driver; no IMU measures 80 rad/s or 400 m/s²",
+};
 const PARTIAL: Kind = Kind {
     name: "partial",
     severity: Severity::Error,
@@ -39,8 +46,8 @@ const PARTIAL: Kind = Kind {
 };
 const DEGREES: Kind = Kind {
     name: "gyroscope in degrees",
-    severity: Severity::Error,
-    effect: "rotation is overestimated 57 times; there is no sensible map",
+    severity: Severity::Warning,
+    effect: "such angular velocities are multiplied by π/180 where it is seen in the first part of the recording; else rotation is overestimated 57 times",
     to_do: "angular velocities must be in rad/s; convert the recording or mend the driver",
 };
 const UPSIDE_DOWN: Kind = Kind {
@@ -66,9 +73,6 @@ const AXES: Kind = Kind {
 /// Beyond this the IMU does not lean, its axes are others, degrees.
 const OTHER_AXES: f64 = 60.0;
 
-/// Robots do not turn faster than this for long, rad/s.
-const FAST_TURN: f64 = 12.0;
-
 /// IMU samples of one topic.
 #[derive(Debug, Default)]
 pub(crate) struct ImuChecks {
@@ -76,6 +80,8 @@ pub(crate) struct ImuChecks {
     sum: Vector3,
     sum_of_norms: f64,
     fast: u64,
+    /// Faster than gyroscopes can measure, unless it is in degrees.
+    too_fast: u64,
     rest: Rest,
     saturation: Saturation,
 }
@@ -91,13 +97,21 @@ impl ImuChecks {
             });
         }
         let norm = acceleration.norm();
-        if !norm.is_finite() || !rate.norm().is_finite() {
+        let finite = |v: &Vector3| v.iter().all(|x| x.is_finite());
+        if !finite(&acceleration) || !finite(&rate) {
             return findings
                 .add(&NOT_A_NUMBER, topic, || format!("samples of frame_id {frame} are not numbers"));
+        }
+        // Units are not known yet: in degrees per second 57 times as much is possible.
+        if acceleration.amax() > MAX_ACCELERATION || rate.amax() > 57.3 * MAX_ANGULAR_VELOCITY {
+            return findings.add(&IMPOSSIBLE, topic, || {
+                format!("{:.3e} rad/s or {:.3e} m/s² in one sample", rate.amax(), acceleration.amax())
+            });
         }
         self.count += 1;
         self.sum += acceleration;
         self.sum_of_norms += norm;
+        self.too_fast += u64::from(rate.amax() > MAX_ANGULAR_VELOCITY);
         self.fast += u64::from(rate.norm() > FAST_TURN);
         self.rest.add(stamp, rate, acceleration);
         self.saturation.add(rate, acceleration);
@@ -135,6 +149,10 @@ impl ImuChecks {
             let share = 100 * self.fast / self.count;
             findings.add(&DEGREES, topic, || {
                 format!("{share}% of the angular velocities are above {FAST_TURN} rad/s; they seem to be in degrees")
+            });
+        } else if self.too_fast > 0 {
+            findings.add(&IMPOSSIBLE, topic, || {
+                format!("{} angular velocities are above {MAX_ANGULAR_VELOCITY} rad/s", self.too_fast)
             });
         }
         self.rest.finish(topic, findings);

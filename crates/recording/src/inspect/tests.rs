@@ -122,6 +122,9 @@ fn faults_of_imus_and_odometry() {
         }
         messages.push(named("/imu", t, Message::Imu(upside_down)));
         messages.push(named("/imu_g", t, imu(t, [0.0, 0.0, 1.0])));
+        let Message::Imu(mut spiky) = imu(t, [0.0, 0.0, if i == 9 { 1e6 } else { 9.8 }]) else { panic!() };
+        spiky.angular_velocity = [0.0, if i == 70 { 100.0 } else { 0.1 }, 0.0];
+        messages.push(named("/imu_spiky", t, Message::Imu(spiky)));
         messages.push(named("/imu_weak", t, imu(t, [0.0, 0.0, 5.0])));
         let mut pose = odometry(t, if i > 250 { 100.0 } else { 0.0 });
         if let (Message::Odometry(o), true) = (&mut pose, i == 400) {
@@ -135,6 +138,7 @@ fn faults_of_imus_and_odometry() {
         "average IMU linear acceleration is 5",
         "expected is [3, 30]",
         "seem to be in degrees",
+        "1.000e6 m/s² in one sample (2 times)",
         "leans 179°",
         "Odometry pose is invalid",
         "the pose jumps by 100.00 m",

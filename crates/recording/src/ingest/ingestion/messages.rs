@@ -8,6 +8,7 @@ use crate::ingest::azimuth_time::{self, AzimuthTimes};
 use crate::ingest::clock::Stamp;
 use crate::ingest::convert::{self, Frames, ImuFault};
 use crate::ingest::laser::{ScanFaults, points_of_echoes, points_of_laser_scan};
+use crate::ingest::plan::ImuScale;
 use crate::ingest::point_cloud2::{CloudFaults, CloudLayout};
 use crate::ingest::point_time::PointTime;
 use crate::ingest::timed_points::TimedPoints;
@@ -37,8 +38,8 @@ impl Ingestion {
                 let (point_time, by_azimuth) = (*point_time, turn.map(|turn| (turn, *azimuth_times)));
                 self.take_cloud(sensor, stamp, cloud, point_time, by_azimuth);
             }
-            (Role::Imu { acceleration_scale }, Message::Imu(imu)) => {
-                let scale = *acceleration_scale;
+            (Role::Imu { scale }, Message::Imu(imu)) => {
+                let scale = *scale;
                 self.take_imu(sensor, stamp, imu, scale);
             }
             (Role::Odometry, Message::Odometry(odometry)) => self.take_odometry(sensor, stamp, odometry),
@@ -114,22 +115,28 @@ impl Ingestion {
         {
             azimuth_time::assign(&mut points, stamp, turn, times);
         }
-        let CloudFaults { not_finite, zero, missing } = faults;
+        let CloudFaults { not_finite, far_time, zero, missing } = faults;
         self.repaired(
             &sensor.topic,
             "points that are not a number or beyond 1,000 km were left out",
             not_finite,
         );
+        let what = "points whose time lies far outside their cloud were left out";
+        self.repaired(&sensor.topic, what, far_time);
         self.repaired(&sensor.topic, "points at (0, 0, 0) were left out as no return", zero);
         self.lost(&sensor.topic, "points that clouds promise and do not have are missing", missing);
         self.give_points(sensor, points, &cloud.header.frame_id);
     }
 
-    fn take_imu(&mut self, sensor: &mut Sensor, stamp: Time, message: &Imu, scale: f64) {
+    fn take_imu(&mut self, sensor: &mut Sensor, stamp: Time, message: &Imu, scale: ImuScale) {
         let Some(pose) = self.tracking_from(&sensor.topic, &message.header.frame_id, stamp) else { return };
         match convert::imu(stamp, message, scale, &pose) {
             Err(ImuFault::NotFinite) => {
                 self.lost(&sensor.topic, "samples that are not a number were left out", 1)
+            }
+            Err(ImuFault::Impossible) => {
+                let what = "samples beyond what an IMU can measure (80 rad/s, 400 m/s²) were left out";
+                self.lost(&sensor.topic, what, 1);
             }
             Err(ImuFault::Partial) => {
                 let what = "samples that say they lack acceleration or angular velocity were left out";

@@ -51,7 +51,7 @@ pub(super) fn sensors(plan: &SensorPlan) -> BTreeMap<Arc<str>, Vec<Sensor>> {
         );
     }
     if let Some(imu) = &plan.imu {
-        add(&imu.source, Role::Imu { acceleration_scale: imu.acceleration_scale }, IMU);
+        add(&imu.source, Role::Imu { scale: imu.scale }, IMU);
     }
     if let Some(PlannedOdometry::Topic(source)) = &plan.odometry {
         add(source, Role::Odometry, ODOMETRY);

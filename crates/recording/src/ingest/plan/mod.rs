@@ -120,13 +120,22 @@ pub enum PlannedOdometry {
     },
 }
 
+/// What brings the samples of an IMU to m/s² and rad/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuScale {
+    /// 9.80665 where accelerations are in g.
+    pub acceleration: f64,
+    /// π/180 where angular velocities are in degrees per second.
+    pub angular_velocity: f64,
+}
+
 /// An IMU that is used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlannedImu {
     /// Topic and so on.
     pub source: PlannedSensor,
-    /// Accelerations are multiplied by this (9.80665 where they are in g).
-    pub acceleration_scale: f64,
+    /// What samples are multiplied by.
+    pub scale: ImuScale,
     /// What it is like.
     pub statistics: ImuStatistics,
 }

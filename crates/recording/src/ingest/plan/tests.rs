@@ -81,13 +81,29 @@ fn a_lidar_with_an_imu_in_g() {
     let plan = planned(&recording, &IngestOptions::default()).unwrap();
     assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/points"], "imu_link"));
     assert_eq!(plan.dimension, Dimension::Three);
-    assert_eq!(plan.imu.as_ref().unwrap().acceleration_scale, 9.80665);
+    assert_eq!(plan.imu.as_ref().unwrap().scale, ImuScale { acceleration: 9.80665, angular_velocity: 1.0 });
     let point_time = plan.range[0].point_time.unwrap();
     assert_eq!(point_time.unit, 1.0);
     let flat =
         IngestOptions { dimension: Some(Dimension::Two), use_imu: Some(false), ..IngestOptions::default() };
     let plan = planned(&recording, &flat).unwrap();
     assert_eq!((topics(&plan), plan.imu.is_some()), (vec!["/camera/scan"], false));
+}
+
+#[test]
+fn a_gyroscope_in_degrees() {
+    let recording = recording(&[
+        ("/points", &|t| cloud(t, "imu_link")),
+        ("/imu/data", &|t| {
+            let Message::Imu(mut sample) = imu(t, [0.0, 0.0, 9.8]) else { panic!() };
+            sample.angular_velocity = [0.0, 40.0 * (5.0 * t).sin(), 0.0];
+            Message::Imu(sample)
+        }),
+    ]);
+    let plan = planned(&recording, &IngestOptions::default()).unwrap();
+    let scale = plan.imu.as_ref().unwrap().scale;
+    assert_eq!(scale, ImuScale { acceleration: 1.0, angular_velocity: PI / 180.0 });
+    assert!(plan.notices.iter().any(|n| n.what.contains("in degrees per second")));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use portolan_geometry::Vector3;
 use portolan_sensor::SensorKind;
 
 use super::request::Request;
-use super::{Chosen, PlanError, PlannedImu, SensorPlan};
+use super::{Chosen, ImuScale, PlanError, PlannedImu, SensorPlan};
 use crate::ingest::options::{Dimension, IngestOptions};
 use crate::ingest::statistics::ImuStatistics;
 use crate::ingest::survey::Inventory;
@@ -14,6 +14,8 @@ use crate::tf::frame_name;
 const GRAVITY: f64 = 9.80665;
 /// Half of the accelerations of an IMU that measures gravity are within these, m/s².
 const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
+/// Nothing that is mapped turns fast for longer than this share of the time: such samples are in degrees.
+const MOST_FAST: f64 = 0.1;
 /// Slower IMUs are of no use.
 const MIN_RATE: f64 = 10.0;
 /// The IMU sits at the tracking frame if it is nearer than this, metres.
@@ -26,7 +28,7 @@ const BASE_FRAMES: [&str; 6] = ["base_link", "base_footprint", "base", "base_fra
 /// An IMU that may be used.
 pub(super) struct ImuChoice<'a> {
     chosen: Chosen<'a>,
-    acceleration_scale: f64,
+    scale: ImuScale,
     asked_for: bool,
 }
 
@@ -45,8 +47,8 @@ pub(super) fn choose_imu<'a>(
 ) -> Result<Option<ImuChoice<'a>>, PlanError> {
     if let Some(chosen) = &request.imu {
         let statistics = chosen.survey.imu.clone().unwrap_or_default();
-        let acceleration_scale = scale(&statistics);
-        return Ok(Some(ImuChoice { chosen: chosen.clone(), acceleration_scale, asked_for: true }));
+        let scale = scale(&statistics);
+        return Ok(Some(ImuChoice { chosen: chosen.clone(), scale, asked_for: true }));
     }
     if !request.find_imu {
         return Ok(None);
@@ -75,8 +77,8 @@ pub(super) fn choose_imu<'a>(
                 format!("--imu {}", chosen.topic()),
             ),
             None => {
-                let acceleration_scale = scale(&chosen.survey.imu.clone().unwrap_or_default());
-                choice = Some(ImuChoice { chosen, acceleration_scale, asked_for: false });
+                let scale = scale(&chosen.survey.imu.clone().unwrap_or_default());
+                choice = Some(ImuChoice { chosen, scale, asked_for: false });
             }
         }
     }
@@ -96,15 +98,19 @@ fn rank(topic: &str) -> u32 {
     }
 }
 
-fn scale(statistics: &ImuStatistics) -> f64 {
+fn scale(statistics: &ImuStatistics) -> ImuScale {
     let in_g = (0.8..1.2).contains(&statistics.median_acceleration);
-    if in_g { GRAVITY } else { 1.0 }
+    let in_degrees = statistics.fast_share > MOST_FAST;
+    ImuScale {
+        acceleration: if in_g { GRAVITY } else { 1.0 },
+        angular_velocity: if in_degrees { 1f64.to_radians() } else { 1.0 },
+    }
 }
 
 /// Why an IMU that nobody asked for had better not be used.
 fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option<String> {
     let statistics = chosen.survey.imu.clone().unwrap_or_default();
-    let acceleration = statistics.median_acceleration * scale(&statistics);
+    let acceleration = statistics.median_acceleration * scale(&statistics).acceleration;
     if statistics.is_partial {
         return Some("it says that it lacks acceleration or angular velocity".to_owned());
     }
@@ -208,7 +214,7 @@ pub(super) fn connect_imu(
     imu: Option<ImuChoice>,
     plan: &mut SensorPlan,
 ) -> Result<(), PlanError> {
-    let Some(ImuChoice { chosen, acceleration_scale, asked_for }) = imu else { return Ok(()) };
+    let Some(ImuChoice { chosen, scale, asked_for }) = imu else { return Ok(()) };
     let topic = chosen.topic().to_owned();
     let tracking = plan.tracking_frame.clone();
     let frame = if chosen.frame().is_empty() {
@@ -229,8 +235,12 @@ pub(super) fn connect_imu(
         );
         return Ok(());
     }
-    if acceleration_scale != 1.0 {
+    if scale.acceleration != 1.0 {
         plan.note(format!("{topic} measures accelerations in g; they are multiplied by {GRAVITY}"), "");
+    }
+    if scale.angular_velocity != 1.0 {
+        let what = "measures angular velocities in degrees per second; they are multiplied by π/180";
+        plan.note(format!("{topic} {what}"), "");
     }
     let distance =
         inventory.tree.lookup_static(&tracking, &frame).map_or(0.0, |t| t.translation.vector.norm());
@@ -242,6 +252,6 @@ pub(super) fn connect_imu(
     }
     let source = chosen.planned(SensorKind::Imu, &frame);
     let statistics = chosen.survey.imu.clone().unwrap_or_default();
-    plan.imu = Some(PlannedImu { source, acceleration_scale, statistics });
+    plan.imu = Some(PlannedImu { source, scale, statistics });
     Ok(())
 }
