@@ -70,3 +70,4 @@ pub use options::*;
 pub use read::Strictness;
 pub use reference::reference;
 pub use value::{Table, Value};
+pub use without_effect::little_effect;

@@ -3,6 +3,9 @@
 //! Files of the reference must load, so that these keys exist. This list is the only place that says so:
 //! the documentation of each option in it, or within a table in it, ends with the reason.
 
+use crate::catalogue::explain;
+use crate::options::Options;
+
 const LIVE: &str = "it belongs to the live output of ROS, and Portolan publishes nothing";
 const NO_THREADS: &str = "one scan match runs on one thread; `--threads` and `num_background_threads` say how many \
                           searches run side by side and how many threads optimise";
@@ -47,11 +50,45 @@ const WITHOUT_EFFECT: &[(&str, &str)] = &[
     ("use_pose_extrapolator", LIVE),
 ];
 
+const GRIDS_ONLY: &str = "with `portolan.match_surfaces`, which is on unless a configuration is given, scans are \
+                          matched to surfaces, and to grids only where that fails";
+const NO_WHEELS_WITH_IMU: &str = "in space with an IMU, wheels steer local SLAM and are no constraint of their own, \
+                                  unless `fix_z_in_3d` is on";
+
+/// Paths of options of mapping in space that matter only when scans are matched to grids, and the like.
+const WITHOUT_EFFECT_ON_SURFACES: &[(&str, &str)] = &[
+    ("trajectory_builder.trajectory_builder_3d.ceres_scan_matcher", GRIDS_ONLY),
+    ("trajectory_builder.trajectory_builder_3d.use_online_correlative_scan_matching", GRIDS_ONLY),
+    ("trajectory_builder.trajectory_builder_3d.real_time_correlative_scan_matcher", GRIDS_ONLY),
+    ("trajectory_builder.trajectory_builder_3d.use_intensities", GRIDS_ONLY),
+    ("map_builder.pose_graph.constraint_builder.ceres_scan_matcher_3d", GRIDS_ONLY),
+];
+
+/// Why an option that was set on its own, given by its path or an end of it, changes little or nothing with these
+/// `options`.
+pub fn little_effect(path: &str, options: &Options, has_imu: bool) -> Option<&'static str> {
+    let path = explain(path)?.path;
+    let in_space = options.map_builder.use_trajectory_builder_3d;
+    let problem = &options.map_builder.pose_graph.optimization_problem;
+    let of_wheels = path.starts_with("map_builder.pose_graph.optimization_problem.odometry_");
+    if of_wheels && in_space && has_imu && !problem.fix_z_in_3d {
+        return Some(NO_WHEELS_WITH_IMU);
+    }
+    let is_on = in_space && options.portolan.match_surfaces;
+    let meant = |entry: &&(&str, &str)| path.strip_prefix(entry.0).is_some_and(is_end_of_name);
+    let on_surfaces = WITHOUT_EFFECT_ON_SURFACES.iter().find(meant).filter(|_| is_on);
+    on_surfaces.map(|(_, reason)| *reason).or_else(|| without_effect(&path))
+}
+
+fn is_end_of_name(rest: &str) -> bool {
+    rest.is_empty() || rest.starts_with('.')
+}
+
 /// Why the option or table at a full path changes nothing; none if it does.
 pub(crate) fn without_effect(path: &str) -> Option<&'static str> {
     let is_meant = |entry: &str| match entry.strip_prefix('*') {
         Some(end) => path.ends_with(end),
-        None => path.strip_prefix(entry).is_some_and(|rest| rest.is_empty() || rest.starts_with('.')),
+        None => path.strip_prefix(entry).is_some_and(is_end_of_name),
     };
     WITHOUT_EFFECT.iter().find(|(entry, _)| is_meant(entry)).map(|(_, reason)| *reason)
 }
@@ -60,6 +97,23 @@ pub(crate) fn without_effect(path: &str) -> Option<&'static str> {
 mod tests {
     use super::*;
     use crate::catalogue::catalogue;
+
+    #[test]
+    fn what_grids_alone_need_is_told_where_surfaces_are_matched() {
+        let mut options = Options::for_3d();
+        for (entry, reason) in WITHOUT_EFFECT_ON_SURFACES {
+            assert!(explain(entry).is_some(), "{entry} is no option");
+            options.portolan.match_surfaces = true;
+            assert_eq!(little_effect(entry, &options, true), Some(*reason));
+            options.portolan.match_surfaces = false;
+            assert_eq!(little_effect(entry, &options, true), None);
+        }
+        let wheels = "optimization_problem.odometry_translation_weight";
+        assert_eq!(little_effect(wheels, &options, true), Some(NO_WHEELS_WITH_IMU));
+        assert_eq!(little_effect(wheels, &options, false), None);
+        assert_eq!(little_effect(wheels, &Options::for_2d(), true), None);
+        assert_eq!(little_effect("publish_to_tf", &options, true), Some(LIVE));
+    }
 
     #[test]
     fn every_entry_is_an_option_and_its_documentation_says_so() {

@@ -10,7 +10,7 @@ use portolan::RequestedOptions;
 use portolan::pipeline::{
     KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
 };
-use portolan_config::{Loader, Options};
+use portolan_config::{Loader, Options, little_effect};
 use portolan_geometry::Duration;
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
 use portolan_recording::{AzimuthTimes, Dimension, IngestOptions, Recording, open_all, read_urdf};
@@ -281,6 +281,11 @@ fn looked_through(
 fn change_options(preparation: &mut Preparation, settings: &[String]) -> Result<(), CliError> {
     for setting in settings {
         preparation.options.set(setting).map_err(|e| CliError::Usage(e.to_string()))?;
+    }
+    for path in settings.iter().filter_map(|setting| setting.split_once('=')).map(|(path, _)| path) {
+        if let Some(why) = little_effect(path, &preparation.options, preparation.plan.imu.is_some()) {
+            tracing::warn!("--set {path} has little effect or none: {why}");
+        }
     }
     preparation.options.validate().map_err(|errors| {
         let lines: Vec<String> = errors.iter().map(ToString::to_string).collect();

@@ -19,11 +19,11 @@ options! {
         local_slam_pose_translation_weight: f64 = 1e5, "weight", Bounds::at_least(0.0);
         /// Weight of the rotation that local SLAM found between consecutive nodes. Raise it as above.
         local_slam_pose_rotation_weight: f64 = 1e5, "weight", Bounds::at_least(0.0);
-        /// Weight of the translation that odometry measured between consecutive nodes. Lower it when
-        /// wheels slip.
+        /// Weight of the translation that odometry measured between consecutive nodes (2D, 3D without an IMU,
+        /// and 3D with `fix_z_in_3d`). Lower it when wheels slip.
         odometry_translation_weight: f64 = 1e5, "weight", Bounds::at_least(0.0);
-        /// Weight of the rotation that odometry measured between consecutive nodes. Lower it when wheels
-        /// slip in turns.
+        /// Weight of the rotation that odometry measured between consecutive nodes, as above. Lower it when
+        /// wheels slip in turns.
         odometry_rotation_weight: f64 = 1e5, "weight", Bounds::at_least(0.0);
         /// Weight of the position of fixed-frame poses (GNSS). Raise it for good receivers.
         fixed_frame_pose_translation_weight: f64 = 1e1, "weight", Bounds::at_least(0.0);

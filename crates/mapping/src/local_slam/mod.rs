@@ -10,7 +10,9 @@ use std::collections::VecDeque;
 
 use portolan_config::MotionFilterOptions;
 use portolan_geometry::{Point3f, Rigid3, Time};
-use portolan_sensor::{ImuData, OdometryData, RangeData, SensorId, TimedPointCloudData};
+use portolan_sensor::{
+    ImuData, OdometryData, RangeData, RangeDataCollatorCounts, SensorId, TimedPointCloudData,
+};
 
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
@@ -78,6 +80,28 @@ pub trait LocalSlam<S: Space>: Send {
     /// Where scans left directions open so far, if that is watched.
     fn weak_spans(&self) -> Vec<WeakSpan> {
         Vec::new()
+    }
+}
+
+/// Adds what was left out or put in order while scans were gathered.
+fn count_collated(counts: RangeDataCollatorCounts, repairs: &mut Repairs) {
+    for (what, count) in [
+        ("point older than the end of the scan before, left out", counts.earlier_points),
+        ("point whose time is not a number, left out", counts.points_without_time),
+        ("message whose points had to be put in order of time", counts.reordered_messages),
+        ("message of a range sensor that is not expected, left out", counts.unexpected_messages),
+    ] {
+        if count > 0 {
+            *repairs.entry(what).or_default() += count;
+        }
+    }
+}
+
+/// Adds what the extrapolator noticed and nobody else counts.
+fn count_extrapolated(extrapolator: Option<&PoseExtrapolator>, repairs: &mut Repairs) {
+    let jumps = extrapolator.map_or(0, |e| e.counts().odometry_jumps);
+    if jumps > 0 {
+        *repairs.entry("odometry that went on elsewhere").or_default() += jumps;
     }
 }
 

@@ -15,8 +15,8 @@ use portolan_sensor::{
 
 use super::two_d::{LocalSlamExtras, first_point_time};
 use super::{
-    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, motion_filter,
-    take_odometry,
+    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, count_collated,
+    count_extrapolated, motion_filter, take_odometry,
 };
 use crate::gyroscope_bias::GyroscopeBias;
 use crate::gyroscope_range::GyroscopeRange;
@@ -277,6 +277,9 @@ impl LocalSlam<Spatial> for LocalSlam3d {
             self.count("scan without points");
             return Vec::new();
         }
+        if self.options.use_intensities && ranges.intensities.is_empty() {
+            self.count("scan without intensities, matched by its shape alone");
+        }
         self.waiting_ranges.push_back(ranges);
         self.match_waiting()
     }
@@ -329,6 +332,8 @@ impl LocalSlam<Spatial> for LocalSlam3d {
     fn repairs(&self) -> Repairs {
         let mut repairs = self.repairs.clone();
         self.active_submaps.count_into(&mut repairs);
+        count_collated(self.collator.counts(), &mut repairs);
+        count_extrapolated(self.extrapolator.as_ref(), &mut repairs);
         repairs
     }
 

@@ -13,8 +13,8 @@ use portolan_sensor::{
 };
 
 use super::{
-    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, motion_filter,
-    take_odometry,
+    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, count_collated,
+    count_extrapolated, motion_filter, take_odometry,
 };
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
@@ -374,6 +374,8 @@ impl LocalSlam<Planar> for LocalSlam2d {
     fn repairs(&self) -> Repairs {
         let mut repairs = self.repairs.clone();
         self.active_submaps.count_into(&mut repairs);
+        count_collated(self.collator.counts(), &mut repairs);
+        count_extrapolated(self.extrapolator.as_ref(), &mut repairs);
         repairs
     }
 }

@@ -86,7 +86,7 @@ impl ImuBasedExtrapolator {
         limit(&mut self.odometry);
     }
 
-    /// The prediction for a time from the newest pose on; none before there is one.
+    /// The prediction for a time from the newest pose on; none before there is one, and where the IMU was silent.
     pub fn extrapolate(&mut self, time: Time) -> Option<Prediction> {
         let (newest_time, newest) = self.poses.back().copied()?;
         let stays = Prediction {
@@ -97,7 +97,7 @@ impl ImuBasedExtrapolator {
         if self.poses.len() < 3 || time.seconds_since(newest_time) < SAME_TIME {
             return Some(stays);
         }
-        Some(self.fit(time).unwrap_or(stays))
+        self.fit(time)
     }
 
     fn fit(&mut self, time: Time) -> Option<Prediction> {

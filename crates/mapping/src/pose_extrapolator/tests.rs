@@ -375,3 +375,26 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn an_imu_that_falls_silent_does_not_stop_the_robot() {
+    let options = portolan_config::Options::for_3d();
+    let options = options.trajectory_builder.trajectory_builder_3d.pose_extrapolator.imu_based;
+    let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, false).with_imu_based(&options);
+    for i in 0..=100 {
+        let t = 0.01 * f64::from(i);
+        extrapolator.add_imu(&imu(t, [0.0, 0.0, 9.80665], [0.0; 3])).unwrap();
+        if i % 10 == 0 {
+            extrapolator.add_pose(at(t), Rigid3::translation(t, 0.0, 0.0));
+        }
+    }
+    // Two seconds of scans without an IMU.
+    for i in 11..=30 {
+        let t = 0.1 * f64::from(i);
+        let truth = Rigid3::translation(t, 0.0, 0.0);
+        extrapolator.prepare(at(t));
+        let predicted = extrapolator.extrapolate_pose(at(t));
+        assert!(is_near(&predicted, &truth, 0.02, 0.01), "{t}: {predicted}");
+        extrapolator.add_pose(at(t), truth);
+    }
+}

@@ -255,6 +255,7 @@ impl CloudLayout {
         point_time: Option<PointTime>,
         with_intensities: bool,
     ) -> (TimedPoints, CloudFaults) {
+        let with_intensities = with_intensities && self.intensity.is_some();
         let available = cloud.data.len() / self.step.max(1);
         let mut result = TimedPoints::with_capacity(available, with_intensities);
         let mut faults = CloudFaults::default();
@@ -277,7 +278,7 @@ impl CloudLayout {
             } else if x.abs() < HUGE && y.abs() < HUGE && z.abs() < HUGE && time.is_finite() {
                 result.points.push(TimedPoint { position: Point3f::new(x, y, z), time });
                 if with_intensities {
-                    result.intensities.push(self.intensity.map_or(1.0, |f| f.single(point, big)));
+                    result.intensities.push(self.intensity.map_or(0.0, |f| f.single(point, big)));
                 }
             } else {
                 faults.not_finite += 1;

@@ -46,8 +46,8 @@ const PARTIAL: Kind = Kind {
 };
 const DEGREES: Kind = Kind {
     name: "gyroscope in degrees",
-    severity: Severity::Warning,
-    effect: "such angular velocities are multiplied by π/180 where it is seen in the first part of the recording; else rotation is overestimated 57 times",
+    severity: Severity::Error,
+    effect: "such angular velocities are multiplied by π/180 where the first seconds show it; else rotation is overestimated 57 times and there is no sensible map",
     to_do: "angular velocities must be in rad/s; convert the recording or mend the driver",
 };
 const UPSIDE_DOWN: Kind = Kind {
