@@ -3,6 +3,8 @@
 //! Times stand in the field for GPS time as they are. Intensities are rounded to whole numbers from 0 to
 //! 65535, colours are spread over 16 bits.
 
+mod promises;
+
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
@@ -32,9 +34,18 @@ struct LasReader {
 pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     let file = std::fs::File::open(path).map_err(|e| CloudError::read(path, e))?;
     let bytes = file.metadata().map_err(|e| CloudError::read(path, e))?.len();
-    let reader = unpanicked(|| Reader::new(BufReader::with_capacity(1 << 18, file))).map_err(|error| {
+    let mut file = BufReader::with_capacity(1 << 18, file);
+    let damaged = |error: Option<String>| {
         CloudError::damaged(path, error.unwrap_or_else(|| "its header cannot be understood".to_owned()))
-    })?;
+    };
+    if let Some(detail) = unpanicked(|| promises::beyond_the_file(&mut file, bytes)).map_err(damaged)? {
+        return Err(CloudError::damaged(path, detail));
+    }
+    let reader = unpanicked(|| {
+        std::io::Seek::rewind(&mut file)?;
+        Reader::new(file)
+    });
+    let reader = reader.map_err(damaged)?;
     let header = reader.header();
     let format = *header.point_format();
     let mut repairs = Repairs::default();
