@@ -26,7 +26,7 @@ use error::{CliError, Outcome};
     after_help = "Try:\n  portolan demo                     a simulated building, mapped and measured\n  \
     portolan info RECORDING           what a recording or a map holds\n  \
     portolan map RECORDING -o DIR     the map of a recording\n\n\
-    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with data loss."
+    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with data loss, 130 interrupted."
 )]
 struct Cli {
     #[command(flatten)]
@@ -70,12 +70,18 @@ fn main() -> ExitCode {
     let cli = Cli::parse_from(commands::compat::arguments(std::env::args_os()));
     start_logging(&cli.global);
     match commands::run(cli.command, &cli.global) {
+        // Whatever was saved, it is not all that was asked for.
+        Ok(_) if interrupt::interrupted() => ExitCode::from(interrupt::EXIT_CODE),
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::DataLost) => ExitCode::from(3),
         Err(error) if error.is_closed_pipe() => ExitCode::SUCCESS,
         Err(error) => {
             report(&error);
-            ExitCode::from(if matches!(error, CliError::Usage(_)) { 2 } else { 1 })
+            ExitCode::from(match error {
+                CliError::Usage(_) => 2,
+                _ if interrupt::interrupted() => interrupt::EXIT_CODE,
+                _ => 1,
+            })
         }
     }
 }

@@ -166,11 +166,11 @@ fn an_interrupt_saves_what_was_mapped() {
     std::thread::sleep(std::time::Duration::from_millis(1500));
     std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     let finished = child.wait_with_output().unwrap();
-    assert!(finished.status.success(), "{}", String::from_utf8_lossy(&finished.stderr));
+    assert_eq!(finished.status.code(), Some(130), "{}", String::from_utf8_lossy(&finished.stderr));
     portolan_with_code(0, &["info", &text(&folder.path().join("map.pbstream"))]);
     let report = report(folder.path());
     if report["interrupted"] == true {
-        assert!(String::from_utf8_lossy(&finished.stdout).contains("stopped before the end"));
+        assert!(String::from_utf8_lossy(&finished.stdout).contains("interrupted: stopped before the end"));
     }
 }
 

@@ -368,7 +368,7 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
         text += &format!("repaired: {what} ({count}x)\n");
     }
     if mapped.interrupted {
-        text += "stopped before the end of the recording; what was mapped is saved\n";
+        text += "interrupted: stopped before the end of the recording; what was mapped is saved\n";
     }
     for file in &written.files {
         text += &format!("{}\n", file.display());
