@@ -146,6 +146,22 @@ fn an_output_folder_that_cannot_be_is_an_error_before_mapping() {
 }
 
 #[test]
+fn a_cloud_that_cannot_be_written_is_an_error_before_mapping() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let (file, output) = (folder.path().join("file"), text(&folder.path().join("results")));
+    std::fs::write(&file, "in the way").unwrap();
+    for cloud in [file.join("walk.ply"), file.join("more/walk.ply")] {
+        let run = portolan_with_code(1, &["map", &recording, "-o", &output, "--cloud", &text(&cloud)]);
+        assert!(run.stderr.contains("file") && run.stdout.is_empty(), "{}", run.stderr);
+    }
+    assert!(!Path::new(&output).exists());
+    let cloud = folder.path().join("new/folder/walk.ply");
+    portolan_with_code(0, &["map", &recording, "-o", &output, "--cloud", &text(&cloud)]);
+    assert!(cloud.exists());
+}
+
+#[test]
 fn a_recording_that_is_not_there_is_named() {
     let run = portolan_with_code(1, &["map", "nowhere.bag", "-o", "unused"]);
     assert!(run.stderr.contains("nowhere.bag"), "{}", run.stderr);

@@ -150,6 +150,7 @@ pub struct ConfigArgs {
 
 pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     args.cloud.check()?;
+    args.cloud.make_room()?;
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;

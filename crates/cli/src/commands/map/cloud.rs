@@ -59,6 +59,22 @@ impl CloudArgs {
         self.cloud_voxel.map_or(Ok(()), |size| VoxelThinner::new(size).map(drop).map_err(usage))
     }
 
+    /// Makes the folder of the cloud and tries whether files can be written there, so that this does not fail after
+    /// hours of mapping.
+    pub fn make_room(&self) -> Result<(), CliError> {
+        let Some(path) = &self.cloud else { return Ok(()) };
+        let file = |path: &Path, source| CliError::File { path: path.to_owned(), source };
+        if path.is_dir() {
+            return Err(file(path, std::io::ErrorKind::IsADirectory.into()));
+        }
+        // A name without a folder goes to the results, which are made on their own.
+        let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else {
+            return Ok(());
+        };
+        std::fs::create_dir_all(folder).map_err(|source| file(folder, source))?;
+        tempfile::tempfile_in(folder).map(drop).map_err(|source| file(folder, source))
+    }
+
     fn path(&self, folder: &Path) -> Option<PathBuf> {
         let path = self.cloud.as_ref()?;
         let is_bare = path.parent().is_none_or(|parent| parent.as_os_str().is_empty());
