@@ -161,6 +161,20 @@ fn a_cloud_that_cannot_be_written_is_an_error_before_mapping() {
     assert!(cloud.exists());
 }
 
+/// What waits for the cloud to be complete does so beside it: the folder for temporary files may be small.
+#[cfg(unix)]
+#[test]
+fn clouds_need_no_folder_for_temporary_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let run = std::process::Command::new(env!("CARGO_BIN_EXE_portolan"))
+        .args(["map", &recording, "-o", &text(&folder.path().join("results")), "--cloud", "walk.e57"])
+        .env("TMPDIR", folder.path().join("nowhere"))
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
 #[test]
 fn a_recording_that_is_not_there_is_named() {
     let run = portolan_with_code(1, &["map", "nowhere.bag", "-o", "unused"]);

@@ -109,7 +109,8 @@ impl CloudResults {
         let cloud_sink = cloud.as_ref().map(|(path, voxel)| CloudSink::create(path, *voxel));
         let mut cloud_sink = cloud_sink.transpose().map_err(failed)?;
         let xray_sink = to_draw.map(|request| VoxelThinner::new(request.voxel_size));
-        let mut xray_sink = xray_sink.transpose().map_err(failed)?;
+        let xray_sink = xray_sink.transpose().map_err(failed)?;
+        let mut xray_sink = xray_sink.map(|thinner| thinner.in_folder(folder));
         let unwound = unwind(&mut |points| {
             if let Some(thinner) = &mut xray_sink {
                 points.iter().try_for_each(|p| thinner.add(p.position, p.intensity, p.time))?;
@@ -146,7 +147,12 @@ impl CloudSink {
     fn create(path: &Path, voxel: Option<f64>) -> Result<Self, CloudError> {
         let writer = create(path, ATTRIBUTES, &WriteOptions::default())?;
         Ok(match voxel {
-            Some(size) => Self::Thinned { writer, thinner: VoxelThinner::new(size)? },
+            Some(size) => {
+                // Beside the cloud, where there is room for it.
+                let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+                let thinner = VoxelThinner::new(size)?.in_folder(folder.unwrap_or(Path::new(".")));
+                Self::Thinned { writer, thinner }
+            }
             None => Self::All { writer, batch: PointCloud::new(ATTRIBUTES) },
         })
     }
@@ -249,7 +255,7 @@ fn draw_kept(
     let motion = SmoothMotion::new(poses.to_vec());
     match request.draw(&mut Points::Kept(scans, &motion), folder) {
         Ok(files) => Ok(Some(files)),
-        Err(NotDrawn::Points(error)) => {
+        Err(NotDrawn::Kept(error)) => {
             say(&format!("scans that were kept cannot be read ({error}): X-rays need a second pass"));
             Ok(None)
         }
@@ -264,6 +270,9 @@ fn not_drawn(reason: NotDrawn) -> Result<Vec<PathBuf>, CliError> {
             Ok(Vec::new())
         }
         NotDrawn::Points(error) => Err(failed(error)),
+        NotDrawn::Kept(error) => {
+            Err(CliError::Failed(format!("scans that were kept cannot be read: {error}")))
+        }
         NotDrawn::Failed(error) => Err(error),
     }
 }
