@@ -176,6 +176,18 @@ fn clouds_need_no_folder_for_temporary_files() {
 }
 
 #[test]
+fn what_left_no_scan_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let output = text(&folder.path().join("results"));
+    let stderr =
+        |cut: &[&str]| portolan_with_code(1, &[&["map", &recording, "-o", &output], cut].concat()).stderr;
+    assert!(stderr(&["--skip", "100"]).contains("--skip 100 leaves not a single scan"));
+    let both = stderr(&["--skip", "100", "--duration", "2"]);
+    assert!(both.contains("--skip 100 with --duration 2") && both.contains("12.0 s"), "{both}");
+}
+
+#[test]
 fn a_recording_that_is_not_there_is_named() {
     let run = portolan_with_code(1, &["map", "nowhere.bag", "-o", "unused"]);
     assert!(run.stderr.contains("nowhere.bag"), "{}", run.stderr);

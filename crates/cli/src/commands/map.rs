@@ -187,7 +187,8 @@ fn finish<S: ResultSpace>(
 ) -> Result<Outcome, CliError> {
     let start = std::time::Instant::now();
     let known = args.known.load::<S>(&preparation.options, global.quiet)?;
-    let mapped = map_with_progress::<S>(recording, ingest, preparation.clone(), known, global)?;
+    let mapped = map_with_progress::<S>(recording, ingest, preparation.clone(), known, global);
+    let mapped = mapped.map_err(|error| nothing_left(error, recording, args))?;
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, folder, seconds, args.all_poses)?;
     print(&summary(&mapped, &written, seconds))?;
@@ -289,9 +290,28 @@ fn change_options(preparation: &mut Preparation, settings: &[String]) -> Result<
     })
 }
 
+/// Names --skip and --duration where they left no scan.
+fn nothing_left(error: CliError, recording: &dyn Recording, args: &MapArgs) -> CliError {
+    let length = args.duration.map(|seconds| format!("--duration {seconds}"));
+    let skip = (args.skip > 0.0).then(|| format!("--skip {}", args.skip));
+    let cuts: Vec<String> = skip.into_iter().chain(length).collect();
+    if cuts.is_empty() || interrupt::interrupted() || !matches!(error, CliError::NoScans(_)) {
+        return error;
+    }
+    let range = recording.time_range().map_or(0.0, |(first, last)| last.seconds_since(first));
+    CliError::Failed(format!(
+        "{} leaves not a single scan that could be used of the {range:.1} s of the recording",
+        cuts.join(" with ")
+    ))
+}
+
 fn failure(error: PipelineError) -> CliError {
     match error {
         PipelineError::Setting(message) => CliError::Usage(message),
+        PipelineError::NoScans if interrupt::interrupted() => {
+            CliError::Failed("interrupted before the first scan: nothing was written".to_owned())
+        }
+        PipelineError::NoScans => CliError::NoScans(error.to_string()),
         other => CliError::Failed(other.to_string()),
     }
 }
