@@ -18,8 +18,9 @@ use error::{CliError, Outcome};
 
 /// Turns what a moving lidar saw into a map and a trajectory.
 ///
-/// Portolan maps recordings (ROS 1 bags, ROS 2 MCAP and db3, CARMEN logs) without ROS and without
-/// configuration, reads and writes Cartographer's .pbstream maps, and measures its own results.
+/// Portolan maps recordings (ROS 1 bags, ROS 2 MCAP and db3, packets of Velodyne and Ouster lidars, KITTI
+/// folders, CARMEN logs) without ROS and without configuration, reads and writes Cartographer's .pbstream maps,
+/// and measures its own results.
 #[derive(Parser)]
 #[command(name = "portolan", version, propagate_version = true, max_term_width = 100)]
 #[command(

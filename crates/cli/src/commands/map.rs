@@ -29,8 +29,9 @@ pub use cloud::{CloudArgs, CloudResults, write_clouds};
 /// Make a map of a recording: loop-closed map, trajectory, pictures and a report.
 ///
 /// Nothing needs to be configured: topics, frames and settings are chosen from the recording, and the
-/// choice is printed. RECORDING is a ROS 1 bag, a ROS 2 bag (MCAP, db3, or their folder), a CARMEN log,
-/// or a CoreSLAM file; several are read as one, in order.
+/// choice is printed. RECORDING is a ROS 1 bag, a ROS 2 bag (MCAP, db3, or their folder), packets of a
+/// Velodyne or Ouster lidar (.pcap), a KITTI folder, a CARMEN log, or a CoreSLAM file; several are read as one, in
+/// order.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan map walk.bag -o walk\n  \
     portolan map robot.mcap --scan /front/scan --no-odometry\n  \
@@ -93,6 +94,10 @@ pub struct SensorArgs {
     /// Use no IMU.
     #[arg(long, conflicts_with = "imu")]
     pub no_imu: bool,
+    /// Use satellite fixes (sensor_msgs/NavSatFix), as `--set use_nav_sat=true` does. They help on long ways outdoors
+    /// that do not come back to where they were; indoors and between high houses fixes are wrong and harm.
+    #[arg(long)]
+    pub gnss: bool,
     /// Frame whose motion is wanted: that of the IMU if one is used.
     #[arg(long, value_name = "FRAME")]
     pub tracking_frame: Option<String>,
@@ -155,7 +160,7 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;
     let configuration = load_options(&args.config)?;
-    let requested = RequestedOptions { configuration, settings: args.config.set.clone() };
+    let requested = RequestedOptions { configuration, settings: settings(&args) };
     let ingest = ingest_options(&args, &requested)?;
     interrupt::watch();
     let threads = requested.background_threads();
@@ -220,6 +225,12 @@ fn load_options(config: &ConfigArgs) -> Result<Option<Options>, CliError> {
         tracing::warn!("{warning}");
     }
     Ok(Some(loaded.options))
+}
+
+/// Settings to change, in this order: what is said by name of an option comes last.
+fn settings(args: &MapArgs) -> Vec<String> {
+    let gnss = args.sensors.gnss.then(|| "use_nav_sat=true".to_owned());
+    gnss.into_iter().chain(args.config.set.iter().cloned()).collect()
 }
 
 /// What the command line and options say of the sensors.
