@@ -21,6 +21,9 @@ pub enum CliError {
     /// Anything else, as a sentence that says what to do.
     #[error("{0}")]
     Failed(String),
+    /// Of a recording no scan could be used.
+    #[error("{0}")]
+    NoScans(String),
     /// A file could not be read or written.
     #[error("{}: {source}", path.display())]
     File {

@@ -4,11 +4,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
+/// How a program ends that was told to stop: 128 and the number of the signal.
+pub const EXIT_CODE: u8 = 130;
+
 /// From now on Ctrl-C and SIGTERM only set [`interrupted`]; a second one ends the program.
 pub fn watch() {
     let installed = ctrlc::set_handler(|| {
         if INTERRUPTED.swap(true, Ordering::SeqCst) {
-            std::process::exit(130);
+            std::process::exit(i32::from(EXIT_CODE));
         }
     });
     if let Err(error) = installed {

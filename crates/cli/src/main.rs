@@ -18,15 +18,16 @@ use error::{CliError, Outcome};
 
 /// Turns what a moving lidar saw into a map and a trajectory.
 ///
-/// Portolan maps recordings (ROS 1 bags, ROS 2 MCAP and db3, CARMEN logs) without ROS and without
-/// configuration, reads and writes Cartographer's .pbstream maps, and measures its own results.
+/// Portolan maps recordings (ROS 1 bags, ROS 2 MCAP and db3, packets of Velodyne and Ouster lidars, KITTI
+/// folders, CARMEN logs) without ROS and without configuration, reads and writes Cartographer's .pbstream maps,
+/// and measures its own results.
 #[derive(Parser)]
 #[command(name = "portolan", version, propagate_version = true, max_term_width = 100)]
 #[command(
     after_help = "Try:\n  portolan demo                     a simulated building, mapped and measured\n  \
     portolan info RECORDING           what a recording or a map holds\n  \
     portolan map RECORDING -o DIR     the map of a recording\n\n\
-    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with data loss."
+    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with data loss, 130 interrupted."
 )]
 struct Cli {
     #[command(flatten)]
@@ -70,12 +71,18 @@ fn main() -> ExitCode {
     let cli = Cli::parse_from(commands::compat::arguments(std::env::args_os()));
     start_logging(&cli.global);
     match commands::run(cli.command, &cli.global) {
+        // Whatever was saved, it is not all that was asked for.
+        Ok(_) if interrupt::interrupted() => ExitCode::from(interrupt::EXIT_CODE),
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::DataLost) => ExitCode::from(3),
         Err(error) if error.is_closed_pipe() => ExitCode::SUCCESS,
         Err(error) => {
             report(&error);
-            ExitCode::from(if matches!(error, CliError::Usage(_)) { 2 } else { 1 })
+            ExitCode::from(match error {
+                CliError::Usage(_) => 2,
+                _ if interrupt::interrupted() => interrupt::EXIT_CODE,
+                _ => 1,
+            })
         }
     }
 }

@@ -1,24 +1,18 @@
 //! What mapping leaves in its folder.
 
+mod pictures;
+
 use std::path::{Path, PathBuf};
 
 use portolan::pipeline::MappedRecording;
-use portolan_export::{
-    ConstraintLine, MapContent, PictureOptions, TrajectoryLine, draw_map, write_picture, write_tum,
-};
-use portolan_mapfile::{
-    ImageName, MapSpace, PaintOptions, PlacedTexture, paint, submap_textures_2d, submap_textures_3d,
-    write_map, write_ros_map,
-};
+use portolan_export::{ConstraintLine, MapContent, TrajectoryLine, write_tum};
+use portolan_mapfile::{MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d, write_map};
 use portolan_mapping::{LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId, WeakMotion, WeakSpan};
 
 use crate::error::CliError;
 use crate::known_map::Localisation;
 use crate::memory::resident_and_peak_bytes;
 use crate::output::write_file;
-
-/// Cell size of the ROS map, metres.
-const ROS_MAP_RESOLUTION: f64 = 0.05;
 
 /// A space whose maps can be shown from above.
 pub trait ResultSpace: MapSpace {
@@ -55,9 +49,8 @@ pub fn write_results<S: ResultSpace>(
     let memory_while_mapping = resident_and_peak_bytes();
     let mut files = Vec::new();
     let mut file = |name: &str| {
-        let path = folder.join(name);
-        files.push(path.clone());
-        path
+        files.push(folder.join(name));
+        folder.join(name)
     };
     let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
     write_map(map, file("map.pbstream"), true).map_err(|e| failed(&e))?;
@@ -73,16 +66,11 @@ pub fn write_results<S: ResultSpace>(
         trajectories: &trajectory_lines(map),
         constraints: &constraint_lines(map),
     };
-    let picture = draw_map(&content, &PictureOptions::default()).map_err(|e| failed(&e))?;
-    write_picture(&file("map.png"), &picture).map_err(|e| failed(&e))?;
-    let options = PaintOptions { resolution: ROS_MAP_RESOLUTION, ..PaintOptions::default() };
-    let painted = paint(&textures, &options).map_err(|e| failed(&e))?;
-    write_ros_map(&folder.join("map"), &painted, ImageName::Beside).map_err(|e| failed(&e))?;
-    file("map.pgm");
-    file("map.yaml");
+    files.extend(pictures::write_pictures(&content, folder)?);
     let report =
         serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping)).map_err(|e| failed(&e))?;
-    write_file(&file("report.json"), |out| out.write_all(&report))?;
+    files.push(folder.join("report.json"));
+    write_file(&folder.join("report.json"), |out| out.write_all(&report))?;
     Ok(Written { files })
 }
 

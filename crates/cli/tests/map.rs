@@ -146,6 +146,48 @@ fn an_output_folder_that_cannot_be_is_an_error_before_mapping() {
 }
 
 #[test]
+fn a_cloud_that_cannot_be_written_is_an_error_before_mapping() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let (file, output) = (folder.path().join("file"), text(&folder.path().join("results")));
+    std::fs::write(&file, "in the way").unwrap();
+    for cloud in [file.join("walk.ply"), file.join("more/walk.ply")] {
+        let run = portolan_with_code(1, &["map", &recording, "-o", &output, "--cloud", &text(&cloud)]);
+        assert!(run.stderr.contains("file") && run.stdout.is_empty(), "{}", run.stderr);
+    }
+    assert!(!Path::new(&output).exists());
+    let cloud = folder.path().join("new/folder/walk.ply");
+    portolan_with_code(0, &["map", &recording, "-o", &output, "--cloud", &text(&cloud)]);
+    assert!(cloud.exists());
+}
+
+/// What waits for the cloud to be complete does so beside it: the folder for temporary files may be small.
+#[cfg(unix)]
+#[test]
+fn clouds_need_no_folder_for_temporary_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let run = std::process::Command::new(env!("CARGO_BIN_EXE_portolan"))
+        .args(["map", &recording, "-o", &text(&folder.path().join("results")), "--cloud", "walk.e57"])
+        .env("TMPDIR", folder.path().join("nowhere"))
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+fn what_left_no_scan_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let output = text(&folder.path().join("results"));
+    let stderr =
+        |cut: &[&str]| portolan_with_code(1, &[&["map", &recording, "-o", &output], cut].concat()).stderr;
+    assert!(stderr(&["--skip", "100"]).contains("--skip 100 leaves not a single scan"));
+    let both = stderr(&["--skip", "100", "--duration", "2"]);
+    assert!(both.contains("--skip 100 with --duration 2") && both.contains("12.0 s"), "{both}");
+}
+
+#[test]
 fn a_recording_that_is_not_there_is_named() {
     let run = portolan_with_code(1, &["map", "nowhere.bag", "-o", "unused"]);
     assert!(run.stderr.contains("nowhere.bag"), "{}", run.stderr);
@@ -166,11 +208,11 @@ fn an_interrupt_saves_what_was_mapped() {
     std::thread::sleep(std::time::Duration::from_millis(1500));
     std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     let finished = child.wait_with_output().unwrap();
-    assert!(finished.status.success(), "{}", String::from_utf8_lossy(&finished.stderr));
+    assert_eq!(finished.status.code(), Some(130), "{}", String::from_utf8_lossy(&finished.stderr));
     portolan_with_code(0, &["info", &text(&folder.path().join("map.pbstream"))]);
     let report = report(folder.path());
     if report["interrupted"] == true {
-        assert!(String::from_utf8_lossy(&finished.stdout).contains("stopped before the end"));
+        assert!(String::from_utf8_lossy(&finished.stdout).contains("interrupted: stopped before the end"));
     }
 }
 

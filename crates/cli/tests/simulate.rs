@@ -41,6 +41,17 @@ fn wrong_usage_is_refused_and_leaves_nothing() {
         assert!(!run.stderr.is_empty(), "{arguments:?}");
     }
     portolan_with_code(2, &["simulate", "-o", "walk.xyz", "--seconds", "5"]);
+    let dotted = common::text(&folder.path().join(".").join("x.bag"));
+    let other = common::text(&folder.path().join("y"));
+    for same in [
+        vec!["--truth", &output],
+        vec!["--walls", &dotted],
+        vec!["--truth", &other, "--walls", &other],
+        vec!["museum", "--storeys", "1", "--truth", &other, "--surfaces", &other],
+    ] {
+        let run = portolan_with_code(2, &[vec!["simulate", "-o", &output, "--seconds", "2"], same].concat());
+        assert!(run.stderr.contains("twice"), "{}", run.stderr);
+    }
     let nowhere = common::text(&folder.path().join("no/such/folder/x.bag"));
     assert_eq!(portolan(&["simulate", "-o", &nowhere, "--seconds", "2"]).code, Some(1));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -27,7 +27,7 @@ fn mapped(folder: &Path, scene: &[&str], settings: &[&str]) -> (serde_json::Valu
 fn wheels_and_satellites_tie_a_map_outdoors() {
     let folder = tempfile::tempdir().unwrap();
     let scene = ["park", "--size", "40x40", "--seconds", "20"];
-    let (info, error) = mapped(folder.path(), &scene, &["--set", "use_nav_sat=true"]);
+    let (info, error) = mapped(folder.path(), &scene, &["--gnss"]);
     let trajectory = &info["trajectories"][0];
     for (kind, least) in [("odometry_data", 500), ("fixed_frame_pose_data", 50), ("imu_data", 3000)] {
         assert!(trajectory["sensor_data"][kind].as_u64().unwrap() > least, "{kind}: {trajectory}");

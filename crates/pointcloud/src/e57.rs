@@ -11,7 +11,7 @@ use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
 use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
 use crate::format::{CloudReader, CloudWriter, Written};
-use crate::output::{Output, Spool};
+use crate::output::{Output, Spool, folder_of};
 
 /// What the reading thread sends.
 type Sent = Result<(PointCloud, u64), String>;
@@ -250,7 +250,8 @@ pub(crate) struct E57Writer {
 impl E57Writer {
     pub fn create(path: &Path, attributes: Attributes) -> Result<Self, CloudError> {
         let output = Output::create(path)?;
-        let spool = Spool::new().map_err(|e| CloudError::write(path, e))?;
+        let folder = folder_of(path);
+        let spool = Spool::in_folder(folder).map_err(|e| CloudError::temporary(folder, e))?;
         Ok(Self {
             output,
             attributes,
@@ -347,7 +348,8 @@ impl CloudWriter for E57Writer {
                 self.written.not_finite += 1;
             }
         }
-        self.spool.append(&self.bytes).map_err(|e| CloudError::write(&self.output.path, e))
+        let folder = folder_of(&self.output.path);
+        self.spool.append(&self.bytes).map_err(|e| CloudError::temporary(folder, e))
     }
 
     fn finish(mut self: Box<Self>) -> Result<Written, CloudError> {

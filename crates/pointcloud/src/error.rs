@@ -50,8 +50,13 @@ pub enum CloudError {
     #[error("voxels must be 0.0001 to 1000 m large, not {0}")]
     VoxelSize(f64),
     /// A temporary file could not be written or read.
-    #[error("a temporary file failed: {0}; is its disk full? TMPDIR names another folder for it")]
-    Temporary(std::io::Error),
+    #[error("a temporary file in {} failed: {source}", folder.display())]
+    Temporary {
+        /// The folder it is in.
+        folder: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
 }
 
 impl CloudError {
@@ -61,6 +66,11 @@ impl CloudError {
 
     pub(crate) fn read(path: &Path, source: std::io::Error) -> Self {
         Self::Read { path: path.to_owned(), source }
+    }
+
+    /// A temporary file in `folder` could not be written or read.
+    pub fn temporary(folder: &Path, source: std::io::Error) -> Self {
+        Self::Temporary { folder: folder.to_owned(), source }
     }
 
     pub(crate) fn write(path: &Path, source: std::io::Error) -> Self {

@@ -3,6 +3,9 @@
 //! Times stand in the field for GPS time as they are. Intensities are rounded to whole numbers from 0 to
 //! 65535, colours are spread over 16 bits.
 
+mod promises;
+mod remembering;
+
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
@@ -14,6 +17,7 @@ use crate::cloud::{Attributes, PointCloud};
 use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
 use crate::format::{CloudReader, CloudWriter, WriteOptions, Written};
 use crate::output::Output;
+use remembering::{Failure, Remembering};
 
 /// Reads points.
 struct LasReader {
@@ -32,9 +36,18 @@ struct LasReader {
 pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     let file = std::fs::File::open(path).map_err(|e| CloudError::read(path, e))?;
     let bytes = file.metadata().map_err(|e| CloudError::read(path, e))?.len();
-    let reader = unpanicked(|| Reader::new(BufReader::with_capacity(1 << 18, file))).map_err(|error| {
+    let mut file = BufReader::with_capacity(1 << 18, file);
+    let damaged = |error: Option<String>| {
         CloudError::damaged(path, error.unwrap_or_else(|| "its header cannot be understood".to_owned()))
-    })?;
+    };
+    if let Some(detail) = unpanicked(|| promises::beyond_the_file(&mut file, bytes)).map_err(damaged)? {
+        return Err(CloudError::damaged(path, detail));
+    }
+    let reader = unpanicked(|| {
+        std::io::Seek::rewind(&mut file)?;
+        Reader::new(file)
+    });
+    let reader = reader.map_err(damaged)?;
     let header = reader.header();
     let format = *header.point_format();
     let mut repairs = Repairs::default();
@@ -146,7 +159,9 @@ pub(crate) struct LasWriter {
     origin: Option<[f64; 3]>,
     is_compressed: bool,
     /// From the first point on, near which coordinates count.
-    writer: Option<Writer<std::io::BufWriter<std::fs::File>>>,
+    writer: Option<Writer<Remembering<std::io::BufWriter<std::fs::File>>>>,
+    /// Why the file could not be written.
+    failure: Failure,
     written: Written,
 }
 
@@ -168,6 +183,7 @@ impl LasWriter {
             origin: options.origin,
             is_compressed,
             writer: None,
+            failure: Failure::default(),
             written: Written { points: 0, not_finite: 0 },
         })
     }
@@ -177,6 +193,11 @@ impl LasWriter {
             path: self.output.path.clone(),
             detail: format!("{error}; a coarser resolution lets coordinates reach farther"),
         }
+    }
+
+    /// Whether everything so far could be written.
+    fn check(&self) -> Result<(), CloudError> {
+        self.failure.get().map_or(Ok(()), |error| Err(CloudError::write(&self.output.path, error)))
     }
 
     fn start(&mut self, first: [f64; 3]) -> Result<(), CloudError> {
@@ -195,6 +216,7 @@ impl LasWriter {
         builder.version = Version::new(1, 4);
         let header = builder.into_header().map_err(|e| self.unwritable(&e))?;
         let file = std::io::BufWriter::with_capacity(1 << 18, self.output.handle()?);
+        let file = Remembering::new(file, self.failure.clone());
         self.writer = Some(Writer::new(file, header).map_err(|e| self.unwritable(&e))?);
         Ok(())
     }
@@ -232,7 +254,7 @@ impl CloudWriter for LasWriter {
             result.map_err(|e| self.unwritable(&e))?;
             self.written.points += 1;
         }
-        Ok(())
+        self.check()
     }
 
     fn finish(mut self: Box<Self>) -> Result<Written, CloudError> {
@@ -241,12 +263,12 @@ impl CloudWriter for LasWriter {
         }
         if let Some(mut writer) = self.writer.take() {
             writer.close().map_err(|e| self.unwritable(&e))?;
-            let file = writer.into_inner();
             // Closed above; what is left is to empty the buffer.
-            if let Ok(mut file) = file {
+            if let Ok(mut file) = writer.into_inner() {
                 std::io::Write::flush(&mut file).map_err(|e| CloudError::write(&self.output.path, e))?;
             }
         }
+        self.check()?;
         self.output.finish()?;
         Ok(self.written)
     }

@@ -70,15 +70,30 @@ impl Drop for Output {
     }
 }
 
-/// Bytes that wait on disk until all of them are known.
+/// The folder that a file is in.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Bytes that wait on disk until all of them are known, in a file without a name.
 pub(crate) struct Spool {
     writer: BufWriter<File>,
     length: u64,
 }
 
 impl Spool {
+    /// In the folder for temporary files: for what is only read.
     pub fn new() -> std::io::Result<Self> {
-        Ok(Self { writer: BufWriter::with_capacity(1 << 16, tempfile::tempfile()?), length: 0 })
+        Ok(Self::of(tempfile::tempfile()?))
+    }
+
+    /// In this folder: that of results has room for them, which the one for temporary files, often memory, may not.
+    pub fn in_folder(folder: &Path) -> std::io::Result<Self> {
+        Ok(Self::of(tempfile::tempfile_in(folder)?))
+    }
+
+    fn of(file: File) -> Self {
+        Self { writer: BufWriter::with_capacity(1 << 16, file), length: 0 }
     }
 
     pub fn append(&mut self, bytes: &[u8]) -> std::io::Result<()> {

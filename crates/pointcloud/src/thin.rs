@@ -9,6 +9,7 @@ mod runs;
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
+use std::path::Path;
 
 use crate::error::CloudError;
 use runs::{Cell, Runs};
@@ -63,10 +64,17 @@ impl VoxelThinner {
             voxel_size,
             cells_in_memory: cells_in_memory.max(1),
             cells: HashMap::default(),
-            runs: Runs::default(),
+            runs: Runs::in_folder(&std::env::temp_dir()),
             first_time: None,
             not_finite: 0,
         })
+    }
+
+    /// Has cells that do not fit in memory wait in this folder, not in the one for temporary files.
+    #[must_use]
+    pub fn in_folder(mut self, folder: &Path) -> Self {
+        self.runs = Runs::in_folder(folder);
+        self
     }
 
     /// Adds a point; one that is not finite or farther than two thousand million voxels is only counted.

@@ -157,6 +157,38 @@ fn cut_files_say_what_is_missing() {
     assert!(read_bytes(&bytes[..bytes.len() - 10], "x.pcd").is_err());
 }
 
+/// Memory is not asked for as much as a damaged number says.
+#[test]
+fn laz_that_promises_more_than_it_can_have_is_refused() {
+    let bytes = sample("x.laz", Encoding::Binary);
+    let offset = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize;
+    let table = u64::from_le_bytes(bytes[offset..offset + 8].try_into().unwrap()) as usize;
+    let mut chunks = bytes.clone();
+    chunks[table + 4..table + 8].copy_from_slice(&u32::MAX.to_le_bytes());
+    // The place of the table at the end, as writers leave it that cannot go back.
+    let mut at_the_end = chunks.clone();
+    at_the_end[offset..offset + 8].fill(0xff);
+    at_the_end.extend((table as u64).to_le_bytes());
+    // A record behind the points that would fill any memory.
+    let mut record = bytes.clone();
+    record[235..243].copy_from_slice(&(bytes.len() as u64).to_le_bytes());
+    record[243..247].copy_from_slice(&1_u32.to_le_bytes());
+    record.extend([0; 60]);
+    record[bytes.len() + 20..bytes.len() + 28].copy_from_slice(&(1_u64 << 46).to_le_bytes());
+    for damaged in [chunks, at_the_end, record] {
+        let error = read_bytes(&damaged, "x.laz").err().unwrap();
+        assert!(matches!(&error, CloudError::Damaged { .. }), "{error}");
+        assert!(error.to_string().contains("promises") || error.to_string().contains("longer"), "{error}");
+    }
+    // Both ways are good where the number is.
+    let mut at_the_end = bytes.clone();
+    at_the_end[offset..offset + 8].fill(0xff);
+    at_the_end.extend((table as u64).to_le_bytes());
+    for good in [bytes, at_the_end] {
+        assert_eq!(read_bytes(&good, "x.laz").unwrap().0.len(), 60);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
     #[test]

@@ -144,3 +144,29 @@ fn far_places_are_kept_and_what_is_no_number_is_left_out() {
     let coarse = WriteOptions { resolution: 0.0, ..WriteOptions::default() };
     assert!(create(folder.path().join("map.las"), Attributes::default(), &coarse).is_err());
 }
+
+/// A full disk is an error that says so, and leaves nothing behind; nor does a cloud that is given up then.
+#[cfg(target_os = "linux")]
+#[test]
+fn full_disks_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = cloud(20_000, Attributes { intensity: true, time: true, color: true });
+    for name in ["x.ply", "x.pcd", "x.xyz", "x.las", "x.laz", "x.e57"] {
+        let path = folder.path().join(name);
+        for (batches, is_finished) in [(0, true), (1, true), (40, true), (40, false)] {
+            // A file that is always full, under the name that is written to.
+            std::os::unix::fs::symlink("/dev/full", folder.path().join(format!("{name}.part"))).unwrap();
+            let mut writer = create(&path, cloud.attributes(), &WriteOptions::default()).unwrap();
+            let written = (0..batches).try_for_each(|_| writer.write(&cloud));
+            if !is_finished {
+                drop(writer);
+            } else if let Err(error) = written.and_then(|()| writer.finish().map(drop)) {
+                let text = error.to_string();
+                assert!(text.contains("space") && !text.contains("resolution"), "{name}: {text}");
+            } else {
+                unreachable!("{name} of {batches} batches was written to a full disk");
+            }
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{name}");
+        }
+    }
+}

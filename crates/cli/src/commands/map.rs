@@ -29,8 +29,9 @@ pub use cloud::{CloudArgs, CloudResults, write_clouds};
 /// Make a map of a recording: loop-closed map, trajectory, pictures and a report.
 ///
 /// Nothing needs to be configured: topics, frames and settings are chosen from the recording, and the
-/// choice is printed. RECORDING is a ROS 1 bag, a ROS 2 bag (MCAP, db3, or their folder), a CARMEN log,
-/// or a CoreSLAM file; several are read as one, in order.
+/// choice is printed. RECORDING is a ROS 1 bag, a ROS 2 bag (MCAP, db3, or their folder), packets of a
+/// Velodyne or Ouster lidar (.pcap), a KITTI folder, a CARMEN log, or a CoreSLAM file; several are read as one, in
+/// order.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan map walk.bag -o walk\n  \
     portolan map robot.mcap --scan /front/scan --no-odometry\n  \
@@ -93,6 +94,10 @@ pub struct SensorArgs {
     /// Use no IMU.
     #[arg(long, conflicts_with = "imu")]
     pub no_imu: bool,
+    /// Use satellite fixes (sensor_msgs/NavSatFix), as `--set use_nav_sat=true` does. They help on long ways outdoors
+    /// that do not come back to where they were; indoors and between high houses fixes are wrong and harm.
+    #[arg(long)]
+    pub gnss: bool,
     /// Frame whose motion is wanted: that of the IMU if one is used.
     #[arg(long, value_name = "FRAME")]
     pub tracking_frame: Option<String>,
@@ -150,11 +155,12 @@ pub struct ConfigArgs {
 
 pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     args.cloud.check()?;
+    args.cloud.make_room()?;
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;
     let configuration = load_options(&args.config)?;
-    let requested = RequestedOptions { configuration, settings: args.config.set.clone() };
+    let requested = RequestedOptions { configuration, settings: settings(&args) };
     let ingest = ingest_options(&args, &requested)?;
     interrupt::watch();
     let threads = requested.background_threads();
@@ -186,7 +192,8 @@ fn finish<S: ResultSpace>(
 ) -> Result<Outcome, CliError> {
     let start = std::time::Instant::now();
     let known = args.known.load::<S>(&preparation.options, global.quiet)?;
-    let mapped = map_with_progress::<S>(recording, ingest, preparation.clone(), known, global)?;
+    let mapped = map_with_progress::<S>(recording, ingest, preparation.clone(), known, global);
+    let mapped = mapped.map_err(|error| nothing_left(error, recording, args))?;
     let seconds = start.elapsed().as_secs_f64();
     let written = write_results(&mapped, folder, seconds, args.all_poses)?;
     print(&summary(&mapped, &written, seconds))?;
@@ -218,6 +225,12 @@ fn load_options(config: &ConfigArgs) -> Result<Option<Options>, CliError> {
         tracing::warn!("{warning}");
     }
     Ok(Some(loaded.options))
+}
+
+/// Settings to change, in this order: what is said by name of an option comes last.
+fn settings(args: &MapArgs) -> Vec<String> {
+    let gnss = args.sensors.gnss.then(|| "use_nav_sat=true".to_owned());
+    gnss.into_iter().chain(args.config.set.iter().cloned()).collect()
 }
 
 /// What the command line and options say of the sensors.
@@ -293,9 +306,28 @@ fn change_options(preparation: &mut Preparation, settings: &[String]) -> Result<
     })
 }
 
+/// Names --skip and --duration where they left no scan.
+fn nothing_left(error: CliError, recording: &dyn Recording, args: &MapArgs) -> CliError {
+    let length = args.duration.map(|seconds| format!("--duration {seconds}"));
+    let skip = (args.skip > 0.0).then(|| format!("--skip {}", args.skip));
+    let cuts: Vec<String> = skip.into_iter().chain(length).collect();
+    if cuts.is_empty() || interrupt::interrupted() || !matches!(error, CliError::NoScans(_)) {
+        return error;
+    }
+    let range = recording.time_range().map_or(0.0, |(first, last)| last.seconds_since(first));
+    CliError::Failed(format!(
+        "{} leaves not a single scan that could be used of the {range:.1} s of the recording",
+        cuts.join(" with ")
+    ))
+}
+
 fn failure(error: PipelineError) -> CliError {
     match error {
         PipelineError::Setting(message) => CliError::Usage(message),
+        PipelineError::NoScans if interrupt::interrupted() => {
+            CliError::Failed("interrupted before the first scan: nothing was written".to_owned())
+        }
+        PipelineError::NoScans => CliError::NoScans(error.to_string()),
         other => CliError::Failed(other.to_string()),
     }
 }
@@ -373,7 +405,7 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
         text += &format!("repaired: {what} ({count}x)\n");
     }
     if mapped.interrupted {
-        text += "stopped before the end of the recording; what was mapped is saved\n";
+        text += "interrupted: stopped before the end of the recording; what was mapped is saved\n";
     }
     for file in &written.files {
         text += &format!("{}\n", file.display());

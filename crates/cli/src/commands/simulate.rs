@@ -74,16 +74,18 @@ fn write_all(
     if !(1e-3..=1e4).contains(&rate) {
         return Err(CliError::Usage(format!("--truth-rate must be from 0.001 to 10000, but is {rate}")));
     }
+    let surfaces = simulation.surfaces();
+    let mut written = vec![beside(args.truth.as_deref(), &args.output, "truth.tum")];
+    for (ending, _) in &surfaces {
+        let asked = args.walls.as_deref().filter(|_| written.len() == 1);
+        written.push(beside(asked, &args.output, ending));
+    }
+    refuse_equal(std::iter::once(&args.output).chain(&written))?;
     interrupt::watch();
     let count = write_recording(simulation, &args.output, format, global.quiet)?;
-    let truth = beside(args.truth.as_deref(), &args.output, "truth.tum");
-    write_file(&truth, |out| simulation.write_truth(out, rate))?;
-    let mut written = vec![truth];
-    for (ending, write) in simulation.surfaces() {
-        let asked = args.walls.as_deref().filter(|_| written.len() == 1);
-        let path = beside(asked, &args.output, ending);
-        write_file(&path, |out| write(out))?;
-        written.push(path);
+    write_file(&written[0], |out| simulation.write_truth(out, rate))?;
+    for (path, (_, write)) in written[1..].iter().zip(surfaces) {
+        write_file(path, |out| write(out))?;
     }
     if !global.quiet {
         say(&simulation.format());
@@ -100,6 +102,25 @@ fn write_all(
 /// The file asked for, or the recording's name with another ending.
 fn beside(asked: Option<&Path>, recording: &Path, ending: &str) -> PathBuf {
     asked.map_or_else(|| recording.with_extension(ending), Path::to_owned)
+}
+
+/// Refuses files that would be written over each other.
+fn refuse_equal<'a>(paths: impl Iterator<Item = &'a PathBuf>) -> Result<(), CliError> {
+    // However they are spelt, as far as their folders are there.
+    let place = |path: &Path| {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.unwrap_or(Path::new(".")).canonicalize().ok()?;
+        Some(folder.join(path.file_name()?))
+    };
+    let mut places = std::collections::HashSet::new();
+    for path in paths {
+        if !places.insert(place(path).unwrap_or_else(|| path.clone())) {
+            let text =
+                format!("{} would be written twice: -o, --truth and --walls must differ", path.display());
+            return Err(CliError::Usage(text));
+        }
+    }
+    Ok(())
 }
 
 /// Writes all messages; how many. Interrupted, nothing remains.

@@ -6,7 +6,7 @@ use super::lzf::compress;
 use crate::cloud::{Attributes, PointCloud};
 use crate::error::CloudError;
 use crate::format::{CloudWriter, Encoding, Precision, WriteOptions, Written};
-use crate::output::{Output, Spool};
+use crate::output::{Output, Spool, folder_of};
 use crate::ply::push_bytes;
 
 /// The header is written at last; a comment fills what is left of this, bytes.
@@ -38,8 +38,10 @@ impl PcdWriter {
             written: Written { points: 0, not_finite: 0 },
         };
         if writer.encoding == Encoding::Compressed {
-            let spools = writer.column_bytes().iter().map(|_| Spool::new()).collect::<Result<_, _>>();
-            writer.columns = spools.map_err(|e| CloudError::write(path, e))?;
+            let folder = folder_of(path);
+            let spools =
+                writer.column_bytes().iter().map(|_| Spool::in_folder(folder)).collect::<Result<_, _>>();
+            writer.columns = spools.map_err(|e| CloudError::temporary(folder, e))?;
         }
         let header = writer.header();
         writer.output.append(header.as_bytes())?;
@@ -105,7 +107,8 @@ impl PcdWriter {
             for point in self.bytes.chunks_exact(row) {
                 column.extend_from_slice(point.get(offset..offset + size).unwrap_or_default());
             }
-            spool.append(&column).map_err(|e| CloudError::write(&self.output.path, e))?;
+            let folder = folder_of(&self.output.path);
+            spool.append(&column).map_err(|e| CloudError::temporary(folder, e))?;
             offset += size;
         }
         Ok(())
@@ -127,7 +130,7 @@ impl PcdWriter {
             while at < spool.length() {
                 let count = (spool.length() - at).min(BLOCK as u64) as usize;
                 let Some(part) = block.get_mut(..count) else { break };
-                spool.read_at(at, part).map_err(|e| CloudError::write(&path, e))?;
+                spool.read_at(at, part).map_err(|e| CloudError::temporary(folder_of(&path), e))?;
                 packed.clear();
                 compress(part, &mut packed);
                 self.output.append(&packed)?;

@@ -2,6 +2,7 @@
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::path::{Path, PathBuf};
 
 use super::{Key, VoxelPoint};
 use crate::error::CloudError;
@@ -84,8 +85,8 @@ impl Cell {
 }
 
 /// All runs, one behind the other in one file.
-#[derive(Default)]
 pub(super) struct Runs {
+    folder: PathBuf,
     file: Option<Spool>,
     /// Start and end of each, in cells.
     spans: Vec<(u64, u64)>,
@@ -100,14 +101,15 @@ struct RunReader {
 }
 
 impl RunReader {
-    fn next(&mut self, file: &mut Spool) -> Result<Option<(Key, Cell)>, CloudError> {
+    fn next(&mut self, file: &mut Spool, folder: &Path) -> Result<Option<(Key, Cell)>, CloudError> {
         if self.at == self.buffer.len() {
             let count = CELLS_AT_ONCE.min(self.end - self.next);
             if count == 0 {
                 return Ok(None);
             }
             self.buffer.resize(count as usize * CELL_BYTES, 0);
-            file.read_at(self.next * CELL_BYTES as u64, &mut self.buffer).map_err(CloudError::Temporary)?;
+            file.read_at(self.next * CELL_BYTES as u64, &mut self.buffer)
+                .map_err(|e| CloudError::temporary(folder, e))?;
             (self.next, self.at) = (self.next + count, 0);
         }
         let record = self.buffer.get(self.at..self.at + CELL_BYTES).unwrap_or_default();
@@ -117,21 +119,27 @@ impl RunReader {
 }
 
 impl Runs {
+    /// None yet; the first makes a file in this folder.
+    pub fn in_folder(folder: &Path) -> Self {
+        Self { folder: folder.to_owned(), file: None, spans: Vec::new() }
+    }
+
     pub fn is_empty(&self) -> bool {
         self.spans.is_empty()
     }
 
     /// Appends a run of cells in ascending order.
     pub fn write(&mut self, cells: &[(Key, Cell)]) -> Result<(), CloudError> {
+        let failed = |e| CloudError::temporary(&self.folder, e);
         let file = match &mut self.file {
             Some(file) => file,
-            None => self.file.insert(Spool::new().map_err(CloudError::Temporary)?),
+            None => self.file.insert(Spool::in_folder(&self.folder).map_err(failed)?),
         };
         let mut bytes = Vec::with_capacity(CELL_BYTES * CELLS_AT_ONCE as usize);
         for part in cells.chunks(CELLS_AT_ONCE as usize) {
             bytes.clear();
             part.iter().for_each(|(key, cell)| cell.encode(*key, &mut bytes));
-            file.append(&bytes).map_err(CloudError::Temporary)?;
+            file.append(&bytes).map_err(failed)?;
         }
         let start = self.spans.last().map_or(0, |span| span.1);
         self.spans.push((start, start + cells.len() as u64));
@@ -143,14 +151,14 @@ impl Runs {
         &mut self,
         visit: &mut dyn FnMut(&Key, &Cell) -> Result<(), CloudError>,
     ) -> Result<(), CloudError> {
-        let Some(file) = &mut self.file else { return Ok(()) };
+        let (Some(file), folder) = (&mut self.file, &self.folder) else { return Ok(()) };
         let reader =
             |(start, end): &(u64, u64)| RunReader { next: *start, end: *end, buffer: Vec::new(), at: 0 };
         let mut readers: Vec<RunReader> = self.spans.iter().map(reader).collect();
         let mut heads: Vec<Cell> = Vec::with_capacity(readers.len());
         let mut queue = BinaryHeap::with_capacity(readers.len());
         for (run, reader) in readers.iter_mut().enumerate() {
-            let head = reader.next(file)?;
+            let head = reader.next(file, folder)?;
             heads.push(head.map(|(_, cell)| cell).unwrap_or_default());
             queue.extend(head.map(|(key, _)| Reverse((key, run))));
         }
@@ -165,7 +173,7 @@ impl Runs {
                     }
                 }
             }
-            if let Some((key, cell)) = readers[run].next(file)? {
+            if let Some((key, cell)) = readers[run].next(file, folder)? {
                 heads[run] = cell;
                 queue.push(Reverse((key, run)));
             }

@@ -70,6 +70,20 @@ fn memory_does_not_change_the_cloud() {
     }
 }
 
+/// Runs wait where they are told to, and where that cannot be the folder is named.
+#[test]
+fn runs_wait_in_the_folder_that_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let spilled = |folder: &Path| {
+        let mut thinner = VoxelThinner::with_memory(0.25, 700).unwrap().in_folder(folder);
+        points(50_000).try_for_each(|(position, intensity, time)| thinner.add(position, intensity, time))
+    };
+    spilled(folder.path()).unwrap();
+    let nowhere = folder.path().join("nowhere");
+    let error = spilled(&nowhere).unwrap_err().to_string();
+    assert!(error.contains(nowhere.to_str().unwrap()), "{error}");
+}
+
 #[test]
 fn sizes_that_make_no_sense_are_refused() {
     for size in [0.0, -1.0, f64::NAN, 1e9] {

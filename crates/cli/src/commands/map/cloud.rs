@@ -59,6 +59,22 @@ impl CloudArgs {
         self.cloud_voxel.map_or(Ok(()), |size| VoxelThinner::new(size).map(drop).map_err(usage))
     }
 
+    /// Makes the folder of the cloud and tries whether files can be written there, so that this does not fail after
+    /// hours of mapping.
+    pub fn make_room(&self) -> Result<(), CliError> {
+        let Some(path) = &self.cloud else { return Ok(()) };
+        let file = |path: &Path, source| CliError::File { path: path.to_owned(), source };
+        if path.is_dir() {
+            return Err(file(path, std::io::ErrorKind::IsADirectory.into()));
+        }
+        // A name without a folder goes to the results, which are made on their own.
+        let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else {
+            return Ok(());
+        };
+        std::fs::create_dir_all(folder).map_err(|source| file(folder, source))?;
+        tempfile::tempfile_in(folder).map(drop).map_err(|source| file(folder, source))
+    }
+
     fn path(&self, folder: &Path) -> Option<PathBuf> {
         let path = self.cloud.as_ref()?;
         let is_bare = path.parent().is_none_or(|parent| parent.as_os_str().is_empty());
@@ -93,7 +109,8 @@ impl CloudResults {
         let cloud_sink = cloud.as_ref().map(|(path, voxel)| CloudSink::create(path, *voxel));
         let mut cloud_sink = cloud_sink.transpose().map_err(failed)?;
         let xray_sink = to_draw.map(|request| VoxelThinner::new(request.voxel_size));
-        let mut xray_sink = xray_sink.transpose().map_err(failed)?;
+        let xray_sink = xray_sink.transpose().map_err(failed)?;
+        let mut xray_sink = xray_sink.map(|thinner| thinner.in_folder(folder));
         let unwound = unwind(&mut |points| {
             if let Some(thinner) = &mut xray_sink {
                 points.iter().try_for_each(|p| thinner.add(p.position, p.intensity, p.time))?;
@@ -130,7 +147,12 @@ impl CloudSink {
     fn create(path: &Path, voxel: Option<f64>) -> Result<Self, CloudError> {
         let writer = create(path, ATTRIBUTES, &WriteOptions::default())?;
         Ok(match voxel {
-            Some(size) => Self::Thinned { writer, thinner: VoxelThinner::new(size)? },
+            Some(size) => {
+                // Beside the cloud, where there is room for it.
+                let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+                let thinner = VoxelThinner::new(size)?.in_folder(folder.unwrap_or(Path::new(".")));
+                Self::Thinned { writer, thinner }
+            }
             None => Self::All { writer, batch: PointCloud::new(ATTRIBUTES) },
         })
     }
@@ -233,7 +255,7 @@ fn draw_kept(
     let motion = SmoothMotion::new(poses.to_vec());
     match request.draw(&mut Points::Kept(scans, &motion), folder) {
         Ok(files) => Ok(Some(files)),
-        Err(NotDrawn::Points(error)) => {
+        Err(NotDrawn::Kept(error)) => {
             say(&format!("scans that were kept cannot be read ({error}): X-rays need a second pass"));
             Ok(None)
         }
@@ -248,6 +270,9 @@ fn not_drawn(reason: NotDrawn) -> Result<Vec<PathBuf>, CliError> {
             Ok(Vec::new())
         }
         NotDrawn::Points(error) => Err(failed(error)),
+        NotDrawn::Kept(error) => {
+            Err(CliError::Failed(format!("scans that were kept cannot be read: {error}")))
+        }
         NotDrawn::Failed(error) => Err(error),
     }
 }

@@ -43,6 +43,8 @@ pub enum Points<'a> {
 pub enum NotDrawn {
     /// The points could not be read.
     Points(CloudError),
+    /// The scans that were kept could not be read.
+    Kept(std::io::Error),
     /// Somebody wants to stop.
     Interrupted,
     /// The pictures could not be made or written.
@@ -64,7 +66,7 @@ impl Points<'_> {
                     points.iter().for_each(|p| visit(p.position, p.time));
                     !interrupt::interrupted()
                 });
-                let unwound = unwound.map_err(CloudError::Temporary)?;
+                let unwound = unwound.map_err(NotDrawn::Kept)?;
                 if unwound.interrupted { Err(NotDrawn::Interrupted) } else { Ok(()) }
             }
             Self::Thinned(cloud) => Ok(cloud.for_each(&mut |voxel| {
