@@ -142,7 +142,7 @@ fn faults_of_imus_and_odometry() {
         "leans 179°",
         "Odometry pose is invalid",
         "the pose jumps by 100.00 m",
-        "is sent on multiple topics: /imu, /imu_g, /imu_weak",
+        "is sent on multiple topics: /imu, /imu_g, /imu_spiky, /imu_weak",
     ] {
         find(&findings, part);
     }
