@@ -8,7 +8,7 @@ use portolan_geometry::Rigid3;
 use portolan_mapfile::{FrozenTrajectories, LoadedTrajectories, MapReader, MapSpace, load_map};
 use portolan_mapping::{Space, TrajectoryId};
 
-use crate::commands::argument::{frozen_trajectories, planar_pose};
+use crate::commands::argument::{frozen_trajectories, start_pose};
 use crate::error::CliError;
 use crate::progress::say;
 
@@ -25,8 +25,9 @@ pub struct KnownMapArgs {
     #[arg(long, value_name = "TRAJECTORIES", requires = "from", value_parser = frozen_trajectories,
         num_args = 0..=1, require_equals = true, default_missing_value = "all")]
     pub frozen: Option<FrozenTrajectories>,
-    /// Where in the known map the recording starts: metres and degrees. Without it, it is searched.
-    #[arg(long, value_name = "X,Y,DEGREES", requires = "from", value_parser = planar_pose,
+    /// Where in the known map the recording starts: metres and degrees; also X,Y,Z,YAW or X,Y,Z,ROLL,PITCH,YAW.
+    /// Without it, it is searched.
+    #[arg(long, value_name = "X,Y,YAW", requires = "from", value_parser = start_pose,
         allow_hyphen_values = true)]
     pub start: Option<Rigid3>,
 }
@@ -90,6 +91,8 @@ pub struct Localisation {
     pub first_found_after_seconds: Option<f64>,
     /// Seconds of the recording, from its first node, that it took until its place was known.
     pub placed_after_seconds: Option<f64>,
+    /// Whether somebody said where it starts.
+    pub start_was_told: bool,
 }
 
 impl Localisation {
@@ -118,7 +121,8 @@ impl Localisation {
         let placed = mapped.map.graph.placed_at();
         let placed_after_seconds = placed.zip(start).map(|(placed, start)| placed.seconds_since(start));
         let loop_closures = between.len() + trimmed.map_or(0, |ties| ties.count);
-        Some(Self { loop_closures, first_found_after_seconds, placed_after_seconds })
+        let start_was_told = state.trajectories.get(&new).is_some_and(|t| t.initial_pose.is_some());
+        Some(Self { loop_closures, first_found_after_seconds, placed_after_seconds, start_was_told })
     }
 
     /// For people.
@@ -128,8 +132,11 @@ impl Localisation {
                 "found in the known map after {seconds:.0} s, {} loop closures with it",
                 self.loop_closures
             ),
+            None if self.start_was_told => "no loop closure with the known map: the recording lies in it where --start \
+                 says, and goes on as it saw itself"
+                .to_owned(),
             None => "NOT found in the known map: the recording lies in the map as if it had started at its origin. \
-                 If you know the place, say --start X,Y,DEGREES; else lower \
+                 If you know the place, say --start X,Y,YAW; else lower \
                  --set constraint_builder.global_localization_min_score"
                 .to_owned(),
         }

@@ -146,9 +146,9 @@ impl<S: Space> KnownMap<S> {
         Self { graph, trajectories: BTreeMap::new(), start: None }
     }
 
-    /// The start as the pose graph wants it: at `time`, relative to the first trajectory of the map.
+    /// The start as the pose graph wants it: at `time`, relative to the first trajectory of the map that has nodes.
     fn initial_pose(&self, time: Time) -> Option<InitialTrajectoryPose> {
-        let to_trajectory_id = *self.graph.state().trajectories.keys().next()?;
+        let to_trajectory_id = self.graph.state().nodes.keys().next()?.trajectory_id;
         let nodes: TransformBuffer = of_trajectory(&self.graph.state().nodes, to_trajectory_id)
             .map(|(_, node)| (node.data.time, node.map_from_tracking))
             .collect();

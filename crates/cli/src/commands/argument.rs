@@ -1,6 +1,6 @@
 //! Arguments that several verbs have in common: ids, poses, areas.
 
-use portolan_geometry::{Rigid3, Vector3};
+use portolan_geometry::{Rigid3, Vector3, rotation_from_roll_pitch_yaw};
 use portolan_mapfile::{FrozenTrajectories, IdInFile, MapArea};
 
 /// Numbers separated by commas, as many as `names` has.
@@ -42,6 +42,20 @@ pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
     Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
 }
 
+/// A pose in a map of the plane or of space, metres and degrees: x, y, yaw; or x, y, z, yaw; or x, y, z, roll, pitch,
+/// yaw.
+pub fn start_pose(text: &str) -> Result<Rigid3, String> {
+    const NAMES: &str = "X,Y,YAW, or X,Y,Z,YAW, or X,Y,Z,ROLL,PITCH,YAW";
+    let (position, angles) = match text.split(',').count() {
+        3 => return numbers::<3>(text, NAMES).and_then(|_| planar_pose(text)),
+        4 => numbers::<4>(text, NAMES).map(|[x, y, z, yaw]| ([x, y, z], [0.0, 0.0, yaw])),
+        _ => numbers::<6>(text, NAMES).map(|[x, y, z, roll, pitch, yaw]| ([x, y, z], [roll, pitch, yaw])),
+    }?;
+    let [roll, pitch, yaw] = angles.map(f64::to_radians);
+    let rotation = rotation_from_roll_pitch_yaw(roll, pitch, yaw);
+    Ok(Rigid3::from_parts(Vector3::from(position).into(), rotation))
+}
+
 /// Trajectory and index of a submap or node: `0,12`, or `12` for trajectory 0.
 pub fn id(text: &str) -> Result<IdInFile, String> {
     let bad = || format!("expected TRAJECTORY,INDEX, not \"{text}\"");
@@ -68,6 +82,18 @@ mod tests {
     fn numbers_that_cannot_be_are_refused() {
         assert_eq!((threads("0"), threads("256"), seconds("1.5")), (Ok(0), Ok(256), Ok(1.5)));
         assert!(threads("100000").is_err() && seconds("nan").is_err() && seconds("-1").is_err());
+    }
+
+    #[test]
+    fn starts_in_the_plane_and_in_space() {
+        let pose = |text| start_pose(text).unwrap_or_else(|e| panic!("{e}"));
+        let yaw = |pose: &Rigid3| pose.rotation.euler_angles().2.to_degrees();
+        assert_eq!(pose("1,-2,90"), planar_pose("1,-2,90").unwrap_or_else(|e| panic!("{e}")));
+        assert_eq!(pose("1,-2,3.5,90").translation.vector, Vector3::new(1.0, -2.0, 3.5));
+        assert!((yaw(&pose("1,-2,3.5,90")) - 90.0).abs() < 1e-9);
+        assert_eq!(pose("1,2,3,0,0,45"), pose("1,2,3,45"));
+        assert!((pose("1,2,3,20,0,0").rotation.euler_angles().0.to_degrees() - 20.0).abs() < 1e-9);
+        assert!(["1,2", "1,2,3,4,5", "1,2,x", ""].iter().all(|text| start_pose(text).is_err()));
     }
 
     #[test]
