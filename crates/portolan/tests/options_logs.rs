@@ -91,6 +91,14 @@ fn options_of_logs_have_their_effects() {
         assert!(logged::<Planar>(&["log_matches=true"], beginning) > 0, "{beginning}");
         assert_eq!(logged::<Planar>(&["log_matches=false"], beginning), 0, "{beginning}");
     }
+    for beginning in ["Gravity was: ", "IMU correction was: "] {
+        let logs = |value: &str| {
+            let setting = format!("log_solver_summary={value}");
+            logged::<Spatial>(&[&setting, "constraint_builder.sampling_ratio=0"], beginning)
+        };
+        assert!(logs("true") > 0, "{beginning}");
+        assert_eq!(logs("false"), 0, "{beginning}");
+    }
     assert!(logged::<Planar>(&["log_solver_summary=true"], "Summary") > 0);
     assert_eq!(logged::<Planar>(&["log_solver_summary=false"], "Summary"), 0);
     let residuals = "Rotation residuals within submaps";

@@ -192,9 +192,23 @@ impl<'a> SpatialProblem<'a> {
         for (id, imu) in &self.imus {
             let calibration: Quaternion = self.graph.problem.rotation(imu.calibration);
             let gravity_constant = self.graph.problem.scalar(imu.gravity);
-            data.sensors_mut(*id).imu_state = ImuState { gravity_constant, calibration };
+            let state = ImuState { gravity_constant, calibration };
+            if self.options.log_solver_summary {
+                log_imu(*id, &state);
+            }
+            data.sensors_mut(*id).imu_state = state;
         }
     }
+}
+
+/// What was found out about an IMU (`slam3d.md` §9.1).
+fn log_imu(id: TrajectoryId, state: &ImuState) {
+    if id.0 != 0 {
+        tracing::info!("Trajectory {id}:");
+    }
+    tracing::info!("Gravity was: {}", state.gravity_constant);
+    let (degrees, q) = (state.calibration.angle().to_degrees(), state.calibration);
+    tracing::info!("IMU correction was: {degrees} deg ({}, {}, {}, {})", q.w, q.i, q.j, q.k);
 }
 
 /// Poses of space.
