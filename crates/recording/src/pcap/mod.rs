@@ -11,7 +11,7 @@ mod sensors;
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
@@ -22,7 +22,7 @@ use crate::repairs::RepairLog;
 use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
 use capture::CaptureReader;
 use datagram::{Datagrams, Endpoint};
-use sensors::{CapturedSensor, Descriptions, Senders, Sensors};
+use sensors::{CapturedSensor, Descriptions, Kind, Senders, Sensors};
 
 pub(crate) use capture::sniff;
 
@@ -113,6 +113,8 @@ impl Recording for Capture {
         Ok(Box::new(CapturePass {
             reader,
             datagrams: Datagrams::default(),
+            known: self.sensors.by_sender.keys().copied().collect(),
+            kinds: sensors().map(|(_, sensor)| sensor.kind).collect(),
             chosen: sensors().map(decoder).collect(),
             clocks: self.sensors.clocks.clone(),
             ready: VecDeque::new(),
@@ -134,6 +136,9 @@ struct ChosenSensor {
 struct CapturePass {
     reader: CaptureReader,
     datagrams: Datagrams,
+    /// All sensors, and the kinds of those that are read.
+    known: BTreeSet<Endpoint>,
+    kinds: BTreeSet<Kind>,
     chosen: BTreeMap<Endpoint, ChosenSensor>,
     clocks: Vec<SensorTime>,
     ready: VecDeque<RecordedMessage>,
@@ -152,6 +157,13 @@ impl CapturePass {
         else {
             return Ok(true);
         };
+        if !self.known.contains(&endpoint)
+            && Kind::of(&payload).is_some_and(|kind| self.kinds.contains(&kind))
+        {
+            self.repairs.lost(
+                "packets of senders that sent hardly any, their address damaged or begun late, were left out",
+            );
+        }
         let Some(sensor) = self.chosen.get_mut(&endpoint) else { return Ok(true) };
         let Some(clock) = self.clocks.get_mut(sensor.clock) else { return Ok(true) };
         self.now = self.now.max(time);

@@ -17,6 +17,9 @@ use crate::repairs::RepairLog;
 const MAX_DESCRIPTION: u64 = 1 << 22;
 /// More senders than this are not told apart.
 const MAX_ENDPOINTS: usize = 256;
+/// A sender with fewer packets than this part of those of the busiest of its kind is no sensor: its address
+/// was damaged on the way.
+const HARDLY_ANY: u64 = 100;
 
 /// One sensor of a capture.
 #[derive(Clone)]
@@ -98,7 +101,7 @@ impl Senders {
     pub fn sensors(&self, descriptions: &Descriptions, repairs: &mut RepairLog) -> Sensors {
         let has_ouster = self.seen.values().any(|sender| sender.kind == Kind::OusterLidar);
         let mut found: Vec<(&Endpoint, &Sender, PacketSource)> = Vec::new();
-        for (endpoint, sender) in &self.seen {
+        for (endpoint, sender) in self.seen.iter().filter(|(_, sender)| self.is_sensor(sender)) {
             let (packet, _) = &sender.first;
             let source = match sender.kind {
                 Kind::Velodyne => Some(PacketSource::Velodyne(descriptions.calibration.clone())),
@@ -111,6 +114,11 @@ impl Senders {
             found.extend(source.map(|source| (endpoint, sender, source)));
         }
         named(found)
+    }
+
+    fn is_sensor(&self, sender: &Sender) -> bool {
+        let busiest = self.seen.values().filter(|other| other.kind == sender.kind).map(|s| s.packets).max();
+        busiest.is_none_or(|busiest| sender.packets.saturating_mul(HARDLY_ANY) >= busiest)
     }
 }
 
