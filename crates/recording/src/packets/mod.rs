@@ -67,13 +67,15 @@ impl PacketSource {
             }
             Self::OusterImu => Decoder::OusterImu(OusterImuDecoder::new(frame)),
         };
-        PacketDecoder { decoder }
+        PacketDecoder { decoder, last: Vec::new() }
     }
 }
 
 /// Turns the packets of one sensor into messages.
 pub(crate) struct PacketDecoder {
     decoder: Decoder,
+    /// The packet before.
+    last: Vec<u8>,
 }
 
 enum Decoder {
@@ -91,6 +93,13 @@ impl PacketDecoder {
         repairs: &mut RepairLog,
         give: &mut dyn FnMut(Message),
     ) {
+        // Sensors count and time their packets, so that no two are equal.
+        if self.last == packet.0 {
+            repairs.repaired("exact repetitions of the packet before were left out");
+            return;
+        }
+        self.last.clear();
+        self.last.extend_from_slice(packet.0);
         match &mut self.decoder {
             Decoder::Velodyne(decoder) => {
                 decoder.push(packet, clock, repairs, &mut |cloud| give(Message::PointCloud2(cloud)));

@@ -311,6 +311,17 @@ fn recorders_that_hang_and_gaps_are_no_jumps_of_the_clock() {
     assert!((stamps[stamps.len() - 1] - stamps[0]).seconds() > 2400.0);
 }
 
+#[test]
+fn packets_that_come_twice_count_once() {
+    let once = pucks(|_| 0.0);
+    let twice: Vec<_> = once.iter().flat_map(|packet| [packet.clone(), packet.clone()]).collect();
+    let (expected, _) = decode(&PacketSource::Velodyne(None), &once);
+    let (messages, repairs) = decode(&PacketSource::Velodyne(None), &twice);
+    assert_eq!(messages, expected);
+    assert_eq!((repairs.len(), repairs[0].count, repairs[0].lost_data), (1, 400, false), "{repairs:?}");
+    assert!(repairs[0].what.contains("exact repetitions"), "{repairs:?}");
+}
+
 fn imu_packet(nanoseconds: u64) -> Vec<u8> {
     let mut packet = vec![0; 48];
     packet[16..24].copy_from_slice(&nanoseconds.to_le_bytes());
