@@ -292,7 +292,8 @@ impl Check<'_> {
             let (source, turns) = match checks {
                 TopicChecks::Odometry(odometry) => (Source::Odometry, odometry.turns.clone()),
                 TopicChecks::Imu { imu, turns } => {
-                    let Some(up) = imu.up() else { continue };
+                    let upright = || base_from_sensor.rotation.inverse() * Vector3::z();
+                    let up = imu.up().unwrap_or_else(upright);
                     imus.push((&**topic, turns));
                     (Source::Imu, turns.about(&up))
                 }

@@ -145,6 +145,23 @@ fn faults_of_imus_and_odometry() {
 }
 
 #[test]
+fn an_imu_without_gravity_is_told_as_that_alone() {
+    let mut messages = robot(scans(100, |_, _| {}));
+    for i in 0..500 {
+        let t = 0.01 * f64::from(i);
+        // Mostly calm, with steps of 6 m/s² that cancel out but for a little sideways.
+        let step = if i % 10 == 0 { 6.0 * f64::from(i / 10 % 2 * 2 - 1) } else { 0.1 };
+        messages.push(named("/imu", t, imu(t, [0.0, 0.3, step])));
+    }
+    let findings = checked(messages);
+    assert_eq!(find(&findings, "gravity was taken out").severity, Severity::Error);
+    let text = findings_to_text(&findings);
+    for wrong in ["in g", "axes are swapped", "leans"] {
+        assert!(!text.contains(wrong), "{wrong}: {text}");
+    }
+}
+
+#[test]
 fn faults_of_clouds_and_transforms() {
     let mut messages = Vec::new();
     for i in 0..40 {
