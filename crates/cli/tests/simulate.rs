@@ -58,6 +58,25 @@ fn wrong_usage_is_refused_and_leaves_nothing() {
 }
 
 #[test]
+fn faults_without_their_sensor_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = common::text(&folder.path().join("x.bag"));
+    let wrong: [(&[&str], &str); 5] = [
+        (&["museum", "--fault", "jump:5:1:0:0"], "no odometry is recorded"),
+        (&["museum", "--fault", "clock:odom:0.1"], "no odometry is recorded"),
+        (&["museum", "--no-imu", "--fault", "swap-axes"], "no IMU is recorded"),
+        (&["office", "--no-odometry", "--fault", "jump:5:1:0:0"], "no odometry is recorded"),
+        (&["office", "--no-imu", "--fault", "no-gravity"], "no IMU is recorded"),
+    ];
+    for (arguments, why) in wrong {
+        let run =
+            portolan_with_code(2, &[&["simulate", "-o", &output, "--seconds", "5"], arguments].concat());
+        assert!(run.stderr.contains(why), "{arguments:?}: {}", run.stderr);
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
 fn worlds_in_space_have_surfaces_and_the_same_bytes_for_any_thread_count() {
     let folder = tempfile::tempdir().unwrap();
     let simulate = |name: &str, threads: &str| {

@@ -37,6 +37,14 @@ pub enum SimulatorError {
         /// What was given.
         text: String,
     },
+    /// A fault of a sensor that is not there.
+    #[error("the fault \"{text}\" has no effect: no {sensor} is recorded")]
+    FaultWithoutSensor {
+        /// What was given.
+        text: String,
+        /// What is missing.
+        sensor: &'static str,
+    },
     /// A floor plan of one's own cannot be used.
     #[error("the floor plan cannot be used: {detail}")]
     BadPlan {

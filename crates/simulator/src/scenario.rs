@@ -4,7 +4,7 @@ use portolan_geometry::Time;
 
 use crate::SimulatorError;
 use crate::motion::MotionLimits;
-use crate::sensors::{Fault, ImuOptions, LidarOptions, OdometryOptions};
+use crate::sensors::{Fault, FaultTarget, ImuOptions, LidarOptions, OdometryOptions, check_faults};
 use crate::world::{PlanStyle, Scene};
 
 /// Everything that can be chosen. The defaults are a full tour of an office floor by a robot with a
@@ -124,10 +124,12 @@ impl ScenarioOptions {
         self.odometry.iter().try_for_each(check_odometry)?;
         self.imu.iter().try_for_each(check_imu)?;
         self.check_names()?;
-        match self.faults.iter().find(|fault| !fault.is_sensible()) {
-            Some(fault) => Err(SimulatorError::BadFault { text: fault.to_string() }),
-            None => Ok(()),
-        }
+        let recorded = [
+            (!self.lidars.is_empty()).then_some(FaultTarget::Scan),
+            self.odometry.as_ref().map(|_| FaultTarget::Odometry),
+            self.imu.as_ref().map(|_| FaultTarget::Imu),
+        ];
+        check_faults(&self.faults, &recorded.into_iter().flatten().collect::<Vec<_>>())
     }
 
     fn check_names(&self) -> Result<(), SimulatorError> {

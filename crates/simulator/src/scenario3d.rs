@@ -7,7 +7,8 @@ use crate::motion::{Carrier, rotation};
 use crate::scenario::{LONGEST, check_imu, check_odometry, check_unique, within};
 use crate::scene3d::Scene3d;
 use crate::sensors::{
-    Fault, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
+    Fault, FaultTarget, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
+    check_faults,
 };
 use crate::solid::{SolidPlan, draw_field, draw_garage, draw_museum, draw_park, draw_tunnel};
 
@@ -201,10 +202,12 @@ impl Scenario3dOptions {
         self.gnss.iter().try_for_each(check_gnss)?;
         self.landmarks.iter().try_for_each(check_landmarks)?;
         self.check_names()?;
-        match self.faults.iter().find(|fault| !fault.is_sensible()) {
-            Some(fault) => Err(SimulatorError::BadFault { text: fault.to_string() }),
-            None => Ok(()),
-        }
+        let recorded = [
+            (!self.lidars.is_empty()).then_some(FaultTarget::Scan),
+            self.odometry.as_ref().map(|_| FaultTarget::Odometry),
+            self.imu.as_ref().map(|_| FaultTarget::Imu),
+        ];
+        check_faults(&self.faults, &recorded.into_iter().flatten().collect::<Vec<_>>())
     }
 
     fn check_names(&self) -> Result<(), SimulatorError> {

@@ -108,7 +108,8 @@ pub struct SensorArgs {
     #[arg(long, value_name = "FILE")]
     pub urdf: Option<PathBuf>,
     /// Whether the points of clouds without times get them from their azimuth, with the stamp at the beginning
-    /// or the end of the turn. On their own spinning lidars do, unless motion was taken out of the clouds.
+    /// or the end of the turn. On their own spinning lidars do, unless motion was taken out of the clouds. Unless
+    /// it is `auto`, times that the points of a spinning lidar have are not used.
     #[arg(long, value_name = "HOW", default_value = "auto")]
     pub azimuth_times: AzimuthTimesArg,
 }

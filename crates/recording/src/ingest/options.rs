@@ -94,7 +94,8 @@ pub struct IngestOptions {
     pub use_recorded_transforms: bool,
     /// Every laser scan is split into this many pieces in time (point clouds are not).
     pub num_subdivisions_per_laser_scan: usize,
-    /// What to do with clouds whose points have no times of their own.
+    /// What to do with clouds whose points have no times of their own; unless it is `Auto`, those of spinning lidars
+    /// are not used.
     pub azimuth_times: AzimuthTimes,
     /// Thinning of messages.
     pub sampling: SamplingRatios,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Rigid3, Vector3};
+use portolan_geometry::{Rigid3, Time, Vector3};
 
 use super::clock_offset::ClockOffset;
 use super::clouds::CloudChecks;
@@ -142,17 +142,18 @@ impl<'a> Check<'a> {
             return;
         }
         let Some(header) = recorded.message.header() else { return };
+        let end = self.add_values(&recorded.topic, &recorded.message).unwrap_or(header.stamp);
         let stamps = self.stamps.entry(recorded.topic.clone());
         let stamps = stamps.or_insert_with(|| Stamps::new(&recorded.message, header, recorded.log_time));
-        stamps.add(&recorded.topic, header, recorded.log_time, &mut self.findings);
-        self.add_values(&recorded.topic, &recorded.message);
+        stamps.add(&recorded.topic, (header, end), recorded.log_time, &mut self.findings);
     }
 
-    fn add_values(&mut self, topic: &Arc<str>, message: &Message) {
+    /// Takes what a message measured; returns when its last point was, if it has points.
+    fn add_values(&mut self, topic: &Arc<str>, message: &Message) -> Option<Time> {
         let checks = match self.topics.get_mut(topic) {
             Some(checks) => checks,
             None => {
-                let Some(checks) = TopicChecks::of(message) else { return };
+                let checks = TopicChecks::of(message)?;
                 self.topics.entry(topic.clone()).or_insert(checks)
             }
         };
@@ -164,23 +165,25 @@ impl<'a> Check<'a> {
                 ranges.add_scan(topic, scan, faults, findings);
                 ranges.add_points(topic, &header.frame_id, &points, findings);
                 turns.add(points.time, scan);
+                return Some(points.time);
             }
             (TopicChecks::Echoes { ranges, directions }, Message::MultiEchoLaserScan(scan)) => {
                 add_echoes(topic, scan, ranges, directions, findings);
             }
             (TopicChecks::Cloud { ranges, clouds, turns }, Message::PointCloud2(cloud)) => {
                 let time = self.inventory.topic(topic).and_then(|t| t.point_time);
-                add_cloud(topic, cloud, time, (ranges, clouds, turns), findings);
+                return add_cloud(topic, cloud, time, (ranges, clouds, turns), findings);
             }
             (TopicChecks::Imu { imu, turns }, Message::Imu(message)) => {
                 imu.add(topic, message, findings);
                 turns.add(message);
             }
             (TopicChecks::Odometry(odometry), Message::Odometry(message)) => {
-                odometry.add(topic, message, findings)
+                odometry.add(topic, message, findings);
             }
             _ => {}
         }
+        None
     }
 
     /// What mapping would choose is good to know.
@@ -292,7 +295,8 @@ impl Check<'_> {
             let (source, turns) = match checks {
                 TopicChecks::Odometry(odometry) => (Source::Odometry, odometry.turns.clone()),
                 TopicChecks::Imu { imu, turns } => {
-                    let Some(up) = imu.up() else { continue };
+                    let upright = || base_from_sensor.rotation.inverse() * Vector3::z();
+                    let up = imu.up().unwrap_or_else(upright);
                     imus.push((&**topic, turns));
                     (Source::Imu, turns.about(&up))
                 }
@@ -351,10 +355,13 @@ fn add_cloud(
     time: Option<crate::PointTime>,
     (ranges, clouds, turns): (&mut RangeChecks, &mut CloudChecks, &mut CloudTurns),
     findings: &mut Findings,
-) {
+) -> Option<Time> {
     let layout = match CloudLayout::of(cloud) {
         Ok(layout) => layout,
-        Err(error) => return CloudChecks::add_error(topic, error, findings),
+        Err(error) => {
+            CloudChecks::add_error(topic, error, findings);
+            return None;
+        }
     };
     let time = time.filter(|_| layout.has_time());
     let (points, faults) = layout.points(cloud.header.stamp, cloud, time, false);
@@ -363,6 +370,7 @@ fn add_cloud(
         ranges.add_points(topic, &cloud.header.frame_id, &points, findings);
         turns.add(&points);
     }
+    (!points.points.is_empty()).then_some(points.time)
 }
 
 /// The sensor of a topic in the tracking frame, if that is known and fixed.

@@ -3,6 +3,7 @@
 use portolan_geometry::{Rigid3, Vector3};
 
 use super::finding::{Findings, Kind, Severity};
+use super::histogram::Histogram;
 use super::imu_values::{Rest, Saturation};
 use crate::Imu;
 use crate::ingest::convert::{MAX_ACCELERATION, MAX_ANGULAR_VELOCITY};
@@ -19,6 +20,12 @@ const MEAN_ACCELERATION: Kind = Kind {
     severity: Severity::Error,
     effect: "level is misjudged; in space the map bends or the scale of motion is wrong",
     to_do: "acceleration data should include gravity and be given in m/s²",
+};
+const NO_GRAVITY: Kind = Kind {
+    name: "no gravity",
+    severity: Severity::Error,
+    effect: "the IMU is left out; in space level is only what it was at the start",
+    to_do: "let the driver send accelerations that include gravity, as the sensor measures them",
 };
 const IN_G: Kind = Kind {
     name: "in g",
@@ -73,11 +80,18 @@ const AXES: Kind = Kind {
 /// Beyond this the IMU does not lean, its axes are others, degrees.
 const OTHER_AXES: f64 = 60.0;
 
+/// Accelerations that are usually smaller than this have no gravity, m/s², unless they are about 1: then they are in
+/// g if they do not cancel out.
+const LEAST_GRAVITY: f64 = 3.0;
+const IN_G_RANGE: std::ops::Range<f64> = 0.8..1.2;
+const LEAST_MEAN_IN_G: f64 = 0.3;
+
 /// IMU samples of one topic.
 #[derive(Debug, Default)]
 pub(crate) struct ImuChecks {
     count: u64,
     sum: Vector3,
+    norms: Histogram,
     sum_of_norms: f64,
     fast: u64,
     /// Faster than gyroscopes can measure, unless it is in degrees.
@@ -112,6 +126,7 @@ impl ImuChecks {
         self.sum += acceleration;
         self.sum_of_norms += norm;
         self.too_fast += u64::from(rate.amax() > MAX_ANGULAR_VELOCITY);
+        self.norms.add(norm);
         self.fast += u64::from(rate.norm() > FAST_TURN);
         self.rest.add(stamp, rate, acceleration);
         self.saturation.add(rate, acceleration);
@@ -125,9 +140,17 @@ impl ImuChecks {
         }
     }
 
-    /// The direction that it shows as up, in its own frame.
+    /// The direction that it shows as up, in its own frame; none if gravity was taken out.
     pub fn up(&self) -> Option<Vector3> {
-        self.sum.try_normalize(1e-9)
+        self.sum.try_normalize(1e-9).filter(|_| !self.lacks_gravity())
+    }
+
+    /// Whether most accelerations are too small for gravity, also if they were in g.
+    fn lacks_gravity(&self) -> bool {
+        let usual = self.norms.median().unwrap_or(0.0);
+        // What shakes by a g without gravity comes to nothing on average.
+        let mean = self.sum.norm() / self.count.max(1) as f64;
+        usual < LEAST_GRAVITY && (!IN_G_RANGE.contains(&usual) || mean < LEAST_MEAN_IN_G)
     }
 
     /// Findings about the whole topic; `base_from_imu` is its mounting, if known.
@@ -136,9 +159,14 @@ impl ImuChecks {
             return;
         }
         let mean = self.sum_of_norms / self.count as f64;
-        if (0.9..1.1).contains(&mean) {
+        let usual = self.norms.median().unwrap_or(0.0);
+        if self.lacks_gravity() {
+            findings.add(&NO_GRAVITY, topic, || {
+                format!("half of the IMU linear accelerations are below {usual:.3} m/s^2: gravity was taken out of them")
+            });
+        } else if IN_G_RANGE.contains(&usual) {
             findings.add(&IN_G, topic, || {
-                format!("average IMU linear acceleration is {mean:.4}: it seems to be in g")
+                format!("IMU linear acceleration is {usual:.4} most of the time: it seems to be in g")
             });
         } else if !(9.5..=10.5).contains(&mean) {
             findings.add(&MEAN_ACCELERATION, topic, || {

@@ -116,6 +116,8 @@ pub(crate) struct Stamps {
     first_log_time: Time,
     last_log_time: Time,
     last: Option<Time>,
+    /// The latest stamp, later than the last one after a jump backwards.
+    latest: Time,
     /// Intervals longer than a twentieth of a second, and how long they are in all.
     long_intervals: (u64, f64),
     intervals: Histogram,
@@ -131,6 +133,7 @@ impl Stamps {
             first_log_time: log_time,
             last_log_time: log_time,
             last: None,
+            latest: Time::MIN,
             long_intervals: (0, 0.0),
             intervals: Histogram::default(),
             lags: Histogram::default(),
@@ -138,8 +141,14 @@ impl Stamps {
         }
     }
 
-    /// Takes the next message.
-    pub fn add(&mut self, topic: &str, header: &Header, log_time: Time, findings: &mut Findings) {
+    /// Takes the next message, whose last point was measured at `end`.
+    pub fn add(
+        &mut self,
+        topic: &str,
+        (header, end): (&Header, Time),
+        log_time: Time,
+        findings: &mut Findings,
+    ) {
         self.count += 1;
         let stamp = header.stamp;
         let frame = &header.frame_id;
@@ -148,7 +157,9 @@ impl Stamps {
         if stamp == Time::UNIX_EPOCH && log_time.unix_seconds() > 100.0 {
             return findings.add(&UNSET, topic, || format!("messages of frame_id \"{frame}\" have no stamp"));
         }
-        self.lags.add(log_time.seconds_since(stamp));
+        self.lags.add(lag(stamp, end, log_time));
+        let latest = self.latest;
+        self.latest = latest.max(stamp);
         let Some(last) = self.last.replace(stamp) else { return };
         let interval = stamp.seconds_since(last);
         if (interval - log_interval).abs() > 10.0 && !(0.0..10.0).contains(&interval) {
@@ -157,6 +168,7 @@ impl Stamps {
                     "the stamp jumps by {interval:.3} s at {last}, while {log_interval:.3} s were recorded"
                 )
             });
+            self.latest = stamp;
             return;
         }
         if interval < 0.0 {
@@ -170,6 +182,8 @@ impl Stamps {
                 format!("two messages of frame_id \"{frame}\" have the stamp {stamp}")
             });
         } else {
+            // After a stamp that was too early the time since is not all without a measurement.
+            let interval = if stamp > latest { stamp.seconds_since(latest) } else { interval };
             self.intervals.add(interval);
             if interval > LONG_INTERVAL {
                 self.long_intervals.0 += 1;
@@ -263,6 +277,11 @@ impl Stamps {
             )
         })
     }
+}
+
+/// How much later than measured something was recorded; nothing while it was being measured.
+fn lag(stamp: Time, end: Time, log_time: Time) -> f64 {
+    log_time.seconds_since(log_time.clamp(stamp.min(end), end.max(stamp)))
 }
 
 const SEVERAL_TOPICS: Kind = Kind {

@@ -149,6 +149,64 @@ fn faults_of_imus_and_odometry() {
 }
 
 #[test]
+fn an_imu_without_gravity_is_told_as_that_alone() {
+    let mut messages = robot(scans(100, |_, _| {}));
+    for i in 0..500 {
+        let t = 0.01 * f64::from(i);
+        // Mostly calm, with steps of 6 m/s² that cancel out but for a little sideways.
+        let step = if i % 10 == 0 { 6.0 * f64::from(i / 10 % 2 * 2 - 1) } else { 0.1 };
+        messages.push(named("/imu", t, imu(t, [0.0, 0.3, step])));
+    }
+    let findings = checked(messages);
+    assert_eq!(find(&findings, "gravity was taken out").severity, Severity::Error);
+    let text = findings_to_text(&findings);
+    for wrong in ["in g", "axes are swapped", "leans"] {
+        assert!(!text.contains(wrong), "{wrong}: {text}");
+    }
+}
+
+#[test]
+fn stamps_that_are_too_early_are_no_gaps() {
+    let mut messages = robot(scans(100, |i, message| {
+        if i % 9 == 5 {
+            message.header.stamp -= portolan_geometry::Duration::from_seconds(0.5);
+        }
+    }));
+    for i in 0..1000 {
+        let t = 0.005 * f64::from(i);
+        let stamp = if i % 50 == 7 { t - 0.2 } else { t };
+        messages.push(named("/imu", t, imu(stamp, [0.0, 0.0, 9.8])));
+    }
+    let findings = checked(messages);
+    assert_eq!(findings.iter().filter(|f| f.what.contains("not strictly increasing")).count(), 2);
+    assert!(findings.iter().all(|f| !f.what.contains("gap")), "{}", findings_to_text(&findings));
+}
+
+/// Sweeps of 0.2 s that are recorded when they end, and transforms to a frame that is no robot's.
+#[test]
+fn sweeps_recorded_at_their_end_are_not_late() {
+    let sweep = |i: i32| {
+        let t = 0.2 * f64::from(i);
+        let Message::PointCloud2(mut message) = cloud(t, "lidar") else { panic!() };
+        let times = message.fields.iter().find(|f| f.name == "time").unwrap().offset as usize;
+        let count = message.data.len() / message.point_step as usize;
+        for (k, point) in message.data.chunks_exact_mut(message.point_step as usize).enumerate() {
+            let time = 0.2 * k as f32 / count as f32;
+            point[times..times + 4].copy_from_slice(&time.to_le_bytes());
+        }
+        named("/points", t + 0.2, Message::PointCloud2(message))
+    };
+    let mut messages: Vec<RecordedMessage> = (0..40).map(sweep).collect();
+    let transforms = fixed(&[("imu_link", "lidar", [0.8, 0.0, 0.8], 0.0)]);
+    messages.insert(0, named("/tf_static", 0.0, Message::Tf(transforms)));
+    let findings = checked(messages);
+    let text = findings_to_text(&findings);
+    assert!(!text.contains("serialization time") && !text.contains("no transforms tell"), "{text}");
+    let told = find(&findings, "no frame of the recording is known as that of a robot");
+    assert!(told.severity == Severity::Info && told.what_to_do.contains("imu_link"), "{text}");
+}
+
+#[test]
 fn faults_of_clouds_and_transforms() {
     let mut messages = Vec::new();
     for i in 0..40 {

@@ -36,10 +36,11 @@ const MAX_SWEEP_BYTES: u64 = 1 << 26;
 /// Where the benchmark's clock, which counts from the start of a sequence, is put.
 const CLOCK_START: Time = Time::from_ros(1_000_000_000, 0);
 
-/// One sweep: its file, and when it began and ended.
+/// One sweep: its file, its time, and when it began and ended.
 #[derive(Clone, Debug)]
 struct Sweep {
     path: PathBuf,
+    stamp: Time,
     start: Time,
     end: Time,
 }
@@ -80,7 +81,7 @@ pub(crate) fn open(folder: &Path) -> Result<Option<Box<dyn Recording>>, Recordin
     } else {
         let stamps = times::seconds_file(&folder.join("times.txt"), CLOCK_START)?;
         times::paired(files, stamps, "sweeps", &mut repairs)
-            .map(|(path, time)| Sweep { path, start: time, end: time })
+            .map(|(path, time)| Sweep { path, stamp: time, start: time, end: time })
             .collect()
     };
     let mut ins = Vec::new();
@@ -128,7 +129,7 @@ fn raw_sweeps(
         let number = times::number_of(&path).unwrap_or(i);
         let told = |list: &[Option<Time>]| list.get(number).copied().flatten();
         let (start, end) = (told(&start).unwrap_or(time - half), told(&end).unwrap_or(time + half));
-        Sweep { path, start, end: end.max(start) }
+        Sweep { path, stamp: time, start, end: end.max(start) }
     });
     Ok(sweeps.collect())
 }
@@ -219,24 +220,31 @@ struct KittiPass {
 }
 
 impl KittiPass {
+    /// One point of a file; in raw drives its time follows from its azimuth.
+    fn point(&self, bytes: &[u8], sweep: &Sweep) -> PacketPoint {
+        let value = |at: usize| super::packets::f32_at(bytes, at);
+        let [x, y, z] = [0, 4, 8].map(|at| f64::from(value(at)));
+        // Clockwise from behind: +π is the beginning.
+        let share = if self.is_raw { (PI - y.atan2(x)) / TAU } else { 0.0 };
+        let share = if share.is_finite() { share } else { 0.0 };
+        PacketPoint {
+            position: [x, y, z],
+            intensity: value(12),
+            ring: 0,
+            time: sweep.start + Duration::from_seconds(share * (sweep.end - sweep.start).seconds()),
+        }
+    }
+
     fn take_sweep(&mut self, sweep: &Sweep) {
         let Some(bytes) = self.file(&sweep.path, MAX_SWEEP_BYTES) else { return };
         if bytes.len() % 16 != 0 {
             self.repairs.lost("sweeps whose last point is cut off were read without it");
         }
-        let span = (sweep.end - sweep.start).seconds();
-        for point in bytes.chunks_exact(16) {
-            let value = |at: usize| super::packets::f32_at(point, at);
-            let [x, y, z] = [0, 4, 8].map(|at| f64::from(value(at)));
-            // Clockwise from behind: +π is the beginning.
-            let share = if self.is_raw { (PI - y.atan2(x)) / TAU } else { 0.0 };
-            let share = if share.is_finite() { share } else { 0.0 };
-            self.builder.push(&PacketPoint {
-                position: [x, y, z],
-                intensity: value(12),
-                ring: 0,
-                time: sweep.start + Duration::from_seconds(share * span),
-            });
+        let mut points: Vec<PacketPoint> = bytes.chunks_exact(16).map(|p| self.point(p, sweep)).collect();
+        // Files hold one beam after the other; a lidar sends them as it measures them.
+        points.sort_by_key(|point| point.time);
+        for point in &points {
+            self.builder.push(point);
             if self.builder.is_full() {
                 self.repairs.lost("points of sweeps beyond two million were left out");
                 break;
@@ -246,15 +254,15 @@ impl KittiPass {
             self.repairs.lost("sweeps without a point were left out");
             return;
         };
-        // Times count from the first point; the stamp says when the turn began.
-        let shift = (cloud.header.stamp - sweep.start).seconds() as f32;
+        // Times count from the first point; the stamp says when the lidar faced ahead.
+        let shift = (cloud.header.stamp - sweep.stamp).seconds() as f32;
         for point in cloud.data.chunks_exact_mut(cloud.point_step as usize) {
             let time = super::packets::f32_at(point, 18) + shift;
             if let Some(slot) = point.get_mut(18..22) {
                 slot.copy_from_slice(&time.to_le_bytes());
             }
         }
-        cloud.header.stamp = sweep.start;
+        cloud.header.stamp = sweep.stamp;
         if !self.is_raw {
             cloud.fields.retain(|field| field.name != "time");
         }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Time};
+use portolan_geometry::Time;
 
 use crate::{FieldType, Header, PointCloud2, PointField};
 
@@ -91,38 +91,6 @@ fn cloud(header: Header, data: Vec<u8>) -> PointCloud2 {
         row_step: data.len() as u32,
         data,
         is_dense: true,
-    }
-}
-
-/// Puts the clock of a sensor onto that of the recording.
-///
-/// A sensor whose clock agrees with the time of arrival to 2 s is believed. Any other clock (time since
-/// it was switched on, an hour that nobody set) is shifted once so that the first packet was measured
-/// when it arrived.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct SensorTime {
-    shift: Option<Duration>,
-    pub is_shifted: bool,
-}
-
-/// Clocks nearer than this agree.
-const AGREEMENT: Duration = Duration::from_ticks(2 * 10_000_000);
-
-impl SensorTime {
-    /// The time of a measurement by the sensor's clock, in the recording's clock.
-    pub fn place(&mut self, sensor: Time, arrival: Time) -> Time {
-        let lag = arrival - sensor;
-        let shift = *self.shift.get_or_insert_with(|| {
-            let agrees = lag <= AGREEMENT && Duration::ZERO - lag <= AGREEMENT;
-            self.is_shifted = !agrees;
-            if agrees { Duration::ZERO } else { lag }
-        });
-        sensor + shift
-    }
-
-    /// Forgets the shift, after the sensor's clock has jumped.
-    pub fn restart(&mut self) {
-        self.shift = None;
     }
 }
 

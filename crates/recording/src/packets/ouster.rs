@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 use portolan_geometry::{Duration, Time};
 
-use super::cloud_builder::{CloudBuilder, PacketPoint, SensorTime, f32_at, u16_at, u32_at, u64_at};
+use super::SensorTime;
+use super::cloud_builder::{CloudBuilder, PacketPoint, f32_at, u16_at, u32_at, u64_at};
 use super::ouster_metadata::{OusterMetadata, PacketProfile};
 use crate::repairs::RepairLog;
 use crate::{Header, Imu, PointCloud2};
@@ -45,10 +46,18 @@ impl PacketLayout {
     /// The largest number of a column in a packet of some layout; 0 if it has none.
     pub fn largest_column(packet: &[u8]) -> u16 {
         let Some(layout) = Self::guess(packet.len()) else { return 0 };
-        let columns = packet.get(layout.profile.packet_frame().0..).unwrap_or_default();
-        let columns = columns.chunks_exact(layout.column_bytes()).take(layout.columns);
-        let valid = columns.filter(|column| layout.profile.is_valid(column));
-        valid.map(|column| u16_at(column, 8)).max().unwrap_or(0)
+        layout.valid_columns(packet).map(|column| u16_at(column, 8)).max().unwrap_or(0)
+    }
+
+    /// When the first column of a packet was measured, by the sensor's clock.
+    pub fn sensor_time(&self, packet: &[u8]) -> Option<Time> {
+        self.valid_columns(packet).next().map(|column| sensor_time(u64_at(column, 0)))
+    }
+
+    fn valid_columns(self, packet: &[u8]) -> impl Iterator<Item = &[u8]> {
+        let columns = packet.get(self.profile.packet_frame().0..).unwrap_or_default();
+        let columns = columns.chunks_exact(self.column_bytes()).take(self.columns);
+        columns.filter(move |column| self.profile.is_valid(column))
     }
 
     /// The layout of packets of a length, without metadata.
@@ -66,8 +75,6 @@ pub(crate) struct OusterDecoder {
     layout: PacketLayout,
     builder: CloudBuilder,
     frame_number: Option<u16>,
-    clock: SensorTime,
-    last_timestamp: u64,
     /// By channel: sine and cosine of elevation, azimuth offset in radians, ring.
     beams: Vec<(f64, f64, f64, u16)>,
 }
@@ -92,16 +99,14 @@ impl OusterDecoder {
             layout,
             builder: CloudBuilder::new(frame),
             frame_number: None,
-            clock: SensorTime::default(),
-            last_timestamp: 0,
         }
     }
 
     /// Adds a packet that arrived at a time; complete sweeps go to `sweeps`.
     pub fn push(
         &mut self,
-        packet: &[u8],
-        arrival: Time,
+        (packet, arrival): (&[u8], Time),
+        clock: &mut SensorTime,
         repairs: &mut RepairLog,
         sweeps: &mut dyn FnMut(PointCloud2),
     ) {
@@ -123,7 +128,8 @@ impl OusterDecoder {
             {
                 self.builder.take().map(&mut *sweeps);
             }
-            self.add_column(column, arrival, repairs);
+            let time = clock.place(sensor_time(u64_at(column, 0)), arrival, repairs);
+            self.add_column(column, time);
         }
         if invalid > 0 {
             repairs.add(
@@ -140,21 +146,8 @@ impl OusterDecoder {
         self.builder.take()
     }
 
-    fn add_column(&mut self, column: &[u8], arrival: Time, repairs: &mut RepairLog) {
+    fn add_column(&mut self, column: &[u8], time: Time) {
         let profile = self.layout.profile;
-        let timestamp = u64_at(column, 0);
-        if timestamp.saturating_add(1_000_000_000) < self.last_timestamp {
-            repairs.repaired("the clock of an Ouster was set back; its times go on from the time of arrival");
-            self.clock.restart();
-        }
-        self.last_timestamp = timestamp;
-        let was_shifted = self.clock.is_shifted;
-        let time = self.clock.place(sensor_time(timestamp), arrival);
-        if self.clock.is_shifted && !was_shifted {
-            repairs.repaired(
-                "the clock of a sensor was not set; its times were shifted to those of the recording",
-            );
-        }
         // Columns are numbered in the direction of the turn, clockwise.
         let number = f64::from(u16_at(column, 8));
         let encoder = TAU * (1.0 - number / self.metadata.columns_per_frame as f64);
@@ -187,26 +180,35 @@ fn sensor_time(nanoseconds: u64) -> Time {
     Time::UNIX_EPOCH + Duration::from_ticks(i64::try_from(nanoseconds / 100).unwrap_or(i64::MAX))
 }
 
+/// When a sample was measured: a packet has the times of the system, of the accelerometer and of the
+/// gyroscope.
+pub(super) fn imu_sensor_time(packet: &[u8]) -> Option<Time> {
+    (packet.len() == IMU_PACKET_BYTES).then(|| sensor_time(u64_at(packet, 16)))
+}
+
 /// Turns IMU packets into samples.
 pub(crate) struct OusterImuDecoder {
     frame: Arc<str>,
-    clock: SensorTime,
 }
 
 impl OusterImuDecoder {
     /// An IMU whose samples are in a frame.
     pub fn new(frame: &str) -> Self {
-        Self { frame: frame.into(), clock: SensorTime::default() }
+        Self { frame: frame.into() }
     }
 
     /// The sample of a packet that arrived at a time.
-    pub fn decode(&mut self, packet: &[u8], arrival: Time, repairs: &mut RepairLog) -> Option<Imu> {
-        if packet.len() != IMU_PACKET_BYTES {
+    pub fn decode(
+        &mut self,
+        (packet, arrival): (&[u8], Time),
+        clock: &mut SensorTime,
+        repairs: &mut RepairLog,
+    ) -> Option<Imu> {
+        let Some(measured) = imu_sensor_time(packet) else {
             repairs.lost("Ouster IMU packets of an unexpected length were left out");
             return None;
-        }
-        // Times: of the system, of the accelerometer, of the gyroscope.
-        let stamp = self.clock.place(sensor_time(u64_at(packet, 16)), arrival);
+        };
+        let stamp = clock.place(measured, arrival, repairs);
         let three = |at: usize, unit: f64| [0, 4, 8].map(|i| f64::from(f32_at(packet, at + i)) * unit);
         Some(Imu {
             header: Header { stamp, frame_id: Arc::clone(&self.frame) },

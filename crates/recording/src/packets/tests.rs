@@ -41,8 +41,9 @@ fn points(cloud: &PointCloud2) -> Vec<([f32; 3], f32, u16, f32)> {
 fn decode(source: &PacketSource, packets: &[(Vec<u8>, Time)]) -> (Vec<Message>, Vec<crate::Repair>) {
     let (mut decoder, mut repairs, mut messages) =
         (source.decoder("lidar"), RepairLog::default(), Vec::new());
+    let mut clock = SensorTime::default();
     for (packet, time) in packets {
-        decoder.push(packet, *time, &mut repairs, &mut |message| messages.push(message));
+        decoder.push((packet, *time), &mut clock, &mut repairs, &mut |message| messages.push(message));
     }
     messages.extend(decoder.finish());
     (messages, repairs.list())
@@ -256,6 +257,123 @@ fn imu_packets_are_in_si_units() {
     assert_eq!(imu.linear_acceleration, [0.0, 0.0, 9.80665]);
     assert!((imu.angular_velocity[0] - std::f64::consts::PI).abs() < 1e-12);
     assert_eq!(imu.header.stamp, arrival());
+}
+
+/// Packets of 400 turns' parts, 1.327 ms apart, the sensor's clock ahead of arrival by some seconds each.
+fn pucks(ahead: impl Fn(u64) -> f64) -> Vec<(Vec<u8>, Time)> {
+    let start = 1_700_000_000_u64 % 3600 * 1_000_000;
+    let packet = |i: u64| {
+        let microseconds = (start + i * 1327) as f64 + 1e6 * ahead(i);
+        let microseconds = microseconds.rem_euclid(3.6e9) as u32;
+        let packet = puck_packet((i * 480 % 36_000) as u16, 1000, microseconds, 0x37, 0x22);
+        (packet, arrival() + Duration::from_seconds(i as f64 * 1.327e-3))
+    };
+    (0..400).map(packet).collect()
+}
+
+#[test]
+fn a_clock_that_jumps_goes_on_as_before() {
+    let stamps = |packets: &[(Vec<u8>, Time)]| {
+        let (messages, repairs) = decode(&PacketSource::Velodyne(None), packets);
+        (clouds(messages).iter().map(|c| c.header.stamp).collect::<Vec<_>>(), repairs)
+    };
+    let (expected, repairs) = stamps(&pucks(|_| 0.0));
+    assert!(expected.len() == 6 && repairs.is_empty(), "{repairs:?}");
+    for jump in [5.0, -5.0, 1200.0, 2400.0, -1200.0] {
+        let (stamps, repairs) = stamps(&pucks(|i| if i < 200 { 0.0 } else { jump }));
+        assert_eq!(stamps, expected, "{jump} s");
+        let counted: Vec<u64> =
+            repairs.iter().filter(|r| r.what.contains("jumped")).map(|r| r.count).collect();
+        assert_eq!((counted, repairs.len()), (vec![1], 1), "{jump} s: {repairs:?}");
+    }
+    // One damaged time is there and back.
+    let (stamps, repairs) = stamps(&pucks(|i| if i == 100 { 60.0 } else { 0.0 }));
+    assert!(stamps == expected && repairs[0].count == 2, "{repairs:?}");
+}
+
+#[test]
+fn recorders_that_hang_and_gaps_are_no_jumps_of_the_clock() {
+    let with = |arrival_delay: &dyn Fn(usize) -> f64, keep: &dyn Fn(usize) -> bool| {
+        let packets = pucks(|_| 0.0).into_iter().enumerate().filter(|(i, _)| keep(*i));
+        let late = packets.map(|(i, (p, t))| (p, t + Duration::from_seconds(arrival_delay(i))));
+        decode(&PacketSource::Velodyne(None), &late.collect::<Vec<_>>()).1
+    };
+    let repairs = with(&|i| if (100..200).contains(&i) { 3.0 } else { 0.0 }, &|_| true);
+    assert!(repairs.is_empty(), "{repairs:?}");
+    // A pause of 40 min, by both clocks.
+    let pause = |i: u64| if i < 200 { 0.0 } else { 2400.0 };
+    let packets = pucks(pause).into_iter().enumerate();
+    let packets: Vec<_> =
+        packets.map(|(i, (p, t))| (p, t + Duration::from_seconds(pause(i as u64)))).collect();
+    let (messages, repairs) = decode(&PacketSource::Velodyne(None), &packets);
+    assert!(repairs.is_empty(), "{repairs:?}");
+    let stamps: Vec<Time> = clouds(messages).iter().map(|c| c.header.stamp).collect();
+    assert!((stamps[stamps.len() - 1] - stamps[0]).seconds() > 2400.0);
+}
+
+#[test]
+fn packets_that_come_twice_count_once() {
+    let once = pucks(|_| 0.0);
+    let twice: Vec<_> = once.iter().flat_map(|packet| [packet.clone(), packet.clone()]).collect();
+    let (expected, _) = decode(&PacketSource::Velodyne(None), &once);
+    let (messages, repairs) = decode(&PacketSource::Velodyne(None), &twice);
+    assert_eq!(messages, expected);
+    assert_eq!((repairs.len(), repairs[0].count, repairs[0].lost_data), (1, 400, false), "{repairs:?}");
+    assert!(repairs[0].what.contains("exact repetitions"), "{repairs:?}");
+}
+
+fn imu_packet(nanoseconds: u64) -> Vec<u8> {
+    let mut packet = vec![0; 48];
+    packet[16..24].copy_from_slice(&nanoseconds.to_le_bytes());
+    packet
+}
+
+#[test]
+fn lidar_and_imu_of_an_ouster_share_its_clock() {
+    let metadata = r#"{"beam_intrinsics": {"beam_altitude_angles": [1.5, -1.5], "beam_azimuth_angles": [0, 1]},
+        "lidar_data_format": {"columns_per_frame": 512, "columns_per_packet": 16}}"#;
+    let kind_and_bytes = |i: u64| match i {
+        0 => (crate::PacketKind::OusterMetadata, "metadata", metadata.as_bytes().to_vec()),
+        _ if i % 2 == 1 => (crate::PacketKind::Ouster, "imu_packets", imu_packet(i * 10_000_000)),
+        _ => {
+            let packet = ouster_packet(PacketProfile::Legacy, 2, i as u16, (i * 100) as u16, 4000);
+            (crate::PacketKind::Ouster, "lidar_packets", packet)
+        }
+    };
+    let message = |i: u64| {
+        let (kind, topic, bytes) = kind_and_bytes(i);
+        // The first packet of the IMU is 8 ms late.
+        let late = if i == 1 { 0.008 } else { 0.0 };
+        crate::RecordedMessage {
+            topic: format!("/ouster/{topic}").as_str().into(),
+            log_time: arrival() + Duration::from_seconds(i as f64 * 0.01 + late),
+            message: Message::SensorPackets(crate::SensorPackets {
+                kind,
+                header: None,
+                packets: vec![(None, bytes)],
+            }),
+        }
+    };
+    let recording = crate::MemoryRecording::new((0..10).map(message).collect());
+    let recording = unpacked(Box::new(recording)).unwrap();
+    let stamps = |wanted: &str| {
+        let mut reader = crate::Recording::read(&*recording, &|t| t.topic.contains(wanted)).unwrap();
+        let messages = std::iter::from_fn(|| reader.next_message().unwrap());
+        let stamp = |m: crate::RecordedMessage| match m.message {
+            Message::PointCloud2(cloud) => Some((0, cloud.header.stamp)),
+            Message::Imu(imu) => Some((1, imu.header.stamp)),
+            _ => None,
+        };
+        let stamps: Vec<(i32, Time)> = messages.filter_map(stamp).collect();
+        let of = |kind: i32| stamps.iter().filter(|(k, _)| *k == kind).map(|s| s.1).collect::<Vec<_>>();
+        (of(0), of(1))
+    };
+    let (lidar, imu) = stamps("ouster");
+    // By the sensor's clock, 200 columns of 100 µs from the first packet of the lidar and 10 ms of the IMU.
+    assert_eq!(imu[0] - lidar[0], Duration::from_seconds(0.01 - 0.02), "{lidar:?} {imu:?}");
+    // It does not depend on what is read.
+    assert_eq!(stamps("imu").1, imu);
+    assert_eq!(stamps("lidar").0, lidar);
 }
 
 proptest! {

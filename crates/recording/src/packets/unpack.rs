@@ -6,7 +6,10 @@ use std::sync::Arc;
 use portolan_geometry::Time;
 
 use super::ouster::USUAL_COLUMNS;
-use super::{IMU_PACKET_BYTES, OUSTER_FRAME, OusterMetadata, PacketDecoder, PacketLayout, PacketSource};
+use super::{
+    IMU_PACKET_BYTES, OUSTER_FRAME, OusterMetadata, PacketDecoder, PacketLayout, PacketSource, PacketStream,
+    SensorTime, clocks_of,
+};
 use crate::codec::MessageKind;
 use crate::repairs::RepairLog;
 use crate::{
@@ -19,12 +22,18 @@ const LOOK: usize = 400;
 /// A recording whose packets are read as clouds and IMU samples.
 struct Unpacked {
     inner: Box<dyn Recording>,
-    sources: Sources,
+    sources: BTreeMap<Arc<str>, TopicOfPackets>,
+    clocks: Vec<SensorTime>,
     repairs: Vec<Repair>,
 }
 
-/// Per topic of packets: what they are, and their frame.
-type Sources = Arc<BTreeMap<Arc<str>, (PacketSource, String)>>;
+/// A topic whose packets are understood.
+struct TopicOfPackets {
+    source: PacketSource,
+    frame: String,
+    /// Number of its sensor's clock.
+    clock: usize,
+}
 
 /// Types whose messages are decoded as clouds, each by itself.
 fn holds_cloud(type_name: &str) -> bool {
@@ -47,7 +56,7 @@ pub(crate) fn unpacked(inner: Box<dyn Recording>) -> Result<Box<dyn Recording>, 
     let mut seen = 0;
     while let Some(message) = reader.next_message()? {
         if let Message::SensorPackets(packets) = &message.message {
-            look.add(&message.topic, packets);
+            look.add(&message.topic, message.log_time, packets);
         }
         seen += 1;
         if seen >= LOOK {
@@ -58,8 +67,8 @@ pub(crate) fn unpacked(inner: Box<dyn Recording>) -> Result<Box<dyn Recording>, 
         look.find_metadata(&*inner)?;
     }
     let mut repairs = RepairLog::default();
-    let sources = look.sources(&mut repairs);
-    Ok(Box::new(Unpacked { inner, sources: Arc::new(sources), repairs: repairs.list() }))
+    let (sources, clocks) = look.sources(&mut repairs);
+    Ok(Box::new(Unpacked { inner, sources, clocks, repairs: repairs.list() }))
 }
 
 fn is_metadata(topic: &TopicInfo) -> bool {
@@ -69,24 +78,46 @@ fn is_metadata(topic: &TopicInfo) -> bool {
 /// What was seen of the packets.
 #[derive(Default)]
 struct Look {
-    /// By topic: kind, length of the packets, largest number of a column, frame.
-    topics: BTreeMap<Arc<str>, (PacketKind, usize, u16, String)>,
+    topics: BTreeMap<Arc<str>, SeenTopic>,
     /// By topic.
     metadata: BTreeMap<Arc<str>, OusterMetadata>,
 }
 
+/// What was seen of the packets of a topic.
+struct SeenTopic {
+    kind: PacketKind,
+    /// The first packet, and when it arrived.
+    first: (Vec<u8>, Time),
+    largest_column: u16,
+    frame: String,
+}
+
+/// When a packet arrived.
+fn arrival_of(stamp: Option<Time>, log_time: Time) -> Time {
+    stamp.filter(|s| *s != Time::UNIX_EPOCH).unwrap_or(log_time)
+}
+
+/// The part of a topic's name that its node gives.
+fn node(topic: &str) -> &str {
+    topic.rsplit_once('/').map_or("", |(node, _)| node)
+}
+
 impl Look {
-    fn add(&mut self, topic: &Arc<str>, message: &crate::SensorPackets) {
-        let first = message.packets.first().map(|(_, bytes)| bytes.as_slice()).unwrap_or_default();
+    fn add(&mut self, topic: &Arc<str>, log_time: Time, message: &crate::SensorPackets) {
+        let Some((stamp, first)) = message.packets.first() else { return };
         if message.kind == PacketKind::OusterMetadata {
             if let Some(metadata) = std::str::from_utf8(first).ok().and_then(OusterMetadata::parse) {
                 self.metadata.insert(topic.clone(), metadata);
             }
             return;
         }
-        let frame = message.header.as_ref().map_or("", |h| &h.frame_id).to_owned();
-        let entry = self.topics.entry(topic.clone()).or_insert((message.kind, first.len(), 0, frame));
-        entry.2 = entry.2.max(PacketLayout::largest_column(first));
+        let seen = self.topics.entry(topic.clone()).or_insert_with(|| SeenTopic {
+            kind: message.kind,
+            first: (first.clone(), arrival_of(*stamp, log_time)),
+            largest_column: 0,
+            frame: message.header.as_ref().map_or("", |h| &h.frame_id).to_owned(),
+        });
+        seen.largest_column = seen.largest_column.max(PacketLayout::largest_column(first));
     }
 
     fn find_metadata(&mut self, inner: &dyn Recording) -> Result<(), RecordingError> {
@@ -94,7 +125,7 @@ impl Look {
         for _ in 0..LOOK {
             let Some(message) = reader.next_message()? else { break };
             if let Message::SensorPackets(packets) = &message.message {
-                self.add(&message.topic, packets);
+                self.add(&message.topic, message.log_time, packets);
             }
         }
         Ok(())
@@ -102,30 +133,37 @@ impl Look {
 
     /// Metadata of the same node, or of the only one.
     fn metadata_of(&self, topic: &str) -> Option<&OusterMetadata> {
-        let node = |topic: &str| topic.rsplit_once('/').map(|(node, _)| node.to_owned());
         let same_node = self.metadata.iter().find(|(name, _)| node(name) == node(topic));
         same_node.or_else(|| self.metadata.iter().next().filter(|_| self.metadata.len() == 1)).map(|(_, m)| m)
     }
 
-    fn sources(&self, repairs: &mut RepairLog) -> BTreeMap<Arc<str>, (PacketSource, String)> {
-        let mut sources = BTreeMap::new();
-        for (topic, (kind, bytes, largest, frame)) in &self.topics {
-            let source = match kind {
+    fn sources(&self, repairs: &mut RepairLog) -> (BTreeMap<Arc<str>, TopicOfPackets>, Vec<SensorTime>) {
+        let mut found = Vec::new();
+        for (topic, seen) in &self.topics {
+            let bytes = seen.first.0.len();
+            let source = match seen.kind {
                 PacketKind::Velodyne => Some(PacketSource::Velodyne(None)),
-                _ if *bytes == IMU_PACKET_BYTES => Some(PacketSource::OusterImu),
-                _ => ouster_source(self.metadata_of(topic), *bytes, *largest, repairs),
+                _ if bytes == IMU_PACKET_BYTES => Some(PacketSource::OusterImu),
+                _ => ouster_source(self.metadata_of(topic), bytes, seen.largest_column, repairs),
             };
-            let Some(source) = source else {
-                repairs.lost(format!(
+            match source {
+                Some(source) => found.push((topic, seen, source)),
+                None => repairs.lost(format!(
                     "{topic}: packets of {bytes} bytes are of no known sensor and were left out"
-                ));
-                continue;
-            };
-            let usual = if *kind == PacketKind::Velodyne { "velodyne" } else { OUSTER_FRAME };
-            let frame = if frame.is_empty() { usual.to_owned() } else { frame.clone() };
-            sources.insert(topic.clone(), (source, frame));
+                )),
+            }
         }
-        sources
+        let streams: Vec<_> = found
+            .iter()
+            .map(|(topic, seen, source)| PacketStream::new(node(topic), source, &seen.first))
+            .collect();
+        let (numbers, clocks) = clocks_of(&streams);
+        let named = found.into_iter().zip(numbers).map(|((topic, seen, source), clock)| {
+            let usual = if seen.kind == PacketKind::Velodyne { "velodyne" } else { OUSTER_FRAME };
+            let frame = if seen.frame.is_empty() { usual.to_owned() } else { seen.frame.clone() };
+            (Arc::clone(topic), TopicOfPackets { source, frame, clock })
+        });
+        (named.collect(), clocks)
     }
 }
 
@@ -171,9 +209,9 @@ impl Recording for Unpacked {
             if holds_cloud(&info.type_name) {
                 info.type_name = "sensor_msgs/PointCloud2".into();
             }
-            if let Some((source, _)) = self.sources.get(&info.topic) {
-                info.type_name = source.type_name().into();
-                if matches!(source, PacketSource::OusterLidar(..)) {
+            if let Some(topic) = self.sources.get(&info.topic) {
+                info.type_name = topic.source.type_name().into();
+                if matches!(topic.source, PacketSource::OusterLidar(..)) {
                     info.count = None;
                 }
             }
@@ -199,11 +237,12 @@ impl Recording for Unpacked {
             .sources
             .iter()
             .filter(|(topic, _)| chosen.contains(topic))
-            .map(|(topic, (source, frame))| (topic.clone(), source.decoder(frame)))
+            .map(|(topic, known)| (topic.clone(), (known.clock, known.source.decoder(&known.frame))))
             .collect();
         Ok(Box::new(UnpackedReader {
             inner,
             decoders,
+            clocks: self.clocks.clone(),
             ready: VecDeque::new(),
             repairs,
             last: Time::MIN,
@@ -214,7 +253,9 @@ impl Recording for Unpacked {
 
 struct UnpackedReader {
     inner: Box<dyn MessageReader>,
-    decoders: BTreeMap<Arc<str>, PacketDecoder>,
+    /// By topic: number of the clock, and what decodes its packets.
+    decoders: BTreeMap<Arc<str>, (usize, PacketDecoder)>,
+    clocks: Vec<SensorTime>,
     ready: VecDeque<RecordedMessage>,
     repairs: RepairLog,
     last: Time,
@@ -229,7 +270,8 @@ impl UnpackedReader {
             self.ready.push_back(RecordedMessage { topic, log_time, message });
             return;
         };
-        let Some(decoder) = self.decoders.get_mut(&topic) else {
+        let decoder = self.decoders.get_mut(&topic);
+        let Some((clock, decoder)) = decoder.and_then(|(i, d)| Some((self.clocks.get_mut(*i)?, d))) else {
             // Of no known sensor, which was counted, or metadata.
             let bytes = packets.packets.iter().map(|(_, bytes)| bytes.len()).sum();
             let message = Message::Other { type_name: packets.kind.type_name().into(), bytes };
@@ -237,8 +279,8 @@ impl UnpackedReader {
             return;
         };
         for (stamp, bytes) in &packets.packets {
-            let arrival = stamp.filter(|s| *s != Time::UNIX_EPOCH).unwrap_or(log_time);
-            decoder.push(bytes, arrival, &mut self.repairs, &mut |message| {
+            let packet = (bytes.as_slice(), arrival_of(*stamp, log_time));
+            decoder.push(packet, clock, &mut self.repairs, &mut |message| {
                 self.ready.push_back(RecordedMessage { topic: topic.clone(), log_time, message });
             });
         }
@@ -246,7 +288,7 @@ impl UnpackedReader {
 
     fn end(&mut self) {
         self.ended = true;
-        for (topic, decoder) in &mut self.decoders {
+        for (topic, (_, decoder)) in &mut self.decoders {
             if let Some(message) = decoder.finish() {
                 self.ready.push_back(RecordedMessage { topic: topic.clone(), log_time: self.last, message });
             }

@@ -9,7 +9,8 @@ use std::f64::consts::PI;
 
 use portolan_geometry::{Duration, Time};
 
-use super::cloud_builder::{CloudBuilder, PacketPoint, SensorTime, u16_at, u32_at};
+use super::SensorTime;
+use super::cloud_builder::{CloudBuilder, PacketPoint, u16_at, u32_at};
 use super::velodyne_models::{
     BLOCK_BYTES, BLOCKS, CHANNELS, LOWER, Laser, PACKET_BYTES, UPPER, VelodyneModel,
 };
@@ -19,6 +20,8 @@ use crate::repairs::RepairLog;
 /// Return mode of packets whose blocks come in pairs of the same azimuth.
 const DUAL: u8 = 0x39;
 const HOUR_MICROSECONDS: i64 = 3_600_000_000;
+/// No two packets of a recording are further apart: a year, in microseconds.
+const LONGEST_WAIT: i64 = 366 * 24 * HOUR_MICROSECONDS;
 const TICKS_PER_MICROSECOND: i64 = 10;
 /// A full turn in hundredths of a degree.
 const TURN: i32 = 36_000;
@@ -38,9 +41,8 @@ pub(crate) struct VelodyneDecoder {
     calibration: Option<Vec<Laser>>,
     builder: CloudBuilder,
     last_azimuth: Option<i32>,
-    clock: SensorTime,
-    /// Microseconds of the first packet, unwrapped.
-    last_microseconds: Option<i64>,
+    /// Microseconds of the packet before, unwrapped, and when it arrived.
+    last_time: Option<(i64, Time)>,
 }
 
 impl VelodyneDecoder {
@@ -52,16 +54,15 @@ impl VelodyneDecoder {
             calibration,
             builder: CloudBuilder::new(frame),
             last_azimuth: None,
-            clock: SensorTime::default(),
-            last_microseconds: None,
+            last_time: None,
         }
     }
 
     /// Adds a packet that arrived at a time; complete sweeps go to `sweeps`.
     pub fn push(
         &mut self,
-        packet: &[u8],
-        arrival: Time,
+        (packet, arrival): (&[u8], Time),
+        clock: &mut SensorTime,
         repairs: &mut RepairLog,
         sweeps: &mut dyn FnMut(PointCloud2),
     ) {
@@ -70,7 +71,7 @@ impl VelodyneDecoder {
             return;
         }
         let model = self.recognise(packet, repairs);
-        let start = self.start_time(packet, arrival, repairs);
+        let start = clock.place(self.sensor_time(packet, arrival), arrival, repairs);
         let is_dual = packet.get(PACKET_BYTES - 2) == Some(&DUAL) && model != VelodyneModel::Hdl64e;
         let is_paired = is_dual || model == VelodyneModel::Hdl64e;
         let rate = azimuth_rate(packet, is_paired, model);
@@ -124,35 +125,23 @@ impl VelodyneDecoder {
         model
     }
 
-    /// When the first firing of a packet was.
-    fn start_time(&mut self, packet: &[u8], arrival: Time, repairs: &mut RepairLog) -> Time {
+    /// When the first firing of a packet was by the sensor's clock, which tells only the time in the hour.
+    fn sensor_time(&mut self, packet: &[u8], arrival: Time) -> Time {
         let raw = i64::from(u32_at(packet, BLOCKS * BLOCK_BYTES)) % HOUR_MICROSECONDS;
-        let microseconds = match self.last_microseconds {
-            // The same time in the hour that is nearest to the packet before.
-            Some(last) => {
-                raw + (last - raw + HOUR_MICROSECONDS / 2).div_euclid(HOUR_MICROSECONDS) * HOUR_MICROSECONDS
-            }
-            None => {
-                let now = arrival.unix_nanoseconds() / 1000;
-                raw + (now - raw + HOUR_MICROSECONDS / 2).div_euclid(HOUR_MICROSECONDS) * HOUR_MICROSECONDS
-            }
+        let nearest = |time: i64| {
+            raw + (time - raw + HOUR_MICROSECONDS / 2).div_euclid(HOUR_MICROSECONDS) * HOUR_MICROSECONDS
         };
-        if self.last_microseconds.is_some_and(|last| microseconds + 1_000_000 < last) {
-            repairs
-                .repaired("the clock of a Velodyne was set back; its times go on from the time of arrival");
-            self.clock.restart();
-        }
-        self.last_microseconds = Some(microseconds);
-        let sensor =
-            Time::UNIX_EPOCH + Duration::from_ticks(microseconds.saturating_mul(TICKS_PER_MICROSECOND));
-        let was_shifted = self.clock.is_shifted;
-        let time = self.clock.place(sensor, arrival);
-        if self.clock.is_shifted && !was_shifted {
-            repairs.repaired(
-                "the clock of a sensor was not set; its times were shifted to those of the recording",
-            );
-        }
-        time
+        let microseconds = match self.last_time {
+            // A packet that goes on from the one before is not moved by a wrong time of arrival.
+            Some((last, _)) if (nearest(last) - last).abs() < 1_000_000 => nearest(last),
+            Some((last, last_arrival)) => {
+                let waited = (arrival - last_arrival).ticks() / TICKS_PER_MICROSECOND;
+                nearest(last.saturating_add(waited.clamp(-LONGEST_WAIT, LONGEST_WAIT)))
+            }
+            None => nearest(arrival.unix_nanoseconds() / 1000),
+        };
+        self.last_time = Some((microseconds, arrival));
+        Time::UNIX_EPOCH + Duration::from_ticks(microseconds.saturating_mul(TICKS_PER_MICROSECOND))
     }
 
     /// Adds the returns of a block; of two returns that are the same only one.

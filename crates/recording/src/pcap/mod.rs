@@ -6,48 +6,33 @@
 
 mod capture;
 mod datagram;
+mod sensors;
 
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeMap, VecDeque};
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
 
 use crate::container::Source;
-use crate::packets::{
-    IMU_PACKET_BYTES, Laser, OUSTER_FRAME, OusterMetadata, PacketDecoder, PacketLayout, PacketSource,
-    VelodyneModel, is_velodyne, ouster_source, parse_calibration,
-};
+use crate::packets::{PacketDecoder, SensorTime};
 use crate::repairs::RepairLog;
 use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
 use capture::CaptureReader;
 use datagram::{Datagrams, Endpoint};
+use sensors::{CapturedSensor, Descriptions, Kind, Senders, Sensors};
 
 pub(crate) use capture::sniff;
 
 /// So many frames are looked at to find the sensors.
 const LOOK: usize = 20_000;
-/// Longer files beside a capture are no descriptions of a sensor.
-const MAX_DESCRIPTION: u64 = 1 << 22;
-/// More senders than this are not told apart.
-const MAX_ENDPOINTS: usize = 256;
-
-/// One sensor of a capture.
-#[derive(Clone)]
-struct CapturedSensor {
-    topic: Arc<str>,
-    frame: String,
-    source: PacketSource,
-}
 
 /// A capture.
 struct Capture {
     source: Source,
-    sensors: Arc<BTreeMap<Endpoint, CapturedSensor>>,
-    models: String,
+    sensors: Sensors,
     first: Option<Time>,
     size: u64,
     repairs: Vec<Repair>,
@@ -61,101 +46,33 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError>
     let size = source.open()?.length();
     let mut repairs = RepairLog::default();
     let mut datagrams = Datagrams::default();
-    // Per sender: length of its packets, whether it is a Velodyne, model, largest column.
-    let mut seen: BTreeMap<Endpoint, (usize, Option<VelodyneModel>, u16)> = BTreeMap::new();
-    let (mut first, mut udp_frames) = (None, 0_u64);
+    let mut senders = Senders::default();
+    let (mut first, mut now, mut udp_frames) = (None, Time::UNIX_EPOCH, 0_u64);
     for _ in 0..LOOK {
         let Some(frame) = reader.next_frame(&mut repairs)? else { break };
         first = first.or(frame.time);
-        let Some((endpoint, payload)) = datagrams.take(frame.link_type, frame.bytes, &mut repairs) else {
-            continue;
-        };
-        udp_frames += 1;
-        let model = is_velodyne(&payload).then(|| VelodyneModel::of(&payload).0);
-        let is_sensor = model.is_some()
-            || payload.len() == IMU_PACKET_BYTES
-            || PacketLayout::guess(payload.len()).is_some();
-        if is_sensor && (seen.len() < MAX_ENDPOINTS || seen.contains_key(&endpoint)) {
-            let entry = seen.entry(endpoint).or_insert((payload.len(), model, 0));
-            entry.2 = entry.2.max(PacketLayout::largest_column(&payload));
+        now = frame.time.unwrap_or(now);
+        if let Some((endpoint, packet)) = datagrams.take(frame.link_type, frame.bytes, &mut repairs) {
+            udp_frames += 1;
+            senders.add(endpoint, &packet, now);
         }
     }
     let descriptions = Descriptions::beside(source.file());
     // What was wrong will be counted again by every pass.
     let mut repairs = RepairLog::default();
-    let (sensors, models) = name_sensors(&seen, &descriptions, &mut repairs);
-    if sensors.is_empty() {
+    let sensors = senders.sensors(&descriptions, &mut repairs);
+    if sensors.by_sender.is_empty() {
         return Err(unknown(format!(
             "it is a capture of the network with {udp_frames} datagrams among its first {LOOK} frames, none of them \
              of a Velodyne (VLP-16, VLP-32C, HDL-32E, HDL-64E) or an Ouster; record the data port of the lidar"
         )));
     }
-    let sensors = Arc::new(sensors);
-    Ok(Box::new(Capture { source, sensors, models, first, size, repairs: repairs.list() }))
-}
-
-/// What lies beside a capture.
-#[derive(Default)]
-struct Descriptions {
-    metadata: Option<OusterMetadata>,
-    calibration: Option<Vec<Laser>>,
-}
-
-impl Descriptions {
-    fn beside(capture: Option<&Path>) -> Self {
-        let Some(capture) = capture else { return Self::default() };
-        let text = |ending: &str| {
-            let path = capture.with_extension(ending);
-            let is_short = std::fs::metadata(&path).is_ok_and(|m| m.is_file() && m.len() <= MAX_DESCRIPTION);
-            is_short.then(|| std::fs::read_to_string(&path).ok()).flatten()
-        };
-        Self {
-            metadata: text("json").and_then(|text| OusterMetadata::parse(&text)),
-            calibration: text("yaml").or_else(|| text("yml")).and_then(|text| parse_calibration(&text)),
-        }
-    }
-}
-
-/// Gives every sensor a topic: the first of a kind without a number.
-fn name_sensors(
-    seen: &BTreeMap<Endpoint, (usize, Option<VelodyneModel>, u16)>,
-    descriptions: &Descriptions,
-    repairs: &mut RepairLog,
-) -> (BTreeMap<Endpoint, CapturedSensor>, String) {
-    let has_ouster = seen.values().any(|(bytes, model, _)| model.is_none() && *bytes != IMU_PACKET_BYTES);
-    let mut sensors = BTreeMap::new();
-    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    let mut models: Vec<&str> = Vec::new();
-    for (endpoint, (bytes, model, largest)) in seen {
-        let (stem, frame, source) = match model {
-            Some(model) => {
-                models.push(model.name());
-                let source = PacketSource::Velodyne(descriptions.calibration.clone());
-                ("/velodyne_points", "velodyne", Some(source))
-            }
-            None if *bytes == IMU_PACKET_BYTES => {
-                ("/ouster/imu", OUSTER_FRAME, has_ouster.then_some(PacketSource::OusterImu))
-            }
-            None => {
-                models.push("Ouster");
-                let source = ouster_source(descriptions.metadata.as_ref(), *bytes, *largest, repairs);
-                ("/ouster/points", OUSTER_FRAME, source)
-            }
-        };
-        let Some(source) = source else { continue };
-        let number = counts.entry(stem).and_modify(|n| *n += 1).or_insert(1);
-        let name = |stem: &str| if *number == 1 { stem.to_owned() } else { format!("{stem}_{number}") };
-        let sensor = CapturedSensor { topic: name(stem).into(), frame: name(frame), source };
-        sensors.insert(*endpoint, sensor);
-    }
-    models.sort_unstable();
-    models.dedup();
-    (sensors, models.join(", "))
+    Ok(Box::new(Capture { source, sensors, first, size, repairs: repairs.list() }))
 }
 
 impl Recording for Capture {
     fn format(&self) -> String {
-        format!("network capture of {}", self.models)
+        format!("network capture of {}", self.sensors.models)
     }
 
     fn topics(&self) -> Vec<TopicInfo> {
@@ -164,7 +81,7 @@ impl Recording for Capture {
             type_name: sensor.source.type_name().into(),
             count: None,
         };
-        let mut topics: Vec<TopicInfo> = self.sensors.values().map(info).collect();
+        let mut topics: Vec<TopicInfo> = self.sensors.by_sender.values().map(info).collect();
         topics.sort_by(|a, b| a.topic.cmp(&b.topic));
         topics
     }
@@ -185,16 +102,21 @@ impl Recording for Capture {
             let detail = "it is no capture any more".to_owned();
             return Err(RecordingError::UnknownFormat { path: self.source.name().to_owned(), detail });
         };
-        let sensors = self.sensors.iter().filter(|(_, sensor)| chosen.contains(&sensor.topic));
-        let decoders = sensors.map(|(endpoint, sensor)| {
-            (*endpoint, (sensor.topic.clone(), sensor.source.decoder(&sensor.frame)))
-        });
+        let is_chosen = |sensor: &CapturedSensor| chosen.contains(&sensor.topic);
+        let sensors = || self.sensors.by_sender.iter().filter(|(_, sensor)| is_chosen(sensor));
+        let decoder = |(endpoint, sensor): (&Endpoint, &CapturedSensor)| {
+            let decoder = sensor.source.decoder(&sensor.frame);
+            (*endpoint, ChosenSensor { topic: sensor.topic.clone(), clock: sensor.clock, decoder })
+        };
         let mut repairs = RepairLog::default();
         repairs.merge(&self.repairs);
         Ok(Box::new(CapturePass {
             reader,
             datagrams: Datagrams::default(),
-            decoders: decoders.collect(),
+            known: self.sensors.by_sender.keys().copied().collect(),
+            kinds: sensors().map(|(_, sensor)| sensor.kind).collect(),
+            chosen: sensors().map(decoder).collect(),
+            clocks: self.sensors.clocks.clone(),
             ready: VecDeque::new(),
             now: self.first.unwrap_or(Time::UNIX_EPOCH),
             repairs,
@@ -203,11 +125,22 @@ impl Recording for Capture {
     }
 }
 
+/// A sensor that is read.
+struct ChosenSensor {
+    topic: Arc<str>,
+    clock: usize,
+    decoder: PacketDecoder,
+}
+
 /// One pass over a capture.
 struct CapturePass {
     reader: CaptureReader,
     datagrams: Datagrams,
-    decoders: BTreeMap<Endpoint, (Arc<str>, PacketDecoder)>,
+    /// All sensors, and the kinds of those that are read.
+    known: BTreeSet<Endpoint>,
+    kinds: BTreeSet<Kind>,
+    chosen: BTreeMap<Endpoint, ChosenSensor>,
+    clocks: Vec<SensorTime>,
     ready: VecDeque<RecordedMessage>,
     /// Never goes back, so that messages come in order.
     now: Time,
@@ -224,10 +157,18 @@ impl CapturePass {
         else {
             return Ok(true);
         };
-        let Some((topic, decoder)) = self.decoders.get_mut(&endpoint) else { return Ok(true) };
+        if !self.known.contains(&endpoint)
+            && Kind::of(&payload).is_some_and(|kind| self.kinds.contains(&kind))
+        {
+            self.repairs.lost(
+                "packets of senders that sent hardly any, their address damaged or begun late, were left out",
+            );
+        }
+        let Some(sensor) = self.chosen.get_mut(&endpoint) else { return Ok(true) };
+        let Some(clock) = self.clocks.get_mut(sensor.clock) else { return Ok(true) };
         self.now = self.now.max(time);
-        let (log_time, ready) = (self.now, &mut self.ready);
-        decoder.push(&payload, time, &mut self.repairs, &mut |message| {
+        let (log_time, ready, topic) = (self.now, &mut self.ready, &sensor.topic);
+        sensor.decoder.push((&payload, time), clock, &mut self.repairs, &mut |message| {
             ready.push_back(RecordedMessage { topic: topic.clone(), log_time, message });
         });
         Ok(true)
@@ -236,9 +177,10 @@ impl CapturePass {
     fn end(&mut self) {
         self.ended = true;
         self.datagrams.finish(&mut self.repairs);
-        for (topic, decoder) in self.decoders.values_mut() {
-            if let Some(message) = decoder.finish() {
-                self.ready.push_back(RecordedMessage { topic: topic.clone(), log_time: self.now, message });
+        for sensor in self.chosen.values_mut() {
+            if let Some(message) = sensor.decoder.finish() {
+                let topic = sensor.topic.clone();
+                self.ready.push_back(RecordedMessage { topic, log_time: self.now, message });
             }
         }
     }

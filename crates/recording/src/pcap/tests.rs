@@ -135,6 +135,19 @@ fn damage_is_counted() {
     assert!(error.contains("none of them"), "{error}");
 }
 
+#[test]
+fn a_damaged_address_is_no_sensor() {
+    let azimuth = |i: u16| (u32::from(i) * 480 % 36_000) as u16;
+    let mut all: Vec<Vec<u8>> = (0..200).flat_map(|i| frames(&packet(azimuth(i)), i, 1480)).collect();
+    // An address before that of the lidar.
+    let source = all[60].windows(4).position(|bytes| bytes == [192, 168, 1, 201]).unwrap();
+    all[60][source] = 5;
+    let (messages, repairs) = read(classic(&all, false, false)).unwrap();
+    assert!(messages.iter().all(|m| &*m.topic == "/velodyne_points"));
+    let strays: Vec<_> = repairs.iter().filter(|r| r.what.contains("hardly any")).collect();
+    assert!(strays.len() == 1 && strays[0].count == 1 && strays[0].lost_data, "{repairs:?}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(80))]
     #[test]

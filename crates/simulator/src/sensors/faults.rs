@@ -192,6 +192,40 @@ impl Fault {
             }
         }
     }
+
+    /// The sensor that has it.
+    fn target(&self) -> FaultTarget {
+        match *self {
+            Self::DuplicateStamp { target, .. }
+            | Self::BackwardStamp { target, .. }
+            | Self::Gap { target, .. }
+            | Self::ClockOffset { target, .. }
+            | Self::MissingTransform { target } => target,
+            Self::NanScan { .. } | Self::EmptyScan { .. } | Self::Death { .. } => FaultTarget::Scan,
+            Self::OdometryJump { .. } => FaultTarget::Odometry,
+            Self::ImuWithoutGravity | Self::Saturation { .. } | Self::SwappedAxes => FaultTarget::Imu,
+        }
+    }
+}
+
+/// Refuses faults whose numbers cannot be used, and those of sensors that are not recorded.
+pub(crate) fn check_faults(faults: &[Fault], recorded: &[FaultTarget]) -> Result<(), SimulatorError> {
+    for fault in faults {
+        let text = fault.to_string();
+        if !fault.is_sensible() {
+            return Err(SimulatorError::BadFault { text });
+        }
+        let target = fault.target();
+        if !recorded.contains(&target) {
+            let sensor = match target {
+                FaultTarget::Scan => "lidar",
+                FaultTarget::Odometry => "odometry",
+                FaultTarget::Imu => "IMU",
+            };
+            return Err(SimulatorError::FaultWithoutSensor { text, sensor });
+        }
+    }
+    Ok(())
 }
 
 /// Puts faults into the messages of one topic, which must come in order.
@@ -210,21 +244,7 @@ pub(crate) struct FaultFilter {
 impl FaultFilter {
     /// The faults that concern one sensor; `gravity` is what its IMU measures at rest.
     pub fn new(faults: &[Fault], target: FaultTarget, gravity: f64) -> Self {
-        let concerns = |fault: &&Fault| match fault {
-            Fault::DuplicateStamp { target: t, .. }
-            | Fault::BackwardStamp { target: t, .. }
-            | Fault::Gap { target: t, .. }
-            | Fault::ClockOffset { target: t, .. }
-            | Fault::MissingTransform { target: t } => *t == target,
-            Fault::NanScan { .. } | Fault::EmptyScan { .. } | Fault::Death { .. } => {
-                target == FaultTarget::Scan
-            }
-            Fault::OdometryJump { .. } => target == FaultTarget::Odometry,
-            Fault::ImuWithoutGravity | Fault::Saturation { .. } | Fault::SwappedAxes => {
-                target == FaultTarget::Imu
-            }
-        };
-        let faults: Vec<Fault> = faults.iter().filter(concerns).copied().collect();
+        let faults: Vec<Fault> = faults.iter().filter(|fault| fault.target() == target).copied().collect();
         let jump = Rigid2::identity();
         Self { faults, target, count: 0, last_stamp: None, jump, jumps_done: 0, gravity }
     }

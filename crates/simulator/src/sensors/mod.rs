@@ -11,8 +11,8 @@ mod spinning_lidar;
 mod stream;
 
 pub use beam_table::BeamTable;
-pub(crate) use faults::FaultFilter;
 pub use faults::{Fault, FaultTarget};
+pub(crate) use faults::{FaultFilter, check_faults};
 pub use gnss::GnssOptions;
 pub(crate) use gnss::GnssStream;
 pub use imu::ImuOptions;

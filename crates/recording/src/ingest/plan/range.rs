@@ -7,6 +7,8 @@ use super::request::Request;
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
 use crate::ingest::azimuth_time::AzimuthTimes;
 use crate::ingest::options::{Dimension, IngestOptions};
+use crate::ingest::point_time::PointTime;
+use crate::ingest::statistics::RangeStatistics;
 use crate::ingest::survey::{Inventory, TopicSurvey, is_range};
 
 /// A scanner in the plane may lean this much.
@@ -191,16 +193,35 @@ fn without_leaning<'a>(
     kept
 }
 
-/// Whether the points of a cloud get times from their azimuth.
-fn azimuth_times(chosen: &Chosen, asked: AzimuthTimes, plan: &mut SensorPlan) -> AzimuthTimes {
+/// The times that points have, and whether they get them from their azimuth. Who asks for the one does not want
+/// the other.
+fn times_of_points(
+    chosen: &Chosen,
+    asked: AzimuthTimes,
+    plan: &mut SensorPlan,
+) -> (Option<PointTime>, AzimuthTimes) {
+    let is_spinning = chosen.survey.range.as_ref().is_some_and(RangeStatistics::is_spinning);
+    if !is_cloud(chosen) || !is_spinning {
+        return (chosen.survey.point_time, AzimuthTimes::Off);
+    }
+    match (asked, chosen.survey.point_time) {
+        (AzimuthTimes::Auto, None) => (None, azimuth_times(chosen, plan)),
+        (AzimuthTimes::Auto, times) => (times, AzimuthTimes::Off),
+        (asked, None) => (None, asked),
+        (asked, Some(_)) => {
+            plan.note(
+                format!("the times of the points of {} are not used, as asked for", chosen.topic()),
+                "--azimuth-times auto",
+            );
+            (None, asked)
+        }
+    }
+}
+
+/// Whether the points of a cloud of a spinning lidar, which have no times, get them from their azimuth.
+fn azimuth_times(chosen: &Chosen, plan: &mut SensorPlan) -> AzimuthTimes {
     let statistics = chosen.survey.range.clone().unwrap_or_default();
-    if !is_cloud(chosen) || chosen.survey.point_time.is_some() || !statistics.is_spinning() {
-        return AzimuthTimes::Off;
-    }
     let topic = chosen.topic();
-    if asked != AzimuthTimes::Auto {
-        return asked;
-    }
     // A field of times that are all alike says that the points are of one moment.
     if chosen.survey.has_time_field {
         return AzimuthTimes::Off;
@@ -256,11 +277,11 @@ pub(super) fn connect(
             refused.push(chosen.topic().to_owned());
             continue;
         }
-        let azimuth_times = azimuth_times(&chosen, options.azimuth_times, plan);
+        let (point_time, azimuth_times) = times_of_points(&chosen, options.azimuth_times, plan);
         plan.range.push(PlannedRange {
             azimuth_times,
             source: chosen.planned(SensorKind::Range, &frame),
-            point_time: chosen.survey.point_time,
+            point_time,
             statistics: chosen.survey.range.clone().unwrap_or_default(),
         });
     }

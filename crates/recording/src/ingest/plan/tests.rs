@@ -255,5 +255,15 @@ fn clouds_without_times_get_them_from_the_azimuth_unless_told_otherwise() {
         assert_eq!(told, asked == Auto, "{:?}", plan.notices);
     }
     let with_times = recording(&[("/points", &|t| cloud(t, "lidar"))]);
-    assert_eq!(planned(&with_times, &IngestOptions::default()).unwrap().range[0].azimuth_times, Off);
+    let plan_of = |azimuth_times: AzimuthTimes| {
+        planned(&with_times, &IngestOptions { azimuth_times, ..IngestOptions::default() }).unwrap()
+    };
+    let range = &plan_of(Auto).range[0];
+    assert!(range.azimuth_times == Off && range.point_time.is_some());
+    // Who asks gets what was asked for.
+    for asked in [Off, FromStamp, UntilStamp] {
+        let plan = plan_of(asked);
+        assert_eq!((plan.range[0].azimuth_times, plan.range[0].point_time), (asked, None));
+        assert!(plan.notices.iter().any(|n| n.what.contains("as asked for")), "{:?}", plan.notices);
+    }
 }

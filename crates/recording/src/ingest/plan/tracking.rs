@@ -194,6 +194,15 @@ pub(super) fn choose_frame(
     if primary.is_empty() {
         return Ok(odometry_child.unwrap_or_else(|| "base_link".to_owned()));
     }
+    if let Some(frame) = tree.frames().find(|f| *f != primary && tree.connected(f, primary)) {
+        plan.note(
+            format!(
+                "no frame of the recording is known as that of a robot; the motion of \"{primary}\" is mapped"
+            ),
+            format!("--tracking-frame {frame}"),
+        );
+        return Ok(primary.to_owned());
+    }
     plan.note(
         format!("no transforms tell where \"{primary}\" is on the robot; its own motion is mapped"),
         "--urdf <robot description> or --tracking-frame",
