@@ -74,6 +74,8 @@ fn logged<S: Space>(settings: &[&str], beginning: &str) -> usize {
         if space {
             measurements.push(Measurement::Imu(world::imu(seconds, 0.0, 0.4)));
             measurements.push(Measurement::Range(world::spatial_scan(&place, seconds)));
+            let between = (1..6).map(|i| world::imu(seconds + 0.1 * f64::from(i), 0.0, 0.4));
+            measurements.extend(between.map(Measurement::Imu));
         } else {
             measurements.push(Measurement::Odometry(world::odometry(place, seconds)));
             measurements.push(Measurement::Range(world::planar_scan(&place, seconds)));

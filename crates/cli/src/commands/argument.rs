@@ -42,18 +42,26 @@ pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
     Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
 }
 
+/// x, y, z, roll, pitch, yaw: metres and degrees.
+pub fn spatial_pose(text: &str) -> Result<Rigid3, String> {
+    let [x, y, z, angles @ ..] = numbers::<6>(text, "X,Y,Z,ROLL,PITCH,YAW")?;
+    let [roll, pitch, yaw] = angles.map(f64::to_radians);
+    let rotation = rotation_from_roll_pitch_yaw(roll, pitch, yaw);
+    Ok(Rigid3::from_parts(Vector3::new(x, y, z).into(), rotation))
+}
+
 /// A pose in a map of the plane or of space, metres and degrees: x, y, yaw; or x, y, z, yaw; or x, y, z, roll, pitch,
 /// yaw.
 pub fn start_pose(text: &str) -> Result<Rigid3, String> {
     const NAMES: &str = "X,Y,YAW, or X,Y,Z,YAW, or X,Y,Z,ROLL,PITCH,YAW";
-    let (position, angles) = match text.split(',').count() {
-        3 => return numbers::<3>(text, NAMES).and_then(|_| planar_pose(text)),
-        4 => numbers::<4>(text, NAMES).map(|[x, y, z, yaw]| ([x, y, z], [0.0, 0.0, yaw])),
-        _ => numbers::<6>(text, NAMES).map(|[x, y, z, roll, pitch, yaw]| ([x, y, z], [roll, pitch, yaw])),
-    }?;
-    let [roll, pitch, yaw] = angles.map(f64::to_radians);
-    let rotation = rotation_from_roll_pitch_yaw(roll, pitch, yaw);
-    Ok(Rigid3::from_parts(Vector3::from(position).into(), rotation))
+    let pose = match text.split(',').count() {
+        3 => planar_pose(text),
+        4 => numbers::<4>(text, NAMES).and_then(|[x, y, z, yaw]| {
+            Ok(Rigid3::translation(0.0, 0.0, z) * planar_pose(&format!("{x},{y},{yaw}"))?)
+        }),
+        _ => spatial_pose(text),
+    };
+    pose.map_err(|_| format!("expected {NAMES}, not \"{text}\""))
 }
 
 /// Trajectory and index of a submap or node: `0,12`, or `12` for trajectory 0.

@@ -108,7 +108,8 @@ fn ouster(name: &str, half_angle: f64, beams: usize, range_max: f64) -> BeamTabl
 impl FromStr for BeamTable {
     type Err = SimulatorError;
 
-    /// A model by its name, or `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]` with angles in degrees.
+    /// A model by its name; or `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]`; or the elevation of each beam, separated by commas
+    /// (`-15,-7,-3,0,3[:COLUMNS[:RANGE]]`). Angles are in degrees.
     fn from_str(text: &str) -> Result<Self, SimulatorError> {
         if let Some(table) = Self::named(text) {
             return Ok(table);
@@ -116,24 +117,45 @@ impl FromStr for BeamTable {
         let bad = || SimulatorError::BadNames {
             detail: format!(
                 "\"{text}\" is no lidar; choose one of {} or write LOW:HIGH:BEAMS[:COLUMNS[:RANGE]] with angles \
-                 in degrees, as -15:15:16:1800:100",
+                 in degrees, as -15:15:16:1800:100, or the angle of each beam, as -15,-7,-3,0,3:1800:100",
                 Self::NAMES.join(", ")
             ),
         };
-        let parts: Vec<f64> = text.split(':').map(str::parse).collect::<Result<_, _>>().map_err(|_| bad())?;
+        let number = |part: &str| part.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+        let numbers =
+            |text: &str, separator| -> Option<Vec<f64>> { text.split(separator).map(number).collect() };
+        let (first, behind) = text.split_once(':').map_or((text, None), |(first, rest)| (first, Some(rest)));
+        if first.contains(',') {
+            let elevations = numbers(first, ',').ok_or_else(bad)?;
+            let rest = behind.map_or_else(|| Some(Vec::new()), |rest| numbers(rest, ':')).ok_or_else(bad)?;
+            return Self::own(&elevations, &rest).ok_or_else(bad);
+        }
+        let parts = numbers(text, ':').ok_or_else(bad)?;
         let [low, high, beams, rest @ ..] = parts.as_slice() else { return Err(bad()) };
-        let columns = rest.first().copied().unwrap_or(1800.0);
-        let range = rest.get(1).copied().unwrap_or(100.0);
-        let is_count = |v: f64, most: f64| v >= 1.0 && v <= most && v.fract() == 0.0;
-        if rest.len() > 2
-            || !is_count(*beams, 1024.0)
-            || !is_count(columns, 1e5)
-            || !(0.5..=1000.0).contains(&range)
-        {
+        if !is_count(*beams, 1024.0) {
             return Err(bad());
         }
-        let table = Self::even("own", *low, *high, *beams as usize, columns as usize, range);
-        if table.is_sensible() { Ok(table) } else { Err(bad()) }
+        let step = if *beams > 1.0 { (high - low) / (beams - 1.0) } else { 0.0 };
+        let elevations: Vec<f64> = (0..*beams as usize).map(|i| low + step * i as f64).collect();
+        Self::own(&elevations, rest).ok_or_else(bad)
+    }
+}
+
+fn is_count(value: f64, most: f64) -> bool {
+    value >= 1.0 && value <= most && value.fract() == 0.0
+}
+
+impl BeamTable {
+    /// Beams at these elevations, degrees; `rest` may have the firings of a turn and the range, metres.
+    fn own(elevations: &[f64], rest: &[f64]) -> Option<Self> {
+        let columns = rest.first().copied().unwrap_or(1800.0);
+        let range = rest.get(1).copied().unwrap_or(100.0);
+        if rest.len() > 2 || !is_count(columns, 1e5) || !(0.5..=1000.0).contains(&range) {
+            return None;
+        }
+        let even = Self::even("own", 0.0, 0.0, elevations.len(), columns as usize, range);
+        let elevations = elevations.iter().map(|degrees| degrees.to_radians()).collect();
+        Some(Self { elevations, ..even }).filter(Self::is_sensible)
     }
 }
 
@@ -150,7 +172,22 @@ mod tests {
         let own: BeamTable = "-30:10:5:900:40".parse().unwrap();
         assert_eq!((own.elevations.len(), own.columns, own.range_max), (5, 900, 40.0));
         assert!((own.elevations[1].to_degrees() + 20.0).abs() < 1e-12);
-        for wrong in ["", "vlp17", "1:2", "-15:15:0", "-15:15:2.5", "-95:15:16", "-15:15:16:1800:100:7"] {
+        let listed: BeamTable = "-25,-3.5,0,3:600:80".parse().unwrap();
+        assert_eq!((listed.elevations.len(), listed.columns, listed.range_max), (4, 600, 80.0));
+        assert!((listed.elevations[1].to_degrees() + 3.5).abs() < 1e-12);
+        for wrong in [
+            "-95,0",
+            "1,x",
+            "1,2:0",
+            ",",
+            "",
+            "vlp17",
+            "1:2",
+            "-15:15:0",
+            "-15:15:2.5",
+            "-95:15:16",
+            "-15:15:16:1800:100:7",
+        ] {
             assert!(wrong.parse::<BeamTable>().unwrap_err().to_string().contains("vlp16"), "{wrong}");
         }
     }

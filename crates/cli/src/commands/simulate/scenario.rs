@@ -1,11 +1,14 @@
 //! What is simulated, from the command line.
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use portolan_geometry::Rigid3;
 use portolan_simulator::sensors::{
     BeamTable, Fault, GnssOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
 use portolan_simulator::world::Scene;
 use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, motion::Carrier};
+
+use crate::commands::argument::spatial_pose;
 
 /// A kind of surroundings, in the plane or in space.
 #[derive(Clone, Copy, Debug)]
@@ -82,9 +85,14 @@ pub struct ScenarioArgs {
     #[arg(long, help_heading = "Robot and sensors", value_name = "N")]
     lidars: Option<usize>,
     /// Kind of spinning lidar: vlp16, vlp32, hdl64, os1-16, os1-64, os0-128, xt32, or
-    /// `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]` with angles in degrees. Default vlp16. 3D scenarios only.
-    #[arg(long, help_heading = "Robot and sensors", value_name = "MODEL")]
+    /// `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]`, or the elevation of each beam, `-15,-7,-3,0,3[:COLUMNS[:RANGE]]`, angles
+    /// in degrees. Default vlp16. 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "MODEL", allow_hyphen_values = true)]
     lidar: Option<BeamTable>,
+    /// Where a spinning lidar is on its carrier: metres and degrees; may be given once for each. 3D scenarios only.
+    #[arg(long, help_heading = "Robot and sensors", value_name = "X,Y,Z,ROLL,PITCH,YAW",
+        value_parser = spatial_pose, allow_hyphen_values = true)]
+    mounting: Vec<Rigid3>,
     /// Leave the times of points out. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors")]
     no_point_times: bool,
@@ -134,6 +142,9 @@ impl ScenarioArgs {
             let kind = if matches!(self.scene, AnyScene::Plane(_)) { "3D" } else { "planar" };
             return Err(format!("--{option} is for {kind} scenarios only"));
         }
+        if self.mounting.len() > self.lidars.unwrap_or(1) {
+            return Err(format!("--mounting is given {} times for fewer --lidars", self.mounting.len()));
+        }
         Ok(match self.scene {
             AnyScene::Plane(scene) => AnyScenario::Plane(Box::new(self.plane(scene))),
             AnyScene::Space(scene) => AnyScenario::Space(Box::new(self.space(scene))),
@@ -145,6 +156,7 @@ impl ScenarioArgs {
             ("storeys", self.storeys.is_some()),
             ("lidars", self.lidars.is_some()),
             ("lidar", self.lidar.is_some()),
+            ("mounting", !self.mounting.is_empty()),
             ("no-point-times", self.no_point_times),
             ("carrier", self.carrier.is_some()),
             ("standing", self.standing),
@@ -205,6 +217,9 @@ impl ScenarioArgs {
         options.speed = self.speed.unwrap_or(options.speed);
         options.faults.clone_from(&self.fault);
         options.lidars.iter_mut().for_each(|lidar| self.set_up(lidar));
+        for (lidar, base_from_lidar) in options.lidars.iter_mut().zip(&self.mounting) {
+            lidar.base_from_lidar = *base_from_lidar;
+        }
         options.gnss = (!self.no_gnss)
             .then(|| GnssOptions { outages: self.gnss_outage.clone(), ..GnssOptions::default() });
         options.landmarks = self.landmarks.then(LandmarkOptions::default);
