@@ -42,6 +42,15 @@ pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
     Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
 }
 
+/// A topic and seconds: `/imu=-0.05`.
+pub fn time_offset(text: &str) -> Result<(String, f64), String> {
+    let parts = text.rsplit_once('=').filter(|(topic, _)| !topic.is_empty());
+    let parsed = parts.and_then(|(topic, seconds)| Some((topic.to_owned(), seconds.parse::<f64>().ok()?)));
+    // Clocks that differ by more are found out.
+    let valid = parsed.filter(|(_, seconds)| seconds.abs() <= 1e6);
+    valid.ok_or_else(|| format!("expected TOPIC=SECONDS, not \"{text}\""))
+}
+
 /// x, y, z, roll, pitch, yaw: metres and degrees.
 pub fn spatial_pose(text: &str) -> Result<Rigid3, String> {
     let [x, y, z, angles @ ..] = numbers::<6>(text, "X,Y,Z,ROLL,PITCH,YAW")?;
@@ -102,6 +111,12 @@ mod tests {
         assert_eq!(pose("1,2,3,0,0,45"), pose("1,2,3,45"));
         assert!((pose("1,2,3,20,0,0").rotation.euler_angles().0.to_degrees() - 20.0).abs() < 1e-9);
         assert!(["1,2", "1,2,3,4,5", "1,2,x", ""].iter().all(|text| start_pose(text).is_err()));
+    }
+
+    #[test]
+    fn offsets_of_clocks() {
+        assert_eq!(time_offset("/imu=-0.05"), Ok(("/imu".to_owned(), -0.05)));
+        assert!(["/imu", "=1", "/imu=nan", "/imu=1e9"].iter().all(|text| time_offset(text).is_err()));
     }
 
     #[test]

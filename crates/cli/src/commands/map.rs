@@ -15,7 +15,7 @@ use portolan_geometry::Duration;
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
 use portolan_recording::{AzimuthTimes, Dimension, IngestOptions, Recording, open_all, read_urdf};
 
-use super::argument::seconds;
+use super::argument::{seconds, time_offset};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
@@ -112,6 +112,10 @@ pub struct SensorArgs {
     /// it is `auto`, times that the points of a spinning lidar have are not used.
     #[arg(long, value_name = "HOW", default_value = "auto")]
     pub azimuth_times: AzimuthTimesArg,
+    /// Move the stamps of a topic, and the times of its points, by seconds, `/points_rear=-0.05`; `check` tells how far
+    /// clocks are off. May be given several times.
+    #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
+    pub time_offset: Vec<(String, f64)>,
 }
 
 /// Times of points from their azimuth.
@@ -243,6 +247,11 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
         imu_topic: sensors.imu.clone(),
         tracking_frame: sensors.tracking_frame.clone(),
         azimuth_times: sensors.azimuth_times.into(),
+        time_offsets: sensors
+            .time_offset
+            .iter()
+            .map(|(topic, seconds)| (topic.clone(), Duration::from_seconds(*seconds)))
+            .collect(),
         skip: Duration::from_seconds(args.skip),
         length: args.duration.map(Duration::from_seconds),
         ..IngestOptions::default()

@@ -97,6 +97,8 @@ pub struct IngestOptions {
     /// What to do with clouds whose points have no times of their own; unless it is `Auto`, those of spinning lidars
     /// are not used.
     pub azimuth_times: AzimuthTimes,
+    /// Pairs of a topic and what to add to its stamps and times of points.
+    pub time_offsets: Vec<(String, Duration)>,
     /// Thinning of messages.
     pub sampling: SamplingRatios,
     /// Messages out of order are always left out and counted; this says that they are no loss.
@@ -131,6 +133,7 @@ impl Default for IngestOptions {
             use_recorded_transforms: true,
             num_subdivisions_per_laser_scan: 1,
             azimuth_times: AzimuthTimes::default(),
+            time_offsets: Vec::new(),
             sampling: SamplingRatios::default(),
             ignore_out_of_order: false,
             with_intensities: false,

@@ -1,6 +1,6 @@
 //! Point clouds of any layout as timed points.
 
-use portolan_geometry::{Point3f, Time};
+use portolan_geometry::{Duration, Point3f, Time};
 use portolan_sensor::TimedPoint;
 
 use super::point_time::{PointTime, PointTimeOrigin, TIME_FIELDS, TimeSpan};
@@ -284,7 +284,12 @@ impl CloudLayout {
                 faults.not_finite += 1;
             }
         });
-        result.rebase(self.base_time(stamp, point_time, times.map(|(_, _, _, reference)| reference)));
+        let base = self.base_time(stamp, point_time, times.map(|(_, _, _, reference)| reference));
+        // Times of a clock are moved with the stamps, which may have been put right.
+        let is_of_clock = point_time.is_some_and(|time| time.origin == PointTimeOrigin::Epoch);
+        let was_set = cloud.header.stamp != Time::UNIX_EPOCH;
+        let moved = if is_of_clock && was_set { stamp - cloud.header.stamp } else { Duration::ZERO };
+        result.rebase(base + moved);
         (result, faults)
     }
 

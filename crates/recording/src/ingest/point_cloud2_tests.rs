@@ -132,6 +132,10 @@ fn times_of_clocks_keep_their_digits() {
         convert(&message, Some(PointTime { unit: 1.0, origin: PointTimeOrigin::Epoch, reach: 1.0 }));
     assert!((points.time.seconds_since(message.header.stamp) - 0.09).abs() < 1e-6);
     assert!((points.points[0].time + 0.09).abs() < 1e-6);
+    let epoch = Some(PointTime { unit: 1.0, origin: PointTimeOrigin::Epoch, reach: 1.0 });
+    let moved = message.header.stamp + portolan_geometry::Duration::from_seconds(-0.05);
+    let (points, _) = CloudLayout::of(&message).unwrap().points(moved, &message, epoch, true);
+    assert!((points.time.seconds_since(message.header.stamp) - 0.04).abs() < 1e-6);
     let (points, _) =
         convert(&message, Some(PointTime { unit: 1.0, origin: PointTimeOrigin::OtherClock, reach: 1.0 }));
     assert!((points.time.seconds_since(message.header.stamp) - 0.09).abs() < 1e-6);

@@ -65,6 +65,7 @@ mod tests {
             assert_eq!(text(seconds, sigma, has_point_times), "");
         }
         assert!(text(0.02, 0.001, true).contains("0.020 s later than those of /imu"));
+        assert!(text(0.02, 0.001, true).contains("--time-offset /points=-0.020"));
         assert!(text(-0.05, 0.001, true).contains("0.050 s earlier than those of /imu"));
         assert!(text(-0.15, 0.001, false).contains("0.15 s earlier"));
     }

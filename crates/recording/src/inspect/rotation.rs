@@ -242,7 +242,11 @@ pub(super) fn offset_finding(first: &str, second: &str, lag: f64, warned: f64) -
         if lag.abs() > warned { Severity::Warning } else { Severity::Info },
         format!("stamps are about {size} s {direction} than those of {first}, as turns of both show"),
         "turns are taken from the wrong time, so that scans are unwound and predicted wrongly; the map blurs",
-        "synchronise the two clocks (PTP), or let both drivers stamp the time of measurement, not that of arrival",
+        &format!(
+            "synchronise the two clocks (PTP), or let both drivers stamp the time of measurement, not that of arrival; \
+             this recording: map --time-offset {second}={:.3}",
+            -lag
+        ),
     )
 }
 

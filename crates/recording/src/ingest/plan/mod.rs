@@ -3,6 +3,7 @@
 //! Everything is chosen by rules from the first look at the recording, unless it is told. Where there
 //! was a choice, a [`Notice`] says what was chosen and how to choose otherwise.
 
+mod clocks;
 mod odometry;
 mod range;
 mod request;
@@ -269,39 +270,9 @@ pub fn plan(inventory: &Inventory, options: &IngestOptions) -> Result<SensorPlan
     plan.nav_sat = other(&request.nav_sat, SensorKind::FixedFramePose);
     plan.fixed_frame_pose = other(&request.fixed_frame_pose, SensorKind::FixedFramePose);
     plan.landmarks = other(&request.landmarks, SensorKind::Landmark);
-    join_clocks(&mut plan);
+    clocks::join(&mut plan);
+    clocks::shift(&options.time_offsets, &mut plan)?;
     Ok(plan)
-}
-
-/// Puts all sensors on the clock of the first range sensor where theirs is off by more than 10 s, as
-/// the times of recording tell.
-fn join_clocks(plan: &mut SensorPlan) {
-    const OTHER_CLOCK_SECONDS: f64 = 10.0;
-    let Some(reference) = plan.range.first().and_then(|r| r.source.usual_lag) else { return };
-    let mut notices = Vec::new();
-    let mut sources: Vec<&mut PlannedSensor> = plan.range.iter_mut().map(|r| &mut r.source).collect();
-    sources.extend(plan.imu.as_mut().map(|i| &mut i.source));
-    if let Some(PlannedOdometry::Topic(source)) = &mut plan.odometry {
-        sources.push(source);
-    }
-    let others = [&mut plan.nav_sat, &mut plan.fixed_frame_pose, &mut plan.landmarks];
-    sources.extend(others.into_iter().flatten());
-    for source in sources {
-        let Some(lag) = source.usual_lag else { continue };
-        let difference = (lag - reference).seconds();
-        if difference.abs() > OTHER_CLOCK_SECONDS {
-            source.clock_shift = lag - reference;
-            source.usual_lag = Some(reference);
-            notices.push(Notice {
-                what: format!(
-                    "the clock of {} is {difference:.3} s behind the others; its stamps are put right by that",
-                    source.topic
-                ),
-                change: String::new(),
-            });
-        }
-    }
-    plan.notices.extend(notices);
 }
 
 #[cfg(test)]

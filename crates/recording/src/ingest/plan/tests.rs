@@ -179,6 +179,22 @@ fn clocks_that_are_far_apart_are_joined() {
 }
 
 #[test]
+fn stamps_are_moved_as_somebody_says() {
+    let recording = recording(&[("/points", &|t| cloud(t, "lidar")), ("/other", &|t| cloud(t, "lidar"))]);
+    let options = |topic: &str| IngestOptions {
+        range_topics: vec!["/points".into()],
+        time_offsets: vec![(topic.into(), Duration::from_seconds(-0.05))],
+        ..IngestOptions::default()
+    };
+    for name in ["/points", "points"] {
+        let plan = planned(&recording, &options(name)).unwrap();
+        assert_eq!(plan.range[0].source.clock_shift, Duration::from_seconds(-0.05));
+    }
+    let error = planned(&recording, &options("/other")).unwrap_err().to_string();
+    assert!(error.contains("--time-offset") && error.contains("/points"), "{error}");
+}
+
+#[test]
 fn in_the_plane_an_imu_whose_axes_are_swapped_is_left_out() {
     let swapped = recording(&[
         ("/scan", &|t| scan(t, "laser")),
