@@ -50,3 +50,20 @@ fn clocks_that_agree_are_not_accused() {
         assert!(told(&path).is_empty());
     }
 }
+
+#[test]
+fn an_offset_that_is_known_is_taken_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = simulated(folder.path(), &["museum", "--fault", "clock:imu:0.05"]);
+    let truth = text(&folder.path().join("walk.truth.tum"));
+    let heading_error = |more: &[&str]| {
+        let output = text(&folder.path().join("map"));
+        portolan_with_code(0, &[&["map", &path, "-o", &output, "-q", "--no-xray"], more].concat());
+        let trajectory = format!("{output}/trajectory.tum");
+        let run = portolan_with_code(0, &["evaluate", "trajectory", &trajectory, &truth, "--json"]);
+        let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+        errors["absolute"]["rotation"]["rmse"].as_f64().unwrap()
+    };
+    let (as_it_is, moved) = (heading_error(&[]), heading_error(&["--time-offset", "/imu=-0.05"]));
+    assert!(moved < 0.5 * as_it_is, "{moved} {as_it_is}");
+}

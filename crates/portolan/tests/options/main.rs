@@ -14,6 +14,7 @@ mod prediction;
 mod run;
 mod sensors;
 mod spatial;
+mod spatial_graph;
 mod spatial_matching;
 mod spatial_search;
 mod world;
