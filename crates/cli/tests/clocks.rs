@@ -62,7 +62,7 @@ fn an_offset_that_is_known_is_taken_away() {
         let trajectory = format!("{output}/trajectory.tum");
         let run = portolan_with_code(0, &["evaluate", "trajectory", &trajectory, &truth, "--json"]);
         let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
-        errors["absolute"]["rotation"]["rmse"].as_f64().unwrap()
+        errors["absolute"]["rotation_degrees"]["rmse"].as_f64().unwrap()
     };
     let (as_it_is, moved) = (heading_error(&[]), heading_error(&["--time-offset", "/imu=-0.05"]));
     assert!(moved < 0.5 * as_it_is, "{moved} {as_it_is}");
