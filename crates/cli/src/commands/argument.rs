@@ -65,9 +65,8 @@ pub fn start_pose(text: &str) -> Result<Rigid3, String> {
     const NAMES: &str = "X,Y,YAW, or X,Y,Z,YAW, or X,Y,Z,ROLL,PITCH,YAW";
     let pose = match text.split(',').count() {
         3 => planar_pose(text),
-        4 => numbers::<4>(text, NAMES).and_then(|[x, y, z, yaw]| {
-            Ok(Rigid3::translation(0.0, 0.0, z) * planar_pose(&format!("{x},{y},{yaw}"))?)
-        }),
+        4 => numbers::<4>(text, NAMES)
+            .map(|[x, y, z, yaw]| Rigid3::new(Vector3::new(x, y, z), Vector3::z() * yaw.to_radians())),
         _ => spatial_pose(text),
     };
     pose.map_err(|_| format!("expected {NAMES}, not \"{text}\""))

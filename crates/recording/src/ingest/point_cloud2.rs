@@ -13,6 +13,9 @@ const HUGE: f32 = 1e6;
 /// Times of clouds are judged by about so many of their points.
 const SAMPLED_TIMES: usize = 256;
 
+/// 2³² divided by the golden ratio.
+const GOLDEN_STEP: u32 = 2_654_435_769;
+
 /// Why a cloud cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CloudError {
@@ -224,19 +227,21 @@ impl CloudLayout {
 
     /// Time values of some points all over the cloud, ascending.
     fn some_times(&self, cloud: &PointCloud2, field: Field) -> Vec<f64> {
-        let every = |stride: usize| {
-            let (mut index, mut times) = (0, Vec::new());
+        // One in so many, by steps of the golden ratio: equal steps may see only two columns of an organised cloud.
+        let one_in = |share: u32| {
+            let (mut index, mut times) = (0u32, Vec::new());
             self.for_each(cloud, |point| {
-                if index % stride == 0 {
+                if index.wrapping_mul(GOLDEN_STEP) <= u32::MAX / share {
                     times.extend(self.time_value(point, field, cloud.is_bigendian));
                 }
-                index += 1;
+                index = index.wrapping_add(1);
             });
             times
         };
-        let mut times = every((cloud.data.len() / self.step.max(1) / SAMPLED_TIMES).max(1));
+        let share = cloud.data.len() / self.step.max(1) / SAMPLED_TIMES;
+        let mut times = one_in(u32::try_from(share).unwrap_or(u32::MAX).max(1));
         if times.len() < SAMPLED_TIMES / 8 {
-            times = every(1);
+            times = one_in(1);
         }
         times.sort_by(f64::total_cmp);
         times

@@ -142,6 +142,22 @@ fn times_of_clocks_keep_their_digits() {
 }
 
 #[test]
+fn organised_clouds_show_the_times_of_all_columns() {
+    let fields = ["x", "y", "z", "t"].map(|name| (name, FieldType::Float32));
+    for (rings, columns) in [(128, 512), (128, 1800), (64, 1024), (32, 1800), (16, 1800)] {
+        let time = |i: u32| f64::from(i % columns) * 0.1 / f64::from(columns);
+        let mut points: Vec<Vec<f64>> = (0..rings * columns).map(|i| vec![1.0, 1.0, 1.0, time(i)]).collect();
+        let span = |points: &[Vec<f64>]| {
+            let message = cloud(&fields, points, false);
+            CloudLayout::of(&message).unwrap().time_span(&message).unwrap().span
+        };
+        assert!((span(&points) - 0.1).abs() < 0.001, "{rings} {columns}");
+        points[1000][3] = 1e9;
+        assert!((span(&points) - 0.1).abs() < 0.02, "{rings} {columns}: {}", span(&points));
+    }
+}
+
+#[test]
 fn points_with_a_time_of_their_own_are_left_out_and_counted() {
     let fields =
         |kind| [("x", FieldType::Float32), ("y", FieldType::Float32), ("z", FieldType::Float32), ("t", kind)];
