@@ -56,7 +56,7 @@ pub fn write_results<S: ResultSpace>(
     write_map(map, file("map.pbstream"), true).map_err(|e| failed(&e))?;
     // Trajectories that were known before are in the map; these files are of the recording.
     let id = mapped.trajectory_id;
-    write_tum(&file("trajectory.tum"), &map.node_poses(id)).map_err(|e| failed(&e))?;
+    write_tum(&file("trajectory.tum"), &mapped.trajectory()).map_err(|e| failed(&e))?;
     if all_poses {
         write_tum(&file("all_poses.tum"), &map.scan_poses(id)).map_err(|e| failed(&e))?;
     }

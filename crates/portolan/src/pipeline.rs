@@ -78,10 +78,24 @@ pub struct MappedRecording<S: Space> {
     pub mapping_repairs: Repairs,
     /// Where scans left directions open and the prediction decided (3D).
     pub weak_spans: Vec<WeakSpan>,
+    /// Scans whose stamps were changed: the times that they have in the map, and the stamps as recorded.
+    pub recorded_times: BTreeMap<Time, Time>,
     /// The scans, if they were to be kept.
     pub kept_scans: KeptScans,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
+}
+
+impl<S: Space> MappedRecording<S> {
+    /// Pose of the tracking frame in the map for every scan, each under the time of its message in the
+    /// recording, in order of that.
+    pub fn trajectory(&self) -> Vec<(Time, Rigid3)> {
+        let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
+        let poses = self.map.scan_poses(self.trajectory_id);
+        let mut poses: Vec<_> = poses.into_iter().map(|(time, pose)| (recorded(time), pose)).collect();
+        poses.sort_by_key(|(time, _)| *time);
+        poses
+    }
 }
 
 /// A recording about to be mapped: what is in it, what is used of it, and how.
@@ -220,6 +234,7 @@ pub fn map_recording<S: Space>(
         reading_repairs,
         mapping_repairs,
         weak_spans,
+        recorded_times: ingestion.recorded_times().clone(),
         kept_scans,
         interrupted,
     })

@@ -31,8 +31,8 @@ pub use coreslam::{CoreSlamLog, looks_like_coreslam};
 pub use ingest::{
     AzimuthTimes, ConfiguredSensors, Dimension, GeodeticPosition, ImuStatistics, IngestError, IngestOptions,
     Ingestion, Inventory, Notice, PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor,
-    PointTime, PointTimeOrigin, RangeStatistics, SamplingRatios, SensorPlan, SensorStatistics, TopicSurvey,
-    plan,
+    PointTime, PointTimeOrigin, RangeStatistics, SamplingRatios, SensorPlan, SensorStatistics,
+    StampPolicy, TopicSurvey, plan,
 };
 pub use inspect::{
     CheckReport, ClockOffset, Finding, Histogram, PlanDescription, RecordingInfo, RepairDescription,

@@ -13,7 +13,7 @@ use portolan::pipeline::{
 use portolan_config::{Loader, Options, little_effect};
 use portolan_geometry::Duration;
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
-use portolan_recording::{AzimuthTimes, Dimension, IngestOptions, Recording, open_all, read_urdf};
+use portolan_recording::{AzimuthTimes, StampPolicy, Dimension, IngestOptions, Recording, open_all, read_urdf};
 
 use super::argument::{seconds, time_offset};
 use crate::GlobalArgs;
@@ -59,7 +59,8 @@ pub struct MapArgs {
     #[command(flatten)]
     pub cloud: CloudArgs,
 
-    /// Also write the pose of every scan, not only of inserted ones (`all_poses.tum`).
+    /// Write the trajectory in the times of the map, too (`all_poses.tum`): where stamps came in bursts they are
+    /// not those of the recording, which `trajectory.tum` has.
     #[arg(long)]
     pub all_poses: bool,
 
@@ -116,6 +117,32 @@ pub struct SensorArgs {
     /// clocks are off. May be given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
     pub time_offset: Vec<(String, f64)>,
+    /// How stamps are taken: a computer that is busy stamps several messages at once, and later than they were
+    /// measured.
+    #[arg(long, value_name = "HOW", default_value = "auto")]
+    pub stamps: StampsArg,
+}
+
+/// How stamps are taken.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum StampsArg {
+    /// As they are, unless those of a sensor come in bursts or go back.
+    #[default]
+    Auto,
+    /// As they are.
+    AsIs,
+    /// From the order of arrival and the usual rate of each sensor.
+    Regular,
+}
+
+impl From<StampsArg> for StampPolicy {
+    fn from(how: StampsArg) -> Self {
+        match how {
+            StampsArg::Auto => Self::Auto,
+            StampsArg::AsIs => Self::AsIs,
+            StampsArg::Regular => Self::Regular,
+        }
+    }
 }
 
 /// Times of points from their azimuth.
@@ -247,6 +274,7 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
         imu_topic: sensors.imu.clone(),
         tracking_frame: sensors.tracking_frame.clone(),
         azimuth_times: sensors.azimuth_times.into(),
+        stamps: sensors.stamps.into(),
         time_offsets: sensors
             .time_offset
             .iter()

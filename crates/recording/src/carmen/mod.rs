@@ -63,6 +63,8 @@ struct Layout {
     clock: Clock,
     scanners: Vec<Scanner>,
     odometry: Option<OdometrySource>,
+    /// The order of the lines is believed, not their stamps.
+    in_order_of_lines: bool,
     first_time: Time,
 }
 
@@ -100,16 +102,16 @@ impl CarmenLog {
             });
         };
         let scanners = scanners(&survey);
-        let odometry = if survey.odometry_lines > 0 {
-            Some(OdometrySource::OwnLines)
-        } else {
-            scanners
-                .iter()
-                .map(|s| s.kind)
-                .find(|k| !matches!(k, LaserKind::Raw(_)))
-                .map(OdometrySource::Scans)
+        let in_order_of_lines = survey.has_disturbed_stamps(clock);
+        let with_scans = scanners.iter().map(|s| s.kind).find(|k| !matches!(k, LaserKind::Raw(_)));
+        let odometry = match with_scans {
+            // What stands in the line of a scan belongs to it, whatever its stamp says.
+            Some(kind) if in_order_of_lines || survey.odometry_lines == 0 => Some(OdometrySource::Scans(kind)),
+            _ if survey.odometry_lines > 0 => Some(OdometrySource::OwnLines),
+            _ => None,
         };
-        let layout = Layout { survey, clock, scanners, odometry, first_time: time_range.0 };
+        let layout =
+            Layout { survey, clock, scanners, odometry, in_order_of_lines, first_time: time_range.0 };
         Ok(Self { file, layout: Arc::new(layout), time_range })
     }
 }

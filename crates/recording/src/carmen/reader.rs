@@ -38,6 +38,7 @@ pub(super) struct CarmenReader {
     frames: Frames,
     static_transforms: Option<RecordedMessage>,
     reorder: Reorder<Waiting>,
+    newest: Time,
     ended: bool,
     unused: BTreeSet<String>,
     repairs: RepairLog,
@@ -72,6 +73,7 @@ impl CarmenReader {
             static_transforms,
             layout,
             reorder: Reorder::default(),
+            newest: Time::MIN,
             unused: BTreeSet::new(),
             repairs: RepairLog::default(),
         })
@@ -80,7 +82,7 @@ impl CarmenReader {
     /// Reads one line. False at the end.
     fn advance(&mut self) -> Result<bool, RecordingError> {
         // Taken apart, because the line borrows from `lines`.
-        let Self { lines, layout, wanted, frames, reorder, unused, repairs, .. } = self;
+        let Self { lines, layout, wanted, frames, reorder, newest, unused, repairs, .. } = self;
         let Some(line) = lines.next_line()? else {
             if let Some(damage) = lines.damage() {
                 repairs.lost(damage);
@@ -92,7 +94,9 @@ impl CarmenReader {
         };
         let mut push =
             |topic: usize, stamp: Time, message: Message, bytes: usize, repairs: &mut RepairLog| {
-                if reorder.push(stamp, topic as u32, bytes, (topic, message)) {
+                *newest = stamp.max(*newest);
+                let time = if layout.in_order_of_lines { *newest } else { stamp };
+                if reorder.push(time, topic as u32, bytes, (topic, message)) {
                     repairs.repaired(OUT_OF_ORDER);
                 }
             };

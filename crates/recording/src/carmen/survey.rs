@@ -7,10 +7,17 @@ use portolan_geometry::{Time, normalize_angle};
 use super::line::{LaserKind, Line, LineTimes, PlanarPose, parse_line};
 use super::{CarmenOptions, TimeColumn};
 use crate::RecordingError;
+use crate::ingest::even_stamps::StampPattern;
 use crate::text::{Lines, TextFile};
 
-/// Times below this (September 2001) count from the start of some computer or program.
-const SHORTEST_UNIX_SECONDS: f64 = 1e9;
+/// Times below this (March 1973) count from the start of some computer or program.
+const SHORTEST_UNIX_SECONDS: f64 = 1e8;
+/// What is added to those.
+const SHIFT_SECONDS: f64 = 1e9;
+/// So many stamps of each scanner are looked at.
+const MAX_STAMPS: usize = 1_000_000;
+/// In pieces of so many.
+const PIECE: usize = 200;
 /// Most parameters that are remembered.
 const MAX_PARAMS: usize = 20_000;
 /// A mounting may vary by rounding only (metres, radians).
@@ -38,7 +45,7 @@ impl Clock {
             return Time::from_unix_decimal(text);
         }
         let seconds: f64 = text.parse().ok()?;
-        let nanoseconds = (SHORTEST_UNIX_SECONDS + seconds) * 1e9;
+        let nanoseconds = (SHIFT_SECONDS + seconds) * 1e9;
         nanoseconds.is_finite().then(|| Time::from_unix_nanoseconds(nanoseconds as i64))
     }
 }
@@ -87,6 +94,17 @@ impl Mounting {
 struct LaserSurvey {
     count: u64,
     mounting: Mounting,
+    /// Seconds, as they stand in the log: by ipc, by logger.
+    stamps: [Vec<f64>; 2],
+}
+
+impl LaserSurvey {
+    fn add_times(&mut self, times: LineTimes) {
+        for (stamps, text) in self.stamps.iter_mut().zip([Some(times.ipc), times.logger]) {
+            let seconds = text.and_then(|text| text.parse().ok()).filter(|s: &f64| s.is_finite());
+            stamps.extend(seconds.filter(|_| self.count <= MAX_STAMPS as u64));
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -141,6 +159,7 @@ impl Survey {
                     if let Some((laser_pose, robot_pose)) = laser.poses {
                         entry.mounting.add(laser_pose, robot_pose);
                     }
+                    entry.add_times(times);
                     survey.add_times(times);
                 }
                 _ => {}
@@ -176,6 +195,17 @@ impl Survey {
             return Clock { column: other_column, shifted: other.small > other.large };
         }
         Clock { column: options.time_column, shifted: chosen.small > chosen.large }
+    }
+
+    /// Whether the stamps of a scanner come in bursts or go back, so that the order of the lines is more to
+    /// be believed than the stamps.
+    pub fn has_disturbed_stamps(&self, clock: Clock) -> bool {
+        let column = usize::from(clock.column == TimeColumn::Logger);
+        let is_disturbed = |stamps: &[f64]| {
+            let stamps: Vec<Time> = stamps.iter().map(|s| Time::from_unix_seconds(*s)).collect();
+            StampPattern::of(&stamps).is_some_and(|pattern| pattern.is_disturbed())
+        };
+        self.lasers.values().any(|laser| laser.stamps[column].chunks(PIECE).any(is_disturbed))
     }
 
     /// First and last stamp.

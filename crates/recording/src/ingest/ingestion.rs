@@ -12,6 +12,7 @@ use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
 use super::azimuth_time::AzimuthTimes;
 use super::clock::{Ascending, Order, SensorClock};
 use super::convert::{Frames, LocalFixes};
+use super::even_stamps::EvenStamps;
 use super::gnss::GeodeticPosition;
 use super::laser::BeamDirections;
 use super::options::IngestOptions;
@@ -59,6 +60,7 @@ struct Sensor {
     topic: Arc<str>,
     role: Role,
     clock: SensorClock,
+    even_stamps: EvenStamps,
     order: Ascending,
     sampler: usize,
 }
@@ -97,6 +99,10 @@ pub struct Ingestion {
     /// Measurements that are ready, in reverse order.
     ready: Vec<(SensorId, Measurement)>,
     log_time: Option<Time>,
+    /// Stamp that a message came with minus the one that is used.
+    stamp_correction: Duration,
+    recorded_times: BTreeMap<Time, Time>,
+    ended: bool,
     repairs: RepairLog,
     size_bytes: u64,
 }
@@ -117,7 +123,7 @@ impl Ingestion {
         options: &IngestOptions,
     ) -> Result<Self, IngestError> {
         let samplers = setup::samplers(&options.sampling)?;
-        let sensors = setup::sensors(&plan);
+        let sensors = setup::sensors(&plan, options.stamps);
         let transform_odometry = match &plan.odometry {
             Some(PlannedOdometry::Transforms { sensor, parent, child }) => Some(TransformOdometry {
                 id: sensor.clone(),
@@ -153,6 +159,9 @@ impl Ingestion {
             end: options.length.map_or(Time::MAX, |length| start + length),
             ready: Vec::new(),
             log_time: None,
+            stamp_correction: Duration::ZERO,
+            recorded_times: BTreeMap::new(),
+            ended: false,
             repairs,
             size_bytes: recording.size_bytes(),
         })
@@ -179,16 +188,26 @@ impl Ingestion {
             if let Some(measurement) = self.ready.pop() {
                 return Ok(Some(measurement));
             }
-            let Some(message) = self.source.next()? else { return Ok(None) };
-            if message.log_time > self.end {
-                return Ok(None);
+            match self.source.next()?.filter(|message| message.log_time <= self.end) {
+                Some(message) => {
+                    self.log_time = Some(message.log_time);
+                    if message.log_time >= self.start {
+                        self.take(message);
+                    }
+                }
+                None if self.ended => return Ok(None),
+                None => {
+                    self.ended = true;
+                    self.take_waiting();
+                }
             }
-            self.log_time = Some(message.log_time);
-            if message.log_time >= self.start {
-                self.take(message);
-                self.ready.reverse();
-            }
+            self.ready.reverse();
         }
+    }
+
+    /// Range data whose stamps were changed: their times as used, and as recorded.
+    pub fn recorded_times(&self) -> &BTreeMap<Time, Time> {
+        &self.recorded_times
     }
 
     /// Time of recording of the message the last measurement came from.
@@ -225,6 +244,15 @@ impl Ingestion {
             self.take_message(sensor, &message);
         }
         self.sensors.insert(message.topic, sensors);
+    }
+
+    /// Takes the messages that waited for later ones to tell their times.
+    fn take_waiting(&mut self) {
+        let mut all = std::mem::take(&mut self.sensors);
+        for sensor in all.values_mut().flatten() {
+            self.take_evened(sensor, true);
+        }
+        self.sensors = all;
     }
 
     /// `tracking_from_frame`, or the message is counted as lost.

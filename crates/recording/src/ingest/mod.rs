@@ -8,6 +8,7 @@
 mod azimuth_time;
 mod clock;
 pub(crate) mod convert;
+pub(crate) mod even_stamps;
 mod gnss;
 mod ingestion;
 pub(crate) mod laser;
@@ -24,6 +25,7 @@ pub(crate) mod test_messages;
 pub(crate) mod timed_points;
 
 pub use azimuth_time::AzimuthTimes;
+pub use even_stamps::StampPolicy;
 pub use gnss::GeodeticPosition;
 pub use ingestion::{IngestError, Ingestion};
 pub use options::{ConfiguredSensors, Dimension, IngestOptions, SamplingRatios};

@@ -3,6 +3,7 @@
 use portolan_geometry::Duration;
 
 use super::azimuth_time::AzimuthTimes;
+use super::even_stamps::StampPolicy;
 use crate::RobotDescription;
 
 /// Whether mapping happens in the plane or in space.
@@ -99,6 +100,8 @@ pub struct IngestOptions {
     pub azimuth_times: AzimuthTimes,
     /// Pairs of a topic and what to add to its stamps and times of points.
     pub time_offsets: Vec<(String, Duration)>,
+    /// How stamps are taken.
+    pub stamps: StampPolicy,
     /// Thinning of messages.
     pub sampling: SamplingRatios,
     /// Messages out of order are always left out and counted; this says that they are no loss.
@@ -134,6 +137,7 @@ impl Default for IngestOptions {
             num_subdivisions_per_laser_scan: 1,
             azimuth_times: AzimuthTimes::default(),
             time_offsets: Vec::new(),
+            stamps: StampPolicy::default(),
             sampling: SamplingRatios::default(),
             ignore_out_of_order: false,
             with_intensities: false,

@@ -325,8 +325,14 @@ fn median_count(values: &mut [usize]) -> usize {
 
 /// The middle of the values (the upper one of two); not-numbers sort last.
 pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
+    quantile(values, 0.5)
+}
+
+/// The value below which this share of the values lies; not-numbers sort last.
+pub(crate) fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+    let index = (share * values.len() as f64) as usize;
+    values.get(index.min(values.len().saturating_sub(1))).copied()
 }
 
 #[cfg(test)]

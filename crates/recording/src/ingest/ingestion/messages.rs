@@ -1,6 +1,6 @@
 //! What each kind of message becomes.
 
-use portolan_geometry::Time;
+use portolan_geometry::{Duration, Time};
 use portolan_sensor::{FixedFramePoseData, Measurement};
 
 use super::{Ingestion, ODOMETRY, Role, Sensor};
@@ -16,6 +16,8 @@ use crate::{
     Imu, LandmarkList, Message, NavSatFix, Odometry, PointCloud2, PoseStamped, RecordedMessage, TfMessage,
 };
 
+const EVENED: &str = "stamps come in bursts or go back; times follow from the order of arrival and the usual rate (--stamps as-is keeps stamps)";
+
 impl Ingestion {
     pub(super) fn take_message(&mut self, sensor: &mut Sensor, message: &RecordedMessage) {
         if !self.samplers[sensor.sampler].pulse() {
@@ -23,6 +25,25 @@ impl Ingestion {
         }
         let Some(header) = message.message.header() else { return };
         let Some(stamp) = self.stamp(sensor, header.stamp, message.log_time) else { return };
+        if sensor.even_stamps.holds(stamp, message) {
+            self.take_evened(sensor, false);
+        } else {
+            self.convert(sensor, message, stamp);
+        }
+    }
+
+    /// Takes messages of a sensor whose stamps are made even, as far as their times are known by now.
+    pub(super) fn take_evened(&mut self, sensor: &mut Sensor, at_end: bool) {
+        while let Some((message, stamp, time)) = sensor.even_stamps.pop(at_end) {
+            self.repaired(&sensor.topic, EVENED, 1);
+            self.stamp_correction = stamp - time;
+            self.convert(sensor, &message, time);
+            self.stamp_correction = Duration::ZERO;
+        }
+    }
+
+    fn convert(&mut self, sensor: &mut Sensor, message: &RecordedMessage, stamp: Time) {
+        let Some(header) = message.message.header() else { return };
         match (&mut sensor.role, &message.message) {
             (Role::Range { directions, .. }, Message::LaserScan(scan)) => {
                 let (points, faults) = points_of_laser_scan(stamp, scan, self.with_intensities, directions);
@@ -91,6 +112,9 @@ impl Ingestion {
         let time = points.time;
         let Some(pose) = self.tracking_from(&sensor.topic, frame, time) else { return };
         if self.is_later(&mut sensor.order, &sensor.topic, time) {
+            if self.stamp_correction != Duration::ZERO {
+                self.recorded_times.insert(time, time + self.stamp_correction);
+            }
             let data = convert::range_data(points, &pose);
             self.ready.push((sensor.id.clone(), Measurement::Range(data)));
         }

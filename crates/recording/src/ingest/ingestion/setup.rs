@@ -7,6 +7,7 @@ use portolan_sensor::FixedRatioSampler;
 
 use super::{FIXED_FRAME_POSE, IMU, LANDMARKS, ODOMETRY, RANGE, Role, Sensor};
 use crate::ingest::clock::{Ascending, SensorClock};
+use crate::ingest::even_stamps::{EvenStamps, StampPolicy};
 use crate::ingest::options::SamplingRatios;
 use crate::ingest::plan::{PlanError, PlannedOdometry, PlannedSensor, SensorPlan};
 use crate::ingest::survey::Inventory;
@@ -24,10 +25,13 @@ pub(super) fn samplers(ratios: &SamplingRatios) -> Result<[FixedRatioSampler; 5]
 }
 
 /// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry.
-pub(super) fn sensors(plan: &SensorPlan) -> BTreeMap<Arc<str>, Vec<Sensor>> {
+pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<str>, Vec<Sensor>> {
     let mut sensors: BTreeMap<Arc<str>, Vec<Sensor>> = BTreeMap::new();
     let mut add = |source: &PlannedSensor, role: Role, sampler: usize| {
+        // Fixes and landmarks have no steady rate.
+        let is_steady = matches!(role, Role::Range { .. } | Role::Imu { .. } | Role::Odometry);
         sensors.entry(source.topic.clone()).or_default().push(Sensor {
+            even_stamps: EvenStamps::new(if is_steady { stamps } else { StampPolicy::AsIs }),
             id: source.sensor.clone(),
             topic: source.topic.clone(),
             role,
