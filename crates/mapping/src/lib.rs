@@ -52,10 +52,11 @@ pub use optimization::{
 pub use planar::Planar;
 pub use pose_extrapolator::{ExtrapolatorCounts, ExtrapolatorError, PoseExtrapolator};
 pub use pose_graph::{
-    GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, PoseGraph, SearchCounts, SubmapEntry,
-    TrajectoryConnectivity, TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedTies, Trimmer,
+    GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, LoopSearchPolicy, PoseGraph,
+    PoseGraphPolicy, SearchCounts, SubmapEntry, TrajectoryConnectivity, TrajectoryEntry, TrajectoryState,
+    TrimmedNode, TrimmedTies, Trimmer,
 };
-pub use space::{MatchedPose, Nearby, SearchRegion, Space};
+pub use space::{MatchAcceptance, MatchedPose, Nearby, SearchRegion, SearchWindow, Space};
 pub use spatial::{Spatial, SpatialMatcher};
 pub use submap_2d::{Inserter2d, Submap2d};
 pub use submap_3d::{Inserter3d, Scan3d, Submap3d};

@@ -17,7 +17,7 @@ use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, MatchingResult, Repairs};
 use crate::map::{Map, ScanPose};
 use crate::motion_filter::MotionFilter;
-use crate::{InitialTrajectoryPose, PoseGraph, Space, TrajectoryId, Trimmer, WeakSpan};
+use crate::{InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer, WeakSpan};
 
 /// How the mapper works, apart from what it maps.
 #[derive(Clone, Copy, Debug)]
@@ -87,11 +87,7 @@ impl<S: Space> Mapper<S> {
         ended: BTreeMap<TrajectoryId, EndedTrajectory>,
     ) -> Result<Self, MapperError> {
         let mut graph = graph;
-        graph.set_drops_contradicted(options.portolan.drop_contradicted_loop_closures);
-        graph.set_corrects_imu_biases(options.portolan.match_surfaces);
-        graph.set_min_agreeing_matches(options.portolan.global_localization_min_matches);
-        graph.set_localises_while_recording(options.portolan.match_surfaces);
-        graph.set_min_loop_closure_searches(options.portolan.min_loop_closure_searches as u64);
+        graph.set_policy(PoseGraphPolicy::new(&options.portolan));
         graph.complete_loaded_submaps(options);
         let next_trajectory = graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);
         Ok(Self {

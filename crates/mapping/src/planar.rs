@@ -2,14 +2,16 @@
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Quaternion, Rigid3, Vector2, embed_3d, project_2d};
-use portolan_matching::{CellBox, FastCorrelativeMatcher2d, GradientMatcher2d};
+use portolan_matching::{
+    CellBox, FastCorrelativeMatcher2d, GradientMatcher2d, mean_of_solid_cells, scan_agreement,
+};
 use portolan_sensor::SensorId;
 
 use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
 use crate::optimization::{OptimizationData, OptimizationSummary, optimize_2d};
 use crate::scan_matching_2d::{fast_matcher_options, gradient_matcher};
 use crate::submap_2d::Submap2d;
-use crate::{Constraint, MapperError, MatchedPose, NodeData, SearchRegion, Space};
+use crate::{Constraint, MapperError, MatchedPose, NodeData, SearchRegion, SearchWindow, Space};
 
 /// 2D mapping: poses (x, y, θ), grids of probabilities or signed distances.
 #[derive(Clone, Copy, Debug)]
@@ -18,8 +20,13 @@ pub struct Planar;
 /// What finds nodes in one finished submap.
 pub struct PlanarMatcher {
     search: FastCorrelativeMatcher2d,
+    /// Mean probability of its solid cells: what a scan that fits scores, however often it was seen.
+    solidity: f32,
     refinement: GradientMatcher2d,
 }
+
+/// A scan that scores less than this share of the probability of solid cells explains too little.
+const LEAST_OF_SOLIDITY: f32 = 0.68;
 
 impl Space for Planar {
     type Submap = Submap2d;
@@ -33,6 +40,8 @@ impl Space for Planar {
             use_all_odometry: options.portolan.use_all_odometry,
             search_penalty_limit: options.portolan.search_penalty_limit,
             wide_search_after_gap: options.portolan.wide_search_after_gap,
+            adaptive_search: options.portolan.adaptive_search,
+            submap_length: options.portolan.submap_length,
             min_scan_duration: 0.0,
             surface_voxel_size: None,
         };
@@ -54,6 +63,7 @@ impl Space for Planar {
     fn build_matcher(submap: &Submap2d, options: &ConstraintBuilderOptions) -> Option<PlanarMatcher> {
         let settings = fast_matcher_options(&options.fast_correlative_scan_matcher);
         Some(PlanarMatcher {
+            solidity: mean_of_solid_cells(&submap.grid),
             search: FastCorrelativeMatcher2d::new(&submap.grid, &settings).ok()?,
             refinement: gradient_matcher(&options.ceres_scan_matcher).ok()?,
         })
@@ -74,9 +84,16 @@ impl Space for Planar {
         let local_from_submap = project_2d(&submap.local_from_submap);
         let cloud = &node.filtered_gravity_aligned_point_cloud;
         let found = match region {
-            SearchRegion::Window { .. } => {
+            SearchRegion::Window { window, .. } => {
                 let guess = local_from_submap * project_2d(guess_submap_from_node);
-                matcher.search.match_local(&guess, cloud, options.min_score as f32)
+                let min_score = options.min_score as f32;
+                match window {
+                    Some(SearchWindow { linear, angular }) => {
+                        let min_score = min_score.min(LEAST_OF_SOLIDITY * matcher.solidity);
+                        matcher.search.match_within(&guess, cloud, min_score, linear, angular)
+                    }
+                    None => matcher.search.match_local(&guess, cloud, min_score),
+                }
             }
             SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => {
                 matcher.search.match_full(cloud, options.global_localization_min_score as f32)
@@ -85,6 +102,11 @@ impl Space for Planar {
         let refined =
             matcher.refinement.match_scan(found.pose.translation, &found.pose, cloud, &submap.grid).pose;
         let pose = if refined.is_finite() { refined } else { found.pose };
+        if let SearchRegion::Window { acceptance, .. } = region
+            && !acceptance.accepts(scan_agreement(&submap.grid, &pose, cloud))
+        {
+            return None;
+        }
         let submap_from_node = embed_3d(&(local_from_submap.inverse() * pose));
         Some(MatchedPose { submap_from_node, score: found.score })
     }

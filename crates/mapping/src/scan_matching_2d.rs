@@ -12,12 +12,14 @@ use portolan_matching::{
 use portolan_sensor::PointCloud;
 use portolan_solver::SolverOptions;
 
+use crate::SearchWindow;
 use crate::sampling_density::densely_sampled;
 use crate::submap_2d::Submap2d;
 
 /// Correlative search around the prediction, if asked for, then descent along the gradient.
 pub struct ScanMatcher2d {
-    correlative: Option<RealTimeCorrelativeMatcher2d>,
+    correlative: Option<RealTimeCorrelativeOptions>,
+    largest_penalty: f64,
     /// The gradient matcher starts from the search's result; whether it is also held there, or near the
     /// prediction.
     holds_search_result: bool,
@@ -32,37 +34,60 @@ impl ScanMatcher2d {
         search_penalty_limit: f64,
     ) -> Result<Self, MatcherOptionError> {
         let o = &options.real_time_correlative_scan_matcher;
-        let correlative = options
-            .use_online_correlative_scan_matching
-            .then(|| {
-                RealTimeCorrelativeMatcher2d::new(&RealTimeCorrelativeOptions {
-                    linear_search_window: o.linear_search_window,
-                    angular_search_window: o.angular_search_window,
-                    translation_delta_cost_weight: o.translation_delta_cost_weight,
-                    rotation_delta_cost_weight: o.rotation_delta_cost_weight,
-                })
-                .map(|matcher| matcher.with_largest_penalty(search_penalty_limit))
-            })
-            .transpose()?;
+        let correlative = options.use_online_correlative_scan_matching.then(|| RealTimeCorrelativeOptions {
+            linear_search_window: o.linear_search_window,
+            angular_search_window: o.angular_search_window,
+            translation_delta_cost_weight: o.translation_delta_cost_weight,
+            rotation_delta_cost_weight: o.rotation_delta_cost_weight,
+        });
+        if let Some(options) = &correlative {
+            RealTimeCorrelativeMatcher2d::new(options)?;
+        }
         let holds_search_result = correlative.is_some() && search_penalty_limit < 1.0;
         Ok(Self {
             correlative,
+            largest_penalty: search_penalty_limit,
             holds_search_result,
             gradient: gradient_matcher(&options.ceres_scan_matcher)?,
         })
     }
 
+    /// The window of the search around predictions that the options ask for, if there is one.
+    pub fn usual_window(&self) -> Option<SearchWindow> {
+        let options = self.correlative.as_ref()?;
+        Some(SearchWindow { linear: options.linear_search_window, angular: options.angular_search_window })
+    }
+
+    /// The search in a window, with the usual preference for its middle stretched to its size.
+    fn search_in(&self, window: Option<SearchWindow>) -> Option<RealTimeCorrelativeMatcher2d> {
+        let usual = self.correlative.as_ref()?;
+        let stretch = |wide: f64, usual: f64| if usual > 0.0 { wide / usual } else { 1.0 };
+        let options = window.map_or_else(
+            || usual.clone(),
+            |w| RealTimeCorrelativeOptions {
+                linear_search_window: w.linear,
+                angular_search_window: w.angular,
+                translation_delta_cost_weight: usual.translation_delta_cost_weight
+                    / stretch(w.linear, usual.linear_search_window),
+                rotation_delta_cost_weight: usual.rotation_delta_cost_weight
+                    / stretch(w.angular, usual.angular_search_window),
+            },
+        );
+        Some(RealTimeCorrelativeMatcher2d::new(&options).ok()?.with_largest_penalty(self.largest_penalty))
+    }
+
     /// The pose of the scan in the local map. `cloud` are the points to match, picked from `returns`.
-    /// Without a submap the prediction is all there is.
+    /// Without a submap the prediction is all there is. The search goes as far as `window` says, or the options.
     pub fn match_scan(
         &self,
         prediction: Rigid2,
         cloud: &PointCloud,
         returns: &PointCloud,
         submap: Option<&Submap2d>,
-    ) -> Rigid2 {
-        let Some(submap) = submap else { return prediction };
-        let searched = self.correlative.as_ref().and_then(|matcher| {
+        window: Option<SearchWindow>,
+    ) -> ScanMatch2d {
+        let Some(submap) = submap else { return ScanMatch2d { pose: prediction, score: None } };
+        let searched = self.search_in(window).and_then(|matcher| {
             let spacing = (DENSE_CELLS * submap.grid.limits().resolution()) as f32;
             let dense = if self.holds_search_result {
                 densely_sampled(cloud, returns, spacing, MIN_DENSE_SHARE)
@@ -71,10 +96,21 @@ impl ScanMatcher2d {
             };
             matcher.match_scan(&prediction, dense.as_ref().unwrap_or(cloud), &submap.grid)
         });
+        let score = searched.as_ref().map(|found| found.score);
         let initial = searched.map_or(prediction, |found| found.pose);
         let held = if self.holds_search_result { initial } else { prediction };
-        self.gradient.match_scan(held.translation, &initial, cloud, &submap.grid).pose
+        let pose = self.gradient.match_scan(held.translation, &initial, cloud, &submap.grid).pose;
+        ScanMatch2d { pose, score }
     }
+}
+
+/// Where a scan was found.
+#[derive(Clone, Copy, Debug)]
+pub struct ScanMatch2d {
+    /// In the local map.
+    pub pose: Rigid2,
+    /// Of the search, lowered by the distance from the prediction; none without a search.
+    pub score: Option<f32>,
 }
 
 /// Hits of neighbouring beams that are further apart than so many cells draw dots, not a wall.

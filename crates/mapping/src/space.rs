@@ -4,6 +4,7 @@ use std::fmt::Debug;
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Quaternion, Rigid3, Vector2, Vector3};
+use portolan_matching::ScanAgreement;
 use portolan_sensor::SensorId;
 
 use crate::local_slam::LocalSlam;
@@ -17,6 +18,10 @@ pub enum SearchRegion {
     Window {
         /// How far the scanner travelled between node and submap, metres; infinite if that is not known.
         travelled: f64,
+        /// How far the node may be from its guess after that; none: as the options say.
+        window: Option<SearchWindow>,
+        /// What a match has to be like to be believed.
+        acceptance: MatchAcceptance,
     },
     /// Anywhere in the submap.
     WholeSubmap,
@@ -27,6 +32,39 @@ pub enum SearchRegion {
         /// Half of the size of the box along the axes of the submap, metres.
         half_size: Vector3,
     },
+}
+
+/// Metres and radians to either side of a guess.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SearchWindow {
+    /// Along each axis, metres.
+    pub linear: f64,
+    /// Radians.
+    pub angular: f64,
+}
+
+/// What a match in a submap has to be like to be believed, besides its score. A mean probability depends on how
+/// often the cells of the submap were seen; how many beams it explains and contradicts does not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MatchAcceptance {
+    /// Least share of beams that must end at something that the submap knows.
+    pub min_explained: f32,
+    /// Largest share of beams that contradict the submap in all about which it knows something.
+    pub max_contradiction: f32,
+}
+
+impl Default for MatchAcceptance {
+    fn default() -> Self {
+        Self { min_explained: 0.0, max_contradiction: 1.0 }
+    }
+}
+
+impl MatchAcceptance {
+    /// Whether to believe a match; one that cannot be judged is believed.
+    pub fn accepts(&self, agreement: Option<ScanAgreement>) -> bool {
+        agreement
+            .is_none_or(|a| a.explained >= self.min_explained && a.contradiction() <= self.max_contradiction)
+    }
 }
 
 /// A node found in a submap.

@@ -39,6 +39,8 @@ impl Space for Spatial {
             search_penalty_limit: options.portolan.search_penalty_limit,
             use_all_odometry: options.portolan.use_all_odometry,
             wide_search_after_gap: options.portolan.wide_search_after_gap,
+            adaptive_search: false,
+            submap_length: 0.0,
             min_scan_duration: options.portolan.min_scan_duration,
             surface_voxel_size: surface_voxel_size(options),
         };
@@ -109,7 +111,7 @@ impl Space for Spatial {
         // Yaw is searched about the z axis of the local map, which points up as that of the global one.
         let local_from_submap = submap.local_from_submap;
         let found = match region {
-            SearchRegion::Window { travelled } => {
+            SearchRegion::Window { travelled, .. } => {
                 let local_from_node = local_from_submap * guess_submap_from_node;
                 let min_score = options.min_score as f32;
                 let widest = matcher.search.reach_of_options();

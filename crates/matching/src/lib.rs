@@ -37,8 +37,8 @@ pub use gradient::{
 pub use grid::{
     CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, HybridGrid, HybridGridParts,
     HybridGridRepairs, HybridInserter, HybridInserterOptions, InsertReport, IntensityGrid, MapLimits,
-    NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, Texture,
-    Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts,
+    NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, ScanAgreement,
+    Texture, Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts, mean_of_solid_cells, scan_agreement,
 };
 pub use planar_transform::PlanarTransform;
 pub use surface::{

@@ -20,7 +20,7 @@ pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     let mut options = Options::for_2d();
     let range = statistics.range.first().map(|(_, r)| r);
     set_local_slam(&mut options, plan, range);
-    set_pose_graph(&mut options, plan);
+    set_pose_graph(&mut options);
     options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
     options.bridge.use_odometry = plan.odometry.is_some();
     options
@@ -100,6 +100,8 @@ fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&Range
         }
     }
     local.use_online_correlative_scan_matching = true;
+    options.portolan.adaptive_search = true;
+    options.portolan.submap_length = 10.0;
     let moves_unseen = plan.odometry.is_none();
     options.portolan.search_penalty_limit = if plan.odometry.is_none() { 1.0 } else { 0.15 };
     let search = &mut local.real_time_correlative_scan_matcher;
@@ -118,18 +120,16 @@ fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&Range
     inserter.miss_probability = 0.4;
 }
 
-fn set_pose_graph(options: &mut Options, plan: &SensorPlan) {
+fn set_pose_graph(options: &mut Options) {
     let graph = &mut options.map_builder.pose_graph;
     // Odometry has already steered local SLAM; as a constraint of its own it would count twice.
     graph.optimization_problem.odometry_translation_weight = 0.0;
     graph.optimization_problem.odometry_rotation_weight = 0.0;
     options.portolan.min_loop_closure_searches = MIN_SEARCHES;
-    let search = &mut graph.constraint_builder;
-    search.sampling_ratio = 0.03;
-    search.min_score = 0.6;
-    // Without odometry more drift gathers before a loop closes, above all along corridors.
-    let moves_unseen = plan.odometry.is_none();
-    let window = &mut search.fast_correlative_scan_matcher;
-    window.linear_search_window = if moves_unseen { 7.0 } else { 4.0 };
-    window.angular_search_window = if moves_unseen { 30.0_f64 } else { 20.0 }.to_radians();
+    graph.constraint_builder.min_score = 0.6;
+    // docs/experiments/2026-11-loops-in-the-plane.md has the matches of six real logs that these tell apart.
+    options.portolan.loop_search_drift = 0.04;
+    options.portolan.loop_search_spacing = 2.5;
+    options.portolan.loop_min_explained = 0.65;
+    options.portolan.loop_max_contradiction = 0.15;
 }

@@ -11,7 +11,7 @@ use portolan_mapping::{
 };
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
-    SensorPlan, plan,
+    SensorPlan, odometry_delay, plan,
 };
 use portolan_sensor::SensorId;
 
@@ -129,7 +129,13 @@ pub fn prepare(
     options: Option<Options>,
 ) -> Result<Preparation, PipelineError> {
     let inventory = Inventory::of(recording, ingest)?;
-    let plan = plan(&inventory, ingest).map_err(IngestError::from)?;
+    let mut plan = plan(&inventory, ingest).map_err(IngestError::from)?;
+    // What somebody configured or said of clocks is not to be known better.
+    if options.is_none() && plan.dimension == Dimension::Two && ingest.time_offsets.is_empty() {
+        if let Some(delay) = odometry_delay(recording, &plan)? {
+            plan.delay_odometry(delay.seconds, delay.sigma);
+        }
+    }
     let options = options.unwrap_or_else(|| match plan.dimension {
         Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),
         Dimension::Three => automatic::options_3d(&plan, &plan.statistics()),

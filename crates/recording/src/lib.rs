@@ -31,12 +31,13 @@ pub use coreslam::{CoreSlamLog, looks_like_coreslam};
 pub use ingest::{
     AzimuthTimes, ConfiguredSensors, Dimension, GeodeticPosition, ImuStatistics, IngestError, IngestOptions,
     Ingestion, Inventory, Notice, PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor,
-    PointTime, PointTimeOrigin, RangeStatistics, SamplingRatios, SensorPlan, SensorStatistics,
-    StampPolicy, TopicSurvey, plan,
+    PointTime, PointTimeOrigin, RangeStatistics, SamplingRatios, SensorPlan, SensorStatistics, StampPolicy,
+    TopicSurvey, plan,
 };
 pub use inspect::{
     CheckReport, ClockOffset, Finding, Histogram, PlanDescription, RecordingInfo, RepairDescription,
-    Severity, TopicDescription, check, check_with_clocks, findings_to_text, info,
+    SensorDelay, Severity, TopicDescription, check, check_with_clocks, findings_to_text, info,
+    odometry_delay,
 };
 pub use memory::MemoryRecording;
 pub use message::*;

@@ -13,7 +13,9 @@ use portolan::pipeline::{
 use portolan_config::{Loader, Options, little_effect};
 use portolan_geometry::Duration;
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
-use portolan_recording::{AzimuthTimes, StampPolicy, Dimension, IngestOptions, Recording, open_all, read_urdf};
+use portolan_recording::{
+    AzimuthTimes, Dimension, IngestOptions, Recording, StampPolicy, open_all, read_urdf,
+};
 
 use super::argument::{seconds, time_offset};
 use crate::GlobalArgs;

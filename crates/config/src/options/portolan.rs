@@ -19,6 +19,10 @@ options! {
         /// where the scan tells nothing (along a corridor), and slipping wheels are still recognised where
         /// it does. Raise it when odometry is better than the scans.
         search_penalty_limit: f64 = 1.0, "share", Bounds::UNIT;
+        /// In the plane: search for scans around their predictions as far as predictions were wrong lately, and as far
+        /// as a robot can have gone where the scan contradicts the map. Off, windows are those of
+        /// `real_time_correlative_scan_matcher`, as in Cartographer.
+        adaptive_search: bool = false, "", Bounds::ANY;
         /// At the end, leave out loop closures that all others together contradict, and optimise once
         /// more. They are mostly matches shifted along corridors and between rooms that look alike.
         drop_contradicted_loop_closures: bool = true, "", Bounds::ANY;
@@ -26,6 +30,25 @@ options! {
         /// picked: short recordings get enough loop closures that way. 0 tries no more, as in the
         /// reference; long recordings are beyond it anyway.
         min_loop_closure_searches: usize = 0, "pairs", Bounds::ANY;
+        /// In the plane: loop closures are looked for as far around where a node is believed to be as local SLAM may
+        /// have drifted since its submap was last seen: so many metres for each metre of way, over loop
+        /// closures the short way. 0 takes the windows of `fast_correlative_scan_matcher` instead, as
+        /// Cartographer does. Raise it when long ways come back to where they were and the loop stays open.
+        loop_search_drift: f64 = 0.0, "m/m", Bounds::within(0.0, 10.0);
+        /// In the plane: a node is looked for in a submap once in so many metres of way, however many scans
+        /// that are. 0 takes `sampling_ratio` instead, as Cartographer does. Lower it when loops are missed.
+        loop_search_spacing: f64 = 0.0, "m", Bounds::within(0.0, 1000.0);
+        /// In the plane: share of the beams of a node that must end at something solid that the submap knows, for a
+        /// loop closure to be believed. 0 asks only for the score, as Cartographer does. Lower it when loops
+        /// are missed where scans overlap little.
+        loop_min_explained: f64 = 0.0, "share", Bounds::UNIT;
+        /// In the plane: share of the beams of a node that may contradict the submap, ending where it is free or
+        /// passing through what is solid, in all beams about which it knows something. 1 does not look, as
+        /// Cartographer. Lower it when wrong loop closures are made, raise it where much has moved.
+        loop_max_contradiction: f64 = 1.0, "share", Bounds::UNIT;
+        /// In the plane: where scans are more than 0.25 m apart a submap is full after this way, too, however few
+        /// scans it has. Lower it when scans are metres apart and the map bends within submaps. 0 counts only scans (`submaps.num_range_data`), as Cartographer does.
+        submap_length: f64 = 0.0, "m", Bounds::within(0.0, 1000.0);
         /// Scans that must be found in whole submaps, all saying the same place within 0.5 m and 5 degrees
         /// and at least twice as many as say any other, before a trajectory is connected with another part
         /// of the map. 1 takes the first that is found, as the reference does. Raise it where places

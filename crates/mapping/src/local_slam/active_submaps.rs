@@ -27,11 +27,34 @@ pub trait GrowingSubmap {
 
 /// None, one or two submaps that are being filled, oldest first.
 pub struct ActiveSubmaps<S: Space> {
-    submaps: Vec<(u32, S::Submap)>,
+    submaps: Vec<ActiveSubmap<S>>,
     next_index: u32,
     scans_per_half: u32,
+    /// A submap is half full after this way of the scanner, too, metres.
+    way_per_half: f64,
+    last_origin: Option<Point3f>,
     refused: u64,
     without_submap: u64,
+}
+
+/// Scans that are this far apart, metres, are sparse.
+const SPARSE_STEP: f64 = 0.25;
+
+/// A submap that is being filled.
+struct ActiveSubmap<S: Space> {
+    index: u32,
+    submap: S::Submap,
+    /// Way of the scanner since its first scan, metres.
+    way: f64,
+}
+
+impl<S: Space> ActiveSubmap<S>
+where
+    S::Submap: GrowingSubmap,
+{
+    fn is_sparse(&self) -> bool {
+        self.way > SPARSE_STEP * f64::from(self.submap.num_range_data())
+    }
 }
 
 impl<S: Space> ActiveSubmaps<S>
@@ -44,29 +67,42 @@ where
             submaps: Vec::new(),
             next_index: 0,
             scans_per_half: scans_per_half.max(1),
+            way_per_half: f64::INFINITY,
+            last_origin: None,
             refused: 0,
             without_submap: 0,
         }
     }
 
+    /// Submaps of sparse scans are full after this way of the scanner, too, metres; 0 counts only scans.
+    #[must_use]
+    pub fn with_length(self, metres: f64) -> Self {
+        Self { way_per_half: if metres > 0.0 { 0.5 * metres } else { f64::INFINITY }, ..self }
+    }
+
+    fn has_halves(&self, active: &ActiveSubmap<S>, halves: u32) -> bool {
+        active.submap.num_range_data() >= halves * self.scans_per_half
+            || active.is_sparse() && active.way >= f64::from(halves) * self.way_per_half
+    }
+
     /// The submap to match against.
     pub fn matching_submap(&self) -> Option<&S::Submap> {
-        self.submaps.first().map(|(_, submap)| submap)
+        self.submaps.first().map(|active| &active.submap)
     }
 
     /// The submap to match against, to be changed.
     pub fn matching_submap_mut(&mut self) -> Option<&mut S::Submap> {
-        self.submaps.first_mut().map(|(_, submap)| submap)
+        self.submaps.first_mut().map(|active| &mut active.submap)
     }
 
     /// All of them, oldest first.
     pub fn iter(&self) -> impl Iterator<Item = (u32, &S::Submap)> {
-        self.submaps.iter().map(|(index, submap)| (*index, submap))
+        self.submaps.iter().map(|active| (active.index, &active.submap))
     }
 
     /// All of them to be changed, oldest first.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut S::Submap> {
-        self.submaps.iter_mut().map(|(_, submap)| submap)
+        self.submaps.iter_mut().map(|active| &mut active.submap)
     }
 
     /// Inserts a scan; `create` makes a new submap at an origin in the local map, or
@@ -77,29 +113,32 @@ where
         scan: &<S::Submap as GrowingSubmap>::Scan,
         create: impl FnOnce(Point3f) -> Option<S::Submap>,
     ) -> Vec<InsertionSubmap<S>> {
-        let newest_is_half_full =
-            self.submaps.last().is_none_or(|(_, s)| s.num_range_data() >= self.scans_per_half);
-        if newest_is_half_full && let Some(submap) = create(S::Submap::scan_origin_in_local(scan)) {
-            self.submaps.push((self.next_index, submap));
+        let origin = S::Submap::scan_origin_in_local(scan);
+        let step = self.last_origin.replace(origin).map_or(0.0, |last| f64::from((origin - last).norm()));
+        let newest_is_half_full = self.submaps.last().is_none_or(|newest| self.has_halves(newest, 1));
+        if newest_is_half_full && let Some(submap) = create(origin) {
+            self.submaps.push(ActiveSubmap { index: self.next_index, submap, way: 0.0 });
             self.next_index += 1;
         }
-        for (_, submap) in &mut self.submaps {
-            self.refused += u64::from(!submap.insert(scan));
+        for active in &mut self.submaps {
+            let step = if active.submap.num_range_data() > 0 { step } else { 0.0 };
+            active.way += step;
+            self.refused += u64::from(!active.submap.insert(scan));
         }
         self.without_submap += u64::from(self.submaps.is_empty());
         let mut inserted: Vec<InsertionSubmap<S>> = self
             .submaps
             .iter()
-            .map(|(index, s)| InsertionSubmap {
-                index: *index,
-                local_from_submap: s.local_from_submap(),
+            .map(|active| InsertionSubmap {
+                index: active.index,
+                local_from_submap: active.submap.local_from_submap(),
                 finished: None,
             })
             .collect();
-        let oldest_is_full =
-            self.submaps.first().is_some_and(|(_, s)| s.num_range_data() >= 2 * self.scans_per_half);
-        if oldest_is_full {
-            let (_, mut full) = self.submaps.remove(0);
+        // The next one has to be half full, so that it can be matched against.
+        let oldest_is_full = self.submaps.len() > 1 || self.way_per_half.is_infinite();
+        if oldest_is_full && self.submaps.first().is_some_and(|oldest| self.has_halves(oldest, 2)) {
+            let mut full = self.submaps.remove(0).submap;
             full.finish();
             inserted[0].finished = Some(Arc::new(full));
         }
@@ -125,7 +164,7 @@ where
     pub fn finish(&mut self) -> Vec<InsertionSubmap<S>> {
         std::mem::take(&mut self.submaps)
             .into_iter()
-            .map(|(index, mut submap)| {
+            .map(|ActiveSubmap { index, mut submap, .. }| {
                 submap.finish();
                 let local_from_submap = submap.local_from_submap();
                 InsertionSubmap { index, local_from_submap, finished: Some(Arc::new(submap)) }

@@ -62,11 +62,6 @@ pub(super) struct WaitingMatches {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// How many matches in whole submaps must agree before they connect trajectories; 1 takes the first.
-    pub fn set_min_agreeing_matches(&mut self, matches: usize) {
-        self.min_agreeing = matches;
-    }
-
     /// Adds what was found; what would connect trajectories waits until enough of it agrees.
     pub(super) fn add_found(&mut self, found: Vec<Constraint>) {
         let is_connected = |graph: &Self, c: &Constraint| {
@@ -75,7 +70,7 @@ impl<S: Space> PoseGraph<S> {
         // Searched in a window, or anywhere: that depends on what was connected when it was searched.
         let was_connected: Vec<bool> = found.iter().map(|c| is_connected(self, c)).collect();
         for (constraint, was_connected) in found.into_iter().zip(was_connected) {
-            if was_connected || self.min_agreeing <= 1 {
+            if was_connected || self.policy.min_agreeing <= 1 {
                 self.take(constraint);
             } else if is_connected(self, &constraint) {
                 // Its parts have just been put together: there is a place to agree with.
@@ -103,7 +98,7 @@ impl<S: Space> PoseGraph<S> {
         waiting.log();
         let waiting_here = self.waiting.by_parts.entry(parts).or_default();
         waiting_here.push(waiting);
-        if let Some(agreed) = agreed(waiting_here, self.min_agreeing) {
+        if let Some(agreed) = agreed(waiting_here, self.policy.min_agreeing) {
             self.waiting.by_parts.remove(&parts);
             self.connect_parts(parts, agreed);
         }

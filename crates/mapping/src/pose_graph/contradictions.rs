@@ -16,11 +16,6 @@ const MIN_IN_SPACE: (f64, f64) = (0.05, 0.015);
 const MIN_LOOP_CLOSURES: usize = 5;
 
 impl<S: Space> PoseGraph<S> {
-    /// Whether [`PoseGraph::run_final_optimization`] drops contradicted loop closures.
-    pub fn set_drops_contradicted(&mut self, drops: bool) {
-        self.drops_contradicted = drops;
-    }
-
     /// How many loop closures were dropped because the others contradict them.
     pub fn contradicted_loop_closures(&self) -> u64 {
         self.contradicted

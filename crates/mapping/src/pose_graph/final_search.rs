@@ -10,15 +10,10 @@ use super::PoseGraph;
 use crate::{NodeId, Space, SubmapId};
 
 impl<S: Space> PoseGraph<S> {
-    /// How many pairs [`PoseGraph::run_final_optimization`] wants to have been tried in all; 0 adds none.
-    pub fn set_min_loop_closure_searches(&mut self, searches: u64) {
-        self.min_searches = searches;
-    }
-
     /// Schedules further pairs, evenly over all that are near enough and have no loop closure yet, until
     /// as many as wanted have been tried.
     pub(super) fn search_more(&mut self) {
-        let missing = self.min_searches.saturating_sub(self.search.counts().window_searched);
+        let missing = self.policy.min_searches.saturating_sub(self.search.counts().window_searched);
         if missing == 0 {
             return;
         }

@@ -34,6 +34,10 @@ pub(super) struct Localisation {
 }
 
 impl Localisation {
+    pub fn set_wanted(&mut self, wanted: bool) {
+        self.is_wanted = wanted;
+    }
+
     /// Time goes on with a new node.
     fn advance(&mut self, time: Time) {
         let seconds = self.last_node.map_or(SAVED_SECONDS, |last| time.seconds_since(last));
@@ -51,12 +55,6 @@ impl Localisation {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// Whether trajectories without a place in the map are searched as soon as nodes come, as many times as
-    /// real time allows, where the scanner can be (only in space).
-    pub fn set_localises_while_recording(&mut self, wanted: bool) {
-        self.localisation.is_wanted = wanted && S::OPTIMIZES_WITH_IMU;
-    }
-
     /// The time of the newest node when a trajectory was first found in the rest of the map.
     pub fn placed_at(&self) -> Option<Time> {
         self.localisation.placed_at

@@ -11,6 +11,7 @@ mod contradictions;
 mod editing;
 mod final_search;
 mod localisation;
+mod policy;
 mod search;
 mod state;
 mod travel;
@@ -22,6 +23,7 @@ use std::sync::Arc;
 
 use agreement::WaitingMatches;
 pub use connectivity::TrajectoryConnectivity;
+pub use policy::{LoopSearchPolicy, PoseGraphPolicy};
 pub use search::SearchCounts;
 pub use state::{
     GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedNode,
@@ -78,10 +80,10 @@ pub struct PoseGraph<S: Space> {
     global_samplers: Samplers<TrajectoryId>,
     trimmers: Vec<Trimmer>,
     nodes_since_optimization: i64,
-    drops_contradicted: bool,
+    policy: PoseGraphPolicy,
+    /// How far nodes are along their trajectories, metres.
+    ways: BTreeMap<NodeId, f64>,
     contradicted: u64,
-    min_searches: u64,
-    min_agreeing: usize,
     waiting: WaitingMatches,
     localisation: Localisation,
     optimizations: u64,
@@ -100,10 +102,9 @@ impl<S: Space> PoseGraph<S> {
             problem: OptimizationData::default(),
             trimmers,
             nodes_since_optimization: 0,
-            drops_contradicted: false,
+            policy: PoseGraphPolicy::default(),
+            ways: BTreeMap::new(),
             contradicted: 0,
-            min_searches: 0,
-            min_agreeing: 1,
             waiting: WaitingMatches::default(),
             localisation: Localisation::default(),
             optimizations: 0,
@@ -131,9 +132,12 @@ impl<S: Space> PoseGraph<S> {
         (self.optimizations, self.last_summary)
     }
 
-    /// Whether biases of IMUs are estimated and taken away when optimising in space.
-    pub fn set_corrects_imu_biases(&mut self, corrects: bool) {
-        self.problem.corrects_imu_biases = corrects;
+    /// What is done beyond what Cartographer does. To be set before anything is added.
+    pub fn set_policy(&mut self, policy: PoseGraphPolicy) {
+        self.problem.corrects_imu_biases = policy.corrects_imu_biases;
+        self.localisation.set_wanted(policy.localises_while_recording && S::OPTIMIZES_WITH_IMU);
+        self.search.set_policy(policy.loops);
+        self.policy = policy;
     }
 
     /// Adds what removes superfluous submaps after each optimisation.
@@ -166,7 +170,10 @@ impl<S: Space> PoseGraph<S> {
         }
         self.nodes_since_optimization += 1;
         self.localise(node_id);
-        let due = i64::from(self.options.optimize_every_n_nodes);
+        let due = self.policy.nodes_between_optimizations(
+            i64::from(self.options.optimize_every_n_nodes),
+            self.state.nodes.len(),
+        );
         if due > 0 && self.nodes_since_optimization > due {
             self.optimize();
         }
@@ -178,8 +185,22 @@ impl<S: Space> PoseGraph<S> {
         let trajectory = self.state.trajectory_mut(trajectory_id);
         let node_id = NodeId::new(trajectory_id, trajectory.next_node_index);
         trajectory.next_node_index += 1;
+        let way = self.way_to(node_id, &data.local_from_tracking);
+        self.ways.insert(node_id, way);
         self.state.nodes.insert(node_id, Node { data: Arc::clone(data), map_from_tracking });
         node_id
+    }
+
+    /// How far a new node is along its trajectory. Turning shows new sides of a place as moving does.
+    fn way_to(&self, node_id: NodeId, local_from_tracking: &Rigid3) -> f64 {
+        const METRES_PER_RADIAN: f64 = 1.0;
+        let Some((before_id, before)) = of_trajectory(&self.state.nodes, node_id.trajectory_id).next_back()
+        else {
+            return 0.0;
+        };
+        let motion = before.data.local_from_tracking.inverse() * local_from_tracking;
+        let step = motion.translation.vector.norm() + METRES_PER_RADIAN * motion.rotation.angle();
+        self.ways.get(&before_id).copied().unwrap_or(0.0) + step
     }
 
     /// Gives new submaps their identity and first global pose (`slam2d.md` §14.3, 1).
@@ -297,7 +318,8 @@ impl<S: Space> PoseGraph<S> {
         if a == b || (connectivity.are_connected(a, b) && was_connected()) {
             let map_from_node = self.problem.nodes[&node_id].map_from_node;
             let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
-            self.search.add_local((submap_id, submap), (node_id, &node.data), guess);
+            let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
+            self.search.add_local((submap_id, submap), (node_id, &node.data), guess, way);
         } else if self.global_samplers.pulse(a) && self.localisation.take_one() {
             let (guess, region) = self.anywhere(node_id, submap_id);
             self.search.add_global((submap_id, submap), (node_id, &node.data), guess, region);
@@ -327,7 +349,7 @@ impl<S: Space> PoseGraph<S> {
         self.search_more();
         self.problem.max_iterations_override = u32::try_from(self.options.max_num_final_iterations).ok();
         self.optimize();
-        if self.drops_contradicted && self.drop_contradicted_loop_closures() > 0 {
+        if self.policy.drops_contradicted && self.drop_contradicted_loop_closures() > 0 {
             self.run_optimization();
         }
         self.problem.max_iterations_override = None;

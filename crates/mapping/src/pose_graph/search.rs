@@ -9,6 +9,7 @@ use portolan_geometry::Rigid3;
 use portolan_sensor::FixedRatioSampler;
 use rayon::prelude::*;
 
+use super::policy::{LoopSearchPolicy, Spacing};
 use super::travel::TravelGraph;
 use crate::histogram::Histogram;
 use crate::{
@@ -27,10 +28,16 @@ struct SearchTask<S: Space> {
 
 impl<S: Space> SearchTask<S> {
     /// `lengths` are those of the ways from the submap to others.
-    fn set_travelled(&mut self, travel: &TravelGraph, lengths: &BTreeMap<SubmapId, f64>) {
-        if let SearchRegion::Window { travelled } = &mut self.region {
+    fn set_travelled(
+        &mut self,
+        travel: &TravelGraph,
+        lengths: &BTreeMap<SubmapId, f64>,
+        policy: LoopSearchPolicy,
+    ) {
+        if let SearchRegion::Window { travelled, window, .. } = &mut self.region {
             let length = travel.submap_of(self.node_id).and_then(|of_node| lengths.get(&of_node));
             *travelled = length.copied().unwrap_or(f64::INFINITY);
+            *window = (policy.drift > 0.0).then(|| policy.window(*travelled));
         }
     }
 }
@@ -54,8 +61,10 @@ pub struct SearchCounts {
 /// of threads.
 pub struct ConstraintSearch<S: Space> {
     options: ConstraintBuilderOptions,
+    policy: LoopSearchPolicy,
     tasks: Vec<SearchTask<S>>,
     samplers: Samplers<SubmapId>,
+    spacings: BTreeMap<SubmapId, Spacing>,
     matchers: MatcherCache<S>,
     counts: SearchCounts,
 }
@@ -66,24 +75,40 @@ impl<S: Space> ConstraintSearch<S> {
         Self {
             samplers: Samplers::new(options.sampling_ratio),
             options,
+            policy: LoopSearchPolicy::default(),
             tasks: Vec::new(),
+            spacings: BTreeMap::new(),
             matchers: MatcherCache::default(),
             counts: SearchCounts::default(),
         }
     }
 
+    /// How far and how often to search. To be set before anything is added.
+    pub fn set_policy(&mut self, policy: LoopSearchPolicy) {
+        self.policy = policy;
+    }
+
     /// Adds a pair whose relative pose is roughly known, if it is near enough and its turn in the
-    /// submap's sampling has come.
+    /// submap's sampling has come. `way` is how far the node is along its trajectory, metres.
     pub fn add_local(
         &mut self,
         (submap_id, submap): (SubmapId, &Arc<S::Submap>),
         (node_id, node): (NodeId, &Arc<NodeData>),
         guess_submap_from_node: Rigid3,
+        way: f64,
     ) {
-        if guess_submap_from_node.translation.vector.norm() > self.options.max_constraint_distance {
+        let widest = self.policy.widest_window();
+        let farthest = self.options.max_constraint_distance + widest;
+        if guess_submap_from_node.translation.vector.norm() > farthest {
             return;
         }
-        if !self.samplers.pulse(submap_id) {
+        let spacing = self.policy.spacing;
+        let is_due = if spacing > 0.0 {
+            self.spacings.entry(submap_id).or_default().is_due((submap_id, node_id), way, spacing)
+        } else {
+            self.samplers.pulse(submap_id)
+        };
+        if !is_due {
             return;
         }
         self.add_unsampled((submap_id, submap), (node_id, node), guess_submap_from_node);
@@ -96,7 +121,11 @@ impl<S: Space> ConstraintSearch<S> {
         (node_id, node): (NodeId, &Arc<NodeData>),
         guess_submap_from_node: Rigid3,
     ) {
-        let region = SearchRegion::Window { travelled: f64::INFINITY };
+        let region = SearchRegion::Window {
+            travelled: f64::INFINITY,
+            window: None,
+            acceptance: self.policy.acceptance,
+        };
         self.push(submap_id, submap, node_id, node, guess_submap_from_node, region);
     }
 
@@ -164,20 +193,21 @@ impl<S: Space> ConstraintSearch<S> {
         let groups: Vec<(SubmapId, Vec<usize>)> = by_submap.into_iter().collect();
         for (submap_id, members) in &groups {
             let lengths = travel.lengths_from(*submap_id);
-            members.iter().for_each(|i| tasks[*i].set_travelled(travel, &lengths));
+            members.iter().for_each(|i| tasks[*i].set_travelled(travel, &lengths, self.policy));
         }
+        let skipped = self.skip_needless(&tasks);
         let (matchers, options) = (&self.matchers, &self.options);
         let mut found: Vec<(usize, Option<Constraint>)> = groups
             .par_iter()
             .with_max_len(1)
             .flat_map_iter(|(submap_id, members)| {
+                let members = members.par_iter().filter(|i| !skipped[**i]);
                 let nearby: Vec<(usize, Nearby)> =
-                    members.par_iter().map(|i| (*i, find_nearby(&tasks[*i], options))).collect();
+                    members.map(|i| (*i, find_nearby(&tasks[*i], options))).collect();
                 // What is needed for searching takes long to make.
                 let is_searched = nearby.iter().any(|(_, nearby)| *nearby == Nearby::Unknown);
-                let submap = &tasks[members[0]].submap;
-                let matcher =
-                    is_searched.then(|| matchers.get_or_build(*submap_id, submap, options)).flatten();
+                let submap = nearby.first().map(|(i, _)| &tasks[*i].submap).filter(|_| is_searched);
+                let matcher = submap.and_then(|submap| matchers.get_or_build(*submap_id, submap, options));
                 let search = |task: &SearchTask<S>| search_node(matcher.as_deref(), task, options);
                 let found: Vec<_> = nearby
                     .into_par_iter()
@@ -204,6 +234,25 @@ impl<S: Space> ConstraintSearch<S> {
         found.into_iter().filter_map(|(_, result)| result).collect()
     }
 
+    /// Which tasks need not be tried: those out of reach by the way since the submap was last seen, and most
+    /// of those that would tell little, because the way over other loop closures is short.
+    fn skip_needless(&mut self, tasks: &[SearchTask<S>]) -> Vec<bool> {
+        let policy = self.policy;
+        let farthest = self.options.max_constraint_distance;
+        let mut is_needless = |task: &SearchTask<S>| {
+            let SearchRegion::Window { travelled, .. } = task.region else { return false };
+            if policy.drift == 0.0 {
+                return false;
+            }
+            let distance = task.guess_submap_from_node.translation.vector.norm();
+            if distance > farthest + policy.window(travelled).linear {
+                return true;
+            }
+            policy.spacing > 0.0 && !self.spacings.entry(task.submap_id).or_default().is_telling(travelled)
+        };
+        tasks.iter().map(|task| is_needless(task)).collect()
+    }
+
     fn count(&mut self, region: SearchRegion, found: bool) {
         let (searched, hits) = match region {
             SearchRegion::Window { .. } => (&mut self.counts.window_searched, &mut self.counts.window_found),
@@ -219,6 +268,7 @@ impl<S: Space> ConstraintSearch<S> {
     pub fn delete_matcher(&mut self, submap_id: SubmapId) {
         self.matchers.remove(&submap_id);
         self.samplers.forget(&submap_id);
+        self.spacings.remove(&submap_id);
     }
 
     /// Drops waiting pairs of a submap that is about to go.
@@ -323,7 +373,7 @@ fn is_window(region: SearchRegion) -> bool {
 
 fn find_nearby<S: Space>(task: &SearchTask<S>, options: &ConstraintBuilderOptions) -> Nearby {
     match task.region {
-        SearchRegion::Window { travelled } => {
+        SearchRegion::Window { travelled, .. } => {
             S::find_nearby(&task.submap, &task.node, &task.guess_submap_from_node, travelled, options)
         }
         SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => Nearby::Unknown,

@@ -103,7 +103,20 @@ impl FastCorrelativeMatcher2d {
         min_score: f32,
     ) -> Option<MatchResult<Rigid2>> {
         let (linear, angular) = (self.options.linear_search_window, self.options.angular_search_window);
-        self.search(initial, points, min_score, linear, angular)
+        self.match_within(initial, points, min_score, linear, angular)
+    }
+
+    /// As [`Self::match_local`], in a window of these metres and radians to either side instead of that of the
+    /// options.
+    pub fn match_within(
+        &self,
+        initial: &Rigid2,
+        points: &PointCloud,
+        min_score: f32,
+        linear: f64,
+        angular: f64,
+    ) -> Option<MatchResult<Rigid2>> {
+        self.search(initial, points, min_score, linear, angular.min(std::f64::consts::PI))
     }
 
     /// The same anywhere on the grid, at any angle.

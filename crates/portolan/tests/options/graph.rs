@@ -151,7 +151,7 @@ fn find(options: &Options, guess: [f64; 3], node: &NodeData) -> Option<MatchedPo
         submap,
         node,
         &guess,
-        SearchRegion::Window { travelled: f64::INFINITY },
+        SearchRegion::Window { travelled: f64::INFINITY, window: None, acceptance: Default::default() },
         search,
     )
 }

@@ -36,7 +36,7 @@ fn find(options: &Options, offset: Rigid3) -> Option<MatchedPose> {
         submap,
         node,
         &guess,
-        SearchRegion::Window { travelled: f64::INFINITY },
+        SearchRegion::Window { travelled: f64::INFINITY, window: None, acceptance: Default::default() },
         search,
     )
 }

@@ -106,7 +106,9 @@ impl CarmenLog {
         let with_scans = scanners.iter().map(|s| s.kind).find(|k| !matches!(k, LaserKind::Raw(_)));
         let odometry = match with_scans {
             // What stands in the line of a scan belongs to it, whatever its stamp says.
-            Some(kind) if in_order_of_lines || survey.odometry_lines == 0 => Some(OdometrySource::Scans(kind)),
+            Some(kind) if in_order_of_lines || survey.odometry_lines == 0 => {
+                Some(OdometrySource::Scans(kind))
+            }
             _ if survey.odometry_lines > 0 => Some(OdometrySource::OwnLines),
             _ => None,
         };

@@ -153,9 +153,9 @@ impl EvenStamps {
         if self.waiting.is_empty() || (self.waiting.len() < ahead && !at_end) {
             return None;
         }
-        let latest = (0u32..).zip(self.waiting.iter().take(ahead)).map(|(later, (stamp, _))| {
-            *stamp - Duration::from_seconds(f64::from(later) * period)
-        });
+        let latest = (0u32..)
+            .zip(self.waiting.iter().take(ahead))
+            .map(|(later, (stamp, _))| *stamp - Duration::from_seconds(f64::from(later) * period));
         let latest = latest.min()?;
         let (stamp, message) = self.waiting.pop_front()?;
         let earliest = self.last.map_or(Time::MIN, |last| last + Duration::from_seconds(BURST * period));
@@ -222,7 +222,8 @@ mod tests {
 
     #[test]
     fn steady_stamps_with_gaps_and_rests_stay_as_they_are() {
-        let mut stamps: Vec<Time> = (0..2000).map(|k| at(0.2 * f64::from(k) + 0.003 * f64::from(k % 7))).collect();
+        let mut stamps: Vec<Time> =
+            (0..2000).map(|k| at(0.2 * f64::from(k) + 0.003 * f64::from(k % 7))).collect();
         stamps.drain(300..420);
         stamps.drain(900..903);
         assert_eq!(even(&stamps, StampPolicy::Auto), stamps);

@@ -9,6 +9,7 @@ mod imu;
 mod imu_values;
 mod info;
 mod odometry;
+mod odometry_delay;
 mod offset;
 mod rotation;
 mod scan_turns;
@@ -21,6 +22,7 @@ pub use clock_offset::ClockOffset;
 pub use finding::{Finding, Severity, findings_to_text};
 pub use histogram::Histogram;
 pub use info::{PlanDescription, RecordingInfo, RepairDescription, TopicDescription, info};
+pub use odometry_delay::{SensorDelay, odometry_delay};
 
 #[cfg(test)]
 mod tests;

@@ -223,14 +223,20 @@ pub(crate) fn tell_clocks(
     is_exact: bool,
     findings: &mut Findings,
 ) {
-    let Some(agreement) = compare(first.1, second.1) else { return };
-    let Agreement { correlation, lag, lag_sigma, lag_gain, turned, .. } = agreement;
-    let [told, warned] = OFFSETS[usize::from(!is_exact)];
-    let is_sure = lag.abs() - SURE * lag_sigma > told && lag_gain > LEAST_GAIN;
-    if turned < ENOUGH_TURNS || correlation < ALIKE || !is_sure {
-        return;
+    let [_, warned] = OFFSETS[usize::from(!is_exact)];
+    if let Some((lag, _)) = sure_offset(first.1, second.1, is_exact) {
+        findings.push(offset_finding(first.0, second.0, lag, warned));
     }
-    findings.push(offset_finding(first.0, second.0, lag, warned));
+}
+
+/// By how many seconds the second sensor is stamped too late, and the standard deviation of that, if it is surely
+/// more than measurements may be.
+pub(super) fn sure_offset(first: &[Turn], second: &[Turn], is_exact: bool) -> Option<(f64, f64)> {
+    let agreement = compare(first, second)?;
+    let Agreement { correlation, lag, lag_sigma, lag_gain, turned, .. } = agreement;
+    let [told, _] = OFFSETS[usize::from(!is_exact)];
+    let is_sure = lag.abs() - SURE * lag_sigma > told && lag_gain > LEAST_GAIN;
+    (turned >= ENOUGH_TURNS && correlation >= ALIKE && is_sure).then_some((lag, lag_sigma))
 }
 
 /// Says that `second` is stamped too late by `lag` against `first`.

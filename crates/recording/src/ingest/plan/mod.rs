@@ -208,6 +208,20 @@ impl SensorPlan {
         }
     }
 
+    /// Moves the stamps of odometry by what scans are known to be late against it.
+    pub fn delay_odometry(&mut self, seconds: f64, sigma: f64) {
+        let Some(PlannedOdometry::Topic(odometry)) = &mut self.odometry else { return };
+        let delay = Duration::from_seconds(seconds);
+        odometry.clock_shift = odometry.clock_shift + delay;
+        odometry.usual_lag = odometry.usual_lag.map(|lag| lag - delay);
+        let what = format!(
+            "stamps of {} are moved by {seconds:.3} s (sigma {sigma:.3} s): so much later are those of scans, as turns of both show",
+            odometry.topic
+        );
+        let change = format!("--time-offset {}=0", odometry.topic);
+        self.note(what, change);
+    }
+
     fn note(&mut self, what: impl Into<String>, change: impl Into<String>) {
         self.notices.push(Notice { what: what.into(), change: change.into() });
     }

@@ -1,0 +1,128 @@
+//! How far predictions are off, learned from how scans were matched.
+//!
+//! The error of a prediction grows with the motion that was predicted. By which factor is estimated from the
+//! innovations (what matching adds to predictions), which have the covariance of the prediction where scans
+//! tell the pose well (covariance matching; Mehra 1970).
+
+use portolan_geometry::Rigid2;
+
+/// Standard deviations of a prediction: metres and radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PredictionSigmas {
+    /// Along each axis, metres.
+    pub translation: f64,
+    /// Radians.
+    pub rotation: f64,
+}
+
+/// Errors before anything was learned: at rest (encoders, uneven stamps), and for each metre and radian.
+const AT_REST: PredictionSigmas = PredictionSigmas { translation: 0.02, rotation: 0.01 };
+const PER_METRE: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation: 0.02 };
+const PER_RADIAN: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation: 0.05 };
+/// About so many scans are remembered.
+const MEMORY: f64 = 50.0;
+/// One innovation counts as at most so many sigmas: a single slip says little of the rest.
+const LARGEST: f64 = 4.0;
+/// The factor stays between these.
+const FACTORS: (f64, f64) = (0.5, 6.0);
+
+/// What was learned so far.
+#[derive(Clone, Copy, Debug)]
+pub struct PredictionError {
+    /// Mean squares of innovations in units of what was expected before anything was learned.
+    translation: f64,
+    rotation: f64,
+}
+
+impl Default for PredictionError {
+    fn default() -> Self {
+        Self { translation: 1.0, rotation: 1.0 }
+    }
+}
+
+impl PredictionError {
+    /// The error to be expected of a predicted motion.
+    pub fn sigmas(&self, motion: &Rigid2) -> PredictionSigmas {
+        let expected = expected(motion);
+        let factor = |mean_square: f64| mean_square.sqrt().clamp(FACTORS.0, FACTORS.1);
+        PredictionSigmas {
+            translation: factor(self.translation) * expected.translation,
+            rotation: factor(self.rotation) * expected.rotation,
+        }
+    }
+
+    /// Takes what matching added to the prediction of a motion.
+    pub fn add(&mut self, motion: &Rigid2, innovation: &Rigid2) {
+        let expected = expected(motion);
+        let learn = |mean_square: &mut f64, sigmas: f64| {
+            let largest = LARGEST * mean_square.sqrt();
+            *mean_square += (sigmas.min(largest).powi(2) - *mean_square) / MEMORY;
+        };
+        // Two axes share the length.
+        let along_each_axis = innovation.translation.norm() / std::f64::consts::SQRT_2;
+        learn(&mut self.translation, along_each_axis / expected.translation);
+        learn(&mut self.rotation, innovation.angle.abs() / expected.rotation);
+    }
+}
+
+fn expected(motion: &Rigid2) -> PredictionSigmas {
+    let (metres, radians) = (motion.translation.norm(), motion.angle.abs());
+    PredictionSigmas {
+        translation: AT_REST.translation + PER_METRE.translation * metres + PER_RADIAN.translation * radians,
+        rotation: AT_REST.rotation + PER_METRE.rotation * metres + PER_RADIAN.rotation * radians,
+    }
+}
+
+/// How well scans fitted lately: mean and standard deviation of their scores.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct UsualScore {
+    scans: f64,
+    mean: f64,
+    variance: f64,
+}
+
+/// A score so many standard deviations below the mean is low.
+const LOW_SIGMAS: f64 = 2.5;
+/// As soon as so many scans were seen.
+const ENOUGH_SCANS: f64 = 10.0;
+
+impl UsualScore {
+    /// Whether a score is lower than those of the last scans let expect.
+    pub fn is_low(&self, score: f32) -> bool {
+        self.scans >= ENOUGH_SCANS && f64::from(score) < self.mean - LOW_SIGMAS * self.variance.sqrt()
+    }
+
+    /// Takes the score of one more scan.
+    pub fn add(&mut self, score: f32) {
+        self.scans = (self.scans + 1.0).min(MEMORY);
+        let difference = f64::from(score) - self.mean;
+        self.mean += difference / self.scans;
+        self.variance += (difference * difference * (1.0 - 1.0 / self.scans) - self.variance) / self.scans;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Vector2;
+
+    fn motion(x: f64, y: f64, angle: f64) -> Rigid2 {
+        Rigid2 { translation: Vector2::new(x, y), angle }
+    }
+
+    #[test]
+    fn the_factor_follows_innovations_and_not_a_single_slip() {
+        let (step, mut error) = (motion(0.5, 0.0, 0.1), PredictionError::default());
+        let before = error.sigmas(&step);
+        error.add(&step, &motion(9.0, 0.0, 3.0));
+        assert!(error.sigmas(&step).translation < 1.2 * before.translation);
+        for i in 0..300 {
+            let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+            error.add(&step, &motion(0.15 * sign, 0.15 * sign, 0.05 * sign));
+        }
+        let learned = error.sigmas(&step);
+        assert!((learned.translation - 0.15).abs() < 0.01, "{learned:?}");
+        assert!((learned.rotation - 0.05).abs() < 0.005, "{learned:?}");
+        assert!(error.sigmas(&motion(2.0, 0.0, 0.0)).translation > 2.0 * learned.translation);
+    }
+}
