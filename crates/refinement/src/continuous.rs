@@ -20,6 +20,7 @@ mod fine;
 mod information;
 mod jumps;
 mod knots;
+mod long_shape;
 mod motion_blocks;
 mod motion_term;
 mod mounting;

@@ -8,7 +8,8 @@ use portolan::config::Options;
 use portolan::geometry::{Rigid3, Vector3, rotation_angle};
 use portolan::mapping::{
     Constraint, ConstraintTag, InitialTrajectoryPose, Map, Mapper, MapperSettings, MatchedPose, NodeData,
-    NodeId, Planar, PoseGraph, SearchCounts, SearchRegion, Space, Submap2d, SubmapId, TrajectoryId,
+    NodeId, Planar, PoseGraph, PoseGraphPolicy, SearchCounts, SearchRegion, Space, Submap2d, SubmapId,
+    TrajectoryId,
 };
 use portolan::sensor::{Measurement, PointCloud, SensorKind};
 
@@ -164,6 +165,22 @@ fn is_found(options: &Options, guess: [f64; 3]) -> f64 {
 /// A guess that is no whole number of cells off.
 const GUESS: [f64; 3] = [0.237, -0.161, 0.013];
 
+/// Whether a node is found of which two points lie in the middle of the room.
+fn contradicted_found(options: &Options) -> f64 {
+    let mut options = options.clone();
+    options.set("constraint_builder.min_score=0.2").unwrap();
+    let mut node = submap_and_node().1.clone();
+    let inside: [portolan::geometry::Point3f; 2] = [[1.0, 0.3, 0.0].into(), [0.8, -0.4, 0.0].into()];
+    node.filtered_gravity_aligned_point_cloud.points.extend(inside);
+    let acceptance = PoseGraphPolicy::new(&options.portolan).loops.acceptance;
+    let region = SearchRegion::Window { travelled: f64::INFINITY, window: None, acceptance };
+    let search = &options.map_builder.pose_graph.constraint_builder;
+    let submap = &submap_and_node().0;
+    let matcher = Planar::build_matcher(submap, search).unwrap();
+    let found = Planar::find_node(&matcher, submap, &node, &Rigid3::identity(), region, search);
+    f64::from(u8::from(found.is_some()))
+}
+
 fn found(options: &Options) -> Rigid3 {
     let mut options = options.clone();
     options.set("constraint_builder.min_score=0.2").unwrap();
@@ -264,6 +281,12 @@ fn search() -> Vec<Effect> {
             ["pose_graph.global_sampling_ratio=0.2"];
         "portolan.global_localization_min_matches", "1" => "1000", Falls, ties,
             ["pose_graph.global_sampling_ratio=0.3", "constraint_builder.global_localization_min_score=0.1"];
+        "portolan.loop_search_drift", "0" => "1", Rises, |o| searches(o).window_searched as f64,
+            ["constraint_builder.max_constraint_distance=0.5"];
+        "portolan.loop_search_spacing", "0.2" => "5", Falls, |o| searches(o).window_searched as f64;
+        "portolan.loop_min_explained", "0" => "1", Falls, |o| searches(o).window_found as f64,
+            ["constraint_builder.min_score=0.1"];
+        "portolan.loop_max_contradiction", "1" => "0", Falls, contradicted_found;
         "portolan.min_loop_closure_searches", "0" => "200", Rises, |o| searches(o).window_searched as f64,
             ["constraint_builder.sampling_ratio=0.05"];
         "loop_closure_translation_weight", "100" => "1000", Rises, |o| weights_of(&lap(o), ConstraintTag::InterSubmap)[0],

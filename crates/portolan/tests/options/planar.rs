@@ -260,6 +260,9 @@ fn matching() -> Vec<Effect> {
              "trajectory_builder_2d.real_time_correlative_scan_matcher.linear_search_window=0.3"];
         "trajectory_builder_2d.real_time_correlative_scan_matcher.rotation_delta_cost_weight", "0.1" => "100", Falls, |o| turn(o, FAR),
             ["trajectory_builder_2d.use_online_correlative_scan_matching=true", "trajectory_builder_2d.real_time_correlative_scan_matcher.linear_search_window=0.3"];
+        "portolan.adaptive_search", "false" => "true", Falls, |o| error(o, FAR),
+            ["trajectory_builder_2d.use_online_correlative_scan_matching=true",
+             "trajectory_builder_2d.real_time_correlative_scan_matcher.linear_search_window=0.05"];
         "portolan.search_penalty_limit", "0.01" => "1", Falls, |o| way(o, FAR),
             ["trajectory_builder_2d.use_online_correlative_scan_matching=true",
              "trajectory_builder_2d.real_time_correlative_scan_matcher.linear_search_window=0.3",
@@ -278,8 +281,18 @@ fn matching() -> Vec<Effect> {
     }
 }
 
+/// Ten scans 0.3 m apart with exact odometry.
+fn sparse(options: &Options) -> Run<Planar> {
+    let steps = (0..10).map(|i| (0.4 * f64::from(i), pose(0.3 * f64::from(i), 0.0, 0.0)));
+    let measure = |(seconds, truth)| {
+        [Measurement::Odometry(odometry(truth, seconds)), Measurement::Range(planar_scan(&truth, seconds))]
+    };
+    run(options, steps.flat_map(measure).collect())
+}
+
 fn submaps() -> Vec<Effect> {
     effects! {
+        "portolan.submap_length", "0" => "1.2", Rises, |o| sparse(o).submaps();
         "trajectory_builder_2d.submaps.num_range_data", "2" => "6", Falls, |o| circle(o).submaps();
         "trajectory_builder_2d.submaps.grid_options_2d.resolution", "0.05" => "0.2", Falls, |o| known(&one_scan(o));
         "grid_type", "PROBABILITY_GRID" => "TSDF", Rises, is_tsdf, ["range_data_inserter_type=TSDF_INSERTER_2D"];

@@ -16,6 +16,9 @@ const MAX_SAMPLES: usize = 20_000;
 /// Share of readings at exactly the largest value that makes it the mark for "nothing seen".
 const SATURATED_SHARE: f64 = 0.005;
 
+/// Turns of spinning lidars a second. Clouds that come more rarely are key frames that somebody chose, not turns.
+const SPINNING_RATES: std::ops::RangeInclusive<f64> = 4.0..=50.0;
+
 /// What a range sensor is like. Angles in radians, distances in metres, times in seconds.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct RangeStatistics {
@@ -55,7 +58,7 @@ impl RangeStatistics {
         let degrees = |angle: f64| angle.to_degrees();
         degrees(self.field_of_view) > 355.0
             && degrees(self.vertical_field_of_view) > 5.0
-            && (1.0..=50.0).contains(&self.rate)
+            && SPINNING_RATES.contains(&self.rate)
     }
 
     /// Whether points have times of their own, so that motion during a sweep can be undone.

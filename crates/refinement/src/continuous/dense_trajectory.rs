@@ -138,6 +138,26 @@ impl DenseTrajectory {
         Rigid3::from_parts(na::Translation3::from(joined.translation.vector + correction.shift), rotation)
     }
 
+    /// Moves the current poses by transforms of the world given at times in ascending order, linear between them.
+    pub(crate) fn move_each(&mut self, moves: &[(f64, Rigid3)]) {
+        for (i, pose) in self.current.iter_mut().enumerate() {
+            let seconds = i as f64 * self.step;
+            let after = moves.partition_point(|(time, _)| *time < seconds);
+            let (Some(b), Some(a)) = (moves.get(after).or(moves.last()), moves.get(after.saturating_sub(1)))
+            else {
+                return;
+            };
+            // Between the places that both transforms give: the world has no middle to turn about.
+            let [from, to] = [a.1 * *pose, b.1 * *pose];
+            let span = b.0 - a.0;
+            let share = if span > 0.0 { ((seconds - a.0) / span).clamp(0.0, 1.0) } else { 1.0 };
+            let place = from.translation.vector.lerp(&to.translation.vector, share);
+            let mut rotation = from.rotation.try_slerp(&to.rotation, share, 1e-12).unwrap_or(to.rotation);
+            rotation.renormalize();
+            *pose = Rigid3::from_parts(na::Translation3::from(place), rotation);
+        }
+    }
+
     /// Applies an increment: for each knot a shift (metres) and a turn (rotation vector).
     pub fn apply(&mut self, knots: &Knots, increment: &[f64]) {
         for (i, pose) in self.current.iter_mut().enumerate() {

@@ -120,6 +120,9 @@ pub struct RefineReport {
     pub largest_turn: f64,
     /// What is not determined and was left as the input has it.
     pub undetermined: Vec<Undetermined>,
+    /// For so many seconds no pass came back: there the input's motion over more than two seconds was kept, since
+    /// nothing tells how it would have to be changed.
+    pub long_shape_held_seconds: f64,
     /// The result was less sharp than the input, which was therefore kept.
     pub kept_input: bool,
     /// It was stopped before it had converged.

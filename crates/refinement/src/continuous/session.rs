@@ -5,6 +5,7 @@ use portolan_geometry::{Duration, Rigid3, Time, Vector3};
 
 use super::correction::Corrections;
 use super::coverage::{Coverage, TimedPoints};
+use super::long_shape;
 use super::report::{Method, RefineReport, Refined, RoundSharpness};
 use super::time_base::{self, TimeBase};
 use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound, information};
@@ -78,6 +79,7 @@ impl<'a> Session<'a> {
             largest_turn: 0.0,
             undetermined: Vec::new(),
             kept_input: false,
+            long_shape_held_seconds: 0.0,
             stopped: false,
             warnings: Vec::new(),
         };
@@ -141,6 +143,7 @@ impl<'a> Session<'a> {
     /// Judges the result, keeps the input if that is sharper, and lets `settle` move the whole (which begins at the first
     /// pose of the input now, moved there by the given transform).
     pub fn finish(mut self, settle: impl FnOnce(&mut DenseTrajectory, &Rigid3)) -> Refined {
+        self.report.long_shape_held_seconds = long_shape::keep(&mut self.trajectory);
         let anchor = self.trajectory.anchor_first_pose();
         let report = &mut self.report;
         report.sharpness_after =
