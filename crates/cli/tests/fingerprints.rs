@@ -36,16 +36,17 @@ fn map(table: &mut Table, case: &str, folder: &Path, recording: &str, more: &[&s
 }
 
 /// The defaults of Cartographer as a file.
-fn configuration(folder: &Path, dimension: &str) -> String {
-    let path = text(&folder.join(format!("robot{dimension}.lua")));
-    std::fs::write(&path, portolan_with_code(0, &["config", "show", dimension, "--lua"]).stdout).unwrap();
+fn configuration(folder: &Path, dimension: &[&str]) -> String {
+    let path = text(&folder.join(format!("robot{}.lua", dimension.concat())));
+    let shown = portolan_with_code(0, &[&["config", "show", "--lua"][..], dimension].concat());
+    std::fs::write(&path, shown.stdout).unwrap();
     path
 }
 
 fn real_recordings(table: &mut Table, folder: &Path) {
     if let Some(aces) = shared("data/lidar2d/aces/aces.clf.bz2") {
         map(table, "2d-log", folder, &aces, &["--duration", "150"]);
-        let lua = configuration(folder, "--2d");
+        let lua = configuration(folder, &[]);
         map(table, "2d-lua", folder, &aces, &["--duration", "40", "--config", &lua]);
     }
     if let Some(csail) = shared("data/lidar2d/mit-csail/mit-csail.clf.bz2") {
@@ -53,7 +54,7 @@ fn real_recordings(table: &mut Table, folder: &Path) {
     }
     if let Some(corridor) = shared("data/lidar3d/corridor_imu.bag") {
         map(table, "3d-imu", folder, &corridor, &["--duration", "15"]);
-        let lua = configuration(folder, "--3d");
+        let lua = configuration(folder, &["--3d"]);
         map(table, "3d-lua-grids", folder, &corridor, &["--duration", "6", "--config", &lua]);
     }
     if let Some(drive) = shared("data/lidar3d/kitti_0001.bag") {

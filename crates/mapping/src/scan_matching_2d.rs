@@ -34,12 +34,13 @@ impl ScanMatcher2d {
         search_penalty_limit: f64,
     ) -> Result<Self, MatcherOptionError> {
         let o = &options.real_time_correlative_scan_matcher;
-        let correlative = options.use_online_correlative_scan_matching.then(|| RealTimeCorrelativeOptions {
-            linear_search_window: o.linear_search_window,
-            angular_search_window: o.angular_search_window,
-            translation_delta_cost_weight: o.translation_delta_cost_weight,
-            rotation_delta_cost_weight: o.rotation_delta_cost_weight,
-        });
+        let correlative =
+            options.use_online_correlative_scan_matching.then_some(RealTimeCorrelativeOptions {
+                linear_search_window: o.linear_search_window,
+                angular_search_window: o.angular_search_window,
+                translation_delta_cost_weight: o.translation_delta_cost_weight,
+                rotation_delta_cost_weight: o.rotation_delta_cost_weight,
+            });
         if let Some(options) = &correlative {
             RealTimeCorrelativeMatcher2d::new(options)?;
         }

@@ -131,10 +131,9 @@ pub fn prepare(
     let inventory = Inventory::of(recording, ingest)?;
     let mut plan = plan(&inventory, ingest).map_err(IngestError::from)?;
     // What somebody configured or said of clocks is not to be known better.
-    if options.is_none() && plan.dimension == Dimension::Two && ingest.time_offsets.is_empty() {
-        if let Some(delay) = odometry_delay(recording, &plan)? {
-            plan.delay_odometry(delay.seconds, delay.sigma);
-        }
+    let is_free = options.is_none() && plan.dimension == Dimension::Two && ingest.time_offsets.is_empty();
+    if is_free && let Some(delay) = odometry_delay(recording, &plan)? {
+        plan.delay_odometry(delay.seconds, delay.sigma);
     }
     let options = options.unwrap_or_else(|| match plan.dimension {
         Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),

@@ -77,7 +77,9 @@ fn along_a_corridor_nothing_is_known_and_nothing_is_done() {
         free.iter().any(|u| !u.is_rotation && u.direction[0].abs() > 0.99 && u.to - u.from > 5.0),
         "{free:?}"
     );
-    assert!(errors(&truth, &corrected(&refined, &input)).1 < 0.002);
+    // No pass comes back: what is slower than two seconds stays as the input has it, and nothing gets worse.
+    let (before, after) = (errors(&truth, &input), errors(&truth, &corrected(&refined, &input)));
+    assert!(after.0 <= 1.01 * before.0 && after.1 <= 1.01 * before.1, "{before:?} {after:?}");
 }
 
 #[test]

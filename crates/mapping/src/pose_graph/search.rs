@@ -239,7 +239,7 @@ impl<S: Space> ConstraintSearch<S> {
     fn skip_needless(&mut self, tasks: &[SearchTask<S>]) -> Vec<bool> {
         let policy = self.policy;
         let farthest = self.options.max_constraint_distance;
-        let mut is_needless = |task: &SearchTask<S>| {
+        let is_needless = |task: &SearchTask<S>| {
             let SearchRegion::Window { travelled, .. } = task.region else { return false };
             if policy.drift == 0.0 {
                 return false;
@@ -250,7 +250,7 @@ impl<S: Space> ConstraintSearch<S> {
             }
             policy.spacing > 0.0 && !self.spacings.entry(task.submap_id).or_default().is_telling(travelled)
         };
-        tasks.iter().map(|task| is_needless(task)).collect()
+        tasks.iter().map(is_needless).collect()
     }
 
     fn count(&mut self, region: SearchRegion, found: bool) {

@@ -96,7 +96,8 @@ mod tests {
         let mut grid = ProbabilityGrid::new(limits);
         let mut set = |x: f32, y: f32, p: f32| {
             let cell = grid.limits().cell_index(nalgebra::Vector2::new(x, y));
-            assert!(grid.set_probability(cell, p));
+            // Some cells are met twice: the first value counts.
+            grid.set_probability(cell, p);
         };
         for i in 0..40 {
             for j in 1..30 {

@@ -127,18 +127,21 @@ fn mapped_meanwhile(options: &Options, silent: SensorKind, of_other: bool) -> f6
 /// A finished submap of two scans at rest and the cloud of one of them.
 fn submap_and_node() -> &'static (Submap2d, NodeData) {
     static MADE: OnceLock<(Submap2d, NodeData)> = OnceLock::new();
-    MADE.get_or_init(|| {
-        let mut options = base();
-        let local = &mut options.trajectory_builder.trajectory_builder_2d;
-        local.submaps.range_data_inserter.probability_grid_range_data_inserter.hit_probability = 0.9;
-        let rest = pose(0.0, 0.0, 0.0);
-        let scans = vec![Measurement::Range(planar_scan(&rest, 0.0))];
-        let run = run::<Planar>(&options, scans);
-        let state = run.map.graph.state();
-        let submap = state.submaps.values().next().unwrap().submap.as_ref().unwrap();
-        let node = state.nodes.values().next().unwrap();
-        (Submap2d::clone(submap), NodeData::clone(&node.data))
-    })
+    MADE.get_or_init(|| submap_with_misses(0.49))
+}
+
+fn submap_with_misses(miss_probability: f64) -> (Submap2d, NodeData) {
+    let mut options = base();
+    let local = &mut options.trajectory_builder.trajectory_builder_2d;
+    let inserter = &mut local.submaps.range_data_inserter.probability_grid_range_data_inserter;
+    (inserter.hit_probability, inserter.miss_probability) = (0.9, miss_probability);
+    let rest = pose(0.0, 0.0, 0.0);
+    let scans = vec![Measurement::Range(planar_scan(&rest, 0.0))];
+    let run = run::<Planar>(&options, scans);
+    let state = run.map.graph.state();
+    let submap = state.submaps.values().next().unwrap().submap.as_ref().unwrap();
+    let node = state.nodes.values().next().unwrap();
+    (Submap2d::clone(submap), NodeData::clone(&node.data))
 }
 
 /// Looks for a node, which is at the origin, where it is believed to be.
@@ -169,15 +172,14 @@ const GUESS: [f64; 3] = [0.237, -0.161, 0.013];
 fn contradicted_found(options: &Options) -> f64 {
     let mut options = options.clone();
     options.set("constraint_builder.min_score=0.2").unwrap();
-    let mut node = submap_and_node().1.clone();
+    let (submap, mut node) = submap_with_misses(0.2);
     let inside: [portolan::geometry::Point3f; 2] = [[1.0, 0.3, 0.0].into(), [0.8, -0.4, 0.0].into()];
     node.filtered_gravity_aligned_point_cloud.points.extend(inside);
     let acceptance = PoseGraphPolicy::new(&options.portolan).loops.acceptance;
     let region = SearchRegion::Window { travelled: f64::INFINITY, window: None, acceptance };
     let search = &options.map_builder.pose_graph.constraint_builder;
-    let submap = &submap_and_node().0;
-    let matcher = Planar::build_matcher(submap, search).unwrap();
-    let found = Planar::find_node(&matcher, submap, &node, &Rigid3::identity(), region, search);
+    let matcher = Planar::build_matcher(&submap, search).unwrap();
+    let found = Planar::find_node(&matcher, &submap, &node, &Rigid3::identity(), region, search);
     f64::from(u8::from(found.is_some()))
 }
 
