@@ -101,19 +101,19 @@ mod tests {
         };
         for i in 0..40 {
             for j in 1..30 {
-                set(0.05 + 0.1 * j as f32, -2.0 + 0.1 * i as f32, 0.2);
+                set(0.05 + 0.1 * j as f32, -1.95 + 0.1 * i as f32, 0.2);
             }
-            set(3.05, -2.0 + 0.1 * i as f32, 0.8);
-            set(3.15, -2.0 + 0.1 * i as f32, 0.8);
+            set(3.05, -1.95 + 0.1 * i as f32, 0.8);
+            set(3.15, -1.95 + 0.1 * i as f32, 0.8);
         }
         let agreement = |x: f32, y: f32| {
             let cloud = PointCloud::new(vec![Point3f::new(x, y, 0.0)]);
             scan_agreement(&Grid2d::Probability(grid.clone()), &Rigid2::identity(), &cloud).unwrap()
         };
-        assert_eq!(agreement(3.05, 0.5).explained, 1.0);
-        assert_eq!(agreement(1.5, 0.5).in_free_space, 1.0);
-        assert_eq!(agreement(5.0, 0.5).through_solid, 1.0);
-        assert_eq!(agreement(-5.0, 0.5), ScanAgreement::default());
-        assert_eq!(agreement(1.5, 0.5).contradiction(), 1.0);
+        assert_eq!(agreement(3.05, 0.55).explained, 1.0);
+        assert_eq!(agreement(1.5, 0.55).in_free_space, 1.0);
+        assert_eq!(agreement(5.0, 0.55).through_solid, 1.0);
+        assert_eq!(agreement(-5.0, 0.55), ScanAgreement::default());
+        assert_eq!(agreement(1.5, 0.55).contradiction(), 1.0);
     }
 }
