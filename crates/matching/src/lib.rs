@@ -39,6 +39,7 @@ pub use grid::{
     HybridGridRepairs, HybridInserter, HybridInserterOptions, InsertReport, IntensityGrid, MapLimits,
     NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, ScanAgreement,
     Texture, Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts, mean_of_solid_cells, scan_agreement,
+    score_difference,
 };
 pub use planar_transform::PlanarTransform;
 pub use surface::{

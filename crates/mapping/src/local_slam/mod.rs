@@ -1,7 +1,6 @@
 //! Local SLAM: from measurements to nodes in the local map, without loop closure.
 
 mod active_submaps;
-mod prediction_error;
 pub mod three_d;
 pub mod two_d;
 

@@ -75,6 +75,28 @@ pub fn scan_agreement(grid: &Grid2d, grid_from_scan: &Rigid2, points: &PointClou
     })
 }
 
+/// By how many standard errors the cells that a scan meets are more probable at the first of two poses than at the
+/// second: differences are paired, point by point, and weighed. None for distance fields and without points.
+pub fn score_difference(
+    grid: &Grid2d,
+    grid_from_scan: [&Rigid2; 2],
+    points: &PointCloud,
+    weights: &[f32],
+) -> Option<f64> {
+    let Grid2d::Probability(grid) = grid else { return None };
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for (point, weight) in points.points.iter().zip(weights) {
+        let [first, second] = grid_from_scan.map(|pose| {
+            let end = pose.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
+            grid.probability(grid.limits().cell_index(end.cast::<f32>()))
+        });
+        let difference = f64::from(weight * (first - second));
+        sum += difference;
+        squares += difference * difference;
+    }
+    (!points.points.is_empty()).then(|| if squares > 0.0 { sum / squares.sqrt() } else { 0.0 })
+}
+
 /// Mean probability of the solid cells of a grid of probabilities; 1 for distance fields and without any.
 pub fn mean_of_solid_cells(grid: &Grid2d) -> f32 {
     let Grid2d::Probability(grid) = grid else { return 1.0 };

@@ -1,5 +1,9 @@
 //! Local SLAM in the plane (`slam2d.md` §5).
 
+mod degeneracy;
+mod prediction_error;
+mod tracking;
+
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -7,22 +11,22 @@ use portolan_config::{AdaptiveVoxelFilterOptions, TrajectoryBuilder2dOptions};
 use portolan_geometry::{
     Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
 };
-use portolan_matching::scan_agreement;
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
     TimedPointCloudData, adaptive_voxel_filter, voxel_filter,
 };
 
-use super::prediction_error::{PredictionError, UsualScore};
 use super::{
     ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, count_collated,
     count_extrapolated, motion_filter, take_odometry,
 };
+use tracking::{Motion, Scan, Tracker};
+
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
-use crate::scan_matching_2d::{ScanMatcher2d, search_after_gap};
+use crate::scan_matching_2d::search_after_gap;
 use crate::submap_2d::{Inserter2d, Submap2d};
-use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar, SearchWindow};
+use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
 
 /// An odometry source that reported nothing for so long is not waited for.
 const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
@@ -30,21 +34,10 @@ const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 /// How much newer the newest scan may be than one that still waits for odometry.
 const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 
-/// Scans are searched within so many standard deviations of their prediction.
-const WITHIN_SIGMAS: f64 = 3.5;
-/// A match beyond this share of the window may have its best place outside.
-const AT_EDGE: f64 = 0.85;
-/// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
-const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
-const LONGEST_UNSEEN: f64 = 0.5;
-/// A place far from the prediction has to explain so many more beams, and contradict so many fewer, as shares.
-const CLEARLY: f32 = 0.1;
-/// … and no scan is searched farther than this, metres and radians.
-const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
-/// What is counted then.
-const FOUND_WIDELY: &str = "scan that was found far from its prediction";
+/// What is counted where the motion prior was far off.
+const FOUND_FAR: &str = "scan that was found far from its prediction";
 
-/// Settings beyond the reference's options.
+/// Settings beyond Cartographer's options.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LocalSlamExtras {
     /// Predict from all odometry and gyroscope data of the gap between scans.
@@ -69,9 +62,7 @@ pub struct LocalSlam2d {
     collator: RangeDataCollator,
     extrapolator: Option<PoseExtrapolator>,
     extras: LocalSlamExtras,
-    matcher: ScanMatcher2d,
-    prediction_error: PredictionError,
-    usual_score: UsualScore,
+    tracker: Tracker,
     inserter: Arc<Inserter2d>,
     active_submaps: ActiveSubmaps<Planar>,
     motion_filter: MotionFilter,
@@ -105,12 +96,9 @@ impl LocalSlam2d {
             collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
             extrapolator: None,
             extras,
-            matcher: ScanMatcher2d::new(options, extras.search_penalty_limit)
-                .map_err(|e| contradiction(&e))?,
+            tracker: Tracker::new(options, &extras).map_err(|e| contradiction(&e))?,
             active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1))
                 .with_length(extras.submap_length),
-            prediction_error: PredictionError::default(),
-            usual_score: UsualScore::default(),
             motion_filter: motion_filter(&options.motion_filter),
             accumulated: Accumulation::default(),
             waiting_odometry: VecDeque::new(),
@@ -213,14 +201,13 @@ impl LocalSlam2d {
             self.count("scan without a return in matching range");
             return None;
         }
-        let unseen = last_pose.filter(|_| !motion_was_measured);
         let prediction = project_2d(&(predicted * gravity.inverse()));
-        let prediction = self.found_after_gap(time, unseen, &matching_cloud).unwrap_or(prediction);
-        let motion = last_pose.map(|(last_time, last)| {
-            let motion = project_2d(&(last * gravity.inverse())).inverse() * prediction;
-            (motion, time.seconds_since(last_time))
+        let motion = last_pose.map(|(last_time, last)| Motion {
+            last: project_2d(&(last * gravity.inverse())),
+            seconds: time.seconds_since(last_time),
+            is_measured: motion_was_measured,
         });
-        let matched = self.match_near(prediction, motion, &matching_cloud, &scan.returns);
+        let matched = self.find(prediction, motion, &matching_cloud, &scan.returns);
         let pose = if matched.is_finite() { matched } else { prediction };
         let local_from_tracking = embed_3d(&pose) * gravity;
         if !is_valid_pose(&local_from_tracking) {
@@ -235,70 +222,36 @@ impl LocalSlam2d {
         Some(MatchingResult { time, local_from_tracking, range_data_in_local, measured, inserted })
     }
 
-    /// Matches the scan around its prediction: as far as predictions were wrong lately, and as far as the robot can
-    /// have gone where it fits the map worse than scans did lately.
-    fn match_near(
+    /// The pose of the scan in the local map.
+    fn find(
         &mut self,
         prediction: Rigid2,
-        motion: Option<(Rigid2, f64)>,
+        motion: Option<Motion>,
         cloud: &PointCloud,
         returns: &PointCloud,
     ) -> Rigid2 {
         let submap = self.active_submaps.matching_submap();
-        let adapted = motion.filter(|_| self.extras.adaptive_search).zip(self.matcher.usual_window());
-        let Some((((motion, seconds), usual), submap)) = adapted.zip(submap) else {
-            return self.matcher.match_scan(prediction, cloud, returns, submap, None).pose;
-        };
-        let sigmas = self.prediction_error.sigmas(&motion);
-        let window = SearchWindow {
-            linear: usual.linear.max(WITHIN_SIGMAS * sigmas.translation).min(WIDEST.linear),
-            angular: usual.angular.max(WITHIN_SIGMAS * sigmas.rotation).min(WIDEST.angular),
-        };
-        let search = |window| self.matcher.match_scan(prediction, cloud, returns, Some(submap), Some(window));
-        let mut found = search(window);
-        let offset = prediction.inverse() * found.pose;
-        let at_edge = offset.translation.amax() > AT_EDGE * window.linear
-            || offset.angle.abs() > AT_EDGE * window.angular;
-        if at_edge || found.score.is_some_and(|score| self.usual_score.is_low(score)) {
-            // Whatever happened in a long time, it is no reason to turn a square room by 90 degrees.
-            let seconds = seconds.min(LONGEST_UNSEEN);
-            let wide = search(SearchWindow {
-                linear: (2.0 * window.linear).max(FASTEST.linear * seconds).min(WIDEST.linear),
-                angular: (2.0 * window.angular).max(FASTEST.angular * seconds).min(WIDEST.angular),
-            });
-            let judged = |pose: &Rigid2| scan_agreement(&submap.grid, pose, cloud).unwrap_or_default();
-            let (here, there) = (judged(&found.pose), judged(&wide.pose));
-            let is_better = there.contradiction() < here.contradiction() - CLEARLY
-                && there.explained > here.explained + CLEARLY;
-            if is_better && wide.pose.is_finite() {
-                found = wide;
-                *self.repairs.entry(FOUND_WIDELY).or_default() += 1;
+        let scan = submap.map(|submap| Scan { cloud, returns, submap });
+        if let (true, Some(motion), Some(scan)) = (self.tracker.is_adaptive(), motion, scan) {
+            let found = self.tracker.find(prediction, motion, scan);
+            if found.is_far {
+                self.count(FOUND_FAR);
             }
+            return found.pose;
         }
-        if let Some(score) = found.score {
-            self.usual_score.add(score);
-        }
-        if found.pose.is_finite() {
-            self.prediction_error.add(&motion, &(prediction.inverse() * found.pose));
-        }
-        found.pose
+        let unseen = motion.filter(|motion| !motion.is_measured);
+        let prediction = unseen.and_then(|motion| self.found_after_gap(motion, cloud)).unwrap_or(prediction);
+        let submap = self.active_submaps.matching_submap();
+        self.tracker.match_scan(prediction, submap.map(|submap| Scan { cloud, returns, submap }), cloud)
     }
 
-    /// Where the scan fits when time has passed since `last_pose` with nothing measured: the old
-    /// velocity tells nothing then.
-    fn found_after_gap(
-        &mut self,
-        time: Time,
-        last_pose: Option<(Time, Rigid3)>,
-        cloud: &PointCloud,
-    ) -> Option<Rigid2> {
-        let (last_time, last_pose) = last_pose?;
-        let gap = (time - last_time).seconds();
-        if self.extras.wide_search_after_gap <= 0.0 || gap < self.extras.wide_search_after_gap {
+    /// Where the scan fits when time has passed with nothing measured: the old velocity tells nothing then.
+    fn found_after_gap(&mut self, motion: Motion, cloud: &PointCloud) -> Option<Rigid2> {
+        if self.extras.wide_search_after_gap <= 0.0 || motion.seconds < self.extras.wide_search_after_gap {
             return None;
         }
         let submap = self.active_submaps.matching_submap()?;
-        let found = search_after_gap(project_2d(&last_pose), gap, cloud, submap);
+        let found = search_after_gap(motion.last, motion.seconds, cloud, submap);
         self.count(match found {
             Some(_) => "scan after a gap without any sensor, found by searching widely",
             None => "scan after a gap without any sensor, not found; its pose is a guess",

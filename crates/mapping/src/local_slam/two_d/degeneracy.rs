@@ -1,0 +1,127 @@
+//! The direction in which a scan tells least: along a corridor, or past a single wall.
+//!
+//! Point-to-line constraints along the normals of what is seen have the information matrix Σ n nᵀ (Censi 2007, "On
+//! achievable accuracy for range-finder localization"); its weakest direction is the corridor's. There a match is
+//! weighed with the prediction, as a Kalman filter would: by what the surfaces that face that direction tell.
+
+use portolan_geometry::{Rigid2, Vector2};
+use portolan_matching::{Grid2d, score_difference};
+use portolan_sensor::PointCloud;
+
+/// Neighbouring returns between these distances, metres, belong to one surface and tell its direction.
+const NEIGHBOURS: (f32, f32) = (0.15, 0.5);
+/// Returns that are looked at for a neighbour.
+const LOOKED_AT: usize = 12;
+/// Where the weakest direction has less than this share of all information, the prediction is weighed there.
+const WEAK: f64 = 0.2;
+/// With fewer normals nothing is known.
+const MIN_NORMALS: f64 = 5.0;
+
+/// A return faces the weak direction if its normal has this much of it …
+const FACING: f32 = 0.35;
+/// … and for each of those so many others are kept, at least this many.
+const OTHERS: usize = 2;
+const MIN_OTHERS: usize = 40;
+
+/// A direction along which most of what a scan sees looks the same.
+pub(super) struct WeakDirection {
+    /// Unit vector in the frame of the scan.
+    in_scan: Vector2,
+    /// For each return how much its surface faces that direction, 0 to 1; 1 for lone returns.
+    facing: Vec<f32>,
+}
+
+impl WeakDirection {
+    /// The direction along which the surfaces of a scan tell least, if they tell little there.
+    pub fn of(returns: &PointCloud) -> Option<Self> {
+        let tangents = tangents(returns);
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for tangent in tangents.iter().flatten() {
+            // The normal is (−y, x).
+            xx += tangent.y * tangent.y;
+            xy -= tangent.x * tangent.y;
+            yy += tangent.x * tangent.x;
+        }
+        let sum = xx + yy;
+        let weakest = 0.5 * sum - (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
+        if sum < MIN_NORMALS || weakest > WEAK * sum {
+            return None;
+        }
+        // The strongest direction is the long axis of the ellipse; the weakest lies across it.
+        let angle = 0.5 * (2.0 * xy).atan2(xx - yy) + std::f64::consts::FRAC_PI_2;
+        let in_scan = Vector2::new(angle.cos(), angle.sin());
+        let facing = |tangent: &Option<Vector2>| tangent.map_or(1.0, |t| t.perp(&in_scan).abs() as f32);
+        Some(Self { facing: tangents.iter().map(facing).collect(), in_scan })
+    }
+
+    /// Share of the motion from `predicted` to `found` along this direction to believe: σ² / (σ² + σₘ²), where σ is the
+    /// standard deviation of the prediction, metres, and σₘ that of the match by how significantly the scan fits better.
+    pub fn gain(
+        &self,
+        grid: &Grid2d,
+        returns: &PointCloud,
+        (predicted, found): (&Rigid2, &Rigid2),
+        sigma: f64,
+    ) -> f64 {
+        let offset = self.offset(predicted, found);
+        let there = self.with_share(predicted, found, 0.0);
+        let Some(significance) = score_difference(grid, [found, &there], returns, &self.facing) else {
+            return 1.0;
+        };
+        let weighed = sigma * significance.max(0.0);
+        if offset == 0.0 { 1.0 } else { weighed * weighed / (weighed * weighed + offset * offset) }
+    }
+
+    /// `found` with this share of its offset from `predicted` along this direction.
+    pub fn with_share(&self, predicted: &Rigid2, found: &Rigid2, share: f64) -> Rigid2 {
+        let along = self.in_grid(found) * (self.offset(predicted, found) * (1.0 - share));
+        Rigid2 { translation: found.translation - along, angle: found.angle }
+    }
+
+    /// The scan with fewer of the returns that tell nothing along this direction, so that those that do tell decide
+    /// there (normal-space sampling, Rusinkiewicz and Levoy 2001, "Efficient variants of the ICP algorithm").
+    pub fn balanced(&self, returns: &PointCloud) -> PointCloud {
+        let facing = self.facing.iter().filter(|f| **f > FACING).count();
+        let others = returns.points.len() - facing;
+        let wanted = (OTHERS * facing).max(MIN_OTHERS).min(others);
+        let mut due = 0;
+        let keep = |f: &f32| {
+            if *f > FACING {
+                return true;
+            }
+            due += wanted;
+            let is_due = due >= others;
+            due -= if is_due { others } else { 0 };
+            is_due
+        };
+        let kept: Vec<bool> = self.facing.iter().map(keep).collect();
+        PointCloud::new(returns.points.iter().zip(kept).filter(|(_, keep)| *keep).map(|(p, _)| *p).collect())
+    }
+
+    fn offset(&self, predicted: &Rigid2, found: &Rigid2) -> f64 {
+        (found.translation - predicted.translation).dot(&self.in_grid(found))
+    }
+
+    fn in_grid(&self, found: &Rigid2) -> Vector2 {
+        Rigid2 { translation: Vector2::zeros(), angle: found.angle }.transform_point(&self.in_scan)
+    }
+}
+
+/// Unit vectors along the surface at each return, where a neighbour tells.
+fn tangents(returns: &PointCloud) -> Vec<Option<Vector2>> {
+    let points = &returns.points;
+    let mut tangents = vec![None; points.len()];
+    for (i, a) in points.iter().enumerate() {
+        for (j, b) in points.iter().enumerate().skip(i + 1).take(LOOKED_AT) {
+            let along = b - a;
+            let length = along.x.hypot(along.y);
+            if length >= NEIGHBOURS.0 && length <= NEIGHBOURS.1 {
+                let tangent = Vector2::new(f64::from(along.x / length), f64::from(along.y / length));
+                tangents[i] = Some(tangent);
+                tangents[j] = Some(tangent);
+                break;
+            }
+        }
+    }
+    tangents
+}

@@ -1,0 +1,224 @@
+//! Where a scan lies in the submap that is matched against: hypotheses of the motion, searches around them as wide as
+//! predictions were wrong lately, and a judgement of what was found.
+
+use std::f64::consts::PI;
+
+use portolan_config::TrajectoryBuilder2dOptions;
+use portolan_geometry::Rigid2;
+use portolan_matching::{MatcherOptionError, scan_agreement};
+use portolan_sensor::PointCloud;
+
+use super::LocalSlamExtras;
+use super::degeneracy::WeakDirection;
+use super::prediction_error::{PredictionError, UsualScore};
+use crate::SearchWindow;
+use crate::scan_matching_2d::{ScanMatch2d, ScanMatcher2d};
+use crate::submap_2d::Submap2d;
+
+/// Scans are searched within so many standard deviations of their prediction.
+const WITHIN_SIGMAS: f64 = 3.5;
+/// A match beyond this share of the window may have its best place outside.
+const AT_EDGE: f64 = 0.85;
+/// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
+const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
+/// … for so many seconds, where the motion was measured and where it was not.
+const LONGEST_MEASURED: f64 = 0.5;
+const LONGEST_UNMEASURED: f64 = 2.0;
+/// Standard deviation of the acceleration of a scanner, m/s²: what constant velocity neglects.
+const ACCELERATION: f64 = 1.0;
+/// A place far from the prediction has to explain so many more beams, and contradict so many fewer, as shares.
+const CLEARLY: f32 = 0.1;
+/// No scan is searched farther than this, metres and radians.
+const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
+
+/// The motion since the last scan.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion {
+    /// Pose of the last scan in the local map.
+    pub last: Rigid2,
+    /// Seconds since then.
+    pub seconds: f64,
+    /// Whether odometry or an IMU measured anything of it.
+    pub is_measured: bool,
+}
+
+/// What a search needs: the scan and where it is looked for.
+#[derive(Clone, Copy)]
+pub(super) struct Scan<'a> {
+    /// The points to match, metres, gravity-aligned.
+    pub cloud: &'a PointCloud,
+    /// All returns, of which `cloud` was picked.
+    pub returns: &'a PointCloud,
+    /// What to match against.
+    pub submap: &'a Submap2d,
+}
+
+/// Where a scan was found.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Found {
+    /// In the local map; the prediction where nothing better is known.
+    pub pose: Rigid2,
+    /// It was found far from its prediction.
+    pub is_far: bool,
+}
+
+/// Finds scans in the submap that is being filled.
+pub(super) struct Tracker {
+    matcher: ScanMatcher2d,
+    is_adaptive: bool,
+    /// After so many seconds of which nothing was measured the scanner may as well have stood still.
+    gap: f64,
+    prediction_error: PredictionError,
+    usual_score: UsualScore,
+}
+
+impl Tracker {
+    pub fn new(
+        options: &TrajectoryBuilder2dOptions,
+        extras: &LocalSlamExtras,
+    ) -> Result<Self, MatcherOptionError> {
+        Ok(Self {
+            matcher: ScanMatcher2d::new(options, extras.search_penalty_limit)?,
+            is_adaptive: extras.adaptive_search,
+            gap: if extras.wide_search_after_gap > 0.0 {
+                extras.wide_search_after_gap
+            } else {
+                f64::INFINITY
+            },
+            prediction_error: PredictionError::default(),
+            usual_score: UsualScore::default(),
+        })
+    }
+
+    /// Whether scans are searched as far as predictions were wrong lately.
+    pub fn is_adaptive(&self) -> bool {
+        self.is_adaptive && self.matcher.usual_window().is_some()
+    }
+
+    /// Finds the scan as the options say, without judging it.
+    pub fn match_scan(&self, prediction: Rigid2, scan: Option<Scan>, cloud: &PointCloud) -> Rigid2 {
+        let (returns, submap) = scan.map_or((cloud, None), |s| (s.returns, Some(s.submap)));
+        self.matcher.match_scan(prediction, cloud, returns, submap, None).pose
+    }
+
+    /// Finds the scan around its prediction, as far as predictions were wrong lately, and as far as the scanner can
+    /// have moved where it fits the map worse than scans did lately.
+    pub fn find(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Found {
+        let weak = WeakDirection::of(scan.returns);
+        let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
+        let cloud = balanced.as_ref().unwrap_or(scan.cloud);
+        let window = self.window(&(motion.last.inverse() * prediction));
+        let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
+        let (mut found, mut is_far) = (near.found, false);
+        if near.is_at_edge(window) || found.score.is_some_and(|score| self.usual_score.is_low(score)) {
+            let wide = self.search((&scan, cloud), near.around, wide_window(window, motion));
+            is_far = fits_clearly_better(&wide.pose, &found.pose, &scan);
+            found = if is_far { wide } else { found };
+        }
+        if let Some(score) = found.score {
+            self.usual_score.add(score);
+        }
+        if !found.pose.is_finite() {
+            return Found { pose: prediction, is_far: false };
+        }
+        let pose = self.weigh(found.pose, near.around, motion, &scan, weak.as_ref());
+        Found { pose, is_far }
+    }
+
+    /// The best match around what may have happened: it went on as before, or, where nothing was measured for long,
+    /// it stopped.
+    fn search_hypotheses(
+        &self,
+        prediction: Rigid2,
+        motion: Motion,
+        scan: (&Scan, &PointCloud),
+        window: SearchWindow,
+    ) -> Hypothesis {
+        let went_on = Hypothesis { around: prediction, found: self.search(scan, prediction, window) };
+        if motion.is_measured || motion.seconds <= self.gap {
+            return went_on;
+        }
+        let stopped = Hypothesis { around: motion.last, found: self.search(scan, motion.last, window) };
+        if stopped.found.score > went_on.found.score { stopped } else { went_on }
+    }
+
+    fn search(
+        &self,
+        (scan, cloud): (&Scan, &PointCloud),
+        around: Rigid2,
+        window: SearchWindow,
+    ) -> ScanMatch2d {
+        self.matcher.match_scan(around, cloud, scan.returns, Some(scan.submap), Some(window))
+    }
+
+    /// Weighs the match with the prediction where the scan tells little, and learns from both how far predictions are
+    /// off where it tells enough.
+    fn weigh(
+        &mut self,
+        found: Rigid2,
+        around: Rigid2,
+        motion: Motion,
+        scan: &Scan,
+        weak: Option<&WeakDirection>,
+    ) -> Rigid2 {
+        let predicted_motion = motion.last.inverse() * around;
+        let (mut pose, mut observed) = (found, found);
+        if let Some(weak) = weak {
+            let learned = self.prediction_error.sigmas(&predicted_motion).translation;
+            let unmeasured = if motion.is_measured { 0.0 } else { ACCELERATION * motion.seconds.powi(2) };
+            let gain =
+                weak.gain(&scan.submap.grid, scan.returns, (&around, &found), learned.hypot(unmeasured));
+            pose = weak.with_share(&around, &found, gain);
+            observed = weak.with_share(&around, &found, 0.0);
+        }
+        if motion.seconds <= self.gap {
+            self.prediction_error.add(&predicted_motion, &(around.inverse() * observed));
+        }
+        pose
+    }
+
+    /// As far as predictions of this motion were wrong lately.
+    fn window(&self, motion: &Rigid2) -> SearchWindow {
+        let usual = self.matcher.usual_window().unwrap_or(SearchWindow { linear: 0.0, angular: 0.0 });
+        let sigmas = self.prediction_error.sigmas(motion);
+        SearchWindow {
+            linear: usual.linear.max(WITHIN_SIGMAS * sigmas.translation).min(WIDEST.linear),
+            angular: usual.angular.max(WITHIN_SIGMAS * sigmas.rotation).min(WIDEST.angular),
+        }
+    }
+}
+
+/// Where a scan was looked for, and what was found there.
+struct Hypothesis {
+    around: Rigid2,
+    found: ScanMatch2d,
+}
+
+impl Hypothesis {
+    fn is_at_edge(&self, window: SearchWindow) -> bool {
+        let offset = self.around.inverse() * self.found.pose;
+        offset.translation.amax() > AT_EDGE * window.linear || offset.angle.abs() > AT_EDGE * window.angular
+    }
+}
+
+/// As far as the scanner can have moved.
+fn wide_window(usual: SearchWindow, motion: Motion) -> SearchWindow {
+    let (seconds, widest_angle) = if motion.is_measured {
+        (motion.seconds.min(LONGEST_MEASURED), WIDEST.angular)
+    } else {
+        (motion.seconds.min(LONGEST_UNMEASURED), PI)
+    };
+    SearchWindow {
+        linear: (2.0 * usual.linear).max(FASTEST.linear * seconds).min(WIDEST.linear),
+        angular: (2.0 * usual.angular).max(FASTEST.angular * seconds).min(widest_angle),
+    }
+}
+
+fn fits_clearly_better(there: &Rigid2, here: &Rigid2, scan: &Scan) -> bool {
+    if !there.is_finite() {
+        return false;
+    }
+    let judged = |pose: &Rigid2| scan_agreement(&scan.submap.grid, pose, scan.cloud).unwrap_or_default();
+    let (here, there) = (judged(here), judged(there));
+    there.contradiction() < here.contradiction() - CLEARLY && there.explained > here.explained + CLEARLY
+}
