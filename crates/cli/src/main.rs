@@ -5,6 +5,7 @@ mod commands;
 mod error;
 mod interrupt;
 mod known_map;
+mod lost;
 mod memory;
 mod output;
 mod progress;

@@ -188,6 +188,7 @@ fn report<S: Space>(
             "peak_while_mapping": memory_while_mapping.map(|(_, peak)| peak),
             "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
         },
+        "lost": crate::lost::report(mapped),
         "weak_seconds": weak_seconds(&mapped.weak_spans),
         "weak_stretches": weak_spans(&mapped.weak_spans),
         "interrupted": mapped.interrupted,

@@ -8,13 +8,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use portolan_config::{Options, TrajectoryBuilderOptions};
+use portolan_geometry::Time;
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
 use crate::latency::LatencyHistogram;
 use crate::local_slam::motion_filter;
-use crate::local_slam::{LocalSlam, MatchingResult, Repairs};
+use crate::local_slam::{LocalSlam, Lost, MatchingResult, Repairs};
 use crate::map::{Map, ScanPose};
 use crate::motion_filter::MotionFilter;
 use crate::{InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer, WeakSpan};
@@ -45,6 +46,20 @@ struct ActiveTrajectory<S: Space> {
     scans: Vec<ScanPose>,
     last_node: Option<u32>,
     next_node: u32,
+    /// What it is in the pose graph now: a trajectory of its own for each piece of map.
+    piece: TrajectoryId,
+}
+
+/// A time from which on a trajectory was lost: what came later is a piece of map of its own, until a loop closure
+/// ties it to the rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Loss {
+    /// Time of the first scan that did not fit any more.
+    pub since: Time,
+    /// Time of the first scan of the new piece.
+    pub until: Time,
+    /// The trajectory that the new piece is in the map.
+    pub piece: TrajectoryId,
 }
 
 /// Builds a map of any number of trajectories.
@@ -59,6 +74,7 @@ pub struct Mapper<S: Space> {
     repairs: Repairs,
     scan_times: LatencyHistogram,
     weak_spans: Vec<WeakSpan>,
+    losses: Vec<Loss>,
 }
 
 /// What stays of a trajectory for the map.
@@ -101,6 +117,7 @@ impl<S: Space> Mapper<S> {
             repairs: Repairs::new(),
             scan_times: LatencyHistogram::default(),
             weak_spans: Vec::new(),
+            losses: Vec::new(),
         })
     }
 
@@ -122,6 +139,7 @@ impl<S: Space> Mapper<S> {
             scans: Vec::new(),
             last_node: None,
             next_node: 0,
+            piece: id,
             options,
         };
         self.collation.add_trajectory(id, sensors, &trajectory.options);
@@ -172,6 +190,7 @@ impl<S: Space> Mapper<S> {
         measurement: Measurement,
     ) -> Result<Vec<MatchingResult<S>>, MapperError> {
         let Some(trajectory) = self.active.get_mut(&id) else { return Ok(Vec::new()) };
+        let piece = trajectory.piece;
         let mut results = Vec::new();
         let start = Instant::now();
         match measurement {
@@ -179,7 +198,7 @@ impl<S: Space> Mapper<S> {
             Measurement::Imu(data) => {
                 trajectory.local_slam.add_imu_data(&data);
                 if S::OPTIMIZES_WITH_IMU {
-                    self.backend.enqueue_along(move |graph| graph.add_imu_data(id, data))?;
+                    self.backend.enqueue_along(move |graph| graph.add_imu_data(piece, data))?;
                 }
             }
             Measurement::Odometry(data) => {
@@ -189,14 +208,14 @@ impl<S: Space> Mapper<S> {
                     .as_mut()
                     .is_some_and(|filter| filter.is_similar(data.time, &data.odom_from_tracking));
                 if !similar {
-                    self.backend.enqueue_along(move |graph| graph.add_odometry_data(id, data))?;
+                    self.backend.enqueue_along(move |graph| graph.add_odometry_data(piece, data))?;
                 }
             }
             Measurement::FixedFramePose(data) => {
-                self.backend.enqueue_along(move |graph| graph.add_fixed_frame_pose_data(id, data))?;
+                self.backend.enqueue_along(move |graph| graph.add_fixed_frame_pose_data(piece, data))?;
             }
             Measurement::Landmark(data) => {
-                self.backend.enqueue_along(move |graph| graph.add_landmark_data(id, data))?;
+                self.backend.enqueue_along(move |graph| graph.add_landmark_data(piece, data))?;
             }
         }
         if let Ok(matched @ 1..) = u32::try_from(results.len()) {
@@ -210,16 +229,37 @@ impl<S: Space> Mapper<S> {
     /// Remembers where scans were taken and gives the inserted ones to the pose graph.
     fn pass_on(&mut self, id: TrajectoryId, results: &[MatchingResult<S>]) -> Result<(), MapperError> {
         for result in results {
-            if let Some(trajectory) = self.active.get_mut(&id) {
-                trajectory.remember_scan(result);
+            if let Some(lost) = &result.lost {
+                self.begin_piece(id, lost, result.time)?;
             }
+            let Some(trajectory) = self.active.get_mut(&id) else { continue };
+            trajectory.remember_scan(result);
+            let piece = trajectory.piece;
             if let Some(inserted) = result.inserted.clone() {
                 self.backend.enqueue(move |graph| {
-                    graph.add_node(id, inserted);
+                    graph.add_node(piece, inserted);
                 })?;
             }
         }
         Ok(())
+    }
+
+    /// Ends the piece of map that was being drawn, and begins another one, which has no place in the rest yet.
+    fn begin_piece(&mut self, id: TrajectoryId, lost: &Lost<S>, time: Time) -> Result<(), MapperError> {
+        let piece = TrajectoryId(self.next_trajectory);
+        let Some(trajectory) = self.active.get_mut(&id) else { return Ok(()) };
+        self.next_trajectory += 1;
+        self.losses.push(Loss { since: lost.since, until: time, piece });
+        let before = std::mem::replace(&mut trajectory.piece, piece);
+        let ended = EndedTrajectory {
+            options: trajectory.options.clone(),
+            sensors: trajectory.sensors.clone(),
+            scans: std::mem::take(&mut trajectory.scans),
+        };
+        (trajectory.last_node, trajectory.next_node) = (None, 0);
+        self.ended.insert(before, ended);
+        let remaining = lost.remaining.clone();
+        self.backend.enqueue(move |graph| graph.begin_piece(before, remaining, piece))
     }
 
     /// Ends a trajectory: what waits is used, its submaps are completed.
@@ -239,15 +279,16 @@ impl<S: Space> Mapper<S> {
             *self.repairs.entry(what).or_default() += count;
         }
         self.weak_spans.extend(trajectory.local_slam.weak_spans());
+        let piece = trajectory.piece;
         self.ended.insert(
-            id,
+            piece,
             EndedTrajectory {
                 options: trajectory.options,
                 sensors: trajectory.sensors,
                 scans: trajectory.scans,
             },
         );
-        self.backend.enqueue(move |graph| graph.finish_trajectory(id, remaining))?;
+        self.backend.enqueue(move |graph| graph.finish_trajectory(piece, remaining))?;
         Ok(results)
     }
 
@@ -259,6 +300,11 @@ impl<S: Space> Mapper<S> {
     /// Where scans of ended trajectories left directions open.
     pub fn weak_spans(&self) -> &[WeakSpan] {
         &self.weak_spans
+    }
+
+    /// When trajectories were lost, in order of time.
+    pub fn losses(&self) -> &[Loss] {
+        &self.losses
     }
 
     /// How far the pose graph is.

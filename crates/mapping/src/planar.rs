@@ -11,7 +11,9 @@ use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
 use crate::optimization::{OptimizationData, OptimizationSummary, optimize_2d};
 use crate::scan_matching_2d::{fast_matcher_options, gradient_matcher};
 use crate::submap_2d::Submap2d;
-use crate::{Constraint, MapperError, MatchedPose, NodeData, SearchRegion, SearchWindow, Space};
+use crate::{
+    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, SearchRegion, SearchWindow, Space,
+};
 
 /// 2D mapping: poses (x, y, θ), grids of probabilities or signed distances.
 #[derive(Clone, Copy, Debug)]
@@ -95,14 +97,21 @@ impl Space for Planar {
                     None => matcher.search.match_local(&guess, cloud, min_score),
                 }
             }
-            SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => {
+            SearchRegion::WholeSubmap { acceptance } => {
+                let mut min_score = options.global_localization_min_score as f32;
+                if acceptance != MatchAcceptance::default() {
+                    min_score = min_score.min(LEAST_OF_SOLIDITY * matcher.solidity);
+                }
+                matcher.search.match_full(cloud, min_score)
+            }
+            SearchRegion::NearNodes { .. } => {
                 matcher.search.match_full(cloud, options.global_localization_min_score as f32)
             }
         }?;
         let refined =
             matcher.refinement.match_scan(found.pose.translation, &found.pose, cloud, &submap.grid).pose;
         let pose = if refined.is_finite() { refined } else { found.pose };
-        if let SearchRegion::Window { acceptance, .. } = region
+        if let SearchRegion::Window { acceptance, .. } | SearchRegion::WholeSubmap { acceptance } = region
             && !acceptance.accepts(scan_agreement(&submap.grid, &pose, cloud))
         {
             return None;

@@ -24,7 +24,10 @@ pub enum SearchRegion {
         acceptance: MatchAcceptance,
     },
     /// Anywhere in the submap.
-    WholeSubmap,
+    WholeSubmap {
+        /// Which matches are believed (2D).
+        acceptance: MatchAcceptance,
+    },
     /// At any heading in the box around the guess (in space).
     NearNodes {
         /// Rotation from the submap to a level frame.

@@ -122,7 +122,7 @@ impl Space for Spatial {
                 let poses = (&local_from_node, &local_from_submap);
                 matcher.search.match_within(&reach, poses.0, poses.1, &wanted, &target, min_score)
             }
-            SearchRegion::WholeSubmap => {
+            SearchRegion::WholeSubmap { .. } => {
                 // Of a node far away only gravity is known.
                 let (node_rotation, submap_rotation) = (node.gravity_alignment, level(submap));
                 let min_score = options.global_localization_min_score as f32;

@@ -135,6 +135,9 @@ fn set_pose_graph(options: &mut Options) {
     graph.optimization_problem.odometry_translation_weight = 0.0;
     graph.optimization_problem.odometry_rotation_weight = 0.0;
     options.portolan.min_loop_closure_searches = MIN_SEARCHES;
+    // What begins anew after the scanner was lost is tied to the rest by scans that agree, and is searched near it then.
+    options.portolan.global_localization_min_matches = 3;
+    graph.global_constraint_search_after_n_seconds = f64::INFINITY;
     graph.constraint_builder.min_score = 0.6;
     // docs/experiments/2026-11-loops-in-the-plane.md has the matches of six real logs that these tell apart.
     options.portolan.loop_search_drift = 0.04;

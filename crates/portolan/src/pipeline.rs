@@ -6,8 +6,9 @@ use std::path::PathBuf;
 use portolan_config::Options;
 use portolan_geometry::{Rigid3, Time, TransformBuffer};
 use portolan_mapping::{
-    BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Map, Mapper, MapperError,
-    MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan, of_trajectory,
+    BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map, Mapper,
+    MapperError, MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan,
+    of_trajectory,
 };
 use portolan_recording::{
     Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
@@ -78,6 +79,8 @@ pub struct MappedRecording<S: Space> {
     pub mapping_repairs: Repairs,
     /// Where scans left directions open and the prediction decided (3D).
     pub weak_spans: Vec<WeakSpan>,
+    /// When nothing told where the scanner was, and what came then.
+    pub losses: Vec<Loss>,
     /// Scans whose stamps were changed: the times that they have in the map, and the stamps as recorded.
     pub recorded_times: BTreeMap<Time, Time>,
     /// The scans, if they were to be kept.
@@ -87,12 +90,24 @@ pub struct MappedRecording<S: Space> {
 }
 
 impl<S: Space> MappedRecording<S> {
+    /// What the recording became in the map: one trajectory, and one more for each time that it was lost.
+    pub fn pieces(&self) -> Vec<TrajectoryId> {
+        std::iter::once(self.trajectory_id).chain(self.losses.iter().map(|loss| loss.piece)).collect()
+    }
+
+    /// Whether nothing ties what came after a loss to what was mapped before.
+    pub fn is_apart(&self, loss: &Loss) -> bool {
+        let connectivity = &self.map.graph.state().connectivity;
+        let before = self.pieces().into_iter().take_while(|id| *id != loss.piece);
+        !before.into_iter().any(|id| connectivity.are_connected(id, loss.piece))
+    }
+
     /// Pose of the tracking frame in the map for every scan, each under the time of its message in the
     /// recording, in order of that.
     pub fn trajectory(&self) -> Vec<(Time, Rigid3)> {
         let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
-        let poses = self.map.scan_poses(self.trajectory_id);
-        let mut poses: Vec<_> = poses.into_iter().map(|(time, pose)| (recorded(time), pose)).collect();
+        let poses = self.pieces().into_iter().flat_map(|id| self.map.scan_poses(id));
+        let mut poses: Vec<_> = poses.map(|(time, pose)| (recorded(time), pose)).collect();
         poses.sort_by_key(|(time, _)| *time);
         poses
     }
@@ -218,6 +233,7 @@ pub fn map_recording<S: Space>(
     kept_scans.finish();
     let scan_times = mapper.scan_times().clone();
     let weak_spans = mapper.weak_spans().to_vec();
+    let losses = mapper.losses().to_vec();
     let (map, mut mapping_repairs) = mapper.finish()?;
     if kept_scans.failure().is_some() {
         mapping_repairs.insert(NOT_KEPT, 1);
@@ -239,6 +255,7 @@ pub fn map_recording<S: Space>(
         reading_repairs,
         mapping_repairs,
         weak_spans,
+        losses,
         recorded_times: ingestion.recorded_times().clone(),
         kept_scans,
         interrupted,

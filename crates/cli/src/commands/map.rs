@@ -233,7 +233,9 @@ fn finish<S: ResultSpace>(
     print(&summary(&mapped, &written, seconds))?;
     let clouds = write_clouds(recording, ingest, &preparation, &mapped, &args.cloud, folder, global)?;
     clouds.map_or(Ok(()), |clouds| report_clouds(&clouds, folder))?;
-    Ok(if mapped.reading_repairs.iter().any(|r| r.lost_data) { Outcome::DataLost } else { Outcome::Done })
+    let is_whole = !mapped.reading_repairs.iter().any(|r| r.lost_data)
+        && !mapped.losses.iter().any(|loss| mapped.is_apart(loss));
+    Ok(if is_whole { Outcome::Done } else { Outcome::DataLost })
 }
 
 /// Names what the second pass gave, here and in the report.
@@ -437,6 +439,7 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
     if contradicted > 0 {
         text += &format!("{contradicted} more loop closures were left out: the others contradict them\n");
     }
+    text += &crate::lost::losses(mapped);
     text += &weak::weak_stretches(&mapped.weak_spans, mapped.recording_seconds);
     for repair in &mapped.reading_repairs {
         text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);

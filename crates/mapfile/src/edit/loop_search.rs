@@ -2,7 +2,7 @@
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::Rigid3;
-use portolan_mapping::{NodeData, Planar, Repairs, SearchRegion, Spatial};
+use portolan_mapping::{MatchAcceptance, NodeData, Planar, Repairs, SearchRegion, Spatial};
 use serde::Serialize;
 
 use super::{EditError, MapDimension, MapDraft};
@@ -53,8 +53,15 @@ impl MapDraft {
         let matcher = S::build_matcher(&grid, options).ok_or_else(not_found)?;
         // In space the search wants to know which way is up: the poses of the map do.
         let guess = self.guess::<S>(submap, node, &scan);
-        let found = S::find_node(&matcher, &grid, &scan, &guess, SearchRegion::WholeSubmap, options)
-            .ok_or_else(not_found)?;
+        let found = S::find_node(
+            &matcher,
+            &grid,
+            &scan,
+            &guess,
+            SearchRegion::WholeSubmap { acceptance: MatchAcceptance::default() },
+            options,
+        )
+        .ok_or_else(not_found)?;
         let submap_from_node = S::tracking_pose(&found.submap_from_node, &scan.gravity_alignment);
         let t = submap_from_node.translation;
         Ok(FoundLoop { score: found.score, position: [t.x, t.y, t.z], submap_from_node })

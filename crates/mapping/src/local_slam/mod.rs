@@ -32,6 +32,17 @@ pub struct MatchingResult<S: Space> {
     pub measured: Vec<SweepPoint>,
     /// The node, if the scan was different enough from the last one to be inserted.
     pub inserted: Option<InsertedNode<S>>,
+    /// The pose was lost before this scan: it begins a new piece of map, whose place in the old one is not known.
+    pub lost: Option<Lost<S>>,
+}
+
+/// The end of a piece of map, after which nothing told where the scanner was.
+#[derive(Clone, Debug)]
+pub struct Lost<S: Space> {
+    /// Time of the first scan that did not fit any more.
+    pub since: Time,
+    /// The submaps that were being filled then.
+    pub remaining: Vec<InsertionSubmap<S>>,
 }
 
 /// A point of a sweep as it was measured.

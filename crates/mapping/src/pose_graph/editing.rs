@@ -16,9 +16,16 @@ impl<S: Space> PoseGraph<S> {
     /// Ends a trajectory. `remaining` are the submaps that local SLAM was still filling; those that
     /// come with a grid are complete from now on and nodes are searched in them too. Optimises.
     pub fn finish_trajectory(&mut self, id: TrajectoryId, remaining: Vec<InsertionSubmap<S>>) {
+        if self.complete(id, remaining) {
+            self.optimize();
+        }
+    }
+
+    /// Takes the last submaps of a trajectory. False if it was complete before.
+    fn complete(&mut self, id: TrajectoryId, remaining: Vec<InsertionSubmap<S>>) -> bool {
         let trajectory = self.state.trajectory_mut(id);
         if trajectory.state != TrajectoryState::Active {
-            return;
+            return false;
         }
         trajectory.state = TrajectoryState::Finished;
         for submap in remaining {
@@ -29,7 +36,20 @@ impl<S: Space> PoseGraph<S> {
         for (_, entry) in self.state.submaps.iter_mut().filter(|(s, _)| s.trajectory_id == id) {
             entry.searchable = true;
         }
-        self.optimize();
+        true
+    }
+
+    /// Ends a trajectory whose scanner was lost, and begins the one of what it saw then: drawn from where it was last
+    /// seen, but not connected with anything until enough matches agree where it lies.
+    pub fn begin_piece(
+        &mut self,
+        ended: TrajectoryId,
+        remaining: Vec<InsertionSubmap<S>>,
+        piece: TrajectoryId,
+    ) {
+        self.complete(ended, remaining);
+        let map_from_local = self.state.map_from_local(ended);
+        self.state.trajectory_mut(piece).map_from_local_before_optimization = Some(map_from_local);
     }
 
     /// Keeps the grid of a submap that is not complete, so that it can be saved and drawn.

@@ -63,7 +63,10 @@ impl<S: Space> PoseGraph<S> {
     /// Where a node without a guess is looked for in a submap: a pose in the middle, and how far around it.
     pub(super) fn anywhere(&self, node_id: NodeId, submap_id: SubmapId) -> (Rigid3, SearchRegion) {
         let near_nodes = self.localisation.is_wanted.then(|| self.near_nodes(node_id, submap_id)).flatten();
-        near_nodes.unwrap_or((Rigid3::identity(), SearchRegion::WholeSubmap))
+        near_nodes.unwrap_or((
+            Rigid3::identity(),
+            SearchRegion::WholeSubmap { acceptance: self.policy.loops.acceptance },
+        ))
     }
 
     fn near_nodes(&self, node_id: NodeId, submap_id: SubmapId) -> Option<(Rigid3, SearchRegion)> {

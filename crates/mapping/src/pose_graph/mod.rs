@@ -36,7 +36,7 @@ use localisation::Localisation;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::{Rigid3, Time};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
-use search::{ConstraintSearch, Samplers};
+use search::{ConstraintSearch, WholeSubmapTurns};
 
 use crate::histogram::Histogram;
 use crate::optimization::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
@@ -77,7 +77,7 @@ pub struct PoseGraph<S: Space> {
     state: GraphState<S>,
     problem: OptimizationData,
     search: ConstraintSearch<S>,
-    global_samplers: Samplers<TrajectoryId>,
+    whole_submaps: WholeSubmapTurns,
     trimmers: Vec<Trimmer>,
     nodes_since_optimization: i64,
     policy: PoseGraphPolicy,
@@ -96,7 +96,7 @@ impl<S: Space> PoseGraph<S> {
         let trimmers = options.overlapping_submaps_trimmer_2d.iter().map(Trimmer::overlapping).collect();
         Self {
             search: ConstraintSearch::new(options.constraint_builder.clone()),
-            global_samplers: Samplers::new(options.global_sampling_ratio),
+            whole_submaps: WholeSubmapTurns::new(options.global_sampling_ratio),
             options,
             state: GraphState::default(),
             problem: OptimizationData::default(),
@@ -137,6 +137,7 @@ impl<S: Space> PoseGraph<S> {
         self.problem.corrects_imu_biases = policy.corrects_imu_biases;
         self.localisation.set_wanted(policy.localises_while_recording && S::OPTIMIZES_WITH_IMU);
         self.search.set_policy(policy.loops);
+        self.whole_submaps.set_per_metre(policy.loops.whole_submaps_per_metre);
         self.policy = policy;
     }
 
@@ -306,6 +307,7 @@ impl<S: Space> PoseGraph<S> {
             return;
         }
         let Some(submap) = &entry.submap else { return };
+        let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
         if self.both_frozen(node_id, submap_id) {
             return;
         }
@@ -318,9 +320,12 @@ impl<S: Space> PoseGraph<S> {
         if a == b || (connectivity.are_connected(a, b) && was_connected()) {
             let map_from_node = self.problem.nodes[&node_id].map_from_node;
             let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
-            let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
             self.search.add_local((submap_id, submap), (node_id, &node.data), guess, way);
-        } else if self.global_samplers.pulse(a) && self.localisation.take_one() {
+            return;
+        }
+        let before = node_id.index.checked_sub(1).map(|index| NodeId::new(a, index));
+        let step = way - before.and_then(|id| self.ways.get(&id)).copied().unwrap_or(0.0);
+        if self.whole_submaps.is_due(a, self.state.submaps.len(), step) && self.localisation.take_one() {
             let (guess, region) = self.anywhere(node_id, submap_id);
             self.search.add_global((submap_id, submap), (node_id, &node.data), guess, region);
         }

@@ -15,8 +15,11 @@ pub struct LoopSearchPolicy {
     pub drift: f64,
     /// A node is searched in a submap once in so many metres of way; 0: as `sampling_ratio` says.
     pub spacing: f64,
-    /// Which matches are believed (in the plane).
+    /// Which matches are believed (2D).
     pub acceptance: MatchAcceptance,
+    /// A trajectory without a place in the rest is searched in so many whole submaps for each metre of way; 0: as
+    /// `global_sampling_ratio` says.
+    pub whole_submaps_per_metre: f64,
 }
 
 /// A node can be so far off however short the way was: cells, bent submaps, a slip of the wheels.
@@ -110,6 +113,9 @@ impl Default for PoseGraphPolicy {
     }
 }
 
+/// Steps of the golden ratio come round last: every metre is searched in other submaps.
+const WHOLE_SUBMAPS: f64 = 2.0 + GOLDEN;
+
 /// A graph is optimised again when it has grown by this share.
 const GROWTH: f64 = 0.05;
 
@@ -132,6 +138,7 @@ impl PoseGraphPolicy {
             min_searches: options.min_loop_closure_searches as u64,
             loops: LoopSearchPolicy {
                 drift: options.loop_search_drift,
+                whole_submaps_per_metre: if options.loop_search_drift > 0.0 { WHOLE_SUBMAPS } else { 0.0 },
                 spacing: options.loop_search_spacing,
                 acceptance: MatchAcceptance {
                     min_explained: options.loop_min_explained as f32,

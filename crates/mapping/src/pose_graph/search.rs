@@ -14,6 +14,7 @@ use super::travel::TravelGraph;
 use crate::histogram::Histogram;
 use crate::{
     Constraint, ConstraintTag, MatchedPose, Nearby, NodeData, NodeId, SearchRegion, Space, SubmapId,
+    TrajectoryId,
 };
 
 /// A pair to try.
@@ -256,7 +257,7 @@ impl<S: Space> ConstraintSearch<S> {
     fn count(&mut self, region: SearchRegion, found: bool) {
         let (searched, hits) = match region {
             SearchRegion::Window { .. } => (&mut self.counts.window_searched, &mut self.counts.window_found),
-            SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => {
+            SearchRegion::WholeSubmap { .. } | SearchRegion::NearNodes { .. } => {
                 (&mut self.counts.whole_submap_searched, &mut self.counts.whole_submap_found)
             }
         };
@@ -367,6 +368,39 @@ impl<K: Ord> Samplers<K> {
     }
 }
 
+/// Whose turn it is to be searched in a whole submap.
+pub(super) struct WholeSubmapTurns {
+    samplers: Samplers<TrajectoryId>,
+    per_metre: f64,
+    /// Searches that are due.
+    due: BTreeMap<TrajectoryId, f64>,
+}
+
+impl WholeSubmapTurns {
+    /// One pair in so many, whatever their number.
+    pub fn new(sampling_ratio: f64) -> Self {
+        Self { samplers: Samplers::new(sampling_ratio), per_metre: 0.0, due: BTreeMap::new() }
+    }
+
+    /// Each metre of way in so many submaps, however many there are; 0: as the ratio says.
+    pub fn set_per_metre(&mut self, submaps: f64) {
+        self.per_metre = submaps;
+    }
+
+    /// Whether to search a node of a trajectory, a step of so many metres after the one before, in one of so many
+    /// submaps.
+    pub fn is_due(&mut self, id: TrajectoryId, submaps: usize, step: f64) -> bool {
+        if self.per_metre <= 0.0 {
+            return self.samplers.pulse(id);
+        }
+        let due = self.due.entry(id).or_default();
+        *due += (self.per_metre * step / submaps.max(1) as f64).clamp(0.0, 1.0);
+        let is_due = *due >= 1.0;
+        *due -= f64::from(u8::from(is_due));
+        is_due
+    }
+}
+
 fn is_window(region: SearchRegion) -> bool {
     matches!(region, SearchRegion::Window { .. })
 }
@@ -376,7 +410,7 @@ fn find_nearby<S: Space>(task: &SearchTask<S>, options: &ConstraintBuilderOption
         SearchRegion::Window { travelled, .. } => {
             S::find_nearby(&task.submap, &task.node, &task.guess_submap_from_node, travelled, options)
         }
-        SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => Nearby::Unknown,
+        SearchRegion::WholeSubmap { .. } | SearchRegion::NearNodes { .. } => Nearby::Unknown,
     }
 }
 
@@ -431,7 +465,7 @@ fn log_match(
 ) {
     let score = 100.0 * found.score;
     match region {
-        SearchRegion::WholeSubmap | SearchRegion::NearNodes { .. } => {
+        SearchRegion::WholeSubmap { .. } | SearchRegion::NearNodes { .. } => {
             tracing::debug!("Node {node_id} on submap {submap_id} matches with score {score:.1}%.");
         }
         SearchRegion::Window { .. } => {

@@ -71,8 +71,10 @@ pub struct TrimmedTies {
 pub struct TrajectoryEntry {
     /// Life.
     pub state: TrajectoryState,
-    /// Where it starts, if it was told.
+    /// Where it starts, if that is known.
     pub initial_pose: Option<InitialTrajectoryPose>,
+    /// Where its local map is drawn as long as nothing else says where it lies.
+    pub map_from_local_before_optimization: Option<Rigid3>,
     /// Index that the next node gets.
     pub next_node_index: u32,
     /// Deletion was asked for and waits for the next optimisation.
@@ -84,6 +86,7 @@ impl Default for TrajectoryEntry {
         Self {
             state: TrajectoryState::Active,
             initial_pose: None,
+            map_from_local_before_optimization: None,
             next_node_index: 0,
             delete_requested: false,
         }
@@ -154,7 +157,10 @@ impl<S: Space> GraphState<S> {
         {
             return map_from_submap * entry.local_from_submap.inverse();
         }
-        self.initial_map_from_local(trajectory_id).unwrap_or_else(Rigid3::identity)
+        let trajectory = self.trajectories.get(&trajectory_id);
+        self.initial_map_from_local(trajectory_id)
+            .or_else(|| trajectory?.map_from_local_before_optimization)
+            .unwrap_or_else(Rigid3::identity)
     }
 
     fn initial_map_from_local(&self, trajectory_id: TrajectoryId) -> Option<Rigid3> {

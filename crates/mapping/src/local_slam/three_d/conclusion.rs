@@ -66,6 +66,7 @@ impl LocalSlam3d {
                 range_data_in_local,
                 measured: Vec::new(),
                 inserted: None,
+                lost: None,
             };
         }
         self.last_inserted = Some(time);
@@ -94,6 +95,7 @@ impl LocalSlam3d {
             range_data_in_local,
             measured: Vec::new(),
             inserted: Some(inserted),
+            lost: None,
         }
     }
 

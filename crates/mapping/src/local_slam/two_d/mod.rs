@@ -1,6 +1,7 @@
 //! Local SLAM in the plane (`slam2d.md` §5).
 
 mod degeneracy;
+mod doubt;
 mod prediction_error;
 mod tracking;
 
@@ -17,10 +18,11 @@ use portolan_sensor::{
 };
 
 use super::{
-    ActiveSubmaps, CUT_SHORT, LocalSlam, MOST_GATHERED_POINTS, MatchingResult, Repairs, count_collated,
+    ActiveSubmaps, CUT_SHORT, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, Repairs, count_collated,
     count_extrapolated, motion_filter, take_odometry,
 };
-use tracking::{Motion, Scan, Tracker};
+use doubt::Belief;
+use tracking::{Found, Motion, Scan, Tracker};
 
 use crate::motion_filter::MotionFilter;
 use crate::pose_extrapolator::PoseExtrapolator;
@@ -34,8 +36,9 @@ const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 /// How much newer the newest scan may be than one that still waits for odometry.
 const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 
-/// What is counted where the motion prior was far off.
+/// What is counted where the motion prior was far off, and where no pose fits.
 const FOUND_FAR: &str = "scan that was found far from its prediction";
+const DOUBTFUL: &str = "scan that contradicts the map, not inserted";
 
 /// Settings beyond Cartographer's options.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -63,6 +66,9 @@ pub struct LocalSlam2d {
     extrapolator: Option<PoseExtrapolator>,
     extras: LocalSlamExtras,
     tracker: Tracker,
+    belief: Belief,
+    /// The last pose that was sure, in the local map.
+    last_sure: Rigid2,
     inserter: Arc<Inserter2d>,
     active_submaps: ActiveSubmaps<Planar>,
     motion_filter: MotionFilter,
@@ -96,9 +102,10 @@ impl LocalSlam2d {
             collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
             extrapolator: None,
             extras,
+            belief: Belief::default(),
+            last_sure: Rigid2::identity(),
             tracker: Tracker::new(options, &extras).map_err(|e| contradiction(&e))?,
-            active_submaps: ActiveSubmaps::new(u32::try_from(options.submaps.num_range_data).unwrap_or(1))
-                .with_length(extras.submap_length),
+            active_submaps: no_submaps(options, &extras),
             motion_filter: motion_filter(&options.motion_filter),
             accumulated: Accumulation::default(),
             waiting_odometry: VecDeque::new(),
@@ -207,19 +214,44 @@ impl LocalSlam2d {
             seconds: time.seconds_since(last_time),
             is_measured: motion_was_measured,
         });
-        let matched = self.find(prediction, motion, &matching_cloud, &scan.returns);
-        let pose = if matched.is_finite() { matched } else { prediction };
-        let local_from_tracking = embed_3d(&pose) * gravity;
-        if !is_valid_pose(&local_from_tracking) {
+        let found = self.find(prediction, motion, &matching_cloud, &scan.returns);
+        let pose = if found.pose.is_finite() { found.pose } else { prediction };
+        if !is_valid_pose(&(embed_3d(&pose) * gravity)) {
             self.count("scan whose pose could not be determined");
             return None;
         }
+        self.belief = self.belief.after(time, found.agreement, motion_was_measured);
+        let (pose, lost) = match self.belief {
+            Belief::Lost { since } => (self.last_sure, Some(self.begin_anew(since, time))),
+            Belief::Sure | Belief::Doubtful { .. } => (pose, None),
+        };
+        let local_from_tracking = embed_3d(&pose) * gravity;
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
-        let inserted = (!self.motion_filter.is_similar(time, &local_from_tracking))
-            .then(|| self.insert(time, &range_data_in_local, matching_cloud, local_from_tracking, gravity));
+        let inserted = if let Belief::Doubtful { .. } = self.belief {
+            self.count(DOUBTFUL);
+            None
+        } else {
+            self.last_sure = pose;
+            (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
+                self.insert(time, &range_data_in_local, matching_cloud, local_from_tracking, gravity)
+            })
+        };
         let measured = Vec::new();
-        Some(MatchingResult { time, local_from_tracking, range_data_in_local, measured, inserted })
+        Some(MatchingResult { time, local_from_tracking, range_data_in_local, measured, inserted, lost })
+    }
+
+    /// Ends the piece of map that nothing ties to what comes: the scanner is believed to stand where it was last seen,
+    /// and new submaps are drawn from there.
+    fn begin_anew(&mut self, since: Time, time: Time) -> Lost<Planar> {
+        let remaining = self.active_submaps.finish();
+        self.active_submaps = no_submaps(&self.options, &self.extras);
+        self.motion_filter = motion_filter(&self.options.motion_filter);
+        if self.extrapolator.as_ref().is_some_and(|e| !e.measured_since_last_pose()) {
+            self.extrapolator = None;
+            self.start_extrapolator(time);
+        }
+        Lost { since, remaining }
     }
 
     /// The pose of the scan in the local map.
@@ -229,7 +261,7 @@ impl LocalSlam2d {
         motion: Option<Motion>,
         cloud: &PointCloud,
         returns: &PointCloud,
-    ) -> Rigid2 {
+    ) -> Found {
         let submap = self.active_submaps.matching_submap();
         let scan = submap.map(|submap| Scan { cloud, returns, submap });
         if let (true, Some(motion), Some(scan)) = (self.tracker.is_adaptive(), motion, scan) {
@@ -237,12 +269,13 @@ impl LocalSlam2d {
             if found.is_far {
                 self.count(FOUND_FAR);
             }
-            return found.pose;
+            return found;
         }
         let unseen = motion.filter(|motion| !motion.is_measured);
         let prediction = unseen.and_then(|motion| self.found_after_gap(motion, cloud)).unwrap_or(prediction);
         let submap = self.active_submaps.matching_submap();
-        self.tracker.match_scan(prediction, submap.map(|submap| Scan { cloud, returns, submap }), cloud)
+        let scan = submap.map(|submap| Scan { cloud, returns, submap });
+        Found { pose: self.tracker.match_scan(prediction, scan, cloud), is_far: false, agreement: None }
     }
 
     /// Where the scan fits when time has passed with nothing measured: the old velocity tells nothing then.
@@ -283,6 +316,11 @@ impl LocalSlam2d {
         });
         InsertedNode { data, submaps, open: Default::default() }
     }
+}
+
+fn no_submaps(options: &TrajectoryBuilder2dOptions, extras: &LocalSlamExtras) -> ActiveSubmaps<Planar> {
+    let scans_per_half = u32::try_from(options.submaps.num_range_data).unwrap_or(1);
+    ActiveSubmaps::new(scans_per_half).with_length(extras.submap_length)
 }
 
 pub(super) fn first_point_time(ranges: &SynchronizedRanges) -> Time {

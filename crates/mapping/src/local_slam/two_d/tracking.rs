@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::Rigid2;
-use portolan_matching::{MatcherOptionError, scan_agreement};
+use portolan_matching::{MatcherOptionError, ScanAgreement, scan_agreement};
 use portolan_sensor::PointCloud;
 
 use super::LocalSlamExtras;
@@ -60,6 +60,8 @@ pub(super) struct Found {
     pub pose: Rigid2,
     /// It was found far from its prediction.
     pub is_far: bool,
+    /// How the map agrees with the scan there; none where the grid does not tell.
+    pub agreement: Option<ScanAgreement>,
 }
 
 /// Finds scans in the submap that is being filled.
@@ -104,6 +106,9 @@ impl Tracker {
     /// Finds the scan around its prediction, as far as predictions were wrong lately, and as far as the scanner can
     /// have moved where it fits the map worse than scans did lately.
     pub fn find(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Found {
+        // After so long nothing is left of a velocity.
+        let is_unknown = !motion.is_measured && motion.seconds > LONGEST_UNMEASURED;
+        let prediction = if is_unknown { motion.last } else { prediction };
         let weak = WeakDirection::of(scan.returns);
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
@@ -119,10 +124,11 @@ impl Tracker {
             self.usual_score.add(score);
         }
         if !found.pose.is_finite() {
-            return Found { pose: prediction, is_far: false };
+            return Found { pose: prediction, is_far: false, agreement: None };
         }
         let pose = self.weigh(found.pose, near.around, motion, &scan, weak.as_ref());
-        Found { pose, is_far }
+        let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud);
+        Found { pose, is_far, agreement }
     }
 
     /// The best match around what may have happened: it went on as before, or, where nothing was measured for long,

@@ -1,0 +1,46 @@
+//! When nothing told where the scanner was, for people.
+
+use portolan::pipeline::MappedRecording;
+use portolan_geometry::Time;
+use portolan_mapping::{Loss, Space};
+
+/// Losses that are named one by one.
+const NAMED: usize = 5;
+
+/// What to say of the times at which the scanner was lost; nothing if it never was.
+pub fn losses<S: Space>(mapped: &MappedRecording<S>) -> String {
+    let Some(start) = mapped.trajectory().first().map(|(time, _)| *time) else { return String::new() };
+    let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time);
+    let lines = mapped.losses.iter().take(NAMED).map(|loss| {
+        let outcome = if mapped.is_apart(loss) {
+            "nothing ties what came then to the rest of the map, which overlaps it wrongly"
+        } else {
+            "what came then was found again in the map"
+        };
+        let [since, until] = [loss.since, loss.until].map(|t| recorded(t).seconds_since(start));
+        format!("lost from {since:.1} to {until:.1} s: no scan fitted the map; {outcome}\n")
+    });
+    let mut text: String = lines.collect();
+    if mapped.losses.len() > NAMED {
+        let apart = mapped.losses.iter().filter(|loss| mapped.is_apart(loss)).count();
+        text += &format!(
+            "lost {} times in all, {apart} of them for good (see report.json)\n",
+            mapped.losses.len()
+        );
+    }
+    text
+}
+
+/// The same for `report.json`.
+pub fn report<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
+    let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time).unix_seconds();
+    let entry = |loss: &Loss| {
+        serde_json::json!({
+            "from": recorded(loss.since),
+            "to": recorded(loss.until),
+            "trajectory": loss.piece.0,
+            "tied_to_the_rest": !mapped.is_apart(loss),
+        })
+    };
+    mapped.losses.iter().map(entry).collect()
+}
