@@ -14,7 +14,7 @@ use portolan_recording::{IngestOptions, Ingestion, open};
 use portolan_refinement::PointStore;
 use portolan_refinement::continuous::{ContinuousOptions, DenseTrajectory, refine_continuous};
 use portolan_sensor::Measurement;
-use portolan_testing::real_data;
+use portolan_testing::{is_fast, real_data};
 
 /// Seconds of the walk that are refined.
 const SECONDS: f64 = 30.0;
@@ -84,6 +84,9 @@ fn surface_error(walk: &Walk, trajectory: &DenseTrajectory) -> f64 {
 
 #[test]
 fn half_a_minute_of_the_walk_becomes_as_sharp_as_the_truth() {
+    if is_fast() {
+        return;
+    }
     let Some(walk) = walk(SECONDS) else { return };
     let (input, _) = read_tum(file("walk.input.tum")).unwrap();
     let poses = poses(&input, SECONDS);
@@ -107,6 +110,9 @@ fn half_a_minute_of_the_walk_becomes_as_sharp_as_the_truth() {
 
 #[test]
 fn the_truth_does_not_become_worse() {
+    if is_fast() {
+        return;
+    }
     let Some(walk) = walk(0.7 * SECONDS) else { return };
     let poses = poses(&walk.truth, 0.7 * SECONDS);
     let before = surface_error(&walk, &DenseTrajectory::new(&poses).unwrap());
@@ -119,6 +125,9 @@ fn the_truth_does_not_become_worse() {
 
 #[test]
 fn a_map_that_is_only_inexact_raises_no_suspicion() {
+    if is_fast() {
+        return;
+    }
     // The reference's map of a corridor: off by 0.1 m, ten poses a second, wrong in the same way at every corner.
     let (Some(bag), Some(_)) =
         (real_data("lidar3d/corridor_imu.bag"), real_data("maps/reference/corridor_imu.tum"))
