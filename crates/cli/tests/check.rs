@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{portolan, portolan_with_code, shared, simulated};
+use common::{portolan, portolan_with_code, real, simulated};
 
 #[test]
 fn a_good_recording_has_no_errors() {
@@ -53,7 +53,7 @@ fn a_damaged_bag_is_an_error() {
 
 #[test]
 fn maps_are_checked() {
-    let Some(path) = shared("data/maps/reference/small_2d.pbstream") else { return };
+    let Some(path) = real("maps/reference/small_2d.pbstream") else { return };
     let run = portolan_with_code(0, &["check", &path]);
     assert!(run.stdout.contains("map"), "{}", run.stdout);
     let folder = tempfile::tempdir().unwrap();

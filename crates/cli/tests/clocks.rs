@@ -3,9 +3,8 @@
 
 mod common;
 
-use std::path::Path;
-
-use common::{portolan, portolan_with_code, text};
+use common::{portolan, portolan_with_code, simulated_once, text, trajectory_errors};
+use portolan_testing::is_fast;
 
 /// What `check` says of the clocks of lidars and IMU in a recording.
 fn told(recording: &str) -> Vec<String> {
@@ -16,19 +15,19 @@ fn told(recording: &str) -> Vec<String> {
     lines.map(str::to_owned).collect()
 }
 
-fn simulated(folder: &Path, arguments: &[&str]) -> String {
-    let path = text(&folder.join("walk.mcap"));
-    let usual = ["-o", &path, "-q", "--no-gnss", "--seconds", "30", "--beams", "200"];
-    portolan_with_code(0, &[&["simulate"], arguments, &usual].concat());
-    path
+/// A recording and its truth.
+fn simulated(arguments: &[&str]) -> (String, String) {
+    simulated_once(&[arguments, &["--no-gnss", "--seconds", "30", "--beams", "200"]].concat())
 }
 
 #[test]
 fn offsets_are_found_among_trees_and_with_two_lidars() {
+    if is_fast() {
+        return;
+    }
     for (offset, lidars, direction) in [(0.05, "1", "earlier"), (-0.02, "2", "later")] {
-        let folder = tempfile::tempdir().unwrap();
         let fault = format!("clock:imu:{offset}");
-        let path = simulated(folder.path(), &["park", "--lidars", lidars, "--fault", &fault]);
+        let (path, _) = simulated(&["park", "--lidars", lidars, "--fault", &fault]);
         let told = told(&path);
         assert_eq!(told.len(), lidars.parse::<usize>().unwrap(), "{told:?}");
         for line in told {
@@ -41,29 +40,33 @@ fn offsets_are_found_among_trees_and_with_two_lidars() {
 
 #[test]
 fn clocks_that_agree_are_not_accused() {
+    if is_fast() {
+        return;
+    }
     for world in ["park", "tunnel"] {
-        let folder = tempfile::tempdir().unwrap();
-        let told = told(&simulated(folder.path(), &[world]));
+        let told = told(&simulated(&[world]).0);
         assert!(told.is_empty(), "{world}: {told:?}");
     }
-    if let Some(path) = common::shared("data/lidar3d/corridor_imu.bag") {
+    if let Some(path) = common::real("lidar3d/corridor_imu.bag") {
         assert!(told(&path).is_empty());
     }
 }
 
 #[test]
 fn an_offset_that_is_known_is_taken_away() {
+    if is_fast() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
-    let path = simulated(folder.path(), &["museum", "--fault", "clock:imu:0.05"]);
-    let truth = text(&folder.path().join("walk.truth.tum"));
+    let (path, truth) = simulated(&["museum", "--fault", "clock:imu:0.05"]);
     let heading_error = |more: &[&str]| {
         let output = text(&folder.path().join("map"));
         portolan_with_code(0, &[&["map", &path, "-o", &output, "-q", "--no-xray"], more].concat());
         let trajectory = format!("{output}/trajectory.tum");
-        let run = portolan_with_code(0, &["evaluate", "trajectory", &trajectory, &truth, "--json"]);
-        let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+        let errors = trajectory_errors(&trajectory, &truth);
         errors["absolute"]["rotation_degrees"]["rmse"].as_f64().unwrap()
     };
     let (as_it_is, moved) = (heading_error(&[]), heading_error(&["--time-offset", "/imu=-0.05"]));
-    assert!(moved < 0.5 * as_it_is, "{moved} {as_it_is}");
+    // Measured: 0.85° as it is, 0.10° moved.
+    assert!(moved <= 0.13 && moved < 0.2 * as_it_is, "{moved} {as_it_is}");
 }

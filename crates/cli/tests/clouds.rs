@@ -6,8 +6,9 @@ mod common;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use common::{portolan_with_code, shared, text};
+use common::{portolan_with_code, real, text};
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
+use portolan_testing::is_fast;
 use serde_json::Value;
 
 /// Points of a room with a floor, walls and two columns, seen in two passes, with noise of `noise` metres.
@@ -172,6 +173,9 @@ fn assert_pose(scan: &Value, expected: &Rigid3, tolerance: f64, name: &str) {
 
 #[test]
 fn every_method_registers_two_scans() {
+    if is_fast() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let ([a, b], pose) = two_scans(folder.path());
     let methods = [
@@ -226,6 +230,9 @@ fn every_method_registers_two_scans() {
 
 #[test]
 fn a_folder_of_scans_becomes_a_map() {
+    if is_fast() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let scans = folder.path().join("scans");
     std::fs::create_dir(&scans).unwrap();
@@ -368,8 +375,11 @@ fn options_of_the_other_method_are_refused() {
 
 #[test]
 fn a_refinement_is_reported_on_one_page() {
-    let Some(bag) = shared("data/lidar3d/walk.bag") else { return };
-    let input = std::fs::read_to_string(shared("data/lidar3d/walk.input.tum").unwrap()).unwrap();
+    if is_fast() {
+        return;
+    }
+    let Some(bag) = real("lidar3d/walk.bag") else { return };
+    let input = std::fs::read_to_string(real("lidar3d/walk.input.tum").unwrap()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| text(&folder.path().join(name));
     // Eight seconds are enough for every part of the page.

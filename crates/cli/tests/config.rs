@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{portolan_with_code, shared};
+use common::{portolan_with_code, real};
 
 #[test]
 fn a_typo_names_the_option_that_was_meant() {
@@ -62,7 +62,7 @@ fn faulty_files_are_refused() {
 #[test]
 fn files_of_robots_are_accepted() {
     for name in ["jetbot.lua", "haicheng12_revo_lds.lua"] {
-        let Some(path) = shared(&format!("data/configs/{name}")) else { return };
+        let Some(path) = real(&format!("configs/{name}")) else { return };
         portolan_with_code(0, &["config", "show", "--config", &path]);
     }
 }

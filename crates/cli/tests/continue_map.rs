@@ -3,27 +3,28 @@
 
 mod common;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use common::{portolan_with_code, text};
+use common::{PORTOLAN, portolan_with_code, simulated_once, text, trajectory_errors};
+use portolan_testing::is_fast;
 
 /// Seconds of the walk that the known map holds, and from which the continuation begins.
 const KNOWN: &str = "100";
 const CONTINUED: &str = "70";
 
+/// A recording, a map of it, and a folder for what goes on from there. Recording and map are made once for all tests.
 struct Walk {
     folder: tempfile::TempDir,
     recording: String,
+    truth: String,
+    known: PathBuf,
     known_map: String,
     continued: &'static str,
 }
 
-fn office(folder: &Path, seconds: &str) -> String {
-    let recording = text(&folder.join("walk.bag"));
-    let arguments =
-        ["simulate", "office", "-o", &recording, "--seconds", seconds, "--seed", "5", "--beams", "180"];
-    portolan_with_code(0, &arguments);
-    recording
+fn office(seconds: &str) -> String {
+    let arguments = ["office", "--seconds", seconds, "--seed", "5", "--beams", "180"];
+    text(&PORTOLAN.simulated("bag", &arguments))
 }
 
 fn map_info(map: &str) -> serde_json::Value {
@@ -31,25 +32,25 @@ fn map_info(map: &str) -> serde_json::Value {
     serde_json::from_str::<serde_json::Value>(&run.stdout).unwrap()[0].take()
 }
 
+fn walk_in(recording: String, truth: String, continued: &'static str, more: &[&str]) -> Walk {
+    let known = PORTOLAN.made_once(&[&["known", &recording], more].concat(), |folder| {
+        portolan_with_code(0, &[&["map", &recording, "-o", &text(folder), "-q"], more].concat());
+    });
+    let known_map = text(&known.join("map.pbstream"));
+    Walk { folder: tempfile::tempdir().unwrap(), recording, truth, known, known_map, continued }
+}
+
 fn walk() -> Walk {
-    let folder = tempfile::tempdir().unwrap();
-    let recording = office(folder.path(), "160");
-    let known = folder.path().join("known");
-    portolan_with_code(0, &["map", &recording, "-o", &text(&known), "-q", "--duration", KNOWN]);
-    Walk { known_map: text(&known.join("map.pbstream")), folder, recording, continued: CONTINUED }
+    let recording = office("160");
+    let truth = recording.replace("walk.bag", "walk.truth.tum");
+    walk_in(recording, truth, CONTINUED, &["--duration", KNOWN])
 }
 
 /// Through one storey of a museum in space.
 fn museum_walk() -> Walk {
-    let folder = tempfile::tempdir().unwrap();
-    let recording = text(&folder.path().join("walk.mcap"));
     let building = ["--no-gnss", "--size", "24x20", "--storeys", "1", "--people", "2", "--beams", "300"];
-    let simulate = ["simulate", "museum", "-o", &recording, "-q", "--seconds", "20"];
-    portolan_with_code(0, &[&simulate[..], &building[..]].concat());
-    let known = folder.path().join("known");
-    let map = ["map", &recording, "-o", &text(&known), "-q", "--no-xray"];
-    portolan_with_code(0, &map);
-    Walk { known_map: text(&known.join("map.pbstream")), folder, recording, continued: "0" }
+    let (recording, truth) = simulated_once(&[&["museum", "--seconds", "20"], &building[..]].concat());
+    walk_in(recording, truth, "0", &["--no-xray"])
 }
 
 impl Walk {
@@ -70,7 +71,7 @@ impl Walk {
             let lines = poses.lines().filter(|l| !l.starts_with('#'));
             lines.map(|l| l.split(' ').map(|n| n.parse().unwrap()).collect()).collect()
         };
-        let known = read(&self.folder.path().join("known"));
+        let known = read(&self.known);
         let off = |new: &Vec<f64>| {
             let old = known.iter().find(|old| (old[0] - new[0]).abs() < 1e-4)?;
             Some((1..4).map(|i| (new[i] - old[i]).powi(2)).sum::<f64>().sqrt())
@@ -84,7 +85,7 @@ impl Walk {
     /// than the first.
     fn error_of_both(&self, output: &Path) -> f64 {
         let read = |path: &Path| std::fs::read_to_string(path).unwrap();
-        let known = self.folder.path().join("known/trajectory.tum");
+        let known = self.known.join("trajectory.tum");
         let both = self.folder.path().join("both.tum");
         let new = read(&output.join("trajectory.tum"));
         let start: f64 = stamp(new.lines().find(|l| !l.starts_with('#')).unwrap());
@@ -95,9 +96,7 @@ impl Walk {
             .map(|l| format!("{l}\n"))
             .collect();
         std::fs::write(&both, old + &new).unwrap();
-        let truth = text(&self.folder.path().join("walk.truth.tum"));
-        let run = portolan_with_code(0, &["evaluate", "trajectory", &text(&both), &truth, "--json"]);
-        let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+        let errors = trajectory_errors(&text(&both), &self.truth);
         errors["absolute"]["translation"]["max"].as_f64().unwrap()
     }
 }
@@ -112,6 +111,9 @@ fn report(output: &Path) -> serde_json::Value {
 
 #[test]
 fn a_recording_is_found_in_a_frozen_map_that_stays_as_it_was() {
+    if is_fast() {
+        return;
+    }
     let walk = walk();
     let output = walk.go_on("frozen", &["--frozen"]);
     let known = &report(&output)["known_map"];
@@ -127,6 +129,9 @@ fn a_recording_is_found_in_a_frozen_map_that_stays_as_it_was() {
 
 #[test]
 fn a_map_in_space_goes_on_on_its_surfaces() {
+    if is_fast() {
+        return;
+    }
     let walk = museum_walk();
     let output = walk.go_on("frozen", &["--frozen", "--no-xray", "--duration", "10"]);
     let known = &report(&output)["known_map"];
@@ -142,6 +147,9 @@ fn a_map_in_space_goes_on_on_its_surfaces() {
 
 #[test]
 fn a_trajectory_outlives_the_submaps_that_localisation_trims() {
+    if is_fast() {
+        return;
+    }
     let walk = walk();
     let keep_two = ["--frozen", "--set", "pure_localization_trimmer.max_submaps_to_keep=2"];
     let output = walk.go_on("trimmed", &[&keep_two[..], &["--all-poses"]].concat());
@@ -164,6 +172,9 @@ fn a_trajectory_outlives_the_submaps_that_localisation_trims() {
 
 #[test]
 fn optimising_a_map_in_space_again_changes_it_little() {
+    if is_fast() {
+        return;
+    }
     let walk = museum_walk();
     let again = text(&walk.folder.path().join("again.pbstream"));
     let run = portolan_with_code(0, &["optimize", &walk.known_map, "-o", &again, "--json"]);
@@ -178,6 +189,9 @@ fn optimising_a_map_in_space_again_changes_it_little() {
 
 #[test]
 fn a_map_is_extended_and_optimised_as_a_whole() {
+    if is_fast() {
+        return;
+    }
     let walk = walk();
     let output = walk.go_on("extended", &[]);
     assert!(walk.error_of_both(&output) < 0.3, "{}", walk.error_of_both(&output));
@@ -194,9 +208,12 @@ fn a_map_is_extended_and_optimised_as_a_whole() {
 
 #[test]
 fn a_start_that_is_told_needs_no_search() {
+    if is_fast() {
+        return;
+    }
     let walk = walk();
     // Wherever it starts, the map knows it best.
-    let poses = std::fs::read_to_string(walk.folder.path().join("known/trajectory.tum")).unwrap();
+    let poses = std::fs::read_to_string(walk.known.join("trajectory.tum")).unwrap();
     let first: Vec<f64> = poses
         .lines()
         .filter(|l| !l.starts_with('#'))
@@ -231,7 +248,7 @@ fn a_start_that_is_told_needs_no_search() {
 #[test]
 fn what_cannot_be_continued_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
-    let recording = office(folder.path(), "20");
+    let recording = office("20");
     let output = text(&folder.path().join("out"));
     let map = |more: &[&str], code| {
         portolan_with_code(code, &[&["map", &recording, "-o", &output, "-q"], more].concat())
@@ -240,7 +257,7 @@ fn what_cannot_be_continued_is_an_error() {
     assert!(map(&["--from", &no_map], 1).stderr.contains("no.pbstream"));
     assert!(map(&["--from", &recording], 1).stderr.contains("walk.bag"));
     map(&["--frozen"], 2);
-    if let Some(spatial) = common::shared("data/maps/reference/small_3d.pbstream") {
+    if let Some(spatial) = common::real("maps/reference/small_3d.pbstream") {
         assert!(map(&["--from", &spatial], 1).stderr.contains("3D"));
     }
 }

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{portolan, portolan_with_code, shared, simulated};
+use common::{portolan, portolan_with_code, real, simulated};
 
 const ACES: &str = "Result:\n\
     Abs translational error 0.19379 +/- 0.67244 m\n\
@@ -13,13 +13,13 @@ const ACES: &str = "Result:\n\
 
 #[test]
 fn relations_give_the_figures_of_the_reference() {
-    let Some(map) = shared("data/maps/reference/aces.pbstream") else { return };
-    let relations = shared("data/maps/reference/aces.relations.txt").unwrap();
+    let Some(map) = real("maps/reference/aces.pbstream") else { return };
+    let relations = real("maps/reference/aces.relations.txt").unwrap();
     let run = portolan_with_code(0, &["evaluate", "relations", &map, &relations]);
     assert_eq!(run.stdout, ACES);
     assert!(run.stderr.contains("% within 0.2 m, median"), "{}", run.stderr);
     // Times of the CARMEN log are brought to those of the recording.
-    let carmen = shared("data/lidar2d/aces/aces.relations").unwrap();
+    let carmen = real("lidar2d/aces/aces.relations").unwrap();
     let run = portolan_with_code(0, &["evaluate", "relations", &map, &carmen]);
     assert!(run.stdout.starts_with("Result:\nAbs translational error 0.19"), "{}", run.stdout);
     assert!(run.stderr.contains("shifted by +1000000000 s"), "{}", run.stderr);
@@ -56,14 +56,14 @@ fn generated_relations_are_those_of_the_reference() {
         ),
     ];
     for (name, summary, figures) in expected {
-        let Some(map) = shared(&format!("data/maps/reference/{name}.pbstream")) else { return };
+        let Some(map) = real(&format!("maps/reference/{name}.pbstream")) else { return };
         let output = common::text(&folder.path().join(name));
         let run = portolan_with_code(
             0,
             &["evaluate", "generate", &map, "-o", &output, "--min-covered-distance", "5"],
         );
         assert_eq!(run.stdout, summary);
-        let reference = shared(&format!("data/maps/reference/{name}.generated_5m.pb")).unwrap();
+        let reference = real(&format!("maps/reference/{name}.generated_5m.pb")).unwrap();
         assert_same_relations(&output, &reference);
         let csv = common::text(&folder.path().join("errors.csv"));
         let run = portolan_with_code(0, &["evaluate", "relations", &map, &output, "--csv", &csv]);
@@ -75,8 +75,8 @@ fn generated_relations_are_those_of_the_reference() {
 
 #[test]
 fn a_trajectory_is_compared_with_the_truth() {
-    let Some(map) = shared("data/maps/reference/corridor_imu.pbstream") else { return };
-    let truth = shared("data/lidar3d/corridor_imu.truth.tum").unwrap();
+    let Some(map) = real("maps/reference/corridor_imu.pbstream") else { return };
+    let truth = real("lidar3d/corridor_imu.truth.tum").unwrap();
     let run = portolan_with_code(0, &["evaluate", "trajectory", &map, &truth, "--rpe-distance", "5"]);
     assert!(run.stdout.contains("(aligned in space)") && run.stdout.contains("over 5 m"), "{}", run.stdout);
     let run = portolan_with_code(0, &["evaluate", "trajectory", &truth, &truth, "--align", "none", "--json"]);

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{portolan_with_code, shared, simulated};
+use common::{portolan_with_code, real, simulated};
 
 #[test]
 fn a_simulated_recording_tells_its_topics() {
@@ -26,7 +26,7 @@ fn a_simulated_recording_tells_its_topics() {
 
 #[test]
 fn a_recording_of_the_world() {
-    let Some(path) = shared("data/lidar2d/aces/aces.bag") else { return };
+    let Some(path) = real("lidar2d/aces/aces.bag") else { return };
     let run = portolan_with_code(0, &["info", "--json", &path]);
     let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     let total: u64 = json[0]["topics"].as_array().unwrap().iter().map(|t| t["count"].as_u64().unwrap()).sum();
@@ -42,7 +42,7 @@ fn maps_tell_what_the_reference_tells() {
         ("small_tsdf", "Trajectory id: 0 has #nodes 27 has #submaps 3", "#submap_2d_grid: 3"),
     ];
     for (name, trajectory, counter) in expected {
-        let Some(path) = shared(&format!("data/maps/reference/{name}.pbstream")) else { return };
+        let Some(path) = real(&format!("maps/reference/{name}.pbstream")) else { return };
         let run = portolan_with_code(0, &["info", &path]);
         assert!(run.stdout.contains("Header: format_version: 2\n"), "{}", run.stdout);
         assert!(run.stdout.contains(&format!("{trajectory}\n")), "{}", run.stdout);
@@ -52,7 +52,7 @@ fn maps_tell_what_the_reference_tells() {
             run.stdout
         );
     }
-    let Some(path) = shared("data/maps/reference/small_2d.pbstream") else { return };
+    let Some(path) = real("maps/reference/small_2d.pbstream") else { return };
     let run = portolan_with_code(0, &["info", "--json", &path, &path]);
     let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     assert_eq!((json.as_array().unwrap().len(), &json[1]["kind"]), (2, &"map".into()));

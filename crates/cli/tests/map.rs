@@ -5,7 +5,8 @@ mod common;
 
 use std::path::Path;
 
-use common::{Run, portolan_with_code, shared, simulated, survives_damage, text};
+use common::{Run, portolan_with_code, real, simulated, survives_damage, text};
+use portolan_testing::is_fast;
 
 /// Maps into a folder; gives map and trajectory.
 #[track_caller]
@@ -22,61 +23,23 @@ fn report(folder: &Path) -> serde_json::Value {
     serde_json::from_slice(&std::fs::read(folder.join("report.json")).unwrap()).unwrap()
 }
 
-/// Mean absolute errors of the relations, metres and degrees.
-fn relation_errors(folder: &Path, relations: &str) -> (f64, f64) {
-    let map = text(&folder.join("map.pbstream"));
-    let run = portolan_with_code(0, &["evaluate", "relations", &map, relations]);
-    let value = |name: &str| {
-        let line = run.stdout.lines().find_map(|line| line.strip_prefix(name)).unwrap();
-        line.split_whitespace().next().unwrap().parse::<f64>().unwrap()
-    };
-    (value("Abs translational error"), value("Abs rotational error"))
-}
-
 #[test]
 fn the_same_bytes_with_any_number_of_threads_and_from_any_form() {
-    let Some(aces) = shared("data/lidar2d/aces") else { return };
+    if is_fast() {
+        return;
+    }
+    let Some(aces) = real("lidar2d/aces") else { return };
     let folder = tempfile::tempdir().unwrap();
     let run = |recording: &str, threads: &str| {
-        map(&format!("{aces}/{recording}"), folder.path(), &["--duration", "250", "--threads", threads])
+        map(&format!("{aces}/{recording}"), folder.path(), &["--duration", "150", "--threads", threads])
     };
     let one = run("aces.bag", "1");
     assert!(report(folder.path())["loop_closures"].as_u64().unwrap() > 10);
-    for (recording, threads) in
-        [("aces.bag", "2"), ("aces.bag", "4"), ("aces.clf.bz2", "2"), ("aces_ros2", "2")]
-    {
+    // What is the same in all three depends neither on threads nor on the form.
+    for (recording, threads) in [("aces.clf.bz2", "2"), ("aces_ros2", "4")] {
         let other = run(recording, threads);
         assert!(one.0 == other.0, "the map of {recording} with {threads} threads differs");
         assert!(one.1 == other.1, "the trajectory of {recording} with {threads} threads differs");
-    }
-}
-
-#[test]
-fn aces_is_as_accurate_as_published_and_its_loop_closures_are_right() {
-    let Some(aces) = shared("data/lidar2d/aces") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    map(&format!("{aces}/aces.bag"), folder.path(), &["--all-poses"]);
-    let (metres, degrees) = relation_errors(folder.path(), &format!("{aces}/aces.relations"));
-    assert!(metres <= 0.0375 && degrees <= 0.373, "{metres} m, {degrees} deg");
-    let map = text(&folder.path().join("map.pbstream"));
-    let truth = format!("{aces}/reference_poses.csv");
-    let run = portolan_with_code(0, &["evaluate", "loops", &map, &truth, "--json"]);
-    let judged: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
-    // Measured: 0.973; what is beyond 0.2 m is at most 0.3 m off, by poses that are good to 0.05 m.
-    assert!(judged["share_right"].as_f64().unwrap() >= 0.965, "{judged}");
-    let scans = std::fs::read_to_string(folder.path().join("all_poses.tum")).unwrap();
-    let poses = scans.lines().filter(|line| !line.starts_with('#')).count() as u64;
-    assert_eq!(poses, report(folder.path())["scans"].as_u64().unwrap());
-}
-
-#[test]
-fn no_map_breaks_without_odometry() {
-    for name in ["aces", "fr079"] {
-        let Some(data) = shared(&format!("data/lidar2d/{name}")) else { return };
-        let folder = tempfile::tempdir().unwrap();
-        map(&format!("{data}/{name}.clf.bz2"), folder.path(), &["--no-odometry"]);
-        let (metres, _) = relation_errors(folder.path(), &format!("{data}/{name}.relations"));
-        assert!(metres <= 0.2, "{name}: {metres} m");
     }
 }
 
@@ -130,6 +93,9 @@ fn settings_change_the_map() {
 /// Every kind of damaged recording ends in a map or a named error, and never half a file.
 #[test]
 fn damaged_recordings_end_in_a_map_or_an_error() {
+    if is_fast() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let recording = simulated(folder.path(), "walk.bag", &[]);
     survives_damage(&recording, folder.path(), &[0.0, 0.001, 0.3, 0.7, 0.999], 6, 200);
@@ -197,7 +163,7 @@ fn a_recording_that_is_not_there_is_named() {
 #[cfg(unix)]
 #[test]
 fn an_interrupt_saves_what_was_mapped() {
-    let Some(aces) = shared("data/lidar2d/aces/aces.bag") else { return };
+    let Some(aces) = real("lidar2d/aces/aces.bag") else { return };
     let folder = tempfile::tempdir().unwrap();
     let output = text(folder.path());
     let child = std::process::Command::new(env!("CARGO_BIN_EXE_portolan"))
@@ -227,17 +193,25 @@ fn demo_errors(folder: &Path, more: &[&str]) -> (Run, f64) {
 
 #[test]
 fn the_demo_in_the_plane_is_accurate() {
+    if is_fast() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let (run, metres) = demo_errors(folder.path(), &["--planar", "--seconds", "60"]);
-    assert!(metres < 0.06, "{}", run.stdout);
+    // Measured: 0.021 m.
+    assert!(metres <= 0.027, "{}", run.stdout);
     assert!(folder.path().join("map.png").exists());
 }
 
 #[test]
 fn the_demo_leaves_a_recording_its_map_and_pictures() {
+    if is_fast() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let (run, metres) = demo_errors(folder.path(), &["--seconds", "20"]);
-    assert!(metres < 0.1, "{}", run.stdout);
+    // Measured: 0.003 m, printed to the millimetre.
+    assert!(metres <= 0.004, "{}", run.stdout);
     for name in ["museum.mcap", "museum.truth.tum", "map.pbstream", "trajectory.tum", "map_section.png"] {
         assert!(folder.path().join(name).metadata().unwrap().len() > 2_000, "{name}");
     }
@@ -247,29 +221,4 @@ fn the_demo_leaves_a_recording_its_map_and_pictures() {
     // From what mapping kept: the recording is not read again.
     let report = report(folder.path());
     assert_eq!(report["cloud"], serde_json::json!({ "xrays_from": "scans kept while mapping" }));
-}
-
-#[test]
-fn a_spinning_lidar_is_mapped_in_space() {
-    let Some(recording) = shared("data/lidar3d/corridor_imu.bag") else { return };
-    let Some(truth) = shared("data/lidar3d/corridor_imu.truth.tum") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let run = |more: &[&str]| {
-        map(&recording, folder.path(), more);
-        let trajectory = text(&folder.path().join("trajectory.tum"));
-        let run = portolan_with_code(0, &["evaluate", "trajectory", &trajectory, &truth, "--json"]);
-        let errors: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
-        errors["absolute"]["translation"]["rmse"].as_f64().unwrap()
-    };
-    // The reference program: 0.102 m with the IMU; it cannot do without. The lidar, which is followed
-    // without the IMU, lies 0.25 m from what the truth follows.
-    let (with_imu, without) = (run(&[]), run(&["--no-imu"]));
-    assert!(with_imu <= 0.03 && without <= 0.08, "{with_imu} m, without IMU {without} m");
-    let start = |threads| {
-        let map = map(&recording, folder.path(), &["--duration", "20", "--threads", threads]);
-        let pictures = ["map_xray_top.png", "map_xray_front.png", "map_xray_side.png", "map_section.png"];
-        (map, pictures.map(|name| std::fs::read(folder.path().join(name)).unwrap()))
-    };
-    let one = start("1");
-    assert!(one == start("2") && one == start("4"), "the map depends on the number of threads");
 }

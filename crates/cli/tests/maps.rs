@@ -5,11 +5,11 @@ mod common;
 
 use std::path::Path;
 
-use common::{portolan, portolan_with_code, shared, text};
+use common::{portolan, portolan_with_code, real, text};
 
 /// A map of the reference in a folder of its own.
 fn map(folder: &Path, name: &str) -> Option<String> {
-    let path = shared(&format!("data/maps/reference/{name}.pbstream"))?;
+    let path = real(&format!("maps/reference/{name}.pbstream"))?;
     let copy = text(&folder.join(format!("{name}.pbstream")));
     std::fs::copy(path, &copy).unwrap();
     Some(copy)
@@ -174,7 +174,7 @@ fn trajectories_and_graphs_are_converted() {
 fn graphs_and_maps_are_optimised() {
     let folder = tempfile::tempdir().unwrap();
     let out = text(&folder.path().join("out.g2o"));
-    let Some(graph) = shared("data/posegraphs/smallgrid3d.g2o") else { return };
+    let Some(graph) = real("posegraphs/smallgrid3d.g2o") else { return };
     for init in ["auto", "rotations", "spanning-tree"] {
         let run = portolan_with_code(0, &["optimize", &graph, "-o", &out, "--init", init, "--json"]);
         let chi2 = json(&run.stdout)["chi2_after"].as_f64().unwrap();
@@ -237,7 +237,7 @@ fn the_reference_program_by_its_names() {
     ];
     let run = portolan_with_code(0, &generate);
     assert!(run.stderr.contains("Generated 10 relations and ignored 43 outliers."), "{}", run.stderr);
-    let given = shared("data/maps/reference/aces.relations.txt").unwrap();
+    let given = real("maps/reference/aces.relations.txt").unwrap();
     let metrics = [
         "compat",
         "cartographer_compute_relations_metrics",

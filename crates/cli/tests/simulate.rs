@@ -3,7 +3,17 @@
 
 mod common;
 
-use common::{portolan, portolan_with_code, simulated};
+use std::path::Path;
+
+use common::{portolan, portolan_with_code, text};
+
+/// Simulates, whatever was simulated before.
+fn simulated(folder: &Path, name: &str, more: &[&str]) -> String {
+    let path = text(&folder.join(name));
+    let usual = ["simulate", "corridors", "-o", &path, "--seconds", "12", "--seed", "5", "--beams", "90"];
+    portolan_with_code(0, &[&usual, more].concat());
+    path
+}
 
 #[test]
 fn the_same_options_give_the_same_bytes() {

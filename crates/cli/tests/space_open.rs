@@ -3,24 +3,38 @@
 
 mod common;
 
-use std::path::Path;
+use common::{portolan_with_code, simulated_once, text, trajectory_errors};
+use portolan_testing::is_fast;
 
-use common::{portolan_with_code, text};
+/// A mapped simulation.
+struct Mapped {
+    /// What `map` printed.
+    summary: String,
+    report: serde_json::Value,
+    /// The largest error against the truth, metres.
+    largest_error: f64,
+    trajectory: String,
+}
 
-/// Simulates with few beams and maps; the summary and the report.
-fn mapped(folder: &Path, scene: &[&str], settings: &[&str]) -> (String, serde_json::Value) {
-    mapped_of(folder, &[scene, &["--beams", "180", "--seed", "3"]].concat(), settings)
+/// Simulates with few beams and maps.
+fn mapped(scene: &[&str], settings: &[&str]) -> Mapped {
+    mapped_of(&[scene, &["--beams", "180", "--seed", "3"]].concat(), settings)
 }
 
 /// The same with beams and seed that the scene names.
-fn mapped_of(folder: &Path, scene: &[&str], settings: &[&str]) -> (String, serde_json::Value) {
-    let [recording, output] = ["drive.mcap", "map"].map(|name| text(&folder.join(name)));
-    let simulation = ["-o", &recording, "-q"];
-    portolan_with_code(0, &[&["simulate"], scene, &simulation].concat());
-    let map = ["map", &recording, "-o", &output, "-q", "--no-xray"];
+fn mapped_of(scene: &[&str], settings: &[&str]) -> Mapped {
+    let (recording, truth) = simulated_once(scene);
+    let folder = tempfile::tempdir().unwrap();
+    let map = ["map", &recording, "-o", &text(folder.path()), "-q", "--no-xray"];
     let summary = portolan_with_code(0, &[&map, settings].concat()).stdout;
-    let report = std::fs::read_to_string(folder.join("map/report.json")).unwrap();
-    (summary, serde_json::from_str(&report).unwrap())
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let errors = trajectory_errors(&text(&folder.path().join("trajectory.tum")), &truth);
+    Mapped {
+        summary,
+        report: serde_json::from_str(&read("report.json")).unwrap(),
+        largest_error: errors["absolute"]["translation"]["max"].as_f64().unwrap(),
+        trajectory: read("trajectory.tum"),
+    }
 }
 
 /// Seconds in which the scans did not tell a motion.
@@ -28,93 +42,104 @@ fn seconds(report: &serde_json::Value, motion: &str) -> f64 {
     report["weak_seconds"][motion].as_f64().unwrap()
 }
 
-/// The largest error against the truth, metres.
-fn largest_error(folder: &Path) -> f64 {
-    let [estimate, truth] = ["map/trajectory.tum", "drive.truth.tum"].map(|name| text(&folder.join(name)));
-    let errors = portolan_with_code(0, &["evaluate", "trajectory", &estimate, &truth, "--json"]);
-    let errors: serde_json::Value = serde_json::from_str(&errors.stdout).unwrap();
-    errors["absolute"]["translation"]["max"].as_f64().unwrap()
+/// Asserts that an error is at most 1.3 times what was measured.
+#[track_caller]
+fn assert_as_measured(mapped: &Mapped, measured: f64) {
+    assert!(mapped.largest_error <= 1.3 * measured, "{} m, measured {measured} m", mapped.largest_error);
 }
 
 #[test]
 fn along_a_tunnel_odometry_is_taken_and_said_so() {
-    let folder = tempfile::tempdir().unwrap();
-    let (summary, report) = mapped(folder.path(), &["tunnel", "--seconds", "16"], &[]);
-    assert!(seconds(&report, "movement along the way") > 10.0, "{report}");
-    assert!(seconds(&report, "movement up and down") < 1.0, "{report}");
-    assert!(seconds(&report, "heading") < 1.0, "{report}");
+    if is_fast() {
+        return;
+    }
+    let map = mapped(&["tunnel", "--seconds", "16"], &[]);
+    let (summary, report) = (&map.summary, &map.report);
+    assert!(seconds(report, "movement along the way") > 10.0, "{report}");
+    assert!(seconds(report, "movement up and down") < 1.0, "{report}");
+    assert!(seconds(report, "heading") < 1.0, "{report}");
     assert!(summary.contains("did not tell movement along the way;"), "{summary}");
     assert!(summary.contains("odometry was taken"), "{summary}");
-    let error = largest_error(folder.path());
-    assert!(error < 0.5, "{error}");
+    assert_as_measured(&map, 0.224);
 }
 
 #[test]
 fn in_a_field_heading_is_open_too_and_satellites_help() {
-    let folder = tempfile::tempdir().unwrap();
-    let settings = ["--set", "use_nav_sat=true"];
-    let (summary, report) = mapped(folder.path(), &["field", "--seconds", "16"], &settings);
+    if is_fast() {
+        return;
+    }
+    let map = mapped(&["field", "--seconds", "16"], &["--set", "use_nav_sat=true"]);
+    let (summary, report) = (&map.summary, &map.report);
     for motion in ["movement along the way", "movement across the way", "heading"] {
-        assert!(seconds(&report, motion) > 10.0, "{motion}: {report}");
+        assert!(seconds(report, motion) > 10.0, "{motion}: {report}");
         assert!(summary.contains(&format!("did not tell {motion};")), "{summary}");
     }
-    assert!(seconds(&report, "movement up and down") < 1.0 && seconds(&report, "tilt") < 4.0, "{report}");
+    assert!(seconds(report, "movement up and down") < 1.0 && seconds(report, "tilt") < 4.0, "{report}");
     assert!(summary.contains("the gyroscope was taken"), "{summary}");
-    let error = largest_error(folder.path());
-    assert!(error < 0.5, "{error}");
+    assert_as_measured(&map, 0.0302);
 }
 
 #[test]
 fn rings_on_the_grass_do_not_hold_a_scanner_that_moves() {
+    if is_fast() {
+        return;
+    }
     // With so many beams the hits in a voxel make planes that look down: they seemed to tell that it stands.
-    let folder = tempfile::tempdir().unwrap();
     let scene = ["field", "--seconds", "30", "--beams", "450", "--seed", "1"];
-    let (_, report) = mapped_of(folder.path(), &scene, &["--no-odometry", "--duration", "10"]);
+    let report = mapped_of(&scene, &["--no-odometry", "--duration", "10"]).report;
     for motion in ["movement along the way", "movement across the way", "heading"] {
         assert!(seconds(&report, motion) > 8.0, "{motion}: {report}");
     }
 }
 
+/// Two sparse sweeps show few surfaces, and grids of a few sweeps hold the scanner where its beams drew them: walks
+/// that are recorded from their middle on are followed mostly, not always.
 #[test]
-fn who_is_recorded_from_the_middle_of_a_walk_among_trees_is_followed() {
-    // Two sparse sweeps show few surfaces, and grids of a few sweeps hold the scanner where its beams drew them: then
-    // these three are 0.28 to 0.40 m off. They were chosen for that; others are lost still (BENCHMARKS.md).
-    for seed in ["4", "5", "45"] {
-        let folder = tempfile::tempdir().unwrap();
-        let scene = ["park", "--seconds", "16", "--beams", "450", "--seed", seed];
-        mapped_of(folder.path(), &scene, &["--no-odometry", "--skip", "9", "--duration", "7"]);
-        let error = largest_error(folder.path());
-        assert!(error < 0.1, "{seed}: {error}");
+fn most_who_are_recorded_from_the_middle_of_a_walk_among_trees_are_followed() {
+    if is_fast() {
+        return;
     }
+    let error = |seed: u32| {
+        let scene = ["park", "--seconds", "16", "--beams", "450", "--seed", &seed.to_string()];
+        mapped_of(&scene, &["--no-odometry", "--skip", "9", "--duration", "7"]).largest_error
+    };
+    let mut errors: Vec<f64> = (1..=8).map(error).collect();
+    errors.sort_by(f64::total_cmp);
+    // Measured: 0.020 to 0.036 m for five of eight, 0.13 and 0.14 m for two, and one that is lost (0.86 m).
+    assert!(errors[4] <= 1.3 * 0.036, "{errors:?}");
+    let lost = errors.iter().filter(|error| **error > 0.2).count();
+    assert!(lost <= 1, "{lost} of 8 are lost: {errors:?}");
 }
 
 #[test]
 fn who_walks_among_trees_without_imu_and_wheels_is_followed() {
-    // Rings on the ground held this scanner where it was, to a tenth of its way; trunks tell how it goes.
-    let folder = tempfile::tempdir().unwrap();
-    let scene = ["park", "--seconds", "10", "--seed", "4"];
-    mapped_of(folder.path(), &scene, &["--no-imu", "--no-odometry"]);
-    let error = largest_error(folder.path());
-    assert!(error < 0.1, "{error}");
+    if is_fast() {
+        return;
+    }
+    // Rings on the ground held this scanner where it was, to a tenth of its way; trunks tell how it goes. Seeds 1 to 8
+    // gave 0.013 to 0.057 m.
+    let map = mapped_of(&["park", "--seconds", "10", "--seed", "4"], &["--no-imu", "--no-odometry"]);
+    assert_as_measured(&map, 0.0436);
 }
 
 #[test]
 fn wheels_do_not_flatten_ramps() {
-    let folder = tempfile::tempdir().unwrap();
-    mapped(folder.path(), &["garage", "--seconds", "16"], &["--no-imu"]);
-    let error = largest_error(folder.path());
-    assert!(error < 0.05, "{error}");
+    if is_fast() {
+        return;
+    }
+    assert_as_measured(&mapped(&["garage", "--seconds", "16"], &["--no-imu"]), 0.0147);
 }
 
 #[test]
 fn among_cars_nothing_is_open_and_a_short_stay_is_level() {
-    let folder = tempfile::tempdir().unwrap();
-    let (summary, report) = mapped(folder.path(), &["garage", "--seconds", "10"], &[]);
+    if is_fast() {
+        return;
+    }
+    let Mapped { summary, report, trajectory, .. } = mapped(&["garage", "--seconds", "10"], &[]);
     assert!(!summary.contains("did not tell"), "{summary}");
     let total: f64 = report["weak_seconds"].as_object().unwrap().values().filter_map(|v| v.as_f64()).sum();
     assert!(total < 1.0, "{report}");
     // The first pose of the truth is level: x and y of the quaternion are half of what the map is tilted.
-    let trajectory = std::fs::read_to_string(folder.path().join("map/trajectory.tum")).unwrap();
     let first = trajectory.lines().find(|line| !line.starts_with('#')).unwrap();
     let numbers: Vec<f64> = first.split_whitespace().map(|word| word.parse().unwrap()).collect();
     let tilt = 2.0 * numbers[4].hypot(numbers[5]).to_degrees();

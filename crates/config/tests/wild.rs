@@ -1,21 +1,17 @@
 //! Configurations of real robots load.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::path::{Path, PathBuf};
 
 use portolan_config::{ConfigWarning, LoadedConfig, Options};
+use portolan_testing::real_data;
 
-/// The Lua files of a folder of the shared data that return the configuration of a robot; nothing when
+/// The Lua files of a folder of the real data that return the configuration of a robot; nothing when
 /// the data is missing.
 fn robots(folder: &str) -> Vec<PathBuf> {
-    let shared = std::env::var_os("PORTOLAN_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
-    let Ok(entries) = std::fs::read_dir(shared.join("data").join(folder)) else {
-        assert!(std::env::var_os("CI").is_none(), "shared data is missing: {folder}");
-        eprintln!("skipped: no shared data {folder}");
-        return Vec::new();
-    };
+    let Some(folder) = real_data(folder) else { return Vec::new() };
+    let entries = std::fs::read_dir(folder).unwrap();
     let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
     files.retain(|path| path.extension().is_some_and(|extension| extension == "lua"));
     files.retain(|path| String::from_utf8_lossy(&std::fs::read(path).unwrap()).contains("return options"));

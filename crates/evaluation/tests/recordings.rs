@@ -1,31 +1,18 @@
 //! Figures on real and simulated recordings, against those of independent programs.
-#![allow(clippy::unwrap_used, clippy::print_stderr)]
+#![allow(clippy::unwrap_used)]
 
 use std::fs::File;
 use std::io::BufReader;
-use std::path::PathBuf;
 
 use portolan_evaluation::{
     Alignment, Association, Step, TimedPose, Trajectory, absolute_errors, in_time_base, read_csv,
     read_relations, read_tum, relation_errors, relative_errors, write_binary_relations,
 };
 use portolan_geometry::{Duration, Time};
-
-/// Path of a shared file; says on stderr when it is missing, which in continuous integration is an
-/// error.
-fn shared(path: &str) -> Option<PathBuf> {
-    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared"));
-    let file = std::env::var_os("PORTOLAN_SHARED").map_or_else(beside, PathBuf::from).join(path);
-    if file.exists() {
-        return Some(file);
-    }
-    assert!(std::env::var_os("CI").is_none(), "{} is missing", file.display());
-    eprintln!("skipped: {} is missing", file.display());
-    None
-}
+use portolan_testing::real_data;
 
 fn tum(path: &str) -> Option<Trajectory> {
-    let (trajectory, repairs) = read_tum(BufReader::new(File::open(shared(path)?).unwrap())).unwrap();
+    let (trajectory, repairs) = read_tum(BufReader::new(File::open(real_data(path)?).unwrap())).unwrap();
     assert_eq!(repairs, Default::default());
     Some(trajectory)
 }
@@ -36,10 +23,10 @@ fn assert_close(actual: f64, expected: f64, tolerance: f64) {
 
 #[test]
 fn corridor() {
-    let Some(truth) = tum("data/lidar3d/corridor_imu.truth.tum") else { return };
+    let Some(truth) = tum("lidar3d/corridor_imu.truth.tum") else { return };
     let expected = [
-        ("data/maps/reference/corridor_imu.tum", [0.1019, 0.0813, 0.2042, 0.634]),
-        ("data/maps/reference/corridor_imu.local.tum", [0.2738, 0.1777, 0.7570, 1.003]),
+        ("maps/reference/corridor_imu.tum", [0.1019, 0.0813, 0.2042, 0.634]),
+        ("maps/reference/corridor_imu.local.tum", [0.2738, 0.1777, 0.7570, 1.003]),
     ];
     for (path, [rmse, median, max, degrees]) in expected {
         let Some(estimate) = tum(path) else { return };
@@ -51,7 +38,7 @@ fn corridor() {
         assert_close(e.rotation_degrees.rmse, degrees, 5.1e-4);
     }
     let nearest = Association::Nearest { tolerance: Duration::from_ticks(200_000) };
-    let Some(estimate) = tum("data/maps/reference/corridor_imu.tum") else { return };
+    let Some(estimate) = tum("maps/reference/corridor_imu.tum") else { return };
     let e = absolute_errors(&truth, &estimate, nearest, Alignment::Se2).unwrap();
     assert_close(e.translation.rmse, 0.0962, 5.1e-5);
     assert_close(e.rotation_degrees.rmse, 0.399, 5.1e-4);
@@ -59,8 +46,7 @@ fn corridor() {
 
 #[test]
 fn walk() {
-    let (Some(truth), Some(input)) = (tum("data/lidar3d/walk.truth.tum"), tum("data/lidar3d/walk.input.tum"))
-    else {
+    let (Some(truth), Some(input)) = (tum("lidar3d/walk.truth.tum"), tum("lidar3d/walk.input.tum")) else {
         return;
     };
     let e = absolute_errors(&truth, &input, Association::default(), Alignment::Se3).unwrap();
@@ -74,14 +60,14 @@ fn walk() {
 #[test]
 fn relations_of_the_reference() {
     // Written by the reference program; its figure for the nodes alone is 0.00195 m, 0.04833 degrees.
-    let Some(path) = shared("data/maps/reference/corridor_imu.generated_5m.pb") else { return };
+    let Some(path) = real_data("maps/reference/corridor_imu.generated_5m.pb") else { return };
     let bytes = std::fs::read(path).unwrap();
     let relations = read_relations(&bytes).unwrap();
     assert_eq!(relations.len(), 24);
     let mut written = Vec::new();
     write_binary_relations(&relations, &mut written).unwrap();
     assert_eq!(written, bytes);
-    let Some(estimate) = tum("data/maps/reference/corridor_imu.tum") else { return };
+    let Some(estimate) = tum("maps/reference/corridor_imu.tum") else { return };
     let report = relation_errors(&estimate, &relations).unwrap();
     assert_eq!(
         report.to_string(),
@@ -92,10 +78,10 @@ fn relations_of_the_reference() {
 
 #[test]
 fn carmen_relations() {
-    let Some(path) = shared("data/lidar2d/aces/aces.relations") else { return };
+    let Some(path) = real_data("lidar2d/aces/aces.relations") else { return };
     let relations = read_relations(&std::fs::read(path).unwrap()).unwrap();
     assert_eq!(relations.len(), 1279);
-    let Some(path) = shared("data/lidar2d/aces/reference_poses.csv") else { return };
+    let Some(path) = real_data("lidar2d/aces/reference_poses.csv") else { return };
     let (poses, _) = read_csv(BufReader::new(File::open(path).unwrap())).unwrap();
     let same_clock = relation_errors(&poses, &in_time_base(&poses, &relations).unwrap().0).unwrap();
     // A trajectory with the stamps of the ROS recording.

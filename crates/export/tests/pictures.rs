@@ -1,8 +1,8 @@
 //! Pictures of real maps: size, colours, files.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use portolan_export::{
     MapContent, Picture, PictureError, PictureOptions, TrajectoryLine, constraint_lines, draw_map, palette,
@@ -12,21 +12,7 @@ use portolan_geometry::{Rigid3, Time};
 use portolan_mapfile::{
     MapArea, MapReader, PaintOptions, PlacedTexture, SubmapTexture, load_textures, paint,
 };
-
-/// A file of the shared test data; none, and a word on stderr, where it is missing.
-fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PORTOLAN_SHARED").map_or_else(
-        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")),
-        PathBuf::from,
-    );
-    let full = root.join(path);
-    if full.exists() {
-        return Some(full);
-    }
-    assert!(std::env::var_os("CI").is_none(), "shared test data is missing: {}", full.display());
-    eprintln!("skipped: {} is missing", full.display());
-    None
-}
+use portolan_testing::{real_data, spec_data};
 
 fn drawn(path: &Path, options: &PictureOptions) -> Picture {
     let mut reader = MapReader::open(path).unwrap();
@@ -56,7 +42,7 @@ fn shares(picture: &Picture) -> [f64; 3] {
 
 #[test]
 fn a_picture_comes_back_from_its_file() {
-    let Some(map) = shared("data/maps/wild/NHK_pr_108.pbstream") else { return };
+    let Some(map) = real_data("maps/wild/NHK_pr_108.pbstream") else { return };
     let picture = drawn(&map, &PictureOptions::default());
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.png");
@@ -76,7 +62,7 @@ fn a_picture_comes_back_from_its_file() {
 
 #[test]
 fn sizes_and_crops_are_obeyed() {
-    let Some(map) = shared("data/maps/reference/aces.pbstream") else { return };
+    let Some(map) = real_data("maps/reference/aces.pbstream") else { return };
     let small = drawn(&map, &PictureOptions { max_edge: 300, ..PictureOptions::default() });
     assert_eq!(small.frame.width.max(small.frame.height), 300);
     // Thin walls stay visible although each pixel is many cells.
@@ -94,7 +80,7 @@ fn sizes_and_crops_are_obeyed() {
 
 #[test]
 fn the_number_of_threads_does_not_change_the_picture() {
-    let Some(map) = shared("data/maps/reference/small_3d.pbstream") else { return };
+    let Some(map) = real_data("maps/reference/small_3d.pbstream") else { return };
     let draw = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| drawn(&map, &PictureOptions { max_edge: 500, ..PictureOptions::default() }))
@@ -159,7 +145,7 @@ fn far_away_submaps_only_make_the_picture_coarse() {
 
 #[test]
 fn grey_maps_are_those_of_ros() {
-    let Some(map) = shared("spec/testdata/local2d.pbstream") else { return };
+    let Some(map) = spec_data("local2d.pbstream") else { return };
     let textures = load_textures(&mut MapReader::open(map).unwrap()).unwrap().textures;
     let painted = paint(&textures, &PaintOptions::default()).unwrap();
     let folder = tempfile::tempdir().unwrap();

@@ -11,12 +11,14 @@ use portolan_mapfile::{MapReader, PbstreamReader, PbstreamWriter, ReadLimits};
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
-    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/maps/reference/aces.pbstream");
-    let path = arguments.first().map_or(default, String::as_str);
+    let given = arguments.first().map(std::path::PathBuf::from);
+    let Some(path) = given.or_else(|| portolan_testing::real_data("maps/reference/aces.pbstream")) else {
+        return;
+    };
     let copies: usize = arguments.get(1).map_or(4, |c| c.parse().unwrap());
 
-    let Ok(reader) = PbstreamReader::open(path) else {
-        println!("{path} is not there: nothing measured");
+    let Ok(reader) = PbstreamReader::open(&path) else {
+        println!("{} is not there: nothing measured", path.display());
         return;
     };
     let once: Vec<Vec<u8>> = reader.map(|m| m.unwrap().bytes).collect();

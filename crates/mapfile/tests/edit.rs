@@ -7,8 +7,8 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use common::all_maps;
 use common::small_map::SmallMap;
-use common::{all_maps, shared};
 use portolan_config::{ConstraintBuilderOptions, Options};
 use portolan_geometry::{Rigid3, Time, Vector3};
 use portolan_mapfile::proto::mapping::serialized_data::Data;
@@ -18,6 +18,7 @@ use portolan_mapfile::{
     pose_from_proto, validate,
 };
 use portolan_solver::g2o::Graph;
+use portolan_testing::real_data;
 use tempfile::TempDir;
 
 fn draft(path: &Path) -> MapDraft {
@@ -61,7 +62,7 @@ fn maps_are_merged_and_taken_apart() {
     let folder = tempfile::tempdir().unwrap();
     let merged = folder.path().join("merged.pbstream");
     for name in ["small_2d", "small_3d"] {
-        let Some(path) = shared(&format!("data/maps/reference/{name}.pbstream")) else { return };
+        let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { return };
         let one = summary(&path);
         let mut both = draft(&path);
         let pose = Rigid3::new(Vector3::new(5.0, -3.0, 0.0), Vector3::z() * 0.4);
@@ -85,7 +86,7 @@ fn maps_are_merged_and_taken_apart() {
         assert!(messages(&apart)[2..] == messages(&path)[2..], "{name}");
     }
     let (Some(plane), Some(space)) =
-        (shared("data/maps/reference/small_2d.pbstream"), shared("data/maps/reference/small_3d.pbstream"))
+        (real_data("maps/reference/small_2d.pbstream"), real_data("maps/reference/small_3d.pbstream"))
     else {
         return;
     };
@@ -113,7 +114,7 @@ fn numbers_of_trajectories() {
 
 #[test]
 fn maps_are_cut_by_time_and_area() {
-    let Some(path) = shared("data/maps/reference/aces.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/aces.pbstream") else { return };
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.pbstream");
     let mut map = draft(&path);
@@ -153,7 +154,7 @@ fn maps_are_cut_by_time_and_area() {
 
 #[test]
 fn loops_are_dropped_found_again_and_optimised() {
-    let Some(path) = shared("data/maps/reference/aces.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/aces.pbstream") else { return };
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.pbstream");
     let mut map = draft(&path);
@@ -184,7 +185,7 @@ fn loops_are_dropped_found_again_and_optimised() {
 
 #[test]
 fn optimising_in_space_keeps_what_fits() {
-    let Some(path) = shared("data/maps/reference/corridor_imu.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/corridor_imu.pbstream") else { return };
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.pbstream");
     let mut map = draft(&path);
@@ -198,7 +199,7 @@ fn optimising_in_space_keeps_what_fits() {
 
 #[test]
 fn loops_in_space_are_found() {
-    let Some(path) = shared("data/maps/reference/corridor_imu.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/corridor_imu.pbstream") else { return };
     let map = draft(&path);
     let options = ConstraintBuilderOptions { global_localization_min_score: 0.4, ..Default::default() };
     let good = *map.loop_residuals().last().unwrap();
@@ -266,7 +267,7 @@ fn fixed_frames_move_with_the_map() {
 
 #[test]
 fn walls_of_a_turned_map_turn_with_it() {
-    let Some(path) = shared("data/maps/wild/SDBArrow_AGV_map.pbstream") else { return };
+    let Some(path) = real_data("maps/wild/SDBArrow_AGV_map.pbstream") else { return };
     let mut map = draft(&path);
     let before = map.walls().unwrap();
     map.transform(&Rigid3::new(Vector3::zeros(), Vector3::z() * 0.3)).unwrap();
@@ -278,7 +279,7 @@ fn walls_of_a_turned_map_turn_with_it() {
 #[test]
 fn poses_go_out_and_come_back() {
     for name in ["small_2d", "small_3d"] {
-        let Some(path) = shared(&format!("data/maps/reference/{name}.pbstream")) else { return };
+        let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { return };
         let mut map = draft(&path);
         let exported = map.to_graph().unwrap();
         map.take_graph_poses(&exported).unwrap();

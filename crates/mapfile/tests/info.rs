@@ -6,12 +6,13 @@ mod common;
 
 use std::collections::BTreeMap;
 
-use common::{all_maps, shared};
+use common::all_maps;
 use portolan_mapfile::{MapReader, PbstreamReader, ReadLimits, info};
+use portolan_testing::real_data;
 
 #[test]
 fn counts_agree_with_the_reference() {
-    let Some(notes) = shared("data/maps/reference/NOTES.md") else { return };
+    let Some(notes) = real_data("maps/reference/NOTES.md") else { return };
     let notes = std::fs::read_to_string(notes).unwrap();
     let mut expected: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     let mut map = "";
@@ -25,7 +26,7 @@ fn counts_agree_with_the_reference() {
     }
     assert_eq!(expected.len(), 6);
     for (name, lines) in expected {
-        let path = shared(&format!("data/maps/reference/{name}")).unwrap();
+        let path = real_data(&format!("maps/reference/{name}")).unwrap();
         let info = info(&mut MapReader::open(path).unwrap()).unwrap();
         let printed = info.lines(name);
         assert_eq!(printed[0], format!("Reading pbstream file from '{name}'..."));

@@ -6,8 +6,8 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use common::all_maps;
 use common::small_map::SmallMap;
-use common::{all_maps, shared};
 use portolan_config::{Options, PoseGraphOptions};
 use portolan_geometry::{Rigid3, rotation_angle};
 use portolan_mapfile::proto::mapping::serialized_data::Data;
@@ -19,6 +19,7 @@ use portolan_mapfile::{
     write_map_2d,
 };
 use portolan_mapping::{Mapper, MapperSettings, Planar, PoseGraph, Repairs, TrajectoryId, TrajectoryState};
+use portolan_testing::real_data;
 use proptest::prelude::*;
 use tempfile::TempDir;
 
@@ -189,7 +190,7 @@ fn compare_nodes(a: &Contents, b: &Contents, loaded: &Loaded) {
 fn maps_of_the_reference_come_back_unchanged() {
     let folder = TempDir::new().unwrap();
     for name in ["aces", "small_2d", "small_tsdf"] {
-        let Some(path) = shared(&format!("data/maps/reference/{name}.pbstream")) else { continue };
+        let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { continue };
         let (again, _) = saved_again(&path, &folder, "again.pbstream");
         let (a, b) = (contents(&path), contents(&again));
         assert_eq!(a.options, b.options, "{name}");
@@ -203,7 +204,7 @@ fn maps_of_the_reference_come_back_unchanged() {
 
 #[test]
 fn frozen_maps_keep_constraints_but_no_measurements() {
-    let Some(path) = shared("data/maps/reference/small_2d.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/small_2d.pbstream") else { return };
     let settings = MapLoadSettings { frozen: FrozenTrajectories::All, ..MapLoadSettings::default() };
     let loaded = read_map_2d(&path, &settings).unwrap();
     let state = loaded.graph.state();
@@ -216,7 +217,7 @@ fn frozen_maps_keep_constraints_but_no_measurements() {
 
 #[test]
 fn maps_are_added_behind_each_other_and_continued() {
-    let Some(path) = shared("data/maps/reference/small_2d.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/small_2d.pbstream") else { return };
     let mut graph = PoseGraph::<Planar>::new(PoseGraphOptions::default());
     let mut ended = BTreeMap::new();
     for expected in 0..2 {
@@ -242,7 +243,7 @@ fn maps_are_added_behind_each_other_and_continued() {
 #[test]
 fn textures_of_memory_and_file_agree() {
     for name in ["small_2d", "small_tsdf"] {
-        let Some(path) = shared(&format!("data/maps/reference/{name}.pbstream")) else { continue };
+        let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { continue };
         let from_file = load_textures(&mut MapReader::open(&path).unwrap()).unwrap().textures;
         let in_memory = submap_textures_2d(&load(&path).into_map(Options::for_2d()));
         assert_eq!(from_file.len(), in_memory.len());
@@ -258,7 +259,7 @@ fn textures_of_memory_and_file_agree() {
 #[test]
 fn three_dimensional_maps_are_refused() {
     for name in ["small_3d", "corridor_imu"] {
-        let Some(path) = shared(&format!("data/maps/reference/{name}.pbstream")) else { continue };
+        let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { continue };
         let refused = read_map_2d(&path, &MapLoadSettings::default()).err().unwrap();
         assert!(matches!(refused, MapConversionError::ThreeDimensional), "{refused}");
     }
@@ -268,7 +269,7 @@ fn three_dimensional_maps_are_refused() {
 fn changed(
     change: impl Fn(&mut m::PoseGraph, &mut Data),
 ) -> Option<Result<LoadedMap<Planar>, MapConversionError>> {
-    let path = shared("data/maps/reference/small_2d.pbstream")?;
+    let path = real_data("maps/reference/small_2d.pbstream")?;
     let mut contents = contents(&path);
     let folder = TempDir::new().unwrap();
     let changed = folder.path().join("changed.pbstream");
@@ -328,7 +329,7 @@ fn parts_that_do_not_belong_together_are_counted() {
 
 #[test]
 fn truncated_files_are_errors() {
-    let Some(path) = shared("data/maps/reference/small_2d.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/small_2d.pbstream") else { return };
     let bytes = std::fs::read(&path).unwrap();
     let folder = TempDir::new().unwrap();
     let cut = folder.path().join("cut.pbstream");

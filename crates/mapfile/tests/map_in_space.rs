@@ -5,8 +5,8 @@ mod common;
 
 use std::path::Path;
 
+use common::all_maps;
 use common::small_map::SmallMap;
-use common::{all_maps, shared};
 use portolan_config::Options;
 use portolan_mapfile::proto::mapping as m;
 use portolan_mapfile::proto::mapping::serialized_data::Data;
@@ -15,6 +15,7 @@ use portolan_mapfile::{
     write_graph,
 };
 use portolan_mapping::{Planar, Spatial};
+use portolan_testing::real_data;
 use prost::Message as _;
 
 fn messages(path: &Path) -> (m::PoseGraph, Vec<Data>) {
@@ -40,7 +41,7 @@ fn through_memory(path: &Path, copy: &Path) -> LoadedMap<Spatial> {
 
 #[test]
 fn textures_of_memory_and_file_agree() {
-    let Some(path) = shared("data/maps/reference/small_3d.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/small_3d.pbstream") else { return };
     let from_file = load_textures(&mut MapReader::open(&path).unwrap()).unwrap().textures;
     let loaded: LoadedMap<Spatial> = read_map(&path, &MapLoadSettings::default()).unwrap();
     let in_memory = submap_textures_3d(&loaded.into_map(Options::default()));

@@ -4,12 +4,13 @@
 
 mod common;
 
+use common::all_maps;
 use common::small_map::SmallMap;
-use common::{all_maps, shared};
 use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::{
     MapReader, MigrateError, MigrateOptions, PbstreamReader, RawMessage, load_textures, migrate, validate,
 };
+use portolan_testing::real_data;
 use std::path::Path;
 
 fn old_3d_map() -> SmallMap {
@@ -95,7 +96,7 @@ fn real_2d_maps_keep_their_content() {
     let folder = tempfile::tempdir().unwrap();
     let new = folder.path().join("new.pbstream");
     for name in ["NHK_pr_108", "shannon112_ironfish_test"] {
-        let Some(old) = shared(&format!("data/maps/wild/{name}.pbstream")) else { return };
+        let Some(old) = real_data(&format!("maps/wild/{name}.pbstream")) else { return };
         let report = migrate(&old, &new, MigrateOptions::default()).unwrap();
         assert_eq!((report.from_version, report.histograms), (1, 0));
         let bytes = |p: &Path| -> Vec<_> {

@@ -4,12 +4,12 @@
 
 mod common;
 
-use common::shared;
 use portolan_geometry::Rigid3;
 use portolan_mapfile::{
     MapArea, MapReader, PaintError, PaintOptions, PaintedMap, PlacedTexture, SubmapTexture, load_textures,
     paint,
 };
+use portolan_testing::{real_data, spec_data};
 
 struct Expected {
     name: &'static str,
@@ -71,8 +71,8 @@ fn painted(path: &std::path::Path, slices: usize) -> PaintedMap {
 fn painted_maps_look_like_the_reference() {
     for expected in EXPECTED {
         let name = expected.name;
-        let Some(map) = shared(&format!("spec/testdata/{name}.pbstream")) else { return };
-        let Some(image) = shared(&format!("spec/testdata/{name}.pgm")) else { return };
+        let Some(map) = spec_data(&format!("{name}.pbstream")) else { return };
+        let Some(image) = spec_data(&format!("{name}.pgm")) else { return };
         let map = painted(&map, expected.slices);
         assert_eq!((map.width, map.height), expected.size, "{name}");
         assert!((map.origin[0] - expected.origin.0).abs() < 1e-5, "{name}: {:?}", map.origin);
@@ -105,7 +105,7 @@ fn painted_maps_look_like_the_reference() {
 
 #[test]
 fn crops_show_the_same_pixels() {
-    let Some(path) = shared("spec/testdata/local2d.pbstream") else { return };
+    let Some(path) = spec_data("local2d.pbstream") else { return };
     let textures = load_textures(&mut MapReader::open(&path).unwrap()).unwrap().textures;
     let whole = paint(&textures, &PaintOptions::default()).unwrap();
     let [left, low] = whole.lower_left();
@@ -127,7 +127,7 @@ fn crops_show_the_same_pixels() {
 
 #[test]
 fn coarse_pictures_average_fine_ones() {
-    let Some(path) = shared("data/maps/reference/aces.pbstream") else { return };
+    let Some(path) = real_data("maps/reference/aces.pbstream") else { return };
     let textures = load_textures(&mut MapReader::open(&path).unwrap()).unwrap().textures;
     let crop = Some(MapArea { min_x: -20.0, min_y: -20.0, max_x: 20.0, max_y: 20.0 });
     let painted = |resolution: f64| {

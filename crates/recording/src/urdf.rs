@@ -168,17 +168,8 @@ mod tests {
 
     #[test]
     fn descriptions_of_real_robots_load() {
-        let shared = std::env::var_os("PORTOLAN_SHARED").map_or_else(
-            || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"),
-            std::path::PathBuf::from,
-        );
         for (name, joints) in [("AGV_backpack_2d.urdf", 5), ("backpack_2d.urdf", 2)] {
-            let path = shared.join("data/configs").join(name);
-            if !path.exists() {
-                eprintln!("skipped: {} is not there", path.display());
-                assert!(std::env::var_os("CI").is_none());
-                return;
-            }
+            let Some(path) = portolan_testing::real_data(&format!("configs/{name}")) else { return };
             assert_eq!(read_urdf(&path).unwrap().fixed_joints.len(), joints, "{name}");
         }
     }

@@ -1,26 +1,13 @@
 //! Real recordings as measurements.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)] // tests say what is wrong that way
-
-use std::path::{Path, PathBuf};
+#![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
 
 use portolan_geometry::{Time, rotation_angle};
 use portolan_recording::{
     Dimension, IngestOptions, Ingestion, Message, PlannedOdometry, RecordedMessage, Recording, open,
 };
 use portolan_sensor::{Measurement, SensorId};
-
-fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PORTOLAN_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
-    let file = root.join("data").join(path);
-    if file.exists() {
-        return Some(file);
-    }
-    eprintln!("skipped: {} is not there", file.display());
-    assert!(std::env::var_os("CI").is_none(), "shared data is missing");
-    None
-}
+use portolan_testing::real_data;
 
 fn messages(recording: &dyn Recording) -> Vec<RecordedMessage> {
     let mut reader = recording.read(&|_| true).unwrap();
@@ -54,9 +41,9 @@ fn assert_same(name: &str, a: &[RecordedMessage], b: &[RecordedMessage], except_
 #[test]
 fn three_forms_of_aces_hold_the_same_messages() {
     let (Some(log), Some(bag), Some(mcap)) = (
-        shared("lidar2d/aces/aces.clf.bz2"),
-        shared("lidar2d/aces/aces.bag"),
-        shared("lidar2d/aces/aces_ros2"),
+        real_data("lidar2d/aces/aces.clf.bz2"),
+        real_data("lidar2d/aces/aces.bag"),
+        real_data("lidar2d/aces/aces_ros2"),
     ) else {
         return;
     };
@@ -71,7 +58,8 @@ fn three_forms_of_aces_hold_the_same_messages() {
 
 #[test]
 fn both_forms_of_fr079_hold_the_same_messages() {
-    let (Some(log), Some(bag)) = (shared("lidar2d/fr079/fr079.clf.bz2"), shared("lidar2d/fr079/fr079.bag"))
+    let (Some(log), Some(bag)) =
+        (real_data("lidar2d/fr079/fr079.clf.bz2"), real_data("lidar2d/fr079/fr079.bag"))
     else {
         return;
     };
@@ -81,7 +69,7 @@ fn both_forms_of_fr079_hold_the_same_messages() {
 
 #[test]
 fn a_robot_in_the_plane_is_understood() {
-    let Some(path) = shared("lidar2d/aces/aces.clf.bz2") else { return };
+    let Some(path) = real_data("lidar2d/aces/aces.clf.bz2") else { return };
     let (found, ingestion) = measurements(&*open(path).unwrap());
     let plan = ingestion.plan();
     assert_eq!((plan.dimension, plan.tracking_frame.as_str()), (Dimension::Two, "base_link"));
@@ -97,7 +85,7 @@ fn a_robot_in_the_plane_is_understood() {
 
 #[test]
 fn the_last_second_is_processed() {
-    let Some(path) = shared("lidar3d/corridor_imu.bag") else { return };
+    let Some(path) = real_data("lidar3d/corridor_imu.bag") else { return };
     let recording = open(path).unwrap();
     let (_, last) = recording.time_range().unwrap();
     let (found, ingestion) = measurements(&*recording);
@@ -123,7 +111,7 @@ fn the_last_second_is_processed() {
 
 #[test]
 fn stamps_at_the_start_of_a_sweep_become_those_of_its_end() {
-    let Some(path) = shared("lidar3d/walk.bag") else { return };
+    let Some(path) = real_data("lidar3d/walk.bag") else { return };
     let (found, ingestion) = measurements(&*open(path).unwrap());
     assert_eq!(ingestion.plan().tracking_frame, "lidar");
     assert_eq!(found.len(), 1016);
@@ -139,7 +127,7 @@ fn stamps_at_the_start_of_a_sweep_become_those_of_its_end() {
 
 #[test]
 fn clouds_without_times_are_instants() {
-    let Some(path) = shared("lidar3d/kitti_0001.bag") else { return };
+    let Some(path) = real_data("lidar3d/kitti_0001.bag") else { return };
     let mut ingestion = Ingestion::new(&*open(path).unwrap(), &IngestOptions::default()).unwrap();
     let (_, Measurement::Range(first)) = ingestion.next().unwrap().unwrap() else { panic!() };
     assert!(first.points_in_tracking.len() > 100_000);
@@ -149,11 +137,11 @@ fn clouds_without_times_are_instants() {
 
 #[test]
 fn odometry_may_be_in_transforms() {
-    let Some(path) = shared("ros_bags/evo_tf_example.bag") else { return };
+    let Some(path) = real_data("ros_bags/evo_tf_example.bag") else { return };
     // It has transforms only: nothing to map with, told by name.
     let error = Ingestion::new(&*open(path).unwrap(), &IngestOptions::default()).err().unwrap().to_string();
     assert!(error.contains("/tf"), "{error}");
-    let Some(path) = shared("ros_bags/scan_tools_demo.bag") else { return };
+    let Some(path) = real_data("ros_bags/scan_tools_demo.bag") else { return };
     let (found, ingestion) = measurements(&*open(path).unwrap());
     assert!(
         found.iter().filter(|m| matches!(m.1, Measurement::Range(_))).count() > 200,
@@ -164,7 +152,7 @@ fn odometry_may_be_in_transforms() {
 
 #[test]
 fn dead_reckoning_of_coreslam_agrees_with_its_scans() {
-    let Some(path) = shared("lidar2d/coreslam/exp1.dat") else { return };
+    let Some(path) = real_data("lidar2d/coreslam/exp1.dat") else { return };
     let (found, ingestion) = measurements(&*open(path).unwrap());
     assert!(matches!(ingestion.plan().odometry, Some(PlannedOdometry::Topic(_))));
     let poses: Vec<_> = found

@@ -1,25 +1,13 @@
 //! Text logs of real robots, and text that is none.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)] // tests say what is wrong that way
+#![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use portolan_recording::{Message, RecordedMessage, Recording, Repair, open_text_log, open_text_log_bytes};
+use portolan_testing::real_data;
 use proptest::prelude::*;
-
-/// A file of the shared data, or a word on stderr about what is skipped without it.
-fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PORTOLAN_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
-    let file = root.join("data").join(path);
-    if file.exists() {
-        return Some(file);
-    }
-    eprintln!("skipped: {} is not there", file.display());
-    assert!(std::env::var_os("CI").is_none(), "shared data is missing");
-    None
-}
 
 fn read_all(recording: &dyn Recording) -> (Vec<RecordedMessage>, Vec<Repair>) {
     let mut reader = recording.read(&|_| true).unwrap();
@@ -37,7 +25,7 @@ fn count(messages: &[RecordedMessage], topic: &str) -> usize {
 
 #[test]
 fn aces_as_a_carmen_log() {
-    let Some(path) = shared("lidar2d/aces/aces.clf.bz2") else { return };
+    let Some(path) = real_data("lidar2d/aces/aces.clf.bz2") else { return };
     let log = open_text_log(&path).unwrap().unwrap();
     assert_eq!(log.format(), "CARMEN log (bzip2)");
     let (messages, repairs) = read_all(&*log);
@@ -56,7 +44,7 @@ fn aces_as_a_carmen_log() {
 
 #[test]
 fn fr079_tells_where_its_scanner_sits() {
-    let Some(path) = shared("lidar2d/fr079/fr079.clf.bz2") else { return };
+    let Some(path) = real_data("lidar2d/fr079/fr079.clf.bz2") else { return };
     let log = open_text_log(&path).unwrap().unwrap();
     let (messages, _) = read_all(&*log);
     assert_eq!((count(&messages, "/scan"), count(&messages, "/odom")), (4934, 8951));
@@ -67,7 +55,7 @@ fn fr079_tells_where_its_scanner_sits() {
 #[test]
 fn coreslam_logs() {
     for (name, scans) in [("exp1", 756), ("exp2", 641)] {
-        let Some(path) = shared(&format!("lidar2d/coreslam/{name}.dat")) else { return };
+        let Some(path) = real_data(&format!("lidar2d/coreslam/{name}.dat")) else { return };
         let log = open_text_log(&path).unwrap().unwrap();
         let (messages, repairs) = read_all(&*log);
         assert_eq!((count(&messages, "/scan"), count(&messages, "/odom")), (scans, scans));
@@ -125,7 +113,7 @@ proptest! {
 
 #[test]
 fn a_truncated_log_gives_what_is_left_and_says_so() {
-    let Some(path) = shared("lidar2d/fr079/fr079.clf.bz2") else { return };
+    let Some(path) = real_data("lidar2d/fr079/fr079.clf.bz2") else { return };
     let bytes = std::fs::read(path).unwrap();
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("cut.clf.bz2");

@@ -7,6 +7,7 @@ use portolan_geometry::{Duration, Rigid3, Time, Vector3, nalgebra as na};
 use portolan_refinement::MotionSensors;
 use portolan_refinement::continuous::{ContinuousOptions, Gauge, refine_continuous, refine_continuous_with};
 use portolan_sensor::{FixedFramePoseData, ImuData, OdometryData};
+use portolan_testing::is_fast;
 use synthetic::{
     Lidar, Random, circles, disturbed, errors, furnished, poses, room, scan, scan_with, straight,
 };
@@ -22,6 +23,9 @@ fn mount() -> Rigid3 {
 
 #[test]
 fn a_wrong_place_and_clock_of_a_lidar_are_found() {
+    if is_fast() {
+        return;
+    }
     // Two centimetres, one degree, twenty milliseconds.
     let wrong = Rigid3::new(Vector3::new(0.015, -0.01, 0.01), Vector3::new(0.010, -0.008, 0.012));
     let truth = poses(circles, 20.0);
@@ -88,6 +92,9 @@ fn imu(seconds: f64, turn: Vector3, lever: Vector3, delay: f64) -> MotionSensors
 
 #[test]
 fn turn_place_and_clock_of_the_imu_are_found() {
+    if is_fast() {
+        return;
+    }
     let (turn, lever, delay) = (Vector3::new(0.01, -0.02, 0.015), Vector3::new(0.10, -0.05, 0.08), 0.02);
     let truth = poses(circles, 30.0);
     let points = scan(&furnished(), circles, 30.0, 90);
@@ -112,6 +119,9 @@ fn turn_place_and_clock_of_the_imu_are_found() {
 
 #[test]
 fn gravity_levels_and_fixes_place_the_result() {
+    if is_fast() {
+        return;
+    }
     let truth = poses(circles, 15.0);
     let points = scan(&furnished(), circles, 15.0, 60);
     let mut sensors = imu(15.0, Vector3::zeros(), Vector3::zeros(), 0.0);

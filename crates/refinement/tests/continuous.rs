@@ -10,6 +10,7 @@ use portolan_refinement::continuous::{
 };
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 use portolan_refinement::{PointStore, RefineError};
+use portolan_testing::is_fast;
 use synthetic::{circles, disturbed, errors, furnished, poses, room, scan, straight};
 
 const SECONDS: f64 = 20.0;
@@ -24,6 +25,9 @@ fn corrected(refined: &Refined, input: &[(Time, Rigid3)]) -> Vec<(Time, Rigid3)>
 
 #[test]
 fn drift_and_short_errors_are_found_in_a_room() {
+    if is_fast() {
+        return;
+    }
     let truth = poses(circles, SECONDS);
     let points = scan(&furnished(), circles, SECONDS, 120);
     let input = disturbed(&truth, 0.5, 0.01);
@@ -84,6 +88,9 @@ fn along_a_corridor_nothing_is_known_and_nothing_is_done() {
 
 #[test]
 fn the_result_does_not_depend_on_the_number_of_threads() {
+    if is_fast() {
+        return;
+    }
     let truth = poses(circles, 8.0);
     let points = scan(&furnished(), circles, 8.0, 60);
     let input = disturbed(&truth, 0.2, 0.01);
@@ -98,6 +105,9 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 
 #[test]
 fn a_jump_of_the_input_is_taken_out() {
+    if is_fast() {
+        return;
+    }
     let truth = poses(circles, SECONDS);
     let points = scan(&furnished(), circles, SECONDS, 120);
     let jump = Rigid3::new(Vector3::new(0.8, -0.4, 0.1), Vector3::new(0.0, 0.0, 0.1));
@@ -126,6 +136,9 @@ fn a_jump_of_the_input_is_taken_out() {
 
 #[test]
 fn the_published_method_finds_drift_too() {
+    if is_fast() {
+        return;
+    }
     let truth = poses(circles, SECONDS);
     let points = scan(&furnished(), circles, SECONDS, 120);
     let input = disturbed(&truth, 0.4, 0.005);

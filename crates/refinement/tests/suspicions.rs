@@ -7,6 +7,7 @@ use portolan_geometry::{Duration, Point3f, Rigid3, Time, Vector3};
 use portolan_refinement::continuous::{ContinuousOptions, RefineReport, refine_continuous};
 use portolan_refinement::{PointStore, RefineError};
 use portolan_sensor::{TimedPoint, TimedPointCloudData};
+use portolan_testing::is_fast;
 use synthetic::{Lidar, circles, disturbed, furnished, poses, scan, scan_with};
 
 type Poses = Vec<(Time, Rigid3)>;
@@ -27,6 +28,9 @@ fn offset_named(text: &str) -> f64 {
 
 #[test]
 fn a_wrong_time_base_is_named_with_the_offset_that_fits() {
+    if is_fast() {
+        return;
+    }
     let truth = poses(circles, 20.0);
     let points = scan(&furnished(), circles, 20.0, 60);
     let right = report(&points, &truth);
@@ -53,6 +57,9 @@ fn a_clock_far_off_is_named_too() {
 
 #[test]
 fn the_trajectory_of_another_recording_is_suspected() {
+    if is_fast() {
+        return;
+    }
     let points = scan(&furnished(), circles, 20.0, 60);
     let other: Poses = poses(
         |s| {
@@ -101,6 +108,9 @@ fn poses_that_are_no_poses_are_refused() {
 
 #[test]
 fn a_lidar_that_sits_elsewhere_is_suspected() {
+    if is_fast() {
+        return;
+    }
     let mount = Rigid3::new(Vector3::new(-0.2, 0.1, 0.3), Vector3::new(0.0, 0.6, 0.0));
     let wrong = Rigid3::new(Vector3::new(0.03, 0.0, 0.02), Vector3::new(0.0, 0.0, 0.03));
     let lidars = |said| {

@@ -1,4 +1,4 @@
-//! Recordings of the shared data: half a minute of the walk through a building, from a trajectory with drift and jitter, and
+//! Recordings of the real data: half a minute of the walk through a building, from a trajectory with drift and jitter, and
 //! the corridor from a map of the reference.
 #![allow(clippy::unwrap_used)] // a test
 
@@ -14,24 +14,10 @@ use portolan_recording::{IngestOptions, Ingestion, open};
 use portolan_refinement::PointStore;
 use portolan_refinement::continuous::{ContinuousOptions, DenseTrajectory, refine_continuous};
 use portolan_sensor::Measurement;
+use portolan_testing::{is_fast, real_data};
 
 /// Seconds of the walk that are refined.
 const SECONDS: f64 = 30.0;
-
-#[allow(clippy::print_stderr)] // what is skipped must be seen
-fn shared(name: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PORTOLAN_SHARED").map_or_else(
-        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")),
-        PathBuf::from,
-    );
-    let path = root.join("data/lidar3d").join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    assert!(std::env::var_os("CI").is_none(), "{} is missing", path.display());
-    eprintln!("skipped: {} is missing", path.display());
-    None
-}
 
 /// The points of a recording.
 fn points_of(bag: PathBuf, length: Option<Duration>) -> PointStore {
@@ -53,14 +39,14 @@ struct Walk {
 
 /// The points of the first seconds, and the truth.
 fn walk(seconds: f64) -> Option<Walk> {
-    let bag = shared("walk.bag")?;
+    let bag = real_data("lidar3d/walk.bag")?;
     let (truth, _) = read_tum(file("walk.truth.tum")).unwrap();
     let points = points_of(bag, Some(Duration::from_seconds(seconds)));
     Some(Walk { truth, points })
 }
 
 fn file(name: &str) -> BufReader<std::fs::File> {
-    BufReader::new(std::fs::File::open(shared(name).unwrap()).unwrap())
+    BufReader::new(std::fs::File::open(real_data(&format!("lidar3d/{name}")).unwrap()).unwrap())
 }
 
 fn poses(trajectory: &Trajectory, seconds: f64) -> Vec<(Time, Rigid3)> {
@@ -98,6 +84,9 @@ fn surface_error(walk: &Walk, trajectory: &DenseTrajectory) -> f64 {
 
 #[test]
 fn half_a_minute_of_the_walk_becomes_as_sharp_as_the_truth() {
+    if is_fast() {
+        return;
+    }
     let Some(walk) = walk(SECONDS) else { return };
     let (input, _) = read_tum(file("walk.input.tum")).unwrap();
     let poses = poses(&input, SECONDS);
@@ -121,6 +110,9 @@ fn half_a_minute_of_the_walk_becomes_as_sharp_as_the_truth() {
 
 #[test]
 fn the_truth_does_not_become_worse() {
+    if is_fast() {
+        return;
+    }
     let Some(walk) = walk(0.7 * SECONDS) else { return };
     let poses = poses(&walk.truth, 0.7 * SECONDS);
     let before = surface_error(&walk, &DenseTrajectory::new(&poses).unwrap());
@@ -133,8 +125,12 @@ fn the_truth_does_not_become_worse() {
 
 #[test]
 fn a_map_that_is_only_inexact_raises_no_suspicion() {
+    if is_fast() {
+        return;
+    }
     // The reference's map of a corridor: off by 0.1 m, ten poses a second, wrong in the same way at every corner.
-    let (Some(bag), Some(_)) = (shared("corridor_imu.bag"), shared("../maps/reference/corridor_imu.tum"))
+    let (Some(bag), Some(_)) =
+        (real_data("lidar3d/corridor_imu.bag"), real_data("maps/reference/corridor_imu.tum"))
     else {
         return;
     };

@@ -10,8 +10,6 @@ mod measurement;
 mod point_cloud;
 mod range_data_collator;
 mod rounding;
-#[cfg(test)]
-mod test_clouds;
 mod voxel_filter;
 
 pub use collator::{CollatedItem, Collator, CollatorOptions, CollatorReport, SensorCounts, WaitLimit};

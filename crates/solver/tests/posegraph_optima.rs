@@ -1,27 +1,15 @@
-//! Standard pose graphs reach their published optima. Needs the shared data directory.
+//! Standard pose graphs reach their published optima. Needs the real data.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr)]
+#![allow(clippy::unwrap_used)]
 
 use std::fs::File;
 use std::io::BufReader;
-use std::path::PathBuf;
 
 use portolan_solver::g2o::{Initialization, OptimizeOptions, Report, optimize_graph, read_g2o};
-
-fn pose_graphs() -> Option<PathBuf> {
-    let shared = std::env::var("PORTOLAN_SHARED")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").into());
-    let directory = PathBuf::from(shared).join("data/posegraphs");
-    if directory.is_dir() {
-        return Some(directory);
-    }
-    assert!(std::env::var_os("CI").is_none(), "no shared data at {}", directory.display());
-    eprintln!("skipped: no pose graphs at {}", directory.display());
-    None
-}
+use portolan_testing::real_data;
 
 fn optimize(name: &str, initialization: Initialization) -> Option<Report> {
-    let file = File::open(pose_graphs()?.join(name)).unwrap();
+    let file = File::open(real_data(&format!("posegraphs/{name}"))?).unwrap();
     let (mut graph, repairs) = read_g2o(BufReader::new(file)).unwrap();
     assert!(repairs.is_empty(), "{repairs:?}");
     let options = OptimizeOptions { initialization, ..Default::default() };

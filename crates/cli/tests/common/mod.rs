@@ -1,44 +1,29 @@
 //! Running the built program.
-#![allow(dead_code, clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+#![allow(dead_code, clippy::unwrap_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
-/// What a run gave.
-pub struct Run {
-    pub code: Option<i32>,
-    pub stdout: String,
-    pub stderr: String,
-}
+use portolan_testing::{Program, real_data};
+
+pub use portolan_testing::Run;
+
+/// The program.
+pub static PORTOLAN: Program = Program::at(env!("CARGO_BIN_EXE_portolan"));
 
 /// Runs the program.
 pub fn portolan<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> Run {
-    let output = Command::new(env!("CARGO_BIN_EXE_portolan")).args(arguments).output().unwrap();
-    Run {
-        code: output.status.code(),
-        stdout: String::from_utf8(output.stdout).unwrap(),
-        stderr: String::from_utf8(output.stderr).unwrap(),
-    }
+    PORTOLAN.run(arguments)
 }
 
 /// Runs the program, which must end with this code.
 #[track_caller]
 pub fn portolan_with_code<S: AsRef<std::ffi::OsStr>>(code: i32, arguments: &[S]) -> Run {
-    let run = portolan(arguments);
-    assert_eq!(run.code, Some(code), "stdout: {}\nstderr: {}", run.stdout, run.stderr);
-    run
+    PORTOLAN.run_with_code(code, arguments)
 }
 
-/// Path of a shared file; says on stderr when it is missing, which in continuous integration is an error.
-pub fn shared(path: &str) -> Option<String> {
-    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared"));
-    let file = std::env::var_os("PORTOLAN_SHARED").map_or_else(beside, PathBuf::from).join(path);
-    if file.exists() {
-        return Some(text(&file));
-    }
-    assert!(std::env::var_os("CI").is_none(), "{} is missing", file.display());
-    eprintln!("skipped: {} is missing", file.display());
-    None
+/// Path of a file of the real data, if it is there.
+pub fn real(path: &str) -> Option<String> {
+    real_data(path).map(|file| text(&file))
 }
 
 /// A path as text.
@@ -46,14 +31,32 @@ pub fn text(path: &Path) -> String {
     path.to_str().unwrap().to_owned()
 }
 
-/// A small simulated recording in a folder of its own.
+/// A recording of a 2D robot in corridors, 12 s, as `name` in a folder of its own with its truth beside it.
 pub fn simulated(folder: &Path, name: &str, more: &[&str]) -> String {
-    let path = text(&folder.join(name));
-    let mut arguments =
-        vec!["simulate", "corridors", "-o", &path, "--seconds", "12", "--seed", "5", "--beams", "90"];
-    arguments.extend(more);
-    portolan_with_code(0, &arguments);
-    path
+    let path = folder.join(name);
+    let extension = path.extension().unwrap().to_str().unwrap();
+    let corridors = ["corridors", "--seconds", "12", "--seed", "5", "--beams", "90"];
+    let made = PORTOLAN.simulated(extension, &[&corridors, more].concat());
+    for file in std::fs::read_dir(made.parent().unwrap()).unwrap() {
+        let file = file.unwrap();
+        let ending = file.file_name().into_string().unwrap().split_once('.').unwrap().1.to_owned();
+        std::fs::copy(file.path(), path.with_extension(ending)).unwrap();
+    }
+    text(&path)
+}
+
+/// The recording of [`portolan_testing::Program::simulated`] as text, and its truth.
+#[track_caller]
+pub fn simulated_once(arguments: &[&str]) -> (String, String) {
+    let recording = PORTOLAN.simulated("mcap", arguments);
+    (text(&recording), text(&recording.with_extension("truth.tum")))
+}
+
+/// Errors of a trajectory against the true one, as `evaluate trajectory` gives them.
+#[track_caller]
+pub fn trajectory_errors(estimate: &str, truth: &str) -> serde_json::Value {
+    let run = portolan_with_code(0, &["evaluate", "trajectory", estimate, truth, "--json"]);
+    serde_json::from_str(&run.stdout).unwrap()
 }
 
 /// Maps a recording cut off after these shares of its bytes, and with `flips` bits flipped in several ways. Every

@@ -108,22 +108,10 @@ fn the_files_are_the_golden_ones() {
     }
     let map = std::fs::read_to_string(folder.path().join("map.yaml")).unwrap();
     assert!(map.contains("resolution: 0.5") && folder.path().join("map.pgm").exists(), "{map}");
-    let Some(golden) = golden_folder() else { return };
+    let Some(golden) = portolan_testing::spec_data("") else { return };
     for name in ["xray_gray.png", "xray_col.png", "pg.png"] {
         assert_eq!(grey(&folder.path().join(name)), grey(&golden.join(name)), "{name}");
     }
-}
-
-fn golden_folder() -> Option<std::path::PathBuf> {
-    let root = std::env::var_os("PORTOLAN_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), Into::into);
-    let folder = root.join("spec/testdata");
-    if folder.exists() {
-        return Some(folder);
-    }
-    assert!(std::env::var_os("CI").is_none(), "shared test data is missing: {}", folder.display());
-    eprintln!("skipped: {} is missing", folder.display());
-    None
 }
 
 /// Size and pixels of a picture, red, green and blue.

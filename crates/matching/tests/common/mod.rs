@@ -1,33 +1,16 @@
-//! What the tests of this crate share: the generator and the scenes of the golden vectors.
+//! What the tests of this crate share: the scenes of the golden vectors. They are made of grids of this crate and therefore
+//! cannot be in `portolan-testing`.
 
 use portolan_geometry::{Point3f, Rigid2, Rigid3, Vector2, rotation_from_roll_pitch_yaw, to_f32};
 use portolan_sensor::{PointCloud, RangeData};
+use portolan_testing::clouds;
+pub use portolan_testing::clouds::Lcg;
 
 use portolan_matching::PlanarTransform;
 use portolan_matching::grid::{
     Grid2d, HybridGrid, HybridInserter, HybridInserterOptions, MapLimits, ProbabilityGrid,
     ProbabilityInserter, ProbabilityInserterOptions, Tsdf2d, TsdfInserter, TsdfInserterOptions,
 };
-
-/// The linear congruential generator of the golden vectors.
-pub struct Lcg(u32);
-
-impl Lcg {
-    pub fn new(seed: u32) -> Self {
-        Self(seed)
-    }
-
-    /// In [0, 1).
-    pub fn unit(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (self.0 >> 8) as f32 / 16_777_216.0
-    }
-
-    /// In [−a, a).
-    pub fn symmetric(&mut self, a: f32) -> f32 {
-        (self.unit() * 2.0 - 1.0) * a
-    }
-}
 
 /// A box-shaped room with niches, seen from (`ox`, `oy`).
 pub fn room(n: usize, ox: f32, oy: f32) -> RangeData {
@@ -120,9 +103,7 @@ pub fn random_room(lcg: &mut Lcg, tsdf: bool) -> (Grid2d, PointCloud) {
 
 /// Cloud A of the golden vectors: random points in a flat box.
 pub fn cloud_a() -> PointCloud {
-    let mut lcg = Lcg::new(1);
-    let mut point = || [20.0, 20.0, 3.0].map(|a| lcg.symmetric(a));
-    PointCloud::new((0..1000).map(|_| Point3f::from(point())).collect())
+    PointCloud::new(clouds::flat_box(1, 1000))
 }
 
 /// Cloud B of the golden vectors.
@@ -132,19 +113,7 @@ pub fn cloud_b() -> PointCloud {
 
 /// Random points of an oval wall with two flat ends, above a floor.
 pub fn oval_hall(seed: u32, n: usize) -> PointCloud {
-    let mut lcg = Lcg::new(seed);
-    let points = (0..n).map(|i| {
-        let (a, h) = (lcg.symmetric(std::f32::consts::PI), lcg.symmetric(1.0));
-        let (mut x, y, mut z) = (8.0 * a.cos(), 5.0 * a.sin(), 2.0 * h);
-        if i % 3 == 0 {
-            x = if x > 0.0 { 6.0 } else { -6.0 };
-        }
-        if i % 7 == 0 {
-            z = -2.0;
-        }
-        Point3f::from([x, y, z].map(|v| (v * 1024.0).round() / 1024.0))
-    });
-    PointCloud::new(points.collect())
+    PointCloud::new(clouds::oval_hall(seed, n))
 }
 
 /// Cloud B seen from its origin.

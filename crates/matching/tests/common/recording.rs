@@ -2,11 +2,11 @@
 
 use std::collections::HashMap;
 use std::io::Read;
-use std::path::PathBuf;
 
 use portolan_geometry::{Point3f, Rigid2, embed_3d, to_f32};
 use portolan_matching::{Grid2d, MapLimits, ProbabilityGrid, ProbabilityInserter};
 use portolan_sensor::{PointCloud, RangeData, adaptive_voxel_filter};
+use portolan_testing::real_data;
 
 /// A scan in the frame of the laser, and where the laser was.
 pub struct PosedScan {
@@ -18,23 +18,10 @@ pub struct PosedScan {
 /// Beams longer than this saw nothing.
 const MAX_RANGE: f32 = 30.0;
 
-/// Where recordings are, if they are there.
-fn shared_data(path: &str) -> Option<PathBuf> {
-    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").to_string();
-    let shared = std::env::var("PORTOLAN_SHARED").unwrap_or(default);
-    let path = PathBuf::from(shared).join("data").join(path);
-    if path.exists() {
-        return Some(path);
-    }
-    assert!(std::env::var_os("CI").is_none(), "{} is missing", path.display());
-    eprintln!("skipped: {} is missing", path.display());
-    None
-}
-
 /// All scans of a log over 180° (`<name>/<name>.clf.bz2`) for which a reference pose is known.
 pub fn posed_scans(name: &str) -> Option<Vec<PosedScan>> {
-    let log = shared_data(&format!("lidar2d/{name}/{name}.clf.bz2"))?;
-    let poses = shared_data(&format!("lidar2d/{name}/reference_poses.csv"))?;
+    let log = real_data(&format!("lidar2d/{name}/{name}.clf.bz2"))?;
+    let poses = real_data(&format!("lidar2d/{name}/reference_poses.csv"))?;
     let poses = std::fs::read_to_string(poses).ok()?;
     let numbers = |line: &str, separator: char| -> Vec<f64> {
         line.split(separator).filter_map(|f| f.trim().parse().ok()).collect()

@@ -1,25 +1,9 @@
 //! Recordings of real robots.
 
-use std::path::PathBuf;
-
 use portolan_recording::*;
+use portolan_testing::real_data;
 
 use crate::sample::{assert_same, read_all};
-
-/// Path of a shared recording; `None`, with a word on stderr, where there are none.
-fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PORTOLAN_SHARED").map_or_else(
-        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")),
-        PathBuf::from,
-    );
-    let path = root.join("data").join(path);
-    if path.exists() {
-        return Some(path);
-    }
-    assert!(std::env::var_os("CI").is_none(), "{} is missing", path.display());
-    eprintln!("skipped: {} is missing", path.display());
-    None
-}
 
 fn count_of(messages: &[RecordedMessage], topic: &str) -> usize {
     messages.iter().filter(|message| &*message.topic == topic).count()
@@ -27,7 +11,7 @@ fn count_of(messages: &[RecordedMessage], topic: &str) -> usize {
 
 #[test]
 fn the_same_recording_in_ros1_and_ros2_is_the_same() {
-    let (Some(bag), Some(folder)) = (shared("lidar2d/aces/aces.bag"), shared("lidar2d/aces/aces_ros2"))
+    let (Some(bag), Some(folder)) = (real_data("lidar2d/aces/aces.bag"), real_data("lidar2d/aces/aces_ros2"))
     else {
         return;
     };
@@ -53,7 +37,7 @@ fn the_same_recording_in_ros1_and_ros2_is_the_same() {
 
 #[test]
 fn bz2_chunks_are_read() {
-    let Some(path) = shared("lidar2d/fr079/fr079.bag") else { return };
+    let Some(path) = real_data("lidar2d/fr079/fr079.bag") else { return };
     let recording = open(path).unwrap();
     assert_eq!(recording.format(), "ROS 1 bag 2.0 (bz2)");
     let (messages, repairs) = read_all(&*recording);
@@ -64,7 +48,7 @@ fn bz2_chunks_are_read() {
 
 #[test]
 fn a_bag_with_a_damaged_index_is_recovered() {
-    let Some(path) = shared("ros_bags/scan_tools_demo.bag") else { return };
+    let Some(path) = real_data("ros_bags/scan_tools_demo.bag") else { return };
     let (messages, repairs) = read_all(&*open(path).unwrap());
     assert!(
         repairs.iter().any(|repair| repair.what.contains("index")) && !repairs[0].lost_data,
@@ -78,7 +62,7 @@ fn a_bag_with_a_damaged_index_is_recovered() {
 
 #[test]
 fn transforms_odometry_and_foreign_types_are_read() {
-    if let Some(path) = shared("ros_bags/evo_tf_example.bag") {
+    if let Some(path) = real_data("ros_bags/evo_tf_example.bag") {
         let (messages, repairs) = read_all(&*open(path).unwrap());
         assert_eq!((count_of(&messages, "/tf"), count_of(&messages, "/tf_static")), (517, 1));
         assert_eq!(repairs, []);
@@ -91,7 +75,7 @@ fn transforms_odometry_and_foreign_types_are_read() {
             }
         }
     }
-    if let Some(path) = shared("ros_bags/nav2_turtlebot.mcap") {
+    if let Some(path) = real_data("ros_bags/nav2_turtlebot.mcap") {
         let (messages, repairs) = read_all(&*open(path).unwrap());
         assert_eq!(repairs, []);
         assert_eq!((count_of(&messages, "/odom"), count_of(&messages, "/tf")), (2639, 5422));
@@ -101,7 +85,7 @@ fn transforms_odometry_and_foreign_types_are_read() {
         };
         assert!(!odometry.child_frame_id.is_empty() && odometry.pose_covariance.len() == 36);
     }
-    if let Some(path) = shared("ros_bags/ouster_512x10_raw.bag") {
+    if let Some(path) = real_data("ros_bags/ouster_512x10_raw.bag") {
         let (messages, repairs) = read_all(&*open(path).unwrap());
         // The clock of that sensor counts from when it was switched on.
         assert!(repairs.iter().all(|r| !r.lost_data && r.what.contains("shifted")), "{repairs:?}");
@@ -125,7 +109,7 @@ fn transforms_odometry_and_foreign_types_are_read() {
 #[test]
 fn point_clouds_and_imu_are_read_in_order() {
     for path in ["lidar3d/corridor_imu.bag", "lidar3d/kitti_0001.bag"] {
-        let Some(path) = shared(path) else { continue };
+        let Some(path) = real_data(path) else { continue };
         let recording = open(path).unwrap();
         let mut reader = recording.read(&|_| true).unwrap();
         let mut last = portolan_geometry::Time::MIN;

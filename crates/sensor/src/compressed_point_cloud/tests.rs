@@ -1,5 +1,5 @@
 use super::*;
-use crate::test_clouds::lcg_cloud;
+use portolan_testing::clouds::flat_box;
 use proptest::prelude::*;
 
 fn compress(points: &[[f32; 3]]) -> CompressedPointCloud {
@@ -40,7 +40,7 @@ fn golden_points() {
 
 #[test]
 fn golden_cloud() {
-    let compressed = CompressedPointCloud::compress(&lcg_cloud(1, 1000)).unwrap();
+    let compressed = CompressedPointCloud::compress(&flat_box(1, 1000)).unwrap();
     let bytes: Vec<u8> = compressed.point_data.iter().flat_map(|i| i.to_le_bytes()).collect();
     assert_eq!((compressed.point_data.len(), crc32fast::hash(&bytes)), (4812, 0x1899_a761));
     assert_eq!(compressed.point_data[..5], [1, -20, -18, -3, 470_291_353]);
@@ -133,7 +133,7 @@ proptest! {
 
     #[test]
     fn flipped_bits_never_panic(index in 0..4812usize, bit in 0..32u32, length in 0..4812usize) {
-        let mut compressed = CompressedPointCloud::compress(&lcg_cloud(1, 1000)).unwrap();
+        let mut compressed = CompressedPointCloud::compress(&flat_box(1, 1000)).unwrap();
         compressed.point_data[index] ^= 1 << bit;
         compressed.point_data.truncate(length);
         if let Ok(points) = compressed.decompress() {

@@ -1,5 +1,5 @@
 use super::*;
-use crate::test_clouds::{crc, lcg_cloud};
+use portolan_testing::clouds::{crc, flat_box};
 use proptest::prelude::*;
 
 fn points(coordinates: &[[f32; 3]]) -> Vec<Point3f> {
@@ -17,7 +17,7 @@ fn golden_reservoir() {
 
 #[test]
 fn golden_clouds() {
-    let cloud = lcg_cloud(1, 1000);
+    let cloud = flat_box(1, 1000);
     for (resolution, count, expected) in [(1.0, 959, 0x3286_edea), (5.0, 187, 0x50a4_c3fa)] {
         let filtered = voxel_filter_points(&cloud, resolution);
         assert_eq!((filtered.len(), crc(&filtered)), (count, expected), "edge {resolution}");
@@ -26,7 +26,7 @@ fn golden_clouds() {
 
 #[test]
 fn golden_adaptive_clouds() {
-    let cloud = PointCloud::new(lcg_cloud(1, 1000));
+    let cloud = PointCloud::new(flat_box(1, 1000));
     let golden = [
         (4.0, 150, 15.0, 163, 0xaf92_5fdb),
         (8.0, 100, 50.0, 148, 0x9ff2_3295),
@@ -83,7 +83,7 @@ fn what_is_not_finite_is_left_out() {
 
 #[test]
 fn adaptive_searches_end_at_odd_settings() {
-    let cloud = lcg_cloud(2, 50);
+    let cloud = flat_box(2, 50);
     for length in [0.0, -1.0, f32::NAN, f32::INFINITY, f32::MIN_POSITIVE] {
         assert!(adaptive_voxel_filter_indices(&cloud, length, 10, 1000.0).len() <= 50);
         assert!(adaptive_voxel_filter_indices(&[], length, 10, 1000.0).is_empty());

@@ -1,0 +1,56 @@
+//! Real recordings and maps: not part of the repository (`TESTING.md`).
+
+use std::path::{Path, PathBuf};
+
+use crate::folders::repository;
+use crate::left_out::left_out;
+
+/// A file or folder of the real data, `real_data("lidar2d/aces/aces.bag")`; none, and a line in the list of what was
+/// left out, where it is missing.
+///
+/// The data are in the folder that `PORTOLAN_DATA` names, else in `../shared/data` beside the repository.
+///
+/// # Panics
+///
+/// If `PORTOLAN_DATA` names no folder.
+pub fn real_data(path: &str) -> Option<PathBuf> {
+    existing(data_folder(std::env::var_os("PORTOLAN_DATA").map(PathBuf::from)).join(path))
+}
+
+/// A golden file of Cartographer's, from `spec/testdata` beside the data.
+///
+/// # Panics
+///
+/// As [`real_data`].
+pub fn spec_data(path: &str) -> Option<PathBuf> {
+    let data = data_folder(std::env::var_os("PORTOLAN_DATA").map(PathBuf::from));
+    existing(data.join("../spec/testdata").join(path))
+}
+
+fn data_folder(named: Option<PathBuf>) -> PathBuf {
+    let Some(folder) = named else { return repository().join("../shared/data") };
+    assert!(folder.is_dir(), "PORTOLAN_DATA names {}, which is no folder", Path::display(&folder));
+    folder
+}
+
+fn existing(file: PathBuf) -> Option<PathBuf> {
+    let exists = file.exists();
+    if !exists {
+        left_out(&format!("{} is missing", file.display()));
+    }
+    exists.then_some(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_that_is_named_must_exist() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(data_folder(Some(folder.path().to_owned())), folder.path());
+        let nowhere = folder.path().join("nowhere");
+        assert!(std::panic::catch_unwind(|| data_folder(Some(nowhere))).is_err());
+        assert!(data_folder(None).ends_with("shared/data"));
+    }
+}
