@@ -99,7 +99,8 @@ impl Localisation {
     /// Nothing if no map was known before.
     pub fn of<S: Space>(mapped: &MappedRecording<S>) -> Option<Self> {
         let (state, new) = (mapped.map.graph.state(), mapped.trajectory_id);
-        if state.trajectories.len() < 2 {
+        let pieces = mapped.pieces();
+        if state.trajectories.keys().all(|id| pieces.contains(id)) {
             return None;
         }
         let time = |node_id| state.nodes.get(&node_id).map(|node| node.data.time);

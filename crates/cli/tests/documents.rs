@@ -1,0 +1,142 @@
+//! Documents say what is so: links resolve, commands are understood, generated pages are those of this program.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+}
+
+/// All Markdown files below a folder, but those that programs write.
+fn markdown_files(folder: &Path, found: &mut Vec<PathBuf>) {
+    let mut entries: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
+    entries.sort();
+    for path in entries {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if path.is_dir() && !name.starts_with('.') && !["target", "book"].contains(&name.as_str()) {
+            markdown_files(&path, found);
+        } else if name.ends_with(".md") {
+            found.push(path);
+        }
+    }
+}
+
+fn documents() -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let root = repository();
+    ["docs", "crates", "fuzz"].iter().for_each(|folder| markdown_files(&root.join(folder), &mut found));
+    let top = std::fs::read_dir(&root).unwrap().map(|e| e.unwrap().path());
+    found.extend(top.filter(|path| path.extension().is_some_and(|e| e == "md")));
+    found
+}
+
+/// Runs the program and gives what it prints, without spaces at the ends of lines; none if it fails.
+fn output_of(arguments: &[&str]) -> Option<String> {
+    let output = Command::new(env!("CARGO_BIN_EXE_portolan")).args(arguments).output().unwrap();
+    output.status.success().then(|| trimmed(&String::from_utf8(output.stdout).unwrap()))
+}
+
+fn trimmed(text: &str) -> String {
+    let lines: Vec<&str> = text.lines().map(str::trim_end).collect();
+    lines.join("\n").trim_end().to_owned()
+}
+
+/// Text outside of fenced code and of code within lines.
+fn prose(text: &str) -> String {
+    let (mut prose, mut in_fence) = (String::new(), false);
+    for line in text.lines() {
+        if line.trim_start().starts_with("```") {
+            in_fence = !in_fence;
+        } else if !in_fence {
+            prose.extend(line.split('`').step_by(2));
+            prose.push('\n');
+        }
+    }
+    prose
+}
+
+#[test]
+fn relative_links_resolve() {
+    let mut broken = Vec::new();
+    let documents = documents();
+    for document in &documents {
+        let text = prose(&std::fs::read_to_string(document).unwrap());
+        for link in text.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(link, _)| link) {
+            let path = link.split('#').next().unwrap_or_default();
+            let is_elsewhere = path.is_empty() || path.contains("://") || path.starts_with("mailto:");
+            if !is_elsewhere && !document.parent().unwrap().join(path).exists() {
+                broken.push(format!("{}: {link}", document.display()));
+            }
+        }
+    }
+    assert!(documents.len() > 20, "{}", documents.len());
+    assert!(broken.is_empty(), "links that lead nowhere:\n{}", broken.join("\n"));
+}
+
+/// Commands that begin with `portolan` in the text: lines of shell blocks, and code within lines.
+fn commands(text: &str) -> Vec<String> {
+    let (mut found, mut in_fence) = (Vec::new(), None);
+    for line in text.lines() {
+        if let Some(language) = line.trim_start().strip_prefix("```") {
+            in_fence = if in_fence.is_none() { Some(language == "sh") } else { None };
+        } else if in_fence == Some(true) {
+            found.push(line.to_owned());
+        } else if in_fence.is_none() {
+            found.extend(line.split('`').skip(1).step_by(2).map(str::to_owned));
+        }
+    }
+    let without_rest = |line: String| {
+        let line = line.split(" #").next().unwrap_or_default();
+        line.split(" |").next().unwrap_or_default().trim().to_owned()
+    };
+    found.into_iter().filter(|line| line.starts_with("portolan ")).map(without_rest).collect()
+}
+
+#[test]
+fn commands_are_understood() {
+    let guides = repository().join("docs/src");
+    let mut pages = Vec::new();
+    markdown_files(&guides, &mut pages);
+    pages.retain(|page| !page.starts_with(guides.join("reference")));
+    pages.push(repository().join("README.md"));
+    let (mut count, mut wrong) = (0, Vec::new());
+    for page in &pages {
+        for command in commands(&std::fs::read_to_string(page).unwrap()) {
+            // With --help everything before it is read and checked, and nothing is done.
+            let mut arguments: Vec<&str> = command.split_whitespace().skip(1).collect();
+            arguments.push("--help");
+            count += 1;
+            if output_of(&arguments).is_none() {
+                wrong.push(format!("{}: {command}", page.display()));
+            }
+        }
+    }
+    assert!(count > 50, "{count}");
+    assert!(wrong.is_empty(), "commands that the program does not understand:\n{}", wrong.join("\n"));
+}
+
+const ADVICE: &str = "is not current: run scripts/reference.sh";
+
+#[test]
+fn the_page_of_options_is_current() {
+    let page = std::fs::read_to_string(repository().join("docs/src/reference/options.md")).unwrap();
+    let (_, written) = page.split_once("\n\n").unwrap();
+    assert!(trimmed(written) == output_of(&["config", "reference"]).unwrap(), "options.md {ADVICE}");
+}
+
+#[test]
+fn the_page_of_verbs_is_current() {
+    let page = std::fs::read_to_string(repository().join("docs/src/reference/verbs.md")).unwrap();
+    let mut sections = 0;
+    for section in page.split("\n## ").map(|section| section.trim_start_matches("# Verbs")) {
+        let (heading, rest) = section.split_once("\n\n").unwrap();
+        let (_, block) = rest.split_once("```text\n").unwrap();
+        let (written, _) = block.split_once("\n```").unwrap();
+        let mut arguments: Vec<&str> = heading.split_whitespace().skip(1).collect();
+        arguments.push("--help");
+        assert!(Some(written.to_owned()) == output_of(&arguments), "{heading} in verbs.md {ADVICE}");
+        sections += 1;
+    }
+    assert!(sections > 20, "{sections}");
+}
