@@ -20,7 +20,7 @@ pub use comparison::{PairedComparison, compare_places, place_of};
 pub use mesh_files::{Mesh, is_mesh, read_mesh};
 pub use orthogonality::{MutualOrthogonality, mutual_orthogonality};
 pub use passes::{PassDistance, PassDistances, PassOptions, pass_distances};
-pub use portolan_refinement::{Sharpness, SharpnessOptions, sharpness, spread_sample};
+pub use portolan_spatial::{Sharpness, SharpnessOptions, sharpness, spread_sample};
 pub use quality::{CloudQuality, CloudToJudge, QualityOptions, cloud_quality};
 pub use reference::ReferenceCloud;
 pub use surface::{SurfaceErrors, TrueSurfaces, surface_errors};

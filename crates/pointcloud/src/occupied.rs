@@ -1,10 +1,9 @@
 //! Which voxels hold points: a bit for each, in blocks.
 
-use std::collections::HashMap;
-use std::hash::BuildHasherDefault;
+use portolan_spatial::{VoxelHash, VoxelKey as Key};
 
 use crate::error::CloudError;
-use crate::thin::{Key, KeyHasher, check_voxel_size};
+use crate::thin::check_voxel_size;
 
 /// A block has 2³ voxels along each edge.
 const BLOCK: i32 = 3;
@@ -21,7 +20,7 @@ const NONE: u32 = u32::MAX;
 pub struct OccupiedVoxels {
     per_metre: f64,
     max_blocks: usize,
-    blocks: HashMap<Key, u32, BuildHasherDefault<KeyHasher>>,
+    blocks: VoxelHash<u32>,
     bits: Vec<[u64; 8]>,
     /// Blocks that were used lately, by some bits of their keys: scans come back to them all the time.
     recent: [(Key, u32); RECENT],
@@ -41,9 +40,9 @@ impl OccupiedVoxels {
         Ok(Self {
             per_metre: 1.0 / voxel_size,
             max_blocks,
-            blocks: HashMap::default(),
+            blocks: VoxelHash::default(),
             bits: Vec::new(),
-            recent: [(Key(0, 0, 0), NONE); RECENT],
+            recent: [([0; 3], NONE); RECENT],
         })
     }
 
@@ -57,8 +56,8 @@ impl OccupiedVoxels {
             return false;
         }
         let [x, y, z] = scaled.map(rounded_down);
-        let key = Key(x >> BLOCK, y >> BLOCK, z >> BLOCK);
-        let place = (key.0 ^ key.1 << 3 ^ key.2 << 5) as usize % RECENT;
+        let key = [x >> BLOCK, y >> BLOCK, z >> BLOCK];
+        let place = (key[0] ^ key[1] << 3 ^ key[2] << 5) as usize % RECENT;
         let index = match self.recent[place] {
             (recent, index) if recent == key && index != NONE => index,
             _ => self.block(key, place),
@@ -72,12 +71,12 @@ impl OccupiedVoxels {
     }
 
     fn block(&mut self, key: Key, place: usize) -> u32 {
-        if self.bits.len() >= self.max_blocks && !self.blocks.contains_key(&key) {
+        if self.bits.len() >= self.max_blocks && !self.blocks.contains(&key) {
             self.blocks.clear();
             self.bits.clear();
             self.recent = [(key, NONE); RECENT];
         }
-        let index = *self.blocks.entry(key).or_insert_with(|| {
+        let index = *self.blocks.or_insert_with(key, || {
             self.bits.push([0; 8]);
             (self.bits.len() - 1) as u32
         });

@@ -7,19 +7,15 @@
 
 mod runs;
 
-use std::collections::HashMap;
-use std::hash::{BuildHasherDefault, Hasher};
 use std::path::Path;
+
+use portolan_spatial::{VoxelHash, VoxelKey as Key};
 
 use crate::error::CloudError;
 use runs::{Cell, Runs};
 
 /// Cells that are held in memory at most: about 150 MB.
 pub const CELLS_IN_MEMORY: usize = 1 << 20;
-
-/// Which voxel, in voxels from the origin along x, y and z.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(crate) struct Key(pub i32, pub i32, pub i32);
 
 /// The points of a voxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +34,7 @@ pub struct VoxelPoint {
 pub struct VoxelThinner {
     voxel_size: f64,
     cells_in_memory: usize,
-    cells: HashMap<Key, Cell, BuildHasherDefault<KeyHasher>>,
+    cells: VoxelHash<Cell>,
     runs: Runs,
     /// Times are summed up relative to the first, so that no digits are lost.
     first_time: Option<f64>,
@@ -63,7 +59,7 @@ impl VoxelThinner {
         Ok(Self {
             voxel_size,
             cells_in_memory: cells_in_memory.max(1),
-            cells: HashMap::default(),
+            cells: VoxelHash::default(),
             runs: Runs::in_folder(&std::env::temp_dir()),
             first_time: None,
             not_finite: 0,
@@ -89,15 +85,15 @@ impl VoxelThinner {
             return Ok(());
         }
         let [x, y, z] = scaled.map(f64::floor);
-        let key = Key(x as i32, y as i32, z as i32);
+        let key = [x as i32, y as i32, z as i32];
         let first_time = *self.first_time.get_or_insert(time);
         let within = [scaled[0] - x, scaled[1] - y, scaled[2] - z];
-        self.cells.entry(key).or_default().add(within, intensity, time - first_time);
+        self.cells.or_default(key).add(within, intensity, time - first_time);
         if self.cells.len() >= self.cells_in_memory { self.spill() } else { Ok(()) }
     }
 
     fn spill(&mut self) -> Result<(), CloudError> {
-        let cells = sorted(&mut self.cells);
+        let cells = self.cells.drain_sorted();
         self.runs.write(&cells)
     }
 
@@ -109,7 +105,7 @@ impl VoxelThinner {
         if !self.runs.is_empty() {
             self.spill()?;
         }
-        let cells = sorted(&mut self.cells);
+        let cells = self.cells.drain_sorted();
         let Self { voxel_size, runs, first_time, not_finite, .. } = self;
         Ok(ThinnedCloud { voxel_size, cells, runs, first_time: first_time.unwrap_or(0.0), not_finite })
     }
@@ -117,12 +113,6 @@ impl VoxelThinner {
 
 pub(crate) fn check_voxel_size(voxel_size: f64) -> Result<(), CloudError> {
     if (1e-4..=1e3).contains(&voxel_size) { Ok(()) } else { Err(CloudError::VoxelSize(voxel_size)) }
-}
-
-fn sorted(cells: &mut HashMap<Key, Cell, BuildHasherDefault<KeyHasher>>) -> Vec<(Key, Cell)> {
-    let mut sorted: Vec<(Key, Cell)> = cells.drain().collect();
-    sorted.sort_unstable_by_key(|(key, _)| *key);
-    sorted
 }
 
 /// A cloud with one point for each voxel, to be read as often as needed.
@@ -155,27 +145,6 @@ impl ThinnedCloud {
             return self.cells.iter().try_for_each(|(key, cell)| each(key, cell));
         }
         self.runs.merge(&mut each)
-    }
-}
-
-/// Multiplies and folds; the default hasher takes as long as everything else together.
-#[derive(Default)]
-pub(crate) struct KeyHasher(u64);
-
-impl Hasher for KeyHasher {
-    fn finish(&self) -> u64 {
-        self.0 ^ (self.0 >> 32)
-    }
-
-    fn write(&mut self, bytes: &[u8]) {
-        for byte in bytes {
-            self.write_i32(i32::from(*byte));
-        }
-    }
-
-    fn write_i32(&mut self, value: i32) {
-        let mixed = self.0.rotate_left(21) ^ u64::from(value.cast_unsigned());
-        self.0 = mixed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
     }
 }
 

@@ -176,7 +176,7 @@ fn main() -> Result<(), Failure> {
                 let ([ate, turn, _], [ate1, turn1, most]) =
                     (errors(&truth, &input)?, errors(&truth, &after)?);
                 let report = &refined.report;
-                let entropy = |s: &Option<portolan_refinement::Sharpness>| {
+                let entropy = |s: &Option<portolan_spatial::Sharpness>| {
                     s.as_ref().map_or(f64::NAN, |s| s.mean_map_entropy)
                 };
                 println!(

@@ -3,22 +3,16 @@
 //! - [`continuous`]: a trajectory bent until everything seen from it fits together; the method to use.
 //! - [`semi_rigid`]: the same as published, with sections of the trajectory.
 //! - [`registration`]: ICP, and all scans at once.
-//! - [`neighbours`]: search trees, reduction, normals.
 //!
 //! Nothing here knows of files. Points are `f32` metres, poses `f64`.
 
 pub mod continuous;
 mod error;
-mod moments;
 mod motion_sensors;
-pub mod neighbours;
 mod point_store;
 pub mod registration;
 pub mod semi_rigid;
-mod sharpness;
 
 pub use error::RefineError;
-pub use moments::{Moments, PlaneFit};
 pub use motion_sensors::MotionSensors;
 pub use point_store::{LeftOutPoints, MAX_SENSORS, PointStore, StoredPoint, StoredSensor};
-pub use sharpness::{Neighbourhood, Sharpness, SharpnessOptions, ThinnedCloud, sharpness, spread_sample};

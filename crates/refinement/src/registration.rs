@@ -1,6 +1,5 @@
 //! Registration of scans: ICP with every closed form, point-to-plane and generalised; all scans at once.
 
-mod closed_forms;
 mod cloud;
 mod global;
 mod graph;
@@ -9,10 +8,8 @@ mod linearized;
 mod link;
 mod loop_closing;
 mod model;
-mod pair_moments;
 mod sequence;
 
-pub use closed_forms::{ClosedForm, best_transform, helical_motion};
 pub use cloud::ScanCloud;
 pub use global::{GlobalMethod, GlobalOptions, GlobalReport, register_globally};
 pub use graph::{Link, links_by_distance, links_by_overlap};
@@ -20,7 +17,6 @@ pub use icp::{IcpError, IcpMethod, IcpOptions, IcpResult, RobustKernel, icp};
 pub use link::LinkStatistics;
 pub use loop_closing::{LinkCost, balance, close_loop, link_costs};
 pub use model::{Metascan, Model, ModelHit, ModelPoint};
-pub use pair_moments::PairMoments;
 pub use sequence::{
     ClosedLoop, LoopOptions, ModelScans, SequenceOptions, SequenceReport, register_globally_twice,
     register_sequence, unlinked_scans,

@@ -8,7 +8,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt;
 
 use portolan_geometry::Vector3;
-use portolan_refinement::Neighbourhood;
+use portolan_spatial::Neighbourhood;
 use serde::Serialize;
 
 /// Directions that are tried as the first axis, spread over the hemisphere (5° apart).

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use portolan_refinement::{Neighbourhood, ThinnedCloud};
+use portolan_spatial::{Neighbourhood, ThinnedCloud};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -127,7 +127,7 @@ impl fmt::Display for PassDistances {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_refinement::SharpnessOptions;
+    use portolan_spatial::SharpnessOptions;
 
     /// A wall seen twice, the second time `offset` metres behind the first.
     fn walls(offset: f64) -> (Vec<[f64; 3]>, Vec<f64>) {

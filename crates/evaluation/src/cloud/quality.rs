@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use portolan_refinement::{Neighbourhood, Sharpness, SharpnessOptions, ThinnedCloud};
+use portolan_spatial::{Neighbourhood, Sharpness, SharpnessOptions, ThinnedCloud};
 use serde::Serialize;
 
 use super::comparison::{PairedComparison, PlaceValue, compare_places, place_of};

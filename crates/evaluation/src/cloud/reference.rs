@@ -1,8 +1,8 @@
 //! A more exact cloud as the truth, for example of a terrestrial scanner.
 
 use portolan_geometry::Vector3;
-use portolan_refinement::Moments;
-use portolan_refinement::neighbours::KdTree;
+use portolan_spatial::KdTree;
+use portolan_spatial::Moments;
 
 /// Points of the reference that tell the surface at a place.
 const NEIGHBOURS: usize = 12;
@@ -30,11 +30,7 @@ impl ReferenceCloud {
 
     /// Distance of a point to the surface, metres: to the plane through the points about the nearest one where they
     /// lie on a plane, else to the nearest one.
-    pub(crate) fn distance(
-        &self,
-        point: [f64; 3],
-        found: &mut Vec<portolan_refinement::neighbours::Neighbour>,
-    ) -> f64 {
+    pub(crate) fn distance(&self, point: [f64; 3], found: &mut Vec<portolan_spatial::Neighbour>) -> f64 {
         let query: [f32; 3] = std::array::from_fn(|k| (point[k] - self.origin[k]) as f32);
         let Some(nearest) = self.tree.nearest(query, f32::INFINITY) else { return f64::INFINITY };
         let centre = self.points[nearest.index as usize];

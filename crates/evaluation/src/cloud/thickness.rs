@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use portolan_geometry::Vector3;
-use portolan_refinement::Moments;
+use portolan_spatial::Moments;
 use serde::Serialize;
 
 /// Patches with fewer points do not count.

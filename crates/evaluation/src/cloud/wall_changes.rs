@@ -1,9 +1,7 @@
 //! Where walls changed most between two clouds of the same points.
 
-use std::collections::HashMap;
-
 use portolan_geometry::Vector3;
-use portolan_refinement::{Moments, PlaneFit};
+use portolan_spatial::{Moments, PlaneFit, VoxelHash};
 use serde::Serialize;
 
 /// Cells with fewer points do not count.
@@ -20,7 +18,7 @@ struct Cell {
 #[derive(Clone, Debug)]
 pub struct WallChanges {
     edge: f64,
-    cells: HashMap<[i32; 3], Cell>,
+    cells: VoxelHash<Cell>,
 }
 
 /// A piece of wall whose thickness changed.
@@ -41,7 +39,7 @@ pub struct WallChange {
 impl WallChanges {
     /// Nothing yet; cells of the second cloud have this edge, metres.
     pub fn new(edge: f64) -> Self {
-        Self { edge: if edge > 0.0 { edge } else { 0.5 }, cells: HashMap::new() }
+        Self { edge: if edge > 0.0 { edge } else { 0.5 }, cells: VoxelHash::default() }
     }
 
     /// Adds a point as it lies in the first and in the second cloud (metres).
@@ -52,7 +50,7 @@ impl WallChanges {
         let key = super::place_of(after, self.edge);
         let within =
             |p: [f64; 3]| Vector3::from(std::array::from_fn(|k| p[k] - f64::from(key[k]) * self.edge));
-        let cell = self.cells.entry(key).or_default();
+        let cell = self.cells.or_default(key);
         cell.before.add(&within(before));
         cell.after.add(&within(after));
     }
@@ -60,8 +58,12 @@ impl WallChanges {
     /// The walls that changed most, at least `apart` metres from each other, at most `count`; the largest change
     /// first. A wall is what is wide in two directions and thin in the third, in either cloud.
     pub fn largest(&self, count: usize, apart: f64) -> Vec<WallChange> {
-        let mut changes: Vec<([i32; 3], WallChange)> =
-            self.cells.iter().filter_map(|(key, cell)| Some((*key, self.change(*key, cell)?))).collect();
+        let mut changes: Vec<([i32; 3], WallChange)> = self
+            .cells
+            .sorted()
+            .into_iter()
+            .filter_map(|(key, cell)| Some((key, self.change(key, cell)?)))
+            .collect();
         let size = |change: &WallChange| (change.after - change.before).abs();
         changes.sort_by(|(k, a), (l, b)| size(b).total_cmp(&size(a)).then(k.cmp(l)));
         let mut chosen: Vec<WallChange> = Vec::new();

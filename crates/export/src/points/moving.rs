@@ -1,8 +1,7 @@
 //! `voxel_filter_and_remove_moving_objects`: points in places that are more often seen through than hit.
 
-use std::collections::HashMap;
-
 use portolan_geometry::Point3f;
+use portolan_spatial::VoxelHash;
 
 use super::batch::voxel_of;
 use super::{Flush, Log, PointsBatch, PointsError, Stage};
@@ -29,20 +28,20 @@ struct Voxel {
 pub(super) struct RemoveMoving {
     miss_per_hit_limit: f64,
     voxel_size: f32,
-    voxels: HashMap<[i32; 3], Voxel>,
+    voxels: VoxelHash<Voxel>,
     pass: Pass,
 }
 
 impl RemoveMoving {
     /// The edge of a voxel must be positive, metres.
     pub fn new(voxel_size: f64, miss_per_hit_limit: f64) -> Self {
-        let (voxels, pass) = (HashMap::new(), Pass::MarkingHits);
+        let (voxels, pass) = (VoxelHash::default(), Pass::MarkingHits);
         Self { miss_per_hit_limit, voxel_size: voxel_size as f32, voxels, pass }
     }
 
     fn mark_hits(&mut self, batch: &PointsBatch) -> Result<(), PointsError> {
         for cell in batch.points.iter().filter_map(|p| voxel_of(p, self.voxel_size)) {
-            let voxel = self.voxels.entry(cell).or_default();
+            let voxel = self.voxels.or_default(cell);
             voxel.hits = voxel.hits.saturating_add(1);
         }
         if self.voxels.len() > MAX_VOXELS {

@@ -4,7 +4,9 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::path::{Path, PathBuf};
 
-use super::{Key, VoxelPoint};
+use portolan_spatial::VoxelKey as Key;
+
+use super::VoxelPoint;
 use crate::error::CloudError;
 use crate::output::Spool;
 
@@ -44,7 +46,7 @@ impl Cell {
 
     pub fn point(&self, key: Key, voxel_size: f64, first_time: f64) -> VoxelPoint {
         let count = self.count.max(1) as f64;
-        let corner = [key.0, key.1, key.2].map(f64::from);
+        let corner = key.map(f64::from);
         VoxelPoint {
             position: std::array::from_fn(|i| (corner[i] + self.within[i] / count) * voxel_size),
             intensity: (self.intensity / count) as f32,
@@ -54,7 +56,7 @@ impl Cell {
     }
 
     fn encode(&self, key: Key, bytes: &mut Vec<u8>) {
-        for value in [key.0, key.1, key.2] {
+        for value in key {
             bytes.extend(value.to_le_bytes());
         }
         for value in [self.within[0], self.within[1], self.within[2], self.intensity, self.time] {
@@ -80,7 +82,7 @@ impl Cell {
             time: double(4),
             count: u64::from_le_bytes(part(bytes, 52)),
         };
-        (Key(key[0], key[1], key[2]), cell)
+        (key, cell)
     }
 }
 

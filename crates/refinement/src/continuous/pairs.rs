@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::correction::Corrections;
 use super::dense_trajectory::DenseTrajectory;
 use super::surfels::SurfelMap;
-use crate::neighbours::KdTree;
+use portolan_spatial::KdTree;
 
 /// Windows that each window is compared with at most, besides its neighbours in time.
 const MAX_PARTNERS: usize = 20;

@@ -8,7 +8,8 @@ use super::{
     SensorCorrection,
 };
 use crate::semi_rigid::SemiRigidOptions;
-use crate::{LeftOutPoints, PointStore, Sharpness, StoredPoint, StoredSensor};
+use crate::{LeftOutPoints, PointStore, StoredPoint, StoredSensor};
+use portolan_spatial::Sharpness;
 
 /// How far a refinement is.
 #[derive(Clone, Debug)]

@@ -9,9 +9,8 @@ use super::long_shape;
 use super::report::{Method, RefineReport, Refined, RoundSharpness};
 use super::time_base::{self, TimeBase};
 use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound, information};
-use crate::{
-    MAX_SENSORS, PointStore, RefineError, Sharpness, SharpnessOptions, StoredPoint, sharpness, spread_sample,
-};
+use crate::{MAX_SENSORS, PointStore, RefineError, StoredPoint};
+use portolan_spatial::{Sharpness, SharpnessOptions, sharpness, spread_sample};
 
 /// Points with which the sharpness of a round is measured, and neighbourhoods.
 const ROUND_POINTS: usize = 100_000;

@@ -12,8 +12,8 @@ use super::cells::{Cells, Key};
 use super::correction::Corrections;
 use super::coverage::{Coverage, TimedPoints};
 use super::dense_trajectory::{DenseTrajectory, PoseMatrices};
-use crate::moments::{Moments, PlaneFit};
 use crate::point_store::StoredPoint;
+use portolan_spatial::{Moments, PlaneFit};
 
 /// Edge of the smallest cells, metres; those of the larger ones are two and four times that.
 pub(crate) const FINEST_CELL: f64 = 0.25;

@@ -1,6 +1,6 @@
 //! A scan made ready for matching.
 
-use crate::neighbours::{KdTree, LocalSurface, Neighbour, local_surfaces};
+use portolan_spatial::{KdTree, LocalSurface, Neighbour, local_surfaces};
 
 /// Points of a scan in its own frame (metres), with a search tree and, if asked for, surfaces.
 #[derive(Clone, Debug)]

@@ -6,8 +6,9 @@ mod sums;
 use nalgebra::Matrix6;
 use portolan_geometry::Rigid3;
 
-use super::{ClosedForm, Model, ScanCloud, best_transform};
+use super::{Model, ScanCloud};
 use pairs::Pairing;
+use portolan_spatial::{ClosedForm, best_transform};
 use sums::{equations, point_moments};
 
 /// Fewest pairs that a step is made with.

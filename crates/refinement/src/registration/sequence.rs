@@ -196,7 +196,7 @@ fn try_to_close(
     }
     let data = ScanCloud::new(points);
     let icp_options = IcpOptions {
-        method: super::IcpMethod::PointToPoint(super::ClosedForm::Quaternion),
+        method: super::IcpMethod::PointToPoint(portolan_spatial::ClosedForm::Quaternion),
         max_distance: loops.max_distance,
         max_iterations: loops.max_iterations,
         // Far pairs are needed to come near, but must not hold the result.

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use super::SemiRigidOptions;
 use crate::continuous::Session;
-use crate::neighbours::reduce_indices;
 use crate::registration::{Link, ScanCloud, links_by_overlap};
+use portolan_spatial::reduce_indices;
 
 /// Neighbours of a point that tell its normal, and how far they may be in edges of a voxel.
 const NORMAL_NEIGHBOURS: usize = 10;

@@ -1,7 +1,8 @@
 //! All points as they lie before and after a refinement.
 
 use portolan_refinement::continuous::{BeforeAndAfter, DenseTrajectory, PoseMatrices, Refined};
-use portolan_refinement::{PointStore, StoredPoint, spread_sample};
+use portolan_refinement::{PointStore, StoredPoint};
+use portolan_spatial::spread_sample;
 use rayon::prelude::*;
 
 /// The points of a recording along the trajectory before and after.

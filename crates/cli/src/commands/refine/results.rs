@@ -6,8 +6,8 @@ use portolan_export::write_tum;
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_mapfile::{EditError, MapDraft, ReadLimits};
 use portolan_pointcloud::{Attributes, BATCH_POINTS, CloudError, PointCloud, WriteOptions, create};
-use portolan_refinement::Sharpness;
 use portolan_refinement::continuous::{Mounting, Refined};
+use portolan_spatial::Sharpness;
 
 use super::cloud_pair::CloudPair;
 use super::judgement::Judgement;

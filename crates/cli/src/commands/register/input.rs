@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use portolan_evaluation::Trajectory;
 use portolan_geometry::{Quaternion, Rigid3, Vector3};
 use portolan_pointcloud::{CloudError, CloudReader, UosFolder, UosScan};
-use portolan_refinement::neighbours::{VoxelRepresentative, reduce};
 use portolan_refinement::registration::{Link, ScanCloud};
+use portolan_spatial::{VoxelRepresentative, reduce};
 
 use super::options::SurfacesOf;
 use crate::clouds::read_cloud_from;

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use portolan_refinement::registration::{
-    ClosedForm, GlobalMethod, GlobalOptions, IcpMethod, IcpOptions, LoopOptions, ModelScans, RobustKernel,
+    GlobalMethod, GlobalOptions, IcpMethod, IcpOptions, LoopOptions, ModelScans, RobustKernel,
     SequenceOptions,
 };
+use portolan_spatial::ClosedForm;
 
 use crate::error::CliError;
 

@@ -5,7 +5,8 @@ use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 use rayon::prelude::*;
 
 use super::GlobalOptions;
-use crate::registration::{Link, LinkStatistics, PairMoments, ScanCloud};
+use crate::registration::{Link, LinkStatistics, ScanCloud};
+use portolan_spatial::PairMoments;
 
 /// Points whose neighbourhood is less planar are not used as planes.
 const LEAST_PLANARITY: f32 = 0.3;

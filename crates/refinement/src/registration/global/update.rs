@@ -7,7 +7,8 @@ use portolan_solver::NormalBlocks;
 use super::sums::LinkSums;
 use super::{FIXED, TRACE, hold};
 use crate::RefineError;
-use crate::registration::{Link, helical_motion};
+use crate::registration::Link;
+use portolan_spatial::helical_motion;
 
 const FAILED: RefineError = RefineError::Numerical("global registration");
 /// Cosine of the middle angle below which Euler angles are singular.

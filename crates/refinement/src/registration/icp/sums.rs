@@ -6,9 +6,9 @@ use rayon::prelude::*;
 
 use super::pairs::{CHUNK, Match, Pairing, moved};
 use super::{IcpMethod, IcpOptions};
-use crate::registration::PairMoments;
 use crate::registration::linearized::TwistEquations;
 use crate::registration::model::Model;
+use portolan_spatial::PairMoments;
 
 /// Variance along the normal against that along the surface, in generalised ICP (Segal et al. 2009).
 const ACROSS: f64 = 1e-3;

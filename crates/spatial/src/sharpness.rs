@@ -8,8 +8,7 @@ use portolan_geometry::Vector3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::Moments;
-use crate::neighbours::KdTree;
+use crate::{KdTree, Moments};
 
 /// What sharpness is measured with. Values can only be compared between clouds of equal density measured
 /// with equal options.

@@ -1,6 +1,6 @@
 //! Points by voxels in a hash table, for maps that grow.
 
-use super::Neighbour;
+use crate::Neighbour;
 
 const EMPTY: u32 = u32::MAX;
 
@@ -12,7 +12,7 @@ struct Slot {
 }
 
 /// Points (metres) by voxels. Sixteen bytes a point and about thirty a voxel; points can be added at any
-/// time, in contrast to [`super::KdTree`].
+/// time, in contrast to [`crate::KdTree`].
 #[derive(Clone, Debug)]
 pub struct VoxelMap {
     edge: f32,

@@ -3,8 +3,7 @@
 use portolan_geometry::Vector3;
 use rayon::prelude::*;
 
-use super::KdTree;
-use crate::moments::Moments;
+use crate::{KdTree, Moments};
 
 /// The surface around a point.
 #[derive(Clone, Copy, Debug, PartialEq)]

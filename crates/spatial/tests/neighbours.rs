@@ -4,7 +4,7 @@
 mod other_tree;
 
 use other_tree::OtherTree;
-use portolan_refinement::neighbours::{KdTree, VoxelMap};
+use portolan_spatial::{KdTree, VoxelMap};
 
 /// Points on a floor and a wall, and queries near them.
 fn points(count: usize, seed: u64) -> Vec<[f32; 3]> {

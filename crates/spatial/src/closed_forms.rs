@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Matrix4, Matrix6, SymmetricEigen, Vector4, Vector6};
 use portolan_geometry::{Quaternion, Rigid3, Vector3, nalgebra as na, quaternion_from_angle_axis};
 
-use super::PairMoments;
+use crate::PairMoments;
 
 /// How to minimise `Σ |m − (R d + t)|²`. The first four are exact and agree; helix and small angles are one step
 /// of a series that ICP repeats.

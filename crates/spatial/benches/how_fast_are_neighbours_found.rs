@@ -1,7 +1,7 @@
 //! How fast are neighbours found, and how many bytes does a point take? The kd-tree and the voxel map, and another
 //! crate's tree up to ten million points.
 //!
-//! `cargo bench -p portolan-refinement -- [millions of points]…`; without numbers one million.
+//! `cargo bench -p portolan-spatial -- [millions of points]…`; without numbers one million.
 
 #![allow(clippy::print_stdout, clippy::unwrap_used, missing_docs)]
 
@@ -11,7 +11,7 @@ mod other_tree;
 use std::time::Instant;
 
 use other_tree::OtherTree;
-use portolan_refinement::neighbours::{KdTree, VoxelMap};
+use portolan_spatial::{KdTree, VoxelMap};
 
 /// Points that look for a neighbour within a metre.
 const QUERIES: usize = 300_000;
