@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use portolan_config::Submaps3dOptions;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, to_f32, yaw};
+use portolan_lidar_odometry::SurfaceMap;
 use portolan_matching::grid::InserterOptionError;
 use portolan_matching::{
-    GridError, HybridGrid, HybridInserter, HybridInserterOptions, IntensityGrid, SurfaceMap, rotate_histogram,
+    GridError, HybridGrid, HybridInserter, HybridInserterOptions, IntensityGrid, rotate_histogram,
 };
 use portolan_sensor::RangeData;
 

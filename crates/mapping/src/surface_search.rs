@@ -3,10 +3,10 @@
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::{Point3f, Rigid3, Vector3, is_valid_pose, to_f32};
-use portolan_matching::{
-    NodeToFind, PosePrior, SearchReach3d, Sigmas, SubmapToSearch, SurfaceMap, SurfaceMatch, SurfaceMatcher,
-    SurfaceMatcherOptions, judge_placement_3d,
+use portolan_lidar_odometry::{
+    PosePrior, Sigmas, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions,
 };
+use portolan_matching::{NodeToFind, SearchReach3d, SubmapToSearch, judge_placement_3d};
 use portolan_sensor::PointCloud;
 
 use crate::submap_3d::Submap3d;

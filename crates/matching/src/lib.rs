@@ -3,7 +3,6 @@
 //! - [`grid`]: what a submap is drawn on, how range data are drawn into it and how it looks.
 //! - [`correlative`]: matching by search, near a guess or over a whole submap.
 //! - [`gradient`]: matching by least squares, down to fractions of a cell.
-//! - [`surface`]: matching to planes in voxels, down to millimetres where surfaces are flat.
 //!
 //! Everything here is a plain function of its arguments: no clocks, no randomness, no threads of its
 //! own, no interior mutability. Matchers are `Send + Sync` and may be shared by any number of threads.
@@ -13,7 +12,6 @@ mod error;
 pub mod gradient;
 pub mod grid;
 mod planar_transform;
-pub mod surface;
 mod voxel_order;
 
 #[cfg(test)]
@@ -42,8 +40,3 @@ pub use grid::{
     score_difference,
 };
 pub use planar_transform::PlanarTransform;
-pub use surface::{
-    Doubt, Going, Plane, PosePrior, PostMap, PostPoint, Sigmas, StraightPieces, SurfaceMap, SurfaceMatch,
-    SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, Way, WayCorrection, WayPrior, WeakDirections,
-    align_coarsely, up_direction,
-};

@@ -46,4 +46,5 @@ pub(crate) use cells::CellGrid;
 pub(crate) use hybrid::VoxelLattice;
 pub(crate) use insert_probability::is_finite;
 pub(crate) use intensity::Average;
-pub(crate) use voxel_map::{LeafIndex, VoxelMap};
+pub use voxel_map::LeafIndex;
+pub(crate) use voxel_map::VoxelMap;

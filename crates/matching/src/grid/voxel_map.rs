@@ -13,7 +13,7 @@ mod leaf_index;
 use arena::{Arena, push_tight};
 use block::{BLOCK_CELLS, Bits};
 pub(crate) use block::{Block, BlockKey};
-pub(crate) use leaf_index::LeafIndex;
+pub use leaf_index::LeafIndex;
 use leaf_index::MAX_LEAVES;
 
 /// Indices of a cell in space along x, y, z. Cell (0, 0, 0) is centred at the origin of the grid.

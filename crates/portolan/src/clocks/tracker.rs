@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 
 use portolan_geometry::nalgebra::{Matrix3, Rotation3};
 use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
-use portolan_matching::{PosePrior, Sigmas, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions};
+use portolan_lidar_odometry::{
+    PosePrior, Sigmas, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions,
+};
 use portolan_sensor::voxel_filter_indices;
 
 use super::gyroscope::Gyroscope;

@@ -2,7 +2,7 @@
 
 use portolan_geometry::nalgebra::Matrix3;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, is_valid_pose};
-use portolan_matching::{Going, Way};
+use portolan_lidar_odometry::{Going, Way};
 use portolan_sensor::voxel_filter;
 
 use super::conclusion::Wanted;

@@ -4,7 +4,7 @@ use portolan_geometry::{
     Duration, Point3f, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion,
     quaternion_from_angle_axis, rotation_between,
 };
-use portolan_matching::{
+use portolan_lidar_odometry::{
     PosePrior, Sigmas, StraightPieces, SurfaceMap, SurfaceMatcher, SurfaceMatcherOptions, Way, WayCorrection,
     align_coarsely, up_direction,
 };

@@ -7,7 +7,7 @@
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Time, Vector3};
-use portolan_matching::Way;
+use portolan_lidar_odometry::Way;
 use portolan_sensor::ImuData;
 
 use super::upright::{MAX_GAP, MOST_SAMPLES};

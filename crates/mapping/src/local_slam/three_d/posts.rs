@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use portolan_geometry::{Point3f, Rigid3, Time, to_f32};
-use portolan_matching::{Going, PostMap, PostPoint, StraightPieces, SweptPoint, Way};
+use portolan_lidar_odometry::{Going, PostMap, PostPoint, StraightPieces, SweptPoint, Way};
 
 use super::first_sweeps::TimedSweep;
 

@@ -2,7 +2,7 @@
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Point3f, Rigid3, Time};
-use portolan_matching::{
+use portolan_lidar_odometry::{
     Going, Sigmas, StraightPieces, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions,
     SweptPoint, Way, WayCorrection, WayPrior,
 };

@@ -1,7 +1,7 @@
 //! Ways of the scanner from the last pose to the end of a sweep, as they are predicted.
 
 use portolan_geometry::{Rigid3, Time, quaternion_from_angle_axis};
-use portolan_matching::{Going, Way};
+use portolan_lidar_odometry::{Going, Way};
 
 use crate::pose_extrapolator::PoseExtrapolator;
 

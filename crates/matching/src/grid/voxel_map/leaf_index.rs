@@ -12,12 +12,13 @@ pub(super) const MAX_LEAVES: usize = (1 << LEAF_BITS) - 1;
 /// From keys of blocks (36 bits) to numbers of leaves. Open addressing with linear probing; at most two
 /// thirds full, grown by half so that little memory is idle.
 #[derive(Clone, Debug)]
-pub(crate) struct LeafIndex {
+pub struct LeafIndex {
     slots: Vec<u64>,
     len: usize,
 }
 
 impl LeafIndex {
+    /// An empty table that takes so many leaves before it grows.
     pub fn with_capacity(num_leaves: usize) -> Self {
         let slots = (num_leaves + num_leaves / 2 + 1).max(MIN_SLOTS);
         Self { slots: vec![FREE; slots], len: 0 }
@@ -47,6 +48,7 @@ impl LeafIndex {
         }
     }
 
+    /// The number of the leaf of a key, if it was inserted.
     #[inline]
     pub fn get(&self, key: u64) -> Option<usize> {
         let slot = self.slots[self.slot(key)];
@@ -74,6 +76,7 @@ impl LeafIndex {
         taken.map(|slot| (slot >> LEAF_BITS, (slot & LEAF_MASK) as usize))
     }
 
+    /// Memory taken, bytes.
     pub fn memory_bytes(&self) -> usize {
         self.slots.capacity() * size_of::<u64>()
     }

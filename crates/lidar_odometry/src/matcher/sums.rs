@@ -2,10 +2,10 @@
 
 use nalgebra as na;
 
-use crate::surface::map::Plane;
+use crate::map::Plane;
 
 /// Neighbouring points share their error, so that so many count as one.
-pub(in crate::surface) const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
+pub(crate) const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
 /// A point is paired anew when it has moved by this share of the edge of the largest voxels.
 const SLACK_SHARE: f32 = 0.03;
 /// So many points are summed in single precision before the sum is added to that of all.
@@ -37,7 +37,7 @@ impl Pairs {
 
 /// Sums over the points on one way.
 #[derive(Default)]
-pub(in crate::surface) struct Sums {
+pub(crate) struct Sums {
     /// By corrections of the start, which move all points alike.
     pub hessian: na::Matrix6<f64>,
     pub gradient: na::Vector6<f64>,
@@ -58,7 +58,7 @@ pub(in crate::surface) struct Sums {
 
 /// Adds up products of rows.
 #[derive(Default)]
-pub(in crate::surface) struct Accumulator {
+pub(crate) struct Accumulator {
     block: [[f32; ROW]; 6],
     block_weights: [f32; 2],
     in_block: u32,

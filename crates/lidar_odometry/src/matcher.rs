@@ -5,14 +5,14 @@ use std::ops::Range;
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3};
 
-use super::map::{Doubt, SurfaceMap};
-use super::posts::{PostMap, PostPoint, Posts};
-use super::way::{StraightPieces, Way, WayCorrection};
+use crate::map::{Doubt, SurfaceMap};
+use crate::posts::{PostMap, PostPoint, Posts};
+use crate::way::{StraightPieces, Way, WayCorrection};
 use step::{Held, solve};
 use sums::{Accumulator, Pairs, Sums};
 
 mod step;
-pub(super) mod sums;
+pub(crate) mod sums;
 
 /// How scans are matched to surfaces.
 #[derive(Clone, Debug, PartialEq)]

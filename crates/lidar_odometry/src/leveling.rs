@@ -3,7 +3,7 @@
 use nalgebra as na;
 use portolan_geometry::Vector3;
 
-use super::map::SurfaceMap;
+use crate::map::SurfaceMap;
 
 /// The scanner is assumed to be tilted less than this, radians.
 const MAX_TILT: f64 = 0.8;

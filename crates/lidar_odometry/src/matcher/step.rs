@@ -5,7 +5,7 @@ use portolan_geometry::Vector3;
 
 use super::sums::Sums;
 use super::{Sigmas, WayPrior, WeakDirections};
-use crate::surface::way::WayCorrection;
+use crate::way::WayCorrection;
 
 /// The prior holds this many times more than the points in a direction in which they do not.
 const PRIOR_IN_WEAK_DIRECTIONS: f64 = 30.0;

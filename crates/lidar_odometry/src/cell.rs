@@ -3,7 +3,7 @@
 use nalgebra as na;
 use portolan_geometry::Point3f;
 
-use super::map::{Doubt, Plane};
+use crate::map::{Doubt, Plane};
 
 /// Fewer hits make no plane.
 const MIN_COUNT: u16 = 6;

@@ -11,10 +11,10 @@ use nalgebra as na;
 use portolan_geometry::{Point3f, Quaternion};
 use portolan_sensor::voxel_filter_indices;
 
-use super::matcher::sums::{Accumulator, POINTS_PER_INDEPENDENT_ONE};
-use super::matcher::{Part, SweptPoint, parts_of};
-use super::way::{StraightPieces, Way};
-use crate::grid::LeafIndex;
+use crate::matcher::sums::{Accumulator, POINTS_PER_INDEPENDENT_ONE};
+use crate::matcher::{Part, SweptPoint, parts_of};
+use crate::way::{StraightPieces, Way};
+use portolan_matching::grid::LeafIndex;
 
 /// Edge of the columns that are compared with the height of what is in them, metres.
 const COLUMN: f32 = 0.5;
@@ -287,10 +287,8 @@ mod tests {
     use portolan_geometry::{Duration, Rigid3, Time};
 
     use super::*;
-    use crate::surface::{
-        Sigmas, SurfaceMap, SurfaceMatcher, SurfaceMatcherOptions, WayCorrection, WayPrior,
-    };
     use crate::testing::Lcg;
+    use crate::{Sigmas, SurfaceMap, SurfaceMatcher, SurfaceMatcherOptions, WayCorrection, WayPrior};
 
     const TRUNKS: [[f32; 2]; 12] = [
         [6.0, 2.0],

@@ -1,5 +1,5 @@
 use super::*;
-use crate::surface::Going;
+use crate::Going;
 use crate::testing::Lcg;
 use portolan_geometry::{Duration, Time, to_f32};
 

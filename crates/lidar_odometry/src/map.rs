@@ -3,8 +3,9 @@
 use nalgebra as na;
 use portolan_geometry::Point3f;
 
-use super::cell::{Fit, SurfaceCell};
-use crate::grid::{HybridGrid, LeafIndex};
+use crate::cell::{Fit, SurfaceCell};
+use portolan_matching::HybridGrid;
+use portolan_matching::grid::LeafIndex;
 
 /// Sizes of voxels, each half of the one before.
 const LEVELS: u32 = 3;
