@@ -26,9 +26,14 @@ pub struct ScanAgreement {
 }
 
 impl ScanAgreement {
+    /// Beams that the grid contradicts.
+    pub fn contradicted(&self) -> f32 {
+        self.in_free_space + self.through_solid
+    }
+
     /// Share of what is contradicted in all that the grid knows.
     pub fn contradiction(&self) -> f32 {
-        let contradicted = self.in_free_space + self.through_solid;
+        let contradicted = self.contradicted();
         let known = self.explained + contradicted;
         if known > 0.0 { contradicted / known } else { 0.0 }
     }

@@ -3,15 +3,11 @@
 use portolan_geometry::Time;
 use portolan_matching::ScanAgreement;
 
-/// A scan whose known beams contradict the map by this share fits nothing there, where nothing measured the motion …
-const CONTRADICTION: f32 = 0.4;
-/// … and where odometry did: it has to be wrong, too.
-const CONTRADICTION_MEASURED: f32 = 0.6;
-/// … unless the map explains this share of all beams.
-const EXPLAINED: f32 = 0.6;
+/// A scan of which the map contradicts this share of all beams fits nothing there. Of 6,566 scans of a building walked
+/// through without odometry only those after a cut reach 0.3, and they 0.48 to 0.58.
+const CONTRADICTED: f32 = 0.4;
 /// So many scans in a row, over so many seconds, are no accident.
 const SCANS: u32 = 5;
-const SCANS_MEASURED: u32 = 10;
 const SECONDS: f64 = 1.0;
 
 /// What is believed of the pose.
@@ -36,17 +32,17 @@ pub(super) enum Belief {
 
 impl Belief {
     /// After one more scan, which agrees with the map as `agreement` says; none without anything to compare with.
+    /// Where odometry measured the motion the pose is not lost with the map: scans of a new room may contradict what
+    /// was seen of it through a door, and odometry bridges them.
     pub fn after(self, time: Time, agreement: Option<ScanAgreement>, is_measured: bool) -> Self {
-        let (limit, enough) =
-            if is_measured { (CONTRADICTION_MEASURED, SCANS_MEASURED) } else { (CONTRADICTION, SCANS) };
-        if agreement.is_none_or(|a| a.contradiction() < limit || a.explained > EXPLAINED) {
+        if is_measured || agreement.is_none_or(|a| a.contradicted() < CONTRADICTED) {
             return Self::Sure;
         }
         let (since, scans) = match self {
             Self::Doubtful { since, scans } => (since, scans + 1),
             Self::Sure | Self::Lost { .. } => (time, 1),
         };
-        if scans >= enough && time.seconds_since(since) >= SECONDS {
+        if scans >= SCANS && time.seconds_since(since) >= SECONDS {
             return Self::Lost { since };
         }
         Self::Doubtful { since, scans }
@@ -73,6 +69,6 @@ mod tests {
         belief = belief.after(at(4), agreement(0.1), false);
         assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 5 });
         assert_eq!(belief.after(at(5), agreement(0.1), false), Belief::Lost { since: at(0) });
-        assert_eq!(belief.after(at(5), agreement(0.1), true), Belief::Doubtful { since: at(0), scans: 6 });
+        assert_eq!(belief.after(at(5), agreement(0.1), true), Belief::Sure);
     }
 }

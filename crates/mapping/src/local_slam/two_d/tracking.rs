@@ -119,6 +119,9 @@ impl Tracker {
             let wide = self.search((&scan, cloud), near.around, wide_window(window, motion));
             is_far = fits_clearly_better(&wide.pose, &found.pose, &scan);
             found = if is_far { wide } else { found };
+            if motion.is_measured && explains_more(&near.around, &found.pose, &scan) {
+                (found.pose, is_far) = (near.around, false);
+            }
         }
         if let Some(score) = found.score {
             self.usual_score.add(score);
@@ -218,6 +221,15 @@ fn wide_window(usual: SearchWindow, motion: Motion) -> SearchWindow {
         linear: (2.0 * usual.linear).max(FASTEST.linear * seconds).min(WIDEST.linear),
         angular: (2.0 * usual.angular).max(FASTEST.angular * seconds).min(widest_angle),
     }
+}
+
+/// Whether the map speaks for the first pose rather than for the second: what is unknown speaks for neither.
+fn explains_more(here: &Rigid2, there: &Rigid2, scan: &Scan) -> bool {
+    let [here, there] = [here, there].map(|pose| {
+        let agreement = scan_agreement(&scan.submap.grid, pose, scan.cloud).unwrap_or_default();
+        agreement.explained - agreement.contradicted()
+    });
+    here > there + CLEARLY
 }
 
 fn fits_clearly_better(there: &Rigid2, here: &Rigid2, scan: &Scan) -> bool {
