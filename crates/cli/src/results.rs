@@ -194,6 +194,7 @@ fn report<S: Space>(
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,
+        "engine": mapped.map.options.engine().to_string(),
         "options_fingerprint": mapped.map.options.fingerprint(),
         "options": mapped.map.options,
         "repairs": { "reading": reading, "mapping": mapped.mapping_repairs },

@@ -50,13 +50,9 @@ fn real_recordings(table: &mut Fingerprints, folder: &Path) {
     if let Some(corridor) = real("lidar3d/corridor_imu.bag") {
         map(table, "3d-imu", folder, &corridor, &["--duration", "15"]);
         let lua = configuration(folder, &["--3d"]);
-        map(
-            table,
-            "3d-lua-grids",
-            folder,
-            &corridor,
-            &["--duration", "6", "--config", &lua, "--tracking-frame", "imu_link"],
-        );
+        let of_lua = ["--duration", "6", "--config", &lua, "--tracking-frame", "imu_link"];
+        map(table, "3d-lua-planes", folder, &corridor, &of_lua);
+        map(table, "3d-lua-grids", folder, &corridor, &[&of_lua[..], &["--engine", "grids"]].concat());
     }
     if let Some(drive) = real("lidar3d/kitti_0001.bag") {
         map(table, "3d-drive", folder, &drive, &["--duration", "2"]);

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::check::Findings;
+use crate::engine::Engine;
 use crate::error::{ConfigError, ConfigWarning};
 use crate::legacy::modernise;
 use crate::locate::locate;
@@ -40,7 +41,8 @@ pub struct Loader {
 }
 
 impl Loader {
-    /// Loads a robot's file. A bare name that is no file in the working directory may be one of the
+    /// Loads a robot's file. In 3D scans are matched to planes unless it says `match_surfaces = false` in the table
+    /// `portolan`; [`Options::set_engine`] changes that. A bare name that is no file in the working directory may be one of the
     /// built-in files, such as `backpack_2d.lua`.
     pub fn load(&self, path: &Path) -> Result<LoadedConfig, ConfigError> {
         self.finish_options(evaluate_file(path, &self.directories, self.limits)?)
@@ -82,7 +84,10 @@ impl Loader {
 
     fn finish_options(&self, evaluation: Evaluation) -> Result<LoadedConfig, ConfigError> {
         let required = ["map_builder", "trajectory_builder"];
-        let config = self.fill(&evaluation, &required, Options::default())?;
+        // The robot's sensors, frames and weights; what scans are matched to is another matter.
+        let mut base = Options::default();
+        base.set_engine(Engine::Planes);
+        let config = self.fill(&evaluation, &required, base)?;
         self.finish(config, &|path| locate(&evaluation, path))
     }
 

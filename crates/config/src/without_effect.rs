@@ -50,8 +50,8 @@ const WITHOUT_EFFECT: &[(&str, &str)] = &[
     ("use_pose_extrapolator", LIVE),
 ];
 
-const GRIDS_ONLY: &str = "with `portolan.match_surfaces`, which is on unless a configuration is given, scans are \
-                          matched to surfaces, and to grids only where that fails";
+const GRIDS_ONLY: &str = "scans are matched to planes, and to grids only where that fails, unless --engine grids \
+                          (`portolan.match_surfaces = false`) is given";
 const NO_WHEELS_WITH_IMU: &str = "in space with an IMU, wheels steer local SLAM and are no constraint of their own, \
                                   unless `fix_z_in_3d` is on";
 

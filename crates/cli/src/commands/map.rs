@@ -10,7 +10,7 @@ use portolan::RequestedOptions;
 use portolan::pipeline::{
     KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
 };
-use portolan_config::{Loader, Options, little_effect};
+use portolan_config::{Engine, Loader, Options, little_effect};
 use portolan_geometry::Duration;
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
 use portolan_recording::{
@@ -172,13 +172,35 @@ impl From<AzimuthTimesArg> for AzimuthTimes {
     }
 }
 
+/// What 3D scans are matched to.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EngineArg {
+    /// Planes in voxels.
+    Planes,
+    /// Grids of occupancy, as Cartographer does it.
+    Grids,
+}
+
+impl From<EngineArg> for Engine {
+    fn from(engine: EngineArg) -> Self {
+        match engine {
+            EngineArg::Planes => Self::Planes,
+            EngineArg::Grids => Self::Grids,
+        }
+    }
+}
+
 /// Settings; defaults are chosen from the recording.
 #[derive(clap::Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Settings (chosen from the recording without being told)")]
 pub struct ConfigArgs {
-    /// Cartographer configuration in Lua; used as it is, instead of settings chosen from the recording.
+    /// Cartographer configuration in Lua, instead of settings chosen from the recording: its sensors, frames and
+    /// weights. 3D scans are matched to planes all the same; `--engine grids` is Cartographer's way.
     #[arg(long, value_name = "FILE.lua")]
     pub config: Option<PathBuf>,
+    /// What 3D scans are matched to. On their own to planes; a Lua configuration gives sensors, frames and weights.
+    #[arg(long, value_name = "ENGINE")]
+    pub engine: Option<EngineArg>,
     /// Folder to look for included Lua files in; may be given several times.
     #[arg(long, value_name = "DIR")]
     pub config_dir: Vec<PathBuf>,
@@ -205,6 +227,7 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
         let submaps = args.known.count_submaps()?;
         portolan::automatic::search_in_known_map(&mut preparation.options, submaps);
     }
+    choose_engine(&mut preparation, args.config.engine)?;
     change_options(&mut preparation, &settings)?;
     preparation.background_threads = threads;
     args.cloud.keep_scans(&mut preparation, &folder);
@@ -333,6 +356,15 @@ fn looked_through(
     Ok(preparation)
 }
 
+fn choose_engine(preparation: &mut Preparation, engine: Option<EngineArg>) -> Result<(), CliError> {
+    let Some(engine) = engine else { return Ok(()) };
+    if preparation.dimension == Dimension::Two && engine == EngineArg::Planes {
+        return Err(CliError::Usage("--engine planes is for 3D; 2D scans are matched to grids".to_owned()));
+    }
+    preparation.options.set_engine(engine.into());
+    Ok(())
+}
+
 fn change_options(preparation: &mut Preparation, settings: &[String]) -> Result<(), CliError> {
     for setting in settings {
         preparation.options.set(setting).map_err(|e| CliError::Usage(e.to_string()))?;
@@ -414,8 +446,9 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds
     let state = mapped.map.graph.state();
     let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
     let mut text = format!(
-        "{} scans, {} nodes, {} submaps, {loops} loop closures; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
+        "{} scans matched to {}, {} nodes, {} submaps, {loops} loop closures; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
         mapped.scans,
+        mapped.map.options.engine(),
         state.nodes.len(),
         state.submaps.len(),
         mapped.recording_seconds,

@@ -61,8 +61,8 @@ options! {
         wide_search_after_gap: f64 = 0.5, "s", Bounds::at_least(0.0);
         /// 3D: match scans, and loop closures after they were found, to planes in voxels of submaps instead
         /// of to the cells of hybrid grids. Where surfaces are flat, poses come out several times more
-        /// exact (corridor_imu: see BENCHMARKS.md). Biases of the IMU are estimated, too. On
-        /// unless a configuration is given, which means the reference's way.
+        /// exact (corridor_imu: see BENCHMARKS.md). Biases of the IMU are estimated, too. `map --engine` sets it;
+        /// a Lua configuration that does not name it has it on.
         match_surfaces: bool = false, "", Bounds::ANY;
         /// 3D: edge of the largest voxels for that; smaller ones down to a quarter are used where they are
         /// not flat. Raise it outside, where beams lie far apart.

@@ -13,8 +13,10 @@ const WINDOW: f64 = 1.0;
 const WINDOWS: usize = 16;
 /// Points of a window that are looked at.
 const POINTS: usize = 8000;
-/// Edge of the cells, metres.
-const CELL: f64 = 0.5;
+/// Edges of the cells, metres: twice the way of a turn of most lidars, seconds, so that what is not where it was a turn
+/// ago is in the same cell and makes it thick; within bounds.
+const CELL: [f64; 2] = [0.5, 4.0];
+const TURN: f64 = 0.1;
 /// Thinner than this nothing needs to be, metres.
 const THIN: f64 = 0.01;
 /// Steps of the search, seconds.
@@ -55,12 +57,13 @@ pub(crate) fn look(points: &TimedPoints, trajectory: &DenseTrajectory, around: f
     if samples.len() < WINDOWS / 3 {
         return TimeBase::Fits;
     }
+    let edge = (2.0 * TURN * speed(trajectory, &samples)).clamp(CELL[0], CELL[1]);
     let score = |delay: f64| -> Vec<Option<f64>> {
         // Added to the stamps of the trajectory: its pose of s − delay belongs to s.
-        samples.par_iter().map(|s| thickness(s, |at| pose_within(trajectory, at - delay))).collect()
+        samples.par_iter().map(|s| thickness(s, edge, |at| pose_within(trajectory, at - delay))).collect()
     };
     let still: Vec<Option<f64>> =
-        samples.par_iter().map(|s| thickness(s, |_| Some(Rigid3::identity()))).collect();
+        samples.par_iter().map(|s| thickness(s, edge, |_| Some(Rigid3::identity()))).collect();
     let given = score(0.0);
     let moves = moves(trajectory, &samples);
     let fits = !moves || improvement(&given, &still).is_some_and(|(_, errors)| errors > HINT);
@@ -118,6 +121,17 @@ fn pose_within(trajectory: &DenseTrajectory, seconds: f64) -> Option<Rigid3> {
     (0.0..=trajectory.duration()).contains(&seconds).then(|| trajectory.pose(seconds))
 }
 
+/// Mean speed of the trajectory over the windows, m/s.
+fn speed(trajectory: &DenseTrajectory, samples: &[Sample]) -> f64 {
+    let ways = samples.iter().filter_map(|sample| {
+        let [from, to] = [sample.points.first()?.0, sample.points.last()?.0];
+        let [a, b] = [pose_within(trajectory, from)?, pose_within(trajectory, to)?];
+        (to > from).then(|| (b.translation.vector - a.translation.vector).norm() / (to - from))
+    });
+    let (sum, count) = ways.fold((0.0, 0.0), |(sum, count), speed| (sum + speed, count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
 /// Whether the trajectory moves at all while the samples were taken.
 fn moves(trajectory: &DenseTrajectory, samples: &[Sample]) -> bool {
     let (mut shift, mut turn, mut count) = (0.0, 0.0, 0.0);
@@ -134,7 +148,7 @@ fn moves(trajectory: &DenseTrajectory, samples: &[Sample]) -> bool {
 }
 
 /// Mean logarithm of the thickness of what is in a cell, weighted with the points in it; none outside the trajectory.
-fn thickness(sample: &Sample, pose: impl Fn(f64) -> Option<Rigid3>) -> Option<f64> {
+fn thickness(sample: &Sample, edge: f64, pose: impl Fn(f64) -> Option<Rigid3>) -> Option<f64> {
     let mut cells = Cells::default();
     let (mut known, mut at) = (None, f64::NEG_INFINITY);
     let mut origin = None;
@@ -146,7 +160,7 @@ fn thickness(sample: &Sample, pose: impl Fn(f64) -> Option<Rigid3>) -> Option<f6
         let world = known? * portolan_geometry::nalgebra::Point3::from(p.map(f64::from));
         let origin: &Vector3 = origin.get_or_insert(world.coords);
         let local = world.coords - origin;
-        let cell = cells.cell([local.x, local.y, local.z].map(|v| (v / CELL).floor() as i32));
+        let cell = cells.cell([local.x, local.y, local.z].map(|v| (v / edge).floor() as i32));
         cells.moments[cell].add(&local);
     }
     let (mut sum, mut count) = (0.0, 0.0);

@@ -53,7 +53,8 @@ pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliErro
     let mut outcome = Outcome::Done;
     for (i, bag) in bags.iter().enumerate() {
         let results = folder.path().join(i.to_string());
-        let mut line: Vec<String> = ["portolan", "map", bag, "-o"].map(str::to_owned).to_vec();
+        let mut line: Vec<String> =
+            ["portolan", "map", bag, "--engine", "grids", "-o"].map(str::to_owned).to_vec();
         line.push(results.display().to_string());
         line.extend(of_bag(&flags, directory, i)?);
         if let Some(map) = &known {

@@ -1,6 +1,6 @@
 //! `portolan config show`.
 
-use portolan_config::{ConfigError, LoadedConfig, Loader, Options};
+use portolan_config::{ConfigError, Engine, LoadedConfig, Loader, Options};
 
 use crate::GlobalArgs;
 use crate::commands::map::ConfigArgs as SettingArgs;
@@ -68,9 +68,11 @@ fn load(args: &ShowArgs) -> Result<LoadedConfig, CliError> {
         settings: args.settings.set.clone(),
         ..Loader::default()
     };
+    let mut spatial = Options::for_3d();
+    spatial.set_engine(Engine::Planes);
     let loaded = match &args.settings.config {
         Some(path) => loader.load(path),
-        None if args.three_dimensions => loader.load_options(Options::for_3d()),
+        None if args.three_dimensions => loader.load_options(spatial),
         None => loader.load_options(Options::for_2d()),
     };
     loaded.map_err(|error| match error {

@@ -1,0 +1,84 @@
+//! What scans are matched to.
+
+use std::fmt;
+
+use crate::check::Dimension;
+use crate::options::Options;
+
+/// Range data are gathered to scans of about this long, seconds, where scans are matched to planes: one turn of most
+/// lidars.
+const PLANES_SCAN_DURATION: f64 = 0.1;
+
+/// What scans are matched to. In 2D there is one engine, grids.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Engine {
+    /// 3D: planes in voxels that halve until what they hold is flat; biases of the IMU are estimated.
+    #[default]
+    Planes,
+    /// Grids of occupancy, as Cartographer.
+    Grids,
+}
+
+impl fmt::Display for Engine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Planes => "planes",
+            Self::Grids => "grids",
+        })
+    }
+}
+
+impl Options {
+    /// What scans are matched to.
+    pub fn engine(&self) -> Engine {
+        let is_3d = self.map_builder.dimension() == Ok(Dimension::Three);
+        if is_3d && self.portolan.match_surfaces { Engine::Planes } else { Engine::Grids }
+    }
+
+    /// Chooses the engine of 3D. With planes, scans are gathered to whole turns unless the options have a duration.
+    pub fn set_engine(&mut self, engine: Engine) {
+        self.portolan.match_surfaces = engine == Engine::Planes;
+        if engine == Engine::Grids {
+            self.portolan.min_scan_duration = 0.0;
+        } else if self.portolan.min_scan_duration <= 0.0 {
+            self.portolan.min_scan_duration = PLANES_SCAN_DURATION;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_is_one_engine_in_2d_and_a_choice_in_3d() {
+        for engine in [Engine::Planes, Engine::Grids] {
+            let (mut planar, mut spatial) = (Options::for_2d(), Options::for_3d());
+            planar.set_engine(engine);
+            spatial.set_engine(engine);
+            assert_eq!(planar.engine(), Engine::Grids);
+            assert_eq!(spatial.engine(), engine);
+        }
+    }
+
+    #[test]
+    fn files_choose_planes_unless_they_say_otherwise() {
+        let of = |text: &str| Options::from_lua("robot.lua", text).unwrap().options;
+        let robot = r#"include "map_builder.lua" include "trajectory_builder.lua"
+            MAP_BUILDER.use_trajectory_builder_3d = true
+            options = { map_builder = MAP_BUILDER, trajectory_builder = TRAJECTORY_BUILDER, map_frame = "map",
+            tracking_frame = "imu", published_frame = "imu", odom_frame = "odom", provide_odom_frame = true,
+            use_odometry = false, use_nav_sat = false, use_landmarks = false, num_laser_scans = 0,
+            num_multi_echo_laser_scans = 0, num_subdivisions_per_laser_scan = 1, num_point_clouds = 1,
+            lookup_transform_timeout_sec = 0.2, submap_publish_period_sec = 0.3, pose_publish_period_sec = 5e-3,
+            trajectory_publish_period_sec = 30e-3, rangefinder_sampling_ratio = 1., odometry_sampling_ratio = 1.,
+            fixed_frame_pose_sampling_ratio = 1., imu_sampling_ratio = 1., landmarks_sampling_ratio = 1. }"#;
+        let chosen = of(&format!("{robot} return options"));
+        assert_eq!(
+            (chosen.engine(), chosen.portolan.min_scan_duration),
+            (Engine::Planes, PLANES_SCAN_DURATION)
+        );
+        let grids = of(&format!("{robot} options.portolan = {{ match_surfaces = false }} return options"));
+        assert_eq!(grids.engine(), Engine::Grids);
+    }
+}
