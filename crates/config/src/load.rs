@@ -84,10 +84,7 @@ impl Loader {
 
     fn finish_options(&self, evaluation: Evaluation) -> Result<LoadedConfig, ConfigError> {
         let required = ["map_builder", "trajectory_builder"];
-        // The robot's sensors, frames and weights; what scans are matched to is another matter.
-        let mut base = Options::default();
-        base.set_engine(Engine::Planes);
-        let config = self.fill(&evaluation, &required, base)?;
+        let config = self.fill(&evaluation, &required, Options::of_files())?;
         self.finish(config, &|path| locate(&evaluation, path))
     }
 
@@ -175,6 +172,14 @@ fn advice(table: &Table) -> &'static str {
 }
 
 impl Options {
+    /// What files that say nothing mean: they are written for a robot's sensors, frames and weights, and what scans
+    /// are matched to is another matter.
+    pub(crate) fn of_files() -> Self {
+        let mut options = Self::default();
+        options.set_engine(Engine::Planes);
+        options
+    }
+
     /// Loads a robot's Lua file, unknown keys being errors. Included files are sought beside it, then in
     /// `directories`, then among the built-in ones.
     pub fn from_lua_file(path: &Path, directories: &[PathBuf]) -> Result<LoadedConfig, ConfigError> {

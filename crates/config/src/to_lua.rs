@@ -8,10 +8,10 @@ use crate::options::Options;
 
 impl Options {
     /// A complete Lua configuration that needs no other file and loads back to equal options. The table
-    /// `portolan`, which other programs refuse, is written only when it differs from its defaults.
+    /// `portolan`, which other programs refuse, is written only when a file without it would be read otherwise.
     pub fn to_lua(&self) -> String {
         let mut text = String::from("options = {\n");
-        let keep_portolan = self.portolan != Options::default().portolan;
+        let keep_portolan = self.portolan != Options::of_files().portolan;
         write_section(self, 1, &|key| key != "portolan" || keep_portolan, &mut text);
         text.push_str("}\n\nreturn options\n");
         text

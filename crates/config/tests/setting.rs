@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-use portolan_config::{ConfigError, Options, Value, catalogue, explain, explain_all};
+use portolan_config::{ConfigError, Engine, Options, Value, catalogue, explain, explain_all};
 
 fn set(setting: &str) -> Result<Options, ConfigError> {
     let mut options = Options::for_2d();
@@ -193,7 +193,10 @@ fn lua_and_json_lead_back_to_equal_options() {
     }
     assert_eq!(Options::from_lua("x.lua", &options.to_lua()).unwrap().options, options);
     assert_eq!(Options::from_json(&options.to_json()).unwrap().options, options);
+    assert!(options.to_lua().contains("match_surfaces = false"));
+    options.set_engine(Engine::Planes);
     assert!(!options.to_lua().contains("portolan"));
+    assert_eq!(Options::from_lua("x.lua", &options.to_lua()).unwrap().options, options);
     options.portolan.use_all_odometry = false;
     assert_eq!(Options::from_lua("x.lua", &options.to_lua()).unwrap().options, options);
     assert!(serde_json::to_string(&options).unwrap().contains("\"voxel_filter_size\":0.1}"));
