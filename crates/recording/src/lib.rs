@@ -2,7 +2,6 @@
 //!
 //! One interface ([`Recording`]) over every format; one file or folder of modules per format.
 
-mod bz2;
 mod carmen;
 mod codec;
 mod container;

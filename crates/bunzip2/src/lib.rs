@@ -1,11 +1,4 @@
-//! Unpacking of bzip2 data that lie in memory, as chunks of bags do.
-//!
-//! The format: a stream is `BZh`, a digit for the largest block (in 100 kB), blocks, and a checksum of
-//! their checksums; streams may follow each other. A block is a Burrows-Wheeler transform, moved to the
-//! front, runs of zeros counted, Huffman coded, and its text had runs of four to 259 equal bytes
-//! shortened. The `bzip2` library reads it too, a bit of each code and a byte of the transform at a time;
-//! here codes are looked up whole, and the transform is undone at sixteen places at once because each
-//! step waits for memory ([`inverse`]). Unpacking was the half of what mapping a bag costs.
+#![doc = include_str!("../README.md")]
 
 mod bits;
 mod block;
@@ -19,12 +12,14 @@ use bits::Bits;
 use block::BlockReader;
 use inverse::Inverse;
 
+/// Begins a block.
 const BLOCK: u64 = 0x3141_5926_5359;
+/// Begins the end of a stream.
 const END_OF_STREAM: u64 = 0x1772_4538_5090;
 
 /// Memory for unpacking, to be used again.
 #[derive(Default)]
-pub(crate) struct Unpacker {
+pub struct Unpacker {
     block: BlockReader,
     inverse: Inverse,
 }
@@ -36,7 +31,7 @@ impl Unpacker {
     /// # Errors
     /// Data that are no bzip2, cut off, damaged (checksums are verified), or longer than `limit`; and
     /// [`ErrorKind::Unsupported`] for randomised blocks, which packers before version 1.0 wrote.
-    pub(crate) fn unpack(&mut self, packed: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<()> {
+    pub fn unpack(&mut self, packed: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<()> {
         let mut bits = Bits::new(packed);
         self.stream(&mut bits, limit, into)?;
         while !bits.at_end() {

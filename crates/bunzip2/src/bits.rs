@@ -3,7 +3,7 @@
 use std::io::{Error, ErrorKind, Result};
 
 /// Bits that are not yet read.
-pub(super) struct Bits<'a> {
+pub(crate) struct Bits<'a> {
     data: &'a [u8],
     /// First byte that is not in `buffer` at all.
     next: usize,
@@ -13,13 +13,13 @@ pub(super) struct Bits<'a> {
 }
 
 impl<'a> Bits<'a> {
-    pub(super) fn new(data: &'a [u8]) -> Self {
+    pub(crate) fn new(data: &'a [u8]) -> Self {
         Self { data, next: 0, buffer: 0, count: 0 }
     }
 
     /// Sees to it that [`Bits::peek`] shows at least 56 bits; behind the end they are zero.
     #[inline]
-    pub(super) fn refill(&mut self) {
+    pub(crate) fn refill(&mut self) {
         let word = match self.data.get(self.next..self.next + 8) {
             Some(&[a, b, c, d, e, f, g, h]) => u64::from_be_bytes([a, b, c, d, e, f, g, h]),
             _ => self.last_word(),
@@ -41,13 +41,13 @@ impl<'a> Bits<'a> {
 
     /// The bits to come, the next one on top.
     #[inline]
-    pub(super) fn peek(&self) -> u64 {
+    pub(crate) fn peek(&self) -> u64 {
         self.buffer
     }
 
     /// Goes on by `bits` of those that [`Bits::refill`] brought.
     #[inline]
-    pub(super) fn skip(&mut self, bits: u32) {
+    pub(crate) fn skip(&mut self, bits: u32) {
         self.buffer <<= bits;
         self.count -= bits;
     }
@@ -56,7 +56,7 @@ impl<'a> Bits<'a> {
     ///
     /// # Errors
     /// The data end before.
-    pub(super) fn take(&mut self, bits: u32) -> Result<u32> {
+    pub(crate) fn take(&mut self, bits: u32) -> Result<u32> {
         self.refill();
         let value = (self.buffer >> (64 - bits)) as u32;
         self.skip(bits);
@@ -65,7 +65,7 @@ impl<'a> Bits<'a> {
 
     /// # Errors
     /// More bits were taken than there are.
-    pub(super) fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         // Bits behind the end are counted as if they were there.
         if self.next - (self.count / 8) as usize > self.data.len() {
             return Err(Error::new(ErrorKind::UnexpectedEof, "the data end within a stream"));
@@ -74,12 +74,12 @@ impl<'a> Bits<'a> {
     }
 
     /// Goes on to the next whole byte.
-    pub(super) fn align_to_byte(&mut self) {
+    pub(crate) fn align_to_byte(&mut self) {
         self.skip(self.count % 8);
     }
 
     /// Whether every byte was begun.
-    pub(super) fn at_end(&self) -> bool {
+    pub(crate) fn at_end(&self) -> bool {
         self.next - (self.count / 8) as usize >= self.data.len()
     }
 }

@@ -7,8 +7,8 @@
 
 use std::io::Result;
 
-use super::block::Transformed;
-use super::damaged;
+use crate::block::Transformed;
+use crate::damaged;
 
 /// Entries of the permutation: blocks have at most 900,000 bytes.
 const ENTRIES: usize = 1 << 20;
@@ -23,7 +23,7 @@ const PIECE_BYTES: usize = 1024;
 
 /// Memory for undoing transforms.
 #[derive(Default)]
-pub(super) struct Inverse {
+pub(crate) struct Inverse {
     /// Place of the next entry from bit 8 on, and the byte that stands there; or [`BEGIN`] and the number
     /// of a piece.
     next: Vec<u32>,
@@ -51,7 +51,7 @@ impl Inverse {
     ///
     /// # Errors
     /// There is no such rotation.
-    pub(super) fn undo(&mut self, transformed: &Transformed, origin: usize) -> Result<&[u8]> {
+    pub(crate) fn undo(&mut self, transformed: &Transformed, origin: usize) -> Result<&[u8]> {
         let length = transformed.bytes().len();
         if length >= REST || origin >= length {
             return Err(damaged("a block that begins behind its end"));

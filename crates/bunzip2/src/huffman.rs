@@ -2,17 +2,17 @@
 
 use std::io::Result;
 
-use super::bits::Bits;
-use super::damaged;
+use crate::bits::Bits;
+use crate::damaged;
 
 const MAX_LENGTH: usize = 20;
 /// Codes of so many bits are found by one look.
 const QUICK: u32 = 10;
 /// Symbols at most: 256 values, the two digits of runs less one, and the end.
-pub(super) const MAX_SYMBOLS: usize = 258;
+pub(crate) const MAX_SYMBOLS: usize = 258;
 
 /// One table of codes.
-pub(super) struct Codes {
+pub(crate) struct Codes {
     /// By the next [`QUICK`] bits: symbol and, in the low five bits, length of its code; zero if the
     /// code is longer.
     quick: [u16; 1 << QUICK],
@@ -38,7 +38,7 @@ impl Default for Codes {
 
 impl Codes {
     /// Reads the lengths of the codes of symbols 0 to `symbols` - 1.
-    pub(super) fn read(&mut self, bits: &mut Bits<'_>, symbols: usize) -> Result<()> {
+    pub(crate) fn read(&mut self, bits: &mut Bits<'_>, symbols: usize) -> Result<()> {
         let mut lengths = [0u8; MAX_SYMBOLS];
         let mut length = bits.take(5)?;
         for of_symbol in lengths.iter_mut().take(symbols) {
@@ -86,7 +86,7 @@ impl Codes {
 
     /// The next symbol. [`Bits::refill`] must have brought 20 bits.
     #[inline]
-    pub(super) fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16> {
+    pub(crate) fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16> {
         let entry = self.quick[(bits.peek() >> (64 - QUICK)) as usize];
         if entry != 0 {
             bits.skip(u32::from(entry & 31));

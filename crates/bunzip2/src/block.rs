@@ -2,9 +2,9 @@
 
 use std::io::Result;
 
-use super::bits::Bits;
-use super::damaged;
-use super::huffman::{Codes, MAX_SYMBOLS};
+use crate::bits::Bits;
+use crate::damaged;
+use crate::huffman::{Codes, MAX_SYMBOLS};
 
 const MAX_TABLES: usize = 6;
 /// Symbols that are coded with the same table.
@@ -14,20 +14,20 @@ const RUN_B: u16 = 1;
 
 /// What the head of a block says.
 #[derive(Clone, Copy)]
-pub(super) struct Head {
+pub(crate) struct Head {
     /// Whether single bits of the text were turned.
-    pub(super) randomised: bool,
+    pub(crate) randomised: bool,
     /// Which of the sorted rotations is the text.
-    pub(super) origin: usize,
+    pub(crate) origin: usize,
 }
 
 /// The last bytes of the sorted rotations of a block.
-pub(super) struct Transformed {
+pub(crate) struct Transformed {
     /// Room for the largest block and [`SPARE`] bytes more.
     room: Vec<u8>,
     length: usize,
     /// How often each byte occurs.
-    pub(super) counts: [u32; 256],
+    pub(crate) counts: [u32; 256],
 }
 
 /// Runs are written in pieces of so many bytes, most of them in one.
@@ -40,7 +40,7 @@ impl Default for Transformed {
 }
 
 impl Transformed {
-    pub(super) fn bytes(&self) -> &[u8] {
+    pub(crate) fn bytes(&self) -> &[u8] {
         &self.room[..self.length]
     }
 
@@ -82,7 +82,7 @@ fn too_long() -> std::io::Error {
 
 /// Reads blocks.
 #[derive(Default)]
-pub(super) struct BlockReader {
+pub(crate) struct BlockReader {
     tables: [Codes; MAX_TABLES],
     selectors: Vec<u8>,
     transformed: Transformed,
@@ -90,12 +90,12 @@ pub(super) struct BlockReader {
 
 impl BlockReader {
     /// The block that was read last.
-    pub(super) fn transformed(&self) -> &Transformed {
+    pub(crate) fn transformed(&self) -> &Transformed {
         &self.transformed
     }
 
     /// Reads a block of at most `largest` bytes, from behind its checksum.
-    pub(super) fn read(&mut self, bits: &mut Bits<'_>, largest: usize) -> Result<Head> {
+    pub(crate) fn read(&mut self, bits: &mut Bits<'_>, largest: usize) -> Result<Head> {
         self.transformed.begin(largest);
         let randomised = bits.take(1)? == 1;
         let origin = bits.take(24)? as usize;

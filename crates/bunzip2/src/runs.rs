@@ -2,7 +2,7 @@
 
 use std::io::Result;
 
-use super::damaged;
+use crate::damaged;
 
 /// Bytes whose checksum is formed at once.
 const PART: usize = 4096;
@@ -12,7 +12,7 @@ const PART: usize = 4096;
 ///
 /// # Errors
 /// The limit is not enough; what fits was appended.
-pub(super) fn expand(text: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<u32> {
+pub(crate) fn expand(text: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<u32> {
     let begin = into.len();
     let mut rest = text;
     while !rest.is_empty() {
