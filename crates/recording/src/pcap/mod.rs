@@ -15,9 +15,10 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_lidar_packets::SensorTime;
 
 use crate::container::Source;
-use crate::packets::{PacketDecoder, SensorTime};
+use crate::packets::{PacketMessages, type_name};
 use crate::repairs::RepairLog;
 use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
 use capture::CaptureReader;
@@ -78,7 +79,7 @@ impl Recording for Capture {
     fn topics(&self) -> Vec<TopicInfo> {
         let info = |sensor: &CapturedSensor| TopicInfo {
             topic: sensor.topic.clone(),
-            type_name: sensor.source.type_name().into(),
+            type_name: type_name(&sensor.source).into(),
             count: None,
         };
         let mut topics: Vec<TopicInfo> = self.sensors.by_sender.values().map(info).collect();
@@ -105,7 +106,7 @@ impl Recording for Capture {
         let is_chosen = |sensor: &CapturedSensor| chosen.contains(&sensor.topic);
         let sensors = || self.sensors.by_sender.iter().filter(|(_, sensor)| is_chosen(sensor));
         let decoder = |(endpoint, sensor): (&Endpoint, &CapturedSensor)| {
-            let decoder = sensor.source.decoder(&sensor.frame);
+            let decoder = PacketMessages::new(&sensor.source, &sensor.frame);
             (*endpoint, ChosenSensor { topic: sensor.topic.clone(), clock: sensor.clock, decoder })
         };
         let mut repairs = RepairLog::default();
@@ -129,7 +130,7 @@ impl Recording for Capture {
 struct ChosenSensor {
     topic: Arc<str>,
     clock: usize,
-    decoder: PacketDecoder,
+    decoder: PacketMessages,
 }
 
 /// One pass over a capture.

@@ -5,12 +5,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_lidar_packets::{
+    IMU_PACKET_BYTES, Laser, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime,
+    VelodyneModel, clocks_of, is_velodyne, parse_calibration,
+};
 
 use super::datagram::Endpoint;
-use crate::packets::{
-    IMU_PACKET_BYTES, Laser, OUSTER_FRAME, OusterMetadata, PacketLayout, PacketSource, PacketStream,
-    SensorTime, VelodyneModel, clocks_of, is_velodyne, ouster_source, parse_calibration,
-};
+use crate::packets::OUSTER_FRAME;
 use crate::repairs::RepairLog;
 
 /// Longer files beside a capture are no descriptions of a sensor.
@@ -108,7 +109,7 @@ impl Senders {
                 Kind::OusterImu => has_ouster.then_some(PacketSource::OusterImu),
                 Kind::OusterLidar => {
                     let metadata = descriptions.metadata.as_ref();
-                    ouster_source(metadata, packet.len(), sender.largest_column, repairs)
+                    PacketSource::ouster_lidar(metadata, packet.len(), sender.largest_column, repairs)
                 }
             };
             found.extend(source.map(|source| (endpoint, sender, source)));

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 /// Layouts of the channels of lidar packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum PacketProfile {
+pub enum PacketProfile {
     /// `LEGACY`, of all firmware before 2.2.
     Legacy,
     /// `RNG19_RFL8_SIG16_NIR16`.
@@ -18,6 +18,7 @@ pub(crate) enum PacketProfile {
 }
 
 impl PacketProfile {
+    /// All of them.
     pub const ALL: [Self; 5] = [Self::Legacy, Self::Single, Self::LowData, Self::Dual, Self::LowDataDual];
 
     fn named(name: &str) -> Option<Self> {
@@ -34,13 +35,16 @@ impl PacketProfile {
 
 /// What is known about a sensor.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct OusterMetadata {
-    /// Degrees above the plane of rotation and degrees from the azimuth of the column, by channel.
+pub struct OusterMetadata {
+    /// Degrees above the plane of rotation, by channel.
     pub altitudes: Vec<f64>,
+    /// Degrees from the azimuth of the column, by channel.
     pub azimuths: Vec<f64>,
     /// Distance of the beams' origin from the axis, metres.
     pub beam_origin: f64,
+    /// Columns of a whole turn.
     pub columns_per_frame: usize,
+    /// Columns of a packet.
     pub columns_per_packet: usize,
     /// None if it is not told.
     pub profile: Option<PacketProfile>,
@@ -60,7 +64,7 @@ impl OusterMetadata {
             azimuths: (0..channels).map(|i| [3.1, 1.0, -1.0, -3.1][i % 4]).collect(),
             beam_origin: 0.0158,
             columns_per_frame,
-            columns_per_packet: super::ouster::USUAL_COLUMNS,
+            columns_per_packet: crate::ouster::USUAL_COLUMNS,
             profile: None,
             rotation: [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]],
             translation: [0.0, 0.0, 0.03618],

@@ -2,8 +2,7 @@
 
 use portolan_geometry::{Duration, Time};
 
-use super::PacketSource;
-use crate::repairs::RepairLog;
+use crate::{FaultLog, PacketFault, PacketSource};
 
 /// Puts the clock of a sensor onto that of the recording.
 ///
@@ -12,7 +11,7 @@ use crate::repairs::RepairLog;
 /// when it arrived. A clock that jumps on the way, as it does when a receiver of satellites finds its
 /// time, goes on as before.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct SensorTime {
+pub struct SensorTime {
     /// Arrival after measurement of the first packet, if it was looked at before.
     first_lag: Option<Duration>,
     shift: Option<Duration>,
@@ -34,13 +33,10 @@ const BACK: f64 = 0.1;
 
 impl SensorTime {
     /// The time of a measurement by the sensor's clock, in the recording's clock.
-    pub fn place(&mut self, sensor: Time, arrival: Time, repairs: &mut RepairLog) -> Time {
-        let shift = self.shift.unwrap_or_else(|| self.begin(arrival - sensor, repairs));
+    pub fn place(&mut self, sensor: Time, arrival: Time, faults: &mut dyn FaultLog) -> Time {
+        let shift = self.shift.unwrap_or_else(|| self.begin(arrival - sensor, faults));
         let shift = self.after_jump(sensor, arrival, shift).map_or(shift, |shift| {
-            repairs.repaired(
-                "the clock of a sensor jumped by more than a second against the times of arrival; its times go \
-                 on as before",
-            );
+            faults.count(PacketFault::ClockJumped, 1);
             shift
         });
         self.shift = Some(shift);
@@ -48,13 +44,11 @@ impl SensorTime {
         sensor + shift
     }
 
-    fn begin(&mut self, lag: Duration, repairs: &mut RepairLog) -> Duration {
+    fn begin(&mut self, lag: Duration, faults: &mut dyn FaultLog) -> Duration {
         let lag = self.first_lag.unwrap_or(lag);
         let agrees = lag.seconds().abs() <= AGREEMENT;
         if !agrees {
-            repairs.repaired(
-                "the clock of a sensor was not set; its times were shifted to those of the recording",
-            );
+            faults.count(PacketFault::ClockNotSet, 1);
         }
         let shift = if agrees { Duration::ZERO } else { lag };
         self.usual_lag = lag - shift;
@@ -79,27 +73,27 @@ impl SensorTime {
 }
 
 /// What is known of a stream of packets before it is read.
-pub(crate) struct PacketStream<'a, Host> {
+pub struct PacketStream<'a, Host> {
     /// Streams of the same sensor come from the same.
     pub host: Host,
+    /// What sends it.
     pub source: &'a PacketSource,
     /// Its first packet, and when that arrived.
     pub first: (&'a [u8], Time),
 }
 
 impl<'a, Host> PacketStream<'a, Host> {
+    /// A stream of which the first packet is at hand.
     pub fn new(host: Host, source: &'a PacketSource, first: &'a (Vec<u8>, Time)) -> Self {
         Self { host, source, first: (&first.0, first.1) }
     }
 }
 
-/// By stream the number of its clock, and the clocks.
+/// By stream the number of its clock, and the clocks: as many as streams, of which some stay unused.
 ///
 /// Lidar and IMU of one sensor have one: shifted by the first packets of each, their times would differ by
 /// how long these two packets took.
-pub(crate) fn clocks_of<Host: PartialEq>(
-    streams: &[PacketStream<'_, Host>],
-) -> (Vec<usize>, Vec<SensorTime>) {
+pub fn clocks_of<Host: PartialEq>(streams: &[PacketStream<'_, Host>]) -> (Vec<usize>, Vec<SensorTime>) {
     let clock_of = |i: usize| lidar_of_imu(streams, i).unwrap_or(i);
     let numbers: Vec<usize> = (0..streams.len()).map(clock_of).collect();
     // The packet that took least tells best when it was measured.

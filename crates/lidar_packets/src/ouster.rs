@@ -4,27 +4,25 @@
 //! azimuth; a change of the frame number begins a new sweep. Points are in the sensor's frame.
 
 use std::f64::consts::TAU;
-use std::sync::Arc;
 
 use portolan_geometry::{Duration, Time};
 
-use super::SensorTime;
-use super::cloud_builder::{CloudBuilder, PacketPoint, f32_at, u16_at, u32_at, u64_at};
-use super::ouster_metadata::{OusterMetadata, PacketProfile};
-use crate::repairs::RepairLog;
-use crate::{Header, Imu, PointCloud2};
+use crate::bytes::{f32_at, u16_at, u32_at, u64_at};
+use crate::ouster_metadata::{OusterMetadata, PacketProfile};
+use crate::{FaultLog, ImuSample, PacketFault, PacketPoint, SensorTime, Sweep, SweepBuilder};
 
-/// Frame of clouds and IMU.
-pub(crate) const FRAME: &str = "os_sensor";
 /// Bytes of an IMU packet.
-pub(crate) const IMU_PACKET_BYTES: usize = 48;
+pub const IMU_PACKET_BYTES: usize = 48;
 const STANDARD_GRAVITY: f64 = 9.80665;
 
 /// How the bytes of a lidar packet lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct PacketLayout {
+pub struct PacketLayout {
+    /// Layout of a channel.
     pub profile: PacketProfile,
+    /// Beams.
     pub channels: usize,
+    /// Columns of a packet.
     pub columns: usize,
 }
 
@@ -73,7 +71,7 @@ impl PacketLayout {
 pub(crate) struct OusterDecoder {
     metadata: OusterMetadata,
     layout: PacketLayout,
-    builder: CloudBuilder,
+    builder: SweepBuilder,
     frame_number: Option<u16>,
     /// By channel: sine and cosine of elevation, azimuth offset in radians, ring.
     beams: Vec<(f64, f64, f64, u16)>,
@@ -81,7 +79,7 @@ pub(crate) struct OusterDecoder {
 
 impl OusterDecoder {
     /// A sensor with what is known about it.
-    pub fn new(metadata: OusterMetadata, layout: PacketLayout, frame: &str) -> Self {
+    pub fn new(metadata: OusterMetadata, layout: PacketLayout) -> Self {
         let mut order: Vec<usize> = (0..metadata.altitudes.len()).collect();
         order.sort_by(|a, b| metadata.altitudes[*a].total_cmp(&metadata.altitudes[*b]));
         let mut rings = vec![0; order.len()];
@@ -97,7 +95,7 @@ impl OusterDecoder {
             beams: beams.collect(),
             metadata,
             layout,
-            builder: CloudBuilder::new(frame),
+            builder: SweepBuilder::default(),
             frame_number: None,
         }
     }
@@ -107,11 +105,11 @@ impl OusterDecoder {
         &mut self,
         (packet, arrival): (&[u8], Time),
         clock: &mut SensorTime,
-        repairs: &mut RepairLog,
-        sweeps: &mut dyn FnMut(PointCloud2),
+        faults: &mut dyn FaultLog,
+        sweeps: &mut dyn FnMut(Sweep),
     ) {
         if packet.len() != self.layout.packet_bytes() {
-            repairs.lost("Ouster packets of an unexpected length were left out");
+            faults.count(PacketFault::OusterLength, 1);
             return;
         }
         let (profile, bytes) = (self.layout.profile, self.layout.column_bytes());
@@ -128,20 +126,16 @@ impl OusterDecoder {
             {
                 self.builder.take().map(&mut *sweeps);
             }
-            let time = clock.place(sensor_time(u64_at(column, 0)), arrival, repairs);
+            let time = clock.place(sensor_time(u64_at(column, 0)), arrival, faults);
             self.add_column(column, time);
         }
         if invalid > 0 {
-            repairs.add(
-                "columns of Ouster packets that the sensor marked as invalid were left out",
-                false,
-                invalid,
-            );
+            faults.count(PacketFault::InvalidColumn, invalid);
         }
     }
 
     /// The sweep that is not complete yet.
-    pub fn finish(&mut self) -> Option<PointCloud2> {
+    pub fn finish(&mut self) -> Option<Sweep> {
         self.frame_number = None;
         self.builder.take()
     }
@@ -182,44 +176,26 @@ fn sensor_time(nanoseconds: u64) -> Time {
 
 /// When a sample was measured: a packet has the times of the system, of the accelerometer and of the
 /// gyroscope.
-pub(super) fn imu_sensor_time(packet: &[u8]) -> Option<Time> {
+pub(crate) fn imu_sensor_time(packet: &[u8]) -> Option<Time> {
     (packet.len() == IMU_PACKET_BYTES).then(|| sensor_time(u64_at(packet, 16)))
 }
 
-/// Turns IMU packets into samples.
-pub(crate) struct OusterImuDecoder {
-    frame: Arc<str>,
-}
-
-impl OusterImuDecoder {
-    /// An IMU whose samples are in a frame.
-    pub fn new(frame: &str) -> Self {
-        Self { frame: frame.into() }
-    }
-
-    /// The sample of a packet that arrived at a time.
-    pub fn decode(
-        &mut self,
-        (packet, arrival): (&[u8], Time),
-        clock: &mut SensorTime,
-        repairs: &mut RepairLog,
-    ) -> Option<Imu> {
-        let Some(measured) = imu_sensor_time(packet) else {
-            repairs.lost("Ouster IMU packets of an unexpected length were left out");
-            return None;
-        };
-        let stamp = clock.place(measured, arrival, repairs);
-        let three = |at: usize, unit: f64| [0, 4, 8].map(|i| f64::from(f32_at(packet, at + i)) * unit);
-        Some(Imu {
-            header: Header { stamp, frame_id: Arc::clone(&self.frame) },
-            orientation_xyzw: [0.0, 0.0, 0.0, 1.0],
-            orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            angular_velocity: three(36, std::f64::consts::PI / 180.0),
-            angular_velocity_covariance: [0.0; 9],
-            linear_acceleration: three(24, STANDARD_GRAVITY),
-            linear_acceleration_covariance: [0.0; 9],
-        })
-    }
+/// The sample of a packet that arrived at a time, in SI units.
+pub(crate) fn imu_sample(
+    (packet, arrival): (&[u8], Time),
+    clock: &mut SensorTime,
+    faults: &mut dyn FaultLog,
+) -> Option<ImuSample> {
+    let Some(measured) = imu_sensor_time(packet) else {
+        faults.count(PacketFault::OusterImuLength, 1);
+        return None;
+    };
+    let three = |at: usize, unit: f64| [0, 4, 8].map(|i| f64::from(f32_at(packet, at + i)) * unit);
+    Some(ImuSample {
+        time: clock.place(measured, arrival, faults),
+        angular_velocity: three(36, std::f64::consts::PI / 180.0),
+        linear_acceleration: three(24, STANDARD_GRAVITY),
+    })
 }
 
 impl PacketProfile {

@@ -9,13 +9,11 @@ use std::f64::consts::PI;
 
 use portolan_geometry::{Duration, Time};
 
-use super::SensorTime;
-use super::cloud_builder::{CloudBuilder, PacketPoint, u16_at, u32_at};
-use super::velodyne_models::{
+use crate::bytes::{u16_at, u32_at};
+use crate::velodyne_models::{
     BLOCK_BYTES, BLOCKS, CHANNELS, LOWER, Laser, PACKET_BYTES, UPPER, VelodyneModel,
 };
-use crate::PointCloud2;
-use crate::repairs::RepairLog;
+use crate::{FaultLog, PacketFault, PacketPoint, SensorTime, Sweep, SweepBuilder};
 
 /// Return mode of packets whose blocks come in pairs of the same azimuth.
 const DUAL: u8 = 0x39;
@@ -29,7 +27,7 @@ const TURN: i32 = 36_000;
 const LONGEST_SWEEP: f64 = 1.5;
 
 /// Whether a packet is one of Velodyne's data packets.
-pub(crate) fn is_velodyne(packet: &[u8]) -> bool {
+pub fn is_velodyne(packet: &[u8]) -> bool {
     packet.len() == PACKET_BYTES && matches!(u16_at(packet, 0), UPPER | LOWER)
 }
 
@@ -39,20 +37,20 @@ pub(crate) struct VelodyneDecoder {
     /// By the number of the beam: sine and cosine of the elevation.
     lasers: Vec<(Laser, f64, f64)>,
     calibration: Option<Vec<Laser>>,
-    builder: CloudBuilder,
+    builder: SweepBuilder,
     last_azimuth: Option<i32>,
     /// Microseconds of the packet before, unwrapped, and when it arrived.
     last_time: Option<(i64, Time)>,
 }
 
 impl VelodyneDecoder {
-    /// A sensor in a frame; with a calibration instead of nominal angles.
-    pub fn new(frame: &str, calibration: Option<Vec<Laser>>) -> Self {
+    /// A sensor, with a calibration instead of nominal angles if there is one.
+    pub fn new(calibration: Option<Vec<Laser>>) -> Self {
         Self {
             model: None,
             lasers: Vec::new(),
             calibration,
-            builder: CloudBuilder::new(frame),
+            builder: SweepBuilder::default(),
             last_azimuth: None,
             last_time: None,
         }
@@ -63,15 +61,15 @@ impl VelodyneDecoder {
         &mut self,
         (packet, arrival): (&[u8], Time),
         clock: &mut SensorTime,
-        repairs: &mut RepairLog,
-        sweeps: &mut dyn FnMut(PointCloud2),
+        faults: &mut dyn FaultLog,
+        sweeps: &mut dyn FnMut(Sweep),
     ) {
         if !is_velodyne(packet) {
-            repairs.lost("packets that are no data packets of a Velodyne were left out");
+            faults.count(PacketFault::NotVelodyne, 1);
             return;
         }
-        let model = self.recognise(packet, repairs);
-        let start = clock.place(self.sensor_time(packet, arrival), arrival, repairs);
+        let model = self.recognise(packet, faults);
+        let start = clock.place(self.sensor_time(packet, arrival), arrival, faults);
         let is_dual = packet.get(PACKET_BYTES - 2) == Some(&DUAL) && model != VelodyneModel::Hdl64e;
         let is_paired = is_dual || model == VelodyneModel::Hdl64e;
         let rate = azimuth_rate(packet, is_paired, model);
@@ -80,7 +78,7 @@ impl VelodyneDecoder {
             let flag = u16_at(bytes, 0);
             let azimuth = i32::from(u16_at(bytes, 2));
             if !matches!(flag, UPPER | LOWER) || azimuth >= TURN {
-                repairs.lost("blocks of packets with a wrong mark or azimuth were left out");
+                faults.count(PacketFault::DamagedBlock, 1);
                 continue;
             }
             // The head passed azimuth 0, or stood still for long.
@@ -98,26 +96,23 @@ impl VelodyneDecoder {
     }
 
     /// The sweep that is not complete yet.
-    pub fn finish(&mut self) -> Option<PointCloud2> {
+    pub fn finish(&mut self) -> Option<Sweep> {
         self.last_azimuth = None;
         self.builder.take()
     }
 
-    fn recognise(&mut self, packet: &[u8], repairs: &mut RepairLog) -> VelodyneModel {
+    fn recognise(&mut self, packet: &[u8], faults: &mut dyn FaultLog) -> VelodyneModel {
         if let Some(model) = self.model {
             return model;
         }
         let (model, is_known) = VelodyneModel::of(packet);
         if !is_known {
-            repairs.repaired("packets of an unknown Velodyne product were read as those of a VLP-16");
+            faults.count(PacketFault::UnknownVelodyne, 1);
         }
         let nominal = model.lasers();
         let calibration = self.calibration.take().filter(|table| table.len() == nominal.len());
         if model == VelodyneModel::Hdl64e && calibration.is_none() {
-            repairs.repaired(
-                "an HDL-64E without its calibration was read with nominal angles; put the calibration of \
-                 velodyne_pointcloud (.yaml) beside the capture under the same name",
-            );
+            faults.count(PacketFault::NoCalibration, 1);
         }
         let lasers = calibration.unwrap_or(nominal);
         self.lasers = lasers.into_iter().map(|l| (l, l.elevation.sin(), l.elevation.cos())).collect();

@@ -3,7 +3,7 @@
 
 use std::f64::consts::PI;
 
-use super::cloud_builder::u16_at;
+use crate::bytes::u16_at;
 
 /// Bytes of every data packet.
 pub(crate) const PACKET_BYTES: usize = 1206;
@@ -17,27 +17,33 @@ pub(crate) const LOWER: u16 = 0xddff;
 
 /// A kind of sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum VelodyneModel {
+pub enum VelodyneModel {
     /// 16 beams of ±15°, also Puck LITE.
     Vlp16,
     /// 16 beams of ±10°.
     PuckHiRes,
     /// VLP-32C "Ultra Puck".
     Vlp32c,
+    /// 32 beams, -30.67° to 10.67°.
     Hdl32e,
+    /// 64 beams, of which each sensor has a calibration of its own.
     Hdl64e,
 }
 
 /// One beam: angles in radians, offsets in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Laser {
+pub struct Laser {
+    /// Above the plane of rotation.
     pub elevation: f64,
     /// Subtracted from the azimuth of the block.
     pub azimuth: f64,
     /// Added to the distance.
     pub distance: f64,
+    /// Of the beam's origin across the beam, upwards.
     pub vertical_offset: f64,
+    /// Of the beam's origin across the beam, to the left.
     pub horizontal_offset: f64,
+    /// Number from below.
     pub ring: u16,
 }
 
@@ -79,6 +85,7 @@ impl VelodyneModel {
         }
     }
 
+    /// Maker and model, for people.
     pub fn name(self) -> &'static str {
         match self {
             Self::Vlp16 => "Velodyne VLP-16",
@@ -176,7 +183,7 @@ pub(crate) fn with_rings(mut lasers: Vec<Laser>) -> Vec<Laser> {
 /// Reads a calibration as `velodyne_pointcloud` has it (YAML with a list `lasers`, keys `laser_id`,
 /// `vert_correction`, `rot_correction`, `dist_correction`, `vert_offset_correction`,
 /// `horiz_offset_correction`; metres and radians). None if it is none.
-pub(crate) fn parse_calibration(text: &str) -> Option<Vec<Laser>> {
+pub fn parse_calibration(text: &str) -> Option<Vec<Laser>> {
     let mut lasers: Vec<(Option<usize>, Laser)> = Vec::new();
     let words = text.split(['\n', ',', '{', '}']);
     let blank = Laser {
