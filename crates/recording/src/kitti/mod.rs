@@ -20,10 +20,9 @@ use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_lidar_packets::{PacketPoint, SweepBuilder};
 
 use crate::packets::cloud_of;
-use crate::repairs::RepairLog;
 use crate::{
-    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, Repair, TfMessage,
-    TopicInfo, TransformStamped,
+    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, Repair, RepairLog,
+    TfMessage, TopicInfo, TransformStamped,
 };
 
 const POINTS: &str = "/velodyne_points";

@@ -13,8 +13,7 @@ use portolan_lidar_packets::{
     FaultLog, ImuSample, Measured, PacketDecoder, PacketFault, PacketSource, SensorTime,
 };
 
-use crate::repairs::RepairLog;
-use crate::{Header, Imu, Message};
+use crate::{Header, Imu, Message, RepairLog};
 
 pub(crate) use cloud::cloud_of;
 pub(crate) use unpack::unpacked;

@@ -10,9 +10,9 @@ use portolan_lidar_packets::{
 
 use super::{OUSTER_FRAME, PacketMessages, type_name};
 use crate::codec::MessageKind;
-use crate::repairs::RepairLog;
 use crate::{
-    Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, Repair, TopicInfo,
+    Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, Repair, RepairLog,
+    TopicInfo,
 };
 
 /// So many messages are looked at to find out what a topic of packets holds.

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use crate::repairs::RepairLog;
+use crate::RepairLog;
 
 /// Who sent a datagram, and to which port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

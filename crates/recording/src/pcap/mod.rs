@@ -19,8 +19,7 @@ use portolan_lidar_packets::SensorTime;
 
 use crate::container::Source;
 use crate::packets::{PacketMessages, type_name};
-use crate::repairs::RepairLog;
-use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
+use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
 use capture::CaptureReader;
 use datagram::{Datagrams, Endpoint};
 use sensors::{CapturedSensor, Descriptions, Kind, Senders, Sensors};

@@ -11,8 +11,8 @@ use portolan_lidar_packets::{
 };
 
 use super::datagram::Endpoint;
+use crate::RepairLog;
 use crate::packets::OUSTER_FRAME;
-use crate::repairs::RepairLog;
 
 /// Longer files beside a capture are no descriptions of a sensor.
 const MAX_DESCRIPTION: u64 = 1 << 22;
