@@ -49,13 +49,24 @@ pub enum PacketFault {
         "the clock of a sensor jumped by more than a second against the times of arrival; its times go on as before"
     )]
     ClockJumped,
+    /// A piece of a datagram that would be too long, put together.
+    #[error("pieces of datagrams beyond their greatest length were left out")]
+    LongDatagram,
+    /// Pieces were lost on the way, or the capture begins or ends between them.
+    #[error("datagrams of which pieces are missing were left out")]
+    IncompleteDatagram,
 }
 
 impl PacketFault {
     /// Whether something that was measured is missing afterwards.
     pub fn loses_data(self) -> bool {
         match self {
-            Self::NotVelodyne | Self::DamagedBlock | Self::OusterLength | Self::OusterImuLength => true,
+            Self::NotVelodyne
+            | Self::DamagedBlock
+            | Self::OusterLength
+            | Self::OusterImuLength
+            | Self::LongDatagram
+            | Self::IncompleteDatagram => true,
             Self::Repetition
             | Self::UnknownVelodyne
             | Self::NoCalibration

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod bytes;
+mod datagram;
 mod decoder;
 mod faults;
 mod ouster;
@@ -14,6 +15,7 @@ mod velodyne_models;
 #[cfg(test)]
 mod tests;
 
+pub use datagram::{Datagrams, Endpoint};
 pub use decoder::{ImuSample, Measured, PacketDecoder};
 pub use faults::{FaultLog, PacketFault};
 pub use ouster::{IMU_PACKET_BYTES, PacketLayout};

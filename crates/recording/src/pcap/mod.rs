@@ -5,7 +5,6 @@
 //! (metadata of an Ouster) and `NAME.yaml` (calibration of a Velodyne).
 
 mod capture;
-mod datagram;
 mod sensors;
 
 #[cfg(test)]
@@ -15,13 +14,12 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
-use portolan_lidar_packets::SensorTime;
+use portolan_lidar_packets::{Datagrams, Endpoint, SensorTime};
 
 use crate::container::Source;
 use crate::packets::{PacketMessages, type_name};
 use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
 use capture::CaptureReader;
-use datagram::{Datagrams, Endpoint};
 use sensors::{CapturedSensor, Descriptions, Kind, Senders, Sensors};
 
 pub(crate) use capture::sniff;

@@ -6,11 +6,10 @@ use std::sync::Arc;
 
 use portolan_geometry::Time;
 use portolan_lidar_packets::{
-    IMU_PACKET_BYTES, Laser, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime,
+    Endpoint, IMU_PACKET_BYTES, Laser, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime,
     VelodyneModel, clocks_of, is_velodyne, parse_calibration,
 };
 
-use super::datagram::Endpoint;
 use crate::RepairLog;
 use crate::packets::OUSTER_FRAME;
 

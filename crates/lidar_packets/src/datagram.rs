@@ -3,13 +3,14 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use crate::RepairLog;
+use crate::{FaultLog, PacketFault};
 
 /// Who sent a datagram, and to which port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Endpoint {
-    /// IPv4 addresses fill the last four bytes.
+pub struct Endpoint {
+    /// Address of the sender; IPv4 addresses fill the last four bytes.
     pub source: [u8; 16],
+    /// Port it was sent to.
     pub port: u16,
 }
 
@@ -21,7 +22,7 @@ const UDP: u8 = 17;
 
 /// Puts datagrams together.
 #[derive(Default)]
-pub(crate) struct Datagrams {
+pub struct Datagrams {
     waiting: BTreeMap<([u8; 8], u16), Pieces>,
     /// Counts up, to know the oldest.
     age: u64,
@@ -36,16 +37,16 @@ struct Pieces {
 }
 
 impl Datagrams {
-    /// The datagram that a frame holds or completes.
+    /// The datagram that a frame of an interface holds or completes; `link_type` as captures number them (LINKTYPE).
     pub fn take<'a>(
         &mut self,
         link_type: u32,
         frame: &'a [u8],
-        repairs: &mut RepairLog,
+        faults: &mut dyn FaultLog,
     ) -> Option<(Endpoint, Cow<'a, [u8]>)> {
         let packet = network_packet(link_type, frame)?;
         match packet.first()? >> 4 {
-            4 => self.take_ipv4(packet, repairs),
+            4 => self.take_ipv4(packet, faults),
             6 => {
                 // Without extension headers.
                 let source = packet.get(8..24)?.try_into().ok()?;
@@ -59,7 +60,7 @@ impl Datagrams {
     fn take_ipv4<'a>(
         &mut self,
         packet: &'a [u8],
-        repairs: &mut RepairLog,
+        faults: &mut dyn FaultLog,
     ) -> Option<(Endpoint, Cow<'a, [u8]>)> {
         let header = usize::from(packet.first()? & 0xf) * 4;
         let total = usize::from(u16_at(packet, 2)?);
@@ -77,7 +78,7 @@ impl Datagrams {
             return udp(source, Cow::Borrowed(payload));
         }
         let key = (packet.get(12..20)?.try_into().ok()?, u16_at(packet, 4)?);
-        let whole = self.add_piece(key, offset, more, payload, repairs)?;
+        let whole = self.add_piece(key, offset, more, payload, faults)?;
         udp(source, Cow::Owned(whole))
     }
 
@@ -87,11 +88,11 @@ impl Datagrams {
         offset: usize,
         more: bool,
         payload: &[u8],
-        repairs: &mut RepairLog,
+        faults: &mut dyn FaultLog,
     ) -> Option<Vec<u8>> {
         let end = offset + payload.len();
         if end > MAX_DATAGRAM {
-            repairs.lost("pieces of datagrams beyond their greatest length were left out");
+            faults.count(PacketFault::LongDatagram, 1);
             return None;
         }
         self.age += 1;
@@ -116,16 +117,16 @@ impl Datagrams {
         if self.waiting.len() > MAX_WAITING {
             let oldest = self.waiting.iter().min_by_key(|(_, pieces)| pieces.age).map(|(key, _)| *key);
             oldest.and_then(|key| self.waiting.remove(&key));
-            repairs.lost("datagrams of which pieces are missing were left out");
+            faults.count(PacketFault::IncompleteDatagram, 1);
         }
         None
     }
 
     /// Counts what never became complete.
-    pub fn finish(&mut self, repairs: &mut RepairLog) {
+    pub fn finish(&mut self, faults: &mut dyn FaultLog) {
         let missing = self.waiting.len() as u64;
         if missing > 0 {
-            repairs.add("datagrams of which pieces are missing were left out", true, missing);
+            faults.count(PacketFault::IncompleteDatagram, missing);
         }
         self.waiting.clear();
     }
@@ -166,4 +167,38 @@ fn udp(source: [u8; 16], bytes: Cow<'_, [u8]>) -> Option<(Endpoint, Cow<'_, [u8]
 
 fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
     Some(u16::from_be_bytes(bytes.get(at..at + 2)?.try_into().ok()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An IPv4 packet without a link layer that holds a piece of a datagram from 10.0.0.1 to port 2368.
+    fn piece(bytes: &[u8], offset: u16, more: bool) -> Vec<u8> {
+        let length = (20 + bytes.len()) as u16;
+        let flags = offset / 8 | if more { 0x2000 } else { 0 };
+        let mut packet = vec![0x45, 0];
+        packet.extend(length.to_be_bytes());
+        packet.extend([0, 7]);
+        packet.extend(flags.to_be_bytes());
+        packet.extend([64, UDP, 0, 0, 10, 0, 0, 1, 255, 255, 255, 255]);
+        packet.extend(bytes);
+        packet
+    }
+
+    #[test]
+    fn pieces_in_any_order_make_a_datagram_and_missing_ones_are_counted() {
+        const RAW_IP: u32 = 101;
+        let mut datagram = vec![0x09, 0x40, 0x09, 0x40, 0, 28, 0, 0];
+        datagram.extend(0..20);
+        let (first, last) = (piece(&datagram[..16], 0, true), piece(&datagram[16..], 16, false));
+        let (mut datagrams, mut faults) = (Datagrams::default(), BTreeMap::new());
+        assert_eq!(datagrams.take(RAW_IP, &last, &mut faults), None);
+        let (endpoint, payload) = datagrams.take(RAW_IP, &first, &mut faults).unwrap();
+        assert_eq!((endpoint.port, &endpoint.source[12..]), (2368, [10, 0, 0, 1].as_slice()));
+        assert_eq!(*payload, datagram[8..]);
+        assert_eq!(datagrams.take(RAW_IP, &first, &mut faults), None);
+        datagrams.finish(&mut faults);
+        assert_eq!(faults, BTreeMap::from([(PacketFault::IncompleteDatagram, 1)]));
+    }
 }
