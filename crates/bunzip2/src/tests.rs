@@ -116,4 +116,19 @@ proptest! {
         let packed = [b"BZh9\x31\x41\x59\x26\x53\x59".as_slice(), &noise].concat();
         prop_assert!(unpack(&packed).1.is_err());
     }
+
+    #[test]
+    fn what_was_unpacked_before_does_not_matter(
+        at in 0usize..20_000, turned in 0u8..8, length in 1usize..20_000,
+    ) {
+        let mut packed = pack(&like_a_recording(length), 1);
+        let at = at % packed.len();
+        packed[at] ^= 1 << turned;
+        let (mut unpacker, mut data) = (Unpacker::default(), Vec::new());
+        unpacker.unpack(&pack(&like_a_recording(30_000), 9), usize::MAX, &mut Vec::new()).unwrap();
+        let result = unpacker.unpack(&packed, usize::MAX, &mut data);
+        let (expected, sound) = unpack(&packed);
+        prop_assert_eq!(result.is_ok(), sound.is_ok());
+        prop_assert!(data == expected);
+    }
 }
