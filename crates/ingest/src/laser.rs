@@ -138,7 +138,9 @@ pub(crate) fn points_of_scan(
     (result, faults)
 }
 
-/// [`points_of_scan`] for a plain scan.
+/// The readings of a scan between its limits as points in the frame of the scanner, and what was wrong with it; times of
+/// points count to the last of them, whose time is that of the result (`spec/slam2d.md` §1). `stamp` stands for that of
+/// the message, and `directions` are kept from scan to scan.
 pub fn points_of_laser_scan(
     stamp: Time,
     scan: &LaserScan,
@@ -150,7 +152,7 @@ pub fn points_of_laser_scan(
     points_of_scan(stamp, ScanShape::of(scan), readings, with_intensities, directions)
 }
 
-/// [`points_of_scan`] for the first echo of every beam.
+/// As [`points_of_laser_scan`], of the first echo of every beam.
 pub fn points_of_echoes(
     stamp: Time,
     scan: &MultiEchoLaserScan,

@@ -176,7 +176,7 @@ mod tests {
     /// An IPv4 packet without a link layer that holds a piece of a datagram from 10.0.0.1 to port 2368.
     fn piece(bytes: &[u8], offset: u16, more: bool) -> Vec<u8> {
         let length = (20 + bytes.len()) as u16;
-        let flags = offset / 8 | if more { 0x2000 } else { 0 };
+        let flags = (offset / 8) | if more { 0x2000 } else { 0 };
         let mut packet = vec![0x45, 0];
         packet.extend(length.to_be_bytes());
         packet.extend([0, 7]);
