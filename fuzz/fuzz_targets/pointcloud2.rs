@@ -3,10 +3,8 @@
 
 use libfuzzer_sys::fuzz_target;
 use portolan_geometry::Time;
-use portolan_recording::{
-    FieldType, Header, IngestOptions, Ingestion, MemoryRecording, Message, PointCloud2, PointField,
-    RecordedMessage,
-};
+use portolan_ingest::{IngestOptions, Ingestion};
+use portolan_recording::{FieldType, Header, MemoryRecording, Message, PointCloud2, PointField, RecordedMessage};
 
 const NAMES: [&str; 8] = ["x", "y", "z", "time", "t", "intensity", "timestamp", "offset_time"];
 const TYPES: [Option<FieldType>; 9] = [

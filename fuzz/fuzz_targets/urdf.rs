@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use portolan_recording::{TfTree, parse_urdf};
+use portolan_ingest::{TfTree, parse_urdf};
 
 fuzz_target!(|text: &str| {
     if let Ok(robot) = parse_urdf(text, false) {

@@ -1,7 +1,7 @@
 //! Settings chosen from what the sensors are, so that nobody needs to write a configuration.
 
 use portolan_config::Options;
-use portolan_recording::{RangeStatistics, SensorPlan, SensorStatistics};
+use portolan_ingest::{RangeStatistics, SensorPlan, SensorStatistics};
 
 /// Beams that lie further apart than this on a typical wall, metres, do not fill cells of 5 cm.
 const SPARSE_BEAM_SPACING: f64 = 0.05;

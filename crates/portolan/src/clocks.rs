@@ -13,10 +13,10 @@ mod tracker;
 
 use std::collections::{BTreeMap, VecDeque};
 
+use portolan_diagnose::ClockOffset;
 use portolan_geometry::Duration;
-use portolan_recording::{
-    ClockOffset, IngestError, IngestOptions, Ingestion, Inventory, PlannedRange, Recording, SensorPlan, plan,
-};
+use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, PlannedRange, SensorPlan, plan};
+use portolan_recording::Recording;
 use portolan_sensor::{Measurement, SensorId, SensorKind, TimedPointCloudData};
 
 use gyroscope::Gyroscope;
@@ -35,7 +35,7 @@ const MAX_WAITING: usize = 20;
 const FLAT: f64 = 0.05;
 
 /// The offset of the clock of each lidar in space against that of the IMU; of those for which the recording tells
-/// it. Ends when enough was read. What cannot be read tells nothing: [`portolan_recording::check`] says why.
+/// it. Ends when enough was read. What cannot be read tells nothing: [`portolan_diagnose::check`] says why.
 /// `progress` is told the bytes read so far.
 pub fn measure(
     recording: &dyn Recording,

@@ -10,11 +10,15 @@ pub mod unwind;
 
 pub use requested::RequestedOptions;
 
+pub use portolan_bunzip2 as bunzip2;
 pub use portolan_config as config;
+pub use portolan_diagnose as diagnose;
 pub use portolan_evaluation as evaluation;
 pub use portolan_export as export;
 pub use portolan_geometry as geometry;
+pub use portolan_ingest as ingest;
 pub use portolan_lidar_odometry as lidar_odometry;
+pub use portolan_lidar_packets as lidar_packets;
 pub use portolan_mapfile as mapfile;
 pub use portolan_mapping as mapping;
 pub use portolan_matching as matching;

@@ -4,16 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use portolan_config::Options;
+use portolan_diagnose::odometry_delay;
 use portolan_geometry::{Rigid3, Time, TransformBuffer};
+use portolan_ingest::{Dimension, IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
 use portolan_mapping::{
     BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map, Mapper,
     MapperError, MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan,
     of_trajectory,
 };
-use portolan_recording::{
-    Dimension, IngestError, IngestOptions, Ingestion, Inventory, Recording, RecordingError, Repair,
-    SensorPlan, odometry_delay, plan,
-};
+use portolan_recording::{Recording, RecordingError, Repair};
 use portolan_sensor::SensorId;
 
 use crate::automatic;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use portolan_config::{ConfigError, Dimension as ConfigDimension, Options, explain};
-use portolan_recording::{ConfiguredSensors, Dimension, IngestOptions, SamplingRatios};
+use portolan_ingest::{ConfiguredSensors, Dimension, IngestOptions, SamplingRatios};
 
 /// A whole configuration, single settings on top of it or of what is chosen automatically, or nothing.
 #[derive(Clone, Debug, Default)]

@@ -12,8 +12,9 @@ mod motion;
 mod tests;
 
 use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_ingest::{IngestError, IngestOptions, Ingestion};
 use portolan_pointcloud::CloudError;
-use portolan_recording::{IngestError, IngestOptions, Ingestion, Recording};
+use portolan_recording::Recording;
 use portolan_sensor::{Measurement, TimedPointCloudData};
 
 use crate::pipeline::{PipelineError, Preparation};
@@ -59,10 +60,10 @@ impl UnwindOptions {
     pub fn as_mapped(preparation: &Preparation) -> Self {
         let builder = &preparation.options.trajectory_builder;
         let (min_range, max_range) = match preparation.dimension {
-            portolan_recording::Dimension::Two => {
+            portolan_ingest::Dimension::Two => {
                 (builder.trajectory_builder_2d.min_range, builder.trajectory_builder_2d.max_range)
             }
-            portolan_recording::Dimension::Three => {
+            portolan_ingest::Dimension::Three => {
                 (builder.trajectory_builder_3d.min_range, builder.trajectory_builder_3d.max_range)
             }
         };

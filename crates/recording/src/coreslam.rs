@@ -20,11 +20,10 @@ use std::sync::Arc;
 
 use portolan_geometry::{Duration, Time, normalize_angle};
 
-use crate::repairs::RepairLog;
 use crate::text::{Lines, TextFile};
 use crate::{
     Header, LaserScan, Message, MessageReader, Odometry, Pose, RecordedMessage, Recording, RecordingError,
-    Repair, TfMessage, TopicInfo, TransformStamped,
+    Repair, RepairLog, TfMessage, TopicInfo, TransformStamped,
 };
 
 /// Columns before the ranges.

@@ -6,8 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use portolan_geometry::Time;
 
-use crate::repairs::RepairLog;
-use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
+use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
 
 /// Recordings merged by log time; at equal times the earlier part comes first. A part is opened when its
 /// first message may be due. Parts that do not know their times follow the part before them.

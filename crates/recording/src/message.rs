@@ -114,6 +114,18 @@ pub enum FieldType {
     Float64 = 8,
 }
 
+impl FieldType {
+    /// Bytes of one value.
+    pub fn size_bytes(self) -> usize {
+        match self {
+            Self::Int8 | Self::Uint8 => 1,
+            Self::Int16 | Self::Uint16 => 2,
+            Self::Int32 | Self::Uint32 | Self::Float32 => 4,
+            Self::Float64 => 8,
+        }
+    }
+}
+
 /// One field of a point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointField {

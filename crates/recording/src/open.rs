@@ -6,9 +6,10 @@ use std::sync::Arc;
 
 use crate::container::Source;
 use crate::merge::MergedRecording;
-use crate::repairs::RepairLog;
 use crate::ros2::{db3, folder, mcap};
-use crate::{Recording, RecordingError, kitti, open_text_log, open_text_log_bytes, packets, pcap, ros1};
+use crate::{
+    Recording, RecordingError, RepairLog, kitti, open_text_log, open_text_log_bytes, packets, pcap, ros1,
+};
 
 /// What can be opened, for error messages.
 const SUPPORTED: &str = "supported are ROS 1 bags (format 2.0), ROS 2 bags (MCAP or SQLite, a file or a folder \

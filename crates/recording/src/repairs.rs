@@ -6,7 +6,7 @@ use crate::Repair;
 
 /// Repairs and losses by kind.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct RepairLog {
+pub struct RepairLog {
     counts: BTreeMap<(String, bool), u64>,
 }
 
@@ -15,24 +15,24 @@ const MAX_KINDS: usize = 256;
 
 impl RepairLog {
     /// Counts a repair after which nothing is missing.
-    pub(crate) fn repaired(&mut self, what: impl Into<String>) {
+    pub fn repaired(&mut self, what: impl Into<String>) {
         self.add(what, false, 1);
     }
 
     /// Counts a loss of data.
-    pub(crate) fn lost(&mut self, what: impl Into<String>) {
+    pub fn lost(&mut self, what: impl Into<String>) {
         self.add(what, true, 1);
     }
 
     /// Adds what another log counted.
-    pub(crate) fn merge(&mut self, other: &[Repair]) {
+    pub fn merge(&mut self, other: &[Repair]) {
         for repair in other {
             self.add(repair.what.as_str(), repair.lost_data, repair.count);
         }
     }
 
     /// Counts `count` repairs of one kind.
-    pub(crate) fn add(&mut self, what: impl Into<String>, lost_data: bool, count: u64) {
+    pub fn add(&mut self, what: impl Into<String>, lost_data: bool, count: u64) {
         let mut key = (what.into(), lost_data);
         if self.counts.len() >= MAX_KINDS && !self.counts.contains_key(&key) {
             key = ("further kinds of damage".to_owned(), lost_data);
@@ -42,7 +42,7 @@ impl RepairLog {
     }
 
     /// The counts in ascending order.
-    pub(crate) fn list(&self) -> Vec<Repair> {
+    pub fn list(&self) -> Vec<Repair> {
         let repair = |((what, lost_data), count): (&(String, bool), &u64)| Repair {
             what: what.clone(),
             count: *count,

@@ -81,7 +81,7 @@ pub enum RecordingError {
         /// Which one, and why.
         detail: String,
     },
-    /// A URDF or another description could not be used.
+    /// What was asked for or given beside a recording, such as a robot description, could not be used.
     #[error("{detail}")]
     Description {
         /// What is wrong and what to do.

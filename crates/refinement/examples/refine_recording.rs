@@ -4,7 +4,8 @@
 use std::time::Instant;
 
 use portolan_evaluation::{TimedPose, Trajectory, read_tum, write_tum};
-use portolan_recording::{IngestOptions, Ingestion, open};
+use portolan_ingest::{IngestOptions, Ingestion};
+use portolan_recording::open;
 use portolan_refinement::PointStore;
 use portolan_refinement::continuous::{ContinuousOptions, RefineProgress, refine_continuous};
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};

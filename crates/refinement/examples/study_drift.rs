@@ -10,7 +10,8 @@ use portolan_evaluation::{
     Alignment, Association, TimedPose, Trajectory, absolute_errors, read_tum, write_tum,
 };
 use portolan_geometry::{Rigid3, Time, Vector3, nalgebra as na, quaternion_from_angle_axis};
-use portolan_recording::{IngestOptions, Ingestion, open};
+use portolan_ingest::{IngestOptions, Ingestion};
+use portolan_recording::open;
 use portolan_refinement::PointStore;
 use portolan_refinement::continuous::{ContinuousOptions, Refined, refine_continuous};
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};

@@ -10,7 +10,8 @@ use portolan_evaluation::{
     Alignment, Association, Step, TimedPose, Trajectory, absolute_errors, read_tum, relative_errors,
 };
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, nalgebra as na};
-use portolan_recording::{IngestOptions, Ingestion, open};
+use portolan_ingest::{IngestOptions, Ingestion};
+use portolan_recording::open;
 use portolan_refinement::PointStore;
 use portolan_refinement::continuous::{ContinuousOptions, DenseTrajectory, refine_continuous};
 use portolan_sensor::Measurement;

@@ -5,7 +5,7 @@ mod recording;
 
 use std::path::{Path, PathBuf};
 
-use portolan_recording::Severity;
+use portolan_diagnose::Severity;
 use serde::Serialize;
 
 use crate::GlobalArgs;

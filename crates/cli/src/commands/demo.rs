@@ -6,8 +6,9 @@ use std::time::Instant;
 use portolan::pipeline::{KnownMap, MappedRecording};
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors};
 use portolan_geometry::{Rigid3, Time};
+use portolan_ingest::IngestOptions;
 use portolan_mapping::{Planar, Spatial, TrajectoryId};
-use portolan_recording::{IngestOptions, Recording, RecordingFormat, open};
+use portolan_recording::{Recording, RecordingFormat, open};
 use portolan_simulator::world::Scene;
 use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, Simulation, Simulation3d};
 

@@ -12,10 +12,9 @@ use portolan::pipeline::{
 };
 use portolan_config::{Engine, Loader, Options, little_effect};
 use portolan_geometry::Duration;
+use portolan_ingest::{AzimuthTimes, Dimension, IngestOptions, StampPolicy, read_urdf};
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
-use portolan_recording::{
-    AzimuthTimes, Dimension, IngestOptions, Recording, StampPolicy, open_all, read_urdf,
-};
+use portolan_recording::{Recording, open_all};
 
 use super::argument::{seconds, time_offset};
 use crate::GlobalArgs;

@@ -3,11 +3,12 @@
 use portolan::RequestedOptions;
 use portolan::config::Options;
 use portolan::geometry::Time;
+use portolan::ingest::{Dimension, IngestOptions, Ingestion};
 use portolan::pipeline::prepare;
 use portolan::recording::{
-    Dimension, FieldType, Header, Imu, IngestOptions, Ingestion, LandmarkEntry, LandmarkList, LaserScan,
-    MemoryRecording, Message, MultiEchoLaserScan, NavSatFix, Odometry, PointCloud2, PointField, Pose,
-    RecordedMessage, Recording, TfMessage, TransformStamped,
+    FieldType, Header, Imu, LandmarkEntry, LandmarkList, LaserScan, MemoryRecording, Message,
+    MultiEchoLaserScan, NavSatFix, Odometry, PointCloud2, PointField, Pose, RecordedMessage, Recording,
+    TfMessage, TransformStamped,
 };
 use portolan::sensor::{Measurement, SensorKind};
 

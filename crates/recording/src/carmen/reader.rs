@@ -9,11 +9,10 @@ use super::geometry::{MINIMUM_RANGE, scan_geometry};
 use super::line::{LaserLine, Line, PlanarPose, parse_line};
 use super::reorder::Reorder;
 use super::{Layout, OdometrySource};
-use crate::repairs::RepairLog;
 use crate::text::{Lines, TextFile};
 use crate::{
     Header, LaserScan, Message, MessageReader, Odometry, Pose, RecordedMessage, RecordingError, Repair,
-    TfMessage, TopicInfo, TransformStamped,
+    RepairLog, TfMessage, TopicInfo, TransformStamped,
 };
 
 const BAD_LINE: &str = "lines that could not be understood were left out";

@@ -6,9 +6,8 @@ use portolan_geometry::{Time, normalize_angle};
 
 use super::line::{LaserKind, Line, LineTimes, PlanarPose, parse_line};
 use super::{CarmenOptions, TimeColumn};
-use crate::RecordingError;
-use crate::ingest::even_stamps::StampPattern;
 use crate::text::{Lines, TextFile};
+use crate::{RecordingError, StampPattern};
 
 /// Times below this (March 1973) count from the start of some computer or program.
 const SHORTEST_UNIX_SECONDS: f64 = 1e8;

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::io::{self, Read};
 
-use crate::bz2;
+use portolan_bunzip2::Unpacker;
 
 /// How a chunk is compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -41,7 +41,7 @@ impl fmt::Display for Compression {
 /// Decompresses chunks; keeps its memory for the next.
 #[derive(Default)]
 pub(crate) struct Decompressor {
-    bz2: bz2::Unpacker,
+    bz2: Unpacker,
 }
 
 impl Decompressor {

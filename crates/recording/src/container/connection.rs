@@ -6,8 +6,7 @@ use std::sync::Arc;
 
 use crate::codec::{Decoder, Encoding, MessageKind, normalized_type_name};
 use crate::container::{Compression, Decompressor};
-use crate::repairs::RepairLog;
-use crate::{Message, TopicInfo};
+use crate::{Message, RepairLog, TopicInfo};
 
 /// One publisher of one topic (a connection of a bag, a channel of an MCAP file).
 #[derive(Clone, Debug, PartialEq, Eq)]

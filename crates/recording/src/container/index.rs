@@ -5,8 +5,7 @@ use std::sync::Arc;
 
 use super::connection::topics;
 use super::{Compression, Connection, Decompressor, FileBytes};
-use crate::repairs::RepairLog;
-use crate::{RecordingError, TopicInfo};
+use crate::{RecordingError, RepairLog, TopicInfo};
 
 /// A chunk, or a run of records outside of chunks.
 #[derive(Clone, Debug, PartialEq, Eq)]

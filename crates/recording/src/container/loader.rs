@@ -8,8 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::{
     ChunkIndex, Compression, Content, FileBytes, RecordFormat, Segment, SegmentLoader, Source, walk,
 };
-use crate::RecordingError;
-use crate::repairs::RepairLog;
+use crate::{RecordingError, RepairLog};
 
 /// A message within a loaded segment.
 #[derive(Clone)]

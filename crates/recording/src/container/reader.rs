@@ -8,8 +8,7 @@ use portolan_geometry::Time;
 
 use super::loader::{Entry, LoadedSegment, Loader, Plan};
 use super::{ChunkIndex, MessageDecoder, RecordFormat, Segment, Source};
-use crate::repairs::RepairLog;
-use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
+use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
 
 /// A bag or MCAP file whose index is known.
 pub(crate) struct ChunkedRecording {

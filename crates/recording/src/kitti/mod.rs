@@ -17,12 +17,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_lidar_packets::{PacketPoint, SweepBuilder};
 
-use crate::packets::{CloudBuilder, PacketPoint};
-use crate::repairs::RepairLog;
+use crate::packets::cloud_of;
 use crate::{
-    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, Repair, TfMessage,
-    TopicInfo, TransformStamped,
+    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, Repair, RepairLog,
+    TfMessage, TopicInfo, TransformStamped,
 };
 
 const POINTS: &str = "/velodyne_points";
@@ -177,7 +177,7 @@ impl Recording for Kitti {
             ins: if topic(FIX).is_some() || topic(IMU).is_some() { self.ins.clone() } else { Arc::new([]) },
             next: (0, 0),
             topics: [topic(POINTS), topic(FIX), topic(IMU)],
-            builder: CloudBuilder::new(LIDAR_FRAME),
+            builder: SweepBuilder::default(),
             ready: VecDeque::new(),
             position_bytes: 0,
             repairs,
@@ -213,7 +213,7 @@ struct KittiPass {
     next: (usize, usize),
     /// Of points, fixes and IMU, where wanted.
     topics: [Option<Arc<str>>; 3],
-    builder: CloudBuilder,
+    builder: SweepBuilder,
     ready: VecDeque<RecordedMessage>,
     position_bytes: u64,
     repairs: RepairLog,
@@ -222,7 +222,8 @@ struct KittiPass {
 impl KittiPass {
     /// One point of a file; in raw drives its time follows from its azimuth.
     fn point(&self, bytes: &[u8], sweep: &Sweep) -> PacketPoint {
-        let value = |at: usize| super::packets::f32_at(bytes, at);
+        let value =
+            |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(0.0, f32::from_le_bytes);
         let [x, y, z] = [0, 4, 8].map(|at| f64::from(value(at)));
         // Clockwise from behind: +π is the beginning.
         let share = if self.is_raw { (PI - y.atan2(x)) / TAU } else { 0.0 };
@@ -250,19 +251,17 @@ impl KittiPass {
                 break;
             }
         }
-        let Some(mut cloud) = self.builder.take() else {
+        let Some(mut measured) = self.builder.take() else {
             self.repairs.lost("sweeps without a point were left out");
             return;
         };
         // Times count from the first point; the stamp says when the lidar faced ahead.
-        let shift = (cloud.header.stamp - sweep.stamp).seconds() as f32;
-        for point in cloud.data.chunks_exact_mut(cloud.point_step as usize) {
-            let time = super::packets::f32_at(point, 18) + shift;
-            if let Some(slot) = point.get_mut(18..22) {
-                slot.copy_from_slice(&time.to_le_bytes());
-            }
+        let shift = (measured.stamp - sweep.stamp).seconds() as f32;
+        for point in &mut measured.points {
+            point.seconds += shift;
         }
-        cloud.header.stamp = sweep.stamp;
+        measured.stamp = sweep.stamp;
+        let mut cloud = cloud_of(&measured, &LIDAR_FRAME.into());
         if !self.is_raw {
             cloud.fields.retain(|field| field.name != "time");
         }

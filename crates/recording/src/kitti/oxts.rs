@@ -5,8 +5,7 @@ use std::path::Path;
 use nalgebra as na;
 use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
 
-use crate::repairs::RepairLog;
-use crate::{Header, Imu, NavSatFix};
+use crate::{Header, Imu, NavSatFix, RepairLog};
 
 /// Values of a reading that are used, at least.
 const VALUES: usize = 25;

@@ -58,7 +58,8 @@ fn raw_drives_have_times_fixes_and_an_imu() {
     let cloud = cloud.unwrap();
     // Stamped when it faced ahead, so that it is right without the times of points, too.
     assert_eq!(cloud.header.stamp, Time::from_unix_decimal("1317042145.05").unwrap());
-    let times: Vec<f32> = cloud.data.chunks_exact(22).map(|p| crate::packets::f32_at(p, 18)).collect();
+    let times: Vec<f32> =
+        cloud.data.chunks_exact(22).map(|p| f32::from_le_bytes(p[18..].try_into().unwrap())).collect();
     // Behind, left, ahead, right: clockwise from behind.
     for (time, expected) in times.iter().zip([-0.0498, -0.025, 0.0, 0.025]) {
         assert!((time - expected).abs() < 2e-4, "{times:?}");

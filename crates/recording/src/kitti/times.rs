@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 
 use portolan_geometry::{Duration, Time};
 
-use crate::RecordingError;
-use crate::repairs::RepairLog;
+use crate::{RecordingError, RepairLog};
 
 /// Lists of times are not longer.
 const MAX_LIST_BYTES: u64 = 1 << 28;

@@ -1,90 +1,52 @@
-//! Packets as sensors send them, from captures of the network and from bags of raw packets.
+//! What packets of sensors hold, as messages.
 
-mod cloud_builder;
-mod ouster;
-mod ouster_metadata;
-mod sensor_time;
+mod cloud;
 mod unpack;
-mod velodyne;
-mod velodyne_models;
 
 #[cfg(test)]
 mod tests;
 
+use std::sync::Arc;
+
 use portolan_geometry::Time;
+use portolan_lidar_packets::{
+    FaultLog, ImuSample, Measured, PacketDecoder, PacketFault, PacketSource, SensorTime,
+};
 
-use crate::Message;
-use crate::repairs::RepairLog;
+use crate::{Header, Imu, Message, RepairLog};
 
-pub(crate) use cloud_builder::{CloudBuilder, PacketPoint, f32_at};
-pub(crate) use ouster::{FRAME as OUSTER_FRAME, IMU_PACKET_BYTES, PacketLayout};
-pub(crate) use ouster_metadata::OusterMetadata;
-pub(crate) use sensor_time::{PacketStream, SensorTime, clocks_of};
-pub(crate) use unpack::{ouster_source, unpacked};
-pub(crate) use velodyne::is_velodyne;
-pub(crate) use velodyne_models::{Laser, VelodyneModel, parse_calibration};
+pub(crate) use cloud::cloud_of;
+pub(crate) use unpack::unpacked;
 
-use ouster::{OusterDecoder, OusterImuDecoder};
-use velodyne::VelodyneDecoder;
+/// Frame of clouds and IMU of an Ouster, as its driver names it.
+pub(crate) const OUSTER_FRAME: &str = "os_sensor";
 
-/// What sends packets of one kind.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum PacketSource {
-    /// A Velodyne, with its calibration if there is one.
-    Velodyne(Option<Vec<Laser>>),
-    /// The lidar of an Ouster.
-    OusterLidar(Box<OusterMetadata>, PacketLayout),
-    /// The IMU of an Ouster.
-    OusterImu,
+impl FaultLog for RepairLog {
+    fn count(&mut self, fault: PacketFault, times: u64) {
+        self.add(fault.to_string(), fault.loses_data(), times);
+    }
 }
 
-impl PacketSource {
-    /// Type of the messages that its packets become.
-    pub fn type_name(&self) -> &'static str {
-        match self {
-            Self::Velodyne(_) | Self::OusterLidar(..) => "sensor_msgs/PointCloud2",
-            Self::OusterImu => "sensor_msgs/Imu",
-        }
-    }
-
-    /// When a packet was measured by the sensor's clock, where that needs no packets before it.
-    pub fn sensor_time(&self, packet: &[u8]) -> Option<Time> {
-        match self {
-            Self::Velodyne(_) => None,
-            Self::OusterLidar(_, layout) => layout.sensor_time(packet),
-            Self::OusterImu => ouster::imu_sensor_time(packet),
-        }
-    }
-
-    /// Starts to decode; messages are in a frame.
-    pub fn decoder(&self, frame: &str) -> PacketDecoder {
-        let decoder = match self {
-            Self::Velodyne(calibration) => {
-                Decoder::Velodyne(Box::new(VelodyneDecoder::new(frame, calibration.clone())))
-            }
-            Self::OusterLidar(metadata, layout) => {
-                Decoder::Ouster(Box::new(OusterDecoder::new((**metadata).clone(), *layout, frame)))
-            }
-            Self::OusterImu => Decoder::OusterImu(OusterImuDecoder::new(frame)),
-        };
-        PacketDecoder { decoder, last: Vec::new() }
+/// Type of the messages that packets become.
+pub(crate) fn type_name(source: &PacketSource) -> &'static str {
+    match source {
+        PacketSource::Velodyne(_) | PacketSource::OusterLidar(..) => "sensor_msgs/PointCloud2",
+        PacketSource::OusterImu => "sensor_msgs/Imu",
     }
 }
 
 /// Turns the packets of one sensor into messages.
-pub(crate) struct PacketDecoder {
-    decoder: Decoder,
-    /// The packet before.
-    last: Vec<u8>,
+pub(crate) struct PacketMessages {
+    decoder: PacketDecoder,
+    frame: Arc<str>,
 }
 
-enum Decoder {
-    Velodyne(Box<VelodyneDecoder>),
-    Ouster(Box<OusterDecoder>),
-    OusterImu(OusterImuDecoder),
-}
+impl PacketMessages {
+    /// Messages are in a frame.
+    pub fn new(source: &PacketSource, frame: &str) -> Self {
+        Self { decoder: source.decoder(), frame: frame.into() }
+    }
 
-impl PacketDecoder {
     /// Adds a packet that arrived at a time, of a sensor with a clock; what is complete goes to `give`.
     pub fn push(
         &mut self,
@@ -93,32 +55,32 @@ impl PacketDecoder {
         repairs: &mut RepairLog,
         give: &mut dyn FnMut(Message),
     ) {
-        // Sensors count and time their packets, so that no two are equal.
-        if self.last == packet.0 {
-            repairs.repaired("exact repetitions of the packet before were left out");
-            return;
-        }
-        self.last.clear();
-        self.last.extend_from_slice(packet.0);
-        match &mut self.decoder {
-            Decoder::Velodyne(decoder) => {
-                decoder.push(packet, clock, repairs, &mut |cloud| give(Message::PointCloud2(cloud)));
-            }
-            Decoder::Ouster(decoder) => {
-                decoder.push(packet, clock, repairs, &mut |cloud| give(Message::PointCloud2(cloud)));
-            }
-            Decoder::OusterImu(decoder) => {
-                decoder.decode(packet, clock, repairs).map(Message::Imu).map(give);
-            }
-        }
+        let frame = &self.frame;
+        self.decoder.push(packet, clock, repairs, &mut |measured| give(message(measured, frame)));
     }
 
     /// What is left at the end.
     pub fn finish(&mut self) -> Option<Message> {
-        match &mut self.decoder {
-            Decoder::Velodyne(decoder) => decoder.finish().map(Message::PointCloud2),
-            Decoder::Ouster(decoder) => decoder.finish().map(Message::PointCloud2),
-            Decoder::OusterImu(_) => None,
-        }
+        self.decoder.finish().map(|measured| message(measured, &self.frame))
+    }
+}
+
+fn message(measured: Measured, frame: &Arc<str>) -> Message {
+    match measured {
+        Measured::Sweep(sweep) => Message::PointCloud2(cloud_of(&sweep, frame)),
+        Measured::Imu(sample) => Message::Imu(imu(&sample, frame)),
+    }
+}
+
+/// A sample without an orientation, of unknown uncertainty.
+fn imu(sample: &ImuSample, frame: &Arc<str>) -> Imu {
+    Imu {
+        header: Header { stamp: sample.time, frame_id: Arc::clone(frame) },
+        orientation_xyzw: [0.0, 0.0, 0.0, 1.0],
+        orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        angular_velocity: sample.angular_velocity,
+        angular_velocity_covariance: [0.0; 9],
+        linear_acceleration: sample.linear_acceleration,
+        linear_acceleration_covariance: [0.0; 9],
     }
 }

@@ -4,16 +4,15 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
-
-use super::ouster::USUAL_COLUMNS;
-use super::{
-    IMU_PACKET_BYTES, OUSTER_FRAME, OusterMetadata, PacketDecoder, PacketLayout, PacketSource, PacketStream,
-    SensorTime, clocks_of,
+use portolan_lidar_packets::{
+    IMU_PACKET_BYTES, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime, clocks_of,
 };
+
+use super::{OUSTER_FRAME, PacketMessages, type_name};
 use crate::codec::MessageKind;
-use crate::repairs::RepairLog;
 use crate::{
-    Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, Repair, TopicInfo,
+    Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, Repair, RepairLog,
+    TopicInfo,
 };
 
 /// So many messages are looked at to find out what a topic of packets holds.
@@ -144,7 +143,10 @@ impl Look {
             let source = match seen.kind {
                 PacketKind::Velodyne => Some(PacketSource::Velodyne(None)),
                 _ if bytes == IMU_PACKET_BYTES => Some(PacketSource::OusterImu),
-                _ => ouster_source(self.metadata_of(topic), bytes, seen.largest_column, repairs),
+                _ => {
+                    let metadata = self.metadata_of(topic);
+                    PacketSource::ouster_lidar(metadata, bytes, seen.largest_column, repairs)
+                }
             };
             match source {
                 Some(source) => found.push((topic, seen, source)),
@@ -167,36 +169,6 @@ impl Look {
     }
 }
 
-/// The lidar of an Ouster, from what it tells or from the length of its packets.
-pub(crate) fn ouster_source(
-    metadata: Option<&OusterMetadata>,
-    bytes: usize,
-    largest_column: u16,
-    repairs: &mut RepairLog,
-) -> Option<PacketSource> {
-    if let Some(metadata) = metadata {
-        let layout = |profile| PacketLayout {
-            profile,
-            channels: metadata.altitudes.len(),
-            columns: metadata.columns_per_packet,
-        };
-        let told = metadata.profile.into_iter().chain(super::ouster_metadata::PacketProfile::ALL);
-        let fitting = told.map(layout).find(|layout| layout.packet_bytes() == bytes);
-        if let Some(layout) = fitting {
-            return Some(PacketSource::OusterLidar(Box::new(metadata.clone()), layout));
-        }
-        repairs.repaired("the metadata of an Ouster do not fit its packets and were not used");
-    }
-    let layout = PacketLayout::guess(bytes)?;
-    repairs.repaired(
-        "an Ouster without its metadata was read with nominal angles of beams; put its metadata (.json) beside \
-         the capture under the same name",
-    );
-    let columns = usize::from(largest_column).max(USUAL_COLUMNS).next_power_of_two().clamp(512, 4096);
-    let metadata = OusterMetadata::assumed(layout.channels, columns);
-    Some(PacketSource::OusterLidar(Box::new(metadata), layout))
-}
-
 impl Recording for Unpacked {
     fn format(&self) -> String {
         let packets = if self.sources.is_empty() { "" } else { " of sensor packets" };
@@ -210,7 +182,7 @@ impl Recording for Unpacked {
                 info.type_name = "sensor_msgs/PointCloud2".into();
             }
             if let Some(topic) = self.sources.get(&info.topic) {
-                info.type_name = topic.source.type_name().into();
+                info.type_name = type_name(&topic.source).into();
                 if matches!(topic.source, PacketSource::OusterLidar(..)) {
                     info.count = None;
                 }
@@ -237,7 +209,9 @@ impl Recording for Unpacked {
             .sources
             .iter()
             .filter(|(topic, _)| chosen.contains(topic))
-            .map(|(topic, known)| (topic.clone(), (known.clock, known.source.decoder(&known.frame))))
+            .map(|(topic, known)| {
+                (topic.clone(), (known.clock, PacketMessages::new(&known.source, &known.frame)))
+            })
             .collect();
         Ok(Box::new(UnpackedReader {
             inner,
@@ -254,7 +228,7 @@ impl Recording for Unpacked {
 struct UnpackedReader {
     inner: Box<dyn MessageReader>,
     /// By topic: number of the clock, and what decodes its packets.
-    decoders: BTreeMap<Arc<str>, (usize, PacketDecoder)>,
+    decoders: BTreeMap<Arc<str>, (usize, PacketMessages)>,
     clocks: Vec<SensorTime>,
     ready: VecDeque<RecordedMessage>,
     repairs: RepairLog,

@@ -2,9 +2,8 @@
 
 use portolan_geometry::{Duration, Time};
 
-use crate::RecordingError;
 use crate::container::{FileBytes, Source};
-use crate::repairs::RepairLog;
+use crate::{RecordingError, RepairLog};
 
 /// A longer packet or block is not believed.
 const MAX_PACKET: u32 = 1 << 20;

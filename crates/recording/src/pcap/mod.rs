@@ -5,7 +5,6 @@
 //! (metadata of an Ouster) and `NAME.yaml` (calibration of a Velodyne).
 
 mod capture;
-mod datagram;
 mod sensors;
 
 #[cfg(test)]
@@ -15,13 +14,12 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_lidar_packets::{Datagrams, Endpoint, SensorTime};
 
 use crate::container::Source;
-use crate::packets::{PacketDecoder, SensorTime};
-use crate::repairs::RepairLog;
-use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
+use crate::packets::{PacketMessages, type_name};
+use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
 use capture::CaptureReader;
-use datagram::{Datagrams, Endpoint};
 use sensors::{CapturedSensor, Descriptions, Kind, Senders, Sensors};
 
 pub(crate) use capture::sniff;
@@ -78,7 +76,7 @@ impl Recording for Capture {
     fn topics(&self) -> Vec<TopicInfo> {
         let info = |sensor: &CapturedSensor| TopicInfo {
             topic: sensor.topic.clone(),
-            type_name: sensor.source.type_name().into(),
+            type_name: type_name(&sensor.source).into(),
             count: None,
         };
         let mut topics: Vec<TopicInfo> = self.sensors.by_sender.values().map(info).collect();
@@ -105,7 +103,7 @@ impl Recording for Capture {
         let is_chosen = |sensor: &CapturedSensor| chosen.contains(&sensor.topic);
         let sensors = || self.sensors.by_sender.iter().filter(|(_, sensor)| is_chosen(sensor));
         let decoder = |(endpoint, sensor): (&Endpoint, &CapturedSensor)| {
-            let decoder = sensor.source.decoder(&sensor.frame);
+            let decoder = PacketMessages::new(&sensor.source, &sensor.frame);
             (*endpoint, ChosenSensor { topic: sensor.topic.clone(), clock: sensor.clock, decoder })
         };
         let mut repairs = RepairLog::default();
@@ -129,7 +127,7 @@ impl Recording for Capture {
 struct ChosenSensor {
     topic: Arc<str>,
     clock: usize,
-    decoder: PacketDecoder,
+    decoder: PacketMessages,
 }
 
 /// One pass over a capture.

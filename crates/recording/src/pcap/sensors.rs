@@ -5,13 +5,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
-
-use super::datagram::Endpoint;
-use crate::packets::{
-    IMU_PACKET_BYTES, Laser, OUSTER_FRAME, OusterMetadata, PacketLayout, PacketSource, PacketStream,
-    SensorTime, VelodyneModel, clocks_of, is_velodyne, ouster_source, parse_calibration,
+use portolan_lidar_packets::{
+    Endpoint, IMU_PACKET_BYTES, Laser, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime,
+    VelodyneModel, clocks_of, is_velodyne, parse_calibration,
 };
-use crate::repairs::RepairLog;
+
+use crate::RepairLog;
+use crate::packets::OUSTER_FRAME;
 
 /// Longer files beside a capture are no descriptions of a sensor.
 const MAX_DESCRIPTION: u64 = 1 << 22;
@@ -108,7 +108,7 @@ impl Senders {
                 Kind::OusterImu => has_ouster.then_some(PacketSource::OusterImu),
                 Kind::OusterLidar => {
                     let metadata = descriptions.metadata.as_ref();
-                    ouster_source(metadata, packet.len(), sender.largest_column, repairs)
+                    PacketSource::ouster_lidar(metadata, packet.len(), sender.largest_column, repairs)
                 }
             };
             found.extend(source.map(|source| (endpoint, sender, source)));

@@ -136,6 +136,27 @@ fn damage_is_counted() {
 }
 
 #[test]
+fn damage_beside_packets_costs_none_of_them() {
+    let whole = next_generation(&all_frames(1480));
+    let (expected, _) = read(whole.clone()).unwrap();
+    // Blocks one after the other: section 28 bytes, interface 32, statistics 28, packets.
+    let first_packet = 28 + 32 + 28;
+    let packet_bytes = u32::from_le_bytes(whole[first_packet + 4..first_packet + 8].try_into().unwrap());
+    let trailer = first_packet + packet_bytes as usize - 4;
+    // The section's last bytes are its length once more; the last option of the interface, its end, gets one.
+    for (at, value) in [(trailer, 0x55), (24, 0x55), (28 + 26, 0xff)] {
+        let mut damaged = whole.clone();
+        damaged[at] = value;
+        let (messages, repairs) = read(damaged).unwrap();
+        assert!(repairs.iter().all(|r| !r.lost_data), "{at}: {repairs:?}");
+        let contents = |messages: &[RecordedMessage]| -> Vec<Message> {
+            messages.iter().map(|m| m.message.clone()).collect()
+        };
+        assert_eq!(contents(&messages), contents(&expected), "{at}");
+    }
+}
+
+#[test]
 fn a_damaged_address_is_no_sensor() {
     let azimuth = |i: u16| (u32::from(i) * 480 % 36_000) as u16;
     let mut all: Vec<Vec<u8>> = (0..200).flat_map(|i| frames(&packet(azimuth(i)), i, 1480)).collect();

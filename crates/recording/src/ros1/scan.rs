@@ -8,12 +8,11 @@ use std::sync::Arc;
 
 use super::record::{BagFormat, Head, Op, parse_head, peek_head};
 use super::tail::{Tail, TailState, parse_connection, read_connection};
-use crate::RecordingError;
 use crate::container::{
     ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
     SegmentLoader, walk,
 };
-use crate::repairs::RepairLog;
+use crate::{RecordingError, RepairLog};
 
 /// Finds everything between `start` and the index.
 pub(crate) fn scan(file: &mut FileBytes, start: u64, tail: Tail) -> Result<ChunkIndex, RecordingError> {

@@ -3,8 +3,7 @@
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-use crate::repairs::RepairLog;
-use crate::{RecordingError, Repair};
+use crate::{RecordingError, Repair, RepairLog};
 
 /// Files of a folder in the order in which they were recorded.
 pub(crate) struct FolderFiles {

@@ -192,7 +192,7 @@ impl<M: Motion> MessageStream for GnssStream<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_recording::GeodeticPosition;
+    use portolan_ingest::GeodeticPosition;
 
     #[test]
     fn places_on_earth_are_exact() {

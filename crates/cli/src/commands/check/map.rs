@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use portolan_diagnose::Severity;
 use portolan_mapfile::{FindingKind, PbstreamReader, Severity as MapSeverity, validate};
-use portolan_recording::Severity;
 
 use super::Finding;
 use crate::error::CliError;

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use portolan_recording::{IngestOptions, check_with_clocks, open};
+use portolan_diagnose::check_with_clocks;
+use portolan_ingest::IngestOptions;
+use portolan_recording::open;
 
 use super::Finding;
 use crate::error::CliError;
@@ -22,7 +24,7 @@ pub fn check(path: &Path, quiet: bool) -> Result<(Vec<Finding>, Vec<String>), Cl
     let offsets = portolan::clocks::measure(recording.as_ref(), &options, &mut show);
     let report = check_with_clocks(recording.as_ref(), &options, &offsets, &mut show)?;
     progress.finish();
-    let finding = |found: portolan_recording::Finding| Finding {
+    let finding = |found: portolan_diagnose::Finding| Finding {
         severity: found.severity,
         about: found.topic,
         what: found.what,

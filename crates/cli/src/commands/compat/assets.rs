@@ -7,9 +7,8 @@ use portolan_config::lua::{Limits, evaluate_file};
 use portolan_evaluation::Trajectory;
 use portolan_export::points::{Flush, Pipeline, PipelineContext, PointsBatch, pipeline_from_lua, table_of};
 use portolan_geometry::{Duration, Point3f, to_f32};
-use portolan_recording::{
-    IngestError, IngestOptions, Ingestion, Inventory, Recording, SensorPlan, open, plan, read_urdf,
-};
+use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan, read_urdf};
+use portolan_recording::{Recording, open};
 use portolan_sensor::{Measurement, TimedPointCloudData};
 
 use super::Flags;

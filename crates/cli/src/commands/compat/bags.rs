@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use portolan_diagnose::{Severity, check, findings_to_text};
 use portolan_geometry::{Rigid3, Time, rotation_angle};
-use portolan_recording::{
-    IngestOptions, Message, Recording, Severity, TfInput, TfTree, check, findings_to_text, open,
-};
+use portolan_ingest::{IngestOptions, TfInput, TfTree};
+use portolan_recording::{Message, Recording, open};
 
 use super::Flags;
 use super::flags::Known;

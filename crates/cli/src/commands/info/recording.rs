@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use portolan_recording::{IngestOptions, RecordingInfo, info, open};
+use portolan_diagnose::{RecordingInfo, info};
+use portolan_ingest::IngestOptions;
+use portolan_recording::open;
 use serde::Serialize;
 
 use crate::error::CliError;

@@ -6,8 +6,8 @@ use portolan::pipeline::Preparation;
 use portolan::unwind::{KeptScans, SmoothMotion};
 use portolan_export::{CloudSample, Extent, TrajectoryLine, XrayPicture, XrayView, write_picture};
 use portolan_geometry::{Rigid3, Time};
+use portolan_ingest::SensorPlan;
 use portolan_pointcloud::{CloudError, OccupiedVoxels, ThinnedCloud};
-use portolan_recording::SensorPlan;
 
 use crate::error::CliError;
 use crate::interrupt;

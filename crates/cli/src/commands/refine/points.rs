@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use portolan_recording::{IngestError, IngestOptions, Ingestion, Recording, Repair, SensorPlan, read_urdf};
+use portolan_ingest::{IngestError, IngestOptions, Ingestion, SensorPlan, read_urdf};
+use portolan_recording::{Recording, Repair};
 use portolan_refinement::{MotionSensors, PointStore};
 use portolan_sensor::Measurement;
 

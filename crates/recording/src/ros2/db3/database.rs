@@ -10,10 +10,9 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection as Sqlite, ErrorCode, OpenFlags, Row, params};
 use tempfile::TempPath;
 
-use crate::RecordingError;
 use crate::codec::Encoding;
 use crate::container::{Connection, Source};
-use crate::repairs::RepairLog;
+use crate::{RecordingError, RepairLog};
 
 /// An open database.
 pub(super) struct Database {

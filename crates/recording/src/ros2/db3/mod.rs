@@ -8,8 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use portolan_geometry::Time;
 
 use crate::container::{Connection, Source, topics};
-use crate::repairs::RepairLog;
-use crate::{MessageReader, Recording, RecordingError, TopicInfo};
+use crate::{MessageReader, Recording, RecordingError, RepairLog, TopicInfo};
 use database::Database;
 use reader::Db3Reader;
 

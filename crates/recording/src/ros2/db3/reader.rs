@@ -6,8 +6,7 @@ use portolan_geometry::Time;
 
 use super::database::{Database, MessageRow};
 use crate::container::{Connection, MessageDecoder};
-use crate::repairs::RepairLog;
-use crate::{MessageReader, RecordedMessage, RecordingError, Repair};
+use crate::{MessageReader, RecordedMessage, RecordingError, Repair, RepairLog};
 
 /// So many places of messages are fetched at once; their data one by one.
 const BATCH: i64 = 512;

@@ -11,12 +11,11 @@ use super::record::{
     McapFormat, PeekedRecord, RECORD_HEAD_BYTES, SCHEMA, Text, peek,
 };
 use super::summary::{ChunkPlace, Summary, SummaryState};
-use crate::RecordingError;
 use crate::container::{
     ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
     SegmentLoader, walk,
 };
-use crate::repairs::RepairLog;
+use crate::{RecordingError, RepairLog};
 
 /// Enough of a record to see what it is.
 const PEEK_BYTES: usize = 256;

@@ -1,0 +1,110 @@
+//! Canonical Huffman codes of at most 20 bits.
+
+use std::io::Result;
+
+use crate::bits::Bits;
+use crate::damaged;
+
+const MAX_LENGTH: usize = 20;
+/// Codes of so many bits are found by one look.
+const QUICK: u32 = 10;
+/// Symbols at most: 256 values, the two digits of runs less one, and the end.
+pub(crate) const MAX_SYMBOLS: usize = 258;
+
+/// One table of codes.
+pub(crate) struct Codes {
+    /// By the next [`QUICK`] bits: symbol and, in the low five bits, length of its code; zero if the
+    /// code is longer.
+    quick: [u16; 1 << QUICK],
+    /// By length: the first code that is too large for it, in the top bits of 64 (the largest value if
+    /// none is).
+    bound: [u64; MAX_LENGTH + 1],
+    /// By length: what to add to a code of that length to get the number of its symbol.
+    offset: [i32; MAX_LENGTH + 1],
+    /// By length of code, then by value.
+    symbols: [u16; MAX_SYMBOLS],
+}
+
+impl Default for Codes {
+    fn default() -> Self {
+        Self {
+            quick: [0; 1 << QUICK],
+            bound: [0; MAX_LENGTH + 1],
+            offset: [0; MAX_LENGTH + 1],
+            symbols: [0; MAX_SYMBOLS],
+        }
+    }
+}
+
+impl Codes {
+    /// Reads the lengths of the codes of symbols 0 to `symbols` - 1.
+    pub(crate) fn read(&mut self, bits: &mut Bits<'_>, symbols: usize) -> Result<()> {
+        let mut lengths = [0u8; MAX_SYMBOLS];
+        let mut length = bits.take(5)?;
+        for of_symbol in lengths.iter_mut().take(symbols) {
+            while bits.take(1)? == 1 {
+                length = if bits.take(1)? == 0 { length + 1 } else { length.wrapping_sub(1) };
+                if !(1..=MAX_LENGTH as u32).contains(&length) {
+                    return Err(damaged("a code has an impossible length"));
+                }
+            }
+            if !(1..=MAX_LENGTH as u32).contains(&length) {
+                return Err(damaged("a code has an impossible length"));
+            }
+            *of_symbol = length as u8;
+        }
+        self.assign(&lengths[..symbols])
+    }
+
+    /// Shorter codes come first, and among those of a length the symbols in their order.
+    fn assign(&mut self, lengths: &[u8]) -> Result<()> {
+        self.quick.fill(0);
+        let (mut code, mut number) = (0u32, 0usize);
+        for length in 1..=MAX_LENGTH {
+            self.offset[length] = number as i32 - code as i32;
+            for (symbol, _) in lengths.iter().enumerate().filter(|(_, of)| usize::from(**of) == length) {
+                if code >> length != 0 {
+                    return Err(damaged("there are more codes than their lengths allow"));
+                }
+                self.symbols[number] = symbol as u16;
+                self.enter(code, length as u32, symbol as u16);
+                (code, number) = (code + 1, number + 1);
+            }
+            let end = u64::from(code) << (64 - length);
+            self.bound[length] = if code >> length != 0 { u64::MAX } else { end };
+            code <<= 1;
+        }
+        Ok(())
+    }
+
+    fn enter(&mut self, code: u32, length: u32, symbol: u16) {
+        if let Some(rest) = QUICK.checked_sub(length) {
+            let first = (code << rest) as usize;
+            self.quick[first..first + (1 << rest)].fill(symbol << 5 | length as u16);
+        }
+    }
+
+    /// The next symbol. [`Bits::refill`] must have brought 20 bits.
+    #[inline]
+    pub(crate) fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16> {
+        let entry = self.quick[(bits.peek() >> (64 - QUICK)) as usize];
+        if entry != 0 {
+            bits.skip(u32::from(entry & 31));
+            return Ok(entry >> 5);
+        }
+        self.long_symbol(bits)
+    }
+
+    fn long_symbol(&self, bits: &mut Bits<'_>) -> Result<u16> {
+        let ahead = bits.peek();
+        for length in QUICK as usize + 1..=MAX_LENGTH {
+            if ahead < self.bound[length] {
+                let code = (ahead >> (64 - length)) as i32;
+                bits.skip(length as u32);
+                let symbol = self.symbols.get((code + self.offset[length]) as usize);
+                return symbol.copied().ok_or_else(|| damaged("a code that means nothing"));
+            }
+        }
+        Err(damaged("a code that means nothing"))
+    }
+}

@@ -1,0 +1,153 @@
+//! Undoing the Burrows-Wheeler transform.
+//!
+//! The transform leaves a permutation whose cycle, followed from the origin, spells the text. Each step
+//! waits for a memory access at a place that looks random. The cycle is therefore cut into many pieces,
+//! and sixteen of them are followed at the same time, so that sixteen accesses are under way. Where a piece
+//! ends tells which one is next.
+
+use std::io::Result;
+
+use crate::block::Transformed;
+use crate::damaged;
+
+/// Entries of the permutation: blocks have at most 900,000 bytes.
+const ENTRIES: usize = 1 << 20;
+const INDEX: usize = ENTRIES - 1;
+/// An entry that leads to itself, for lanes without work.
+const REST: usize = INDEX;
+/// Marks an entry where a piece begins.
+const BEGIN: u32 = 1 << 31;
+const LANES: usize = 16;
+/// Mean length of a piece, bytes: the shorter, the less time do lanes rest at the end.
+const PIECE_BYTES: usize = 1024;
+
+/// Memory for undoing transforms.
+#[derive(Default)]
+pub(crate) struct Inverse {
+    /// Place of the next entry from bit 8 on, and the byte that stands there; or [`BEGIN`] and the number
+    /// of a piece.
+    next: Vec<u32>,
+    pieces: Vec<Piece>,
+    /// Bytes that were read along the lanes, step by step.
+    steps: Vec<[u8; LANES]>,
+    text: Vec<u8>,
+}
+
+/// A piece of the cycle.
+#[derive(Clone, Copy, Default)]
+struct Piece {
+    /// The entry that its mark replaced.
+    first: u32,
+    /// Where its bytes are in `steps`.
+    lane: usize,
+    begin: usize,
+    end: usize,
+    /// Number of the piece behind it.
+    behind: usize,
+}
+
+impl Inverse {
+    /// The text whose sorted rotations end in `transformed`, itself the rotation number `origin`.
+    ///
+    /// # Errors
+    /// There is no such rotation.
+    pub(crate) fn undo(&mut self, transformed: &Transformed, origin: usize) -> Result<&[u8]> {
+        let length = transformed.bytes().len();
+        if length >= REST || origin >= length {
+            return Err(damaged("a block that begins behind its end"));
+        }
+        self.sort(transformed);
+        self.cut(length, origin);
+        self.follow();
+        self.join(length);
+        Ok(&self.text)
+    }
+
+    /// The permutation: all bytes in ascending order, each with where it stands in `transformed`.
+    fn sort(&mut self, transformed: &Transformed) {
+        let mut places = transformed.counts;
+        let mut sum = 0;
+        for place in &mut places {
+            sum += std::mem::replace(place, sum);
+        }
+        self.next.resize(ENTRIES, 0);
+        let Some(next) = self.next.first_chunk_mut::<ENTRIES>() else { return };
+        for (index, &byte) in transformed.bytes().iter().enumerate() {
+            let place = &mut places[usize::from(byte)];
+            next[*place as usize & INDEX] = (index as u32) << 8 | u32::from(byte);
+            *place += 1;
+        }
+        next[REST] = (REST as u32) << 8;
+    }
+
+    /// Marks where pieces begin, first the one with the beginning of the text.
+    fn cut(&mut self, length: usize, origin: usize) {
+        self.pieces.clear();
+        let pieces = length.div_ceil(PIECE_BYTES);
+        let evenly = (0..pieces).map(|i| i * length / pieces);
+        for place in std::iter::once(origin).chain(evenly) {
+            let entry = self.next[place];
+            if entry & BEGIN == 0 {
+                self.next[place] = BEGIN | self.pieces.len() as u32;
+                self.pieces.push(Piece { first: entry, ..Piece::default() });
+            }
+        }
+    }
+
+    /// Follows every piece to where another begins.
+    fn follow(&mut self) {
+        let Some(next) = self.next.first_chunk::<ENTRIES>() else { return };
+        self.steps.clear();
+        let mut entries = [(REST as u32) << 8; LANES];
+        let mut pieces = [None; LANES];
+        let (mut waiting, mut busy) = (0, 0);
+        for lane in 0..LANES.min(self.pieces.len()) {
+            entries[lane] = self.pieces[waiting].first;
+            self.pieces[waiting].lane = lane;
+            pieces[lane] = Some(waiting);
+            (waiting, busy) = (waiting + 1, busy + 1);
+        }
+        while busy > 0 {
+            self.steps.push(entries.map(|entry| entry as u8));
+            let mut marks = 0;
+            for entry in &mut entries {
+                *entry = next[(*entry >> 8) as usize & INDEX];
+                marks |= *entry;
+            }
+            if marks & BEGIN == 0 {
+                continue;
+            }
+            for (entry, piece) in entries.iter_mut().zip(&mut pieces) {
+                let (Some(ended), true) = (*piece, *entry & BEGIN != 0) else { continue };
+                let (end, lane) = (self.steps.len(), self.pieces[ended].lane);
+                self.pieces[ended].end = end;
+                self.pieces[ended].behind = (*entry & !BEGIN) as usize;
+                *piece = None;
+                match self.pieces.get_mut(waiting) {
+                    Some(new) => {
+                        (new.lane, new.begin, *entry) = (lane, end, new.first);
+                        *piece = Some(waiting);
+                        waiting += 1;
+                    }
+                    None => {
+                        *entry = (REST as u32) << 8;
+                        busy -= 1;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Puts the pieces in the order of the text. A text that repeats itself has a shorter cycle, which
+    /// is gone through more than once.
+    fn join(&mut self, length: usize) {
+        self.text.clear();
+        let mut number = 0;
+        while self.text.len() < length {
+            let Piece { lane, begin, end, behind, .. } = self.pieces[number];
+            let missing = length - self.text.len();
+            self.text.extend(self.steps[begin..end].iter().take(missing).map(|step| step[lane]));
+            number = behind;
+        }
+    }
+}

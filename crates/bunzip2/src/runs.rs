@@ -1,0 +1,62 @@
+//! Runs in the text of a block: behind four equal bytes stands how many more follow.
+
+use std::io::Result;
+
+use crate::damaged;
+
+/// Bytes whose checksum is formed at once.
+const PART: usize = 4096;
+
+/// Appends `text` with its runs at full length to `into`, which may grow to `limit` bytes, and returns
+/// the checksum of what was appended.
+///
+/// # Errors
+/// The limit is not enough; what fits was appended.
+pub(crate) fn expand(text: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<u32> {
+    let begin = into.len();
+    let mut rest = text;
+    while !rest.is_empty() {
+        let plain = plain_length(rest);
+        into.extend_from_slice(&rest[..plain]);
+        rest = &rest[plain..];
+        if let (Some((&more, behind)), Some(&byte)) = (rest.split_first(), into.last()) {
+            into.resize(into.len() + usize::from(more), byte);
+            rest = behind;
+        }
+        if into.len() > limit {
+            into.truncate(limit);
+            return Err(damaged("more data than announced"));
+        }
+    }
+    Ok(checksum(&into[begin..]))
+}
+
+/// Length of the part that ends with the first four equal bytes, or of everything.
+fn plain_length(text: &[u8]) -> usize {
+    let mut at = 0;
+    while let Some(&[a, b, c, d]) = text.get(at..at + 4) {
+        // Four that begin here or at the next two places have the third and the fourth in them.
+        if c != d {
+            at += 3;
+        } else if a == b && b == c {
+            return at + 4;
+        } else {
+            at += 1;
+        }
+    }
+    text.len()
+}
+
+/// CRC-32 of the polynomial 0x04C11DB7, bits from the most significant on. The common one takes the least
+/// significant first: it is the same with all bits reversed.
+fn checksum(data: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    let mut reversed = [0u8; PART];
+    for part in data.chunks(PART) {
+        for (to, from) in reversed.iter_mut().zip(part) {
+            *to = from.reverse_bits();
+        }
+        hasher.update(&reversed[..part.len()]);
+    }
+    hasher.finalize().reverse_bits()
+}

@@ -1,0 +1,393 @@
+//! All checks of a recording in one pass.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_ingest::{
+    BeamDirections, CloudLayout, IngestOptions, Inventory, SensorPlan, TfInput, TfTree, plan,
+    points_of_echoes, points_of_laser_scan,
+};
+use portolan_recording::{
+    Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording, RecordingError, Repair,
+};
+
+use crate::clock_offset::ClockOffset;
+use crate::clouds::CloudChecks;
+use crate::finding::{Finding, Findings, Kind, Severity};
+use crate::imu::ImuChecks;
+use crate::odometry::OdometryChecks;
+use crate::rotation::Turn;
+use crate::scan_turns::{CloudTurns, ScanTurns};
+use crate::scans::RangeChecks;
+use crate::stamps::{Stamps, check_frames};
+use crate::turns::{ImuTurns, Source, Turning, compare_all};
+
+const MAP_PARENT: Kind = Kind {
+    name: "map parent",
+    severity: Severity::Warning,
+    effect: "these transforms are not used",
+    to_do: "nothing; record without them to keep the recording small",
+};
+const TRANSFORMS: Kind = Kind {
+    name: "transforms",
+    severity: Severity::Warning,
+    effect: "the transform is not used",
+    to_do: "look for two programs that publish the same frame",
+};
+const NO_PLAN: Kind = Kind {
+    name: "no plan",
+    severity: Severity::Error,
+    effect: "there is nothing to make a map of",
+    to_do: "see what is missing above; a robot description is given with --urdf, topics with --scan, --points",
+};
+const DAMAGE: Kind = Kind {
+    name: "damage",
+    severity: Severity::Error,
+    effect: "what could not be read is missing in the map",
+    to_do: "take an undamaged copy if there is one; the rest can be mapped",
+};
+const REPAIRED: Kind = Kind {
+    name: "repaired",
+    severity: Severity::Info,
+    effect: "nothing is lost; mapping repairs it in the same way",
+    to_do: "",
+};
+/// Transforms are kept this long while checking, seconds.
+const KEPT_TRANSFORMS: f64 = 10.0;
+/// Everything that was found.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct CheckReport {
+    /// The worst first.
+    pub findings: Vec<Finding>,
+    /// One histogram of the intervals between messages for each topic with stamps, as text.
+    pub histograms: Vec<String>,
+}
+
+/// Checks a whole recording. `progress` is told the bytes read so far after every 256 messages.
+pub fn check(
+    recording: &dyn Recording,
+    options: &IngestOptions,
+    progress: &mut dyn FnMut(u64),
+) -> Result<CheckReport, RecordingError> {
+    check_with_clocks(recording, options, &[], progress)
+}
+
+/// The same where offsets of clocks were measured before: those sensors are not compared once more.
+pub fn check_with_clocks(
+    recording: &dyn Recording,
+    options: &IngestOptions,
+    offsets: &[ClockOffset],
+    progress: &mut dyn FnMut(u64),
+) -> Result<CheckReport, RecordingError> {
+    let inventory = Inventory::of(recording, options)?;
+    let plan = plan(&inventory, options);
+    let mut check = Check::new(&inventory, options);
+    let mut reader = recording.read(&|_| true)?;
+    let mut messages = 0u64;
+    while let Some(message) = reader.next_message()? {
+        check.add(&message);
+        messages += 1;
+        if messages.is_multiple_of(256) {
+            progress(reader.position_bytes());
+        }
+    }
+    match &plan {
+        Ok(plan) => check.add_plan(plan),
+        Err(error) => check.findings.add(&NO_PLAN, "", || error.to_string()),
+    }
+    Ok(check.finish(plan.as_ref().ok(), offsets, &reader.repairs()))
+}
+
+/// What is checked of one topic.
+enum TopicChecks {
+    Scan { ranges: RangeChecks, turns: ScanTurns, directions: BeamDirections },
+    Echoes { ranges: RangeChecks, directions: BeamDirections },
+    Cloud { ranges: RangeChecks, clouds: CloudChecks, turns: CloudTurns },
+    Imu { imu: Box<ImuChecks>, turns: ImuTurns },
+    Odometry(OdometryChecks),
+}
+
+struct Check<'a> {
+    inventory: &'a Inventory,
+    findings: Findings,
+    stamps: BTreeMap<Arc<str>, Stamps>,
+    topics: BTreeMap<Arc<str>, TopicChecks>,
+    tree: TfTree,
+    tf: TfInput,
+    messages: u64,
+}
+
+impl<'a> Check<'a> {
+    fn new(inventory: &'a Inventory, options: &IngestOptions) -> Self {
+        Self {
+            inventory,
+            findings: Findings::default(),
+            stamps: BTreeMap::new(),
+            topics: BTreeMap::new(),
+            tree: inventory.tree.clone(),
+            tf: TfInput::new(&options.map_frame),
+            messages: 0,
+        }
+    }
+
+    fn add(&mut self, recorded: &RecordedMessage) {
+        self.messages += 1;
+        if let Message::Tf(transforms) = &recorded.message {
+            self.tf.insert(&mut self.tree, transforms);
+            if self.messages.is_multiple_of(1024) {
+                let kept = portolan_geometry::Duration::from_seconds(KEPT_TRANSFORMS);
+                self.tree.forget_before(recorded.log_time - kept);
+            }
+            return;
+        }
+        let Some(header) = recorded.message.header() else { return };
+        let end = self.add_values(&recorded.topic, &recorded.message).unwrap_or(header.stamp);
+        let stamps = self.stamps.entry(recorded.topic.clone());
+        let stamps = stamps.or_insert_with(|| Stamps::new(&recorded.message, header, recorded.log_time));
+        stamps.add(&recorded.topic, (header, end), recorded.log_time, &mut self.findings);
+    }
+
+    /// Takes what a message measured; returns when its last point was, if it has points.
+    fn add_values(&mut self, topic: &Arc<str>, message: &Message) -> Option<Time> {
+        let checks = match self.topics.get_mut(topic) {
+            Some(checks) => checks,
+            None => {
+                let checks = TopicChecks::of(message)?;
+                self.topics.entry(topic.clone()).or_insert(checks)
+            }
+        };
+        let findings = &mut self.findings;
+        match (checks, message) {
+            (TopicChecks::Scan { ranges, turns, directions }, Message::LaserScan(scan)) => {
+                let header = &scan.header;
+                let (points, faults) = points_of_laser_scan(header.stamp, scan, false, directions);
+                ranges.add_scan(topic, scan, faults, findings);
+                ranges.add_points(topic, &header.frame_id, &points, findings);
+                turns.add(points.time, scan);
+                return Some(points.time);
+            }
+            (TopicChecks::Echoes { ranges, directions }, Message::MultiEchoLaserScan(scan)) => {
+                add_echoes(topic, scan, ranges, directions, findings);
+            }
+            (TopicChecks::Cloud { ranges, clouds, turns }, Message::PointCloud2(cloud)) => {
+                let time = self.inventory.topic(topic).and_then(|t| t.point_time);
+                return add_cloud(topic, cloud, time, (ranges, clouds, turns), findings);
+            }
+            (TopicChecks::Imu { imu, turns }, Message::Imu(message)) => {
+                imu.add(topic, message, findings);
+                turns.add(message);
+            }
+            (TopicChecks::Odometry(odometry), Message::Odometry(message)) => {
+                odometry.add(topic, message, findings);
+            }
+            _ => {}
+        }
+        None
+    }
+
+    /// What mapping would choose is good to know.
+    fn add_plan(&mut self, plan: &SensorPlan) {
+        for notice in &plan.notices {
+            self.findings.push(Finding {
+                severity: if notice.what.contains("no transforms") {
+                    Severity::Warning
+                } else {
+                    Severity::Info
+                },
+                topic: String::new(),
+                count: 1,
+                what: notice.what.clone(),
+                effect_on_slam: String::new(),
+                what_to_do: if notice.change.is_empty() {
+                    String::new()
+                } else {
+                    format!("nothing, or choose otherwise: {}", notice.change)
+                },
+            });
+        }
+    }
+
+    fn finish(
+        mut self,
+        plan: Option<&SensorPlan>,
+        offsets: &[ClockOffset],
+        repairs: &[Repair],
+    ) -> CheckReport {
+        let common_lag = self.common_lag();
+        for (topic, stamps) in &self.stamps {
+            stamps.finish(topic, common_lag, &mut self.findings);
+        }
+        self.check_spans();
+        check_frames(self.stamps.iter().map(|(topic, stamps)| (&**topic, stamps)), &mut self.findings);
+        self.compare_turns(plan, offsets);
+        offsets.iter().for_each(|offset| offset.tell(&mut self.findings));
+        for (topic, checks) in std::mem::take(&mut self.topics) {
+            self.finish_topic(&topic, checks, plan);
+        }
+        self.add_repairs(repairs);
+        let histograms = self.stamps.iter().filter_map(|(topic, s)| s.histogram_text(topic)).collect();
+        CheckReport { findings: self.findings.finish(), histograms }
+    }
+
+    /// Sensors that do not measure from the beginning to the end.
+    fn check_spans(&mut self) {
+        let spans = || self.stamps.values().filter_map(Stamps::span);
+        let (Some(start), Some(end)) = (spans().map(|s| s.0).min(), spans().map(|s| s.1).max()) else {
+            return;
+        };
+        for (topic, stamps) in &self.stamps {
+            stamps.check_span(topic, (start, end), &mut self.findings);
+        }
+    }
+
+    /// What all sensors lag behind alike: a recording of a recording is no fault.
+    fn common_lag(&self) -> f64 {
+        let lags = || self.stamps.values().filter_map(Stamps::lag);
+        let (least, most) = (lags().fold(f64::INFINITY, f64::min), lags().fold(f64::NEG_INFINITY, f64::max));
+        match () {
+            () if least > 0.5 && least.is_finite() => least,
+            () if most < -0.5 && most.is_finite() => most,
+            () => 0.0,
+        }
+    }
+
+    fn finish_topic(&mut self, topic: &str, checks: TopicChecks, plan: Option<&SensorPlan>) {
+        let findings = &mut self.findings;
+        match checks {
+            TopicChecks::Scan { ranges, .. } | TopicChecks::Echoes { ranges, .. } => {
+                ranges.finish(topic, findings)
+            }
+            TopicChecks::Cloud { ranges, clouds, .. } => {
+                ranges.finish(topic, findings);
+                clouds.finish(topic, findings);
+            }
+            TopicChecks::Imu { imu, .. } => {
+                let mounting = mounting(self.inventory, topic, plan);
+                imu.finish(topic, mounting.as_ref(), findings);
+            }
+            TopicChecks::Odometry(odometry) => odometry.finish(topic, findings),
+        }
+    }
+
+    fn add_repairs(&mut self, repairs: &[Repair]) {
+        for repair in self.tf.repairs().list() {
+            let kind =
+                if repair.what.contains("output of a mapping program") { &MAP_PARENT } else { &TRANSFORMS };
+            self.findings.push(counted(kind, &repair));
+        }
+        for repair in repairs {
+            let kind = if repair.lost_data { &DAMAGE } else { &REPAIRED };
+            self.findings.push(counted(kind, repair));
+        }
+    }
+}
+
+impl Check<'_> {
+    /// Turns of each sensor against odometry, or against the IMU if there is no odometry.
+    fn compare_turns(&mut self, plan: Option<&SensorPlan>, offsets: &[ClockOffset]) {
+        let (mut all, mut imus) = (Vec::new(), Vec::new());
+        for (topic, checks) in &self.topics {
+            let base_from_sensor = mounting(self.inventory, topic, plan).unwrap_or_else(Rigid3::identity);
+            let up = (base_from_sensor.rotation * Vector3::z()).z;
+            let upright =
+                |turns: &[Turn]| turns.iter().map(|(a, b, turn)| (*a, *b, up.signum() * turn)).collect();
+            let (source, turns) = match checks {
+                TopicChecks::Odometry(odometry) => (Source::Odometry, odometry.turns.clone()),
+                TopicChecks::Imu { imu, turns } => {
+                    let upright = || base_from_sensor.rotation.inverse() * Vector3::z();
+                    let up = imu.up().unwrap_or_else(upright);
+                    imus.push((&**topic, turns));
+                    (Source::Imu, turns.about(&up))
+                }
+                TopicChecks::Scan { turns, .. } if up.abs() > 0.9 => (Source::Scan, upright(&turns.turns)),
+                TopicChecks::Cloud { turns, .. } if up.abs() > 0.9 => {
+                    (Source::Cloud { has_times: turns.has_times }, upright(&turns.turns))
+                }
+                _ => continue,
+            };
+            all.push(Turning { source, topic, turns });
+        }
+        compare_all(all, &imus, offsets, &mut self.findings);
+    }
+}
+
+impl TopicChecks {
+    fn of(message: &Message) -> Option<Self> {
+        match message {
+            Message::LaserScan(_) => Some(Self::Scan {
+                ranges: RangeChecks::default(),
+                turns: ScanTurns::default(),
+                directions: BeamDirections::default(),
+            }),
+            Message::MultiEchoLaserScan(_) => {
+                Some(Self::Echoes { ranges: RangeChecks::default(), directions: BeamDirections::default() })
+            }
+            Message::PointCloud2(_) => Some(Self::Cloud {
+                ranges: RangeChecks::default(),
+                clouds: CloudChecks::default(),
+                turns: CloudTurns::default(),
+            }),
+            Message::Imu(_) => Some(Self::Imu { imu: Box::default(), turns: ImuTurns::default() }),
+            Message::Odometry(_) => Some(Self::Odometry(OdometryChecks::default())),
+            _ => None,
+        }
+    }
+}
+
+fn add_echoes(
+    topic: &str,
+    scan: &MultiEchoLaserScan,
+    ranges: &mut RangeChecks,
+    directions: &mut BeamDirections,
+    findings: &mut Findings,
+) {
+    let (points, faults) = points_of_echoes(scan.header.stamp, scan, false, directions);
+    let first_echoes = scan.ranges.iter().map(|e| e.first().copied().unwrap_or(f32::INFINITY));
+    let first = scan.with_readings(first_echoes.collect(), Vec::new());
+    ranges.add_scan(topic, &first, faults, findings);
+    ranges.add_points(topic, &scan.header.frame_id, &points, findings);
+}
+
+fn add_cloud(
+    topic: &str,
+    cloud: &PointCloud2,
+    time: Option<portolan_ingest::PointTime>,
+    (ranges, clouds, turns): (&mut RangeChecks, &mut CloudChecks, &mut CloudTurns),
+    findings: &mut Findings,
+) -> Option<Time> {
+    let layout = match CloudLayout::of(cloud) {
+        Ok(layout) => layout,
+        Err(error) => {
+            CloudChecks::add_error(topic, error, findings);
+            return None;
+        }
+    };
+    let time = time.filter(|_| layout.has_time());
+    let (points, faults) = layout.points(cloud.header.stamp, cloud, time, false);
+    clouds.add(topic, cloud, &layout, time, faults, findings);
+    if cloud.width > 0 && cloud.height > 0 {
+        ranges.add_points(topic, &cloud.header.frame_id, &points, findings);
+        turns.add(&points);
+    }
+    (!points.points.is_empty()).then_some(points.time)
+}
+
+/// The sensor of a topic in the tracking frame, if that is known and fixed.
+fn mounting(inventory: &Inventory, topic: &str, plan: Option<&SensorPlan>) -> Option<Rigid3> {
+    let frame = inventory.topic(topic)?.frame.as_deref()?;
+    // The frame of the robot is upright; that of an IMU need not be.
+    let base = ["base_link", "base_footprint"].into_iter().find(|b| inventory.tree.has_frame(b));
+    inventory.tree.lookup_static(base.or_else(|| plan.map(|p| p.tracking_frame.as_str()))?, frame)
+}
+
+fn counted(kind: &Kind, repair: &Repair) -> Finding {
+    Finding {
+        severity: kind.severity,
+        topic: String::new(),
+        count: repair.count,
+        what: repair.what.clone(),
+        effect_on_slam: kind.effect.to_owned(),
+        what_to_do: kind.to_do.to_owned(),
+    }
+}

@@ -1,0 +1,72 @@
+//! Offsets of clocks that were measured by matching sweeps of a lidar, and what is said of them.
+
+use std::sync::Arc;
+
+use crate::finding::Findings;
+use crate::rotation::offset_finding;
+
+/// The offset between the clocks of a lidar and an IMU.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClockOffset {
+    /// Topic of the lidar.
+    pub lidar: Arc<str>,
+    /// Topic of the IMU.
+    pub imu: Arc<str>,
+    /// By how many seconds the lidar is stamped too late against the IMU.
+    pub seconds: f64,
+    /// Standard deviation of that, seconds, estimated with 19 degrees of freedom.
+    pub sigma: f64,
+    /// Whether the points of the lidar have times; without, nobody knows which part of a sweep its stamp is of.
+    pub has_point_times: bool,
+}
+
+/// Offsets beyond these are told and warned of, seconds: of lidars whose points have times, and of others, whose
+/// sweeps last a tenth of a second. At 1 rad/s the first one puts points that are 10 m away off by 10 cm.
+const OFFSETS: [[f64; 2]; 2] = [[0.01, 0.035], [0.05, 0.1]];
+/// They must be exceeded by so many standard deviations: for a clock at that limit, one in two thousand is told
+/// (Student's t with 19 degrees of freedom, one side).
+const SURE: f64 = 3.9;
+
+impl ClockOffset {
+    fn limits(&self) -> [f64; 2] {
+        OFFSETS[usize::from(!self.has_point_times)]
+    }
+
+    /// Whether the clocks are surely apart by more than measurements may be.
+    pub fn is_told(&self) -> bool {
+        let [told, _] = self.limits();
+        self.seconds.abs() - SURE * self.sigma > told
+    }
+
+    pub(super) fn tell(&self, findings: &mut Findings) {
+        if self.is_told() {
+            let [_, warned] = self.limits();
+            findings.push(offset_finding(&self.imu, &self.lidar, self.seconds, warned));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::findings_to_text;
+
+    #[test]
+    fn only_sure_offsets_are_told() {
+        let text = |seconds: f64, sigma: f64, has_point_times: bool| {
+            let (lidar, imu) = ("/points".into(), "/imu".into());
+            let mut findings = Findings::default();
+            ClockOffset { lidar, imu, seconds, sigma, has_point_times }.tell(&mut findings);
+            findings_to_text(&findings.finish())
+        };
+        for (seconds, sigma, has_point_times) in
+            [(0.004, 1e-4, true), (0.02, 0.005, true), (-0.04, 1e-4, false), (f64::NAN, 0.0, true)]
+        {
+            assert_eq!(text(seconds, sigma, has_point_times), "");
+        }
+        assert!(text(0.02, 0.001, true).contains("0.020 s later than those of /imu"));
+        assert!(text(0.02, 0.001, true).contains("--time-offset /points=-0.020"));
+        assert!(text(-0.05, 0.001, true).contains("0.050 s earlier than those of /imu"));
+        assert!(text(-0.15, 0.001, false).contains("0.15 s earlier"));
+    }
+}

@@ -1,0 +1,31 @@
+#![doc = include_str!("../README.md")]
+
+mod check;
+mod clock_offset;
+mod clouds;
+mod finding;
+mod histogram;
+mod imu;
+mod imu_values;
+mod info;
+mod odometry;
+mod odometry_delay;
+mod offset;
+mod rotation;
+mod scan_turns;
+mod scans;
+mod stamps;
+mod turns;
+
+pub use check::{CheckReport, check, check_with_clocks};
+pub use clock_offset::ClockOffset;
+pub use finding::{Finding, Severity, findings_to_text};
+pub use histogram::Histogram;
+pub use info::{PlanDescription, RecordingInfo, RepairDescription, TopicDescription, info};
+pub use odometry_delay::{SensorDelay, odometry_delay};
+
+#[cfg(test)]
+#[path = "../../ingest/src/test_messages.rs"]
+mod test_messages;
+#[cfg(test)]
+mod tests;

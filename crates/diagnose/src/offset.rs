@@ -1,0 +1,169 @@
+//! The offset of two clocks, from turns that both sensors saw.
+//!
+//! Some turns of a lidar are wrong: people pass, doors come and go. At each lag differences of turns count up to
+//! a limit, so that many wrong ones pull no more than their number; the lag at which they are smallest is the
+//! offset. How sure that is, leaving out parts of the recording in turn tells (block jackknife).
+
+use portolan_geometry::{Duration, Time};
+
+use crate::rotation::{Angle, JOINT, Turn};
+
+/// Windows are about this long, seconds: longer than the sway of a step is fast, shorter than a turn.
+const LENGTH: f64 = 0.25;
+/// So many windows at most are looked at.
+const MAX_WINDOWS: usize = 4000;
+/// Lags are tried this far from a first guess and so densely, seconds.
+const REACH: f64 = 0.2;
+const STEP: f64 = 0.01;
+/// Differences count up to so many times their usual size.
+const LIMIT: f64 = 2.5;
+/// Sensors differ by such a share of each turn, besides.
+const SCALE_ERROR: f64 = 0.2;
+/// Parts of the recording of which each is left out once.
+const BLOCKS: usize = 12;
+/// So many windows are needed in all.
+const ENOUGH_WINDOWS: usize = 40;
+
+/// An offset of clocks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Offset {
+    /// By how many seconds the second sensor is stamped too late.
+    pub lag: f64,
+    /// Standard deviation of that, seconds.
+    pub sigma: f64,
+    /// By how large a share differences are smaller than without any offset.
+    pub gain: f64,
+}
+
+/// Finds the offset near `guess` of a sensor whose turns are `slope` times those of the first. None without
+/// enough common data.
+pub(super) fn clock_offset(first: &Angle, second: &[Turn], slope: f64, guess: f64) -> Option<Offset> {
+    let windows = windows(second);
+    let steps = (REACH / STEP) as i32;
+    let lags: Vec<f64> = (-steps..=steps).map(|i| guess + STEP * f64::from(i)).collect();
+    // Difference of each window at each lag; windows that are not known at all of them are left out.
+    let differences: Vec<(f64, Vec<f64>)> = windows
+        .iter()
+        .filter_map(|window| {
+            let of_window: Option<Vec<f64>> =
+                lags.iter().map(|lag| window.difference(first, slope, *lag)).collect();
+            Some((window.turn, of_window?))
+        })
+        .collect();
+    if differences.len() < ENOUGH_WINDOWS {
+        return None;
+    }
+    let usual = (0..lags.len()).map(|i| median(differences.iter().map(|(_, d)| d[i].abs()).collect()));
+    let limit = LIMIT * 1.48 * usual.fold(f64::INFINITY, f64::min).max(1e-6);
+    let block = |i: usize| i * BLOCKS / differences.len();
+    let mut costs = vec![vec![0.0; lags.len()]; BLOCKS];
+    for (i, (turn, of_window)) in differences.iter().enumerate() {
+        for (cost, difference) in costs[block(i)].iter_mut().zip(of_window) {
+            *cost += robust(*difference, limit, *turn);
+        }
+    }
+    let without = |left_out: Option<usize>| -> Vec<f64> {
+        let kept = |i: usize| (0..BLOCKS).filter(|b| Some(*b) != left_out).map(|b| costs[b][i]).sum::<f64>();
+        (0..lags.len()).map(kept).collect()
+    };
+    let at = |place: f64| guess + STEP * (place - f64::from(steps));
+    let all = without(None);
+    let lag = at(lowest(&all));
+    let parts: Vec<f64> = (0..BLOCKS).map(|b| at(lowest(&without(Some(b))))).collect();
+    let cost_without = cost_at_zero(&windows, first, slope, limit);
+    let cost = all.iter().copied().fold(f64::INFINITY, f64::min) / differences.len() as f64;
+    let mean = parts.iter().sum::<f64>() / BLOCKS as f64;
+    let squares: f64 = parts.iter().map(|part| (part - mean).powi(2)).sum();
+    let gain = 1.0 - cost / cost_without.max(1e-12);
+    Some(Offset { lag, sigma: (squares * (BLOCKS - 1) as f64 / BLOCKS as f64).sqrt(), gain })
+}
+
+/// Geman and McClure's cost of a difference that counts up to a limit, more while it turns.
+fn robust(difference: f64, limit: f64, turn: f64) -> f64 {
+    let squared = difference * difference / (limit * limit + (SCALE_ERROR * turn).powi(2));
+    squared / (1.0 + squared)
+}
+
+/// The mean cost of windows without any offset.
+fn cost_at_zero(windows: &[Window], first: &Angle, slope: f64, limit: f64) -> f64 {
+    let costs = windows.iter().filter_map(|w| Some(robust(w.difference(first, slope, 0.0)?, limit, w.turn)));
+    let (sum, count) = costs.fold((0.0, 0.0), |(sum, count), cost| (sum + cost, count + 1.0));
+    sum / f64::max(count, 1.0)
+}
+
+/// A turn over some scans.
+struct Window {
+    start: Time,
+    end: Time,
+    turn: f64,
+}
+
+impl Window {
+    fn difference(&self, first: &Angle, slope: f64, lag: f64) -> Option<f64> {
+        let lag = Duration::from_seconds(lag);
+        Some(self.turn - slope * first.between(self.start - lag, self.end - lag)?)
+    }
+}
+
+/// Turns joined to windows, one from each turn on.
+fn windows(turns: &[Turn]) -> Vec<Window> {
+    let from = |first: usize| {
+        let (start, mut end, mut turn) = *turns.get(first)?;
+        for (next_start, next_end, next) in &turns[first + 1..] {
+            if end.seconds_since(start) >= LENGTH {
+                break;
+            }
+            if next_start.seconds_since(end).abs() > JOINT {
+                return None;
+            }
+            (end, turn) = (*next_end, turn + next);
+        }
+        (end.seconds_since(start) >= LENGTH).then_some(Window { start, end, turn })
+    };
+    let stride = turns.len().div_ceil(MAX_WINDOWS).max(1);
+    (0..turns.len()).step_by(stride).filter_map(from).collect()
+}
+
+/// The middle of the values (the upper one of two); 0 if there are none.
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Index of the lowest cost, to a fraction.
+fn lowest(costs: &[f64]) -> f64 {
+    let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
+    let (Some(before), Some(after)) = (best.checked_sub(1).and_then(|i| costs.get(i)), costs.get(best + 1))
+    else {
+        return best as f64;
+    };
+    let curvature = before - 2.0 * costs[best] + after;
+    let fraction = if curvature > 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
+    best as f64 + fraction.clamp(-0.5, 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rotation::tests::turns;
+
+    #[test]
+    fn wrong_turns_do_not_move_the_offset_and_poor_ones_make_it_unsure() {
+        let first = Angle::new(&turns(0.0, 1.0, 0.02));
+        let found = |every: usize, size: f64| {
+            let mut second = turns(0.05, 1.0, 0.1);
+            for (i, turn) in second.iter_mut().enumerate() {
+                // One scan in so many fits another wall.
+                if i % every == 0 {
+                    turn.2 += size * (i as f64 * 1.7).sin();
+                }
+            }
+            clock_offset(&first, &second, 1.0, 0.04).unwrap()
+        };
+        let good = found(20, 0.3);
+        assert!((good.lag - 0.05).abs() < 0.004 && good.sigma < 0.004, "{good:?}");
+        let poor = found(1, 0.3);
+        assert!(poor.sigma > 3.0 * good.sigma, "{poor:?}");
+        assert_eq!(clock_offset(&first, &[], 1.0, 0.0), None);
+    }
+}

@@ -1,0 +1,320 @@
+//! Do scans, odometry and IMU turn alike? Finds sensors that turn the other way, in other units, or at
+//! other times.
+//!
+//! Each sensor gives the angle turned about the vertical between two times: odometry and IMU directly,
+//! a lidar by the shift of its range profile that fits the profile before best ([`super::scan_turns`]). The
+//! turns of two sensors over windows of a second are compared at every lag up to half a second: the slope of
+//! the best line tells direction and scale. Shorter windows tell the offset of their clocks ([`super::offset`]).
+
+use portolan_geometry::Time;
+
+use crate::finding::{Finding, Findings, Severity};
+use crate::offset::{Offset, clock_offset};
+
+/// The angle turned between two times, counter-clockwise seen from above.
+pub(crate) type Turn = (Time, Time, f64);
+
+/// How the turns of two sensors compare.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Agreement {
+    /// −1 to 1.
+    pub correlation: f64,
+    /// Turn of the second sensor for each radian of the first.
+    pub slope: f64,
+    /// By how many seconds the second sensor is stamped too late.
+    pub lag: f64,
+    /// By how much that may be off, seconds (standard deviation).
+    pub lag_sigma: f64,
+    /// By how large a share differences of turns are smaller with the lag than without.
+    pub lag_gain: f64,
+    /// How much the first sensor turned in all, radians.
+    pub turned: f64,
+}
+
+/// Windows in which turns are compared, and from one to the next, seconds.
+const COARSE: Windows = Windows { length: 1.0, step: 0.5 };
+const LAG_STEP: f64 = 0.02;
+const LAG_STEPS: i32 = 25;
+/// So many windows must be common.
+const ENOUGH_WINDOWS: usize = 20;
+/// Windows in which a sensor has no data for so long are not used, seconds.
+const MAX_HOLE: f64 = 0.6;
+/// Turns follow each other if one ends and the next begins within so many seconds: what tells a turn was measured
+/// at a time of its own in a sweep.
+pub(super) const JOINT: f64 = 0.06;
+
+#[derive(Clone, Copy)]
+struct Windows {
+    length: f64,
+    step: f64,
+}
+
+/// The turns of two sensors in windows of one length.
+struct Comparison<'a> {
+    second: &'a Angle,
+    origin: Time,
+    length: f64,
+    /// Start after the origin, and turn of the first sensor.
+    windows: Vec<(f64, f64)>,
+}
+
+impl<'a> Comparison<'a> {
+    fn new(first: &Angle, second: &'a Angle, windows: Windows) -> Option<Self> {
+        let origin = first.start()?;
+        let (start, end) = (origin.max(second.start()?), first.end()?.min(second.end()?));
+        let Windows { length, step } = windows;
+        let windows = (0..)
+            .map(|i| start.seconds_since(origin) + 0.5 + step * f64::from(i))
+            .take_while(|t| t + length + 0.5 <= end.seconds_since(origin))
+            .filter_map(|t| Some((t, first.turned(origin, t, length)?)))
+            .collect();
+        Some(Self { second, origin, length, windows })
+    }
+
+    /// Correlation and slope if the second sensor is stamped too late by `lag`.
+    fn at_lag(&self, lag: f64) -> Option<(f64, f64)> {
+        let (mut ab, mut aa, mut bb, mut count) = (0.0, 0.0, 0.0, 0);
+        for (t, turn_a) in &self.windows {
+            if let Some(turn_b) = self.second.turned(self.origin, t + lag, self.length) {
+                (ab, aa, bb, count) =
+                    (ab + turn_a * turn_b, aa + turn_a * turn_a, bb + turn_b * turn_b, count + 1);
+            }
+        }
+        (count >= ENOUGH_WINDOWS && aa > 0.0 && bb > 0.0).then(|| (ab / (aa * bb).sqrt(), ab / aa))
+    }
+}
+
+/// Compares two sensors; `None` without enough common data.
+pub(crate) fn compare(first: &[Turn], second: &[Turn]) -> Option<Agreement> {
+    let (a, b) = (Angle::new(first), Angle::new(second));
+    let coarse = Comparison::new(&a, &b, COARSE)?;
+    let turned: f64 = coarse.windows.iter().map(|(_, d)| d.abs()).sum::<f64>() * COARSE.step / COARSE.length;
+    coarse.at_lag(0.0)?;
+    let (mut correlation, mut slope, mut lag) = (0.0, 0.0, 0.0);
+    // Small lags first, so that ties stay near zero.
+    for step in (0..=LAG_STEPS).flat_map(|s| [s, -s]) {
+        let this_lag = LAG_STEP * f64::from(step);
+        if let Some((c, s)) = coarse.at_lag(this_lag).filter(|(c, _)| c.abs() > f64::abs(correlation) + 1e-6)
+        {
+            (correlation, slope, lag) = (c, s, this_lag);
+        }
+    }
+    let Offset { lag, sigma: lag_sigma, gain: lag_gain } = clock_offset(&a, second, slope, lag)?;
+    Some(Agreement { correlation, slope, lag, lag_sigma, lag_gain, turned })
+}
+
+/// Angle as a function of time, and where it has holes.
+pub(super) struct Angle {
+    /// Time, angle, and whether the way from the point before is known.
+    points: Vec<(Time, f64, bool)>,
+}
+
+impl Angle {
+    pub(super) fn new(turns: &[Turn]) -> Self {
+        let mut points: Vec<(Time, f64, bool)> = Vec::with_capacity(turns.len() + 1);
+        let mut angle = 0.0;
+        for (from, to, turn) in turns {
+            match points.last() {
+                Some((last, ..)) if to <= last || from.seconds_since(*last) < -JOINT => continue,
+                Some((last, ..)) if from.seconds_since(*last) < JOINT => {}
+                Some((last, ..)) => points.push((*from, angle, from.seconds_since(*last) < MAX_HOLE)),
+                None => points.push((*from, angle, false)),
+            }
+            angle += turn;
+            points.push((*to, angle, to.seconds_since(*from) < MAX_HOLE));
+        }
+        Self { points }
+    }
+
+    fn start(&self) -> Option<Time> {
+        self.points.first().map(|p| p.0)
+    }
+
+    fn end(&self) -> Option<Time> {
+        self.points.last().map(|p| p.0)
+    }
+
+    /// The turn in the window that begins `seconds` after `origin`, if it is known all along.
+    fn turned(&self, origin: Time, seconds: f64, length: f64) -> Option<f64> {
+        let at = |seconds: f64| origin + portolan_geometry::Duration::from_seconds(seconds);
+        self.between(at(seconds), at(seconds + length))
+    }
+
+    /// The turn from one time to another, if it is known all along.
+    pub(super) fn between(&self, begin: Time, end: Time) -> Option<f64> {
+        let (i, j) = (self.index(begin), self.index(end));
+        let known = self.points.get(i..=j)?.iter().all(|p| p.2);
+        known.then(|| self.angle(j, end) - self.angle(i, begin))
+    }
+
+    /// Index of the first point at or after `time`.
+    fn index(&self, time: Time) -> usize {
+        self.points.partition_point(|p| p.0 < time)
+    }
+
+    fn angle(&self, index: usize, time: Time) -> f64 {
+        let (Some(after), Some(before)) = (self.points.get(index), self.points.get(index.wrapping_sub(1)))
+        else {
+            return 0.0;
+        };
+        let span = after.0.seconds_since(before.0);
+        let share = if span > 0.0 { time.seconds_since(before.0) / span } else { 1.0 };
+        before.1 + (after.1 - before.1) * share
+    }
+}
+
+/// Below half a turn in all there is nothing to judge.
+pub(crate) const ENOUGH_TURNS: f64 = std::f64::consts::PI;
+/// Offsets of clocks beyond these are told and warned of, seconds: of sensors with a time for each point or
+/// sample, and of others.
+const OFFSETS: [[f64; 2]; 2] = [[0.02, 0.035], [0.05, 0.1]];
+
+/// Offsets must exceed them by so many standard deviations.
+const SURE: f64 = 2.0;
+/// Sensors must turn so much alike, and so much more with the offset than without, or it is chance.
+const ALIKE: f64 = 0.7;
+const LEAST_GAIN: f64 = 0.04;
+
+/// Tells how far and in which direction `second` turns against `first`.
+pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findings: &mut Findings) {
+    let Some(agreement) = compare(first.1, second.1) else { return };
+    let Agreement { correlation, slope, turned, .. } = agreement;
+    if turned < ENOUGH_TURNS {
+        return;
+    }
+    let (a, b) = (first.0, second.0);
+    let mut add = |severity, what: String, effect: &str, to_do: &str| {
+        findings.push(finding(b, severity, what, effect, to_do));
+    };
+    if correlation < -0.6 {
+        add(
+            Severity::Error,
+            format!("the sensor turns the other way than {a} (correlation {correlation:.2})"),
+            "prediction and scans contradict each other; the map breaks in every turn",
+            "a scanner or IMU is mounted upside down without saying so in the transforms, or odometry has a wrong sign",
+        );
+    } else if correlation < 0.3 {
+        add(
+            Severity::Warning,
+            format!("the sensor does not turn like {a} (correlation {correlation:.2})"),
+            "prediction is of little use; the map may break in turns",
+            "see whether both are of the same robot and have sensible stamps; leave one out with --no-odom or --no-imu",
+        );
+    } else if correlation > 0.7 && !(0.75..=1.33).contains(&slope) {
+        let degrees = if (45.0..70.0).contains(&slope) || (0.014..0.022).contains(&slope) {
+            "; one of the two seems to be in degrees"
+        } else {
+            ""
+        };
+        add(
+            Severity::Warning,
+            format!("the sensor turns {slope:.2} times as far as {a}{degrees}"),
+            "prediction in turns is off; matching must make up for it",
+            "calibrate the wheel base or the gyroscope, or leave it out with --no-odom or --no-imu",
+        );
+    }
+}
+
+/// Tells by how much the clock of `second` is off against that of `first`. `is_exact` says that both know the times
+/// of their turns well.
+pub(crate) fn tell_clocks(
+    first: (&str, &[Turn]),
+    second: (&str, &[Turn]),
+    is_exact: bool,
+    findings: &mut Findings,
+) {
+    let [_, warned] = OFFSETS[usize::from(!is_exact)];
+    if let Some((lag, _)) = sure_offset(first.1, second.1, is_exact) {
+        findings.push(offset_finding(first.0, second.0, lag, warned));
+    }
+}
+
+/// By how many seconds the second sensor is stamped too late, and the standard deviation of that, if it is surely
+/// more than measurements may be.
+pub(super) fn sure_offset(first: &[Turn], second: &[Turn], is_exact: bool) -> Option<(f64, f64)> {
+    let agreement = compare(first, second)?;
+    let Agreement { correlation, lag, lag_sigma, lag_gain, turned, .. } = agreement;
+    let [told, _] = OFFSETS[usize::from(!is_exact)];
+    let is_sure = lag.abs() - SURE * lag_sigma > told && lag_gain > LEAST_GAIN;
+    (turned >= ENOUGH_TURNS && correlation >= ALIKE && is_sure).then_some((lag, lag_sigma))
+}
+
+/// Says that `second` is stamped too late by `lag` against `first`.
+pub(super) fn offset_finding(first: &str, second: &str, lag: f64, warned: f64) -> Finding {
+    let size = if lag.abs() < 0.1 { format!("{:.3}", lag.abs()) } else { format!("{:.2}", lag.abs()) };
+    let direction = if lag > 0.0 { "later" } else { "earlier" };
+    finding(
+        second,
+        if lag.abs() > warned { Severity::Warning } else { Severity::Info },
+        format!("stamps are about {size} s {direction} than those of {first}, as turns of both show"),
+        "turns are taken from the wrong time, so that scans are unwound and predicted wrongly; the map blurs",
+        &format!(
+            "synchronise the two clocks (PTP), or let both drivers stamp the time of measurement, not that of arrival; \
+             this recording: map --time-offset {second}={:.3}",
+            -lag
+        ),
+    )
+}
+
+fn finding(topic: &str, severity: Severity, what: String, effect: &str, to_do: &str) -> Finding {
+    Finding {
+        severity,
+        topic: topic.to_owned(),
+        count: 1,
+        what,
+        effect_on_slam: effect.to_owned(),
+        what_to_do: to_do.to_owned(),
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    pub fn at(seconds: f64) -> Time {
+        Time::from_ros(1_700_000_000, 0) + portolan_geometry::Duration::from_seconds(seconds)
+    }
+
+    /// Heading of a robot that wags to and fro.
+    pub fn heading(t: f64) -> f64 {
+        0.8 * (0.7 * t).sin() + 0.5 * (0.23 * t).sin()
+    }
+
+    pub fn turns(delay: f64, scale: f64, interval: f64) -> Vec<Turn> {
+        (0..(100.0 / interval) as usize)
+            .map(|i| {
+                let (t0, t1) = (interval * i as f64, interval * (i + 1) as f64);
+                (at(t0 + delay), at(t1 + delay), scale * (heading(t1) - heading(t0)))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn sign_scale_and_lag_are_found() {
+        for (delay, scale) in [(0.0, 1.0), (0.2, 1.0), (-0.3, 1.4), (0.0, -1.0), (0.1, 57.3)] {
+            let agreement = compare(&turns(0.0, 1.0, 0.05), &turns(delay, scale, 0.2)).unwrap();
+            assert!((agreement.lag - delay).abs() < 0.03, "{agreement:?}");
+            assert!((agreement.slope / scale - 1.0).abs() < 0.05, "{agreement:?}");
+            assert!(agreement.correlation.abs() > 0.99);
+        }
+        assert!(compare(&turns(0.0, 1.0, 0.1), &[]).is_none());
+    }
+
+    #[test]
+    fn findings_name_the_fault() {
+        let text = |delay, scale| {
+            let mut findings = Findings::default();
+            let (odom, scan) = (turns(0.0, 1.0, 0.05), turns(delay, scale, 0.2));
+            tell_turns(("/odom", &odom), ("/scan", &scan), &mut findings);
+            tell_clocks(("/odom", &odom), ("/scan", &scan), true, &mut findings);
+            super::super::findings_to_text(&findings.finish())
+        };
+        assert_eq!(text(0.0, 1.0), "");
+        assert!(text(0.0, -1.0).contains("turns the other way"));
+        assert!(text(0.0, 57.3).contains("degrees"));
+        assert!(text(0.3, 1.0).contains("0.30 s later than those of /odom"));
+        let early = text(-0.05, 1.0);
+        assert!(early.contains("0.05") || early.contains("0.04"), "{early}");
+        assert!(early.contains("s earlier than those of /odom"), "{early}");
+    }
+}

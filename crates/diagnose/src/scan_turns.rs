@@ -1,0 +1,305 @@
+//! The angle that a lidar turned from scan to scan, from the shift of its range profile.
+
+use portolan_geometry::Time;
+use portolan_geometry::nalgebra::{Matrix3, Vector3};
+use portolan_ingest::TimedPoints;
+use portolan_recording::LaserScan;
+
+use crate::rotation::Turn;
+
+/// Most beams of a profile; scanners with more are thinned.
+const MAX_BEAMS: usize = 360;
+/// Largest turn between two scans, radians.
+const MAX_TURN: f32 = 0.6;
+/// Differences of ranges beyond this count alike, metres.
+const MAX_DIFFERENCE: f32 = 0.3;
+/// Share of the beams that must be seen by both scans.
+const MIN_OVERLAP: f32 = 0.3;
+/// So many scans are compared.
+const MAX_SCANS: usize = 20_000;
+/// Scans farther apart than this are not compared, seconds.
+const MAX_INTERVAL: f64 = 1.0;
+
+/// Cells of the profile of a spinning lidar, a degree each.
+const CELLS: usize = 360;
+/// Points of a cloud this steep at most are in its profile (slope).
+const STEEPEST: f32 = 0.12;
+
+/// Turns of a scanner.
+#[derive(Debug, Default)]
+pub(crate) struct ScanTurns {
+    last: Option<(Time, Vec<f32>)>,
+    costs: Vec<f32>,
+    pub turns: Vec<Turn>,
+}
+
+impl ScanTurns {
+    /// Takes the next scan. Only scans of the same shape are compared.
+    pub fn add(&mut self, time: Time, scan: &LaserScan) {
+        let stride = scan.ranges.len().div_ceil(MAX_BEAMS).max(1);
+        let increment = scan.angle_increment.abs() * stride as f32;
+        if self.turns.len() >= MAX_SCANS || increment.is_nan() || increment <= 0.0 {
+            return;
+        }
+        let limits = scan.range_min.max(0.05)..=scan.range_max;
+        let value = |r: &f32| if limits.contains(r) { *r } else { f32::NAN };
+        let profile: Vec<f32> = scan.ranges.iter().step_by(stride).map(value).collect();
+        if let Some((last_time, last)) = self.last.replace((time, profile))
+            && (0.0..MAX_INTERVAL).contains(&time.seconds_since(last_time))
+            && let Some((_, profile)) = &self.last
+            && last.len() == profile.len()
+        {
+            let window = ((MAX_TURN / increment) as usize).min(profile.len() / 3);
+            if let Some(shift) = best_shift(&last, profile, window, &mut self.costs) {
+                // Walls move against the turn; an increment below zero counts beams clockwise.
+                let turn = -f64::from(shift * increment) * f64::from(scan.angle_increment.signum());
+                self.turns.push((last_time, time, turn));
+            }
+        }
+    }
+}
+
+/// By how many beams `now` is shifted against `before`, to a fraction of a beam.
+fn best_shift(before: &[f32], now: &[f32], window: usize, costs: &mut Vec<f32>) -> Option<f32> {
+    costs.clear();
+    let enough = MIN_OVERLAP * before.len() as f32;
+    for shift in 0..=2 * window {
+        let (a, b) =
+            if shift <= window { (&before[window - shift..], now) } else { (before, &now[shift - window..]) };
+        costs.push(cost(a.iter(), b.iter(), enough));
+    }
+    Some(lowest(costs)? - window as f32)
+}
+
+/// Turns of a spinning lidar about its own axis, from its beams near the horizontal.
+#[derive(Debug, Default)]
+pub(crate) struct CloudTurns {
+    last: Option<(Time, Profile)>,
+    costs: Vec<f32>,
+    pub turns: Vec<Turn>,
+    /// Whether points have times; without, it is not known when within a turn of the head they were measured.
+    pub has_times: bool,
+}
+
+impl CloudTurns {
+    /// Takes the next cloud, in the frame of its sensor.
+    pub fn add(&mut self, cloud: &TimedPoints) {
+        let Some(first) = cloud.points.first().filter(|_| self.turns.len() < MAX_SCANS) else { return };
+        self.has_times |= first.time < 0.0;
+        let profile = profile(cloud);
+        if let Some((last_time, last)) = self.last.replace((cloud.time, profile))
+            && (0.0..MAX_INTERVAL).contains(&cloud.time.seconds_since(last_time))
+            && let Some((_, profile)) = &self.last
+            && let Some(found) = best_turn(&last, profile, &mut self.costs)
+        {
+            let middle = 0.5 * first.time;
+            let [before, now] = found
+                .offsets
+                .unwrap_or([middle; 2])
+                .map(|offset| portolan_geometry::Duration::from_seconds(f64::from(offset)));
+            self.turns.push((last_time + before, cloud.time + now, f64::from(found.turn)));
+        }
+    }
+}
+
+/// What a sweep saw around it, degree by degree.
+#[derive(Debug)]
+struct Profile {
+    /// Horizontal range of the most level point in each direction; NaN where there is none.
+    ranges: Vec<f32>,
+    /// When that was measured, seconds before the time of the cloud (not positive).
+    offsets: Vec<f32>,
+}
+
+/// How far the sensor turned between two sweeps.
+struct FoundTurn {
+    turn: f32,
+    /// When what tells it was measured in the sweep before and in this one, if that is known: walls on one side
+    /// are seen at one time in each turn of the head.
+    offsets: Option<[f32; 2]>,
+}
+
+fn profile(cloud: &TimedPoints) -> Profile {
+    let mut cells = vec![(f32::INFINITY, f32::NAN, 0.0); CELLS];
+    for point in &cloud.points {
+        let [x, y, z] = point.position.coords.into();
+        let range = x.hypot(y);
+        let slope = z.abs() / range;
+        let share = y.atan2(x) / std::f32::consts::TAU + 0.5;
+        let Some(cell) = cells.get_mut((share * CELLS as f32) as usize) else { continue };
+        if slope < STEEPEST && slope < cell.0 {
+            *cell = (slope, range, point.time);
+        }
+    }
+    let (ranges, offsets) = cells.into_iter().map(|(_, range, offset)| (range, offset)).unzip();
+    Profile { ranges, offsets }
+}
+
+/// By which angle the sensor turned counter-clockwise, radians.
+fn best_turn(before: &Profile, now: &Profile, costs: &mut Vec<f32>) -> Option<FoundTurn> {
+    let cell = std::f32::consts::TAU / CELLS as f32;
+    let window = (MAX_TURN / cell) as usize;
+    costs.clear();
+    for shift in 0..=2 * window {
+        // What was seen ahead of the turn is seen straight on after it.
+        let (a, b) = before.ranges.split_at((CELLS + shift - window) % CELLS);
+        costs.push(cost(b.iter().chain(a), now.ranges.iter(), MIN_OVERLAP * CELLS as f32));
+    }
+    let turn = (lowest(costs)? - window as f32) * cell;
+    Some(turn_and_shift(before, now, turn).unwrap_or(FoundTurn { turn, offsets: None }))
+}
+
+/// Passes that take the shift of the sensor out of its turn, and the most that a range may differ in each, metres.
+const PASSES: [f32; 4] = [0.5, 0.3, 0.15, 0.15];
+/// Neighbouring cells farther apart in range than this are of different surfaces, metres.
+const EDGE: f32 = 0.4;
+
+/// The turn once more, together with the shift of the sensor in its plane: near walls a shift looks like a turn.
+///
+/// A surface whose range grows by `slope` times itself for each radian comes nearer by `x (cos + slope sin) +
+/// y (sin - slope cos)` if the sensor shifts by (x, y), and goes away by `slope` times its range for each radian of
+/// turn: least squares in the three.
+fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<FoundTurn> {
+    let cell = std::f32::consts::TAU / CELLS as f32;
+    let mut shift = [0.0_f32; 2];
+    let mut offsets = None;
+    for most in PASSES {
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        let mut count = 0.0_f32;
+        // Sum of how much each direction tells, and of that times when it was measured.
+        let mut told = [0.0_f32; 3];
+        for (i, range) in now.ranges.iter().enumerate() {
+            let at = (i as f32 + turn / cell).rem_euclid(CELLS as f32);
+            let (index, share) = (at as usize % CELLS, at.fract());
+            let (a, b) = (before.ranges[index], before.ranges[(index + 1) % CELLS]);
+            let slope = (b - a) / (cell * a);
+            let (s, c) = ((i as f32 + 0.5) * cell - std::f32::consts::PI).sin_cos();
+            let row = [slope * a, -(c + slope * s), -(s - slope * c)];
+            let expected = a + (b - a) * share + row[1] * shift[0] + row[2] * shift[1];
+            let difference = range - expected;
+            // Not a number where something was not seen.
+            if !(difference.abs() < most && (b - a).abs() < EDGE) {
+                continue;
+            }
+            let tells = row[0] * row[0];
+            told =
+                [told[0] + tells, told[1] + tells * before.offsets[index], told[2] + tells * now.offsets[i]];
+            let row = Vector3::new(row[0], row[1], row[2]).map(f64::from);
+            normal += row * row.transpose();
+            right += row * f64::from(difference);
+            count += 1.0;
+        }
+        if count < MIN_OVERLAP * CELLS as f32 {
+            return None;
+        }
+        // Along a bare corridor the shift is not determined; then it is taken as none.
+        normal[(1, 1)] += f64::from(1e-3 * count);
+        normal[(2, 2)] += f64::from(1e-3 * count);
+        let change = normal.cholesky()?.solve(&right);
+        turn += change.x as f32;
+        offsets = (told[0] > 0.0).then(|| [told[1] / told[0], told[2] / told[0]]);
+        shift = [shift[0] + change.y as f32, shift[1] + change.z as f32];
+    }
+    (turn.abs() < MAX_TURN).then_some(FoundTurn { turn, offsets })
+}
+
+/// Mean difference of two profiles.
+fn cost<'a>(before: impl Iterator<Item = &'a f32>, now: impl Iterator<Item = &'a f32>, enough: f32) -> f32 {
+    let (mut sum, mut count) = (0.0f32, 0.0f32);
+    for (a, b) in before.zip(now) {
+        let difference = (a - b).abs();
+        if !difference.is_nan() {
+            sum += difference.min(MAX_DIFFERENCE);
+            count += 1.0;
+        }
+    }
+    if count >= enough { sum / count } else { f32::INFINITY }
+}
+
+/// Where the costs are lowest, to a fraction; none at the edge, or if nothing fits.
+fn lowest(costs: &[f32]) -> Option<f32> {
+    let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
+    if best == 0 || best + 1 >= costs.len() || !costs[best].is_finite() || costs[best] > 0.5 * MAX_DIFFERENCE
+    {
+        return None;
+    }
+    let (left, middle, right) = (costs[best - 1], costs[best], costs[best + 1]);
+    let curvature = left - 2.0 * middle + right;
+    let fraction =
+        if curvature.is_finite() && curvature > 0.0 { 0.5 * (left - right) / curvature } else { 0.0 };
+    Some(best as f32 + fraction)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rotation::compare;
+    use crate::rotation::tests::{at, heading, turns};
+    use portolan_geometry::Point3f;
+    use portolan_recording::Header;
+    use portolan_sensor::TimedPoint;
+
+    #[test]
+    fn scans_of_a_turning_robot_in_a_room_tell_its_turns() {
+        // A room of 8 m by 5 m, seen from (1, 0.5).
+        let range = |angle: f64| {
+            let (s, c) = angle.sin_cos();
+            let x = if c > 0.0 { 3.0 / c } else { -5.0 / c };
+            let y = if s > 0.0 { 2.0 / s } else { -3.0 / s };
+            x.min(y)
+        };
+        let mut scans = ScanTurns::default();
+        for i in 0..100 {
+            let t = 0.2 * f64::from(i);
+            let ranges = (0..360)
+                .map(|k| {
+                    range(heading(t) + (-90.0 + 0.5 * f64::from(k)) * std::f64::consts::PI / 180.0) as f32
+                })
+                .collect();
+            let scan = LaserScan {
+                header: Header { stamp: at(t), frame_id: "laser".into() },
+                angle_min: -std::f32::consts::FRAC_PI_2,
+                angle_max: std::f32::consts::FRAC_PI_2,
+                angle_increment: 0.5f32.to_radians(),
+                time_increment: 0.0,
+                scan_time: 0.0,
+                range_min: 0.0,
+                range_max: 30.0,
+                ranges,
+                intensities: Vec::new(),
+            };
+            scans.add(at(t), &scan);
+        }
+        let agreement = compare(&turns(0.0, 1.0, 0.05), &scans.turns).unwrap();
+        assert!((agreement.slope - 1.0).abs() < 0.02 && agreement.lag.abs() < 0.03, "{agreement:?}");
+    }
+
+    #[test]
+    fn clouds_of_a_turning_lidar_tell_its_turns_and_the_offset_of_its_clock() {
+        let mut clouds = CloudTurns::default();
+        for i in 0..500 {
+            let begin = 0.1 * f64::from(i);
+            let points = (0..720).map(|k| {
+                let time = 0.1 * f64::from(k) / 720.0;
+                let azimuth = std::f64::consts::TAU * f64::from(k) / 720.0;
+                let (s, c) = (azimuth + heading(begin + time)).sin_cos();
+                let x = if c > 0.0 { 3.0 / c } else { -5.0 / c };
+                let range = x.min(if s > 0.0 { 2.0 / s } else { -3.0 / s });
+                let position =
+                    Point3f::new((range * azimuth.cos()) as f32, (range * azimuth.sin()) as f32, 0.1);
+                TimedPoint { position, time: (time - 0.1) as f32 }
+            });
+            clouds.add(&TimedPoints {
+                time: at(begin + 0.1),
+                points: points.collect(),
+                intensities: Vec::new(),
+            });
+        }
+        assert!(clouds.has_times);
+        for delay in [0.0, 0.05, -0.05] {
+            let agreement = compare(&turns(delay, 1.0, 0.01), &clouds.turns).unwrap();
+            assert!((agreement.slope - 1.0).abs() < 0.03, "{agreement:?}");
+            assert!((agreement.lag + delay).abs() < 0.008, "{delay}: {agreement:?}");
+        }
+    }
+}

@@ -1,0 +1,198 @@
+//! Stamps that say when a message was handed on instead of when it was measured.
+//!
+//! A scanner measures at a steady rate. A busy computer between it and the recording stamps several of its
+//! messages in one go, after some time of nothing, and may even mix up their stamps: the order of arrival
+//! is right, the stamps are true times plus a delay that is never negative. The true time of message `k` is
+//! then at most `min over j >= k of (stamp_j - (j - k) * period)`, and close to that wherever one of the
+//! next messages came without delay (the lower envelope of Moon, Skelly and Towsley 1999 for clocks of
+//! networks, with the order of arrival as the device's own clock).
+
+use std::collections::VecDeque;
+
+use portolan_geometry::{Duration, Time};
+use portolan_recording::{RecordedMessage, StampPattern};
+
+/// How stamps of scanners and odometry are taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub enum StampPolicy {
+    /// As they are, unless they come in bursts or go back.
+    #[default]
+    Auto,
+    /// As they are.
+    AsIs,
+    /// Always as a steady rate and the order of arrival tell.
+    Regular,
+}
+
+/// So many stamps of the recent past decide whether they are steady.
+const WINDOW: usize = 200;
+/// Later messages of so many seconds are looked at for one that came without delay, but not more than so many.
+/// (Other sensors are waited for up to 2 s.)
+const LOOK_AHEAD: f64 = 1.5;
+const MOST_AHEAD: usize = 64;
+/// Times are taken to be this much closer than the mean interval, since some messages are lost.
+const FASTER_THAN_MEAN: f64 = 0.97;
+
+/// Follows the stamps of one sensor and, while they do not tell when it was measured, makes them even.
+#[derive(Debug)]
+pub(crate) struct EvenStamps {
+    policy: StampPolicy,
+    /// The newest stamps as they came.
+    recent: VecDeque<Time>,
+    since_judged: usize,
+    /// Seconds between messages, once stamps are not believed any more.
+    period: Option<f64>,
+    waiting: VecDeque<(Time, RecordedMessage)>,
+    last: Option<Time>,
+}
+
+impl EvenStamps {
+    pub fn new(policy: StampPolicy) -> Self {
+        Self {
+            policy,
+            recent: VecDeque::new(),
+            since_judged: 0,
+            period: None,
+            waiting: VecDeque::new(),
+            last: None,
+        }
+    }
+
+    /// Takes the stamp of a message. False if it can be used as it is at once; else the message waits.
+    pub fn holds(&mut self, stamp: Time, message: &RecordedMessage) -> bool {
+        if self.policy == StampPolicy::AsIs {
+            return false;
+        }
+        self.recent.push_back(stamp);
+        if self.recent.len() > WINDOW {
+            self.recent.pop_front();
+        }
+        self.since_judged += 1;
+        if self.since_judged >= StampPattern::ENOUGH / 2 {
+            self.since_judged = 0;
+            self.judge();
+        }
+        if self.period.is_none() {
+            self.last = self.last.max(Some(stamp));
+            return false;
+        }
+        // A repeated message is not another measurement.
+        if self.waiting.back().is_none_or(|(last, _)| *last != stamp) {
+            self.waiting.push_back((stamp, message.clone()));
+        }
+        true
+    }
+
+    /// Once in doubt, stamps stay in doubt: good ones lie on the envelope and are not changed much.
+    fn judge(&mut self) {
+        let Some(pattern) = StampPattern::of(self.recent.make_contiguous()) else { return };
+        if self.period.is_some() || pattern.is_disturbed() || self.policy == StampPolicy::Regular {
+            self.period = Some(FASTER_THAN_MEAN * pattern.period);
+        }
+    }
+
+    /// The next message whose time is known, with the stamp that it came with and its time.
+    pub fn pop(&mut self, at_end: bool) -> Option<(RecordedMessage, Time, Time)> {
+        let period = self.period?;
+        let ahead = MOST_AHEAD.min((LOOK_AHEAD / period) as usize + 1);
+        if self.waiting.is_empty() || (self.waiting.len() < ahead && !at_end) {
+            return None;
+        }
+        let latest = (0u32..)
+            .zip(self.waiting.iter().take(ahead))
+            .map(|(later, (stamp, _))| *stamp - Duration::from_seconds(f64::from(later) * period));
+        let latest = latest.min()?;
+        let (stamp, message) = self.waiting.pop_front()?;
+        let earliest =
+            self.last.map_or(Time::MIN, |last| last + Duration::from_seconds(StampPattern::BURST * period));
+        let time = latest.max(earliest);
+        self.last = Some(time);
+        Some((message, stamp, time))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use portolan_recording::{Message, TfMessage};
+
+    fn at(seconds: f64) -> Time {
+        Time::from_unix_seconds(1e9) + Duration::from_seconds(seconds)
+    }
+
+    fn message() -> RecordedMessage {
+        let message = Message::Tf(TfMessage { is_static: false, transforms: Vec::new() });
+        RecordedMessage { topic: Arc::from("/scan"), log_time: at(0.0), message }
+    }
+
+    /// Times as they come out, for messages with these stamps.
+    fn even(stamps: &[Time], policy: StampPolicy) -> Vec<Time> {
+        let mut even = EvenStamps::new(policy);
+        let mut times = Vec::new();
+        for stamp in stamps {
+            if !even.holds(*stamp, &message()) {
+                times.push(*stamp);
+            }
+            times.extend(std::iter::from_fn(|| even.pop(false)).map(|(_, _, time)| time));
+        }
+        times.extend(std::iter::from_fn(|| even.pop(true)).map(|(_, _, time)| time));
+        times
+    }
+
+    /// A computer that hands on what has come by then now and then.
+    fn in_bursts(count: u32, period: f64) -> (Vec<Time>, Vec<Time>) {
+        let truth: Vec<f64> = (0..count).map(|k| f64::from(k) * period).collect();
+        let stamps = truth.iter().enumerate().map(|(k, t)| {
+            let busy_until = (t / 0.9).ceil() * 0.9;
+            at(busy_until + 0.001 * (k % 5) as f64)
+        });
+        (stamps.collect(), truth.iter().map(|t| at(*t)).collect())
+    }
+
+    #[test]
+    fn bursts_become_even() {
+        let (stamps, truth) = in_bursts(1000, 0.2);
+        let times = even(&stamps, StampPolicy::Auto);
+        assert_eq!(times.len(), stamps.len());
+        for (time, truth) in times.iter().zip(&truth).skip(200) {
+            let error = time.seconds_since(*truth);
+            assert!(error.abs() < 0.25, "{error}");
+        }
+        let steps: Vec<f64> = times.windows(2).skip(200).map(|w| w[1].seconds_since(w[0])).collect();
+        assert!(steps.iter().all(|s| (0.1..0.4).contains(s)), "{steps:?}");
+    }
+
+    #[test]
+    fn steady_stamps_with_gaps_and_rests_stay_as_they_are() {
+        let mut stamps: Vec<Time> =
+            (0..2000).map(|k| at(0.2 * f64::from(k) + 0.003 * f64::from(k % 7))).collect();
+        stamps.drain(300..420);
+        stamps.drain(900..903);
+        assert_eq!(even(&stamps, StampPolicy::Auto), stamps);
+        let thinned: Vec<Time> = (0..500).map(|k| at(4.0 * f64::from(k) + 3.5 * f64::from(k % 2))).collect();
+        assert_eq!(even(&thinned, StampPolicy::Regular), thinned);
+        let (bursts, _) = in_bursts(500, 0.2);
+        assert_eq!(even(&bursts, StampPolicy::AsIs), bursts);
+    }
+
+    proptest! {
+        #[test]
+        fn times_ascend_and_nothing_is_lost(delays in prop::collection::vec(0.0f64..1.5, 100..600)) {
+            let stamps: Vec<Time> =
+                delays.iter().enumerate().map(|(k, delay)| at(0.1 * k as f64 + delay)).collect();
+            prop_assert_eq!(even(&stamps, StampPolicy::Regular).len(), stamps.len());
+            let mut even = EvenStamps::new(StampPolicy::Regular);
+            let mut times = Vec::new();
+            for (i, stamp) in stamps.iter().enumerate() {
+                even.holds(*stamp, &message());
+                let at_end = i + 1 == stamps.len();
+                times.extend(std::iter::from_fn(|| even.pop(at_end)).map(|(_, _, time)| time));
+            }
+            prop_assert!(times.is_sorted_by(|a, b| a < b));
+        }
+    }
+}

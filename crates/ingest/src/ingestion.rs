@@ -1,0 +1,309 @@
+//! A recording as measurements in the tracking frame.
+
+mod messages;
+mod setup;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_recording::{Message, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
+use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
+
+use crate::azimuth_time::AzimuthTimes;
+use crate::clock::{Ascending, Order, SensorClock};
+use crate::convert::{Frames, LocalFixes};
+use crate::even_stamps::EvenStamps;
+use crate::gnss::GeodeticPosition;
+use crate::laser::BeamDirections;
+use crate::options::IngestOptions;
+use crate::plan::{ImuScale, PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};
+use crate::point_time::PointTime;
+use crate::read_ahead::ReadAhead;
+use crate::survey::{Inventory, is_tf};
+use crate::tf::{TfError, TfInput};
+
+/// Why a recording cannot be turned into measurements.
+#[derive(Debug, thiserror::Error)]
+pub enum IngestError {
+    /// The recording cannot be read.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// No plan could be made.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+}
+
+/// What a topic is used for.
+#[derive(Clone, Debug)]
+enum Role {
+    /// `turn`: seconds between clouds, where known.
+    Range {
+        point_time: Option<PointTime>,
+        azimuth_times: AzimuthTimes,
+        turn: Option<f64>,
+        directions: Box<BeamDirections>,
+    },
+    Imu {
+        scale: ImuScale,
+    },
+    Odometry,
+    NavSat,
+    FixedFramePose,
+    Landmarks,
+}
+
+/// A sensor while it is read.
+struct Sensor {
+    id: SensorId,
+    topic: Arc<str>,
+    role: Role,
+    clock: SensorClock,
+    even_stamps: EvenStamps,
+    order: Ascending,
+    sampler: usize,
+}
+
+/// Odometry that comes as transforms.
+struct TransformOdometry {
+    id: SensorId,
+    parent: Arc<str>,
+    child: Arc<str>,
+    order: Ascending,
+}
+
+/// Samplers of the five kinds of sensors, as the reference has them.
+const RANGE: usize = 0;
+const ODOMETRY: usize = 1;
+const FIXED_FRAME_POSE: usize = 2;
+const IMU: usize = 3;
+const LANDMARKS: usize = 4;
+
+/// Measurements of a recording, in the order of the recording.
+///
+/// Memory stays independent of the length of the recording: messages wait for their transforms for 1 s
+/// at most.
+pub struct Ingestion {
+    plan: SensorPlan,
+    source: ReadAhead,
+    sensors: BTreeMap<Arc<str>, Vec<Sensor>>,
+    transform_odometry: Option<TransformOdometry>,
+    samplers: [FixedRatioSampler; 5],
+    fixes: LocalFixes,
+    subdivisions: usize,
+    with_intensities: bool,
+    ignore_out_of_order: bool,
+    start: Time,
+    end: Time,
+    /// Measurements that are ready, in reverse order.
+    ready: Vec<(SensorId, Measurement)>,
+    log_time: Option<Time>,
+    /// Stamp that a message came with minus the one that is used.
+    stamp_correction: Duration,
+    recorded_times: BTreeMap<Time, Time>,
+    ended: bool,
+    repairs: RepairLog,
+    size_bytes: u64,
+}
+
+impl Ingestion {
+    /// Looks at the recording, makes a plan and starts to read.
+    pub fn new(recording: &dyn Recording, options: &IngestOptions) -> Result<Self, IngestError> {
+        let inventory = Inventory::of(recording, options)?;
+        let plan = plan(&inventory, options)?;
+        Self::with_plan(recording, &inventory, plan, options)
+    }
+
+    /// Starts to read as planned.
+    pub fn with_plan(
+        recording: &dyn Recording,
+        inventory: &Inventory,
+        plan: SensorPlan,
+        options: &IngestOptions,
+    ) -> Result<Self, IngestError> {
+        let samplers = setup::samplers(&options.sampling)?;
+        let sensors = setup::sensors(&plan, options.stamps);
+        let transform_odometry = match &plan.odometry {
+            Some(PlannedOdometry::Transforms { sensor, parent, child }) => Some(TransformOdometry {
+                id: sensor.clone(),
+                parent: parent.clone(),
+                child: child.clone(),
+                order: Ascending::default(),
+            }),
+            _ => None,
+        };
+        let needs_tf = options.use_recorded_transforms
+            && (transform_odometry.is_some() || setup::moves(inventory, &plan));
+        let wanted = |t: &TopicInfo| sensors.contains_key(&t.topic) || (needs_tf && is_tf(&t.type_name));
+        let reader = recording.read(&wanted)?;
+        let tf = TfInput::new(&options.map_frame);
+        let start = inventory.first_time.map_or(Time::MIN, |first| first + options.skip);
+        let mut repairs = RepairLog::default();
+        repairs.merge(&inventory.repairs);
+        if !needs_tf {
+            // Otherwise they are read again and counted then.
+            repairs.merge(&inventory.moving_repairs);
+        }
+        Ok(Self {
+            plan,
+            source: ReadAhead::new(reader, inventory.tree.clone(), tf, needs_tf),
+            sensors,
+            transform_odometry,
+            samplers,
+            fixes: LocalFixes::default(),
+            subdivisions: options.num_subdivisions_per_laser_scan.max(1),
+            with_intensities: options.with_intensities,
+            ignore_out_of_order: options.ignore_out_of_order,
+            start: if options.skip > Duration::ZERO { start } else { Time::MIN },
+            end: options.length.map_or(Time::MAX, |length| start + length),
+            ready: Vec::new(),
+            log_time: None,
+            stamp_correction: Duration::ZERO,
+            recorded_times: BTreeMap::new(),
+            ended: false,
+            repairs,
+            size_bytes: recording.size_bytes(),
+        })
+    }
+
+    /// The plan in use.
+    pub fn plan(&self) -> &SensorPlan {
+        &self.plan
+    }
+
+    /// What the defaults of mapping depend on.
+    pub fn statistics(&self) -> SensorStatistics {
+        self.plan.statistics()
+    }
+
+    /// All sensors in ascending order, as the collator expects them.
+    pub fn sensors(&self) -> Vec<SensorId> {
+        self.plan.sensors()
+    }
+
+    /// The next measurement, `None` at the end. An error ends the reading.
+    pub fn next_measurement(&mut self) -> Result<Option<(SensorId, Measurement)>, RecordingError> {
+        loop {
+            if let Some(measurement) = self.ready.pop() {
+                return Ok(Some(measurement));
+            }
+            match self.source.next()?.filter(|message| message.log_time <= self.end) {
+                Some(message) => {
+                    self.log_time = Some(message.log_time);
+                    if message.log_time >= self.start {
+                        self.take(message);
+                    }
+                }
+                None if self.ended => return Ok(None),
+                None => {
+                    self.ended = true;
+                    self.take_waiting();
+                }
+            }
+            self.ready.reverse();
+        }
+    }
+
+    /// Range data whose stamps were changed: their times as used, and as recorded.
+    pub fn recorded_times(&self) -> &BTreeMap<Time, Time> {
+        &self.recorded_times
+    }
+
+    /// Time of recording of the message the last measurement came from.
+    pub fn log_time(&self) -> Option<Time> {
+        self.log_time
+    }
+
+    /// Bytes of the recording consumed, and all of them.
+    pub fn progress(&self) -> (u64, u64) {
+        (self.source.position_bytes(), self.size_bytes)
+    }
+
+    /// Everything that was repaired or left out so far, the format's own repairs included.
+    pub fn repairs(&self) -> Vec<Repair> {
+        let mut repairs = self.repairs.clone();
+        repairs.merge(&self.source.repairs());
+        repairs.merge(&self.source.tf.repairs().list());
+        repairs.list()
+    }
+
+    /// Where the frame of satellite fixes begins: the first fix.
+    pub fn nav_sat_origin(&self) -> Option<GeodeticPosition> {
+        self.fixes.origin()
+    }
+
+    fn take(&mut self, message: RecordedMessage) {
+        if let Message::Tf(transforms) = &message.message {
+            self.take_transforms(transforms);
+            return;
+        }
+        // Taken out while they are at work, because they write to the rest of the ingestion.
+        let Some(mut sensors) = self.sensors.remove(&message.topic) else { return };
+        for sensor in &mut sensors {
+            self.take_message(sensor, &message);
+        }
+        self.sensors.insert(message.topic, sensors);
+    }
+
+    /// Takes the messages that waited for later ones to tell their times.
+    fn take_waiting(&mut self) {
+        let mut all = std::mem::take(&mut self.sensors);
+        for sensor in all.values_mut().flatten() {
+            self.take_evened(sensor, true);
+        }
+        self.sensors = all;
+    }
+
+    /// `tracking_from_frame`, or the message is counted as lost.
+    fn tracking_from(&mut self, topic: &str, frame: &str, time: Time) -> Option<Rigid3> {
+        let frames = Frames { tree: &self.source.tree, tracking: &self.plan.tracking_frame };
+        match frames.tracking_from(frame, time) {
+            Ok(pose) => Some(pose),
+            Err(TfError::NotAtThisTime { child, parent, .. }) => {
+                let what =
+                    format!("messages were left out: \"{child}\" in \"{parent}\" is not known at their time");
+                self.lost(topic, &what, 1);
+                None
+            }
+            Err(error) => {
+                self.lost(topic, &format!("messages were left out: {error}"), 1);
+                None
+            }
+        }
+    }
+
+    fn is_later(&mut self, order: &mut Ascending, topic: &str, time: Time) -> bool {
+        let what = match order.check(time) {
+            Order::Later => return true,
+            Order::Same => "measurements with the time of the one before were left out",
+            Order::Backward => "measurements with an earlier time than the one before were left out",
+        };
+        self.count(topic, what, !self.ignore_out_of_order, 1);
+        false
+    }
+
+    fn repaired(&mut self, topic: &str, what: &str, count: u64) {
+        self.count(topic, what, false, count);
+    }
+
+    fn lost(&mut self, topic: &str, what: &str, count: u64) {
+        self.count(topic, what, true, count);
+    }
+
+    fn count(&mut self, topic: &str, what: &str, lost_data: bool, count: u64) {
+        if count > 0 {
+            self.repairs.add(format!("{topic}: {what}"), lost_data, count);
+        }
+    }
+}
+
+impl Iterator for Ingestion {
+    type Item = Result<(SensorId, Measurement), RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.next_measurement().transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,84 @@
+//! Sensors and samplers as planned.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use portolan_sensor::FixedRatioSampler;
+
+use super::{FIXED_FRAME_POSE, IMU, LANDMARKS, ODOMETRY, RANGE, Role, Sensor};
+use crate::clock::{Ascending, SensorClock};
+use crate::even_stamps::{EvenStamps, StampPolicy};
+use crate::options::SamplingRatios;
+use crate::plan::{PlanError, PlannedOdometry, PlannedSensor, SensorPlan};
+use crate::survey::Inventory;
+
+pub(super) fn samplers(ratios: &SamplingRatios) -> Result<[FixedRatioSampler; 5], PlanError> {
+    let sampler =
+        |ratio| FixedRatioSampler::new(ratio).map_err(|e| PlanError::Option { detail: e.to_string() });
+    Ok([
+        sampler(ratios.rangefinder)?,
+        sampler(ratios.odometry)?,
+        sampler(ratios.fixed_frame_pose)?,
+        sampler(ratios.imu)?,
+        sampler(ratios.landmarks)?,
+    ])
+}
+
+/// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry.
+pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<str>, Vec<Sensor>> {
+    let mut sensors: BTreeMap<Arc<str>, Vec<Sensor>> = BTreeMap::new();
+    let mut add = |source: &PlannedSensor, role: Role, sampler: usize| {
+        // Fixes and landmarks have no steady rate.
+        let is_steady = matches!(role, Role::Range { .. } | Role::Imu { .. } | Role::Odometry);
+        sensors.entry(source.topic.clone()).or_default().push(Sensor {
+            even_stamps: EvenStamps::new(if is_steady { stamps } else { StampPolicy::AsIs }),
+            id: source.sensor.clone(),
+            topic: source.topic.clone(),
+            role,
+            clock: SensorClock::new(source.clock_shift, source.usual_lag),
+            order: Ascending::default(),
+            sampler,
+        });
+    };
+    for range in &plan.range {
+        let rate = range.statistics.rate;
+        let turn = (rate > 0.0 && rate.is_finite()).then(|| 1.0 / rate);
+        add(
+            &range.source,
+            Role::Range {
+                point_time: range.point_time,
+                azimuth_times: range.azimuth_times,
+                turn,
+                directions: Box::default(),
+            },
+            RANGE,
+        );
+    }
+    if let Some(imu) = &plan.imu {
+        add(&imu.source, Role::Imu { scale: imu.scale }, IMU);
+    }
+    if let Some(PlannedOdometry::Topic(source)) = &plan.odometry {
+        add(source, Role::Odometry, ODOMETRY);
+    }
+    if let Some(source) = &plan.nav_sat {
+        add(source, Role::NavSat, FIXED_FRAME_POSE);
+    }
+    if let Some(source) = &plan.fixed_frame_pose {
+        add(source, Role::FixedFramePose, FIXED_FRAME_POSE);
+    }
+    if let Some(source) = &plan.landmarks {
+        add(source, Role::Landmarks, LANDMARKS);
+    }
+    sensors
+}
+
+/// Whether some sensor moves against the tracking frame, so that `/tf` must be read.
+pub(super) fn moves(inventory: &Inventory, plan: &SensorPlan) -> bool {
+    let mut frames: Vec<&str> = plan.range.iter().map(|r| &*r.source.frame).collect();
+    frames.extend(plan.imu.iter().map(|i| &*i.source.frame));
+    frames.extend(plan.landmarks.iter().map(|l| &*l.frame));
+    if let Some(PlannedOdometry::Topic(source)) = &plan.odometry {
+        frames.push(&source.frame);
+    }
+    frames.iter().any(|f| !f.is_empty() && inventory.tree.lookup_static(&plan.tracking_frame, f).is_none())
+}

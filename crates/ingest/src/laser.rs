@@ -1,0 +1,244 @@
+//! Laser scans as timed points in the frame of the scanner.
+
+use portolan_geometry::{Point3f, Time};
+use portolan_recording::{LaserScan, MultiEchoLaserScan};
+use portolan_sensor::TimedPoint;
+
+use crate::timed_points::TimedPoints;
+
+/// Readings beyond this are no distances, metres.
+const HUGE: f32 = 1e6;
+/// A scan takes no longer than this, seconds.
+const LONGEST_SCAN: f32 = 10.0;
+
+/// What was wrong with the readings and limits of a scan, and what was done about it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ScanFaults {
+    /// Readings that are not a number: taken as nothing seen.
+    pub nan_readings: u64,
+    /// Readings below zero (minus infinity, which says "too near", is none).
+    pub negative_readings: u64,
+    /// Readings beyond 1,000 km that are not infinite.
+    pub huge_readings: u64,
+    /// `range_min > range_max`, or not numbers: the limits are not used.
+    pub bad_limits: bool,
+    /// `angle_increment` is zero, not a number or points the other way than the limits.
+    pub bad_increment: bool,
+    /// `time_increment` is negative, not a number or makes the scan longer than 10 s: taken as zero.
+    pub bad_time_increment: bool,
+}
+
+/// What a laser scan and a multi-echo scan have in common.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ScanShape {
+    pub angle_min: f32,
+    pub angle_max: f32,
+    pub angle_increment: f32,
+    pub time_increment: f32,
+    pub range_min: f32,
+    pub range_max: f32,
+    pub beams: usize,
+}
+
+impl ScanShape {
+    pub fn of<R>(scan: &LaserScan<R>) -> Self {
+        Self {
+            angle_min: scan.angle_min,
+            angle_max: scan.angle_max,
+            angle_increment: scan.angle_increment,
+            time_increment: scan.time_increment,
+            range_min: scan.range_min,
+            range_max: scan.range_max,
+            beams: scan.ranges.len(),
+        }
+    }
+
+    /// Makes the shape usable and says what was not.
+    pub fn repair(&mut self) -> ScanFaults {
+        let mut faults = ScanFaults::default();
+        if !self.angle_min.is_finite() {
+            (self.angle_min, faults.bad_increment) = (0.0, true);
+        }
+        let (increment, span) = (self.angle_increment, self.angle_max - self.angle_min);
+        if self.beams > 1 && (!increment.is_finite() || increment == 0.0) {
+            faults.bad_increment = true;
+            self.angle_increment = if span.is_finite() { span / (self.beams - 1) as f32 } else { 0.0 };
+        } else if self.beams > 1 && span.is_finite() && span * increment < 0.0 {
+            // Which of the two is wrong cannot be told; drivers compute with the increment.
+            faults.bad_increment = true;
+        }
+        if self.range_min < 0.0 || self.range_min.is_nan() {
+            (self.range_min, faults.bad_limits) = (0.0, true);
+        }
+        if self.range_max.is_nan() || self.range_max < self.range_min || self.range_max <= 0.0 {
+            (self.range_min, self.range_max, faults.bad_limits) = (0.0, f32::INFINITY, true);
+        }
+        let duration = self.time_increment * self.beams as f32;
+        if !duration.is_finite() || self.time_increment < 0.0 || duration > LONGEST_SCAN {
+            (self.time_increment, faults.bad_time_increment) = (0.0, true);
+        }
+        faults
+    }
+}
+
+/// Sines and cosines of the beams, computed once per scanner.
+#[derive(Clone, Debug, Default)]
+pub struct BeamDirections {
+    key: Option<(u32, u32, usize)>,
+    directions: Vec<(f32, f32)>,
+}
+
+impl BeamDirections {
+    /// Directions of beams `angle_min`, `angle_min + increment`, …, summed up in `f32`
+    /// (`spec/slam2d.md` §1).
+    fn of(&mut self, shape: &ScanShape) -> &[(f32, f32)] {
+        let key = (shape.angle_min.to_bits(), shape.angle_increment.to_bits(), shape.beams);
+        if self.key != Some(key) {
+            let mut angle = shape.angle_min;
+            self.directions.clear();
+            for _ in 0..shape.beams {
+                let (sin, cos) = angle.sin_cos();
+                self.directions.push((cos, sin));
+                angle += shape.angle_increment;
+            }
+            self.key = Some(key);
+        }
+        &self.directions
+    }
+}
+
+/// The readings of a scan between its limits as points in the frame of the scanner; times of points
+/// count to the last of them, whose time is that of the result (`spec/slam2d.md` §1).
+///
+/// `readings` gives range and intensity of each beam.
+pub(crate) fn points_of_scan(
+    stamp: Time,
+    mut shape: ScanShape,
+    readings: impl Iterator<Item = (f32, f32)>,
+    with_intensities: bool,
+    directions: &mut BeamDirections,
+) -> (TimedPoints, ScanFaults) {
+    let mut faults = shape.repair();
+    let directions = directions.of(&shape);
+    let mut result = TimedPoints::with_capacity(shape.beams, with_intensities);
+    for (i, ((range, intensity), (cos, sin))) in readings.zip(directions).enumerate() {
+        if shape.range_min <= range && range <= shape.range_max && range < HUGE {
+            let position = Point3f::new(cos * range, sin * range, 0.0);
+            result.points.push(TimedPoint { position, time: i as f32 * shape.time_increment });
+            if with_intensities {
+                result.intensities.push(intensity);
+            }
+        } else {
+            faults.nan_readings += u64::from(range.is_nan());
+            faults.negative_readings += u64::from(range < 0.0 && range.is_finite());
+            faults.huge_readings += u64::from(range.is_finite() && range >= HUGE);
+        }
+    }
+    result.rebase(stamp);
+    (result, faults)
+}
+
+/// The readings of a scan between its limits as points in the frame of the scanner, and what was wrong with it; times of
+/// points count to the last of them, whose time is that of the result (`spec/slam2d.md` §1). `stamp` stands for that of
+/// the message, and `directions` are kept from scan to scan.
+pub fn points_of_laser_scan(
+    stamp: Time,
+    scan: &LaserScan,
+    with_intensities: bool,
+    directions: &mut BeamDirections,
+) -> (TimedPoints, ScanFaults) {
+    let intensity = |i: usize| scan.intensities.get(i).copied().unwrap_or(0.0);
+    let readings = scan.ranges.iter().enumerate().map(|(i, range)| (*range, intensity(i)));
+    points_of_scan(stamp, ScanShape::of(scan), readings, with_intensities, directions)
+}
+
+/// As [`points_of_laser_scan`], of the first echo of every beam.
+pub fn points_of_echoes(
+    stamp: Time,
+    scan: &MultiEchoLaserScan,
+    with_intensities: bool,
+    directions: &mut BeamDirections,
+) -> (TimedPoints, ScanFaults) {
+    let first = |echoes: Option<&Vec<f32>>| echoes.and_then(|e| e.first().copied());
+    // A beam without any echo saw nothing; that is no fault.
+    let readings = scan.ranges.iter().enumerate().map(|(i, echoes)| {
+        (first(Some(echoes)).unwrap_or(f32::INFINITY), first(scan.intensities.get(i)).unwrap_or(0.0))
+    });
+    points_of_scan(stamp, ScanShape::of(scan), readings, with_intensities, directions)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_recording::Header;
+    use std::f32::consts::{FRAC_PI_4, PI};
+
+    fn scan(ranges: Vec<f32>) -> LaserScan {
+        LaserScan {
+            header: Header { stamp: Time::UNIX_EPOCH, frame_id: "laser".into() },
+            angle_min: 0.0,
+            angle_max: 2.0 * PI,
+            angle_increment: FRAC_PI_4,
+            time_increment: 0.0,
+            scan_time: 0.0,
+            range_min: 0.0,
+            range_max: 10.0,
+            ranges,
+            intensities: Vec::new(),
+        }
+    }
+
+    fn convert(scan: &LaserScan) -> (TimedPoints, ScanFaults) {
+        points_of_laser_scan(scan.header.stamp, scan, false, &mut BeamDirections::default())
+    }
+
+    #[test]
+    fn eight_unit_directions() {
+        let (points, faults) = convert(&scan(vec![1.0; 8]));
+        let d = 0.5f32.sqrt();
+        let expected = [(1.0, 0.0), (d, d), (0.0, 1.0), (-d, d), (-1.0, 0.0), (-d, -d), (0.0, -1.0), (d, -d)];
+        for (point, (x, y)) in points.points.iter().zip(expected) {
+            assert!((point.position - Point3f::new(x, y, 0.0)).norm() < 1e-6);
+            assert_eq!(point.time, 0.0);
+        }
+        assert_eq!((points.points.len(), faults), (8, ScanFaults::default()));
+    }
+
+    #[test]
+    fn readings_beyond_the_limits_are_dropped() {
+        let mut message = scan(vec![1.0, f32::INFINITY, 2.0, f32::NAN, 3.0]);
+        message.range_min = 2.0;
+        let (points, faults) = convert(&message);
+        let positions: Vec<Point3f> = points.points.iter().map(|p| p.position).collect();
+        assert_eq!(positions.len(), 2);
+        assert!((positions[0] - Point3f::new(0.0, 2.0, 0.0)).norm() < 1e-6);
+        assert!((positions[1] - Point3f::new(-3.0, 0.0, 0.0)).norm() < 1e-6);
+        assert_eq!(faults.nan_readings, 1);
+    }
+
+    #[test]
+    fn times_count_to_the_last_kept_point() {
+        let mut message = scan(vec![1.0, 1.0, 1.0, 99.0]);
+        message.time_increment = 0.01;
+        let (points, _) = convert(&message);
+        assert_eq!(
+            points.time,
+            Time::UNIX_EPOCH + portolan_geometry::Duration::from_seconds(f64::from(0.02f32))
+        );
+        let times: Vec<f32> = points.points.iter().map(|p| p.time).collect();
+        assert_eq!(times, [-0.02, -0.01, 0.0]);
+    }
+
+    #[test]
+    fn wrong_limits_and_increments_are_repaired() {
+        let mut message = scan(vec![1.0, 5.0, -1.0, 1e9]);
+        (message.range_min, message.range_max) = (3.0, 2.0);
+        message.angle_increment = 0.0;
+        message.time_increment = -1.0;
+        let (points, faults) = convert(&message);
+        assert_eq!(points.points.len(), 2);
+        assert!(faults.bad_limits && faults.bad_increment && faults.bad_time_increment);
+        assert_eq!((faults.negative_readings, faults.huge_readings), (1, 1));
+        assert!((points.points[1].position.y - 5.0 * (2.0 * PI / 3.0).sin()).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,44 @@
+#![doc = include_str!("../README.md")]
+
+mod azimuth_time;
+mod clock;
+mod convert;
+mod even_stamps;
+mod gnss;
+mod ingestion;
+mod laser;
+mod options;
+mod plan;
+mod point_cloud2;
+mod point_time;
+mod read_ahead;
+mod seam;
+mod statistics;
+mod survey;
+#[cfg(test)]
+mod test_messages;
+mod tf;
+mod timed_points;
+mod urdf;
+
+pub use azimuth_time::AzimuthTimes;
+pub use even_stamps::StampPolicy;
+pub use gnss::GeodeticPosition;
+pub use ingestion::{IngestError, Ingestion};
+pub use options::{ConfiguredSensors, Dimension, IngestOptions, SamplingRatios};
+pub use plan::{
+    Notice, PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan,
+    SensorStatistics, plan,
+};
+pub use point_time::{PointTime, PointTimeOrigin};
+pub use statistics::{ImuStatistics, RangeStatistics};
+pub use survey::{Inventory, TopicSurvey};
+pub use tf::{TfError, TfInput, TfTree, frame_name};
+pub use urdf::{FixedJoint, RobotDescription, parse_urdf, read_urdf};
+
+// How single messages are read, for those who judge recordings by what mapping would make of them.
+pub use convert::{MAX_ACCELERATION, MAX_ANGULAR_VELOCITY, pose_of};
+pub use laser::{BeamDirections, ScanFaults, points_of_echoes, points_of_laser_scan};
+pub use point_cloud2::{CloudError, CloudFaults, CloudLayout};
+pub use statistics::{FAST_TURN, is_partial};
+pub use timed_points::TimedPoints;

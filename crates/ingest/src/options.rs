@@ -1,0 +1,148 @@
+//! What may be told about the sensors of a recording; everything else is found out.
+
+use portolan_geometry::Duration;
+
+use crate::RobotDescription;
+use crate::azimuth_time::AzimuthTimes;
+use crate::even_stamps::StampPolicy;
+
+/// Whether mapping happens in the plane or in space.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+pub enum Dimension {
+    /// In the plane.
+    Two,
+    /// In space.
+    Three,
+}
+
+/// Sensors as a robot configuration names them (`spec/options.md` §8): `scan` or `scan_1` …,
+/// `echoes`, `points2`, and `odom`, `imu`, `fix`, `landmark`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ConfiguredSensors {
+    /// Number of laser scanners.
+    pub num_laser_scans: usize,
+    /// Number of multi-echo laser scanners.
+    pub num_multi_echo_laser_scans: usize,
+    /// Number of sources of point clouds.
+    pub num_point_clouds: usize,
+    /// Whether odometry is used; none: if there is any.
+    pub use_odometry: Option<bool>,
+    /// Whether the IMU is used; none: if there is one that is plausible.
+    pub use_imu: Option<bool>,
+    /// Whether satellite fixes are used; none: no.
+    pub use_nav_sat: Option<bool>,
+    /// Whether landmarks are used; none: if there are any.
+    pub use_landmarks: Option<bool>,
+}
+
+/// Share of messages that is kept, 0 to 1, per kind of sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SamplingRatios {
+    /// Laser scans and point clouds.
+    pub rangefinder: f64,
+    /// Odometry.
+    pub odometry: f64,
+    /// Satellite fixes and other poses in a fixed frame.
+    pub fixed_frame_pose: f64,
+    /// IMU.
+    pub imu: f64,
+    /// Landmarks.
+    pub landmarks: f64,
+}
+
+impl Default for SamplingRatios {
+    fn default() -> Self {
+        Self { rangefinder: 1.0, odometry: 1.0, fixed_frame_pose: 1.0, imu: 1.0, landmarks: 1.0 }
+    }
+}
+
+/// How to turn a recording into measurements. The default finds everything out by itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IngestOptions {
+    /// Topics of scans and point clouds to use; empty: found out.
+    pub range_topics: Vec<String>,
+    /// Topic of odometry; none: found out.
+    pub odometry_topic: Option<String>,
+    /// Topic of the IMU; none: found out.
+    pub imu_topic: Option<String>,
+    /// Topic of satellite fixes; naming one switches them on.
+    pub nav_sat_topic: Option<String>,
+    /// Topic of landmarks; none: found out.
+    pub landmark_topic: Option<String>,
+    /// Topic of poses in a fixed frame (`geometry_msgs/PoseStamped` of the tracking frame).
+    pub fixed_frame_pose_topic: Option<String>,
+    /// Whether to use odometry; none: if there is any.
+    pub use_odometry: Option<bool>,
+    /// Whether to use the IMU; none: if there is one that is plausible.
+    pub use_imu: Option<bool>,
+    /// Whether to use satellite fixes; none: only if a topic is named.
+    pub use_nav_sat: Option<bool>,
+    /// Whether to use landmarks; none: if there are any.
+    pub use_landmarks: Option<bool>,
+    /// The frame whose motion is wanted; none: found out.
+    pub tracking_frame: Option<String>,
+    /// Transforms below this frame are results of mapping and are not used.
+    pub map_frame: String,
+    /// In the plane or in space; none: found out.
+    pub dimension: Option<Dimension>,
+    /// Sensors as a configuration names them; they replace what would be found out.
+    pub configured: Option<ConfiguredSensors>,
+    /// Pairs (name, topic): the sensor that a configuration calls `name` is on `topic`.
+    pub remappings: Vec<(String, String)>,
+    /// Robot description whose fixed joints count as transforms.
+    pub description: Option<RobotDescription>,
+    /// Whether to use the transforms in the recording.
+    pub use_recorded_transforms: bool,
+    /// Every laser scan is split into this many pieces in time (point clouds are not).
+    pub num_subdivisions_per_laser_scan: usize,
+    /// What to do with clouds whose points have no times of their own; unless it is `Auto`, those of spinning lidars
+    /// are not used.
+    pub azimuth_times: AzimuthTimes,
+    /// Pairs of a topic and what to add to its stamps and times of points.
+    pub time_offsets: Vec<(String, Duration)>,
+    /// How stamps are taken.
+    pub stamps: StampPolicy,
+    /// Thinning of messages.
+    pub sampling: SamplingRatios,
+    /// Messages out of order are always left out and counted; this says that they are no loss.
+    pub ignore_out_of_order: bool,
+    /// Whether points carry intensities.
+    pub with_intensities: bool,
+    /// How much to leave out at the beginning.
+    pub skip: Duration,
+    /// How much to read after that; none: all.
+    pub length: Option<Duration>,
+}
+
+impl Default for IngestOptions {
+    fn default() -> Self {
+        Self {
+            range_topics: Vec::new(),
+            odometry_topic: None,
+            imu_topic: None,
+            nav_sat_topic: None,
+            landmark_topic: None,
+            fixed_frame_pose_topic: None,
+            use_odometry: None,
+            use_imu: None,
+            use_nav_sat: None,
+            use_landmarks: None,
+            tracking_frame: None,
+            map_frame: "map".to_owned(),
+            dimension: None,
+            configured: None,
+            remappings: Vec::new(),
+            description: None,
+            use_recorded_transforms: true,
+            num_subdivisions_per_laser_scan: 1,
+            azimuth_times: AzimuthTimes::default(),
+            time_offsets: Vec::new(),
+            stamps: StampPolicy::default(),
+            sampling: SamplingRatios::default(),
+            ignore_out_of_order: false,
+            with_intensities: false,
+            skip: Duration::ZERO,
+            length: None,
+        }
+    }
+}

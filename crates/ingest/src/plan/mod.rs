@@ -1,0 +1,293 @@
+//! Which topic is which sensor, and whose motion is wanted.
+//!
+//! Everything is chosen by rules from the first look at the recording, unless it is told. Where there
+//! was a choice, a [`Notice`] says what was chosen and how to choose otherwise.
+
+mod clocks;
+mod odometry;
+mod range;
+mod request;
+mod tracking;
+
+use std::sync::Arc;
+
+use portolan_geometry::Duration;
+use portolan_sensor::{SensorId, SensorKind};
+
+use crate::azimuth_time::AzimuthTimes;
+use crate::options::{Dimension, IngestOptions};
+use crate::point_time::PointTime;
+use crate::statistics::{ImuStatistics, RangeStatistics};
+use crate::survey::{Inventory, TopicSurvey};
+use request::Request;
+
+/// Something that was chosen and may be chosen otherwise.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Notice {
+    /// What was chosen and why.
+    pub what: String,
+    /// How to choose otherwise; empty if there is nothing to choose.
+    pub change: String,
+}
+
+/// Why no plan could be made.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PlanError {
+    /// The recording has no scans or clouds that can be used.
+    #[error("there is nothing to map with: {detail}")]
+    NoRangeSensor {
+        /// What there is, and what to do.
+        detail: String,
+    },
+    /// A topic that was asked for is not there.
+    #[error("{asked}: the recording has no topic \"{topic}\"; topics of that kind: {available}")]
+    NoTopic {
+        /// Who asked for it.
+        asked: String,
+        /// The topic.
+        topic: String,
+        /// Topics of the right type.
+        available: String,
+    },
+    /// A topic that was asked for is something else.
+    #[error(
+        "topic \"{topic}\" is of type {type_name}, but {wanted} is needed; topics of that kind: {available}"
+    )]
+    WrongType {
+        /// The topic.
+        topic: String,
+        /// Its type.
+        type_name: String,
+        /// Types that would do.
+        wanted: String,
+        /// Topics of the right type.
+        available: String,
+    },
+    /// A frame that was asked for is not there, or no transform leads to it.
+    #[error("{detail}")]
+    Frame {
+        /// What is missing, and what to do.
+        detail: String,
+    },
+    /// An option makes no sense.
+    #[error("{detail}")]
+    Option {
+        /// What is wrong.
+        detail: String,
+    },
+}
+
+/// A topic that is used as a sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannedSensor {
+    /// Name of the sensor: the topic without its slash, or the name in the configuration.
+    pub sensor: SensorId,
+    /// The topic.
+    pub topic: Arc<str>,
+    /// Frame of its first message.
+    pub frame: Arc<str>,
+    /// Added to its stamps, where its clock is another one than that of the first range sensor.
+    pub clock_shift: Duration,
+    /// Usual time of recording minus shifted stamp.
+    pub usual_lag: Option<Duration>,
+}
+
+/// A range sensor that is used.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannedRange {
+    /// Topic and so on.
+    pub source: PlannedSensor,
+    /// What the times of points mean (point clouds only).
+    pub point_time: Option<PointTime>,
+    /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`].
+    pub azimuth_times: AzimuthTimes,
+    /// What it is like.
+    pub statistics: RangeStatistics,
+}
+
+/// Where odometry comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PlannedOdometry {
+    /// Odometry messages; the frame of the source is the child frame.
+    Topic(PlannedSensor),
+    /// Transforms from a parent to a moving child.
+    Transforms {
+        /// Name of the sensor.
+        sensor: SensorId,
+        /// Odometry frame.
+        parent: Arc<str>,
+        /// Frame of the robot.
+        child: Arc<str>,
+    },
+}
+
+/// What brings the samples of an IMU to m/s² and rad/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuScale {
+    /// 9.80665 where accelerations are in g.
+    pub acceleration: f64,
+    /// π/180 where angular velocities are in degrees per second.
+    pub angular_velocity: f64,
+}
+
+/// An IMU that is used.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannedImu {
+    /// Topic and so on.
+    pub source: PlannedSensor,
+    /// What samples are multiplied by.
+    pub scale: ImuScale,
+    /// What it is like.
+    pub statistics: ImuStatistics,
+}
+
+/// Which topics are which sensors.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorPlan {
+    /// In the plane or in space.
+    pub dimension: Dimension,
+    /// The frame whose motion is wanted.
+    pub tracking_frame: String,
+    /// At least one.
+    pub range: Vec<PlannedRange>,
+    /// Odometry, if used.
+    pub odometry: Option<PlannedOdometry>,
+    /// Interval between odometry messages, seconds.
+    pub odometry_interval: Option<f64>,
+    /// IMU, if used.
+    pub imu: Option<PlannedImu>,
+    /// Satellite fixes, if used.
+    pub nav_sat: Option<PlannedSensor>,
+    /// Poses in a fixed frame, if used.
+    pub fixed_frame_pose: Option<PlannedSensor>,
+    /// Landmarks, if used.
+    pub landmarks: Option<PlannedSensor>,
+    /// What was chosen.
+    pub notices: Vec<Notice>,
+}
+
+/// What the defaults of mapping depend on.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct SensorStatistics {
+    /// In the plane or in space.
+    pub dimension: Dimension,
+    /// The range sensors in use, by name.
+    pub range: Vec<(String, RangeStatistics)>,
+    /// Odometry messages per second, if it is used and known.
+    pub odometry_rate: Option<f64>,
+    /// The IMU in use.
+    pub imu: Option<ImuStatistics>,
+}
+
+impl SensorPlan {
+    /// All sensors in ascending order, as the collator expects them.
+    pub fn sensors(&self) -> Vec<SensorId> {
+        let mut sensors: Vec<SensorId> = self.range.iter().map(|r| r.source.sensor.clone()).collect();
+        sensors.extend(self.odometry.iter().map(|o| match o {
+            PlannedOdometry::Topic(source) => source.sensor.clone(),
+            PlannedOdometry::Transforms { sensor, .. } => sensor.clone(),
+        }));
+        sensors.extend(self.imu.iter().map(|i| i.source.sensor.clone()));
+        let others = [&self.nav_sat, &self.fixed_frame_pose, &self.landmarks];
+        sensors.extend(others.into_iter().flatten().map(|s| s.sensor.clone()));
+        sensors.sort();
+        sensors
+    }
+
+    /// What the defaults of mapping depend on.
+    pub fn statistics(&self) -> SensorStatistics {
+        SensorStatistics {
+            dimension: self.dimension,
+            range: self
+                .range
+                .iter()
+                .map(|r| (r.source.sensor.id.to_string(), r.statistics.clone()))
+                .collect(),
+            odometry_rate: self.odometry_interval.map(|i| 1.0 / i),
+            imu: self.imu.as_ref().map(|i| i.statistics.clone()),
+        }
+    }
+
+    /// Moves the stamps of odometry by what scans are known to be late against it.
+    pub fn delay_odometry(&mut self, seconds: f64, sigma: f64) {
+        let Some(PlannedOdometry::Topic(odometry)) = &mut self.odometry else { return };
+        let delay = Duration::from_seconds(seconds);
+        odometry.clock_shift = odometry.clock_shift + delay;
+        odometry.usual_lag = odometry.usual_lag.map(|lag| lag - delay);
+        let what = format!(
+            "stamps of {} are moved by {seconds:.3} s (sigma {sigma:.3} s): so much later are those of scans, as turns of both show",
+            odometry.topic
+        );
+        let change = format!("--time-offset {}=0", odometry.topic);
+        self.note(what, change);
+    }
+
+    fn note(&mut self, what: impl Into<String>, change: impl Into<String>) {
+        self.notices.push(Notice { what: what.into(), change: change.into() });
+    }
+}
+
+/// A topic that was chosen, with the name of the sensor it becomes.
+#[derive(Clone, Debug)]
+struct Chosen<'a> {
+    name: String,
+    survey: &'a TopicSurvey,
+}
+
+impl<'a> Chosen<'a> {
+    fn named_after_topic(survey: &'a TopicSurvey) -> Self {
+        Self { name: survey.info.topic.trim_start_matches('/').to_owned(), survey }
+    }
+
+    fn frame(&self) -> &str {
+        self.survey.frame.as_deref().unwrap_or("")
+    }
+
+    fn topic(&self) -> &str {
+        &self.survey.info.topic
+    }
+
+    fn planned(&self, kind: SensorKind, frame: &str) -> PlannedSensor {
+        PlannedSensor {
+            sensor: SensorId::new(kind, self.name.as_str()),
+            topic: self.survey.info.topic.clone(),
+            frame: frame.into(),
+            clock_shift: Duration::ZERO,
+            usual_lag: self.survey.lag,
+        }
+    }
+}
+
+/// Chooses sensors and the tracking frame.
+pub fn plan(inventory: &Inventory, options: &IngestOptions) -> Result<SensorPlan, PlanError> {
+    let request = Request::new(inventory, options)?;
+    let mut plan = SensorPlan {
+        dimension: Dimension::Two,
+        tracking_frame: String::new(),
+        range: Vec::new(),
+        odometry: None,
+        odometry_interval: None,
+        imu: None,
+        nav_sat: None,
+        fixed_frame_pose: None,
+        landmarks: None,
+        notices: request.notices.clone(),
+    };
+    let range = range::choose(inventory, options, &request, &mut plan)?;
+    let imu = tracking::choose_imu(inventory, &request, &range, &mut plan)?;
+    plan.tracking_frame =
+        tracking::choose_frame(inventory, options, &request, &range, imu.as_ref(), &mut plan)?;
+    range::connect(inventory, options, &request, range, &mut plan)?;
+    tracking::connect_imu(inventory, imu, &mut plan)?;
+    odometry::choose(inventory, &request, &mut plan)?;
+    let other = |chosen: &Option<Chosen>, kind| chosen.as_ref().map(|c| c.planned(kind, c.frame()));
+    plan.nav_sat = other(&request.nav_sat, SensorKind::FixedFramePose);
+    plan.fixed_frame_pose = other(&request.fixed_frame_pose, SensorKind::FixedFramePose);
+    plan.landmarks = other(&request.landmarks, SensorKind::Landmark);
+    clocks::join(&mut plan);
+    clocks::shift(&options.time_offsets, &mut plan)?;
+    Ok(plan)
+}
+
+#[cfg(test)]
+mod tests;

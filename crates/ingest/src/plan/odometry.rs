@@ -1,0 +1,118 @@
+//! Choosing odometry: a topic, or moving transforms of an odometry frame.
+
+use portolan_sensor::{SensorId, SensorKind};
+
+use super::request::Request;
+use super::{Chosen, PlanError, PlannedOdometry, SensorPlan};
+use crate::survey::Inventory;
+
+/// Plans odometry.
+pub(super) fn choose(
+    inventory: &Inventory,
+    request: &Request,
+    plan: &mut SensorPlan,
+) -> Result<(), PlanError> {
+    if let Some(chosen) = &request.odometry {
+        let child = child_frame(chosen, plan);
+        if !inventory.tree.connected(&plan.tracking_frame, &child) {
+            let detail = format!(
+                "{}: no transforms connect \"{child}\" with \"{}\"; give them with --urdf, or choose another --tracking-frame",
+                chosen.topic(),
+                plan.tracking_frame
+            );
+            return Err(PlanError::Frame { detail });
+        }
+        take(chosen, &child, plan);
+        return Ok(());
+    }
+    if request.find_odometry && !find_topic(inventory, plan) {
+        find_transforms(inventory, plan);
+    }
+    Ok(())
+}
+
+/// An empty child frame is taken to be the tracking frame.
+fn child_frame(chosen: &Chosen, plan: &mut SensorPlan) -> String {
+    let child = chosen.survey.child_frame.as_deref().unwrap_or("");
+    if !child.is_empty() {
+        return child.to_owned();
+    }
+    let tracking = plan.tracking_frame.clone();
+    plan.note(
+        format!("{} names no child frame; it is taken to be \"{tracking}\"", chosen.topic()),
+        "--tracking-frame",
+    );
+    tracking
+}
+
+fn take(chosen: &Chosen, child: &str, plan: &mut SensorPlan) {
+    plan.odometry = Some(PlannedOdometry::Topic(chosen.planned(SensorKind::Odometry, child)));
+    plan.odometry_interval = chosen.survey.interval;
+}
+
+/// Of several topics `odom` by name, then the one with most messages.
+fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
+    let mut candidates: Vec<Chosen> = inventory
+        .topics
+        .iter()
+        .filter(|t| &*t.info.type_name == "nav_msgs/Odometry" && t.seen > 0)
+        .map(Chosen::named_after_topic)
+        .collect();
+    let rank = |topic: &str| match topic.trim_start_matches('/') {
+        "odom" => 0,
+        name if name.ends_with("/odom") => 1,
+        _ => 2,
+    };
+    candidates
+        .sort_by_key(|c| (rank(c.topic()), std::cmp::Reverse(c.survey.info.count.unwrap_or(c.survey.seen))));
+    for chosen in candidates {
+        let topic = chosen.topic().to_owned();
+        if let Some(PlannedOdometry::Topic(used)) = &plan.odometry {
+            let used = used.topic.clone();
+            plan.note(format!("{used} is used as odometry, not {topic}"), format!("--odom {topic}"));
+            continue;
+        }
+        let parent = chosen.frame().to_owned();
+        if matches!(parent.as_str(), "map" | "world" | "earth") {
+            plan.note(
+                format!("{topic} is not used: poses in \"{parent}\" are results of mapping, not odometry"),
+                format!("--odom {topic}"),
+            );
+            continue;
+        }
+        let child = child_frame(&chosen, plan);
+        if inventory.tree.connected(&plan.tracking_frame, &child) {
+            take(&chosen, &child, plan);
+        } else {
+            let tracking = plan.tracking_frame.clone();
+            plan.note(
+                format!(
+                    "odometry {topic} is not used: no transforms connect \"{child}\" with \"{tracking}\""
+                ),
+                "--urdf <robot description>",
+            );
+        }
+    }
+    plan.odometry.is_some()
+}
+
+/// A frame called something with `odom`, with a moving child that carries the tracking frame.
+fn find_transforms(inventory: &Inventory, plan: &mut SensorPlan) {
+    let moving = inventory.tree.moving_frames();
+    let odometry = moving.iter().find(|(parent, child)| {
+        parent.to_lowercase().contains("odom")
+            && inventory.tree.lookup_static(child, &plan.tracking_frame).is_some()
+    });
+    if let Some((parent, child)) = odometry {
+        plan.odometry = Some(PlannedOdometry::Transforms {
+            sensor: SensorId::new(SensorKind::Odometry, "odom"),
+            parent: (*parent).into(),
+            child: (*child).into(),
+        });
+        plan.odometry_interval = inventory.tree.moving_interval(child);
+        plan.note(
+            format!("the transforms from \"{parent}\" to \"{child}\" are used as odometry"),
+            "--no-odom",
+        );
+    }
+}

@@ -1,0 +1,304 @@
+//! Choosing range sensors, and whether to map in the plane or in space.
+
+use portolan_geometry::Vector3;
+use portolan_sensor::SensorKind;
+
+use super::request::Request;
+use super::{Chosen, PlanError, PlannedRange, SensorPlan};
+use crate::azimuth_time::AzimuthTimes;
+use crate::options::{Dimension, IngestOptions};
+use crate::point_time::PointTime;
+use crate::statistics::RangeStatistics;
+use crate::survey::{Inventory, TopicSurvey, is_range};
+
+/// A scanner in the plane may lean this much.
+const MAX_TILT_DEGREES: f64 = 20.0;
+/// A cloud with at least this vertical field of view sees space …
+const MIN_VERTICAL_DEGREES: f64 = 5.0;
+/// … and one with at least this horizontal field of view is from a lidar rather than a depth camera.
+const MIN_HORIZONTAL_DEGREES: f64 = 150.0;
+
+/// The range sensors: those asked for, or all that fit together. Sets the dimension.
+pub(super) fn choose<'a>(
+    inventory: &'a Inventory,
+    options: &IngestOptions,
+    request: &Request<'a>,
+    plan: &mut SensorPlan,
+) -> Result<Vec<Chosen<'a>>, PlanError> {
+    if !request.range.is_empty() {
+        plan.dimension = options.dimension.unwrap_or_else(|| dimension_of(&request.range));
+        return Ok(request.range.clone());
+    }
+    let candidates: Vec<&TopicSurvey> =
+        inventory.topics.iter().filter(|t| is_range(&t.info.type_name) && t.info.count != Some(0)).collect();
+    if candidates.is_empty() {
+        return Err(PlanError::NoRangeSensor { detail: what_there_is(inventory) });
+    }
+    let sensors = without_results(candidates, options, plan);
+    let sensors = one_per_frame(sensors, plan);
+    let (scans, clouds): (Vec<_>, Vec<_>) = sensors.into_iter().partition(|c| !is_cloud(c));
+    choose_dimension(scans, clouds, inventory, options, plan)
+}
+
+fn what_there_is(inventory: &Inventory) -> String {
+    let mut types: Vec<String> =
+        inventory.topics.iter().map(|t| format!("{} ({})", t.info.topic, t.info.type_name)).collect();
+    types.truncate(20);
+    if types.is_empty() {
+        return "the recording has no messages at all".to_owned();
+    }
+    let packets = inventory.topics.iter().any(|t| t.info.type_name.to_lowercase().contains("packet"));
+    let advice = if packets {
+        "; raw packets must be turned into point clouds first, by the driver of the lidar"
+    } else {
+        ""
+    };
+    format!(
+        "the recording has no LaserScan, MultiEchoLaserScan or PointCloud2, only {}{advice}",
+        types.join(", ")
+    )
+}
+
+fn is_cloud(chosen: &Chosen) -> bool {
+    &*chosen.survey.info.type_name == "sensor_msgs/PointCloud2"
+}
+
+/// Leaves out clouds in frames that no sensor has: results of mapping.
+fn without_results<'a>(
+    candidates: Vec<&'a TopicSurvey>,
+    options: &IngestOptions,
+    plan: &mut SensorPlan,
+) -> Vec<Chosen<'a>> {
+    let is_result = |t: &TopicSurvey| {
+        let frame = t.frame.as_deref().unwrap_or("");
+        frame == options.map_frame || matches!(frame, "map" | "odom" | "world" | "earth")
+    };
+    let (results, sensors): (Vec<_>, Vec<_>) = candidates.into_iter().partition(|t| is_result(t));
+    for result in results {
+        plan.note(
+            format!(
+                "{} is not used: its frame \"{}\" is that of a map, not of a sensor",
+                result.info.topic,
+                result.frame.as_deref().unwrap_or("")
+            ),
+            format!("--points {}", result.info.topic),
+        );
+    }
+    sensors.into_iter().map(Chosen::named_after_topic).collect()
+}
+
+/// Of several topics of one frame, which are the same scans processed in several ways, the one with most
+/// messages (then the shortest name, then the first by name).
+fn one_per_frame<'a>(sensors: Vec<Chosen<'a>>, plan: &mut SensorPlan) -> Vec<Chosen<'a>> {
+    let better = |a: &Chosen, b: &Chosen| {
+        let count = |c: &Chosen| c.survey.info.count.unwrap_or(c.survey.seen);
+        (count(b), a.topic().len(), a.topic()) < (count(a), b.topic().len(), b.topic())
+    };
+    let mut kept: Vec<Chosen> = Vec::new();
+    for sensor in sensors {
+        let twin = kept.iter_mut().find(|k| {
+            !k.frame().is_empty() && k.frame() == sensor.frame() && is_cloud(k) == is_cloud(&sensor)
+        });
+        let Some(twin) = twin else {
+            kept.push(sensor);
+            continue;
+        };
+        let loser = if better(&sensor, twin) { std::mem::replace(twin, sensor) } else { sensor };
+        plan.note(
+            format!(
+                "{} is not used: {} has the same frame \"{}\"",
+                loser.topic(),
+                twin.topic(),
+                twin.frame()
+            ),
+            format!("{} {}", if is_cloud(&loser) { "--points" } else { "--scan" }, loser.topic()),
+        );
+    }
+    kept
+}
+
+fn sees_space(chosen: &Chosen) -> bool {
+    let degrees = chosen.survey.range.as_ref().map_or(0.0, |r| r.vertical_field_of_view.to_degrees());
+    is_cloud(chosen) && degrees >= MIN_VERTICAL_DEGREES
+}
+
+fn looks_around(chosen: &Chosen) -> bool {
+    let degrees = chosen.survey.range.as_ref().map_or(0.0, |r| r.field_of_view.to_degrees());
+    sees_space(chosen) && degrees >= MIN_HORIZONTAL_DEGREES
+}
+
+fn dimension_of(range: &[Chosen]) -> Dimension {
+    if range.iter().any(sees_space) { Dimension::Three } else { Dimension::Two }
+}
+
+fn choose_dimension<'a>(
+    scans: Vec<Chosen<'a>>,
+    clouds: Vec<Chosen<'a>>,
+    inventory: &Inventory,
+    options: &IngestOptions,
+    plan: &mut SensorPlan,
+) -> Result<Vec<Chosen<'a>>, PlanError> {
+    let names =
+        |chosen: &[Chosen]| chosen.iter().map(|c| c.topic().to_owned()).collect::<Vec<_>>().join(", ");
+    let scans = without_leaning(scans, clouds.is_empty(), inventory, plan);
+    if scans.is_empty() || clouds.is_empty() {
+        let only = if scans.is_empty() { clouds } else { scans };
+        plan.dimension = options.dimension.unwrap_or_else(|| dimension_of(&only));
+        return Ok(only);
+    }
+    // A lidar that looks around beats a scanner in the plane; a depth camera does not.
+    let space = clouds.iter().any(looks_around);
+    plan.dimension = options.dimension.unwrap_or(if space { Dimension::Three } else { Dimension::Two });
+    let (used, unused, flag) = match plan.dimension {
+        Dimension::Three => (clouds, scans, "--scan"),
+        Dimension::Two => (scans, clouds, "--points"),
+    };
+    plan.note(
+        format!("mapping with {}, not with {}", names(&used), names(&unused)),
+        format!("{flag} {}", unused.first().map_or("", |c| c.topic())),
+    );
+    Ok(used)
+}
+
+/// Leaves out scanners whose plane leans against that of the robot, unless nothing else is left.
+fn without_leaning<'a>(
+    scans: Vec<Chosen<'a>>,
+    keep_one: bool,
+    inventory: &Inventory,
+    plan: &mut SensorPlan,
+) -> Vec<Chosen<'a>> {
+    let leaning = |c: &Chosen| {
+        let base = ["base_link", "base_footprint"].into_iter().find(|b| inventory.tree.has_frame(b))?;
+        let base_from_scan = inventory.tree.lookup_static(base, c.frame())?;
+        // Upside down is fine.
+        let upright = (base_from_scan.rotation * Vector3::z()).z.abs();
+        (upright < MAX_TILT_DEGREES.to_radians().cos()).then_some(upright.acos().to_degrees())
+    };
+    if keep_one && scans.iter().all(|c| leaning(c).is_some()) {
+        return scans;
+    }
+    let mut kept = Vec::new();
+    for scan in scans {
+        match leaning(&scan) {
+            Some(degrees) => plan.note(
+                format!(
+                    "{} is not used: its plane leans {degrees:.0}° against that of the robot",
+                    scan.topic()
+                ),
+                format!("--scan {}", scan.topic()),
+            ),
+            None => kept.push(scan),
+        }
+    }
+    kept
+}
+
+/// The times that points have, and whether they get them from their azimuth. Who asks for the one does not want
+/// the other.
+fn times_of_points(
+    chosen: &Chosen,
+    asked: AzimuthTimes,
+    plan: &mut SensorPlan,
+) -> (Option<PointTime>, AzimuthTimes) {
+    let is_spinning = chosen.survey.range.as_ref().is_some_and(RangeStatistics::is_spinning);
+    if !is_cloud(chosen) || !is_spinning {
+        return (chosen.survey.point_time, AzimuthTimes::Off);
+    }
+    match (asked, chosen.survey.point_time) {
+        (AzimuthTimes::Auto, None) => (None, azimuth_times(chosen, plan)),
+        (AzimuthTimes::Auto, times) => (times, AzimuthTimes::Off),
+        (asked, None) => (None, asked),
+        (asked, Some(_)) => {
+            plan.note(
+                format!("the times of the points of {} are not used, as asked for", chosen.topic()),
+                "--azimuth-times auto",
+            );
+            (None, asked)
+        }
+    }
+}
+
+/// Whether the points of a cloud of a spinning lidar, which have no times, get them from their azimuth.
+fn azimuth_times(chosen: &Chosen, plan: &mut SensorPlan) -> AzimuthTimes {
+    let statistics = chosen.survey.range.clone().unwrap_or_default();
+    let topic = chosen.topic();
+    // A field of times that are all alike says that the points are of one moment.
+    if chosen.survey.has_time_field {
+        return AzimuthTimes::Off;
+    }
+    if statistics.is_compensated == Some(true) {
+        plan.note(
+            format!("the points of {topic} have no times, and motion was taken out of them already"),
+            "--azimuth-times from-stamp or until-stamp",
+        );
+        return AzimuthTimes::Off;
+    }
+    let times = AzimuthTimes::of_stamps(chosen.survey.lag, 1.0 / statistics.rate);
+    let (when, other) = match times {
+        AzimuthTimes::FromStamp => ("begin", "until-stamp"),
+        _ => ("end", "from-stamp"),
+    };
+    plan.note(
+        format!("the points of {topic} have no times; they get them from their azimuth, turns {when} at their stamps"),
+        format!("--azimuth-times {other} or off"),
+    );
+    times
+}
+
+/// Plans the range sensors that transforms connect with the tracking frame.
+pub(super) fn connect(
+    inventory: &Inventory,
+    options: &IngestOptions,
+    request: &Request,
+    range: Vec<Chosen>,
+    plan: &mut SensorPlan,
+) -> Result<(), PlanError> {
+    let asked_for = !request.range.is_empty();
+    let mut refused = Vec::new();
+    for chosen in range {
+        let frame =
+            if chosen.frame().is_empty() { plan.tracking_frame.clone() } else { chosen.frame().to_owned() };
+        if chosen.frame().is_empty() {
+            plan.note(
+                format!("{} names no frame; it is taken to be at \"{frame}\"", chosen.topic()),
+                "--tracking-frame",
+            );
+        }
+        if !inventory.tree.connected(&plan.tracking_frame, &frame) {
+            let why = format!("no transforms connect its frame \"{frame}\" with \"{}\"", plan.tracking_frame);
+            if asked_for {
+                let detail = format!(
+                    "{}: {why}; give them with --urdf, or choose another --tracking-frame",
+                    chosen.topic()
+                );
+                return Err(PlanError::Frame { detail });
+            }
+            plan.note(format!("{} is not used: {why}", chosen.topic()), "--urdf <robot description>");
+            refused.push(chosen.topic().to_owned());
+            continue;
+        }
+        let (point_time, azimuth_times) = times_of_points(&chosen, options.azimuth_times, plan);
+        plan.range.push(PlannedRange {
+            azimuth_times,
+            source: chosen.planned(SensorKind::Range, &frame),
+            point_time,
+            statistics: chosen.survey.range.clone().unwrap_or_default(),
+        });
+    }
+    if plan.range.is_empty() {
+        let detail = format!(
+            "no transforms connect any of {} with \"{}\"; give them with --urdf, or choose another --tracking-frame",
+            refused.join(", "),
+            plan.tracking_frame
+        );
+        return Err(PlanError::Frame { detail });
+    }
+    if plan.range.len() > 1 {
+        let names: Vec<&str> = plan.range.iter().map(|r| &*r.source.topic).collect();
+        plan.note(
+            format!("{} range sensors are used together: {}", names.len(), names.join(", ")),
+            "--scan or --points",
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,286 @@
+use std::f64::consts::PI;
+
+use portolan_recording::{MemoryRecording, Message, RecordedMessage};
+
+use super::*;
+use crate::options::ConfiguredSensors;
+use crate::test_messages::{cloud, fixed, imu, moving, named, odometry, scan};
+
+/// A second of messages of every topic, at 20 Hz.
+fn recording(topics: &[(&str, &dyn Fn(f64) -> Message)]) -> MemoryRecording {
+    let mut messages: Vec<RecordedMessage> = Vec::new();
+    for i in 0..60 {
+        let time = 0.05 * f64::from(i);
+        messages.extend(topics.iter().map(|(topic, message)| named(topic, time, message(time))));
+    }
+    MemoryRecording::new(messages)
+}
+
+fn planned(recording: &MemoryRecording, options: &IngestOptions) -> Result<SensorPlan, PlanError> {
+    plan(&Inventory::of(recording, options).unwrap(), options)
+}
+
+fn topics(plan: &SensorPlan) -> Vec<&str> {
+    plan.range.iter().map(|r| &*r.source.topic).collect()
+}
+
+#[test]
+fn two_connected_scanners_and_odometry_are_used_together() {
+    let recording = recording(&[
+        ("/front", &|t| scan(t, "front_laser")),
+        ("/rear", &|t| scan(t, "rear_laser")),
+        ("/front_filtered", &|t| scan(t, "front_laser")),
+        ("/vertical", &|t| scan(t, "vertical_laser")),
+        ("/lost", &|t| scan(t, "nowhere")),
+        ("/odom", &|t| odometry(t, t)),
+        ("/odometry/filtered", &|t| odometry(t, t)),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("base_link", "front_laser", [0.3, 0.0, 0.0], 0.0),
+                ("base_link", "rear_laser", [-0.3, 0.0, 0.0], PI),
+                ("base_link", "vertical_laser", [0.0, 0.0, PI / 2.0], 99.0),
+            ]))
+        }),
+    ]);
+    let plan = planned(&recording, &IngestOptions::default()).unwrap();
+    assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/front", "/rear"], "base_link"));
+    assert_eq!(plan.dimension, Dimension::Two);
+    assert!(matches!(&plan.odometry, Some(PlannedOdometry::Topic(o)) if &*o.topic == "/odom"));
+    let text: String = plan.notices.iter().map(|n| format!("{} [{}]\n", n.what, n.change)).collect();
+    for expected in [
+        "/front_filtered is not used",
+        "/vertical is not used: its plane leans 90°",
+        "/lost is not used",
+        "--odom /odometry/filtered",
+    ] {
+        assert!(text.contains(expected), "{expected}: {text}");
+    }
+    let options = IngestOptions { range_topics: vec!["lost".into()], ..IngestOptions::default() };
+    assert_eq!(planned(&recording, &options).unwrap().tracking_frame, "nowhere");
+    let options = IngestOptions { range_topics: vec!["/odom".into()], ..IngestOptions::default() };
+    assert!(planned(&recording, &options).unwrap_err().to_string().contains("nav_msgs/Odometry"));
+    let options = IngestOptions { range_topics: vec!["/none".into()], ..IngestOptions::default() };
+    assert!(planned(&recording, &options).unwrap_err().to_string().contains("/front, /front_filtered"));
+    let options = IngestOptions { tracking_frame: Some("wheel".into()), ..IngestOptions::default() };
+    assert!(planned(&recording, &options).unwrap_err().to_string().contains("rear_laser"));
+}
+
+#[test]
+fn a_lidar_with_an_imu_in_g() {
+    let recording = recording(&[
+        ("/points", &|t| cloud(t, "lidar")),
+        ("/camera/scan", &|t| scan(t, "camera")),
+        ("/imu/data", &|t| imu(t, [0.0, 0.0, 1.0])),
+        ("/broken_imu", &|t| imu(t, [0.0, 0.0, 0.01])),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("imu_link", "lidar", [0.0, 0.0, 0.2], 0.0),
+                ("lidar", "camera", [0.0; 3], 0.0),
+            ]))
+        }),
+    ]);
+    let plan = planned(&recording, &IngestOptions::default()).unwrap();
+    assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/points"], "imu_link"));
+    assert_eq!(plan.dimension, Dimension::Three);
+    assert_eq!(plan.imu.as_ref().unwrap().scale, ImuScale { acceleration: 9.80665, angular_velocity: 1.0 });
+    let point_time = plan.range[0].point_time.unwrap();
+    assert_eq!(point_time.unit, 1.0);
+    let flat =
+        IngestOptions { dimension: Some(Dimension::Two), use_imu: Some(false), ..IngestOptions::default() };
+    let plan = planned(&recording, &flat).unwrap();
+    assert_eq!((topics(&plan), plan.imu.is_some()), (vec!["/camera/scan"], false));
+}
+
+#[test]
+fn a_gyroscope_in_degrees() {
+    let recording = recording(&[
+        ("/points", &|t| cloud(t, "imu_link")),
+        ("/imu/data", &|t| {
+            let Message::Imu(mut sample) = imu(t, [0.0, 0.0, 9.8]) else { panic!() };
+            sample.angular_velocity = [0.0, 40.0 * (5.0 * t).sin(), 0.0];
+            Message::Imu(sample)
+        }),
+    ]);
+    let plan = planned(&recording, &IngestOptions::default()).unwrap();
+    let scale = plan.imu.as_ref().unwrap().scale;
+    assert_eq!(scale, ImuScale { acceleration: 1.0, angular_velocity: PI / 180.0 });
+    assert!(plan.notices.iter().any(|n| n.what.contains("in degrees per second")));
+}
+
+#[test]
+fn names_of_a_configuration_are_found_or_remapped() {
+    let recording = recording(&[
+        ("/base_scan", &|t| scan(t, "laser")),
+        ("/robot/odom", &|t| odometry(t, t)),
+        ("/tf", &|t| Message::Tf(moving("base_link", "laser", t, [0.1, 0.0, 0.0]))),
+    ]);
+    let configured =
+        ConfiguredSensors { num_laser_scans: 1, use_odometry: Some(true), ..ConfiguredSensors::default() };
+    let mut options = IngestOptions { configured: Some(configured), ..IngestOptions::default() };
+    let plan = planned(&recording, &options).unwrap();
+    assert_eq!(topics(&plan), ["/base_scan"]);
+    assert_eq!(&*plan.range[0].source.sensor.id, "scan");
+    assert!(plan.notices.iter().any(|n| n.what.contains("expects \"scan\"")));
+    assert!(plan.odometry.is_some());
+    options.remappings = vec![("scan".into(), "base_scan".into()), ("odom".into(), "/robot/odom".into())];
+    let plan = planned(&recording, &options).unwrap();
+    let names: Vec<_> = plan.sensors().iter().map(|s| s.id.to_string()).collect();
+    assert_eq!(names, ["odom", "scan"]);
+    assert!(plan.notices.is_empty(), "{:?}", plan.notices);
+    options.remappings[0].1 = "/nothing".into();
+    assert!(planned(&recording, &options).is_err());
+    options = IngestOptions { configured: Some(ConfiguredSensors::default()), ..IngestOptions::default() };
+    assert!(planned(&recording, &options).unwrap_err().to_string().contains("num_laser_scans"));
+}
+
+#[test]
+fn odometry_in_transforms_and_results_of_mapping() {
+    let recording = recording(&[
+        ("/scan", &|t| scan(t, "laser")),
+        ("/tf", &|t| Message::Tf(moving("odom", "base_link", t, [t, 0.0, 0.0]))),
+        ("/tf2", &|t| Message::Tf(moving("map", "odom", t, [t, 0.0, 0.0]))),
+        ("/tf_static", &|_| Message::Tf(fixed(&[("base_link", "laser", [0.1, 0.0, 0.0], 0.0)]))),
+    ]);
+    let inventory = Inventory::of(&recording, &IngestOptions::default()).unwrap();
+    assert!(inventory.moving_repairs.iter().any(|r| r.what.contains("output of a mapping program")));
+    let plan = plan(&inventory, &IngestOptions::default()).unwrap();
+    assert!(
+        matches!(&plan.odometry, Some(PlannedOdometry::Transforms { child, .. }) if &**child == "base_link")
+    );
+    assert!((plan.odometry_interval.unwrap() - 0.05).abs() < 1e-6);
+}
+
+#[test]
+fn a_lone_scanner_and_nothing_at_all() {
+    let lone = recording(&[("/scan", &|t| scan(t, "laser")), ("/odom", &|t| odometry(t, t))]);
+    let plan = planned(&lone, &IngestOptions::default()).unwrap();
+    assert_eq!((plan.tracking_frame.as_str(), plan.odometry.is_some()), ("laser", false));
+    assert!(
+        plan.notices
+            .iter()
+            .any(|n| n.what.contains("odometry /odom is not used") && n.change.contains("--urdf"))
+    );
+    let nothing = recording(&[("/odom", &|t| odometry(t, t))]);
+    let error = planned(&nothing, &IngestOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("/odom (nav_msgs/Odometry)"), "{error}");
+    let unnamed = recording(&[("/scan", &|t| scan(t, ""))]);
+    assert_eq!(planned(&unnamed, &IngestOptions::default()).unwrap().tracking_frame, "base_link");
+}
+
+#[test]
+fn clocks_that_are_far_apart_are_joined() {
+    let recording = recording(&[
+        ("/scan", &|t| scan(t, "laser")),
+        ("/odom", &|t| odometry(t - 3600.0, t)),
+        ("/tf_static", &|_| Message::Tf(fixed(&[("base_link", "laser", [0.1, 0.0, 0.0], 0.0)]))),
+    ]);
+    let plan = planned(&recording, &IngestOptions::default()).unwrap();
+    let Some(PlannedOdometry::Topic(odometry)) = &plan.odometry else { panic!() };
+    assert!((odometry.clock_shift.seconds() - 3600.0).abs() < 1e-3);
+}
+
+#[test]
+fn stamps_are_moved_as_somebody_says() {
+    let recording = recording(&[("/points", &|t| cloud(t, "lidar")), ("/other", &|t| cloud(t, "lidar"))]);
+    let options = |topic: &str| IngestOptions {
+        range_topics: vec!["/points".into()],
+        time_offsets: vec![(topic.into(), Duration::from_seconds(-0.05))],
+        ..IngestOptions::default()
+    };
+    for name in ["/points", "points"] {
+        let plan = planned(&recording, &options(name)).unwrap();
+        assert_eq!(plan.range[0].source.clock_shift, Duration::from_seconds(-0.05));
+    }
+    let error = planned(&recording, &options("/other")).unwrap_err().to_string();
+    assert!(error.contains("--time-offset") && error.contains("/points"), "{error}");
+}
+
+#[test]
+fn in_the_plane_an_imu_whose_axes_are_swapped_is_left_out() {
+    let swapped = recording(&[
+        ("/scan", &|t| scan(t, "laser")),
+        ("/imu", &|t| imu(t, [0.3, 9.8, 0.1])),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("base_link", "laser", [0.3, 0.0, 0.0], 0.0),
+                ("base_link", "imu_link", [0.0; 3], 0.0),
+            ]))
+        }),
+    ]);
+    let plan = planned(&swapped, &IngestOptions::default()).unwrap();
+    assert!(plan.imu.is_none() && plan.dimension == Dimension::Two);
+    let notice = plan.notices.iter().find(|n| n.what.contains("leaning 89°")).unwrap();
+    assert_eq!(notice.change, "--imu /imu");
+    let asked_for = IngestOptions { imu_topic: Some("/imu".into()), ..IngestOptions::default() };
+    assert!(planned(&swapped, &asked_for).unwrap().imu.is_some());
+    // A transform that says so makes it right.
+    let tilt = PI / 2.0;
+    let mounted = recording(&[
+        ("/scan", &|t| scan(t, "laser")),
+        ("/imu", &|t| imu(t, [-9.8, 0.1, 0.1])),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("base_link", "laser", [0.3, 0.0, 0.0], 0.0),
+                ("base_link", "imu_link", [0.0, 0.0, tilt], 99.0),
+            ]))
+        }),
+    ]);
+    assert!(planned(&mounted, &IngestOptions::default()).unwrap().imu.is_some());
+}
+
+#[test]
+fn in_space_an_imu_that_leans_against_the_robot_is_left_out_and_one_in_the_hand_may_lean() {
+    let with = |acceleration: [f64; 3], robot: &'static str| {
+        let recording = recording(&[
+            ("/points", &|t| cloud(t, "lidar")),
+            ("/imu", &|t| imu(t, acceleration)),
+            ("/tf_static", &|_| {
+                Message::Tf(fixed(&[
+                    (robot, "lidar", [0.0, 0.0, 0.3], 0.0),
+                    (robot, "imu_link", [0.0; 3], 0.0),
+                ]))
+            }),
+        ]);
+        planned(&recording, &IngestOptions::default()).unwrap()
+    };
+    let swapped = with([0.3, 9.8, 0.1], "base_link");
+    assert!(swapped.imu.is_none() && swapped.dimension == Dimension::Three);
+    assert!(swapped.notices.iter().any(|n| n.what.contains("leaning 89°")));
+    assert!(with([0.3, 0.1, -9.8], "base_link").imu.is_none());
+    assert!(with([4.0, 0.1, 9.0], "base_link").imu.is_some());
+    assert!(with([0.3, 9.8, 0.1], "handle").imu.is_some());
+}
+
+/// A cloud of four rings all around without times, of a lidar that stands.
+fn timeless(seconds: f64, lag: f64) -> Message {
+    let Message::PointCloud2(mut message) = cloud(seconds - lag, "lidar") else { panic!() };
+    message.fields.retain(|f| f.name != "time");
+    Message::PointCloud2(message)
+}
+
+#[test]
+fn clouds_without_times_get_them_from_the_azimuth_unless_told_otherwise() {
+    use AzimuthTimes::{Auto, FromStamp, Off, UntilStamp};
+    for (lag, asked, expected) in
+        [(0.06, Auto, FromStamp), (0.0, Auto, UntilStamp), (0.0, Off, Off), (0.06, UntilStamp, UntilStamp)]
+    {
+        let recording = recording(&[("/points", &|t| timeless(t, lag))]);
+        let options = IngestOptions { azimuth_times: asked, ..IngestOptions::default() };
+        let plan = planned(&recording, &options).unwrap();
+        assert_eq!(plan.range[0].azimuth_times, expected, "{lag} {asked:?}");
+        let told = plan.notices.iter().any(|n| n.what.contains("from their azimuth"));
+        assert_eq!(told, asked == Auto, "{:?}", plan.notices);
+    }
+    let with_times = recording(&[("/points", &|t| cloud(t, "lidar"))]);
+    let plan_of = |azimuth_times: AzimuthTimes| {
+        planned(&with_times, &IngestOptions { azimuth_times, ..IngestOptions::default() }).unwrap()
+    };
+    let range = &plan_of(Auto).range[0];
+    assert!(range.azimuth_times == Off && range.point_time.is_some());
+    // Who asks gets what was asked for.
+    for asked in [Off, FromStamp, UntilStamp] {
+        let plan = plan_of(asked);
+        assert_eq!((plan.range[0].azimuth_times, plan.range[0].point_time), (asked, None));
+        assert!(plan.notices.iter().any(|n| n.what.contains("as asked for")), "{:?}", plan.notices);
+    }
+}

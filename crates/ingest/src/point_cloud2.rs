@@ -1,0 +1,323 @@
+//! Point clouds of any layout as timed points.
+
+use portolan_geometry::{Duration, Point3f, Time};
+use portolan_recording::{FieldType, PointCloud2, PointField};
+use portolan_sensor::TimedPoint;
+
+use crate::point_time::{PointTime, PointTimeOrigin, TIME_FIELDS, TimeSpan};
+use crate::timed_points::TimedPoints;
+
+/// Coordinates beyond this are no measurements, metres.
+const HUGE: f32 = 1e6;
+
+/// Times of clouds are judged by about so many of their points.
+const SAMPLED_TIMES: usize = 256;
+
+/// 2³² divided by the golden ratio.
+const GOLDEN_STEP: u32 = 2_654_435_769;
+
+/// Why a cloud cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CloudError {
+    /// There is no x, y or z of a number type.
+    #[error("clouds without fields x, y and z were left out")]
+    NoCoordinates,
+    /// A field does not lie within its point.
+    #[error("clouds with fields beyond the end of a point were left out")]
+    FieldOutside,
+}
+
+/// Counts of what was dropped or missing in a cloud.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CloudFaults {
+    /// Points with a coordinate or time that is not finite, or farther than 1,000 km.
+    pub not_finite: u64,
+    /// Points whose time lies far from those of the others.
+    pub far_time: u64,
+    /// Points at exactly (0, 0, 0): no return.
+    pub zero: u64,
+    /// Points that the header promised and the data do not have.
+    pub missing: u64,
+}
+
+/// Names under which drivers give how much light came back, the first one that is there counts.
+const INTENSITY_FIELDS: [&str; 5] = ["intensity", "i", "reflectivity", "reflectance", "remission"];
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Field {
+    offset: usize,
+    field_type: FieldType,
+}
+
+impl Field {
+    fn find(fields: &[PointField], name: &str, step: usize) -> Result<Option<Self>, CloudError> {
+        let Some(field) = fields.iter().find(|f| f.name == name && f.count > 0) else { return Ok(None) };
+        let Some(field_type) = field.field_type else { return Ok(None) };
+        let offset = field.offset as usize;
+        if offset.checked_add(field_type.size_bytes()).is_none_or(|end| end > step) {
+            return Err(CloudError::FieldOutside);
+        }
+        Ok(Some(Self { offset, field_type }))
+    }
+
+    fn bytes<const N: usize>(&self, point: &[u8], is_bigendian: bool) -> [u8; N] {
+        let mut bytes = [0; N];
+        if let Some(source) = point.get(self.offset..self.offset + N) {
+            bytes.copy_from_slice(source);
+        }
+        if is_bigendian {
+            bytes.reverse();
+        }
+        bytes
+    }
+
+    /// The value as a double; integers of 32 bits fit without loss.
+    fn value(&self, point: &[u8], big: bool) -> f64 {
+        match self.field_type {
+            FieldType::Int8 => f64::from(i8::from_le_bytes(self.bytes(point, big))),
+            FieldType::Uint8 => f64::from(u8::from_le_bytes(self.bytes(point, big))),
+            FieldType::Int16 => f64::from(i16::from_le_bytes(self.bytes(point, big))),
+            FieldType::Uint16 => f64::from(u16::from_le_bytes(self.bytes(point, big))),
+            FieldType::Int32 => f64::from(i32::from_le_bytes(self.bytes(point, big))),
+            FieldType::Uint32 => f64::from(u32::from_le_bytes(self.bytes(point, big))),
+            FieldType::Float32 => f64::from(f32::from_le_bytes(self.bytes(point, big))),
+            FieldType::Float64 => f64::from_le_bytes(self.bytes(point, big)),
+        }
+    }
+
+    /// The value as a single.
+    fn single(&self, point: &[u8], big: bool) -> f32 {
+        match self.field_type {
+            FieldType::Float32 => f32::from_le_bytes(self.bytes(point, big)),
+            _ => self.value(point, big) as f32,
+        }
+    }
+}
+
+/// Where the values of a point are.
+#[derive(Clone, Debug)]
+pub struct CloudLayout {
+    xyz: [Field; 3],
+    time: Option<Field>,
+    intensity: Option<Field>,
+    step: usize,
+    is_bigendian: bool,
+}
+
+impl CloudLayout {
+    /// Finds the fields of a cloud by their names; order and types may be any.
+    pub fn of(cloud: &PointCloud2) -> Result<Self, CloudError> {
+        let step = cloud.point_step as usize;
+        let find = |name: &str| Field::find(&cloud.fields, name, step);
+        let coordinate = |name: &str| find(name)?.ok_or(CloudError::NoCoordinates);
+        let mut time = None;
+        for name in TIME_FIELDS {
+            if time.is_none() {
+                time = find(name)?;
+            }
+        }
+        let mut intensity = None;
+        for name in INTENSITY_FIELDS {
+            if intensity.is_none() {
+                intensity = find(name)?;
+            }
+        }
+        Ok(Self {
+            xyz: [coordinate("x")?, coordinate("y")?, coordinate("z")?],
+            time,
+            intensity,
+            step,
+            is_bigendian: cloud.is_bigendian,
+        })
+    }
+
+    /// Whether there is a time field.
+    pub fn has_time(&self) -> bool {
+        self.time.is_some()
+    }
+
+    /// Calls `visit` with every point that is there; returns how many are missing.
+    fn for_each<'a>(&self, cloud: &'a PointCloud2, mut visit: impl FnMut(&'a [u8])) -> u64 {
+        let (width, height) = (u64::from(cloud.width), u64::from(cloud.height));
+        let promised = width.saturating_mul(height);
+        let packed_row = width.saturating_mul(self.step as u64);
+        let row_step = u64::from(cloud.row_step);
+        let mut seen = 0;
+        if height <= 1 || row_step <= packed_row {
+            for point in cloud.data.chunks_exact(self.step).take(promised.try_into().unwrap_or(usize::MAX)) {
+                visit(point);
+                seen += 1;
+            }
+        } else {
+            // Rows with padding. A row step larger than the data ends the loop by itself.
+            for row in cloud.data.chunks(row_step as usize).take(height as usize) {
+                for point in row.chunks_exact(self.step).take(width as usize) {
+                    visit(point);
+                    seen += 1;
+                }
+            }
+        }
+        promised - seen
+    }
+
+    /// Calls `visit` with every `stride`-th point as it stands.
+    pub(crate) fn sample(&self, cloud: &PointCloud2, stride: usize, mut visit: impl FnMut(Point3f)) {
+        let mut index = 0;
+        self.for_each(cloud, |point| {
+            if index % stride.max(1) == 0 {
+                let [x, y, z] = self.xyz.map(|field| field.single(point, self.is_bigendian));
+                visit(Point3f::new(x, y, z));
+            }
+            index += 1;
+        });
+    }
+
+    /// The time values of a cloud, to find out what they mean. Those of points that are none are left out:
+    /// some drivers leave them unset.
+    pub(crate) fn time_span(&self, cloud: &PointCloud2) -> Option<TimeSpan> {
+        let field = self.time?;
+        let (mut least, mut largest) = self.span_of_times(cloud, field, |_| true);
+        let some = self.some_times(cloud, field);
+        // A fiftieth at either end may be wrong.
+        let cut = some.len() / 50;
+        if let (Some(low), Some(high)) = (some.get(cut), some.get(some.len().wrapping_sub(1 + cut)))
+            && largest - least > 1.5 * (high - low)
+        {
+            (least, largest) = (*low, *high);
+        }
+        let (stamp, span) = (cloud.header.stamp, largest - least);
+        (least <= largest).then_some(TimeSpan { field_type: field.field_type, stamp, least, largest, span })
+    }
+
+    /// Time of the last point after the stamp, seconds, without points that have a wrong time.
+    pub fn last_after_stamp(&self, cloud: &PointCloud2, time: PointTime) -> Option<f64> {
+        let field = self.time?;
+        let middle = self.middle_time(cloud, field);
+        let (_, last) = self.span_of_times(cloud, field, |value| is_near(value, middle, time));
+        last.is_finite().then_some(last * time.unit)
+    }
+
+    /// Smallest and largest value of points that are there and meet a condition.
+    fn span_of_times(&self, cloud: &PointCloud2, field: Field, counts: impl Fn(f64) -> bool) -> (f64, f64) {
+        let (mut least, mut largest) = (f64::INFINITY, f64::NEG_INFINITY);
+        self.for_each(cloud, |point| {
+            if let Some(value) = self.time_value(point, field, cloud.is_bigendian).filter(|v| counts(*v)) {
+                (least, largest) = (least.min(value), largest.max(value));
+            }
+        });
+        (least, largest)
+    }
+
+    /// The time value of a point that is there.
+    fn time_value(&self, point: &[u8], field: Field, big: bool) -> Option<f64> {
+        let value = field.value(point, big);
+        let [x, y, z] = self.xyz.map(|field| field.single(point, big));
+        let is_point = (x + y + z).is_finite() && (x != 0.0 || y != 0.0 || z != 0.0);
+        (is_point && value.is_finite()).then_some(value)
+    }
+
+    /// Time values of some points all over the cloud, ascending.
+    fn some_times(&self, cloud: &PointCloud2, field: Field) -> Vec<f64> {
+        // One in so many, by steps of the golden ratio: equal steps may see only two columns of an organised cloud.
+        let one_in = |share: u32| {
+            let (mut index, mut times) = (0u32, Vec::new());
+            self.for_each(cloud, |point| {
+                if index.wrapping_mul(GOLDEN_STEP) <= u32::MAX / share {
+                    times.extend(self.time_value(point, field, cloud.is_bigendian));
+                }
+                index = index.wrapping_add(1);
+            });
+            times
+        };
+        let share = cloud.data.len() / self.step.max(1) / SAMPLED_TIMES;
+        let mut times = one_in(u32::try_from(share).unwrap_or(u32::MAX).max(1));
+        if times.len() < SAMPLED_TIMES / 8 {
+            times = one_in(1);
+        }
+        times.sort_by(f64::total_cmp);
+        times
+    }
+
+    fn middle_time(&self, cloud: &PointCloud2, field: Field) -> f64 {
+        let times = self.some_times(cloud, field);
+        times.get(times.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    /// Points, with times as `point_time` says (none: all at the stamp).
+    pub fn points(
+        &self,
+        stamp: Time,
+        cloud: &PointCloud2,
+        point_time: Option<PointTime>,
+        with_intensities: bool,
+    ) -> (TimedPoints, CloudFaults) {
+        let with_intensities = with_intensities && self.intensity.is_some();
+        let available = cloud.data.len() / self.step.max(1);
+        let mut result = TimedPoints::with_capacity(available, with_intensities);
+        let mut faults = CloudFaults::default();
+        let times = self.time.zip(point_time).map(|(field, time)| {
+            let middle = self.middle_time(cloud, field);
+            (field, time, middle, self.time_reference(cloud, field, time, middle))
+        });
+        let big = self.is_bigendian;
+        faults.missing = self.for_each(cloud, |point| {
+            let [x, y, z] = self.xyz.map(|field| field.single(point, big));
+            let (time, is_near) = times.map_or((0.0, true), |(field, time, middle, reference)| {
+                let value = field.value(point, big);
+                // What is not finite is counted as that.
+                (((value - reference) * time.unit) as f32, !value.is_finite() || is_near(value, middle, time))
+            });
+            if x == 0.0 && y == 0.0 && z == 0.0 {
+                faults.zero += 1;
+            } else if !is_near {
+                faults.far_time += 1;
+            } else if x.abs() < HUGE && y.abs() < HUGE && z.abs() < HUGE && time.is_finite() {
+                result.points.push(TimedPoint { position: Point3f::new(x, y, z), time });
+                if with_intensities {
+                    result.intensities.push(self.intensity.map_or(0.0, |f| f.single(point, big)));
+                }
+            } else {
+                faults.not_finite += 1;
+            }
+        });
+        let base = self.base_time(stamp, point_time, times.map(|(_, _, _, reference)| reference));
+        // Times of a clock are moved with the stamps, which may have been put right.
+        let is_of_clock = point_time.is_some_and(|time| time.origin == PointTimeOrigin::Epoch);
+        let was_set = cloud.header.stamp != Time::UNIX_EPOCH;
+        let moved = if is_of_clock && was_set { stamp - cloud.header.stamp } else { Duration::ZERO };
+        result.rebase(base + moved);
+        (result, faults)
+    }
+
+    /// The value that counts as zero: that of the first point for clocks, so that no digits are lost.
+    fn time_reference(&self, cloud: &PointCloud2, field: Field, time: PointTime, middle: f64) -> f64 {
+        match time.origin {
+            PointTimeOrigin::Stamp => 0.0,
+            PointTimeOrigin::Epoch | PointTimeOrigin::OtherClock => {
+                let (least, _) = self.span_of_times(cloud, field, |value| is_near(value, middle, time));
+                if least.is_finite() { least } else { 0.0 }
+            }
+        }
+    }
+
+    fn base_time(&self, stamp: Time, time: Option<PointTime>, reference: Option<f64>) -> Time {
+        match (time, reference) {
+            (Some(PointTime { unit: 1.0, origin: PointTimeOrigin::Epoch, .. }), Some(reference)) => {
+                Time::from_unix_seconds(reference)
+            }
+            (Some(PointTime { unit, origin: PointTimeOrigin::Epoch, .. }), Some(reference)) => {
+                Time::from_unix_nanoseconds((reference * (unit * 1e9).round()) as i64)
+            }
+            _ => stamp,
+        }
+    }
+}
+
+/// Whether a time value can belong to the sweep whose median it is compared with.
+fn is_near(value: f64, middle: f64, time: PointTime) -> bool {
+    (value - middle).abs() * time.unit <= time.reach
+}
+
+#[cfg(test)]
+#[path = "point_cloud2_tests.rs"]
+mod tests;

@@ -1,0 +1,369 @@
+//! What a range sensor, an IMU and odometry are like, from the first messages.
+
+use portolan_geometry::{Point3f, Vector3};
+use portolan_recording::{Imu, LaserScan, MultiEchoLaserScan, PointCloud2};
+
+use crate::point_cloud2::CloudLayout;
+use crate::point_time::{PointTime, TimeSpan, detect};
+use crate::seam::SeamVotes;
+
+/// So many scans or clouds tell enough.
+const MAX_MESSAGES: usize = 200;
+/// So many readings of each.
+const MAX_READINGS: usize = 500;
+/// So many IMU samples.
+const MAX_SAMPLES: usize = 20_000;
+/// Share of readings at exactly the largest value that makes it the mark for "nothing seen".
+const SATURATED_SHARE: f64 = 0.005;
+
+/// Turns of spinning lidars a second. Clouds that come more rarely are key frames that somebody chose, not turns.
+const SPINNING_RATES: std::ops::RangeInclusive<f64> = 4.0..=50.0;
+
+/// What a range sensor is like. Angles in radians, distances in metres, times in seconds.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct RangeStatistics {
+    /// How many messages were looked at.
+    pub messages: usize,
+    /// Messages per second; zero if unknown.
+    pub rate: f64,
+    /// Readings per message (median).
+    pub readings: usize,
+    /// Readings per message that are distances (median).
+    pub returns: usize,
+    /// Horizontal field of view.
+    pub field_of_view: f64,
+    /// Vertical field of view; zero for a scanner in a plane.
+    pub vertical_field_of_view: f64,
+    /// Angle between neighbouring beams of a scanner in a plane; for clouds the field of view over the
+    /// number of directions seen.
+    pub angular_resolution: f64,
+    /// Half of the distances are below this.
+    pub median_range: f64,
+    /// 95 of 100 distances are below this.
+    pub p95_range: f64,
+    /// The largest distance that is no mark for "nothing seen".
+    pub max_range: f64,
+    /// A reading that occurs suspiciously often and is the largest: it seems to mean "nothing seen".
+    pub saturation_range: Option<f64>,
+    /// How long one message measures; zero if all points have the same time.
+    pub sweep_duration: f64,
+    /// Whether clouds without any times of points had the motion of the sensor taken out; none if they have
+    /// times, or it cannot be told.
+    pub is_compensated: Option<bool>,
+}
+
+impl RangeStatistics {
+    /// Whether a lidar that turns round and round gave clouds that see space.
+    pub fn is_spinning(&self) -> bool {
+        let degrees = |angle: f64| angle.to_degrees();
+        degrees(self.field_of_view) > 355.0
+            && degrees(self.vertical_field_of_view) > 5.0
+            && SPINNING_RATES.contains(&self.rate)
+    }
+
+    /// Whether points have times of their own, so that motion during a sweep can be undone.
+    pub fn has_point_times(&self) -> bool {
+        self.sweep_duration > 0.0
+    }
+}
+
+/// What an IMU is like.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct ImuStatistics {
+    /// How many samples were looked at.
+    pub messages: usize,
+    /// Samples per second; zero if unknown.
+    pub rate: f64,
+    /// Median length of the measured acceleration, as it stands (9.8 if it is in m/s²).
+    pub median_acceleration: f64,
+    /// Mean measured acceleration, as it stands, in the frame of the IMU.
+    pub mean_acceleration: [f64; 3],
+    /// Median length of the measured angular velocity, as it stands.
+    pub median_angular_velocity: f64,
+    /// Share of the samples whose angular velocity, as it stands, is above 12: too fast for rad/s.
+    pub fast_share: f64,
+    /// Whether it says that it measures no acceleration or no angular velocity.
+    pub is_partial: bool,
+}
+
+/// Collects [`RangeStatistics`].
+#[derive(Clone, Debug)]
+pub(crate) struct RangeSampler {
+    readings: Vec<usize>,
+    returns: Vec<usize>,
+    ranges: Vec<f32>,
+    at_maximum: (f32, u64),
+    total_readings: u64,
+    directions: [bool; 720],
+    elevation: (f32, f32),
+    scan: Option<(f64, f64)>,
+    sweeps: Vec<f64>,
+    time_spans: Vec<TimeSpan>,
+    seam: SeamVotes,
+    points: Vec<Point3f>,
+}
+
+impl Default for RangeSampler {
+    fn default() -> Self {
+        Self {
+            readings: Vec::new(),
+            returns: Vec::new(),
+            ranges: Vec::new(),
+            at_maximum: (0.0, 0),
+            total_readings: 0,
+            directions: [false; 720],
+            elevation: (f32::INFINITY, f32::NEG_INFINITY),
+            scan: None,
+            sweeps: Vec::new(),
+            time_spans: Vec::new(),
+            seam: SeamVotes::default(),
+            points: Vec::new(),
+        }
+    }
+}
+
+impl RangeSampler {
+    /// Whether it has seen enough.
+    pub fn is_full(&self) -> bool {
+        self.readings.len() >= MAX_MESSAGES
+    }
+
+    pub fn add_scan(&mut self, scan: &LaserScan) {
+        self.add_beams(scan.ranges.iter().copied(), scan.ranges.len(), (scan.range_min, scan.range_max));
+        self.add_shape(scan.angle_increment, scan.time_increment, scan.ranges.len());
+    }
+
+    pub fn add_echoes(&mut self, scan: &MultiEchoLaserScan) {
+        let first = scan.ranges.iter().map(|echoes| echoes.first().copied().unwrap_or(f32::INFINITY));
+        self.add_beams(first, scan.ranges.len(), (scan.range_min, scan.range_max));
+        self.add_shape(scan.angle_increment, scan.time_increment, scan.ranges.len());
+    }
+
+    fn add_shape(&mut self, angle_increment: f32, time_increment: f32, beams: usize) {
+        let gaps = beams.saturating_sub(1) as f64;
+        let angle = f64::from(angle_increment.abs());
+        if angle.is_finite() {
+            self.scan = Some((angle * gaps, angle));
+        }
+        let duration = f64::from(time_increment) * gaps;
+        if duration.is_finite() && duration >= 0.0 {
+            self.sweeps.push(duration);
+        }
+    }
+
+    fn add_beams(&mut self, ranges: impl Iterator<Item = f32>, beams: usize, limits: (f32, f32)) {
+        let stride = beams.div_ceil(MAX_READINGS).max(1);
+        let mut returns = 0;
+        for (i, range) in ranges.enumerate() {
+            // Limits that make no sense let everything pass.
+            let outside = range < limits.0 || (range > limits.1 && limits.1 > limits.0);
+            if !range.is_finite() || range <= 0.0 || outside {
+                continue;
+            }
+            returns += 1;
+            self.count_maximum(range);
+            if i % stride == 0 {
+                self.ranges.push(range);
+            }
+        }
+        self.readings.push(beams);
+        self.returns.push(returns);
+    }
+
+    fn count_maximum(&mut self, range: f32) {
+        self.total_readings += 1;
+        if range > self.at_maximum.0 {
+            self.at_maximum = (range, 0);
+        }
+        self.at_maximum.1 += u64::from(range == self.at_maximum.0);
+    }
+
+    pub fn add_cloud(&mut self, cloud: &PointCloud2) {
+        let Ok(layout) = CloudLayout::of(cloud) else { return };
+        let total = cloud.data.len() / (cloud.point_step as usize).max(1);
+        let (mut seen, mut returns) = (0usize, 0usize);
+        let stride = total.div_ceil(4 * MAX_READINGS).max(1);
+        layout.sample(cloud, stride, |point: Point3f| {
+            seen += 1;
+            let range = point.coords.norm();
+            if !range.is_finite() || range == 0.0 {
+                return;
+            }
+            returns += 1;
+            self.total_readings += 1;
+            if returns % 4 == 0 {
+                self.ranges.push(range);
+            }
+            let turn = (point.y.atan2(point.x) / std::f32::consts::TAU + 0.5) * 719.99;
+            if let Some(direction) = self.directions.get_mut(turn as usize) {
+                *direction = true;
+            }
+            let elevation = (point.z / range).asin();
+            self.elevation = (self.elevation.0.min(elevation), self.elevation.1.max(elevation));
+        });
+        self.readings.push(total);
+        self.returns.push((total * returns).checked_div(seen).unwrap_or(0));
+        self.time_spans.extend(layout.time_span(cloud));
+        if !layout.has_time() {
+            self.points.clear();
+            layout.sample(cloud, 1, |point| self.points.push(point));
+            self.seam.add(&self.points);
+        }
+    }
+
+    /// Whether clouds have a field of times.
+    pub fn has_time_field(&self) -> bool {
+        !self.time_spans.is_empty()
+    }
+
+    /// Whether more clouds would tell something that these do not.
+    pub fn is_undecided(&self) -> bool {
+        !self.points.is_empty() && self.seam.is_compensated().is_none()
+    }
+
+    /// The field of view of clouds is a full turn less the largest sector without a point; sectors below
+    /// 5° are the spaces between columns.
+    fn view_of_clouds(&self) -> (f64, f64) {
+        const SECTOR: f64 = std::f64::consts::TAU / 720.0;
+        let seen: Vec<usize> = (0..720).filter(|i| self.directions[*i]).collect();
+        let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return (0.0, 0.0) };
+        let across = 720 - last + first - 1;
+        let largest = seen.windows(2).map(|w| w[1] - w[0] - 1).fold(across, usize::max);
+        let view = if largest < 10 { std::f64::consts::TAU } else { (720 - largest) as f64 * SECTOR };
+        (view, view / seen.len() as f64)
+    }
+
+    /// What the time field of the clouds means.
+    pub fn point_time(&self, interval: Option<f64>) -> Option<PointTime> {
+        detect(&self.time_spans, interval)
+    }
+
+    /// The statistics, given the interval between messages.
+    pub fn finish(mut self, interval: Option<f64>) -> RangeStatistics {
+        let saturated = self.at_maximum.1 >= 20
+            && self.at_maximum.1 as f64 >= SATURATED_SHARE * self.total_readings as f64
+            && f64::from(self.at_maximum.0) > 1.0;
+        let saturation_range = saturated.then_some(f64::from(self.at_maximum.0));
+        if saturated {
+            self.ranges.retain(|r| *r < self.at_maximum.0);
+        }
+        self.ranges.sort_by(f32::total_cmp);
+        let quantile = |share: f64| {
+            let index = ((self.ranges.len() as f64 - 1.0) * share).round().max(0.0) as usize;
+            self.ranges.get(index).map_or(0.0, |r| f64::from(*r))
+        };
+        let unit = self.point_time(interval).map_or(0.0, |t| t.unit);
+        let mut sweeps = std::mem::take(&mut self.sweeps);
+        sweeps.extend(self.time_spans.iter().map(|s| s.span * unit));
+        let (field_of_view, angular_resolution) = self.scan.unwrap_or_else(|| self.view_of_clouds());
+        let vertical = f64::from(self.elevation.1 - self.elevation.0);
+        RangeStatistics {
+            messages: self.readings.len(),
+            rate: interval.map_or(0.0, |i| 1.0 / i),
+            readings: median_count(&mut self.readings),
+            returns: median_count(&mut self.returns),
+            field_of_view,
+            vertical_field_of_view: if vertical.is_finite() { vertical } else { 0.0 },
+            angular_resolution,
+            median_range: quantile(0.5),
+            p95_range: quantile(0.95),
+            max_range: quantile(1.0),
+            saturation_range,
+            sweep_duration: median(&mut sweeps).unwrap_or(0.0),
+            is_compensated: self.seam.is_compensated(),
+        }
+    }
+}
+
+/// Nobody who maps turns faster than this for long, rad/s.
+pub const FAST_TURN: f64 = 12.0;
+
+/// Collects [`ImuStatistics`].
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ImuSampler {
+    accelerations: Vec<f64>,
+    angular_velocities: Vec<f64>,
+    sum: Vector3,
+    partial: usize,
+}
+
+impl ImuSampler {
+    pub fn add(&mut self, imu: &Imu) {
+        if self.accelerations.len() >= MAX_SAMPLES {
+            return;
+        }
+        let acceleration = Vector3::from(imu.linear_acceleration);
+        self.partial += usize::from(is_partial(imu));
+        if acceleration.iter().all(|v| v.is_finite()) {
+            self.sum += acceleration;
+            self.accelerations.push(acceleration.norm());
+            self.angular_velocities.push(Vector3::from(imu.angular_velocity).norm());
+        }
+    }
+
+    pub fn finish(mut self, interval: Option<f64>) -> ImuStatistics {
+        let count = self.accelerations.len();
+        let fast = self.angular_velocities.iter().filter(|rate| **rate > FAST_TURN).count();
+        ImuStatistics {
+            messages: count,
+            rate: interval.map_or(0.0, |i| 1.0 / i),
+            median_acceleration: median(&mut self.accelerations).unwrap_or(0.0),
+            mean_acceleration: (self.sum / count.max(1) as f64).into(),
+            median_angular_velocity: median(&mut self.angular_velocities).unwrap_or(0.0),
+            fast_share: fast as f64 / count.max(1) as f64,
+            is_partial: self.partial * 2 > count,
+        }
+    }
+}
+
+/// Whether the message says that it lacks acceleration or angular velocity (−1 in its covariance).
+pub fn is_partial(imu: &Imu) -> bool {
+    imu.linear_acceleration_covariance[0] == -1.0 || imu.angular_velocity_covariance[0] == -1.0
+}
+
+fn median_count(values: &mut [usize]) -> usize {
+    values.sort_unstable();
+    values.get(values.len() / 2).copied().unwrap_or(0)
+}
+
+/// The middle of the values (the upper one of two); not-numbers sort last.
+pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Time;
+    use portolan_recording::Header;
+
+    #[test]
+    fn a_mark_for_nothing_seen_is_found() {
+        let mut sampler = RangeSampler::default();
+        for i in 0..10 {
+            let mut ranges: Vec<f32> = (0..90).map(|k| 1.0 + 0.1 * k as f32).collect();
+            ranges.extend([50.0; 10]);
+            ranges.extend([f32::NAN, 81.9]);
+            sampler.add_scan(&LaserScan {
+                header: Header { stamp: Time::from_ros(i, 0), frame_id: "laser".into() },
+                angle_min: 0.0,
+                angle_max: 1.0,
+                angle_increment: 0.01,
+                time_increment: 0.0001,
+                scan_time: 0.0,
+                range_min: 0.0,
+                range_max: 80.0,
+                ranges,
+                intensities: Vec::new(),
+            });
+        }
+        let statistics = sampler.finish(Some(0.1));
+        assert_eq!(statistics.saturation_range, Some(50.0));
+        assert!((statistics.max_range - 9.9).abs() < 1e-5);
+        assert!((statistics.median_range - 5.5).abs() < 0.11);
+        assert_eq!((statistics.readings, statistics.returns, statistics.rate), (102, 100, 10.0));
+        assert!((statistics.field_of_view - 1.01).abs() < 1e-5);
+        assert!(statistics.has_point_times());
+    }
+}

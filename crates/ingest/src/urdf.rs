@@ -1,0 +1,187 @@
+//! URDF: the fixed joints of a robot description, as static transforms.
+
+use std::path::Path;
+
+use portolan_geometry::{Quaternion, Rigid3, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_recording::RecordingError;
+
+use crate::tf::{TfTree, frame_name};
+
+/// Descriptions larger than this are refused.
+const MAX_BYTES: u64 = 64 << 20;
+/// XML nested deeper than this is refused.
+const MAX_DEPTH: usize = 200;
+
+/// One fixed joint.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FixedJoint {
+    /// Parent frame.
+    pub parent: String,
+    /// Child frame.
+    pub child: String,
+    /// Child in the parent.
+    pub parent_from_child: Rigid3,
+}
+
+/// What a robot description says about frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RobotDescription {
+    /// Fixed joints in the order of the file.
+    pub fixed_joints: Vec<FixedJoint>,
+    /// Names of joints that move; their frames need `/tf`.
+    pub moving_joints: Vec<String>,
+}
+
+/// Reads a URDF file.
+pub fn read_urdf(path: &Path) -> Result<RobotDescription, RecordingError> {
+    let io_error = |source| RecordingError::Io { path: path.to_owned(), source };
+    let size = std::fs::metadata(path).map_err(io_error)?.len();
+    if size > MAX_BYTES {
+        return Err(described(path, "it is larger than 64 MiB, which no robot description is"));
+    }
+    let bytes = std::fs::read(path).map_err(io_error)?;
+    let text =
+        String::from_utf8(bytes).map_err(|_| described(path, "it is not UTF-8 text; save it as UTF-8"))?;
+    let is_xacro = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("xacro"));
+    parse_urdf(&text, is_xacro).map_err(|detail| described(path, &detail))
+}
+
+fn described(path: &Path, detail: &str) -> RecordingError {
+    RecordingError::Description { detail: format!("{}: {detail}", path.display()) }
+}
+
+/// Understands the text of a URDF file; the error says what to do.
+pub fn parse_urdf(text: &str, is_xacro: bool) -> Result<RobotDescription, String> {
+    if is_xacro || text.contains("<xacro:") || text.contains("xmlns:xacro=") {
+        return Err("it contains xacro macros, which must be expanded first: run `xacro robot.urdf.xacro > robot.urdf` \
+                    (ROS 2: `ros2 run xacro xacro …`, ROS 1: `rosrun xacro xacro …`) and give robot.urdf"
+            .to_owned());
+    }
+    if depth(text) > MAX_DEPTH {
+        return Err(format!("its elements are nested deeper than {MAX_DEPTH} levels"));
+    }
+    let robot = urdf_rs::read_from_string(text).map_err(|error| format!("it is no valid URDF: {error}"))?;
+    let mut description = RobotDescription::default();
+    for joint in &robot.joints {
+        if joint.joint_type != urdf_rs::JointType::Fixed {
+            description.moving_joints.push(joint.name.clone());
+            continue;
+        }
+        let (xyz, rpy) = (joint.origin.xyz.0, joint.origin.rpy.0);
+        if !xyz.iter().chain(&rpy).all(|v| v.is_finite()) {
+            return Err(format!("the origin of joint \"{}\" is not a number", joint.name));
+        }
+        let rotation: Quaternion = rotation_from_roll_pitch_yaw(rpy[0], rpy[1], rpy[2]);
+        description.fixed_joints.push(FixedJoint {
+            parent: frame_name(&joint.parent.link).to_owned(),
+            child: frame_name(&joint.child.link).to_owned(),
+            parent_from_child: Rigid3::from_parts(Vector3::from(xyz).into(), rotation),
+        });
+    }
+    Ok(description)
+}
+
+/// How deep elements are nested. The parser of the library recurses, so this is found out first.
+fn depth(text: &str) -> usize {
+    let (mut depth, mut deepest) = (0usize, 0);
+    let mut rest = text;
+    while let Some(start) = rest.find('<') {
+        rest = &rest[start..];
+        let special = [("<!--", "-->"), ("<![CDATA[", "]]>"), ("<?", "?>"), ("<!", ">")];
+        if let Some((_, end)) = special.iter().find(|(begin, _)| rest.starts_with(begin)) {
+            rest = rest.find(end).map_or("", |i| &rest[i + end.len()..]);
+            continue;
+        }
+        let length = tag_length(rest);
+        let tag = &rest[..length];
+        if tag.starts_with("</") {
+            depth = depth.saturating_sub(1);
+        } else {
+            deepest = deepest.max(depth + 1);
+            depth += usize::from(!tag.ends_with("/>"));
+        }
+        rest = &rest[length..];
+    }
+    deepest
+}
+
+/// Bytes of a tag up to its `>`, which does not count inside quotes.
+fn tag_length(text: &str) -> usize {
+    let mut quote = None;
+    for (i, byte) in text.bytes().enumerate() {
+        match (byte, quote) {
+            (b'>', None) => return i + 1,
+            (b'"' | b'\'', None) => quote = Some(byte),
+            (_, Some(open)) if byte == open => quote = None,
+            _ => {}
+        }
+    }
+    text.len()
+}
+
+impl RobotDescription {
+    /// Takes the fixed joints into a tree; the messages are about those that do not fit.
+    pub fn insert_into(&self, tree: &mut TfTree) -> Vec<String> {
+        self.fixed_joints
+            .iter()
+            .filter_map(|j| tree.insert_static(&j.parent, &j.child, j.parent_from_child).err())
+            .map(|error| error.to_string())
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const ROBOT: &str = r#"<robot name="r">
+        <link name="base_link"/><link name="laser"/><link name="wheel"/>
+        <joint name="mount" type="fixed">
+          <parent link="base_link"/><child link="laser"/><origin xyz="0.2 0 0.1" rpy="3.14159265 0 0"/>
+        </joint>
+        <joint name="axle" type="continuous"><parent link="base_link"/><child link="wheel"/><axis xyz="0 1 0"/></joint>
+    </robot>"#;
+
+    #[test]
+    fn fixed_joints_become_transforms() {
+        let robot = parse_urdf(ROBOT, false).unwrap();
+        assert_eq!(robot.moving_joints, ["axle"]);
+        let mut tree = TfTree::new();
+        assert!(robot.insert_into(&mut tree).is_empty());
+        let pose = tree.lookup_static("base_link", "laser").unwrap();
+        assert!((pose.translation.vector - Vector3::new(0.2, 0.0, 0.1)).norm() < 1e-12);
+        assert!((pose.rotation * Vector3::z() + Vector3::z()).norm() < 1e-6);
+    }
+
+    #[test]
+    fn macros_and_nonsense_are_refused_with_advice() {
+        let error = parse_urdf(r#"<robot xmlns:xacro="x"><xacro:include/></robot>"#, false).unwrap_err();
+        assert!(error.contains("xacro robot.urdf.xacro > robot.urdf"));
+        assert!(parse_urdf(ROBOT, true).is_err());
+        assert!(parse_urdf("hello", false).is_err());
+        for deep in ["<a>", "<a b='/>'>", "<!-- <b> --><a>"] {
+            assert!(parse_urdf(&deep.repeat(50_000), false).unwrap_err().contains("nested"));
+        }
+        assert_eq!(depth("<a><b/><!-- <c><d> --><e x='>'></e></a>"), 2);
+    }
+
+    #[test]
+    fn descriptions_of_real_robots_load() {
+        for (name, joints) in [("AGV_backpack_2d.urdf", 5), ("backpack_2d.urdf", 2)] {
+            let Some(path) = portolan_testing::real_data(&format!("configs/{name}")) else { return };
+            assert_eq!(read_urdf(&path).unwrap().fixed_joints.len(), joints, "{name}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_descriptions_never_panic(at in 0..ROBOT.len(), byte in any::<u8>(), cut in 0..ROBOT.len()) {
+            let mut bytes = ROBOT.as_bytes().to_vec();
+            bytes[at] = byte;
+            bytes.truncate(cut.max(1));
+            let _ = parse_urdf(&String::from_utf8_lossy(&bytes), false);
+            let _ = parse_urdf(&ROBOT[..cut], false);
+        }
+    }
+}

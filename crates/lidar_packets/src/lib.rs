@@ -1,0 +1,27 @@
+#![doc = include_str!("../README.md")]
+
+mod bytes;
+mod datagram;
+mod decoder;
+mod faults;
+mod ouster;
+mod ouster_metadata;
+mod sensor_time;
+mod source;
+mod sweep;
+mod velodyne;
+mod velodyne_models;
+
+#[cfg(test)]
+mod tests;
+
+pub use datagram::{Datagrams, Endpoint};
+pub use decoder::{ImuSample, Measured, PacketDecoder};
+pub use faults::{FaultLog, PacketFault};
+pub use ouster::{IMU_PACKET_BYTES, PacketLayout};
+pub use ouster_metadata::{OusterMetadata, PacketProfile};
+pub use sensor_time::{PacketStream, SensorTime, clocks_of};
+pub use source::PacketSource;
+pub use sweep::{PacketPoint, Sweep, SweepBuilder, SweepPoint};
+pub use velodyne::is_velodyne;
+pub use velodyne_models::{Laser, VelodyneModel, parse_calibration};

@@ -1,0 +1,78 @@
+//! Points of a sweep as they come out of packets.
+
+use portolan_geometry::Time;
+
+/// No sweep has more points; longer ones are cut.
+const MAX_POINTS: usize = 1 << 21;
+
+/// One point in the frame of its sensor, at a time of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PacketPoint {
+    /// Metres.
+    pub position: [f64; 3],
+    /// How much light came back, in the sensor's unit.
+    pub intensity: f32,
+    /// Number of its beam, from below.
+    pub ring: u16,
+    /// When it was measured.
+    pub time: Time,
+}
+
+/// One point of a sweep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SweepPoint {
+    /// In the frame of the sensor, metres.
+    pub position: [f32; 3],
+    /// How much light came back, in the sensor's unit.
+    pub intensity: f32,
+    /// Number of its beam, from below.
+    pub ring: u16,
+    /// Seconds after the stamp of the sweep.
+    pub seconds: f32,
+}
+
+/// The points of one turn of a lidar, in the order in which they were measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sweep {
+    /// When the first point was measured.
+    pub stamp: Time,
+    /// At least one.
+    pub points: Vec<SweepPoint>,
+}
+
+/// Collects the points of one sweep.
+#[derive(Clone, Debug, Default)]
+pub struct SweepBuilder {
+    stamp: Option<Time>,
+    points: Vec<SweepPoint>,
+}
+
+impl SweepBuilder {
+    /// Adds a point; the first one's time becomes the stamp.
+    pub fn push(&mut self, point: &PacketPoint) {
+        let stamp = *self.stamp.get_or_insert(point.time);
+        self.points.push(SweepPoint {
+            position: point.position.map(|v| v as f32),
+            intensity: point.intensity,
+            ring: point.ring,
+            seconds: (point.time - stamp).seconds() as f32,
+        });
+    }
+
+    /// Whether no more points should be added.
+    pub fn is_full(&self) -> bool {
+        self.points.len() >= MAX_POINTS
+    }
+
+    /// Seconds since the first point.
+    pub fn age(&self, now: Time) -> f64 {
+        self.stamp.map_or(0.0, |stamp| (now - stamp).seconds())
+    }
+
+    /// The sweep, if it has points; the builder is empty afterwards.
+    pub fn take(&mut self) -> Option<Sweep> {
+        let stamp = self.stamp.take()?;
+        let room = Vec::with_capacity(self.points.len());
+        Some(Sweep { stamp, points: std::mem::replace(&mut self.points, room) })
+    }
+}

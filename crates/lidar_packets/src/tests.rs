@@ -1,0 +1,321 @@
+//! Packets made by hand, and random ones.
+
+use std::collections::BTreeMap;
+
+use portolan_geometry::{Duration, Time};
+use proptest::prelude::*;
+
+use super::velodyne_models::PACKET_BYTES;
+use super::*;
+
+fn arrival() -> Time {
+    Time::from_ros(1_700_000_000, 0)
+}
+
+/// A packet of a VLP-16: blocks from an azimuth (hundredths of a degree) on, 40 apart, all ranges the same.
+fn puck_packet(azimuth: u16, range: u16, microseconds: u32, mode: u8, product: u8) -> Vec<u8> {
+    let mut packet = Vec::new();
+    for block in 0..12_u16 {
+        let step = if mode == 0x39 { block / 2 } else { block };
+        packet.extend_from_slice(&[0xff, 0xee]);
+        packet.extend_from_slice(&((azimuth + 40 * step) % 36_000).to_le_bytes());
+        for channel in 0..32_u8 {
+            packet.extend_from_slice(&range.to_le_bytes());
+            packet.push(channel);
+        }
+    }
+    packet.extend_from_slice(&microseconds.to_le_bytes());
+    packet.extend_from_slice(&[mode, product]);
+    assert_eq!(packet.len(), PACKET_BYTES);
+    packet
+}
+
+/// Position, intensity, ring and time of the points of a sweep.
+fn points(sweep: &Sweep) -> Vec<([f32; 3], f32, u16, f32)> {
+    sweep.points.iter().map(|p| (p.position, p.intensity, p.ring, p.seconds)).collect()
+}
+
+fn decode(source: &PacketSource, packets: &[(Vec<u8>, Time)]) -> (Vec<Measured>, Vec<(PacketFault, u64)>) {
+    let (mut decoder, mut faults, mut measured) = (source.decoder(), BTreeMap::new(), Vec::new());
+    let mut clock = SensorTime::default();
+    for (packet, time) in packets {
+        decoder.push((packet, *time), &mut clock, &mut faults, &mut |m| measured.push(m));
+    }
+    measured.extend(decoder.finish());
+    (measured, faults.into_iter().collect())
+}
+
+fn sweeps(measured: Vec<Measured>) -> Vec<Sweep> {
+    measured.into_iter().map(|m| if let Measured::Sweep(s) = m { s } else { panic!() }).collect()
+}
+
+fn counted(faults: &[(PacketFault, u64)], fault: PacketFault) -> u64 {
+    faults.iter().find(|(of, _)| *of == fault).map_or(0, |(_, count)| *count)
+}
+
+#[test]
+fn a_puck_measures_where_its_beams_point() {
+    // The sensor's clock counts from the hour, 1700000000 s is 20 min before one.
+    let microseconds = (1_700_000_000_u64 % 3600 * 1_000_000) as u32;
+    let packets = [
+        (puck_packet(9000, 2500, microseconds, 0x37, 0x22), arrival()),
+        (
+            puck_packet(9480, 2500, microseconds + 1327, 0x37, 0x22),
+            arrival() + Duration::from_seconds(0.0013),
+        ),
+    ];
+    let (measured, faults) = decode(&PacketSource::Velodyne(None), &packets);
+    assert!(faults.is_empty(), "{faults:?}");
+    let sweeps = sweeps(measured);
+    assert_eq!((sweeps.len(), sweeps[0].points.len()), (1, 2 * 12 * 32));
+    assert_eq!(sweeps[0].stamp, arrival());
+    let all = points(&sweeps[0]);
+    // Channel 0: 15° down, 5 m, azimuth 90° clockwise is to the right.
+    let ([x, y, z], intensity, ring, time) = all[0];
+    assert!(x.abs() < 1e-5 && (y + 5.0 * 15f32.to_radians().cos()).abs() < 1e-5);
+    assert!((z + 5.0 * 15f32.to_radians().sin()).abs() < 1e-5 && (intensity, ring, time) == (0.0, 0, 0.0));
+    // Channel 15 points 15° up, 34.56 µs later; channel 16 is the next firing.
+    assert!(all[15].2 == 15 && (all[15].0[2] - 5.0 * 15f32.to_radians().sin()).abs() < 1e-5);
+    assert!((all[15].3 - 34.56e-6).abs() < 2e-7 && (all[16].3 - 55.296e-6).abs() < 2e-7);
+    // Half a block later the head has turned by half a step.
+    let angle = |p: &([f32; 3], f32, u16, f32)| -p.0[1].atan2(p.0[0]).to_degrees();
+    assert!((angle(&all[16]) - 90.2).abs() < 1e-3, "{}", angle(&all[16]));
+    assert!((all[12 * 32].3 - 1327e-6).abs() < 1e-6);
+}
+
+#[test]
+fn turns_are_cut_at_azimuth_zero_and_equal_returns_count_once() {
+    let packets: Vec<_> = (0..160_u64)
+        .map(|i| {
+            let azimuth = (i * 480 % 36_000) as u16;
+            let time = arrival() + Duration::from_seconds(i as f64 * 1.327e-3);
+            (puck_packet(azimuth, 1000, (i * 1327) as u32, 0x37, 0x22), time)
+        })
+        .collect();
+    let (measured, faults) = decode(&PacketSource::Velodyne(None), &packets);
+    let sizes: Vec<usize> = sweeps(measured).iter().map(|s| s.points.len()).collect();
+    assert_eq!(sizes, [75 * 384, 75 * 384, 10 * 384]);
+    // That clock was not set.
+    assert!(counted(&faults, PacketFault::ClockNotSet) == 1, "{faults:?}");
+    let dual = [(puck_packet(0, 1000, 0, 0x39, 0x28), arrival())];
+    let (measured, _) = decode(&PacketSource::Velodyne(None), &dual);
+    let sweep = &sweeps(measured)[0];
+    assert_eq!(sweep.points.len(), 6 * 32);
+    // A VLP-32C counts in 4 mm.
+    let [x, y, z] = points(sweep)[1].0;
+    assert!(((x * x + y * y + z * z).sqrt() - 4.0).abs() < 1e-4);
+    // Its second beam points 1° down and 4.2° to the left of the block's azimuth.
+    assert!((y.atan2(x).to_degrees() - 4.2).abs() < 1e-3 && (z + 4.0 * 1f32.to_radians().sin()).abs() < 1e-4);
+}
+
+#[test]
+fn a_calibration_replaces_nominal_angles() {
+    let mut text = String::from("lasers:\n");
+    for i in 0..64 {
+        text += &format!(
+            "- {{dist_correction: 0.5, laser_id: {i}, rot_correction: 0.0,\n   vert_correction: {}, vert_offset_correction: 0.1}}\n",
+            0.01 * f64::from(i)
+        );
+    }
+    let lasers = parse_calibration(&text).unwrap();
+    assert_eq!((lasers.len(), lasers[3].elevation, lasers[3].vertical_offset), (64, 0.03, 0.1));
+    let mut packet = puck_packet(0, 1000, 0, 0x37, 0x22);
+    packet[100] = 0xff;
+    packet[101] = 0xdd;
+    let (measured, faults) = decode(&PacketSource::Velodyne(Some(lasers)), &[(packet.clone(), arrival())]);
+    let sweep = &sweeps(measured)[0];
+    let lower = points(sweep)[32];
+    assert_eq!(lower.2, 32);
+    assert!((lower.0[0] - (2.5 * 0.32f32.cos() - 0.1 * 0.32f32.sin())).abs() < 1e-3, "{lower:?}");
+    assert_eq!(counted(&faults, PacketFault::NoCalibration), 0);
+    let (_, faults) = decode(&PacketSource::Velodyne(None), &[(packet, arrival())]);
+    assert_eq!(counted(&faults, PacketFault::NoCalibration), 1);
+    assert!(parse_calibration("lasers:\n- {laser_id: 99999}\n").is_none() && parse_calibration("").is_none());
+}
+
+fn ouster_packet(profile: PacketProfile, channels: usize, frame: u16, first: u16, range: u32) -> Vec<u8> {
+    let is_legacy = profile == PacketProfile::Legacy;
+    let mut packet = if is_legacy { Vec::new() } else { vec![0; 32] };
+    if !is_legacy {
+        packet[2..4].copy_from_slice(&frame.to_le_bytes());
+    }
+    for column in first..first + 16 {
+        packet.extend_from_slice(&(u64::from(column) * 100_000).to_le_bytes());
+        packet.extend_from_slice(&column.to_le_bytes());
+        if is_legacy {
+            packet.extend_from_slice(&frame.to_le_bytes());
+            packet.extend_from_slice(&0_u32.to_le_bytes());
+        } else {
+            packet.extend_from_slice(&1_u16.to_le_bytes());
+        }
+        for _ in 0..channels {
+            let mut bytes =
+                vec![0; [12, 12, 4, 16, 8][PacketProfile::ALL.iter().position(|p| *p == profile).unwrap()]];
+            match profile {
+                PacketProfile::LowData | PacketProfile::LowDataDual => {
+                    bytes[..2].copy_from_slice(&((range / 8) as u16).to_le_bytes());
+                }
+                _ => bytes[..4].copy_from_slice(&range.to_le_bytes()),
+            }
+            packet.extend(bytes);
+        }
+        if is_legacy {
+            packet.extend_from_slice(&u32::MAX.to_le_bytes());
+        }
+    }
+    packet.extend(vec![0; if is_legacy { 0 } else { 32 }]);
+    packet
+}
+
+#[test]
+fn all_layouts_of_ouster_give_the_same_sphere() {
+    let mut metadata = OusterMetadata::assumed(64, 1024);
+    metadata.beam_origin = 0.02;
+    for profile in PacketProfile::ALL {
+        let layout = PacketLayout { profile, channels: 64, columns: 16 };
+        let packets: Vec<_> = [(7, 0), (7, 256), (8, 0)]
+            .map(|(frame, first)| (ouster_packet(profile, 64, frame, first, 4000), arrival()))
+            .to_vec();
+        assert_eq!(packets[0].0.len(), layout.packet_bytes(), "{profile:?}");
+        let source = PacketSource::OusterLidar(Box::new(metadata.clone()), layout);
+        let (measured, faults) = decode(&source, &packets);
+        let sweeps = sweeps(measured);
+        assert_eq!(sweeps.iter().map(|s| s.points.len()).collect::<Vec<_>>(), [2048, 1024], "{profile:?}");
+        assert!(counted(&faults, PacketFault::ClockNotSet) > 0);
+        let all = points(&sweeps[0]);
+        for ([x, y, z], ..) in &all {
+            let z = z - 0.03618;
+            let across = (x * x + y * y).sqrt() - 0.02;
+            assert!(((across * across + z * z).sqrt() - 3.98).abs() < 2e-3, "{profile:?} {x} {y} {z}");
+        }
+        // Column 0 looks along −x of the lidar's frame turned by half a turn: ahead is +x of the sensor
+        // at half a turn of the encoder.
+        let ([x, y, _], _, ring, time) = all[1];
+        assert!(x < 0.0 && y.abs() < 0.1 * x.abs() && ring == 62 && time == 0.0, "{x} {y}");
+        // A quarter of a turn on, clockwise.
+        let ([x, y, _], ..) = all[1024 + 1];
+        assert!(y > 0.0 && x.abs() < 0.1 * y, "{x} {y}");
+        assert!((all[1024].3 - 0.0256).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn metadata_are_read_at_any_depth_and_nonsense_is_not() {
+    let text = r#"{"beam_intrinsics": {"beam_altitude_angles": [1.5, -1.5], "beam_azimuth_angles": [0, 1],
+        "lidar_origin_to_beam_origin_mm": 20}, "lidar_data_format": {"columns_per_frame": 512,
+        "columns_per_packet": 16}, "config_params": {"udp_profile_lidar": "RNG15_RFL8_NIR8"}}"#;
+    let metadata = OusterMetadata::parse(text).unwrap();
+    assert_eq!((metadata.altitudes.len(), metadata.columns_per_frame, metadata.beam_origin), (2, 512, 0.02));
+    assert_eq!(metadata.profile, Some(PacketProfile::LowData));
+    let legacy = r#"{"beam_altitude_angles": [1.5], "beam_azimuth_angles": [0], "lidar_mode": "2048x10"}"#;
+    assert_eq!(OusterMetadata::parse(legacy).unwrap().columns_per_frame, 2048);
+    for wrong in ["", "{}", "[1]", r#"{"beam_altitude_angles": [1e9], "beam_azimuth_angles": [0]}"#] {
+        assert!(OusterMetadata::parse(wrong).is_none());
+    }
+}
+
+#[test]
+fn imu_packets_are_in_si_units() {
+    let mut packet = vec![0; 48];
+    packet[16..24].copy_from_slice(&5_000_000_000_u64.to_le_bytes());
+    packet[32..36].copy_from_slice(&1.0_f32.to_le_bytes());
+    packet[36..40].copy_from_slice(&180.0_f32.to_le_bytes());
+    let (measured, _) = decode(&PacketSource::OusterImu, &[(packet, arrival())]);
+    let Measured::Imu(imu) = &measured[0] else { panic!() };
+    assert_eq!(imu.linear_acceleration, [0.0, 0.0, 9.80665]);
+    assert!((imu.angular_velocity[0] - std::f64::consts::PI).abs() < 1e-12);
+    assert_eq!(imu.time, arrival());
+}
+
+/// Packets of 400 turns' parts, 1.327 ms apart, the sensor's clock ahead of arrival by some seconds each.
+fn pucks(ahead: impl Fn(u64) -> f64) -> Vec<(Vec<u8>, Time)> {
+    let start = 1_700_000_000_u64 % 3600 * 1_000_000;
+    let packet = |i: u64| {
+        let microseconds = (start + i * 1327) as f64 + 1e6 * ahead(i);
+        let microseconds = microseconds.rem_euclid(3.6e9) as u32;
+        let packet = puck_packet((i * 480 % 36_000) as u16, 1000, microseconds, 0x37, 0x22);
+        (packet, arrival() + Duration::from_seconds(i as f64 * 1.327e-3))
+    };
+    (0..400).map(packet).collect()
+}
+
+#[test]
+fn a_clock_that_jumps_goes_on_as_before() {
+    let stamps = |packets: &[(Vec<u8>, Time)]| {
+        let (measured, faults) = decode(&PacketSource::Velodyne(None), packets);
+        (sweeps(measured).iter().map(|s| s.stamp).collect::<Vec<_>>(), faults)
+    };
+    let (expected, faults) = stamps(&pucks(|_| 0.0));
+    assert!(expected.len() == 6 && faults.is_empty(), "{faults:?}");
+    for jump in [5.0, -5.0, 1200.0, 2400.0, -1200.0] {
+        let (stamps, faults) = stamps(&pucks(|i| if i < 200 { 0.0 } else { jump }));
+        assert_eq!(stamps, expected, "{jump} s");
+        assert_eq!(faults, [(PacketFault::ClockJumped, 1)], "{jump} s");
+    }
+    // One damaged time is there and back.
+    let (stamps, faults) = stamps(&pucks(|i| if i == 100 { 60.0 } else { 0.0 }));
+    assert!(stamps == expected && faults == [(PacketFault::ClockJumped, 2)], "{faults:?}");
+}
+
+#[test]
+fn recorders_that_hang_and_gaps_are_no_jumps_of_the_clock() {
+    let with = |arrival_delay: &dyn Fn(usize) -> f64, keep: &dyn Fn(usize) -> bool| {
+        let packets = pucks(|_| 0.0).into_iter().enumerate().filter(|(i, _)| keep(*i));
+        let late = packets.map(|(i, (p, t))| (p, t + Duration::from_seconds(arrival_delay(i))));
+        decode(&PacketSource::Velodyne(None), &late.collect::<Vec<_>>()).1
+    };
+    let faults = with(&|i| if (100..200).contains(&i) { 3.0 } else { 0.0 }, &|_| true);
+    assert!(faults.is_empty(), "{faults:?}");
+    // A pause of 40 min, by both clocks.
+    let pause = |i: u64| if i < 200 { 0.0 } else { 2400.0 };
+    let packets = pucks(pause).into_iter().enumerate();
+    let packets: Vec<_> =
+        packets.map(|(i, (p, t))| (p, t + Duration::from_seconds(pause(i as u64)))).collect();
+    let (measured, faults) = decode(&PacketSource::Velodyne(None), &packets);
+    assert!(faults.is_empty(), "{faults:?}");
+    let stamps: Vec<Time> = sweeps(measured).iter().map(|s| s.stamp).collect();
+    assert!((stamps[stamps.len() - 1] - stamps[0]).seconds() > 2400.0);
+}
+
+#[test]
+fn packets_that_come_twice_count_once() {
+    let once = pucks(|_| 0.0);
+    let twice: Vec<_> = once.iter().flat_map(|packet| [packet.clone(), packet.clone()]).collect();
+    let (expected, _) = decode(&PacketSource::Velodyne(None), &once);
+    let (measured, faults) = decode(&PacketSource::Velodyne(None), &twice);
+    assert_eq!(measured, expected);
+    assert_eq!(faults, [(PacketFault::Repetition, 400)]);
+    assert!(!PacketFault::Repetition.loses_data());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+    #[test]
+    fn random_packets_never_panic(
+        seed in prop::collection::vec(any::<u8>(), 64),
+        velodyne in any::<bool>(),
+        marks in any::<bool>(),
+        times in prop::collection::vec(any::<i64>(), 3),
+    ) {
+        let source = if velodyne {
+            PacketSource::Velodyne(None)
+        } else {
+            let layout = PacketLayout { profile: PacketProfile::LowData, channels: 16, columns: 16 };
+            PacketSource::OusterLidar(Box::new(OusterMetadata::assumed(16, 1024)), layout)
+        };
+        let length = if velodyne { PACKET_BYTES } else { 64 + 16 * (12 + 64) };
+        let packets: Vec<_> = times
+            .iter()
+            .enumerate()
+            .map(|(k, time)| {
+                let mut packet: Vec<u8> = (0..length).map(|i| seed[(i * 7 + k) % 64] ^ (i / 64) as u8).collect();
+                if marks && velodyne {
+                    (0..12).for_each(|b| packet[b * 100..b * 100 + 2].copy_from_slice(&[0xff, 0xee]));
+                }
+                (packet, Time::from_ticks(*time))
+            })
+            .collect();
+        decode(&source, &packets);
+        decode(&PacketSource::OusterImu, &[(seed[..48].to_vec(), Time::MAX)]);
+    }
+}

@@ -1,0 +1,85 @@
+//! Whether the stamps of a sensor tell when it measured.
+
+use portolan_geometry::Time;
+
+/// The mean interval is taken over so many messages.
+const MEAN_OVER: usize = 50;
+/// Means that differ by more than this factor are of no steady sensor.
+const STEADY: f64 = 2.0;
+/// Share of messages in bursts, or with earlier stamps than the one before, from which stamps are not believed.
+/// Real logs with good stamps have at most 0.03 in any window (odometry of aces), intel 0.17 to 0.87.
+const MOST_IN_BURSTS: f64 = 0.1;
+/// Slower sensors are triggered or thinned out: no rate is to be expected of them, seconds.
+const LONGEST_PERIOD: f64 = 1.0;
+
+/// What the stamps of one sensor are like, in order of arrival.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StampPattern {
+    /// Usual interval, seconds.
+    pub period: f64,
+    /// Share of messages in bursts or with earlier stamps than the one before.
+    pub disturbed: f64,
+}
+
+impl StampPattern {
+    /// Fewer stamps do not tell what they are like.
+    pub const ENOUGH: usize = 60;
+    /// Messages closer than this share of the period came in a burst.
+    pub const BURST: f64 = 0.25;
+
+    /// Of a sensor that measures at a steady rate; none for others, and for too few stamps.
+    pub fn of(stamps: &[Time]) -> Option<Self> {
+        let mean_over = MEAN_OVER.min(stamps.len() / 4);
+        if stamps.len() < Self::ENOUGH {
+            return None;
+        }
+        let mut means: Vec<f64> = stamps
+            .iter()
+            .zip(stamps.iter().skip(mean_over))
+            .map(|(first, last)| last.seconds_since(*first) / mean_over as f64)
+            .collect();
+        let [fast, period, slow] = [0.05, 0.5, 0.95].map(|share| quantile(&mut means, share).unwrap_or(0.0));
+        if fast <= 0.0 || slow > STEADY * fast || period > LONGEST_PERIOD {
+            return None;
+        }
+        let intervals = stamps.len() as f64 - 1.0;
+        let backward = stamps.iter().zip(stamps.iter().skip(1)).filter(|(a, b)| b < a).count();
+        let mut sorted = stamps.to_vec();
+        sorted.sort_unstable();
+        let close = |(a, b): &(&Time, &Time)| b > a && b.seconds_since(**a) < Self::BURST * period;
+        let bunched = sorted.iter().zip(sorted.iter().skip(1)).filter(close).count();
+        Some(Self { period, disturbed: (backward + bunched) as f64 / intervals })
+    }
+
+    /// Whether stamps like these do not tell when it was measured.
+    pub fn is_disturbed(&self) -> bool {
+        self.disturbed > MOST_IN_BURSTS
+    }
+}
+
+/// The value below which this share of the values lies; not-numbers sort last.
+fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let index = (share * values.len() as f64) as usize;
+    values.get(index.min(values.len().saturating_sub(1))).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pattern(seconds: impl Fn(u32) -> f64) -> Option<StampPattern> {
+        let stamps: Vec<Time> = (0..200).map(|k| Time::from_unix_seconds(1e9 + seconds(k))).collect();
+        StampPattern::of(&stamps)
+    }
+
+    #[test]
+    fn bursts_and_steps_back_are_told_from_steady_stamps() {
+        let steady = pattern(|k| 0.2 * f64::from(k) + 0.003 * f64::from(k % 7)).unwrap();
+        assert!((steady.period - 0.2).abs() < 0.001 && !steady.is_disturbed(), "{steady:?}");
+        let bursts = pattern(|k| (0.2 * f64::from(k) / 0.9).ceil() * 0.9 + 0.001 * f64::from(k % 5)).unwrap();
+        assert!((bursts.period - 0.2).abs() < 0.02 && bursts.is_disturbed(), "{bursts:?}");
+        assert_eq!(pattern(|k| 4.0 * f64::from(k)), None);
+        assert_eq!(StampPattern::of(&[Time::UNIX_EPOCH; StampPattern::ENOUGH - 1]), None);
+    }
+}
