@@ -1,7 +1,7 @@
 //! Settings chosen from what the sensors are, so that nobody needs to write a configuration.
 
 use portolan_config::Options;
-use portolan_ingest::{RangeStatistics, SensorPlan, SensorStatistics};
+use portolan_ingest::{PlannedImu, RangeStatistics, SensorPlan, SensorStatistics};
 
 /// Beams that lie further apart than this on a typical wall, metres, do not fill cells of 5 cm.
 const SPARSE_BEAM_SPACING: f64 = 0.05;
@@ -47,6 +47,10 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     local.submaps.num_range_data = 45;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;
+    // What is tracked is the IMU itself: if turns of lidar and gyroscope have other axes, the lidar is mounted otherwise.
+    let is_tracked = |imu: &PlannedImu| *imu.source.frame == *plan.tracking_frame;
+    options.map_builder.pose_graph.optimization_problem.use_online_imu_extrinsics_in_3d =
+        !plan.imu.as_ref().is_some_and(is_tracked);
     // Without an IMU odometry counts between nodes. Wheels tell how far it went, but know nothing of slopes: with the
     // reference's weight of their turns four walks through parks are 0.1 to 0.8 m off, without it 0.02 to 0.07 m.
     options.map_builder.pose_graph.optimization_problem.odometry_rotation_weight = 0.0;

@@ -23,12 +23,15 @@ use gyroscope::Gyroscope;
 use sweeps::{Sweep, SweepGatherer};
 use tracker::{SweepTracker, TrackedSweep};
 
-/// After so many sweeps, and after as many again if that does not suffice, offsets are computed.
-const SWEEPS: usize = 600;
+/// After so many sweeps, and after twice as many if that does not suffice, offsets are computed.
+const SWEEPS: usize = 75;
 /// So many sweeps are looked at in all.
-const MAX_SWEEPS: usize = 5 * SWEEPS;
+const MAX_SWEEPS: usize = 3000;
 /// An offset that is so sure suffices, seconds (standard deviation).
 const SURE: f64 = 0.002;
+/// Lidars tell the same offset if they differ by no more than this, seconds, or by so many standard deviations.
+const SAME: f64 = 0.005;
+const DIFFERENT: f64 = 4.0;
 /// So many sweeps wait at most for samples of the IMU that come later.
 const MAX_WAITING: usize = 20;
 /// Clouds that are flatter are those of scanners in the plane, radians.
@@ -56,6 +59,15 @@ pub fn measure(
         }
         Ok(None) | Err(_) => Vec::new(),
     }
+}
+
+/// The offset of the clock of the IMU that all lidars tell, if it is beyond doubt: moving its stamps by it puts all
+/// clocks right. None where lidars differ: one of them is off then.
+pub fn common_offset(offsets: &[ClockOffset]) -> Option<ClockOffset> {
+    let best = offsets.iter().min_by(|a, b| a.sigma.total_cmp(&b.sigma)).filter(|best| best.is_told())?;
+    let agrees =
+        |o: &ClockOffset| (o.seconds - best.seconds).abs() <= SAME.max(DIFFERENT * o.sigma.hypot(best.sigma));
+    offsets.iter().all(agrees).then(|| best.clone())
 }
 
 /// All sensors while the recording is read.
@@ -118,7 +130,7 @@ impl Clocks {
         if most < self.next {
             return false;
         }
-        self.next += SWEEPS;
+        self.next *= 2;
         let is_sure = |lidar: &Lidar| {
             lag::find_lag(&lidar.tracked, &self.gyroscope).is_some_and(|found| found.sigma < SURE)
         };
@@ -162,5 +174,27 @@ impl Lidar {
             self.tracked.extend(self.tracker.add(sweep, gyroscope));
             self.waiting.pop_front();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn offset(seconds: f64, sigma: f64) -> ClockOffset {
+        let (lidar, imu) = ("/points".into(), "/imu".into());
+        ClockOffset { lidar, imu, seconds, sigma, has_point_times: true }
+    }
+
+    #[test]
+    fn the_imu_is_moved_where_all_lidars_say_so() {
+        let seconds = |offsets: &[ClockOffset]| common_offset(offsets).map(|offset| offset.seconds);
+        assert_eq!(seconds(&[offset(-0.045, 0.001)]), Some(-0.045));
+        assert_eq!(seconds(&[offset(-0.041, 0.002), offset(-0.045, 0.001)]), Some(-0.045));
+        // One of the lidars is off, and which one nobody knows.
+        assert_eq!(seconds(&[offset(0.0, 0.001), offset(-0.045, 0.001)]), None);
+        assert_eq!(seconds(&[offset(-0.045, 0.01)]), None);
+        assert_eq!(seconds(&[offset(-0.005, 0.0001)]), None);
+        assert_eq!(seconds(&[]), None);
     }
 }

@@ -15,9 +15,9 @@ use portolan_mapping::{
 use portolan_recording::{Recording, RecordingError, Repair};
 use portolan_sensor::SensorId;
 
-use crate::automatic;
 use crate::silence::Silences;
 use crate::unwind::KeptScans;
+use crate::{automatic, clocks};
 
 /// Why a recording could not be mapped.
 #[derive(Debug, thiserror::Error)]
@@ -148,6 +148,10 @@ pub fn prepare(
     let is_free = options.is_none() && plan.dimension == Dimension::Two && ingest.time_offsets.is_empty();
     if is_free && let Some(delay) = odometry_delay(recording, &plan)? {
         plan.delay_odometry(delay.seconds, delay.sigma);
+    }
+    let is_free = options.is_none() && plan.dimension == Dimension::Three && ingest.time_offsets.is_empty();
+    if is_free && let Some(offset) = clocks::common_offset(&clocks::measure(recording, ingest, &mut |_| {})) {
+        plan.delay_imu(offset.seconds, offset.sigma);
     }
     let options = options.unwrap_or_else(|| match plan.dimension {
         Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),

@@ -92,6 +92,22 @@ pub struct PlannedSensor {
     pub usual_lag: Option<Duration>,
 }
 
+impl PlannedSensor {
+    /// Moves its stamps by what was measured of them, and says what was done and how to change it.
+    fn delay(&mut self, seconds: f64, sigma: f64) -> (String, String) {
+        let delay = Duration::from_seconds(seconds);
+        self.clock_shift = self.clock_shift + delay;
+        self.usual_lag = self.usual_lag.map(|lag| lag - delay);
+        let direction = if seconds < 0.0 { "earlier" } else { "later" };
+        let what = format!(
+            "stamps of {} are moved by {seconds:.3} s (sigma {sigma:.3} s): so much {direction} are those of scans, as \
+             turns of both show",
+            self.topic
+        );
+        (what, format!("--time-offset {}=0", self.topic))
+    }
+}
+
 /// A range sensor that is used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlannedRange {
@@ -208,17 +224,17 @@ impl SensorPlan {
         }
     }
 
-    /// Moves the stamps of odometry by what scans are known to be late against it.
+    /// Moves the stamps of odometry by what was measured of them against scans, and says so.
     pub fn delay_odometry(&mut self, seconds: f64, sigma: f64) {
         let Some(PlannedOdometry::Topic(odometry)) = &mut self.odometry else { return };
-        let delay = Duration::from_seconds(seconds);
-        odometry.clock_shift = odometry.clock_shift + delay;
-        odometry.usual_lag = odometry.usual_lag.map(|lag| lag - delay);
-        let what = format!(
-            "stamps of {} are moved by {seconds:.3} s (sigma {sigma:.3} s): so much later are those of scans, as turns of both show",
-            odometry.topic
-        );
-        let change = format!("--time-offset {}=0", odometry.topic);
+        let (what, change) = odometry.delay(seconds, sigma);
+        self.note(what, change);
+    }
+
+    /// Moves the stamps of the IMU by what was measured of them against clouds, and says so.
+    pub fn delay_imu(&mut self, seconds: f64, sigma: f64) {
+        let Some(imu) = &mut self.imu else { return };
+        let (what, change) = imu.source.delay(seconds, sigma);
         self.note(what, change);
     }
 
