@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time, Vector3};
 use portolan_ingest::{
-    BeamDirections, CloudLayout, IngestOptions, Inventory, SensorPlan, TfInput, TfTree, plan,
+    BeamDirections, CloudLayout, IngestOptions, Inventory, RecordingClock, SensorPlan, TfInput, TfTree, plan,
     points_of_echoes, points_of_laser_scan,
 };
 use portolan_recording::{
@@ -46,6 +46,12 @@ const DAMAGE: Kind = Kind {
     severity: Severity::Error,
     effect: "what could not be read is missing in the map",
     to_do: "take an undamaged copy if there is one; the rest can be mapped",
+};
+const CLOCK_SET: Kind = Kind {
+    name: "clock set",
+    severity: Severity::Warning,
+    effect: "what was measured before and after is put together as if the robot had stood still in between",
+    to_do: "wait until the clock is set before recording; map one part alone with --skip or --duration",
 };
 const REPAIRED: Kind = Kind {
     name: "repaired",
@@ -116,6 +122,7 @@ struct Check<'a> {
     tree: TfTree,
     tf: TfInput,
     messages: u64,
+    clock: RecordingClock,
 }
 
 impl<'a> Check<'a> {
@@ -128,6 +135,7 @@ impl<'a> Check<'a> {
             tree: inventory.tree.clone(),
             tf: TfInput::new(&options.map_frame),
             messages: 0,
+            clock: RecordingClock::default(),
         }
     }
 
@@ -142,6 +150,9 @@ impl<'a> Check<'a> {
             return;
         }
         let Some(header) = recorded.message.header() else { return };
+        if let Some(jump) = self.clock.take(recorded.log_time) {
+            self.findings.add(&CLOCK_SET, "", || jump);
+        }
         let end = self.add_values(&recorded.topic, &recorded.message).unwrap_or(header.stamp);
         let stamps = self.stamps.entry(recorded.topic.clone());
         let stamps = stamps.or_insert_with(|| Stamps::new(&recorded.message, header, recorded.log_time));

@@ -63,12 +63,24 @@ impl<'a> Comparison<'a> {
         let origin = first.start()?;
         let (start, end) = (origin.max(second.start()?), first.end()?.min(second.end()?));
         let Windows { length, step } = windows;
-        let windows = (0..)
-            .map(|i| start.seconds_since(origin) + 0.5 + step * f64::from(i))
-            .take_while(|t| t + length + 0.5 <= end.seconds_since(origin))
-            .filter_map(|t| Some((t, first.turned(origin, t, length)?)))
-            .collect();
-        Some(Self { second, origin, length, windows })
+        let (begin, end) = (start.seconds_since(origin) + 0.5, end.seconds_since(origin));
+        let (mut known, mut index) = (Vec::new(), 0.0);
+        loop {
+            let t = begin + step * index;
+            if t + length + 0.5 > end {
+                break;
+            }
+            match first.turned(origin, t, length) {
+                Some(turn) => known.push((t, turn)),
+                // Straight to the end of the hole: it may be decades long, if a clock was set.
+                None => {
+                    let hole_end = first.hole_end(origin, t, length).unwrap_or(end);
+                    index = f64::max(index, ((hole_end - begin) / step).floor() - 1.0);
+                }
+            }
+            index += 1.0;
+        }
+        Some(Self { second, origin, length, windows: known })
     }
 
     /// Correlation and slope if the second sensor is stamped too late by `lag`.
@@ -138,6 +150,13 @@ impl Angle {
     fn turned(&self, origin: Time, seconds: f64, length: f64) -> Option<f64> {
         let at = |seconds: f64| origin + portolan_geometry::Duration::from_seconds(seconds);
         self.between(at(seconds), at(seconds + length))
+    }
+
+    /// Where the first hole ends that a window reaches into, in seconds after `origin`.
+    fn hole_end(&self, origin: Time, seconds: f64, length: f64) -> Option<f64> {
+        let at = |seconds: f64| self.index(origin + portolan_geometry::Duration::from_seconds(seconds));
+        let in_window = self.points.get(at(seconds)..=at(seconds + length))?;
+        in_window.iter().find(|p| !p.2).map(|p| p.0.seconds_since(origin))
     }
 
     /// The turn from one time to another, if it is known all along.
@@ -298,6 +317,20 @@ pub(super) mod tests {
             assert!(agreement.correlation.abs() > 0.99);
         }
         assert!(compare(&turns(0.0, 1.0, 0.1), &[]).is_none());
+    }
+
+    #[test]
+    fn a_hole_of_decades_takes_no_longer_than_none() {
+        let jump = portolan_geometry::Duration::from_seconds(1_780_000_000.0);
+        let with_hole = |delay: f64| -> Vec<Turn> {
+            let early = turns(delay, 1.0, 0.05);
+            let late: Vec<Turn> =
+                early.iter().map(|(from, to, turn)| (*from + jump, *to + jump, *turn)).collect();
+            [early, late].concat()
+        };
+        let (alone, all) = (compare(&turns(0.0, 1.0, 0.05), &turns(0.1, 1.0, 0.05)), with_hole(0.0));
+        let agreement = compare(&all, &with_hole(0.1)).unwrap();
+        assert!((agreement.lag - alone.unwrap().lag).abs() < 0.02, "{agreement:?}");
     }
 
     #[test]

@@ -86,6 +86,28 @@ fn faults_of_stamps() {
 }
 
 #[test]
+fn a_clock_that_was_set_while_recording_is_named() {
+    let jump = portolan_geometry::Duration::from_seconds(80_000_000.0);
+    let mut messages = robot(scans(100, |_, _| {}));
+    messages
+        .extend((0..100).map(|i| {
+            named("/odom", 0.05 * f64::from(i), odometry(0.05 * f64::from(i), 0.01 * f64::from(i)))
+        }));
+    messages.sort_by_key(|m| m.log_time);
+    for message in messages.iter_mut().filter(|m| m.log_time.unix_seconds() > 1_700_000_002.5) {
+        message.log_time += jump;
+        match &mut message.message {
+            Message::LaserScan(scan) => scan.header.stamp += jump,
+            Message::Odometry(odometry) => odometry.header.stamp += jump,
+            _ => {}
+        }
+    }
+    let findings = checked(messages);
+    let found = find(&findings, "the clock of the recording jumps by 3 years at message 1");
+    assert_eq!((found.severity, found.count), (Severity::Warning, 1));
+}
+
+#[test]
 fn faults_of_scans() {
     let findings = checked(robot(scans(30, |i, message| {
         (message.angle_min, message.angle_max, message.angle_increment) = (-90.0, 90.0, 180.0 / 89.0);

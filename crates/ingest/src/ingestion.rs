@@ -20,6 +20,7 @@ use crate::options::IngestOptions;
 use crate::plan::{ImuScale, PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};
 use crate::point_time::PointTime;
 use crate::read_ahead::ReadAhead;
+use crate::recording_clock::RecordingClock;
 use crate::survey::{Inventory, is_tf};
 use crate::tf::{TfError, TfInput};
 
@@ -98,6 +99,7 @@ pub struct Ingestion {
     /// Measurements that are ready, in reverse order.
     ready: Vec<(SensorId, Measurement)>,
     log_time: Option<Time>,
+    recording_clock: RecordingClock,
     /// Stamp that a message came with minus the one that is used.
     stamp_correction: Duration,
     recorded_times: BTreeMap<Time, Time>,
@@ -158,6 +160,7 @@ impl Ingestion {
             end: options.length.map_or(Time::MAX, |length| start + length),
             ready: Vec::new(),
             log_time: None,
+            recording_clock: RecordingClock::default(),
             stamp_correction: Duration::ZERO,
             recorded_times: BTreeMap::new(),
             ended: false,
@@ -236,6 +239,9 @@ impl Ingestion {
         if let Message::Tf(transforms) = &message.message {
             self.take_transforms(transforms);
             return;
+        }
+        if let Some(jump) = self.recording_clock.take(message.log_time) {
+            self.repairs.repaired(jump);
         }
         // Taken out while they are at work, because they write to the rest of the ingestion.
         let Some(mut sensors) = self.sensors.remove(&message.topic) else { return };

@@ -12,6 +12,7 @@ mod plan;
 mod point_cloud2;
 mod point_time;
 mod read_ahead;
+mod recording_clock;
 mod seam;
 mod statistics;
 mod survey;
@@ -31,6 +32,7 @@ pub use plan::{
     SensorStatistics, plan,
 };
 pub use point_time::{PointTime, PointTimeOrigin};
+pub use recording_clock::RecordingClock;
 pub use statistics::{ImuStatistics, RangeStatistics};
 pub use survey::{Inventory, TopicSurvey};
 pub use tf::{TfError, TfInput, TfTree, frame_name};

@@ -143,6 +143,41 @@ fn a_database_that_was_cut_off_gives_what_is_left() {
     assert!(repairs.iter().any(|repair| repair.lost_data));
 }
 
+/// Puts the first page of messages in the place of the third and fourth: the rows behind those of the second are the
+/// first ones again.
+fn mix_up_pages(data: &mut [u8]) {
+    const PAGE: usize = 4096;
+    const INNER_PAGE_OF_TABLE: u8 = 5;
+    let number = |data: &[u8], at: usize, bytes: usize| {
+        data[at..at + bytes].iter().fold(0, |value, byte| value << 8 | usize::from(*byte))
+    };
+    let inner = (PAGE..data.len()).step_by(PAGE).find(|at| data[*at] == INNER_PAGE_OF_TABLE).unwrap();
+    assert!(number(data, inner + 3, 2) > 4);
+    let child = |cell: usize| {
+        let cell = inner + number(data, inner + 12 + 2 * cell, 2);
+        (number(data, cell, 4) - 1) * PAGE
+    };
+    let (first, others) = (child(0), [child(2), child(3)]);
+    others.into_iter().for_each(|other| data.copy_within(first..first + PAGE, other));
+}
+
+#[test]
+fn pages_that_lead_back_to_earlier_rows_are_stepped_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.db3");
+    for with_index in [true, false] {
+        let messages = recorded(120);
+        let _ = std::fs::remove_file(&path);
+        write_db3(&path, &messages, with_index, false, false);
+        let mut data = std::fs::read(&path).unwrap();
+        mix_up_pages(&mut data);
+        std::fs::write(&path, data).unwrap();
+        let (count, repairs) = survive(&path).unwrap();
+        assert!(count > messages.len() / 2, "{count} of {}", messages.len());
+        assert!(repairs.iter().any(|repair| repair.lost_data), "{with_index}: {repairs:?}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 

@@ -31,6 +31,13 @@ pub(super) struct MessageRow {
     pub(super) topic: i64,
 }
 
+impl MessageRow {
+    /// What messages are ordered by.
+    pub(super) fn key(&self) -> (i64, i64) {
+        (self.timestamp, self.row)
+    }
+}
+
 impl Database {
     /// Opens the database for reading and sees whether it is one of ROS 2.
     pub(super) fn open(source: &Source, repairs: &mut RepairLog) -> Result<Self, RecordingError> {
@@ -40,14 +47,15 @@ impl Database {
         };
         let path = unpacked.as_deref().map(|path| path as &Path).or(source.file()).unwrap_or(source.name());
         let error = |error: rusqlite::Error| unreadable(source.name(), &error);
-        let mut sqlite = connect(path, false).map_err(error)?;
+        let work = most_work(source, path)?;
+        let mut sqlite = connect(path, false, work).map_err(error)?;
         let mut tables = tables(&sqlite);
         if matches!(
             code(&tables),
             Some(ErrorCode::CannotOpen | ErrorCode::ReadOnly | ErrorCode::FileLockingProtocolFailed)
         ) {
             // A write-ahead log beside it that cannot be used: read the database alone.
-            sqlite = connect(path, true).map_err(error)?;
+            sqlite = connect(path, true, work).map_err(error)?;
             tables = self::tables(&sqlite);
             repairs.lost("the write-ahead log of the database could not be used; its messages are missing");
         }
@@ -126,14 +134,21 @@ impl Database {
         rows.collect()
     }
 
-    /// Up to `limit` messages behind place `after` of the temporary table, with their places.
-    pub(super) fn batch_by_order(&self, after: i64, limit: i64) -> rusqlite::Result<Vec<(i64, MessageRow)>> {
+    /// Up to `limit` messages behind place `after` of the temporary table, and the place of the last. It is an error
+    /// if the table of messages has no such row any more.
+    pub(super) fn batch_by_order(
+        &self,
+        after: i64,
+        limit: i64,
+    ) -> rusqlite::Result<(Option<i64>, Vec<MessageRow>)> {
         let mut statement = self.sqlite.prepare_cached(
             "SELECT o.timestamp, o.message, m.topic_id, o.rowid FROM temp.portolan_order AS o \
-             JOIN main.messages AS m ON m.rowid = o.message WHERE o.rowid > ?1 ORDER BY o.rowid LIMIT ?2",
+             LEFT JOIN main.messages AS m ON m.rowid = o.message WHERE o.rowid > ?1 ORDER BY o.rowid LIMIT ?2",
         )?;
-        let rows = statement.query_map(params![after, limit], |row| Ok((row.get(3)?, message_row(row)?)))?;
-        rows.collect()
+        let rows = statement
+            .query_map(params![after, limit], |row| Ok((row.get::<_, i64>(3)?, message_row(row)?)))?;
+        let (places, batch): (Vec<_>, _) = rows.collect::<rusqlite::Result<Vec<_>>>()?.into_iter().unzip();
+        Ok((places.last().copied(), batch))
     }
 
     /// The first message behind row `after`, in order of rows.
@@ -174,14 +189,41 @@ fn tables(sqlite: &Sqlite) -> rusqlite::Result<Vec<String>> {
     rows.collect()
 }
 
-fn connect(path: &Path, immutable: bool) -> rusqlite::Result<Sqlite> {
+/// Steps of SQLite's machine for each byte of a database: a row takes about 60 of them in all (counting, sorting,
+/// fetching), and at least 14 bytes.
+const STEPS_PER_BYTE: u64 = 32;
+/// Steps that every database may take.
+const FREE_STEPS: u64 = 10_000_000;
+/// After so many steps it is seen how many are left.
+const STEPS_AT_ONCE: u16 = 1000;
+
+/// How many steps one pass may take: pages of a damaged database that refer to each other would never end.
+fn most_work(source: &Source, path: &Path) -> Result<u64, RecordingError> {
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    let log_bytes = std::fs::metadata(log).map_or(0, |metadata| metadata.len());
+    let bytes = source.open()?.length().saturating_add(log_bytes);
+    Ok(bytes.saturating_mul(STEPS_PER_BYTE).saturating_add(FREE_STEPS))
+}
+
+/// Whether reading was ended because it took more steps than any sound database does.
+pub(super) fn is_endless(error: &rusqlite::Error) -> bool {
+    error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted)
+}
+
+fn connect(path: &Path, immutable: bool, mut work: u64) -> rusqlite::Result<Sqlite> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let sqlite = if immutable {
+    let mut sqlite = if immutable {
         Sqlite::open_with_flags(immutable_uri(path), flags | OpenFlags::SQLITE_OPEN_URI)?
     } else {
         Sqlite::open_with_flags(path, flags)?
     };
     sqlite.pragma_update(None, "trusted_schema", false)?;
+    let is_too_much = move || {
+        work = work.saturating_sub(u64::from(STEPS_AT_ONCE));
+        work == 0
+    };
+    sqlite.progress_handler(i32::from(STEPS_AT_ONCE), Some(is_too_much))?;
     Ok(sqlite)
 }
 

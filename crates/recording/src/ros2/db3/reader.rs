@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use portolan_geometry::Time;
 
-use super::database::{Database, MessageRow};
+use super::database::{Database, MessageRow, is_endless};
 use crate::container::{Connection, MessageDecoder};
 use crate::{MessageReader, RecordedMessage, RecordingError, Repair, RepairLog};
 
@@ -22,8 +22,8 @@ const MAX_STEP: i64 = 1 << 32;
 enum Order {
     /// The database's index of times; last key delivered.
     Index((i64, i64)),
-    /// A sorted temporary table; last place delivered.
-    Sorted(i64),
+    /// A sorted temporary table; last place and key delivered.
+    Sorted(i64, (i64, i64)),
     /// Damage: row by row from this row, leaving out what came at or before the key.
     Rows {
         after: i64,
@@ -58,7 +58,7 @@ impl Db3Reader {
         let order = if database.has_time_index() {
             Order::Index(start)
         } else if database.sort_by_time().is_ok() {
-            Order::Sorted(i64::MIN)
+            Order::Sorted(i64::MIN, start)
         } else {
             Order::Rows { after: i64::MIN, delivered: start }
         };
@@ -79,21 +79,22 @@ impl Db3Reader {
     fn fill(&mut self) {
         let delivered = match &mut self.order {
             Order::Index(after) => match self.database.batch_by_index(*after, BATCH) {
-                Ok(batch) => {
-                    *after = batch.last().map_or(*after, |last| (last.timestamp, last.row));
+                Ok(batch) if ascends(*after, &batch) => {
+                    *after = batch.last().map_or(*after, MessageRow::key);
                     self.batch = batch.into();
                     return;
                 }
-                Err(_) => *after,
+                Ok(_) | Err(_) => *after,
             },
-            Order::Sorted(after) => match self.database.batch_by_order(*after, BATCH) {
-                Ok(batch) => {
-                    *after = batch.last().map_or(*after, |(place, _)| *place);
-                    self.batch = batch.into_iter().map(|(_, row)| row).collect();
+            Order::Sorted(after, key) => match self.database.batch_by_order(*after, BATCH) {
+                // The same message twice: pages of the table refer to each other.
+                Ok((place, batch)) if ascends(*key, &batch) => {
+                    (*after, *key) = (place.unwrap_or(*after), batch.last().map_or(*key, MessageRow::key));
+                    self.batch = batch.into();
                     return;
                 }
                 // Rows behind the last one delivered: what came before is in order of time.
-                Err(_) => (self.last_time, i64::MAX),
+                Ok(_) | Err(_) => (self.last_time, i64::MAX),
             },
             Order::Rows { .. } => return self.fill_by_rows(),
             Order::Done => return,
@@ -107,23 +108,36 @@ impl Db3Reader {
         let Order::Rows { after, delivered } = &mut self.order else { return };
         let mut unreadable = 0;
         while (self.batch.len() as i64) < BATCH {
-            match self.database.next_row(*after) {
-                Ok(Some(row)) => {
+            let next = self.database.next_row(*after);
+            match next {
+                Ok(Some(row)) if row.row > *after => {
                     *after = row.row;
                     unreadable = 0;
-                    if (row.timestamp, row.row) > *delivered {
+                    if row.key() > *delivered {
                         self.batch.push_back(row);
                     }
+                    continue;
                 }
-                Err(_) if step_over(unreadable) <= MAX_STEP => {
+                // Nothing comes behind the last number that there is.
+                Ok(None) => {}
+                Err(error) if is_endless(&error) => {
+                    self.repairs.lost(
+                        "the pages of the database refer to each other without end; reading was given up",
+                    );
+                }
+                // An earlier row than asked for is as good as none: pages are mixed up.
+                Ok(Some(_)) | Err(_) if step_over(unreadable) <= MAX_STEP => {
+                    if unreadable == 0 {
+                        self.repairs.lost("a part of the database could not be read and was stepped over");
+                    }
                     *after = (*after).max(0).saturating_add(step_over(unreadable));
                     unreadable += 1;
+                    continue;
                 }
-                Ok(None) | Err(_) => {
-                    self.order = Order::Done;
-                    return;
-                }
+                Ok(Some(_)) | Err(_) => {}
             }
+            self.order = Order::Done;
+            return;
         }
     }
 
@@ -143,6 +157,11 @@ impl Db3Reader {
         let log_time = Time::from_unix_nanoseconds(row.timestamp);
         message.map(|message| RecordedMessage { topic: connection.topic.clone(), log_time, message })
     }
+}
+
+/// Whether the keys of a batch grow, and are all behind `after`: those of a damaged index need not.
+fn ascends(after: (i64, i64), batch: &[MessageRow]) -> bool {
+    batch.first().is_none_or(|first| first.key() > after) && batch.is_sorted_by(|a, b| a.key() < b.key())
 }
 
 /// How many rows to go on after so many unreadable ones.

@@ -1,0 +1,56 @@
+//! Jumps of the clock that a recording was made with.
+
+use portolan_geometry::Time;
+
+/// No recording pauses for so long, seconds: a day. Computers without a battery for their clock start in 1970 and
+/// are put right once there is a network.
+const LONGEST_PAUSE: f64 = 86_400.0;
+/// Seconds of a year (Gregorian calendar) and of a day.
+const UNITS: [(f64, &str); 2] = [(31_556_952.0, "year"), (86_400.0, "day")];
+
+/// Follows the times of recording of the messages of sensors.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RecordingClock {
+    last: Option<Time>,
+    messages: u64,
+}
+
+impl RecordingClock {
+    /// Takes the time of recording of the next message; what is wrong with it, in words.
+    pub fn take(&mut self, log_time: Time) -> Option<String> {
+        self.messages += 1;
+        let last = self.last.replace(log_time)?;
+        let seconds = log_time.seconds_since(last);
+        (seconds.abs() > LONGEST_PAUSE).then(|| {
+            let back = if seconds < 0.0 { "back " } else { "" };
+            format!(
+                "the clock of the recording jumps {back}by {} at message {} of the sensors: {log_time} comes after {last}",
+                in_words(seconds.abs()),
+                self.messages
+            )
+        })
+    }
+}
+
+/// A long time in its largest unit.
+fn in_words(seconds: f64) -> String {
+    let (length, name) = UNITS.into_iter().find(|(length, _)| seconds >= *length).unwrap_or(UNITS[1]);
+    let count = (seconds / length).round();
+    format!("{count} {name}{}", if count == 1.0 { "" } else { "s" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_that_begins_in_1970_is_named_and_a_pause_of_hours_is_not() {
+        let mut clock = RecordingClock::default();
+        let at = |seconds| Time::from_ros(seconds, 0);
+        assert_eq!(clock.take(at(170)), None);
+        assert_eq!(clock.take(at(40_000)), None);
+        let text = clock.take(at(1_780_000_000)).unwrap();
+        assert!(text.starts_with("the clock of the recording jumps by 56 years at message 3"), "{text}");
+        assert!(clock.take(at(1_779_700_000)).unwrap().contains("back by 3 days at message 4"));
+    }
+}
