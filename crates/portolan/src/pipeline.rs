@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use portolan_config::Options;
 use portolan_diagnose::odometry_delay;
-use portolan_geometry::{Rigid3, Time, TransformBuffer};
-use portolan_ingest::{Dimension, IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
+use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
+use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
 use portolan_mapping::{
     BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map, Mapper,
     MapperError, MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan,
@@ -153,11 +153,7 @@ pub fn prepare(
         Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),
         Dimension::Three => automatic::options_3d(&plan, &plan.statistics()),
     });
-    let dimension = match options.map_builder.dimension() {
-        Ok(portolan_config::Dimension::Two) => Dimension::Two,
-        Ok(portolan_config::Dimension::Three) => Dimension::Three,
-        Err(error) => return Err(PipelineError::Setting(error.to_string())),
-    };
+    let dimension = options.map_builder.dimension().map_err(|e| PipelineError::Setting(e.to_string()))?;
     Ok(Preparation { inventory, plan, options, dimension, background_threads: None, keep_scans_in: None })
 }
 

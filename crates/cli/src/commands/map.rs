@@ -11,8 +11,8 @@ use portolan::pipeline::{
     KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
 };
 use portolan_config::{Engine, Loader, Options, little_effect};
-use portolan_geometry::Duration;
-use portolan_ingest::{AzimuthTimes, Dimension, IngestOptions, StampPolicy, read_urdf};
+use portolan_geometry::{Dimension, Duration};
+use portolan_ingest::{AzimuthTimes, IngestOptions, StampPolicy, read_urdf};
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
 use portolan_recording::{Recording, open_all};
 

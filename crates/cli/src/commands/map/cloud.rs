@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use portolan::pipeline::{MappedRecording, PipelineError, Preparation};
 use portolan::unwind::{KeptScans, MapPoint, SmoothMotion, UnwindOptions, Unwound, unwind};
-use portolan_geometry::{Rigid3, Time};
-use portolan_ingest::{Dimension, IngestOptions};
+use portolan_geometry::{Dimension, Rigid3, Time};
+use portolan_ingest::IngestOptions;
 use portolan_mapping::Space;
 use portolan_pointcloud::{
     Attributes, BATCH_POINTS, CloudError, CloudFormat, CloudWriter, PointCloud, VoxelThinner, WriteOptions,
