@@ -8,6 +8,7 @@ mod requested;
 mod silence;
 pub mod unwind;
 
+pub use automatic::{Lidar, Sensors, settings_for};
 pub use requested::RequestedOptions;
 
 pub use portolan_bunzip2 as bunzip2;
