@@ -101,6 +101,12 @@ impl<S: Space> MappedRecording<S> {
         !before.into_iter().any(|id| connectivity.are_connected(id, loss.piece))
     }
 
+    /// Whether data were lost while reading, or something was mapped that nothing ties to the rest.
+    pub fn lost_data(&self) -> bool {
+        self.reading_repairs.iter().any(|repair| repair.lost_data)
+            || self.losses.iter().any(|loss| self.is_apart(loss))
+    }
+
     /// Pose of the tracking frame in the map for every scan, each under the time of its message in the
     /// recording, in order of that.
     pub fn trajectory(&self) -> Vec<(Time, Rigid3)> {
