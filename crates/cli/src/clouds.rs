@@ -1,36 +1,20 @@
-//! Reading files of points.
+//! Reading files of points, with words about what was repaired.
 
 use std::path::Path;
 
-use portolan_pointcloud::{CloudError, CloudReader, PointCloud};
+use portolan::job::ReadCloud;
+use portolan_pointcloud::{CloudError, CloudReader};
 
 use crate::error::CliError;
 use crate::output::counted;
 use crate::progress::say;
 
-/// Points of a cloud, every n-th if there are very many.
-#[derive(Debug, Default)]
-pub struct ReadCloud {
-    /// Metres.
-    pub points: Vec<[f64; 3]>,
-    /// Seconds; empty if the file has none.
-    pub seconds: Vec<f64>,
-    /// Points with finite coordinates in the file.
-    pub total: u64,
-    /// Points whose coordinates are not numbers.
-    pub not_finite: u64,
-    /// Whether data were lost while reading.
-    pub lost_data: bool,
-}
-
-/// Reads a cloud of any format, or a folder of uos scans. Beyond `limit` points every second one is left out, and
-/// again, evenly over the whole file. What was repaired is said.
+/// Reads a cloud of any format, or a folder of uos scans, thinned beyond `limit` points. What was repaired is said.
 ///
 /// # Errors
 /// Fails if the file cannot be read or has no points.
 pub fn read_cloud(path: &Path, limit: usize, quiet: bool) -> Result<ReadCloud, CliError> {
-    let reader = portolan_pointcloud::open(path).map_err(|error| CliError::Failed(error.to_string()))?;
-    read_cloud_from(reader, path, limit, quiet)
+    told(portolan::job::read_cloud(path, limit), path, quiet)
 }
 
 /// The same from a reader; `path` is named in messages.
@@ -38,40 +22,18 @@ pub fn read_cloud(path: &Path, limit: usize, quiet: bool) -> Result<ReadCloud, C
 /// # Errors
 /// As [`read_cloud`].
 pub fn read_cloud_from(
-    mut reader: Box<dyn CloudReader>,
+    reader: Box<dyn CloudReader>,
     path: &Path,
     limit: usize,
     quiet: bool,
 ) -> Result<ReadCloud, CliError> {
-    let failed = |error: CloudError| CliError::Failed(error.to_string());
-    let has_times = reader.attributes().time;
-    let (mut cloud, mut batch, mut stride) = (ReadCloud::default(), PointCloud::default(), 1_u64);
-    while reader.next_batch(&mut batch).map_err(failed)? {
-        for i in 0..batch.len() {
-            let position = batch.position(i);
-            if !position.iter().all(|v| v.is_finite()) {
-                cloud.not_finite += 1;
-                continue;
-            }
-            cloud.total += 1;
-            if cloud.total.is_multiple_of(stride) {
-                cloud.points.push(position);
-                if has_times {
-                    cloud.seconds.push(batch.time(i).unwrap_or(f64::NAN));
-                }
-            }
-            if cloud.points.len() > limit.max(2) {
-                stride *= 2;
-                every_second(&mut cloud.points);
-                every_second(&mut cloud.seconds);
-            }
-        }
-    }
-    for repair in reader.repairs() {
-        cloud.lost_data |= repair.lost_data;
-        if !quiet {
-            say(&format!("{}: {} ({})", path.display(), repair.what, counted(repair.count, "time", "times")));
-        }
+    told(portolan::job::read_cloud_from(reader, limit), path, quiet)
+}
+
+fn told(cloud: Result<ReadCloud, CloudError>, path: &Path, quiet: bool) -> Result<ReadCloud, CliError> {
+    let cloud = cloud.map_err(|error| CliError::Failed(error.to_string()))?;
+    for repair in cloud.repairs.iter().filter(|_| !quiet) {
+        say(&format!("{}: {} ({})", path.display(), repair.what, counted(repair.count, "time", "times")));
     }
     if cloud.not_finite > 0 && !quiet {
         say(&format!(
@@ -84,36 +46,4 @@ pub fn read_cloud_from(
         return Err(CliError::in_file(path, "there are no points in it"));
     }
     Ok(cloud)
-}
-
-/// Keeps the second, fourth, … value.
-fn every_second<T>(values: &mut Vec<T>) {
-    let mut index = 0_u64;
-    values.retain(|_| {
-        index += 1;
-        index.is_multiple_of(2)
-    });
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn large_clouds_are_thinned_evenly_and_bad_points_counted() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("line.xyz");
-        let mut text = "x y z time\n".to_owned();
-        (1..=1000).for_each(|i| text += &format!("{i} 0 0 {}\n", f64::from(i) * 0.5));
-        text += "nan 0 0 1\n";
-        std::fs::write(&path, text).unwrap();
-        let cloud = read_cloud(&path, 100, true).unwrap();
-        assert_eq!(cloud.total, 1000);
-        assert!((50..=100).contains(&cloud.points.len()) && cloud.points.len() == cloud.seconds.len());
-        let step = cloud.points[1][0] - cloud.points[0][0];
-        assert!(cloud.points.windows(2).all(|w| w[1][0] - w[0][0] == step));
-        assert_eq!(cloud.seconds[3], 0.5 * cloud.points[3][0]);
-        std::fs::write(&path, "x y z\n").unwrap();
-        assert!(read_cloud(&path, 100, true).unwrap_err().to_string().contains("no points"));
-    }
 }

@@ -3,6 +3,11 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
+use portolan::job::JobError;
+use portolan::pipeline::PipelineError;
+
+use crate::interrupt;
+
 /// A command that did what it was asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Outcome {
@@ -58,6 +63,37 @@ impl CliError {
 impl From<portolan_mapfile::WriteError> for CliError {
     fn from(error: portolan_mapfile::WriteError) -> Self {
         Self::File { path: error.path, source: error.source }
+    }
+}
+
+impl From<PipelineError> for CliError {
+    fn from(error: PipelineError) -> Self {
+        match error {
+            PipelineError::Setting(message) => Self::Usage(message),
+            PipelineError::NoScans if interrupt::interrupted() => {
+                Self::Failed("interrupted before the first scan: nothing was written".to_owned())
+            }
+            PipelineError::NoScans => Self::NoScans(error.to_string()),
+            other => Self::Failed(other.to_string()),
+        }
+    }
+}
+
+impl From<JobError> for CliError {
+    fn from(error: JobError) -> Self {
+        match error {
+            JobError::Pipeline(error) => error.into(),
+            JobError::File { path, source } => Self::File { path, source },
+            JobError::Setting(_) | JobError::Options(_) => Self::Usage(error.to_string()),
+            JobError::PlanesInThePlane => {
+                Self::Usage("--engine planes is for 3D; 2D scans are matched to grids".to_owned())
+            }
+            JobError::AmbiguousFrozen => Self::Usage(
+                "--frozen=TRAJECTORIES does not tell which of the maps it means; freeze all, or go on with one"
+                    .to_owned(),
+            ),
+            other => Self::Failed(other.to_string()),
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use portolan::pipeline::MappedRecording;
 use portolan_geometry::Time;
-use portolan_mapping::{Loss, Space};
+use portolan_mapping::Space;
 
 /// Losses that are named one by one.
 const NAMED: usize = 5;
@@ -29,18 +29,4 @@ pub fn losses<S: Space>(mapped: &MappedRecording<S>) -> String {
         );
     }
     text
-}
-
-/// The same for `report.json`.
-pub fn report<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
-    let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time).unix_seconds();
-    let entry = |loss: &Loss| {
-        serde_json::json!({
-            "from": recorded(loss.since),
-            "to": recorded(loss.until),
-            "trajectory": loss.piece.0,
-            "tied_to_the_rest": !mapped.is_apart(loss),
-        })
-    };
-    mapped.losses.iter().map(entry).collect()
 }

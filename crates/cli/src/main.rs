@@ -6,10 +6,8 @@ mod error;
 mod interrupt;
 mod known_map;
 mod lost;
-mod memory;
 mod output;
 mod progress;
-mod results;
 
 use std::process::ExitCode;
 
@@ -52,14 +50,7 @@ struct GlobalArgs {
 }
 
 impl GlobalArgs {
-    /// As many threads as asked for, or else as there are cores, but not more than options allow.
-    fn thread_count_up_to(&self, most: Option<usize>) -> usize {
-        match (self.threads, most) {
-            (0, Some(most)) => self.thread_count().min(most),
-            _ => self.thread_count(),
-        }
-    }
-
+    /// As many threads as asked for, or else as there are cores.
     fn thread_count(&self) -> usize {
         match self.threads {
             0 => std::thread::available_parallelism().map_or(2, std::num::NonZero::get),

@@ -1,5 +1,7 @@
 //! Checks: every value within its bounds, and options that must fit each other.
 
+use portolan_geometry::Dimension;
+
 use crate::catalogue::walk;
 use crate::error::ConfigError;
 use crate::node::{NodeRef, Section};
@@ -7,15 +9,6 @@ use crate::options::{
     GridType2d, MapBuilderOptions, MapBuilderServerOptions, Options, RangeDataInserterType2d,
 };
 use crate::value::Value;
-
-/// Plane or space.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Dimension {
-    /// The plane.
-    Two,
-    /// Space.
-    Three,
-}
 
 /// What is wrong with a tree, divided by whether it matters.
 #[derive(Clone, Debug, Default)]

@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-use crate::check::Dimension;
+use portolan_geometry::Dimension;
+
 use crate::options::Options;
 
 /// Range data are gathered to scans of about this long, seconds, where scans are matched to planes: one turn of most

@@ -63,7 +63,6 @@ mod without_effect;
 
 pub use bounds::Bounds;
 pub use catalogue::{Entry, OptionDoc, catalogue, explain, explain_all};
-pub use check::Dimension;
 pub use engine::Engine;
 pub use error::{ConfigError, ConfigWarning, Place};
 pub use fingerprint::fingerprint_of;

@@ -5,7 +5,8 @@
 use std::path::Path;
 
 use portolan_config::lua::{Evaluation, Limits, built_in_names, dump, evaluate_file, evaluate_text};
-use portolan_config::{Dimension, LoadedConfig, Loader, MapBuilderServerOptions, Options, Value};
+use portolan_config::{LoadedConfig, Loader, MapBuilderServerOptions, Options, Value};
+use portolan_geometry::Dimension;
 
 const ROBOTS: [&str; 9] = [
     "backpack_2d",

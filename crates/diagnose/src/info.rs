@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::Arc;
 
-use portolan_geometry::Time;
+use portolan_geometry::{Dimension, Time};
 use portolan_ingest::{
-    Dimension, IngestOptions, Inventory, Notice, PlannedOdometry, RangeStatistics, TopicSurvey, plan,
+    IngestOptions, Inventory, Notice, PlannedOdometry, RangeStatistics, TopicSurvey, plan,
 };
 use portolan_recording::{Recording, RecordingError, Repair};
 

@@ -7,12 +7,14 @@
 //! - Time is a count of 100 ns ticks ([`Time`]).
 
 mod buffer;
+mod dimension;
 mod rigid2;
 mod rotation;
 mod time;
 mod transform;
 
 pub use buffer::{TransformBuffer, interpolate};
+pub use dimension::Dimension;
 pub use nalgebra;
 pub use rigid2::{Rigid2, normalize_angle};
 pub use rotation::{

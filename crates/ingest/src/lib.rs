@@ -26,7 +26,7 @@ pub use azimuth_time::AzimuthTimes;
 pub use even_stamps::StampPolicy;
 pub use gnss::GeodeticPosition;
 pub use ingestion::{IngestError, Ingestion};
-pub use options::{ConfiguredSensors, Dimension, IngestOptions, SamplingRatios};
+pub use options::{ConfiguredSensors, IngestOptions, SamplingRatios};
 pub use plan::{
     Notice, PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan,
     SensorStatistics, plan,

@@ -1,19 +1,10 @@
 //! What may be told about the sensors of a recording; everything else is found out.
 
-use portolan_geometry::Duration;
+use portolan_geometry::{Dimension, Duration};
 
 use crate::RobotDescription;
 use crate::azimuth_time::AzimuthTimes;
 use crate::even_stamps::StampPolicy;
-
-/// Whether mapping happens in the plane or in space.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
-pub enum Dimension {
-    /// In the plane.
-    Two,
-    /// In space.
-    Three,
-}
 
 /// Sensors as a robot configuration names them (`spec/options.md` §8): `scan` or `scan_1` …,
 /// `echoes`, `points2`, and `odom`, `imu`, `fix`, `landmark`.

@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
 
-use portolan_geometry::{Time, rotation_angle};
-use portolan_ingest::{Dimension, IngestOptions, Ingestion, PlannedOdometry};
+use portolan_geometry::{Dimension, Time, rotation_angle};
+use portolan_ingest::{IngestOptions, Ingestion, PlannedOdometry};
 use portolan_recording::{Message, RecordedMessage, Recording, open};
 use portolan_sensor::{Measurement, SensorId};
 use portolan_testing::real_data;

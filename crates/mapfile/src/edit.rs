@@ -18,7 +18,7 @@ mod unread;
 mod walls;
 
 pub use constraints::{LoopResidual, LoopWeights};
-pub use draft::{EditReport, MapDimension, MapDraft};
+pub use draft::{EditReport, MapDraft};
 pub use error::EditError;
 pub use loop_search::FoundLoop;
 pub use optimize::MapOptimization;

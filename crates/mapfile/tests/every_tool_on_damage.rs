@@ -9,15 +9,15 @@ use std::path::{Path, PathBuf};
 
 use common::small_map::{SmallMap, pose};
 use portolan_config::Options;
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{Dimension, Rigid3, Time};
 use portolan_mapfile::proto::mapping as m;
 use portolan_mapfile::proto::mapping::grid2_d::Grid;
 use portolan_mapfile::proto::mapping::pose_graph::LandmarkPose;
 use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::proto::sensor;
 use portolan_mapfile::{
-    MapArea, MapDimension, MapDraft, MapReader, MessageKind, MigrateOptions, PaintOptions, PbstreamReader,
-    PbstreamWriter, RawMessage, ReadLimits, Severity, info, load_textures, migrate, paint, repair, validate,
+    MapArea, MapDraft, MapReader, MessageKind, MigrateOptions, PaintOptions, PbstreamReader, PbstreamWriter,
+    RawMessage, ReadLimits, Severity, info, load_textures, migrate, paint, repair, validate,
 };
 use proptest::prelude::*;
 
@@ -95,7 +95,7 @@ fn use_every_tool(path: &Path, folder: &Path) {
     drop(draft.append(path, &Rigid3::translation(1.0, 2.0, 0.0)));
     draft.loop_residuals();
     draft.drop_loops_beyond(0.3, 0.1);
-    if draft.dimension() != Some(MapDimension::Spatial) {
+    if draft.dimension() != Some(Dimension::Three) {
         drop(draft.find_loop((0, 0), (0, 2), &Default::default()));
     }
     drop(draft.walls());

@@ -1,7 +1,8 @@
 //! Settings chosen from what the sensors are, so that nobody needs to write a configuration.
 
 use portolan_config::Options;
-use portolan_ingest::{PlannedImu, RangeStatistics, SensorPlan, SensorStatistics};
+use portolan_geometry::Dimension;
+use portolan_ingest::{RangeStatistics, SensorPlan, SensorStatistics};
 
 /// Beams that lie further apart than this on a typical wall, metres, do not fill cells of 5 cm.
 const SPARSE_BEAM_SPACING: f64 = 0.05;
@@ -15,25 +16,108 @@ const MIN_SEARCHES: usize = 1000;
 /// Range data are gathered to scans of at most about this long, seconds.
 const MAX_SCAN_DURATION: f64 = 0.1;
 
-/// Options for planar mapping with these sensors.
-pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
-    let mut options = Options::for_2d();
-    let range = statistics.range.first().map(|(_, r)| r);
-    set_local_slam(&mut options, plan, range);
-    set_pose_graph(&mut options);
-    options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
-    options.bridge.use_odometry = plan.odometry.is_some();
+/// What settings depend on of a lidar.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lidar {
+    /// Angle between neighbouring beams of a turn, radians.
+    pub angular_resolution_radians: f64,
+    /// Half of the distances that it measures where it is used are shorter, metres: about 3 in rooms, 10 and more
+    /// outside.
+    pub median_range_metres: f64,
+    /// What it reads where it sees nothing, or else the longest distance that it measures, metres; infinite if that is
+    /// not known.
+    pub max_range_metres: f64,
+}
+
+/// What settings depend on of the sensors.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sensors {
+    /// Whether to map in the plane, from planar scans, or in space, from clouds.
+    pub dimension: Dimension,
+    /// The lidar, or the first of several; none: settings as for any lidar.
+    pub lidar: Option<Lidar>,
+    /// Whether there is an IMU.
+    pub has_imu: bool,
+    /// Whether the tracking frame is that of the IMU.
+    pub tracks_imu: bool,
+    /// Whether there is odometry.
+    pub has_odometry: bool,
+    /// The frame whose motion is wanted: that of the IMU if there is one.
+    pub tracking_frame: String,
+}
+
+impl Sensors {
+    /// A lidar alone; its frame is the tracking frame.
+    pub fn new(dimension: Dimension, lidar: Lidar, tracking_frame: &str) -> Self {
+        let tracking_frame = tracking_frame.to_owned();
+        Self {
+            dimension,
+            lidar: Some(lidar),
+            has_imu: false,
+            tracks_imu: false,
+            has_odometry: false,
+            tracking_frame,
+        }
+    }
+
+    /// Those of a recording, to map it in this dimension.
+    fn of(plan: &SensorPlan, statistics: &SensorStatistics, dimension: Dimension) -> Self {
+        Self {
+            dimension,
+            lidar: statistics.range.first().map(|(_, range)| Lidar::from(range)),
+            has_imu: plan.imu.is_some(),
+            tracks_imu: plan.imu.as_ref().is_some_and(|imu| *imu.source.frame == *plan.tracking_frame),
+            has_odometry: plan.odometry.is_some(),
+            tracking_frame: plan.tracking_frame.clone(),
+        }
+    }
+}
+
+impl From<&RangeStatistics> for Lidar {
+    fn from(range: &RangeStatistics) -> Self {
+        Self {
+            angular_resolution_radians: range.angular_resolution,
+            median_range_metres: range.median_range,
+            max_range_metres: range.saturation_range.unwrap_or(range.max_range),
+        }
+    }
+}
+
+/// Good options for these sensors, without a recording: those that are chosen for a recording with the same.
+pub fn settings_for(sensors: &Sensors) -> Options {
+    let mut options = match sensors.dimension {
+        Dimension::Two => settings_2d(sensors),
+        Dimension::Three => settings_3d(sensors),
+    };
+    options.bridge.tracking_frame.clone_from(&sensors.tracking_frame);
+    options.bridge.use_odometry = sensors.has_odometry;
     options
 }
 
-/// Options for mapping in space with these sensors.
+/// Options for planar mapping with the sensors of a recording.
+pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
+    settings_for(&Sensors::of(plan, statistics, Dimension::Two))
+}
+
+/// Options for mapping in space with the sensors of a recording.
 pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
+    settings_for(&Sensors::of(plan, statistics, Dimension::Three))
+}
+
+fn settings_2d(sensors: &Sensors) -> Options {
+    let mut options = Options::for_2d();
+    set_local_slam(&mut options, sensors);
+    set_pose_graph(&mut options);
+    options
+}
+
+fn settings_3d(sensors: &Sensors) -> Options {
     let mut options = Options::for_3d();
     let local = &mut options.trajectory_builder.trajectory_builder_3d;
-    if let Some((_, range)) = statistics.range.first() {
+    if let Some(lidar) = &sensors.lidar {
         // The spinning head and who carries it are no part of the world.
         local.min_range = 0.5;
-        let outside = range.median_range > OUTSIDE_MEDIAN_RANGE;
+        let outside = lidar.median_range_metres > OUTSIDE_MEDIAN_RANGE;
         local.submaps.high_resolution = if outside { 0.2 } else { 0.1 };
         local.max_range = if outside { 100.0 } else { 60.0 };
     }
@@ -48,9 +132,7 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;
     // What is tracked is the IMU itself: if turns of lidar and gyroscope have other axes, the lidar is mounted otherwise.
-    let is_tracked = |imu: &PlannedImu| *imu.source.frame == *plan.tracking_frame;
-    options.map_builder.pose_graph.optimization_problem.use_online_imu_extrinsics_in_3d =
-        !plan.imu.as_ref().is_some_and(is_tracked);
+    options.map_builder.pose_graph.optimization_problem.use_online_imu_extrinsics_in_3d = !sensors.tracks_imu;
     // Without an IMU odometry counts between nodes. Wheels tell how far it went, but know nothing of slopes: with the
     // reference's weight of their turns four walks through parks are 0.1 to 0.8 m off, without it 0.02 to 0.07 m.
     options.map_builder.pose_graph.optimization_problem.odometry_rotation_weight = 0.0;
@@ -60,8 +142,6 @@ pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     graph.optimization_problem.huber_scale = 200.0;
     // One in a metre of way for each submap.
     graph.constraint_builder.sampling_ratio = 0.15;
-    options.bridge.tracking_frame.clone_from(&plan.tracking_frame);
-    options.bridge.use_odometry = plan.odometry.is_some();
     options
 }
 
@@ -94,14 +174,14 @@ pub fn search_in_known_map(options: &mut Options, submaps: usize) {
     graph.global_constraint_search_after_n_seconds = f64::INFINITY;
 }
 
-fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&RangeStatistics>) {
+fn set_local_slam(options: &mut Options, sensors: &Sensors) {
     let local = &mut options.trajectory_builder.trajectory_builder_2d;
-    local.use_imu_data = plan.imu.is_some();
-    if let Some(range) = range {
-        let spacing = range.angular_resolution * range.median_range;
+    local.use_imu_data = sensors.has_imu;
+    if let Some(lidar) = &sensors.lidar {
+        let spacing = lidar.angular_resolution_radians * lidar.median_range_metres;
         local.submaps.grid_options_2d.resolution = if spacing > SPARSE_BEAM_SPACING { 0.1 } else { 0.05 };
         // A reading at the scanner's "nothing seen" mark is no wall.
-        let mark = range.saturation_range.unwrap_or(range.max_range);
+        let mark = lidar.max_range_metres;
         if mark.is_finite() && mark > 1.0 {
             local.max_range = (0.98 * mark).min(60.0) as f32;
         }
@@ -109,8 +189,8 @@ fn set_local_slam(options: &mut Options, plan: &SensorPlan, range: Option<&Range
     local.use_online_correlative_scan_matching = true;
     options.portolan.adaptive_search = true;
     options.portolan.submap_length = 10.0;
-    let moves_unseen = plan.odometry.is_none();
-    options.portolan.search_penalty_limit = if plan.odometry.is_none() { 1.0 } else { 0.15 };
+    let moves_unseen = !sensors.has_odometry;
+    options.portolan.search_penalty_limit = if moves_unseen { 1.0 } else { 0.15 };
     let search = &mut local.real_time_correlative_scan_matcher;
     search.linear_search_window = if moves_unseen { 0.3 } else { 0.15 };
     search.angular_search_window = if moves_unseen { 25.0_f64 } else { 10.0 }.to_radians();
@@ -149,3 +229,6 @@ fn set_pose_graph(options: &mut Options) {
     options.portolan.loop_min_explained = 0.65;
     options.portolan.loop_max_contradiction = 0.15;
 }
+
+#[cfg(test)]
+mod tests;

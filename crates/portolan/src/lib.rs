@@ -1,13 +1,15 @@
-//! The public API of Portolan in one crate: every room by its name, and the whole job as one function
-//! ([`pipeline::map_recording`]); the map as a cloud ([`unwind`]).
+//! The public API of Portolan in one crate: every room by its name; what the program does with a recording ([`job`]);
+//! mapping alone as one function ([`pipeline::map_recording`]); the map as a cloud ([`unwind`]).
 
 pub mod automatic;
 pub mod clocks;
+pub mod job;
 pub mod pipeline;
 mod requested;
 mod silence;
 pub mod unwind;
 
+pub use automatic::{Lidar, Sensors, settings_for};
 pub use requested::RequestedOptions;
 
 pub use portolan_bunzip2 as bunzip2;

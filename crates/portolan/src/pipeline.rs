@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use portolan_config::Options;
 use portolan_diagnose::odometry_delay;
-use portolan_geometry::{Rigid3, Time, TransformBuffer};
-use portolan_ingest::{Dimension, IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
+use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
+use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
 use portolan_mapping::{
     BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map, Mapper,
     MapperError, MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan,
@@ -101,6 +101,12 @@ impl<S: Space> MappedRecording<S> {
         !before.into_iter().any(|id| connectivity.are_connected(id, loss.piece))
     }
 
+    /// Whether data were lost while reading, or something was mapped that nothing ties to the rest.
+    pub fn lost_data(&self) -> bool {
+        self.reading_repairs.iter().any(|repair| repair.lost_data)
+            || self.losses.iter().any(|loss| self.is_apart(loss))
+    }
+
     /// Pose of the tracking frame in the map for every scan, each under the time of its message in the
     /// recording, in order of that.
     pub fn trajectory(&self) -> Vec<(Time, Rigid3)> {
@@ -157,11 +163,7 @@ pub fn prepare(
         Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),
         Dimension::Three => automatic::options_3d(&plan, &plan.statistics()),
     });
-    let dimension = match options.map_builder.dimension() {
-        Ok(portolan_config::Dimension::Two) => Dimension::Two,
-        Ok(portolan_config::Dimension::Three) => Dimension::Three,
-        Err(error) => return Err(PipelineError::Setting(error.to_string())),
-    };
+    let dimension = options.map_builder.dimension().map_err(|e| PipelineError::Setting(e.to_string()))?;
     Ok(Preparation { inventory, plan, options, dimension, background_threads: None, keep_scans_in: None })
 }
 

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use portolan_config::{ConfigError, Dimension as ConfigDimension, Options, explain};
-use portolan_ingest::{ConfiguredSensors, Dimension, IngestOptions, SamplingRatios};
+use portolan_config::{ConfigError, Options, explain};
+use portolan_ingest::{ConfiguredSensors, IngestOptions, SamplingRatios};
 
 /// A whole configuration, single settings on top of it or of what is chosen automatically, or nothing.
 #[derive(Clone, Debug, Default)]
@@ -72,11 +72,7 @@ fn choose_dimension(ingest: &mut IngestOptions, options: &Options, asked: &Asked
     if asked.everything || !names.iter().any(|name| asked.named.contains(*name)) {
         return;
     }
-    ingest.dimension = match options.map_builder.dimension() {
-        Ok(ConfigDimension::Two) => Some(Dimension::Two),
-        Ok(ConfigDimension::Three) => Some(Dimension::Three),
-        Err(_) => ingest.dimension,
-    };
+    ingest.dimension = options.map_builder.dimension().ok().or(ingest.dimension);
 }
 
 fn choose_sensors(ingest: &mut IngestOptions, options: &Options, asked: &Asked) {

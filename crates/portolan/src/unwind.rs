@@ -11,7 +11,7 @@ mod motion;
 #[cfg(test)]
 mod tests;
 
-use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_geometry::{Dimension, Duration, Rigid3, Time};
 use portolan_ingest::{IngestError, IngestOptions, Ingestion};
 use portolan_pointcloud::CloudError;
 use portolan_recording::Recording;
@@ -60,10 +60,10 @@ impl UnwindOptions {
     pub fn as_mapped(preparation: &Preparation) -> Self {
         let builder = &preparation.options.trajectory_builder;
         let (min_range, max_range) = match preparation.dimension {
-            portolan_ingest::Dimension::Two => {
+            Dimension::Two => {
                 (builder.trajectory_builder_2d.min_range, builder.trajectory_builder_2d.max_range)
             }
-            portolan_ingest::Dimension::Three => {
+            Dimension::Three => {
                 (builder.trajectory_builder_3d.min_range, builder.trajectory_builder_3d.max_range)
             }
         };

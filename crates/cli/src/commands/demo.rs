@@ -3,23 +3,22 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use portolan::pipeline::{KnownMap, MappedRecording};
+use portolan::job::{Job, MapRequest, ResultSpace};
+use portolan::pipeline::MappedRecording;
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors};
 use portolan_geometry::{Rigid3, Time};
-use portolan_ingest::IngestOptions;
 use portolan_mapping::{Planar, Spatial, TrajectoryId};
 use portolan_recording::{Recording, RecordingFormat, open};
 use portolan_simulator::world::Scene;
 use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, Simulation, Simulation3d};
 
-use super::map::{CloudArgs, map_with_progress, prepared, report_clouds, summary, write_clouds};
+use super::map::{remarks, run_job};
 use super::simulate::write_recording;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
 use crate::output::{print, write_file};
 use crate::progress::say;
-use crate::results::{ResultSpace, write_results};
 
 /// Firings of a turn: half of what the lidar has, so that the demo takes two minutes.
 const COLUMNS: usize = 900;
@@ -122,19 +121,9 @@ fn mapped<S: ResultSpace>(
     folder: &Path,
     global: &GlobalArgs,
 ) -> Result<MappedRecording<S>, CliError> {
-    let ingest = IngestOptions::default();
-    let cloud_args = CloudArgs::default();
-    let mut preparation = prepared(recording, &ingest, None, &[], global)?;
-    cloud_args.keep_scans(&mut preparation, folder);
-    let start = Instant::now();
-    let known = KnownMap::empty(&preparation.options);
-    let mapped = map_with_progress::<S>(recording, &ingest, preparation.clone(), known, global)?;
-    let seconds = start.elapsed().as_secs_f64();
-    let written = write_results(&mapped, folder, seconds, false)?;
-    print(&summary(&mapped, &written, seconds))?;
-    let clouds = write_clouds(recording, &ingest, &preparation, &mapped, &cloud_args, folder, global)?;
-    clouds.map_or(Ok(()), |clouds| report_clouds(&clouds, folder))?;
-    Ok(mapped)
+    let request = MapRequest { threads: global.threads, ..MapRequest::new(folder) };
+    let job = Job::prepare(recording, request, &mut remarks(global))?;
+    run_job(&job, recording, global)
 }
 
 /// Errors of the nodes against the truth, for people.

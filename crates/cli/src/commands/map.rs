@@ -2,30 +2,29 @@
 
 mod cloud;
 mod weak;
-mod xray;
+mod words;
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use portolan::RequestedOptions;
-use portolan::pipeline::{
-    KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
-};
-use portolan_config::{Engine, Loader, Options, little_effect};
-use portolan_geometry::Duration;
-use portolan_ingest::{AzimuthTimes, Dimension, IngestOptions, StampPolicy, read_urdf};
-use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
+use portolan::job::{CloudResults, Event, Job, JobError, MapRequest, Remark, ResultSpace};
+use portolan::pipeline::{KnownMap, MappedRecording};
+use portolan_config::{Engine, Loader, Options};
+use portolan_geometry::{Dimension, Duration};
+use portolan_ingest::{AzimuthTimes, IngestOptions, StampPolicy, read_urdf};
+use portolan_mapping::{Planar, Space, Spatial};
 use portolan_recording::{Recording, open_all};
 
 use super::argument::{seconds, time_offset};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
-use crate::known_map::{KnownMapArgs, Localisation};
-use crate::memory::resident_and_peak_bytes;
+use crate::known_map::KnownMapArgs;
 use crate::output::print;
 use crate::progress::{Progress, say};
-use crate::results::{ResultSpace, Written, add_to_report, write_results};
-pub use cloud::{CloudArgs, CloudResults, write_clouds};
+use cloud::CloudArgs;
+pub use words::summary;
 
 /// Make a map of a recording: loop-closed map, trajectory, pictures and a report.
 ///
@@ -209,8 +208,9 @@ pub struct ConfigArgs {
 }
 
 pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    args.cloud.check()?;
-    args.cloud.make_room()?;
+    let cloud = args.cloud.request();
+    cloud.check().map_err(|error| CliError::Usage(error.to_string()))?;
+    cloud.make_room()?;
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;
@@ -218,54 +218,57 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let requested = RequestedOptions { configuration, settings: settings(&args) };
     let ingest = ingest_options(&args, &requested)?;
     interrupt::watch();
-    let threads = requested.background_threads();
-    let RequestedOptions { configuration, settings } = requested;
-    let is_configured = configuration.is_some();
-    let mut preparation = looked_through(recording.as_ref(), &ingest, configuration, global)?;
-    if !args.known.from.is_empty() && !is_configured {
-        let submaps = args.known.count_submaps()?;
-        portolan::automatic::search_in_known_map(&mut preparation.options, submaps);
-    }
-    choose_engine(&mut preparation, args.config.engine)?;
-    change_options(&mut preparation, &settings)?;
-    preparation.background_threads = threads;
-    args.cloud.keep_scans(&mut preparation, &folder);
-    match preparation.dimension {
-        Dimension::Two => finish::<Planar>(recording.as_ref(), &ingest, preparation, &folder, &args, global),
-        Dimension::Three => {
-            finish::<Spatial>(recording.as_ref(), &ingest, preparation, &folder, &args, global)
-        }
+    let request = MapRequest {
+        folder,
+        ingest,
+        requested,
+        engine: args.config.engine.map(Engine::from),
+        known: args.known.maps(),
+        cloud,
+        all_poses: args.all_poses,
+        threads: global.threads,
+    };
+    let job = Job::prepare(recording.as_ref(), request, &mut remarks(global))?;
+    match job.preparation().dimension {
+        Dimension::Two => finish::<Planar>(&job, recording.as_ref(), &args, global),
+        Dimension::Three => finish::<Spatial>(&job, recording.as_ref(), &args, global),
     }
 }
 
 fn finish<S: ResultSpace>(
+    job: &Job,
     recording: &dyn Recording,
-    ingest: &IngestOptions,
-    preparation: Preparation,
-    folder: &Path,
     args: &MapArgs,
     global: &GlobalArgs,
 ) -> Result<Outcome, CliError> {
-    let start = std::time::Instant::now();
-    let known = args.known.load::<S>(&preparation.options, global.quiet)?;
-    let mapped = map_with_progress::<S>(recording, ingest, preparation.clone(), known, global);
+    let mapped = run_job::<S>(job, recording, global);
     let mapped = mapped.map_err(|error| nothing_left(error, recording, args))?;
-    let seconds = start.elapsed().as_secs_f64();
-    let written = write_results(&mapped, folder, seconds, args.all_poses)?;
-    print(&summary(&mapped, &written, seconds))?;
-    let clouds = write_clouds(recording, ingest, &preparation, &mapped, &args.cloud, folder, global)?;
-    clouds.map_or(Ok(()), |clouds| report_clouds(&clouds, folder))?;
-    let is_whole = !mapped.reading_repairs.iter().any(|r| r.lost_data)
-        && !mapped.losses.iter().any(|loss| mapped.is_apart(loss));
-    Ok(if is_whole { Outcome::Done } else { Outcome::DataLost })
+    Ok(if mapped.lost_data() { Outcome::DataLost } else { Outcome::Done })
 }
 
-/// Names what the second pass gave, here and in the report.
-pub fn report_clouds(clouds: &CloudResults, folder: &Path) -> Result<(), CliError> {
-    add_to_report(folder, "cloud", &clouds.report)?;
-    let mut lines = vec![clouds.text.clone()];
-    lines.extend(clouds.files.iter().map(|file| file.display().to_string()));
-    lines.retain(|line| !line.is_empty());
+/// Maps with a bar that tells how far it is, writes the results and names them.
+pub fn run_job<S: ResultSpace>(
+    job: &Job,
+    recording: &dyn Recording,
+    global: &GlobalArgs,
+) -> Result<MappedRecording<S>, CliError> {
+    let start = std::time::Instant::now();
+    let known = job.load_known::<S>(&mut remarks(global))?;
+    let mapped = map_with_progress(job, recording, known, global)?;
+    let seconds = start.elapsed().as_secs_f64();
+    let files = job.write_results(&mapped, seconds, &mut remarks(global))?;
+    print(&summary(&mapped, &files, seconds))?;
+    if let Some(clouds) = clouds_with_progress(job, &mapped, recording, global)? {
+        name_clouds(&clouds)?;
+    }
+    Ok(mapped)
+}
+
+/// Names what the second pass gave.
+fn name_clouds(clouds: &CloudResults) -> Result<(), CliError> {
+    let text = clouds.cloud.as_ref().map(|(points, unwound)| cloud::summary(*points, unwound));
+    let files = clouds.files.iter().map(|file| file.display().to_string());
+    let lines: Vec<String> = text.into_iter().chain(files).filter(|line| !line.is_empty()).collect();
     if lines.is_empty() { Ok(()) } else { print(&lines.join("\n")) }
 }
 
@@ -329,56 +332,6 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
     Ok(ingest)
 }
 
-/// Looks through a recording, says what was chosen, and changes the options as asked.
-pub fn prepared(
-    recording: &dyn Recording,
-    ingest: &IngestOptions,
-    configured: Option<Options>,
-    settings: &[String],
-    global: &GlobalArgs,
-) -> Result<Preparation, CliError> {
-    let mut preparation = looked_through(recording, ingest, configured, global)?;
-    change_options(&mut preparation, settings)?;
-    Ok(preparation)
-}
-
-fn looked_through(
-    recording: &dyn Recording,
-    ingest: &IngestOptions,
-    configured: Option<Options>,
-    global: &GlobalArgs,
-) -> Result<Preparation, CliError> {
-    let preparation = prepare(recording, ingest, configured).map_err(failure)?;
-    for notice in preparation.plan.notices.iter().filter(|_| !global.quiet) {
-        say(&format!("{} {}", notice.what, notice.change));
-    }
-    Ok(preparation)
-}
-
-fn choose_engine(preparation: &mut Preparation, engine: Option<EngineArg>) -> Result<(), CliError> {
-    let Some(engine) = engine else { return Ok(()) };
-    if preparation.dimension == Dimension::Two && engine == EngineArg::Planes {
-        return Err(CliError::Usage("--engine planes is for 3D; 2D scans are matched to grids".to_owned()));
-    }
-    preparation.options.set_engine(engine.into());
-    Ok(())
-}
-
-fn change_options(preparation: &mut Preparation, settings: &[String]) -> Result<(), CliError> {
-    for setting in settings {
-        preparation.options.set(setting).map_err(|e| CliError::Usage(e.to_string()))?;
-    }
-    for path in settings.iter().filter_map(|setting| setting.split_once('=')).map(|(path, _)| path) {
-        if let Some(why) = little_effect(path, &preparation.options, preparation.plan.imu.is_some()) {
-            tracing::warn!("--set {path} has little effect or none: {why}");
-        }
-    }
-    preparation.options.validate().map_err(|errors| {
-        let lines: Vec<String> = errors.iter().map(ToString::to_string).collect();
-        CliError::Usage(lines.join("\n"))
-    })
-}
-
 /// Names --skip and --duration where they left no scan.
 fn nothing_left(error: CliError, recording: &dyn Recording, args: &MapArgs) -> CliError {
     let length = args.duration.map(|seconds| format!("--duration {seconds}"));
@@ -394,96 +347,65 @@ fn nothing_left(error: CliError, recording: &dyn Recording, args: &MapArgs) -> C
     ))
 }
 
-fn failure(error: PipelineError) -> CliError {
-    match error {
-        PipelineError::Setting(message) => CliError::Usage(message),
-        PipelineError::NoScans if interrupt::interrupted() => {
-            CliError::Failed("interrupted before the first scan: nothing was written".to_owned())
-        }
-        PipelineError::NoScans => CliError::NoScans(error.to_string()),
-        other => CliError::Failed(other.to_string()),
-    }
-}
-
 /// Maps with a bar that tells how far it is.
-pub fn map_with_progress<S: Space>(
+fn map_with_progress<S: Space>(
+    job: &Job,
     recording: &dyn Recording,
-    ingest: &IngestOptions,
-    preparation: Preparation,
     known: KnownMap<S>,
     global: &GlobalArgs,
-) -> Result<MappedRecording<S>, CliError> {
+) -> Result<MappedRecording<S>, JobError> {
     let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
     let start = std::time::Instant::now();
-    let threads = global.thread_count_up_to(preparation.background_threads);
-    let settings = MapperSettings { threads, ..MapperSettings::default() };
-    let mapped = map_recording(recording, ingest, preparation, known, settings, &mut |state| {
-        if progress.is_due() {
-            progress.update(state.position_bytes, state.total_bytes, describe(state, start));
+    let mut tell = remarks(global);
+    let mapped = job.map(known, &mut |event| {
+        if let Event::Mapping(state) = event
+            && progress.is_due()
+        {
+            progress.update(state.position_bytes, state.total_bytes, words::describe(state, start));
         }
-        !interrupt::interrupted()
+        tell(event)
     });
     progress.finish();
-    mapped.map_err(failure)
+    mapped
 }
 
-fn describe(state: &PipelineProgress, start: std::time::Instant) -> String {
-    let memory = resident_and_peak_bytes()
-        .map_or_else(String::new, |(resident, _)| format!(", {} MB", resident / 1_000_000));
-    format!(
-        "{:.0} s of the recording, {:.0}x real time, {} nodes, {} constraints, {} waiting{memory}",
-        state.recording_seconds,
-        state.recording_seconds / start.elapsed().as_secs_f64().max(1e-3),
-        state.backend.nodes,
-        state.backend.constraints,
-        state.backend.backlog,
-    )
+/// Writes clouds and pictures of them, with a bar while the recording is read again.
+fn clouds_with_progress<S: Space>(
+    job: &Job,
+    mapped: &MappedRecording<S>,
+    recording: &dyn Recording,
+    global: &GlobalArgs,
+) -> Result<Option<CloudResults>, JobError> {
+    let mut bar: Option<Progress> = None;
+    let mut tell = remarks(global);
+    job.write_clouds(mapped, &mut |event| {
+        match event {
+            Event::PlacingPoints { position_bytes, total_bytes } => {
+                let start = || Progress::start("placing points", recording.size_bytes(), global.quiet);
+                let progress = bar.get_or_insert_with(start);
+                if progress.is_due() {
+                    progress.update(*position_bytes, *total_bytes, String::new());
+                }
+            }
+            Event::PointsPlaced => bar.take().into_iter().for_each(Progress::finish),
+            _ => {}
+        }
+        tell(event)
+    })
 }
 
-/// What was made, for people.
-pub fn summary<S: Space>(mapped: &MappedRecording<S>, written: &Written, seconds: f64) -> String {
-    let state = mapped.map.graph.state();
-    let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
-    let mut text = format!(
-        "{} scans matched to {}, {} nodes, {} submaps, {loops} loop closures; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
-        mapped.scans,
-        mapped.map.options.engine(),
-        state.nodes.len(),
-        state.submaps.len(),
-        mapped.recording_seconds,
-        mapped.recording_seconds / seconds.max(1e-3),
-    );
-    if let Some(localisation) = Localisation::of(mapped) {
-        text += &format!("{}\n", localisation.sentence());
+/// Says what is worth knowing, and stops everything when the user asks for it.
+pub fn remarks(global: &GlobalArgs) -> impl FnMut(&Event) -> ControlFlow<()> + use<> {
+    let quiet = global.quiet;
+    move |event| {
+        if let Event::Remark(remark) = event {
+            match remark {
+                Remark::LittleEffect { .. } => tracing::warn!("--set {remark}"),
+                Remark::KnownMapRepaired { .. } => tracing::warn!("{remark}"),
+                Remark::Chosen(_) | Remark::KnownMapLoaded { .. } if quiet => {}
+                _ => say(&remark.to_string()),
+            }
+        }
+        if interrupt::interrupted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
-    let times = &mapped.scan_times;
-    if times.count() > 0 {
-        text += &format!(
-            "local SLAM {:.2} ms a scan, 99 % within {:.2} ms",
-            1e3 * times.total().as_secs_f64() / times.count() as f64,
-            1e3 * times.quantile(0.99).as_secs_f64(),
-        );
-        text += &resident_and_peak_bytes()
-            .map_or_else(String::new, |(_, peak)| format!("; memory at most {} MB", peak / 1_000_000));
-        text += "\n";
-    }
-    let contradicted = mapped.map.graph.contradicted_loop_closures();
-    if contradicted > 0 {
-        text += &format!("{contradicted} more loop closures were left out: the others contradict them\n");
-    }
-    text += &crate::lost::losses(mapped);
-    text += &weak::weak_stretches(&mapped.weak_spans, mapped.recording_seconds);
-    for repair in &mapped.reading_repairs {
-        text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
-    }
-    for (what, count) in &mapped.mapping_repairs {
-        text += &format!("repaired: {what} ({count}x)\n");
-    }
-    if mapped.interrupted {
-        text += "interrupted: stopped before the end of the recording; what was mapped is saved\n";
-    }
-    for file in &written.files {
-        text += &format!("{}\n", file.display());
-    }
-    text.trim_end().to_owned()
 }

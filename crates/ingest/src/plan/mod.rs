@@ -11,11 +11,11 @@ mod tracking;
 
 use std::sync::Arc;
 
-use portolan_geometry::Duration;
+use portolan_geometry::{Dimension, Duration};
 use portolan_sensor::{SensorId, SensorKind};
 
 use crate::azimuth_time::AzimuthTimes;
-use crate::options::{Dimension, IngestOptions};
+use crate::options::IngestOptions;
 use crate::point_time::PointTime;
 use crate::statistics::{ImuStatistics, RangeStatistics};
 use crate::survey::{Inventory, TopicSurvey};

@@ -1,12 +1,12 @@
 //! Choosing range sensors, and whether to map in the plane or in space.
 
-use portolan_geometry::Vector3;
+use portolan_geometry::{Dimension, Vector3};
 use portolan_sensor::SensorKind;
 
 use super::request::Request;
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
 use crate::azimuth_time::AzimuthTimes;
-use crate::options::{Dimension, IngestOptions};
+use crate::options::IngestOptions;
 use crate::point_time::PointTime;
 use crate::statistics::RangeStatistics;
 use crate::survey::{Inventory, TopicSurvey, is_range};

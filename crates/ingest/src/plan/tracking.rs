@@ -1,11 +1,11 @@
 //! Choosing the IMU and the frame whose motion is wanted.
 
-use portolan_geometry::Vector3;
+use portolan_geometry::{Dimension, Vector3};
 use portolan_sensor::SensorKind;
 
 use super::request::Request;
 use super::{Chosen, ImuScale, PlanError, PlannedImu, SensorPlan};
-use crate::options::{Dimension, IngestOptions};
+use crate::options::IngestOptions;
 use crate::statistics::ImuStatistics;
 use crate::survey::Inventory;
 use crate::tf::frame_name;

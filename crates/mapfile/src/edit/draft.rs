@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use portolan_config::{ConfigError, Options};
-use portolan_geometry::Rigid3;
+use portolan_geometry::{Dimension, Rigid3};
 use portolan_mapping::ImuState;
 use prost::Message as _;
 use serde::Serialize;
@@ -18,16 +18,6 @@ use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{PoseGraph, Trajectory};
 use crate::reader::ReadLimits;
 use crate::writer::PbstreamWriter;
-
-/// Whether a map is of the plane or of space.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MapDimension {
-    /// 2D grids.
-    Planar,
-    /// Hybrid grids.
-    Spatial,
-}
 
 /// What editing did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -76,7 +66,7 @@ pub struct MapDraft {
     pub(super) options: Vec<TrajectoryOptions>,
     /// Of the first file.
     unread: Unread,
-    pub(super) dimension: Option<MapDimension>,
+    pub(super) dimension: Option<Dimension>,
     pub(super) sources: Vec<Source>,
     /// Measurements of these trajectories are kept from the first to the second time only, ticks.
     pub(super) cuts: BTreeMap<i32, (i64, i64)>,
@@ -173,7 +163,7 @@ impl MapDraft {
     }
 
     /// Whether it is of the plane or of space; none of a map without submaps.
-    pub fn dimension(&self) -> Option<MapDimension> {
+    pub fn dimension(&self) -> Option<Dimension> {
         self.dimension
     }
 
@@ -197,7 +187,7 @@ impl MapDraft {
             let up = new_from_old.rotation * nalgebra::Vector3::z();
             new_from_old.translation.z != 0.0 || (up - nalgebra::Vector3::z()).norm() > 1e-9
         };
-        if out_of_plane && self.dimension != Some(MapDimension::Spatial) {
+        if out_of_plane && self.dimension != Some(Dimension::Three) {
             return Err(EditError::Dimension("a 2D map can only be moved and turned in its plane"));
         }
         super::poses::transform_graph(&mut self.graph, new_from_old);
@@ -248,11 +238,11 @@ impl MapDraft {
 }
 
 /// By the first submap of the file.
-fn dimension(reader: &mut MapReader) -> Result<Option<MapDimension>, crate::error::PbstreamError> {
+fn dimension(reader: &mut MapReader) -> Result<Option<Dimension>, crate::error::PbstreamError> {
     while let Some(message) = reader.next_message()? {
         if let Data::Submap(submap) = message.data {
             let spatial = submap.submap_3d.is_some() && submap.submap_2d.is_none();
-            return Ok(Some(if spatial { MapDimension::Spatial } else { MapDimension::Planar }));
+            return Ok(Some(if spatial { Dimension::Three } else { Dimension::Two }));
         }
     }
     Ok(None)

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use portolan_geometry::{Quaternion, Rigid2, Rigid3, embed_3d, project_2d};
+use portolan_geometry::{Dimension, Quaternion, Rigid2, Rigid3, embed_3d, project_2d};
 use portolan_mapping::{Planar, Space};
 use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex};
 
 use super::optimize::Collected;
-use super::{EditError, MapDimension, MapDraft};
+use super::{EditError, MapDraft};
 use crate::pose::{IdInFile, node_id, pose_from_proto, submap_id, submap_poses};
 
 impl MapDraft {
@@ -19,7 +19,7 @@ impl MapDraft {
     /// If the files cannot be read or a node lacks its poses.
     pub fn to_graph(&self) -> Result<Graph, EditError> {
         let gravity = Collected::read(self)?.gravity_alignments();
-        if self.dimension == Some(MapDimension::Spatial) {
+        if self.dimension == Some(Dimension::Three) {
             return Ok(Graph::Spatial(self.build_graph(|pose, _| *pose, spatial_information)));
         }
         let planar = |pose: &Rigid3, id: Option<IdInFile>| {
@@ -71,7 +71,7 @@ impl MapDraft {
     /// If the graph is of another dimension or does not have the vertices of this map.
     pub fn take_graph_poses(&mut self, graph: &Graph) -> Result<(), EditError> {
         let (submaps, nodes) = (submap_poses(&self.graph), self.all_node_poses());
-        let spatial = self.dimension == Some(MapDimension::Spatial);
+        let spatial = self.dimension == Some(Dimension::Three);
         let poses: BTreeMap<i64, Rigid3> = match graph {
             Graph::Spatial(g) if spatial => g.vertices.iter().map(|v| (v.id, v.pose)).collect(),
             Graph::Planar(g) if !spatial => g.vertices.iter().map(|v| (v.id, embed_3d(&v.pose))).collect(),

@@ -1,11 +1,11 @@
 //! A node looked for in a submap, to add a loop closure that mapping missed.
 
 use portolan_config::ConstraintBuilderOptions;
-use portolan_geometry::Rigid3;
+use portolan_geometry::{Dimension, Rigid3};
 use portolan_mapping::{MatchAcceptance, NodeData, Planar, Repairs, SearchRegion, Spatial};
 use serde::Serialize;
 
-use super::{EditError, MapDimension, MapDraft};
+use super::{EditError, MapDraft};
 use crate::convert::{MapSpace, node_data};
 use crate::map_reader::MapReader;
 use crate::pose::{IdInFile, node_id, submap_id, submap_poses};
@@ -37,7 +37,7 @@ impl MapDraft {
     ) -> Result<FoundLoop, EditError> {
         self.require_parts(submap, node)?;
         match self.dimension {
-            Some(MapDimension::Spatial) => self.find_loop_in::<Spatial>(submap, node, options),
+            Some(Dimension::Three) => self.find_loop_in::<Spatial>(submap, node, options),
             _ => self.find_loop_in::<Planar>(submap, node, options),
         }
     }

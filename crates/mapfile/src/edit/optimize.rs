@@ -5,14 +5,14 @@ mod collect;
 use std::collections::BTreeMap;
 
 use portolan_config::Options;
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{Dimension, Rigid3, Time};
 use portolan_mapping::{
     Constraint, ConstraintTag, NodeId, OptimizationData, OptimizationNode, OptimizationSummary, Planar,
     Space, Spatial, SubmapId, TrajectoryConnectivity, TrajectoryId,
 };
 use serde::Serialize;
 
-use super::{EditError, MapDimension, MapDraft};
+use super::{EditError, MapDraft};
 use crate::pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 use crate::proto::mapping::pose_graph::constraint::Tag;
 pub(super) use collect::Collected;
@@ -49,7 +49,7 @@ impl MapDraft {
     /// If the files cannot be read, a node lacks its pose, or there is nothing to optimise.
     pub fn optimize(&mut self, options: &Options, iterations: u32) -> Result<MapOptimization, EditError> {
         match self.dimension {
-            Some(MapDimension::Spatial) => self.optimize_in::<Spatial>(options, iterations),
+            Some(Dimension::Three) => self.optimize_in::<Spatial>(options, iterations),
             _ => self.optimize_in::<Planar>(options, iterations),
         }
     }

@@ -1,7 +1,7 @@
 //! Absurd values are refused or survived: never a panic, a hang or endless memory.
 
-use portolan::config::{Dimension, OptionDoc, Options, catalogue};
-use portolan::geometry::Rigid3;
+use portolan::config::{OptionDoc, Options, catalogue};
+use portolan::geometry::{Dimension, Rigid3};
 use portolan::mapping::{Mapper, MapperSettings, Planar, Space, Spatial};
 use portolan::sensor::{
     FixedFramePoseData, LandmarkData, LandmarkObservation, Measurement, SensorId, SensorKind,

@@ -2,8 +2,8 @@
 
 use portolan::RequestedOptions;
 use portolan::config::Options;
-use portolan::geometry::Time;
-use portolan::ingest::{Dimension, IngestOptions, Ingestion};
+use portolan::geometry::{Dimension, Time};
+use portolan::ingest::{IngestOptions, Ingestion};
 use portolan::pipeline::prepare;
 use portolan::recording::{
     FieldType, Header, Imu, LandmarkEntry, LandmarkList, LaserScan, MemoryRecording, Message,

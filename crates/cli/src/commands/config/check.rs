@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use portolan_config::{ConfigError, Dimension, LoadedConfig, Loader};
+use portolan_config::{ConfigError, LoadedConfig, Loader};
+use portolan_geometry::Dimension;
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};

@@ -1,7 +1,8 @@
 //! Optimisation of maps.
 
 use portolan_config::Options;
-use portolan_mapfile::{LoopResidual, MapDimension, MapDraft, MapOptimization, ReadLimits};
+use portolan_geometry::Dimension;
+use portolan_mapfile::{LoopResidual, MapDraft, MapOptimization, ReadLimits};
 use serde::Serialize;
 
 use super::{Init, OptimizeArgs};
@@ -59,7 +60,7 @@ pub fn options(draft: &MapDraft, settings: &[String]) -> Result<Options, CliErro
         None
     });
     let mut options = made_with.unwrap_or_else(|| match draft.dimension() {
-        Some(MapDimension::Spatial) => Options::for_3d(),
+        Some(Dimension::Three) => Options::for_3d(),
         _ => Options::for_2d(),
     });
     for setting in settings {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan::job::resident_and_peak_bytes;
 use portolan_export::write_tum;
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_mapfile::{EditError, MapDraft, ReadLimits};
@@ -15,7 +16,6 @@ use super::page::report_page;
 use super::pictures::pictures;
 use super::points::ReadPoints;
 use crate::error::CliError;
-use crate::memory::resident_and_peak_bytes;
 use crate::output::{counted, write_file};
 
 /// Poses of the input farther apart than this do not show everything that was found, seconds.

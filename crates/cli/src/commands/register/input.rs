@@ -247,7 +247,7 @@ fn read_scan(
             .with_normals_towards(origin.unwrap_or([0.0; 3]).map(|v| -v as f32)),
         false => ScanCloud::new(points),
     };
-    Ok((cloud, read.lost_data))
+    Ok((cloud, read.lost_data()))
 }
 
 /// What sounds like wrong units.

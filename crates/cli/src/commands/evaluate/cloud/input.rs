@@ -70,7 +70,7 @@ fn of_files(paths: &[PathBuf], sample: usize, global: &GlobalArgs) -> Result<Clo
     let mut clouds = Clouds { clouds: Vec::new(), lost_data: false };
     for path in paths {
         let read = read_cloud(path, sample.saturating_mul(SPARE), global.quiet)?;
-        clouds.lost_data |= read.lost_data;
+        clouds.lost_data |= read.lost_data();
         let chosen = spread_sample(read.points.len(), sample);
         let pick = |values: &[f64]| chosen.iter().filter_map(|i| values.get(*i as usize).copied()).collect();
         clouds.clouds.push(JudgedCloud {

@@ -2,15 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan::pipeline::Preparation;
-use portolan::unwind::{KeptScans, SmoothMotion};
 use portolan_export::{CloudSample, Extent, TrajectoryLine, XrayPicture, XrayView, write_picture};
 use portolan_geometry::{Rigid3, Time};
 use portolan_ingest::SensorPlan;
 use portolan_pointcloud::{CloudError, OccupiedVoxels, ThinnedCloud};
 
-use crate::error::CliError;
-use crate::interrupt;
+use super::error::JobError;
+use super::event::{Event, Observer};
+use crate::pipeline::Preparation;
+use crate::unwind::{KeptScans, SmoothMotion};
 
 /// Voxels are so large that the longest edge has about this many of them …
 const VOXELS_ALONG: f64 = 1500.0;
@@ -32,7 +32,7 @@ const SAMPLED: f64 = 4.0;
 const EVERY_SAMPLED: usize = 5;
 
 /// Where the points are that are drawn.
-pub enum Points<'a> {
+pub(super) enum Points<'a> {
     /// Scans that mapping kept, and the motion by the final trajectory.
     Kept(&'a KeptScans, &'a SmoothMotion),
     /// One for each voxel of a second reading.
@@ -40,7 +40,7 @@ pub enum Points<'a> {
 }
 
 /// Why there are no pictures.
-pub enum NotDrawn {
+pub(super) enum NotDrawn {
     /// The points could not be read.
     Points(CloudError),
     /// The scans that were kept could not be read.
@@ -48,7 +48,7 @@ pub enum NotDrawn {
     /// Somebody wants to stop.
     Interrupted,
     /// The pictures could not be made or written.
-    Failed(CliError),
+    Failed(JobError),
 }
 
 impl From<CloudError> for NotDrawn {
@@ -59,12 +59,17 @@ impl From<CloudError> for NotDrawn {
 
 impl Points<'_> {
     /// Visits all points with their times, seconds since 1970, or `every` n-th if there are scans; as often as needed.
-    fn for_each(&mut self, every: usize, mut visit: impl FnMut([f64; 3], f64)) -> Result<(), NotDrawn> {
+    fn for_each(
+        &mut self,
+        every: usize,
+        observe: &mut Observer,
+        mut visit: impl FnMut([f64; 3], f64),
+    ) -> Result<(), NotDrawn> {
         match self {
             Self::Kept(scans, motion) => {
                 let unwound = scans.unwind(motion, every, &mut |points| {
                     points.iter().for_each(|p| visit(p.position, p.time));
-                    !interrupt::interrupted()
+                    observe(&Event::Drawing).is_continue()
                 });
                 let unwound = unwound.map_err(NotDrawn::Kept)?;
                 if unwound.interrupted { Err(NotDrawn::Interrupted) } else { Ok(()) }
@@ -78,7 +83,7 @@ impl Points<'_> {
 }
 
 /// What is drawn of which way.
-pub struct Request {
+pub(super) struct Request {
     way: Vec<(Time, [f64; 3])>,
     /// Size of the voxels to gather points in, metres.
     pub voxel_size: f64,
@@ -106,8 +111,13 @@ impl Request {
     }
 
     /// Draws all pictures; the files. None where there are no points.
-    pub fn draw(&self, points: &mut Points, folder: &Path) -> Result<Vec<PathBuf>, NotDrawn> {
-        let sample = self.sample(points)?;
+    pub fn draw(
+        &self,
+        points: &mut Points,
+        folder: &Path,
+        observe: &mut Observer,
+    ) -> Result<Vec<PathBuf>, NotDrawn> {
+        let sample = self.sample(points, observe)?;
         let views = self.views(&sample);
         let mut pictures = Vec::new();
         for (name, title, view) in &views.views {
@@ -119,7 +129,7 @@ impl Request {
         let mut section = self.picture(right, up, true);
         let (first, last) = self.times();
         let mut occupied = OccupiedVoxels::new(self.voxel_size)?;
-        points.for_each(1, |position, time| {
+        points.for_each(1, observe, |position, time| {
             if !occupied.add(position) {
                 return;
             }
@@ -140,10 +150,10 @@ impl Request {
     }
 
     /// Some points from wherever there are any.
-    fn sample(&self, points: &mut Points) -> Result<CloudSample, NotDrawn> {
+    fn sample(&self, points: &mut Points, observe: &mut Observer) -> Result<CloudSample, NotDrawn> {
         let mut sample = CloudSample::default();
         let mut occupied = OccupiedVoxels::new(SAMPLED * self.voxel_size)?;
-        points.for_each(EVERY_SAMPLED, |position, _| {
+        points.for_each(EVERY_SAMPLED, observe, |position, _| {
             if occupied.add(position) {
                 sample.add(position);
             }
@@ -225,9 +235,10 @@ fn write(
     name: &str,
 ) -> Result<PathBuf, NotDrawn> {
     let picture = picture.finish(&[way], title);
-    let picture = picture.map_err(|e| NotDrawn::Failed(CliError::Failed(e.to_string())))?;
+    let picture = picture.map_err(|e| NotDrawn::Failed(e.into()))?;
     let path = folder.join(name);
-    write_picture(&path, &picture).map_err(|e| NotDrawn::Failed(e.into()))?;
+    write_picture(&path, &picture)
+        .map_err(|e| NotDrawn::Failed(JobError::File { path: e.path, source: e.source }))?;
     Ok(path)
 }
 

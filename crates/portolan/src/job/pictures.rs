@@ -7,27 +7,30 @@ use portolan_mapfile::{
     ImageName, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint, write_ros_map,
 };
 
-use crate::error::CliError;
-use crate::progress::say;
+use super::error::JobError;
+use super::event::{Observer, Remark, remark};
 
 /// Cell size of the ROS map, metres, unless that makes it too large.
 const ROS_MAP_RESOLUTION: f64 = 0.05;
 
 /// Writes `map.png`, and `map.pgm` with `map.yaml`; which of them, because there may be nothing to show.
-pub fn write_pictures(content: &MapContent, folder: &Path) -> Result<Vec<PathBuf>, CliError> {
-    let failed = |e: &dyn std::error::Error| CliError::Failed(e.to_string());
+pub(super) fn write_pictures(
+    content: &MapContent,
+    folder: &Path,
+    observe: &mut Observer,
+) -> Result<Vec<PathBuf>, JobError> {
     let mut files = Vec::new();
     match draw_map(content, &PictureOptions::default()) {
         Ok(picture) => {
             files.push(folder.join("map.png"));
-            write_picture(&folder.join("map.png"), &picture).map_err(|e| failed(&e))?;
+            write_picture(&folder.join("map.png"), &picture)?;
         }
-        Err(error @ PictureError::Nothing) => say(&format!("no map.png: {error}")),
-        Err(error) => return Err(failed(&error)),
+        Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
+        Err(error) => return Err(error.into()),
     }
     let options = PaintOptions { resolution: ROS_MAP_RESOLUTION, ..PaintOptions::default() };
-    if let Some(painted) = paint_as_fits(content.textures, options)? {
-        write_ros_map(&folder.join("map"), &painted, ImageName::Beside).map_err(|e| failed(&e))?;
+    if let Some(painted) = paint_as_fits(content.textures, options, observe)? {
+        write_ros_map(&folder.join("map"), &painted, ImageName::Beside)?;
         files.extend(["map.pgm", "map.yaml"].map(|name| folder.join(name)));
     }
     Ok(files)
@@ -38,33 +41,35 @@ pub fn write_pictures(content: &MapContent, folder: &Path) -> Result<Vec<PathBuf
 fn paint_as_fits(
     textures: &[PlacedTexture],
     mut options: PaintOptions,
-) -> Result<Option<PaintedMap>, CliError> {
-    let asked = options.resolution;
+    observe: &mut Observer,
+) -> Result<Option<PaintedMap>, JobError> {
+    let usual_metres = options.resolution;
     loop {
         match paint(textures, &options) {
             Ok(painted) => {
-                if painted.resolution > asked {
-                    say(&format!(
-                        "map.pgm has cells of {} m: with {asked} m it would be too large",
-                        painted.resolution
-                    ));
+                let resolution_metres = painted.resolution;
+                if resolution_metres > usual_metres {
+                    remark(observe, Remark::CoarseRosMap { resolution_metres, usual_metres });
                 }
                 return Ok(Some(painted));
             }
             // Doubling ends: a picture of a few pixels always fits.
             Err(PaintError::TooLarge { .. }) if options.resolution < 1e6 => options.resolution *= 2.0,
             Err(error @ PaintError::Nothing) => {
-                say(&format!("no map.pgm: {error}"));
+                remark(observe, Remark::NoRosMap(error));
                 return Ok(None);
             }
-            Err(error) => return Err(CliError::Failed(error.to_string())),
+            Err(error) => return Err(error.into()),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::ops::ControlFlow;
+
     use super::*;
+    use crate::job::Event;
     use portolan_geometry::Rigid3;
     use portolan_mapfile::SubmapTexture;
 
@@ -88,7 +93,12 @@ mod tests {
     #[test]
     fn pictures_that_would_be_too_large_become_coarser() {
         let options = PaintOptions { resolution: 0.05, max_pixels: 10_000, ..PaintOptions::default() };
-        let resolution = |metres| paint_as_fits(&textures(metres), options).unwrap().unwrap().resolution;
+        let resolution = |metres| {
+            paint_as_fits(&textures(metres), options, &mut |_| ControlFlow::Continue(()))
+                .unwrap()
+                .unwrap()
+                .resolution
+        };
         assert_eq!([1.0, 10.0, 30.0].map(resolution), [0.05, 0.2, 0.4]);
     }
 
@@ -96,7 +106,13 @@ mod tests {
     fn nothing_to_show_is_no_failure() {
         let folder = tempfile::tempdir().unwrap();
         let content = MapContent { textures: &[], trajectories: &[], constraints: &[] };
-        assert_eq!(write_pictures(&content, folder.path()).unwrap(), Vec::<PathBuf>::new());
+        let mut remarks = Vec::new();
+        let files = write_pictures(&content, folder.path(), &mut |event| {
+            remarks.extend(if let Event::Remark(remark) = event { Some(remark.to_string()) } else { None });
+            ControlFlow::Continue(())
+        });
+        assert_eq!(files.unwrap(), Vec::<PathBuf>::new());
+        assert!(remarks.len() == 2 && remarks[0].starts_with("no map.png: "), "{remarks:?}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

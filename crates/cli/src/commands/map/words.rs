@@ -1,0 +1,72 @@
+//! Words about mapping, for people.
+
+use std::path::PathBuf;
+
+use portolan::job::{Localisation, resident_and_peak_bytes};
+use portolan::pipeline::{MappedRecording, PipelineProgress};
+use portolan_mapping::Space;
+
+use super::weak::weak_stretches;
+use crate::known_map::sentence;
+
+/// How far mapping is.
+pub(super) fn describe(state: &PipelineProgress, start: std::time::Instant) -> String {
+    let memory = resident_and_peak_bytes()
+        .map_or_else(String::new, |(resident, _)| format!(", {} MB", resident / 1_000_000));
+    format!(
+        "{:.0} s of the recording, {:.0}x real time, {} nodes, {} constraints, {} waiting{memory}",
+        state.recording_seconds,
+        state.recording_seconds / start.elapsed().as_secs_f64().max(1e-3),
+        state.backend.nodes,
+        state.backend.constraints,
+        state.backend.backlog,
+    )
+}
+
+/// What was made, for people.
+pub fn summary<S: Space>(mapped: &MappedRecording<S>, files: &[PathBuf], seconds: f64) -> String {
+    let state = mapped.map.graph.state();
+    let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
+    let mut text = format!(
+        "{} scans matched to {}, {} nodes, {} submaps, {loops} loop closures; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
+        mapped.scans,
+        mapped.map.options.engine(),
+        state.nodes.len(),
+        state.submaps.len(),
+        mapped.recording_seconds,
+        mapped.recording_seconds / seconds.max(1e-3),
+    );
+    if let Some(localisation) = Localisation::of(mapped) {
+        text += &format!("{}\n", sentence(&localisation));
+    }
+    let times = &mapped.scan_times;
+    if times.count() > 0 {
+        text += &format!(
+            "local SLAM {:.2} ms a scan, 99 % within {:.2} ms",
+            1e3 * times.total().as_secs_f64() / times.count() as f64,
+            1e3 * times.quantile(0.99).as_secs_f64(),
+        );
+        text += &resident_and_peak_bytes()
+            .map_or_else(String::new, |(_, peak)| format!("; memory at most {} MB", peak / 1_000_000));
+        text += "\n";
+    }
+    let contradicted = mapped.map.graph.contradicted_loop_closures();
+    if contradicted > 0 {
+        text += &format!("{contradicted} more loop closures were left out: the others contradict them\n");
+    }
+    text += &crate::lost::losses(mapped);
+    text += &weak_stretches(&mapped.weak_spans, mapped.recording_seconds);
+    for repair in &mapped.reading_repairs {
+        text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
+    }
+    for (what, count) in &mapped.mapping_repairs {
+        text += &format!("repaired: {what} ({count}x)\n");
+    }
+    if mapped.interrupted {
+        text += "interrupted: stopped before the end of the recording; what was mapped is saved\n";
+    }
+    for file in files {
+        text += &format!("{}\n", file.display());
+    }
+    text.trim_end().to_owned()
+}

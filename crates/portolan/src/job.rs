@@ -1,0 +1,263 @@
+//! What the program does with a recording: a folder with map, trajectory, pictures, report and clouds.
+//!
+//! [`map`] is all of it. [`Job`] has the steps, for programs that do something between them.
+//!
+//! | file | what it is |
+//! |---|---|
+//! | `map.pbstream` | the map: submaps, nodes, constraints; can be continued and localised in ([`KnownMaps`]) |
+//! | `trajectory.tum` | pose of the tracking frame in the map for each scan: seconds since 1970, metres, quaternion |
+//! | `map.png` | the map from above, with the way and the loop closures |
+//! | `map.pgm`, `map.yaml` | the map for ROS's map server, cells of 5 cm |
+//! | `map_xray_*.png`, `map_section.png` | maps in space from three sides, and a section |
+//! | `report.json` | sensors, options, counts, times, where scans did not tell everything, repairs |
+
+mod error;
+mod event;
+mod known_map;
+mod localisation;
+mod map_cloud;
+mod memory;
+mod pictures;
+mod read_cloud;
+mod report;
+mod results;
+mod xray;
+
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use portolan_config::{Engine, little_effect};
+use portolan_geometry::Dimension;
+use portolan_ingest::IngestOptions;
+use portolan_mapfile::MapSpace;
+use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
+use portolan_recording::Recording;
+
+pub use error::JobError;
+pub use event::{Event, Observer, Remark};
+pub use known_map::KnownMaps;
+pub use localisation::Localisation;
+pub use map_cloud::{CloudRequest, CloudResults, write_clouds};
+pub use memory::resident_and_peak_bytes;
+pub use read_cloud::{ReadCloud, read_cloud, read_cloud_from};
+pub use results::{ResultSpace, add_to_report, write_results};
+
+use crate::RequestedOptions;
+use crate::automatic::search_in_known_map;
+use crate::pipeline::{KnownMap, MappedRecording, PipelineProgress, Preparation, map_recording, prepare};
+
+/// What is to be made of a recording.
+#[derive(Clone, Debug)]
+pub struct MapRequest {
+    /// Where the results go; made if missing.
+    pub folder: PathBuf,
+    /// What is said of the sensors; the rest is found out.
+    pub ingest: IngestOptions,
+    /// Options that are asked for; the rest is chosen from the recording.
+    pub requested: RequestedOptions,
+    /// What scans in space are matched to; none as the options say.
+    pub engine: Option<Engine>,
+    /// Maps that the recording is added to.
+    pub known: KnownMaps,
+    /// Clouds and pictures of them.
+    pub cloud: CloudRequest,
+    /// Whether the trajectory is written in the times of the map, too (`all_poses.tum`).
+    pub all_poses: bool,
+    /// Threads; 0 for as many as there are cores, but not more than options allow. Results do not depend on it.
+    pub threads: usize,
+}
+
+impl MapRequest {
+    /// The usual results, with everything found out.
+    pub fn new(folder: impl Into<PathBuf>) -> Self {
+        Self {
+            folder: folder.into(),
+            ingest: IngestOptions::default(),
+            requested: RequestedOptions::default(),
+            engine: None,
+            known: KnownMaps::default(),
+            cloud: CloudRequest::default(),
+            all_poses: false,
+            threads: 0,
+        }
+    }
+}
+
+/// What came of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finished {
+    /// The files, in the order in which they were written.
+    pub files: Vec<PathBuf>,
+    /// Whether it was stopped before the end of the recording.
+    pub interrupted: bool,
+    /// Whether data were lost while reading, or parts of the map are not tied to the rest.
+    pub lost_data: bool,
+}
+
+/// Maps a recording and leaves the results in the folder of the request. `observe` is told what happens.
+///
+/// # Errors
+/// Fails if the recording has nothing that can be mapped, options or known maps are not possible, or a file cannot be
+/// written.
+pub fn map(
+    recording: &dyn Recording,
+    request: MapRequest,
+    observe: &mut Observer,
+) -> Result<Finished, JobError> {
+    request.cloud.check()?;
+    request.cloud.make_room()?;
+    std::fs::create_dir_all(&request.folder).map_err(|source| JobError::file(&request.folder, source))?;
+    let mut request = request;
+    request.requested.configure(&mut request.ingest)?;
+    let job = Job::prepare(recording, request, observe)?;
+    match job.preparation.dimension {
+        Dimension::Two => job.finish::<Planar>(observe),
+        Dimension::Three => job.finish::<Spatial>(observe),
+    }
+}
+
+/// A recording about to be mapped, and the steps to its results.
+pub struct Job<'a> {
+    recording: &'a dyn Recording,
+    request: MapRequest,
+    preparation: Preparation,
+}
+
+impl<'a> Job<'a> {
+    /// Looks through a recording, tells what was chosen, and changes the options as asked. What the options say of the
+    /// sensors has to be in `request.ingest` already ([`RequestedOptions::configure`]).
+    ///
+    /// # Errors
+    /// Fails if nothing in the recording can be mapped, or options are not possible.
+    pub fn prepare(
+        recording: &'a dyn Recording,
+        request: MapRequest,
+        observe: &mut Observer,
+    ) -> Result<Self, JobError> {
+        let configuration = request.requested.configuration.clone();
+        let is_configured = configuration.is_some();
+        let mut preparation = prepare(recording, &request.ingest, configuration)?;
+        for notice in &preparation.plan.notices {
+            event::remark(observe, Remark::Chosen(notice.clone()));
+        }
+        if !request.known.files.is_empty() && !is_configured {
+            search_in_known_map(&mut preparation.options, request.known.count_submaps()?);
+        }
+        choose_engine(&mut preparation, request.engine)?;
+        change_options(&mut preparation, &request.requested.settings, observe)?;
+        preparation.background_threads = request.requested.background_threads();
+        request.cloud.keep_scans(&mut preparation, &request.folder);
+        Ok(Self { recording, request, preparation })
+    }
+
+    /// What is mapped, and how.
+    pub fn preparation(&self) -> &Preparation {
+        &self.preparation
+    }
+
+    /// Loads the maps that the recording is added to.
+    ///
+    /// # Errors
+    /// As [`KnownMaps::load`].
+    pub fn load_known<S: MapSpace>(&self, observe: &mut Observer) -> Result<KnownMap<S>, JobError> {
+        self.request.known.load(&self.preparation.options, observe)
+    }
+
+    /// Maps the recording.
+    ///
+    /// # Errors
+    /// Fails if the recording cannot be read or holds not a single scan that can be used.
+    pub fn map<S: Space>(
+        &self,
+        known: KnownMap<S>,
+        observe: &mut Observer,
+    ) -> Result<MappedRecording<S>, JobError> {
+        let threads = thread_count(self.request.threads, self.preparation.background_threads);
+        let settings = MapperSettings { threads, ..MapperSettings::default() };
+        let mut progress = |state: &PipelineProgress| observe(&Event::Mapping(state)).is_continue();
+        let (ingest, preparation) = (&self.request.ingest, self.preparation.clone());
+        Ok(map_recording(self.recording, ingest, preparation, known, settings, &mut progress)?)
+    }
+
+    /// Writes everything but clouds and pictures of them; the files. Loading and mapping took `seconds`.
+    ///
+    /// # Errors
+    /// Fails if something cannot be written.
+    pub fn write_results<S: ResultSpace>(
+        &self,
+        mapped: &MappedRecording<S>,
+        seconds: f64,
+        observe: &mut Observer,
+    ) -> Result<Vec<PathBuf>, JobError> {
+        write_results(mapped, &self.request.folder, seconds, self.request.all_poses, observe)
+    }
+
+    /// Writes clouds and pictures of them as asked for, and adds to the report that [`Job::write_results`] left.
+    ///
+    /// # Errors
+    /// Fails if the recording cannot be read again, or something cannot be written.
+    pub fn write_clouds<S: Space>(
+        &self,
+        mapped: &MappedRecording<S>,
+        observe: &mut Observer,
+    ) -> Result<Option<CloudResults>, JobError> {
+        let MapRequest { ingest, cloud, folder, .. } = &self.request;
+        let clouds = write_clouds(self.recording, ingest, &self.preparation, mapped, cloud, folder, observe)?;
+        if let Some(clouds) = &clouds {
+            add_to_report(folder, "cloud", &clouds.report)?;
+        }
+        Ok(clouds)
+    }
+
+    fn finish<S: ResultSpace>(&self, observe: &mut Observer) -> Result<Finished, JobError> {
+        let start = Instant::now();
+        let known = self.load_known::<S>(observe)?;
+        let mapped = self.map(known, observe)?;
+        let mut files = self.write_results(&mapped, start.elapsed().as_secs_f64(), observe)?;
+        if !mapped.interrupted {
+            files.extend(self.write_clouds(&mapped, observe)?.into_iter().flat_map(|clouds| clouds.files));
+        }
+        Ok(Finished { files, interrupted: mapped.interrupted, lost_data: mapped.lost_data() })
+    }
+}
+
+/// Keeps going: for [`map`], where nobody wants to know what happens.
+pub fn unobserved(_: &Event) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// As many threads as asked for, or else as there are cores, but not more than options allow.
+fn thread_count(asked: usize, most: Option<usize>) -> usize {
+    let cores = || std::thread::available_parallelism().map_or(2, std::num::NonZero::get);
+    match (asked, most) {
+        (0, Some(most)) => cores().min(most),
+        (0, None) => cores(),
+        (asked, _) => asked,
+    }
+}
+
+fn choose_engine(preparation: &mut Preparation, engine: Option<Engine>) -> Result<(), JobError> {
+    let Some(engine) = engine else { return Ok(()) };
+    if preparation.dimension == Dimension::Two && engine == Engine::Planes {
+        return Err(JobError::PlanesInThePlane);
+    }
+    preparation.options.set_engine(engine);
+    Ok(())
+}
+
+fn change_options(
+    preparation: &mut Preparation,
+    settings: &[String],
+    observe: &mut Observer,
+) -> Result<(), JobError> {
+    for setting in settings {
+        preparation.options.set(setting)?;
+    }
+    for path in settings.iter().filter_map(|setting| setting.split_once('=')).map(|(path, _)| path) {
+        if let Some(why) = little_effect(path, &preparation.options, preparation.plan.imu.is_some()) {
+            event::remark(observe, Remark::LittleEffect { path: path.to_owned(), why });
+        }
+    }
+    preparation.options.validate().map_err(JobError::Options)
+}

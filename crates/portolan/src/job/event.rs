@@ -1,0 +1,135 @@
+//! What a job tells while it works.
+
+use std::fmt;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+
+use portolan_export::PictureError;
+use portolan_ingest::Notice;
+use portolan_mapfile::PaintError;
+use portolan_mapping::TrajectoryId;
+
+use crate::pipeline::PipelineProgress;
+
+/// Is told what happens, and stops the job with [`ControlFlow::Break`]: what is done by then is kept. Answers to remarks
+/// and to [`Event::PointsPlaced`] do not count.
+pub type Observer<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
+
+/// What happens during a job.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// The recording is mapped, as far as this.
+    Mapping(&'a PipelineProgress),
+    /// Clouds and pictures of them are about to be made, or are drawn of the scans that mapping kept.
+    Drawing,
+    /// The recording is read again, and its points are placed in the map.
+    PlacingPoints {
+        /// Bytes of the recording read.
+        position_bytes: u64,
+        /// Bytes of the recording.
+        total_bytes: u64,
+    },
+    /// The second reading has ended.
+    PointsPlaced,
+    /// Something worth knowing.
+    Remark(Remark),
+}
+
+/// What is worth knowing, but no error.
+#[derive(Debug)]
+pub enum Remark {
+    /// What was chosen of the sensors, and how to choose otherwise.
+    Chosen(Notice),
+    /// A setting that changes little or nothing.
+    LittleEffect {
+        /// Path of the option, as it was asked for.
+        path: String,
+        /// Why.
+        why: &'static str,
+    },
+    /// Something in a known map was put right or left out.
+    KnownMapRepaired {
+        /// The map.
+        path: PathBuf,
+        /// What.
+        what: String,
+        /// How often.
+        count: u64,
+    },
+    /// A known map was loaded.
+    KnownMapLoaded {
+        /// The map.
+        path: PathBuf,
+        /// The numbers of its trajectories: in the file, and in the map that is made.
+        trajectories: Vec<(i32, TrajectoryId)>,
+    },
+    /// There is no `map.png`.
+    NoPicture(PictureError),
+    /// There is no map for ROS.
+    NoRosMap(PaintError),
+    /// The map for ROS has larger cells than usual.
+    CoarseRosMap {
+        /// Size of its cells, metres.
+        resolution_metres: f64,
+        /// Usual size, metres.
+        usual_metres: f64,
+    },
+    /// X-rays need the recording again, because scans could not be kept.
+    ScansNotKept {
+        /// Where.
+        folder: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// X-rays need the recording again, because scans that were kept cannot be read.
+    KeptScansUnreadable(std::io::Error),
+    /// Stopped before the cloud.
+    StoppedBeforeClouds,
+    /// Stopped while X-rays were drawn.
+    StoppedXrays,
+    /// Stopped while the recording was read again.
+    StoppedSecondPass,
+}
+
+impl fmt::Display for Remark {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Chosen(notice) => write!(f, "{} {}", notice.what, notice.change),
+            Self::LittleEffect { path, why } => write!(f, "{path} has little effect or none: {why}"),
+            Self::KnownMapRepaired { path, what, count } => {
+                write!(f, "{}: repaired: {what} ({count}x)", path.display())
+            }
+            Self::KnownMapLoaded { path, trajectories } => {
+                let number = |(old, new): &(i32, TrajectoryId)| {
+                    if *old == new.0 as i32 { new.to_string() } else { format!("{old} as {new}") }
+                };
+                let numbers: Vec<String> = trajectories.iter().map(number).collect();
+                write!(f, "{}: trajectory {}", path.display(), numbers.join(", "))
+            }
+            Self::NoPicture(error) => write!(f, "no map.png: {error}"),
+            Self::NoRosMap(error) => write!(f, "no map.pgm: {error}"),
+            Self::CoarseRosMap { resolution_metres, usual_metres } => {
+                write!(
+                    f,
+                    "map.pgm has cells of {resolution_metres} m: with {usual_metres} m it would be too large"
+                )
+            }
+            Self::ScansNotKept { folder, reason } => {
+                let folder = folder.display();
+                write!(f, "scans could not be kept in {folder} ({reason}): X-rays need a second pass")
+            }
+            Self::KeptScansUnreadable(error) => {
+                write!(f, "scans that were kept cannot be read ({error}): X-rays need a second pass")
+            }
+            Self::StoppedBeforeClouds => f.write_str("stopped: no cloud and no X-rays of it"),
+            Self::StoppedXrays => f.write_str("stopped: no X-rays of it"),
+            Self::StoppedSecondPass => f.write_str("stopped: nothing was made of the second pass"),
+        }
+    }
+}
+
+/// Tells a remark.
+pub(super) fn remark(observe: &mut Observer, remark: Remark) {
+    // A remark is no place to stop.
+    let _ = observe(&Event::Remark(remark));
+}

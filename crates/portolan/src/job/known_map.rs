@@ -1,0 +1,67 @@
+//! Loading maps that a recording is added to.
+
+use std::path::PathBuf;
+
+use portolan_config::Options;
+use portolan_geometry::Rigid3;
+use portolan_mapfile::{FrozenTrajectories, MapReader, MapSpace, load_map};
+
+use super::error::JobError;
+use super::event::{Observer, Remark, remark};
+use crate::pipeline::KnownMap;
+
+/// Maps that were made before, which a recording is added to.
+#[derive(Clone, Debug, Default)]
+pub struct KnownMaps {
+    /// Their files (`.pbstream`).
+    pub files: Vec<PathBuf>,
+    /// What of them stays as it is: with all of it the recording is only localised in them and extends them. Single
+    /// trajectories can be named of one map only.
+    pub frozen: FrozenTrajectories,
+    /// Where in them the recording starts (`map_from_tracking`); without it, it is searched.
+    pub start: Option<Rigid3>,
+}
+
+impl KnownMaps {
+    /// Submaps of all of them together.
+    ///
+    /// # Errors
+    /// A map that cannot be read.
+    pub fn count_submaps(&self) -> Result<usize, JobError> {
+        let mut submaps = 0;
+        for path in &self.files {
+            let failed = |reason| JobError::KnownMap { path: path.clone(), reason };
+            let reader = MapReader::open(path).map_err(|e| failed(e.into()))?;
+            submaps += reader.pose_graph().trajectory.iter().map(|t| t.submap.len()).sum::<usize>();
+        }
+        Ok(submaps)
+    }
+
+    /// Loads them; remarks say what they hold and what had to be repaired.
+    ///
+    /// # Errors
+    /// A map that is damaged or of the other dimension; single trajectories to be frozen of several maps.
+    pub fn load<S: MapSpace>(
+        &self,
+        options: &Options,
+        observe: &mut Observer,
+    ) -> Result<KnownMap<S>, JobError> {
+        if matches!(self.frozen, FrozenTrajectories::Only(_)) && self.files.len() > 1 {
+            return Err(JobError::AmbiguousFrozen);
+        }
+        let mut known = KnownMap { start: self.start, ..KnownMap::empty(options) };
+        for path in &self.files {
+            let failed = |reason| JobError::KnownMap { path: path.clone(), reason };
+            let mut reader = MapReader::open(path).map_err(|e| failed(e.into()))?;
+            let loaded = load_map(&mut reader, &mut known.graph, &self.frozen).map_err(failed)?;
+            for (what, count) in &loaded.repairs {
+                let (path, what, count) = (path.clone(), (*what).to_string(), *count);
+                remark(observe, Remark::KnownMapRepaired { path, what, count });
+            }
+            let trajectories = loaded.trajectory_ids.iter().map(|(old, new)| (*old, *new)).collect();
+            remark(observe, Remark::KnownMapLoaded { path: path.clone(), trajectories });
+            known.trajectories.extend(loaded.trajectories);
+        }
+        Ok(known)
+    }
+}

@@ -1,0 +1,312 @@
+//! The map as a cloud and as X-ray pictures, all points with the finished trajectory: those of the cloud from a
+//! second pass over the recording, those of the pictures as mapping used and kept them.
+
+use std::path::{Path, PathBuf};
+
+use portolan_geometry::{Dimension, Rigid3, Time};
+use portolan_ingest::IngestOptions;
+use portolan_mapping::Space;
+use portolan_pointcloud::{
+    Attributes, BATCH_POINTS, CloudError, CloudFormat, CloudWriter, PointCloud, VoxelThinner, WriteOptions,
+    create,
+};
+use portolan_recording::Recording;
+
+use super::error::JobError;
+use super::event::{Event, Observer, Remark, remark};
+use super::xray::{self, NotDrawn, Points};
+use crate::pipeline::{MappedRecording, PipelineError, Preparation};
+use crate::unwind::{KeptScans, MapPoint, SmoothMotion, UnwindOptions, Unwound, unwind};
+
+/// What each point has.
+const ATTRIBUTES: Attributes = Attributes { intensity: true, time: true, color: false };
+
+/// The map as a cloud and as pictures of it: what is to be made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CloudRequest {
+    /// The map as a cloud of all raw points: .ply, .pcd, .las, .laz, .e57 or .xyz; none without. A name without a
+    /// folder goes to the results.
+    pub file: Option<PathBuf>,
+    /// One point of the cloud for each cube of this size, metres: the mean of its points. None for all points.
+    pub voxel_size_metres: Option<f64>,
+    /// Whether X-ray pictures of maps in space are drawn.
+    pub with_xrays: bool,
+}
+
+impl Default for CloudRequest {
+    fn default() -> Self {
+        Self { file: None, voxel_size_metres: None, with_xrays: true }
+    }
+}
+
+impl CloudRequest {
+    /// Has mapping keep in the folder of the results what [`write_clouds`] draws.
+    pub fn keep_scans(&self, preparation: &mut Preparation, folder: &Path) {
+        preparation.keep_scans_in = self.draws_xrays(preparation).then(|| folder.to_owned());
+    }
+
+    fn draws_xrays(&self, preparation: &Preparation) -> bool {
+        preparation.dimension == Dimension::Three && self.with_xrays
+    }
+
+    /// Refuses what cannot be done before anything is mapped.
+    ///
+    /// # Errors
+    /// An ending that no format has; a size of cubes that is not possible.
+    pub fn check(&self) -> Result<(), CloudError> {
+        if let Some(path) = &self.file {
+            CloudFormat::from_path(path)?;
+        }
+        self.voxel_size_metres.map_or(Ok(()), |size| VoxelThinner::new(size).map(drop))
+    }
+
+    /// Makes the folder of the cloud and tries whether files can be written there, so that this does not fail after
+    /// hours of mapping.
+    ///
+    /// # Errors
+    /// A folder that cannot be made or written to.
+    pub fn make_room(&self) -> Result<(), JobError> {
+        let Some(path) = &self.file else { return Ok(()) };
+        if path.is_dir() {
+            return Err(JobError::file(path, std::io::ErrorKind::IsADirectory.into()));
+        }
+        // A name without a folder goes to the results, which are made on their own.
+        let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else {
+            return Ok(());
+        };
+        std::fs::create_dir_all(folder).map_err(|source| JobError::file(folder, source))?;
+        tempfile::tempfile_in(folder).map(drop).map_err(|source| JobError::file(folder, source))
+    }
+
+    fn path(&self, folder: &Path) -> Option<PathBuf> {
+        let path = self.file.as_ref()?;
+        let is_bare = path.parent().is_none_or(|parent| parent.as_os_str().is_empty());
+        Some(if is_bare { folder.join(path) } else { path.clone() })
+    }
+}
+
+/// What was made of the points.
+#[derive(Debug, Default)]
+pub struct CloudResults {
+    /// Files in order.
+    pub files: Vec<PathBuf>,
+    /// For the report ([`add_to_report`](super::add_to_report), as `cloud`).
+    pub report: serde_json::Value,
+    /// If a cloud was written: how many points are in the file, and of how many.
+    pub cloud: Option<(u64, Unwound)>,
+}
+
+/// Takes the points of a sweep.
+type Sink<'a> = dyn FnMut(&[MapPoint]) -> Result<(), CloudError> + 'a;
+
+impl CloudResults {
+    /// Writes the cloud (its file and voxels) and draws the X-rays, as far as they are asked for, of all points that
+    /// `unwind` gives.
+    fn add_second_pass(
+        &mut self,
+        cloud: Option<(PathBuf, Option<f64>)>,
+        to_draw: Option<&xray::Request>,
+        folder: &Path,
+        observe: &mut Observer,
+        unwind: &mut dyn FnMut(&mut Sink, &mut Observer) -> Result<Unwound, JobError>,
+    ) -> Result<(), JobError> {
+        let cloud_sink = cloud.as_ref().map(|(path, voxel)| CloudSink::create(path, *voxel));
+        let mut cloud_sink = cloud_sink.transpose()?;
+        let xray_sink = to_draw.map(|request| VoxelThinner::new(request.voxel_size));
+        let xray_sink = xray_sink.transpose()?;
+        let mut xray_sink = xray_sink.map(|thinner| thinner.in_folder(folder));
+        let mut sink = |points: &[MapPoint]| {
+            if let Some(thinner) = &mut xray_sink {
+                points.iter().try_for_each(|p| thinner.add(p.position, p.intensity, p.time))?;
+            }
+            cloud_sink.as_mut().map_or(Ok(()), |sink| sink.add(points))
+        };
+        let unwound = unwind(&mut sink, observe)?;
+        if unwound.interrupted {
+            remark(observe, Remark::StoppedSecondPass);
+            return Ok(());
+        }
+        self.report["unwound"] = serde_json::json!(unwound);
+        if let Some((sink, (path, voxel))) = cloud_sink.zip(cloud) {
+            let points = sink.finish()?;
+            self.cloud = Some((points, unwound));
+            self.report["points_in_file"] = points.into();
+            self.report["voxel_size"] = voxel.into();
+            self.files.push(path);
+        }
+        if let Some((thinner, request)) = xray_sink.zip(to_draw) {
+            let mut points = Points::Thinned(thinner.finish()?);
+            let files = request.draw(&mut points, folder, observe);
+            self.files.extend(files.or_else(|reason| not_drawn(reason, observe))?);
+        }
+        Ok(())
+    }
+}
+
+/// Points on their way to the cloud: as they come, or thinned.
+enum CloudSink {
+    All { writer: Box<dyn CloudWriter>, batch: PointCloud },
+    Thinned { writer: Box<dyn CloudWriter>, thinner: VoxelThinner },
+}
+
+impl CloudSink {
+    fn create(path: &Path, voxel: Option<f64>) -> Result<Self, CloudError> {
+        let writer = create(path, ATTRIBUTES, &WriteOptions::default())?;
+        Ok(match voxel {
+            Some(size) => {
+                // Beside the cloud, where there is room for it.
+                let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+                let thinner = VoxelThinner::new(size)?.in_folder(folder.unwrap_or(Path::new(".")));
+                Self::Thinned { writer, thinner }
+            }
+            None => Self::All { writer, batch: PointCloud::new(ATTRIBUTES) },
+        })
+    }
+
+    fn add(&mut self, points: &[MapPoint]) -> Result<(), CloudError> {
+        match self {
+            Self::Thinned { thinner, .. } => {
+                points.iter().try_for_each(|p| thinner.add(p.position, p.intensity, p.time))
+            }
+            Self::All { writer, batch } => {
+                for p in points {
+                    batch.push(p.position, p.intensity, p.time, [0; 3]);
+                }
+                if batch.len() < BATCH_POINTS {
+                    return Ok(());
+                }
+                writer.write(batch)?;
+                batch.reset(ATTRIBUTES);
+                Ok(())
+            }
+        }
+    }
+
+    /// How many points are in the file.
+    fn finish(self) -> Result<u64, CloudError> {
+        match self {
+            Self::All { mut writer, batch } => {
+                writer.write(&batch)?;
+                Ok(writer.finish()?.points)
+            }
+            Self::Thinned { mut writer, thinner } => {
+                let mut batch = PointCloud::new(ATTRIBUTES);
+                thinner.finish()?.for_each(&mut |p| {
+                    batch.push(p.position, p.intensity, p.time, [0; 3]);
+                    if batch.len() == BATCH_POINTS {
+                        writer.write(&batch)?;
+                        batch.reset(ATTRIBUTES);
+                    }
+                    Ok(())
+                })?;
+                writer.write(&batch)?;
+                Ok(writer.finish()?.points)
+            }
+        }
+    }
+}
+
+/// Writes the cloud that was asked for, and X-rays of maps in 3D; none where nothing is to be done. `ingest` and
+/// `preparation` are those that the recording was mapped with.
+///
+/// # Errors
+/// Fails if the recording cannot be read again, or a file cannot be written.
+pub fn write_clouds<S: Space>(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    preparation: &Preparation,
+    mapped: &MappedRecording<S>,
+    request: &CloudRequest,
+    folder: &Path,
+    observe: &mut Observer,
+) -> Result<Option<CloudResults>, JobError> {
+    let with_xrays = request.draws_xrays(preparation);
+    let cloud = request.path(folder);
+    if cloud.is_none() && !with_xrays {
+        return Ok(None);
+    }
+    if observe(&Event::Drawing).is_break() {
+        remark(observe, Remark::StoppedBeforeClouds);
+        return Ok(None);
+    }
+    let poses = mapped.map.scan_poses(mapped.trajectory_id);
+    let view = with_xrays.then(|| xray::Request::new(&poses, &mapped.plan, preparation));
+    let drawn = match &view {
+        Some(view) => draw_kept(view, &mapped.kept_scans, &poses, folder, observe)?,
+        None => Some(Vec::new()),
+    };
+    let mut results = CloudResults { report: serde_json::json!({}), ..CloudResults::default() };
+    if with_xrays {
+        let source = if drawn.is_some() { "scans kept while mapping" } else { "a second pass" };
+        results.report["xrays_from"] = source.into();
+    }
+    if cloud.is_some() || drawn.is_none() {
+        let to_draw = view.as_ref().filter(|_| drawn.is_none());
+        let mut unwind = |sink: &mut Sink, observe: &mut Observer| {
+            unwind_all(recording, ingest, preparation, &poses, sink, observe)
+        };
+        let cloud = cloud.zip(Some(request.voxel_size_metres));
+        results.add_second_pass(cloud, to_draw, folder, observe, &mut unwind)?;
+    }
+    results.files.extend(drawn.into_iter().flatten());
+    Ok(Some(results))
+}
+
+/// X-rays of what mapping kept; none if that is not there.
+fn draw_kept(
+    request: &xray::Request,
+    scans: &KeptScans,
+    poses: &[(Time, Rigid3)],
+    folder: &Path,
+    observe: &mut Observer,
+) -> Result<Option<Vec<PathBuf>>, JobError> {
+    if let Some(error) = scans.failure() {
+        let (folder, reason) = (folder.to_owned(), error.to_string());
+        remark(observe, Remark::ScansNotKept { folder, reason });
+    }
+    if !scans.is_complete() {
+        return Ok(None);
+    }
+    let motion = SmoothMotion::new(poses.to_vec());
+    match request.draw(&mut Points::Kept(scans, &motion), folder, observe) {
+        Ok(files) => Ok(Some(files)),
+        Err(NotDrawn::Kept(error)) => {
+            remark(observe, Remark::KeptScansUnreadable(error));
+            Ok(None)
+        }
+        Err(other) => not_drawn(other, observe).map(Some),
+    }
+}
+
+fn not_drawn(reason: NotDrawn, observe: &mut Observer) -> Result<Vec<PathBuf>, JobError> {
+    match reason {
+        NotDrawn::Interrupted => {
+            remark(observe, Remark::StoppedXrays);
+            Ok(Vec::new())
+        }
+        NotDrawn::Points(error) => Err(error.into()),
+        NotDrawn::Kept(error) => Err(JobError::KeptScans(error)),
+        NotDrawn::Failed(error) => Err(error),
+    }
+}
+
+fn unwind_all(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    preparation: &Preparation,
+    poses: &[(Time, Rigid3)],
+    sink: &mut Sink,
+    observe: &mut Observer,
+) -> Result<Unwound, JobError> {
+    let options = UnwindOptions::as_mapped(preparation);
+    let mut progress = |position_bytes, total_bytes| {
+        observe(&Event::PlacingPoints { position_bytes, total_bytes }).is_continue()
+    };
+    let unwound = unwind(recording, ingest, preparation, poses.to_vec(), options, &mut progress, sink);
+    // Nothing is left to stop.
+    let _ = observe(&Event::PointsPlaced);
+    unwound.map_err(|error| match error {
+        PipelineError::Cloud(error) => error.into(),
+        other => other.into(),
+    })
+}

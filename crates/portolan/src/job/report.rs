@@ -1,0 +1,110 @@
+//! What `report.json` tells.
+
+use portolan_geometry::Time;
+use portolan_mapping::{LatencyHistogram, Loss, Space, WeakMotion, WeakSpan};
+
+use super::localisation::Localisation;
+use super::memory::resident_and_peak_bytes;
+use crate::pipeline::MappedRecording;
+
+/// Milliseconds that local SLAM took for a scan, as quantiles and as a histogram.
+fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
+    let ms = |time: std::time::Duration| (1e6 * time.as_secs_f64()).round() / 1e3;
+    let bins: Vec<_> = times.bins().map(|(bound, count)| serde_json::json!([ms(bound), count])).collect();
+    serde_json::json!({
+        "scans": times.count(),
+        "total_ms": ms(times.total()),
+        "median_ms": ms(times.quantile(0.5)),
+        "p99_ms": ms(times.quantile(0.99)),
+        "longest_ms": ms(times.longest()),
+        "histogram_upper_bound_ms_and_count": bins,
+    })
+}
+
+/// How long scans did not tell each kind of motion, by its name.
+fn weak_seconds(spans: &[WeakSpan]) -> serde_json::Value {
+    let seconds =
+        |motion: WeakMotion| -> f64 { spans.iter().filter(|s| s.motion == motion).map(|s| s.seconds).sum() };
+    let all = WeakMotion::ALL.map(|m| (m.name().to_owned(), (10.0 * seconds(m)).round() / 10.0));
+    all.into_iter()
+        .map(|(name, seconds)| (name, serde_json::json!(seconds)))
+        .collect::<serde_json::Map<_, _>>()
+        .into()
+}
+
+/// Stretches of time in which scans left a direction open.
+fn weak_spans(spans: &[WeakSpan]) -> Vec<serde_json::Value> {
+    let span = |s: &WeakSpan| {
+        serde_json::json!({
+            "from": s.start.unix_seconds(),
+            "to": s.end.unix_seconds(),
+            "scans": s.scans,
+            "seconds": (1e3 * s.seconds).round() / 1e3,
+            "not_told": s.motion.name(),
+            "taken_instead": s.taken.name(),
+            "direction_in_tracking_frame": s.direction_in_tracking.as_slice(),
+        })
+    };
+    spans.iter().map(span).collect()
+}
+
+pub(super) fn report<S: Space>(
+    mapped: &MappedRecording<S>,
+    seconds: f64,
+    memory_while_mapping: Option<(u64, u64)>,
+) -> serde_json::Value {
+    let state = mapped.map.graph.state();
+    let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
+    let reading: Vec<_> = mapped
+        .reading_repairs
+        .iter()
+        .map(|r| serde_json::json!({ "what": r.what, "count": r.count, "lost_data": r.lost_data }))
+        .collect();
+    let sensors: Vec<String> =
+        mapped.plan.sensors().iter().map(|s| format!("{:?} {}", s.kind, s.id)).collect();
+    serde_json::json!({
+        "scans": mapped.scans,
+        "nodes": state.nodes.len(),
+        "submaps": state.submaps.len(),
+        "constraints": state.constraints.len(),
+        "loop_closures": loops,
+        "contradicted_loop_closures": mapped.map.graph.contradicted_loop_closures(),
+        "known_map": Localisation::of(mapped).map(|l| serde_json::json!({
+            "loop_closures": l.loop_closures,
+            "first_found_after_seconds": l.first_found_after_seconds,
+            "placed_after_seconds": l.placed_after_seconds,
+        })),
+        "recording_seconds": mapped.recording_seconds,
+        "wall_seconds": seconds,
+        "real_time_factor": mapped.recording_seconds / seconds.max(1e-3),
+        "local_slam": scan_times(&mapped.scan_times),
+        "memory_bytes": {
+            "peak_while_mapping": memory_while_mapping.map(|(_, peak)| peak),
+            "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
+        },
+        "lost": losses(mapped),
+        "weak_seconds": weak_seconds(&mapped.weak_spans),
+        "weak_stretches": weak_spans(&mapped.weak_spans),
+        "interrupted": mapped.interrupted,
+        "tracking_frame": mapped.plan.tracking_frame,
+        "sensors": sensors,
+        "engine": mapped.map.options.engine().to_string(),
+        "options_fingerprint": mapped.map.options.fingerprint(),
+        "options": mapped.map.options,
+        "repairs": { "reading": reading, "mapping": mapped.mapping_repairs },
+    })
+}
+
+/// When nothing told where the scanner was, and what became of it.
+fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
+    let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time).unix_seconds();
+    let entry = |loss: &Loss| {
+        serde_json::json!({
+            "from": recorded(loss.since),
+            "to": recorded(loss.until),
+            "trajectory": loss.piece.0,
+            "tied_to_the_rest": !mapped.is_apart(loss),
+        })
+    };
+    mapped.losses.iter().map(entry).collect()
+}

@@ -1,0 +1,113 @@
+//! What mapping leaves in its folder.
+
+use std::path::{Path, PathBuf};
+
+use portolan_export::{ConstraintLine, MapContent, TrajectoryLine, write_tum};
+use portolan_mapfile::{MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d, write_map};
+use portolan_mapping::{Map, Planar, Space, Spatial, TrajectoryId};
+
+use super::error::{JobError, write_file};
+use super::event::Observer;
+use super::memory::resident_and_peak_bytes;
+use super::pictures::write_pictures;
+use super::report::report;
+use crate::pipeline::MappedRecording;
+
+/// A space whose maps can be shown from above.
+pub trait ResultSpace: MapSpace {
+    /// The submaps as textures.
+    fn textures(map: &Map<Self>) -> Vec<PlacedTexture>;
+}
+
+impl ResultSpace for Planar {
+    fn textures(map: &Map<Self>) -> Vec<PlacedTexture> {
+        submap_textures_2d(map)
+    }
+}
+
+impl ResultSpace for Spatial {
+    fn textures(map: &Map<Self>) -> Vec<PlacedTexture> {
+        submap_textures_3d(map)
+    }
+}
+
+/// Writes map, trajectory, pictures and report; their files, in order. Mapping took `seconds`. With `all_poses` the
+/// trajectory is written in the times of the map, too.
+///
+/// # Errors
+/// Fails if something cannot be written.
+pub fn write_results<S: ResultSpace>(
+    mapped: &MappedRecording<S>,
+    folder: &Path,
+    seconds: f64,
+    all_poses: bool,
+    observe: &mut Observer,
+) -> Result<Vec<PathBuf>, JobError> {
+    let map = &mapped.map;
+    let memory_while_mapping = resident_and_peak_bytes();
+    let mut files = Vec::new();
+    let mut file = |name: &str| {
+        files.push(folder.join(name));
+        folder.join(name)
+    };
+    write_map(map, file("map.pbstream"), true)?;
+    // Trajectories that were known before are in the map; these files are of the recording.
+    let id = mapped.trajectory_id;
+    write_tum(&file("trajectory.tum"), &mapped.trajectory())?;
+    if all_poses {
+        write_tum(&file("all_poses.tum"), &map.scan_poses(id))?;
+    }
+    let textures = S::textures(map);
+    let content = MapContent {
+        textures: &textures,
+        trajectories: &trajectory_lines(map),
+        constraints: &constraint_lines(map),
+    };
+    files.extend(write_pictures(&content, folder, observe)?);
+    let report = serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping))?;
+    files.push(folder.join("report.json"));
+    write_file(&folder.join("report.json"), &report)?;
+    Ok(files)
+}
+
+/// Adds a part to the report that [`write_results`] left.
+///
+/// # Errors
+/// Fails if the report cannot be read or written.
+pub fn add_to_report(folder: &Path, name: &str, part: &serde_json::Value) -> Result<(), JobError> {
+    let path = folder.join("report.json");
+    let failed = |reason| JobError::UnreadableReport { path: path.clone(), reason };
+    let text = std::fs::read(&path).map_err(|source| JobError::file(&path, source))?;
+    let mut report: serde_json::Value = serde_json::from_slice(&text).map_err(failed)?;
+    if let Some(fields) = report.as_object_mut() {
+        fields.insert(name.to_owned(), part.clone());
+    }
+    let text = serde_json::to_vec_pretty(&report).map_err(failed)?;
+    write_file(&path, &text)
+}
+
+fn trajectory_ids<S: Space>(map: &Map<S>) -> impl Iterator<Item = TrajectoryId> + '_ {
+    map.graph.state().trajectories.keys().copied()
+}
+
+fn trajectory_lines<S: Space>(map: &Map<S>) -> Vec<TrajectoryLine> {
+    trajectory_ids(map)
+        .map(|id| TrajectoryLine {
+            index: id.0 as usize,
+            points: map.node_poses(id).iter().map(|(_, p)| [p.translation.x, p.translation.y]).collect(),
+        })
+        .collect()
+}
+
+fn constraint_lines<S: Space>(map: &Map<S>) -> Vec<ConstraintLine> {
+    let state = map.graph.state();
+    let loops = state.constraints.iter().filter(|c| c.is_loop_closure());
+    loops
+        .filter_map(|c| {
+            let from = state.map_from_submap(c.submap_id)?.translation;
+            let to = state.nodes.get(&c.node_id)?.map_from_tracking.translation;
+            let between_trajectories = c.submap_id.trajectory_id != c.node_id.trajectory_id;
+            Some(ConstraintLine { from: [from.x, from.y], to: [to.x, to.y], between_trajectories })
+        })
+        .collect()
+}
