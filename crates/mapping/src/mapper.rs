@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use portolan_config::{Options, TrajectoryBuilderOptions};
 use portolan_geometry::Time;
+use portolan_motion::MotionFilter;
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::backend::{Backend, BackendProgress, MapperError};
@@ -17,7 +18,6 @@ use crate::latency::LatencyHistogram;
 use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, Lost, MatchingResult, Repairs};
 use crate::map::{Map, ScanPose};
-use crate::motion_filter::MotionFilter;
 use crate::{InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer, WeakSpan};
 
 /// How the mapper works, apart from what it maps.

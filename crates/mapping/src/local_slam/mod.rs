@@ -10,12 +10,11 @@ use std::collections::VecDeque;
 
 use portolan_config::MotionFilterOptions;
 use portolan_geometry::{Point3f, Rigid3, Time};
+use portolan_motion::{MotionFilter, PoseExtrapolator};
 use portolan_sensor::{
     ImuData, OdometryData, RangeData, RangeDataCollatorCounts, SensorId, TimedPointCloudData,
 };
 
-use crate::motion_filter::MotionFilter;
-use crate::pose_extrapolator::PoseExtrapolator;
 use crate::{InsertedNode, InsertionSubmap, Space, WeakSpan};
 
 /// What became of a scan.

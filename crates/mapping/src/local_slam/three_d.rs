@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Rigid3, Time, interpolate, is_valid_pose};
+use portolan_motion::{MotionFilter, PoseExtrapolator};
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
     TimedPointCloudData,
@@ -20,8 +21,6 @@ use super::{
 };
 use crate::gyroscope_bias::GyroscopeBias;
 use crate::gyroscope_range::GyroscopeRange;
-use crate::motion_filter::MotionFilter;
-use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_3d::ScanMatcher3d;
 use crate::submap_3d::{Inserter3d, Submap3d};
 use crate::{InsertionSubmap, MapperError, OpenDirections, Spatial, WeakSpan, WeakSpans};

@@ -6,12 +6,12 @@ use std::collections::BTreeSet;
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Duration, Quaternion, Time, Vector3, angle_axis_from_quaternion};
+use portolan_motion::{ImuMotion, integrate_imu, velocity_change};
 use portolan_sensor::ImuData;
 
 use super::data::{OptimizationData, OptimizationNode};
 use crate::gyroscope_bias::{LARGEST_BIAS, weight_at};
 use crate::gyroscope_range::GyroscopeRange;
-use crate::imu_integration::{ImuMotion, integrate_imu};
 use crate::{TrajectoryId, of_trajectory};
 
 /// The bias of a gyroscope is the mean of this long around a time, seconds.
@@ -187,19 +187,6 @@ fn accelerometer_bias(
     } else {
         Vector3::zeros()
     }
-}
-
-/// The specific force integrated between the middles of two intervals, in the frame of the time between
-/// them (`slam3d.md` §8).
-pub(crate) fn velocity_change(
-    imu: &std::collections::BTreeMap<Time, portolan_sensor::ImuData>,
-    times: [Time; 3],
-) -> Option<Vector3> {
-    let middle = |i: usize| times[i] + Duration::from_ticks((times[i + 1] - times[i]).ticks() / 2);
-    let whole = integrate_imu(imu, times[0], times[1])?;
-    let half = integrate_imu(imu, times[0], middle(0))?;
-    let between = integrate_imu(imu, middle(0), middle(1))?;
-    Some((whole.delta_rotation.inverse() * half.delta_rotation) * between.delta_velocity)
 }
 
 #[cfg(test)]

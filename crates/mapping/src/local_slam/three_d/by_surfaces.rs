@@ -1,8 +1,10 @@
 //! Local SLAM by matching sweeps to surfaces.
 
+use portolan_config::ImuBasedPoseExtrapolatorOptions;
 use portolan_geometry::nalgebra::Matrix3;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, is_valid_pose};
 use portolan_lidar_odometry::{Going, Way};
+use portolan_motion::{ImuBasedSettings, PoseExtrapolator};
 use portolan_sensor::voxel_filter;
 
 use super::conclusion::Wanted;
@@ -13,7 +15,6 @@ use super::surface_tracking::{MatchedSweep, SurfaceTracker, Target, in_tracking}
 use super::unwarp::Gathered;
 use super::upright::GRAVITY;
 use super::{LocalSlam3d, MatchedScan, sweep_path};
-use crate::pose_extrapolator::PoseExtrapolator;
 use crate::weak_span::WeakScan;
 use crate::{MatchingResult, OpenDirections, Spatial, TakenInstead};
 
@@ -389,8 +390,27 @@ impl LocalSlam3d {
             self.extras.use_all_odometry,
         );
         match self.options.pose_extrapolator.use_imu_based {
-            true => extrapolator.with_imu_based(&self.options.pose_extrapolator.imu_based),
+            true => {
+                extrapolator.with_imu_based(&imu_based_settings(&self.options.pose_extrapolator.imu_based))
+            }
             false => extrapolator,
         }
+    }
+}
+
+/// The settings of the fit that these options describe.
+fn imu_based_settings(options: &ImuBasedPoseExtrapolatorOptions) -> ImuBasedSettings {
+    let solver = &options.solver_options;
+    ImuBasedSettings {
+        pose_queue_duration: options.pose_queue_duration,
+        gravity_constant: options.gravity_constant,
+        pose_translation_weight: options.pose_translation_weight,
+        pose_rotation_weight: options.pose_rotation_weight,
+        imu_acceleration_weight: options.imu_acceleration_weight,
+        imu_rotation_weight: options.imu_rotation_weight,
+        odometry_translation_weight: options.odometry_translation_weight,
+        odometry_rotation_weight: options.odometry_rotation_weight,
+        max_num_iterations: u32::try_from(solver.max_num_iterations).unwrap_or(u32::MAX),
+        use_nonmonotonic_steps: solver.use_nonmonotonic_steps,
     }
 }

@@ -2,8 +2,7 @@
 
 use portolan_geometry::{Rigid3, Time, quaternion_from_angle_axis};
 use portolan_lidar_odometry::{Going, Way};
-
-use crate::pose_extrapolator::PoseExtrapolator;
+use portolan_motion::PoseExtrapolator;
 
 fn start_of(extrapolator: &PoseExtrapolator, end: Time) -> Time {
     extrapolator.last_pose_time().unwrap_or(end).min(end)

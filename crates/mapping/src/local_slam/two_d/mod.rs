@@ -12,6 +12,7 @@ use portolan_config::{AdaptiveVoxelFilterOptions, TrajectoryBuilder2dOptions};
 use portolan_geometry::{
     Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
 };
+use portolan_motion::{MotionFilter, PoseExtrapolator};
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
     TimedPointCloudData, adaptive_voxel_filter, voxel_filter,
@@ -24,8 +25,6 @@ use super::{
 use doubt::Belief;
 use tracking::{Found, Motion, Scan, Tracker};
 
-use crate::motion_filter::MotionFilter;
-use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_2d::search_after_gap;
 use crate::submap_2d::{Inserter2d, Submap2d};
 use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};

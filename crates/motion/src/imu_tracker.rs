@@ -153,8 +153,8 @@ mod tests {
             tracker.set_angular_velocity(angular_velocity);
             let q = tracker.orientation();
             for (_, expected) in golden.iter().filter(|g| g.0 == i) {
-                let difference =
-                    nalgebra::Vector4::new(q.w, q.i, q.j, q.k) - nalgebra::Vector4::from(*expected);
+                let difference = portolan_geometry::nalgebra::Vector4::new(q.w, q.i, q.j, q.k)
+                    - portolan_geometry::nalgebra::Vector4::from(*expected);
                 assert!(difference.amax() < 1e-12, "after {i}: {difference}");
             }
         }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use portolan_geometry::{Quaternion, Time, Vector3, quaternion_from_angle_axis};
+use portolan_geometry::{Duration, Quaternion, Time, Vector3, quaternion_from_angle_axis};
 use portolan_sensor::ImuData;
 
 /// Longer than this without a sample, seconds, nothing is known of the motion.
@@ -43,6 +43,16 @@ pub fn integrate_imu(data: &BTreeMap<Time, ImuData>, start: Time, end: Time) -> 
         (time, current) = (until, next.unwrap_or(current));
     }
     Some(motion)
+}
+
+/// The specific force integrated between the middles of two intervals, in the frame of the time between
+/// them (`slam3d.md` §8). None where samples are missing.
+pub fn velocity_change(imu: &BTreeMap<Time, ImuData>, times: [Time; 3]) -> Option<Vector3> {
+    let middle = |i: usize| times[i] + Duration::from_ticks((times[i + 1] - times[i]).ticks() / 2);
+    let whole = integrate_imu(imu, times[0], times[1])?;
+    let half = integrate_imu(imu, times[0], middle(0))?;
+    let between = integrate_imu(imu, middle(0), middle(1))?;
+    Some((whole.delta_rotation.inverse() * half.delta_rotation) * between.delta_velocity)
 }
 
 #[cfg(test)]

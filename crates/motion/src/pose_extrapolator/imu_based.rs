@@ -6,7 +6,6 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use portolan_config::ImuBasedPoseExtrapolatorOptions;
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, interpolate, is_valid_pose};
 use portolan_sensor::{ImuData, OdometryData};
@@ -14,8 +13,8 @@ use portolan_solver::{
     Loss, Problem, RotationFreedom, SolverOptions, TranslationFreedom, VariableId, factors,
 };
 
-use crate::imu_integration::integrate_imu;
-use crate::optimization::{odometry_at, velocity_change};
+use crate::imu_integration::{integrate_imu, velocity_change};
+use crate::interpolation::odometry_at;
 
 /// Gravity before it is estimated, m/s².
 const GRAVITY_AT_START: f64 = 9.8;
@@ -23,6 +22,49 @@ const GRAVITY_AT_START: f64 = 9.8;
 const SAME_TIME: f64 = 1e-6;
 /// Most samples that are kept while no pose arrives.
 const CAPACITY: usize = 20_000;
+
+/// How poses, IMU and odometry of the last seconds are fitted.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImuBasedSettings {
+    /// Poses and measurements of so many seconds are fitted.
+    pub pose_queue_duration: f64,
+    /// Gravity, m/s²; 0 or less: estimated.
+    pub gravity_constant: f64,
+    /// Weight of the positions of scan matches.
+    pub pose_translation_weight: f64,
+    /// Weight of the rotations of scan matches.
+    pub pose_rotation_weight: f64,
+    /// Weight of measured accelerations.
+    pub imu_acceleration_weight: f64,
+    /// Weight of measured rotations.
+    pub imu_rotation_weight: f64,
+    /// Weight of the translations of odometry.
+    pub odometry_translation_weight: f64,
+    /// Weight of the rotations of odometry.
+    pub odometry_rotation_weight: f64,
+    /// Most iterations of one fit.
+    pub max_num_iterations: u32,
+    /// Whether the solver accepts steps that make the cost worse for a while.
+    pub use_nonmonotonic_steps: bool,
+}
+
+impl Default for ImuBasedSettings {
+    /// Equal weights, and as Cartographer over five seconds.
+    fn default() -> Self {
+        Self {
+            pose_queue_duration: 5.0,
+            gravity_constant: 9.806,
+            pose_translation_weight: 1.0,
+            pose_rotation_weight: 1.0,
+            imu_acceleration_weight: 1.0,
+            imu_rotation_weight: 1.0,
+            odometry_translation_weight: 1.0,
+            odometry_rotation_weight: 1.0,
+            max_num_iterations: 10,
+            use_nonmonotonic_steps: false,
+        }
+    }
+}
 
 /// What was predicted for a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,7 +79,7 @@ pub(super) struct Prediction {
 /// Fits the poses of the last seconds.
 #[derive(Clone, Debug)]
 pub(super) struct ImuBasedExtrapolator {
-    options: ImuBasedPoseExtrapolatorOptions,
+    settings: ImuBasedSettings,
     poses: VecDeque<(Time, Rigid3)>,
     imu: BTreeMap<Time, ImuData>,
     odometry: BTreeMap<Time, OdometryData>,
@@ -47,9 +89,9 @@ pub(super) struct ImuBasedExtrapolator {
 }
 
 impl ImuBasedExtrapolator {
-    pub fn new(options: &ImuBasedPoseExtrapolatorOptions) -> Self {
+    pub fn new(settings: &ImuBasedSettings) -> Self {
         Self {
-            options: options.clone(),
+            settings: settings.clone(),
             poses: VecDeque::new(),
             imu: BTreeMap::new(),
             odometry: BTreeMap::new(),
@@ -65,7 +107,7 @@ impl ImuBasedExtrapolator {
             self.poses.pop_back();
         }
         self.poses.push_back((time, local_from_tracking));
-        let oldest_needed = time - Duration::from_seconds(self.options.pose_queue_duration);
+        let oldest_needed = time - Duration::from_seconds(self.settings.pose_queue_duration);
         while self.poses.len() > 3 && self.poses.get(1).is_some_and(|(second, _)| *second <= oldest_needed) {
             self.poses.pop_front();
         }
@@ -120,13 +162,12 @@ impl ImuBasedExtrapolator {
         self.add_poses(&mut problem, gravity_frame, &variables);
         self.add_odometry_factors(&mut problem, &variables);
         self.add_imu_factors(&mut problem, &variables);
-        let solver = &self.options.solver_options;
-        let settings = SolverOptions {
-            max_num_iterations: u32::try_from(solver.max_num_iterations).unwrap_or(u32::MAX),
-            use_nonmonotonic_steps: solver.use_nonmonotonic_steps,
+        let solver = SolverOptions {
+            max_num_iterations: self.settings.max_num_iterations,
+            use_nonmonotonic_steps: self.settings.use_nonmonotonic_steps,
             ..SolverOptions::default()
         };
-        problem.solve(&settings).ok()?;
+        problem.solve(&solver).ok()?;
         self.gravity_from_local = problem.se3(gravity_frame);
         self.solution = variables.iter().map(|(time, id)| (*time, problem.se3(*id))).collect();
         let predicted = problem.se3(variables.last()?.1);
@@ -161,12 +202,12 @@ impl ImuBasedExtrapolator {
     }
 
     fn gravity(&self) -> f64 {
-        let chosen = self.options.gravity_constant;
+        let chosen = self.settings.gravity_constant;
         if chosen > 0.0 { chosen } else { GRAVITY_AT_START }
     }
 
     fn add_poses(&self, problem: &mut Problem, gravity_frame: VariableId, nodes: &[(Time, VariableId)]) {
-        let weights = (self.options.pose_translation_weight, self.options.pose_rotation_weight);
+        let weights = (self.settings.pose_translation_weight, self.settings.pose_rotation_weight);
         for ((_, pose), (_, node)) in self.poses.iter().zip(nodes) {
             add_between(problem, [gravity_frame, *node], *pose, weights);
         }
@@ -177,7 +218,7 @@ impl ImuBasedExtrapolator {
         else {
             return;
         };
-        let weights = (self.options.odometry_translation_weight, self.options.odometry_rotation_weight);
+        let weights = (self.settings.odometry_translation_weight, self.settings.odometry_rotation_weight);
         for pair in nodes.windows(2) {
             let &[(start, a), (end, b)] = pair else { continue };
             if !(first < &start && &end < last) {
@@ -194,7 +235,7 @@ impl ImuBasedExtrapolator {
 
     fn add_imu_factors(&self, problem: &mut Problem, nodes: &[(Time, VariableId)]) {
         let gravity = problem.add_nonnegative(self.gravity());
-        if self.options.gravity_constant > 0.0 {
+        if self.settings.gravity_constant > 0.0 {
             problem.set_constant(gravity);
         }
         let calibration = problem.add_rotation(&Quaternion::identity(), RotationFreedom::Constant);
@@ -204,7 +245,7 @@ impl ImuBasedExtrapolator {
             let factor = factors::ImuRotation {
                 variables: [a, b, calibration],
                 first_from_second: motion.delta_rotation,
-                weight: self.options.imu_rotation_weight,
+                weight: self.settings.imu_rotation_weight,
             };
             let added = problem.add_factor(factor, Loss::None);
             debug_assert!(added.is_ok());
@@ -217,7 +258,7 @@ impl ImuBasedExtrapolator {
                 delta_velocity_in_second,
                 first_duration: t2.seconds_since(t1),
                 second_duration: t3.seconds_since(t2),
-                weight: self.options.imu_acceleration_weight,
+                weight: self.settings.imu_acceleration_weight,
             };
             let added = problem.add_factor(factor, Loss::None);
             debug_assert!(added.is_ok());

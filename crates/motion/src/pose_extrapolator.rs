@@ -14,7 +14,6 @@ mod tests;
 
 use std::collections::VecDeque;
 
-use portolan_config::ImuBasedPoseExtrapolatorOptions;
 use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, interpolate, is_valid_pose,
     nalgebra as na, quaternion_from_angle_axis,
@@ -23,6 +22,7 @@ use portolan_sensor::{ImuData, OdometryData};
 use thiserror::Error;
 
 use crate::imu_tracker::ImuTracker;
+pub use imu_based::ImuBasedSettings;
 use imu_based::{ImuBasedExtrapolator, Prediction};
 use odometry_queue::{OdometryQueue, thin_out};
 use screw_motion::ScrewMotion;
@@ -132,8 +132,8 @@ impl PoseExtrapolator {
     /// Predicts by fitting poses, IMU and odometry of the last seconds (`slam3d.md` §2). To be set before
     /// anything is added.
     #[must_use]
-    pub fn with_imu_based(mut self, options: &ImuBasedPoseExtrapolatorOptions) -> Self {
-        self.imu_based = Some(Box::new(ImuBasedExtrapolator::new(options)));
+    pub fn with_imu_based(mut self, settings: &ImuBasedSettings) -> Self {
+        self.imu_based = Some(Box::new(ImuBasedExtrapolator::new(settings)));
         self
     }
 

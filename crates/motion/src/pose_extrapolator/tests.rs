@@ -378,9 +378,8 @@ proptest! {
 
 #[test]
 fn an_imu_that_falls_silent_does_not_stop_the_robot() {
-    let options = portolan_config::Options::for_3d();
-    let options = options.trajectory_builder.trajectory_builder_3d.pose_extrapolator.imu_based;
-    let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, false).with_imu_based(&options);
+    let settings = ImuBasedSettings::default();
+    let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, false).with_imu_based(&settings);
     for i in 0..=100 {
         let t = 0.01 * f64::from(i);
         extrapolator.add_imu(&imu(t, [0.0, 0.0, 9.80665], [0.0; 3])).unwrap();
