@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use portolan::pipeline::MappedRecording;
 use portolan_export::{ConstraintLine, MapContent, TrajectoryLine, write_tum};
 use portolan_mapfile::{MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d, write_map};
-use portolan_mapping::{LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId, WeakMotion, WeakSpan};
+use portolan_mapping::{
+    DegenerateInterval, DegenerateMotion, LatencyHistogram, Map, Planar, Space, Spatial, TrajectoryId,
+};
 
 use crate::error::CliError;
 use crate::known_map::Localisation;
@@ -128,10 +130,11 @@ fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
 }
 
 /// How long scans did not tell each kind of motion, by its name.
-fn weak_seconds(spans: &[WeakSpan]) -> serde_json::Value {
-    let seconds =
-        |motion: WeakMotion| -> f64 { spans.iter().filter(|s| s.motion == motion).map(|s| s.seconds).sum() };
-    let all = WeakMotion::ALL.map(|m| (m.name().to_owned(), (10.0 * seconds(m)).round() / 10.0));
+fn weak_seconds(spans: &[DegenerateInterval]) -> serde_json::Value {
+    let seconds = |motion: DegenerateMotion| -> f64 {
+        spans.iter().filter(|s| s.motion == motion).map(|s| s.seconds).sum()
+    };
+    let all = DegenerateMotion::ALL.map(|m| (m.name().to_owned(), (10.0 * seconds(m)).round() / 10.0));
     all.into_iter()
         .map(|(name, seconds)| (name, serde_json::json!(seconds)))
         .collect::<serde_json::Map<_, _>>()
@@ -139,8 +142,8 @@ fn weak_seconds(spans: &[WeakSpan]) -> serde_json::Value {
 }
 
 /// Stretches of time in which scans left a direction open.
-fn weak_spans(spans: &[WeakSpan]) -> Vec<serde_json::Value> {
-    let span = |s: &WeakSpan| {
+fn weak_spans(spans: &[DegenerateInterval]) -> Vec<serde_json::Value> {
+    let span = |s: &DegenerateInterval| {
         serde_json::json!({
             "from": s.start.unix_seconds(),
             "to": s.end.unix_seconds(),
@@ -189,8 +192,8 @@ fn report<S: Space>(
             "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
         },
         "lost": crate::lost::report(mapped),
-        "weak_seconds": weak_seconds(&mapped.weak_spans),
-        "weak_stretches": weak_spans(&mapped.weak_spans),
+        "weak_seconds": weak_seconds(&mapped.degenerate_intervals),
+        "weak_stretches": weak_spans(&mapped.degenerate_intervals),
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,
