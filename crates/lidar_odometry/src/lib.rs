@@ -1,21 +1,49 @@
 #![doc = include_str!("../README.md")]
 
-mod bootstrap;
-mod cell;
-mod leveling;
-mod map;
-mod matcher;
-mod posts;
+mod coarse_alignment;
+mod degenerate_intervals;
+mod deskew;
+mod gravity;
+mod gravity_initialisation;
+mod gyroscope;
+mod imu_buffer;
+mod inertial;
+mod initialise;
+mod issues;
+mod keyframes;
+mod local_map;
+mod motion_state;
+mod odometry;
+mod phase;
+mod plane_fit;
+mod plane_map;
+mod poles;
+mod predict;
+mod registration;
+mod segment;
+pub mod settings;
+mod standstill;
+mod sweep;
+mod sweep_registration;
 #[cfg(test)]
 mod testing;
-mod way;
+mod tracker;
+mod vertical;
 
-pub use bootstrap::align_coarsely;
-pub use leveling::up_direction;
-pub use map::{Doubt, Plane, SurfaceMap};
-pub use matcher::{
-    PosePrior, Sigmas, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions, SweptPoint, WayPrior,
-    WeakDirections,
+pub use degenerate_intervals::{DegenerateInterval, DegenerateMotion, Substitute};
+pub use deskew::PiecewiseLinearTrajectory;
+pub use gravity_initialisation::{Beginning, GravityInitialisation, WaitingSweeps};
+pub use gyroscope::SaturationDetector;
+pub use issues::{Issue, Issues};
+pub use local_map::GrowingMap;
+pub use odometry::{LidarOdometry, SweepError};
+pub use phase::Phase;
+pub use plane_map::{Plane, PlaneMap, Unreliable};
+pub use poles::{PoleMap, PolePoint};
+pub use registration::{
+    DegenerateDirections, MotionPrior, PosePrior, Registration, RegistrationResult, Sigmas,
 };
-pub use posts::{PostMap, PostPoint};
-pub use way::{Going, StraightPieces, Way, WayCorrection};
+pub use segment::{MotionSource, SegmentCorrection, TrajectorySegment};
+pub use settings::{OdometrySettings, RegistrationSettings};
+pub use sweep::{Sweep, SweepPoint};
+pub use tracker::{Fallback, Keyframe, Observability, RegisteredSweep};

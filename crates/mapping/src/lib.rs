@@ -7,22 +7,17 @@
 mod backend;
 mod collation;
 mod constraint;
-mod gyroscope_bias;
-mod gyroscope_range;
 mod histogram;
 mod id;
-mod imu_integration;
-mod imu_tracker;
 mod latency;
 mod local_slam;
 mod map;
 mod mapper;
-mod motion_filter;
 mod node;
 mod open_directions;
 mod optimization;
 mod planar;
-mod pose_extrapolator;
+mod plane_search;
 mod pose_graph;
 mod sampling_density;
 mod scan_matching_2d;
@@ -31,18 +26,14 @@ mod space;
 mod spatial;
 mod submap_2d;
 mod submap_3d;
-mod surface_search;
-mod weak_span;
 
 pub use backend::{BackendProgress, MapperError};
 pub use constraint::{Constraint, ConstraintTag};
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
-pub use imu_integration::{ImuMotion, integrate_imu};
 pub use latency::LatencyHistogram;
-pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, Lost, MatchingResult, Repairs, SweepPoint};
+pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, Lost, MatchingResult, Repairs};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings};
-pub use motion_filter::MotionFilter;
 pub use node::{Node, NodeData};
 pub use open_directions::OpenDirections;
 pub use optimization::{
@@ -50,7 +41,10 @@ pub use optimization::{
     TrajectorySensors, optimize_2d, optimize_3d,
 };
 pub use planar::Planar;
-pub use pose_extrapolator::{ExtrapolatorCounts, ExtrapolatorError, PoseExtrapolator};
+pub use portolan_lidar_odometry::{DegenerateInterval, DegenerateMotion, Substitute, SweepPoint};
+pub use portolan_motion::{
+    ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter, PoseExtrapolator, integrate_imu,
+};
 pub use pose_graph::{
     GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, LoopSearchPolicy, PoseGraph,
     PoseGraphPolicy, SearchCounts, SubmapEntry, TrajectoryConnectivity, TrajectoryEntry, TrajectoryState,
@@ -60,4 +54,3 @@ pub use space::{MatchAcceptance, MatchedPose, Nearby, SearchRegion, SearchWindow
 pub use spatial::{Spatial, SpatialMatcher};
 pub use submap_2d::{Inserter2d, Submap2d};
 pub use submap_3d::{Inserter3d, Scan3d, Submap3d};
-pub use weak_span::{TakenInstead, WeakMotion, WeakSpan, WeakSpans};

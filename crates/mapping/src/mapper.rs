@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use portolan_config::{Options, TrajectoryBuilderOptions};
 use portolan_geometry::Time;
+use portolan_motion::MotionFilter;
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::backend::{Backend, BackendProgress, MapperError};
@@ -17,8 +18,9 @@ use crate::latency::LatencyHistogram;
 use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, Lost, MatchingResult, Repairs};
 use crate::map::{Map, ScanPose};
-use crate::motion_filter::MotionFilter;
-use crate::{InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer, WeakSpan};
+use crate::{
+    DegenerateInterval, InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer,
+};
 
 /// How the mapper works, apart from what it maps.
 #[derive(Clone, Copy, Debug)]
@@ -73,7 +75,7 @@ pub struct Mapper<S: Space> {
     next_trajectory: u32,
     repairs: Repairs,
     scan_times: LatencyHistogram,
-    weak_spans: Vec<WeakSpan>,
+    degenerate_intervals: Vec<DegenerateInterval>,
     losses: Vec<Loss>,
 }
 
@@ -116,7 +118,7 @@ impl<S: Space> Mapper<S> {
             next_trajectory,
             repairs: Repairs::new(),
             scan_times: LatencyHistogram::default(),
-            weak_spans: Vec::new(),
+            degenerate_intervals: Vec::new(),
             losses: Vec::new(),
         })
     }
@@ -278,7 +280,7 @@ impl<S: Space> Mapper<S> {
         for (what, count) in trajectory.local_slam.repairs() {
             *self.repairs.entry(what).or_default() += count;
         }
-        self.weak_spans.extend(trajectory.local_slam.weak_spans());
+        self.degenerate_intervals.extend(trajectory.local_slam.degenerate_intervals());
         let piece = trajectory.piece;
         self.ended.insert(
             piece,
@@ -298,8 +300,8 @@ impl<S: Space> Mapper<S> {
     }
 
     /// Where scans of ended trajectories left directions open.
-    pub fn weak_spans(&self) -> &[WeakSpan] {
-        &self.weak_spans
+    pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
+        &self.degenerate_intervals
     }
 
     /// When trajectories were lost, in order of time.

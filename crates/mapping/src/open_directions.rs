@@ -2,6 +2,7 @@
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Rigid3, Vector3};
+use portolan_lidar_odometry::Observability;
 
 /// Errors of what was taken instead (standard deviations): metres at once, metres for each metre that odometry
 /// tells, and metres for each second of which nothing tells; radians at once, and for each second with and
@@ -27,6 +28,17 @@ pub struct OpenDirections {
 }
 
 impl OpenDirections {
+    /// What a registered sweep says.
+    pub fn of(observability: Observability) -> Self {
+        let Observability { degenerate, translation_is_measured, rotation_is_measured } = observability;
+        Self {
+            translations: degenerate.translations,
+            rotations: degenerate.rotations,
+            way_is_measured: translation_is_measured,
+            turn_is_measured: rotation_is_measured,
+        }
+    }
+
     /// Whether the scan held in all directions.
     pub fn is_empty(&self) -> bool {
         self.translations.is_empty() && self.rotations.is_empty()

@@ -44,8 +44,6 @@ impl Space for Planar {
             wide_search_after_gap: options.portolan.wide_search_after_gap,
             adaptive_search: options.portolan.adaptive_search,
             submap_length: options.portolan.submap_length,
-            min_scan_duration: 0.0,
-            surface_voxel_size: None,
         };
         LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)
     }

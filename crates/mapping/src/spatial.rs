@@ -7,12 +7,11 @@ use portolan_matching::{
 };
 use portolan_sensor::SensorId;
 
-use crate::local_slam::three_d::LocalSlam3d;
-use crate::local_slam::two_d::LocalSlamExtras;
+use crate::local_slam::three_d::{LocalSlam3d, LocalSlam3dSettings};
 use crate::optimization::{OptimizationData, OptimizationSummary, optimize_3d};
+use crate::plane_search::{confirmed, find_nearby, planes_of_loaded, reach_after, refined_by_planes};
 use crate::scan_matching_3d::{clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 use crate::submap_3d::Submap3d;
-use crate::surface_search::{confirmed, find_nearby, reach_after, refined_by_surfaces, surfaces_of_loaded};
 use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion, Space};
 
 /// 3D mapping: poses in space, hybrid grids.
@@ -35,16 +34,12 @@ impl Space for Spatial {
     const MATCHER_CACHE_BYTES: usize = 160 << 20;
 
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam3d, MapperError> {
-        let extras = LocalSlamExtras {
-            search_penalty_limit: options.portolan.search_penalty_limit,
+        let settings = LocalSlam3dSettings {
             use_all_odometry: options.portolan.use_all_odometry,
-            wide_search_after_gap: options.portolan.wide_search_after_gap,
-            adaptive_search: false,
-            submap_length: 0.0,
             min_scan_duration: options.portolan.min_scan_duration,
-            surface_voxel_size: surface_voxel_size(options),
+            plane_voxel_size: plane_voxel_size(options),
         };
-        LocalSlam3d::new(&options.trajectory_builder.trajectory_builder_3d, range_sensors, extras)
+        LocalSlam3d::new(&options.trajectory_builder.trajectory_builder_3d, range_sensors, settings)
     }
 
     fn local_from_submap(submap: &Submap3d) -> Rigid3 {
@@ -72,10 +67,10 @@ impl Space for Spatial {
     }
 
     fn complete_loaded(submap: &mut Submap3d, nodes: &mut dyn Iterator<Item = &NodeData>, options: &Options) {
-        if submap.surfaces.is_none()
-            && let Some(size) = surface_voxel_size(options)
+        if submap.planes.is_none()
+            && let Some(size) = plane_voxel_size(options)
         {
-            submap.surfaces = Some(surfaces_of_loaded(submap, nodes, size as f32));
+            submap.planes = Some(planes_of_loaded(submap, nodes, size as f32));
         }
     }
 
@@ -86,9 +81,9 @@ impl Space for Spatial {
         travelled: f64,
         options: &ConstraintBuilderOptions,
     ) -> Nearby {
-        match &submap.surfaces {
-            Some(surfaces) => {
-                find_nearby(submap, surfaces, &to_find(node), guess_submap_from_node, travelled, options)
+        match &submap.planes {
+            Some(planes) => {
+                find_nearby(submap, planes, &to_find(node), guess_submap_from_node, travelled, options)
             }
             None => Nearby::Unknown,
         }
@@ -115,7 +110,7 @@ impl Space for Spatial {
                 let local_from_node = local_from_submap * guess_submap_from_node;
                 let min_score = options.min_score as f32;
                 let widest = matcher.search.reach_of_options();
-                let reach = match submap.surfaces {
+                let reach = match submap.planes {
                     Some(_) => reach_after(travelled, &widest),
                     None => widest,
                 };
@@ -142,11 +137,11 @@ impl Space for Spatial {
             }
         }?;
         let initial = found.found.pose;
-        if let Some(surfaces) = &submap.surfaces {
+        if let Some(planes) = &submap.planes {
             if matches!(region, SearchRegion::NearNodes { .. }) {
-                return confirmed(submap, surfaces, &wanted, &initial, options);
+                return confirmed(submap, planes, &wanted, &initial, options);
             }
-            let submap_from_node = refined_by_surfaces(surfaces, clouds, &initial)?;
+            let submap_from_node = refined_by_planes(planes, clouds, &initial)?;
             return Some(MatchedPose { submap_from_node, score: found.found.score });
         }
         let grids = clouds_in_grids(clouds, submap);
@@ -181,8 +176,8 @@ fn to_find(node: &NodeData) -> NodeToFind<'_> {
     }
 }
 
-/// The size of voxels if scans are matched to surfaces.
-fn surface_voxel_size(options: &Options) -> Option<f64> {
+/// The size of voxels if sweeps are registered to planes.
+fn plane_voxel_size(options: &Options) -> Option<f64> {
     options.portolan.match_surfaces.then_some(options.portolan.surface_voxel_size)
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use portolan_config::Submaps3dOptions;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, to_f32, yaw};
-use portolan_lidar_odometry::SurfaceMap;
+use portolan_lidar_odometry::PlaneMap;
 use portolan_matching::grid::InserterOptionError;
 use portolan_matching::{
     GridError, HybridGrid, HybridInserter, HybridInserterOptions, IntensityGrid, rotate_histogram,
@@ -22,7 +22,7 @@ pub struct Inserter3d {
     low_resolution: f32,
     histogram_size: usize,
     use_intensities: bool,
-    surface_voxel_size: Option<f32>,
+    draws_late: bool,
 }
 
 impl Inserter3d {
@@ -46,14 +46,14 @@ impl Inserter3d {
             low_resolution: options.low_resolution as f32,
             histogram_size,
             use_intensities,
-            surface_voxel_size: None,
+            draws_late: false,
         })
     }
 
-    /// Submaps also keep surfaces, in voxels of at most `edge` metres.
+    /// Grids that grow are drawn when they are needed: nobody looks at them while sweeps are registered to planes.
     #[must_use]
-    pub fn with_surfaces(self, edge: f64) -> Self {
-        Self { surface_voxel_size: Some(edge as f32), ..self }
+    pub fn drawing_late(self) -> Self {
+        Self { draws_late: true, ..self }
     }
 }
 
@@ -62,8 +62,6 @@ impl Inserter3d {
 pub struct Scan3d {
     /// In the local map.
     pub range_data_in_local: RangeData,
-    /// More of the hits than the range data have, in the local map, for surfaces.
-    pub surface_points_in_local: Vec<Point3f>,
     /// Directions of walls in the gravity-aligned frame of the node.
     pub rotational_histogram: Vec<f32>,
     /// Rotation from that frame to the local map.
@@ -88,8 +86,8 @@ pub struct Submap3d {
     pub intensity_grid: Option<IntensityGrid>,
     /// Directions of walls in the frame of the submap, summed over all scans.
     pub rotational_histogram: Vec<f32>,
-    /// Planes, if scans are matched to them; files do not keep them.
-    pub surfaces: Option<SurfaceMap>,
+    /// Planes of a complete submap, if sweeps are registered to planes; files do not keep them.
+    pub planes: Option<PlaneMap>,
     /// Scans that could not be inserted because they lay too far from the origin of the submap.
     pub refused_scans: u32,
     inserter: Option<Arc<Inserter3d>>,
@@ -119,23 +117,11 @@ impl Submap3d {
             low_resolution_grid: HybridGrid::new(inserter.low_resolution)?,
             intensity_grid,
             rotational_histogram: vec![0.0; inserter.histogram_size],
-            surfaces: inserter.surface_voxel_size.map(SurfaceMap::new),
+            planes: None,
             refused_scans: 0,
             inserter: Some(Arc::clone(inserter)),
             waiting: Vec::new(),
         })
-    }
-
-    /// Adds hits seen from `origin` (both in the local map) to the surfaces, if it keeps any.
-    pub fn insert_surfaces(&mut self, points_in_local: &[Point3f], origin_in_local: &Point3f) {
-        let submap_from_local = to_f32(&self.local_from_submap.inverse());
-        let origin = submap_from_local * origin_in_local;
-        let Some(surfaces) = &mut self.surfaces else { return };
-        // A matrix turns many points sooner than a quaternion.
-        let (turn, shift) = (submap_from_local.rotation.to_rotation_matrix(), submap_from_local.translation);
-        for point in points_in_local {
-            surfaces.insert_seen_from(&(shift * (turn * point)), &origin);
-        }
     }
 
     /// Draws a scan, given in the frame of the submap, into the grids; or keeps it until they are needed. False if that
@@ -150,8 +136,7 @@ impl Submap3d {
         }
         self.waiting.push(scan);
         let waiting_points: usize = self.waiting.iter().map(|scan| scan.returns.len()).sum();
-        // With surfaces nobody looks at grids that grow.
-        if self.surfaces.is_none() || waiting_points >= MOST_WAITING_POINTS {
+        if !inserter.draws_late || waiting_points >= MOST_WAITING_POINTS {
             self.draw_grids();
         }
         true
@@ -182,7 +167,7 @@ impl Submap3d {
             low_resolution_grid,
             intensity_grid: None,
             rotational_histogram,
-            surfaces: None,
+            planes: None,
             refused_scans: 0,
             inserter: None,
             waiting: Vec::new(),
@@ -210,7 +195,6 @@ impl GrowingSubmap for Submap3d {
         let submap_from_local = self.local_from_submap.inverse();
         let data = scan.range_data_in_local.transformed(&to_f32(&submap_from_local));
         let drawn = self.insert_into_grids(data, &inserter);
-        self.insert_surfaces(&scan.surface_points_in_local, &scan.range_data_in_local.origin);
         self.refused_scans += u32::from(!drawn);
         let turn = yaw(&(submap_from_local.rotation * scan.local_from_gravity_aligned)) as f32;
         let turned = rotate_histogram(&scan.rotational_histogram, turn);
@@ -223,7 +207,6 @@ impl GrowingSubmap for Submap3d {
         self.draw_grids();
         self.high_resolution_grid = self.high_resolution_grid.compacted();
         self.low_resolution_grid = self.low_resolution_grid.compacted();
-        self.surfaces = self.surfaces.as_ref().map(SurfaceMap::compacted);
         self.intensity_grid = None;
         self.insertion_finished = true;
         self.inserter = None;
@@ -251,7 +234,6 @@ mod tests {
                 },
                 misses: PointCloud::default(),
             },
-            surface_points_in_local: Vec::new(),
             rotational_histogram: vec![1.0, 2.0, 3.0, 4.0],
             local_from_gravity_aligned: Quaternion::identity(),
         };

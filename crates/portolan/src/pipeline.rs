@@ -8,8 +8,8 @@ use portolan_diagnose::odometry_delay;
 use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
 use portolan_mapping::{
-    BackendProgress, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map, Mapper,
-    MapperError, MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId, WeakSpan,
+    BackendProgress, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map,
+    Mapper, MapperError, MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId,
     of_trajectory,
 };
 use portolan_recording::{Recording, RecordingError, Repair};
@@ -77,7 +77,7 @@ pub struct MappedRecording<S: Space> {
     /// Repairs while mapping.
     pub mapping_repairs: Repairs,
     /// Where scans left directions open and the prediction decided (3D).
-    pub weak_spans: Vec<WeakSpan>,
+    pub degenerate_intervals: Vec<DegenerateInterval>,
     /// When nothing told where the scanner was, and what came then.
     pub losses: Vec<Loss>,
     /// Scans whose stamps were changed: the times that they have in the map, and the stamps as recorded.
@@ -237,7 +237,7 @@ pub fn map_recording<S: Space>(
     take(mapper.finish_trajectory(trajectory_id)?);
     kept_scans.finish();
     let scan_times = mapper.scan_times().clone();
-    let weak_spans = mapper.weak_spans().to_vec();
+    let degenerate_intervals = mapper.degenerate_intervals().to_vec();
     let losses = mapper.losses().to_vec();
     let (map, mut mapping_repairs) = mapper.finish()?;
     if kept_scans.failure().is_some() {
@@ -259,7 +259,7 @@ pub fn map_recording<S: Space>(
         scan_times,
         reading_repairs,
         mapping_repairs,
-        weak_spans,
+        degenerate_intervals,
         losses,
         recorded_times: ingestion.recorded_times().clone(),
         kept_scans,

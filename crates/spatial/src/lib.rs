@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod closed_forms;
+mod dense_index;
 mod kd_tree;
 mod moments;
 mod normals;
@@ -11,6 +12,7 @@ mod voxel_hash;
 mod voxel_map;
 
 pub use closed_forms::{ClosedForm, best_transform, helical_motion};
+pub use dense_index::DenseIndex;
 pub use kd_tree::{KdTree, Neighbour};
 pub use moments::{Moments, PlaneFit};
 pub use normals::{LocalSurface, local_surfaces};

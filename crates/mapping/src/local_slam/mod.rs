@@ -8,15 +8,16 @@ pub use active_submaps::{ActiveSubmaps, GrowingSubmap};
 
 use std::collections::VecDeque;
 
-use portolan_config::MotionFilterOptions;
-use portolan_geometry::{Point3f, Rigid3, Time};
+use portolan_config::{AdaptiveVoxelFilterOptions, MotionFilterOptions};
+use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_lidar_odometry::{DegenerateInterval, SweepPoint};
+use portolan_motion::{ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
 use portolan_sensor::{
-    ImuData, OdometryData, RangeData, RangeDataCollatorCounts, SensorId, TimedPointCloudData,
+    ImuData, OdometryData, PointCloud, RangeData, RangeDataCollatorCounts, SensorId, SynchronizedRanges,
+    TimedPointCloudData, adaptive_voxel_filter,
 };
 
-use crate::motion_filter::MotionFilter;
-use crate::pose_extrapolator::PoseExtrapolator;
-use crate::{InsertedNode, InsertionSubmap, Space, WeakSpan};
+use crate::{InsertedNode, InsertionSubmap, Space};
 
 /// What became of a scan.
 #[derive(Clone, Debug)]
@@ -43,17 +44,6 @@ pub struct Lost<S: Space> {
     pub since: Time,
     /// The submaps that were being filled then.
     pub remaining: Vec<InsertionSubmap<S>>,
-}
-
-/// A point of a sweep as it was measured.
-#[derive(Clone, Copy, Debug)]
-pub struct SweepPoint {
-    /// Seconds before the end of the sweep, not positive.
-    pub offset: f32,
-    /// In the tracking frame at its own time, metres.
-    pub position: Point3f,
-    /// As the sensor gave it; 0 without.
-    pub intensity: f32,
 }
 
 /// A scan is matched when so many points are gathered, however many messages it was to have.
@@ -88,8 +78,8 @@ pub trait LocalSlam<S: Space>: Send {
     /// What was dropped or repaired so far.
     fn repairs(&self) -> Repairs;
 
-    /// Where scans left directions open so far, if that is watched.
-    fn weak_spans(&self) -> Vec<WeakSpan> {
+    /// Where scans left directions unconstrained so far, if that is watched.
+    fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
         Vec::new()
     }
 }
@@ -109,10 +99,9 @@ fn count_collated(counts: RangeDataCollatorCounts, repairs: &mut Repairs) {
 }
 
 /// Adds what the extrapolator noticed and nobody else counts.
-fn count_extrapolated(extrapolator: Option<&PoseExtrapolator>, repairs: &mut Repairs) {
-    let jumps = extrapolator.map_or(0, |e| e.counts().odometry_jumps);
-    if jumps > 0 {
-        *repairs.entry("odometry that went on elsewhere").or_default() += jumps;
+fn count_extrapolated(counts: &ExtrapolatorCounts, repairs: &mut Repairs) {
+    if counts.odometry_jumps > 0 {
+        *repairs.entry("odometry that went on elsewhere").or_default() += counts.odometry_jumps;
     }
 }
 
@@ -137,4 +126,15 @@ fn take_odometry(
 /// The filter that the options describe.
 pub fn motion_filter(options: &MotionFilterOptions) -> MotionFilter {
     MotionFilter::new(options.max_time_seconds, options.max_distance_meters, options.max_angle_radians)
+}
+
+/// Time of the first point of a message.
+fn first_point_time(ranges: &SynchronizedRanges) -> Time {
+    let relative = ranges.points.first().map_or(0.0, |p| f64::from(p.point.time));
+    ranges.time + Duration::from_seconds(relative)
+}
+
+/// A cloud thinned as the options say.
+fn filtered(cloud: &PointCloud, options: &AdaptiveVoxelFilterOptions) -> PointCloud {
+    adaptive_voxel_filter(cloud, options.max_length, options.min_num_points, options.max_range)
 }

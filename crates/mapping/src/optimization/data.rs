@@ -200,8 +200,8 @@ fn trim_gap<T>(data: &mut BTreeMap<Time, T>, previous: Option<Time>, next: Optio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imu_integration::integrate_imu;
     use portolan_geometry::Vector3;
+    use portolan_motion::integrate_imu;
 
     #[test]
     fn an_imu_at_rest_is_thinned_out_without_changing_its_integral() {

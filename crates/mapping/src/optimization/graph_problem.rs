@@ -6,10 +6,10 @@ use std::marker::PhantomData;
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Rigid3, Time, interpolate};
+use portolan_motion::{fixed_frame_at, odometry_at};
 use portolan_solver::{Factor, Loss, Problem, SolverOptions, VariableId};
 
 use super::data::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
-use super::interpolation::{fixed_frame_at, odometry_at};
 use crate::{Constraint, NodeId, SubmapId, TrajectoryId, of_trajectory};
 
 /// So little of the weight of rotations counts for poses that have none: enough for a heading to be found where

@@ -6,12 +6,12 @@ use std::collections::BTreeSet;
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Duration, Quaternion, Time, Vector3, angle_axis_from_quaternion};
+use portolan_lidar_odometry::SaturationDetector;
+use portolan_lidar_odometry::settings::GyroscopeSettings;
+use portolan_motion::{ImuMotion, integrate_imu, velocity_change};
 use portolan_sensor::ImuData;
 
 use super::data::{OptimizationData, OptimizationNode};
-use crate::gyroscope_bias::{LARGEST_BIAS, weight_at};
-use crate::gyroscope_range::GyroscopeRange;
-use crate::imu_integration::{ImuMotion, integrate_imu};
 use crate::{TrajectoryId, of_trajectory};
 
 /// The bias of a gyroscope is the mean of this long around a time, seconds.
@@ -57,16 +57,21 @@ impl ImuBias {
     pub fn estimate(data: &OptimizationData, id: TrajectoryId, options: &OptimizationProblemOptions) -> Self {
         let nodes: Vec<&OptimizationNode> = of_trajectory(&data.nodes, id).map(|(_, node)| node).collect();
         let Some(sensors) = data.sensors.get(&id) else { return Self::default() };
-        let mut range = GyroscopeRange::default();
-        let saturated: BTreeSet<Time> =
-            sensors.imu.values().filter(|d| range.is_at_end(&d.angular_velocity)).map(|d| d.time).collect();
+        let mut range = SaturationDetector::new(&GyroscopeSettings::default());
+        let saturated: BTreeSet<Time> = sensors
+            .imu
+            .values()
+            .filter(|d| range.is_saturated(&d.angular_velocity))
+            .map(|d| d.time)
+            .collect();
         let steps = nodes.windows(2).filter_map(|pair| step(pair, &sensors.imu, &saturated));
         let steps: Vec<Step> = steps.collect();
         let mut bias = Self::default();
         let (mut seconds, mut turn) = (0.0, Vector3::zeros());
-        let may_be_bias = |s: &&Step| !s.saturated && s.difference.norm() <= LARGEST_BIAS * s.seconds;
+        let settings = GyroscopeSettings::default();
+        let may_be_bias = |s: &&Step| !s.saturated && s.difference.norm() <= settings.max_bias * s.seconds;
         for step in steps.iter().filter(may_be_bias) {
-            let told = weight_at(step.turn / step.seconds);
+            let told = settings.weight_at(step.turn / step.seconds);
             (seconds, turn) = (seconds + told * step.seconds, turn + step.difference * told);
             bias.turns.push((step.start + Duration::from_seconds(step.seconds), seconds, turn));
         }
@@ -187,19 +192,6 @@ fn accelerometer_bias(
     } else {
         Vector3::zeros()
     }
-}
-
-/// The specific force integrated between the middles of two intervals, in the frame of the time between
-/// them (`slam3d.md` §8).
-pub(crate) fn velocity_change(
-    imu: &std::collections::BTreeMap<Time, portolan_sensor::ImuData>,
-    times: [Time; 3],
-) -> Option<Vector3> {
-    let middle = |i: usize| times[i] + Duration::from_ticks((times[i + 1] - times[i]).ticks() / 2);
-    let whole = integrate_imu(imu, times[0], times[1])?;
-    let half = integrate_imu(imu, times[0], middle(0))?;
-    let between = integrate_imu(imu, middle(0), middle(1))?;
-    Some((whole.delta_rotation.inverse() * half.delta_rotation) * between.delta_velocity)
 }
 
 #[cfg(test)]

@@ -3,7 +3,6 @@
 mod data;
 mod graph_problem;
 mod imu_bias;
-mod interpolation;
 mod three_d;
 mod two_d;
 
@@ -11,7 +10,5 @@ pub use data::{
     ImuState, LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary,
     TrajectorySensors,
 };
-pub(crate) use imu_bias::velocity_change;
-pub(crate) use interpolation::odometry_at;
 pub use three_d::optimize_3d;
 pub use two_d::optimize_2d;

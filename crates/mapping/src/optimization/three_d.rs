@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, rotation_from_roll_pitch_yaw, yaw};
+use portolan_motion::{integrate_imu, velocity_change};
 use portolan_solver::{Loss, Problem, RotationFreedom, TranslationFreedom, VariableId, factors};
 
 use super::data::{ImuState, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
 use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNodes, Weights, follows};
-use super::imu_bias::{ImuBias, velocity_change};
-use crate::imu_integration::integrate_imu;
+use super::imu_bias::ImuBias;
 use crate::{Constraint, NodeId, TrajectoryId};
 
 /// How far off an IMU may be mounted, radians (standard deviation). Without this a walk that hardly turns says

@@ -46,5 +46,4 @@ pub(crate) use cells::CellGrid;
 pub(crate) use hybrid::VoxelLattice;
 pub(crate) use insert_probability::is_finite;
 pub(crate) use intensity::Average;
-pub use voxel_map::LeafIndex;
 pub(crate) use voxel_map::VoxelMap;

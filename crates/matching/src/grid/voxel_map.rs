@@ -8,13 +8,11 @@ use std::fmt;
 
 mod arena;
 mod block;
-mod leaf_index;
 
 use arena::{Arena, push_tight};
 use block::{BLOCK_CELLS, Bits};
 pub(crate) use block::{Block, BlockKey};
-pub use leaf_index::LeafIndex;
-use leaf_index::MAX_LEAVES;
+use portolan_spatial::DenseIndex;
 
 /// Indices of a cell in space along x, y, z. Cell (0, 0, 0) is centred at the origin of the grid.
 pub type VoxelIndex = [i32; 3];
@@ -37,7 +35,7 @@ struct Leaf {
 /// From cells to values of type `T`. Cells never set have no value.
 #[derive(Clone)]
 pub(crate) struct VoxelMap<T> {
-    index: LeafIndex,
+    index: DenseIndex,
     leaves: Vec<Leaf>,
     values: Arena<T>,
     num_cells: usize,
@@ -95,7 +93,7 @@ fn file_order(key: u64) -> u64 {
 impl<T: Copy + Default> VoxelMap<T> {
     fn with_capacity(leaves: usize, values: usize, root_bits: u32) -> Self {
         Self {
-            index: LeafIndex::with_capacity(leaves),
+            index: DenseIndex::with_capacity(leaves),
             leaves: Vec::with_capacity(leaves),
             values: Arena::with_capacity(values),
             num_cells: 0,
@@ -214,7 +212,7 @@ impl<T: Copy + Default> VoxelMap<T> {
     #[cold]
     fn add_leaf(&mut self, key: u64) -> Option<usize> {
         let number = self.leaves.len();
-        if number >= MAX_LEAVES {
+        if number >= DenseIndex::MAX_KEYS {
             return None;
         }
         let start = self.values.allocate(0)?;

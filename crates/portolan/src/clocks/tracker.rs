@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use portolan_geometry::nalgebra::{Matrix3, Rotation3};
 use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
 use portolan_lidar_odometry::{
-    PosePrior, Sigmas, SurfaceMap, SurfaceMatch, SurfaceMatcher, SurfaceMatcherOptions,
+    PlaneMap, PosePrior, Registration, RegistrationResult, RegistrationSettings, Sigmas,
 };
 use portolan_sensor::voxel_filter_indices;
 
@@ -19,7 +19,7 @@ const SWEEPS_OF_A_MAP: u32 = 15;
 /// So many points of a sweep are matched.
 const WANTED_POINTS: f32 = 1500.0;
 /// A match of fewer points is no match.
-const MIN_MATCHED_SHARE: f64 = 0.15;
+const MIN_MATCHED_FRACTION: f64 = 0.15;
 /// Sweeps farther apart do not tell one turn, seconds.
 const MAX_INTERVAL: f64 = 0.35;
 /// A sweep is straightened with the velocity that its match tells, so many times.
@@ -50,7 +50,7 @@ pub(super) struct TrackedSweep {
 
 struct LocalMap {
     local_from_map: Rigid3,
-    surfaces: SurfaceMap,
+    planes: PlaneMap,
     sweeps: u32,
 }
 
@@ -78,7 +78,7 @@ impl Last {
 
 /// Follows one lidar.
 pub(super) struct SweepTracker {
-    matcher: SurfaceMatcher,
+    registration: Registration,
     maps: VecDeque<LocalMap>,
     last: Option<Last>,
     segment: u32,
@@ -94,13 +94,13 @@ impl Default for SweepTracker {
     fn default() -> Self {
         // Turns alone are wanted here, and of these planes seen edge-on tell something: without them the offset of a
         // sparse second lidar among trees is not found.
-        let options = SurfaceMatcherOptions {
+        let options = RegistrationSettings {
             final_scale: 0.1 * EDGE,
-            edge_on_share: 0.1,
-            ..SurfaceMatcherOptions::default()
+            grazing_weight: 0.1,
+            ..RegistrationSettings::default()
         };
         Self {
-            matcher: SurfaceMatcher::new(options),
+            registration: Registration::new(options),
             maps: VecDeque::new(),
             last: None,
             segment: 0,
@@ -171,12 +171,13 @@ impl SweepTracker {
             let map_from_local = map.local_from_map.inverse();
             let prior = PosePrior {
                 pose: map_from_local * predicted,
-                sigmas: Sigmas { shift: sigma, turn: TURN_SIGMA },
+                sigmas: Sigmas { translation: sigma, rotation: TURN_SIGMA },
             };
             let scale = if turn == 0 { (3.0 * sigma).clamp(0.3, 2.0) } else { 0.0 };
             let initial = map_from_local * pose;
-            let matched = self.matcher.match_scan(&map.surfaces, &self.chosen, &initial, &prior, scale)?;
-            if matched.matched_share < MIN_MATCHED_SHARE {
+            let matched =
+                self.registration.register_scan(&map.planes, &self.chosen, &initial, &prior, scale)?;
+            if matched.matched_fraction < MIN_MATCHED_FRACTION {
                 return None;
             }
             pose = map.local_from_map * matched.pose;
@@ -217,8 +218,8 @@ impl SweepTracker {
     fn insert(&mut self, origin: &Point3f) {
         let Some(last) = &self.last else { return };
         if self.maps.back().is_none_or(|map| map.sweeps >= SWEEPS_OF_A_MAP) {
-            let (local_from_map, surfaces) = (last.local_from_tracking, SurfaceMap::new(EDGE as f32));
-            self.maps.push_back(LocalMap { local_from_map, surfaces, sweeps: 0 });
+            let (local_from_map, planes) = (last.local_from_tracking, PlaneMap::new(EDGE as f32));
+            self.maps.push_back(LocalMap { local_from_map, planes, sweeps: 0 });
         }
         if self.maps.len() > 2 {
             self.maps.pop_front();
@@ -227,7 +228,7 @@ impl SweepTracker {
             let map_from_tracking = to_f32(&(map.local_from_map.inverse() * last.local_from_tracking));
             let origin = map_from_tracking * origin;
             for point in &self.straight {
-                map.surfaces.insert_seen_from(&(map_from_tracking * point), &origin);
+                map.planes.insert_seen_from(&(map_from_tracking * point), &origin);
             }
             map.sweeps += 1;
         }
@@ -235,7 +236,7 @@ impl SweepTracker {
 }
 
 /// How sure a match is of its rotation, whatever the translation is.
-fn covariance_of_rotation(found: &SurfaceMatch, translation_sigma: f64) -> Option<Matrix3<f64>> {
+fn covariance_of_rotation(found: &RegistrationResult, translation_sigma: f64) -> Option<Matrix3<f64>> {
     let information = &found.information;
     let block = |i: usize, j: usize| information.fixed_view::<3, 3>(i, j).into_owned();
     let held = Matrix3::from_diagonal_element(1.0 / (translation_sigma * translation_sigma));
@@ -243,7 +244,7 @@ fn covariance_of_rotation(found: &SurfaceMatch, translation_sigma: f64) -> Optio
     let told = block(3, 3) - block(3, 0) * translation * block(0, 3)
         + Matrix3::from_diagonal_element(1.0 / (TURN_SIGMA * TURN_SIGMA));
     let mut covariance = told.try_inverse()?;
-    for axis in &found.weak.rotations {
+    for axis in &found.degenerate.rotations {
         covariance += axis * axis.transpose() * (TURN_SIGMA * TURN_SIGMA);
     }
     let to_tracking = found.pose.rotation.inverse().to_rotation_matrix();

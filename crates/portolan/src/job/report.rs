@@ -1,7 +1,7 @@
 //! What `report.json` tells.
 
 use portolan_geometry::Time;
-use portolan_mapping::{LatencyHistogram, Loss, Space, WeakMotion, WeakSpan};
+use portolan_mapping::{DegenerateInterval, DegenerateMotion, LatencyHistogram, Loss, Space};
 
 use super::localisation::Localisation;
 use super::memory::resident_and_peak_bytes;
@@ -22,10 +22,11 @@ fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
 }
 
 /// How long scans did not tell each kind of motion, by its name.
-fn weak_seconds(spans: &[WeakSpan]) -> serde_json::Value {
-    let seconds =
-        |motion: WeakMotion| -> f64 { spans.iter().filter(|s| s.motion == motion).map(|s| s.seconds).sum() };
-    let all = WeakMotion::ALL.map(|m| (m.name().to_owned(), (10.0 * seconds(m)).round() / 10.0));
+fn weak_seconds(spans: &[DegenerateInterval]) -> serde_json::Value {
+    let seconds = |motion: DegenerateMotion| -> f64 {
+        spans.iter().filter(|s| s.motion == motion).map(|s| s.seconds).sum()
+    };
+    let all = DegenerateMotion::ALL.map(|m| (m.name().to_owned(), (10.0 * seconds(m)).round() / 10.0));
     all.into_iter()
         .map(|(name, seconds)| (name, serde_json::json!(seconds)))
         .collect::<serde_json::Map<_, _>>()
@@ -33,8 +34,8 @@ fn weak_seconds(spans: &[WeakSpan]) -> serde_json::Value {
 }
 
 /// Stretches of time in which scans left a direction open.
-fn weak_spans(spans: &[WeakSpan]) -> Vec<serde_json::Value> {
-    let span = |s: &WeakSpan| {
+fn weak_spans(spans: &[DegenerateInterval]) -> Vec<serde_json::Value> {
+    let span = |s: &DegenerateInterval| {
         serde_json::json!({
             "from": s.start.unix_seconds(),
             "to": s.end.unix_seconds(),
@@ -83,8 +84,8 @@ pub(super) fn report<S: Space>(
             "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
         },
         "lost": losses(mapped),
-        "weak_seconds": weak_seconds(&mapped.weak_spans),
-        "weak_stretches": weak_spans(&mapped.weak_spans),
+        "weak_seconds": weak_seconds(&mapped.degenerate_intervals),
+        "weak_stretches": weak_spans(&mapped.degenerate_intervals),
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,

@@ -68,7 +68,7 @@ impl KeptScans {
         let Some(file) = &mut self.file else { return };
         // Place and time of a point, finite.
         let values = |p: &SweepPoint| {
-            let values = [p.position.x, p.position.y, p.position.z, p.offset];
+            let values = [p.position.x, p.position.y, p.position.z, p.time];
             values.iter().all(|v| v.is_finite()).then_some(values)
         };
         // A micrometre and a microsecond at least, so that steps are never nothing.
@@ -196,7 +196,7 @@ mod tests {
     fn points(scan: i64) -> Vec<SweepPoint> {
         let point = |i: usize| {
             let position = Point3f::new(i as f32 * 0.3, scan as f32 - 7.0, -60.0 / (i + 1) as f32);
-            SweepPoint { offset: -0.0995 + 0.0005 * i as f32, position, intensity: 0.0 }
+            SweepPoint { time: -0.0995 + 0.0005 * i as f32, position, intensity: 0.0 }
         };
         (0..200).map(point).collect()
     }
@@ -230,7 +230,7 @@ mod tests {
                 let scan: i64 = scans.next().unwrap();
                 let expected = points(scan);
                 for (placed, point) in placed.iter().zip(expected).filter(|_| scan > 1) {
-                    let place = pose(scan as f64 + 10.0 * f64::from(point.offset));
+                    let place = pose(scan as f64 + 10.0 * f64::from(point.time));
                     let error = (Point3::from(placed.position) - place * point.position.cast::<f64>()).norm();
                     // Half a step along each axis, and of the way of half a step of time.
                     assert!(error < 0.002, "{scan}: {error}");
@@ -250,7 +250,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut kept = KeptScans::in_folder(folder.path());
         let point = |i: usize| SweepPoint {
-            offset: 0.0,
+            time: 0.0,
             position: Point3f::new(i as f32 * 0.001, 0.0, 0.0),
             intensity: 0.0,
         };

@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use portolan_mapping::{TakenInstead, WeakMotion, WeakSpan};
+use portolan_mapping::{DegenerateInterval, DegenerateMotion, Substitute};
 
 /// Stretches that are shorter together, seconds, are left to the report.
 const SHORT: f64 = 2.0;
 
 /// A line for each kind of motion, with what was taken instead.
-pub(super) fn weak_stretches(spans: &[WeakSpan], recording_seconds: f64) -> String {
-    let line = |motion: WeakMotion| {
-        let mut by_taken: BTreeMap<TakenInstead, f64> = BTreeMap::new();
+pub(super) fn weak_stretches(spans: &[DegenerateInterval], recording_seconds: f64) -> String {
+    let line = |motion: DegenerateMotion| {
+        let mut by_taken: BTreeMap<Substitute, f64> = BTreeMap::new();
         for span in spans.iter().filter(|s| s.motion == motion) {
             *by_taken.entry(span.taken).or_default() += span.seconds;
         }
@@ -25,7 +25,7 @@ pub(super) fn weak_stretches(spans: &[WeakSpan], recording_seconds: f64) -> Stri
             motion.name(),
         )
     };
-    WeakMotion::ALL.map(line).concat()
+    DegenerateMotion::ALL.map(line).concat()
 }
 
 #[cfg(test)]
@@ -36,7 +36,7 @@ mod tests {
     #[test]
     fn times_are_summed_up_and_moments_are_not_told() {
         let time = Time::from_ticks(0);
-        let span = |motion, taken, seconds| WeakSpan {
+        let span = |motion, taken, seconds| DegenerateInterval {
             start: time,
             end: time,
             scans: 1,
@@ -47,9 +47,9 @@ mod tests {
         };
         let text = weak_stretches(
             &[
-                span(WeakMotion::Along, TakenInstead::Odometry, 30.2),
-                span(WeakMotion::Along, TakenInstead::Velocity, 11.0),
-                span(WeakMotion::Heading, TakenInstead::Gyroscope, 0.4),
+                span(DegenerateMotion::Along, Substitute::Odometry, 30.2),
+                span(DegenerateMotion::Along, Substitute::Velocity, 11.0),
+                span(DegenerateMotion::Heading, Substitute::Gyroscope, 0.4),
             ],
             60.0,
         );

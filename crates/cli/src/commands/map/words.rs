@@ -55,7 +55,7 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, files: &[PathBuf], seconds
         text += &format!("{contradicted} more loop closures were left out: the others contradict them\n");
     }
     text += &crate::lost::losses(mapped);
-    text += &weak_stretches(&mapped.weak_spans, mapped.recording_seconds);
+    text += &weak_stretches(&mapped.degenerate_intervals, mapped.recording_seconds);
     for repair in &mapped.reading_repairs {
         text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
     }

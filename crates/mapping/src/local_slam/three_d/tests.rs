@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use portolan_geometry::{Point3f, Vector3, quaternion_from_angle_axis};
+use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis};
 use portolan_sensor::{SensorKind, TimedPoint};
 
 use super::*;
@@ -81,16 +81,11 @@ fn run(with_imu: bool) -> (f64, usize, LocalSlam3d) {
 fn run_with(
     with_imu: bool,
     options: &TrajectoryBuilder3dOptions,
-    surface_voxel_size: Option<f64>,
+    plane_voxel_size: Option<f64>,
 ) -> (f64, usize, LocalSlam3d) {
     let sensor = SensorId { id: Arc::from("points"), kind: SensorKind::Range };
-    let extras = LocalSlamExtras {
-        search_penalty_limit: 1.0,
-        use_all_odometry: true,
-        surface_voxel_size,
-        ..Default::default()
-    };
-    let mut slam = LocalSlam3d::new(options, std::slice::from_ref(&sensor), extras).unwrap();
+    let settings = LocalSlam3dSettings { use_all_odometry: true, plane_voxel_size, ..Default::default() };
+    let mut slam = LocalSlam3d::new(options, std::slice::from_ref(&sensor), settings).unwrap();
     let (mut worst, mut matched) = (0.0f64, 0);
     let mut check = |results: Vec<MatchingResult<Spatial>>| {
         for result in results {
@@ -144,7 +139,7 @@ fn the_imu_based_extrapolator_follows_the_corkscrew_too() {
 }
 
 #[test]
-fn surfaces_are_followed_with_and_without_an_imu() {
+fn planes_are_followed_with_and_without_an_imu() {
     for with_imu in [true, false] {
         let (worst, matched, slam) = run_with(with_imu, &options(), Some(1.0));
         assert!(worst < 0.05 && matched == 30, "{with_imu} {worst} {matched} {:?}", slam.repairs());
@@ -153,12 +148,12 @@ fn surfaces_are_followed_with_and_without_an_imu() {
 
 #[test]
 fn contradicting_options_and_empty_scans_are_refused() {
-    let extras = LocalSlamExtras { search_penalty_limit: 1.0, use_all_odometry: true, ..Default::default() };
+    let settings = LocalSlam3dSettings { use_all_odometry: true, ..Default::default() };
     let mut wrong = options();
     wrong.submaps.range_data_inserter.hit_probability = 0.4;
-    assert!(LocalSlam3d::new(&wrong, &[], extras).is_err());
+    assert!(LocalSlam3d::new(&wrong, &[], settings).is_err());
     let sensor = SensorId { id: Arc::from("points"), kind: SensorKind::Range };
-    let mut slam = LocalSlam3d::new(&options(), std::slice::from_ref(&sensor), extras).unwrap();
+    let mut slam = LocalSlam3d::new(&options(), std::slice::from_ref(&sensor), settings).unwrap();
     let time = Time::from_ticks(0);
     let empty = TimedPointCloudData {
         time,

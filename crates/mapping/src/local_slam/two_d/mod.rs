@@ -8,24 +8,23 @@ mod tracking;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use portolan_config::{AdaptiveVoxelFilterOptions, TrajectoryBuilder2dOptions};
+use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{
     Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
 };
+use portolan_motion::{MotionFilter, PoseExtrapolator};
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
-    TimedPointCloudData, adaptive_voxel_filter, voxel_filter,
+    TimedPointCloudData, voxel_filter,
 };
 
 use super::{
     ActiveSubmaps, CUT_SHORT, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, Repairs, count_collated,
-    count_extrapolated, motion_filter, take_odometry,
+    count_extrapolated, filtered, first_point_time, motion_filter, take_odometry,
 };
 use doubt::Belief;
 use tracking::{Found, Motion, Scan, Tracker};
 
-use crate::motion_filter::MotionFilter;
-use crate::pose_extrapolator::PoseExtrapolator;
 use crate::scan_matching_2d::search_after_gap;
 use crate::submap_2d::{Inserter2d, Submap2d};
 use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
@@ -40,7 +39,7 @@ const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 const FOUND_FAR: &str = "scan that was found far from its prediction";
 const DOUBTFUL: &str = "scan that contradicts the map, not inserted";
 
-/// Settings beyond Cartographer's options.
+/// Settings of local SLAM in 2D beyond Cartographer's options.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LocalSlamExtras {
     /// Predict from all odometry and gyroscope data of the gap between scans.
@@ -53,10 +52,6 @@ pub struct LocalSlamExtras {
     pub adaptive_search: bool,
     /// A submap is full after this way, too, metres; 0 counts only scans.
     pub submap_length: f64,
-    /// 3D: match to surfaces in voxels of at most this size, metres, instead of to grids.
-    pub surface_voxel_size: Option<f64>,
-    /// 3D: range data are gathered until they span about so many seconds.
-    pub min_scan_duration: f64,
 }
 
 /// Local SLAM of one trajectory in 2D.
@@ -323,11 +318,6 @@ fn no_submaps(options: &TrajectoryBuilder2dOptions, extras: &LocalSlamExtras) ->
     ActiveSubmaps::new(scans_per_half).with_length(extras.submap_length)
 }
 
-pub(super) fn first_point_time(ranges: &SynchronizedRanges) -> Time {
-    let relative = ranges.points.first().map_or(0.0, |p| f64::from(p.point.time));
-    ranges.time + Duration::from_seconds(relative)
-}
-
 /// Puts every point where it was measured from, by the predicted pose at its own time, and sorts it
 /// into returns and misses. Returns the pose at the last point.
 fn unwarp(
@@ -384,10 +374,6 @@ fn gravity_aligned(
     }
 }
 
-pub(super) fn filtered(cloud: &PointCloud, options: &AdaptiveVoxelFilterOptions) -> PointCloud {
-    adaptive_voxel_filter(cloud, options.max_length, options.min_num_points, options.max_range)
-}
-
 impl LocalSlam<Planar> for LocalSlam2d {
     fn add_range_data(
         &mut self,
@@ -439,7 +425,9 @@ impl LocalSlam<Planar> for LocalSlam2d {
         let mut repairs = self.repairs.clone();
         self.active_submaps.count_into(&mut repairs);
         count_collated(self.collator.counts(), &mut repairs);
-        count_extrapolated(self.extrapolator.as_ref(), &mut repairs);
+        if let Some(extrapolator) = &self.extrapolator {
+            count_extrapolated(&extrapolator.counts(), &mut repairs);
+        }
         repairs
     }
 }

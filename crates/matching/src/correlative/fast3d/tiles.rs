@@ -1,6 +1,6 @@
 //! Bytes of cells in space in tiles of 4×4×4, and how windows over them are widened.
 
-use crate::grid::LeafIndex;
+use portolan_spatial::DenseIndex;
 
 /// Cells along each edge of a tile; their bytes have x running fastest.
 pub(super) type Tile = [u8; 64];
@@ -10,7 +10,7 @@ const TILE_REACH: i32 = 2048;
 /// Tiles by their place. Cells without a tile are 0.
 #[derive(Clone, Debug)]
 pub(super) struct Tiles {
-    index: LeafIndex,
+    index: DenseIndex,
     /// Places of the tiles, in tiles.
     places: Vec<[i32; 3]>,
     tiles: Vec<Tile>,
@@ -33,7 +33,7 @@ pub(super) fn position([x, y, z]: [i32; 3]) -> usize {
 
 impl Tiles {
     pub fn with_capacity(num_tiles: usize) -> Self {
-        Self { index: LeafIndex::with_capacity(num_tiles), places: Vec::new(), tiles: Vec::new() }
+        Self { index: DenseIndex::with_capacity(num_tiles), places: Vec::new(), tiles: Vec::new() }
     }
 
     /// The tile at a place, made if there is none. None where there cannot be one.

@@ -1,0 +1,173 @@
+//! Waiting for gravity: how a trajectory begins, upright as an IMU says, or level where there is none.
+
+use std::collections::VecDeque;
+
+use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_motion::PoseExtrapolator;
+use portolan_sensor::{ImuData, OdometryData};
+
+use crate::gravity::mean_acceleration;
+use crate::issues::Issue;
+use crate::settings::InitialisationSettings;
+
+/// The odometry poses that are kept before the first sweep, which wants to know how the platform was moving.
+const ODOMETRY_POSES: usize = 2;
+
+/// Sweeps that wait for the beginning of a trajectory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WaitingSweeps {
+    /// Time of the first point of the first one.
+    pub first_point: Time,
+    /// End of the first one.
+    pub first_end: Time,
+    /// End of the last one.
+    pub last_end: Time,
+}
+
+/// A trajectory that has begun.
+#[derive(Clone, Debug)]
+pub struct Beginning {
+    /// Predicts from the first pose on.
+    pub extrapolator: PoseExtrapolator,
+    /// The samples that told which way is up, of which the extrapolator has the first. Empty without an IMU.
+    pub imu: Vec<ImuData>,
+}
+
+/// Gathers what comes before a trajectory begins.
+#[derive(Clone, Debug)]
+pub struct GravityInitialisation {
+    imu_wait: Duration,
+    leveling_time: Duration,
+    max_samples: usize,
+    imu: Vec<ImuData>,
+    odometry: VecDeque<OdometryData>,
+}
+
+impl GravityInitialisation {
+    /// Nothing yet. Accelerations are averaged as the settings say.
+    pub fn new(settings: &InitialisationSettings) -> Self {
+        Self {
+            imu_wait: Duration::from_seconds(settings.imu_wait),
+            leveling_time: Duration::from_seconds(settings.leveling_time),
+            max_samples: settings.max_leveling_samples,
+            imu: Vec::new(),
+            odometry: VecDeque::new(),
+        }
+    }
+
+    /// Takes a sample, in order of time. Gives what is wrong with it.
+    pub fn add_imu(&mut self, data: &ImuData) -> Option<Issue> {
+        let mut values = data.linear_acceleration.iter().chain(data.angular_velocity.iter());
+        if !values.all(|v| v.is_finite()) {
+            return Some(Issue::ImuSampleNotFinite);
+        }
+        if self.imu.last().is_some_and(|last| data.time < last.time) {
+            return Some(Issue::ImuSampleTooOld);
+        }
+        self.imu.push(*data);
+        None
+    }
+
+    /// Takes an odometry pose. The newest are kept.
+    pub fn add_odometry(&mut self, data: &OdometryData) {
+        self.odometry.push_back(*data);
+        if self.odometry.len() > ODOMETRY_POSES {
+            self.odometry.pop_front();
+        }
+    }
+
+    /// Whether enough is known, or too little comes to wait for more.
+    pub fn is_ready(&self, waiting: Option<&WaitingSweeps>) -> bool {
+        let waited = waiting.map_or(Duration::ZERO, |sweeps| sweeps.last_end - sweeps.first_end);
+        let averaged = match (self.imu.first(), self.imu.last()) {
+            (Some(first), Some(last)) => last.time - first.time,
+            _ => Duration::ZERO,
+        };
+        match self.imu.len() {
+            0 => waited >= self.imu_wait,
+            count => {
+                averaged >= self.leveling_time
+                    || count >= self.max_samples
+                    || waited >= self.imu_wait + self.leveling_time
+            }
+        }
+    }
+
+    /// Begins at the first IMU sample, upright as all of them together say; or without one, level at the first sweep.
+    /// None if there is neither, or if the samples are no accelerations.
+    pub fn begin(
+        &mut self,
+        extrapolator: PoseExtrapolator,
+        waiting: Option<&WaitingSweeps>,
+    ) -> Option<Beginning> {
+        let imu = std::mem::take(&mut self.imu);
+        let mut extrapolator = match (imu.first(), mean_acceleration(&imu)) {
+            (Some(first), Some(linear_acceleration)) => {
+                extrapolator.started_at_rest(&ImuData { linear_acceleration, ..*first }).ok()?
+            }
+            _ => {
+                let mut level = extrapolator;
+                level.add_pose(waiting?.first_point, Rigid3::identity());
+                level
+            }
+        };
+        for odometry in self.odometry.drain(..) {
+            // The extrapolator counts what it does not take.
+            let _ = extrapolator.add_odometry(&odometry);
+        }
+        Some(Beginning { extrapolator, imu })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::Vector3;
+
+    use super::*;
+
+    fn sample(seconds: f64, acceleration: f64) -> ImuData {
+        ImuData {
+            time: Time::from_ticks(0) + Duration::from_seconds(seconds),
+            linear_acceleration: Vector3::new(0.0, 0.0, acceleration),
+            angular_velocity: Vector3::zeros(),
+        }
+    }
+
+    fn waiting(seconds: f64) -> WaitingSweeps {
+        let first_end = Time::from_ticks(0);
+        WaitingSweeps {
+            first_point: first_end,
+            first_end,
+            last_end: first_end + Duration::from_seconds(seconds),
+        }
+    }
+
+    #[test]
+    fn a_second_of_samples_is_enough_and_so_is_a_second_without_any() {
+        let mut initialisation = GravityInitialisation::new(&InitialisationSettings::default());
+        assert!(!initialisation.is_ready(None) && !initialisation.is_ready(Some(&waiting(0.9))));
+        assert!(initialisation.is_ready(Some(&waiting(1.0))));
+        assert_eq!(initialisation.add_imu(&sample(0.0, 9.8)), None);
+        assert!(
+            !initialisation.is_ready(Some(&waiting(1.9))) && initialisation.is_ready(Some(&waiting(2.0)))
+        );
+        assert_eq!(initialisation.add_imu(&sample(1.0, 9.8)), None);
+        assert!(initialisation.is_ready(None));
+        let begun = initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).unwrap();
+        assert_eq!((begun.imu.len(), begun.extrapolator.last_pose_time()), (2, Some(Time::from_ticks(0))));
+    }
+
+    #[test]
+    fn samples_that_are_no_numbers_or_out_of_order_are_named() {
+        let mut initialisation = GravityInitialisation::new(&InitialisationSettings::default());
+        assert_eq!(initialisation.add_imu(&sample(0.5, f64::NAN)), Some(Issue::ImuSampleNotFinite));
+        assert_eq!(initialisation.add_imu(&sample(0.5, 9.8)), None);
+        assert_eq!(initialisation.add_imu(&sample(0.4, 9.8)), Some(Issue::ImuSampleTooOld));
+    }
+
+    #[test]
+    fn without_anything_nothing_begins() {
+        let mut initialisation = GravityInitialisation::new(&InitialisationSettings::default());
+        assert!(initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).is_none());
+    }
+}

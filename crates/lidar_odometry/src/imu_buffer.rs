@@ -1,0 +1,37 @@
+//! IMU samples between two sweeps.
+
+use portolan_geometry::Time;
+use portolan_sensor::ImuData;
+
+/// Samples since the last sweep, and the last one before.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ImuBuffer {
+    samples: Vec<ImuData>,
+}
+
+impl ImuBuffer {
+    /// Takes a sample, in order of time. Without sweeps nothing is integrated; then `max_samples` bound memory, and the
+    /// gap is noticed.
+    pub fn push(&mut self, data: &ImuData, max_samples: usize) {
+        if self.samples.len() >= max_samples {
+            self.samples.clear();
+        }
+        self.samples.push(*data);
+    }
+
+    /// All samples.
+    pub fn all(&self) -> &[ImuData] {
+        &self.samples
+    }
+
+    /// How many samples were taken until a time, that time included.
+    pub fn count_until(&self, time: Time) -> usize {
+        self.samples.partition_point(|s| s.time <= time)
+    }
+
+    /// Forgets what was taken before the last sample until a time.
+    pub fn forget_until(&mut self, time: Time) {
+        let after = self.count_until(time);
+        self.samples.drain(..after.saturating_sub(1));
+    }
+}

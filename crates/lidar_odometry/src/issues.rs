@@ -1,0 +1,67 @@
+//! Faults of the data that were repaired or left out: counted, and named.
+
+use std::collections::BTreeMap;
+
+/// What was wrong with a measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Issue {
+    /// An IMU sample from before the last registered sweep, or out of order; it was left out.
+    ImuSampleTooOld,
+    /// An IMU sample that is not finite; it was left out.
+    ImuSampleNotFinite,
+    /// An IMU sample that came after the trajectory began without an IMU.
+    ImuAfterStart,
+    /// An odometry pose from before the last registered sweep, or out of order; it was left out.
+    OdometryTooOld,
+    /// A sweep without a point; it was left out.
+    EmptySweep,
+    /// A sweep that ends before the last registered one; it was left out.
+    SweepTooOld,
+    /// A sweep that fits clearly better without the rotation that the gyroscope measured.
+    GyroscopeOverruled,
+    /// A sweep that fits no plane; its pose is predicted, or another map's.
+    NoPlaneFits,
+}
+
+impl Issue {
+    /// In words, for reports.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::ImuSampleTooOld => "IMU sample older than the last matched scan",
+            Self::ImuSampleNotFinite => "IMU sample that is not finite",
+            Self::ImuAfterStart => {
+                "IMU sample that came after the start without an IMU; it tells rotation only"
+            }
+            Self::OdometryTooOld => "odometry pose older than the last matched scan",
+            Self::EmptySweep => "scan without a single return",
+            Self::SweepTooOld => "scan that ends before the last matched scan",
+            Self::GyroscopeOverruled => "sweep whose turn the gyroscope did not tell; scans told it",
+            Self::NoPlaneFits => {
+                "scan that fits no surface; its pose is what wheels, IMU, the velocity before or grids tell"
+            }
+        }
+    }
+}
+
+/// How often each issue occurred.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Issues {
+    counts: BTreeMap<Issue, u64>,
+}
+
+impl Issues {
+    /// Counts an issue once more.
+    pub fn count(&mut self, issue: Issue) {
+        *self.counts.entry(issue).or_default() += 1;
+    }
+
+    /// All issues that occurred, and how often.
+    pub fn iter(&self) -> impl Iterator<Item = (Issue, u64)> + '_ {
+        self.counts.iter().map(|(issue, count)| (*issue, *count))
+    }
+
+    /// How often one occurred.
+    pub fn of(&self, issue: Issue) -> u64 {
+        self.counts.get(&issue).copied().unwrap_or_default()
+    }
+}

@@ -1,0 +1,160 @@
+//! The planes around: two planar voxel maps that overlap by half. Sweeps are registered to the older one; both take them,
+//! so that every place is in two maps and the older one always knows half of its extent.
+
+use portolan_geometry::{Point3f, Quaternion, Rigid3, to_f32};
+use portolan_sensor::RangeData;
+
+use crate::plane_map::PlaneMap;
+use crate::settings::{LocalMapSettings, OdometrySettings, PlaneFitSettings};
+
+/// A planar voxel map that takes key frames.
+#[derive(Clone, Debug)]
+pub struct GrowingMap {
+    /// Its frame: level, with its origin where the first key frame was taken.
+    pub local_from_map: Rigid3,
+    /// In that frame.
+    pub planes: PlaneMap,
+    /// Key frames inserted.
+    pub keyframes: u32,
+}
+
+/// The maps around.
+#[derive(Clone, Debug)]
+pub(crate) struct LocalMap {
+    settings: LocalMapSettings,
+    plane_fit: PlaneFitSettings,
+    older: GrowingMap,
+    newer: Option<GrowingMap>,
+}
+
+impl GrowingMap {
+    /// Adds points seen from the origin of a sweep (both in the local map).
+    fn insert(&mut self, sweep_in_local: &RangeData) {
+        let map_from_local = to_f32(&self.local_from_map.inverse());
+        let origin = map_from_local * sweep_in_local.origin;
+        // A matrix turns many points sooner than a quaternion.
+        let (turn, shift) = (map_from_local.rotation.to_rotation_matrix(), map_from_local.translation);
+        for point in &sweep_in_local.returns.points {
+            self.planes.insert_seen_from(&(shift * (turn * point)), &origin);
+        }
+    }
+}
+
+impl LocalMap {
+    /// With the first key frame. The axes of a map are those of the gravity-aligned frame of its first key frame.
+    pub fn new(
+        settings: &OdometrySettings,
+        sweep_in_local: &RangeData,
+        local_from_gravity_aligned: Quaternion,
+    ) -> Self {
+        let (plane_fit, settings) = (&settings.plane_fit, &settings.local_map);
+        let older = empty(settings, plane_fit, sweep_in_local.origin, local_from_gravity_aligned);
+        let mut map = Self { settings: settings.clone(), plane_fit: plane_fit.clone(), older, newer: None };
+        map.add_keyframe(sweep_in_local);
+        map
+    }
+
+    /// The map that sweeps are registered to.
+    pub fn older(&self) -> &GrowingMap {
+        &self.older
+    }
+
+    /// All maps, oldest first.
+    pub fn all(&self) -> impl Iterator<Item = &GrowingMap> {
+        std::iter::once(&self.older).chain(&self.newer)
+    }
+
+    /// Whether the older map knows too few planes to be relied on.
+    pub fn is_warming_up(&self) -> bool {
+        self.older.keyframes < self.settings.warm_up_keyframes
+    }
+
+    /// Shows all maps a sweep that is no key frame.
+    pub fn insert(&mut self, sweep_in_local: &RangeData) {
+        self.older.insert(sweep_in_local);
+        if let Some(newer) = &mut self.newer {
+            newer.insert(sweep_in_local);
+        }
+    }
+
+    /// Inserts a key frame. Gives the older map away when it is complete.
+    pub fn insert_keyframe(
+        &mut self,
+        sweep_in_local: &RangeData,
+        local_from_gravity_aligned: Quaternion,
+    ) -> Option<PlaneMap> {
+        let half = self.settings.keyframes_per_half.max(1);
+        if self.newer.is_none() && self.older.keyframes >= half {
+            let (origin, rotation) = (sweep_in_local.origin, local_from_gravity_aligned);
+            self.newer = Some(empty(&self.settings, &self.plane_fit, origin, rotation));
+        }
+        self.add_keyframe(sweep_in_local);
+        if self.older.keyframes < 2 * half {
+            return None;
+        }
+        let complete = std::mem::replace(&mut self.older, self.newer.take()?);
+        Some(complete.planes.compacted())
+    }
+
+    fn add_keyframe(&mut self, sweep_in_local: &RangeData) {
+        self.insert(sweep_in_local);
+        self.older.keyframes += 1;
+        if let Some(newer) = &mut self.newer {
+            newer.keyframes += 1;
+        }
+    }
+}
+
+fn empty(
+    settings: &LocalMapSettings,
+    plane_fit: &PlaneFitSettings,
+    origin_in_local: Point3f,
+    local_from_gravity_aligned: Quaternion,
+) -> GrowingMap {
+    let origin = origin_in_local.coords.cast::<f64>();
+    GrowingMap {
+        local_from_map: Rigid3::from_parts(origin.into(), local_from_gravity_aligned),
+        planes: PlaneMap::with_settings(settings.voxel_size as f32, plane_fit.clone()),
+        keyframes: 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_sensor::PointCloud;
+
+    use super::*;
+
+    fn sweep(x: f32) -> RangeData {
+        let origin = Point3f::new(x, 0.0, 1.0);
+        let returns = PointCloud::new(vec![Point3f::new(x, 1.0, 0.0)]);
+        RangeData { origin, returns, misses: PointCloud::default() }
+    }
+
+    #[test]
+    fn maps_overlap_by_half() {
+        let mut settings = OdometrySettings::default();
+        (settings.local_map.keyframes_per_half, settings.local_map.warm_up_keyframes) = (3, 3);
+        let mut map = LocalMap::new(&settings, &sweep(0.0), Quaternion::identity());
+        let mut complete = Vec::new();
+        for i in 1..10 {
+            assert_eq!(map.is_warming_up(), i < 3, "{i}");
+            if map.insert_keyframe(&sweep(i as f32), Quaternion::identity()).is_some() {
+                complete.push(i);
+            }
+        }
+        assert_eq!(complete, [5, 8]);
+        assert_eq!(map.all().map(|map| map.keyframes).collect::<Vec<_>>(), [4, 1]);
+        assert!((map.older().local_from_map.translation.x - 6.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn with_one_key_frame_a_half_every_second_one_completes_a_map() {
+        let mut settings = OdometrySettings::default();
+        settings.local_map.keyframes_per_half = 0;
+        let mut map = LocalMap::new(&settings, &sweep(0.0), Quaternion::identity());
+        for i in 1..5 {
+            assert!(map.insert_keyframe(&sweep(i as f32), Quaternion::identity()).is_some(), "{i}");
+        }
+    }
+}

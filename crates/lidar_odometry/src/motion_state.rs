@@ -1,0 +1,251 @@
+//! What is known of the motion between sweeps: extrapolator, gyroscope, zero-velocity detector, gravity estimator and
+//! inertial Kalman filter, fed by the same samples.
+
+use portolan_geometry::nalgebra::Matrix3;
+use portolan_geometry::{Quaternion, Rigid3, Time, Vector3};
+use portolan_motion::PoseExtrapolator;
+use portolan_sensor::{ImuData, OdometryData};
+
+use crate::gravity::GravityEstimator;
+use crate::gyroscope::{GyroscopeBias, SaturationDetector};
+use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PlaceMeasurement};
+use crate::issues::Issue;
+use crate::predict::{self, Alternative, Prediction, Reason, Registered};
+use crate::segment::{MotionSource, TrajectorySegment};
+use crate::settings::{HypothesisSettings, ImuSettings, OdometrySettings};
+use crate::standstill::ZeroVelocityDetector;
+
+/// Follows the motion.
+pub(crate) struct MotionState {
+    pub extrapolator: PoseExtrapolator,
+    pub has_imu: bool,
+    gyroscope_bias: GyroscopeBias,
+    saturation: SaturationDetector,
+    /// When the gyroscope was last at the end of its range.
+    saturated_at: Option<Time>,
+    zero_velocity: ZeroVelocityDetector,
+    gravity: GravityEstimator,
+    inertial: InertialFilter,
+    hypotheses: HypothesisSettings,
+    imu: ImuSettings,
+}
+
+/// What the end of a sweep says of the motion.
+pub(crate) struct SweepEnd<'a> {
+    pub time: Time,
+    pub local_from_tracking: &'a Rigid3,
+    /// Directions of translation that the sweep leaves unconstrained, in the tracking frame.
+    pub degenerate: &'a [Vector3],
+    /// Covariance of attenuation, m² in the local map. None where the sweep fits nothing.
+    pub attenuation: Option<Matrix3<f64>>,
+    pub is_standing: bool,
+}
+
+impl MotionState {
+    /// Begins where an extrapolator does, with the samples that it was begun with.
+    pub fn new(
+        settings: &OdometrySettings,
+        extrapolator: PoseExtrapolator,
+        imu: &[ImuData],
+    ) -> (Self, Vec<Issue>) {
+        let mut state = Self {
+            extrapolator,
+            has_imu: !imu.is_empty(),
+            gyroscope_bias: GyroscopeBias::new(&settings.gyroscope),
+            saturation: SaturationDetector::new(&settings.gyroscope),
+            saturated_at: None,
+            zero_velocity: ZeroVelocityDetector::new(&settings.standstill),
+            gravity: GravityEstimator::new(&settings.gravity, &settings.imu),
+            inertial: InertialFilter::new(&settings.inertial, &settings.imu),
+            hypotheses: settings.hypotheses.clone(),
+            imu: settings.imu.clone(),
+        };
+        if let Some(first) = imu.first() {
+            // The extrapolator has it.
+            state.gravity.add_imu(first);
+            state.inertial.add_imu(first);
+        }
+        let issues = imu.iter().skip(1).filter_map(|data| state.add_imu(data)).collect();
+        (state, issues)
+    }
+
+    /// Takes a sample, in order of time. Gives what is wrong with it.
+    pub fn add_imu(&mut self, data: &ImuData) -> Option<Issue> {
+        if self.saturation.is_saturated(&data.angular_velocity) {
+            self.saturated_at = self.saturated_at.max(Some(data.time));
+        }
+        let corrected = self.gyroscope_bias.corrected(data);
+        if self.extrapolator.add_imu(&corrected).is_err() {
+            return Some(Issue::ImuSampleTooOld);
+        }
+        self.zero_velocity.add_imu(&corrected);
+        self.gravity.add_imu(&corrected);
+        self.inertial.add_imu(&corrected);
+        (!self.has_imu).then_some(Issue::ImuAfterStart)
+    }
+
+    /// Takes an odometry pose, in order of time. Gives what is wrong with it.
+    pub fn add_odometry(&mut self, data: &OdometryData) -> Option<Issue> {
+        self.extrapolator.add_odometry(data).is_err().then_some(Issue::OdometryTooOld)
+    }
+
+    /// What is expected of a sweep that ends at `end`.
+    ///
+    /// The most likely motion is that the platform stands, if it does; else what odometry measured; else what the
+    /// accelerometer says, once that is reliable; else constant velocity. Rotation is the gyroscope's if there is one.
+    pub fn predict(&mut self, end: Time) -> Prediction {
+        self.extrapolator.prepare(end);
+        let start = self.extrapolator.last_pose_time();
+        let extrapolated = predict::extrapolated(&mut self.extrapolator, end);
+        let has_odometry = self.extrapolator.has_odometry(end);
+        if has_odometry {
+            self.zero_velocity.add_odometry(&extrapolated.translation(), extrapolated.seconds());
+        }
+        let standing = self.zero_velocity.pose();
+        let inertial =
+            start.filter(|_| self.has_imu).and_then(|start| self.inertial.predict(start, &extrapolated));
+        let mut segment = match (&standing, &inertial) {
+            (Some(pose), _) => {
+                let mut segment = predict::standing(&self.extrapolator, end, pose);
+                segment.source = MotionSource::Measured;
+                segment
+            }
+            (None, Some(inertial)) if !has_odometry && self.inertial.is_reliable() => {
+                let mut segment = inertial.segment.clone();
+                segment.source = MotionSource::Inertial { velocity_sigma: self.inertial.velocity_sigma() };
+                segment
+            }
+            _ => extrapolated.clone(),
+        };
+        segment.rotation_is_measured = self.has_imu && self.extrapolator.has_gyroscope(end);
+        let level_from_tracking = self.has_imu.then(|| self.extrapolator.estimate_gravity_orientation(end));
+        let is_saturated = self.saturated_at > start;
+        let alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
+        Prediction {
+            extrapolated,
+            inertial,
+            standing,
+            segment,
+            alternatives,
+            level_from_tracking,
+            is_saturated,
+        }
+    }
+
+    /// Other hypotheses than the first.
+    fn alternatives(
+        &mut self,
+        end: Time,
+        first: &TrajectorySegment,
+        extrapolated: &TrajectorySegment,
+        is_saturated: bool,
+    ) -> Vec<Alternative> {
+        let settings = &self.hypotheses;
+        let mut alternatives = Vec::new();
+        if matches!(first.source, MotionSource::Inertial { .. }) {
+            let mut segment = extrapolated.clone();
+            segment.rotation_is_measured = first.rotation_is_measured;
+            let reason = Reason::AccelerometerFails;
+            alternatives.push(Alternative { reason, segment, required_ratio: 1.0 });
+        }
+        if first.seconds() > settings.long_gap
+            && let Some((_, last)) = self.extrapolator.last_pose()
+        {
+            let segment = predict::standing(&self.extrapolator, end, &last);
+            alternatives.push(Alternative { reason: Reason::LongGap, segment, required_ratio: 1.0 });
+        }
+        if first.rotation_is_measured {
+            let segment = predict::with_constant_rotation(&mut self.extrapolator, end);
+            let required_ratio = if is_saturated { 1.0 } else { settings.clearly_better };
+            alternatives.push(Alternative { reason: Reason::GyroscopeFails, segment, required_ratio });
+        }
+        alternatives
+    }
+
+    /// Learns the bias of the gyroscope: at rest from the rotation that it measured, else from the rotation that was
+    /// registered. Before the map is warmed up the latter says nothing: what the first sweeps got wrong fits the map that
+    /// was made of them.
+    pub fn learn_gyroscope_bias(&mut self, prediction: &Prediction, best: &Registered, is_warming_up: bool) {
+        let segment = &best.segment;
+        if prediction.standing.is_some() {
+            let predicted = prediction.extrapolated.rotation();
+            self.gyroscope_bias.observe(&predicted, &Quaternion::identity(), segment.seconds());
+            return;
+        }
+        let constrains_rotation =
+            best.registered.found.as_ref().is_some_and(|f| f.degenerate.rotations.is_empty());
+        let is_measured = segment.rotation_is_measured && !prediction.is_saturated;
+        if is_measured && constrains_rotation && !is_warming_up {
+            let registered =
+                segment.start().rotation.inverse() * best.registered.local_from_tracking.rotation;
+            self.gyroscope_bias.observe(&segment.rotation(), &registered, segment.seconds());
+        }
+    }
+
+    /// Zero-velocity update: where the platform stands after a sweep was registered at this pose, if it stands.
+    pub fn zero_velocity_update(&mut self, end: Time, local_from_tracking: &Rigid3) -> Option<Rigid3> {
+        self.zero_velocity.add_pose(end, local_from_tracking);
+        self.zero_velocity.pose()
+    }
+
+    /// Corrects what is known by the pose of a sweep. Gives the gravity-aligned frame of the tracking frame there.
+    pub fn update(
+        &mut self,
+        prediction: &Prediction,
+        inertial: Option<&InertialPrediction>,
+        end: &SweepEnd<'_>,
+    ) -> Option<Quaternion> {
+        if let Some(level_from_tracking) = &prediction.level_from_tracking {
+            self.update_inertial(prediction, inertial, end, level_from_tracking);
+        }
+        self.extrapolator.add_pose(end.time, *end.local_from_tracking);
+        prediction.level_from_tracking.map(|level| self.leveled(end.time, end.local_from_tracking, level))
+    }
+
+    /// Corrects the inertial filter, or begins it anew.
+    fn update_inertial(
+        &mut self,
+        prediction: &Prediction,
+        inertial: Option<&InertialPrediction>,
+        end: &SweepEnd<'_>,
+        level_from_tracking: &Quaternion,
+    ) {
+        let (place, turn) = (end.local_from_tracking.translation.vector, end.local_from_tracking.rotation);
+        let extrapolated = &prediction.extrapolated;
+        if let Some(inertial) = inertial {
+            let degenerate: Vec<Vector3> = end.degenerate.iter().map(|d| turn * d).collect();
+            let measured = PlaceMeasurement {
+                place,
+                degenerate: &degenerate,
+                attenuation: end.attenuation,
+                is_standing: end.is_standing,
+            };
+            let by_constant_velocity = extrapolated.end().translation.vector;
+            self.inertial.update(end.time, inertial, &by_constant_velocity, &measured);
+            return;
+        }
+        let at_rest = self.zero_velocity.force_at_rest();
+        let up = turn * (level_from_tracking.inverse() * Vector3::z());
+        let velocity = (place - extrapolated.start().translation.vector) / extrapolated.seconds().max(1e-3);
+        // An IMU rests in smooth motion, too.
+        let seems_to_stand = at_rest.is_some() && velocity.norm() < self.hypotheses.slow;
+        let start = InertialStart {
+            place,
+            velocity: if seems_to_stand { Vector3::zeros() } else { velocity },
+            force_at_rest: up * at_rest.unwrap_or(self.imu.gravity),
+            is_at_rest: at_rest.is_some(),
+        };
+        self.inertial.begin(end.time, &start);
+    }
+
+    /// From the tracking frame to a gravity-aligned one, where a sweep was registered and the IMU alone says `level`.
+    pub fn leveled(&mut self, end: Time, local_from_tracking: &Rigid3, level: Quaternion) -> Quaternion {
+        self.gravity.add_sweep(end, local_from_tracking, &level);
+        self.gravity.level_from_tracking(&local_from_tracking.rotation).unwrap_or(level)
+    }
+
+    /// Whether there is a gyroscope that measures until `end`, relied on or not.
+    pub fn has_gyroscope(&self, end: Time) -> bool {
+        self.has_imu && self.extrapolator.has_gyroscope(end)
+    }
+}

@@ -1,0 +1,212 @@
+//! The plane through the hits in one voxel: incremental moments, fit, and what makes a plane unreliable.
+//!
+//! Moments are updated hit by hit (Welford 1962). The normal is the eigenvector of the smallest eigenvalue of the
+//! covariance (Yuan et al., "Efficient and Probabilistic Adaptive Voxel Mapping for Accurate Online LiDAR Odometry",
+//! 2022, equations 5 and 8).
+
+use nalgebra as na;
+use portolan_geometry::Point3f;
+
+use crate::plane_map::{Plane, Unreliable};
+use crate::settings::PlaneFitSettings;
+
+/// Fewer hits make no plane. (The table of counts at which planes are fitted is made at compile time.)
+const MIN_COUNT: u16 = 6;
+/// More hits change nothing: what a place looks like is known by then.
+const MAX_COUNT: u16 = 400;
+
+/// Moments of the hits in a voxel and the normal of their plane: all that most hits need, in one line of the cache.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(super) struct PlaneCell {
+    pub mean: na::Vector3<f32>,
+    /// Sum of outer products of differences from the mean: xx, xy, xz, yy, yz, zz.
+    scatter: [f32; 6],
+    /// Sum of unit vectors from the hits to where they were seen from.
+    toward: na::Vector3<f32>,
+    /// To the side from which the hits were seen, if that is one.
+    pub normal: na::Vector3<f32>,
+    pub count: u16,
+    pub is_plane: bool,
+    /// Whether the hits were seen from one side of the plane only.
+    pub is_one_sided: bool,
+}
+
+const _: () = assert!(size_of::<PlaneCell>() == 64);
+
+/// How well the plane of a cell is known.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct PlaneFit {
+    /// Mean square distance of the hits from the plane.
+    pub variance: f32,
+    /// Square of how far the normal may be off for the noise of the hits, rad².
+    pub normal_variance: f32,
+    /// Why the plane may be an artefact of the scan pattern.
+    pub unreliable: Option<Unreliable>,
+}
+
+/// Whether so many hits are fitted: a third more than last time.
+const IS_FITTED: [bool; MAX_COUNT as usize + 1] = {
+    let mut is_fitted = [false; MAX_COUNT as usize + 1];
+    let mut count = MIN_COUNT as usize;
+    while count < is_fitted.len() {
+        is_fitted[count] = true;
+        count += count / 3;
+    }
+    is_fitted
+};
+
+impl PlaneCell {
+    pub fn new() -> Self {
+        Self {
+            mean: na::Vector3::zeros(),
+            scatter: [0.0; 6],
+            toward: na::Vector3::zeros(),
+            normal: na::Vector3::zeros(),
+            count: 0,
+            is_plane: false,
+            is_one_sided: false,
+        }
+    }
+
+    /// The plane, if [`Self::is_plane`].
+    #[inline]
+    pub fn plane(&self, fit: &PlaneFit) -> Plane {
+        Plane {
+            point: self.mean,
+            normal: self.normal,
+            variance: fit.variance,
+            normal_variance: fit.normal_variance,
+            unreliable: fit.unreliable,
+        }
+    }
+
+    /// Whether a hit seen from the direction `toward` (unit length) shows the other side of the plane.
+    #[inline]
+    pub fn shows_other_side(&self, toward: &na::Vector3<f32>, settings: &PlaneFitSettings) -> bool {
+        self.is_one_sided && self.normal.dot(toward) < -settings.min_side
+    }
+
+    /// Counts a hit (Welford's update) seen from the direction `toward` (unit length, or zero if that is not
+    /// known), and fits the plane anew, into `fit`, each time the hits are a third more.
+    #[inline]
+    pub fn add(
+        &mut self,
+        point: &Point3f,
+        toward: &na::Vector3<f32>,
+        edge: f32,
+        settings: &PlaneFitSettings,
+        fit: &mut PlaneFit,
+    ) {
+        if self.count >= MAX_COUNT {
+            return;
+        }
+        self.count += 1;
+        self.toward += toward;
+        let before = point.coords - self.mean;
+        self.mean += before * (1.0 / f32::from(self.count));
+        let after = point.coords - self.mean;
+        let pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+        for (sum, (i, j)) in self.scatter.iter_mut().zip(pairs) {
+            *sum += before[i] * after[j];
+        }
+        if IS_FITTED[usize::from(self.count)] {
+            *fit = self.fitted(edge, settings);
+        }
+    }
+
+    fn fitted(&mut self, edge: f32, settings: &PlaneFitSettings) -> PlaneFit {
+        let count = f32::from(self.count);
+        let [xx, xy, xz, yy, yz, zz] = self.scatter.map(|s| f64::from(s) / f64::from(self.count));
+        let covariance = na::Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let (values, normal) = smallest_direction(&covariance);
+        let thickness = settings.max_thickness + settings.max_thickness_per_edge * edge;
+        let [across, along] = [values[0].max(0.0) as f32, values[1] as f32];
+        let (ratio, spread) = (settings.min_spread_ratio, settings.min_spread_per_edge * edge);
+        self.is_plane =
+            across <= thickness * thickness && along >= ratio * ratio * across && along >= spread * spread;
+        // Of the slope of a line fitted to that many hits, along the direction in which they spread less.
+        let normal_variance =
+            across / along.max(f32::MIN_POSITIVE) * settings.hits_per_independent_one / count;
+        let normal: na::Vector3<f32> = normal.cast();
+        let side = normal.dot(&self.toward) / count;
+        self.normal = if side < 0.0 { -normal } else { normal };
+        self.is_one_sided = side.abs() > settings.min_side;
+        let seen = self.toward.norm() / count;
+        let is_grazed = side.abs() < seen * (settings.grazing_angle + 2.0 * normal_variance.sqrt());
+        let looks_down = self.toward.z > 0.0 && self.normal.z < -settings.level_normal;
+        let unreliable = match (looks_down, is_grazed) {
+            (true, _) => Some(Unreliable::DownwardNormal),
+            (false, true) => Some(Unreliable::GrazingIncidence),
+            (false, false) => None,
+        };
+        PlaneFit { variance: across, normal_variance, unreliable }
+    }
+}
+
+/// Eigenvalues of a symmetric matrix in ascending order, and the eigenvector of the first (Smith,
+/// "Eigenvalues of a symmetric 3 × 3 matrix", 1961).
+pub(super) fn smallest_direction(m: &na::Matrix3<f64>) -> ([f64; 3], na::Vector3<f64>) {
+    let third = m.trace() / 3.0;
+    let centered = m - na::Matrix3::from_diagonal_element(third);
+    let spread = (centered.norm_squared() / 6.0).sqrt();
+    if spread <= f64::EPSILON * third.abs() || !spread.is_finite() {
+        return ([third; 3], na::Vector3::z());
+    }
+    let angle = ((centered / spread).determinant() / 2.0).clamp(-1.0, 1.0).acos() / 3.0;
+    let largest = third + 2.0 * spread * angle.cos();
+    let smallest = third + 2.0 * spread * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos();
+    let values = [smallest, 3.0 * third - largest - smallest, largest];
+    // Rows of m − λ are at right angles to the eigenvector: the longest of their products is the best.
+    let shifted = m - na::Matrix3::from_diagonal_element(smallest);
+    let rows = [0, 1, 2].map(|i| shifted.row(i).transpose());
+    let candidates = [rows[0].cross(&rows[1]), rows[1].cross(&rows[2]), rows[2].cross(&rows[0])];
+    let mut best = candidates[0];
+    for candidate in &candidates[1..] {
+        if candidate.norm_squared() > best.norm_squared() {
+            best = *candidate;
+        }
+    }
+    (values, best.try_normalize(0.0).unwrap_or_else(na::Vector3::z))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_smallest_direction_is_an_eigenvector(entries in prop::array::uniform6(-2.0..2.0f64)) {
+            let [a, b, c, d, e, f] = entries;
+            let root = na::Matrix3::new(a, b, c, 0.0, d, e, 0.0, 0.0, f);
+            let m = root.transpose() * root;
+            let (values, vector) = smallest_direction(&m);
+            prop_assert!(values[0] <= values[1] + 1e-9 && values[1] <= values[2] + 1e-9);
+            prop_assert!((values.iter().sum::<f64>() - m.trace()).abs() < 1e-9);
+            if values[1] - values[0] > 1e-2 {
+                prop_assert!((m * vector - vector * values[0]).norm() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn flat_hits_make_a_plane_and_others_do_not() {
+        let mut flat = PlaneCell::new();
+        let mut line = PlaneCell::new();
+        let mut corner = PlaneCell::new();
+        let (mut flat_fit, mut fit) = (PlaneFit::default(), PlaneFit::default());
+        let (nowhere, settings) = (na::Vector3::zeros(), PlaneFitSettings::default());
+        for i in 0..60 {
+            let (u, v) = ((i % 8) as f32 * 0.1, (i / 8) as f32 * 0.1);
+            let noise = [0.01, -0.01, 0.0][i % 3];
+            flat.add(&Point3f::new(u, v, 0.3 + noise), &nowhere, 1.0, &settings, &mut flat_fit);
+            line.add(&Point3f::new(0.1 * (i % 10) as f32, noise, 0.3), &nowhere, 1.0, &settings, &mut fit);
+            let side = if i % 2 == 0 { Point3f::new(u, v, 0.0) } else { Point3f::new(0.0, v, u) };
+            corner.add(&side, &nowhere, 1.0, &settings, &mut fit);
+        }
+        assert!(flat.is_plane && flat.normal.z.abs() > 0.999 && flat_fit.variance < 2e-4);
+        assert!((flat.mean.z - 0.3).abs() < 1e-3);
+        assert!(!line.is_plane && !corner.is_plane);
+    }
+}

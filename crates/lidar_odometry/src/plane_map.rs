@@ -1,0 +1,340 @@
+//! The planar voxel map: voxels of three sizes, of which the largest flat one counts.
+//!
+//! An octree of three levels without its tree (Yuan et al. 2022, section III): every hit is counted in the voxel of each
+//! size around it, until a voxel has settled to be a plane.
+
+use nalgebra as na;
+use portolan_geometry::Point3f;
+use portolan_spatial::DenseIndex;
+
+use crate::plane_fit::{PlaneCell, PlaneFit};
+use crate::settings::PlaneFitSettings;
+
+/// Sizes of voxels, each half of the one before.
+const LEVELS: u32 = 3;
+/// Voxels of each size reach this far from the origin along each axis.
+const MAX_INDEX: u32 = 1 << INDEX_BITS >> 1;
+const INDEX_BITS: u32 = 11;
+/// Smallest voxels along the edge of a largest one, and along the edge of all largest ones.
+const SMALLEST_IN_LARGEST: f32 = (1 << (LEVELS - 1)) as f32;
+const SMALLEST_IN_ALL: f32 = (1 << SMALLEST_BITS) as f32;
+const SMALLEST_BITS: u32 = INDEX_BITS + LEVELS - 1;
+/// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
+const OFFSET: f32 = 0.37;
+
+/// A planar patch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    /// A point on it, metres.
+    pub point: na::Vector3<f32>,
+    /// Unit length; to the side from which it was seen, if it was seen from one.
+    pub normal: na::Vector3<f32>,
+    /// Mean square distance of the hits from it, m².
+    pub variance: f32,
+    /// Square of how far the normal may be off for the noise of the hits, rad².
+    pub normal_variance: f32,
+    /// Why it may be an artefact of the scan pattern: beams that meet uneven ground always at the same distance, now
+    /// higher and now lower, draw planes that move with the scanner.
+    pub unreliable: Option<Unreliable>,
+}
+
+/// Why a plane may be an artefact of the scan pattern.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unreliable {
+    /// Its hits were seen along it: they lie in the cone that a beam sweeps, whatever it meets.
+    GrazingIncidence,
+    /// It is level, and was seen from below.
+    DownwardNormal,
+}
+
+/// Planes near the origin of a frame.
+#[derive(Clone, Debug)]
+pub struct PlaneMap {
+    edge: f32,
+    smallest_per_metre: f32,
+    settings: PlaneFitSettings,
+    index: DenseIndex,
+    cells: Vec<PlaneCell>,
+    /// Of each cell.
+    fits: Vec<PlaneFit>,
+    /// Key and number of the voxel of each size that was changed last: neighbouring hits share it.
+    recent: [(u64, usize); LEVELS as usize],
+}
+
+/// No voxel has this key.
+const NO_KEY: u64 = u64::MAX;
+
+impl PlaneMap {
+    /// An empty map whose largest voxels have an edge of `edge` metres (at least a millimetre).
+    pub fn new(edge: f32) -> Self {
+        Self::with_settings(edge, PlaneFitSettings::default())
+    }
+
+    /// The same with other settings of the fit.
+    pub fn with_settings(edge: f32, settings: PlaneFitSettings) -> Self {
+        let edge = if edge.is_finite() { edge.max(1e-3) } else { 1.0 };
+        Self::with_capacity(edge, settings, 0)
+    }
+
+    fn with_capacity(edge: f32, settings: PlaneFitSettings, planes: usize) -> Self {
+        Self {
+            edge,
+            settings,
+            smallest_per_metre: SMALLEST_IN_LARGEST / edge,
+            index: DenseIndex::with_capacity(planes),
+            cells: Vec::with_capacity(planes),
+            fits: Vec::with_capacity(planes),
+            recent: [(NO_KEY, 0); LEVELS as usize],
+        }
+    }
+
+    /// Edge of the largest voxels, metres.
+    pub fn edge(&self) -> f32 {
+        self.edge
+    }
+
+    /// Memory taken, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.index.memory_bytes()
+            + self.cells.capacity() * size_of::<PlaneCell>()
+            + self.fits.capacity() * size_of::<PlaneFit>()
+    }
+
+    /// Adds a hit (metres, in the frame of the map) of which nobody knows from where it was seen. One that is
+    /// not finite or far away changes nothing.
+    pub fn insert(&mut self, point: &Point3f) {
+        self.insert_toward(point, &na::Vector3::zeros());
+    }
+
+    /// Adds a hit that was seen from `origin` (both metres, in the frame of the map).
+    pub fn insert_seen_from(&mut self, point: &Point3f, origin: &Point3f) {
+        let toward = origin - point;
+        let distance = toward.norm();
+        let toward = if distance > 1e-6 { toward * (1.0 / distance) } else { na::Vector3::zeros() };
+        self.insert_toward(point, &toward);
+    }
+
+    /// A place in smallest voxels from the corner of all of them.
+    #[inline]
+    fn scaled(&self, place: &Point3f) -> na::Vector3<f32> {
+        let to_corner = OFFSET * SMALLEST_IN_LARGEST + 0.5 * SMALLEST_IN_ALL;
+        place.coords * self.smallest_per_metre + na::Vector3::repeat(to_corner)
+    }
+
+    fn insert_toward(&mut self, point: &Point3f, toward: &na::Vector3<f32>) {
+        let Some(smallest) = Smallest::around(&self.scaled(point)) else { return };
+        for level in 0..LEVELS {
+            let Some(key) = smallest.key(level) else { return };
+            let number = self.number_of(key, level as usize);
+            let cell = &mut self.cells[number];
+            let is_settled = cell.count > self.settings.settled_hits && cell.is_plane;
+            // The other side of a floor or of a wall is a surface of its own.
+            if is_settled && cell.shows_other_side(toward, &self.settings) {
+                continue;
+            }
+            let edge = self.edge / (1 << level) as f32;
+            cell.add(point, toward, edge, &self.settings, &mut self.fits[number]);
+            if is_settled {
+                return;
+            }
+        }
+    }
+
+    /// The number of a voxel, which is made if it is not there yet.
+    #[inline]
+    fn number_of(&mut self, key: u64, level: usize) -> usize {
+        let (recent, number) = self.recent[level];
+        if recent == key {
+            return number;
+        }
+        let number = self.index.get(key).unwrap_or_else(|| {
+            self.index.insert(key, self.cells.len());
+            self.cells.push(PlaneCell::new());
+            self.fits.push(PlaneFit::default());
+            self.cells.len() - 1
+        });
+        self.recent[level] = (key, number);
+        number
+    }
+
+    /// The plane near a place: that of the largest flat voxel around it, or of the neighbour across the
+    /// nearest side of the largest voxel.
+    pub fn plane_near(&self, place: &Point3f) -> Option<Plane> {
+        self.plane_seen(place, &na::Vector3::zeros())
+    }
+
+    /// The plane near a place as [`Self::plane_near`] chooses it, of those that are not seen from the other side than
+    /// from the direction `toward` (unit length).
+    #[inline]
+    pub fn plane_seen(&self, place: &Point3f, toward: &na::Vector3<f32>) -> Option<Plane> {
+        let scaled = self.scaled(place);
+        self.plane_around(&scaled, toward).or_else(|| {
+            let to_side = (scaled / SMALLEST_IN_LARGEST).map(|v| v - (v as u32) as f32 - 0.5);
+            let axis = to_side.iamax();
+            let mut across = scaled;
+            across[axis] += to_side[axis].signum() * (0.51 - to_side[axis].abs()) * SMALLEST_IN_LARGEST;
+            self.plane_around(&across, toward)
+        })
+    }
+
+    /// The place is as [`Self::scaled`] gives it.
+    #[inline]
+    fn plane_around(&self, scaled: &na::Vector3<f32>, toward: &na::Vector3<f32>) -> Option<Plane> {
+        let smallest = Smallest::around(scaled)?;
+        for level in 0..LEVELS {
+            let number = self.index.get(smallest.key(level)?)?;
+            let cell = &self.cells[number];
+            if cell.is_plane && !cell.shows_other_side(toward, &self.settings) {
+                return Some(cell.plane(&self.fits[number]));
+            }
+        }
+        None
+    }
+
+    /// The map with nothing but its planes, to which no more is added.
+    #[must_use]
+    pub fn compacted(&self) -> Self {
+        let number_of = |(key, number): (u64, usize)| self.cells[number].is_plane.then_some((number, key));
+        let mut kept: Vec<(usize, u64)> = self.index.iter().filter_map(number_of).collect();
+        kept.sort_unstable();
+        let mut compacted = Self::with_capacity(self.edge, self.settings.clone(), kept.len());
+        for (number, key) in kept {
+            compacted.index.insert(key, compacted.cells.len());
+            compacted.cells.push(self.cells[number]);
+            compacted.fits.push(self.fits[number]);
+        }
+        compacted
+    }
+
+    /// All planes that count with their number of hits, in the order in which their places were first
+    /// seen.
+    pub fn planes(&self) -> impl Iterator<Item = (Plane, u32)> + '_ {
+        let planes = self.cells.iter().zip(&self.fits).filter(|(cell, _)| cell.is_plane);
+        planes.map(|(cell, fit)| (cell.plane(fit), u32::from(cell.count)))
+    }
+}
+
+/// Indices of a smallest voxel from the corner of all of them. A larger one has those without their last bits.
+#[derive(Clone, Copy)]
+struct Smallest([u32; 3]);
+
+impl Smallest {
+    /// The voxel around a place in smallest voxels from the corner, if it is one of all.
+    #[inline]
+    fn around(scaled: &na::Vector3<f32>) -> Option<Self> {
+        // Numbers from here to twice that share their exponent, and what they are more stands in the bits below it.
+        const EXPONENT: u32 = SMALLEST_IN_ALL.to_bits();
+        let bits = |v: f32| (v + SMALLEST_IN_ALL).to_bits() ^ EXPONENT;
+        let [x, y, z] = [bits(scaled.x), bits(scaled.y), bits(scaled.z)];
+        if (x | y | z) >> (f32::MANTISSA_DIGITS - 1) != 0 {
+            return None;
+        }
+        let whole = |bits: u32| bits >> (f32::MANTISSA_DIGITS - 1 - SMALLEST_BITS);
+        Some(Self([whole(x), whole(y), whole(z)]))
+    }
+
+    /// The key of the voxel of a size around it: 11 bits per axis and two for the size.
+    #[inline]
+    fn key(self, level: u32) -> Option<u64> {
+        let first = (MAX_INDEX << level) - MAX_INDEX;
+        let [x, y, z] = self.0.map(|index| (index >> (LEVELS - 1 - level)).wrapping_sub(first));
+        if (x | y | z) >> INDEX_BITS != 0 {
+            return None;
+        }
+        let [x, y, z, level] = [x, y, z, level].map(u64::from);
+        Some((x | (level & 1) << 11) | (y | (level >> 1) << 11) << 12 | z << 24)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Hits on a floor at `height` and a wall at x = 2.
+    fn room(height: f32) -> PlaneMap {
+        let mut map = PlaneMap::new(1.0);
+        for i in 0..80 {
+            for j in 0..80 {
+                let (u, v) = (0.05 * i as f32 - 2.0, 0.05 * j as f32 - 2.0);
+                let noise = 0.01 * (((i * 7 + j * 3) % 5) as f32 - 2.0);
+                map.insert(&Point3f::new(u, v, height + noise));
+                map.insert(&Point3f::new(2.0 + noise, u, height + 2.0 + v));
+            }
+        }
+        map
+    }
+
+    #[test]
+    fn floors_and_walls_are_planes() {
+        let map = room(-1.2);
+        let floor = map.plane_near(&Point3f::new(0.3, 0.4, -1.1)).unwrap();
+        assert!(floor.normal.z.abs() > 0.999 && (floor.point.z + 1.2).abs() < 0.005, "{floor:?}");
+        let wall = map.plane_near(&Point3f::new(2.05, 0.4, 0.5)).unwrap();
+        assert!(wall.normal.x.abs() > 0.999 && (wall.point.x - 2.0).abs() < 0.005, "{wall:?}");
+        assert_eq!(map.plane_near(&Point3f::new(-1.0, 0.0, 0.8)), None);
+        assert_eq!(map.plane_near(&Point3f::new(f32::NAN, 0.0, 1e30)), None);
+        let compacted = map.compacted();
+        assert!(compacted.cells.len() < map.cells.len());
+        assert_eq!(compacted.plane_near(&Point3f::new(0.3, 0.4, -1.1)), Some(floor));
+    }
+
+    #[test]
+    fn the_corner_is_made_of_smaller_planes() {
+        let map = room(-1.2);
+        let near = map.plane_near(&Point3f::new(1.7, 0.4, -1.19)).unwrap();
+        assert!(near.normal.z.abs() > 0.9, "{near:?}");
+    }
+
+    #[test]
+    fn floor_and_ceiling_below_it_are_two_surfaces() {
+        let mut map = PlaneMap::new(1.0);
+        let mut add = |height: f32, origin: f32| {
+            for i in 0..400 {
+                let (u, v) = (0.05 * (i % 20) as f32, 0.05 * (i / 20) as f32);
+                map.insert_seen_from(&Point3f::new(u, v, height), &Point3f::new(0.5, 0.5, origin));
+            }
+        };
+        // The ceiling is seen from below first, then the floor above it.
+        add(0.0, -2.0);
+        add(0.25, 2.0);
+        let place = Point3f::new(0.3, 0.3, 0.2);
+        let up = na::Vector3::z();
+        let floor = map.plane_seen(&place, &up).unwrap();
+        assert!((floor.point.z - 0.25).abs() < 0.01 && floor.normal.z > 0.99, "{floor:?}");
+        let ceiling = map.plane_seen(&place, &-up).unwrap();
+        assert!(ceiling.point.z.abs() < 0.01 && ceiling.normal.z < -0.99, "{ceiling:?}");
+    }
+
+    #[test]
+    fn ground_that_looks_down_is_doubtful() {
+        // A piece of ground 10 m off that falls away from the scanner with 0.25, seen from a height of `eye`.
+        let seen_from = |eye: f32| {
+            let mut map = PlaneMap::new(1.0);
+            let origin = Point3f::new(0.0, 0.0, eye);
+            for i in 0..400 {
+                let (u, v) = (0.05 * (i % 20) as f32 - 0.5, 0.05 * (i / 20) as f32 - 0.5);
+                map.insert_seen_from(&Point3f::new(10.1 + u, 0.1 + v, -0.25 * u), &origin);
+            }
+            map.plane_near(&Point3f::new(10.1, 0.1, 0.0)).unwrap()
+        };
+        // From 1 m above the beams come through the ground, from 5 m they come from above.
+        let (from_below, from_above) = (seen_from(1.0), seen_from(5.0));
+        assert!(
+            from_below.normal.z < -0.9 && from_below.unreliable == Some(Unreliable::DownwardNormal),
+            "{from_below:?}"
+        );
+        assert!(from_above.normal.z > 0.9 && from_above.unreliable.is_none(), "{from_above:?}");
+        // What hangs above the eye looks down rightly.
+        assert_eq!(seen_from(-5.0).unreliable, None);
+    }
+
+    #[test]
+    fn what_is_far_or_no_number_is_left_out() {
+        let mut map = PlaneMap::new(f32::NAN);
+        for v in [f32::NAN, f32::INFINITY, 1e30, -1e7] {
+            map.insert(&Point3f::new(v, 0.0, 0.0));
+        }
+        assert_eq!(map.planes().count(), 0);
+        assert!(map.cells.is_empty() && map.edge() == 1.0);
+    }
+}

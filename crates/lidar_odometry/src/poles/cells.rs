@@ -1,0 +1,51 @@
+//! Values of cells that are made when they are needed.
+
+use portolan_geometry::Point3f;
+use portolan_spatial::DenseIndex;
+
+/// The key of a cell by twelve bits of each index: cells kilometres apart may share one.
+pub(super) fn key_of(cell: [i32; 3]) -> u64 {
+    cell.iter().fold(0, |key, index| key << 12 | (*index as u64 & 0xfff))
+}
+
+/// Values of cubic cells.
+#[derive(Clone, Debug)]
+pub(super) struct Cells<T> {
+    pub edge: f32,
+    index: DenseIndex,
+    values: Vec<T>,
+    empty: T,
+}
+
+impl<T: Clone> Cells<T> {
+    /// Cells of an edge in metres, each `empty` at first.
+    pub fn new(edge: f32, empty: T) -> Self {
+        Self { edge, index: DenseIndex::with_capacity(0), values: Vec::new(), empty }
+    }
+
+    /// Indices of the cell around a point.
+    pub fn around(&self, place: &Point3f) -> [i32; 3] {
+        [place.x, place.y, place.z].map(|v| (v / self.edge).floor() as i32)
+    }
+
+    /// The key of the column around a point.
+    pub fn column(&self, place: &Point3f) -> u64 {
+        let [x, y, _] = self.around(place);
+        key_of([x, y, 0])
+    }
+
+    /// The value of a cell, if it has been made.
+    pub fn at(&self, key: u64) -> Option<&T> {
+        self.values.get(self.index.get(key)?)
+    }
+
+    /// The value of a cell, to be changed.
+    pub fn at_mut(&mut self, key: u64) -> &mut T {
+        let number = self.index.get(key).unwrap_or_else(|| {
+            self.index.insert(key, self.values.len());
+            self.values.push(self.empty.clone());
+            self.values.len() - 1
+        });
+        &mut self.values[number]
+    }
+}

@@ -1,0 +1,113 @@
+//! Hypotheses of the motion during a sweep: the one that is most likely, and others where it may be wrong.
+
+use portolan_geometry::{Quaternion, Rigid3, Time, quaternion_from_angle_axis};
+use portolan_motion::PoseExtrapolator;
+
+use crate::inertial::InertialPrediction;
+use crate::segment::{MotionSource, TrajectorySegment};
+use crate::sweep_registration::RegisteredSegment;
+
+/// What is expected of a sweep.
+pub(crate) struct Prediction {
+    /// As odometry, gyroscope and constant velocity say.
+    pub extrapolated: TrajectorySegment,
+    /// The translation as the accelerometer says.
+    pub inertial: Option<InertialPrediction>,
+    /// Where the platform stood until now, if it stands.
+    pub standing: Option<Rigid3>,
+    /// The first hypothesis.
+    pub segment: TrajectorySegment,
+    /// Other hypotheses, in the order in which they are tried.
+    pub alternatives: Vec<Alternative>,
+    /// From the tracking frame to a gravity-aligned one at the end, as the IMU alone says.
+    pub level_from_tracking: Option<Quaternion>,
+    /// Whether the gyroscope was at the end of its range.
+    pub is_saturated: bool,
+}
+
+/// Another hypothesis of the motion.
+pub(crate) struct Alternative {
+    pub reason: Reason,
+    pub segment: TrajectorySegment,
+    /// It has to fit so many times better than what was found before.
+    pub required_ratio: f64,
+}
+
+/// Why the first hypothesis may be wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Reason {
+    /// A single wrong sample of an accelerometer throws a prediction metres away.
+    AccelerometerFails,
+    /// In a long gap the platform may have stopped, or a clock jumped.
+    LongGap,
+    /// A gyroscope may be saturated, or its clock or axes wrong.
+    GyroscopeFails,
+}
+
+impl Alternative {
+    /// Whether it is worth trying beside what was found so far.
+    pub fn is_worth_trying(&self, prediction: &Prediction, best: &RegisteredSegment) -> bool {
+        match self.reason {
+            Reason::AccelerometerFails => best.found.is_none(),
+            Reason::LongGap => true,
+            Reason::GyroscopeFails => prediction.is_saturated || best.contradicts_rotation,
+        }
+    }
+}
+
+/// A hypothesis and how it was registered.
+pub(crate) struct Registered {
+    pub segment: TrajectorySegment,
+    pub registered: RegisteredSegment,
+    /// None if it is the first hypothesis.
+    pub reason: Option<Reason>,
+}
+
+impl Prediction {
+    /// Registers the first hypothesis, then those others that are worth trying; each has to beat the best before.
+    pub fn best(&mut self, register: impl Fn(&TrajectorySegment) -> RegisteredSegment) -> Registered {
+        let (segment, registered) = (self.segment.clone(), register(&self.segment));
+        let mut best = Registered { segment, registered, reason: None };
+        for alternative in std::mem::take(&mut self.alternatives) {
+            if !alternative.is_worth_trying(self, &best.registered) {
+                continue;
+            }
+            let other = register(&alternative.segment);
+            if other.fit > alternative.required_ratio * best.registered.fit {
+                let reason = Some(alternative.reason);
+                best = Registered { segment: alternative.segment, registered: other, reason };
+            }
+        }
+        best
+    }
+}
+
+fn start_of(extrapolator: &PoseExtrapolator, end: Time) -> Time {
+    extrapolator.last_pose_time().unwrap_or(end).min(end)
+}
+
+/// As an extrapolator predicts it.
+pub(crate) fn extrapolated(extrapolator: &mut PoseExtrapolator, end: Time) -> TrajectorySegment {
+    let start = start_of(extrapolator, end);
+    let mut segment = TrajectorySegment::new(start, end, |t| extrapolator.extrapolate_pose(t));
+    if extrapolator.has_odometry(end) {
+        segment.source = MotionSource::Measured;
+    }
+    segment
+}
+
+/// As an extrapolator predicts it, but rotating as the last poses did instead of as a gyroscope says.
+pub(crate) fn with_constant_rotation(extrapolator: &mut PoseExtrapolator, end: Time) -> TrajectorySegment {
+    let last = extrapolator.last_pose();
+    let turn_rate = extrapolator.angular_velocity_from_poses();
+    extrapolated(extrapolator, end).changed(|seconds, predicted| {
+        if let Some((_, pose)) = last {
+            predicted.rotation = pose.rotation * quaternion_from_angle_axis(&(turn_rate * seconds));
+        }
+    })
+}
+
+/// Standing at `pose` since the last pose.
+pub(crate) fn standing(extrapolator: &PoseExtrapolator, end: Time, pose: &Rigid3) -> TrajectorySegment {
+    TrajectorySegment::new(start_of(extrapolator, end), end, |_| *pose)
+}

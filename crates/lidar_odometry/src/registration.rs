@@ -1,0 +1,335 @@
+//! Registration of scans and sweeps to the planar voxel map: robust point-to-plane least squares (Chen and Medioni 1992)
+//! over the corrections of a trajectory segment, with a motion prior, and with degenerate directions found on the way.
+
+use std::ops::Range;
+
+use nalgebra as na;
+use portolan_geometry::{Point3f, Rigid3};
+use portolan_sensor::TimedPoint;
+
+use crate::deskew::PiecewiseLinearTrajectory;
+use crate::plane_map::{PlaneMap, Unreliable};
+use crate::poles::{PoleMap, PolePoint, PoleResiduals};
+use crate::segment::{SegmentCorrection, TrajectorySegment};
+use crate::settings::RegistrationSettings;
+use attenuation::Attenuation;
+use normal_equations::{Accumulator, NormalEquations, Pairs};
+use solve::solve;
+
+mod attenuation;
+mod degeneracy;
+pub(crate) mod normal_equations;
+mod solve;
+#[cfg(test)]
+mod tests;
+
+pub use degeneracy::DegenerateDirections;
+
+/// The points of a sweep are summed up in so many parts, within which the growth of the correction is constant.
+const PARTS: f64 = 8.0;
+/// Every so many points tell how far points are from the scanner.
+const ARM_SAMPLE: usize = 4;
+/// A scan that took no time has no growing correction.
+const RIGID: Sigmas = Sigmas { translation: 1e-6, rotation: 1e-6 };
+
+/// Standard deviations of a correction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sigmas {
+    /// Along each axis, metres.
+    pub translation: f64,
+    /// About each axis, radians.
+    pub rotation: f64,
+}
+
+/// Where a scan is believed to be before registration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PosePrior {
+    /// Frame of the scan in that of the planes.
+    pub pose: Rigid3,
+    /// How far it may be off.
+    pub sigmas: Sigmas,
+}
+
+/// How far a predicted trajectory segment may be off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionPrior {
+    /// At its start.
+    pub start: Sigmas,
+    /// What is added until its end.
+    pub growth: Sigmas,
+    /// Whether it is known well enough to be weighed against attenuation by errors of normals.
+    pub compensates_attenuation: bool,
+}
+
+/// A scan or a sweep, registered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RegistrationResult {
+    /// Frame of the scan in that of the planes; of a sweep, at its end.
+    pub pose: Rigid3,
+    /// What the prediction was off by.
+    pub correction: SegmentCorrection,
+    /// Fraction of the points that lie on a plane.
+    pub matched_fraction: f64,
+    /// Root mean square distance of those from their planes, metres.
+    pub rms: f64,
+    /// `JᵀWJ` of the points alone, by a translation and a rotation vector about the scanner, in the frame of the
+    /// planes: 1/m², 1/(m rad), 1/rad².
+    pub information: na::Matrix6<f64>,
+    /// Where the prior decided instead of the points.
+    pub degenerate: DegenerateDirections,
+    /// Covariance of what attenuation may keep the place off by, m², in the frame of the planes. Zero unless the prior
+    /// says [`MotionPrior::compensates_attenuation`].
+    pub attenuation: na::Matrix3<f64>,
+}
+
+/// Registers scans and sweeps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Registration {
+    settings: RegistrationSettings,
+}
+
+/// What an iteration leaves behind.
+struct Iteration {
+    equations: NormalEquations,
+    degenerate: DegenerateDirections,
+    attenuation: Option<Attenuation>,
+    /// What poles alone say of translation and rotation.
+    by_poles: Option<[na::Matrix3<f64>; 2]>,
+    /// How far the end moved.
+    step: na::Vector6<f64>,
+}
+
+/// What is registered, and to what.
+struct Scene<'a> {
+    planes: &'a PlaneMap,
+    poles: Option<PoleResiduals<'a>>,
+    points: &'a [TimedPoint],
+    parts: Vec<Part>,
+    pairs: Pairs,
+}
+
+impl Registration {
+    /// With these settings.
+    pub fn new(settings: RegistrationSettings) -> Self {
+        Self { settings }
+    }
+
+    /// The pose near `initial` that puts the points (metres) on the planes. `scale` is how far off points may be at the
+    /// beginning, metres. None if hardly any point lies near a plane.
+    pub fn register_scan(
+        &self,
+        planes: &PlaneMap,
+        points: &[Point3f],
+        initial: &Rigid3,
+        prior: &PosePrior,
+        scale: f64,
+    ) -> Option<RegistrationResult> {
+        let points: Vec<TimedPoint> = points.iter().map(|p| TimedPoint { position: *p, time: 0.0 }).collect();
+        let motion_prior = MotionPrior { start: prior.sigmas, growth: RIGID, compensates_attenuation: false };
+        let segment = TrajectorySegment::instantaneous(prior.pose);
+        let first =
+            SegmentCorrection { start: segment.correction_to(initial).end(), ..SegmentCorrection::default() };
+        let scene = Scene::new(planes, None, &points, &segment, &self.settings);
+        self.minimise(scene, &segment, first, &motion_prior, scale)
+    }
+
+    /// The segment near a predicted one (in the frame of the planes) on which a sweep was measured, and its end: the
+    /// points, in order of time, lie on the planes then. `scale` is how far off points may be at the beginning, metres.
+    /// None if hardly any point lies near a plane.
+    ///
+    /// The start of the segment is corrected together with its growth (as the elastic trajectories of Dellenbach et
+    /// al., "CT-ICP", 2022, but held by a prior instead of a penalty): with a fixed start, an error of the sweep before
+    /// would come back with the opposite sign. The corrected start serves this sweep alone.
+    ///
+    /// Poles around (in the frame of the planes), and points of the sweep that show them, in order of time, help where
+    /// hardly anything is flat.
+    pub fn register_sweep(
+        &self,
+        planes: &PlaneMap,
+        points: &[TimedPoint],
+        segment: &TrajectorySegment,
+        prior: &MotionPrior,
+        scale: f64,
+        poles: Option<(&PoleMap, &[PolePoint])>,
+    ) -> Option<RegistrationResult> {
+        let poles = poles.map(|(map, points)| {
+            PoleResiduals::new(map, points, segment, self.settings.points_per_independent_one)
+        });
+        let scene = Scene::new(planes, poles, points, segment, &self.settings);
+        self.minimise(scene, segment, SegmentCorrection::default(), prior, scale)
+    }
+
+    /// Gauss-Newton with a robust loss whose scale shrinks (graduated non-convexity).
+    fn minimise(
+        &self,
+        mut scene: Scene<'_>,
+        segment: &TrajectorySegment,
+        mut correction: SegmentCorrection,
+        prior: &MotionPrior,
+        scale: f64,
+    ) -> Option<RegistrationResult> {
+        let settings = &self.settings;
+        let mut scale = scale.max(settings.final_scale);
+        let mut last = None;
+        for _ in 0..settings.max_iterations {
+            let is_coarse = scale > settings.final_scale;
+            let iteration = self.iterate(&mut scene, segment, &mut correction, prior, scale)?;
+            let moved = iteration.step;
+            last = Some(iteration);
+            let is_small = moved.fixed_rows::<3>(0).norm() < settings.small_translation
+                && moved.fixed_rows::<3>(3).norm() < settings.small_rotation;
+            if is_small && !is_coarse {
+                break;
+            }
+            scale = (scale * settings.scale_decay).max(settings.final_scale);
+        }
+        let Iteration { mut equations, mut degenerate, attenuation, by_poles, .. } = last?;
+        if let Some(by_poles) = by_poles {
+            // Some points of bare walls pass for poles: what is degenerate is judged by planes alone.
+            equations
+                .unreliable
+                .iter_mut()
+                .zip(by_poles)
+                .for_each(|(unreliable, poles)| *unreliable += poles);
+            degenerate = DegenerateDirections::of(&equations);
+        }
+        let pose = segment.corrected_end(&correction);
+        pose.translation.vector.iter().all(|v| v.is_finite()).then(|| RegistrationResult {
+            pose,
+            correction,
+            matched_fraction: equations.matched as f64 / scene.points.len().max(1) as f64,
+            rms: (equations.squares / equations.matched.max(1) as f64).sqrt(),
+            information: equations.hessian,
+            degenerate,
+            attenuation: attenuation.map_or_else(na::Matrix3::zeros, |a| a.covariance()),
+        })
+    }
+
+    /// One Gauss-Newton step. None if the scan does not fit.
+    fn iterate(
+        &self,
+        scene: &mut Scene<'_>,
+        segment: &TrajectorySegment,
+        correction: &mut SegmentCorrection,
+        prior: &MotionPrior,
+        scale: f64,
+    ) -> Option<Iteration> {
+        let settings = &self.settings;
+        // 1. Residuals: points to planes, and to poles where there are some.
+        let trajectory = segment.corrected(correction);
+        let mut all = Accumulator::new(settings.points_per_independent_one);
+        let (matched, squares) = self.add_planes(&mut all, scene, &trajectory, scale);
+        let by_poles = scene.poles.as_mut().map(|poles| poles.add_to(&mut all, &trajectory, scale));
+        let equations = NormalEquations { matched, squares, ..all.finish() };
+        // 2. Is it any use?
+        let fraction = matched as f64 / scene.points.len() as f64;
+        let is_hopeless = fraction < settings.hopeless_fraction * settings.min_matched_fraction;
+        if matched < settings.min_pairs || scale <= settings.final_scale && is_hopeless {
+            return None;
+        }
+        // 3. What the points leave open, and what errors of normals hide.
+        let degenerate = DegenerateDirections::of(&equations);
+        let attenuation = prior.compensates_attenuation.then(|| Attenuation::of(&equations, settings));
+        // 4. The step of points and prior together.
+        let step = solve(&equations, correction, prior, &degenerate, attenuation.as_ref(), settings)?;
+        correction.start += step.start;
+        correction.growth += step.growth;
+        Some(Iteration { equations, degenerate, attenuation, by_poles, step: step.end() })
+    }
+
+    /// Pairs points with planes where they moved, and adds what all of them say on a trajectory. How many did, and the
+    /// sum of their squared distances.
+    fn add_planes(
+        &self,
+        all: &mut Accumulator,
+        scene: &mut Scene<'_>,
+        trajectory: &PiecewiseLinearTrajectory,
+        scale: f64,
+    ) -> (usize, f64) {
+        let settings = &self.settings;
+        let range_variance = (settings.range_noise * settings.range_noise) as f32;
+        let squared_scale = (scale * scale) as f32;
+        let squared_cutoff = settings.cutoff * settings.cutoff * squared_scale;
+        let least_variance = (settings.normal_noise * settings.normal_noise) as f32;
+        let (uneven, noise) = (settings.uneven_factor, settings.noise_factor);
+        for part in &scene.parts {
+            for i in part.points.clone() {
+                let (point, pair) = (&scene.points[i], &mut scene.pairs.pairs[i]);
+                let (turned, from) = trajectory.ray(&point.position, point.time);
+                let place = turned + from;
+                if (place - pair.looked_up_at).norm_squared() > scene.pairs.squared_slack {
+                    pair.looked_up_at = place;
+                    let toward = turned.try_normalize(1e-6).map_or_else(na::Vector3::zeros, |v| -v);
+                    pair.plane = scene.planes.plane_seen(&place.into(), &toward);
+                }
+                let Some(plane) = &pair.plane else { continue };
+                let residual = plane.normal.dot(&(place - plane.point));
+                let squared = residual * residual;
+                if squared > squared_cutoff {
+                    continue;
+                }
+                // Geman and McClure's weight. Away from its middle a plane is known as well as its normal.
+                let robust = squared_scale / (squared_scale + squared);
+                let tilt = plane.normal_variance * (place - plane.point).norm_squared();
+                let weight = robust * robust / (range_variance + plane.variance + tilt);
+                let normal_variance = least_variance + plane.normal_variance;
+                // A sample tells where points are.
+                if i.is_multiple_of(ARM_SAMPLE) {
+                    all.add_arm(&turned, weight * normal_variance * ARM_SAMPLE as f32);
+                }
+                let spurious_variance = uneven * least_variance + noise * plane.normal_variance;
+                let (n, lever) = (&plane.normal, turned.cross(&plane.normal));
+                let fraction = match plane.unreliable {
+                    None => 1.0,
+                    Some(Unreliable::GrazingIncidence) => settings.grazing_weight,
+                    Some(Unreliable::DownwardNormal) => settings.downward_weight,
+                };
+                let counted = fraction * weight;
+                if let Some(reason) = plane.unreliable {
+                    // Ground that looks down feigns no tilt: all of its weight is reliable there.
+                    let is_downward = reason == Unreliable::DownwardNormal;
+                    let of_rotation = if is_downward { counted - weight } else { counted };
+                    all.add_unreliable(n, &lever, [counted, of_rotation]);
+                }
+                let row = [n.x, n.y, n.z, lever.x, lever.y, lever.z, residual, 0.0];
+                all.add(row, counted, weight * spurious_variance);
+            }
+            all.end_part(part.growth_fractions);
+        }
+        all.matched()
+    }
+}
+
+impl<'a> Scene<'a> {
+    fn new(
+        planes: &'a PlaneMap,
+        poles: Option<PoleResiduals<'a>>,
+        points: &'a [TimedPoint],
+        segment: &TrajectorySegment,
+        settings: &RegistrationSettings,
+    ) -> Self {
+        let parts = parts_of(points, |p| p.time, segment);
+        let pairs = Pairs::new(points.len(), settings.repairing_per_edge * planes.edge());
+        Self { planes, poles, points, parts, pairs }
+    }
+}
+
+/// Points of a sweep that were measured at about the same time, and the fractions of the growth that apply to them.
+pub(crate) struct Part {
+    pub points: Range<usize>,
+    pub growth_fractions: [f64; 2],
+}
+
+/// Splits points in order of time.
+pub(crate) fn parts_of<T>(points: &[T], time: impl Fn(&T) -> f32, segment: &TrajectorySegment) -> Vec<Part> {
+    let fraction = |p: &T| segment.fraction_at(time(p));
+    let mut parts: Vec<Part> = Vec::with_capacity(PARTS as usize);
+    let mut begin = 0;
+    for chunk in points.chunk_by(|a, b| (fraction(a) * PARTS).floor() == (fraction(b) * PARTS).floor()) {
+        let middle = chunk.iter().map(fraction).sum::<f64>() / chunk.len() as f64;
+        let growth_fractions = segment.growth_fractions(middle);
+        parts.push(Part { points: begin..begin + chunk.len(), growth_fractions });
+        begin += chunk.len();
+    }
+    parts
+}

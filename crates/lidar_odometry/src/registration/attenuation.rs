@@ -1,0 +1,62 @@
+//! Attenuation: errors of normals pass for information, so that translations come out too small by the spurious fraction
+//! of it (Fuller, "Measurement Error Models", 1987, section 1.1), and planes hold the scanner where it was.
+
+use nalgebra as na;
+use portolan_geometry::Vector3;
+
+use super::normal_equations::NormalEquations;
+use crate::settings::RegistrationSettings;
+
+/// How far off a place may be for attenuation.
+pub(super) struct Attenuation {
+    /// Unit vectors as columns, in the frame of the planes.
+    directions: na::Matrix3<f64>,
+    /// Along each, m².
+    variances: Vector3,
+}
+
+impl Attenuation {
+    /// What the eigenvalues of the reliable information say.
+    pub fn of(equations: &NormalEquations, settings: &RegistrationSettings) -> Self {
+        let reliable =
+            na::SymmetricEigen::new(equations.hessian.fixed_view::<3, 3>(0, 0) - equations.unreliable[0]);
+        let (distance, most) = (settings.attenuation_distance, settings.max_attenuation);
+        let variance = |information: f64| {
+            (distance * equations.spurious_translation / information.max(f64::MIN_POSITIVE)).min(most).powi(2)
+        };
+        Self { directions: reliable.eigenvectors, variances: reliable.eigenvalues.map(variance) }
+    }
+
+    pub fn covariance(&self) -> na::Matrix3<f64> {
+        self.directions * na::Matrix3::from_diagonal(&self.variances) * self.directions.transpose()
+    }
+
+    /// How many times stiffer a prior is beside points of so much information (1/m²) than without attenuation.
+    pub fn stiffening(&self, information: &na::Matrix3<f64>) -> na::Matrix3<f64> {
+        let columns = self.directions.column_iter().zip(&self.variances);
+        columns.fold(na::Matrix3::identity(), |sum, (direction, variance)| {
+            sum + direction * direction.transpose() * (direction.dot(&(information * direction)) * variance)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_normals_hold_what_they_feign() {
+        let settings = RegistrationSettings::default();
+        let (distance, most) = (settings.attenuation_distance, settings.max_attenuation);
+        let mut equations = NormalEquations { spurious_translation: 10.0, ..NormalEquations::default() };
+        equations.hessian.fixed_view_mut::<3, 3>(0, 0).set_diagonal(&na::Vector3::new(1e5, 20.0, 0.0));
+        let attenuation = Attenuation::of(&equations, &settings);
+        let covariance = attenuation.covariance();
+        let expected = [distance * 1e-4, distance * 0.5, most].map(|error| error * error);
+        assert!((covariance.diagonal() - na::Vector3::from(expected)).norm() < 1e-9, "{covariance}");
+        // Beside points whose information is twice what is feigned a prior of their own error weighs as much as they.
+        let information = na::Matrix3::from_diagonal_element((distance * 0.5).powi(-2));
+        let stiffer = attenuation.stiffening(&information);
+        assert!((stiffer[(1, 1)] - 2.0).abs() < 1e-9 && (stiffer[(0, 0)] - 1.0).abs() < 1e-6, "{stiffer}");
+    }
+}

@@ -1,0 +1,60 @@
+//! One Gauss-Newton step: points and prior, weighed against each other.
+
+use nalgebra as na;
+
+use super::attenuation::Attenuation;
+use super::normal_equations::NormalEquations;
+use super::{DegenerateDirections, MotionPrior, Sigmas};
+use crate::segment::SegmentCorrection;
+use crate::settings::RegistrationSettings;
+
+/// The step of start and growth together, twelve unknowns:
+///
+/// ```text
+/// [ H + P_s    C       ] [ δ_start  ]      [ g   + P_s x_start  ]
+/// [ Cᵀ         G + P_g ] [ δ_growth ]  = − [ g_g + P_g x_growth ]
+/// ```
+///
+/// with the information H, C, G of the points and P of the prior, which counts more in degenerate directions.
+pub(super) fn solve(
+    equations: &NormalEquations,
+    correction: &SegmentCorrection,
+    prior: &MotionPrior,
+    degenerate: &DegenerateDirections,
+    attenuation: Option<&Attenuation>,
+    settings: &RegistrationSettings,
+) -> Option<SegmentCorrection> {
+    let stiffness = |sigmas: &Sigmas| {
+        let mut stiffness = na::Matrix6::zeros();
+        for (at, sigma, directions) in
+            [(0, sigmas.translation, &degenerate.translations), (3, sigmas.rotation, &degenerate.rotations)]
+        {
+            let information = equations.hessian.fixed_view::<3, 3>(at, at).into_owned();
+            let mut block = na::Matrix3::from_diagonal_element(1.0 / (sigma * sigma));
+            match attenuation.filter(|_| at == 0) {
+                Some(attenuation) => block *= attenuation.stiffening(&information),
+                None => {
+                    for direction in directions {
+                        let known = direction.dot(&(information * direction)).abs();
+                        block +=
+                            direction * direction.transpose() * (settings.degenerate_prior_factor * known);
+                    }
+                }
+            }
+            stiffness.fixed_view_mut::<3, 3>(at, at).copy_from(&block);
+        }
+        stiffness
+    };
+    let (by_start, by_growth) = (stiffness(&prior.start), stiffness(&prior.growth));
+    let mut hessian = na::SMatrix::<f64, 12, 12>::zeros();
+    hessian.fixed_view_mut::<6, 6>(0, 0).copy_from(&(equations.hessian + by_start));
+    hessian.fixed_view_mut::<6, 6>(0, 6).copy_from(&equations.cross_hessian);
+    hessian.fixed_view_mut::<6, 6>(6, 0).copy_from(&equations.cross_hessian.transpose());
+    hessian.fixed_view_mut::<6, 6>(6, 6).copy_from(&(equations.growth_hessian + by_growth));
+    let mut gradient = na::SVector::<f64, 12>::zeros();
+    gradient.fixed_rows_mut::<6>(0).copy_from(&(equations.gradient + by_start * correction.start));
+    gradient.fixed_rows_mut::<6>(6).copy_from(&(equations.growth_gradient + by_growth * correction.growth));
+    let step = hessian.cholesky()?.solve(&-gradient);
+    let (start, growth) = (step.fixed_rows::<6>(0).into(), step.fixed_rows::<6>(6).into());
+    step.iter().all(|v| v.is_finite()).then_some(SegmentCorrection { start, growth })
+}

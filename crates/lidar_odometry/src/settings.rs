@@ -1,0 +1,286 @@
+//! Every number of the front end that could be another: its unit, range, origin and effect.
+//!
+//! Each entry of the tables in this folder becomes a field with documentation and a default, and a row of
+//! [`OdometrySettings::entries`], by which ranges are checked and tables of sensitivity can be made. What is not here
+//! is no choice of behaviour: sizes of blocks, layouts of keys, and the spacing of poses stand where they are used.
+//!
+//! The origins are honest: *derived* follows from a sensor or from geometry, a name is a source, *tuned* was found on
+//! simulated walks and has no better reason yet.
+
+use portolan_motion::{ImuBasedSettings, PoseExtrapolator};
+use thiserror::Error;
+
+/// Makes a table of settings: a struct whose fields know their unit, range, origin and effect.
+macro_rules! settings {
+    (
+        $(#[$meta:meta])*
+        $name:ident {
+            $(
+                $field:ident: $type:ty = $default:expr, $unit:literal, $low:literal..=$high:literal,
+                $what:literal,
+                origin: $origin:literal,
+                larger: $larger:literal;
+            )*
+        }
+    ) => {
+        $(#[$meta])*
+        #[derive(Clone, Debug, PartialEq)]
+        pub struct $name {
+            $(
+                #[doc = concat!(
+                    $what, ".\n\nUnit: ", $unit, ". Default: ", stringify!($default), ", range ", stringify!($low), " to ",
+                    stringify!($high), ". Origin: ", $origin, ". If larger: ", $larger, "."
+                )]
+                pub $field: $type,
+            )*
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $default,)* }
+            }
+        }
+
+        impl $name {
+            pub(super) fn entries_into(&self, entries: &mut Vec<$crate::settings::Entry>) {
+                $(
+                    entries.push($crate::settings::Entry {
+                        group: stringify!($name),
+                        name: stringify!($field),
+                        unit: $unit,
+                        values: $crate::settings::Values::values(&self.$field),
+                        default: stringify!($default),
+                        range: ($low as f64, $high as f64),
+                        what: $what,
+                        origin: $origin,
+                        larger: $larger,
+                    });
+                )*
+            }
+        }
+    };
+}
+
+mod map;
+mod motion;
+mod registration;
+mod start;
+
+pub use map::{KeyframeSettings, LocalMapSettings, PlaneFitSettings, PoleSettings};
+pub use motion::{
+    GravitySettings, GyroscopeSettings, HypothesisSettings, ImuSettings, InertialSettings,
+    MotionPriorSettings, StandstillSettings,
+};
+pub use registration::{DegeneracySettings, RegistrationSettings, SweepSettings};
+pub use start::{CoarseAlignmentSettings, InitialisationSettings, VerticalSettings};
+
+/// One setting: what it is called, what it is, and what it does.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// The struct that has it.
+    pub group: &'static str,
+    /// The field.
+    pub name: &'static str,
+    /// Unit, or `1`.
+    pub unit: &'static str,
+    /// Its value; several for a list.
+    pub values: Vec<f64>,
+    /// The default as it is written in the source.
+    pub default: &'static str,
+    /// Least and greatest value that make sense.
+    pub range: (f64, f64),
+    /// What it is.
+    pub what: &'static str,
+    /// Where the default comes from.
+    pub origin: &'static str,
+    /// What changes with a larger value.
+    pub larger: &'static str,
+}
+
+/// A setting outside its range.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{group}.{name} = {value} is outside {low} to {high}")]
+pub struct SettingError {
+    /// The struct that has it.
+    pub group: &'static str,
+    /// The field.
+    pub name: &'static str,
+    /// What it is.
+    pub value: f64,
+    /// The least value that makes sense.
+    pub low: f64,
+    /// The greatest value that makes sense.
+    pub high: f64,
+}
+
+/// How the extrapolator predicts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExtrapolatorSettings {
+    /// Velocities are taken from poses over this time, seconds.
+    pub pose_queue_duration: f64,
+    /// Accelerations are averaged over this time to find gravity, seconds.
+    pub gravity_time_constant: f64,
+    /// Whether to predict from all odometry and gyroscope data since the last sweep.
+    pub use_all_odometry: bool,
+    /// Whether to predict by a fit of the last seconds instead, and how.
+    pub imu_based: Option<ImuBasedSettings>,
+}
+
+impl Default for ExtrapolatorSettings {
+    fn default() -> Self {
+        Self {
+            pose_queue_duration: 0.001,
+            gravity_time_constant: 10.0,
+            use_all_odometry: true,
+            imu_based: None,
+        }
+    }
+}
+
+impl ExtrapolatorSettings {
+    /// An extrapolator that knows nothing yet.
+    pub fn extrapolator(&self) -> PoseExtrapolator {
+        let extrapolator = PoseExtrapolator::new(
+            self.pose_queue_duration,
+            self.gravity_time_constant,
+            self.use_all_odometry,
+        );
+        match &self.imu_based {
+            Some(settings) => extrapolator.with_imu_based(settings),
+            None => extrapolator,
+        }
+    }
+}
+
+/// All settings of a lidar odometry.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OdometrySettings {
+    /// Whether de-skewed sweeps keep intensities.
+    pub keeps_intensities: bool,
+    /// How the extrapolator predicts.
+    pub extrapolator: ExtrapolatorSettings,
+    /// Samples of the IMU.
+    pub imu: ImuSettings,
+    /// Bias and range of the gyroscope.
+    pub gyroscope: GyroscopeSettings,
+    /// Zero-velocity updates.
+    pub standstill: StandstillSettings,
+    /// The gravity estimator.
+    pub gravity: GravitySettings,
+    /// The inertial Kalman filter.
+    pub inertial: InertialSettings,
+    /// How far predictions may be off.
+    pub motion_prior: MotionPriorSettings,
+    /// When other predictions are tried.
+    pub hypotheses: HypothesisSettings,
+    /// Which points of a sweep are registered, and when that counts.
+    pub sweep: SweepSettings,
+    /// Registration to planes.
+    pub registration: RegistrationSettings,
+    /// Degenerate intervals.
+    pub degeneracy: DegeneracySettings,
+    /// Vertical structures.
+    pub poles: PoleSettings,
+    /// Planes of voxels.
+    pub plane_fit: PlaneFitSettings,
+    /// The planar voxel maps around.
+    pub local_map: LocalMapSettings,
+    /// Key frames.
+    pub keyframes: KeyframeSettings,
+    /// The first sweeps.
+    pub initialisation: InitialisationSettings,
+    /// Coarse alignment of the first two sweeps.
+    pub coarse_alignment: CoarseAlignmentSettings,
+    /// The vertical from planes.
+    pub vertical: VerticalSettings,
+}
+
+impl OdometrySettings {
+    /// All settings in the order of their groups.
+    pub fn entries(&self) -> Vec<Entry> {
+        let mut all = Vec::new();
+        self.imu.entries_into(&mut all);
+        self.gyroscope.entries_into(&mut all);
+        self.standstill.entries_into(&mut all);
+        self.gravity.entries_into(&mut all);
+        self.inertial.entries_into(&mut all);
+        self.motion_prior.entries_into(&mut all);
+        self.hypotheses.entries_into(&mut all);
+        self.sweep.entries_into(&mut all);
+        self.registration.entries_into(&mut all);
+        self.degeneracy.entries_into(&mut all);
+        self.poles.entries_into(&mut all);
+        self.plane_fit.entries_into(&mut all);
+        self.local_map.entries_into(&mut all);
+        self.keyframes.entries_into(&mut all);
+        self.initialisation.entries_into(&mut all);
+        self.coarse_alignment.entries_into(&mut all);
+        self.vertical.entries_into(&mut all);
+        all
+    }
+
+    /// Whether every setting lies within its range.
+    ///
+    /// # Errors
+    ///
+    /// The first one that does not.
+    pub fn check(&self) -> Result<(), SettingError> {
+        for Entry { group, name, values, range: (low, high), .. } in self.entries() {
+            if let Some(value) = values.into_iter().find(|v| !(low..=high).contains(v)) {
+                return Err(SettingError { group, name, value, low, high });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a setting can be: a number, or a list of numbers.
+trait Values {
+    fn values(&self) -> Vec<f64>;
+}
+
+macro_rules! number {
+    ($($type:ty),*) => {
+        $(
+            impl Values for $type {
+                fn values(&self) -> Vec<f64> {
+                    vec![*self as f64]
+                }
+            }
+        )*
+    };
+}
+
+number!(f32, f64, u16, u32, usize);
+
+impl<T: Values, const N: usize> Values for [T; N] {
+    fn values(&self) -> Vec<f64> {
+        self.iter().flat_map(Values::values).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_lie_within_their_ranges_and_say_what_they_are() {
+        let settings = OdometrySettings::default();
+        assert_eq!(settings.check(), Ok(()));
+        let entries = settings.entries();
+        assert!(entries.len() > 100, "{}", entries.len());
+        for entry in &entries {
+            let texts = [entry.unit, entry.default, entry.what, entry.origin, entry.larger];
+            assert!(texts.iter().all(|text| !text.is_empty() && !text.ends_with('.')), "{entry:?}");
+        }
+    }
+
+    #[test]
+    fn a_setting_outside_its_range_is_named() {
+        let mut settings = OdometrySettings::default();
+        settings.standstill.bin = -1.0;
+        let error = settings.check().unwrap_err();
+        assert_eq!((error.name, error.value), ("bin", -1.0));
+        assert!(error.to_string().starts_with("StandstillSettings.bin = -1 is outside"), "{error}");
+    }
+}

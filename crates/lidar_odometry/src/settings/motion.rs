@@ -1,0 +1,271 @@
+//! Settings of motion: IMU, predictions, priors.
+
+settings! {
+    /// Samples of the IMU.
+    ImuSettings {
+        gravity: f64 = 9.81, "m/s²", 9.0..=10.5,
+            "Gravity before it is estimated",
+            origin: "middle latitudes; 9.78 to 9.83 on earth",
+            larger: "hardly a change: direction and force at rest are estimated";
+        max_gap: f64 = 0.1, "s", 0.001..=10.0,
+            "Longer than this without a sample, the motion in between is not known",
+            origin: "ten samples of a slow IMU",
+            larger: "gaps are bridged with the last sample";
+        max_samples: usize = 20_000, "samples", 100.0..=1e9,
+            "So many samples between two sweeps are kept",
+            origin: "memory: 100 s at 200 Hz",
+            larger: "more memory while no sweep comes";
+    }
+}
+
+settings! {
+    /// Bias and range of the gyroscope.
+    GyroscopeSettings {
+        initial_evidence: f64 = 1.0, "s", 0.0..=1e6,
+            "How much zero bias is believed at the beginning, as seconds of evidence",
+            origin: "tuned",
+            larger: "the bias is learned more slowly at first";
+        memory: f64 = 20.0, "s", 0.1..=1e6,
+            "Biases wander: evidence older than about this is forgotten",
+            origin: "tuned",
+            larger: "smoother, slower";
+        max_bias: f64 = 0.2, "rad/s", 0.001..=10.0,
+            "A difference beyond this is no bias but a poor registration or a saturated gyroscope",
+            origin: "ten times the bias of a cheap sensor",
+            larger: "poor registrations are learned";
+        fast: f64 = 0.3, "rad/s", 0.001..=100.0,
+            "Rotating this fast halves what a difference says of the bias: errors of scale and alignment grow with the rate",
+            origin: "tuned",
+            larger: "errors of scale are learned as bias";
+        equal_in_a_row: u32 = 5, "samples", 2.0..=1e6,
+            "So many equal values in a row are the end of the range",
+            origin: "tuned: noise repeats fewer",
+            larger: "saturation is found later";
+        fraction_of_largest: f64 = 0.98, "1", 0.5..=1.0,
+            "If they are this near to the largest value ever seen",
+            origin: "tuned",
+            larger: "asymmetric ranges are missed";
+        smallest_range: f64 = 0.1, "rad/s", 0.0..=100.0,
+            "No gyroscope ends at less",
+            origin: "data sheets begin at 1 rad/s",
+            larger: "saturation of slow sensors is missed";
+    }
+}
+
+settings! {
+    /// Zero-velocity updates.
+    StandstillSettings {
+        bin: f64 = 0.05, "s", 0.005..=1.0,
+            "Samples are averaged over this long, so that vibrations do not count",
+            origin: "derived: motors shake faster than 20 Hz",
+            larger: "more vibration is tolerated, starts are seen later";
+        bins: usize = 20, "bins", 2.0..=1e4,
+            "The IMU has to be at rest for so many of these",
+            origin: "one second",
+            larger: "standing is found later";
+        max_acceleration_spread: f64 = 0.08, "m/s²", 0.001..=5.0,
+            "Standard deviation of averaged accelerations at rest, at most",
+            origin: "tuned: platforms with running motors",
+            larger: "slow motion passes for rest";
+        max_turn_rate_spread: f64 = 0.01, "rad/s", 0.0001..=1.0,
+            "Standard deviation of averaged turn rates at rest, at most",
+            origin: "tuned",
+            larger: "slow motion passes for rest";
+        max_turn_rate: f64 = 0.02, "rad/s", 0.0001..=1.0,
+            "Mean turn rate at rest, at most",
+            origin: "the bias that is not learned yet",
+            larger: "slow rotation passes for rest";
+        max_translation: f64 = 0.06, "m", 0.001..=5.0,
+            "Most poses lie this near to their median at rest",
+            origin: "tuned: people walk by",
+            larger: "slow motion passes for rest";
+        max_rotation: f64 = 0.015, "rad", 0.0001..=1.0,
+            "Most poses are rotated from their median by less at rest",
+            origin: "tuned",
+            larger: "slow rotation passes for rest";
+        max_drift: f64 = 0.02, "m", 0.001..=5.0,
+            "The median of the newest poses lies this near to that of all at rest; odometry drifts no farther",
+            origin: "tuned: the noise of ranges",
+            larger: "slow motion is noticed later";
+        max_rotational_drift: f64 = 0.005, "rad", 0.0001..=1.0,
+            "The median of the newest poses is rotated from that of all by less at rest",
+            origin: "tuned",
+            larger: "slow rotation is noticed later";
+        max_odometry_speed: f64 = 0.02, "m/s", 0.0..=5.0,
+            "Wheels at rest report less speed",
+            origin: "noise of encoders",
+            larger: "creeping passes for rest";
+        memory: f64 = 3.0, "s", 0.5..=60.0,
+            "Poses are remembered this long; the newest third tells whether it moves again",
+            origin: "tuned",
+            larger: "steadier, starts are seen later";
+        min_poses: usize = 10, "poses", 3.0..=1e4,
+            "So many poses are needed",
+            origin: "one second of sweeps",
+            larger: "standing is found later";
+    }
+}
+
+settings! {
+    /// The gravity estimator.
+    GravitySettings {
+        memory: f64 = 10.0, "s", 1.0..=300.0,
+            "Sweeps of so many seconds are fitted",
+            origin: "over two seconds poses that are off by 5 cm leave 0.5°; over ten the drift still does not count",
+            larger: "less noise, more drift";
+        match_error: f64 = 0.05, "m", 0.001..=5.0,
+            "Standard deviation of registered places: the first ones, of which the map is made, are worst",
+            origin: "tuned",
+            larger: "the average of accelerations counts longer";
+        average_error: f64 = 0.5, "m/s²", 0.01..=10.0,
+            "Standard deviation of the average of accelerations before anything was registered (3°)",
+            origin: "walkers that start on the way",
+            larger: "the fit counts earlier";
+        max_difference: f64 = 1.0, "m/s²", 0.01..=10.0,
+            "A fit that differs by more from gravity is not believed",
+            origin: "tuned",
+            larger: "poor fits are believed";
+    }
+}
+
+settings! {
+    /// The inertial Kalman filter.
+    InertialSettings {
+        max_acceleration: f64 = 200.0, "m/s²", 20.0..=1e5,
+            "A sample beyond this is wrong",
+            origin: "more than platforms do, and than most accelerometers measure",
+            larger: "spikes throw the prediction away";
+        first_velocity_moving: f64 = 1.0, "m/s", 0.01..=100.0,
+            "Standard deviation of the first velocity on the way",
+            origin: "what two sweeps say",
+            larger: "relied on later";
+        first_velocity_at_rest: f64 = 0.3, "m/s", 0.01..=100.0,
+            "Standard deviation of the first velocity at rest",
+            origin: "smooth motion seems to rest, too",
+            larger: "relied on later";
+        first_force_moving: f64 = 0.3, "m/s²", 0.001..=10.0,
+            "Standard deviation of the first force at rest on the way",
+            origin: "the first second of accelerations",
+            larger: "relied on later";
+        first_force_at_rest: f64 = 0.03, "m/s²", 0.001..=10.0,
+            "Standard deviation of the first force at rest at rest",
+            origin: "a second of averaged noise",
+            larger: "relied on later";
+        match_error: f64 = 0.02, "m", 0.001..=5.0,
+            "Standard deviation of registered places",
+            origin: "noise of ranges",
+            larger: "accelerations count more";
+        degenerate_error: f64 = 30.0, "m", 1.0..=1e6,
+            "Standard deviation of registered places along degenerate directions",
+            origin: "unknown",
+            larger: "no change";
+        acceleration_noise: f64 = 0.3, "m/s² averaged over a second", 0.001..=10.0,
+            "Noise of accelerations",
+            origin: "tuned: 0.2 to 0.5 come out alike",
+            larger: "registered places count more";
+        force_walk: f64 = 0.02, "m/s² in a second", 0.0..=10.0,
+            "How fast the force at rest changes: a bias rotates with its platform",
+            origin: "tuned",
+            larger: "the force at rest is followed faster, with more noise";
+        usual_speed: f64 = 1.5, "m/s", 0.1..=100.0,
+            "A velocity that nothing constrains is believed to be about this within a second, so that it ends some time",
+            origin: "walkers",
+            larger: "unconstrained velocities live longer";
+        standing_velocity: f64 = 0.01, "m/s", 0.0001..=1.0,
+            "Standard deviation of velocity in zero-velocity updates",
+            origin: "usual for such updates",
+            larger: "updates count less";
+        compared_sweeps: f64 = 20.0, "sweeps", 1.0..=1e4,
+            "Errors of predictions are averaged over about so many sweeps",
+            origin: "two seconds",
+            larger: "a wrong accelerometer is noticed later";
+        clearly_worse: f64 = 2.0, "1", 1.0..=100.0,
+            "Accelerations are not relied on while their mean square error is so many times that of constant velocity: clocks, axes or units may be wrong",
+            origin: "tuned",
+            larger: "wrong accelerometers are relied on";
+        small_error: f64 = 1e-4, "m²", 0.0..=1.0,
+            "A mean square error that does not matter",
+            origin: "1 cm",
+            larger: "wrong accelerometers are relied on";
+        sure_velocity: f64 = 0.5, "m/s", 0.01..=100.0,
+            "Accelerations are not relied on before velocity is known so well",
+            origin: "tuned: about ten seconds of sweeps on the way, at once at rest",
+            larger: "relied on earlier";
+        sure_force: f64 = 0.1, "m/s²", 0.001..=10.0,
+            "Nor before the force at rest is known so well",
+            origin: "tuned: 0.5 m/s² loses walks among trees",
+            larger: "relied on earlier";
+    }
+}
+
+settings! {
+    /// How far predicted trajectory segments may be off.
+    MotionPriorSettings {
+        start_translation: f64 = 0.01, "m", 0.0001..=1.0,
+            "How far off the end of the sweep before may be",
+            origin: "tuned: a start held faster is a trap, errors come back with the opposite sign; 0.005 to 0.05 come out alike",
+            larger: "segments start elsewhere than the last one ended";
+        start_rotation: f64 = 0.01, "rad", 0.0001..=1.0,
+            "How far off the rotation at the end of the sweep before may be, where no gyroscope measures",
+            origin: "tuned: half of it turns maps with swapped axes",
+            larger: "as for translation";
+        acceleration: f64 = 4.0, "m/s²", 0.1..=100.0,
+            "What a platform accelerates by unseen",
+            origin: "walkers, braking cars",
+            larger: "constant velocity counts less";
+        rotational_acceleration: f64 = 10.0, "rad/s²", 0.1..=1000.0,
+            "What a platform's rotation accelerates by unseen",
+            origin: "hand-held lidars",
+            larger: "constant rotation counts less";
+        odometry_drift: f64 = 0.2, "m/s", 0.001..=10.0,
+            "What odometry may be off by, per second",
+            origin: "slipping wheels",
+            larger: "odometry counts less";
+        gyroscope_drift: f64 = 0.02, "rad/s", 0.0001..=1.0,
+            "What a gyroscope may be off by, per second",
+            origin: "bias before it is learned",
+            larger: "the gyroscope counts less";
+        least_odometry_error: f64 = 0.01, "m", 0.0..=1.0,
+            "What odometry may be off by at least",
+            origin: "jitter of stamps",
+            larger: "odometry counts less";
+        least_inertial_error: f64 = 0.005, "m", 0.0..=1.0,
+            "What the accelerometer may be off by at least",
+            origin: "tuned",
+            larger: "the accelerometer counts less";
+        least_velocity_error: f64 = 0.01, "m", 0.0..=1.0,
+            "What constant velocity may be off by at least",
+            origin: "jitter of stamps",
+            larger: "constant velocity counts less";
+        least_gyroscope_error: f64 = 0.002, "rad", 0.0..=1.0,
+            "What a gyroscope may be off by at least",
+            origin: "jitter of stamps",
+            larger: "the gyroscope counts less";
+        least_rotation_error: f64 = 0.005, "rad", 0.0..=1.0,
+            "What constant rotation may be off by at least",
+            origin: "jitter of stamps",
+            larger: "constant rotation counts less";
+    }
+}
+
+settings! {
+    /// When other predictions than the first are tried, and when they win.
+    HypothesisSettings {
+        contradiction_sigmas: f64 = 4.0, "1", 1.0..=100.0,
+            "A result contradicts a measured rotation if it is so many standard deviations off",
+            origin: "usual",
+            larger: "a failing gyroscope is noticed later";
+        clearly_better: f64 = 1.3, "1", 1.0..=10.0,
+            "A result without the gyroscope has to fit so many times better than one with it, unless that is saturated",
+            origin: "tuned",
+            larger: "the gyroscope is relied on longer";
+        long_gap: f64 = 0.5, "s", 0.01..=60.0,
+            "After so many seconds without a sweep it may have stopped, or a clock jumped: standing is tried, too",
+            origin: "tuned",
+            larger: "lost more often after gaps";
+        slow: f64 = 1.0, "m/s", 0.0..=100.0,
+            "A platform that seems slower by its first two sweeps while the IMU rests stands",
+            origin: "what two sparse sweeps are off by",
+            larger: "smooth slow starts are taken for rest";
+    }
+}

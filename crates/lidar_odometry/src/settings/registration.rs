@@ -1,0 +1,171 @@
+//! Settings of registration.
+
+settings! {
+    /// How scans are registered to planes.
+    RegistrationSettings {
+        range_noise: f64 = 0.02, "m", 0.001..=0.5,
+            "Standard deviation of ranges",
+            origin: "data sheets of spinning lidars",
+            larger: "the motion prior counts more";
+        final_scale: f64 = 0.1, "m", 0.005..=5.0,
+            "Points farther than about this from their plane count little in the end; the odometry takes a fraction of its voxels",
+            origin: "a tenth of the default voxel",
+            larger: "more outliers count";
+        max_iterations: u32 = 20, "iterations", 1.0..=1000.0,
+            "Iterations at most",
+            origin: "tuned",
+            larger: "slower";
+        min_matched_fraction: f64 = 0.0, "1", 0.0..=1.0,
+            "A result that puts a smaller fraction of the points on planes is of no use, and may be given up early",
+            origin: "none wanted",
+            larger: "faster where nothing fits";
+        hopeless_fraction: f64 = 0.6, "1", 0.0..=1.0,
+            "With this part of that fraction there is no hope, once the loss has its final scale",
+            origin: "tuned",
+            larger: "gives up earlier";
+        normal_noise: f64 = 0.03, "rad", 0.0..=0.5,
+            "How far normals are off at least (standard deviation): surfaces are not flat. The noise of hits comes on top",
+            origin: "tuned: floors and facades",
+            larger: "more directions count as degenerate";
+        uneven_factor: f32 = 4.0, "1", 0.0..=100.0,
+            "A direction is constrained by so many times more information than uneven surfaces feign, which are off alike over metres",
+            origin: "tuned: counted once, a field without odometry passes for constrained half of the time",
+            larger: "more directions count as degenerate";
+        noise_factor: f32 = 2.0, "1", 0.0..=100.0,
+            "The same for the noise of hits, which differs from plane to plane, so that the sum is known better",
+            origin: "tuned: counted four times, walks that begin in a hall lose half a metre",
+            larger: "more directions count as degenerate, most of all in young maps";
+        grazing_weight: f32 = 0.0, "1", 0.0..=1.0,
+            "How much planes at grazing incidence count: they may be drawn by the beams themselves, and hold the scanner where it was",
+            origin: "tuned: with a tenth four of twelve walks through parks without odometry are lost, with nothing two",
+            larger: "smoother on flat ground, held back among trees";
+        downward_weight: f32 = 0.1, "1", 0.0..=1.0,
+            "How much ground with a downward normal counts: with all of its weight a field seems to hold a lidar that is carried over it",
+            origin: "tuned: a tenth and a fiftieth do not differ",
+            larger: "held back in fields";
+        cutoff: f32 = 3.0, "1", 1.0..=100.0,
+            "Points farther than so many scales from their plane are left out",
+            origin: "usual",
+            larger: "slower, hardly different";
+        scale_decay: f64 = 0.45, "1", 0.05..=0.99,
+            "The scale of the loss shrinks by this with every iteration",
+            origin: "tuned",
+            larger: "slower, larger basin of attraction";
+        small_translation: f64 = 5e-4, "m", 0.0..=0.1,
+            "The end is found when it moves by less",
+            origin: "a quarter of what it can be known to; a tenth is no nearer to the truth",
+            larger: "faster, less exact";
+        small_rotation: f64 = 5e-5, "rad", 0.0..=0.1,
+            "The end is found when it turns by less",
+            origin: "as for translation",
+            larger: "faster, less exact";
+        min_pairs: usize = 20, "points", 6.0..=1e6,
+            "Fewer points on planes constrain nothing",
+            origin: "a few for each of six unknowns",
+            larger: "gives up in open country";
+        points_per_independent_one: f64 = 10.0, "points", 1.0..=1000.0,
+            "Neighbouring points share their error, so that so many count as one",
+            origin: "tuned",
+            larger: "the motion prior counts more";
+        repairing_per_edge: f32 = 0.03, "1", 0.0..=0.5,
+            "A point is paired anew when it has moved by this fraction of the edge of the largest voxels",
+            origin: "tuned: time",
+            larger: "faster, less exact";
+        degenerate_prior_factor: f64 = 30.0, "1", 0.0..=1e6,
+            "In degenerate directions the prior counts so many times more than the points",
+            origin: "tuned: the prior decides",
+            larger: "no change; smaller: spurious information drags";
+        attenuation_distance: f64 = 0.03, "m", 0.0..=1.0,
+            "Where normals are all that constrains a translation, planes hold the scanner so far from where it is: it goes so far until other planes are seen",
+            origin: "tuned: 0.01 to 0.1 come out alike; without it errors in parks triple",
+            larger: "the inertial prediction counts more";
+        max_attenuation: f64 = 1.0, "m", 0.0..=100.0,
+            "Attenuation is no larger than this",
+            origin: "tuned",
+            larger: "the inertial prediction counts more in open country";
+    }
+}
+
+settings! {
+    /// Which points of a sweep are registered, and when the result counts.
+    SweepSettings {
+        wanted_points: f32 = 1500.0, "points", 50.0..=1e6,
+            "So many points of a sweep are registered, spread evenly over what it sees",
+            origin: "tuned: time",
+            larger: "slower, hardly more exact";
+        first_spacing_per_edge: f32 = 0.4, "1", 0.01..=5.0,
+            "Spacing of these points in the first sweep, as a fraction of the edge of the largest voxels; later ones adapt",
+            origin: "tuned",
+            larger: "fewer points at first";
+        least_spacing: f32 = 0.02, "m", 0.001..=1.0,
+            "Spacing at least",
+            origin: "noise of ranges",
+            larger: "fewer points in small rooms";
+        largest_spacing: f32 = 5.0, "m", 0.1..=100.0,
+            "Spacing at most",
+            origin: "tuned",
+            larger: "fewer points in open country";
+        least_adaptation: f32 = 0.7, "1", 0.1..=1.0,
+            "The spacing changes from sweep to sweep by this factor at least",
+            origin: "tuned",
+            larger: "adapts more slowly";
+        largest_adaptation: f32 = 1.4, "1", 1.0..=10.0,
+            "The spacing changes from sweep to sweep by this factor at most",
+            origin: "the inverse of the least",
+            larger: "adapts faster";
+        final_scale_per_edge: f64 = 0.1, "1", 0.01..=1.0,
+            "Scale of the loss at the end, as a fraction of the edge of the largest voxels",
+            origin: "tuned",
+            larger: "more outliers count";
+        start_scale: f64 = 0.3, "m", 0.01..=5.0,
+            "Points may be off by this at the beginning",
+            origin: "tuned",
+            larger: "larger basin of attraction, slower";
+        scale_per_sigma: f64 = 3.0, "1", 0.0..=10.0,
+            "And by so many standard deviations of the predicted translation",
+            origin: "usual",
+            larger: "larger basin of attraction, slower";
+        max_scale: f64 = 2.0, "m", 0.1..=20.0,
+            "But not by more than this",
+            origin: "tuned",
+            larger: "larger basin of attraction after gaps";
+        min_matched_fraction: f64 = 0.15, "1", 0.0..=1.0,
+            "A result with a smaller fraction of points on planes does not count; among trees not much is flat",
+            origin: "tuned",
+            larger: "predictions are relied on more often";
+        poor_rms: f64 = 0.1, "m", 0.001..=5.0,
+            "Points that lie so far off their planes halve what a result is worth beside another",
+            origin: "tuned",
+            larger: "hypotheses are ranked by numbers of points alone";
+        max_unfitting_time: f64 = 1.0, "s", 0.0..=1e6,
+            "Where a gyroscope measures rotation, sweeps that fit no plane are believed to go on as before for so long; then another map is asked",
+            origin: "tuned: grids of a bare place were drawn by the beams, and hold a scanner where it was",
+            larger: "drifts longer with constant velocity";
+        fallback_error: f64 = 0.2, "m", 0.01..=10.0,
+            "Standard deviation of what another map says where sweeps fit no plane",
+            origin: "two cells of a grid",
+            larger: "the inertial filter believes it less";
+    }
+}
+
+settings! {
+    /// How degenerate scans are joined to intervals.
+    DegeneracySettings {
+        max_gap: f64 = 2.0, "s", 0.0..=1e6,
+            "Scans farther apart than this belong to different intervals",
+            origin: "chosen for reading",
+            larger: "fewer, longer intervals";
+        max_intervals: usize = 10_000, "intervals", 1.0..=1e9,
+            "More intervals are counted with the last one, so that memory is bounded",
+            origin: "chosen",
+            larger: "more memory in the worst case";
+        slow: f64 = 0.1, "m/s", 0.0..=10.0,
+            "Below this speed the direction of motion is not known anew",
+            origin: "drift of poses within a second",
+            larger: "the direction of motion is kept longer";
+        averaged_over: f64 = 1.0, "s", 0.01..=60.0,
+            "Velocities are averaged over about this long",
+            origin: "two steps of a walker",
+            larger: "curves are noticed later";
+    }
+}

@@ -1,0 +1,119 @@
+//! Settings of the start of a trajectory.
+
+settings! {
+    /// The start: waiting for gravity, and the first two sweeps.
+    InitialisationSettings {
+        imu_wait: f64 = 1.0, "s", 0.0..=60.0,
+            "Sweeps wait this long for the first IMU sample before it is decided that there is no IMU",
+            origin: "tuned",
+            larger: "a later start without an IMU";
+        leveling_time: f64 = 1.0, "s", 0.0..=60.0,
+            "Accelerations are averaged over this before the first sweep: about two steps of a walker",
+            origin: "derived",
+            larger: "better level, later start";
+        max_leveling_samples: usize = 4000, "samples", 1.0..=1e9,
+            "So many samples are averaged at most",
+            origin: "memory",
+            larger: "more memory with fast IMUs";
+        iterations: u32 = 4, "iterations", 1.0..=100.0,
+            "The first velocity, and the sweeps that it de-skews, are found in so many iterations",
+            origin: "tuned",
+            larger: "slower, no change";
+        min_matched_fraction: f64 = 0.3, "1", 0.0..=1.0,
+            "A result with a smaller fraction of points on planes does not count, unless a gyroscope measures rotation and all translations are constrained",
+            origin: "tuned",
+            larger: "first velocities are zero more often";
+        scale: f64 = 0.5, "m", 0.01..=5.0,
+            "Points may be off by this once velocities have been found coarsely",
+            origin: "tuned",
+            larger: "larger basin of attraction";
+        spacing: f32 = 0.4, "m", 0.02..=5.0,
+            "Spacing of the points that are registered",
+            origin: "tuned",
+            larger: "faster, less exact";
+        ground_normal: f32 = 0.8, "1", 0.0..=1.0,
+            "A plane whose normal has a larger vertical component is ground, which is left out of coarse alignment",
+            origin: "37° from level",
+            larger: "slopes take part";
+        translation_sigma: f64 = 1.0, "m", 0.01..=100.0,
+            "Standard deviation of the coarse translation",
+            origin: "hardly a prior",
+            larger: "no change";
+        rotation_sigma: f64 = 0.1, "rad", 0.001..=10.0,
+            "Standard deviation of the coarse rotation",
+            origin: "hardly a prior",
+            larger: "no change";
+        velocity_interval: f64 = 0.05, "s", 0.001..=1.0,
+            "A pose so long before the end of the first sweep tells the extrapolator the first velocity",
+            origin: "half a sweep",
+            larger: "no change";
+    }
+}
+
+settings! {
+    /// Coarse alignment of the first two sweeps.
+    CoarseAlignmentSettings {
+        cells: [f32; 3] = [3.0, 1.5, 0.75], "m", 0.05..=50.0,
+            "Edges of the cells in whose neighbourhood a nearest point is looked for, coarse to fine",
+            origin: "derived: a car goes 3 m between sweeps",
+            larger: "larger basin of attraction, slower";
+        iterations: u32 = 40, "iterations", 1.0..=1000.0,
+            "Iterations at most with each",
+            origin: "tuned",
+            larger: "slower";
+        points_per_cell: usize = 20, "points", 1.0..=1e4,
+            "A cell keeps so many points",
+            origin: "KISS-ICP",
+            larger: "slower";
+        min_pairs: usize = 30, "pairs", 6.0..=1e6,
+            "Fewer pairs constrain nothing",
+            origin: "tuned",
+            larger: "gives up in open country";
+        converged: f64 = 1e-3, "m and rad", 1e-9..=1.0,
+            "A step smaller than this is the last",
+            origin: "tuned",
+            larger: "faster, coarser";
+    }
+}
+
+settings! {
+    /// The vertical from planes.
+    VerticalSettings {
+        max_tilt: f64 = 0.8, "rad", 0.01..=1.6,
+            "The scanner is assumed to be tilted less than this",
+            origin: "lidars are mounted about upright",
+            larger: "walls may pass for floors";
+        tolerances: [f64; 4] = [0.35, 0.2, 0.1, 0.06], "rad", 0.01..=0.7,
+            "Planes this near to level or upright count, from the first iteration to the last",
+            origin: "tuned",
+            larger: "ramps pull the vertical";
+        wall_weight: f64 = 0.5, "1", 0.0..=10.0,
+            "A wall counts so much beside a floor, because it fixes only one direction",
+            origin: "tuned",
+            larger: "leaning walls pull the vertical";
+        min_hits: f64 = 500.0, "hits", 0.0..=1e9,
+            "So many hits on planes are needed",
+            origin: "tuned",
+            larger: "level is assumed more often";
+        min_fraction: f64 = 0.3, "1", 0.0..=1.0,
+            "And so large a fraction of them on floors, ceilings and walls as found",
+            origin: "tuned",
+            larger: "level is assumed more often";
+        max_hits_per_plane: u32 = 200, "hits", 1.0..=1e9,
+            "A plane counts by its hits, but not by more than this",
+            origin: "tuned: near ground has most",
+            larger: "near ground decides";
+        level_cosine: f64 = 0.97, "1", 0.5..=1.0,
+            "Planes whose normals lie this near to a candidate support it as floors",
+            origin: "14°",
+            larger: "fewer candidates win";
+        upright_cosine: f64 = 0.15, "1", 0.0..=0.7,
+            "Planes whose normals lie this near to right angles with a candidate support it as walls",
+            origin: "9°",
+            larger: "more walls count";
+        candidates: usize = 200, "planes", 1.0..=1e6,
+            "About so many normals are tried as candidates",
+            origin: "time",
+            larger: "slower";
+    }
+}

@@ -1,0 +1,229 @@
+//! Zero-velocity updates: knowing that nothing moves, from an IMU at rest and sweeps that register where they did before.
+//!
+//! A scanner that stands among people sees walls that come and go behind them, and every sweep registers a little
+//! elsewhere. While the IMU is at rest, the median of the last poses is where it stands (a zero-velocity update as in
+//! pedestrian navigation: Foxlin, "Pedestrian Tracking with Shoe-Mounted Inertial Sensors", 2005; with the scans instead
+//! of an assumption as the last word: where their median moves, it moves).
+
+use std::collections::VecDeque;
+
+use portolan_geometry::{Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis};
+use portolan_sensor::ImuData;
+
+use crate::settings::StandstillSettings;
+
+/// The mean of the samples of a short time.
+#[derive(Clone, Copy, Debug, Default)]
+struct Bin {
+    acceleration: Vector3,
+    turn_rate: Vector3,
+}
+
+/// Finds out whether the platform stands still.
+#[derive(Clone, Debug)]
+pub(crate) struct ZeroVelocityDetector {
+    settings: StandstillSettings,
+    bins: VecDeque<Bin>,
+    /// The bin that is being filled: since when, samples, and their sum.
+    filling: Option<(Time, u32, Bin)>,
+    /// Poses (tracking in local) at which sweeps were registered, not those that were made of them.
+    poses: VecDeque<(Time, Rigid3)>,
+    /// How far odometry has drifted since it stands, metres.
+    drift: Vector3,
+}
+
+impl ZeroVelocityDetector {
+    pub fn new(settings: &StandstillSettings) -> Self {
+        Self {
+            settings: settings.clone(),
+            bins: VecDeque::new(),
+            filling: None,
+            poses: VecDeque::new(),
+            drift: Vector3::zeros(),
+        }
+    }
+
+    /// Takes a sample without the bias of the gyroscope.
+    pub fn add_imu(&mut self, data: &ImuData) {
+        let duration = self.settings.bin;
+        let (since, count, sum) = self.filling.get_or_insert((data.time, 0, Bin::default()));
+        let age = data.time.seconds_since(*since);
+        if !(0.0..duration).contains(&age) && *count > 0 {
+            let weight = 1.0 / f64::from(*count);
+            let mean = Bin { acceleration: sum.acceleration * weight, turn_rate: sum.turn_rate * weight };
+            self.bins.push_back(mean);
+            // A gap tells nothing of what happened in it.
+            if !(0.0..10.0 * duration).contains(&age) {
+                self.bins.clear();
+            }
+            if self.bins.len() > self.settings.bins {
+                self.bins.pop_front();
+            }
+            (*since, *count, *sum) = (data.time, 0, Bin::default());
+        }
+        *count += 1;
+        sum.acceleration += data.linear_acceleration;
+        sum.turn_rate += data.angular_velocity;
+    }
+
+    /// Takes the pose at which a sweep was registered.
+    pub fn add_pose(&mut self, time: Time, local_from_tracking: &Rigid3) {
+        self.poses.push_back((time, *local_from_tracking));
+        while self.poses.front().is_some_and(|(t, _)| time.seconds_since(*t) > self.settings.memory) {
+            self.poses.pop_front();
+        }
+    }
+
+    /// Takes the translation that odometry measured since the last sweep (metres) and how long that took (seconds).
+    /// Scans that leave a direction open register where the scanner is believed to stand, and an IMU feels no even
+    /// motion: what odometry saw moving does not stand.
+    pub fn add_odometry(&mut self, translation: &Vector3, seconds: f64) {
+        if translation.norm() > self.settings.max_odometry_speed * seconds {
+            self.poses.clear();
+            self.drift = Vector3::zeros();
+            return;
+        }
+        self.drift += translation;
+        if self.drift.norm() > self.settings.max_drift {
+            self.poses.clear();
+            self.drift = Vector3::zeros();
+        }
+    }
+
+    /// Where the platform stands (tracking in local), if it does.
+    pub fn pose(&self) -> Option<Rigid3> {
+        let settings = &self.settings;
+        let is_resting = self.bins.len() >= settings.bins && self.imu_rests();
+        if !is_resting || self.poses.len() < settings.min_poses {
+            return None;
+        }
+        let all: Vec<Rigid3> = self.poses.iter().map(|(_, pose)| *pose).collect();
+        let (older, newer) = all.split_at(all.len() - all.len() / 3);
+        let (stands, now) = (median(&all)?, median(newer)?);
+        let (shift, turn) = distance(&stands, &now);
+        let most_are_near = |poses: &[Rigid3]| {
+            let near = |p: &&Rigid3| {
+                let (shift, turn) = distance(&stands, p);
+                shift < settings.max_translation && turn < settings.max_rotation
+            };
+            2 * poses.iter().filter(near).count() > poses.len()
+        };
+        let is_steady = shift < settings.max_drift && turn < settings.max_rotational_drift;
+        (is_steady && most_are_near(older)).then_some(stands)
+    }
+
+    /// The mean specific force (m/s²) of an IMU that has been at rest for half of the wanted time or more.
+    pub fn force_at_rest(&self) -> Option<f64> {
+        let sum: Vector3 = self.bins.iter().map(|bin| bin.acceleration).sum();
+        let is_resting = self.bins.len() >= self.settings.bins / 2 && self.imu_rests();
+        is_resting.then(|| sum.norm() / self.bins.len() as f64)
+    }
+
+    fn imu_rests(&self) -> bool {
+        let spread = |value: fn(&Bin) -> Vector3| {
+            let count = self.bins.len() as f64;
+            let mean = self.bins.iter().map(value).sum::<Vector3>() / count;
+            let squares = self.bins.iter().map(|bin| (value(bin) - mean).norm_squared()).sum::<f64>();
+            (mean, (squares / count).sqrt())
+        };
+        let (_, by_acceleration) = spread(|bin| bin.acceleration);
+        let (turn_rate, by_turn_rate) = spread(|bin| bin.turn_rate);
+        by_acceleration < self.settings.max_acceleration_spread
+            && by_turn_rate < self.settings.max_turn_rate_spread
+            && turn_rate.norm() < self.settings.max_turn_rate
+    }
+}
+
+fn distance(a: &Rigid3, b: &Rigid3) -> (f64, f64) {
+    let difference = a.inverse() * b;
+    (difference.translation.vector.norm(), difference.rotation.angle())
+}
+
+/// The median of each coordinate of poses near each other, turns as seen from the last one.
+fn median(poses: &[Rigid3]) -> Option<Rigid3> {
+    let reference = poses.last()?;
+    let middle = |mut values: Vec<f64>| {
+        values.sort_unstable_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    let turns: Vec<Vector3> = poses
+        .iter()
+        .map(|p| angle_axis_from_quaternion(&(reference.rotation.inverse() * p.rotation)))
+        .collect();
+    let along = |axis: usize| middle(poses.iter().map(|p| p.translation.vector[axis]).collect());
+    let about = |axis: usize| middle(turns.iter().map(|t| t[axis]).collect());
+    let turn = quaternion_from_angle_axis(&Vector3::new(about(0), about(1), about(2)));
+    Some(Rigid3::from_parts([along(0), along(1), along(2)].into(), reference.rotation * turn))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Duration;
+
+    fn detector() -> ZeroVelocityDetector {
+        ZeroVelocityDetector::new(&StandstillSettings::default())
+    }
+
+    fn time(seconds: f64) -> Time {
+        Time::from_ticks(0) + Duration::from_seconds(seconds)
+    }
+
+    fn sample(seconds: f64, acceleration: f64) -> ImuData {
+        // A fast tremble is no motion.
+        let tremble = if (seconds * 200.0).round() as i64 % 2 == 0 { 0.5 } else { -0.5 };
+        ImuData {
+            time: time(seconds),
+            linear_acceleration: Vector3::new(acceleration, tremble, 9.8),
+            angular_velocity: Vector3::zeros(),
+        }
+    }
+
+    /// Ten seconds of matches along x at `speed`, every seventh one pulled away; the IMU sways by `sway`.
+    fn after_ten_seconds(speed: f64, sway: f64) -> Option<Rigid3> {
+        let mut detector = detector();
+        for i in 0..2000 {
+            let t = 0.005 * f64::from(i);
+            detector.add_imu(&sample(t, sway * (6.0 * t).sin()));
+            if i % 20 == 0 {
+                let pulled = if i % 140 == 0 { 0.15 } else { 0.002 * f64::from(i % 3) };
+                detector.add_pose(time(t), &Rigid3::translation(speed * t, pulled, 0.0));
+            }
+        }
+        detector.pose()
+    }
+
+    #[test]
+    fn it_stands_where_most_sweeps_match() {
+        let pose = after_ten_seconds(0.0, 0.0).unwrap();
+        assert!(pose.translation.vector.norm() < 0.005, "{pose}");
+    }
+
+    #[test]
+    fn what_odometry_saw_moving_does_not_stand() {
+        let after = |speed: f64| {
+            let mut detector = detector();
+            for i in 0..2000 {
+                let t = 0.005 * f64::from(i);
+                detector.add_imu(&sample(t, 0.0));
+                if i % 20 == 0 {
+                    if i > 1000 {
+                        detector.add_odometry(&(Vector3::x() * speed * 0.1), 0.1);
+                    }
+                    // As matches in a tunnel: where it was believed to be.
+                    detector.add_pose(time(t), &Rigid3::identity());
+                }
+            }
+            detector.pose().is_some()
+        };
+        assert!(after(0.0) && after(0.001));
+        assert!(!after(0.5));
+    }
+
+    #[test]
+    fn what_moves_does_not_stand() {
+        assert_eq!(after_ten_seconds(0.03, 0.0), None);
+        assert_eq!(after_ten_seconds(0.0, 0.5), None);
+        assert_eq!(detector().pose(), None);
+    }
+}

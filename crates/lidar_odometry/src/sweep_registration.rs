@@ -1,0 +1,138 @@
+//! Registration of one sweep with one hypothesis of its motion: which points, how far off the prediction may be, and how
+//! well the result fits.
+
+use portolan_geometry::Rigid3;
+use portolan_sensor::{TimedPoint, voxel_filter_indices};
+
+use crate::deskew::PiecewiseLinearTrajectory;
+use crate::plane_map::PlaneMap;
+use crate::poles::PolesToRegister;
+use crate::registration::{MotionPrior, Registration, RegistrationResult, Sigmas};
+use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
+use crate::settings::{MotionPriorSettings, OdometrySettings, RegistrationSettings, SweepSettings};
+use crate::sweep::Sweep;
+
+/// A sweep that was registered, or would have been.
+pub(crate) struct RegisteredSegment {
+    /// At the end of the sweep.
+    pub local_from_tracking: Rigid3,
+    /// Motion compensation to the end.
+    pub to_end: PiecewiseLinearTrajectory,
+    /// None where the sweep fits nothing and the prediction is all there is.
+    pub found: Option<RegistrationResult>,
+    /// How well it fits: the fraction of points on planes, less if they lie far off.
+    pub fit: f64,
+    /// Whether the sweep fits only far from the rotation that was predicted.
+    pub contradicts_rotation: bool,
+}
+
+/// What a sweep is registered to.
+pub(crate) struct Target<'a> {
+    pub local_from_map: &'a Rigid3,
+    pub planes: &'a PlaneMap,
+    pub poles: Option<&'a PolesToRegister>,
+}
+
+/// Registers sweeps.
+pub(crate) struct SweepRegistration {
+    registration: Registration,
+    settings: SweepSettings,
+    prior: MotionPriorSettings,
+    contradiction_sigmas: f64,
+    /// Edge of the voxels of which one point each is registered, adapted from sweep to sweep.
+    spacing: f32,
+}
+
+impl SweepRegistration {
+    pub fn new(settings: &OdometrySettings) -> Self {
+        let voxel_size = settings.local_map.voxel_size;
+        let registration = RegistrationSettings {
+            final_scale: settings.sweep.final_scale_per_edge * voxel_size,
+            ..settings.registration.clone()
+        };
+        Self {
+            registration: Registration::new(registration),
+            settings: settings.sweep.clone(),
+            prior: settings.motion_prior.clone(),
+            contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
+            spacing: settings.sweep.first_spacing_per_edge * voxel_size as f32,
+        }
+    }
+
+    /// Points that cover everything seen, in order of time.
+    pub fn sample(&mut self, sweep: &Sweep) -> Vec<TimedPoint> {
+        let kept = voxel_filter_indices(&sweep.points, |p| p.position, self.spacing);
+        if !kept.is_empty() {
+            let settings = &self.settings;
+            let wanted = (kept.len() as f32 / settings.wanted_points).sqrt();
+            let adapted = self.spacing * wanted.clamp(settings.least_adaptation, settings.largest_adaptation);
+            self.spacing = adapted.clamp(settings.least_spacing, settings.largest_spacing);
+        }
+        let mut sample: Vec<TimedPoint> =
+            kept.into_iter().filter_map(|i| Some(sweep.points.get(i as usize)?.timed())).collect();
+        sample.sort_by(|a, b| a.time.total_cmp(&b.time));
+        sample
+    }
+
+    /// Registers a sample near a predicted segment.
+    pub fn register(
+        &self,
+        sample: &[TimedPoint],
+        segment: &TrajectorySegment,
+        target: &Target<'_>,
+    ) -> RegisteredSegment {
+        let &Target { local_from_map, planes, poles } = target;
+        let prior = self.motion_prior(segment);
+        let settings = &self.settings;
+        let by_sigma = settings.scale_per_sigma * prior.growth.translation;
+        let scale = settings.start_scale.max(by_sigma).min(settings.max_scale);
+        let in_map = segment.seen_from(&local_from_map.inverse());
+        let poles = poles.map(|poles| (&poles.map, &poles.points[..]));
+        let found = self.registration.register_sweep(planes, sample, &in_map, &prior, scale, poles);
+        let found = found.filter(|found| found.matched_fraction >= settings.min_matched_fraction);
+        let correction = found.as_ref().map_or_else(SegmentCorrection::default, |found| found.correction);
+        let local_from_tracking = local_from_map * in_map.corrected_end(&correction);
+        let error = segment.end().rotation.angle_to(&local_from_tracking.rotation);
+        RegisteredSegment {
+            local_from_tracking,
+            to_end: in_map.deskewing(&correction),
+            fit: found.as_ref().map_or(0.0, |f| self.fit(f)),
+            contradicts_rotation: found.is_some()
+                && error > self.contradiction_sigmas * prior.growth.rotation,
+            found,
+        }
+    }
+
+    fn fit(&self, found: &RegistrationResult) -> f64 {
+        found.matched_fraction / (1.0 + (found.rms / self.settings.poor_rms).powi(2))
+    }
+
+    /// How far off a predicted segment may be. Drifts grow with time, what is unmeasured with its square.
+    fn motion_prior(&self, segment: &TrajectorySegment) -> MotionPrior {
+        let (prior, seconds) = (&self.prior, segment.seconds());
+        let growth = Sigmas {
+            translation: match segment.source {
+                MotionSource::Measured => prior.least_odometry_error + prior.odometry_drift * seconds,
+                MotionSource::Inertial { velocity_sigma } => {
+                    prior.least_inertial_error + velocity_sigma * seconds
+                }
+                MotionSource::ConstantVelocity => {
+                    prior.least_velocity_error + 0.5 * prior.acceleration * seconds * seconds
+                }
+            },
+            rotation: match segment.rotation_is_measured {
+                true => prior.least_gyroscope_error + prior.gyroscope_drift * seconds,
+                false => prior.least_rotation_error + 0.5 * prior.rotational_acceleration * seconds * seconds,
+            },
+        };
+        let start = Sigmas {
+            translation: prior.start_translation,
+            rotation: match segment.rotation_is_measured {
+                true => growth.rotation,
+                false => prior.start_rotation,
+            },
+        };
+        let compensates_attenuation = matches!(segment.source, MotionSource::Inertial { .. });
+        MotionPrior { start, growth, compensates_attenuation }
+    }
+}

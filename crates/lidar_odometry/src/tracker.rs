@@ -1,0 +1,351 @@
+//! Tracking: what is done with every sweep once there is a map.
+
+use portolan_geometry::nalgebra::Matrix3;
+use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
+use portolan_sensor::{PointCloud, RangeData};
+
+use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
+use crate::deskew::deskewed;
+use crate::initialise::FirstSweeps;
+use crate::issues::{Issue, Issues};
+use crate::keyframes::{Candidate, Decision, KeyframePolicy};
+use crate::local_map::LocalMap;
+use crate::motion_state::{MotionState, SweepEnd};
+use crate::plane_map::PlaneMap;
+use crate::poles::RecentPoles;
+use crate::predict::{Prediction, Reason, Registered};
+use crate::registration::DegenerateDirections;
+use crate::segment::{MotionSource, TrajectorySegment};
+use crate::settings::OdometrySettings;
+use crate::sweep::Sweep;
+use crate::sweep_registration::{RegisteredSegment, SweepRegistration, Target};
+
+/// A sweep that was registered.
+#[derive(Clone, Debug)]
+pub struct RegisteredSweep {
+    /// The sweep as it was given.
+    pub sweep: Sweep,
+    /// The tracking frame in the local map at the end of the sweep.
+    pub local_from_tracking: Rigid3,
+    /// From the tracking frame at the end of the sweep to a gravity-aligned one.
+    pub gravity_from_tracking: Quaternion,
+    /// The de-skewed points in the tracking frame at the end of the sweep.
+    pub deskewed: RangeData,
+    /// The de-skewed points in the local map.
+    pub in_local: RangeData,
+    /// Which motion the sweep constrains.
+    pub observability: Observability,
+    /// What else is known if it is a key frame.
+    pub keyframe: Option<Keyframe>,
+}
+
+/// What makes a key frame.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    /// The map of planes that it completed.
+    pub completed_map: Option<PlaneMap>,
+}
+
+/// Which motion a sweep constrains, and what is known of the rest.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Observability {
+    /// Directions that it does not constrain, in the tracking frame at its end.
+    pub degenerate: DegenerateDirections,
+    /// Whether odometry or a zero-velocity update measured the translation.
+    pub translation_is_measured: bool,
+    /// Whether a gyroscope measured the rotation.
+    pub rotation_is_measured: bool,
+}
+
+/// Another map than that of planes, which is asked where a sweep fits no plane.
+pub trait Fallback {
+    /// Where de-skewed points (in the tracking frame) lie, near a predicted pose. None if it does not know either.
+    fn locate(&mut self, deskewed: &PointCloud, local_from_tracking: &Rigid3) -> Option<Rigid3>;
+}
+
+/// Follows sweep after sweep.
+pub(crate) struct Tracker {
+    settings: OdometrySettings,
+    motion: MotionState,
+    registration: SweepRegistration,
+    local_map: LocalMap,
+    poles: RecentPoles,
+    keyframes: KeyframePolicy,
+    intervals: DegenerateIntervals,
+    /// When a sweep last fitted planes.
+    fitted_at: Time,
+}
+
+impl Tracker {
+    /// Begins with the first sweep, and the second if there is one: registers the first to the second, and makes it the
+    /// first key frame at the origin of the local map.
+    pub fn begin(
+        settings: &OdometrySettings,
+        mut motion: MotionState,
+        first: Sweep,
+        second: Option<&Sweep>,
+    ) -> (Self, RegisteredSweep) {
+        // 1. Velocity, and without an IMU the vertical.
+        let extrapolator = &motion.extrapolator;
+        let measured = |time: Time| extrapolator.estimate_gravity_orientation(time);
+        let rotation_at: Option<&dyn Fn(Time) -> Quaternion> =
+            if motion.has_imu { Some(&measured) } else { None };
+        let sweeps = FirstSweeps::new(&first, second, rotation_at, settings);
+        let (to_end, end) = (sweeps.deskewing(&first), sweeps.pose_at(first.end));
+        // 2. An earlier pose, so that the extrapolator knows the velocity.
+        let earliest = extrapolator.last_pose_time().filter(|_| motion.has_imu).unwrap_or(Time::MIN);
+        let interval = Duration::from_seconds(settings.initialisation.velocity_interval);
+        let before = (first.end - interval).max(earliest);
+        let pose_before = sweeps.pose_at(before);
+        let level = motion.has_imu.then(|| measured(first.end));
+        if !motion.has_imu {
+            motion.extrapolator = settings.extrapolator.extrapolator();
+        }
+        motion.extrapolator.add_pose(before, pose_before);
+        motion.extrapolator.add_pose(first.end, end);
+        // 3. The first key frame.
+        let gravity = level.map(|level| motion.leveled(first.end, &end, level));
+        let mut keyframes = KeyframePolicy::new(&settings.keyframes);
+        keyframes.decide(&Candidate {
+            time: first.end,
+            local_from_tracking: &end,
+            is_standing: false,
+            is_wanted: true,
+            may_be_ignored: false,
+        });
+        let deskewed = deskewed(&first.points, &to_end, settings.keeps_intensities);
+        let mut registered = RegisteredSweep::new(first, end, gravity, deskewed);
+        registered.keyframe = Some(Keyframe { completed_map: None });
+        let tracker = Self {
+            motion,
+            registration: SweepRegistration::new(settings),
+            local_map: LocalMap::new(settings, &registered.in_local, registered.local_from_gravity()),
+            poles: RecentPoles::new(&settings.poles),
+            keyframes,
+            intervals: DegenerateIntervals::new(&settings.degeneracy),
+            fitted_at: registered.sweep.end,
+            settings: settings.clone(),
+        };
+        (tracker, registered)
+    }
+
+    /// Registers a sweep to the planes around.
+    pub fn register(
+        &mut self,
+        sweep: Sweep,
+        fallback: Option<&mut dyn Fallback>,
+        issues: &mut Issues,
+    ) -> RegisteredSweep {
+        let is_warming_up = self.is_warming_up();
+        // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
+        let mut prediction = self.motion.predict(sweep.end);
+        // 2. Register the hypotheses to planes and poles; the one that fits best counts.
+        let (best, poles) = self.best_hypothesis(&sweep, &mut prediction, issues);
+        // 3. Learn the bias of the gyroscope.
+        self.motion.learn_gyroscope_bias(&prediction, &best, is_warming_up);
+        // 4. Report directions that the sweep does not constrain.
+        let observability = self.observability(sweep.end, &best, prediction.standing.is_some(), issues);
+        // 5. De-skew with the registered motion.
+        let Registered { segment, registered, reason } = best;
+        let deskewed = deskewed(&sweep.points, &registered.to_end, self.settings.keeps_intensities);
+        let mut pose = registered.local_from_tracking;
+        let mut attenuation = self.attenuation_in_local(&registered);
+        // 6. Where no plane fits, another map may know.
+        if self.asks_fallback(sweep.end, &segment, registered.found.is_some())
+            && let Some(fallback) = fallback
+        {
+            let error = self.settings.sweep.fallback_error;
+            attenuation = Some(Matrix3::from_diagonal_element(error * error));
+            pose = fallback.locate(&deskewed.returns, &pose).unwrap_or(pose);
+        }
+        // 7. Zero-velocity update: a platform at rest stands where the median of its last poses is.
+        let standing = self.motion.zero_velocity_update(sweep.end, &pose);
+        pose = standing.unwrap_or(pose);
+        // 8. Correct the inertial filter, the extrapolator and gravity.
+        let end = SweepEnd {
+            time: sweep.end,
+            local_from_tracking: &pose,
+            degenerate: &observability.degenerate.translations,
+            attenuation,
+            is_standing: standing.is_some(),
+        };
+        let inertial = prediction.inertial.as_ref().filter(|_| reason.is_none());
+        let gravity = self.motion.update(&prediction, inertial, &end);
+        if let Some(points) = poles {
+            self.poles.add(sweep.end, pose, points);
+        }
+        // 9. Show the map what the sweep saw, as a key frame or not.
+        let mut result =
+            RegisteredSweep { observability, ..RegisteredSweep::new(sweep, pose, gravity, deskewed) };
+        let decision = self.keyframes.decide(&Candidate {
+            time: result.sweep.end,
+            local_from_tracking: &pose,
+            is_standing: standing.is_some(),
+            // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
+            is_wanted: segment.rotation_is_measured && is_warming_up,
+            may_be_ignored: !is_warming_up,
+        });
+        self.insert(decision, &mut result);
+        result
+    }
+
+    /// Registers the hypotheses of the motion, and takes the one that fits best. With it come points of poles as seen from
+    /// the end of the sweep, if poles were registered.
+    fn best_hypothesis(
+        &mut self,
+        sweep: &Sweep,
+        prediction: &mut Prediction,
+        issues: &mut Issues,
+    ) -> (Registered, Option<Vec<Point3f>>) {
+        let sample = self.registration.sample(sweep);
+        let map = self.local_map.older();
+        let poles = self.poles.to_register(sweep, &prediction.segment, &map.local_from_map.inverse());
+        let target =
+            Target { local_from_map: &map.local_from_map, planes: &map.planes, poles: poles.as_ref() };
+        let best = prediction.best(|segment| self.registration.register(&sample, segment, &target));
+        if best.reason == Some(Reason::GyroscopeFails) {
+            issues.count(Issue::GyroscopeOverruled);
+        }
+        let points = poles.map(|poles| poles.deskewed(&best.registered.to_end));
+        (best, points)
+    }
+
+    /// The covariance of what attenuation may keep a place off by, m² in the local map; none where a sweep fits nothing.
+    fn attenuation_in_local(&self, registered: &RegisteredSegment) -> Option<Matrix3<f64>> {
+        let found = registered.found.as_ref()?;
+        let turn = self.local_map.older().local_from_map.rotation.to_rotation_matrix();
+        Some(turn * found.attenuation * turn.transpose())
+    }
+
+    /// Whether another map is asked for a sweep that fits no plane. Grids of a bare place were drawn by the beams, and hold
+    /// a scanner where it was: where a gyroscope measures rotation, it goes on as before for a while.
+    fn asks_fallback(&mut self, end: Time, segment: &TrajectorySegment, fits_planes: bool) -> bool {
+        if fits_planes {
+            self.fitted_at = end;
+        }
+        let is_long = end.seconds_since(self.fitted_at) > self.settings.sweep.max_unfitting_time;
+        !fits_planes
+            && segment.source == MotionSource::ConstantVelocity
+            && (!segment.rotation_is_measured || is_long)
+    }
+
+    /// Which motion a sweep constrains, in the tracking frame; joins what it does not to intervals.
+    fn observability(
+        &mut self,
+        end: Time,
+        best: &Registered,
+        was_standing: bool,
+        issues: &mut Issues,
+    ) -> Observability {
+        let Registered { segment, registered, .. } = best;
+        let tracking_from_local = registered.local_from_tracking.rotation.inverse();
+        let (up, seconds) = (tracking_from_local * Vector3::z(), segment.seconds());
+        // Where nothing measures the motion, its direction is not known either.
+        let translation_is_measured = segment.source == MotionSource::Measured;
+        let found = registered.found.as_ref();
+        if translation_is_measured || found.is_some_and(|f| f.degenerate.translations.is_empty()) {
+            let translation =
+                registered.local_from_tracking.translation.vector - segment.start().translation.vector;
+            self.intervals.moved(&(tracking_from_local * translation), seconds, &up);
+        }
+        let Some(found) = found else {
+            issues.count(Issue::NoPlaneFits);
+            return Observability::default();
+        };
+        let tracking_from_map = found.pose.rotation.inverse();
+        let seen = |directions: &[Vector3]| directions.iter().map(|d| tracking_from_map * d).collect();
+        let degenerate = DegenerateDirections {
+            translations: seen(&found.degenerate.translations),
+            rotations: seen(&found.degenerate.rotations),
+        };
+        let (by_translation, by_rotation) = self.substitutes(end, segment, was_standing);
+        let scan = |taken| DegenerateScan { time: end, seconds, taken };
+        self.intervals.add_translations(&scan(by_translation), &degenerate.translations, &up);
+        self.intervals.add_rotations(&scan(by_rotation), &degenerate.rotations, &up);
+        let rotation_is_measured = segment.rotation_is_measured;
+        Observability { degenerate, translation_is_measured, rotation_is_measured }
+    }
+
+    /// What is taken for translation and rotation along degenerate directions.
+    fn substitutes(
+        &self,
+        end: Time,
+        segment: &TrajectorySegment,
+        was_standing: bool,
+    ) -> (Substitute, Substitute) {
+        let translation = match segment.source {
+            _ if was_standing => Substitute::Rest,
+            MotionSource::Measured => Substitute::Odometry,
+            MotionSource::Inertial { .. } => Substitute::Accelerometer,
+            MotionSource::ConstantVelocity => Substitute::Velocity,
+        };
+        // Where a gyroscope is overruled, the rotation goes on as before, and not as odometry says.
+        let is_overruled = self.motion.has_gyroscope(end);
+        let rotation = match (segment.rotation_is_measured, translation) {
+            (true, _) => Substitute::Gyroscope,
+            (false, Substitute::Odometry) if is_overruled => Substitute::Velocity,
+            (false, Substitute::Accelerometer) => Substitute::Velocity,
+            (false, other) => other,
+        };
+        (translation, rotation)
+    }
+
+    /// Shows the map what a sweep saw, as it was decided.
+    fn insert(&mut self, decision: Decision, registered: &mut RegisteredSweep) {
+        match decision {
+            Decision::KeyFrame => {
+                let rotation = registered.local_from_gravity();
+                let completed_map = self.local_map.insert_keyframe(&registered.in_local, rotation);
+                registered.keyframe = Some(Keyframe { completed_map });
+            }
+            Decision::MapOnly => self.local_map.insert(&registered.in_local),
+            Decision::Ignored => {}
+        }
+    }
+
+    /// Whether the map is made of too few key frames to learn from it.
+    pub fn is_warming_up(&self) -> bool {
+        self.local_map.is_warming_up()
+    }
+
+    pub fn motion(&self) -> &MotionState {
+        &self.motion
+    }
+
+    pub fn motion_mut(&mut self) -> &mut MotionState {
+        &mut self.motion
+    }
+
+    pub fn local_map(&self) -> &LocalMap {
+        &self.local_map
+    }
+
+    pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
+        self.intervals.all()
+    }
+}
+
+impl RegisteredSweep {
+    /// Without a gyroscope's gravity z of the local map has pointed up since the first sweep.
+    fn new(
+        sweep: Sweep,
+        local_from_tracking: Rigid3,
+        gravity_from_tracking: Option<Quaternion>,
+        deskewed: RangeData,
+    ) -> Self {
+        Self {
+            sweep,
+            local_from_tracking,
+            gravity_from_tracking: gravity_from_tracking.unwrap_or(local_from_tracking.rotation),
+            in_local: deskewed.transformed(&to_f32(&local_from_tracking)),
+            deskewed,
+            observability: Observability::default(),
+            keyframe: None,
+        }
+    }
+
+    /// From the gravity-aligned frame to the local map.
+    pub fn local_from_gravity(&self) -> Quaternion {
+        self.local_from_tracking.rotation * self.gravity_from_tracking.inverse()
+    }
+}

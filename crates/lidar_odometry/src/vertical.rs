@@ -1,0 +1,110 @@
+//! The vertical from floors, ceilings and walls, for a trajectory that starts without an IMU.
+
+use nalgebra as na;
+use portolan_geometry::Vector3;
+
+use crate::plane_map::PlaneMap;
+use crate::settings::VerticalSettings;
+
+/// The direction in the frame of the planes that floors and ceilings face and walls do not, near
+/// `believed` (unit vectors). None if they do not tell.
+///
+/// It minimises `Σ_walls w (n·u)² − Σ_floors w (n·u)²`, whose minimum is an eigenvector, with walls and
+/// floors chosen anew within narrowing tolerances.
+pub(crate) fn vertical_from_planes(
+    map: &PlaneMap,
+    believed: &Vector3,
+    settings: &VerticalSettings,
+) -> Option<Vector3> {
+    let planes: Vec<(Vector3, f64)> = map
+        .planes()
+        .map(|(plane, hits)| (plane.normal.cast::<f64>(), f64::from(hits.min(settings.max_hits_per_plane))))
+        .collect();
+    let total: f64 = planes.iter().map(|(_, weight)| weight).sum();
+    if total < settings.min_hits {
+        return None;
+    }
+    let mut up = best_start(&planes, believed, settings)?;
+    let mut fraction = 0.0;
+    for tolerance in settings.tolerances {
+        let mut sum = na::Matrix3::zeros();
+        let mut used = 0.0;
+        for (normal, weight) in &planes {
+            let cosine = normal.dot(&up).abs();
+            if cosine > tolerance.cos() {
+                sum -= normal * normal.transpose() * *weight;
+                used += weight;
+            } else if cosine < tolerance.sin() {
+                sum += normal * normal.transpose() * (settings.wall_weight * weight);
+                used += weight;
+            }
+        }
+        let eigen = na::SymmetricEigen::new(sum);
+        let vector: Vector3 = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
+        up = vector * vector.dot(&up).signum();
+        fraction = used / total;
+    }
+    (fraction >= settings.min_fraction && up.dot(believed) > settings.max_tilt.cos()).then_some(up)
+}
+
+/// The believed direction, or the normal near it, that most planes agree with.
+fn best_start(planes: &[(Vector3, f64)], believed: &Vector3, settings: &VerticalSettings) -> Option<Vector3> {
+    let believed = believed.try_normalize(1e-9)?;
+    let agreement = |up: &Vector3| -> f64 {
+        let part = |(normal, weight): &(Vector3, f64)| {
+            let cosine = normal.dot(up).abs();
+            if cosine > settings.level_cosine {
+                *weight
+            } else if cosine < settings.upright_cosine {
+                settings.wall_weight * weight
+            } else {
+                0.0
+            }
+        };
+        planes.iter().map(part).sum()
+    };
+    let mut best = (agreement(&believed), believed);
+    let stride = planes.len().div_ceil(settings.candidates).max(1);
+    for (normal, _) in planes.iter().step_by(stride) {
+        let candidate = normal * normal.dot(&believed).signum();
+        if candidate.dot(&believed) > settings.max_tilt.cos() {
+            let found = agreement(&candidate);
+            if found > best.0 {
+                best = (found, candidate);
+            }
+        }
+    }
+    Some(best.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::{Point3f, rotation_from_roll_pitch_yaw};
+
+    #[test]
+    fn a_tilted_room_tells_where_up_is() {
+        let tilt = rotation_from_roll_pitch_yaw(0.1, -0.2, 0.7);
+        let mut map = PlaneMap::new(1.0);
+        let mut add = |x: f64, y: f64, z: f64| {
+            let p = tilt * Vector3::new(x, y, z);
+            map.insert(&Point3f::new(p.x as f32, p.y as f32, p.z as f32));
+        };
+        for i in 0..100 {
+            for j in 0..100 {
+                let (u, v) = (0.06 * f64::from(i) - 3.0, 0.06 * f64::from(j) - 3.0);
+                add(u, v, -1.0);
+                if v.abs() < 1.5 {
+                    add(3.0, u, v);
+                    add(u, -2.0, v);
+                    // A ramp.
+                    add(u, v, 3.0 + 0.3 * u);
+                }
+            }
+        }
+        let up = vertical_from_planes(&map, &Vector3::z(), &VerticalSettings::default()).unwrap();
+        assert!(up.dot(&(tilt * Vector3::z())) > 0.005_f64.cos(), "{up}");
+        let nothing = PlaneMap::new(1.0);
+        assert_eq!(vertical_from_planes(&nothing, &Vector3::z(), &VerticalSettings::default()), None);
+    }
+}

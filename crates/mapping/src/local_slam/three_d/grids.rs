@@ -1,0 +1,205 @@
+//! The grid engine, as Cartographer's local SLAM (`slam3d.md` §1): sweeps are matched to the hybrid grids of the older
+//! submap.
+
+use portolan_config::TrajectoryBuilder3dOptions;
+use portolan_geometry::{Quaternion, Rigid3, Time, interpolate, is_valid_pose};
+use portolan_lidar_odometry::settings::{ExtrapolatorSettings, InitialisationSettings};
+use portolan_lidar_odometry::{Beginning, GravityInitialisation, Issue, WaitingSweeps};
+use portolan_motion::{ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
+use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData};
+
+use super::LocalSlam3dSettings;
+use super::deskew::{Deskewed, Gathered, deskew, raw_sweep};
+use super::grid_matcher::GridMatcher;
+use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, not_inserted};
+use super::planes::extrapolator_settings;
+use crate::local_slam::{Repairs, motion_filter};
+use crate::{MatchingResult, OpenDirections, Spatial};
+
+/// Without an IMU a scan is de-skewed again with the pose it was matched at, so many times.
+const STRAIGHTENING_PASSES: u32 = 2;
+
+/// Local SLAM by grids.
+pub(super) struct GridEngine {
+    options: TrajectoryBuilder3dOptions,
+    extrapolator_settings: ExtrapolatorSettings,
+    initialisation: GravityInitialisation,
+    /// None before the trajectory begins.
+    extrapolator: Option<PoseExtrapolator>,
+    has_imu: bool,
+    matcher: GridMatcher,
+    motion_filter: MotionFilter,
+}
+
+/// A scan that was matched.
+struct MatchedScan {
+    local_from_tracking: Rigid3,
+    /// In the tracking frame, thinned.
+    scan: RangeData,
+    /// The fine and the coarse cloud.
+    clouds: [PointCloud; 2],
+}
+
+impl GridEngine {
+    pub fn new(
+        options: &TrajectoryBuilder3dOptions,
+        settings: &LocalSlam3dSettings,
+        matcher: GridMatcher,
+    ) -> Self {
+        // One sample tells which way is up.
+        let at_once = InitialisationSettings { leveling_time: 0.0, ..InitialisationSettings::default() };
+        Self {
+            extrapolator_settings: extrapolator_settings(options, settings),
+            initialisation: GravityInitialisation::new(&at_once),
+            extrapolator: None,
+            has_imu: false,
+            matcher,
+            motion_filter: motion_filter(&options.motion_filter),
+            options: options.clone(),
+        }
+    }
+
+    pub fn begin_if_ready(&mut self, waiting: Option<&WaitingSweeps>, repairs: &mut Repairs) -> bool {
+        if self.extrapolator.is_none() && self.initialisation.is_ready(waiting) {
+            self.begin(waiting, repairs);
+        }
+        self.extrapolator.is_some()
+    }
+
+    pub fn begin(&mut self, waiting: Option<&WaitingSweeps>, repairs: &mut Repairs) {
+        if self.extrapolator.is_some() {
+            return;
+        }
+        let extrapolator = self.extrapolator_settings.extrapolator();
+        let Some(Beginning { extrapolator, imu }) = self.initialisation.begin(extrapolator, waiting) else {
+            return;
+        };
+        self.has_imu = !imu.is_empty();
+        self.extrapolator = Some(extrapolator);
+        imu.iter().skip(1).for_each(|data| self.add_imu(data, repairs));
+    }
+
+    pub fn last_pose_time(&self) -> Option<Time> {
+        self.extrapolator.as_ref().and_then(PoseExtrapolator::last_pose_time)
+    }
+
+    pub fn add_imu(&mut self, data: &ImuData, repairs: &mut Repairs) {
+        let issue = match &mut self.extrapolator {
+            None => self.initialisation.add_imu(data),
+            Some(extrapolator) => match extrapolator.add_imu(data) {
+                Err(_) => Some(Issue::ImuSampleTooOld),
+                Ok(()) => (!self.has_imu).then_some(Issue::ImuAfterStart),
+            },
+        };
+        issue.into_iter().for_each(|issue| count(repairs, issue.text()));
+    }
+
+    pub fn add_odometry(&mut self, data: &OdometryData, repairs: &mut Repairs) {
+        match &mut self.extrapolator {
+            None => self.initialisation.add_odometry(data),
+            Some(extrapolator) => {
+                if extrapolator.add_odometry(data).is_err() {
+                    count(repairs, Issue::OdometryTooOld.text());
+                }
+            }
+        }
+    }
+
+    pub fn extrapolator_counts(&self) -> ExtrapolatorCounts {
+        self.extrapolator.as_ref().map(PoseExtrapolator::counts).unwrap_or_default()
+    }
+
+    /// One whole sweep: de-skew, thin, match, insert.
+    pub fn add_sweep(
+        &mut self,
+        end: Time,
+        gathered: &[Gathered],
+        insertion: &mut KeyframeInsertion,
+        repairs: &mut Repairs,
+    ) -> Option<MatchingResult<Spatial>> {
+        let extrapolator = self.extrapolator.as_mut()?;
+        extrapolator.prepare(end);
+        let last = extrapolator.last_pose();
+        let start = extrapolator.last_extrapolated_time().unwrap_or(Time::MIN);
+        let deskewed = deskew(gathered, start, |t| extrapolator.extrapolate_pose(t), &self.options);
+        let prediction = extrapolator.extrapolate_pose(end);
+        let measured_gravity = self.has_imu.then(|| extrapolator.estimate_gravity_orientation(end));
+        if deskewed.times_raised > 0 {
+            count(
+                repairs,
+                "scan with points older than ones already used; their poses are the last known one",
+            );
+        }
+        let mut matched = self.match_deskewed(&deskewed, &prediction, insertion, repairs)?;
+        if let Some((last_time, last_pose)) = last.filter(|_| !self.has_imu && insertion.has_submap()) {
+            // How the scanner moved on the way is known only now.
+            for _ in 0..STRAIGHTENING_PASSES {
+                let found = matched.local_from_tracking;
+                let on_the_way =
+                    |t: Time| interpolate(last_time, &last_pose, end, &found, t.clamp(last_time, end));
+                let straightened = deskew(gathered, last_time, on_the_way, &self.options);
+                matched = self.match_deskewed(&straightened, &found, insertion, repairs).unwrap_or(matched);
+            }
+        }
+        self.extrapolator.as_mut()?.add_pose(end, matched.local_from_tracking);
+        let result = self.insert(end, matched, measured_gravity, insertion);
+        Some(MatchingResult { measured: raw_sweep(gathered, end, &self.options).points, ..result })
+    }
+
+    /// Thins a de-skewed sweep and matches it near a predicted pose.
+    fn match_deskewed(
+        &self,
+        deskewed: &Deskewed,
+        prediction: &Rigid3,
+        insertion: &KeyframeInsertion,
+        repairs: &mut Repairs,
+    ) -> Option<MatchedScan> {
+        let scan = deskewed.in_tracking(prediction, self.options.voxel_filter_size);
+        if scan.returns.is_empty() {
+            count(repairs, Issue::EmptySweep.text());
+            return None;
+        }
+        let [high, low] = insertion.clouds(&scan.returns);
+        if high.is_empty() || low.is_empty() {
+            count(repairs, "scan without a return in matching range");
+            return None;
+        }
+        let (submap, matcher) = (insertion.submaps.matching_submap(), self.matcher.with_imu(self.has_imu));
+        let (matched, _) = matcher.match_scan(prediction, [&high, &low], submap);
+        let local_from_tracking = if is_valid_pose(&matched) { matched } else { *prediction };
+        if !is_valid_pose(&local_from_tracking) {
+            count(repairs, "scan whose pose could not be determined");
+            return None;
+        }
+        Some(MatchedScan { local_from_tracking, scan, clouds: [high, low] })
+    }
+
+    /// A node if the scan is different enough from the last one.
+    fn insert(
+        &mut self,
+        time: Time,
+        matched: MatchedScan,
+        measured_gravity: Option<Quaternion>,
+        insertion: &mut KeyframeInsertion,
+    ) -> MatchingResult<Spatial> {
+        let MatchedScan { local_from_tracking, scan, clouds } = matched;
+        if self.motion_filter.is_similar(time, &local_from_tracking) {
+            let local = portolan_geometry::to_f32(&local_from_tracking);
+            return not_inserted(time, local_from_tracking, scan.transformed(&local));
+        }
+        insertion.insert(KeyframeScan {
+            time,
+            local_from_tracking,
+            // Without an IMU: the first pose was level, and z of the local map has pointed up ever since.
+            gravity_from_tracking: measured_gravity.unwrap_or(local_from_tracking.rotation),
+            scan,
+            clouds: Some(clouds),
+            open: OpenDirections::default(),
+            completed_map: None,
+        })
+    }
+}
+
+fn count(repairs: &mut Repairs, what: &'static str) {
+    *repairs.entry(what).or_default() += 1;
+}

@@ -1,0 +1,143 @@
+//! What becomes of a sweep that was registered: a node, and more in the active submaps.
+
+use std::sync::Arc;
+
+use portolan_config::TrajectoryBuilder3dOptions;
+use portolan_geometry::{Point3f, Quaternion, Rigid3, Time, to_f32};
+use portolan_lidar_odometry::PlaneMap;
+use portolan_matching::rotational_histogram;
+use portolan_sensor::{PointCloud, RangeData};
+
+use crate::local_slam::{ActiveSubmaps, filtered};
+use crate::submap_3d::{Inserter3d, Scan3d, Submap3d};
+use crate::{InsertedNode, InsertionSubmap, MatchingResult, NodeData, OpenDirections, Spatial};
+
+/// A sweep that was registered and is a key frame.
+pub(super) struct KeyframeScan {
+    pub time: Time,
+    pub local_from_tracking: Rigid3,
+    /// From the tracking frame to a gravity-aligned one.
+    pub gravity_from_tracking: Quaternion,
+    /// In the tracking frame, thinned.
+    pub scan: RangeData,
+    /// The fine and the coarse cloud, if they were needed for matching.
+    pub clouds: Option<[PointCloud; 2]>,
+    /// What it left open.
+    pub open: OpenDirections,
+    /// The map of planes that it completed, together with the older submap.
+    pub completed_map: Option<PlaneMap>,
+}
+
+/// Makes nodes and fills submaps.
+pub(super) struct KeyframeInsertion {
+    options: TrajectoryBuilder3dOptions,
+    inserter: Arc<Inserter3d>,
+    pub submaps: ActiveSubmaps<Spatial>,
+}
+
+impl KeyframeInsertion {
+    pub fn new(options: &TrajectoryBuilder3dOptions, inserter: Inserter3d) -> Self {
+        Self {
+            submaps: ActiveSubmaps::new(keyframes_per_half(options)),
+            inserter: Arc::new(inserter),
+            options: options.clone(),
+        }
+    }
+
+    /// Whether there is a submap yet.
+    pub fn has_submap(&self) -> bool {
+        self.submaps.matching_submap().is_some()
+    }
+
+    /// Makes a node of a key frame and inserts it.
+    pub fn insert(&mut self, keyframe: KeyframeScan) -> MatchingResult<Spatial> {
+        let KeyframeScan { time, local_from_tracking, scan, open, .. } = keyframe;
+        let [high, low] = keyframe.clouds.unwrap_or_else(|| self.clouds(&scan.returns));
+        let gravity = keyframe.gravity_from_tracking;
+        let data = NodeData {
+            time,
+            gravity_alignment: gravity,
+            filtered_gravity_aligned_point_cloud: PointCloud::default(),
+            high_resolution_point_cloud: high,
+            low_resolution_point_cloud: low,
+            rotational_scan_matcher_histogram: self.histogram(&scan.returns, &gravity),
+            local_from_tracking,
+        };
+        let range_data_in_local = scan.transformed(&to_f32(&local_from_tracking));
+        let submaps = self.insert_into_submaps(&range_data_in_local, &data, keyframe.completed_map);
+        MatchingResult {
+            time,
+            local_from_tracking,
+            range_data_in_local,
+            measured: Vec::new(),
+            inserted: Some(InsertedNode { data: Arc::new(data), submaps, open }),
+            lost: None,
+        }
+    }
+
+    fn insert_into_submaps(
+        &mut self,
+        range_data_in_local: &RangeData,
+        data: &NodeData,
+        completed_map: Option<PlaneMap>,
+    ) -> Vec<InsertionSubmap<Spatial>> {
+        let local_from_gravity_aligned = data.local_from_tracking.rotation * data.gravity_alignment.inverse();
+        let scan = Scan3d {
+            range_data_in_local: range_data_in_local.clone(),
+            rotational_histogram: data.rotational_scan_matcher_histogram.clone(),
+            local_from_gravity_aligned,
+        };
+        if let (Some(planes), Some(oldest)) = (completed_map, self.submaps.matching_submap_mut()) {
+            oldest.planes = Some(planes);
+        }
+        let inserter = &self.inserter;
+        self.submaps
+            .insert(&scan, |origin: Point3f| Submap3d::new(origin, local_from_gravity_aligned, inserter).ok())
+    }
+
+    /// The fine and the coarse cloud of a scan.
+    pub fn clouds(&self, returns: &PointCloud) -> [PointCloud; 2] {
+        clouds(returns, &self.options)
+    }
+
+    fn histogram(&self, returns_in_tracking: &PointCloud, gravity_alignment: &Quaternion) -> Vec<f32> {
+        let level = Rigid3::from_parts(Default::default(), *gravity_alignment);
+        let aligned = returns_in_tracking.transformed(&to_f32(&level));
+        rotational_histogram(&aligned, self.options.rotational_histogram_size)
+    }
+
+    /// Ends the trajectory; maps of planes belong to the submaps that are being filled, oldest first.
+    pub fn finish(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Spatial>> {
+        self.submaps.iter_mut().zip(maps).for_each(|(submap, planes)| submap.planes = Some(planes));
+        self.submaps.finish()
+    }
+}
+
+/// A sweep that is no key frame.
+pub(super) fn not_inserted(
+    time: Time,
+    local_from_tracking: Rigid3,
+    range_data_in_local: RangeData,
+) -> MatchingResult<Spatial> {
+    MatchingResult {
+        time,
+        local_from_tracking,
+        range_data_in_local,
+        measured: Vec::new(),
+        inserted: None,
+        lost: None,
+    }
+}
+
+/// A submap is half full after so many key frames.
+pub(super) fn keyframes_per_half(options: &TrajectoryBuilder3dOptions) -> u32 {
+    u32::try_from(options.submaps.num_range_data).unwrap_or(1)
+}
+
+/// The fine and the coarse cloud of a scan.
+pub(super) fn clouds(returns: &PointCloud, options: &TrajectoryBuilder3dOptions) -> [PointCloud; 2] {
+    [
+        filtered(returns, &options.high_resolution_adaptive_voxel_filter),
+        filtered(returns, &options.low_resolution_adaptive_voxel_filter),
+    ]
+}

@@ -1,0 +1,235 @@
+//! Local SLAM in 3D: messages are assembled to sweeps, one of two engines finds where they were taken, and key frames
+//! become nodes and fill submaps.
+//!
+//! Unlike Cartographer's it also works without an IMU: when none has reported for a second of range data, the trajectory
+//! starts level where the tracking frame is, and lidar alone tells how it turns.
+
+use std::collections::VecDeque;
+
+use portolan_config::TrajectoryBuilder3dOptions;
+use portolan_geometry::Time;
+use portolan_lidar_odometry::{DegenerateInterval, WaitingSweeps};
+use portolan_sensor::{
+    ImuData, OdometryData, RangeDataCollator, SensorId, SynchronizedRanges, TimedPointCloudData,
+};
+
+use super::{LocalSlam, MatchingResult, Repairs, count_collated, count_extrapolated, first_point_time};
+use crate::submap_3d::{Inserter3d, Submap3d};
+use crate::{InsertionSubmap, MapperError, Spatial};
+
+mod deskew;
+mod grid_matcher;
+mod grids;
+mod keyframe_insertion;
+mod planes;
+mod sweep_assembly;
+
+use grid_matcher::GridMatcher;
+use grids::GridEngine;
+use keyframe_insertion::KeyframeInsertion;
+use planes::PlaneEngine;
+use sweep_assembly::SweepAssembly;
+
+/// Settings of local SLAM in 3D beyond Cartographer's options.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LocalSlam3dSettings {
+    /// Predict from all odometry and gyroscope data of the gap between sweeps.
+    pub use_all_odometry: bool,
+    /// Register to planes in voxels of at most this size, metres, instead of to grids.
+    pub plane_voxel_size: Option<f64>,
+    /// Range data are gathered until they span about so many seconds.
+    pub min_scan_duration: f64,
+}
+
+/// Local SLAM of one trajectory in 3D.
+pub struct LocalSlam3d {
+    collator: RangeDataCollator,
+    wants_intensities: bool,
+    /// Messages that came before the trajectory began.
+    waiting: VecDeque<SynchronizedRanges>,
+    assembly: SweepAssembly,
+    engine: Engine,
+    insertion: KeyframeInsertion,
+    repairs: Repairs,
+}
+
+/// What finds where sweeps were taken.
+enum Engine {
+    /// Planar voxel maps.
+    Planes(Box<PlaneEngine>),
+    /// Hybrid grids, as Cartographer.
+    Grids(Box<GridEngine>),
+}
+
+impl LocalSlam3d {
+    /// Local SLAM for a trajectory with these range sensors.
+    pub fn new(
+        options: &TrajectoryBuilder3dOptions,
+        range_sensors: &[SensorId],
+        settings: LocalSlam3dSettings,
+    ) -> Result<Self, MapperError> {
+        let inserter =
+            Inserter3d::new(&options.submaps, options.rotational_histogram_size, options.use_intensities)
+                .map_err(|e| MapperError::Options(e.to_string()))?;
+        let matcher = GridMatcher::new(options)?;
+        let (engine, inserter) = match settings.plane_voxel_size {
+            Some(size) => {
+                let engine = PlaneEngine::new(options, &settings, size, matcher);
+                (Engine::Planes(Box::new(engine)), inserter.drawing_late())
+            }
+            None => (Engine::Grids(Box::new(GridEngine::new(options, &settings, matcher))), inserter),
+        };
+        Ok(Self {
+            collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),
+            wants_intensities: options.use_intensities,
+            waiting: VecDeque::new(),
+            assembly: SweepAssembly::new(options, settings.min_scan_duration),
+            engine,
+            insertion: KeyframeInsertion::new(options, inserter),
+            repairs: Repairs::new(),
+        })
+    }
+
+    fn count(&mut self, what: &'static str) {
+        *self.repairs.entry(what).or_default() += 1;
+    }
+
+    /// Begins the trajectory if enough is known. Whether it has begun.
+    fn begin_if_ready(&mut self) -> bool {
+        let waiting = waiting_sweeps(&self.waiting);
+        match &mut self.engine {
+            Engine::Planes(engine) => engine.begin_if_ready(waiting.as_ref()),
+            Engine::Grids(engine) => engine.begin_if_ready(waiting.as_ref(), &mut self.repairs),
+        }
+    }
+
+    /// Registers what waited for the beginning.
+    fn register_waiting(&mut self) -> Vec<MatchingResult<Spatial>> {
+        if !self.begin_if_ready() {
+            return Vec::new();
+        }
+        let waiting = std::mem::take(&mut self.waiting);
+        waiting.iter().flat_map(|ranges| self.add_synchronized(ranges)).collect()
+    }
+
+    /// One synchronised set of ranges: registered when a sweep is together.
+    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Vec<MatchingResult<Spatial>> {
+        if self.last_pose_time().is_some_and(|last| first_point_time(ranges) < last) {
+            self.count(match self.insertion.has_submap() {
+                true => "scan that starts before the last matched scan ends",
+                false => "scan before the first IMU sample",
+            });
+            return Vec::new();
+        }
+        let Some(gathered) = self.assembly.add(ranges, &mut self.repairs) else { return Vec::new() };
+        let insertion = &mut self.insertion;
+        match &mut self.engine {
+            Engine::Planes(engine) => engine.add_sweep(ranges.time, &gathered, insertion),
+            Engine::Grids(engine) => {
+                let result = engine.add_sweep(ranges.time, &gathered, insertion, &mut self.repairs);
+                result.into_iter().collect()
+            }
+        }
+    }
+
+    fn last_pose_time(&self) -> Option<Time> {
+        match &self.engine {
+            Engine::Planes(engine) => engine.last_pose_time(),
+            Engine::Grids(engine) => engine.last_pose_time(),
+        }
+    }
+}
+
+fn waiting_sweeps(waiting: &VecDeque<SynchronizedRanges>) -> Option<WaitingSweeps> {
+    let (first, last) = (waiting.front()?, waiting.back()?);
+    Some(WaitingSweeps { first_point: first_point_time(first), first_end: first.time, last_end: last.time })
+}
+
+impl LocalSlam<Spatial> for LocalSlam3d {
+    fn add_range_data(
+        &mut self,
+        sensor_id: &SensorId,
+        data: TimedPointCloudData,
+    ) -> Vec<MatchingResult<Spatial>> {
+        let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
+        if ranges.points.is_empty() {
+            self.count("scan without points");
+            return Vec::new();
+        }
+        if self.wants_intensities && ranges.intensities.is_empty() {
+            self.count("scan without intensities, matched by its shape alone");
+        }
+        self.waiting.push_back(ranges);
+        self.register_waiting()
+    }
+
+    fn add_imu_data(&mut self, data: &ImuData) {
+        match &mut self.engine {
+            Engine::Planes(engine) => engine.add_imu(data),
+            Engine::Grids(engine) => engine.add_imu(data, &mut self.repairs),
+        }
+        self.begin_if_ready();
+    }
+
+    fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Spatial>> {
+        match &mut self.engine {
+            Engine::Planes(engine) => engine.add_odometry(data),
+            Engine::Grids(engine) => engine.add_odometry(data, &mut self.repairs),
+        }
+        Vec::new()
+    }
+
+    fn flush(&mut self) -> Vec<MatchingResult<Spatial>> {
+        let waiting = waiting_sweeps(&self.waiting);
+        match &mut self.engine {
+            Engine::Planes(engine) => engine.begin(waiting.as_ref()),
+            Engine::Grids(engine) => engine.begin(waiting.as_ref(), &mut self.repairs),
+        }
+        let mut results = self.register_waiting();
+        if let Engine::Planes(engine) = &mut self.engine {
+            results.extend(engine.flush(&mut self.insertion));
+        }
+        results
+    }
+
+    fn finish(&mut self) -> Vec<InsertionSubmap<Spatial>> {
+        match &self.engine {
+            Engine::Planes(engine) => self.insertion.finish(engine.growing_maps()),
+            Engine::Grids(_) => self.insertion.finish(std::iter::empty()),
+        }
+    }
+
+    fn active_submaps(&self) -> Vec<(u32, Submap3d)> {
+        let drawn = |submap: &Submap3d| {
+            let mut submap = submap.clone();
+            submap.draw_grids();
+            submap
+        };
+        self.insertion.submaps.iter().map(|(index, submap)| (index, drawn(submap))).collect()
+    }
+
+    fn repairs(&self) -> Repairs {
+        let mut repairs = self.repairs.clone();
+        self.insertion.submaps.count_into(&mut repairs);
+        count_collated(self.collator.counts(), &mut repairs);
+        let counts = match &self.engine {
+            Engine::Planes(engine) => {
+                engine.count_into(&mut repairs);
+                engine.extrapolator_counts()
+            }
+            Engine::Grids(engine) => engine.extrapolator_counts(),
+        };
+        count_extrapolated(&counts, &mut repairs);
+        repairs
+    }
+
+    fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
+        match &self.engine {
+            Engine::Planes(engine) => engine.degenerate_intervals().to_vec(),
+            Engine::Grids(_) => Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

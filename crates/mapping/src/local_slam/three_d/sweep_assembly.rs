@@ -1,0 +1,52 @@
+//! Messages are gathered until they are a sweep.
+
+use portolan_config::TrajectoryBuilder3dOptions;
+use portolan_geometry::Time;
+use portolan_sensor::SynchronizedRanges;
+
+use super::deskew::Gathered;
+use crate::local_slam::{CUT_SHORT, MOST_GATHERED_POINTS, Repairs, first_point_time};
+
+/// Messages are thinned with voxels of this fraction of those that sweeps are thinned with.
+const VOXEL_FRACTION: f32 = 0.5;
+/// Stamps jitter: this fraction of the wanted time will do.
+const ENOUGH: f64 = 0.9;
+
+/// Gathers messages.
+pub(super) struct SweepAssembly {
+    voxel_size: f32,
+    messages: usize,
+    /// Sweeps span about so many seconds, too.
+    min_duration: f64,
+    /// Messages since the last sweep.
+    gathered: Vec<Gathered>,
+    /// When the last sweep ended.
+    since: Option<Time>,
+}
+
+impl SweepAssembly {
+    pub fn new(options: &TrajectoryBuilder3dOptions, min_duration: f64) -> Self {
+        Self {
+            voxel_size: VOXEL_FRACTION * options.voxel_filter_size,
+            messages: options.num_accumulated_range_data,
+            min_duration,
+            gathered: Vec::new(),
+            since: None,
+        }
+    }
+
+    /// Takes a message. Gives the messages of a sweep when it is the last of one.
+    pub fn add(&mut self, ranges: &SynchronizedRanges, repairs: &mut Repairs) -> Option<Vec<Gathered>> {
+        self.gathered.push(Gathered::new(ranges, self.voxel_size));
+        let begin = *self.since.get_or_insert_with(|| first_point_time(ranges));
+        let is_long_enough = ranges.time.seconds_since(begin) >= ENOUGH * self.min_duration;
+        if self.gathered.len() < self.messages || !is_long_enough {
+            if self.gathered.iter().map(Gathered::len).sum::<usize>() < MOST_GATHERED_POINTS {
+                return None;
+            }
+            *repairs.entry(CUT_SHORT).or_default() += 1;
+        }
+        self.since = Some(ranges.time);
+        Some(std::mem::take(&mut self.gathered))
+    }
+}

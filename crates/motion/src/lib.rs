@@ -1,0 +1,13 @@
+#![doc = include_str!("../README.md")]
+
+mod imu_integration;
+mod imu_tracker;
+mod interpolation;
+mod motion_filter;
+mod pose_extrapolator;
+
+pub use imu_integration::{ImuMotion, integrate_imu, velocity_change};
+pub use imu_tracker::ImuTracker;
+pub use interpolation::{fixed_frame_at, odometry_at};
+pub use motion_filter::MotionFilter;
+pub use pose_extrapolator::{ExtrapolatorCounts, ExtrapolatorError, ImuBasedSettings, PoseExtrapolator};
