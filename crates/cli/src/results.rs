@@ -142,7 +142,7 @@ fn weak_seconds(spans: &[DegenerateInterval]) -> serde_json::Value {
 }
 
 /// Stretches of time in which scans left a direction open.
-fn weak_spans(spans: &[DegenerateInterval]) -> Vec<serde_json::Value> {
+fn weak_stretches(spans: &[DegenerateInterval]) -> Vec<serde_json::Value> {
     let span = |s: &DegenerateInterval| {
         serde_json::json!({
             "from": s.start.unix_seconds(),
@@ -193,7 +193,7 @@ fn report<S: Space>(
         },
         "lost": crate::lost::report(mapped),
         "weak_seconds": weak_seconds(&mapped.degenerate_intervals),
-        "weak_stretches": weak_spans(&mapped.degenerate_intervals),
+        "weak_stretches": weak_stretches(&mapped.degenerate_intervals),
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,
