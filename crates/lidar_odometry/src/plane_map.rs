@@ -70,7 +70,7 @@ impl PlaneMap {
         Self::with_settings(edge, PlaneFitSettings::default())
     }
 
-    /// The same with other settings of the fit.
+    /// An empty map with other settings of the fit than the defaults.
     pub fn with_settings(edge: f32, settings: PlaneFitSettings) -> Self {
         let edge = if edge.is_finite() { edge.max(1e-3) } else { 1.0 };
         Self::with_capacity(edge, settings, 0)

@@ -24,6 +24,7 @@ pub use portolan_lidar_packets as lidar_packets;
 pub use portolan_mapfile as mapfile;
 pub use portolan_mapping as mapping;
 pub use portolan_matching as matching;
+pub use portolan_motion as motion;
 pub use portolan_pointcloud as pointcloud;
 pub use portolan_recording as recording;
 pub use portolan_refinement as refinement;

@@ -49,7 +49,7 @@ settings! {
             "Edge of the largest voxels",
             origin: "tuned: rooms and streets",
             larger: "faster, more planes in open country, fewer where rooms are small";
-        keyframes_per_half: u32 = 80, "key frames", 1.0..=1e6,
+        keyframes_per_half: u32 = 160, "key frames", 1.0..=1e6,
             "A new map is begun after so many key frames, and takes twice as many",
             origin: "as submaps of Cartographer",
             larger: "less drift, more memory, later loop closures";

@@ -32,7 +32,7 @@ settings! {
             origin: "tuned: counted once, a field without odometry passes for constrained half of the time",
             larger: "more directions count as degenerate";
         noise_factor: f32 = 2.0, "1", 0.0..=100.0,
-            "The same for the noise of hits, which differs from plane to plane, so that the sum is known better",
+            "And by so many times more than the noise of hits feigns, which differs from plane to plane, so that its sum is known better",
             origin: "tuned: counted four times, walks that begin in a hall lose half a metre",
             larger: "more directions count as degenerate, most of all in young maps";
         grazing_weight: f32 = 0.0, "1", 0.0..=1.0,
