@@ -4,7 +4,7 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::container::Source;
+use crate::container::{Source, most_unpacked};
 use crate::merge::MergedRecording;
 use crate::ros2::{db3, folder, mcap};
 use crate::{
@@ -193,11 +193,19 @@ fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, Rec
     let mut repairs = RepairLog::default();
     let mut unpacked = tempfile::NamedTempFile::new().map_err(|error| io_error(path, error))?;
     let mut reader = wrapper.reader(path).map_err(|error| io_error(path, error))?;
+    let packed_bytes = std::fs::metadata(path).map_err(|error| io_error(path, error))?.len();
+    let mut left = most_unpacked(packed_bytes);
     let mut block = vec![0; 1 << 16];
     loop {
         match reader.read(&mut block) {
             Ok(0) => break,
+            Ok(count) if count as u64 > left => {
+                repairs
+                    .lost("the file claims to be compressed to less than a 256th; only its start was read");
+                break;
+            }
             Ok(count) => io::Write::write_all(&mut unpacked, block.get(..count).unwrap_or_default())
+                .map(|()| left -= count as u64)
                 .map_err(|error| io_error(path, error))?,
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             Err(_) => {

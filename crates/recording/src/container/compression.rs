@@ -38,6 +38,18 @@ impl fmt::Display for Compression {
     }
 }
 
+/// LZ4 cannot compress any better than to a 255th; bzip2 and Zstandard can, but no messages of sensors are so
+/// monotonous.
+const MAX_RATIO: u64 = 256;
+/// So much may come out of whatever little there is: chunks of recorders are smaller by far.
+const ALWAYS_ALLOWED: u64 = 64 << 20;
+
+/// More than this is not decompressed from `packed_bytes`, whatever the file says: a few bytes must not take all
+/// memory.
+pub(crate) fn most_unpacked(packed_bytes: u64) -> u64 {
+    packed_bytes.saturating_mul(MAX_RATIO).max(ALWAYS_ALLOWED)
+}
+
 /// Decompresses chunks; keeps its memory for the next.
 #[derive(Default)]
 pub(crate) struct Decompressor {

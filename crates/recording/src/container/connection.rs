@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::codec::{Decoder, Encoding, MessageKind, normalized_type_name};
-use crate::container::{Compression, Decompressor};
+use crate::container::{Compression, Decompressor, most_unpacked};
 use crate::{Message, RepairLog, TopicInfo};
 
 /// One publisher of one topic (a connection of a bag, a channel of an MCAP file).
@@ -70,7 +70,8 @@ impl MessageDecoder {
         // ROS 2 recorders can compress message by message. No CDR message starts like this.
         if connection.encoding == Encoding::Cdr && payload.starts_with(&ZSTD_MAGIC) {
             let mut unpacked = std::mem::take(&mut self.unpacked);
-            let (zstd, limit) = (Compression::Zstd, MAX_MESSAGE_BYTES);
+            let limit = most_unpacked(payload.len() as u64).min(MAX_MESSAGE_BYTES);
+            let zstd = Compression::Zstd;
             if self.decompressor.decompress(zstd, &payload, limit, &mut unpacked).is_err() {
                 repairs.lost(format!(
                     "a message on {} was dropped: its zstd compression is damaged",

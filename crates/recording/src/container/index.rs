@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::connection::topics;
-use super::{Compression, Connection, Decompressor, FileBytes};
+use super::{Compression, Connection, Decompressor, FileBytes, most_unpacked};
 use crate::{RecordingError, RepairLog, TopicInfo};
 
 /// A chunk, or a run of records outside of chunks.
@@ -166,7 +166,11 @@ impl SegmentLoader {
             file.read(segment.offset, segment.stored_bytes, into)?;
         } else {
             file.read(segment.offset, segment.stored_bytes, &mut self.packed)?;
-            let (compression, limit) = (segment.compression, segment.unpacked_bytes);
+            let limit = segment.unpacked_bytes.min(most_unpacked(segment.stored_bytes));
+            if limit < segment.unpacked_bytes {
+                repairs.lost("a chunk that claims to be compressed to less than a 256th was read in part");
+            }
+            let compression = segment.compression;
             sound = self.decompressor.decompress(compression, &self.packed, limit, into).is_ok();
         }
         if !sound {
@@ -177,5 +181,34 @@ impl SegmentLoader {
             repairs.lost("the checksum of a chunk is wrong; its readable messages were kept");
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Source;
+    use super::*;
+
+    #[test]
+    fn a_few_bytes_do_not_take_all_memory() {
+        let claimed = 200 << 20;
+        let packed = zstd::stream::encode_all(std::io::Read::take(std::io::repeat(0), claimed), 1).unwrap();
+        let segment = Segment {
+            offset: 0,
+            stored_bytes: packed.len() as u64,
+            unpacked_bytes: claimed,
+            compression: Compression::Zstd,
+            crc: 0,
+            first: 0,
+            last: 0,
+            connections: None,
+        };
+        let (mut data, mut repairs) = (Vec::new(), RepairLog::default());
+        let source = Source::Memory { name: std::path::Path::new("chunk").into(), bytes: packed.into() };
+        let mut file = source.open().unwrap();
+        SegmentLoader::default().load(&segment, &mut file, &mut data, &mut repairs).unwrap();
+        assert_eq!(data.len(), 64 << 20);
+        let repairs = repairs.list();
+        assert!(repairs.iter().any(|r| r.lost_data && r.what.contains("less than a 256th")), "{repairs:?}");
     }
 }

@@ -12,7 +12,7 @@ mod reader;
 mod walk;
 
 pub(crate) use bytes::{FileBytes, Source};
-pub(crate) use compression::{Compression, Decompressor};
+pub(crate) use compression::{Compression, Decompressor, most_unpacked};
 pub(crate) use connection::{Connection, MessageDecoder, topics};
 pub(crate) use index::{ChunkIndex, LooseRun, MAX_SEGMENT_BYTES, Segment, SegmentLoader};
 pub(crate) use reader::ChunkedRecording;
