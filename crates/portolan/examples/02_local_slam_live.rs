@@ -13,6 +13,7 @@ use portolan::sensor::{Measurement, OdometryData, SensorId, SensorKind, TimedPoi
 use portolan::simulator::{ScenarioOptions, Simulation, world::Scene};
 use portolan::{Lidar, Sensors, settings_for};
 
+/// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let options = ScenarioOptions { duration: Some(15.0), ..ScenarioOptions::new(Scene::Office, 1) };
     let simulation = Simulation::new(options)?;

@@ -12,6 +12,7 @@ use portolan::refinement::continuous::{ContinuousOptions, RefineProgress, refine
 use portolan::sensor::Measurement;
 use portolan::simulator::{Scenario3dOptions, Scene3d, Simulation3d};
 
+/// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let simulation = simulate()?;
     // The frame whose poses the trajectory holds.

@@ -11,6 +11,7 @@ use portolan::mapping::Planar;
 use portolan::simulator::world::Scene;
 use portolan::simulator::{ScenarioOptions, Simulation};
 
+/// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let folder = tempfile::tempdir()?;
     let first_day = folder.path().join("first_day");

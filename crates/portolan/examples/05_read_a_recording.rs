@@ -12,6 +12,7 @@ use portolan::sensor::Measurement;
 use portolan::simulator::world::Scene;
 use portolan::simulator::{ScenarioOptions, Simulation};
 
+/// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let folder = tempfile::tempdir()?;
     let file = folder.path().join("office.mcap");

@@ -63,6 +63,7 @@ fn scan(line: &str) -> Option<RecordedMessage> {
     Some(RecordedMessage { topic: "/scan".into(), log_time: stamp, message: Message::LaserScan(scan) })
 }
 
+/// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let options = ScenarioOptions { duration: Some(10.0), ..ScenarioOptions::new(Scene::Office, 1) };
     let (mut text, mut reader) = (String::new(), Simulation::new(options)?.read(&|_| true)?);
