@@ -7,9 +7,10 @@ use std::{error::Error, f32::consts::TAU, fmt::Write as _, io::Write as _};
 use portolan::geometry::Time;
 use portolan::job::{MapRequest, map, unobserved};
 use portolan::recording::{
-    Header, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo,
+    Header, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo,
 };
 use portolan::simulator::{ScenarioOptions, Simulation, world::Scene};
+use portolan_issue::Issue;
 
 /// The text. One of many gigabytes would be read line by line.
 struct Turns(String);
@@ -44,7 +45,7 @@ impl MessageReader for TurnReader {
     fn position_bytes(&self) -> u64 {
         0 // for progress only
     }
-    fn repairs(&self) -> Vec<Repair> {
+    fn issues(&self) -> Vec<Issue> {
         Vec::new() // lines that are no scans could be counted here
     }
 }

@@ -19,6 +19,7 @@ pub use portolan_evaluation as evaluation;
 pub use portolan_export as export;
 pub use portolan_geometry as geometry;
 pub use portolan_ingest as ingest;
+pub use portolan_issue as issue;
 pub use portolan_lidar_odometry as lidar_odometry;
 pub use portolan_lidar_packets as lidar_packets;
 pub use portolan_mapfile as mapfile;

@@ -3,9 +3,9 @@
 use std::collections::VecDeque;
 
 use portolan_geometry::{Rigid3, Time};
+use portolan_issue::Issue;
 use portolan_recording::{
-    Header, Message, MessageReader, Pose, RecordedMessage, RecordingError, Repair, TfMessage,
-    TransformStamped,
+    Header, Message, MessageReader, Pose, RecordedMessage, RecordingError, TfMessage, TransformStamped,
 };
 use rayon::prelude::*;
 
@@ -80,7 +80,7 @@ impl MessageReader for MergedReader {
         self.position_bytes
     }
 
-    fn repairs(&self) -> Vec<Repair> {
+    fn issues(&self) -> Vec<Issue> {
         Vec::new()
     }
 }
