@@ -7,10 +7,9 @@ use std::{error::Error, f32::consts::TAU, fmt::Write as _, io::Write as _};
 use portolan::geometry::Time;
 use portolan::job::{MapRequest, map, unobserved};
 use portolan::recording::{
-    Header, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo,
+    Header, Issue, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo,
 };
 use portolan::simulator::{ScenarioOptions, Simulation, world::Scene};
-use portolan_issue::Issue;
 
 /// The text. One of many gigabytes would be read line by line.
 struct Turns(String);
