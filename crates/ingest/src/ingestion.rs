@@ -6,7 +6,7 @@ mod setup;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_geometry::{Duration, GeodeticPosition, Rigid3, Time};
 use portolan_issue::{Issue, IssueKind, IssueLog, Severity};
 use portolan_recording::{Message, RecordedMessage, Recording, RecordingError, TopicInfo};
 use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
@@ -15,7 +15,6 @@ use crate::azimuth_time::AzimuthTimes;
 use crate::clock::{Ascending, Order, SensorClock};
 use crate::convert::{Frames, LocalFixes};
 use crate::even_stamps::EvenStamps;
-use crate::gnss::GeodeticPosition;
 use crate::laser::BeamDirections;
 use crate::options::IngestOptions;
 use crate::plan::{ImuScale, PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};

@@ -5,11 +5,12 @@ use std::sync::Arc;
 
 use portolan_geometry::{Duration, Time};
 use portolan_issue::Issue;
+use portolan_numeric::median;
 use portolan_recording::{Message, Recording, RecordingError, TopicInfo};
 
 use crate::options::IngestOptions;
 use crate::point_time::PointTime;
-use crate::statistics::{ImuSampler, ImuStatistics, RangeSampler, RangeStatistics, median};
+use crate::statistics::{ImuSampler, ImuStatistics, RangeSampler, RangeStatistics};
 use crate::tf::{TfInput, TfTree, frame_name};
 
 /// The look ends after this much of the recording …

@@ -155,8 +155,8 @@ fn full_disks_are_told() {
     for name in ["x.ply", "x.pcd", "x.xyz", "x.las", "x.laz", "x.e57"] {
         let path = folder.path().join(name);
         for (batches, is_finished) in [(0, true), (1, true), (40, true), (40, false)] {
-            // A file that is always full, under the name that is written to.
-            std::os::unix::fs::symlink("/dev/full", folder.path().join(format!("{name}.part"))).unwrap();
+            // A device that is always full, under the name that is written to.
+            std::os::unix::fs::symlink("/dev/full", &path).unwrap();
             let mut writer = create(&path, cloud.attributes(), &WriteOptions::default()).unwrap();
             let written = (0..batches).try_for_each(|_| writer.write(&cloud));
             if !is_finished {
@@ -167,6 +167,7 @@ fn full_disks_are_told() {
             } else {
                 unreachable!("{name} of {batches} batches was written to a full disk");
             }
+            std::fs::remove_file(&path).unwrap();
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{name}");
         }
     }

@@ -12,6 +12,7 @@ pub mod unwind;
 pub use automatic::{Lidar, Sensors, settings_for};
 pub use requested::RequestedOptions;
 
+pub use portolan_atomic_file as atomic_file;
 pub use portolan_bunzip2 as bunzip2;
 pub use portolan_config as config;
 pub use portolan_diagnose as diagnose;
@@ -26,6 +27,7 @@ pub use portolan_mapfile as mapfile;
 pub use portolan_mapping as mapping;
 pub use portolan_matching as matching;
 pub use portolan_motion as motion;
+pub use portolan_numeric as numeric;
 pub use portolan_pointcloud as pointcloud;
 pub use portolan_recording as recording;
 pub use portolan_refinement as refinement;

@@ -1,4 +1,5 @@
 //! Faults of recordings and of known maps come out as issues with kinds, and lost data are seen wherever they were lost.
+#![allow(clippy::unwrap_used)]
 
 use portolan::geometry::{Duration, Time};
 use portolan::issue::{Issue, IssueKind, IssueLog};
