@@ -95,18 +95,19 @@ pub(crate) struct AheadStream<F> {
     ready: VecDeque<RecordedMessage>,
 }
 
-impl<F: Fn(u64) -> RecordedMessage + Send + Sync> AheadStream<F> {
+impl<F: Fn(u64) -> Option<RecordedMessage> + Send + Sync> AheadStream<F> {
     /// Makes message number 0 to `count` − 1, `ahead` at a time.
     pub fn new(count: u64, ahead: u64, make: F) -> Self {
         Self { make, count, ahead, next: 0, ready: VecDeque::new() }
     }
 }
 
-impl<F: Fn(u64) -> RecordedMessage + Send + Sync> MessageStream for AheadStream<F> {
+impl<F: Fn(u64) -> Option<RecordedMessage> + Send + Sync> MessageStream for AheadStream<F> {
     fn next_message(&mut self) -> Option<RecordedMessage> {
         if self.ready.is_empty() {
             let end = self.count.min(self.next + self.ahead);
-            let made: Vec<RecordedMessage> = (self.next..end).into_par_iter().map(&self.make).collect();
+            let made: Vec<RecordedMessage> =
+                (self.next..end).into_par_iter().filter_map(&self.make).collect();
             self.ready.extend(made);
             self.next = end;
         }
