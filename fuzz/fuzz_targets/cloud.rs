@@ -26,5 +26,5 @@ fuzz_target!(|bytes: &[u8]| {
             _ => break,
         }
     }
-    reader.repairs();
+    reader.issues();
 });

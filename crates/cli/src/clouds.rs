@@ -32,8 +32,8 @@ pub fn read_cloud_from(
 
 fn told(cloud: Result<ReadCloud, CloudError>, path: &Path, quiet: bool) -> Result<ReadCloud, CliError> {
     let cloud = cloud.map_err(|error| CliError::Failed(error.to_string()))?;
-    for repair in cloud.repairs.iter().filter(|_| !quiet) {
-        say(&format!("{}: {} ({})", path.display(), repair.what, counted(repair.count, "time", "times")));
+    for issue in cloud.issues.iter().filter(|_| !quiet) {
+        say(&format!("{}: {} ({})", path.display(), issue, counted(issue.count, "time", "times")));
     }
     if cloud.not_finite > 0 && !quiet {
         say(&format!(

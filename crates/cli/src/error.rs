@@ -60,8 +60,8 @@ impl CliError {
     }
 }
 
-impl From<portolan_mapfile::WriteError> for CliError {
-    fn from(error: portolan_mapfile::WriteError) -> Self {
+impl From<portolan_atomic_file::WriteError> for CliError {
+    fn from(error: portolan_atomic_file::WriteError) -> Self {
         Self::File { path: error.path, source: error.source }
     }
 }

@@ -4,8 +4,9 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::path::Path;
 
-use portolan_mapfile::AtomicFile;
 use serde::Serialize;
+
+use portolan_atomic_file::AtomicFile;
 
 use crate::error::CliError;
 

@@ -68,7 +68,7 @@ fn faults_of_sensors_are_survived_and_named() {
         let (run, report) = mapped(&recording, folder.path(), &[]);
         let error = worst(folder.path(), &truth);
         assert!(error <= 1.3 * measured, "{name}: {error} m, measured {measured} m\n{}", run.stderr);
-        let lost = report["repairs"]["reading"].as_array().unwrap().iter().any(|r| r["lost_data"] == true);
+        let lost = report["issues"].as_array().unwrap().iter().any(|issue| issue["severity"] == "error");
         assert_eq!(run.code == Some(3), lost, "{name}: {report}");
         let told = checked(&recording);
         assert!(told.contains(words), "{name}: {words} is not in\n{told}");

@@ -8,13 +8,14 @@ use portolan_ingest::{
     BeamDirections, CloudLayout, IngestOptions, Inventory, RecordingClock, SensorPlan, TfInput, TfTree, plan,
     points_of_echoes, points_of_laser_scan,
 };
+use portolan_issue::{Issue, IssueKind, Severity};
 use portolan_recording::{
-    Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording, RecordingError, Repair,
+    Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording, RecordingError,
 };
 
 use crate::clock_offset::ClockOffset;
 use crate::clouds::CloudChecks;
-use crate::finding::{Finding, Findings, Kind, Severity};
+use crate::finding::{Finding, Findings, Kind};
 use crate::imu::ImuChecks;
 use crate::odometry::OdometryChecks;
 use crate::rotation::Turn;
@@ -103,7 +104,7 @@ pub fn check_with_clocks(
         Ok(plan) => check.add_plan(plan),
         Err(error) => check.findings.add(&NO_PLAN, "", || error.to_string()),
     }
-    Ok(check.finish(plan.as_ref().ok(), offsets, &reader.repairs()))
+    Ok(check.finish(plan.as_ref().ok(), offsets, &reader.issues()))
 }
 
 /// What is checked of one topic.
@@ -152,7 +153,7 @@ impl<'a> Check<'a> {
         }
         let Some(header) = recorded.message.header() else { return };
         if let Some(jump) = self.clock.take(recorded.log_time) {
-            self.findings.add(&CLOCK_SET, "", || jump);
+            self.findings.add(&CLOCK_SET, "", || jump.to_string());
         }
         let end = self.add_values(&recorded.topic, &recorded.message).unwrap_or(header.stamp);
         let stamps = self.stamps.entry(recorded.topic.clone());
@@ -202,11 +203,7 @@ impl<'a> Check<'a> {
     fn add_plan(&mut self, plan: &SensorPlan) {
         for notice in &plan.notices {
             self.findings.push(Finding {
-                severity: if notice.what.contains("no transforms") {
-                    Severity::Warning
-                } else {
-                    Severity::Info
-                },
+                severity: notice.severity,
                 topic: String::new(),
                 count: 1,
                 what: notice.what.clone(),
@@ -220,12 +217,7 @@ impl<'a> Check<'a> {
         }
     }
 
-    fn finish(
-        mut self,
-        plan: Option<&SensorPlan>,
-        offsets: &[ClockOffset],
-        repairs: &[Repair],
-    ) -> CheckReport {
+    fn finish(mut self, plan: Option<&SensorPlan>, offsets: &[ClockOffset], issues: &[Issue]) -> CheckReport {
         let common_lag = self.common_lag();
         for (topic, stamps) in &self.stamps {
             stamps.finish(topic, common_lag, &mut self.findings);
@@ -237,7 +229,7 @@ impl<'a> Check<'a> {
         for (topic, checks) in std::mem::take(&mut self.topics) {
             self.finish_topic(&topic, checks, plan);
         }
-        self.add_repairs(repairs);
+        self.add_issues(issues);
         let histograms = self.stamps.iter().filter_map(|(topic, s)| s.histogram_text(topic)).collect();
         CheckReport { findings: self.findings.finish(), histograms }
     }
@@ -282,15 +274,14 @@ impl<'a> Check<'a> {
         }
     }
 
-    fn add_repairs(&mut self, repairs: &[Repair]) {
-        for repair in self.tf.repairs().list() {
-            let kind =
-                if repair.what.contains("output of a mapping program") { &MAP_PARENT } else { &TRANSFORMS };
-            self.findings.push(counted(kind, &repair));
+    fn add_issues(&mut self, issues: &[Issue]) {
+        for issue in self.tf.issues().iter() {
+            let kind = if issue.kind == IssueKind::MapTransform { &MAP_PARENT } else { &TRANSFORMS };
+            self.findings.push(counted(kind, &issue));
         }
-        for repair in repairs {
-            let kind = if repair.lost_data { &DAMAGE } else { &REPAIRED };
-            self.findings.push(counted(kind, repair));
+        for issue in issues {
+            let kind = if issue.lost_data() { &DAMAGE } else { &REPAIRED };
+            self.findings.push(counted(kind, issue));
         }
     }
 }
@@ -393,12 +384,12 @@ fn mounting(inventory: &Inventory, topic: &str, plan: Option<&SensorPlan>) -> Op
     inventory.tree.lookup_static(base.or_else(|| plan.map(|p| p.tracking_frame.as_str()))?, frame)
 }
 
-fn counted(kind: &Kind, repair: &Repair) -> Finding {
+fn counted(kind: &Kind, issue: &Issue) -> Finding {
     Finding {
         severity: kind.severity,
         topic: String::new(),
-        count: repair.count,
-        what: repair.what.clone(),
+        count: issue.count,
+        what: issue.to_string(),
         effect_on_slam: kind.effect.to_owned(),
         what_to_do: kind.to_do.to_owned(),
     }

@@ -1,9 +1,10 @@
 //! Point clouds of one topic.
 
 use portolan_ingest::{CloudError, CloudFaults, CloudLayout, PointTime, PointTimeOrigin};
+use portolan_issue::Severity;
 use portolan_recording::PointCloud2;
 
-use crate::finding::{Findings, Kind, Severity};
+use crate::finding::{Findings, Kind};
 
 const UNUSABLE: Kind = Kind {
     name: "unusable cloud",

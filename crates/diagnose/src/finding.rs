@@ -1,18 +1,7 @@
 //! Findings about a recording, counted by kind and topic.
 
+use portolan_issue::Severity;
 use std::collections::BTreeMap;
-
-/// How bad a finding is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Severity {
-    /// Good to know.
-    Info,
-    /// The map may be worse than it could be.
-    Warning,
-    /// Data are lost, or the map will be wrong.
-    Error,
-}
 
 /// Something about a recording that mapping cares about.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
@@ -103,11 +92,7 @@ impl Findings {
 impl Finding {
     /// Three lines for people.
     pub fn to_text(&self) -> String {
-        let severity = match self.severity {
-            Severity::Info => "info",
-            Severity::Warning => "warning",
-            Severity::Error => "error",
-        };
+        let severity = self.severity.name();
         let about = if self.topic.is_empty() { String::new() } else { format!("{}: ", self.topic) };
         let times = if self.count > 1 { format!(" ({} times)", self.count) } else { String::new() };
         let mut text = format!("{severity}: {about}{}{times}\n", self.what);

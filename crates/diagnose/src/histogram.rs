@@ -39,9 +39,7 @@ impl Histogram {
 
     /// The middle value.
     pub fn median(&self) -> Option<f64> {
-        let mut sorted = self.values.clone();
-        sorted.sort_by(f64::total_cmp);
-        sorted.get(sorted.len() / 2).copied()
+        portolan_numeric::median(&mut self.values.clone())
     }
 
     /// `Count: n  Min: a  Max: b  Mean: m`, then one line for each of ten equal parts from least to

@@ -2,9 +2,10 @@
 
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_ingest::{FAST_TURN, MAX_ACCELERATION, MAX_ANGULAR_VELOCITY, is_partial};
+use portolan_issue::Severity;
 use portolan_recording::Imu;
 
-use crate::finding::{Findings, Kind, Severity};
+use crate::finding::{Findings, Kind};
 use crate::histogram::Histogram;
 use crate::imu_values::{Rest, Saturation};
 

@@ -2,8 +2,9 @@
 //! cut off at the end of its range.
 
 use portolan_geometry::{Time, Vector3};
+use portolan_issue::Severity;
 
-use crate::finding::{Findings, Kind, Severity};
+use crate::finding::{Findings, Kind};
 use crate::offset::median;
 
 const BIAS: Kind = Kind {

@@ -8,7 +8,8 @@ use portolan_geometry::{Dimension, Time};
 use portolan_ingest::{
     IngestOptions, Inventory, Notice, PlannedOdometry, RangeStatistics, TopicSurvey, plan,
 };
-use portolan_recording::{Recording, RecordingError, Repair};
+use portolan_issue::Issue;
+use portolan_recording::{Recording, RecordingError};
 
 /// One topic.
 #[derive(Clone, Debug, serde::Serialize)]
@@ -28,17 +29,6 @@ pub struct TopicDescription {
     pub child_frame: Option<String>,
     /// What the sensor is like, in words.
     pub sensor: Option<String>,
-}
-
-/// What was repaired or lost.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct RepairDescription {
-    /// What and how.
-    pub what: String,
-    /// How often.
-    pub count: u64,
-    /// Whether data were lost.
-    pub lost_data: bool,
 }
 
 /// What mapping would use.
@@ -83,8 +73,8 @@ pub struct RecordingInfo {
     pub plan: Option<PlanDescription>,
     /// Why it cannot be mapped.
     pub obstacle: Option<String>,
-    /// What had to be repaired to tell this.
-    pub repairs: Vec<RepairDescription>,
+    /// What had to be repaired or left out to say this.
+    pub issues: Vec<Issue>,
 }
 
 /// Sums up a recording. Reads its beginning only, if its index tells the rest; otherwise all of it.
@@ -96,15 +86,15 @@ pub fn info(
 ) -> Result<RecordingInfo, RecordingError> {
     let inventory = Inventory::of(recording, options)?;
     let indexed = recording.topics().iter().all(|t| t.count.is_some());
-    let (counts, range, mut repairs) = match recording.time_range() {
+    let (counts, range, mut issues) = match recording.time_range() {
         Some(range) if indexed => {
             let counts = recording.topics().into_iter().map(|t| (t.topic, t.count.unwrap_or(0))).collect();
             let reader = recording.read(&|_| false)?;
-            (counts, Some(range), reader.repairs())
+            (counts, Some(range), reader.issues())
         }
         _ => count_messages(recording, progress)?,
     };
-    repairs.extend(inventory.repairs.iter().chain(&inventory.moving_repairs).cloned());
+    issues.extend(inventory.issues.iter().chain(&inventory.moving_issues).cloned());
     let duration = range.map_or(0.0, |(first, last)| last.seconds_since(first));
     let (plan, obstacle) = match describe_plan(&inventory, options) {
         Ok(plan) => (Some(plan), None),
@@ -123,14 +113,11 @@ pub fn info(
         transforms: inventory.tree.to_text(),
         plan,
         obstacle,
-        repairs: repairs
-            .into_iter()
-            .map(|Repair { what, count, lost_data }| RepairDescription { what, count, lost_data })
-            .collect(),
+        issues,
     })
 }
 
-type Counts = (BTreeMap<Arc<str>, u64>, Option<(Time, Time)>, Vec<Repair>);
+type Counts = (BTreeMap<Arc<str>, u64>, Option<(Time, Time)>, Vec<Issue>);
 
 fn count_messages(
     recording: &dyn Recording,
@@ -149,7 +136,7 @@ fn count_messages(
             progress(reader.position_bytes());
         }
     }
-    Ok((counts, range, reader.repairs()))
+    Ok((counts, range, reader.issues()))
 }
 
 fn frames(inventory: &Inventory) -> Vec<String> {
@@ -248,10 +235,10 @@ impl RecordingInfo {
             });
         }
         self.write_plan(&mut text);
-        for repair in &self.repairs {
-            let times = if repair.count > 1 { format!(" ({} times)", repair.count) } else { String::new() };
-            let label = if repair.lost_data { "lost" } else { "repaired" };
-            let _ = writeln!(text, "{label}: {}{times}", repair.what);
+        for issue in &self.issues {
+            let times = if issue.count > 1 { format!(" ({} times)", issue.count) } else { String::new() };
+            let label = if issue.lost_data() { "lost" } else { "repaired" };
+            let _ = writeln!(text, "{label}: {issue}{times}");
         }
         text
     }

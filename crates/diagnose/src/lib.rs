@@ -19,10 +19,11 @@ mod turns;
 
 pub use check::{CheckReport, check, check_with_clocks};
 pub use clock_offset::ClockOffset;
-pub use finding::{Finding, Severity, findings_to_text};
+pub use finding::{Finding, findings_to_text};
 pub use histogram::Histogram;
-pub use info::{PlanDescription, RecordingInfo, RepairDescription, TopicDescription, info};
+pub use info::{PlanDescription, RecordingInfo, TopicDescription, info};
 pub use odometry_delay::{SensorDelay, odometry_delay};
+pub use portolan_issue::Severity;
 
 #[cfg(test)]
 #[path = "../../ingest/src/test_messages.rs"]

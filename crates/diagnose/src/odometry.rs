@@ -2,9 +2,10 @@
 
 use portolan_geometry::{Rigid3, Time, yaw};
 use portolan_ingest::pose_of;
+use portolan_issue::Severity;
 use portolan_recording::Odometry;
 
-use crate::finding::{Findings, Kind, Severity};
+use crate::finding::{Findings, Kind};
 
 const INVALID: Kind = Kind {
     name: "invalid pose",

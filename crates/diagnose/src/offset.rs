@@ -126,8 +126,7 @@ fn windows(turns: &[Turn]) -> Vec<Window> {
 
 /// The middle of the values (the upper one of two); 0 if there are none.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
+    portolan_numeric::median(&mut values).unwrap_or(0.0)
 }
 
 /// Index of the lowest cost, to a fraction.

@@ -7,8 +7,9 @@
 //! the best line tells direction and scale. Shorter windows tell the offset of their clocks ([`super::offset`]).
 
 use portolan_geometry::Time;
+use portolan_issue::Severity;
 
-use crate::finding::{Finding, Findings, Severity};
+use crate::finding::{Finding, Findings};
 use crate::offset::{Offset, clock_offset};
 
 /// The angle turned between two times, counter-clockwise seen from above.

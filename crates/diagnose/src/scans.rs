@@ -2,9 +2,10 @@
 
 use portolan_geometry::Time;
 use portolan_ingest::{ScanFaults, TimedPoints};
+use portolan_issue::Severity;
 use portolan_recording::LaserScan;
 
-use crate::finding::{Findings, Kind, Severity};
+use crate::finding::{Findings, Kind};
 
 const NOT_SEQUENTIAL: Kind = Kind {
     name: "not sequential",

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_issue::Severity;
 use portolan_recording::{Header, Message};
 
-use crate::finding::{Findings, Kind, Severity};
+use crate::finding::{Findings, Kind};
 use crate::histogram::Histogram;
 
 const BACKWARD: Kind = Kind {

@@ -1,4 +1,5 @@
 use portolan_ingest::IngestOptions;
+use portolan_issue::Severity;
 use portolan_recording::{MemoryRecording, Message, RecordedMessage};
 
 use super::*;

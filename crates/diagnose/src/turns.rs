@@ -1,10 +1,11 @@
 //! Turns of all sensors of a recording, compared with each other.
 
 use portolan_geometry::{Time, Vector3};
+use portolan_issue::Severity;
 use portolan_recording::Imu;
 
 use crate::clock_offset::ClockOffset;
-use crate::finding::{Findings, Kind, Severity};
+use crate::finding::{Findings, Kind};
 use crate::imu::axis_of;
 use crate::rotation::{self, ENOUGH_TURNS, Turn, compare};
 

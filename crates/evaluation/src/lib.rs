@@ -10,9 +10,7 @@ mod association;
 pub mod cloud;
 mod error;
 mod formats;
-mod geodetic;
 mod histogram;
-mod number;
 mod relations;
 mod relative;
 mod statistics;
@@ -26,7 +24,6 @@ pub use formats::{
     kitti_trajectory, read_csv, read_geojson, read_kitti_poses, read_kitti_times, read_tum, write_csv,
     write_csv_all, write_geojson, write_kitti, write_tum,
 };
-pub use geodetic::{Geodetic, LocalFrame};
 pub use histogram::Histogram;
 pub use relations::{
     GenerateOptions, GeneratedRelations, MapConstraint, MapGraph, RIGHT_WITHIN, Relation, RelationError,

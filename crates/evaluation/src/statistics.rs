@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use portolan_numeric::{mean, percentile, rms};
 use serde::Serialize;
 
 /// Figures of a set of errors, all in the unit of the errors.
@@ -29,26 +30,16 @@ impl ErrorStatistics {
         let mut sorted = errors.to_vec();
         sorted.sort_by(f64::total_cmp);
         let (min, max) = (*sorted.first()?, *sorted.last()?);
-        let count = sorted.len() as f64;
         Some(Self {
             count: sorted.len(),
-            rmse: (sorted.iter().map(|e| e * e).sum::<f64>() / count).sqrt(),
-            mean: sorted.iter().sum::<f64>() / count,
-            median: quantile(&sorted, 0.5),
-            percentile_95: quantile(&sorted, 0.95),
+            rmse: rms(&sorted)?,
+            mean: mean(&sorted)?,
+            median: percentile(&sorted, 0.5)?,
+            percentile_95: percentile(&sorted, 0.95)?,
             min,
             max,
         })
     }
-}
-
-/// Linear interpolation between the neighbours in a sorted list.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let position = share * sorted.len().saturating_sub(1) as f64;
-    let below = position.floor() as usize;
-    let low = sorted.get(below).copied().unwrap_or(f64::NAN);
-    let high = sorted.get(below + 1).copied().unwrap_or(low);
-    low + (high - low) * (position - below as f64)
 }
 
 impl fmt::Display for ErrorStatistics {

@@ -3,7 +3,8 @@
 use std::io;
 use std::path::Path;
 
-use portolan_mapfile::{AtomicFile, PaintedMap, WriteError};
+use portolan_atomic_file::{AtomicFile, WriteError};
+use portolan_mapfile::PaintedMap;
 
 use crate::picture::Picture;
 

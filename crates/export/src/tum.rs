@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::path::Path;
 
+use portolan_atomic_file::{AtomicFile, WriteError};
 use portolan_geometry::{Rigid3, Time};
-use portolan_mapfile::{AtomicFile, WriteError};
 
 /// Writes a trajectory. Times are Unix seconds with seven exact places, positions metres and quaternions
 /// with nine.

@@ -8,6 +8,7 @@
 
 mod buffer;
 mod dimension;
+mod geodesy;
 mod rigid2;
 mod rotation;
 mod time;
@@ -15,6 +16,7 @@ mod transform;
 
 pub use buffer::{TransformBuffer, interpolate};
 pub use dimension::Dimension;
+pub use geodesy::{EastNorthUp, GeodeticPosition, Trigonometry};
 pub use nalgebra;
 pub use rigid2::{Rigid2, normalize_angle};
 pub use rotation::{

@@ -1,12 +1,13 @@
 //! One message becomes one or more measurements in the tracking frame (`spec/slam2d.md` §1).
 
-use portolan_geometry::{Quaternion, Rigid3, Time, Vector3, nalgebra, pose_from_xyz_quaternion, to_f32};
+use portolan_geometry::{
+    GeodeticPosition, Quaternion, Rigid3, Time, Vector3, nalgebra, pose_from_xyz_quaternion, to_f32,
+};
 use portolan_recording::{Imu, LandmarkList, NavSatFix, Pose};
 use portolan_sensor::{
     FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, OdometryData, TimedPointCloudData,
 };
 
-use crate::gnss::GeodeticPosition;
 use crate::plan::ImuScale;
 use crate::statistics::is_partial;
 use crate::tf::{TfError, TfTree, frame_name};

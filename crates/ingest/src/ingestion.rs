@@ -6,15 +6,15 @@ mod setup;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Rigid3, Time};
-use portolan_recording::{Message, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
+use portolan_geometry::{Duration, GeodeticPosition, Rigid3, Time};
+use portolan_issue::{Issue, IssueKind, IssueLog, Severity};
+use portolan_recording::{Message, RecordedMessage, Recording, RecordingError, TopicInfo};
 use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
 
 use crate::azimuth_time::{AzimuthTimes, Turn};
 use crate::clock::{Ascending, Order, SensorClock};
 use crate::convert::{Frames, LocalFixes};
 use crate::even_stamps::EvenStamps;
-use crate::gnss::GeodeticPosition;
 use crate::laser::BeamDirections;
 use crate::options::IngestOptions;
 use crate::plan::{ImuScale, PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};
@@ -113,7 +113,7 @@ pub struct Ingestion {
     stamp_correction: Duration,
     recorded_times: BTreeMap<Time, Time>,
     ended: bool,
-    repairs: RepairLog,
+    issues: IssueLog,
     size_bytes: u64,
 }
 
@@ -149,11 +149,11 @@ impl Ingestion {
         let reader = recording.read(&wanted)?;
         let tf = TfInput::new(&options.map_frame);
         let start = inventory.first_time.map_or(Time::MIN, |first| first + options.skip);
-        let mut repairs = RepairLog::default();
-        repairs.merge(&inventory.repairs);
+        let mut issues = IssueLog::default();
+        issues.merge(&inventory.issues);
         if !needs_tf {
             // Otherwise they are read again and counted then.
-            repairs.merge(&inventory.moving_repairs);
+            issues.merge(&inventory.moving_issues);
         }
         Ok(Self {
             plan,
@@ -173,7 +173,7 @@ impl Ingestion {
             stamp_correction: Duration::ZERO,
             recorded_times: BTreeMap::new(),
             ended: false,
-            repairs,
+            issues,
             size_bytes: recording.size_bytes(),
         })
     }
@@ -231,12 +231,12 @@ impl Ingestion {
         (self.source.position_bytes(), self.size_bytes)
     }
 
-    /// Everything that was repaired or left out so far, the format's own repairs included.
-    pub fn repairs(&self) -> Vec<Repair> {
-        let mut repairs = self.repairs.clone();
-        repairs.merge(&self.source.repairs());
-        repairs.merge(&self.source.tf.repairs().list());
-        repairs.list()
+    /// Everything that was repaired or left out so far, those of the format included.
+    pub fn issues(&self) -> Vec<Issue> {
+        let mut issues = self.issues.clone();
+        issues.merge(&self.source.issues());
+        issues.append(self.source.tf.issues());
+        issues.list()
     }
 
     /// Where the frame of satellite fixes begins: the first fix.
@@ -250,7 +250,7 @@ impl Ingestion {
             return;
         }
         if let Some(jump) = self.recording_clock.take(message.log_time) {
-            self.repairs.repaired(jump);
+            self.issues.add(jump);
         }
         // Taken out while they are at work, because they write to the rest of the ingestion.
         let Some(mut sensors) = self.sensors.remove(&message.topic) else { return };
@@ -270,45 +270,32 @@ impl Ingestion {
     }
 
     /// `tracking_from_frame`, or the message is counted as lost.
-    fn tracking_from(&mut self, topic: &str, frame: &str, time: Time) -> Option<Rigid3> {
+    fn tracking_from(&mut self, topic: &Arc<str>, frame: &str, time: Time) -> Option<Rigid3> {
         let frames = Frames { tree: &self.source.tree, tracking: &self.plan.tracking_frame };
-        match frames.tracking_from(frame, time) {
-            Ok(pose) => Some(pose),
+        let issue = match frames.tracking_from(frame, time) {
+            Ok(pose) => return Some(pose),
             Err(TfError::NotAtThisTime { child, parent, .. }) => {
-                let what =
-                    format!("messages were left out: \"{child}\" in \"{parent}\" is not known at their time");
-                self.lost(topic, &what, 1);
-                None
+                Issue::new(IssueKind::UnknownPoseAtTime).with("child", child).with("parent", parent)
             }
-            Err(error) => {
-                self.lost(topic, &format!("messages were left out: {error}"), 1);
-                None
-            }
-        }
+            Err(error) => Issue::new(IssueKind::UnknownFrame).with("error", error),
+        };
+        self.issues.add(issue.of(Arc::clone(topic)).at(time));
+        None
     }
 
-    fn is_later(&mut self, order: &mut Ascending, topic: &str, time: Time) -> bool {
-        let what = match order.check(time) {
+    fn is_later(&mut self, order: &mut Ascending, topic: &Arc<str>, time: Time) -> bool {
+        let kind = match order.check(time) {
             Order::Later => return true,
-            Order::Same => "measurements with the time of the one before were left out",
-            Order::Backward => "measurements with an earlier time than the one before were left out",
+            Order::Same => IssueKind::RepeatedStamp,
+            Order::Backward => IssueKind::StampBackward,
         };
-        self.count(topic, what, !self.ignore_out_of_order, 1);
+        let severity = if self.ignore_out_of_order { Severity::Info } else { kind.severity() };
+        self.issues.add(Issue::new(kind).of(Arc::clone(topic)).at(time).with_severity(severity));
         false
     }
 
-    fn repaired(&mut self, topic: &str, what: &str, count: u64) {
-        self.count(topic, what, false, count);
-    }
-
-    fn lost(&mut self, topic: &str, what: &str, count: u64) {
-        self.count(topic, what, true, count);
-    }
-
-    fn count(&mut self, topic: &str, what: &str, lost_data: bool, count: u64) {
-        if count > 0 {
-            self.repairs.add(format!("{topic}: {what}"), lost_data, count);
-        }
+    fn count(&mut self, topic: &Arc<str>, time: Time, kind: IssueKind, count: u64) {
+        self.issues.add(Issue::new(kind).of(Arc::clone(topic)).at(time).times(count));
     }
 }
 

@@ -4,7 +4,6 @@ mod azimuth_time;
 mod clock;
 mod convert;
 mod even_stamps;
-mod gnss;
 mod ingestion;
 mod laser;
 mod options;
@@ -25,7 +24,6 @@ mod urdf;
 
 pub use azimuth_time::{AzimuthTimes, Turn};
 pub use even_stamps::StampPolicy;
-pub use gnss::GeodeticPosition;
 pub use ingestion::{IngestError, Ingestion};
 pub use options::{ConfiguredSensors, IngestOptions, SamplingRatios};
 pub use plan::{

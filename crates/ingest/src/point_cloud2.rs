@@ -1,6 +1,7 @@
 //! Point clouds of any layout as timed points.
 
 use portolan_geometry::{Duration, Point3f, Time};
+use portolan_issue::IssueKind;
 use portolan_recording::{FieldType, PointCloud2, PointField};
 use portolan_sensor::TimedPoint;
 
@@ -20,11 +21,21 @@ const GOLDEN_STEP: u32 = 2_654_435_769;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CloudError {
     /// There is no x, y or z of a number type.
-    #[error("clouds without fields x, y and z were left out")]
+    #[error("{}", self.kind().text())]
     NoCoordinates,
     /// A field does not lie within its point.
-    #[error("clouds with fields beyond the end of a point were left out")]
+    #[error("{}", self.kind().text())]
     FieldOutside,
+}
+
+impl CloudError {
+    /// As an issue.
+    pub fn kind(&self) -> IssueKind {
+        match self {
+            Self::NoCoordinates => IssueKind::CloudWithoutCoordinates,
+            Self::FieldOutside => IssueKind::CloudFieldOutside,
+        }
+    }
 }
 
 /// Counts of what was dropped or missing in a cloud.

@@ -3,7 +3,8 @@
 use std::collections::VecDeque;
 
 use portolan_geometry::{Duration, Time};
-use portolan_recording::{Message, MessageReader, RecordedMessage, RecordingError, Repair};
+use portolan_issue::Issue;
+use portolan_recording::{Message, MessageReader, RecordedMessage, RecordingError};
 
 use crate::tf::{TfInput, TfTree};
 
@@ -102,8 +103,8 @@ impl ReadAhead {
     }
 
     /// What the format repaired.
-    pub fn repairs(&self) -> Vec<Repair> {
-        self.reader.repairs()
+    pub fn issues(&self) -> Vec<Issue> {
+        self.reader.issues()
     }
 }
 

@@ -1,6 +1,7 @@
 //! Jumps of the clock that a recording was made with.
 
 use portolan_geometry::Time;
+use portolan_issue::{Issue, IssueKind};
 
 /// No recording pauses for so long, seconds: a day. Computers without a battery for their clock start in 1970 and
 /// are put right once there is a network.
@@ -16,18 +17,19 @@ pub struct RecordingClock {
 }
 
 impl RecordingClock {
-    /// Takes the time of recording of the next message; what is wrong with it, in words.
-    pub fn take(&mut self, log_time: Time) -> Option<String> {
+    /// Takes the time of recording of the next message; what is wrong with it.
+    pub fn take(&mut self, log_time: Time) -> Option<Issue> {
         self.messages += 1;
         let last = self.last.replace(log_time)?;
         let seconds = log_time.seconds_since(last);
         (seconds.abs() > LONGEST_PAUSE).then(|| {
             let back = if seconds < 0.0 { "back " } else { "" };
-            format!(
-                "the clock of the recording jumps {back}by {} at message {} of the sensors: {log_time} comes after {last}",
-                in_words(seconds.abs()),
-                self.messages
-            )
+            Issue::new(IssueKind::RecordingClockJump)
+                .with("by", format_args!("{back}by {}", in_words(seconds.abs())))
+                .with_number("message", self.messages)
+                .with("time", log_time)
+                .with("before", last)
+                .at(log_time)
         })
     }
 }
@@ -49,8 +51,8 @@ mod tests {
         let at = |seconds| Time::from_ros(seconds, 0);
         assert_eq!(clock.take(at(170)), None);
         assert_eq!(clock.take(at(40_000)), None);
-        let text = clock.take(at(1_780_000_000)).unwrap();
+        let text = clock.take(at(1_780_000_000)).unwrap().to_string();
         assert!(text.starts_with("the clock of the recording jumps by 56 years at message 3"), "{text}");
-        assert!(clock.take(at(1_779_700_000)).unwrap().contains("back by 3 days at message 4"));
+        assert!(clock.take(at(1_779_700_000)).unwrap().to_string().contains("back by 3 days at message 4"));
     }
 }

@@ -1,6 +1,7 @@
 //! What a range sensor, an IMU and odometry are like, from the first messages.
 
 use portolan_geometry::{Point3f, Vector3};
+use portolan_numeric::median;
 use portolan_recording::{Imu, LaserScan, MultiEchoLaserScan, PointCloud2};
 
 use crate::point_cloud2::CloudLayout;
@@ -353,12 +354,6 @@ pub fn is_partial(imu: &Imu) -> bool {
 fn median_count(values: &mut [usize]) -> usize {
     values.sort_unstable();
     values.get(values.len() / 2).copied().unwrap_or(0)
-}
-
-/// The middle of the values (the upper one of two); not-numbers sort last.
-pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

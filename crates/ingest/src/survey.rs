@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use portolan_geometry::{Duration, Time};
-use portolan_recording::{Message, Recording, RecordingError, Repair, TopicInfo};
+use portolan_issue::Issue;
+use portolan_numeric::median;
+use portolan_recording::{Message, Recording, RecordingError, TopicInfo};
 
 use crate::options::IngestOptions;
 use crate::point_time::PointTime;
-use crate::statistics::{ImuSampler, ImuStatistics, RangeSampler, RangeStatistics, median};
+use crate::statistics::{ImuSampler, ImuStatistics, RangeSampler, RangeStatistics};
 use crate::tf::{TfInput, TfTree, frame_name};
 
 /// The look ends after this much of the recording …
@@ -58,9 +60,9 @@ pub struct Inventory {
     /// look.
     pub tree: TfTree,
     /// What was wrong with static transforms and the robot description.
-    pub repairs: Vec<Repair>,
+    pub issues: Vec<Issue>,
     /// What was wrong with the moving transforms of the first look.
-    pub moving_repairs: Vec<Repair>,
+    pub moving_issues: Vec<Issue>,
     /// First time of recording.
     pub first_time: Option<Time>,
 }
@@ -111,9 +113,7 @@ impl Inventory {
         let mut tree = TfTree::new();
         let mut tf = TfInput::new(&options.map_frame);
         if let Some(description) = &options.description {
-            for complaint in description.insert_into(&mut tree) {
-                tf.note(complaint);
-            }
+            description.insert_into(&mut tree).into_iter().for_each(|issue| tf.add(issue));
         }
         if options.use_recorded_transforms {
             read_static_transforms(recording, &mut tree, &mut tf)?;
@@ -135,7 +135,7 @@ impl Inventory {
         }
         survey.find_late_topics(recording)?;
         let mut inventory = survey.finish(tree, &tf);
-        inventory.moving_repairs = moving_tf.repairs().list();
+        inventory.moving_issues = moving_tf.issues().list();
         Ok(inventory)
     }
 
@@ -239,8 +239,8 @@ impl Look {
         Inventory {
             topics: topics.collect(),
             tree,
-            repairs: tf.repairs().list(),
-            moving_repairs: Vec::new(),
+            issues: tf.issues().list(),
+            moving_issues: Vec::new(),
             first_time: self.first_time,
         }
     }

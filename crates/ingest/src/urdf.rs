@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use portolan_geometry::{Quaternion, Rigid3, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_issue::{Issue, Severity};
 use portolan_recording::RecordingError;
 
 use crate::tf::{TfTree, frame_name};
@@ -120,12 +121,12 @@ fn tag_length(text: &str) -> usize {
 }
 
 impl RobotDescription {
-    /// Takes the fixed joints into a tree; the messages are about those that do not fit.
-    pub fn insert_into(&self, tree: &mut TfTree) -> Vec<String> {
+    /// Takes the fixed joints into a tree; what it gives are those that do not fit.
+    pub fn insert_into(&self, tree: &mut TfTree) -> Vec<Issue> {
         self.fixed_joints
             .iter()
             .filter_map(|j| tree.insert_static(&j.parent, &j.child, j.parent_from_child).err())
-            .map(|error| error.to_string())
+            .map(|error| error.issue().with_severity(Severity::Info))
             .collect()
     }
 }

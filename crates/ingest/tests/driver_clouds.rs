@@ -241,6 +241,6 @@ fn clouds_of_all_drivers_have_the_times_of_their_points() {
             sweeps += 1;
         }
         assert_eq!(sweeps, 30, "{}", driver.name);
-        assert!(ingestion.repairs().iter().all(|repair| !repair.lost_data), "{}", driver.name);
+        assert!(ingestion.issues().iter().all(|repair| !repair.lost_data()), "{}", driver.name);
     }
 }

@@ -79,7 +79,7 @@ fn a_robot_in_the_plane_is_understood() {
     assert_eq!(statistics.readings, 180);
     assert!((statistics.rate - 5.4).abs() < 2.5, "{statistics:?}");
     assert_eq!(statistics.saturation_range, Some(50.0));
-    assert!(ingestion.repairs().iter().all(|r| !r.lost_data), "{:?}", ingestion.repairs());
+    assert!(ingestion.issues().iter().all(|r| !r.lost_data()), "{:?}", ingestion.issues());
 }
 
 #[test]
@@ -145,7 +145,7 @@ fn odometry_may_be_in_transforms() {
     assert!(
         found.iter().filter(|m| matches!(m.1, Measurement::Range(_))).count() > 200,
         "{:?}",
-        ingestion.repairs()
+        ingestion.issues()
     );
 }
 

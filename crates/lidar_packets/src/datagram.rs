@@ -1,9 +1,8 @@
 //! From captured frames to UDP datagrams: Ethernet, VLAN, IPv4 with fragments, IPv6.
 
+use portolan_issue::{IssueKind, IssueLog};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-
-use crate::{FaultLog, PacketFault};
 
 /// Who sent a datagram, and to which port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -42,11 +41,11 @@ impl Datagrams {
         &mut self,
         link_type: u32,
         frame: &'a [u8],
-        faults: &mut dyn FaultLog,
+        issues: &mut IssueLog,
     ) -> Option<(Endpoint, Cow<'a, [u8]>)> {
         let packet = network_packet(link_type, frame)?;
         match packet.first()? >> 4 {
-            4 => self.take_ipv4(packet, faults),
+            4 => self.take_ipv4(packet, issues),
             6 => {
                 // Without extension headers.
                 let source = packet.get(8..24)?.try_into().ok()?;
@@ -60,7 +59,7 @@ impl Datagrams {
     fn take_ipv4<'a>(
         &mut self,
         packet: &'a [u8],
-        faults: &mut dyn FaultLog,
+        issues: &mut IssueLog,
     ) -> Option<(Endpoint, Cow<'a, [u8]>)> {
         let header = usize::from(packet.first()? & 0xf) * 4;
         let total = usize::from(u16_at(packet, 2)?);
@@ -78,7 +77,7 @@ impl Datagrams {
             return udp(source, Cow::Borrowed(payload));
         }
         let key = (packet.get(12..20)?.try_into().ok()?, u16_at(packet, 4)?);
-        let whole = self.add_piece(key, offset, more, payload, faults)?;
+        let whole = self.add_piece(key, offset, more, payload, issues)?;
         udp(source, Cow::Owned(whole))
     }
 
@@ -88,11 +87,11 @@ impl Datagrams {
         offset: usize,
         more: bool,
         payload: &[u8],
-        faults: &mut dyn FaultLog,
+        issues: &mut IssueLog,
     ) -> Option<Vec<u8>> {
         let end = offset + payload.len();
         if end > MAX_DATAGRAM {
-            faults.count(PacketFault::LongDatagram, 1);
+            issues.count(IssueKind::LongDatagram, 1);
             return None;
         }
         self.age += 1;
@@ -117,16 +116,16 @@ impl Datagrams {
         if self.waiting.len() > MAX_WAITING {
             let oldest = self.waiting.iter().min_by_key(|(_, pieces)| pieces.age).map(|(key, _)| *key);
             oldest.and_then(|key| self.waiting.remove(&key));
-            faults.count(PacketFault::IncompleteDatagram, 1);
+            issues.count(IssueKind::IncompleteDatagram, 1);
         }
         None
     }
 
     /// Counts what never became complete.
-    pub fn finish(&mut self, faults: &mut dyn FaultLog) {
+    pub fn finish(&mut self, issues: &mut IssueLog) {
         let missing = self.waiting.len() as u64;
         if missing > 0 {
-            faults.count(PacketFault::IncompleteDatagram, missing);
+            issues.count(IssueKind::IncompleteDatagram, missing);
         }
         self.waiting.clear();
     }
@@ -192,13 +191,13 @@ mod tests {
         let mut datagram = vec![0x09, 0x40, 0x09, 0x40, 0, 28, 0, 0];
         datagram.extend(0..20);
         let (first, last) = (piece(&datagram[..16], 0, true), piece(&datagram[16..], 16, false));
-        let (mut datagrams, mut faults) = (Datagrams::default(), BTreeMap::new());
-        assert_eq!(datagrams.take(RAW_IP, &last, &mut faults), None);
-        let (endpoint, payload) = datagrams.take(RAW_IP, &first, &mut faults).unwrap();
+        let (mut datagrams, mut issues) = (Datagrams::default(), IssueLog::default());
+        assert_eq!(datagrams.take(RAW_IP, &last, &mut issues), None);
+        let (endpoint, payload) = datagrams.take(RAW_IP, &first, &mut issues).unwrap();
         assert_eq!((endpoint.port, &endpoint.source[12..]), (2368, [10, 0, 0, 1].as_slice()));
         assert_eq!(*payload, datagram[8..]);
-        assert_eq!(datagrams.take(RAW_IP, &first, &mut faults), None);
-        datagrams.finish(&mut faults);
-        assert_eq!(faults, BTreeMap::from([(PacketFault::IncompleteDatagram, 1)]));
+        assert_eq!(datagrams.take(RAW_IP, &first, &mut issues), None);
+        datagrams.finish(&mut issues);
+        assert_eq!(issues.counts(), BTreeMap::from([(IssueKind::IncompleteDatagram, 1)]));
     }
 }

@@ -4,7 +4,8 @@ use portolan_geometry::Time;
 
 use crate::ouster::{OusterDecoder, imu_sample};
 use crate::velodyne::VelodyneDecoder;
-use crate::{FaultLog, PacketFault, PacketSource, SensorTime, Sweep};
+use crate::{PacketSource, SensorTime, Sweep};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// One sample of an IMU, in its own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,25 +59,25 @@ impl PacketDecoder {
         &mut self,
         packet: (&[u8], Time),
         clock: &mut SensorTime,
-        faults: &mut dyn FaultLog,
+        issues: &mut IssueLog,
         give: &mut dyn FnMut(Measured),
     ) {
         // Sensors count and time their packets, so that no two are equal.
         if self.last == packet.0 {
-            faults.count(PacketFault::Repetition, 1);
+            issues.count(IssueKind::RepeatedPacket, 1);
             return;
         }
         self.last.clear();
         self.last.extend_from_slice(packet.0);
         match &mut self.decoder {
             Decoder::Velodyne(decoder) => {
-                decoder.push(packet, clock, faults, &mut |sweep| give(Measured::Sweep(sweep)));
+                decoder.push(packet, clock, issues, &mut |sweep| give(Measured::Sweep(sweep)));
             }
             Decoder::Ouster(decoder) => {
-                decoder.push(packet, clock, faults, &mut |sweep| give(Measured::Sweep(sweep)));
+                decoder.push(packet, clock, issues, &mut |sweep| give(Measured::Sweep(sweep)));
             }
             Decoder::OusterImu => {
-                imu_sample(packet, clock, faults).map(Measured::Imu).map(give);
+                imu_sample(packet, clock, issues).map(Measured::Imu).map(give);
             }
         }
     }

@@ -3,7 +3,6 @@
 mod bytes;
 mod datagram;
 mod decoder;
-mod faults;
 mod ouster;
 mod ouster_metadata;
 mod sensor_time;
@@ -17,7 +16,6 @@ mod tests;
 
 pub use datagram::{Datagrams, Endpoint};
 pub use decoder::{ImuSample, Measured, PacketDecoder};
-pub use faults::{FaultLog, PacketFault};
 pub use ouster::{IMU_PACKET_BYTES, PacketLayout};
 pub use ouster_metadata::{OusterMetadata, PacketProfile};
 pub use sensor_time::{PacketStream, SensorTime, clocks_of};

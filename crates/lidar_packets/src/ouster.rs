@@ -9,7 +9,8 @@ use portolan_geometry::{Duration, Time};
 
 use crate::bytes::{f32_at, u16_at, u32_at, u64_at};
 use crate::ouster_metadata::{OusterMetadata, PacketProfile};
-use crate::{FaultLog, ImuSample, PacketFault, PacketPoint, SensorTime, Sweep, SweepBuilder};
+use crate::{ImuSample, PacketPoint, SensorTime, Sweep, SweepBuilder};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// Bytes of an IMU packet.
 pub const IMU_PACKET_BYTES: usize = 48;
@@ -105,11 +106,11 @@ impl OusterDecoder {
         &mut self,
         (packet, arrival): (&[u8], Time),
         clock: &mut SensorTime,
-        faults: &mut dyn FaultLog,
+        issues: &mut IssueLog,
         sweeps: &mut dyn FnMut(Sweep),
     ) {
         if packet.len() != self.layout.packet_bytes() {
-            faults.count(PacketFault::OusterLength, 1);
+            issues.count(IssueKind::WrongOusterLength, 1);
             return;
         }
         let (profile, bytes) = (self.layout.profile, self.layout.column_bytes());
@@ -126,11 +127,11 @@ impl OusterDecoder {
             {
                 self.builder.take().map(&mut *sweeps);
             }
-            let time = clock.place(sensor_time(u64_at(column, 0)), arrival, faults);
+            let time = clock.place(sensor_time(u64_at(column, 0)), arrival, issues);
             self.add_column(column, time);
         }
         if invalid > 0 {
-            faults.count(PacketFault::InvalidColumn, invalid);
+            issues.count(IssueKind::InvalidOusterColumn, invalid);
         }
     }
 
@@ -184,15 +185,15 @@ pub(crate) fn imu_sensor_time(packet: &[u8]) -> Option<Time> {
 pub(crate) fn imu_sample(
     (packet, arrival): (&[u8], Time),
     clock: &mut SensorTime,
-    faults: &mut dyn FaultLog,
+    issues: &mut IssueLog,
 ) -> Option<ImuSample> {
     let Some(measured) = imu_sensor_time(packet) else {
-        faults.count(PacketFault::OusterImuLength, 1);
+        issues.count(IssueKind::WrongOusterImuLength, 1);
         return None;
     };
     let three = |at: usize, unit: f64| [0, 4, 8].map(|i| f64::from(f32_at(packet, at + i)) * unit);
     Some(ImuSample {
-        time: clock.place(measured, arrival, faults),
+        time: clock.place(measured, arrival, issues),
         angular_velocity: three(36, std::f64::consts::PI / 180.0),
         linear_acceleration: three(24, STANDARD_GRAVITY),
     })

@@ -2,7 +2,8 @@
 
 use portolan_geometry::{Duration, Time};
 
-use crate::{FaultLog, PacketFault, PacketSource};
+use crate::PacketSource;
+use portolan_issue::{IssueKind, IssueLog};
 
 /// Puts the clock of a sensor onto that of the recording.
 ///
@@ -33,10 +34,10 @@ const BACK: f64 = 0.1;
 
 impl SensorTime {
     /// The time of a measurement by the sensor's clock, in the recording's clock.
-    pub fn place(&mut self, sensor: Time, arrival: Time, faults: &mut dyn FaultLog) -> Time {
-        let shift = self.shift.unwrap_or_else(|| self.begin(arrival - sensor, faults));
+    pub fn place(&mut self, sensor: Time, arrival: Time, issues: &mut IssueLog) -> Time {
+        let shift = self.shift.unwrap_or_else(|| self.begin(arrival - sensor, issues));
         let shift = self.after_jump(sensor, arrival, shift).map_or(shift, |shift| {
-            faults.count(PacketFault::ClockJumped, 1);
+            issues.count(IssueKind::SensorClockJumped, 1);
             shift
         });
         self.shift = Some(shift);
@@ -44,11 +45,11 @@ impl SensorTime {
         sensor + shift
     }
 
-    fn begin(&mut self, lag: Duration, faults: &mut dyn FaultLog) -> Duration {
+    fn begin(&mut self, lag: Duration, issues: &mut IssueLog) -> Duration {
         let lag = self.first_lag.unwrap_or(lag);
         let agrees = lag.seconds().abs() <= AGREEMENT;
         if !agrees {
-            faults.count(PacketFault::ClockNotSet, 1);
+            issues.count(IssueKind::SensorClockNotSet, 1);
         }
         let shift = if agrees { Duration::ZERO } else { lag };
         self.usual_lag = lag - shift;

@@ -3,7 +3,8 @@
 use portolan_geometry::Time;
 
 use crate::ouster::{self, USUAL_COLUMNS};
-use crate::{FaultLog, Laser, OusterMetadata, PacketDecoder, PacketFault, PacketLayout, PacketProfile};
+use crate::{Laser, OusterMetadata, PacketDecoder, PacketLayout, PacketProfile};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// What sends packets of one kind.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,7 +26,7 @@ impl PacketSource {
         metadata: Option<&OusterMetadata>,
         packet_bytes: usize,
         largest_column: u16,
-        faults: &mut dyn FaultLog,
+        issues: &mut IssueLog,
     ) -> Option<Self> {
         if let Some(metadata) = metadata {
             let layout = |profile| PacketLayout {
@@ -38,10 +39,10 @@ impl PacketSource {
             if let Some(layout) = fitting {
                 return Some(Self::OusterLidar(Box::new(metadata.clone()), layout));
             }
-            faults.count(PacketFault::WrongMetadata, 1);
+            issues.count(IssueKind::WrongOusterMetadata, 1);
         }
         let layout = PacketLayout::guess(packet_bytes)?;
-        faults.count(PacketFault::NoMetadata, 1);
+        issues.count(IssueKind::NoOusterMetadata, 1);
         let columns = usize::from(largest_column).max(USUAL_COLUMNS).next_power_of_two().clamp(512, 4096);
         let metadata = OusterMetadata::assumed(layout.channels, columns);
         Some(Self::OusterLidar(Box::new(metadata), layout))

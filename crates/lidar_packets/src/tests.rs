@@ -1,12 +1,11 @@
 //! Packets made by hand, and random ones.
 
-use std::collections::BTreeMap;
-
 use portolan_geometry::{Duration, Time};
 use proptest::prelude::*;
 
 use super::velodyne_models::PACKET_BYTES;
 use super::*;
+use portolan_issue::{IssueKind, IssueLog, Severity};
 
 fn arrival() -> Time {
     Time::from_ros(1_700_000_000, 0)
@@ -35,22 +34,22 @@ fn points(sweep: &Sweep) -> Vec<([f32; 3], f32, u16, f32)> {
     sweep.points.iter().map(|p| (p.position, p.intensity, p.ring, p.seconds)).collect()
 }
 
-fn decode(source: &PacketSource, packets: &[(Vec<u8>, Time)]) -> (Vec<Measured>, Vec<(PacketFault, u64)>) {
-    let (mut decoder, mut faults, mut measured) = (source.decoder(), BTreeMap::new(), Vec::new());
+fn decode(source: &PacketSource, packets: &[(Vec<u8>, Time)]) -> (Vec<Measured>, Vec<(IssueKind, u64)>) {
+    let (mut decoder, mut issues, mut measured) = (source.decoder(), IssueLog::default(), Vec::new());
     let mut clock = SensorTime::default();
     for (packet, time) in packets {
-        decoder.push((packet, *time), &mut clock, &mut faults, &mut |m| measured.push(m));
+        decoder.push((packet, *time), &mut clock, &mut issues, &mut |m| measured.push(m));
     }
     measured.extend(decoder.finish());
-    (measured, faults.into_iter().collect())
+    (measured, issues.counts().into_iter().collect())
 }
 
 fn sweeps(measured: Vec<Measured>) -> Vec<Sweep> {
     measured.into_iter().map(|m| if let Measured::Sweep(s) = m { s } else { panic!() }).collect()
 }
 
-fn counted(faults: &[(PacketFault, u64)], fault: PacketFault) -> u64 {
-    faults.iter().find(|(of, _)| *of == fault).map_or(0, |(_, count)| *count)
+fn counted(issues: &[(IssueKind, u64)], fault: IssueKind) -> u64 {
+    issues.iter().find(|(of, _)| *of == fault).map_or(0, |(_, count)| *count)
 }
 
 #[test]
@@ -64,8 +63,8 @@ fn a_puck_measures_where_its_beams_point() {
             arrival() + Duration::from_seconds(0.0013),
         ),
     ];
-    let (measured, faults) = decode(&PacketSource::Velodyne(None), &packets);
-    assert!(faults.is_empty(), "{faults:?}");
+    let (measured, issues) = decode(&PacketSource::Velodyne(None), &packets);
+    assert!(issues.is_empty(), "{issues:?}");
     let sweeps = sweeps(measured);
     assert_eq!((sweeps.len(), sweeps[0].points.len()), (1, 2 * 12 * 32));
     assert_eq!(sweeps[0].stamp, arrival());
@@ -92,11 +91,11 @@ fn turns_are_cut_at_azimuth_zero_and_equal_returns_count_once() {
             (puck_packet(azimuth, 1000, (i * 1327) as u32, 0x37, 0x22), time)
         })
         .collect();
-    let (measured, faults) = decode(&PacketSource::Velodyne(None), &packets);
+    let (measured, issues) = decode(&PacketSource::Velodyne(None), &packets);
     let sizes: Vec<usize> = sweeps(measured).iter().map(|s| s.points.len()).collect();
     assert_eq!(sizes, [75 * 384, 75 * 384, 10 * 384]);
     // That clock was not set.
-    assert!(counted(&faults, PacketFault::ClockNotSet) == 1, "{faults:?}");
+    assert!(counted(&issues, IssueKind::SensorClockNotSet) == 1, "{issues:?}");
     let dual = [(puck_packet(0, 1000, 0, 0x39, 0x28), arrival())];
     let (measured, _) = decode(&PacketSource::Velodyne(None), &dual);
     let sweep = &sweeps(measured)[0];
@@ -122,14 +121,14 @@ fn a_calibration_replaces_nominal_angles() {
     let mut packet = puck_packet(0, 1000, 0, 0x37, 0x22);
     packet[100] = 0xff;
     packet[101] = 0xdd;
-    let (measured, faults) = decode(&PacketSource::Velodyne(Some(lasers)), &[(packet.clone(), arrival())]);
+    let (measured, issues) = decode(&PacketSource::Velodyne(Some(lasers)), &[(packet.clone(), arrival())]);
     let sweep = &sweeps(measured)[0];
     let lower = points(sweep)[32];
     assert_eq!(lower.2, 32);
     assert!((lower.0[0] - (2.5 * 0.32f32.cos() - 0.1 * 0.32f32.sin())).abs() < 1e-3, "{lower:?}");
-    assert_eq!(counted(&faults, PacketFault::NoCalibration), 0);
-    let (_, faults) = decode(&PacketSource::Velodyne(None), &[(packet, arrival())]);
-    assert_eq!(counted(&faults, PacketFault::NoCalibration), 1);
+    assert_eq!(counted(&issues, IssueKind::NoVelodyneCalibration), 0);
+    let (_, issues) = decode(&PacketSource::Velodyne(None), &[(packet, arrival())]);
+    assert_eq!(counted(&issues, IssueKind::NoVelodyneCalibration), 1);
     assert!(parse_calibration("lasers:\n- {laser_id: 99999}\n").is_none() && parse_calibration("").is_none());
 }
 
@@ -178,10 +177,10 @@ fn all_layouts_of_ouster_give_the_same_sphere() {
             .to_vec();
         assert_eq!(packets[0].0.len(), layout.packet_bytes(), "{profile:?}");
         let source = PacketSource::OusterLidar(Box::new(metadata.clone()), layout);
-        let (measured, faults) = decode(&source, &packets);
+        let (measured, issues) = decode(&source, &packets);
         let sweeps = sweeps(measured);
         assert_eq!(sweeps.iter().map(|s| s.points.len()).collect::<Vec<_>>(), [2048, 1024], "{profile:?}");
-        assert!(counted(&faults, PacketFault::ClockNotSet) > 0);
+        assert!(counted(&issues, IssueKind::SensorClockNotSet) > 0);
         let all = points(&sweeps[0]);
         for ([x, y, z], ..) in &all {
             let z = z - 0.03618;
@@ -242,19 +241,19 @@ fn pucks(ahead: impl Fn(u64) -> f64) -> Vec<(Vec<u8>, Time)> {
 #[test]
 fn a_clock_that_jumps_goes_on_as_before() {
     let stamps = |packets: &[(Vec<u8>, Time)]| {
-        let (measured, faults) = decode(&PacketSource::Velodyne(None), packets);
-        (sweeps(measured).iter().map(|s| s.stamp).collect::<Vec<_>>(), faults)
+        let (measured, issues) = decode(&PacketSource::Velodyne(None), packets);
+        (sweeps(measured).iter().map(|s| s.stamp).collect::<Vec<_>>(), issues)
     };
-    let (expected, faults) = stamps(&pucks(|_| 0.0));
-    assert!(expected.len() == 6 && faults.is_empty(), "{faults:?}");
+    let (expected, issues) = stamps(&pucks(|_| 0.0));
+    assert!(expected.len() == 6 && issues.is_empty(), "{issues:?}");
     for jump in [5.0, -5.0, 1200.0, 2400.0, -1200.0] {
-        let (stamps, faults) = stamps(&pucks(|i| if i < 200 { 0.0 } else { jump }));
+        let (stamps, issues) = stamps(&pucks(|i| if i < 200 { 0.0 } else { jump }));
         assert_eq!(stamps, expected, "{jump} s");
-        assert_eq!(faults, [(PacketFault::ClockJumped, 1)], "{jump} s");
+        assert_eq!(issues, [(IssueKind::SensorClockJumped, 1)], "{jump} s");
     }
     // One damaged time is there and back.
-    let (stamps, faults) = stamps(&pucks(|i| if i == 100 { 60.0 } else { 0.0 }));
-    assert!(stamps == expected && faults == [(PacketFault::ClockJumped, 2)], "{faults:?}");
+    let (stamps, issues) = stamps(&pucks(|i| if i == 100 { 60.0 } else { 0.0 }));
+    assert!(stamps == expected && issues == [(IssueKind::SensorClockJumped, 2)], "{issues:?}");
 }
 
 #[test]
@@ -264,15 +263,15 @@ fn recorders_that_hang_and_gaps_are_no_jumps_of_the_clock() {
         let late = packets.map(|(i, (p, t))| (p, t + Duration::from_seconds(arrival_delay(i))));
         decode(&PacketSource::Velodyne(None), &late.collect::<Vec<_>>()).1
     };
-    let faults = with(&|i| if (100..200).contains(&i) { 3.0 } else { 0.0 }, &|_| true);
-    assert!(faults.is_empty(), "{faults:?}");
+    let issues = with(&|i| if (100..200).contains(&i) { 3.0 } else { 0.0 }, &|_| true);
+    assert!(issues.is_empty(), "{issues:?}");
     // A pause of 40 min, by both clocks.
     let pause = |i: u64| if i < 200 { 0.0 } else { 2400.0 };
     let packets = pucks(pause).into_iter().enumerate();
     let packets: Vec<_> =
         packets.map(|(i, (p, t))| (p, t + Duration::from_seconds(pause(i as u64)))).collect();
-    let (measured, faults) = decode(&PacketSource::Velodyne(None), &packets);
-    assert!(faults.is_empty(), "{faults:?}");
+    let (measured, issues) = decode(&PacketSource::Velodyne(None), &packets);
+    assert!(issues.is_empty(), "{issues:?}");
     let stamps: Vec<Time> = sweeps(measured).iter().map(|s| s.stamp).collect();
     assert!((stamps[stamps.len() - 1] - stamps[0]).seconds() > 2400.0);
 }
@@ -282,10 +281,10 @@ fn packets_that_come_twice_count_once() {
     let once = pucks(|_| 0.0);
     let twice: Vec<_> = once.iter().flat_map(|packet| [packet.clone(), packet.clone()]).collect();
     let (expected, _) = decode(&PacketSource::Velodyne(None), &once);
-    let (measured, faults) = decode(&PacketSource::Velodyne(None), &twice);
+    let (measured, issues) = decode(&PacketSource::Velodyne(None), &twice);
     assert_eq!(measured, expected);
-    assert_eq!(faults, [(PacketFault::Repetition, 400)]);
-    assert!(!PacketFault::Repetition.loses_data());
+    assert_eq!(issues, [(IssueKind::RepeatedPacket, 400)]);
+    assert_ne!(IssueKind::RepeatedPacket.severity(), Severity::Error);
 }
 
 proptest! {

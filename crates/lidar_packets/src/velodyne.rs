@@ -13,7 +13,8 @@ use crate::bytes::{u16_at, u32_at};
 use crate::velodyne_models::{
     BLOCK_BYTES, BLOCKS, CHANNELS, LOWER, Laser, PACKET_BYTES, UPPER, VelodyneModel,
 };
-use crate::{FaultLog, PacketFault, PacketPoint, SensorTime, Sweep, SweepBuilder};
+use crate::{PacketPoint, SensorTime, Sweep, SweepBuilder};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// Return mode of packets whose blocks come in pairs of the same azimuth.
 const DUAL: u8 = 0x39;
@@ -61,15 +62,15 @@ impl VelodyneDecoder {
         &mut self,
         (packet, arrival): (&[u8], Time),
         clock: &mut SensorTime,
-        faults: &mut dyn FaultLog,
+        issues: &mut IssueLog,
         sweeps: &mut dyn FnMut(Sweep),
     ) {
         if !is_velodyne(packet) {
-            faults.count(PacketFault::NotVelodyne, 1);
+            issues.count(IssueKind::NotVelodyne, 1);
             return;
         }
-        let model = self.recognise(packet, faults);
-        let start = clock.place(self.sensor_time(packet, arrival), arrival, faults);
+        let model = self.recognise(packet, issues);
+        let start = clock.place(self.sensor_time(packet, arrival), arrival, issues);
         let is_dual = packet.get(PACKET_BYTES - 2) == Some(&DUAL) && model != VelodyneModel::Hdl64e;
         let is_paired = is_dual || model == VelodyneModel::Hdl64e;
         let rate = azimuth_rate(packet, is_paired, model);
@@ -78,7 +79,7 @@ impl VelodyneDecoder {
             let flag = u16_at(bytes, 0);
             let azimuth = i32::from(u16_at(bytes, 2));
             if !matches!(flag, UPPER | LOWER) || azimuth >= TURN {
-                faults.count(PacketFault::DamagedBlock, 1);
+                issues.count(IssueKind::DamagedVelodyneBlock, 1);
                 continue;
             }
             // The head passed azimuth 0, or stood still for long.
@@ -101,18 +102,18 @@ impl VelodyneDecoder {
         self.builder.take()
     }
 
-    fn recognise(&mut self, packet: &[u8], faults: &mut dyn FaultLog) -> VelodyneModel {
+    fn recognise(&mut self, packet: &[u8], issues: &mut IssueLog) -> VelodyneModel {
         if let Some(model) = self.model {
             return model;
         }
         let (model, is_known) = VelodyneModel::of(packet);
         if !is_known {
-            faults.count(PacketFault::UnknownVelodyne, 1);
+            issues.count(IssueKind::UnknownVelodyne, 1);
         }
         let nominal = model.lasers();
         let calibration = self.calibration.take().filter(|table| table.len() == nominal.len());
         if model == VelodyneModel::Hdl64e && calibration.is_none() {
-            faults.count(PacketFault::NoCalibration, 1);
+            issues.count(IssueKind::NoVelodyneCalibration, 1);
         }
         let lasers = calibration.unwrap_or(nominal);
         self.lasers = lasers.into_iter().map(|l| (l, l.elevation.sin(), l.elevation.cos())).collect();

@@ -274,7 +274,7 @@ impl MapInfo {
     }
 
     fn add_resolution(&mut self, resolution: f64) {
-        *self.grids.resolutions.entry(crate::number::format_general(resolution, 6)).or_default() += 1;
+        *self.grids.resolutions.entry(portolan_numeric::format_general(resolution, 6)).or_default() += 1;
     }
 
     fn add_submap_2d(&mut self, submap: &Submap2D, map_from_submap: Option<&Rigid3>) {

@@ -1,6 +1,5 @@
 //! Maps as documents: pbstream files and their messages, pictures of submaps, ROS map export.
 
-mod atomic_file;
 mod check;
 mod check_data;
 mod check_graph;
@@ -20,7 +19,6 @@ mod mend;
 mod mend_graph;
 mod message;
 mod migrate;
-mod number;
 mod ordered;
 mod packed_texture;
 mod paint;
@@ -38,7 +36,6 @@ mod texture_3d;
 mod wire;
 mod writer;
 
-pub use atomic_file::{AtomicFile, WriteError, write_atomically};
 pub use check::{Finding, FindingKind, Severity, validate};
 pub use codes::{
     CodeRange, MAX_CODE, MAX_CORRESPONDENCE_COST, MAX_PROBABILITY, MIN_CORRESPONDENCE_COST, MIN_PROBABILITY,
@@ -61,7 +58,6 @@ pub use load_textures::{MapTextures, load_textures, submap_texture};
 pub use map_reader::{IgnoredMessages, MapMessage, MapReader};
 pub use message::{Message, MessageKind, RawMessage, kind_of};
 pub use migrate::{MigrateError, MigrateOptions, MigrateReport, migrate};
-pub use number::format_general;
 pub use packed_texture::PackedTexture;
 pub use paint::{
     EvidenceMap, MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint, sum_evidence,

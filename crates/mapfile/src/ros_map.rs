@@ -4,8 +4,9 @@ use std::ffi::OsString;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use crate::atomic_file::{AtomicFile, WriteError, write_atomically};
-use crate::number::format_general;
+use portolan_atomic_file::{AtomicFile, WriteError, write_atomically};
+use portolan_numeric::format_general;
+
 use crate::paint::PaintedMap;
 
 /// How the description names its image.

@@ -10,8 +10,9 @@ use prost::Message as _;
 use prost_types::field_descriptor_proto::Type;
 use prost_types::{DescriptorProto, EnumDescriptorProto, FileDescriptorSet};
 
+use portolan_numeric::format_general;
+
 use crate::message::RawMessage;
-use crate::number::format_general;
 use crate::proto::DESCRIPTORS;
 use crate::proto::mapping::PoseGraph;
 use crate::wire::{Fields, WireValue, varint};

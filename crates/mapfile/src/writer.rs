@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use prost::Message as _;
 
-use crate::atomic_file::AtomicFile;
+use portolan_atomic_file::AtomicFile;
+
 use crate::error::PbstreamError;
 use crate::frames::MAGIC;
 use crate::gzip::gzip_into;

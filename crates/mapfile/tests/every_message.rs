@@ -147,14 +147,14 @@ proptest! {
     fn every_message_comes_back_byte_for_byte(seed in any::<u64>()) {
         let (schema, types) = (Schema::load(), types());
         for (i, (name, again)) in types.iter().enumerate() {
-            let bytes = schema.any(name, &mut Luck(seed.wrapping_add(i as u64)));
+            let bytes = schema.any(name, &mut Luck::new(seed.wrapping_add(i as u64)));
             prop_assert_eq!(again(&bytes), bytes, "{}", name);
         }
     }
 
     #[test]
     fn every_message_of_a_map_survives_a_file_with_what_is_unknown(seed in any::<u64>(), number in 100u32..5000) {
-        let (schema, mut luck) = (Schema::load(), Luck(seed));
+        let (schema, mut luck) = (Schema::load(), Luck::new(seed));
         let messages: Vec<Vec<u8>> = CONTENTS
             .iter()
             .enumerate()

@@ -10,6 +10,7 @@ use common::all_maps;
 use common::small_map::SmallMap;
 use portolan_config::{Options, PoseGraphOptions};
 use portolan_geometry::{Rigid3, rotation_angle};
+use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::proto::mapping::{self as m};
 use portolan_mapfile::proto::transform::Rigid3d;
@@ -18,7 +19,7 @@ use portolan_mapfile::{
     PbstreamWriter, load_map, load_textures, pose_from_proto, read_map_2d, submap_textures_2d, validate,
     write_map_2d,
 };
-use portolan_mapping::{Mapper, MapperSettings, Planar, PoseGraph, Repairs, TrajectoryId, TrajectoryState};
+use portolan_mapping::{Mapper, MapperSettings, Planar, PoseGraph, TrajectoryId, TrajectoryState};
 use portolan_testing::real_data;
 use proptest::prelude::*;
 use tempfile::TempDir;
@@ -65,7 +66,7 @@ fn load(path: &Path) -> LoadedMap<Planar> {
 struct Loaded {
     trajectory_ids: BTreeMap<i32, TrajectoryId>,
     format_version: u32,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 /// Reads a map and writes it; returns the new file and what reading said.
@@ -74,7 +75,7 @@ fn saved_again(path: &Path, folder: &TempDir, name: &str) -> (PathBuf, Loaded) {
     let loaded = Loaded {
         trajectory_ids: map.trajectory_ids.clone(),
         format_version: map.format_version,
-        repairs: map.repairs.clone(),
+        issues: map.issues.clone(),
     };
     let again = folder.path().join(name);
     write_map_2d(&map.into_map(Options::for_2d()), &again, true).unwrap();
@@ -102,7 +103,7 @@ fn planar_maps_survive() {
     let folder = TempDir::new().unwrap();
     for path in &maps {
         let (again, loaded) = saved_again(path, &folder, "again.pbstream");
-        eprintln!("{}: version {}, {:?}", path.display(), loaded.format_version, loaded.repairs);
+        eprintln!("{}: version {}, {:?}", path.display(), loaded.format_version, loaded.issues);
         let (a, b) = (contents(path), contents(&again));
         compare_graphs(&a, &b, &loaded);
         compare_submaps(&a, &b, &loaded);
@@ -163,7 +164,7 @@ fn compare_submaps(a: &Contents, b: &Contents, loaded: &Loaded) {
         assert_same_pose(a.local_pose.as_ref(), b.local_pose.as_ref(), "submap in its local map");
         let (a, b) = (a.grid.as_ref().unwrap(), b.grid.as_ref().unwrap());
         assert!(a.cells == b.cells && a.limits == b.limits && a.grid == b.grid);
-        if loaded.repairs.is_empty() {
+        if loaded.issues.is_empty() {
             assert_eq!(a.known_cells_box, b.known_cells_box);
         }
     }
@@ -322,9 +323,9 @@ fn parts_that_do_not_belong_together_are_counted() {
     }) else {
         return;
     };
-    let repairs = lost.unwrap().repairs;
-    assert!(repairs["node that is there twice or has no pose in the pose graph"] > 0, "{repairs:?}");
-    assert!(repairs["constraint to a node or submap that the map does not have"] > 0, "{repairs:?}");
+    let issues = lost.unwrap().issues;
+    assert!(issues.count_of(IssueKind::NodeUnplaced) > 0, "{issues:?}");
+    assert!(issues.count_of(IssueKind::ConstraintUnconnected) > 0, "{issues:?}");
 }
 
 #[test]

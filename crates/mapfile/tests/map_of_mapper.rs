@@ -116,7 +116,7 @@ fn a_new_map_is_valid_and_comes_back_byte_by_byte() {
         assert!(findings.is_empty(), "{findings:?}");
 
         let loaded = read_map_2d(&first, &MapLoadSettings::default()).unwrap();
-        assert!(loaded.repairs.is_empty(), "{:?}", loaded.repairs);
+        assert!(loaded.issues.is_empty(), "{:?}", loaded.issues);
         assert_eq!(loaded.graph.problem().sensors, map.graph.problem().sensors);
         assert_eq!(
             loaded.graph.problem().landmarks["door"].sightings,

@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_config::TrajectoryBuilderOptions;
+use portolan_issue::{IssueKind, IssueLog};
 use portolan_sensor::{Collator, CollatorOptions, Measurement, SensorId, SensorKind};
 
 use crate::TrajectoryId;
-use crate::local_slam::Repairs;
 
 /// A measurement whose turn has come.
 pub type Ready = (TrajectoryId, SensorId, Measurement);
@@ -68,20 +68,15 @@ impl SensorCollation {
     }
 
     /// What was dropped so far.
-    pub fn repairs(&self) -> Repairs {
-        let mut repairs = Repairs::new();
-        let mut add = |what, count: u64| {
-            if count > 0 {
-                *repairs.entry(what).or_default() += count;
-            }
-        };
+    pub fn issues(&self) -> IssueLog {
+        let mut issues = IssueLog::default();
         for counts in self.collator.counts().values() {
-            add("measurement before all sensors had started", counts.before_start);
-            add("measurement out of order in its sensor", counts.out_of_order);
-            add("measurement that came too late", counts.late);
-            add("time that a sensor kept silent too long", counts.stalls);
+            issues.count(IssueKind::BeforeAllSensors, counts.before_start);
+            issues.count(IssueKind::OutOfOrderInSensor, counts.out_of_order);
+            issues.count(IssueKind::MeasurementLate, counts.late);
+            issues.count(IssueKind::SensorStalled, counts.stalls);
         }
-        add("measurement of an unknown sensor", self.collator.unknown().values().sum::<u64>());
-        repairs
+        issues.count(IssueKind::UnknownSensor, self.collator.unknown().values().sum::<u64>());
+        issues
     }
 }

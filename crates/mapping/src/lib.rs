@@ -31,7 +31,7 @@ pub use backend::{BackendProgress, MapperError};
 pub use constraint::{Constraint, ConstraintTag};
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
 pub use latency::LatencyHistogram;
-pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, Lost, MatchingResult, Repairs};
+pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, Lost, MatchingResult};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings};
 pub use node::{Node, NodeData};

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use portolan_config::{Options, TrajectoryBuilderOptions};
 use portolan_geometry::Time;
+use portolan_issue::IssueLog;
 use portolan_motion::MotionFilter;
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
@@ -16,7 +17,7 @@ use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
 use crate::latency::LatencyHistogram;
 use crate::local_slam::motion_filter;
-use crate::local_slam::{LocalSlam, Lost, MatchingResult, Repairs};
+use crate::local_slam::{LocalSlam, Lost, MatchingResult};
 use crate::map::{Map, ScanPose};
 use crate::{
     DegenerateInterval, InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer,
@@ -73,7 +74,7 @@ pub struct Mapper<S: Space> {
     active: BTreeMap<TrajectoryId, ActiveTrajectory<S>>,
     ended: BTreeMap<TrajectoryId, EndedTrajectory>,
     next_trajectory: u32,
-    repairs: Repairs,
+    issues: IssueLog,
     scan_times: LatencyHistogram,
     degenerate_intervals: Vec<DegenerateInterval>,
     losses: Vec<Loss>,
@@ -116,7 +117,7 @@ impl<S: Space> Mapper<S> {
             active: BTreeMap::new(),
             ended,
             next_trajectory,
-            repairs: Repairs::new(),
+            issues: IssueLog::default(),
             scan_times: LatencyHistogram::default(),
             degenerate_intervals: Vec::new(),
             losses: Vec::new(),
@@ -277,9 +278,7 @@ impl<S: Space> Mapper<S> {
             return Err(MapperError::NoSuchTrajectory(id));
         };
         let remaining = trajectory.local_slam.finish();
-        for (what, count) in trajectory.local_slam.repairs() {
-            *self.repairs.entry(what).or_default() += count;
-        }
+        self.issues.append(&trajectory.local_slam.issues());
         self.degenerate_intervals.extend(trajectory.local_slam.degenerate_intervals());
         let piece = trajectory.piece;
         self.ended.insert(
@@ -323,29 +322,25 @@ impl<S: Space> Mapper<S> {
     }
 
     /// What was dropped or repaired in ended trajectories and in ordering the sensors.
-    pub fn repairs(&self) -> Repairs {
-        let mut repairs = self.repairs.clone();
-        for (what, count) in self.collation.repairs() {
-            *repairs.entry(what).or_default() += count;
-        }
+    pub fn issues(&self) -> IssueLog {
+        let mut issues = self.issues.clone();
+        issues.append(&self.collation.issues());
         for trajectory in self.active.values() {
-            for (what, count) in trajectory.local_slam.repairs() {
-                *repairs.entry(what).or_default() += count;
-            }
+            issues.append(&trajectory.local_slam.issues());
         }
-        repairs
+        issues
     }
 
     /// Ends all trajectories, optimises for the last time, and gives the map.
-    pub fn finish(mut self) -> Result<(Map<S>, Repairs), MapperError> {
+    pub fn finish(mut self) -> Result<(Map<S>, IssueLog), MapperError> {
         let active: Vec<TrajectoryId> = self.active.keys().copied().collect();
         for id in active {
             self.finish_trajectory(id)?;
         }
         self.backend.enqueue(PoseGraph::run_final_optimization)?;
-        let repairs = self.repairs();
+        let issues = self.issues();
         let graph = self.backend.into_graph()?;
-        Ok((Map::new(self.options, graph, self.ended), repairs))
+        Ok((Map::new(self.options, graph, self.ended), issues))
     }
 }
 

@@ -6,10 +6,11 @@ use std::thread::JoinHandle;
 
 use e57::{E57Reader, PointCloud as Scan, RawValues, Record, RecordDataType, RecordName, RecordValue};
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
-use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
+use crate::error::CloudError;
 use crate::format::{CloudReader, CloudWriter, Written};
 use crate::output::{Output, Spool, folder_of};
 
@@ -24,7 +25,7 @@ struct E57Points {
     batches: Receiver<Sent>,
     thread: Option<JoinHandle<()>>,
     given: u64,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 /// Opens a file.
@@ -80,8 +81,8 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
             }
         }
     });
-    let (path, thread, repairs) = (path.to_owned(), Some(thread), Repairs::default());
-    Ok(Box::new(E57Points { path, attributes, count, batches, thread, given: 0, repairs }))
+    let (path, thread, issues) = (path.to_owned(), Some(thread), IssueLog::default());
+    Ok(Box::new(E57Points { path, attributes, count, batches, thread, given: 0, issues }))
 }
 
 impl CloudReader for E57Points {
@@ -98,7 +99,7 @@ impl CloudReader for E57Points {
         loop {
             match self.batches.recv() {
                 Ok(Ok((points, left_out))) => {
-                    self.repairs.add(NOT_FINITE, false, left_out);
+                    self.issues.count(IssueKind::CloudPointNotFinite, left_out);
                     self.given += points.len() as u64;
                     if !points.is_empty() {
                         batch.extend(&points);
@@ -106,11 +107,9 @@ impl CloudReader for E57Points {
                     }
                 }
                 Ok(Err(error)) if self.given == 0 => return Err(CloudError::damaged(&self.path, error)),
-                Ok(Err(_)) => self.repairs.add(
-                    "points behind damage were left out",
-                    true,
-                    self.count - self.given.min(self.count),
-                ),
+                Ok(Err(_)) => {
+                    self.issues.count(IssueKind::CloudDamage, self.count - self.given.min(self.count))
+                }
                 Err(_) => {
                     // The thread has ended.
                     let panicked = self.thread.take().is_some_and(|thread| thread.join().is_err());
@@ -124,8 +123,8 @@ impl CloudReader for E57Points {
         }
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }
 

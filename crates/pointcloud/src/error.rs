@@ -1,6 +1,5 @@
 //! What can go wrong with files of point clouds.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Why a cloud could not be read or written.
@@ -77,39 +76,3 @@ impl CloudError {
         Self::Write { path: path.to_owned(), source }
     }
 }
-
-/// Something that was repaired or left out while reading: counted, never silent.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Repair {
-    /// What was wrong and what was done about it.
-    pub what: String,
-    /// How often.
-    pub count: u64,
-    /// Whether data were lost by it.
-    pub lost_data: bool,
-}
-
-/// Counts repairs by kind.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Repairs(BTreeMap<(&'static str, bool), u64>);
-
-impl Repairs {
-    pub fn add(&mut self, what: &'static str, lost_data: bool, count: u64) {
-        if count > 0 {
-            let counted = self.0.entry((what, lost_data)).or_default();
-            *counted = counted.saturating_add(count);
-        }
-    }
-
-    pub fn list(&self) -> Vec<Repair> {
-        let repair = |((what, lost_data), count): (&(&str, bool), &u64)| Repair {
-            what: (*what).to_owned(),
-            count: *count,
-            lost_data: *lost_data,
-        };
-        self.0.iter().map(repair).collect()
-    }
-}
-
-/// Counted for points whose coordinates are not numbers.
-pub(crate) const NOT_FINITE: &str = "points whose coordinates are not numbers were left out";

@@ -3,8 +3,10 @@
 use std::io::Read;
 use std::path::Path;
 
+use portolan_issue::Issue;
+
 use crate::cloud::{Attributes, PointCloud};
-use crate::error::{CloudError, Repair};
+use crate::error::CloudError;
 use crate::{e57, las, pcd, ply, uos, xyz};
 
 /// A format of files.
@@ -106,7 +108,7 @@ pub trait CloudReader {
     fn next_batch(&mut self, batch: &mut PointCloud) -> Result<bool, CloudError>;
 
     /// What was repaired or left out so far.
-    fn repairs(&self) -> Vec<Repair>;
+    fn issues(&self) -> Vec<Issue>;
 }
 
 /// What was written.

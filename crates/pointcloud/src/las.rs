@@ -11,10 +11,11 @@ use std::path::{Path, PathBuf};
 
 use las::point::Format;
 use las::{Builder, Color, Point, PointData, PointDataBuilder, Reader, Transform, Vector, Version, Writer};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
-use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
+use crate::error::CloudError;
 use crate::format::{CloudReader, CloudWriter, WriteOptions, Written};
 use crate::output::Output;
 use remembering::{Failure, Remembering};
@@ -29,7 +30,7 @@ struct LasReader {
     left: u64,
     /// Points that are asked for at once: fewer and fewer where the file is damaged.
     at_once: u64,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 /// Opens a LAS or LAZ file.
@@ -50,22 +51,18 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     let reader = reader.map_err(damaged)?;
     let header = reader.header();
     let format = *header.point_format();
-    let mut repairs = Repairs::default();
+    let mut issues = IssueLog::default();
     let mut total = header.number_of_points();
     if !format.is_compressed {
         let offset = header.clone().into_raw().map_or(0, |raw| u64::from(raw.offset_to_point_data));
         let there = bytes.saturating_sub(offset) / u64::from(format.len().max(1));
-        repairs.add(
-            "points that the header promises and the file does not have",
-            true,
-            total.saturating_sub(there),
-        );
+        issues.count(IssueKind::CloudPointsMissing, total.saturating_sub(there));
         total = total.min(there);
     }
     let attributes = Attributes { intensity: true, time: format.has_gps_time, color: format.has_color };
     let data = PointDataBuilder::new().for_header(header).build();
     let (path, left, at_once) = (path.to_owned(), total, BATCH_POINTS as u64);
-    Ok(Box::new(LasReader { path, reader, data, attributes, total, left, at_once, repairs }))
+    Ok(Box::new(LasReader { path, reader, data, attributes, total, left, at_once, issues }))
 }
 
 /// What a call of the library gives; its error as text, none where it panicked: the decompressor checks
@@ -105,17 +102,13 @@ impl CloudReader for LasReader {
                     if position == 0 {
                         return Err(CloudError::damaged(&self.path, error));
                     }
-                    self.repairs.add("points behind damage were left out", true, self.left);
+                    self.issues.count(IssueKind::CloudDamage, self.left);
                     self.left = 0;
                     break;
                 }
             };
             if read == 0 {
-                self.repairs.add(
-                    "points that the header promises and the file does not have",
-                    true,
-                    self.left,
-                );
+                self.issues.count(IssueKind::CloudPointsMissing, self.left);
                 self.left = 0;
                 break;
             }
@@ -125,8 +118,8 @@ impl CloudReader for LasReader {
         Ok(!batch.is_empty())
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }
 
@@ -147,7 +140,7 @@ impl LasReader {
                 not_finite += 1;
             }
         }
-        self.repairs.add(NOT_FINITE, false, not_finite);
+        self.issues.count(IssueKind::CloudPointNotFinite, not_finite);
     }
 }
 

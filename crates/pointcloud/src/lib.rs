@@ -49,7 +49,7 @@ mod uos;
 mod xyz;
 
 pub use cloud::{Attributes, PointCloud, Positions};
-pub use error::{CloudError, Repair};
+pub use error::CloudError;
 pub use fields::Scalar;
 pub use format::{
     CloudFormat, CloudReader, CloudWriter, Encoding, Precision, WriteOptions, Written, create, open,

@@ -98,11 +98,8 @@ mod tests {
     use std::collections::BTreeSet;
 
     fn points() -> impl Iterator<Item = [f64; 3]> {
-        let mut state = 77_u64;
-        let mut random = move || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 40) as f64 / f64::from(1 << 24)
-        };
+        let mut random = portolan_numeric::Lcg64::new(77);
+        let mut random = move || (random.bits() >> 40) as f64 / f64::from(1 << 24);
         (0..40_000).map(move |_| [6.0 * random() - 3.0, 4.0 * random() - 2.0, random() - 0.5])
     }
 

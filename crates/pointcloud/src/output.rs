@@ -4,75 +4,50 @@ use std::fs::File;
 use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+pub(crate) use portolan_atomic_file::folder_of;
+use portolan_atomic_file::{AtomicFile, WriteError};
+
 use crate::error::CloudError;
 
-/// A file that is written under a temporary name beside its place and renamed when it is complete. Dropped
-/// before that, it vanishes.
+/// A file that appears when it is complete, or not at all.
 pub(crate) struct Output {
     pub path: PathBuf,
-    temporary: PathBuf,
-    writer: Option<BufWriter<File>>,
+    /// None when it is complete.
+    file: Option<AtomicFile>,
+}
+
+fn failed(error: WriteError) -> CloudError {
+    CloudError::Write { path: error.path, source: error.source }
 }
 
 impl Output {
     pub fn create(path: &Path) -> Result<Self, CloudError> {
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(".part");
-        let temporary = path.with_file_name(name);
-        // E57 files are read while they are written.
-        let file = File::options().read(true).write(true).create(true).truncate(true).open(&temporary);
-        let file = file.map_err(|e| CloudError::write(path, e))?;
-        Ok(Self { path: path.to_owned(), temporary, writer: Some(BufWriter::with_capacity(1 << 18, file)) })
+        let file = AtomicFile::create(path).map_err(failed)?;
+        Ok(Self { path: path.to_owned(), file: Some(file) })
     }
 
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), CloudError> {
-        let result = self.writer.as_mut().map_or(Ok(()), |writer| writer.write_all(bytes));
+        let result = self.file.as_mut().map_or(Ok(()), |file| file.write_all(bytes));
         result.map_err(|e| CloudError::write(&self.path, e))
     }
 
-    /// Replaces bytes at the start.
+    /// Replaces bytes that were written before.
     pub fn overwrite(&mut self, offset: u64, bytes: &[u8]) -> Result<(), CloudError> {
-        let Some(writer) = self.writer.as_mut() else { return Ok(()) };
-        let result = writer
-            .seek(SeekFrom::Start(offset))
-            .and_then(|_| writer.write_all(bytes))
-            .and_then(|()| writer.seek(SeekFrom::End(0)).map(drop));
+        let result = self.file.as_mut().map_or(Ok(()), |file| file.overwrite(offset, bytes));
         result.map_err(|e| CloudError::write(&self.path, e))
     }
 
     /// A handle for a library that writes the file itself, without a buffer.
     pub fn handle(&self) -> Result<File, CloudError> {
-        let file = self.writer.as_ref().map(|writer| writer.get_ref().try_clone());
+        let file = self.file.as_ref().map(AtomicFile::handle);
         let file = file.unwrap_or_else(|| Err(std::io::Error::other("the file is closed")));
         file.map_err(|e| CloudError::write(&self.path, e))
     }
 
     /// Gives the file its name.
     pub fn finish(&mut self) -> Result<(), CloudError> {
-        let Some(mut writer) = self.writer.take() else { return Ok(()) };
-        let result = writer
-            .flush()
-            .and_then(|()| writer.get_ref().sync_data())
-            .and_then(|()| std::fs::rename(&self.temporary, &self.path));
-        if result.is_err() {
-            let _ = std::fs::remove_file(&self.temporary);
-        }
-        result.map_err(|e| CloudError::write(&self.path, e))
+        self.file.take().map_or(Ok(()), |file| file.commit().map_err(failed))
     }
-}
-
-impl Drop for Output {
-    fn drop(&mut self) {
-        if self.writer.take().is_some() {
-            // There is nobody to tell; the file is ours and useless.
-            let _ = std::fs::remove_file(&self.temporary);
-        }
-    }
-}
-
-/// The folder that a file is in.
-pub(crate) fn folder_of(path: &Path) -> &Path {
-    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Bytes that wait on disk until all of them are known, in a file without a name.

@@ -3,9 +3,11 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use portolan_issue::{Issue, IssueKind, IssueLog};
+
 use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
-use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
+use crate::error::CloudError;
 use crate::fields::{Column, Columns, Role};
 use crate::format::{CloudReader, CloudWriter, Encoding, Precision, WriteOptions, Written};
 use crate::input::{Input, numbers};
@@ -27,7 +29,7 @@ pub(crate) struct PlyReader {
     total: u64,
     left: u64,
     bytes: Vec<u8>,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 /// PlyStorage and elements of a header.
@@ -50,7 +52,7 @@ impl PlyReader {
         let Some(at) = elements.iter().position(|element| element.name == "vertex") else {
             return Err(CloudError::damaged(path, "it has no element \"vertex\""));
         };
-        let mut repairs = Repairs::default();
+        let mut issues = IssueLog::default();
         for element in elements.iter().take(at) {
             skip(&mut input, storage, element)?;
         }
@@ -73,44 +75,27 @@ impl PlyReader {
         let mut total = vertex.count;
         if storage != PlyStorage::Ascii {
             let there = input.length().saturating_sub(input.position()?) / offset.max(1) as u64;
-            repairs.add(
-                "points that the header promises and the file does not have",
-                true,
-                total.saturating_sub(there),
-            );
+            issues.count(IssueKind::CloudPointsMissing, total.saturating_sub(there));
             total = total.min(there);
         }
-        Ok(Self {
-            input,
-            storage,
-            columns,
-            row_bytes: offset,
-            total,
-            left: total,
-            bytes: Vec::new(),
-            repairs,
-        })
+        Ok(Self { input, storage, columns, row_bytes: offset, total, left: total, bytes: Vec::new(), issues })
     }
 
     fn read_ascii(&mut self, batch: &mut PointCloud, count: u64) -> Result<(), CloudError> {
         let mut values = Vec::new();
         for _ in 0..count {
             let Some(line) = self.input.line()? else {
-                self.repairs.add(
-                    "points that the header promises and the file does not have",
-                    true,
-                    self.left,
-                );
+                self.issues.count(IssueKind::CloudPointsMissing, self.left);
                 self.left = 0;
                 return Ok(());
             };
             self.left -= 1;
             if !numbers(line, &mut values) || values.len() < 3 {
-                self.repairs.add("lines that are no points were left out", true, 1);
+                self.issues.count(IssueKind::CloudLineUnreadable, 1);
                 continue;
             }
             let is_finite = self.columns.push(|column| values.get(column.at).copied().unwrap_or(0.0), batch);
-            self.repairs.add(NOT_FINITE, false, u64::from(!is_finite));
+            self.issues.count(IssueKind::CloudPointNotFinite, u64::from(!is_finite));
         }
         Ok(())
     }
@@ -122,7 +107,7 @@ impl PlyReader {
         for row in self.bytes.get(..got).unwrap_or_default().chunks_exact(self.row_bytes) {
             let value = |c: &Column| c.scalar.decode(row.get(c.at..).unwrap_or_default(), is_big);
             let is_finite = self.columns.push(value, batch);
-            self.repairs.add(NOT_FINITE, false, u64::from(!is_finite));
+            self.issues.count(IssueKind::CloudPointNotFinite, u64::from(!is_finite));
         }
         Ok(())
     }
@@ -186,8 +171,8 @@ impl CloudReader for PlyReader {
         Ok(!batch.is_empty())
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }
 

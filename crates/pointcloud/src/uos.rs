@@ -7,10 +7,11 @@
 use std::path::{Path, PathBuf};
 
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
-use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
+use crate::error::CloudError;
 use crate::format::CloudReader;
 use crate::input::{Input, numbers};
 
@@ -113,7 +114,7 @@ impl UosFolder {
 
     /// All points, placed by the poses of their scans.
     pub(crate) fn into_reader(self) -> UosReader {
-        UosReader { attributes: None, folder: self, next: 0, open: None, repairs: Repairs::default() }
+        UosReader { attributes: None, folder: self, next: 0, open: None, issues: IssueLog::default() }
     }
 }
 
@@ -208,7 +209,7 @@ pub(crate) struct UosReader {
     attributes: Option<Attributes>,
     next: usize,
     open: Option<(Input, Rigid3, usize)>,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 impl UosReader {
@@ -217,7 +218,7 @@ impl UosReader {
         let &[x, y, z, ref rest @ ..] = values else { return false };
         let position = world_from_scan * na::Point3::from(point(x, y, z));
         if !position.iter().all(|v| v.is_finite()) {
-            self.repairs.add(NOT_FINITE, false, 1);
+            self.issues.count(IssueKind::CloudPointNotFinite, 1);
             return true;
         }
         let (intensity, color) = match rest {
@@ -274,15 +275,15 @@ impl CloudReader for UosReader {
             let is_blank = line.trim().is_empty();
             let is_point = numbers(line, &mut values) && self.push(&values, &pose, batch);
             if !is_point && !is_blank && line_number > HEAD_LINES {
-                self.repairs.add("lines that are no points were left out", true, 1);
+                self.issues.count(IssueKind::CloudLineUnreadable, 1);
             }
             self.open = Some((input, pose, line_number));
         }
         Ok(!batch.is_empty())
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }
 

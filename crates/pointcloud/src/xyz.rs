@@ -7,9 +7,11 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use portolan_issue::{Issue, IssueKind, IssueLog};
+
 use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
-use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
+use crate::error::CloudError;
 use crate::fields::{Column, Columns, Role, Scalar};
 use crate::format::{CloudReader, CloudWriter, Written};
 use crate::input::{Input, numbers};
@@ -68,7 +70,7 @@ pub(crate) struct XyzReader {
     /// The first line of numbers, which told the columns.
     first: Option<Vec<f64>>,
     values: Vec<f64>,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 impl XyzReader {
@@ -86,13 +88,13 @@ impl XyzReader {
                 }
                 let Some(columns) = named.take().or_else(|| columns_of_count(values.len())) else { continue };
                 let first = Some(values.clone());
-                return Ok(Self { input, columns, count, first, values, repairs: Repairs::default() });
+                return Ok(Self { input, columns, count, first, values, issues: IssueLog::default() });
             }
         }
         match named {
             // A header and no points.
             Some(columns) => {
-                Ok(Self { input, columns, count: Some(0), first: None, values, repairs: Repairs::default() })
+                Ok(Self { input, columns, count: Some(0), first: None, values, issues: IssueLog::default() })
             }
             None => Err(CloudError::damaged(path, "it has no line with three numbers")),
         }
@@ -100,11 +102,11 @@ impl XyzReader {
 
     fn push(&mut self, values: &[f64], batch: &mut PointCloud) {
         if values.len() < 3 {
-            self.repairs.add("lines with fewer than three numbers were left out", true, 1);
+            self.issues.count(IssueKind::CloudLineShort, 1);
             return;
         }
         let is_finite = self.columns.push(|column| values.get(column.at).copied().unwrap_or(0.0), batch);
-        self.repairs.add(NOT_FINITE, false, u64::from(!is_finite));
+        self.issues.count(IssueKind::CloudPointNotFinite, u64::from(!is_finite));
     }
 }
 
@@ -130,15 +132,15 @@ impl CloudReader for XyzReader {
             } else if numbers(line, &mut values) {
                 self.push(&values, batch);
             } else {
-                self.repairs.add("lines that are not numbers were left out", true, 1);
+                self.issues.count(IssueKind::CloudLineNotNumbers, 1);
             }
             self.values = values;
         }
         Ok(!batch.is_empty())
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }
 

@@ -4,22 +4,23 @@
 use std::path::Path;
 
 use portolan_geometry::Vector3;
+use portolan_issue::Issue;
 use portolan_pointcloud::{
-    Attributes, CloudError, Encoding, PointCloud, Repair, UosFolder, WriteOptions, create, open,
+    Attributes, CloudError, Encoding, PointCloud, UosFolder, WriteOptions, create, open,
 };
 use proptest::prelude::*;
 
-fn read(path: &Path) -> Result<(PointCloud, Vec<Repair>), CloudError> {
+fn read(path: &Path) -> Result<(PointCloud, Vec<Issue>), CloudError> {
     let mut reader = open(path)?;
     let mut all = PointCloud::new(reader.attributes());
     let mut batch = PointCloud::default();
     while reader.next_batch(&mut batch)? {
         all.extend(&batch);
     }
-    Ok((all, reader.repairs()))
+    Ok((all, reader.issues()))
 }
 
-fn read_bytes(bytes: &[u8], name: &str) -> Result<(PointCloud, Vec<Repair>), CloudError> {
+fn read_bytes(bytes: &[u8], name: &str) -> Result<(PointCloud, Vec<Issue>), CloudError> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
     std::fs::write(&path, bytes).unwrap();
@@ -32,8 +33,8 @@ fn ply_of_other_programs() {
         property float y\r\nproperty double x\r\nproperty float z\r\nproperty float scalar_Intensity\r\n\
         property uchar red\r\nproperty uchar green\r\nproperty uchar blue\r\nelement face 1\r\n\
         property list uchar int vertex_indices\r\nend_header\r\n3 1 2 3\r\n2 1 3 0.5 10 20 30\r\n5 4 6 1 1 2 3\r\n3 0 0 1\r\n";
-    let (cloud, repairs) = read_bytes(header.as_bytes(), "a.ply").unwrap();
-    assert!(repairs.is_empty() && cloud.len() == 2);
+    let (cloud, issues) = read_bytes(header.as_bytes(), "a.ply").unwrap();
+    assert!(issues.is_empty() && cloud.len() == 2);
     assert_eq!(
         (cloud.position(0), cloud.intensity(0), cloud.color(0)),
         ([1.0, 2.0, 3.0], Some(0.5), Some([10, 20, 30]))
@@ -63,12 +64,12 @@ fn pcd_of_other_programs() {
     let text = "# .PCD v.7 - Point Cloud Data file format\nVERSION .7\nFIELDS x y z rgb _ intensity\nSIZE 4 4 4 4 1 4\n\
         TYPE F F F F U F\nCOUNT 1 1 1 1 4 1\nWIDTH 2\nHEIGHT 2\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA ascii\n\
         1 2 3 4.2108e+06 0 0 0 0 7\nnan nan nan 0 0 0 0 0 0\n4 5 6 0 1 2 3 4 8\n";
-    let (cloud, repairs) = read_bytes(text.as_bytes(), "a.pcd").unwrap();
+    let (cloud, issues) = read_bytes(text.as_bytes(), "a.pcd").unwrap();
     assert_eq!((cloud.len(), cloud.intensity(1)), (2, Some(8.0)));
     let color = 4.2108e+06_f32.to_bits();
     assert_eq!(cloud.color(0), Some([(color >> 16) as u8, (color >> 8) as u8, color as u8]));
-    let counts: Vec<(u64, bool)> = repairs.iter().map(|r| (r.count, r.lost_data)).collect();
-    assert_eq!(counts, [(1, true), (1, false)]);
+    let counts: Vec<(u64, bool)> = issues.iter().map(|r| (r.count, r.lost_data())).collect();
+    assert_eq!(counts, [(1, false), (1, true)]);
     assert!(
         read_bytes(b"VERSION .7\nFIELDS x y\nSIZE 4 4\nTYPE F F\nPOINTS 1\nDATA binary\n", "b.pcd").is_err()
     );
@@ -82,13 +83,13 @@ fn text_tells_its_columns_or_has_the_usual_ones() {
         ("//X,Y,Z,R,G,B\n1;2;3;9;8;7\n4;5;6;0;0;0\n", [1.0, 2.0, 3.0], None, Some([9, 8, 7])),
         ("\"t\",\"x\",\"y\",\"z\",\"intensity\"\n5.5,1,2,3,4\n1,4,5,6,0\n", [1.0, 2.0, 3.0], Some(4.0), None),
     ] {
-        let (cloud, repairs) = read_bytes(text.as_bytes(), "a.txt").unwrap();
+        let (cloud, issues) = read_bytes(text.as_bytes(), "a.txt").unwrap();
         assert_eq!((cloud.len(), cloud.position(0)), (2, position), "{text}");
         assert_eq!((cloud.intensity(0), cloud.color(0)), (intensity, color), "{text}");
-        assert!(repairs.is_empty());
+        assert!(issues.is_empty());
     }
-    let (cloud, repairs) = read_bytes(b"1 2 3\nhello\n4 5 6\n7 8\n", "a.xyz").unwrap();
-    assert_eq!((cloud.len(), repairs.len()), (2, 2));
+    let (cloud, issues) = read_bytes(b"1 2 3\nhello\n4 5 6\n7 8\n", "a.xyz").unwrap();
+    assert_eq!((cloud.len(), issues.len()), (2, 2));
     assert!(read_bytes(b"hello world\n", "a.xyz").err().unwrap().to_string().contains("PLY"));
     assert!(read_bytes(b"", "a.xyz").is_err());
 }
@@ -109,8 +110,8 @@ fn uos_folders_are_placed_by_their_poses() {
     assert_eq!(uos.scans.iter().map(|s| s.number).collect::<Vec<_>>(), [0, 1, 2]);
     assert_eq!((uos.scans[2].frames.len(), uos.scans[2].frames[1].kind), (2, 3));
     assert!((uos.scans[2].world_from_scan().translation.vector - Vector3::new(0.0, 0.0, 0.5)).norm() < 1e-12);
-    let (cloud, repairs) = read(folder.path()).unwrap();
-    assert!(repairs.is_empty());
+    let (cloud, issues) = read(folder.path()).unwrap();
+    assert!(issues.is_empty());
     // Ahead is x, right is −y, up is z; a left-handed turn about up of +90° turns ahead to the right.
     let expected = [[3.0, -1.0, 2.0], [1.0, 0.0, 0.0], [0.0, -2.0, 0.0], [1.0, 0.0, 0.5]];
     for (i, expected) in expected.into_iter().enumerate() {
@@ -149,9 +150,9 @@ fn cut_files_say_what_is_missing() {
         ("x.xyz", Encoding::Binary),
     ] {
         let bytes = sample(name, encoding);
-        let (cloud, repairs) = read_bytes(&bytes[..bytes.len() - 300], name).unwrap();
+        let (cloud, issues) = read_bytes(&bytes[..bytes.len() - 300], name).unwrap();
         assert!(cloud.len() < 60 && cloud.len() > 20, "{name} {}", cloud.len());
-        assert!(name == "x.xyz" || repairs.iter().any(|r| r.lost_data), "{name}");
+        assert!(name == "x.xyz" || issues.iter().any(|r| r.lost_data()), "{name}");
     }
     let bytes = sample("x.pcd", Encoding::Compressed);
     assert!(read_bytes(&bytes[..bytes.len() - 10], "x.pcd").is_err());

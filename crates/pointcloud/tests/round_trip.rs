@@ -3,8 +3,9 @@
 
 use std::path::Path;
 
+use portolan_issue::Issue;
 use portolan_pointcloud::{
-    Attributes, BATCH_POINTS, CloudError, Encoding, PointCloud, Precision, Repair, WriteOptions, create, open,
+    Attributes, BATCH_POINTS, CloudError, Encoding, PointCloud, Precision, WriteOptions, create, open,
 };
 
 fn all_attributes() -> impl Iterator<Item = Attributes> {
@@ -40,7 +41,7 @@ fn write(path: &Path, cloud: &PointCloud, options: &WriteOptions) -> u64 {
     writer.finish().unwrap().points
 }
 
-fn read(path: &Path) -> Result<(PointCloud, Vec<Repair>), CloudError> {
+fn read(path: &Path) -> Result<(PointCloud, Vec<Issue>), CloudError> {
     let mut reader = open(path)?;
     let mut all = PointCloud::new(reader.attributes());
     let mut batch = PointCloud::default();
@@ -48,7 +49,7 @@ fn read(path: &Path) -> Result<(PointCloud, Vec<Repair>), CloudError> {
         assert!(!batch.is_empty() && batch.len() <= BATCH_POINTS);
         all.extend(&batch);
     }
-    Ok((all, reader.repairs()))
+    Ok((all, reader.issues()))
 }
 
 fn compare(read: &PointCloud, written: &PointCloud, tolerance: f64, name: &str) {
@@ -94,9 +95,9 @@ fn every_format_keeps_what_it_is_given() {
         for attributes in all_attributes() {
             let cloud = cloud(500, attributes);
             assert_eq!(write(&path, &cloud, &options), 500);
-            let (back, repairs) = read(&path).unwrap();
+            let (back, issues) = read(&path).unwrap();
             let label = format!("{name} {encoding:?} {precision:?} {attributes:?}");
-            assert!(repairs.is_empty(), "{label}: {repairs:?}");
+            assert!(issues.is_empty(), "{label}: {issues:?}");
             compare(&back, &cloud, tolerance, &label);
             let first = std::fs::read(&path).unwrap();
             write(&path, &cloud, &options);
@@ -154,8 +155,8 @@ fn full_disks_are_told() {
     for name in ["x.ply", "x.pcd", "x.xyz", "x.las", "x.laz", "x.e57"] {
         let path = folder.path().join(name);
         for (batches, is_finished) in [(0, true), (1, true), (40, true), (40, false)] {
-            // A file that is always full, under the name that is written to.
-            std::os::unix::fs::symlink("/dev/full", folder.path().join(format!("{name}.part"))).unwrap();
+            // A device that is always full, under the name that is written to.
+            std::os::unix::fs::symlink("/dev/full", &path).unwrap();
             let mut writer = create(&path, cloud.attributes(), &WriteOptions::default()).unwrap();
             let written = (0..batches).try_for_each(|_| writer.write(&cloud));
             if !is_finished {
@@ -166,6 +167,7 @@ fn full_disks_are_told() {
             } else {
                 unreachable!("{name} of {batches} batches was written to a full disk");
             }
+            std::fs::remove_file(&path).unwrap();
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{name}");
         }
     }

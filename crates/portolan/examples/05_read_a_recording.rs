@@ -36,8 +36,8 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     }
     writeln!(out, "{beams} beams")?;
     // Damage is no error as long as something can be read: it is repaired and counted.
-    for repair in reader.repairs() {
-        writeln!(out, "{} ({} times)", repair.what, repair.count)?;
+    for issue in reader.issues() {
+        writeln!(out, "{issue} ({} times)", issue.count)?;
     }
 
     // What the messages mean: points with times, in metres, in the tracking frame.

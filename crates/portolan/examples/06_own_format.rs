@@ -7,7 +7,7 @@ use std::{error::Error, f32::consts::TAU, fmt::Write as _, io::Write as _};
 use portolan::geometry::Time;
 use portolan::job::{MapRequest, map, unobserved};
 use portolan::recording::{
-    Header, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo,
+    Header, Issue, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo,
 };
 use portolan::simulator::{ScenarioOptions, Simulation, world::Scene};
 
@@ -44,7 +44,7 @@ impl MessageReader for TurnReader {
     fn position_bytes(&self) -> u64 {
         0 // for progress only
     }
-    fn repairs(&self) -> Vec<Repair> {
+    fn issues(&self) -> Vec<Issue> {
         Vec::new() // lines that are no scans could be counted here
     }
 }

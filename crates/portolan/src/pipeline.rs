@@ -7,12 +7,12 @@ use portolan_config::Options;
 use portolan_diagnose::odometry_delay;
 use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
+use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
     BackendProgress, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map,
-    Mapper, MapperError, MapperSettings, MatchingResult, PoseGraph, Repairs, Space, TrajectoryId,
-    of_trajectory,
+    Mapper, MapperError, MapperSettings, MatchingResult, PoseGraph, Space, TrajectoryId, of_trajectory,
 };
-use portolan_recording::{Recording, RecordingError, Repair};
+use portolan_recording::{Recording, RecordingError};
 use portolan_sensor::SensorId;
 
 use crate::silence::Silences;
@@ -42,9 +42,6 @@ pub enum PipelineError {
     NoScans,
 }
 
-/// What is counted where the disk cannot hold the scans.
-const NOT_KEPT: &str = "scans could not be kept on disk for pictures; the recording is read again for them";
-
 /// How far mapping is.
 #[derive(Clone, Copy, Debug)]
 pub struct PipelineProgress {
@@ -72,10 +69,8 @@ pub struct MappedRecording<S: Space> {
     pub recording_seconds: f64,
     /// How long local SLAM took for each matched scan.
     pub scan_times: LatencyHistogram,
-    /// Repairs while reading.
-    pub reading_repairs: Vec<Repair>,
-    /// Repairs while mapping.
-    pub mapping_repairs: Repairs,
+    /// What was repaired or left out: of the recording, of known maps, while mapping.
+    pub issues: IssueLog,
     /// Where scans left directions open and the prediction decided (3D).
     pub degenerate_intervals: Vec<DegenerateInterval>,
     /// When nothing told where the scanner was, and what came then.
@@ -101,10 +96,9 @@ impl<S: Space> MappedRecording<S> {
         !before.into_iter().any(|id| connectivity.are_connected(id, loss.piece))
     }
 
-    /// Whether data were lost while reading, or something was mapped that nothing ties to the rest.
+    /// Whether data were lost, of the recording, of known maps or while mapping, or something was mapped that nothing ties to the rest.
     pub fn lost_data(&self) -> bool {
-        self.reading_repairs.iter().any(|repair| repair.lost_data)
-            || self.losses.iter().any(|loss| self.is_apart(loss))
+        self.issues.lost_data() || self.losses.iter().any(|loss| self.is_apart(loss))
     }
 
     /// Pose of the tracking frame in the map for every scan, each under the time of its message in the
@@ -179,13 +173,15 @@ pub struct KnownMap<S: Space> {
     /// Where in the map the recording starts (`map_from_tracking`), if that is known. Else it is searched
     /// in the whole map.
     pub start: Option<Rigid3>,
+    /// What was repaired or left out when it was read.
+    pub issues: IssueLog,
 }
 
 impl<S: Space> KnownMap<S> {
     /// Nothing is known yet.
     pub fn empty(options: &Options) -> Self {
         let graph = PoseGraph::new(options.map_builder.pose_graph.clone());
-        Self { graph, trajectories: BTreeMap::new(), start: None }
+        Self { graph, trajectories: BTreeMap::new(), start: None, issues: IssueLog::default() }
     }
 
     /// The start as the pose graph wants it: at `time`, relative to the first trajectory of the map that has nodes.
@@ -212,6 +208,7 @@ pub fn map_recording<S: Space>(
     let Preparation { inventory, plan, options, keep_scans_in, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
+    let known_issues = known.issues;
     let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let trajectory_id = mapper.add_trajectory(&sensors, initial_pose)?;
@@ -242,17 +239,17 @@ pub fn map_recording<S: Space>(
     let scan_times = mapper.scan_times().clone();
     let degenerate_intervals = mapper.degenerate_intervals().to_vec();
     let losses = mapper.losses().to_vec();
-    let (map, mut mapping_repairs) = mapper.finish()?;
-    if kept_scans.failure().is_some() {
-        mapping_repairs.insert(NOT_KEPT, 1);
-    }
+    let (map, mapping_issues) = mapper.finish()?;
     if scans == 0 {
         return Err(PipelineError::NoScans);
     }
-    let mut reading_repairs = ingestion.repairs();
+    let mut issues = known_issues;
+    issues.merge(&ingestion.issues());
     if !interrupted {
-        reading_repairs.extend(silences.repairs());
+        issues.merge(&silences.issues());
     }
+    issues.append(&mapping_issues);
+    issues.count(IssueKind::ScansNotKept, u64::from(kept_scans.failure().is_some()));
     Ok(MappedRecording {
         map,
         trajectory_id,
@@ -260,8 +257,7 @@ pub fn map_recording<S: Space>(
         scans,
         recording_seconds: span.map_or(0.0, |(first, last)| last.seconds_since(first)),
         scan_times,
-        reading_repairs,
-        mapping_repairs,
+        issues,
         degenerate_intervals,
         losses,
         recorded_times: ingestion.recorded_times().clone(),

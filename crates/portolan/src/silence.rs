@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use portolan_geometry::Time;
-use portolan_recording::Repair;
+use portolan_issue::{Issue, IssueKind};
 use portolan_sensor::{SensorId, SensorKind};
 
 /// Silence counts from so many seconds on, and from so many times the usual time between messages.
@@ -38,18 +38,17 @@ impl Silences {
         }
     }
 
-    /// A line for each sensor that was silent at the end. Satellite fixes and landmarks come and go.
-    pub fn repairs(&self) -> Vec<Repair> {
+    /// An issue for each sensor that was silent at the end. Satellite fixes and landmarks come and go.
+    pub fn issues(&self) -> Vec<Issue> {
         let is_steady = |id: &SensorId| !matches!(id.kind, SensorKind::Landmark | SensorKind::FixedFramePose);
         let silence = |(id, heard): (&SensorId, &Heard)| {
-            let silent = self.end?.seconds_since(heard.last);
+            let end = self.end?;
+            let silent = end.seconds_since(heard.last);
             let period = heard.last.seconds_since(heard.first) / heard.messages.max(1) as f64;
-            let what = format!(
-                "{}: falls silent {silent:.1} s before the end; the rest is mapped without it",
-                id.id
-            );
             let is_long = silent > MIN_SILENCE && silent > MIN_PERIODS * period;
-            (is_long && is_steady(id)).then_some(Repair { what, count: 1, lost_data: false })
+            let issue = Issue::new(IssueKind::SensorSilent).of(id.id.clone());
+            let issue = issue.with_number("seconds", format_args!("{silent:.1}")).between(heard.last, end);
+            (is_long && is_steady(id)).then_some(issue)
         };
         self.heard.iter().filter_map(silence).collect()
     }
@@ -75,8 +74,8 @@ mod tests {
                 silences.add(&sensor("slow", SensorKind::Odometry), time);
             }
         }
-        let told = silences.repairs();
+        let told = silences.issues();
         assert_eq!(told.len(), 1, "{told:?}");
-        assert!(told[0].what.starts_with("right: falls silent 30.0 s before"), "{told:?}");
+        assert!(told[0].to_string().starts_with("right: falls silent 30.0 s before"), "{told:?}");
     }
 }

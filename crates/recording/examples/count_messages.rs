@@ -28,8 +28,8 @@ fn main() -> Result<(), RecordingError> {
     }
     let seconds = start.elapsed().as_secs_f64();
     println!("read: {counts:#?}");
-    for repair in reader.repairs() {
-        println!("{} × {}{}", repair.count, repair.what, if repair.lost_data { " (data lost)" } else { "" });
+    for issue in reader.issues() {
+        println!("{} × {}{}", issue.count, issue, if issue.lost_data() { " (data lost)" } else { "" });
     }
     let megabytes = recording.size_bytes() as f64 / 1e6;
     println!("opened in {opened:?}, all in {seconds:.3} s, {:.0} MB/s", megabytes / seconds);

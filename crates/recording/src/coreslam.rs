@@ -23,8 +23,9 @@ use portolan_geometry::{Duration, Time, normalize_angle};
 use crate::text::{Lines, TextFile};
 use crate::{
     Header, LaserScan, Message, MessageReader, Odometry, Pose, RecordedMessage, Recording, RecordingError,
-    Repair, RepairLog, TfMessage, TopicInfo, TransformStamped,
+    TfMessage, TopicInfo, TransformStamped,
 };
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 /// Columns before the ranges.
 const HEADER_COLUMNS: usize = 25;
@@ -145,7 +146,7 @@ impl Recording for CoreSlamLog {
             wheels: Wheels::default(),
             ready: VecDeque::new(),
             newest: Time::MIN,
-            repairs: RepairLog::default(),
+            issues: IssueLog::default(),
         };
         reader.give("/tf_static", self.time_range.0, laser_on_robot(self.time_range.0));
         Ok(Box::new(reader))
@@ -158,7 +159,7 @@ struct CoreSlamReader {
     wheels: Wheels,
     ready: VecDeque<RecordedMessage>,
     newest: Time,
-    repairs: RepairLog,
+    issues: IssueLog,
 }
 
 impl CoreSlamReader {
@@ -170,7 +171,7 @@ impl CoreSlamReader {
 
     fn take_record(&mut self, record: Record) {
         if record.stamp <= self.newest {
-            self.repairs.lost("lines not later than the one before were left out");
+            self.issues.add(IssueKind::LineNotLater);
             return;
         }
         self.newest = record.stamp;
@@ -188,7 +189,7 @@ impl MessageReader for CoreSlamReader {
             }
             let Some(line) = self.lines.next_line()? else {
                 if let Some(damage) = self.lines.damage() {
-                    self.repairs.lost(damage);
+                    self.issues.add(Issue::new(IssueKind::DamagedCompressedText).with("error", damage));
                 }
                 return Ok(None);
             };
@@ -196,7 +197,7 @@ impl MessageReader for CoreSlamReader {
             match parse_line(line) {
                 Some(record) => self.take_record(record),
                 None if empty => {}
-                None => self.repairs.lost("lines that could not be understood were left out"),
+                None => self.issues.add(IssueKind::UnreadableLine),
             }
         }
     }
@@ -205,8 +206,8 @@ impl MessageReader for CoreSlamReader {
         self.lines.position_bytes()
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }
 
@@ -289,27 +290,27 @@ mod tests {
         text + "\n"
     }
 
-    fn read(text: &str) -> (Vec<RecordedMessage>, Vec<Repair>) {
+    fn read(text: &str) -> (Vec<RecordedMessage>, Vec<Issue>) {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("exp.dat");
         std::fs::write(&path, text).unwrap();
         let mut reader = CoreSlamLog::open(&path).unwrap().read(&|_| true).unwrap();
         let messages = std::iter::from_fn(|| reader.next_message().unwrap()).collect();
-        (messages, reader.repairs())
+        (messages, reader.issues())
     }
 
     #[test]
     fn a_quarter_turn_to_the_left() {
         let ticks = (PI / 2.0 * TRACK / 2.0 / METRES_PER_TICK).round() as i64;
         let text = line(100, 10, 10) + "\nnonsense\n" + &line(200, 10 - ticks, 10 + ticks) + &line(200, 0, 0);
-        let (messages, repairs) = read(&text);
+        let (messages, issues) = read(&text);
         assert_eq!(messages.len(), 5);
         let Message::Odometry(odometry) = &messages[3].message else { panic!() };
         assert_eq!(odometry.header.stamp, Time::from_ros(1_000_000_000, 200_000));
         assert!((odometry.pose.orientation_xyzw[2] - 0.5f64.sqrt()).abs() < 1e-3);
         let Message::LaserScan(scan) = &messages[4].message else { panic!() };
         assert_eq!((scan.ranges.len(), scan.ranges[1]), (BEAMS, 1.5));
-        assert_eq!(repairs.iter().map(|r| r.count).sum::<u64>(), 2);
+        assert_eq!(issues.iter().map(|r| r.count).sum::<u64>(), 2);
     }
 
     proptest! {

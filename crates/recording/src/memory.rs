@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use portolan_geometry::Time;
 
-use crate::{Message, MessageReader, RecordedMessage, Recording, RecordingError, Repair, TopicInfo};
+use crate::{Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo};
+use portolan_issue::Issue;
 
 /// Messages in memory.
 #[derive(Clone, Debug, Default)]
@@ -80,7 +81,7 @@ impl MessageReader for MemoryReader {
         self.next as u64
     }
 
-    fn repairs(&self) -> Vec<Repair> {
+    fn issues(&self) -> Vec<Issue> {
         Vec::new()
     }
 }

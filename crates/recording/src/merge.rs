@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use portolan_geometry::Time;
 
-use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
+use crate::{MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo};
+use portolan_issue::{Issue, IssueLog};
 
 /// Recordings merged by log time; at equal times the earlier part comes first. A part is opened when its
 /// first message may be due. Parts that do not know their times follow the part before them.
@@ -14,7 +15,7 @@ pub(crate) struct MergedRecording {
     parts: Parts,
     info: MergedInfo,
     /// What was repaired when the parts were found.
-    repairs: Vec<Repair>,
+    issues: Vec<Issue>,
 }
 
 /// Shared with readers, which open the parts one after the other.
@@ -29,7 +30,7 @@ struct MergedInfo {
 }
 
 impl MergedRecording {
-    pub(crate) fn new(parts: Vec<Box<dyn Recording>>, repairs: Vec<Repair>) -> Self {
+    pub(crate) fn new(parts: Vec<Box<dyn Recording>>, issues: Vec<Issue>) -> Self {
         let formats: BTreeSet<String> = parts.iter().map(|part| part.format()).collect();
         let formats = formats.into_iter().collect::<Vec<_>>().join(", ");
         let mut topics: BTreeMap<(Arc<str>, Arc<str>), Option<u64>> = BTreeMap::new();
@@ -44,7 +45,7 @@ impl MergedRecording {
             time_ranges: parts.iter().map(|part| part.time_range()).collect(),
             sizes_bytes: parts.iter().map(|part| part.size_bytes()).collect(),
         };
-        Self { parts: Arc::new(Mutex::new(parts)), info, repairs }
+        Self { parts: Arc::new(Mutex::new(parts)), info, issues }
     }
 }
 
@@ -72,8 +73,8 @@ impl Recording for MergedRecording {
     fn read(&self, wanted: &dyn Fn(&TopicInfo) -> bool) -> Result<Box<dyn MessageReader>, RecordingError> {
         let wanted = self.info.topics.iter().filter(|topic| wanted(topic));
         let wanted = wanted.map(|topic| (topic.topic.clone(), topic.type_name.clone())).collect();
-        let mut repairs = RepairLog::default();
-        repairs.merge(&self.repairs);
+        let mut issues = IssueLog::default();
+        issues.merge(&self.issues);
         let mut latest_start = Time::MIN;
         let mut waiting = Vec::new();
         for (number, range) in self.info.time_ranges.iter().enumerate() {
@@ -89,7 +90,7 @@ impl Recording for MergedRecording {
             queue: BinaryHeap::new(),
             sizes_bytes: self.info.sizes_bytes.clone(),
             finished_bytes: 0,
-            repairs,
+            issues,
         }))
     }
 }
@@ -109,7 +110,7 @@ struct MergedReader {
     queue: BinaryHeap<Reverse<(Time, usize)>>,
     sizes_bytes: Vec<u64>,
     finished_bytes: u64,
-    repairs: RepairLog,
+    issues: IssueLog,
 }
 
 impl MergedReader {
@@ -141,7 +142,7 @@ impl MergedReader {
         match &part.next {
             Some(message) => self.queue.push(Reverse((message.log_time, number))),
             None => {
-                self.repairs.merge(&part.reader.repairs());
+                self.issues.merge(&part.reader.issues());
                 self.finished_bytes += self.sizes_bytes.get(number).copied().unwrap_or_default();
                 self.open.remove(&number);
             }
@@ -163,9 +164,9 @@ impl MessageReader for MergedReader {
         self.finished_bytes + self.open.values().map(|part| part.reader.position_bytes()).sum::<u64>()
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        let mut all = self.repairs.clone();
-        self.open.values().for_each(|part| all.merge(&part.reader.repairs()));
+    fn issues(&self) -> Vec<Issue> {
+        let mut all = self.issues.clone();
+        self.open.values().for_each(|part| all.merge(&part.reader.issues()));
         all.list()
     }
 }

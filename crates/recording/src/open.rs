@@ -7,9 +7,8 @@ use std::sync::Arc;
 use crate::container::{Source, most_unpacked};
 use crate::merge::MergedRecording;
 use crate::ros2::{db3, folder, mcap};
-use crate::{
-    Recording, RecordingError, RepairLog, kitti, open_text_log, open_text_log_bytes, packets, pcap, ros1,
-};
+use crate::{Recording, RecordingError, kitti, open_text_log, open_text_log_bytes, packets, pcap, ros1};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 /// What can be opened, for error messages.
 const SUPPORTED: &str = "supported are ROS 1 bags (format 2.0), ROS 2 bags (MCAP or SQLite, a file or a folder \
@@ -124,21 +123,21 @@ fn open_folder(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
             detail: format!("the folder holds no file of a known format; {SUPPORTED}"),
         });
     };
-    let mut repairs = RepairLog::default();
-    repairs.merge(&found.repairs);
+    let mut issues = IssueLog::default();
+    issues.merge(&found.issues);
     let (mut parts, mut first_error) = (Vec::new(), None);
     for file in &found.files {
         match open_as_it_is(file) {
             Ok(part) => parts.push(part),
             Err(error) => {
-                repairs.lost(format!("a file of the recording was left out: {error}"));
+                issues.add(Issue::new(IssueKind::FileLeftOut).with("error", &error));
                 first_error.get_or_insert(error);
             }
         }
     }
     match first_error {
         Some(error) if parts.is_empty() => Err(error),
-        _ => Ok(Box::new(MergedRecording::new(parts, repairs.list()))),
+        _ => Ok(Box::new(MergedRecording::new(parts, issues.list()))),
     }
 }
 
@@ -190,7 +189,7 @@ fn wrapped_prefix(path: &Path, wrapper: Wrapper) -> Result<Vec<u8>, RecordingErr
 
 /// Containers are read at random places, so that a compressed one is unpacked into a temporary file first.
 fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, RecordingError> {
-    let mut repairs = RepairLog::default();
+    let mut issues = IssueLog::default();
     let mut unpacked = tempfile::NamedTempFile::new().map_err(|error| io_error(path, error))?;
     let mut reader = wrapper.reader(path).map_err(|error| io_error(path, error))?;
     let packed_bytes = std::fs::metadata(path).map_err(|error| io_error(path, error))?.len();
@@ -200,8 +199,7 @@ fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, Rec
         match reader.read(&mut block) {
             Ok(0) => break,
             Ok(count) if count as u64 > left => {
-                repairs
-                    .lost("the file claims to be compressed to less than a 256th; only its start was read");
+                issues.add(IssueKind::HighCompression);
                 break;
             }
             Ok(count) => io::Write::write_all(&mut unpacked, block.get(..count).unwrap_or_default())
@@ -209,8 +207,7 @@ fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, Rec
                 .map_err(|error| io_error(path, error))?,
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             Err(_) => {
-                repairs
-                    .lost("the compressed file is damaged or cut off; what could be decompressed was read");
+                issues.add(IssueKind::DamagedCompression);
                 break;
             }
         }
@@ -219,7 +216,7 @@ fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, Rec
     let source = Source::Unpacked { original: path.into(), file };
     let prefix = source.open()?.peek(0, PREFIX_BYTES)?.to_vec();
     let recording = open_container(&source, &prefix)?.ok_or_else(|| unknown(path, &prefix))?;
-    Ok(Box::new(MergedRecording::new(vec![recording], repairs.list())))
+    Ok(Box::new(MergedRecording::new(vec![recording], issues.list())))
 }
 
 fn io_error(path: &Path, source: io::Error) -> RecordingError {

@@ -1,30 +1,27 @@
-//! Output files that appear whole or not at all.
+//! Output files with a position and a checksum.
 
-use std::fs::File;
-use std::io::{BufWriter, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
+use std::io::Write as _;
+use std::path::Path;
+
+use portolan_atomic_file::{AtomicFile, WriteError};
 
 use crate::RecordingError;
 
-/// A file that is written under a temporary name beside its place and renamed when it is complete.
-/// Dropped before that, it vanishes.
+/// A file that appears when it is complete, or not at all.
 pub(crate) struct OutputFile {
-    path: PathBuf,
-    temporary: PathBuf,
-    writer: Option<BufWriter<File>>,
+    file: AtomicFile,
     position: u64,
     crc: crc32fast::Hasher,
 }
 
+fn failed(error: WriteError) -> RecordingError {
+    RecordingError::Write { path: error.path, source: error.source }
+}
+
 impl OutputFile {
     pub(crate) fn create(path: &Path) -> Result<Self, RecordingError> {
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(".part");
-        let temporary = path.with_file_name(name);
-        let error = |source| RecordingError::Write { path: path.to_owned(), source };
-        let writer = Some(BufWriter::with_capacity(1 << 16, File::create(&temporary).map_err(error)?));
-        let crc = crc32fast::Hasher::new();
-        Ok(Self { path: path.to_owned(), temporary, writer, position: 0, crc })
+        let file = AtomicFile::create(path).map_err(failed)?;
+        Ok(Self { file, position: 0, crc: crc32fast::Hasher::new() })
     }
 
     /// Bytes written so far.
@@ -44,7 +41,7 @@ impl OutputFile {
 
     /// Appends bytes.
     pub(crate) fn append(&mut self, bytes: &[u8]) -> Result<(), RecordingError> {
-        self.with_writer(|writer| writer.write_all(bytes))?;
+        self.file.write_all(bytes).map_err(|source| failed(self.file.error(source)))?;
         self.crc.update(bytes);
         self.position += bytes.len() as u64;
         Ok(())
@@ -52,40 +49,11 @@ impl OutputFile {
 
     /// Replaces bytes that were written before.
     pub(crate) fn overwrite(&mut self, offset: u64, bytes: &[u8]) -> Result<(), RecordingError> {
-        let end = self.position;
-        self.with_writer(|writer| {
-            writer.seek(SeekFrom::Start(offset))?;
-            writer.write_all(bytes)?;
-            writer.seek(SeekFrom::Start(end)).map(drop)
-        })
+        self.file.overwrite(offset, bytes).map_err(|source| failed(self.file.error(source)))
     }
 
     /// Gives the file its name.
-    pub(crate) fn finish(mut self) -> Result<(), RecordingError> {
-        self.with_writer(|writer| {
-            writer.flush()?;
-            writer.get_ref().sync_data()
-        })?;
-        std::fs::rename(&self.temporary, &self.path)
-            .map_err(|source| RecordingError::Write { path: self.path.clone(), source })?;
-        self.writer = None;
-        Ok(())
-    }
-
-    fn with_writer(
-        &mut self,
-        action: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
-    ) -> Result<(), RecordingError> {
-        let result = self.writer.as_mut().map_or(Ok(()), action);
-        result.map_err(|source| RecordingError::Write { path: self.path.clone(), source })
-    }
-}
-
-impl Drop for OutputFile {
-    fn drop(&mut self) {
-        if self.writer.take().is_some() {
-            // There is nobody to tell; the file is ours and useless.
-            let _ = std::fs::remove_file(&self.temporary);
-        }
+    pub(crate) fn finish(self) -> Result<(), RecordingError> {
+        self.file.commit().map_err(failed)
     }
 }

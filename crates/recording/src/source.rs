@@ -6,6 +6,7 @@ use std::sync::Arc;
 use portolan_geometry::Time;
 
 use crate::RecordedMessage;
+use portolan_issue::Issue;
 
 /// What one topic of a recording holds, as far as the container's index tells without reading every
 /// message.
@@ -17,17 +18,6 @@ pub struct TopicInfo {
     pub type_name: Arc<str>,
     /// Number of messages, if the index knows it.
     pub count: Option<u64>,
-}
-
-/// A repair or loss while reading: counted and reported, never silent.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Repair {
-    /// What was wrong and what was done about it, one sentence.
-    pub what: String,
-    /// How often.
-    pub count: u64,
-    /// Whether data were lost by it.
-    pub lost_data: bool,
 }
 
 /// Why a recording could not be read.
@@ -118,6 +108,6 @@ pub trait MessageReader: Send {
     /// Bytes of the file consumed so far, for progress.
     fn position_bytes(&self) -> u64;
 
-    /// What was repaired so far, in ascending order.
-    fn repairs(&self) -> Vec<Repair>;
+    /// What was repaired or left out so far, by kind.
+    fn issues(&self) -> Vec<Issue>;
 }

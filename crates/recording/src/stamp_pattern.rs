@@ -1,6 +1,7 @@
 //! Whether the stamps of a sensor tell when it measured.
 
 use portolan_geometry::Time;
+use portolan_numeric::quantile;
 
 /// The mean interval is taken over so many messages.
 const MEAN_OVER: usize = 50;
@@ -55,13 +56,6 @@ impl StampPattern {
     pub fn is_disturbed(&self) -> bool {
         self.disturbed > MOST_IN_BURSTS
     }
-}
-
-/// The value below which this share of the values lies; not-numbers sort last.
-fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let index = (share * values.len() as f64) as usize;
-    values.get(index.min(values.len().saturating_sub(1))).copied()
 }
 
 #[cfg(test)]

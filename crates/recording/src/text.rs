@@ -132,7 +132,7 @@ impl TextFile {
         Ok((stream, position))
     }
 
-    /// Damage of a compressed file ends it, errors of the disk are errors.
+    /// What is damaged of a compressed file, which ends there; errors of the disk are errors.
     fn damage(&self, error: std::io::Error) -> Result<String, RecordingError> {
         let damaged = matches!(
             error.kind(),
@@ -141,7 +141,7 @@ impl TextFile {
         if self.compression == Compression::None || !damaged {
             return Err(RecordingError::Io { path: self.path.clone(), source: error });
         }
-        Ok(format!("the compressed file is damaged or cut off ({error}); what follows is lost"))
+        Ok(error.to_string())
     }
 
     /// Bytes on disk.
@@ -332,7 +332,7 @@ mod tests {
         let gzip = gzip.finish().unwrap();
         let (lines, damage, _) = lines_of(&gzip[..gzip.len() / 2]);
         assert!(lines.len() > 5000 && lines.len() < 15_000, "{}", lines.len());
-        assert!(damage.unwrap().contains("cut off"));
+        assert!(damage.is_some());
         let mut bzip = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::fast());
         bzip.write_all(&text).unwrap();
         let bzip = bzip.finish().unwrap();

@@ -5,18 +5,19 @@
 use std::io::Write;
 use std::path::Path;
 
-use portolan_recording::{Message, RecordedMessage, Recording, Repair, open_text_log, open_text_log_bytes};
+use portolan_issue::Issue;
+use portolan_recording::{Message, RecordedMessage, Recording, open_text_log, open_text_log_bytes};
 use portolan_testing::real_data;
 use proptest::prelude::*;
 
-fn read_all(recording: &dyn Recording) -> (Vec<RecordedMessage>, Vec<Repair>) {
+fn read_all(recording: &dyn Recording) -> (Vec<RecordedMessage>, Vec<Issue>) {
     let mut reader = recording.read(&|_| true).unwrap();
     let mut messages = Vec::new();
     while let Some(message) = reader.next_message().unwrap() {
         messages.push(message);
     }
     assert!(messages.windows(2).all(|w| w[0].log_time <= w[1].log_time));
-    (messages, reader.repairs())
+    (messages, reader.issues())
 }
 
 fn count(messages: &[RecordedMessage], topic: &str) -> usize {
@@ -28,11 +29,11 @@ fn aces_as_a_carmen_log() {
     let Some(path) = real_data("lidar2d/aces/aces.clf.bz2") else { return };
     let log = open_text_log(&path).unwrap().unwrap();
     assert_eq!(log.format(), "CARMEN log (bzip2)");
-    let (messages, repairs) = read_all(&*log);
+    let (messages, issues) = read_all(&*log);
     assert_eq!(count(&messages, "/scan"), 7374);
     assert_eq!(count(&messages, "/odom"), 7374);
     assert_eq!(count(&messages, "/tf_static"), 1);
-    assert!(repairs.iter().all(|r| !r.lost_data), "{repairs:?}");
+    assert!(issues.iter().all(|r| !r.lost_data()), "{issues:?}");
     let Message::LaserScan(scan) = &messages[2].message else { panic!() };
     assert_eq!((scan.angle_min, scan.angle_max), (-1.570_796_4, 1.553_343));
     assert_eq!(
@@ -57,9 +58,9 @@ fn coreslam_logs() {
     for (name, scans) in [("exp1", 756), ("exp2", 641)] {
         let Some(path) = real_data(&format!("lidar2d/coreslam/{name}.dat")) else { return };
         let log = open_text_log(&path).unwrap().unwrap();
-        let (messages, repairs) = read_all(&*log);
+        let (messages, issues) = read_all(&*log);
         assert_eq!((count(&messages, "/scan"), count(&messages, "/odom")), (scans, scans));
-        assert!(repairs.is_empty(), "{repairs:?}");
+        assert!(issues.is_empty(), "{issues:?}");
     }
 }
 
@@ -118,8 +119,8 @@ fn a_truncated_log_gives_what_is_left_and_says_so() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("cut.clf.bz2");
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-    let (messages, repairs) = read_all(&*open_text_log(&path).unwrap().unwrap());
+    let (messages, issues) = read_all(&*open_text_log(&path).unwrap().unwrap());
     let scans = count(&messages, "/scan");
     assert!(scans > 1000 && scans < 4000, "{scans}");
-    assert!(repairs.iter().any(|r| r.lost_data && r.what.contains("cut off")), "{repairs:?}");
+    assert!(issues.iter().any(|r| r.lost_data() && r.text().contains("cut off")), "{issues:?}");
 }

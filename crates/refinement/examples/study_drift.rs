@@ -11,6 +11,7 @@ use portolan_evaluation::{
 };
 use portolan_geometry::{Rigid3, Time, Vector3, nalgebra as na, quaternion_from_angle_axis};
 use portolan_ingest::{IngestOptions, Ingestion};
+use portolan_numeric::{Lcg64, SplitMix64};
 use portolan_recording::open;
 use portolan_refinement::PointStore;
 use portolan_refinement::continuous::{ContinuousOptions, Refined, refine_continuous};
@@ -21,12 +22,11 @@ type Poses = Vec<(Time, Rigid3)>;
 type Failure = Box<dyn std::error::Error>;
 
 /// A deterministic generator of noise.
-struct Random(u64);
+struct Random(Lcg64);
 
 impl Random {
     fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+        self.0.uniform()
     }
 
     fn normal(&mut self) -> f64 {
@@ -85,7 +85,7 @@ fn curve(kind: &str, seconds: &[f64], random: &mut Random) -> Result<Vec<Vector3
 fn disturbed(truth: &Poses, kind: &str, [metres, degrees]: [f64; 2], seed: u64) -> Result<Poses, Failure> {
     let start = truth[0].0;
     let seconds: Vec<f64> = truth.iter().map(|p| p.0.seconds_since(start)).collect();
-    let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+    let mut random = Random(Lcg64::new(seed.wrapping_mul(SplitMix64::GAMMA) | 1));
     let shifts = curve(kind, &seconds, &mut random)?;
     let turns = curve(kind, &seconds, &mut random)?;
     let phases: Vec<f64> = (0..36).map(|_| random.uniform() * 6.3).collect();

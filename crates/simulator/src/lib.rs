@@ -25,9 +25,8 @@
 
 mod error;
 pub mod motion;
-mod output;
-mod output3d;
 mod random;
+mod rig;
 mod scenario;
 mod scenario3d;
 mod scene3d;

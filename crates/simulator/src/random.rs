@@ -4,21 +4,13 @@
 //! order in which messages are made, nor on the number of threads. The transcendental functions come
 //! from `libm`, so they do not depend on the platform either.
 
-/// A stream of random numbers (SplitMix64: Steele, Lea and Flood, "Fast splittable pseudorandom
-/// number generators", 2014).
+use portolan_numeric::{SplitMix64, splitmix64};
+
+/// A stream of random numbers (SplitMix64).
 #[derive(Clone, Debug)]
 pub struct Random {
-    state: u64,
+    bits: SplitMix64,
     spare_gaussian: Option<f64>,
-}
-
-const GOLDEN_GAMMA: u64 = 0x9E37_79B9_7F4A_7C15;
-
-/// The finaliser of SplitMix64: every bit of the input reaches every bit of the output.
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
 }
 
 /// FNV-1a.
@@ -29,20 +21,19 @@ fn hash_name(name: &str) -> u64 {
 impl Random {
     /// The stream number `index` of purpose `name`.
     pub fn new(seed: u64, name: &str, index: u64) -> Self {
-        let keyed = mix(seed.wrapping_add(GOLDEN_GAMMA)) ^ hash_name(name);
-        let state = mix(mix(keyed).wrapping_add(index.wrapping_mul(GOLDEN_GAMMA)));
-        Self { state, spare_gaussian: None }
+        let keyed = splitmix64(seed.wrapping_add(SplitMix64::GAMMA)) ^ hash_name(name);
+        let state = splitmix64(splitmix64(keyed).wrapping_add(index.wrapping_mul(SplitMix64::GAMMA)));
+        Self { bits: SplitMix64::new(state), spare_gaussian: None }
     }
 
     /// 64 random bits.
     pub fn bits(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(GOLDEN_GAMMA);
-        mix(self.state)
+        self.bits.bits()
     }
 
     /// Uniform in [0, 1).
     pub fn uniform(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
+        self.bits.uniform()
     }
 
     /// Uniform in [low, high).
@@ -52,7 +43,7 @@ impl Random {
 
     /// Uniform in 0..n; 0 for n = 0. The bias is below n/2⁶⁴.
     pub fn below(&mut self, n: usize) -> usize {
-        ((u128::from(self.bits()) * n as u128) >> 64) as usize
+        self.bits.below(n)
     }
 
     /// True with the given probability.
@@ -119,10 +110,5 @@ mod tests {
         let drawn = [random.bits(), random.bits()];
         let mut again = Random::new(42, "scan", 0);
         assert_eq!(drawn, [again.bits(), again.bits()]);
-        assert_eq!(
-            mix(0x9E37_79B9_7F4A_7C15),
-            0xE220_A839_7B1D_CDAF,
-            "first output of SplitMix64 with seed 0"
-        );
     }
 }

@@ -121,33 +121,40 @@ impl ScenarioOptions {
         within("motion.turn_rate", self.motion.turn_rate, 0.05, 20.0)?;
         within("motion.turn_acceleration", self.motion.turn_acceleration, 0.05, 100.0)?;
         self.lidars.iter().try_for_each(check_lidar)?;
-        self.odometry.iter().try_for_each(check_odometry)?;
-        self.imu.iter().try_for_each(check_imu)?;
-        self.check_names()?;
-        let recorded = [
-            (!self.lidars.is_empty()).then_some(FaultTarget::Scan),
-            self.odometry.as_ref().map(|_| FaultTarget::Odometry),
-            self.imu.as_ref().map(|_| FaultTarget::Imu),
-        ];
-        check_faults(&self.faults, &recorded.into_iter().flatten().collect::<Vec<_>>())
-    }
-
-    fn check_names(&self) -> Result<(), SimulatorError> {
-        let mut topics = vec!["/tf_static"];
-        topics.extend(self.lidars.iter().map(|l| l.topic.as_str()));
-        topics.extend(self.odometry.iter().map(|o| o.topic.as_str()));
-        topics.extend(self.imu.iter().map(|i| i.topic.as_str()));
-        let mut frames = vec!["base_link"];
-        frames.extend(self.lidars.iter().map(|l| l.frame.as_str()));
-        frames.extend(self.odometry.iter().map(|o| o.frame.as_str()));
-        frames.extend(self.imu.iter().map(|i| i.frame.as_str()));
-        check_unique("topic", topics)?;
-        check_unique("frame", frames)
+        let lidars: Vec<Names> = self.lidars.iter().map(|l| (&*l.topic, Some(&*l.frame))).collect();
+        check_sensors(&lidars, (self.odometry.as_ref(), self.imu.as_ref()), &[], &self.faults)
     }
 }
 
+/// The names of one sensor: its topic, and its frame if it has one.
+pub(crate) type Names<'a> = (&'a str, Option<&'a str>);
+
+/// What both kinds of scenarios check: names that differ, and faults of sensors that are there.
+pub(crate) fn check_sensors(
+    lidars: &[Names],
+    (odometry, imu): (Option<&OdometryOptions>, Option<&ImuOptions>),
+    others: &[Names],
+    faults: &[Fault],
+) -> Result<(), SimulatorError> {
+    odometry.map_or(Ok(()), check_odometry)?;
+    imu.map_or(Ok(()), check_imu)?;
+    let mut names = vec![("/tf_static", Some("base_link"))];
+    names.extend(lidars.iter().chain(others));
+    names.extend(odometry.map(|o| (o.topic.as_str(), Some(o.frame.as_str()))));
+    names.extend(imu.map(|i| (i.topic.as_str(), Some(i.frame.as_str()))));
+    check_unique("topic", names.iter().map(|(topic, _)| *topic).collect())?;
+    let frames = names.iter().filter_map(|(_, frame)| *frame);
+    check_unique("frame", frames.collect())?;
+    let recorded = [
+        (!lidars.is_empty()).then_some(FaultTarget::Scan),
+        odometry.map(|_| FaultTarget::Odometry),
+        imu.map(|_| FaultTarget::Imu),
+    ];
+    check_faults(faults, &recorded.into_iter().flatten().collect::<Vec<_>>())
+}
+
 /// Whether all names are given and different.
-pub(crate) fn check_unique(what: &str, mut names: Vec<&str>) -> Result<(), SimulatorError> {
+fn check_unique(what: &str, mut names: Vec<&str>) -> Result<(), SimulatorError> {
     let bad = |detail: String| Err(SimulatorError::BadNames { detail });
     names.sort_unstable();
     if names.first().is_some_and(|name| name.is_empty()) {
@@ -185,7 +192,7 @@ fn check_lidar(lidar: &LidarOptions) -> Result<(), SimulatorError> {
     Ok(())
 }
 
-pub(crate) fn check_odometry(odometry: &OdometryOptions) -> Result<(), SimulatorError> {
+fn check_odometry(odometry: &OdometryOptions) -> Result<(), SimulatorError> {
     within("odometry.rate", odometry.rate, 0.1, 2000.0)?;
     within("odometry.wheel_separation", odometry.wheel_separation, 0.05, 5.0)?;
     within("odometry.wheel_size_error", odometry.wheel_size_error, 0.0, 0.2)?;
@@ -196,7 +203,7 @@ pub(crate) fn check_odometry(odometry: &OdometryOptions) -> Result<(), Simulator
     within("odometry.encoder_resolution", odometry.encoder_resolution, 0.0, 0.1)
 }
 
-pub(crate) fn check_imu(imu: &ImuOptions) -> Result<(), SimulatorError> {
+fn check_imu(imu: &ImuOptions) -> Result<(), SimulatorError> {
     within("imu.rate", imu.rate, 0.1, 2000.0)?;
     within("imu.gyroscope_noise", imu.gyroscope_noise, 0.0, 10.0)?;
     within("imu.accelerometer_noise", imu.accelerometer_noise, 0.0, 10.0)?;

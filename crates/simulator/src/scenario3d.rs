@@ -4,11 +4,10 @@ use portolan_geometry::{Rigid3, Time, Vector3, nalgebra as na};
 
 use crate::SimulatorError;
 use crate::motion::{Carrier, rotation};
-use crate::scenario::{LONGEST, check_imu, check_odometry, check_unique, within};
+use crate::scenario::{LONGEST, Names, check_sensors, within};
 use crate::scene3d::Scene3d;
 use crate::sensors::{
-    Fault, FaultTarget, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
-    check_faults,
+    Fault, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
 use crate::solid::{SolidPlan, draw_field, draw_garage, draw_museum, draw_park, draw_tunnel};
 
@@ -197,33 +196,12 @@ impl Scenario3dOptions {
         within("base_height", self.base_height, 0.0, 10.0)?;
         within("lidars", self.lidars.len() as f64, 0.0, 8.0)?;
         self.lidars.iter().try_for_each(check_lidar)?;
-        self.imu.iter().try_for_each(check_imu)?;
-        self.odometry.iter().try_for_each(check_odometry)?;
         self.gnss.iter().try_for_each(check_gnss)?;
         self.landmarks.iter().try_for_each(check_landmarks)?;
-        self.check_names()?;
-        let recorded = [
-            (!self.lidars.is_empty()).then_some(FaultTarget::Scan),
-            self.odometry.as_ref().map(|_| FaultTarget::Odometry),
-            self.imu.as_ref().map(|_| FaultTarget::Imu),
-        ];
-        check_faults(&self.faults, &recorded.into_iter().flatten().collect::<Vec<_>>())
-    }
-
-    fn check_names(&self) -> Result<(), SimulatorError> {
-        let mut topics = vec!["/tf_static"];
-        topics.extend(self.lidars.iter().map(|l| l.topic.as_str()));
-        topics.extend(self.imu.iter().map(|i| i.topic.as_str()));
-        topics.extend(self.odometry.iter().map(|o| o.topic.as_str()));
-        topics.extend(self.gnss.iter().map(|g| g.topic.as_str()));
-        topics.extend(self.landmarks.iter().map(|l| l.topic.as_str()));
-        let mut frames = vec!["base_link"];
-        frames.extend(self.lidars.iter().map(|l| l.frame.as_str()));
-        frames.extend(self.imu.iter().map(|i| i.frame.as_str()));
-        frames.extend(self.odometry.iter().map(|o| o.frame.as_str()));
-        frames.extend(self.gnss.iter().map(|g| g.frame.as_str()));
-        check_unique("topic", topics)?;
-        check_unique("frame", frames)
+        let lidars: Vec<Names> = self.lidars.iter().map(|l| (&*l.topic, Some(&*l.frame))).collect();
+        let gnss = self.gnss.iter().map(|g| (&*g.topic, Some(&*g.frame)));
+        let others: Vec<Names> = gnss.chain(self.landmarks.iter().map(|l| (&*l.topic, None))).collect();
+        check_sensors(&lidars, (self.odometry.as_ref(), self.imu.as_ref()), &others, &self.faults)
     }
 }
 

@@ -2,15 +2,18 @@
 
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Rigid3, Time};
-use portolan_recording::LaserScan;
+use portolan_geometry::{Rigid3, Time};
+use portolan_recording::{LaserScan, Message};
 
-use crate::motion::{Motion, MotionState, TourRequest, Walk, plan_people, plan_tour};
+use crate::motion::{Motion, TourRequest, Walk, plan_people, plan_tour};
 use crate::random::Random;
+use crate::rig::{Request, Rig, RigLidar, simulation};
 use crate::sensors::{Clock, Lidar, Schedule};
 use crate::world::{ClearanceGrid, FloorPlan, World, draw_plan};
 use crate::{ScenarioOptions, SimulatorError};
 
+/// Beams that are made ahead of the reader at most, in all.
+const BEAMS_AHEAD: usize = 1 << 15;
 /// Cell of the grid on which ways are planned, metres.
 const WAY_CELL: f64 = 0.1;
 
@@ -87,11 +90,6 @@ impl Simulation {
         Self { inner: Arc::new(Inner { options, plan, world, walk, clock, duration, lidars }) }
     }
 
-    /// What was asked for.
-    pub fn options(&self) -> &ScenarioOptions {
-        &self.inner.options
-    }
-
     /// The floor plan with its places.
     pub fn plan(&self) -> &FloorPlan {
         &self.inner.plan
@@ -107,32 +105,11 @@ impl Simulation {
         &self.inner.walk
     }
 
-    /// Length of the recording, seconds.
-    pub fn duration(&self) -> f64 {
-        self.inner.duration
-    }
-
-    /// True time at the start.
-    pub fn start_time(&self) -> Time {
-        self.inner.clock.start
-    }
-
-    /// True time at the end.
-    pub fn end_time(&self) -> Time {
-        self.inner.clock.moment(Duration::from_seconds(self.inner.duration))
-    }
-
     /// The true pose of `base_link` in the map, to rounding; none outside the recording. Stamps of
     /// sensors with a clock offset must be corrected by it first.
     pub fn truth_at(&self, time: Time) -> Option<Rigid3> {
         let is_within = (self.start_time()..=self.end_time()).contains(&time);
         is_within.then(|| self.inner.walk.planar(self.inner.clock.seconds(time)).map_from_base())
-    }
-
-    /// Pose, velocities and accelerations at a time; none outside the recording.
-    pub fn motion_at(&self, time: Time) -> Option<MotionState> {
-        let is_within = (self.start_time()..=self.end_time()).contains(&time);
-        is_within.then(|| self.inner.walk.state(self.inner.clock.seconds(time)))
     }
 
     /// Pose of a lidar on the robot, by its place in the options.
@@ -149,6 +126,54 @@ impl Simulation {
     pub fn scan(&self, lidar: usize, index: u64) -> Option<LaserScan> {
         let (lidar, schedule) = self.inner.lidars.get(lidar)?;
         (index < schedule.count()).then(|| self.inner.scan(lidar, schedule, index))
+    }
+}
+
+simulation!(Simulation, ScenarioOptions);
+
+impl Rig for Inner {
+    type Motion = Walk;
+
+    fn request(&self) -> Request<'_> {
+        let o = &self.options;
+        Request { seed: o.seed, faults: &o.faults, imu: o.imu.as_ref(), odometry: o.odometry.as_ref() }
+    }
+
+    fn motion(&self) -> &Arc<Walk> {
+        &self.walk
+    }
+
+    fn clock(&self) -> Clock {
+        self.clock
+    }
+
+    fn duration(&self) -> f64 {
+        self.duration
+    }
+
+    fn lidar_count(&self) -> usize {
+        self.lidars.len()
+    }
+
+    fn lidar(&self, index: usize) -> Option<RigLidar<'_>> {
+        let (lidar, schedule) = self.lidars.get(index)?;
+        let o = &lidar.options;
+        let values = if o.intensities { 2 } else { 1 };
+        Some(RigLidar {
+            topic: &lidar.topic,
+            type_name: "sensor_msgs/LaserScan",
+            frame: &o.frame,
+            base_from_lidar: o.base_from_lidar(),
+            schedule,
+            message_bytes: 80 + 4 * (o.beams * values) as u64,
+            sweep_time: lidar.sweep_time(),
+            ahead: (BEAMS_AHEAD / o.beams).clamp(1, 256) as u64,
+        })
+    }
+
+    fn lidar_message(&self, index: usize, number: u64) -> Option<Message> {
+        let (lidar, schedule) = self.lidars.get(index)?;
+        Some(Message::LaserScan(self.scan(lidar, schedule, number)))
     }
 }
 

@@ -2,14 +2,20 @@
 
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Rigid3, Time, Vector3};
-use portolan_recording::PointCloud2;
+use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_recording::{Message, PointCloud2};
 
-use crate::motion::{Itinerary, ItineraryRequest, Motion, MotionState, SplineMotion, motion_along};
+use crate::motion::{Itinerary, ItineraryRequest, Motion, SplineMotion, motion_along};
 use crate::random::Random;
-use crate::sensors::{Clock, Schedule, SpinningLidar, landmark_poses};
+use crate::rig::{OtherSensor, Request, Rig, RigLidar, Source, simulation};
+use crate::sensors::{
+    Clock, GnssStream, LandmarkStream, MessageStream, Schedule, SpinningLidar, landmark_poses,
+};
 use crate::solid::{Pedestrian, Solid, SolidPlan, SolidWorld};
 use crate::{Scenario3dOptions, SimulatorError};
+
+/// Points that are made ahead of the reader at most, in all.
+const POINTS_AHEAD: usize = 1 << 19;
 
 /// A recording in space that is made while it is read, with its truth. Copies share everything.
 #[derive(Clone, Debug)]
@@ -81,11 +87,6 @@ impl Simulation3d {
         Self { inner: Arc::new(Inner3d { options, world, motion, marks, clock, duration, lidars }) }
     }
 
-    /// What was asked for.
-    pub fn options(&self) -> &Scenario3dOptions {
-        &self.inner.options
-    }
-
     /// The world with its people.
     pub fn world(&self) -> &SolidWorld {
         &self.inner.world
@@ -99,27 +100,6 @@ impl Simulation3d {
     /// True poses of the landmarks in the map, in the order of their numbers.
     pub fn landmarks(&self) -> &[Rigid3] {
         &self.inner.marks
-    }
-
-    /// Length of the recording, seconds.
-    pub fn duration(&self) -> f64 {
-        self.inner.duration
-    }
-
-    /// True time at the start.
-    pub fn start_time(&self) -> Time {
-        self.inner.clock.start
-    }
-
-    /// True time at the end.
-    pub fn end_time(&self) -> Time {
-        self.inner.clock.moment(Duration::from_seconds(self.inner.duration))
-    }
-
-    /// Pose, velocities and accelerations at a time; none outside the recording.
-    pub fn motion_at(&self, time: Time) -> Option<MotionState> {
-        let is_within = (self.start_time()..=self.end_time()).contains(&time);
-        is_within.then(|| self.inner.motion.state(self.inner.clock.seconds(time)))
     }
 
     /// The true pose of `base_link` in the map, to rounding; none outside the recording.
@@ -136,6 +116,88 @@ impl Simulation3d {
     pub fn sweep(&self, lidar: usize, index: u64) -> Option<PointCloud2> {
         let (lidar, schedule) = self.inner.lidars.get(lidar)?;
         (index < schedule.count()).then(|| self.inner.sweep(lidar, schedule, index))
+    }
+}
+
+simulation!(Simulation3d, Scenario3dOptions);
+
+impl Rig for Inner3d {
+    type Motion = SplineMotion;
+
+    fn request(&self) -> Request<'_> {
+        let o = &self.options;
+        Request { seed: o.seed, faults: &o.faults, imu: o.imu.as_ref(), odometry: o.odometry.as_ref() }
+    }
+
+    fn motion(&self) -> &Arc<SplineMotion> {
+        &self.motion
+    }
+
+    fn clock(&self) -> Clock {
+        self.clock
+    }
+
+    fn duration(&self) -> f64 {
+        self.duration
+    }
+
+    fn lidar_count(&self) -> usize {
+        self.lidars.len()
+    }
+
+    fn lidar(&self, index: usize) -> Option<RigLidar<'_>> {
+        let (lidar, schedule) = self.lidars.get(index)?;
+        let share = POINTS_AHEAD / self.lidars.len().max(1);
+        Some(RigLidar {
+            topic: &lidar.topic,
+            type_name: "sensor_msgs/PointCloud2",
+            frame: &lidar.options.frame,
+            base_from_lidar: lidar.options.base_from_lidar,
+            schedule,
+            message_bytes: lidar.message_bytes(),
+            sweep_time: lidar.sweep_time(),
+            ahead: (share / lidar.points_per_sweep()).clamp(2, 256) as u64,
+        })
+    }
+
+    fn lidar_message(&self, index: usize, number: u64) -> Option<Message> {
+        let (lidar, schedule) = self.lidars.get(index)?;
+        Some(Message::PointCloud2(self.sweep(lidar, schedule, number)))
+    }
+
+    fn other_sensors(&self) -> Vec<OtherSensor<'_>> {
+        let mut others: Vec<OtherSensor> = Vec::new();
+        if let Some(gnss) = &self.options.gnss {
+            others.push((&gnss.topic, "sensor_msgs/NavSatFix", gnss.rate, 130, Source::Gnss));
+        }
+        if let Some(marks) = &self.options.landmarks {
+            let type_name = "cartographer_ros_msgs/LandmarkList";
+            others.push((&marks.topic, type_name, marks.rate, 200, Source::Landmarks));
+        }
+        others
+    }
+
+    fn other_frames(&self) -> Vec<(&str, Rigid3)> {
+        self.options.gnss.iter().map(|gnss| (gnss.frame.as_str(), gnss.base_from_antenna)).collect()
+    }
+
+    fn open_other(&self, source: Source) -> Option<Box<dyn MessageStream>> {
+        let (motion, world) = (Arc::clone(&self.motion), Arc::clone(&self.world));
+        let seed = self.options.seed;
+        match source {
+            Source::Gnss => {
+                let gnss = self.options.gnss.clone()?;
+                let when = (self.clock, self.schedule(gnss.rate));
+                Some(Box::new(GnssStream::new(gnss, (world, motion), when, seed)))
+            }
+            Source::Landmarks => {
+                let marks = self.options.landmarks.clone()?;
+                let when = (self.clock, self.schedule(marks.rate));
+                let poses = Arc::clone(&self.marks);
+                Some(Box::new(LandmarkStream::new(marks, (world, motion, poses), when, seed)))
+            }
+            _ => None,
+        }
     }
 }
 

@@ -3,9 +3,9 @@
 use std::collections::VecDeque;
 
 use portolan_geometry::{Rigid3, Time};
+use portolan_issue::Issue;
 use portolan_recording::{
-    Header, Message, MessageReader, Pose, RecordedMessage, RecordingError, Repair, TfMessage,
-    TransformStamped,
+    Header, Message, MessageReader, Pose, RecordedMessage, RecordingError, TfMessage, TransformStamped,
 };
 use rayon::prelude::*;
 
@@ -80,7 +80,7 @@ impl MessageReader for MergedReader {
         self.position_bytes
     }
 
-    fn repairs(&self) -> Vec<Repair> {
+    fn issues(&self) -> Vec<Issue> {
         Vec::new()
     }
 }
@@ -95,18 +95,19 @@ pub(crate) struct AheadStream<F> {
     ready: VecDeque<RecordedMessage>,
 }
 
-impl<F: Fn(u64) -> RecordedMessage + Send + Sync> AheadStream<F> {
+impl<F: Fn(u64) -> Option<RecordedMessage> + Send + Sync> AheadStream<F> {
     /// Makes message number 0 to `count` − 1, `ahead` at a time.
     pub fn new(count: u64, ahead: u64, make: F) -> Self {
         Self { make, count, ahead, next: 0, ready: VecDeque::new() }
     }
 }
 
-impl<F: Fn(u64) -> RecordedMessage + Send + Sync> MessageStream for AheadStream<F> {
+impl<F: Fn(u64) -> Option<RecordedMessage> + Send + Sync> MessageStream for AheadStream<F> {
     fn next_message(&mut self) -> Option<RecordedMessage> {
         if self.ready.is_empty() {
             let end = self.count.min(self.next + self.ahead);
-            let made: Vec<RecordedMessage> = (self.next..end).into_par_iter().map(&self.make).collect();
+            let made: Vec<RecordedMessage> =
+                (self.next..end).into_par_iter().filter_map(&self.make).collect();
             self.ready.extend(made);
             self.next = end;
         }

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use portolan_geometry::{Duration, Rigid3, Time, Vector2};
+use portolan_geometry::{Rigid3, Time, Vector2};
 
 use crate::Simulation;
 use crate::motion::Motion;
@@ -12,17 +12,6 @@ use crate::world::{Outline, Shape};
 const CIRCLE_CORNERS: usize = 24;
 
 impl Simulation {
-    /// True poses of `base_link` in the map, `rate` per second, from the start to the end.
-    pub fn truth(&self, rate: f64) -> impl Iterator<Item = (Time, Rigid3)> + '_ {
-        moments(self.start_time(), self.duration(), rate)
-            .filter_map(|time| self.truth_at(time).map(|pose| (time, pose)))
-    }
-
-    /// Writes the truth in TUM format: `time x y z qx qy qz qw`, one pose a line.
-    pub fn write_truth_tum(&self, out: &mut dyn Write, rate: f64) -> io::Result<()> {
-        write_tum(out, self.truth(rate))
-    }
-
     /// Writes all fixed surfaces as straight segments: a header line, then `x0,y0,x1,y1,material`,
     /// metres. Round things become polygons with 24 corners on the circle.
     pub fn write_walls_csv(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -63,13 +52,6 @@ pub(crate) fn write_tum(out: &mut dyn Write, poses: impl Iterator<Item = (Time, 
         writeln!(out, "{:.12} {:.12} {:.12} {:.12}", q.i, q.j, q.k, q.w)?;
     }
     Ok(())
-}
-
-/// Moments `rate` per second from the start for `duration` seconds.
-pub(crate) fn moments(start: Time, duration: f64, rate: f64) -> impl Iterator<Item = Time> {
-    let rate = rate.clamp(1e-3, 1e4);
-    let count = (duration * rate + 1e-6).floor() as u64;
-    (0..=count).map(move |i| start + Duration::from_ticks((i as f64 * 1e7 / rate).round() as i64))
 }
 
 /// The corners of an outline, the first again at the end of a closed one.

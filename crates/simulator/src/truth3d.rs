@@ -2,28 +2,16 @@
 
 use std::io::{self, Write};
 
-use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_geometry::Vector3;
 
 use crate::Simulation3d;
 use crate::solid::{Body, Solid};
-use crate::truth::{moments, write_tum};
 use crate::world::Material;
 
 /// Round things become prisms with so many sides.
 const SIDES: usize = 24;
 
 impl Simulation3d {
-    /// True poses of `base_link` in the map, `rate` per second, from the start to the end.
-    pub fn truth(&self, rate: f64) -> impl Iterator<Item = (Time, Rigid3)> + '_ {
-        moments(self.start_time(), self.duration(), rate)
-            .filter_map(|time| self.truth_at(time).map(|pose| (time, pose)))
-    }
-
-    /// Writes the truth in TUM format: `time x y z qx qy qz qw`, one pose a line.
-    pub fn write_truth_tum(&self, out: &mut dyn Write, rate: f64) -> io::Result<()> {
-        write_tum(out, self.truth(rate))
-    }
-
     /// Writes all fixed surfaces exactly, as JSON: a list of objects with `kind` (`box`, `triangle`,
     /// `cylinder`, `ball`), `material` and their measures in metres (`yaw` in radians).
     pub fn write_surfaces_json(&self, out: &mut dyn Write) -> io::Result<()> {

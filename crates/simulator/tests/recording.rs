@@ -22,7 +22,7 @@ fn all_messages(recording: &dyn Recording) -> Vec<RecordedMessage> {
     while let Some(message) = reader.next_message().unwrap() {
         messages.push(message);
     }
-    assert!(reader.repairs().is_empty());
+    assert!(reader.issues().is_empty());
     messages
 }
 

@@ -11,6 +11,7 @@ mod other_tree;
 use std::time::Instant;
 
 use other_tree::OtherTree;
+use portolan_numeric::Lcg64;
 use portolan_spatial::{KdTree, VoxelMap};
 
 /// Points that look for a neighbour within a metre.
@@ -20,18 +21,17 @@ const REACH: f32 = 1.0;
 const OTHER_MOST: usize = 10_000_000;
 
 /// A deterministic generator.
-struct Random(u64);
+struct Random(Lcg64);
 
 impl Random {
     fn uniform(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 40) as f32 / (1u64 << 24) as f32
+        (self.0.bits() >> 40) as f32 / (1u64 << 24) as f32
     }
 }
 
 /// Half on the ground, half on walls, 200 m wide, with a few centimetres of noise.
 fn points(count: usize) -> Vec<[f32; 3]> {
-    let mut random = Random(7);
+    let mut random = Random(Lcg64::new(7));
     (0..count)
         .map(|i| {
             let (a, b, noise) = (random.uniform(), random.uniform(), 0.05 * random.uniform());
@@ -63,7 +63,7 @@ fn main() {
         let count = millions * 1_000_000;
         println!("{millions} million points, one thread");
         let points = points(count);
-        let mut random = Random(99);
+        let mut random = Random(Lcg64::new(99));
         let queries: Vec<[f32; 3]> = (0..QUERIES)
             .map(|_| {
                 let p = points[(random.uniform() * (count - 1) as f32) as usize];

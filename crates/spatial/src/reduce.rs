@@ -1,5 +1,7 @@
 //! Reduction of clouds: one or a few points for each voxel of exactly the given edge.
 
+use portolan_numeric::scramble;
+
 /// What stands for the points of a voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VoxelRepresentative {
@@ -96,14 +98,6 @@ fn choose(voxel: &[([i64; 3], u32)], count: usize, order: &mut Vec<u32>) {
     order.extend(voxel.iter().map(|(_, i)| *i));
     order.sort_unstable_by_key(|i| (scramble(*i), *i));
     order.truncate(count);
-}
-
-/// A fixed pseudo-random order of indices (Murmur3's finaliser).
-fn scramble(index: u32) -> u32 {
-    let mut h = index.wrapping_add(0x9e37_79b9);
-    h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
-    h = (h ^ (h >> 13)).wrapping_mul(0xc2b2_ae35);
-    h ^ (h >> 16)
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use std::fmt;
 
 use nalgebra::Matrix3;
 use portolan_geometry::Vector3;
+use portolan_numeric::Lcg64;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -56,15 +57,9 @@ pub fn spread_sample(count: usize, wanted: usize) -> Vec<u32> {
         return (0..count as u32).collect();
     }
     // One index out of each of `wanted` equal parts, at a place within it that a fixed generator chooses.
-    let mut state = 0x2545_f491_4f6c_dd1du64;
+    let mut random = Lcg64::new(0x2545_f491_4f6c_dd1d);
     let part = count as f64 / wanted as f64;
-    (0..wanted)
-        .map(|i| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            let within = (state >> 11) as f64 / (1u64 << 53) as f64;
-            (((i as f64 + within) * part) as usize).min(count - 1) as u32
-        })
-        .collect()
+    (0..wanted).map(|i| (((i as f64 + random.uniform()) * part) as usize).min(count - 1) as u32).collect()
 }
 
 /// The surroundings of one point of a cloud.

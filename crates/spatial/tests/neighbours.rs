@@ -8,11 +8,8 @@ use portolan_spatial::{KdTree, VoxelMap};
 
 /// Points on a floor and a wall, and queries near them.
 fn points(count: usize, seed: u64) -> Vec<[f32; 3]> {
-    let mut state = seed;
-    let mut uniform = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 40) as f32 / (1u64 << 24) as f32
-    };
+    let mut random = portolan_numeric::Lcg64::new(seed);
+    let mut uniform = || (random.bits() >> 40) as f32 / (1u64 << 24) as f32;
     (0..count)
         .map(|i| {
             let (a, b, c) = (20.0 * uniform(), 20.0 * uniform(), 0.02 * uniform());

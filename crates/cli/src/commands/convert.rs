@@ -6,7 +6,7 @@ mod trajectories;
 
 use std::path::PathBuf;
 
-use portolan_evaluation::Geodetic;
+use portolan_geometry::GeodeticPosition;
 
 use super::argument;
 use crate::GlobalArgs;
@@ -47,17 +47,22 @@ pub struct ConvertArgs {
     into: Option<PathBuf>,
     /// Where on the Earth (WGS 84) the origin of the map is, with x to the east: for GeoJSON.
     #[arg(long, value_name = "LAT,LON[,ALT]", value_parser = origin, allow_hyphen_values = true)]
-    origin: Option<Geodetic>,
+    origin: Option<GeodeticPosition>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
-fn origin(text: &str) -> Result<Geodetic, String> {
+fn origin(text: &str) -> Result<GeodeticPosition, String> {
     let with_altitude = if text.split(',').count() == 2 { format!("{text},0") } else { text.to_owned() };
-    let [latitude, longitude, altitude] = argument::numbers::<3>(&with_altitude, "LAT,LON[,ALT]")?;
-    let origin = Geodetic { latitude, longitude, altitude };
-    if origin.is_valid() { Ok(origin) } else { Err(format!("{text} is no place on the Earth")) }
+    let [latitude_degrees, longitude_degrees, altitude] =
+        argument::numbers::<3>(&with_altitude, "LAT,LON[,ALT]")?;
+    let origin = GeodeticPosition { latitude_degrees, longitude_degrees, altitude };
+    if origin.is_valid() && altitude.abs() < 1e6 {
+        Ok(origin)
+    } else {
+        Err(format!("{text} is no place on the Earth"))
+    }
 }
 
 pub fn run(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {

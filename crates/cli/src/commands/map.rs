@@ -402,7 +402,7 @@ pub fn remarks(global: &GlobalArgs) -> impl FnMut(&Event) -> ControlFlow<()> + u
         if let Event::Remark(remark) = event {
             match remark {
                 Remark::LittleEffect { .. } => tracing::warn!("--set {remark}"),
-                Remark::KnownMapRepaired { .. } => tracing::warn!("{remark}"),
+                Remark::KnownMapIssue { .. } => tracing::warn!("{remark}"),
                 Remark::Chosen(_) | Remark::KnownMapLoaded { .. } if quiet => {}
                 _ => say(&remark.to_string()),
             }

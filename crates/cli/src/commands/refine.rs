@@ -312,8 +312,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     };
     let files = pool.install(|| write_results(&results, &args.output))?;
     print(&summary(&results, &files))?;
-    let lost = read.repairs.iter().any(|r| r.lost_data);
-    Ok(if lost { Outcome::DataLost } else { Outcome::Done })
+    Ok(if read.lost_data() { Outcome::DataLost } else { Outcome::Done })
 }
 
 /// `las` becomes `refined.las`; a name must end in a format that can be written.

@@ -7,6 +7,8 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use portolan_numeric::{SplitMix64, mean};
+
 use serde::Serialize;
 
 /// Resamples and permutations.
@@ -67,14 +69,14 @@ pub fn compare_places(what: &str, before: &[PlaceValue], after: &[PlaceValue]) -
     }
     let differences: Vec<f64> = pairs.iter().map(|(b, a)| a - b).collect();
     let count = differences.len();
-    let change = mean(&differences);
-    let mut random = SplitMix(0x5eed);
+    let change = mean(&differences)?;
+    let mut random = SplitMix64::new(0x5eed);
     let mut resampled: Vec<f64> = (0..DRAWS)
         .map(|_| (0..count).map(|_| differences[random.below(count)]).sum::<f64>() / count as f64)
         .collect();
     resampled.sort_by(f64::total_cmp);
-    let flipped = |random: &mut SplitMix| {
-        differences.iter().map(|d| if random.next() >> 63 == 0 { *d } else { -d }).sum::<f64>() / count as f64
+    let flipped = |random: &mut SplitMix64| {
+        differences.iter().map(|d| if random.bits() >> 63 == 0 { *d } else { -d }).sum::<f64>() / count as f64
     };
     let extreme = (0..DRAWS).filter(|_| flipped(&mut random).abs() >= change.abs() * (1.0 - 1e-12)).count();
     Some(PairedComparison {
@@ -89,10 +91,6 @@ pub fn compare_places(what: &str, before: &[PlaceValue], after: &[PlaceValue]) -
     })
 }
 
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
 /// Means of places with enough values.
 fn means(values: &[PlaceValue]) -> BTreeMap<[i32; 3], f64> {
     let mut sums: BTreeMap<[i32; 3], (f64, u32)> = BTreeMap::new();
@@ -102,22 +100,6 @@ fn means(values: &[PlaceValue]) -> BTreeMap<[i32; 3], f64> {
     }
     let enough = sums.into_iter().filter(|(_, (_, count))| *count >= LEAST_VALUES);
     enough.map(|(place, (sum, count))| (place, sum / f64::from(count))).collect()
-}
-
-/// A small generator (Steele, Lea and Flood 2014), so that results are the same everywhere.
-struct SplitMix(u64);
-
-impl SplitMix {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, count: usize) -> usize {
-        ((u128::from(self.next()) * count as u128) >> 64) as usize
-    }
 }
 
 impl fmt::Display for PairedComparison {
@@ -148,10 +130,10 @@ mod tests {
     use super::*;
 
     fn values(offset: f64, scatter: f64, seed: u64) -> Vec<PlaceValue> {
-        let mut random = SplitMix(seed);
+        let mut random = SplitMix64::new(seed);
         (0..400)
             .map(|i| {
-                let noise = random.next() as f64 / u64::MAX as f64 - 0.5;
+                let noise = random.bits() as f64 / u64::MAX as f64 - 0.5;
                 // Places differ much more than the clouds do: what pairing is for.
                 ([i / 10, 0, 0], f64::from(i / 10) + offset + scatter * noise)
             })

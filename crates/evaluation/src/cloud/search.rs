@@ -113,11 +113,8 @@ mod tests {
 
     #[test]
     fn the_tree_finds_what_looking_at_all_finds() {
-        let mut state = 3_u64;
-        let mut random = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            (state >> 33) as f64 / (1_u64 << 31) as f64
-        };
+        let mut random = portolan_numeric::Lcg64::new(3);
+        let mut random = || random.uniform();
         let boxes: Vec<SolidBox> = (0..300)
             .map(|_| {
                 let low: [f64; 3] = std::array::from_fn(|_| 20.0 * random());

@@ -3,12 +3,11 @@
 use std::io::{Read, Write};
 
 use nalgebra::Vector3;
-use portolan_geometry::Time;
+use portolan_geometry::{EastNorthUp, GeodeticPosition, Time};
 use serde_json::Value;
 
 use super::{bad_line, both, pose_of};
 use crate::EvaluationError;
-use crate::geodetic::{Geodetic, LocalFrame};
 use crate::trajectory::{TimedPose, Trajectory, TrajectoryRepairs};
 
 /// Files larger than this are not taken for trajectories.
@@ -19,7 +18,7 @@ const MAX_BYTES: u64 = 1 << 30;
 /// seconds as text, exact) and `rotations` (x, y, z, w) have one entry for each coordinate.
 pub fn write_geojson(
     trajectories: &[(i32, Trajectory)],
-    frame: Option<&LocalFrame>,
+    frame: Option<&EastNorthUp>,
     mut writer: impl Write,
 ) -> std::io::Result<()> {
     writeln!(writer, "{{\"type\":\"FeatureCollection\",\"features\":[")?;
@@ -45,11 +44,11 @@ pub fn write_geojson(
     writeln!(writer, "]}}")
 }
 
-fn coordinates(position: &Vector3<f64>, frame: Option<&LocalFrame>) -> String {
+fn coordinates(position: &Vector3<f64>, frame: Option<&EastNorthUp>) -> String {
     match frame {
         Some(frame) => {
             let g = frame.to_geodetic(position);
-            format!("[{:.11},{:.11},{:.6}]", g.longitude, g.latitude, g.altitude)
+            format!("[{:.11},{:.11},{:.6}]", g.longitude_degrees, g.latitude_degrees, g.altitude)
         }
         None => format!("[{:.6},{:.6},{:.6}]", position.x, position.y, position.z),
     }
@@ -59,7 +58,7 @@ fn coordinates(position: &Vector3<f64>, frame: Option<&LocalFrame>) -> String {
 /// invalid poses; without `rotations` the rotation is none. Coordinates in degrees need the frame.
 pub fn read_geojson(
     reader: impl Read,
-    frame: Option<&LocalFrame>,
+    frame: Option<&EastNorthUp>,
 ) -> Result<(Vec<(i32, Trajectory)>, TrajectoryRepairs), EvaluationError> {
     let mut text = String::new();
     reader.take(MAX_BYTES).read_to_string(&mut text)?;
@@ -102,7 +101,7 @@ fn pose(
     point: &Value,
     time: &Value,
     rotation: Option<&Value>,
-    frame: Option<&LocalFrame>,
+    frame: Option<&EastNorthUp>,
     repairs: &mut TrajectoryRepairs,
 ) -> Option<TimedPose> {
     let number = |list: &Value, i: usize| list.get(i).and_then(Value::as_f64);
@@ -116,7 +115,9 @@ fn pose(
     };
     let z = number(point, 2).unwrap_or(0.0);
     let position = match frame {
-        Some(frame) => frame.from_geodetic(Geodetic { longitude: x, latitude: y, altitude: z }),
+        Some(frame) => {
+            frame.from_geodetic(&GeodeticPosition { longitude_degrees: x, latitude_degrees: y, altitude: z })
+        }
         None => Vector3::new(x, y, z),
     };
     let quaternion =
@@ -140,8 +141,8 @@ mod tests {
 
     #[test]
     fn written_and_read_again() {
-        let origin = Geodetic { latitude: 48.0, longitude: 11.0, altitude: 500.0 };
-        for frame in [None, Some(LocalFrame::at(origin))] {
+        let origin = GeodeticPosition { latitude_degrees: 48.0, longitude_degrees: 11.0, altitude: 500.0 };
+        for frame in [None, Some(EastNorthUp::at(&origin))] {
             let mut text = Vec::new();
             write_geojson(&[(3, trajectory()), (4, trajectory())], frame.as_ref(), &mut text).unwrap();
             let (back, repairs) = read_geojson(&*text, frame.as_ref()).unwrap();

@@ -4,10 +4,10 @@ use std::fmt;
 use std::io::Write;
 
 use portolan_geometry::{Rigid3, rotation_angle};
+use portolan_numeric::format_general;
 use serde::Serialize;
 
 use super::Relation;
-use crate::number::six_digits;
 use crate::statistics::{ErrorStatistics, MeanDeviation};
 use crate::{EvaluationError, Histogram, Trajectory};
 
@@ -125,7 +125,11 @@ impl RelationReport {
             let q = e.relation.expected_1_from_2.rotation;
             let (d, a) = (e.translation, e.rotation_degrees);
             let row = [d, d * d, a, a * a, t.x, t.y, t.z, q.w, q.i, q.j, q.k, e.relation.covered_distance];
-            writeln!(writer, "{}", row.map(six_digits).join(","))?;
+            writeln!(
+                writer,
+                "{}",
+                row.map(|v| format_general(if v.is_nan() { f64::NAN } else { v }, 6)).join(",")
+            )?;
         }
         Ok(())
     }

@@ -3,7 +3,8 @@
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use portolan_mapfile::{AtomicFile, format_general};
+use portolan_atomic_file::AtomicFile;
+use portolan_numeric::format_general;
 
 use super::{Flush, Log, PointsBatch, PointsError, Stage};
 use crate::colour::to_bytes;
@@ -104,7 +105,7 @@ impl Stage for WriteCloud {
     fn end_pass(&mut self, _flush: Flush, log: Log) -> Result<(), PointsError> {
         let Some(mut file) = self.file.take() else { return Ok(()) };
         let header = header(self.kind, self.content, self.count);
-        file.overwrite_start(header.as_bytes()).map_err(|source| file.error(source))?;
+        file.overwrite(0, header.as_bytes()).map_err(|source| file.error(source))?;
         file.commit()?;
         log(&format!("Wrote {} points to '{}'.", self.count, Path::display(&self.path)));
         Ok(())

@@ -1,7 +1,7 @@
 //! What can go wrong with a pipeline.
 
+use portolan_atomic_file::WriteError;
 use portolan_config::ConfigError;
-use portolan_mapfile::WriteError;
 use portolan_matching::GridError;
 use portolan_matching::grid::InserterOptionError;
 

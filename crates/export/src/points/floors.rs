@@ -89,8 +89,7 @@ fn height((_, pose): &(Time, Rigid3)) -> f64 {
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
+    portolan_numeric::median(&mut values).unwrap_or(0.0)
 }
 
 fn spans(trajectory: &[(Time, Rigid3)]) -> Vec<Span> {

@@ -4,21 +4,12 @@ use std::path::Path;
 
 use portolan_config::lua::{Limits, evaluate_text};
 use portolan_geometry::{Point3f, Rigid3, Time};
+use portolan_testing::clouds::Lcg;
 
 use super::{Flush, Pipeline, PipelineContext, PointsBatch, PointsError, pipeline_from_lua, table_of};
 
-/// The generator of the golden points.
-struct Lcg(u32);
-
-impl Lcg {
-    fn symmetric(&mut self, a: f32) -> f32 {
-        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        ((self.0 >> 8) as f32 / 16_777_216.0 * 2.0 - 1.0) * a
-    }
-}
-
 fn golden_batches() -> Vec<PointsBatch> {
-    let mut lcg = Lcg(1);
+    let mut lcg = Lcg::new(1);
     let mut point = || {
         let (x, y, z) = (lcg.symmetric(20.0), lcg.symmetric(20.0), lcg.symmetric(3.0));
         Point3f::new(x, y, z)

@@ -4,8 +4,8 @@ use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
 
+use portolan_atomic_file::AtomicFile;
 use portolan_geometry::{Point3f, Rigid3, Rigid3f, Time, to_f32};
-use portolan_mapfile::AtomicFile;
 use tiny_skia::{IntSize, Pixmap};
 
 use super::batch::voxel_of;

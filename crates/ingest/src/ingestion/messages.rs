@@ -1,6 +1,9 @@
 //! What each kind of message becomes.
 
+use std::sync::Arc;
+
 use portolan_geometry::{Duration, Time};
+use portolan_issue::IssueKind;
 use portolan_recording::{
     Imu, LandmarkList, Message, NavSatFix, Odometry, PointCloud2, PoseStamped, RecordedMessage, TfMessage,
 };
@@ -15,8 +18,6 @@ use crate::plan::ImuScale;
 use crate::point_cloud2::{CloudFaults, CloudLayout};
 use crate::point_time::PointTime;
 use crate::timed_points::TimedPoints;
-
-const EVENED: &str = "stamps come in bursts or go back; times follow from the order of arrival and the usual rate (--stamps as-is keeps stamps)";
 
 impl TimesByAzimuth {
     /// The turn of a cloud with this stamp.
@@ -48,7 +49,7 @@ impl Ingestion {
     /// Takes messages of a sensor whose stamps are made even, as far as their times are known by now.
     pub(super) fn take_evened(&mut self, sensor: &mut Sensor, at_end: bool) {
         while let Some((message, stamp, time)) = sensor.even_stamps.pop(at_end) {
-            self.repaired(&sensor.topic, EVENED, 1);
+            self.count(&sensor.topic, time, IssueKind::StampsEvened, 1);
             self.stamp_correction = stamp - time;
             self.convert(sensor, &message, time);
             self.stamp_correction = Duration::ZERO;
@@ -60,12 +61,12 @@ impl Ingestion {
         match (&mut sensor.role, &message.message) {
             (Role::Range { directions, .. }, Message::LaserScan(scan)) => {
                 let (points, faults) = points_of_laser_scan(stamp, scan, self.with_intensities, directions);
-                self.count_scan_faults(&sensor.topic, faults);
+                self.count_scan_faults(&sensor.topic, stamp, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
             (Role::Range { directions, .. }, Message::MultiEchoLaserScan(scan)) => {
                 let (points, faults) = points_of_echoes(stamp, scan, self.with_intensities, directions);
-                self.count_scan_faults(&sensor.topic, faults);
+                self.count_scan_faults(&sensor.topic, stamp, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
             (Role::Range { point_time, by_azimuth, .. }, Message::PointCloud2(cloud)) => {
@@ -81,7 +82,7 @@ impl Ingestion {
             (Role::NavSat, Message::NavSatFix(fix)) => self.take_fix(sensor, stamp, fix),
             (Role::FixedFramePose, Message::PoseStamped(pose)) => self.take_fixed_pose(sensor, stamp, pose),
             (Role::Landmarks, Message::LandmarkList(list)) => self.take_landmarks(sensor, stamp, list),
-            _ => self.lost(&sensor.topic, "messages of another type than before were left out", 1),
+            _ => self.count(&sensor.topic, stamp, IssueKind::OtherMessageType, 1),
         }
     }
 
@@ -90,17 +91,15 @@ impl Ingestion {
         match sensor.clock.judge(stamp, log_time) {
             Stamp::Good(stamp) => Some(stamp),
             Stamp::Unset(stamp) => {
-                self.repaired(&sensor.topic, "messages without a stamp got the time of recording", 1);
+                self.count(&sensor.topic, log_time, IssueKind::MessageWithoutStamp, 1);
                 Some(stamp)
             }
             Stamp::ClockSet(stamp) => {
-                let what = "the clock jumped; stamps after that were shifted to go on as before";
-                self.repaired(&sensor.topic, what, 1);
+                self.count(&sensor.topic, log_time, IssueKind::ClockJump, 1);
                 Some(stamp)
             }
             Stamp::Jump => {
-                let what = "messages whose stamp jumps away from the time of recording by more than 10 s were left out";
-                self.lost(&sensor.topic, what, 1);
+                self.count(&sensor.topic, log_time, IssueKind::StampFarFromRecording, 1);
                 None
             }
         }
@@ -108,8 +107,7 @@ impl Ingestion {
 
     fn give_subdivided(&mut self, sensor: &mut Sensor, points: TimedPoints, frame: &str) {
         if self.subdivisions > 1 && points.is_instant() {
-            let what = "scans whose points all have the same time were not subdivided";
-            self.repaired(&sensor.topic, what, 1);
+            self.count(&sensor.topic, points.time, IssueKind::ScanNotSubdivided, 1);
             self.give_points(sensor, points, frame);
             return;
         }
@@ -120,7 +118,7 @@ impl Ingestion {
 
     fn give_points(&mut self, sensor: &mut Sensor, points: TimedPoints, frame: &str) {
         if points.points.is_empty() {
-            self.repaired(&sensor.topic, "messages without a single distance gave nothing", 1);
+            self.count(&sensor.topic, points.time, IssueKind::NoDistance, 1);
             return;
         }
         let time = points.time;
@@ -144,7 +142,7 @@ impl Ingestion {
     ) {
         let layout = match CloudLayout::of(cloud) {
             Ok(layout) => layout,
-            Err(error) => return self.lost(&sensor.topic, &error.to_string(), 1),
+            Err(error) => return self.count(&sensor.topic, stamp, error.kind(), 1),
         };
         let point_time = point_time.filter(|_| layout.has_time());
         let (mut points, faults) = layout.points(stamp, cloud, point_time, self.with_intensities);
@@ -152,31 +150,22 @@ impl Ingestion {
             azimuth_time::assign(&mut points, &turn);
         }
         let CloudFaults { not_finite, far_time, zero, missing } = faults;
-        self.repaired(
-            &sensor.topic,
-            "points that are not a number or beyond 1,000 km were left out",
-            not_finite,
-        );
-        let what = "points whose time lies far outside their cloud were left out";
-        self.repaired(&sensor.topic, what, far_time);
-        self.repaired(&sensor.topic, "points at (0, 0, 0) were left out as no return", zero);
-        self.lost(&sensor.topic, "points that clouds promise and do not have are missing", missing);
+        self.count(&sensor.topic, stamp, IssueKind::PointNotFinite, not_finite);
+        self.count(&sensor.topic, stamp, IssueKind::PointTimeFar, far_time);
+        self.count(&sensor.topic, stamp, IssueKind::PointAtOrigin, zero);
+        self.count(&sensor.topic, stamp, IssueKind::PointsMissing, missing);
         self.give_points(sensor, points, &cloud.header.frame_id);
     }
 
     fn take_imu(&mut self, sensor: &mut Sensor, stamp: Time, message: &Imu, scale: ImuScale) {
         let Some(pose) = self.tracking_from(&sensor.topic, &message.header.frame_id, stamp) else { return };
         match convert::imu(stamp, message, scale, &pose) {
-            Err(ImuFault::NotFinite) => {
-                self.lost(&sensor.topic, "samples that are not a number were left out", 1)
-            }
+            Err(ImuFault::NotFinite) => self.count(&sensor.topic, stamp, IssueKind::SampleNotFinite, 1),
             Err(ImuFault::Impossible) => {
-                let what = "samples beyond what an IMU can measure (80 rad/s, 400 m/s²) were left out";
-                self.lost(&sensor.topic, what, 1);
+                self.count(&sensor.topic, stamp, IssueKind::SampleImpossible, 1);
             }
             Err(ImuFault::Partial) => {
-                let what = "samples that say they lack acceleration or angular velocity were left out";
-                self.lost(&sensor.topic, what, 1);
+                self.count(&sensor.topic, stamp, IssueKind::SamplePartial, 1);
             }
             Ok(data) => {
                 if self.is_later(&mut sensor.order, &sensor.topic, stamp) {
@@ -188,9 +177,9 @@ impl Ingestion {
 
     fn take_odometry(&mut self, sensor: &mut Sensor, stamp: Time, message: &Odometry) {
         let Some((odom_from_child, normalised)) = convert::pose_of(&message.pose) else {
-            return self.lost(&sensor.topic, "invalid poses were left out", 1);
+            return self.count(&sensor.topic, stamp, IssueKind::InvalidPose, 1);
         };
-        self.repaired(&sensor.topic, "quaternions of a wrong length were normalised", u64::from(normalised));
+        self.count(&sensor.topic, stamp, IssueKind::QuaternionNormalised, u64::from(normalised));
         let Some(tracking_from_child) = self.tracking_from(&sensor.topic, &message.child_frame_id, stamp)
         else {
             return;
@@ -203,6 +192,7 @@ impl Ingestion {
 
     pub(super) fn take_transforms(&mut self, transforms: &TfMessage) {
         let Some(mut odometry) = self.transform_odometry.take() else { return };
+        let topic: Arc<str> = "/tf".into();
         for transform in &transforms.transforms {
             let is_odometry = *transform.header.frame_id.trim_start_matches('/') == *odometry.parent
                 && *transform.child_frame_id.trim_start_matches('/') == *odometry.child;
@@ -212,10 +202,10 @@ impl Ingestion {
             let time = transform.header.stamp;
             // Invalid ones were counted when they were kept out of the tree.
             let Some((odom_from_child, _)) = convert::pose_of(&transform.transform) else { continue };
-            let Some(tracking_from_child) = self.tracking_from("/tf", &odometry.child, time) else {
+            let Some(tracking_from_child) = self.tracking_from(&topic, &odometry.child, time) else {
                 continue;
             };
-            if self.is_later(&mut odometry.order, "/tf", time) {
+            if self.is_later(&mut odometry.order, &topic, time) {
                 let data = convert::odometry(time, odom_from_child, &tracking_from_child);
                 self.ready.push((odometry.id.clone(), Measurement::Odometry(data)));
             }
@@ -225,7 +215,7 @@ impl Ingestion {
 
     fn take_fix(&mut self, sensor: &mut Sensor, stamp: Time, message: &NavSatFix) {
         let Some(data) = self.fixes.convert(stamp, message) else {
-            return self.lost(&sensor.topic, "fixes that are no place on Earth were left out", 1);
+            return self.count(&sensor.topic, stamp, IssueKind::InvalidFix, 1);
         };
         if self.is_later(&mut sensor.order, &sensor.topic, stamp) {
             self.ready.push((sensor.id.clone(), Measurement::FixedFramePose(data)));
@@ -234,9 +224,9 @@ impl Ingestion {
 
     fn take_fixed_pose(&mut self, sensor: &mut Sensor, stamp: Time, message: &PoseStamped) {
         let Some((pose, normalised)) = convert::pose_of(&message.pose) else {
-            return self.lost(&sensor.topic, "invalid poses were left out", 1);
+            return self.count(&sensor.topic, stamp, IssueKind::InvalidPose, 1);
         };
-        self.repaired(&sensor.topic, "quaternions of a wrong length were normalised", u64::from(normalised));
+        self.count(&sensor.topic, stamp, IssueKind::QuaternionNormalised, u64::from(normalised));
         if self.is_later(&mut sensor.order, &sensor.topic, stamp) {
             let data = FixedFramePoseData { time: stamp, fixed_from_tracking: Some(pose) };
             self.ready.push((sensor.id.clone(), Measurement::FixedFramePose(data)));
@@ -247,33 +237,24 @@ impl Ingestion {
         let frames = Frames { tree: &self.source.tree, tracking: &self.plan.tracking_frame };
         let pose = frames.tracking_from(&message.header.frame_id, stamp).ok();
         if pose.is_none() {
-            let what = "landmarks without a transform are taken as seen from the tracking frame";
-            self.repaired(&sensor.topic, what, 1);
+            self.count(&sensor.topic, stamp, IssueKind::LandmarkWithoutTransform, 1);
         }
         let (data, invalid) = convert::landmarks(stamp, message, pose.as_ref());
-        self.lost(&sensor.topic, "landmarks with an invalid pose or weight were left out", invalid);
+        self.count(&sensor.topic, stamp, IssueKind::InvalidLandmark, invalid);
         if self.is_later(&mut sensor.order, &sensor.topic, stamp) {
             self.ready.push((sensor.id.clone(), Measurement::Landmark(data)));
         }
     }
 
-    fn count_scan_faults(&mut self, topic: &str, faults: ScanFaults) {
+    fn count_scan_faults(&mut self, topic: &Arc<str>, time: Time, faults: ScanFaults) {
         if faults == ScanFaults::default() {
             return;
         }
-        self.repaired(
-            topic,
-            "readings that are not a number were taken as nothing seen",
-            faults.nan_readings,
-        );
-        self.repaired(topic, "readings below zero were left out", faults.negative_readings);
-        self.repaired(topic, "readings beyond 1,000 km were left out", faults.huge_readings);
-        let limits = "scans whose range_min and range_max make no sense were read without those limits";
-        self.repaired(topic, limits, u64::from(faults.bad_limits));
-        let increment =
-            "scans whose angle_increment does not fit their angles were read as far as it makes sense";
-        self.repaired(topic, increment, u64::from(faults.bad_increment));
-        let time = "scans whose time_increment makes no sense were taken as measured at once";
-        self.repaired(topic, time, u64::from(faults.bad_time_increment));
+        self.count(topic, time, IssueKind::ReadingNotFinite, faults.nan_readings);
+        self.count(topic, time, IssueKind::ReadingNegative, faults.negative_readings);
+        self.count(topic, time, IssueKind::ReadingHuge, faults.huge_readings);
+        self.count(topic, time, IssueKind::ScanLimitsWrong, u64::from(faults.bad_limits));
+        self.count(topic, time, IssueKind::AngleIncrementWrong, u64::from(faults.bad_increment));
+        self.count(topic, time, IssueKind::TimeIncrementWrong, u64::from(faults.bad_time_increment));
     }
 }

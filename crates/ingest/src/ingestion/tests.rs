@@ -1,5 +1,6 @@
 use std::sync::Arc;
 
+use portolan_issue::Issue;
 use portolan_recording::{LaserScan, MemoryRecording, PoseStamped};
 use portolan_sensor::SensorKind;
 use proptest::prelude::*;
@@ -10,14 +11,14 @@ use crate::test_messages::{at, cloud, fixed, imu, moving, named, odometry, scan}
 fn read(
     messages: Vec<RecordedMessage>,
     options: &IngestOptions,
-) -> (Vec<(SensorId, Measurement)>, Vec<Repair>) {
+) -> (Vec<(SensorId, Measurement)>, Vec<Issue>) {
     let mut ingestion = Ingestion::new(&MemoryRecording::new(messages), options).unwrap();
     let found = ingestion.by_ref().map(Result::unwrap).collect();
-    (found, ingestion.repairs())
+    (found, ingestion.issues())
 }
 
-fn repair<'a>(repairs: &'a [Repair], part: &str) -> &'a Repair {
-    repairs.iter().find(|r| r.what.contains(part)).unwrap_or_else(|| panic!("{part}: {repairs:?}"))
+fn issue<'a>(issues: &'a [Issue], part: &str) -> &'a Issue {
+    issues.iter().find(|r| r.to_string().contains(part)).unwrap_or_else(|| panic!("{part}: {issues:?}"))
 }
 
 fn robot(messages: impl IntoIterator<Item = RecordedMessage>) -> Vec<RecordedMessage> {
@@ -38,8 +39,8 @@ fn scans_are_subdivided_and_moved_into_the_tracking_frame() {
     let messages =
         robot((0..5).map(|i| named("/scan", f64::from(i), Message::LaserScan(with_times(f64::from(i))))));
     let options = IngestOptions { num_subdivisions_per_laser_scan: 10, ..IngestOptions::default() };
-    let (found, repairs) = read(messages, &options);
-    assert_eq!((found.len(), repairs.len()), (50, 0));
+    let (found, issues) = read(messages, &options);
+    assert_eq!((found.len(), issues.len()), (50, 0));
     let (sensor, Measurement::Range(first)) = &found[0] else { panic!() };
     assert_eq!((&*sensor.id, sensor.kind), ("scan", SensorKind::Range));
     assert_eq!(first.points_in_tracking.len(), 9);
@@ -50,8 +51,8 @@ fn scans_are_subdivided_and_moved_into_the_tracking_frame() {
     assert!((first.points_in_tracking[0].time + 0.004).abs() < 1e-6);
     // Without times there is nothing to subdivide; the reference would keep one piece in ten.
     let messages = robot((0..5).map(|i| named("/scan", f64::from(i), scan(f64::from(i), "laser"))));
-    let (found, repairs) = read(messages, &options);
-    assert_eq!((found.len(), repair(&repairs, "not subdivided").count), (5, 5));
+    let (found, issues) = read(messages, &options);
+    assert_eq!((found.len(), issue(&issues, "not subdivided").count), (5, 5));
 }
 
 #[test]
@@ -75,8 +76,8 @@ fn transforms_may_come_late_and_the_end_is_not_lost() {
         // Recorded 0.4 s after the scan that needs it.
         messages.push(named("/tf", t + 0.4, Message::Tf(moving("base_link", "laser", t, [0.1, 0.0, 0.0]))));
     }
-    let (found, repairs) = read(messages, &IngestOptions::default());
-    assert_eq!(found.len(), 40, "{repairs:?}");
+    let (found, issues) = read(messages, &IngestOptions::default());
+    assert_eq!(found.len(), 40, "{issues:?}");
     assert!(found.last().unwrap().1.time() >= at(3.9));
 }
 
@@ -121,17 +122,16 @@ fn faults_are_survived_and_counted() {
     odd.ranges[4] = -1.0;
     messages.push(named("/scan", 3.0, Message::LaserScan(odd)));
     messages.push(named("/scan", 3.1, scan(3.1, "elsewhere")));
-    let (found, repairs) =
-        read(messages, &IngestOptions { use_imu: Some(false), ..IngestOptions::default() });
+    let (found, issues) = read(messages, &IngestOptions { use_imu: Some(false), ..IngestOptions::default() });
     let scans = found.iter().filter(|m| m.0.kind == SensorKind::Range).count();
     assert_eq!((scans, found.len()), (28, 29));
-    assert_eq!(repair(&repairs, "earlier time").count, 1);
-    assert_eq!(repair(&repairs, "time of the one before").count, 1);
-    assert_eq!(repair(&repairs, "jumps away").count, 1);
-    assert_eq!(repair(&repairs, "invalid poses").count, 1);
-    assert_eq!(repair(&repairs, "range_min and range_max").count, 1);
-    assert_eq!(repair(&repairs, "not a number").count, 1);
-    assert!(repair(&repairs, "\"elsewhere\" is not in the transform tree").lost_data);
+    assert_eq!(issue(&issues, "earlier time").count, 1);
+    assert_eq!(issue(&issues, "time of the one before").count, 1);
+    assert_eq!(issue(&issues, "jumps away").count, 1);
+    assert_eq!(issue(&issues, "invalid poses").count, 1);
+    assert_eq!(issue(&issues, "range_min and range_max").count, 1);
+    assert_eq!(issue(&issues, "not a number").count, 1);
+    assert!(issue(&issues, "\"elsewhere\" is not in the transform tree").lost_data());
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use portolan_geometry::Duration;
+use portolan_issue::Severity;
 
 use super::{Notice, PlanError, PlannedOdometry, PlannedSensor, SensorPlan};
 
@@ -31,6 +32,7 @@ pub(super) fn join(plan: &mut SensorPlan) {
             source.clock_shift = lag - reference;
             source.usual_lag = Some(reference);
             notices.push(Notice {
+ severity: Severity::Info,
                 what: format!(
                     "the clock of {} is {difference:.3} s behind the others; its stamps are put right by that",
                     source.topic

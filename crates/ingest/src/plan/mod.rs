@@ -13,6 +13,7 @@ mod tracking;
 use std::sync::Arc;
 
 use portolan_geometry::{Dimension, Duration};
+use portolan_issue::Severity;
 use portolan_sensor::{SensorId, SensorKind};
 
 use crate::azimuth_time::{AzimuthTimes, Turn};
@@ -29,6 +30,8 @@ pub struct Notice {
     pub what: String,
     /// How to choose otherwise; empty if there is nothing to choose.
     pub change: String,
+    /// A warning where something that was recorded cannot be used, or the robot's frame is not known.
+    pub severity: Severity,
 }
 
 /// Why no plan could be made.
@@ -243,7 +246,16 @@ impl SensorPlan {
     }
 
     fn note(&mut self, what: impl Into<String>, change: impl Into<String>) {
-        self.notices.push(Notice { what: what.into(), change: change.into() });
+        self.push_notice(Severity::Info, what.into(), change.into());
+    }
+
+    /// As [`SensorPlan::note`], where transforms are missing.
+    fn warn(&mut self, what: impl Into<String>, change: impl Into<String>) {
+        self.push_notice(Severity::Warning, what.into(), change.into());
+    }
+
+    fn push_notice(&mut self, severity: Severity, what: String, change: String) {
+        self.notices.push(Notice { what, change, severity });
     }
 }
 

@@ -85,7 +85,7 @@ fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
             take(&chosen, &child, plan);
         } else {
             let tracking = plan.tracking_frame.clone();
-            plan.note(
+            plan.warn(
                 format!(
                     "odometry {topic} is not used: no transforms connect \"{child}\" with \"{tracking}\""
                 ),

@@ -219,7 +219,7 @@ pub(super) fn connect(
                 );
                 return Err(PlanError::Frame { detail });
             }
-            plan.note(format!("{} is not used: {why}", chosen.topic()), "--urdf <robot description>");
+            plan.warn(format!("{} is not used: {why}", chosen.topic()), "--urdf <robot description>");
             refused.push(chosen.topic().to_owned());
             continue;
         }

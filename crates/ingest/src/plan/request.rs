@@ -1,5 +1,7 @@
 //! What the user, the configuration and remappings ask for, as topics that are there.
 
+use portolan_issue::Severity;
+
 use super::{Chosen, Notice, PlanError};
 use crate::options::{ConfiguredSensors, IngestOptions};
 use crate::survey::{Inventory, TopicSurvey, is_range};
@@ -168,7 +170,7 @@ impl<'a> Finder<'a, '_> {
         match self.of_kind(kind).as_slice() {
             [] => {
                 let what = format!("{} was asked for, but the recording has no such topic", kind.name);
-                self.notices.push(Notice { what, change: String::new() });
+                self.notices.push(Notice { what, change: String::new(), severity: Severity::Info });
                 Ok(None)
             }
             [only] => Ok(Some(Chosen::named_after_topic(only))),
@@ -229,6 +231,7 @@ impl<'a> Finder<'a, '_> {
         for ((name, _), survey) in missing.into_iter().zip(free) {
             let topic = &survey.info.topic;
             self.notices.push(Notice {
+                severity: Severity::Info,
                 what: format!(
                     "the configuration expects \"{name}\", which is not recorded; {topic} is used for it"
                 ),

@@ -142,7 +142,7 @@ fn odometry_in_transforms_and_results_of_mapping() {
         ("/tf_static", &|_| Message::Tf(fixed(&[("base_link", "laser", [0.1, 0.0, 0.0], 0.0)]))),
     ]);
     let inventory = Inventory::of(&recording, &IngestOptions::default()).unwrap();
-    assert!(inventory.moving_repairs.iter().any(|r| r.what.contains("output of a mapping program")));
+    assert!(inventory.moving_issues.iter().any(|r| r.text().contains("output of a mapping program")));
     let plan = plan(&inventory, &IngestOptions::default()).unwrap();
     assert!(
         matches!(&plan.odometry, Some(PlannedOdometry::Transforms { child, .. }) if &**child == "base_link")

@@ -1,6 +1,7 @@
 //! Choosing the IMU and the frame whose motion is wanted.
 
 use portolan_geometry::{Dimension, Vector3};
+use portolan_issue::Severity;
 use portolan_sensor::SensorKind;
 
 use super::request::Request;
@@ -72,10 +73,14 @@ pub(super) fn choose_imu<'a>(
         }
         let leans = || leaning(&chosen, inventory, range, plan.dimension);
         match objection(&chosen, inventory, range).or_else(leans) {
-            Some(why) => plan.note(
-                format!("the IMU {} is not used: {why}", chosen.topic()),
-                format!("--imu {}", chosen.topic()),
-            ),
+            Some(why) => {
+                let connected = is_connected(&chosen, inventory, range);
+                plan.push_notice(
+                    if connected { Severity::Info } else { Severity::Warning },
+                    format!("the IMU {} is not used: {why}", chosen.topic()),
+                    format!("--imu {}", chosen.topic()),
+                );
+            }
             None => {
                 let scale = scale(&chosen.survey.imu.clone().unwrap_or_default());
                 choice = Some(ImuChoice { chosen, scale, asked_for: false });
@@ -122,11 +127,16 @@ fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option
     if statistics.messages < 2 || statistics.rate < MIN_RATE {
         return Some(format!("it has only {:.1} samples a second", statistics.rate));
     }
-    let frame = chosen.frame();
-    let connected = range.iter().any(|r| frame.is_empty() || inventory.tree.connected(frame, r.frame()));
-    (!connected).then(|| {
+    (!is_connected(chosen, inventory, range)).then(|| {
+        let frame = chosen.frame();
         format!("no transforms connect its frame \"{frame}\" with that of the range sensor (give them with --urdf)")
     })
+}
+
+/// Whether it is known where the IMU is relative to a range sensor.
+fn is_connected(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> bool {
+    let frame = chosen.frame();
+    range.iter().any(|r| frame.is_empty() || inventory.tree.connected(frame, r.frame()))
 }
 
 /// Why an IMU cannot tell level: what it shows as up leans far against the upright of the robot, or of the scanner
@@ -203,7 +213,7 @@ pub(super) fn choose_frame(
         );
         return Ok(primary.to_owned());
     }
-    plan.note(
+    plan.warn(
         format!("no transforms tell where \"{primary}\" is on the robot; its own motion is mapped"),
         "--urdf <robot description> or --tracking-frame",
     );
@@ -238,7 +248,7 @@ pub(super) fn connect_imu(
             let detail = format!("{topic}: {why}; give them with --urdf, or choose another --tracking-frame");
             return Err(PlanError::Frame { detail });
         }
-        plan.note(
+        plan.warn(
             format!("the IMU {topic} is not used: {why}"),
             "--urdf <robot description> or --tracking-frame",
         );

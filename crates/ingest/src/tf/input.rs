@@ -1,9 +1,10 @@
 //! Taking recorded transforms into the tree.
 
 use portolan_geometry::pose_from_xyz_quaternion;
-use portolan_recording::{RepairLog, TfMessage, TransformStamped};
+use portolan_issue::{Issue, IssueKind, IssueLog};
+use portolan_recording::{TfMessage, TransformStamped};
 
-use super::{TfError, TfTree};
+use super::TfTree;
 
 /// A frame's name as the tree has it: without a leading slash.
 pub fn frame_name(name: &str) -> &str {
@@ -15,13 +16,13 @@ pub fn frame_name(name: &str) -> &str {
 pub struct TfInput {
     /// Transforms with this parent are results of mapping, not input.
     map_frame: String,
-    repairs: RepairLog,
+    issues: IssueLog,
 }
 
 impl TfInput {
     /// Leaves out transforms below `map_frame`.
     pub fn new(map_frame: &str) -> Self {
-        Self { map_frame: frame_name(map_frame).to_owned(), repairs: RepairLog::default() }
+        Self { map_frame: frame_name(map_frame).to_owned(), issues: IssueLog::default() }
     }
 
     /// Takes all transforms of a message.
@@ -35,20 +36,17 @@ impl TfInput {
         let parent = frame_name(&transform.header.frame_id);
         let child = frame_name(&transform.child_frame_id);
         if parent == self.map_frame {
-            self.repairs.repaired(format!(
-                "transforms from \"{parent}\" to \"{child}\" were not used: that is the output of a mapping program"
-            ));
+            self.issues.add(Issue::new(IssueKind::MapTransform).with("parent", parent).with("child", child));
             return;
         }
         if parent.is_empty() || child.is_empty() {
-            self.repairs.lost("transforms without the name of a frame were left out");
+            self.issues.add(IssueKind::NamelessTransform);
             return;
         }
         let pose = &transform.transform;
         let Some(parent_from_child) = pose_from_xyz_quaternion(pose.position, pose.orientation_xyzw) else {
-            self.repairs.lost(format!(
-                "transforms from \"{parent}\" to \"{child}\" with an invalid pose were left out"
-            ));
+            let issue = Issue::new(IssueKind::InvalidTransform);
+            self.issues.add(issue.with("parent", parent).with("child", child));
             return;
         };
         let inserted = if is_static {
@@ -56,22 +54,16 @@ impl TfInput {
         } else {
             tree.insert_moving(parent, child, transform.header.stamp, parent_from_child)
         };
-        match inserted {
-            Err(error @ (TfError::Loop { .. } | TfError::TooManyFrames { .. })) => {
-                self.repairs.lost(error.to_string())
-            }
-            Err(error) => self.repairs.repaired(error.to_string()),
-            Ok(()) => {}
-        }
+        inserted.err().iter().for_each(|error| self.add(error.issue()));
     }
 
-    /// Counts something that does no harm.
-    pub(crate) fn note(&mut self, what: String) {
-        self.repairs.repaired(what);
+    /// Counts something that was seen elsewhere.
+    pub(crate) fn add(&mut self, issue: Issue) {
+        self.issues.add(issue);
     }
 
     /// What could not be used so far.
-    pub fn repairs(&self) -> &RepairLog {
-        &self.repairs
+    pub fn issues(&self) -> &IssueLog {
+        &self.issues
     }
 }

@@ -6,9 +6,9 @@ mod text;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Quaternion, Rigid3, Time, TransformBuffer};
-
 pub use input::{TfInput, frame_name};
+use portolan_geometry::{Quaternion, Rigid3, Time, TransformBuffer};
+use portolan_issue::{Issue, IssueKind};
 
 /// Most poses that are kept of one moving frame.
 const BUFFER_POSES: usize = 100_000;
@@ -57,19 +57,19 @@ pub enum TfError {
         span: String,
     },
     /// A transform that would close a loop.
-    #[error("the transforms {frames} form a loop; the last one is not used")]
+    #[error("{}", transform_loop(frames))]
     Loop {
         /// The frames from parent to child.
         frames: String,
     },
     /// More frames than any robot has.
-    #[error("there are more than {MAX_FRAMES} frames; transforms of \"{frame}\" and later ones are not used")]
+    #[error("{}", too_many_frames(frame))]
     TooManyFrames {
         /// The frame that was one too many.
         frame: String,
     },
     /// A frame that would get a second parent.
-    #[error("\"{child}\" hangs below \"{parent}\" and also below \"{second}\"; the second is not used")]
+    #[error("{}", second_parent(child, parent, second))]
     SecondParent {
         /// The frame.
         child: String,
@@ -78,6 +78,31 @@ pub enum TfError {
         /// The parent that was refused.
         second: String,
     },
+}
+
+fn transform_loop(frames: &str) -> Issue {
+    Issue::new(IssueKind::TransformLoop).with("frames", frames)
+}
+
+fn too_many_frames(frame: &str) -> Issue {
+    Issue::new(IssueKind::TooManyFrames).with_number("most", MAX_FRAMES).with("frame", frame)
+}
+
+fn second_parent(child: &str, parent: &str, second: &str) -> Issue {
+    let issue = Issue::new(IssueKind::SecondParent).with("child", child);
+    issue.with("parent", parent).with("second", second)
+}
+
+impl TfError {
+    /// As an issue, where a transform could not be taken.
+    pub fn issue(&self) -> Issue {
+        match self {
+            Self::Loop { frames } => transform_loop(frames),
+            Self::TooManyFrames { frame } => too_many_frames(frame),
+            Self::SecondParent { child, parent, second } => second_parent(child, parent, second),
+            error => Issue::new(IssueKind::UnknownFrame).with("error", error),
+        }
+    }
 }
 
 #[derive(Clone, Debug)]

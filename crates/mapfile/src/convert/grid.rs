@@ -1,7 +1,8 @@
 //! Submaps and their grids (`formats.md` §4.4, §4.5).
 
 use portolan_geometry::Vector2;
-use portolan_mapping::{Planar, Repairs, Space, Submap2d};
+use portolan_issue::{IssueKind, IssueLog};
+use portolan_mapping::{Planar, Space, Submap2d};
 use portolan_matching::{
     CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, MapLimits, TsdfParts,
 };
@@ -27,7 +28,7 @@ pub trait MapSpace: Space {
     fn submap_from_proto(
         message: m::Submap,
         id: IdInFile,
-        repairs: &mut Repairs,
+        issues: &mut IssueLog,
     ) -> Result<(Self::Submap, bool), MapConversionError>;
 }
 
@@ -44,7 +45,7 @@ impl MapSpace for Planar {
     fn submap_from_proto(
         message: m::Submap,
         id: IdInFile,
-        repairs: &mut Repairs,
+        issues: &mut IssueLog,
     ) -> Result<(Submap2d, bool), MapConversionError> {
         if message.submap_3d.is_some() {
             return Err(MapConversionError::ThreeDimensional);
@@ -55,22 +56,17 @@ impl MapSpace for Planar {
             pose_in_file(submap.local_pose.as_ref()).ok_or(MapConversionError::Pose { what, id })?;
         let grid = submap.grid.ok_or(MapConversionError::Content { what, id })?;
         let (grid, done) = grid_from_proto(grid, id)?;
-        count_repairs(done, repairs);
+        count_repairs(done, issues);
         let num_range_data = u32::try_from(submap.num_range_data).unwrap_or(0);
         let finished = submap.finished;
         Ok((Submap2d::from_parts(local_from_submap, num_range_data, finished, grid), finished))
     }
 }
 
-fn count_repairs(done: GridRepairs, repairs: &mut Repairs) {
-    let counts = [
-        ("update marker removed from a cell", done.markers_removed as u64),
-        ("box of known cells of a grid computed anew", u64::from(done.known_box_recomputed)),
-        ("bounds of a distance field set to its truncation distance", u64::from(done.cost_bounds_replaced)),
-    ];
-    for (what, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
-        *repairs.entry(what).or_default() += count;
-    }
+fn count_repairs(done: GridRepairs, issues: &mut IssueLog) {
+    issues.count(IssueKind::UpdateMarker, done.markers_removed as u64);
+    issues.count(IssueKind::KnownBoxRecomputed, u64::from(done.known_box_recomputed));
+    issues.count(IssueKind::CostBoundsReplaced, u64::from(done.cost_bounds_replaced));
 }
 
 /// A grid as a serialised `Grid2D`, the file that the reference's `write_probability_grid` writes.

@@ -1,6 +1,7 @@
 //! Submaps in space and their grids (`formats.md` §4.6).
 
-use portolan_mapping::{Repairs, Spatial, Submap3d};
+use portolan_issue::{IssueKind, IssueLog};
+use portolan_mapping::{Spatial, Submap3d};
 use portolan_matching::{HybridGrid, HybridGridParts, HybridGridRepairs};
 use prost::Message as _;
 
@@ -24,7 +25,7 @@ impl MapSpace for Spatial {
     fn submap_from_proto(
         message: m::Submap,
         id: IdInFile,
-        repairs: &mut Repairs,
+        issues: &mut IssueLog,
     ) -> Result<(Submap3d, bool), MapConversionError> {
         if message.submap_2d.is_some() {
             return Err(MapConversionError::TwoDimensional);
@@ -35,14 +36,12 @@ impl MapSpace for Spatial {
             pose_in_file(submap.local_pose.as_ref()).ok_or(MapConversionError::Pose { what, id })?;
         let mut grid = |grid: Option<m::HybridGrid>| {
             let grid = grid.ok_or(MapConversionError::Content { what, id })?;
-            hybrid_grid_from_proto(grid, id, repairs)
+            hybrid_grid_from_proto(grid, id, issues)
         };
         let grids = [grid(submap.high_resolution_hybrid_grid)?, grid(submap.low_resolution_hybrid_grid)?];
         let histogram = submap.rotational_scan_matcher_histogram;
         if histogram.is_empty() {
-            *repairs
-                .entry("3D submap without directions of walls, searched at every yaw; `migrate` adds them")
-                .or_default() += 1;
+            issues.count(IssueKind::WallDirectionsMissing, 1);
         }
         let num_range_data = u32::try_from(submap.num_range_data).unwrap_or(0);
         let finished = submap.finished;
@@ -66,22 +65,20 @@ pub(super) fn hybrid_grid_to_proto(grid: &HybridGrid) -> m::HybridGrid {
 fn hybrid_grid_from_proto(
     grid: m::HybridGrid,
     submap: IdInFile,
-    repairs: &mut Repairs,
+    issues: &mut IssueLog,
 ) -> Result<HybridGrid, MapConversionError> {
     let m::HybridGrid { resolution, x_indices, y_indices, z_indices, values } = grid;
     let parts = HybridGridParts { resolution, x_indices, y_indices, z_indices, values };
     let (grid, done) =
         HybridGrid::from_parts(&parts).map_err(|source| MapConversionError::Grid { submap, source })?;
     let HybridGridRepairs { outside, invalid_values, markers_removed, repeated } = done;
-    for (what, count) in [
-        ("cell outside of what a grid in space can hold, left out", outside),
-        ("cell in space with an impossible value, left out", invalid_values),
-        ("update marker removed from a cell", markers_removed),
-        ("cell in space that is there twice", repeated),
+    for (kind, count) in [
+        (IssueKind::CellOutside, outside),
+        (IssueKind::CellInvalid, invalid_values),
+        (IssueKind::UpdateMarker, markers_removed),
+        (IssueKind::CellRepeated, repeated),
     ] {
-        if count > 0 {
-            *repairs.entry(what).or_default() += count as u64;
-        }
+        issues.count(kind, count as u64);
     }
     Ok(grid)
 }

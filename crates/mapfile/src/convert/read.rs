@@ -7,9 +7,10 @@ use std::sync::Arc;
 
 use portolan_config::{Options, PoseGraphOptions};
 use portolan_geometry::{Rigid3, Time};
+use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
     Constraint, ConstraintTag, EndedTrajectory, InitialTrajectoryPose, Map, NodeData, NodeId, Planar,
-    PoseGraph, Repairs, ScanPose, SubmapId, TrajectoryId, of_trajectory,
+    PoseGraph, ScanPose, SubmapId, TrajectoryId, of_trajectory,
 };
 
 use super::MapConversionError;
@@ -70,8 +71,8 @@ pub struct LoadedMap<S: MapSpace> {
     pub trajectory_ids: BTreeMap<i32, TrajectoryId>,
     /// Version of the file's format.
     pub format_version: u32,
-    /// What was put right or left out, by reason.
-    pub repairs: Repairs,
+    /// What was put right or left out.
+    pub issues: IssueLog,
 }
 
 impl<S: MapSpace> LoadedMap<S> {
@@ -88,8 +89,8 @@ pub struct LoadedTrajectories {
     pub trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
     /// What became of the trajectories: number in the file, number in the graph.
     pub trajectory_ids: BTreeMap<i32, TrajectoryId>,
-    /// What was put right or left out, by reason.
-    pub repairs: Repairs,
+    /// What was put right or left out.
+    pub issues: IssueLog,
 }
 
 /// Reads a 2D map; see [`read_map`].
@@ -120,7 +121,7 @@ pub fn read_map<S: MapSpace>(
         trajectories: loaded.trajectories,
         trajectory_ids: loaded.trajectory_ids,
         format_version: reader.header().format_version,
-        repairs: loaded.repairs,
+        issues: loaded.issues,
     })
 }
 
@@ -145,14 +146,14 @@ pub fn load_map<S: MapSpace>(
                 &loading.result.trajectory_ids,
                 frozen,
                 loading.graph,
-                &mut loading.result.repairs,
+                &mut loading.result.issues,
             ),
         }
     }
     let ignored = reader.ignored();
-    loading.count("second pose graph", ignored.pose_graphs);
-    loading.count("second list of options", ignored.options);
-    loading.count("message of an unknown kind", ignored.unknown);
+    loading.count(IssueKind::SecondPoseGraph, ignored.pose_graphs);
+    loading.count(IssueKind::SecondOptions, ignored.options);
+    loading.count(IssueKind::UnknownMapMessage, ignored.unknown);
     loading.constraints(&reader.pose_graph().constraint)?;
     loading.landmark_poses(&reader.pose_graph().landmark_poses);
     Ok(loading.finish())
@@ -177,15 +178,13 @@ impl<'a, S: MapSpace> Loading<'a, S> {
         let (submap_poses, node_poses, duplicates) = global_poses(reader.pose_graph())?;
         let result = LoadedTrajectories::default();
         let mut loading = Self { graph, frozen, submap_poses, node_poses, result };
-        loading.count("second pose of a submap or node", duplicates);
+        loading.count(IssueKind::SecondMapPose, duplicates);
         loading.trajectories(reader)?;
         Ok(loading)
     }
 
-    fn count(&mut self, what: &'static str, count: u64) {
-        if count > 0 {
-            *self.result.repairs.entry(what).or_default() += count;
-        }
+    fn count(&mut self, kind: IssueKind, count: u64) {
+        self.result.issues.count(kind, count);
     }
 
     /// Gives the trajectories new numbers and makes them known.
@@ -199,7 +198,7 @@ impl<'a, S: MapSpace> Loading<'a, S> {
             if self.result.trajectory_ids.insert(trajectory.trajectory_id, id).is_some() {
                 return Err(MapConversionError::DuplicateTrajectory(trajectory.trajectory_id));
             }
-            let (options, sensors) = trajectory_options_from_proto(options, &mut self.result.repairs);
+            let (options, sensors) = trajectory_options_from_proto(options, &mut self.result.issues);
             self.result.trajectories.insert(id, EndedTrajectory { options, sensors, scans: Vec::new() });
             self.graph.load_trajectory(id, None);
         }
@@ -219,10 +218,7 @@ impl<'a, S: MapSpace> Loading<'a, S> {
             });
             match initial {
                 Some(Some(initial)) => self.graph.load_trajectory(id, Some(initial)),
-                Some(None) => self.count(
-                    "start that is not valid or relative to a trajectory that the map does not have",
-                    1,
-                ),
+                Some(None) => self.count(IssueKind::InvalidStart, 1),
                 None => {}
             }
             if self.frozen.contains(trajectory.trajectory_id) {
@@ -242,11 +238,11 @@ impl<'a, S: MapSpace> Loading<'a, S> {
     fn submap(&mut self, message: m::Submap) -> Result<(), MapConversionError> {
         let id_in_file = submap_id(message.submap_id.as_ref());
         let Some(map_from_submap) = self.submap_poses.remove(&id_in_file) else {
-            self.count("submap that is there twice or has no pose in the pose graph", 1);
+            self.count(IssueKind::SubmapUnplaced, 1);
             return Ok(());
         };
         let (trajectory_id, index) = self.ids("submap", id_in_file)?;
-        let (submap, finished) = S::submap_from_proto(message, id_in_file, &mut self.result.repairs)?;
+        let (submap, finished) = S::submap_from_proto(message, id_in_file, &mut self.result.issues)?;
         let id = SubmapId::new(trajectory_id, index);
         self.graph.load_submap(id, Arc::new(submap), finished, map_from_submap);
         Ok(())
@@ -255,7 +251,7 @@ impl<'a, S: MapSpace> Loading<'a, S> {
     fn node(&mut self, message: m::Node) -> Result<(), MapConversionError> {
         let id_in_file = node_id(message.node_id.as_ref());
         let Some(map_from_tracking) = self.node_poses.remove(&id_in_file) else {
-            self.count("node that is there twice or has no pose in the pose graph", 1);
+            self.count(IssueKind::NodeUnplaced, 1);
             return Ok(());
         };
         let (trajectory_id, index) = self.ids("node", id_in_file)?;
@@ -268,13 +264,13 @@ impl<'a, S: MapSpace> Loading<'a, S> {
         if S::OPTIMIZES_WITH_IMU {
             match (self.result.trajectory_ids.get(&data.trajectory_id), imu_state_from_proto(data)) {
                 (Some(id), Some(state)) => self.graph.set_imu_state(*id, state),
-                _ => self.count("gravity or IMU calibration that is not valid or of no trajectory", 1),
+                _ => self.count(IssueKind::InvalidImuCalibration, 1),
             }
         }
         let Some(origin) = &data.fixed_frame_origin_in_map else { return };
         match (self.result.trajectory_ids.get(&data.trajectory_id), pose_in_file(Some(origin))) {
             (Some(id), Some(pose)) => self.graph.set_fixed_frame_origin(*id, pose),
-            _ => self.count("fixed-frame origin that is not valid or of no trajectory", 1),
+            _ => self.count(IssueKind::InvalidFixedFrameOrigin, 1),
         }
     }
 
@@ -283,9 +279,9 @@ impl<'a, S: MapSpace> Loading<'a, S> {
         for constraint in constraints {
             let weights = [constraint.translation_weight, constraint.rotation_weight];
             if !weights.iter().all(|w| w.is_finite() && *w >= 0.0) {
-                self.count("constraint with impossible weights", 1);
+                self.count(IssueKind::ConstraintWeight, 1);
             } else if !self.constraint(constraint)? {
-                self.count("constraint to a node or submap that the map does not have", 1);
+                self.count(IssueKind::ConstraintUnconnected, 1);
             }
         }
         Ok(())
@@ -311,7 +307,7 @@ impl<'a, S: MapSpace> Loading<'a, S> {
             Ok(Tag::IntraSubmap) => ConstraintTag::IntraSubmap,
             Ok(Tag::InterSubmap) => ConstraintTag::InterSubmap,
             Err(_) => {
-                self.count("constraint of an unknown kind taken for a loop closure", 1);
+                self.count(IssueKind::ConstraintKindUnknown, 1);
                 ConstraintTag::InterSubmap
             }
         };
@@ -332,14 +328,14 @@ impl<'a, S: MapSpace> Loading<'a, S> {
         for landmark in landmarks {
             match pose_in_file(landmark.global_pose.as_ref()) {
                 Some(pose) => self.graph.set_landmark_pose(&landmark.landmark_id, pose, true),
-                None => self.count("landmark without a valid pose", 1),
+                None => self.count(IssueKind::LandmarkWithoutPose, 1),
             }
         }
     }
 
     fn finish(mut self) -> LoadedTrajectories {
-        self.count("pose of a submap that the map does not have", self.submap_poses.len() as u64);
-        self.count("pose of a node that the map does not have", self.node_poses.len() as u64);
+        self.count(IssueKind::SubmapMissing, self.submap_poses.len() as u64);
+        self.count(IssueKind::NodeMissing, self.node_poses.len() as u64);
         for (id, trajectory) in &mut self.result.trajectories {
             trajectory.scans = of_trajectory(&self.graph.state().nodes, *id)
                 .map(|(node_id, node)| ScanPose {

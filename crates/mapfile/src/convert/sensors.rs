@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use portolan_geometry::{Quaternion, Time};
-use portolan_mapping::{ImuState, PoseGraph, Repairs, Space, TrajectoryId};
+use portolan_issue::{IssueKind, IssueLog};
+use portolan_mapping::{ImuState, PoseGraph, Space, TrajectoryId};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, OdometryData};
 
 use super::read::FrozenTrajectories;
@@ -132,7 +133,7 @@ pub(super) fn load_sensor_data<S: Space>(
     trajectory_ids: &BTreeMap<i32, TrajectoryId>,
     frozen: &FrozenTrajectories,
     graph: &mut PoseGraph<S>,
-    repairs: &mut Repairs,
+    issues: &mut IssueLog,
 ) {
     let trajectory_id = match &data {
         Data::ImuData(d) => d.trajectory_id,
@@ -142,12 +143,12 @@ pub(super) fn load_sensor_data<S: Space>(
         _ => return,
     };
     let dropped = match trajectory_ids.get(&trajectory_id) {
-        None => Some("measurement of a trajectory that the map does not have"),
+        None => Some(IssueKind::MeasurementOfNoTrajectory),
         Some(_) if frozen.contains(trajectory_id) => None,
         Some(id) => add_measurement(data, *id, graph).err(),
     };
     if let Some(reason) = dropped {
-        *repairs.entry(reason).or_default() += 1;
+        issues.count(reason, 1);
     }
 }
 
@@ -155,16 +156,16 @@ fn add_measurement<S: Space>(
     data: Data,
     id: TrajectoryId,
     graph: &mut PoseGraph<S>,
-) -> Result<(), &'static str> {
+) -> Result<(), IssueKind> {
     match data {
         Data::ImuData(m::ImuData { imu_data: Some(imu), .. }) => {
-            let imu = imu_from_proto(&imu).ok_or("IMU sample that is not finite")?;
+            let imu = imu_from_proto(&imu).ok_or(IssueKind::ImuSampleNotFinite)?;
             is_new(graph.problem().sensors.get(&id).is_none_or(|s| !s.imu.contains_key(&imu.time)))?;
             graph.add_imu_data(id, imu);
         }
         Data::OdometryData(m::OdometryData { odometry_data: Some(odometry), .. }) => {
             let odom_from_tracking =
-                pose_in_file(odometry.pose.as_ref()).ok_or("odometry without a valid pose")?;
+                pose_in_file(odometry.pose.as_ref()).ok_or(IssueKind::OdometryWithoutPose)?;
             let time = Time::from_ticks(odometry.timestamp);
             is_new(graph.problem().sensors.get(&id).is_none_or(|s| !s.odometry.contains_key(&time)))?;
             graph.add_odometry_data(id, OdometryData { time, odom_from_tracking });
@@ -172,7 +173,7 @@ fn add_measurement<S: Space>(
         Data::FixedFramePoseData(m::FixedFramePoseData { fixed_frame_pose_data: Some(fixed), .. }) => {
             let fixed_from_tracking = match &fixed.pose {
                 None => None,
-                pose => Some(pose_in_file(pose.as_ref()).ok_or("fixed-frame pose that is not valid")?),
+                pose => Some(pose_in_file(pose.as_ref()).ok_or(IssueKind::FixedFramePoseInvalid)?),
             };
             let time = Time::from_ticks(fixed.timestamp);
             is_new(graph.problem().sensors.get(&id).is_none_or(|s| !s.fixed_frame.contains_key(&time)))?;
@@ -181,19 +182,17 @@ fn add_measurement<S: Space>(
         Data::LandmarkData(m::LandmarkData { landmark_data: Some(landmarks), .. }) => {
             let time = Time::from_ticks(landmarks.timestamp);
             let seen = landmarks.landmark_observations.into_iter().map(observation_from_proto);
-            let observations = seen
-                .collect::<Option<_>>()
-                .ok_or("landmark sighting without a valid pose or with impossible weights")?;
+            let observations = seen.collect::<Option<_>>().ok_or(IssueKind::LandmarkSightingInvalid)?;
             graph.add_landmark_data(id, LandmarkData { time, observations });
         }
-        _ => return Err("measurement without content"),
+        _ => return Err(IssueKind::MeasurementWithoutContent),
     }
     Ok(())
 }
 
 /// Of several measurements with the same stamp the first one counts.
-fn is_new(new: bool) -> Result<(), &'static str> {
-    if new { Ok(()) } else { Err("measurement with a stamp that is there already") }
+fn is_new(new: bool) -> Result<(), IssueKind> {
+    if new { Ok(()) } else { Err(IssueKind::MeasurementRepeated) }
 }
 
 fn observation_from_proto(seen: landmark_data::LandmarkObservation) -> Option<LandmarkObservation> {

@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 
 use portolan_config::{PureLocalizationTrimmerOptions, TrajectoryBuilderOptions};
 use portolan_geometry::Time;
-use portolan_mapping::{InitialTrajectoryPose, Repairs};
+use portolan_issue::{IssueKind, IssueLog};
+use portolan_mapping::InitialTrajectoryPose;
 use portolan_sensor::{SensorId, SensorKind};
 
 use super::MapConversionError;
@@ -64,7 +65,7 @@ pub fn trajectory_options_to_proto(
 /// Options and sensors in a message. Sensors of kinds that are not known here are left out and counted.
 pub fn trajectory_options_from_proto(
     message: &WithSensors,
-    repairs: &mut Repairs,
+    issues: &mut IssueLog,
 ) -> (TrajectoryBuilderOptions, BTreeSet<SensorId>) {
     let mut sensors = BTreeSet::new();
     for sensor in &message.sensor_id {
@@ -72,7 +73,7 @@ pub fn trajectory_options_from_proto(
             Some(kind) => {
                 sensors.insert(SensorId::new(kind, sensor.id.as_str()));
             }
-            None => *repairs.entry("sensor of an unknown kind left out").or_default() += 1,
+            None => issues.count(IssueKind::UnknownSensorKind, 1),
         }
     }
     let default = BuilderMessage::default();

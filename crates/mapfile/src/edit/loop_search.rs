@@ -2,7 +2,8 @@
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::{Dimension, Rigid3};
-use portolan_mapping::{MatchAcceptance, NodeData, Planar, Repairs, SearchRegion, Spatial};
+use portolan_issue::IssueLog;
+use portolan_mapping::{MatchAcceptance, NodeData, Planar, SearchRegion, Spatial};
 use serde::Serialize;
 
 use super::{EditError, MapDraft};
@@ -94,8 +95,8 @@ impl MapDraft {
                 let Some(message) = reader.next_message().map_err(failed)? else { break };
                 match message.data {
                     Data::Submap(m) if here(submap_id(m.submap_id.as_ref())) == Some(submap) => {
-                        let mut repairs = Repairs::default();
-                        grid = Some(S::submap_from_proto(m, submap, &mut repairs).map_err(unusable)?.0);
+                        let mut issues = IssueLog::default();
+                        grid = Some(S::submap_from_proto(m, submap, &mut issues).map_err(unusable)?.0);
                     }
                     Data::Node(m) if here(node_id(m.node_id.as_ref())) == Some(node) => {
                         let found = node_data(m, node).map_err(unusable)?;

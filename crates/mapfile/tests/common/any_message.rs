@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use portolan_mapfile::proto::DESCRIPTORS;
+use portolan_numeric::SplitMix64;
 use prost::Message as _;
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorSet};
@@ -16,16 +17,15 @@ pub struct Schema {
 }
 
 /// A source of anything.
-pub struct Luck(pub u64);
+pub struct Luck(SplitMix64);
 
 impl Luck {
+    pub fn new(seed: u64) -> Self {
+        Self(SplitMix64::new(seed))
+    }
+
     fn next(&mut self) -> u64 {
-        // SplitMix64.
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
+        self.0.bits()
     }
 
     fn below(&mut self, n: u64) -> u64 {

@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use portolan_geometry::{Point3f, Rigid3};
+use portolan_issue::{IssueKind, IssueLog};
 
-use super::Repairs;
 use crate::{InsertionSubmap, Space};
 
 /// A submap that takes scans.
@@ -145,19 +145,10 @@ where
         inserted
     }
 
-    /// Adds what was left out of submaps to `repairs`.
-    pub fn count_into(&self, repairs: &mut Repairs) {
-        for (what, count) in [
-            (
-                "scan left out of a submap, whose grid would have become too large (coarser cells help)",
-                self.refused,
-            ),
-            ("scan for which no submap could be made with these options", self.without_submap),
-        ] {
-            if count > 0 {
-                *repairs.entry(what).or_default() += count;
-            }
-        }
+    /// Adds what was left out of submaps to `issues`.
+    pub fn count_into(&self, issues: &mut IssueLog) {
+        issues.count(IssueKind::GridTooLarge, self.refused);
+        issues.count(IssueKind::NoSubmapPossible, self.without_submap);
     }
 
     /// Ends the trajectory: finishes what is being filled and gives it away.

@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 
 use portolan_config::{AdaptiveVoxelFilterOptions, MotionFilterOptions};
 use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_issue::{IssueKind, IssueLog};
 use portolan_lidar_odometry::{DegenerateInterval, SweepPoint};
 use portolan_motion::{ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
 use portolan_sensor::{
@@ -49,12 +50,6 @@ pub struct Lost<S: Space> {
 /// A scan is matched when so many points are gathered, however many messages it was to have.
 const MOST_GATHERED_POINTS: usize = 5_000_000;
 
-/// What is counted then.
-const CUT_SHORT: &str = "scan matched before all its messages were there: more than 5 million points (lower num_accumulated_range_data)";
-
-/// Counts of what was dropped or repaired, by reason.
-pub type Repairs = std::collections::BTreeMap<&'static str, u64>;
-
 /// The local SLAM of one trajectory.
 pub trait LocalSlam<S: Space>: Send {
     /// A range measurement. Gives what became of scans whose turn has come, this one or earlier ones.
@@ -76,7 +71,7 @@ pub trait LocalSlam<S: Space>: Send {
     fn active_submaps(&self) -> Vec<(u32, S::Submap)>;
 
     /// What was dropped or repaired so far.
-    fn repairs(&self) -> Repairs;
+    fn issues(&self) -> IssueLog;
 
     /// Where scans left directions unconstrained so far, if that is watched.
     fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
@@ -85,24 +80,16 @@ pub trait LocalSlam<S: Space>: Send {
 }
 
 /// Adds what was left out or put in order while scans were gathered.
-fn count_collated(counts: RangeDataCollatorCounts, repairs: &mut Repairs) {
-    for (what, count) in [
-        ("point older than the end of the scan before, left out", counts.earlier_points),
-        ("point whose time is not a number, left out", counts.points_without_time),
-        ("message whose points had to be put in order of time", counts.reordered_messages),
-        ("message of a range sensor that is not expected, left out", counts.unexpected_messages),
-    ] {
-        if count > 0 {
-            *repairs.entry(what).or_default() += count;
-        }
-    }
+fn count_collated(counts: RangeDataCollatorCounts, issues: &mut IssueLog) {
+    issues.count(IssueKind::PointOlderThanScan, counts.earlier_points);
+    issues.count(IssueKind::PointWithoutTime, counts.points_without_time);
+    issues.count(IssueKind::PointsReordered, counts.reordered_messages);
+    issues.count(IssueKind::UnexpectedRangeSensor, counts.unexpected_messages);
 }
 
 /// Adds what the extrapolator noticed and nobody else counts.
-fn count_extrapolated(counts: &ExtrapolatorCounts, repairs: &mut Repairs) {
-    if counts.odometry_jumps > 0 {
-        *repairs.entry("odometry that went on elsewhere").or_default() += counts.odometry_jumps;
-    }
+fn count_extrapolated(counts: &ExtrapolatorCounts, issues: &mut IssueLog) {
+    issues.count(IssueKind::OdometryJumped, counts.odometry_jumps);
 }
 
 /// Gives odometry to the extrapolator. Before the first scan there is none; the newest two poses wait

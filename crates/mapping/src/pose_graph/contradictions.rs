@@ -1,6 +1,7 @@
 //! Loop closures that all others together contradict.
 
 use portolan_geometry::{Rigid3, rotation_angle};
+use portolan_numeric::median;
 
 use super::PoseGraph;
 use crate::{Constraint, Space};
@@ -37,8 +38,8 @@ impl<S: Space> PoseGraph<S> {
             return 0;
         }
         let (metres, radians) = if S::OPTIMIZES_WITH_IMU { MIN_IN_SPACE } else { MIN_IN_PLANE };
-        let translation_limit = metres.max(TIMES_MEDIAN * median(&mut translations));
-        let rotation_limit = radians.max(TIMES_MEDIAN * median(&mut rotations));
+        let translation_limit = metres.max(TIMES_MEDIAN * median(&mut translations).unwrap_or(0.0));
+        let rotation_limit = radians.max(TIMES_MEDIAN * median(&mut rotations).unwrap_or(0.0));
         let mut errors = errors.iter();
         let before = self.state.constraints.len();
         self.state.constraints.retain(|_| {
@@ -57,9 +58,4 @@ impl<S: Space> PoseGraph<S> {
         let error: Rigid3 = constraint.submap_from_node.inverse() * map_from_submap.inverse() * map_from_node;
         Some((error.translation.vector.norm(), rotation_angle(&error)))
     }
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

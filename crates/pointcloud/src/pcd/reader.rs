@@ -4,17 +4,17 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use portolan_issue::{Issue, IssueKind, IssueLog};
+
 use super::header::{Data, Header};
 use super::lzf::Decompressor;
 use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
-use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
+use crate::error::CloudError;
 use crate::fields::{Column, Columns};
 use crate::format::CloudReader;
 use crate::input::{Input, numbers};
 use crate::output::Spool;
-
-const MISSING: &str = "points that the header promises and the file does not have";
 
 /// Reads points.
 pub(crate) struct PcdReader {
@@ -26,7 +26,7 @@ pub(crate) struct PcdReader {
     /// Decompressed columns, on disk.
     unpacked: Option<Spool>,
     bytes: Vec<u8>,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 impl PcdReader {
@@ -35,14 +35,14 @@ impl PcdReader {
         let header = Header::read(&mut input)?;
         let columns =
             header.columns().ok_or_else(|| CloudError::damaged(path, "it has no fields x, y and z"))?;
-        let (mut repairs, mut unpacked) = (Repairs::default(), None);
+        let (mut issues, mut unpacked) = (IssueLog::default(), None);
         let row = header.point_bytes() as u64;
         let mut total = header.points;
         match header.data {
             Data::Ascii => {}
             Data::Binary => {
                 let there = input.length().saturating_sub(input.position()?) / row;
-                repairs.add(MISSING, true, total.saturating_sub(there));
+                issues.count(IssueKind::CloudPointsMissing, total.saturating_sub(there));
                 total = total.min(there);
             }
             Data::Compressed => {
@@ -55,24 +55,24 @@ impl PcdReader {
                 unpacked = Some(spool);
             }
         }
-        Ok(Self { input, header, columns, total, next: 0, unpacked, bytes: Vec::new(), repairs })
+        Ok(Self { input, header, columns, total, next: 0, unpacked, bytes: Vec::new(), issues })
     }
 
     fn read_ascii(&mut self, batch: &mut PointCloud, count: u64) -> Result<(), CloudError> {
         let mut values = Vec::new();
         for _ in 0..count {
             let Some(line) = self.input.line()? else {
-                self.repairs.add(MISSING, true, self.total - self.next);
+                self.issues.count(IssueKind::CloudPointsMissing, self.total - self.next);
                 self.next = self.total;
                 return Ok(());
             };
             self.next += 1;
             if !numbers(line, &mut values) || values.len() < 3 {
-                self.repairs.add("lines that are no points were left out", true, 1);
+                self.issues.count(IssueKind::CloudLineUnreadable, 1);
                 continue;
             }
             let is_finite = self.columns.push(|column| values.get(column.at).copied().unwrap_or(0.0), batch);
-            self.repairs.add(NOT_FINITE, false, u64::from(!is_finite));
+            self.issues.count(IssueKind::CloudPointNotFinite, u64::from(!is_finite));
         }
         Ok(())
     }
@@ -89,7 +89,7 @@ impl PcdReader {
         for row in self.bytes.chunks_exact(row_bytes) {
             let value = |c: &Column| c.scalar.decode(row.get(c.at..).unwrap_or_default(), false);
             let is_finite = self.columns.push(value, batch);
-            self.repairs.add(NOT_FINITE, false, u64::from(!is_finite));
+            self.issues.count(IssueKind::CloudPointNotFinite, u64::from(!is_finite));
         }
         Ok(())
     }
@@ -173,7 +173,7 @@ impl CloudReader for PcdReader {
         Ok(!batch.is_empty())
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }

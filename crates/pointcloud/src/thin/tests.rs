@@ -4,11 +4,8 @@ use super::*;
 type Sample = ([f64; 3], f32, f64);
 
 fn points(count: usize) -> impl Iterator<Item = Sample> {
-    let mut state = 12_345_u64;
-    let mut random = move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 40) as f64 / f64::from(1 << 24)
-    };
+    let mut random = portolan_numeric::Lcg64::new(12_345);
+    let mut random = move || (random.bits() >> 40) as f64 / f64::from(1 << 24);
     (0..count).map(move |i| {
         let position = [20.0 * random() - 10.0, 4.0 * random() - 2.0, random() - 0.5];
         (position, random() as f32, 1.7e9 + 0.001 * i as f64)

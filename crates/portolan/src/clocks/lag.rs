@@ -238,8 +238,7 @@ fn solve(blocks: &[(Normal, Unknowns)], left_out: Option<usize>) -> Option<Unkno
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
+    portolan_numeric::median(&mut values).unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Messages of a lidar gathered to sweeps.
 
 use portolan_geometry::{Duration, Point3f, Time};
+use portolan_numeric::scramble;
 use portolan_sensor::TimedPointCloudData;
 
 /// Messages are gathered until they last so long, seconds; most lidars turn once in a tenth of a second.
@@ -72,21 +73,13 @@ fn joined(messages: &[TimedPointCloudData], begin: Time, end: Time) -> Option<Sw
         let shift = message.time.seconds_since(middle) as f32;
         for (i, chunk) in message.points_in_tracking.chunks(stride).enumerate() {
             // One at random of so many: every 16th point may be always of the same beam.
-            let Some(point) = chunk.get(scattered(i) % chunk.len()) else { continue };
+            let Some(point) = chunk.get(scramble(i as u32) as usize % chunk.len()) else { continue };
             if (point.position - message.origin_in_tracking).norm() > NEAREST {
                 points.push((shift + point.time, point.position));
             }
         }
     }
     Some(Sweep { middle, half, points, origin })
-}
-
-/// Numbers without order (the finaliser of MurmurHash3).
-fn scattered(i: usize) -> usize {
-    let mut h = (i as u32).wrapping_add(0x9e37_79b9);
-    h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
-    h = (h ^ (h >> 13)).wrapping_mul(0xc2b2_ae35);
-    (h ^ (h >> 16)) as usize
 }
 
 #[cfg(test)]

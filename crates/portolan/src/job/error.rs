@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan_atomic_file::{AtomicFile, WriteError};
 use portolan_config::ConfigError;
 use portolan_export::PictureError;
-use portolan_mapfile::{AtomicFile, MapConversionError, PaintError, WriteError};
+use portolan_mapfile::{MapConversionError, PaintError};
 use portolan_pointcloud::CloudError;
 
 use crate::pipeline::PipelineError;

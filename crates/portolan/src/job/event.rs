@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use portolan_export::PictureError;
 use portolan_ingest::Notice;
+use portolan_issue::Issue;
 use portolan_mapfile::PaintError;
 use portolan_mapping::TrajectoryId;
 
@@ -48,13 +49,11 @@ pub enum Remark {
         why: &'static str,
     },
     /// Something in a known map was put right or left out.
-    KnownMapRepaired {
+    KnownMapIssue {
         /// The map.
         path: PathBuf,
         /// What.
-        what: String,
-        /// How often.
-        count: u64,
+        issue: Issue,
     },
     /// A known map was loaded.
     KnownMapLoaded {
@@ -96,8 +95,8 @@ impl fmt::Display for Remark {
         match self {
             Self::Chosen(notice) => write!(f, "{} {}", notice.what, notice.change),
             Self::LittleEffect { path, why } => write!(f, "{path} has little effect or none: {why}"),
-            Self::KnownMapRepaired { path, what, count } => {
-                write!(f, "{}: repaired: {what} ({count}x)", path.display())
+            Self::KnownMapIssue { path, issue } => {
+                write!(f, "{}: repaired: {issue} ({}x)", path.display(), issue.count)
             }
             Self::KnownMapLoaded { path, trajectories } => {
                 let number = |(old, new): &(i32, TrajectoryId)| {

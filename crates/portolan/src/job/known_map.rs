@@ -54,9 +54,9 @@ impl KnownMaps {
             let failed = |reason| JobError::KnownMap { path: path.clone(), reason };
             let mut reader = MapReader::open(path).map_err(|e| failed(e.into()))?;
             let loaded = load_map(&mut reader, &mut known.graph, &self.frozen).map_err(failed)?;
-            for (what, count) in &loaded.repairs {
-                let (path, what, count) = (path.clone(), (*what).to_string(), *count);
-                remark(observe, Remark::KnownMapRepaired { path, what, count });
+            for issue in loaded.issues.iter() {
+                known.issues.add(issue.clone().of(path.display().to_string()));
+                remark(observe, Remark::KnownMapIssue { path: path.clone(), issue });
             }
             let trajectories = loaded.trajectory_ids.iter().map(|(old, new)| (*old, *new)).collect();
             remark(observe, Remark::KnownMapLoaded { path: path.clone(), trajectories });

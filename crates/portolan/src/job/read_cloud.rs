@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use portolan_pointcloud::{CloudError, CloudReader, PointCloud, Repair};
+use portolan_issue::Issue;
+use portolan_pointcloud::{CloudError, CloudReader, PointCloud};
 
 /// Points of a cloud, every n-th if there are very many.
 #[derive(Debug, Default)]
@@ -16,13 +17,13 @@ pub struct ReadCloud {
     /// Points whose coordinates are not numbers.
     pub not_finite: u64,
     /// What was repaired or left out.
-    pub repairs: Vec<Repair>,
+    pub issues: Vec<Issue>,
 }
 
 impl ReadCloud {
     /// Whether data were lost while reading.
     pub fn lost_data(&self) -> bool {
-        self.repairs.iter().any(|repair| repair.lost_data)
+        self.issues.iter().any(Issue::lost_data)
     }
 }
 
@@ -63,7 +64,7 @@ pub fn read_cloud_from(mut reader: Box<dyn CloudReader>, limit: usize) -> Result
             }
         }
     }
-    cloud.repairs = reader.repairs();
+    cloud.issues = reader.issues();
     Ok(cloud)
 }
 

@@ -56,11 +56,6 @@ pub(super) fn report<S: Space>(
 ) -> serde_json::Value {
     let state = mapped.map.graph.state();
     let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
-    let reading: Vec<_> = mapped
-        .reading_repairs
-        .iter()
-        .map(|r| serde_json::json!({ "what": r.what, "count": r.count, "lost_data": r.lost_data }))
-        .collect();
     let sensors: Vec<String> =
         mapped.plan.sensors().iter().map(|s| format!("{:?} {}", s.kind, s.id)).collect();
     serde_json::json!({
@@ -92,7 +87,8 @@ pub(super) fn report<S: Space>(
         "engine": mapped.map.options.engine().to_string(),
         "options_fingerprint": mapped.map.options.fingerprint(),
         "options": mapped.map.options,
-        "repairs": { "reading": reading, "mapping": mapped.mapping_repairs },
+        "issues": mapped.issues,
+        "data_lost": mapped.lost_data(),
     })
 }
 

@@ -347,7 +347,7 @@ fn options_of_submaps_in_the_plane_have_their_effects() {
 fn a_run_is_what_it_is_taken_for() {
     let circle = circle(&base());
     assert_eq!(circle.results.len(), 12);
-    assert!(circle.repairs.is_empty(), "{:?}", circle.repairs);
+    assert!(circle.issues.is_empty(), "{:?}", circle.issues);
     assert!(distance(&circle.last_pose(), &on_circle(4.4)) < 0.06, "{}", circle.last_pose());
     assert_eq!(circle.results.last().unwrap().time, at(4.4));
 }

@@ -4,14 +4,15 @@ use std::collections::BTreeSet;
 
 use portolan::config::Options;
 use portolan::geometry::Rigid3;
-use portolan::mapping::{Map, Mapper, MapperSettings, MatchingResult, Repairs, Space, TrajectoryId};
+use portolan::issue::IssueLog;
+use portolan::mapping::{Map, Mapper, MapperSettings, MatchingResult, Space, TrajectoryId};
 use portolan::sensor::{Measurement, SensorId, SensorKind};
 
 /// What came out of a run.
 pub struct Run<S: Space> {
     pub results: Vec<MatchingResult<S>>,
     pub map: Map<S>,
-    pub repairs: Repairs,
+    pub issues: IssueLog,
 }
 
 pub fn sensor(kind: SensorKind) -> SensorId {
@@ -49,8 +50,8 @@ pub fn run<S: Space>(options: &Options, measurements: Vec<Measurement>) -> Run<S
         results.extend(mapper.add(id, &sensor(measurement.kind()), measurement).unwrap());
     }
     results.extend(mapper.finish_trajectory(id).unwrap());
-    let (map, repairs) = mapper.finish().unwrap();
-    Run { results, map, repairs }
+    let (map, issues) = mapper.finish().unwrap();
+    Run { results, map, issues }
 }
 
 impl<S: Space> Run<S> {

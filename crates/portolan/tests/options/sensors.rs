@@ -187,7 +187,7 @@ fn read(recording: &dyn Recording, requested: &RequestedOptions) -> (Vec<Measure
     while let Some((_, measurement)) = ingestion.next_measurement().unwrap() {
         measurements.push(measurement);
     }
-    let lost = ingestion.repairs().iter().filter(|r| r.lost_data).map(|r| r.count).sum();
+    let lost = ingestion.issues().iter().filter(|r| r.lost_data()).map(|r| r.count).sum();
     (measurements, lost)
 }
 

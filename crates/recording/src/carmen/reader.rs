@@ -11,17 +11,11 @@ use super::reorder::Reorder;
 use super::{Layout, OdometrySource};
 use crate::text::{Lines, TextFile};
 use crate::{
-    Header, LaserScan, Message, MessageReader, Odometry, Pose, RecordedMessage, RecordingError, Repair,
-    RepairLog, TfMessage, TopicInfo, TransformStamped,
+    Header, LaserScan, Message, MessageReader, Odometry, Pose, RecordedMessage, RecordingError, TfMessage,
+    TopicInfo, TransformStamped,
 };
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
-const BAD_LINE: &str = "lines that could not be understood were left out";
-const BAD_TIME: &str = "lines with an unreadable time were left out";
-const OUT_OF_ORDER: &str = "lines out of order were put in order of time";
-const TOO_LATE: &str = "lines more than 10 s out of order stand where they were found";
-const REPEATED: &str = "second messages of a topic with the same time were left out";
-const OTHER_FORMAT: &str = "scans that the log also has in a better format were left out";
-const OVERLONG: &str = "lines longer than 1 MiB were left out";
 const MAX_UNUSED_KINDS: usize = 50;
 
 /// Messages that wait for their place, with the index of their topic.
@@ -40,7 +34,7 @@ pub(super) struct CarmenReader {
     newest: Time,
     ended: bool,
     unused: BTreeSet<String>,
-    repairs: RepairLog,
+    issues: IssueLog,
 }
 
 struct Frames {
@@ -74,61 +68,58 @@ impl CarmenReader {
             reorder: Reorder::default(),
             newest: Time::MIN,
             unused: BTreeSet::new(),
-            repairs: RepairLog::default(),
+            issues: IssueLog::default(),
         })
     }
 
     /// Reads one line. False at the end.
     fn advance(&mut self) -> Result<bool, RecordingError> {
         // Taken apart, because the line borrows from `lines`.
-        let Self { lines, layout, wanted, frames, reorder, newest, unused, repairs, .. } = self;
+        let Self { lines, layout, wanted, frames, reorder, newest, unused, issues, .. } = self;
         let Some(line) = lines.next_line()? else {
             if let Some(damage) = lines.damage() {
-                repairs.lost(damage);
+                issues.add(Issue::new(IssueKind::DamagedCompressedText).with("error", damage));
             }
-            if lines.overlong() > 0 {
-                repairs.add(OVERLONG, true, lines.overlong());
-            }
+            issues.count(IssueKind::OverlongLine, lines.overlong());
             return Ok(false);
         };
-        let mut push =
-            |topic: usize, stamp: Time, message: Message, bytes: usize, repairs: &mut RepairLog| {
-                *newest = stamp.max(*newest);
-                let time = if layout.in_order_of_lines { *newest } else { stamp };
-                if reorder.push(time, topic as u32, bytes, (topic, message)) {
-                    repairs.repaired(OUT_OF_ORDER);
-                }
-            };
+        let mut push = |topic: usize, stamp: Time, message: Message, bytes: usize, issues: &mut IssueLog| {
+            *newest = stamp.max(*newest);
+            let time = if layout.in_order_of_lines { *newest } else { stamp };
+            if reorder.push(time, topic as u32, bytes, (topic, message)) {
+                issues.add(IssueKind::LinesReordered);
+            }
+        };
         match parse_line(line, true) {
             Line::Nothing | Line::Param { .. } => {}
-            Line::Bad => repairs.lost(BAD_LINE),
+            Line::Bad => issues.add(IssueKind::UnreadableLine),
             Line::Unused(name) => {
                 if unused.len() < MAX_UNUSED_KINDS {
                     unused.insert(name.to_owned());
                 }
             }
             Line::Odometry { pose, times } => match layout.clock.stamp(times) {
-                None => repairs.lost(BAD_TIME),
+                None => issues.add(IssueKind::UnreadableLineTime),
                 Some(stamp) if wanted[0] && layout.odometry == Some(OdometrySource::OwnLines) => {
-                    push(0, stamp, odometry(stamp, pose, frames), 1024, repairs);
+                    push(0, stamp, odometry(stamp, pose, frames), 1024, issues);
                 }
                 Some(_) => {}
             },
             Line::Laser { laser, times } => {
                 let Some(stamp) = layout.clock.stamp(times) else {
-                    repairs.lost(BAD_TIME);
+                    issues.add(IssueKind::UnreadableLineTime);
                     return Ok(true);
                 };
                 if let (Some((_, robot)), true) = (laser.poses, wanted[0])
                     && layout.odometry == Some(OdometrySource::Scans(laser.kind))
                 {
-                    push(0, stamp, odometry(stamp, robot, frames), 1024, repairs);
+                    push(0, stamp, odometry(stamp, robot, frames), 1024, issues);
                 }
                 match layout.scanners.iter().position(|s| s.kind == laser.kind) {
-                    None => repairs.repaired(OTHER_FORMAT),
+                    None => issues.add(IssueKind::ScanInOtherFormat),
                     Some(index) if wanted[index + 1] => {
                         let bytes = 256 + 4 * (laser.ranges.len() + laser.remissions.len());
-                        push(index + 1, stamp, laser_scan(stamp, laser, layout, index), bytes, repairs);
+                        push(index + 1, stamp, laser_scan(stamp, laser, layout, index), bytes, issues);
                     }
                     Some(_) => {}
                 }
@@ -141,11 +132,11 @@ impl CarmenReader {
         loop {
             let (log_time, (topic, message), too_late) = self.reorder.pop(self.ended)?;
             if too_late {
-                self.repairs.repaired(TOO_LATE);
+                self.issues.add(IssueKind::LinesOutOfOrder);
             }
             let stamp = message.header().map(|h| h.stamp);
             if stamp == self.last_stamp[topic] {
-                self.repairs.repaired(REPEATED);
+                self.issues.add(IssueKind::RepeatedMessage);
                 continue;
             }
             self.last_stamp[topic] = stamp;
@@ -174,12 +165,12 @@ impl MessageReader for CarmenReader {
         self.lines.position_bytes()
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        let mut repairs = self.repairs.clone();
+    fn issues(&self) -> Vec<Issue> {
+        let mut issues = self.issues.clone();
         for kind in &self.unused {
-            repairs.repaired(format!("lines of kind {kind} hold nothing that mapping uses"));
+            issues.add(Issue::new(IssueKind::UnusedLines).with("kind", kind));
         }
-        repairs.list()
+        issues.list()
     }
 }
 
@@ -234,9 +225,11 @@ fn laser_scan(stamp: Time, laser: LaserLine, layout: &Layout, scanner: usize) ->
 #[cfg(test)]
 mod tests {
     use crate::carmen::{CarmenLog, CarmenOptions, TimeColumn};
-    use crate::{Message, RecordedMessage, Recording, Repair};
+    use portolan_issue::{Issue, IssueKind};
 
-    fn read(text: &str, time_column: TimeColumn) -> (Vec<RecordedMessage>, Vec<Repair>) {
+    use crate::{Message, RecordedMessage, Recording};
+
+    fn read(text: &str, time_column: TimeColumn) -> (Vec<RecordedMessage>, Vec<Issue>) {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.log");
         std::fs::write(&path, text).unwrap();
@@ -245,7 +238,7 @@ mod tests {
         assert!(topics.is_sorted_by(|a, b| a.topic < b.topic));
         let mut reader = log.read(&|_| true).unwrap();
         let messages = std::iter::from_fn(|| reader.next_message().unwrap()).collect();
-        (messages, reader.repairs())
+        (messages, reader.issues())
     }
 
     fn topics(messages: &[RecordedMessage]) -> Vec<&str> {
@@ -257,14 +250,14 @@ mod tests {
         let text = "FLASER 2 1.0 2.0 0.2 0 0 0.1 0 0 1300000001.5 host 1.5\n\
                     RLASER 2 1.0 2.0 0 0 3.1415926 0.1 0 0 1300000001.2 host 1.6\n\
                     FLASER 2 1.0 2.0 1.1 1.1 1.5707963 1.1 1 1.5707963 1300000002.5 host 2.5\n";
-        let (messages, repairs) = read(text, TimeColumn::Ipc);
+        let (messages, issues) = read(text, TimeColumn::Ipc);
         assert_eq!(topics(&messages), ["/tf_static", "/rear_scan", "/odom", "/scan", "/odom", "/scan"]);
         assert_eq!(messages[2].log_time.unix_decimal(), "1300000001.5000000");
         let Message::Tf(tf) = &messages[0].message else { panic!() };
         assert!((tf.transforms[0].transform.position[0] - 0.1).abs() < 1e-9);
         assert!((tf.transforms[1].transform.position[0] + 0.1).abs() < 1e-9);
         assert!((tf.transforms[1].transform.orientation_xyzw[2].abs() - 1.0).abs() < 1e-6);
-        assert_eq!((repairs.len(), repairs[0].lost_data), (1, false));
+        assert_eq!((issues.len(), issues[0].lost_data()), (1, false));
         let (messages, _) = read(text, TimeColumn::Logger);
         assert_eq!(topics(&messages), ["/tf_static", "/odom", "/scan", "/rear_scan", "/odom", "/scan"]);
         assert_eq!(messages[1].log_time.unix_decimal(), "1000000001.5000000");
@@ -276,14 +269,14 @@ mod tests {
         let text = format!(
             "FLASER 3 1 2 3 0 0 0 0 0 0 5.0 host 0.0\n{robot} 5.0 host 0.0\nTRUEPOS 0 0 0 0 0 0 5.1 h 1\nbroken \u{1}\n"
         );
-        let (messages, repairs) = read(&text, TimeColumn::Ipc);
+        let (messages, issues) = read(&text, TimeColumn::Ipc);
         assert_eq!(topics(&messages), ["/tf_static", "/odom", "/scan"]);
         let Message::LaserScan(scan) = &messages[2].message else { panic!() };
         assert_eq!((scan.angle_min, scan.angle_max, scan.angle_increment), (-2.0, 2.0, 2.0));
         assert_eq!(scan.ranges, [1.0, 8.0, 9.0]);
         assert_eq!(scan.intensities, [7.0, 8.0, 9.0]);
         assert!(scan.range_max < 8.0, "a reading of the maximum saw nothing");
-        assert!(repairs.iter().any(|r| r.what.contains("TRUEPOS")));
-        assert!(repairs.iter().any(|r| r.lost_data && r.what.contains("could not be understood")));
+        assert!(issues.iter().any(|r| r.text().contains("TRUEPOS")));
+        assert!(issues.iter().any(|r| r.lost_data() && r.kind == IssueKind::UnreadableLine));
     }
 }

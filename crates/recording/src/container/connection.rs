@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use crate::codec::{Decoder, Encoding, MessageKind, normalized_type_name};
 use crate::container::{Compression, Decompressor, most_unpacked};
-use crate::{Message, RepairLog, TopicInfo};
+use crate::{Message, TopicInfo};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 /// One publisher of one topic (a connection of a bag, a channel of an MCAP file).
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -61,7 +62,7 @@ impl MessageDecoder {
         &mut self,
         connection: &Connection,
         payload: &[u8],
-        repairs: &mut RepairLog,
+        issues: &mut IssueLog,
     ) -> Option<Message> {
         let Some(kind) = connection.kind() else {
             return Some(Message::Other { type_name: connection.type_name.clone(), bytes: payload.len() });
@@ -73,10 +74,7 @@ impl MessageDecoder {
             let limit = most_unpacked(payload.len() as u64).min(MAX_MESSAGE_BYTES);
             let zstd = Compression::Zstd;
             if self.decompressor.decompress(zstd, &payload, limit, &mut unpacked).is_err() {
-                repairs.lost(format!(
-                    "a message on {} was dropped: its zstd compression is damaged",
-                    connection.topic
-                ));
+                issues.add(Issue::new(IssueKind::DamagedMessageCompression).with("topic", &connection.topic));
                 return None;
             }
             payload = Cow::Owned(unpacked);
@@ -87,10 +85,8 @@ impl MessageDecoder {
         }
         decoded
             .map_err(|error| {
-                repairs.lost(format!(
-                    "a message on {} ({}) was dropped: {error}",
-                    connection.topic, connection.type_name
-                ));
+                let issue = Issue::new(IssueKind::DamagedMessage).with("topic", &connection.topic);
+                issues.add(issue.with("type", &connection.type_name).with("error", error));
             })
             .ok()
     }

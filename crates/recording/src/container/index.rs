@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use super::connection::topics;
 use super::{Compression, Connection, Decompressor, FileBytes, most_unpacked};
-use crate::{RecordingError, RepairLog, TopicInfo};
+use crate::{RecordingError, TopicInfo};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// A chunk, or a run of records outside of chunks.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -39,7 +40,7 @@ pub(crate) struct ChunkIndex {
     pub(crate) counts: BTreeMap<u32, u64>,
     /// In order of their first log time (ties in file order), once opening is done.
     pub(crate) segments: Vec<Segment>,
-    pub(crate) repairs: RepairLog,
+    pub(crate) issues: IssueLog,
 }
 
 impl ChunkIndex {
@@ -154,11 +155,11 @@ impl SegmentLoader {
         segment: &Segment,
         file: &mut FileBytes,
         into: &mut Vec<u8>,
-        repairs: &mut RepairLog,
+        issues: &mut IssueLog,
     ) -> Result<(), RecordingError> {
         into.clear();
         if segment.stored_bytes.max(segment.unpacked_bytes) > MAX_SEGMENT_BYTES {
-            repairs.lost("a chunk of more than 1 GiB was skipped");
+            issues.add(IssueKind::HugeChunk);
             return Ok(());
         }
         let mut sound = true;
@@ -168,17 +169,17 @@ impl SegmentLoader {
             file.read(segment.offset, segment.stored_bytes, &mut self.packed)?;
             let limit = segment.unpacked_bytes.min(most_unpacked(segment.stored_bytes));
             if limit < segment.unpacked_bytes {
-                repairs.lost("a chunk that claims to be compressed to less than a 256th was read in part");
+                issues.add(IssueKind::HighChunkCompression);
             }
             let compression = segment.compression;
             sound = self.decompressor.decompress(compression, &self.packed, limit, into).is_ok();
         }
         if !sound {
-            repairs.lost("the compressed data of a chunk are damaged; what could be decompressed was kept");
+            issues.add(IssueKind::DamagedChunkCompression);
         } else if (into.len() as u64) < segment.unpacked_bytes {
-            repairs.lost("a chunk is shorter than it should be; its whole records were kept");
+            issues.add(IssueKind::ShortChunk);
         } else if segment.crc != 0 && crc32fast::hash(into) != segment.crc {
-            repairs.lost("the checksum of a chunk is wrong; its readable messages were kept");
+            issues.add(IssueKind::WrongChunkChecksum);
         }
         Ok(())
     }
@@ -203,12 +204,15 @@ mod tests {
             last: 0,
             connections: None,
         };
-        let (mut data, mut repairs) = (Vec::new(), RepairLog::default());
+        let (mut data, mut issues) = (Vec::new(), IssueLog::default());
         let source = Source::Memory { name: std::path::Path::new("chunk").into(), bytes: packed.into() };
         let mut file = source.open().unwrap();
-        SegmentLoader::default().load(&segment, &mut file, &mut data, &mut repairs).unwrap();
+        SegmentLoader::default().load(&segment, &mut file, &mut data, &mut issues).unwrap();
         assert_eq!(data.len(), 64 << 20);
-        let repairs = repairs.list();
-        assert!(repairs.iter().any(|r| r.lost_data && r.what.contains("less than a 256th")), "{repairs:?}");
+        let issues = issues.list();
+        assert!(
+            issues.iter().any(|r| r.lost_data() && r.kind == IssueKind::HighChunkCompression),
+            "{issues:?}"
+        );
     }
 }

@@ -8,7 +8,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::{
     ChunkIndex, Compression, Content, FileBytes, RecordFormat, Segment, SegmentLoader, Source, walk,
 };
-use crate::{RecordingError, RepairLog};
+use crate::RecordingError;
+use portolan_issue::{IssueKind, IssueLog};
 
 /// A message within a loaded segment.
 #[derive(Clone)]
@@ -24,7 +25,7 @@ pub(super) struct LoadedSegment {
     /// In order of log time; ties in file order.
     pub(super) entries: Vec<Entry>,
     /// What is wrong with it.
-    pub(super) damage: RepairLog,
+    pub(super) damage: IssueLog,
 }
 
 /// What is needed to load any segment.
@@ -51,7 +52,7 @@ impl Plan {
         loader: &mut SegmentLoader,
         mut data: Vec<u8>,
     ) -> Result<LoadedSegment, RecordingError> {
-        let mut damage = RepairLog::default();
+        let mut damage = IssueLog::default();
         loader.load(segment, file, &mut data, &mut damage)?;
         let (mut entries, mut undescribed) = (Vec::new(), 0);
         let gaps = walk(&*self.format, &data, |record| {
@@ -64,12 +65,8 @@ impl Plan {
                 undescribed += 1;
             }
         });
-        if gaps > 0 {
-            damage.add("damaged records were skipped", true, gaps);
-        }
-        if undescribed > 0 {
-            damage.add("messages of a topic that is nowhere described were dropped", true, undescribed);
-        }
+        damage.count(IssueKind::DamagedRecords, gaps);
+        damage.count(IssueKind::UndescribedTopic, undescribed);
         entries.sort_by_key(|entry| entry.nanoseconds); // stable
         Ok(LoadedSegment { data, entries, damage })
     }
@@ -145,7 +142,7 @@ impl Loader {
         let data = self.spare.pop().unwrap_or_default();
         match self.plan.index.segments.get(number) {
             Some(segment) => self.plan.load(segment, &mut self.file, &mut self.segments, data),
-            None => Ok(LoadedSegment { data, entries: Vec::new(), damage: RepairLog::default() }),
+            None => Ok(LoadedSegment { data, entries: Vec::new(), damage: IssueLog::default() }),
         }
     }
 

@@ -8,7 +8,8 @@ use portolan_geometry::Time;
 
 use super::loader::{Entry, LoadedSegment, Loader, Plan};
 use super::{ChunkIndex, MessageDecoder, RecordFormat, Segment, Source};
-use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
+use crate::{MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 /// A bag or MCAP file whose index is known.
 pub(crate) struct ChunkedRecording {
@@ -63,7 +64,7 @@ impl Recording for ChunkedRecording {
             last_time: 0,
             position_bytes: 0,
             decoder: MessageDecoder::default(),
-            repairs: self.index.repairs.clone(),
+            issues: self.index.issues.clone(),
         }))
     }
 }
@@ -99,7 +100,7 @@ struct ChunkReader {
     last_time: u64,
     position_bytes: u64,
     decoder: MessageDecoder,
-    repairs: RepairLog,
+    issues: IssueLog,
 }
 
 impl MessageReader for ChunkReader {
@@ -114,9 +115,7 @@ impl MessageReader for ChunkReader {
             self.advance(number);
             let Some(message) = message else { continue };
             if nanoseconds < self.last_time {
-                self.repairs.repaired(
-                    "a message came later than the index of the recording promised: it is out of order",
-                );
+                self.issues.add(IssueKind::LaterThanIndexed);
             }
             self.last_time = self.last_time.max(nanoseconds);
             return Ok(Some(message));
@@ -127,8 +126,8 @@ impl MessageReader for ChunkReader {
         self.position_bytes
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }
 
@@ -152,7 +151,7 @@ impl ChunkReader {
 
     fn open_segment(&mut self, number: usize, segment: &Segment) -> Result<(), RecordingError> {
         let LoadedSegment { data, entries, damage } = self.loader.next(number)?;
-        self.repairs.merge(&damage.list());
+        self.issues.merge(&damage.list());
         let Some(first) = entries.first().map(|entry| entry.nanoseconds) else {
             self.loader.recycle(data);
             return Ok(());
@@ -172,10 +171,10 @@ impl ChunkReader {
         let Some(connection) = self.index.connections.get(&entry.connection) else { return Ok(None) };
         let range = entry.payload.start as usize..entry.payload.end as usize;
         let Some(payload) = open.data.as_ref().and_then(|data| data.get(range)) else {
-            self.repairs.lost("the file changed while it was read");
+            self.issues.add(IssueKind::FileChanged);
             return Ok(None);
         };
-        let message = self.decoder.decode(connection, payload, &mut self.repairs);
+        let message = self.decoder.decode(connection, payload, &mut self.issues);
         Ok(message.map(|message| RecordedMessage {
             topic: connection.topic.clone(),
             log_time: time(entry.nanoseconds),

@@ -17,12 +17,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_packets::{PacketPoint, SweepBuilder};
 
 use crate::packets::cloud_of;
 use crate::{
-    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, Repair, RepairLog,
-    TfMessage, TopicInfo, TransformStamped,
+    Header, Message, MessageReader, Pose, RecordedMessage, Recording, RecordingError, TfMessage, TopicInfo,
+    TransformStamped,
 };
 
 const POINTS: &str = "/velodyne_points";
@@ -60,7 +61,7 @@ struct Kitti {
     ins: Arc<[InsReading]>,
     ins_from_lidar: Rigid3,
     size_bytes: u64,
-    repairs: Vec<Repair>,
+    issues: Vec<Issue>,
 }
 
 /// Opens a folder of KITTI; none if it is none.
@@ -75,12 +76,12 @@ pub(crate) fn open(folder: &Path) -> Result<Option<Box<dyn Recording>>, Recordin
     if files.is_empty() {
         return Ok(None);
     }
-    let mut repairs = RepairLog::default();
+    let mut issues = IssueLog::default();
     let sweeps = if is_raw {
-        raw_sweeps(&raw, files, &mut repairs)?
+        raw_sweeps(&raw, files, &mut issues)?
     } else {
         let stamps = times::seconds_file(&folder.join("times.txt"), CLOCK_START)?;
-        times::paired(files, stamps, "sweeps", &mut repairs)
+        times::paired(files, stamps, "sweeps", &mut issues)
             .map(|(path, time)| Sweep { path, stamp: time, start: time, end: time })
             .collect()
     };
@@ -88,7 +89,7 @@ pub(crate) fn open(folder: &Path) -> Result<Option<Box<dyn Recording>>, Recordin
     if is_raw && folder.join("oxts").join("data").is_dir() {
         let files = times::numbered_files(&folder.join("oxts").join("data"), "txt")?;
         let stamps = times::date_file(&folder.join("oxts").join("timestamps.txt"))?;
-        ins = times::paired(files, stamps, "readings of oxts", &mut repairs)
+        ins = times::paired(files, stamps, "readings of oxts", &mut issues)
             .map(|(path, time)| InsReading { path, time })
             .collect();
         ins.sort_by_key(|reading| reading.time);
@@ -109,23 +110,19 @@ pub(crate) fn open(folder: &Path) -> Result<Option<Box<dyn Recording>>, Recordin
         is_raw,
         sweeps: sweeps.into(),
         ins: ins.into(),
-        ins_from_lidar: oxts::ins_from_lidar(folder, &mut repairs),
+        ins_from_lidar: oxts::ins_from_lidar(folder, &mut issues),
         size_bytes,
-        repairs: repairs.list(),
+        issues: issues.list(),
     })))
 }
 
-fn raw_sweeps(
-    raw: &Path,
-    files: Vec<PathBuf>,
-    repairs: &mut RepairLog,
-) -> Result<Vec<Sweep>, RecordingError> {
+fn raw_sweeps(raw: &Path, files: Vec<PathBuf>, issues: &mut IssueLog) -> Result<Vec<Sweep>, RecordingError> {
     let middle = times::date_file(&raw.join("timestamps.txt"))?;
     let start = times::date_file(&raw.join("timestamps_start.txt"))?;
     let end = times::date_file(&raw.join("timestamps_end.txt"))?;
     // Where begin and end are not told, a turn takes 0.1 s and its middle is the time.
     let half = Duration::from_seconds(0.05);
-    let sweeps = times::paired(files, middle, "sweeps", repairs).enumerate().map(|(i, (path, time))| {
+    let sweeps = times::paired(files, middle, "sweeps", issues).enumerate().map(|(i, (path, time))| {
         let number = times::number_of(&path).unwrap_or(i);
         let told = |list: &[Option<Time>]| list.get(number).copied().flatten();
         let (start, end) = (told(&start).unwrap_or(time - half), told(&end).unwrap_or(time + half));
@@ -168,8 +165,8 @@ impl Recording for Kitti {
         let chosen: Vec<Arc<str>> =
             self.topics().into_iter().filter(|t| wanted(t)).map(|t| t.topic).collect();
         let topic = |name: &str| chosen.iter().find(|t| ***t == *name).cloned();
-        let mut repairs = RepairLog::default();
-        repairs.merge(&self.repairs);
+        let mut issues = IssueLog::default();
+        issues.merge(&self.issues);
         let mut pass = KittiPass {
             folder: self.folder.clone(),
             is_raw: self.is_raw,
@@ -180,7 +177,7 @@ impl Recording for Kitti {
             builder: SweepBuilder::default(),
             ready: VecDeque::new(),
             position_bytes: 0,
-            repairs,
+            issues,
         };
         if let (Some(topic), Some((first, _))) = (topic(TRANSFORMS), self.time_range()) {
             let message = transforms(first, &self.ins_from_lidar);
@@ -216,7 +213,7 @@ struct KittiPass {
     builder: SweepBuilder,
     ready: VecDeque<RecordedMessage>,
     position_bytes: u64,
-    repairs: RepairLog,
+    issues: IssueLog,
 }
 
 impl KittiPass {
@@ -239,7 +236,7 @@ impl KittiPass {
     fn take_sweep(&mut self, sweep: &Sweep) {
         let Some(bytes) = self.file(&sweep.path, MAX_SWEEP_BYTES) else { return };
         if bytes.len() % 16 != 0 {
-            self.repairs.lost("sweeps whose last point is cut off were read without it");
+            self.issues.add(IssueKind::CutSweep);
         }
         let mut points: Vec<PacketPoint> = bytes.chunks_exact(16).map(|p| self.point(p, sweep)).collect();
         // Files hold one beam after the other; a lidar sends them as it measures them.
@@ -247,12 +244,12 @@ impl KittiPass {
         for point in &points {
             self.builder.push(point);
             if self.builder.is_full() {
-                self.repairs.lost("points of sweeps beyond two million were left out");
+                self.issues.add(IssueKind::HugeSweep);
                 break;
             }
         }
         let Some(mut measured) = self.builder.take() else {
-            self.repairs.lost("sweeps without a point were left out");
+            self.issues.add(IssueKind::SweepWithoutPoints);
             return;
         };
         // Times count from the first point; the stamp says when the lidar faced ahead.
@@ -275,7 +272,7 @@ impl KittiPass {
     fn take_reading(&mut self, reading: &InsReading) {
         let Some(bytes) = self.file(&reading.path, 1 << 16) else { return };
         let Some((fix, imu)) = oxts::parse(&String::from_utf8_lossy(&bytes), reading.time, INS_FRAME) else {
-            self.repairs.lost("readings of oxts that could not be understood were left out");
+            self.issues.add(IssueKind::UnreadableOxts);
             return;
         };
         let messages = [Message::NavSatFix(fix), Message::Imu(imu)];
@@ -296,8 +293,7 @@ impl KittiPass {
             None => {
                 let folder = path.parent().and_then(|p| p.strip_prefix(&self.folder).ok());
                 let folder = folder.map_or_else(String::new, |f| f.display().to_string());
-                self.repairs
-                    .lost(format!("files in {folder} that cannot be read or are too long were left out"));
+                self.issues.add(Issue::new(IssueKind::UnreadableFiles).with("folder", folder));
             }
         }
         bytes
@@ -331,7 +327,7 @@ impl MessageReader for KittiPass {
         self.position_bytes
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }

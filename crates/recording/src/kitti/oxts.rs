@@ -5,7 +5,8 @@ use std::path::Path;
 use nalgebra as na;
 use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
 
-use crate::{Header, Imu, NavSatFix, RepairLog};
+use crate::{Header, Imu, NavSatFix};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// Values of a reading that are used, at least.
 const VALUES: usize = 25;
@@ -50,7 +51,7 @@ pub(super) fn parse(text: &str, time: Time, frame: &str) -> Option<(NavSatFix, I
 
 /// From `calib_imu_to_velo.txt` in the folder of the date, or of the drive; otherwise as the cars of KITTI
 /// were built.
-pub(super) fn ins_from_lidar(drive: &Path, repairs: &mut RepairLog) -> Rigid3 {
+pub(super) fn ins_from_lidar(drive: &Path, issues: &mut IssueLog) -> Rigid3 {
     let beside = drive.parent().map(|date| date.join("calib_imu_to_velo.txt"));
     let inside = drive.join("calib_imu_to_velo.txt");
     let text = [beside, Some(inside)].into_iter().flatten().find_map(|path| {
@@ -61,9 +62,7 @@ pub(super) fn ins_from_lidar(drive: &Path, repairs: &mut RepairLog) -> Rigid3 {
         None => Rigid3::translation(0.81, -0.32, 0.80),
         Some(text) => parse_calibration(&text).map_or_else(
             || {
-                repairs.repaired(
-                    "calib_imu_to_velo.txt could not be understood; the usual place of the lidar was used",
-                );
+                issues.add(IssueKind::UnreadableCalibration);
                 Rigid3::translation(0.81, -0.32, 0.80)
             },
             |lidar_from_ins| lidar_from_ins.inverse(),

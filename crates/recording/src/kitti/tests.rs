@@ -4,7 +4,8 @@ use std::path::Path;
 
 use portolan_geometry::Time;
 
-use crate::{Message, RecordedMessage, Repair, open};
+use crate::{Message, RecordedMessage, open};
+use portolan_issue::{Issue, IssueKind};
 
 fn write(path: &Path, bytes: impl AsRef<[u8]>) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -15,11 +16,11 @@ fn sweep(points: &[[f32; 4]]) -> Vec<u8> {
     points.iter().flatten().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-fn read(folder: &Path) -> (Vec<RecordedMessage>, Vec<Repair>) {
+fn read(folder: &Path) -> (Vec<RecordedMessage>, Vec<Issue>) {
     let recording = open(folder).unwrap();
     let mut reader = recording.read(&|_| true).unwrap();
     let messages = std::iter::from_fn(|| reader.next_message().unwrap()).collect();
-    (messages, reader.repairs())
+    (messages, reader.issues())
 }
 
 #[test]
@@ -47,8 +48,8 @@ fn raw_drives_have_times_fixes_and_an_imu() {
         &root.path().join("calib_imu_to_velo.txt"),
         "calib_time: x\nR: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n",
     );
-    let (messages, repairs) = read(&drive);
-    assert!(repairs.is_empty(), "{repairs:?}");
+    let (messages, issues) = read(&drive);
+    assert!(issues.is_empty(), "{issues:?}");
     assert_eq!(messages.len(), 1 + 3 * 3);
     assert!(messages.windows(2).all(|pair| pair[0].log_time <= pair[1].log_time));
     let Message::Tf(tf) = &messages[0].message else { panic!() };
@@ -79,16 +80,13 @@ fn sequences_have_no_times_of_points_and_faults_are_counted() {
         write(&root.path().join(format!("velodyne/{i:06}.bin")), if i == 3 { Vec::new() } else { bytes });
     }
     write(&root.path().join("times.txt"), "0.000000e+00\n1.036224e-01\nnonsense\n3.0e-01\n");
-    let (messages, repairs) = read(root.path());
+    let (messages, issues) = read(root.path());
     assert_eq!(messages.len(), 2);
     let Message::PointCloud2(cloud) = &messages[1].message else { panic!() };
     assert!(cloud.fields.iter().all(|f| f.name != "time") && cloud.width == 20);
     assert_eq!(cloud.header.stamp, Time::from_ros(1_000_000_000, 103_622_400));
-    let losses: Vec<&str> = repairs.iter().filter(|r| r.lost_data).map(|r| r.what.as_str()).collect();
-    assert!(
-        losses.iter().any(|l| l.contains("without a time"))
-            && losses.iter().any(|l| l.contains("without a point"))
-    );
+    let losses: Vec<IssueKind> = issues.iter().filter(|r| r.lost_data()).map(|r| r.kind).collect();
+    assert!(losses.contains(&IssueKind::WithoutTime) && losses.contains(&IssueKind::SweepWithoutPoints));
     std::fs::remove_file(root.path().join("times.txt")).unwrap();
     assert!(open(root.path()).err().unwrap().to_string().contains("times.txt"));
 }

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use portolan_geometry::{Duration, Time};
 
-use crate::{RecordingError, RepairLog};
+use crate::RecordingError;
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 /// Lists of times are not longer.
 const MAX_LIST_BYTES: u64 = 1 << 28;
@@ -33,16 +34,14 @@ pub(super) fn paired(
     files: Vec<PathBuf>,
     times: Vec<Option<Time>>,
     what: &str,
-    repairs: &mut RepairLog,
+    issues: &mut IssueLog,
 ) -> impl Iterator<Item = (PathBuf, Time)> {
     let count = files.len();
     let time = move |path: &PathBuf| times.get(number_of(path)?).copied().flatten();
     let pairs: Vec<(PathBuf, Time)> =
         files.into_iter().filter_map(|path| time(&path).map(|time| (path, time))).collect();
     let missing = (count - pairs.len()) as u64;
-    if missing > 0 {
-        repairs.add(format!("{what} without a time were left out"), true, missing);
-    }
+    issues.add(Issue::new(IssueKind::WithoutTime).with("what", what).times(missing));
     pairs.into_iter()
 }
 

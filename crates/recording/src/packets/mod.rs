@@ -9,23 +9,16 @@ mod tests;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
-use portolan_lidar_packets::{
-    FaultLog, ImuSample, Measured, PacketDecoder, PacketFault, PacketSource, SensorTime,
-};
+use portolan_issue::IssueLog;
+use portolan_lidar_packets::{ImuSample, Measured, PacketDecoder, PacketSource, SensorTime};
 
-use crate::{Header, Imu, Message, RepairLog};
+use crate::{Header, Imu, Message};
 
 pub(crate) use cloud::cloud_of;
 pub(crate) use unpack::unpacked;
 
 /// Frame of clouds and IMU of an Ouster, as its driver names it.
 pub(crate) const OUSTER_FRAME: &str = "os_sensor";
-
-impl FaultLog for RepairLog {
-    fn count(&mut self, fault: PacketFault, times: u64) {
-        self.add(fault.to_string(), fault.loses_data(), times);
-    }
-}
 
 /// Type of the messages that packets become.
 pub(crate) fn type_name(source: &PacketSource) -> &'static str {
@@ -52,11 +45,11 @@ impl PacketMessages {
         &mut self,
         packet: (&[u8], Time),
         clock: &mut SensorTime,
-        repairs: &mut RepairLog,
+        issues: &mut IssueLog,
         give: &mut dyn FnMut(Message),
     ) {
         let frame = &self.frame;
-        self.decoder.push(packet, clock, repairs, &mut |measured| give(message(measured, frame)));
+        self.decoder.push(packet, clock, issues, &mut |measured| give(message(measured, frame)));
     }
 
     /// What is left at the end.

@@ -4,16 +4,14 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_packets::{
     IMU_PACKET_BYTES, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime, clocks_of,
 };
 
 use super::{OUSTER_FRAME, PacketMessages, type_name};
 use crate::codec::MessageKind;
-use crate::{
-    Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, Repair, RepairLog,
-    TopicInfo,
-};
+use crate::{Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, TopicInfo};
 
 /// So many messages are looked at to find out what a topic of packets holds.
 const LOOK: usize = 400;
@@ -23,7 +21,7 @@ struct Unpacked {
     inner: Box<dyn Recording>,
     sources: BTreeMap<Arc<str>, TopicOfPackets>,
     clocks: Vec<SensorTime>,
-    repairs: Vec<Repair>,
+    issues: Vec<Issue>,
 }
 
 /// A topic whose packets are understood.
@@ -65,9 +63,9 @@ pub(crate) fn unpacked(inner: Box<dyn Recording>) -> Result<Box<dyn Recording>, 
     if look.metadata.is_empty() && topics.iter().any(is_metadata) {
         look.find_metadata(&*inner)?;
     }
-    let mut repairs = RepairLog::default();
-    let (sources, clocks) = look.sources(&mut repairs);
-    Ok(Box::new(Unpacked { inner, sources, clocks, repairs: repairs.list() }))
+    let mut issues = IssueLog::default();
+    let (sources, clocks) = look.sources(&mut issues);
+    Ok(Box::new(Unpacked { inner, sources, clocks, issues: issues.list() }))
 }
 
 fn is_metadata(topic: &TopicInfo) -> bool {
@@ -136,7 +134,7 @@ impl Look {
         same_node.or_else(|| self.metadata.iter().next().filter(|_| self.metadata.len() == 1)).map(|(_, m)| m)
     }
 
-    fn sources(&self, repairs: &mut RepairLog) -> (BTreeMap<Arc<str>, TopicOfPackets>, Vec<SensorTime>) {
+    fn sources(&self, issues: &mut IssueLog) -> (BTreeMap<Arc<str>, TopicOfPackets>, Vec<SensorTime>) {
         let mut found = Vec::new();
         for (topic, seen) in &self.topics {
             let bytes = seen.first.0.len();
@@ -145,14 +143,14 @@ impl Look {
                 _ if bytes == IMU_PACKET_BYTES => Some(PacketSource::OusterImu),
                 _ => {
                     let metadata = self.metadata_of(topic);
-                    PacketSource::ouster_lidar(metadata, bytes, seen.largest_column, repairs)
+                    PacketSource::ouster_lidar(metadata, bytes, seen.largest_column, issues)
                 }
             };
             match source {
                 Some(source) => found.push((topic, seen, source)),
-                None => repairs.lost(format!(
-                    "{topic}: packets of {bytes} bytes are of no known sensor and were left out"
-                )),
+                None => issues.add(
+                    Issue::new(IssueKind::UnknownPacketSensor).of(topic.clone()).with_number("bytes", bytes),
+                ),
             }
         }
         let streams: Vec<_> = found
@@ -203,8 +201,8 @@ impl Recording for Unpacked {
         let chosen: Vec<Arc<str>> =
             self.topics().into_iter().filter(|t| wanted(t)).map(|t| t.topic).collect();
         let inner = self.inner.read(&|t| chosen.contains(&t.topic))?;
-        let mut repairs = RepairLog::default();
-        repairs.merge(&self.repairs);
+        let mut issues = IssueLog::default();
+        issues.merge(&self.issues);
         let decoders = self
             .sources
             .iter()
@@ -218,7 +216,7 @@ impl Recording for Unpacked {
             decoders,
             clocks: self.clocks.clone(),
             ready: VecDeque::new(),
-            repairs,
+            issues,
             last: Time::MIN,
             ended: false,
         }))
@@ -231,7 +229,7 @@ struct UnpackedReader {
     decoders: BTreeMap<Arc<str>, (usize, PacketMessages)>,
     clocks: Vec<SensorTime>,
     ready: VecDeque<RecordedMessage>,
-    repairs: RepairLog,
+    issues: IssueLog,
     last: Time,
     ended: bool,
 }
@@ -254,7 +252,7 @@ impl UnpackedReader {
         };
         for (stamp, bytes) in &packets.packets {
             let packet = (bytes.as_slice(), arrival_of(*stamp, log_time));
-            decoder.push(packet, clock, &mut self.repairs, &mut |message| {
+            decoder.push(packet, clock, &mut self.issues, &mut |message| {
                 self.ready.push_back(RecordedMessage { topic: topic.clone(), log_time, message });
             });
         }
@@ -290,9 +288,9 @@ impl MessageReader for UnpackedReader {
         self.inner.position_bytes()
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        let mut repairs = self.repairs.clone();
-        repairs.merge(&self.inner.repairs());
-        repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        let mut issues = self.issues.clone();
+        issues.merge(&self.inner.issues());
+        issues.list()
     }
 }

@@ -2,8 +2,9 @@
 
 use portolan_geometry::{Duration, Time};
 
+use crate::RecordingError;
 use crate::container::{FileBytes, Source};
-use crate::{RecordingError, RepairLog};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// A longer packet or block is not believed.
 const MAX_PACKET: u32 = 1 << 20;
@@ -83,42 +84,42 @@ impl CaptureReader {
     }
 
     /// The next frame; none at the end, or where the rest cannot be understood.
-    pub fn next_frame(&mut self, repairs: &mut RepairLog) -> Result<Option<Frame<'_>>, RecordingError> {
+    pub fn next_frame(&mut self, issues: &mut IssueLog) -> Result<Option<Frame<'_>>, RecordingError> {
         match self.format {
             Format::Classic { ticks_per_second, link_type } => {
                 let is_big = self.is_big;
-                let Some(head) = self.bytes(self.position, 16)? else { return self.end(repairs) };
+                let Some(head) = self.bytes(self.position, 16)? else { return self.end(issues) };
                 let [seconds, fraction, length] = [0, 4, 8].map(|at| u32_of(head, at, is_big));
                 if length > MAX_PACKET {
-                    repairs.lost("the capture is damaged; what follows was left out");
+                    issues.add(IssueKind::DamagedCapture);
                     return Ok(None);
                 }
                 let at = self.position + 16;
                 self.position = at + u64::from(length);
                 let time = time_of(u64::from(seconds), u64::from(fraction), ticks_per_second);
                 if self.position > self.file.length() {
-                    return self.end(repairs);
+                    return self.end(issues);
                 }
                 self.frame(at, length as usize, Some(time), link_type)
             }
-            Format::NextGeneration => self.next_block_frame(repairs),
+            Format::NextGeneration => self.next_block_frame(issues),
         }
     }
 
-    fn end(&mut self, repairs: &mut RepairLog) -> Result<Option<Frame<'_>>, RecordingError> {
+    fn end(&mut self, issues: &mut IssueLog) -> Result<Option<Frame<'_>>, RecordingError> {
         if self.position > self.file.length()
             || (self.position < self.file.length() && self.file.length() > 24)
         {
-            repairs.lost("the capture ends in the middle of a packet");
+            issues.add(IssueKind::CutCapture);
         }
         self.position = self.file.length();
         Ok(None)
     }
 
-    fn next_block_frame(&mut self, repairs: &mut RepairLog) -> Result<Option<Frame<'_>>, RecordingError> {
+    fn next_block_frame(&mut self, issues: &mut IssueLog) -> Result<Option<Frame<'_>>, RecordingError> {
         loop {
             let (at, is_big) = (self.position, self.is_big);
-            let Some(head) = self.bytes(at, 12)? else { return self.end(repairs) };
+            let Some(head) = self.bytes(at, 12)? else { return self.end(issues) };
             let mut kind = u32_of(head, 0, is_big);
             if head.starts_with(&[0x0a, 0x0d, 0x0d, 0x0a]) {
                 kind = 0x0a0d_0d0a;
@@ -128,11 +129,11 @@ impl CaptureReader {
             let is_big = self.is_big;
             let length = self.bytes(at, 12)?.map_or(0, |head| u32_of(head, 4, is_big));
             if !(12..=MAX_BLOCK).contains(&length) || length % 4 != 0 {
-                repairs.lost("the capture is damaged; what follows was left out");
+                issues.add(IssueKind::DamagedCapture);
                 return Ok(None);
             }
             self.position = at + u64::from(length);
-            let Some(block) = self.bytes(at, length as usize)? else { return self.end(repairs) };
+            let Some(block) = self.bytes(at, length as usize)? else { return self.end(issues) };
             match kind {
                 1 => {
                     let interface = interface_of(block, is_big);
@@ -145,8 +146,7 @@ impl CaptureReader {
                     let (high, low) = (u32_of(block, 12, is_big), u32_of(block, 16, is_big));
                     let captured = u32_of(block, 20, is_big) as usize;
                     let Some(interface) = self.interfaces.get(number).copied() else {
-                        repairs
-                            .lost("packets of an interface that the capture does not describe were left out");
+                        issues.add(IssueKind::UnknownInterface);
                         continue;
                     };
                     let ticks = (u64::from(high) << 32) | u64::from(low);
@@ -155,7 +155,7 @@ impl CaptureReader {
                     let bytes =
                         self.bytes(at, length as usize)?.and_then(|block| block.get(28..28 + captured));
                     if bytes.is_none() {
-                        repairs.lost("packets of a wrong length were left out");
+                        issues.add(IssueKind::WrongPacketLength);
                         continue;
                     }
                     return self.frame(at + 28, captured, Some(time), interface.link_type);

@@ -14,11 +14,12 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_packets::{Datagrams, Endpoint, SensorTime};
 
 use crate::container::Source;
 use crate::packets::{PacketMessages, type_name};
-use crate::{MessageReader, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
+use crate::{MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo};
 use capture::CaptureReader;
 use sensors::{CapturedSensor, Descriptions, Kind, Senders, Sensors};
 
@@ -33,7 +34,7 @@ struct Capture {
     sensors: Sensors,
     first: Option<Time>,
     size: u64,
-    repairs: Vec<Repair>,
+    issues: Vec<Issue>,
 }
 
 /// Opens a capture and looks for sensors in it.
@@ -42,30 +43,30 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError>
     let unknown = |detail: String| RecordingError::UnknownFormat { path: path.clone(), detail };
     let mut reader = CaptureReader::open(&source)?.ok_or_else(|| unknown("it is no capture".to_owned()))?;
     let size = source.open()?.length();
-    let mut repairs = RepairLog::default();
+    let mut issues = IssueLog::default();
     let mut datagrams = Datagrams::default();
     let mut senders = Senders::default();
     let (mut first, mut now, mut udp_frames) = (None, Time::UNIX_EPOCH, 0_u64);
     for _ in 0..LOOK {
-        let Some(frame) = reader.next_frame(&mut repairs)? else { break };
+        let Some(frame) = reader.next_frame(&mut issues)? else { break };
         first = first.or(frame.time);
         now = frame.time.unwrap_or(now);
-        if let Some((endpoint, packet)) = datagrams.take(frame.link_type, frame.bytes, &mut repairs) {
+        if let Some((endpoint, packet)) = datagrams.take(frame.link_type, frame.bytes, &mut issues) {
             udp_frames += 1;
             senders.add(endpoint, &packet, now);
         }
     }
     let descriptions = Descriptions::beside(source.file());
     // What was wrong will be counted again by every pass.
-    let mut repairs = RepairLog::default();
-    let sensors = senders.sensors(&descriptions, &mut repairs);
+    let mut issues = IssueLog::default();
+    let sensors = senders.sensors(&descriptions, &mut issues);
     if sensors.by_sender.is_empty() {
         return Err(unknown(format!(
             "it is a capture of the network with {udp_frames} datagrams among its first {LOOK} frames, none of them \
              of a Velodyne (VLP-16, VLP-32C, HDL-32E, HDL-64E) or an Ouster; record the data port of the lidar"
         )));
     }
-    Ok(Box::new(Capture { source, sensors, first, size, repairs: repairs.list() }))
+    Ok(Box::new(Capture { source, sensors, first, size, issues: issues.list() }))
 }
 
 impl Recording for Capture {
@@ -106,8 +107,8 @@ impl Recording for Capture {
             let decoder = PacketMessages::new(&sensor.source, &sensor.frame);
             (*endpoint, ChosenSensor { topic: sensor.topic.clone(), clock: sensor.clock, decoder })
         };
-        let mut repairs = RepairLog::default();
-        repairs.merge(&self.repairs);
+        let mut issues = IssueLog::default();
+        issues.merge(&self.issues);
         Ok(Box::new(CapturePass {
             reader,
             datagrams: Datagrams::default(),
@@ -117,7 +118,7 @@ impl Recording for Capture {
             clocks: self.sensors.clocks.clone(),
             ready: VecDeque::new(),
             now: self.first.unwrap_or(Time::UNIX_EPOCH),
-            repairs,
+            issues,
             ended: false,
         }))
     }
@@ -142,31 +143,29 @@ struct CapturePass {
     ready: VecDeque<RecordedMessage>,
     /// Never goes back, so that messages come in order.
     now: Time,
-    repairs: RepairLog,
+    issues: IssueLog,
     ended: bool,
 }
 
 impl CapturePass {
     /// Takes one frame in; false at the end.
     fn step(&mut self) -> Result<bool, RecordingError> {
-        let Some(frame) = self.reader.next_frame(&mut self.repairs)? else { return Ok(false) };
+        let Some(frame) = self.reader.next_frame(&mut self.issues)? else { return Ok(false) };
         let time = frame.time.unwrap_or(self.now);
-        let Some((endpoint, payload)) = self.datagrams.take(frame.link_type, frame.bytes, &mut self.repairs)
+        let Some((endpoint, payload)) = self.datagrams.take(frame.link_type, frame.bytes, &mut self.issues)
         else {
             return Ok(true);
         };
         if !self.known.contains(&endpoint)
             && Kind::of(&payload).is_some_and(|kind| self.kinds.contains(&kind))
         {
-            self.repairs.lost(
-                "packets of senders that sent hardly any, their address damaged or begun late, were left out",
-            );
+            self.issues.add(IssueKind::RareSender);
         }
         let Some(sensor) = self.chosen.get_mut(&endpoint) else { return Ok(true) };
         let Some(clock) = self.clocks.get_mut(sensor.clock) else { return Ok(true) };
         self.now = self.now.max(time);
         let (log_time, ready, topic) = (self.now, &mut self.ready, &sensor.topic);
-        sensor.decoder.push((&payload, time), clock, &mut self.repairs, &mut |message| {
+        sensor.decoder.push((&payload, time), clock, &mut self.issues, &mut |message| {
             ready.push_back(RecordedMessage { topic: topic.clone(), log_time, message });
         });
         Ok(true)
@@ -174,7 +173,7 @@ impl CapturePass {
 
     fn end(&mut self) {
         self.ended = true;
-        self.datagrams.finish(&mut self.repairs);
+        self.datagrams.finish(&mut self.issues);
         for sensor in self.chosen.values_mut() {
             if let Some(message) = sensor.decoder.finish() {
                 let topic = sensor.topic.clone();
@@ -203,7 +202,7 @@ impl MessageReader for CapturePass {
         self.reader.position()
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }

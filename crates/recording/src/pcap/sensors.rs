@@ -5,12 +5,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_issue::IssueLog;
 use portolan_lidar_packets::{
     Endpoint, IMU_PACKET_BYTES, Laser, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime,
     VelodyneModel, clocks_of, is_velodyne, parse_calibration,
 };
 
-use crate::RepairLog;
 use crate::packets::OUSTER_FRAME;
 
 /// Longer files beside a capture are no descriptions of a sensor.
@@ -98,7 +98,7 @@ impl Senders {
     }
 
     /// Gives every sensor a topic: the first of a kind without a number.
-    pub fn sensors(&self, descriptions: &Descriptions, repairs: &mut RepairLog) -> Sensors {
+    pub fn sensors(&self, descriptions: &Descriptions, issues: &mut IssueLog) -> Sensors {
         let has_ouster = self.seen.values().any(|sender| sender.kind == Kind::OusterLidar);
         let mut found: Vec<(&Endpoint, &Sender, PacketSource)> = Vec::new();
         for (endpoint, sender) in self.seen.iter().filter(|(_, sender)| self.is_sensor(sender)) {
@@ -108,7 +108,7 @@ impl Senders {
                 Kind::OusterImu => has_ouster.then_some(PacketSource::OusterImu),
                 Kind::OusterLidar => {
                     let metadata = descriptions.metadata.as_ref();
-                    PacketSource::ouster_lidar(metadata, packet.len(), sender.largest_column, repairs)
+                    PacketSource::ouster_lidar(metadata, packet.len(), sender.largest_column, issues)
                 }
             };
             found.extend(source.map(|source| (endpoint, sender, source)));

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 
-use crate::{Message, RecordedMessage, Repair, open_bytes};
+use crate::{Message, RecordedMessage, open_bytes};
+use portolan_issue::{Issue, IssueKind};
 
 fn packet(azimuth: u16) -> Vec<u8> {
     let mut packet = Vec::new();
@@ -86,7 +87,7 @@ fn next_generation(frames: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-fn read(bytes: Vec<u8>) -> Result<(Vec<RecordedMessage>, Vec<Repair>), String> {
+fn read(bytes: Vec<u8>) -> Result<(Vec<RecordedMessage>, Vec<Issue>), String> {
     let bytes: Arc<[u8]> = bytes.into();
     let recording = open_bytes("drive.pcap", bytes).map_err(|e| e.to_string())?;
     let mut reader = recording.read(&|_| true).map_err(|e| e.to_string())?;
@@ -94,7 +95,7 @@ fn read(bytes: Vec<u8>) -> Result<(Vec<RecordedMessage>, Vec<Repair>), String> {
     while let Some(message) = reader.next_message().map_err(|e| e.to_string())? {
         messages.push(message);
     }
-    Ok((messages, reader.repairs()))
+    Ok((messages, reader.issues()))
 }
 
 #[test]
@@ -108,9 +109,9 @@ fn every_kind_of_capture_gives_the_same_clouds() {
     ];
     let mut first = None;
     for capture in captures {
-        let (messages, repairs) = read(capture).unwrap();
+        let (messages, issues) = read(capture).unwrap();
         assert_eq!(messages.len(), 2);
-        assert!(repairs.iter().all(|r| !r.lost_data), "{repairs:?}");
+        assert!(issues.iter().all(|r| !r.lost_data()), "{issues:?}");
         assert_eq!(&*messages[0].topic, "/velodyne_points");
         let clouds: Vec<Message> = messages.into_iter().map(|m| m.message).collect();
         assert_eq!(first.get_or_insert_with(|| clouds.clone()), &clouds);
@@ -123,14 +124,12 @@ fn every_kind_of_capture_gives_the_same_clouds() {
 #[test]
 fn damage_is_counted() {
     let whole = classic(&all_frames(1480), false, false);
-    let (messages, repairs) = read(whole[..whole.len() - 7].to_vec()).unwrap();
-    assert!(
-        messages.len() == 2 && repairs.iter().any(|r| r.lost_data && r.what.contains("middle of a packet"))
-    );
+    let (messages, issues) = read(whole[..whole.len() - 7].to_vec()).unwrap();
+    assert!(messages.len() == 2 && issues.iter().any(|r| r.lost_data() && r.kind == IssueKind::CutCapture));
     let mut lost_piece = all_frames(504);
     lost_piece.remove(10);
-    let (_, repairs) = read(classic(&lost_piece, false, false)).unwrap();
-    assert!(repairs.iter().any(|r| r.lost_data && r.what.contains("pieces")), "{repairs:?}");
+    let (_, issues) = read(classic(&lost_piece, false, false)).unwrap();
+    assert!(issues.iter().any(|r| r.lost_data() && r.kind == IssueKind::IncompleteDatagram), "{issues:?}");
     let error = read(classic(&frames(b"hello", 1, 1480), false, false)).unwrap_err();
     assert!(error.contains("none of them"), "{error}");
 }
@@ -147,8 +146,8 @@ fn damage_beside_packets_costs_none_of_them() {
     for (at, value) in [(trailer, 0x55), (24, 0x55), (28 + 26, 0xff)] {
         let mut damaged = whole.clone();
         damaged[at] = value;
-        let (messages, repairs) = read(damaged).unwrap();
-        assert!(repairs.iter().all(|r| !r.lost_data), "{at}: {repairs:?}");
+        let (messages, issues) = read(damaged).unwrap();
+        assert!(issues.iter().all(|r| !r.lost_data()), "{at}: {issues:?}");
         let contents = |messages: &[RecordedMessage]| -> Vec<Message> {
             messages.iter().map(|m| m.message.clone()).collect()
         };
@@ -163,10 +162,10 @@ fn a_damaged_address_is_no_sensor() {
     // An address before that of the lidar.
     let source = all[60].windows(4).position(|bytes| bytes == [192, 168, 1, 201]).unwrap();
     all[60][source] = 5;
-    let (messages, repairs) = read(classic(&all, false, false)).unwrap();
+    let (messages, issues) = read(classic(&all, false, false)).unwrap();
     assert!(messages.iter().all(|m| &*m.topic == "/velodyne_points"));
-    let strays: Vec<_> = repairs.iter().filter(|r| r.what.contains("hardly any")).collect();
-    assert!(strays.len() == 1 && strays[0].count == 1 && strays[0].lost_data, "{repairs:?}");
+    let strays: Vec<_> = issues.iter().filter(|r| r.kind == IssueKind::RareSender).collect();
+    assert!(strays.len() == 1 && strays[0].count == 1 && strays[0].lost_data(), "{issues:?}");
 }
 
 proptest! {

@@ -8,11 +8,12 @@ use std::sync::Arc;
 
 use super::record::{BagFormat, Head, Op, parse_head, peek_head};
 use super::tail::{Tail, TailState, parse_connection, read_connection};
+use crate::RecordingError;
 use crate::container::{
     ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
     SegmentLoader, walk,
 };
-use crate::{RecordingError, RepairLog};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// Finds everything between `start` and the index.
 pub(crate) fn scan(file: &mut FileBytes, start: u64, tail: Tail) -> Result<ChunkIndex, RecordingError> {
@@ -27,12 +28,9 @@ pub(crate) fn scan(file: &mut FileBytes, start: u64, tail: Tail) -> Result<Chunk
     };
     match tail.state {
         TailState::Whole => {}
-        TailState::Missing => scan
-            .index
-            .repairs
-            .repaired("the recording was not ended properly and has no index; the file was scanned instead"),
+        TailState::Missing => scan.index.issues.add(IssueKind::MissingIndex),
         TailState::Damaged => {
-            scan.index.repairs.repaired("the index is damaged; the file was scanned instead");
+            scan.index.issues.add(IssueKind::DamagedIndex);
         }
     }
     scan.run(start)?;
@@ -81,7 +79,7 @@ impl Scan<'_> {
         self.finish_pending()?;
         self.loose.flush(&mut self.index);
         if self.visited_chunks < self.chunks.len() {
-            self.index.repairs.lost("chunks that the index mentions are not there");
+            self.index.issues.add(IssueKind::MissingIndexedChunks);
         }
         Ok(())
     }
@@ -90,15 +88,13 @@ impl Scan<'_> {
     fn skip_unreadable(&mut self, at: u64) -> Result<u64, RecordingError> {
         let next_chunk = self.next_known_chunk(at);
         if self.pending.as_ref().is_some_and(|pending| pending.known) {
-            self.index
-                .repairs
-                .repaired("the index of a chunk is damaged; the index of the file was used instead");
+            self.index.issues.add(IssueKind::DamagedChunkIndex);
             return Ok(next_chunk);
         }
         let next = self.find_record(at + 1)?;
-        self.index.repairs.lost(match next {
-            Some(_) => "unreadable bytes between records were skipped",
-            None => "the file ends in the middle of a record",
+        self.index.issues.add(match next {
+            Some(_) => IssueKind::UnreadableBytes,
+            None => IssueKind::CutRecord,
         });
         Ok(next.unwrap_or(self.chunks_end).min(next_chunk))
     }
@@ -121,7 +117,7 @@ impl Scan<'_> {
             }
             Op::Connection if fits => {
                 if !read_connection(self.file, at, head, &mut self.index.connections)? {
-                    self.index.repairs.lost("the description of a topic is malformed");
+                    self.index.issues.add(IssueKind::MalformedTopic);
                 }
             }
             Op::Connection | Op::BagHeader | Op::ChunkInfo => {}
@@ -131,7 +127,7 @@ impl Scan<'_> {
         }
         // Its length is a lie, or the file ends here: look for more behind its header.
         let next = self.find_record(at + head.data_start)?;
-        self.index.repairs.lost("a record that claims to be longer than the file was skipped");
+        self.index.issues.add(IssueKind::TooLongRecord);
         Ok(next.unwrap_or(self.chunks_end).min(self.next_known_chunk(at)))
     }
 
@@ -139,7 +135,7 @@ impl Scan<'_> {
         let data = at + head.data_start;
         let mut stored_bytes = head.data_bytes;
         let Some(compression) = head.compression else {
-            self.index.repairs.lost("a chunk with an unknown compression was skipped");
+            self.index.issues.add(IssueKind::UnknownChunkCompression);
             return Ok((at + head.record_bytes()).min(self.chunks_end));
         };
         let next_chunk = self.next_known_chunk(at);
@@ -148,7 +144,7 @@ impl Scan<'_> {
         if compression == Compression::None && (lies || stored_bytes > MAX_SEGMENT_BYTES) {
             // Its records are as good outside of it.
             if lies {
-                self.index.repairs.repaired("a chunk of a wrong length was read record by record");
+                self.index.issues.add(IssueKind::WrongChunkLength);
             }
             return Ok(data);
         }
@@ -189,9 +185,7 @@ impl Scan<'_> {
             if follows {
                 end = right;
             }
-            self.index
-                .repairs
-                .repaired("an index record with a wrong length was read by its number of entries");
+            self.index.issues.add(IssueKind::WrongIndexLength);
         }
         end = end.min(self.next_known_chunk(at));
         let Some(pending) = self.pending.as_mut().filter(|pending| !pending.known) else { return Ok(end) };
@@ -228,7 +222,7 @@ impl Scan<'_> {
     fn look_inside(&mut self, pending: &mut PendingChunk) -> Result<(), RecordingError> {
         let mut data = Vec::new();
         let segment = &mut pending.segment;
-        let mut damage = RepairLog::default();
+        let mut damage = IssueLog::default();
         SegmentLoader::default().load(segment, self.file, &mut data, &mut damage)?;
         pending.counts.clear();
         (segment.first, segment.last) = (u64::MAX, 0);
@@ -253,7 +247,7 @@ impl Scan<'_> {
         });
         // Otherwise the pass that reads the chunk counts what is wrong with it.
         if pending.counts.is_empty() && (gaps > 0 || !damage.list().is_empty()) {
-            self.index.repairs.lost("a chunk from which nothing could be read was skipped");
+            self.index.issues.add(IssueKind::UnreadableChunk);
         }
         Ok(())
     }

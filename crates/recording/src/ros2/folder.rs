@@ -3,12 +3,13 @@
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-use crate::{RecordingError, Repair, RepairLog};
+use crate::RecordingError;
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 /// Files of a folder in the order in which they were recorded.
 pub(crate) struct FolderFiles {
     pub(crate) files: Vec<PathBuf>,
-    pub(crate) repairs: Vec<Repair>,
+    pub(crate) issues: Vec<Issue>,
 }
 
 /// A longer description is not believed.
@@ -19,7 +20,7 @@ pub(crate) fn files(
     folder: &Path,
     is_recording: &dyn Fn(&Path) -> bool,
 ) -> Result<Option<FolderFiles>, RecordingError> {
-    let mut repairs = RepairLog::default();
+    let mut issues = IssueLog::default();
     let metadata = folder.join("metadata.yaml");
     if metadata.is_file() {
         let listed = match std::fs::metadata(&metadata).map(|metadata| metadata.len()) {
@@ -33,16 +34,14 @@ pub(crate) fn files(
         for entry in &listed {
             match resolve(folder, entry) {
                 Some(file) => files.push(file),
-                None => repairs.lost("a file that metadata.yaml lists is not there"),
+                None => issues.add(IssueKind::ListedFileMissing),
             }
         }
         if !files.is_empty() {
-            return Ok(Some(FolderFiles { files, repairs: repairs.list() }));
+            return Ok(Some(FolderFiles { files, issues: issues.list() }));
         }
         if listed.is_empty() {
-            repairs.repaired(
-                "metadata.yaml lists no files; the files of the folder were taken in order of name",
-            );
+            issues.add(IssueKind::NoFilesListed);
         }
     }
     let error = |source| RecordingError::Io { path: folder.to_owned(), source };
@@ -54,7 +53,7 @@ pub(crate) fn files(
         }
     }
     files.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
-    Ok((!files.is_empty()).then(|| FolderFiles { files, repairs: repairs.list() }))
+    Ok((!files.is_empty()).then(|| FolderFiles { files, issues: issues.list() }))
 }
 
 /// The file that an entry of the metadata means. Old recorders put the folder's name in front; files

@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use portolan_issue::Issue;
 use portolan_recording::*;
 use proptest::prelude::*;
 
@@ -21,7 +22,7 @@ static RECORDINGS: LazyLock<(Vec<RecordedMessage>, Vec<Vec<u8>>)> = LazyLock::ne
 });
 
 /// Reads what can be read; `None` if the file is refused with an error.
-fn survive(data: Vec<u8>) -> Option<(Vec<RecordedMessage>, Vec<Repair>)> {
+fn survive(data: Vec<u8>) -> Option<(Vec<RecordedMessage>, Vec<Issue>)> {
     let recording = open_bytes("damaged", data.into()).ok()?;
     let mut reader = recording.read(&|_| true).ok()?;
     let mut messages = Vec::new();
@@ -29,15 +30,15 @@ fn survive(data: Vec<u8>) -> Option<(Vec<RecordedMessage>, Vec<Repair>)> {
         messages.push(message);
         assert!(messages.len() < 100_000, "more messages than were ever written");
     }
-    Some((messages, reader.repairs()))
+    Some((messages, reader.issues()))
 }
 
-fn assert_not_silent(messages: &[RecordedMessage], repairs: &[Repair]) {
+fn assert_not_silent(messages: &[RecordedMessage], issues: &[Issue]) {
     let all = RECORDINGS.0.len();
     assert!(
         messages.len() >= all
-            || repairs.iter().any(|repair| repair.lost_data || repair.what.contains("ended")),
-        "{} of {all} messages, {repairs:?}",
+            || issues.iter().any(|issue| issue.lost_data() || issue.text().contains("ended")),
+        "{} of {all} messages, {issues:?}",
         messages.len()
     );
 }
@@ -49,10 +50,10 @@ proptest! {
     fn truncated_recordings_give_what_is_whole(which in 0..FORMATS.len(), share in 0.0..1.0f64) {
         let data = &RECORDINGS.1[which];
         let length = (data.len() as f64 * share) as usize;
-        if let Some((messages, repairs)) = survive(data[..length].to_vec()) {
+        if let Some((messages, issues)) = survive(data[..length].to_vec()) {
             assert!(messages.len() <= RECORDINGS.0.len());
             assert_same(&messages, &RECORDINGS.0[..messages.len()]);
-            assert_not_silent(&messages, &repairs);
+            assert_not_silent(&messages, &issues);
         }
     }
 
@@ -66,8 +67,8 @@ proptest! {
             let at = (data.len() as f64 * share) as usize;
             data[at] ^= flip;
         }
-        if let Some((messages, repairs)) = survive(data) {
-            assert_not_silent(&messages, &repairs);
+        if let Some((messages, issues)) = survive(data) {
+            assert_not_silent(&messages, &issues);
         }
     }
 
@@ -82,8 +83,8 @@ proptest! {
         let mut data = RECORDINGS.1[which].clone();
         let at = if from_the_end { data.len() - 1 - at } else { at };
         data[at] ^= flip;
-        if let Some((messages, repairs)) = survive(data) {
-            assert_not_silent(&messages, &repairs);
+        if let Some((messages, issues)) = survive(data) {
+            assert_not_silent(&messages, &issues);
         }
     }
 
@@ -92,8 +93,8 @@ proptest! {
         let mut data = RECORDINGS.1[which].clone();
         let from = (data.len() as f64 * from) as usize;
         data.drain(from..(from + bytes).min(data.len()));
-        if let Some((messages, repairs)) = survive(data) {
-            assert_not_silent(&messages, &repairs);
+        if let Some((messages, issues)) = survive(data) {
+            assert_not_silent(&messages, &issues);
         }
     }
 
@@ -111,10 +112,10 @@ fn most_of_a_recording_survives_a_damaged_spot() {
         let mut data = data.clone();
         let middle = data.len() / 2;
         data[middle..middle + 8].fill(0xff);
-        let (found, repairs) = survive(data).unwrap();
+        let (found, issues) = survive(data).unwrap();
         // At most the chunk that was hit is lost; here there are two or three.
-        assert!(found.len() * 3 > messages.len(), "{format:?}: {} {repairs:?}", found.len());
-        assert!(repairs.iter().any(|repair| repair.lost_data) || found.len() == messages.len());
+        assert!(found.len() * 3 > messages.len(), "{format:?}: {} {issues:?}", found.len());
+        assert!(issues.iter().any(|issue| issue.lost_data()) || found.len() == messages.len());
     }
 }
 
@@ -137,10 +138,10 @@ fn a_recording_without_its_index_is_whole() {
                 data.truncate(summary as usize);
             }
         }
-        let (found, repairs) = survive(data).unwrap();
+        let (found, issues) = survive(data).unwrap();
         assert_same(&found, messages);
-        assert_eq!(repairs.len(), 1, "{repairs:?}");
-        assert!(!repairs[0].lost_data && repairs[0].what.contains("ended properly"));
+        assert_eq!(issues.len(), 1, "{issues:?}");
+        assert!(!issues[0].lost_data() && issues[0].text().contains("ended properly"));
     }
 }
 
@@ -164,11 +165,11 @@ fn a_wrong_array_length_costs_one_message() {
         let pattern = [39u32.to_le_bytes(), 0f32.to_le_bytes(), 0.1f32.to_le_bytes()].concat();
         let at = data.windows(12).position(|window| window == pattern).unwrap();
         data[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
-        let (found, repairs) = survive(data).unwrap();
+        let (found, issues) = survive(data).unwrap();
         assert_eq!(found.len(), messages.len() - 1);
-        let dropped = repairs.iter().find(|repair| repair.what.contains("/scan")).unwrap();
-        assert_eq!((dropped.count, dropped.lost_data), (1, true));
-        assert!(dropped.what.contains("length of an array"), "{dropped:?}");
+        let dropped = issues.iter().find(|issue| issue.text().contains("/scan")).unwrap();
+        assert_eq!((dropped.count, dropped.lost_data()), (1, true));
+        assert!(dropped.text().contains("length of an array"), "{dropped:?}");
     }
 }
 
@@ -189,9 +190,9 @@ fn lying_sizes_do_not_take_memory() {
         data.extend((chunk.len() as u64).to_le_bytes());
         data.extend(chunk);
         let before = peak_kib();
-        let (messages, repairs) = survive(data).unwrap();
+        let (messages, issues) = survive(data).unwrap();
         assert!(messages.is_empty());
-        assert!(repairs.iter().any(|repair| repair.lost_data), "{repairs:?}");
+        assert!(issues.iter().any(|issue| issue.lost_data()), "{issues:?}");
         if let (Some(before), Some(after)) = (before, peak_kib()) {
             // Other tests run at the same time; a believed size would show as hundreds of megabytes.
             assert!(after < before + (256 << 10), "{before} KiB became {after} KiB");

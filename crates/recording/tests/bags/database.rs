@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use portolan_issue::Issue;
 use portolan_recording::*;
 use proptest::prelude::*;
 use rusqlite::{Connection, params};
@@ -68,9 +69,9 @@ fn databases_are_read_in_order_of_time() {
         let ends = (messages[0].log_time, messages[messages.len() - 1].log_time);
         assert_eq!(recording.time_range(), Some(ends));
         assert!(recording.topics().iter().all(|topic| topic.count == Some(120)));
-        let (found, repairs) = read_all(&*recording);
+        let (found, issues) = read_all(&*recording);
         assert_same(&found, &messages);
-        assert_eq!(repairs, []);
+        assert_eq!(issues, []);
         let mut reader = recording.read(&|info| &*info.topic == "/imu").unwrap();
         let mut count = 0;
         while let Some(message) = reader.next_message().unwrap() {
@@ -100,9 +101,9 @@ fn a_bag_of_compressed_files_is_read_from_its_folder() {
     std::fs::write(folder.path().join("metadata.yaml"), list).unwrap();
     let recording = open(folder.path()).unwrap();
     assert_eq!(recording.format(), "ROS 2 bag (SQLite) in 3 files");
-    let (found, repairs) = read_all(&*recording);
+    let (found, issues) = read_all(&*recording);
     assert_same(&found, &messages);
-    assert_eq!(repairs, []);
+    assert_eq!(issues, []);
 }
 
 #[test]
@@ -118,7 +119,7 @@ fn other_databases_are_refused() {
 }
 
 /// Reads a damaged database, if it opens at all.
-fn survive(path: &Path) -> Option<(usize, Vec<Repair>)> {
+fn survive(path: &Path) -> Option<(usize, Vec<Issue>)> {
     let recording = open(path).ok()?;
     let mut reader = recording.read(&|_| true).ok()?;
     let mut count = 0;
@@ -126,7 +127,7 @@ fn survive(path: &Path) -> Option<(usize, Vec<Repair>)> {
         count += 1;
         assert!(count < 10_000);
     }
-    Some((count, reader.repairs()))
+    Some((count, reader.issues()))
 }
 
 #[test]
@@ -138,9 +139,9 @@ fn a_database_that_was_cut_off_gives_what_is_left() {
     let data = std::fs::read(&path).unwrap();
     let cut = folder.path().join("cut.db3");
     std::fs::write(&cut, &data[..data.len() * 3 / 4]).unwrap();
-    let (count, repairs) = survive(&cut).unwrap();
+    let (count, issues) = survive(&cut).unwrap();
     assert!(count > messages.len() / 2, "{count}");
-    assert!(repairs.iter().any(|repair| repair.lost_data));
+    assert!(issues.iter().any(|issue| issue.lost_data()));
 }
 
 /// Puts the first page of messages in the place of the third and fourth: the rows behind those of the second are the
@@ -172,9 +173,9 @@ fn pages_that_lead_back_to_earlier_rows_are_stepped_over() {
         let mut data = std::fs::read(&path).unwrap();
         mix_up_pages(&mut data);
         std::fs::write(&path, data).unwrap();
-        let (count, repairs) = survive(&path).unwrap();
+        let (count, issues) = survive(&path).unwrap();
         assert!(count > messages.len() / 2, "{count} of {}", messages.len());
-        assert!(repairs.iter().any(|repair| repair.lost_data), "{with_index}: {repairs:?}");
+        assert!(issues.iter().any(|issue| issue.lost_data()), "{with_index}: {issues:?}");
     }
 }
 

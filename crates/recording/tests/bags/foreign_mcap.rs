@@ -92,8 +92,8 @@ fn files_of_every_shape_are_read() {
     ];
     for (number, options) in shapes.into_iter().enumerate() {
         let recording = open_bytes("test", rewritten(options, &messages, false).into()).unwrap();
-        let (found, repairs) = read_all(&*recording);
-        assert_eq!(repairs, [], "shape {number}");
+        let (found, issues) = read_all(&*recording);
+        assert_eq!(issues, [], "shape {number}");
         assert_same(&found, &messages);
         assert!(recording.topics().iter().all(|topic| topic.count == Some(60)), "shape {number}");
         assert_eq!(recording.topics().len(), 10);
@@ -149,8 +149,8 @@ fn unknown_encodings_are_listed_but_not_decoded() {
     }
     writer.finish().unwrap();
     let recording = open_bytes("test", writer.into_inner().into_inner().into()).unwrap();
-    let (found, repairs) = read_all(&*recording);
-    assert_eq!(repairs, []);
+    let (found, issues) = read_all(&*recording);
+    assert_eq!(issues, []);
     let types: Vec<_> = found.iter().map(|message| message.message.type_name()).collect();
     assert_eq!(types, ["foxglove.LaserScan", "sensor_msgs/LaserScan", "unknown"]);
     assert!(found.iter().all(|message| matches!(message.message, Message::Other { bytes: 2, .. })));

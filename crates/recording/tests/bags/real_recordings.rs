@@ -1,5 +1,6 @@
 //! Recordings of real robots.
 
+use portolan_issue::IssueKind;
 use portolan_recording::*;
 use portolan_testing::real_data;
 
@@ -15,10 +16,10 @@ fn the_same_recording_in_ros1_and_ros2_is_the_same() {
     else {
         return;
     };
-    let (ros1, repairs) = read_all(&*open(bag).unwrap());
-    assert_eq!(repairs, []);
-    let (ros2, repairs) = read_all(&*open(folder).unwrap());
-    assert_eq!(repairs, []);
+    let (ros1, issues) = read_all(&*open(bag).unwrap());
+    assert_eq!(issues, []);
+    let (ros2, issues) = read_all(&*open(folder).unwrap());
+    assert_eq!(issues, []);
     assert_eq!(count_of(&ros1, "/scan"), 7374);
     assert_eq!(count_of(&ros1, "/odom"), 7374);
     // The order of messages of the same time is that of the files, which differs.
@@ -40,8 +41,8 @@ fn bz2_chunks_are_read() {
     let Some(path) = real_data("lidar2d/fr079/fr079.bag") else { return };
     let recording = open(path).unwrap();
     assert_eq!(recording.format(), "ROS 1 bag 2.0 (bz2)");
-    let (messages, repairs) = read_all(&*recording);
-    assert_eq!(repairs, []);
+    let (messages, issues) = read_all(&*recording);
+    assert_eq!(issues, []);
     assert_eq!(count_of(&messages, "/scan"), 4934);
     assert!(messages.is_sorted_by_key(|message| message.log_time));
 }
@@ -49,10 +50,10 @@ fn bz2_chunks_are_read() {
 #[test]
 fn a_bag_with_a_damaged_index_is_recovered() {
     let Some(path) = real_data("ros_bags/scan_tools_demo.bag") else { return };
-    let (messages, repairs) = read_all(&*open(path).unwrap());
+    let (messages, issues) = read_all(&*open(path).unwrap());
     assert!(
-        repairs.iter().any(|repair| repair.what.contains("index")) && !repairs[0].lost_data,
-        "{repairs:?}"
+        issues.iter().any(|issue| issue.text().contains("index")) && !issues[0].lost_data(),
+        "{issues:?}"
     );
     // 278 in the chunk before the damage and 82 behind it; they follow each other at 10 Hz.
     assert_eq!(messages.len(), 278 + 82);
@@ -63,9 +64,9 @@ fn a_bag_with_a_damaged_index_is_recovered() {
 #[test]
 fn transforms_odometry_and_foreign_types_are_read() {
     if let Some(path) = real_data("ros_bags/evo_tf_example.bag") {
-        let (messages, repairs) = read_all(&*open(path).unwrap());
+        let (messages, issues) = read_all(&*open(path).unwrap());
         assert_eq!((count_of(&messages, "/tf"), count_of(&messages, "/tf_static")), (517, 1));
-        assert_eq!(repairs, []);
+        assert_eq!(issues, []);
         for message in &messages {
             let Message::Tf(tf) = &message.message else { panic!() };
             assert_eq!(tf.is_static, &*message.topic == "/tf_static");
@@ -76,8 +77,8 @@ fn transforms_odometry_and_foreign_types_are_read() {
         }
     }
     if let Some(path) = real_data("ros_bags/nav2_turtlebot.mcap") {
-        let (messages, repairs) = read_all(&*open(path).unwrap());
-        assert_eq!(repairs, []);
+        let (messages, issues) = read_all(&*open(path).unwrap());
+        assert_eq!(issues, []);
         assert_eq!((count_of(&messages, "/odom"), count_of(&messages, "/tf")), (2639, 5422));
         let Message::Odometry(odometry) = &messages.iter().find(|m| &*m.topic == "/odom").unwrap().message
         else {
@@ -86,9 +87,12 @@ fn transforms_odometry_and_foreign_types_are_read() {
         assert!(!odometry.child_frame_id.is_empty() && odometry.pose_covariance.len() == 36);
     }
     if let Some(path) = real_data("ros_bags/ouster_512x10_raw.bag") {
-        let (messages, repairs) = read_all(&*open(path).unwrap());
+        let (messages, issues) = read_all(&*open(path).unwrap());
         // The clock of that sensor counts from when it was switched on.
-        assert!(repairs.iter().all(|r| !r.lost_data && r.what.contains("shifted")), "{repairs:?}");
+        assert!(
+            issues.iter().all(|r| !r.lost_data() && r.kind == IssueKind::SensorClockNotSet),
+            "{issues:?}"
+        );
         let clouds: Vec<_> = messages
             .iter()
             .filter_map(|m| if let Message::PointCloud2(c) = &m.message { Some(c) } else { None })
@@ -129,6 +133,6 @@ fn point_clouds_and_imu_are_read_in_order() {
                 _ => {}
             }
         }
-        assert_eq!(reader.repairs(), []);
+        assert_eq!(reader.issues(), []);
     }
 }

@@ -12,9 +12,9 @@ fn every_message_type_survives_every_container() {
     let messages = recorded(60);
     for format in FORMATS {
         let recording = open_bytes("test", bytes(format, &messages).into()).unwrap();
-        let (found, repairs) = read_all(&*recording);
+        let (found, issues) = read_all(&*recording);
         assert_same(&found, &messages);
-        assert_eq!(repairs, []);
+        assert_eq!(issues, []);
         assert_eq!(
             recording.time_range(),
             Some((messages[0].log_time, messages[messages.len() - 1].log_time)),
@@ -61,9 +61,9 @@ fn chunks_that_overlap_in_time_are_merged() {
     for format in FORMATS {
         let data = bytes(format, &messages);
         let recording = open_bytes("test", data.into()).unwrap();
-        let (found, repairs) = read_all(&*recording);
+        let (found, issues) = read_all(&*recording);
         assert_same(&found, &sorted);
-        assert_eq!(repairs, [], "{format:?}");
+        assert_eq!(issues, [], "{format:?}");
     }
 }
 
@@ -87,9 +87,9 @@ fn messages_larger_than_a_chunk_are_kept_whole() {
     }
     for format in FORMATS {
         let recording = open_bytes("test", bytes(format, &messages).into()).unwrap();
-        let (found, repairs) = read_all(&*recording);
+        let (found, issues) = read_all(&*recording);
         assert_same(&found, &messages);
-        assert_eq!(repairs, []);
+        assert_eq!(issues, []);
     }
 }
 
@@ -99,9 +99,9 @@ fn an_empty_recording_is_a_recording() {
         let recording = open_bytes("test", bytes(format, &[]).into()).unwrap();
         assert_eq!(recording.time_range(), None);
         assert_eq!(recording.topics(), []);
-        let (messages, repairs) = read_all(&*recording);
+        let (messages, issues) = read_all(&*recording);
         assert!(messages.is_empty());
-        assert_eq!(repairs, [], "{format:?}");
+        assert_eq!(issues, [], "{format:?}");
     }
 }
 
@@ -179,9 +179,9 @@ fn several_files_are_read_as_one() {
     let paths = parts(folder.path(), &messages);
     for recording in [open_all(&paths).unwrap(), open(folder.path()).unwrap()] {
         assert_eq!(recording.format(), "MCAP (ros2, zstd), ROS 1 bag 2.0 (lz4) in 2 files");
-        let (found, repairs) = read_all(&*recording);
+        let (found, issues) = read_all(&*recording);
         assert_same(&found, &messages);
-        assert_eq!(repairs, []);
+        assert_eq!(issues, []);
         assert!(recording.topics().iter().all(|topic| topic.count == Some(30)));
     }
     assert!(open_all::<&Path>(&[]).is_err());
@@ -195,10 +195,10 @@ fn a_folder_with_metadata_names_its_files() {
     let list =
         "info:\n  relative_file_paths:\n    - old_name/part_9.bag\n    - part_10.mcap\n    - lost.mcap\n";
     std::fs::write(folder.path().join("metadata.yaml"), list).unwrap();
-    let (found, repairs) = read_all(&*open(folder.path()).unwrap());
+    let (found, issues) = read_all(&*open(folder.path()).unwrap());
     assert_same(&found, &messages);
-    assert_eq!(repairs.len(), 1);
-    assert!(repairs[0].lost_data && repairs[0].what.contains("metadata.yaml"), "{repairs:?}");
+    assert_eq!(issues.len(), 1);
+    assert!(issues[0].lost_data() && issues[0].text().contains("metadata.yaml"), "{issues:?}");
 }
 
 #[test]
@@ -212,9 +212,9 @@ fn a_file_compressed_as_a_whole_is_unpacked() {
         for packed in [zstd::bulk::compress(&plain, 1).unwrap(), gzip.finish().unwrap()] {
             let path = folder.path().join("recording.mcap.zstd");
             std::fs::write(&path, &packed).unwrap();
-            let (found, repairs) = read_all(&*open(&path).unwrap());
+            let (found, issues) = read_all(&*open(&path).unwrap());
             assert_same(&found, &messages);
-            assert_eq!(repairs, []);
+            assert_eq!(issues, []);
             std::fs::write(&path, &packed[..packed.len() - 20]).unwrap();
             if let Ok(recording) = open(&path) {
                 assert!(!read_all(&*recording).1.is_empty());

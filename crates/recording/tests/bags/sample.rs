@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_issue::Issue;
 use portolan_recording::*;
 
 /// A moment in whole ticks, so that it survives every format.
@@ -182,13 +183,13 @@ pub fn bytes(format: RecordingFormat, messages: &[RecordedMessage]) -> Vec<u8> {
 }
 
 /// Reads everything; the second part is what was repaired.
-pub fn read_all(recording: &dyn Recording) -> (Vec<RecordedMessage>, Vec<Repair>) {
+pub fn read_all(recording: &dyn Recording) -> (Vec<RecordedMessage>, Vec<Issue>) {
     let mut reader = recording.read(&|_| true).unwrap();
     let mut messages = Vec::new();
     while let Some(message) = reader.next_message().unwrap() {
         messages.push(message);
     }
-    (messages, reader.repairs())
+    (messages, reader.issues())
 }
 
 /// Compares messages one by one, so that a difference is told readably.

@@ -2,6 +2,7 @@
 #![allow(dead_code)] // not every test uses everything
 
 use portolan_geometry::{Duration, Point3f, Rigid3, Time, Vector3, nalgebra as na};
+use portolan_numeric::{Lcg64, SplitMix64};
 use portolan_refinement::PointStore;
 use portolan_sensor::{TimedPoint, TimedPointCloudData};
 
@@ -15,16 +16,15 @@ pub struct Wall {
 }
 
 /// A deterministic generator of noise.
-pub struct Random(u64);
+pub struct Random(Lcg64);
 
 impl Random {
     pub fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
+        Self(Lcg64::new(seed.wrapping_mul(SplitMix64::GAMMA) | 1))
     }
 
     pub fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+        self.0.uniform()
     }
 
     pub fn normal(&mut self) -> f64 {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use portolan_geometry::{Rigid3, Vector3};
+use portolan_geometry::{EastNorthUp, GeodeticPosition, Rigid3, Trigonometry, Vector3};
 use portolan_recording::{Header, Message, NavSatFix, RecordedMessage};
 
 use super::stream::{Clock, MessageStream, Schedule};
@@ -10,9 +10,8 @@ use crate::motion::Motion;
 use crate::random::Random;
 use crate::solid::{Moment, Ray3, SolidWorld};
 
-/// WGS 84.
-const EQUATOR: f64 = 6_378_137.0;
-const FLATTENING: f64 = 1.0 / 298.257_223_563;
+/// Functions that are the same on every system.
+const FUNCTIONS: Trigonometry = Trigonometry { sin_cos: libm::sincos, atan2: libm::atan2 };
 /// Of nine directions into the sky so many must be free.
 const FREE_DIRECTIONS: usize = 6;
 /// What is farther away does not hide satellites, metres.
@@ -70,41 +69,11 @@ impl GnssOptions {
 
     /// Latitude and longitude in degrees and height in metres of a point of the map (metres).
     pub fn geodetic(&self, point_in_map: &Vector3) -> [f64; 3] {
-        let [latitude, longitude] = self.origin_degrees.map(f64::to_radians);
-        let ((sa, ca), (so, co)) = (libm::sincos(latitude), libm::sincos(longitude));
-        let origin = to_ecef(latitude, longitude, self.origin_altitude);
-        let east = Vector3::new(-so, co, 0.0);
-        let north = Vector3::new(-sa * co, -sa * so, ca);
-        let up = Vector3::new(ca * co, ca * so, sa);
-        from_ecef(&(origin + east * point_in_map.x + north * point_in_map.y + up * point_in_map.z))
+        let [latitude_degrees, longitude_degrees] = self.origin_degrees;
+        let origin = GeodeticPosition { latitude_degrees, longitude_degrees, altitude: self.origin_altitude };
+        let place = EastNorthUp::at_with(&origin, FUNCTIONS).to_geodetic(point_in_map);
+        [place.latitude_degrees, place.longitude_degrees, place.altitude]
     }
-}
-
-fn eccentricity_squared() -> f64 {
-    FLATTENING * (2.0 - FLATTENING)
-}
-
-fn to_ecef(latitude: f64, longitude: f64, altitude: f64) -> Vector3 {
-    let ((sa, ca), (so, co)) = (libm::sincos(latitude), libm::sincos(longitude));
-    let curvature = EQUATOR / (1.0 - eccentricity_squared() * sa * sa).sqrt();
-    let across = (curvature + altitude) * ca;
-    Vector3::new(across * co, across * so, (curvature * (1.0 - eccentricity_squared()) + altitude) * sa)
-}
-
-/// Iterates latitude and height, which converges by a factor of 300 a step near the ground.
-fn from_ecef(point: &Vector3) -> [f64; 3] {
-    let across = (point.x * point.x + point.y * point.y).sqrt();
-    let e2 = eccentricity_squared();
-    let mut latitude = libm::atan2(point.z, across * (1.0 - e2));
-    let mut altitude = 0.0;
-    for _ in 0..8 {
-        let (sine, cosine) = libm::sincos(latitude);
-        let curvature = EQUATOR / (1.0 - e2 * sine * sine).sqrt();
-        altitude = across * cosine + point.z * sine - EQUATOR * EQUATOR / curvature;
-        latitude = libm::atan2(point.z, across * (1.0 - e2 * curvature / (curvature + altitude)));
-    }
-    let longitude = libm::atan2(point.y, point.x);
-    [latitude.to_degrees(), longitude.to_degrees(), altitude]
 }
 
 /// The messages of the receiver.
@@ -192,7 +161,6 @@ impl<M: Motion> MessageStream for GnssStream<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_ingest::GeodeticPosition;
 
     #[test]
     fn places_on_earth_are_exact() {

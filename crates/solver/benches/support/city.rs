@@ -3,15 +3,15 @@
 use std::collections::HashMap;
 
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector3, project_2d, quaternion_from_angle_axis};
+use portolan_numeric::Lcg64;
 use portolan_solver::g2o::{Edge, GraphPose, InformationMatrix, PoseGraph, Vertex};
 
 /// A generator of random numbers that is the same everywhere.
-struct Random(u64);
+struct Random(Lcg64);
 
 impl Random {
     fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+        self.0.uniform()
     }
 
     fn gaussian(&mut self) -> f64 {
@@ -29,7 +29,7 @@ const ROTATION_SIGMA: f64 = 0.01;
 /// `poses` poses in space, about one closure per pose, measurements with noise that the information matrices
 /// describe; initial poses from dead reckoning.
 pub fn city_3d(poses: usize, closures_per_pose: f64) -> PoseGraph<Rigid3> {
-    let mut random = Random(42);
+    let mut random = Random(Lcg64::new(42));
     let truth = walk(poses, &mut random);
     let mut information = nalgebra::Matrix6::identity() / (TRANSLATION_SIGMA * TRANSLATION_SIGMA);
     for k in 3..6 {

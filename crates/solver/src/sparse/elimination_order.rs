@@ -5,6 +5,8 @@ use faer::sparse::SymbolicSparseColMatRef;
 use faer::sparse::linalg::amd;
 use faer::sparse::linalg::cholesky::simplicial;
 
+use portolan_numeric::Lcg64;
+
 use super::ProblemError;
 
 /// From so many multiplications of blocks on other orders are tried, too: the best of several is some percent
@@ -115,10 +117,9 @@ fn inverse(order: &[u32]) -> Vec<u32> {
 /// A permutation that is the same everywhere (Fisher and Yates, with a linear congruential generator).
 fn shuffled(n: usize, seed: u64) -> Vec<u32> {
     let mut order: Vec<u32> = (0..n as u32).collect();
-    let mut state = seed;
+    let mut random = Lcg64::new(seed);
     for i in (1..n).rev() {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        order.swap(i, ((state >> 33) % (i as u64 + 1)) as usize);
+        order.swap(i, ((random.bits() >> 33) % (i as u64 + 1)) as usize);
     }
     order
 }

@@ -4,8 +4,9 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 
 use portolan_evaluation::{
-    LocalFrame, Trajectory, read_geojson, write_csv, write_csv_all, write_geojson, write_kitti, write_tum,
+    Trajectory, read_geojson, write_csv, write_csv_all, write_geojson, write_kitti, write_tum,
 };
+use portolan_geometry::EastNorthUp;
 use portolan_mapfile::{MapDraft, ReadLimits};
 
 use super::ConvertArgs;
@@ -20,7 +21,7 @@ type Named = Vec<(i32, Trajectory)>;
 pub fn run(args: &ConvertArgs, to: Format, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let trajectories =
         if to.holds_several() { read(args, global)? } else { vec![(0, read_one(args, global)?)] };
-    let frame = args.origin.map(LocalFrame::at);
+    let frame = args.origin.as_ref().map(EastNorthUp::at);
     let mut files = vec![args.output.clone()];
     write_file(&args.output, |out| {
         let mut out = BufWriter::new(out);
@@ -108,7 +109,7 @@ fn read(args: &ConvertArgs, global: &GlobalArgs) -> Result<Named, CliError> {
         }
         Format::Geojson => {
             let file = File::open(path).map_err(|source| CliError::File { path: path.clone(), source })?;
-            let frame = args.origin.map(LocalFrame::at);
+            let frame = args.origin.as_ref().map(EastNorthUp::at);
             let (all, repairs) = read_geojson(BufReader::new(file), frame.as_ref())
                 .map_err(|error| CliError::in_file(path, error))?;
             if !global.quiet {

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use portolan_diagnose::{RecordingInfo, info};
 use portolan_ingest::IngestOptions;
+use portolan_issue::Issue;
 use portolan_recording::open;
 use serde::Serialize;
 
@@ -35,7 +36,7 @@ pub fn read(path: &Path, quiet: bool) -> Result<RecordingReport, CliError> {
 impl RecordingReport {
     /// Whether parts of the recording could not be read.
     pub fn lost_data(&self) -> bool {
-        self.info.repairs.iter().any(|repair| repair.lost_data)
+        self.info.issues.iter().any(Issue::lost_data)
     }
 
     /// For people.

@@ -56,11 +56,9 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, files: &[PathBuf], seconds
     }
     text += &crate::lost::losses(mapped);
     text += &weak_stretches(&mapped.degenerate_intervals, mapped.recording_seconds);
-    for repair in &mapped.reading_repairs {
-        text += &format!("repaired: {} ({}x)\n", repair.what, repair.count);
-    }
-    for (what, count) in &mapped.mapping_repairs {
-        text += &format!("repaired: {what} ({count}x)\n");
+    for issue in mapped.issues.iter() {
+        let label = if issue.lost_data() { "lost" } else { "repaired" };
+        text += &format!("{label}: {issue} ({}x)\n", issue.count);
     }
     if mapped.interrupted {
         text += "interrupted: stopped before the end of the recording; what was mapped is saved\n";

@@ -92,7 +92,7 @@ fn input(page: &mut HtmlPage, results: &Results) {
     page.table(&[], &rows);
 }
 
-/// Warnings, what is not determined, and repairs.
+/// Warnings, what is not determined, and issues.
 fn notes(page: &mut HtmlPage, results: &Results) {
     let report = &results.refined.report;
     report.warnings.iter().for_each(|warning| page.warning(warning));
@@ -107,12 +107,10 @@ fn notes(page: &mut HtmlPage, results: &Results) {
             u.from, u.to
         ));
     }
-    for repair in &results.read.repairs {
-        page.paragraph(&format!(
-            "Repaired while reading: {} ({}).",
-            repair.what,
-            counted(repair.count, "time", "times")
-        ));
+    for issue in &results.read.issues {
+        let label = if issue.lost_data() { "Lost" } else { "Repaired" };
+        let times = counted(issue.count, "time", "times");
+        page.paragraph(&format!("{label} while reading: {issue} ({times})."));
     }
 }
 

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, SensorPlan, read_urdf};
-use portolan_recording::{Recording, Repair};
+use portolan_issue::Issue;
+use portolan_recording::Recording;
 use portolan_refinement::{MotionSensors, PointStore};
 use portolan_sensor::Measurement;
 
@@ -51,7 +52,14 @@ pub struct ReadPoints {
     /// Which topics were used.
     pub plan: SensorPlan,
     /// What was repaired.
-    pub repairs: Vec<Repair>,
+    pub issues: Vec<Issue>,
+}
+
+impl ReadPoints {
+    /// Whether data were lost while reading.
+    pub fn lost_data(&self) -> bool {
+        self.issues.iter().any(Issue::lost_data)
+    }
 }
 
 /// Sensors besides the lidars that know of the motion.
@@ -126,5 +134,5 @@ pub fn read_points_and(
     }
     progress.finish();
     store.sort();
-    Ok(ReadPoints { store, sensors, plan, repairs: ingestion.repairs() })
+    Ok(ReadPoints { store, sensors, plan, issues: ingestion.issues() })
 }

@@ -100,12 +100,6 @@ fn write_cloud(pair: &CloudPair, start: f64, path: &Path) -> Result<(), CliError
 }
 
 fn report(results: &Results, judgement: Option<&Judgement>) -> serde_json::Value {
-    let repairs: Vec<_> = results
-        .read
-        .repairs
-        .iter()
-        .map(|r| serde_json::json!({ "what": r.what, "count": r.count, "lost_data": r.lost_data }))
-        .collect();
     let plan = &results.read.plan;
     let topics: Vec<&str> = plan.range.iter().map(|r| &*r.source.topic).collect();
     serde_json::json!({
@@ -117,7 +111,8 @@ fn report(results: &Results, judgement: Option<&Judgement>) -> serde_json::Value
         "peak_memory_bytes": resident_and_peak_bytes().map(|(_, peak)| peak),
         "refinement": results.refined.report,
         "quality": judgement,
-        "repairs": repairs,
+        "issues": results.read.issues,
+        "data_lost": results.read.lost_data(),
     })
 }
 
@@ -197,8 +192,9 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
     if report.stopped {
         text += "stopped before the end; this is what was reached\n";
     }
-    for repair in &results.read.repairs {
-        text += &format!("repaired: {} ({})\n", repair.what, counted(repair.count, "time", "times"));
+    for issue in &results.read.issues {
+        let label = if issue.lost_data() { "lost" } else { "repaired" };
+        text += &format!("{label}: {issue} ({})\n", counted(issue.count, "time", "times"));
     }
     for file in files {
         text += &format!("{}\n", file.display());

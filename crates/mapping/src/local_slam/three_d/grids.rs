@@ -3,8 +3,9 @@
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Quaternion, Rigid3, Time, interpolate, is_valid_pose};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::settings::{ExtrapolatorSettings, InitialisationSettings};
-use portolan_lidar_odometry::{Beginning, GravityInitialisation, Issue, WaitingSweeps};
+use portolan_lidar_odometry::{Beginning, GravityInitialisation, Issue as OdometryIssue, WaitingSweeps};
 use portolan_motion::{ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
 use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData};
 
@@ -12,8 +13,8 @@ use super::LocalSlam3dSettings;
 use super::deskew::{Deskewed, Gathered, deskew, raw_sweep};
 use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, not_inserted};
-use super::planes::extrapolator_settings;
-use crate::local_slam::{Repairs, motion_filter};
+use super::planes::{extrapolator_settings, kind_of};
+use crate::local_slam::motion_filter;
 use crate::{MatchingResult, OpenDirections, Spatial};
 
 /// Without an IMU a scan is de-skewed again with the pose it was matched at, so many times.
@@ -59,14 +60,14 @@ impl GridEngine {
         }
     }
 
-    pub fn begin_if_ready(&mut self, waiting: Option<&WaitingSweeps>, repairs: &mut Repairs) -> bool {
+    pub fn begin_if_ready(&mut self, waiting: Option<&WaitingSweeps>, issues: &mut IssueLog) -> bool {
         if self.extrapolator.is_none() && self.initialisation.is_ready(waiting) {
-            self.begin(waiting, repairs);
+            self.begin(waiting, issues);
         }
         self.extrapolator.is_some()
     }
 
-    pub fn begin(&mut self, waiting: Option<&WaitingSweeps>, repairs: &mut Repairs) {
+    pub fn begin(&mut self, waiting: Option<&WaitingSweeps>, issues: &mut IssueLog) {
         if self.extrapolator.is_some() {
             return;
         }
@@ -76,30 +77,30 @@ impl GridEngine {
         };
         self.has_imu = !imu.is_empty();
         self.extrapolator = Some(extrapolator);
-        imu.iter().skip(1).for_each(|data| self.add_imu(data, repairs));
+        imu.iter().skip(1).for_each(|data| self.add_imu(data, issues));
     }
 
     pub fn last_pose_time(&self) -> Option<Time> {
         self.extrapolator.as_ref().and_then(PoseExtrapolator::last_pose_time)
     }
 
-    pub fn add_imu(&mut self, data: &ImuData, repairs: &mut Repairs) {
+    pub fn add_imu(&mut self, data: &ImuData, issues: &mut IssueLog) {
         let issue = match &mut self.extrapolator {
             None => self.initialisation.add_imu(data),
             Some(extrapolator) => match extrapolator.add_imu(data) {
-                Err(_) => Some(Issue::ImuSampleTooOld),
-                Ok(()) => (!self.has_imu).then_some(Issue::ImuAfterStart),
+                Err(_) => Some(OdometryIssue::ImuSampleTooOld),
+                Ok(()) => (!self.has_imu).then_some(OdometryIssue::ImuAfterStart),
             },
         };
-        issue.into_iter().for_each(|issue| count(repairs, issue.text()));
+        issue.into_iter().for_each(|issue| count(issues, kind_of(issue), data.time));
     }
 
-    pub fn add_odometry(&mut self, data: &OdometryData, repairs: &mut Repairs) {
+    pub fn add_odometry(&mut self, data: &OdometryData, issues: &mut IssueLog) {
         match &mut self.extrapolator {
             None => self.initialisation.add_odometry(data),
             Some(extrapolator) => {
                 if extrapolator.add_odometry(data).is_err() {
-                    count(repairs, Issue::OdometryTooOld.text());
+                    count(issues, IssueKind::OdometryTooOld, data.time);
                 }
             }
         }
@@ -115,7 +116,7 @@ impl GridEngine {
         end: Time,
         gathered: &[Gathered],
         insertion: &mut KeyframeInsertion,
-        repairs: &mut Repairs,
+        issues: &mut IssueLog,
     ) -> Option<MatchingResult<Spatial>> {
         let extrapolator = self.extrapolator.as_mut()?;
         extrapolator.prepare(end);
@@ -125,12 +126,9 @@ impl GridEngine {
         let prediction = extrapolator.extrapolate_pose(end);
         let measured_gravity = self.has_imu.then(|| extrapolator.estimate_gravity_orientation(end));
         if deskewed.times_raised > 0 {
-            count(
-                repairs,
-                "scan with points older than ones already used; their poses are the last known one",
-            );
+            count(issues, IssueKind::ScanPointsTooOld, end);
         }
-        let mut matched = self.match_deskewed(&deskewed, &prediction, insertion, repairs)?;
+        let mut matched = self.match_deskewed((end, &deskewed), &prediction, insertion, issues)?;
         if let Some((last_time, last_pose)) = last.filter(|_| !self.has_imu && insertion.has_submap()) {
             // How the scanner moved on the way is known only now.
             for _ in 0..STRAIGHTENING_PASSES {
@@ -138,7 +136,8 @@ impl GridEngine {
                 let on_the_way =
                     |t: Time| interpolate(last_time, &last_pose, end, &found, t.clamp(last_time, end));
                 let straightened = deskew(gathered, last_time, on_the_way, &self.options);
-                matched = self.match_deskewed(&straightened, &found, insertion, repairs).unwrap_or(matched);
+                matched =
+                    self.match_deskewed((end, &straightened), &found, insertion, issues).unwrap_or(matched);
             }
         }
         self.extrapolator.as_mut()?.add_pose(end, matched.local_from_tracking);
@@ -149,26 +148,26 @@ impl GridEngine {
     /// Thins a de-skewed sweep and matches it near a predicted pose.
     fn match_deskewed(
         &self,
-        deskewed: &Deskewed,
+        (end, deskewed): (Time, &Deskewed),
         prediction: &Rigid3,
         insertion: &KeyframeInsertion,
-        repairs: &mut Repairs,
+        issues: &mut IssueLog,
     ) -> Option<MatchedScan> {
         let scan = deskewed.in_tracking(prediction, self.options.voxel_filter_size);
         if scan.returns.is_empty() {
-            count(repairs, Issue::EmptySweep.text());
+            count(issues, IssueKind::ScanWithoutReturn, end);
             return None;
         }
         let [high, low] = insertion.clouds(&scan.returns);
         if high.is_empty() || low.is_empty() {
-            count(repairs, "scan without a return in matching range");
+            count(issues, IssueKind::ScanWithoutReturnInRange, end);
             return None;
         }
         let (submap, matcher) = (insertion.submaps.matching_submap(), self.matcher.with_imu(self.has_imu));
         let (matched, _) = matcher.match_scan(prediction, [&high, &low], submap);
         let local_from_tracking = if is_valid_pose(&matched) { matched } else { *prediction };
         if !is_valid_pose(&local_from_tracking) {
-            count(repairs, "scan whose pose could not be determined");
+            count(issues, IssueKind::ScanWithoutPose, end);
             return None;
         }
         Some(MatchedScan { local_from_tracking, scan, clouds: [high, low] })
@@ -200,6 +199,6 @@ impl GridEngine {
     }
 }
 
-fn count(repairs: &mut Repairs, what: &'static str) {
-    *repairs.entry(what).or_default() += 1;
+fn count(issues: &mut IssueLog, kind: IssueKind, time: Time) {
+    issues.add(Issue::new(kind).at(time));
 }

@@ -8,12 +8,13 @@ use std::collections::VecDeque;
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::Time;
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::{DegenerateInterval, WaitingSweeps};
 use portolan_sensor::{
     ImuData, OdometryData, RangeDataCollator, SensorId, SynchronizedRanges, TimedPointCloudData,
 };
 
-use super::{LocalSlam, MatchingResult, Repairs, count_collated, count_extrapolated, first_point_time};
+use super::{LocalSlam, MatchingResult, count_collated, count_extrapolated, first_point_time};
 use crate::submap_3d::{Inserter3d, Submap3d};
 use crate::{InsertionSubmap, MapperError, Spatial};
 
@@ -50,7 +51,7 @@ pub struct LocalSlam3d {
     assembly: SweepAssembly,
     engine: Engine,
     insertion: KeyframeInsertion,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 /// What finds where sweeps were taken.
@@ -86,12 +87,12 @@ impl LocalSlam3d {
             assembly: SweepAssembly::new(options, settings.min_scan_duration),
             engine,
             insertion: KeyframeInsertion::new(options, inserter),
-            repairs: Repairs::new(),
+            issues: IssueLog::default(),
         })
     }
 
-    fn count(&mut self, what: &'static str) {
-        *self.repairs.entry(what).or_default() += 1;
+    fn count(&mut self, kind: IssueKind, time: Time) {
+        self.issues.add(Issue::new(kind).at(time));
     }
 
     /// Begins the trajectory if enough is known. Whether it has begun.
@@ -99,7 +100,7 @@ impl LocalSlam3d {
         let waiting = waiting_sweeps(&self.waiting);
         match &mut self.engine {
             Engine::Planes(engine) => engine.begin_if_ready(waiting.as_ref()),
-            Engine::Grids(engine) => engine.begin_if_ready(waiting.as_ref(), &mut self.repairs),
+            Engine::Grids(engine) => engine.begin_if_ready(waiting.as_ref(), &mut self.issues),
         }
     }
 
@@ -115,18 +116,19 @@ impl LocalSlam3d {
     /// One synchronised set of ranges: registered when a sweep is together.
     fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Vec<MatchingResult<Spatial>> {
         if self.last_pose_time().is_some_and(|last| first_point_time(ranges) < last) {
-            self.count(match self.insertion.has_submap() {
-                true => "scan that starts before the last matched scan ends",
-                false => "scan before the first IMU sample",
-            });
+            let kind = match self.insertion.has_submap() {
+                true => IssueKind::ScanOverlapsLast,
+                false => IssueKind::ScanBeforeImu,
+            };
+            self.count(kind, ranges.time);
             return Vec::new();
         }
-        let Some(gathered) = self.assembly.add(ranges, &mut self.repairs) else { return Vec::new() };
+        let Some(gathered) = self.assembly.add(ranges, &mut self.issues) else { return Vec::new() };
         let insertion = &mut self.insertion;
         match &mut self.engine {
             Engine::Planes(engine) => engine.add_sweep(ranges.time, &gathered, insertion),
             Engine::Grids(engine) => {
-                let result = engine.add_sweep(ranges.time, &gathered, insertion, &mut self.repairs);
+                let result = engine.add_sweep(ranges.time, &gathered, insertion, &mut self.issues);
                 result.into_iter().collect()
             }
         }
@@ -153,11 +155,11 @@ impl LocalSlam<Spatial> for LocalSlam3d {
     ) -> Vec<MatchingResult<Spatial>> {
         let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
         if ranges.points.is_empty() {
-            self.count("scan without points");
+            self.count(IssueKind::ScanWithoutPoints, ranges.time);
             return Vec::new();
         }
         if self.wants_intensities && ranges.intensities.is_empty() {
-            self.count("scan without intensities, matched by its shape alone");
+            self.count(IssueKind::ScanWithoutIntensities, ranges.time);
         }
         self.waiting.push_back(ranges);
         self.register_waiting()
@@ -166,7 +168,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
     fn add_imu_data(&mut self, data: &ImuData) {
         match &mut self.engine {
             Engine::Planes(engine) => engine.add_imu(data),
-            Engine::Grids(engine) => engine.add_imu(data, &mut self.repairs),
+            Engine::Grids(engine) => engine.add_imu(data, &mut self.issues),
         }
         self.begin_if_ready();
     }
@@ -174,7 +176,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
     fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Spatial>> {
         match &mut self.engine {
             Engine::Planes(engine) => engine.add_odometry(data),
-            Engine::Grids(engine) => engine.add_odometry(data, &mut self.repairs),
+            Engine::Grids(engine) => engine.add_odometry(data, &mut self.issues),
         }
         Vec::new()
     }
@@ -183,7 +185,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         let waiting = waiting_sweeps(&self.waiting);
         match &mut self.engine {
             Engine::Planes(engine) => engine.begin(waiting.as_ref()),
-            Engine::Grids(engine) => engine.begin(waiting.as_ref(), &mut self.repairs),
+            Engine::Grids(engine) => engine.begin(waiting.as_ref(), &mut self.issues),
         }
         let mut results = self.register_waiting();
         if let Engine::Planes(engine) = &mut self.engine {
@@ -208,19 +210,19 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         self.insertion.submaps.iter().map(|(index, submap)| (index, drawn(submap))).collect()
     }
 
-    fn repairs(&self) -> Repairs {
-        let mut repairs = self.repairs.clone();
-        self.insertion.submaps.count_into(&mut repairs);
-        count_collated(self.collator.counts(), &mut repairs);
+    fn issues(&self) -> IssueLog {
+        let mut issues = self.issues.clone();
+        self.insertion.submaps.count_into(&mut issues);
+        count_collated(self.collator.counts(), &mut issues);
         let counts = match &self.engine {
             Engine::Planes(engine) => {
-                engine.count_into(&mut repairs);
+                issues.append(engine.issues());
                 engine.extrapolator_counts()
             }
             Engine::Grids(engine) => engine.extrapolator_counts(),
         };
-        count_extrapolated(&counts, &mut repairs);
-        repairs
+        count_extrapolated(&counts, &mut issues);
+        issues
     }
 
     fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {

@@ -2,9 +2,11 @@
 
 use portolan_config::{ImuBasedPoseExtrapolatorOptions, TrajectoryBuilder3dOptions};
 use portolan_geometry::{Rigid3, Time, is_valid_pose};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::settings::{ExtrapolatorSettings, KeyframeSettings, LocalMapSettings};
 use portolan_lidar_odometry::{
-    DegenerateInterval, Fallback, LidarOdometry, OdometrySettings, PlaneMap, RegisteredSweep, WaitingSweeps,
+    DegenerateInterval, Fallback, Issue as OdometryIssue, LidarOdometry, OdometrySettings, PlaneMap,
+    RegisteredSweep, WaitingSweeps,
 };
 use portolan_motion::{ExtrapolatorCounts, ImuBasedSettings};
 use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData, voxel_filter};
@@ -13,7 +15,7 @@ use super::LocalSlam3dSettings;
 use super::deskew::{Gathered, raw_sweep};
 use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, clouds, keyframes_per_half, not_inserted};
-use crate::local_slam::{ActiveSubmaps, Repairs};
+use crate::local_slam::ActiveSubmaps;
 use crate::{MatchingResult, OpenDirections, Spatial};
 
 /// Local SLAM by lidar odometry.
@@ -21,6 +23,7 @@ pub(super) struct PlaneEngine {
     options: TrajectoryBuilder3dOptions,
     odometry: LidarOdometry,
     matcher: GridMatcher,
+    issues: IssueLog,
 }
 
 /// The grids of the older submap, where a sweep fits no plane.
@@ -54,7 +57,7 @@ impl PlaneEngine {
         matcher: GridMatcher,
     ) -> Self {
         let odometry = LidarOdometry::new(odometry_settings(options, settings, voxel_size));
-        Self { options: options.clone(), odometry, matcher }
+        Self { options: options.clone(), odometry, matcher, issues: IssueLog::default() }
     }
 
     pub fn begin_if_ready(&mut self, waiting: Option<&WaitingSweeps>) -> bool {
@@ -71,10 +74,12 @@ impl PlaneEngine {
 
     pub fn add_imu(&mut self, data: &ImuData) {
         self.odometry.add_imu(data);
+        self.note_issues(data.time);
     }
 
     pub fn add_odometry(&mut self, data: &OdometryData) {
         self.odometry.add_odometry(data);
+        self.note_issues(data.time);
     }
 
     /// One whole sweep: finds where it was taken, inserts it. The first one waits for the second.
@@ -86,13 +91,19 @@ impl PlaneEngine {
     ) -> Vec<MatchingResult<Spatial>> {
         // What cannot be registered is counted by the odometry.
         let _ = self.odometry.push(raw_sweep(gathered, end, &self.options));
-        self.register(insertion)
+        let results = self.register(insertion);
+        self.note_issues(end);
+        results
     }
 
     /// Registers a first sweep for which no second came.
     pub fn flush(&mut self, insertion: &mut KeyframeInsertion) -> Vec<MatchingResult<Spatial>> {
         self.odometry.end();
-        self.register(insertion)
+        let results = self.register(insertion);
+        if let Some(time) = self.last_pose_time() {
+            self.note_issues(time);
+        }
+        results
     }
 
     fn register(&mut self, insertion: &mut KeyframeInsertion) -> Vec<MatchingResult<Spatial>> {
@@ -148,10 +159,32 @@ impl PlaneEngine {
         self.odometry.extrapolator_counts()
     }
 
-    pub fn count_into(&self, repairs: &mut Repairs) {
+    /// What the odometry counted so far.
+    pub fn issues(&self) -> &IssueLog {
+        &self.issues
+    }
+
+    /// Takes over what the odometry counted since the last call; `time` is when.
+    fn note_issues(&mut self, time: Time) {
         for (issue, count) in self.odometry.issues().iter() {
-            *repairs.entry(issue.text()).or_default() += count;
+            let kind = kind_of(issue);
+            let new = count.saturating_sub(self.issues.count_of(kind));
+            self.issues.add(Issue::new(kind).at(time).times(new));
         }
+    }
+}
+
+/// The kind of an issue of the odometry.
+pub(super) fn kind_of(issue: OdometryIssue) -> IssueKind {
+    match issue {
+        OdometryIssue::ImuSampleTooOld => IssueKind::ImuSampleTooOld,
+        OdometryIssue::ImuSampleNotFinite => IssueKind::ImuSampleNotFinite,
+        OdometryIssue::ImuAfterStart => IssueKind::ImuAfterStart,
+        OdometryIssue::OdometryTooOld => IssueKind::OdometryTooOld,
+        OdometryIssue::EmptySweep => IssueKind::ScanWithoutReturn,
+        OdometryIssue::SweepTooOld => IssueKind::ScanTooOld,
+        OdometryIssue::GyroscopeOverruled => IssueKind::GyroscopeOverruled,
+        OdometryIssue::NoPlaneFits => IssueKind::ScanFitsNoPlane,
     }
 }
 

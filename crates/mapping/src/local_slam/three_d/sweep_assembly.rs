@@ -2,10 +2,11 @@
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::Time;
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_sensor::SynchronizedRanges;
 
 use super::deskew::Gathered;
-use crate::local_slam::{CUT_SHORT, MOST_GATHERED_POINTS, Repairs, first_point_time};
+use crate::local_slam::{MOST_GATHERED_POINTS, first_point_time};
 
 /// Messages are thinned with voxels of this fraction of those that sweeps are thinned with.
 const VOXEL_FRACTION: f32 = 0.5;
@@ -39,7 +40,7 @@ impl SweepAssembly {
     }
 
     /// Takes a message. Gives the messages of a sweep when it is the last of one.
-    pub fn add(&mut self, ranges: &SynchronizedRanges, repairs: &mut Repairs) -> Option<Vec<Gathered>> {
+    pub fn add(&mut self, ranges: &SynchronizedRanges, issues: &mut IssueLog) -> Option<Vec<Gathered>> {
         self.gathered.push(Gathered::new(ranges, self.voxel_size));
         let begin = *self.since.get_or_insert_with(|| first_point_time(ranges));
         let is_whole = ranges.time.seconds_since(first_point_time(ranges)) >= WHOLE * self.min_duration;
@@ -48,7 +49,7 @@ impl SweepAssembly {
             if self.gathered.iter().map(Gathered::len).sum::<usize>() < MOST_GATHERED_POINTS {
                 return None;
             }
-            *repairs.entry(CUT_SHORT).or_default() += 1;
+            issues.add(Issue::new(IssueKind::ScanCutShort).at(ranges.time));
         }
         self.since = Some(ranges.time);
         Some(std::mem::take(&mut self.gathered))

@@ -1,6 +1,7 @@
 use std::sync::Arc;
 
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis};
+use portolan_issue::IssueKind;
 use portolan_sensor::{SensorKind, TimedPoint};
 
 use super::*;
@@ -113,7 +114,7 @@ fn run_with(
 #[test]
 fn a_corkscrew_in_a_cube_is_followed() {
     let (worst, matched, mut slam) = run(true);
-    assert!(worst < 0.1 && matched == 30, "{worst} {matched} {:?}", slam.repairs());
+    assert!(worst < 0.1 && matched == 30, "{worst} {matched} {:?}", slam.issues());
     let finished = slam.finish();
     let submap = finished[0].finished.as_ref().unwrap();
     assert!(submap.insertion_finished && submap.num_range_data > 20);
@@ -124,7 +125,7 @@ fn a_corkscrew_in_a_cube_is_followed() {
 #[test]
 fn without_an_imu_lidar_tells_the_rotation() {
     let (worst, matched, slam) = run(false);
-    assert!(worst < 0.1 && matched == 30, "{worst} {matched} {:?}", slam.repairs());
+    assert!(worst < 0.1 && matched == 30, "{worst} {matched} {:?}", slam.issues());
 }
 
 #[test]
@@ -134,7 +135,7 @@ fn the_imu_based_extrapolator_follows_the_corkscrew_too() {
     for gravity in [9.81, 0.0] {
         options.pose_extrapolator.imu_based.gravity_constant = gravity;
         let (worst, matched, slam) = run_with(true, &options, None);
-        assert!(worst < 0.1 && matched == 30, "{worst} {matched} {:?}", slam.repairs());
+        assert!(worst < 0.1 && matched == 30, "{worst} {matched} {:?}", slam.issues());
     }
 }
 
@@ -142,7 +143,7 @@ fn the_imu_based_extrapolator_follows_the_corkscrew_too() {
 fn planes_are_followed_with_and_without_an_imu() {
     for with_imu in [true, false] {
         let (worst, matched, slam) = run_with(with_imu, &options(), Some(1.0));
-        assert!(worst < 0.05 && matched == 30, "{with_imu} {worst} {matched} {:?}", slam.repairs());
+        assert!(worst < 0.05 && matched == 30, "{with_imu} {worst} {matched} {:?}", slam.issues());
     }
 }
 
@@ -162,5 +163,5 @@ fn contradicting_options_and_empty_scans_are_refused() {
         intensities: vec![],
     };
     assert!(slam.add_range_data(&sensor, empty).is_empty());
-    assert_eq!(slam.repairs()["scan without points"], 1);
+    assert_eq!(slam.issues().count_of(IssueKind::ScanWithoutPoints), 1);
 }

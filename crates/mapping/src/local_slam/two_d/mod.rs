@@ -12,6 +12,7 @@ use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{
     Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
 };
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_motion::{MotionFilter, PoseExtrapolator};
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
@@ -19,8 +20,8 @@ use portolan_sensor::{
 };
 
 use super::{
-    ActiveSubmaps, CUT_SHORT, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, Repairs, count_collated,
-    count_extrapolated, filtered, first_point_time, motion_filter, take_odometry,
+    ActiveSubmaps, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, count_collated, count_extrapolated,
+    filtered, first_point_time, motion_filter, take_odometry,
 };
 use doubt::Belief;
 use tracking::{Found, Motion, Scan, Tracker};
@@ -34,10 +35,6 @@ const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 
 /// How much newer the newest scan may be than one that still waits for odometry.
 const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
-
-/// What is counted where the motion prior was far off, and where no pose fits.
-const FOUND_FAR: &str = "scan that was found far from its prediction";
-const DOUBTFUL: &str = "scan that contradicts the map, not inserted";
 
 /// Settings of local SLAM in 2D beyond Cartographer's options.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -73,7 +70,7 @@ pub struct LocalSlam2d {
     last_odometry_time: Option<Time>,
     /// Scans that wait for the odometry pose after them.
     waiting_ranges: VecDeque<SynchronizedRanges>,
-    repairs: Repairs,
+    issues: IssueLog,
 }
 
 /// Range data gathered since the last match, in the local map as predicted.
@@ -106,13 +103,13 @@ impl LocalSlam2d {
             waiting_odometry: VecDeque::new(),
             last_odometry_time: None,
             waiting_ranges: VecDeque::new(),
-            repairs: Repairs::new(),
+            issues: IssueLog::default(),
             options: options.clone(),
         })
     }
 
-    fn count(&mut self, what: &'static str) {
-        *self.repairs.entry(what).or_default() += 1;
+    fn count(&mut self, kind: IssueKind, time: Time) {
+        self.issues.add(Issue::new(kind).at(time));
     }
 
     fn start_extrapolator(&mut self, time: Time) -> &mut PoseExtrapolator {
@@ -161,11 +158,11 @@ impl LocalSlam2d {
         }
         let oldest = first_point_time(ranges);
         let Some(extrapolator) = self.extrapolator.as_mut() else {
-            self.count("scan before the first IMU sample");
+            self.count(IssueKind::ScanBeforeImu, ranges.time);
             return None;
         };
         if extrapolator.last_pose_time().is_some_and(|last| oldest < last) {
-            self.count("scan that starts before the last matched scan ends");
+            self.count(IssueKind::ScanOverlapsLast, ranges.time);
             return None;
         }
         let last_pose = unwarp(ranges, extrapolator, &self.options, &mut self.accumulated);
@@ -175,7 +172,7 @@ impl LocalSlam2d {
             if self.accumulated.returns.len() + self.accumulated.misses.len() < MOST_GATHERED_POINTS {
                 return None;
             }
-            *self.repairs.entry(CUT_SHORT).or_default() += 1;
+            self.issues.add(Issue::new(IssueKind::ScanCutShort).at(ranges.time));
         }
         let accumulated = std::mem::take(&mut self.accumulated);
         let gravity = extrapolator.estimate_gravity_orientation(ranges.time);
@@ -191,7 +188,7 @@ impl LocalSlam2d {
         gravity: Quaternion,
     ) -> Option<MatchingResult<Planar>> {
         if scan.returns.is_empty() {
-            self.count("scan without a single return");
+            self.count(IssueKind::ScanWithoutReturn, time);
             return None;
         }
         let extrapolator = self.extrapolator.as_mut()?;
@@ -200,7 +197,7 @@ impl LocalSlam2d {
         let predicted = extrapolator.extrapolate_pose(time);
         let matching_cloud = filtered(&scan.returns, &self.options.adaptive_voxel_filter);
         if matching_cloud.is_empty() {
-            self.count("scan without a return in matching range");
+            self.count(IssueKind::ScanWithoutReturnInRange, time);
             return None;
         }
         let prediction = project_2d(&(predicted * gravity.inverse()));
@@ -209,10 +206,10 @@ impl LocalSlam2d {
             seconds: time.seconds_since(last_time),
             is_measured: motion_was_measured,
         });
-        let found = self.find(prediction, motion, &matching_cloud, &scan.returns);
+        let found = self.find(time, prediction, motion, &matching_cloud, &scan.returns);
         let pose = if found.pose.is_finite() { found.pose } else { prediction };
         if !is_valid_pose(&(embed_3d(&pose) * gravity)) {
-            self.count("scan whose pose could not be determined");
+            self.count(IssueKind::ScanWithoutPose, time);
             return None;
         }
         self.belief = self.belief.after(time, found.agreement, motion_was_measured);
@@ -224,7 +221,7 @@ impl LocalSlam2d {
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
         let inserted = if let Belief::Doubtful { .. } = self.belief {
-            self.count(DOUBTFUL);
+            self.count(IssueKind::ScanContradictsMap, time);
             None
         } else {
             self.last_sure = pose;
@@ -252,6 +249,7 @@ impl LocalSlam2d {
     /// The pose of the scan in the local map.
     fn find(
         &mut self,
+        time: Time,
         prediction: Rigid2,
         motion: Option<Motion>,
         cloud: &PointCloud,
@@ -262,28 +260,30 @@ impl LocalSlam2d {
         if let (true, Some(motion), Some(scan)) = (self.tracker.is_adaptive(), motion, scan) {
             let found = self.tracker.find(prediction, motion, scan);
             if found.is_far {
-                self.count(FOUND_FAR);
+                self.count(IssueKind::ScanFarFromPrediction, time);
             }
             return found;
         }
         let unseen = motion.filter(|motion| !motion.is_measured);
-        let prediction = unseen.and_then(|motion| self.found_after_gap(motion, cloud)).unwrap_or(prediction);
+        let prediction =
+            unseen.and_then(|motion| self.found_after_gap(time, motion, cloud)).unwrap_or(prediction);
         let submap = self.active_submaps.matching_submap();
         let scan = submap.map(|submap| Scan { cloud, returns, submap });
         Found { pose: self.tracker.match_scan(prediction, scan, cloud), is_far: false, agreement: None }
     }
 
     /// Where the scan fits when time has passed with nothing measured: the old velocity tells nothing then.
-    fn found_after_gap(&mut self, motion: Motion, cloud: &PointCloud) -> Option<Rigid2> {
+    fn found_after_gap(&mut self, time: Time, motion: Motion, cloud: &PointCloud) -> Option<Rigid2> {
         if self.extras.wide_search_after_gap <= 0.0 || motion.seconds < self.extras.wide_search_after_gap {
             return None;
         }
         let submap = self.active_submaps.matching_submap()?;
         let found = search_after_gap(motion.last, motion.seconds, cloud, submap);
-        self.count(match found {
-            Some(_) => "scan after a gap without any sensor, found by searching widely",
-            None => "scan after a gap without any sensor, not found; its pose is a guess",
-        });
+        let kind = match found {
+            Some(_) => IssueKind::ScanAfterGapFound,
+            None => IssueKind::ScanAfterGapNotFound,
+        };
+        self.count(kind, time);
         found
     }
 
@@ -382,7 +382,7 @@ impl LocalSlam<Planar> for LocalSlam2d {
     ) -> Vec<MatchingResult<Planar>> {
         let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
         if ranges.points.is_empty() {
-            self.count("scan without points");
+            self.count(IssueKind::ScanWithoutPoints, ranges.time);
             return Vec::new();
         }
         let newest = ranges.time;
@@ -396,13 +396,13 @@ impl LocalSlam<Planar> for LocalSlam2d {
         }
         let extrapolator = self.start_extrapolator(data.time);
         if extrapolator.add_imu(data).is_err() {
-            self.count("IMU sample older than the last matched scan");
+            self.count(IssueKind::ImuSampleTooOld, data.time);
         }
     }
 
     fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Planar>> {
         if !take_odometry(data, self.extrapolator.as_mut(), &mut self.waiting_odometry) {
-            self.count("odometry pose older than the last matched scan");
+            self.count(IssueKind::OdometryTooOld, data.time);
         }
         self.last_odometry_time = self.last_odometry_time.max(Some(data.time));
         self.match_waiting(data.time)
@@ -421,13 +421,13 @@ impl LocalSlam<Planar> for LocalSlam2d {
         self.active_submaps.iter().map(|(index, submap)| (index, submap.clone())).collect()
     }
 
-    fn repairs(&self) -> Repairs {
-        let mut repairs = self.repairs.clone();
-        self.active_submaps.count_into(&mut repairs);
-        count_collated(self.collator.counts(), &mut repairs);
+    fn issues(&self) -> IssueLog {
+        let mut issues = self.issues.clone();
+        self.active_submaps.count_into(&mut issues);
+        count_collated(self.collator.counts(), &mut issues);
         if let Some(extrapolator) = &self.extrapolator {
-            count_extrapolated(&extrapolator.counts(), &mut repairs);
+            count_extrapolated(&extrapolator.counts(), &mut issues);
         }
-        repairs
+        issues
     }
 }

@@ -10,9 +10,10 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection as Sqlite, ErrorCode, OpenFlags, Row, params};
 use tempfile::TempPath;
 
+use crate::RecordingError;
 use crate::codec::Encoding;
 use crate::container::{Connection, Source};
-use crate::{RecordingError, RepairLog};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// An open database.
 pub(super) struct Database {
@@ -40,7 +41,7 @@ impl MessageRow {
 
 impl Database {
     /// Opens the database for reading and sees whether it is one of ROS 2.
-    pub(super) fn open(source: &Source, repairs: &mut RepairLog) -> Result<Self, RecordingError> {
+    pub(super) fn open(source: &Source, issues: &mut IssueLog) -> Result<Self, RecordingError> {
         let unpacked = match source {
             Source::Memory { name, bytes } => Some(Arc::new(unpack(name, bytes)?)),
             _ => None,
@@ -57,13 +58,13 @@ impl Database {
             // A write-ahead log beside it that cannot be used: read the database alone.
             sqlite = connect(path, true, work).map_err(error)?;
             tables = self::tables(&sqlite);
-            repairs.lost("the write-ahead log of the database could not be used; its messages are missing");
+            issues.add(IssueKind::UnusableWriteAheadLog);
         }
         if code(&tables) == Some(ErrorCode::DatabaseCorrupt) {
             // Among others this accepts files that are shorter than their header says.
             sqlite.pragma_update(None, "writable_schema", true).map_err(error)?;
             tables = self::tables(&sqlite);
-            repairs.lost("the database is damaged; what is readable in it was read");
+            issues.add(IssueKind::DamagedDatabase);
         }
         let tables = tables.map_err(error)?;
         if !["topics", "messages"].iter().all(|needed| tables.iter().any(|table| table == needed)) {

@@ -8,8 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use portolan_geometry::Time;
 
 use crate::container::{Connection, Source, topics};
-use crate::{MessageReader, Recording, RecordingError, RepairLog, TopicInfo};
+use crate::{MessageReader, Recording, RecordingError, TopicInfo};
 use database::Database;
+use portolan_issue::IssueLog;
 use reader::Db3Reader;
 
 /// Whether a file with these first bytes is an SQLite database.
@@ -23,8 +24,8 @@ const MAX_COUNTED_BYTES: u64 = 1 << 29;
 /// Opens a database.
 pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError> {
     let size_bytes = source.open()?.length();
-    let mut repairs = RepairLog::default();
-    let database = Database::open(&source, &mut repairs)?;
+    let mut issues = IssueLog::default();
+    let database = Database::open(&source, &mut issues)?;
     let connections = database.topics()?;
     let counts = if size_bytes <= MAX_COUNTED_BYTES { database.counts() } else { None };
     let time_range = database.time_range();
@@ -67,8 +68,8 @@ impl Recording for Db3Recording {
         let wanted = connections
             .map(|(id, c)| (id, chosen.contains(&(c.topic.clone(), c.type_name.clone())).then_some(c)))
             .collect();
-        let mut repairs = RepairLog::default();
-        let database = Database::open(&self.source, &mut repairs)?;
-        Ok(Box::new(Db3Reader::new(database, wanted, self.time_range, self.size_bytes, repairs)))
+        let mut issues = IssueLog::default();
+        let database = Database::open(&self.source, &mut issues)?;
+        Ok(Box::new(Db3Reader::new(database, wanted, self.time_range, self.size_bytes, issues)))
     }
 }

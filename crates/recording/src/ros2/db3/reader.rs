@@ -6,7 +6,8 @@ use portolan_geometry::Time;
 
 use super::database::{Database, MessageRow, is_endless};
 use crate::container::{Connection, MessageDecoder};
-use crate::{MessageReader, RecordedMessage, RecordingError, Repair, RepairLog};
+use crate::{MessageReader, RecordedMessage, RecordingError};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 
 /// So many places of messages are fetched at once; their data one by one.
 const BATCH: i64 = 512;
@@ -43,7 +44,7 @@ pub(super) struct Db3Reader {
     time_range: Option<(i64, i64)>,
     size_bytes: u64,
     last_time: i64,
-    repairs: RepairLog,
+    issues: IssueLog,
 }
 
 impl Db3Reader {
@@ -52,7 +53,7 @@ impl Db3Reader {
         topics: BTreeMap<i64, Option<Connection>>,
         time_range: Option<(i64, i64)>,
         size_bytes: u64,
-        repairs: RepairLog,
+        issues: IssueLog,
     ) -> Self {
         let start = (i64::MIN, i64::MIN);
         let order = if database.has_time_index() {
@@ -71,7 +72,7 @@ impl Db3Reader {
             time_range,
             size_bytes,
             last_time: i64::MIN,
-            repairs,
+            issues,
         }
     }
 
@@ -99,7 +100,7 @@ impl Db3Reader {
             Order::Rows { .. } => return self.fill_by_rows(),
             Order::Done => return,
         };
-        self.repairs.lost("the database is damaged; what is readable in it was read row by row");
+        self.issues.add(IssueKind::DatabaseReadByRow);
         self.order = Order::Rows { after: i64::MIN, delivered };
         self.fill_by_rows();
     }
@@ -121,14 +122,12 @@ impl Db3Reader {
                 // Nothing comes behind the last number that there is.
                 Ok(None) => {}
                 Err(error) if is_endless(&error) => {
-                    self.repairs.lost(
-                        "the pages of the database refer to each other without end; reading was given up",
-                    );
+                    self.issues.add(IssueKind::EndlessDatabase);
                 }
                 // An earlier row than asked for is as good as none: pages are mixed up.
                 Ok(Some(_)) | Err(_) if step_over(unreadable) <= MAX_STEP => {
                     if unreadable == 0 {
-                        self.repairs.lost("a part of the database could not be read and was stepped over");
+                        self.issues.add(IssueKind::DatabaseGap);
                     }
                     *after = (*after).max(0).saturating_add(step_over(unreadable));
                     unreadable += 1;
@@ -143,15 +142,15 @@ impl Db3Reader {
 
     fn decode(&mut self, row: MessageRow) -> Option<RecordedMessage> {
         let Some(connection) = self.topics.get(&row.topic) else {
-            self.repairs.lost("messages of a topic that is nowhere described were dropped");
+            self.issues.add(IssueKind::UndescribedTopic);
             return None;
         };
         let connection = connection.as_ref()?;
-        let (decoder, repairs) = (&mut self.decoder, &mut self.repairs);
-        let decoded = self.database.with_data(row.row, |data| decoder.decode(connection, data, repairs));
+        let (decoder, issues) = (&mut self.decoder, &mut self.issues);
+        let decoded = self.database.with_data(row.row, |data| decoder.decode(connection, data, issues));
         let Ok(message) = decoded else {
-            self.repairs
-                .lost(format!("a message on {} could not be read from the database", connection.topic));
+            self.issues
+                .add(Issue::new(IssueKind::UnreadableDatabaseMessage).with("topic", &connection.topic));
             return None;
         };
         let log_time = Time::from_unix_nanoseconds(row.timestamp);
@@ -182,7 +181,7 @@ impl MessageReader for Db3Reader {
             };
             let message = self.decode(row);
             if row.timestamp < self.last_time {
-                self.repairs.repaired("a message of a damaged database came out of order");
+                self.issues.add(IssueKind::DatabaseOutOfOrder);
             }
             self.last_time = self.last_time.max(row.timestamp);
             if message.is_some() {
@@ -199,7 +198,7 @@ impl MessageReader for Db3Reader {
         (share * self.size_bytes as f64) as u64
     }
 
-    fn repairs(&self) -> Vec<Repair> {
-        self.repairs.list()
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.list()
     }
 }

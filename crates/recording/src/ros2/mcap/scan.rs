@@ -11,11 +11,12 @@ use super::record::{
     McapFormat, PeekedRecord, RECORD_HEAD_BYTES, SCHEMA, Text, peek,
 };
 use super::summary::{ChunkPlace, Summary, SummaryState};
+use crate::RecordingError;
 use crate::container::{
     ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
     SegmentLoader, walk,
 };
-use crate::{RecordingError, RepairLog};
+use portolan_issue::{IssueKind, IssueLog};
 
 /// Enough of a record to see what it is.
 const PEEK_BYTES: usize = 256;
@@ -46,12 +47,10 @@ pub(crate) fn scan(
     match scan.summary.state {
         SummaryState::Whole | SummaryState::Absent => {}
         SummaryState::CutOff => {
-            let what =
-                "the recording was not ended properly and has no summary; the file was scanned instead";
-            scan.index.repairs.repaired(what);
+            scan.index.issues.add(IssueKind::MissingSummary);
         }
         SummaryState::Damaged => {
-            scan.index.repairs.repaired("the summary is damaged; the file was scanned instead");
+            scan.index.issues.add(IssueKind::DamagedSummary);
         }
     }
     scan.run(start)?;
@@ -94,12 +93,12 @@ impl Scan<'_> {
                 Some(record) if record.op == CHUNK || record.record_bytes <= left => record,
                 _ => match self.find_record(at + 1)? {
                     Some(next) => {
-                        self.index.repairs.lost("unreadable bytes between records were skipped");
+                        self.index.issues.add(IssueKind::UnreadableBytes);
                         at = next;
                         continue;
                     }
                     None => {
-                        self.index.repairs.lost("the file ends in the middle of a record");
+                        self.index.issues.add(IssueKind::CutRecord);
                         break;
                     }
                 },
@@ -115,7 +114,7 @@ impl Scan<'_> {
         self.finish_pending()?;
         self.loose.flush(&mut self.index);
         if self.visited_chunks < self.summary.chunks.len() {
-            self.index.repairs.lost("chunks that the summary mentions are not there");
+            self.index.issues.add(IssueKind::MissingSummarizedChunks);
         }
         Ok(())
     }
@@ -139,7 +138,7 @@ impl Scan<'_> {
                     channels.add_channel(&content)
                 };
                 if !sound {
-                    self.index.repairs.lost("the description of a topic is malformed");
+                    self.index.issues.add(IssueKind::MalformedTopic);
                 }
             }
             MESSAGE => {
@@ -149,7 +148,7 @@ impl Scan<'_> {
                         let place = (at, record.record_bytes);
                         self.loose.add(&mut self.index, place, (u32::from(channel), time));
                     }
-                    _ => self.index.repairs.lost("damaged records were skipped"),
+                    _ => self.index.issues.add(IssueKind::DamagedRecords),
                 }
             }
             _ => {} // attachments, metadata
@@ -160,7 +159,7 @@ impl Scan<'_> {
     fn chunk(&mut self, at: u64, record: &PeekedRecord) -> Result<u64, RecordingError> {
         let content = at + RECORD_HEAD_BYTES as u64;
         let Some(head) = ChunkHead::parse(&record.content) else {
-            self.index.repairs.lost("unreadable bytes between records were skipped");
+            self.index.issues.add(IssueKind::UnreadableBytes);
             return Ok(self.find_record(at + 1)?.unwrap_or(self.end));
         };
         let data = content + head.records_start;
@@ -172,13 +171,13 @@ impl Scan<'_> {
         let mut data_end = data.saturating_add(head.records_bytes);
         let lies = data_end != record_end || data_end > next_chunk;
         let Some(compression) = head.compression else {
-            self.index.repairs.lost("a chunk with an unknown compression was skipped");
+            self.index.issues.add(IssueKind::UnknownChunkCompression);
             return Ok(record_end.min(next_chunk));
         };
         if compression == Compression::None && (lies || head.records_bytes > MAX_SEGMENT_BYTES) {
             // Its records are as good outside of it.
             if lies {
-                self.index.repairs.repaired("a chunk of a wrong length was read record by record");
+                self.index.issues.add(IssueKind::WrongChunkLength);
             }
             return Ok(data);
         }
@@ -261,7 +260,7 @@ impl Scan<'_> {
     fn look_inside(&mut self, pending: &mut PendingChunk) -> Result<(), RecordingError> {
         let mut data = Vec::new();
         let segment = &mut pending.segment;
-        let mut damage = RepairLog::default();
+        let mut damage = IssueLog::default();
         SegmentLoader::default().load(segment, self.file, &mut data, &mut damage)?;
         pending.counts.clear();
         (segment.first, segment.last) = (u64::MAX, 0);
@@ -280,7 +279,7 @@ impl Scan<'_> {
         });
         // Otherwise the pass that reads the chunk counts what is wrong with it.
         if pending.counts.is_empty() && (gaps > 0 || !damage.list().is_empty()) {
-            self.index.repairs.lost("a chunk from which nothing could be read was skipped");
+            self.index.issues.add(IssueKind::UnreadableChunk);
         }
         Ok(())
     }

@@ -127,7 +127,7 @@ fn of_recording(
             truth_from_cloud: truth.as_ref().map(|truth| truth_from(truth, trajectory)).transpose()?,
         });
     }
-    Ok(Clouds { clouds, lost_data: read.repairs.iter().any(|r| r.lost_data) })
+    Ok(Clouds { clouds, lost_data: read.lost_data() })
 }
 
 fn trajectory_of(path: &Path, global: &GlobalArgs) -> Result<Trajectory, CliError> {

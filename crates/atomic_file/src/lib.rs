@@ -1,4 +1,4 @@
-//! Output files appear under their name only when they are complete.
+#![doc = include_str!("../README.md")]
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -27,7 +27,8 @@ pub struct AtomicFile {
 }
 
 enum Target {
-    Temporary(BufWriter<NamedTempFile>),
+    /// To be renamed to the path.
+    Temporary(BufWriter<NamedTempFile>, PathBuf),
     Direct(BufWriter<File>),
 }
 
@@ -46,28 +47,35 @@ impl AtomicFile {
         &self.path
     }
 
-    /// Replaces bytes at the start: headers whose numbers are known at last. Errors: a pipe, which cannot go
-    /// back.
-    pub fn overwrite_start(&mut self, bytes: &[u8]) -> io::Result<()> {
-        fn overwrite(file: &mut (impl Write + Seek), bytes: &[u8]) -> io::Result<()> {
-            file.seek(SeekFrom::Start(0))?;
+    /// Replaces bytes that were written before: headers whose numbers are known at last. Errors: a pipe, which
+    /// cannot go back.
+    pub fn overwrite(&mut self, offset: u64, bytes: &[u8]) -> io::Result<()> {
+        fn overwrite(file: &mut (impl Write + Seek), offset: u64, bytes: &[u8]) -> io::Result<()> {
+            file.seek(SeekFrom::Start(offset))?;
             file.write_all(bytes)?;
             file.seek(SeekFrom::End(0)).map(drop)
         }
         match &mut self.target {
-            Target::Temporary(writer) => overwrite(writer, bytes),
-            Target::Direct(writer) => overwrite(writer, bytes),
+            Target::Temporary(writer, _) => overwrite(writer, offset, bytes),
+            Target::Direct(writer) => overwrite(writer, offset, bytes),
+        }
+    }
+
+    /// A handle for a library that writes the file itself, reads it while writing, and uses no buffer.
+    pub fn handle(&self) -> io::Result<File> {
+        match &self.target {
+            Target::Temporary(writer, _) => writer.get_ref().as_file().try_clone(),
+            Target::Direct(writer) => writer.get_ref().try_clone(),
         }
     }
 
     /// Writes out what is buffered, waits until it is on the disk and gives the file its name.
     pub fn commit(self) -> Result<(), WriteError> {
-        let path = self.path;
         let written = match self.target {
-            Target::Temporary(writer) => commit_temporary(writer, &path),
+            Target::Temporary(writer, destination) => commit_temporary(writer, &destination),
             Target::Direct(mut writer) => writer.flush(),
         };
-        written.map_err(|source| WriteError { path, source })
+        written.map_err(|source| WriteError { path: self.path, source })
     }
 
     /// The error of a write, with the name of the file.
@@ -91,15 +99,14 @@ fn open_target(path: &Path) -> io::Result<Target> {
             return Err(io::Error::new(io::ErrorKind::IsADirectory, "there is a folder of this name"));
         }
         if !metadata.is_file() {
-            let file = OpenOptions::new().write(true).open(path)?;
+            // Some formats are read while they are written.
+            let both = OpenOptions::new().read(true).write(true).open(path);
+            let file = both.or_else(|_| OpenOptions::new().write(true).open(path))?;
             return Ok(Target::Direct(BufWriter::with_capacity(BUFFER, file)));
         }
     }
-    let path = &destination(path);
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let destination = destination(path)?;
+    let folder = folder_of(&destination);
     if !folder.is_dir() {
         let text = format!("the folder \"{}\" does not exist", folder.display());
         return Err(io::Error::new(io::ErrorKind::NotFound, text));
@@ -112,32 +119,53 @@ fn open_target(path: &Path) -> io::Result<Target> {
         // As for any new file; the system takes away what the user's mask forbids.
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
-    Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, builder.tempfile_in(folder)?)))
+    let file = BufWriter::with_capacity(BUFFER, builder.tempfile_in(folder)?);
+    Ok(Target::Temporary(file, destination))
 }
 
 /// Where a link leads, so that the link stays one.
-fn destination(path: &Path) -> PathBuf {
-    fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
+fn destination(path: &Path) -> io::Result<PathBuf> {
+    if !fs::symlink_metadata(path).is_ok_and(|metadata| metadata.is_symlink()) {
+        return Ok(path.to_owned());
+    }
+    fs::canonicalize(path).map_err(|error| {
+        let text = "it is a link that leads nowhere; remove it, or make what it points to";
+        io::Error::new(error.kind(), text)
+    })
 }
 
-fn commit_temporary(writer: BufWriter<NamedTempFile>, path: &Path) -> io::Result<()> {
+/// The folder that a file is in.
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+fn commit_temporary(writer: BufWriter<NamedTempFile>, destination: &Path) -> io::Result<()> {
     let file = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
     file.as_file().sync_all()?;
-    file.persist(destination(path)).map_err(|e| e.error)?;
-    Ok(())
+    file.persist(destination).map_err(|e| e.error)?;
+    sync_folder(folder_of(destination))
+}
+
+/// Waits until the new name is on the disk, too. Not every system lets folders be opened or synchronised.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    let Ok(folder) = File::open(folder) else { return Ok(()) };
+    folder.sync_all().or_else(|error| match error.kind() {
+        io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported | io::ErrorKind::PermissionDenied => Ok(()),
+        _ => Err(error),
+    })
 }
 
 impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match &mut self.target {
-            Target::Temporary(writer) => writer.write(bytes),
+            Target::Temporary(writer, _) => writer.write(bytes),
             Target::Direct(writer) => writer.write(bytes),
         }
     }
 
     fn flush(&mut self) -> io::Result<()> {
         match &mut self.target {
-            Target::Temporary(writer) => writer.flush(),
+            Target::Temporary(writer, _) => writer.flush(),
             Target::Direct(writer) => writer.flush(),
         }
     }
@@ -167,7 +195,7 @@ mod tests {
         let path = folder.path().join("cloud");
         let mut file = AtomicFile::create(&path).unwrap();
         file.write_all(b"0 points: a").unwrap();
-        file.overwrite_start(b"2").unwrap();
+        file.overwrite(0, b"2").unwrap();
         file.write_all(b" b").unwrap();
         file.commit().unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"2 points: a b");
@@ -194,6 +222,43 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"new");
         write_atomically("/dev/null", b"gone").unwrap();
         assert!(!fs::metadata("/dev/null").unwrap().is_file());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_laid_in_the_way_are_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (victim, path) = (folder.path().join("victim"), folder.path().join("map"));
+        fs::write(&victim, "precious").unwrap();
+        for name in ["map.part", "map.tmp", ".map.tmp", ".portolan-.tmp"] {
+            std::os::unix::fs::symlink(&victim, folder.path().join(name)).unwrap();
+        }
+        write_atomically(&path, b"new").unwrap();
+        assert_eq!(fs::read(&victim).unwrap(), b"precious");
+        let nowhere = folder.path().join("nowhere");
+        std::os::unix::fs::symlink(folder.path().join("missing"), &nowhere).unwrap();
+        let error = write_atomically(&nowhere, b"new").unwrap_err();
+        assert!(error.to_string().contains("leads nowhere"), "{error}");
+        assert!(!folder.path().join("missing").exists());
+    }
+
+    #[test]
+    fn of_writers_at_one_time_one_leaves_a_whole_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map");
+        let mut files: Vec<AtomicFile> = (0..4).map(|_| AtomicFile::create(&path).unwrap()).collect();
+        for _ in 0..1000 {
+            for (letter, file) in (b'a'..).zip(&mut files) {
+                file.write_all(&[letter; 100]).unwrap();
+            }
+        }
+        std::thread::scope(|scope| {
+            files.into_iter().for_each(|file| drop(scope.spawn(|| file.commit().unwrap())));
+        });
+        let written = fs::read(&path).unwrap();
+        assert_eq!(written.len(), 100_000);
+        assert!(written.iter().all(|byte| *byte == written[0]));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
     }
 
     #[cfg(target_os = "linux")]

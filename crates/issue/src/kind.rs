@@ -1,0 +1,291 @@
+//! Every kind of issue: its severity and its text. `{name}` in a text is replaced by the issue's datum of that name.
+
+use crate::Severity;
+
+macro_rules! kinds {
+    ($($(#[$attribute:meta])* $kind:ident $severity:ident $text:literal)*) => {
+        /// What was wrong with the data, and what was done about it.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum IssueKind {
+            $($(#[$attribute])* #[doc = $text] $kind,)*
+        }
+
+        impl IssueKind {
+            /// All kinds.
+            pub const ALL: &[Self] = &[$(Self::$kind,)*];
+
+            /// How bad it usually is.
+            pub const fn severity(self) -> Severity {
+                match self {
+                    $(Self::$kind => Severity::$severity,)*
+                }
+            }
+
+            /// Its text, with places for data.
+            pub const fn text(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $text,)*
+                }
+            }
+
+            /// Its name in the code.
+            const fn identifier(self) -> &'static str {
+                match self {
+                    $(Self::$kind => stringify!($kind),)*
+                }
+            }
+        }
+    };
+}
+
+kinds! {
+    // Files and containers of recordings.
+    FileLeftOut Error "a file of the recording was left out: {error}"
+    ListedFileMissing Error "a file that metadata.yaml lists is not there"
+    NoFilesListed Info "metadata.yaml lists no files; the files of the folder were taken in order of name"
+    FileChanged Error "the file changed while it was read"
+    HighCompression Error "the file claims to be compressed to less than a 256th; only its start was read"
+    DamagedCompression Error "the compressed file is damaged or cut off; what could be decompressed was read"
+    DamagedCompressedText Error "the compressed file is damaged or cut off ({error}); what follows is lost"
+    MissingIndex Info "the recording was not ended properly and has no index; the file was scanned instead"
+    DamagedIndex Info "the index is damaged; the file was scanned instead"
+    MissingSummary Info "the recording was not ended properly and has no summary; the file was scanned instead"
+    DamagedSummary Info "the summary is damaged; the file was scanned instead"
+    DamagedChunkIndex Info "the index of a chunk is damaged; the index of the file was used instead"
+    WrongIndexLength Info "an index record with a wrong length was read by its number of entries"
+    MissingIndexedChunks Error "chunks that the index mentions are not there"
+    MissingSummarizedChunks Error "chunks that the summary mentions are not there"
+    UnreadableBytes Error "unreadable bytes between records were skipped"
+    CutRecord Error "the file ends in the middle of a record"
+    DamagedRecords Error "damaged records were skipped"
+    TooLongRecord Error "a record that claims to be longer than the file was skipped"
+    MalformedTopic Error "the description of a topic is malformed"
+    UnknownChunkCompression Error "a chunk with an unknown compression was skipped"
+    WrongChunkLength Info "a chunk of a wrong length was read record by record"
+    UnreadableChunk Error "a chunk from which nothing could be read was skipped"
+    HugeChunk Error "a chunk of more than 1 GiB was skipped"
+    HighChunkCompression Error "a chunk that claims to be compressed to less than a 256th was read in part"
+    DamagedChunkCompression Error "the compressed data of a chunk are damaged; what could be decompressed was kept"
+    ShortChunk Error "a chunk is shorter than it should be; its whole records were kept"
+    WrongChunkChecksum Error "the checksum of a chunk is wrong; its readable messages were kept"
+    LaterThanIndexed Info "a message came later than the index of the recording promised: it is out of order"
+    DamagedMessageCompression Error "a message on {topic} was dropped: its zstd compression is damaged"
+    DamagedMessage Error "a message on {topic} ({type}) was dropped: {error}"
+    UnusableWriteAheadLog Error "the write-ahead log of the database could not be used; its messages are missing"
+    DamagedDatabase Error "the database is damaged; what is readable in it was read"
+    DatabaseReadByRow Error "the database is damaged; what is readable in it was read row by row"
+    EndlessDatabase Error "the pages of the database refer to each other without end; reading was given up"
+    DatabaseGap Error "a part of the database could not be read and was stepped over"
+    UndescribedTopic Error "messages of a topic that is nowhere described were dropped"
+    UnreadableDatabaseMessage Error "a message on {topic} could not be read from the database"
+    DatabaseOutOfOrder Info "a message of a damaged database came out of order"
+    FurtherKinds Warning "further kinds of damage"
+    /// A format of a library's user.
+    Other Info "{what}"
+
+    // Text logs and folders.
+    UnreadableLine Error "lines that could not be understood were left out"
+    UnreadableLineTime Error "lines with an unreadable time were left out"
+    OverlongLine Error "lines longer than 1 MiB were left out"
+    LineNotLater Error "lines not later than the one before were left out"
+    LinesReordered Info "lines out of order were put in order of time"
+    LinesOutOfOrder Info "lines more than 10 s out of order stand where they were found"
+    RepeatedMessage Info "second messages of a topic with the same time were left out"
+    ScanInOtherFormat Info "scans that the log also has in a better format were left out"
+    UnusedLines Info "lines of kind {kind} hold nothing that mapping uses"
+    CutSweep Error "sweeps whose last point is cut off were read without it"
+    HugeSweep Error "points of sweeps beyond two million were left out"
+    SweepWithoutPoints Error "sweeps without a point were left out"
+    UnreadableOxts Error "readings of oxts that could not be understood were left out"
+    UnreadableFiles Error "files in {folder} that cannot be read or are too long were left out"
+    WithoutTime Error "{what} without a time were left out"
+    UnreadableCalibration Info "calib_imu_to_velo.txt could not be understood; the usual place of the lidar was used"
+
+    // Packets of lidars, and captures of them.
+    DamagedCapture Error "the capture is damaged; what follows was left out"
+    CutCapture Error "the capture ends in the middle of a packet"
+    UnknownInterface Error "packets of an interface that the capture does not describe were left out"
+    WrongPacketLength Error "packets of a wrong length were left out"
+    RareSender Error "packets of senders that sent hardly any, their address damaged or begun late, were left out"
+    UnknownPacketSensor Error "packets of {bytes} bytes are of no known sensor and were left out"
+    /// Network cards and recorders hand some packets on twice.
+    RepeatedPacket Info "exact repetitions of the packet before were left out"
+    /// Something else sends to the port of a Velodyne.
+    NotVelodyne Error "packets that are no data packets of a Velodyne were left out"
+    /// The product byte of a packet is none that is known.
+    UnknownVelodyne Warning "packets of an unknown Velodyne product were read as those of a VLP-16"
+    /// Each HDL-64E has beams of its own, of which its packets say nothing.
+    NoVelodyneCalibration Warning "an HDL-64E without its calibration was read with nominal angles; put the calibration of velodyne_pointcloud (.yaml) beside the capture under the same name"
+    /// A block of a Velodyne's packet begins with neither of its marks, or points nowhere.
+    DamagedVelodyneBlock Error "blocks of packets with a wrong mark or azimuth were left out"
+    /// A packet of an Ouster's lidar is not as long as its layout says.
+    WrongOusterLength Error "Ouster packets of an unexpected length were left out"
+    /// The sensor measured nothing there, or says that it was disturbed.
+    InvalidOusterColumn Info "columns of Ouster packets that the sensor marked as invalid were left out"
+    /// A packet of an Ouster's IMU is not as long as it should be.
+    WrongOusterImuLength Error "Ouster IMU packets of an unexpected length were left out"
+    /// The metadata are of another sensor or another setting.
+    WrongOusterMetadata Warning "the metadata of an Ouster do not fit its packets and were not used"
+    /// Angles of beams are calibrated, and stand in the metadata alone.
+    NoOusterMetadata Warning "an Ouster without its metadata was read with nominal angles of beams; put its metadata (.json) beside the capture under the same name"
+    /// The sensor counts from when it was switched on, or its clock is wrong.
+    SensorClockNotSet Info "the clock of a sensor was not set; its times were shifted to those of the recording"
+    /// The clock of a sensor was set while it measured.
+    SensorClockJumped Info "the clock of a sensor jumped by more than a second against the times of arrival; its times go on as before"
+    /// A piece of a datagram that would be too long, put together.
+    LongDatagram Error "pieces of datagrams beyond their greatest length were left out"
+    /// Pieces were lost on the way, or the capture begins or ends between them.
+    IncompleteDatagram Error "datagrams of which pieces are missing were left out"
+
+    // Transforms and clocks.
+    MapTransform Info "transforms from \"{parent}\" to \"{child}\" were not used: that is the output of a mapping program"
+    NamelessTransform Error "transforms without the name of a frame were left out"
+    InvalidTransform Error "transforms from \"{parent}\" to \"{child}\" with an invalid pose were left out"
+    TransformLoop Error "the transforms {frames} form a loop; the last one is not used"
+    TooManyFrames Error "there are more than {most} frames; transforms of \"{frame}\" and later ones are not used"
+    SecondParent Info "\"{child}\" hangs below \"{parent}\" and also below \"{second}\"; the second is not used"
+    RecordingClockJump Warning "the clock of the recording jumps {by} at message {message} of the sensors: {time} comes after {before}"
+    UnknownPoseAtTime Error "messages were left out: \"{child}\" in \"{parent}\" is not known at their time"
+    UnknownFrame Error "messages were left out: {error}"
+    MessageWithoutStamp Info "messages without a stamp got the time of recording"
+    ClockJump Info "the clock jumped; stamps after that were shifted to go on as before"
+    StampFarFromRecording Error "messages whose stamp jumps away from the time of recording by more than 10 s were left out"
+    StampsEvened Info "stamps come in bursts or go back; times follow from the order of arrival and the usual rate (--stamps as-is keeps stamps)"
+    RepeatedStamp Error "measurements with the time of the one before were left out"
+    StampBackward Error "measurements with an earlier time than the one before were left out"
+
+    // Messages of sensors.
+    OtherMessageType Error "messages of another type than before were left out"
+    ScanNotSubdivided Info "scans whose points all have the same time were not subdivided"
+    NoDistance Info "messages without a single distance gave nothing"
+    CloudWithoutCoordinates Error "clouds without fields x, y and z were left out"
+    CloudFieldOutside Error "clouds with fields beyond the end of a point were left out"
+    PointNotFinite Info "points that are not a number or beyond 1,000 km were left out"
+    PointTimeFar Info "points whose time lies far outside their cloud were left out"
+    PointAtOrigin Info "points at (0, 0, 0) were left out as no return"
+    PointsMissing Error "points that clouds promise and do not have are missing"
+    ReadingNotFinite Info "readings that are not a number were taken as nothing seen"
+    ReadingNegative Info "readings below zero were left out"
+    ReadingHuge Info "readings beyond 1,000 km were left out"
+    ScanLimitsWrong Info "scans whose range_min and range_max make no sense were read without those limits"
+    AngleIncrementWrong Info "scans whose angle_increment does not fit their angles were read as far as it makes sense"
+    TimeIncrementWrong Info "scans whose time_increment makes no sense were taken as measured at once"
+    SampleNotFinite Error "samples that are not a number were left out"
+    SampleImpossible Error "samples beyond what an IMU can measure (80 rad/s, 400 m/s²) were left out"
+    SamplePartial Error "samples that say they lack acceleration or angular velocity were left out"
+    InvalidPose Error "invalid poses were left out"
+    QuaternionNormalised Info "quaternions of a wrong length were normalised"
+    InvalidFix Error "fixes that are no place on Earth were left out"
+    LandmarkWithoutTransform Info "landmarks without a transform are taken as seen from the tracking frame"
+    InvalidLandmark Error "landmarks with an invalid pose or weight were left out"
+    SensorSilent Warning "falls silent {seconds} s before the end; the rest is mapped without it"
+
+    // Mapping. What an ordinary recording has at its start and between overlapping sweeps is no loss.
+    BeforeAllSensors Info "measurement before all sensors had started"
+    OutOfOrderInSensor Error "measurement out of order in its sensor"
+    MeasurementLate Error "measurement that came too late"
+    SensorStalled Warning "time that a sensor kept silent too long"
+    UnknownSensor Error "measurement of an unknown sensor"
+    PointOlderThanScan Warning "point older than the end of the scan before, left out"
+    PointWithoutTime Error "point whose time is not a number, left out"
+    PointsReordered Info "message whose points had to be put in order of time"
+    UnexpectedRangeSensor Error "message of a range sensor that is not expected, left out"
+    ScanCutShort Warning "scan matched before all its messages were there: more than 5 million points (lower num_accumulated_range_data)"
+    ScanBeforeImu Info "scan before the first IMU sample"
+    ScanOverlapsLast Warning "scan that starts before the last matched scan ends"
+    ScanTooOld Warning "scan that ends before the last matched scan"
+    ScanWithoutPoints Info "scan without points"
+    ScanWithoutReturn Info "scan without a single return"
+    ScanWithoutReturnInRange Warning "scan without a return in matching range"
+    ScanWithoutIntensities Warning "scan without intensities, matched by its shape alone"
+    ScanPointsTooOld Warning "scan with points older than ones already used; their poses are the last known one"
+    ScanWithoutPose Error "scan whose pose could not be determined"
+    ScanContradictsMap Warning "scan that contradicts the map, not inserted"
+    ScanFarFromPrediction Info "scan that was found far from its prediction"
+    ScanAfterGapFound Info "scan after a gap without any sensor, found by searching widely"
+    ScanAfterGapNotFound Warning "scan after a gap without any sensor, not found; its pose is a guess"
+    ScanFitsNoPlane Warning "scan that fits no surface; its pose is what wheels, IMU, the velocity before or grids tell"
+    GyroscopeOverruled Warning "sweep whose turn the gyroscope did not tell; scans told it"
+    ImuSampleTooOld Warning "IMU sample older than the last matched scan"
+    ImuSampleNotFinite Error "IMU sample that is not finite"
+    ImuAfterStart Warning "IMU sample that came after the start without an IMU; it tells rotation only"
+    OdometryTooOld Warning "odometry pose older than the last matched scan"
+    OdometryJumped Info "odometry that went on elsewhere"
+    GridTooLarge Error "scan left out of a submap, whose grid would have become too large (coarser cells help)"
+    NoSubmapPossible Error "scan for which no submap could be made with these options"
+    ScansNotKept Info "scans could not be kept on disk for pictures; the recording is read again for them"
+
+    // Maps in files.
+    UpdateMarker Info "update marker removed from a cell"
+    KnownBoxRecomputed Info "box of known cells of a grid computed anew"
+    CostBoundsReplaced Info "bounds of a distance field set to its truncation distance"
+    WallDirectionsMissing Info "3D submap without directions of walls, searched at every yaw; `migrate` adds them"
+    CellOutside Error "cell outside of what a grid in space can hold, left out"
+    CellInvalid Error "cell in space with an impossible value, left out"
+    CellRepeated Error "cell in space that is there twice"
+    SecondPoseGraph Error "second pose graph"
+    SecondOptions Error "second list of options"
+    UnknownMapMessage Error "message of an unknown kind"
+    SecondMapPose Error "second pose of a submap or node"
+    InvalidStart Error "start that is not valid or relative to a trajectory that the map does not have"
+    UnknownSensorKind Error "sensor of an unknown kind left out"
+    SubmapUnplaced Error "submap that is there twice or has no pose in the pose graph"
+    NodeUnplaced Error "node that is there twice or has no pose in the pose graph"
+    InvalidImuCalibration Error "gravity or IMU calibration that is not valid or of no trajectory"
+    InvalidFixedFrameOrigin Error "fixed-frame origin that is not valid or of no trajectory"
+    ConstraintWeight Error "constraint with impossible weights"
+    ConstraintUnconnected Error "constraint to a node or submap that the map does not have"
+    ConstraintKindUnknown Info "constraint of an unknown kind taken for a loop closure"
+    LandmarkWithoutPose Error "landmark without a valid pose"
+    SubmapMissing Error "pose of a submap that the map does not have"
+    NodeMissing Error "pose of a node that the map does not have"
+    MeasurementOfNoTrajectory Error "measurement of a trajectory that the map does not have"
+    OdometryWithoutPose Error "odometry without a valid pose"
+    FixedFramePoseInvalid Error "fixed-frame pose that is not valid"
+    LandmarkSightingInvalid Error "landmark sighting without a valid pose or with impossible weights"
+    MeasurementWithoutContent Error "measurement without content"
+    MeasurementRepeated Error "measurement with a stamp that is there already"
+
+    // Clouds in files.
+    CloudPointNotFinite Info "points whose coordinates are not numbers were left out"
+    CloudPointsMissing Error "points that the header promises and the file does not have"
+    CloudDamage Error "points behind damage were left out"
+    CloudLineUnreadable Error "lines that are no points were left out"
+    CloudLineShort Error "lines with fewer than three numbers were left out"
+    CloudLineNotNumbers Error "lines that are not numbers were left out"
+}
+
+impl IssueKind {
+    /// Its name in reports: words in small letters, joined by `_`.
+    pub fn name(self) -> String {
+        let mut name = String::new();
+        for letter in self.identifier().chars() {
+            if letter.is_ascii_uppercase() && !name.is_empty() {
+                name.push('_');
+            }
+            name.push(letter.to_ascii_lowercase());
+        }
+        name
+    }
+}
+
+impl serde::Serialize for IssueKind {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn names_and_texts_are_there_once() {
+        let texts: BTreeSet<&str> = IssueKind::ALL.iter().map(|kind| kind.text()).collect();
+        assert_eq!(texts.len(), IssueKind::ALL.len());
+        assert_eq!(IssueKind::ScanBeforeImu.name(), "scan_before_imu");
+        assert!(IssueKind::ALL.is_sorted());
+    }
+}

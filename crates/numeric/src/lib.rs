@@ -1,0 +1,9 @@
+#![doc = include_str!("../README.md")]
+
+mod print;
+mod random;
+mod statistics;
+
+pub use print::format_general;
+pub use random::{Lcg64, SplitMix64, scramble, splitmix64};
+pub use statistics::{mean, median, percentile, quantile, rms};

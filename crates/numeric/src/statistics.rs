@@ -1,0 +1,52 @@
+//! Statistics of values. An empty list has none.
+
+/// The value below which this fraction of the values lies, one that occurs; not-numbers count as the largest. The
+/// order of the values changes.
+pub fn quantile(values: &mut [f64], fraction: f64) -> Option<f64> {
+    let last = values.len().checked_sub(1)?;
+    let index = ((fraction * values.len() as f64) as usize).min(last);
+    Some(*values.select_nth_unstable_by(index, f64::total_cmp).1)
+}
+
+/// The middle value, the upper one of two; not-numbers count as the largest. The order of the values changes.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    quantile(values, 0.5)
+}
+
+/// The quantile of values in ascending order, interpolated between the two beside it; the median of an even number is
+/// the mean of the middle two.
+pub fn percentile(sorted: &[f64], fraction: f64) -> Option<f64> {
+    let position = fraction.clamp(0.0, 1.0) * sorted.len().checked_sub(1)? as f64;
+    let below = position.floor();
+    let low = *sorted.get(below as usize)?;
+    let high = sorted.get(below as usize + 1).copied().unwrap_or(low);
+    Some(low + (high - low) * (position - below))
+}
+
+/// The arithmetic mean.
+pub fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// The root of the mean square.
+pub fn rms(values: &[f64]) -> Option<f64> {
+    let squares = values.iter().map(|value| value * value).sum::<f64>();
+    (!values.is_empty()).then(|| (squares / values.len() as f64).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_occur_and_percentiles_are_interpolated() {
+        let mut values = [5.0, f64::NAN, 1.0, 3.0, 2.0];
+        assert_eq!(median(&mut values), Some(3.0));
+        assert!(quantile(&mut values, 1.0).unwrap().is_nan());
+        assert_eq!(quantile(&mut values, 0.0), Some(1.0));
+        assert_eq!((median(&mut []), percentile(&[], 0.5), mean(&[]), rms(&[])), (None, None, None, None));
+        assert_eq!(percentile(&[1.0, 2.0, 4.0, 8.0], 0.5), Some(3.0));
+        assert_eq!(percentile(&[1.0, 2.0, 4.0, 8.0], 1.0), Some(8.0));
+        assert_eq!(percentile(&[7.0], 0.95), Some(7.0));
+    }
+}
