@@ -13,6 +13,8 @@ const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
 /// Enough for single walls in recordings of a minute, and less than what one of ten minutes tries anyway.
 const MIN_SEARCHES: usize = 1000;
 
+/// No lidar turns more slowly; clouds a second.
+const KEY_FRAME_RATE: f64 = 4.0;
 /// Range data are gathered to scans of at most about this long, seconds.
 const MAX_SCAN_DURATION: f64 = 0.1;
 
@@ -101,7 +103,15 @@ pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
 
 /// Options for mapping in space with the sensors of a recording.
 pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
-    settings_for(&Sensors::of(plan, statistics, Dimension::Three))
+    let mut options = settings_for(&Sensors::of(plan, statistics, Dimension::Three));
+    // Clouds that come so rarely are key frames, each of which is a scan.
+    if let [(_, range)] = &statistics.range[..]
+        && range.rate > 0.0
+        && range.rate < KEY_FRAME_RATE
+    {
+        options.portolan.min_scan_duration = 0.0;
+    }
+    options
 }
 
 fn settings_2d(sensors: &Sensors) -> Options {

@@ -11,12 +11,20 @@ use portolan_solver::{Loss, Problem, RotationFreedom, TranslationFreedom, Variab
 use super::data::{ImuState, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
 use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNodes, Weights, follows};
 use super::imu_bias::ImuBias;
-use crate::{Constraint, NodeId, TrajectoryId};
+use crate::{Constraint, NodeId, TrajectoryId, of_trajectory};
 
 /// How far off an IMU may be mounted, radians (standard deviation). Without this a walk that hardly turns says
 /// nothing of whether the IMU or the whole map is tilted, and noise decides: simulated recordings of 8 and 12 s without motion were
 /// mapped 30 and 120 degrees off level.
 const MOUNTING_SIGMA: f64 = 0.02;
+
+/// How far from level local SLAM begins without an IMU, radians (standard deviation): lidars are mounted level, and
+/// streets slope by a few degrees. Fixes along a straight way say nothing of the roll about it, so that without
+/// this noise decides.
+const START_LEVEL_SIGMA: f64 = 0.09;
+/// What the heights of many fixes are off by together, metres: reflections and the troposphere change slowly, so that
+/// more fixes do not tell more of level.
+const COMMON_HEIGHT_ERROR: f64 = 2.0;
 
 /// Moves submaps, nodes, landmarks, fixed-frame origins, gravity and the calibration of IMUs to where
 /// everything agrees best. The first submap only aligns itself with gravity; frozen trajectories and
@@ -38,6 +46,7 @@ pub fn optimize_3d(
     problem.estimate_imu_biases(data);
     problem.add_consecutive_nodes(data);
     problem.graph.add_fixed_frames(data);
+    problem.hold_level_at_start(data);
     let summary = problem.graph.solve(data);
     problem.write_back(data);
     summary
@@ -97,6 +106,31 @@ impl<'a> SpatialProblem<'a> {
         let root = open.only_open_shifts(&measured, b.time.seconds_since(a.time));
         let variables = [self.graph.nodes[&id_a], self.graph.nodes[&id_b]];
         InSpace::add_open_between(&mut self.graph.problem, variables, &measured, &root);
+    }
+
+    /// Where fixes, but no IMU, tell which way is up: the start is about level.
+    fn hold_level_at_start(&mut self, data: &OptimizationData) {
+        let tilts = |id: &TrajectoryId| {
+            let sensors = data.sensors.get(id);
+            sensors.is_some_and(|s| s.imu.is_empty() && !s.fixed_frame.is_empty())
+        };
+        let trajectories: Vec<TrajectoryId> = data.sensors.keys().copied().filter(tilts).collect();
+        for id in trajectories.into_iter().filter(|_| data.corrects_imu_biases) {
+            let Some((node_id, node)) = of_trajectory(&data.nodes, id).next() else { continue };
+            let fixes = of_trajectory(&data.nodes, id).count().min(data.sensors[&id].fixed_frame.len());
+            // All fixes together count as one whose height is off by that.
+            let of_fixes = self.options.fixed_frame_pose_translation_weight * (fixes as f64).sqrt();
+            let weight = of_fixes * COMMON_HEIGHT_ERROR / START_LEVEL_SIGMA;
+            // Local SLAM and the map may differ in heading.
+            let heading = yaw(&node.map_from_node.rotation) - yaw(&node.local_from_node.rotation);
+            let level = rotation_from_roll_pitch_yaw(0.0, 0.0, heading) * node.local_from_node.rotation;
+            let map = self.graph.problem.add_se3(&Rigid3::identity());
+            self.graph.problem.set_constant(map);
+            let variables = [map, self.graph.nodes[&node_id]];
+            let measured = Rigid3::from_parts(node.map_from_node.translation, level);
+            let factor = InSpace::between(variables, &measured, (0.0, weight));
+            self.graph.add_factor(factor, Loss::None);
+        }
     }
 
     /// Variables of the IMU of a trajectory.

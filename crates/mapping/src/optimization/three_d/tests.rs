@@ -150,3 +150,53 @@ fn frozen_trajectories_stay() {
     assert_eq!(data.nodes, before.nodes);
     assert_eq!(data.submaps, before.submaps);
 }
+
+/// A straight drive with fixes whose heights are off by metres, with and without what is known of the start.
+#[test]
+fn fixes_along_a_straight_way_do_not_roll_the_map() {
+    let roll_of = |corrects: bool| {
+        let mut data = OptimizationData {
+            corrects_imu_biases: corrects,
+            max_iterations_override: Some(200),
+            ..Default::default()
+        };
+        let mut constraints = Vec::new();
+        for i in 0..40 {
+            // Nearly straight: a lane is changed.
+            let place = Vector3::new(5.0 * f64::from(i), if i < 20 { 0.0 } else { 3.0 }, 0.0);
+            let local = Rigid3::from_parts(place.into(), Quaternion::identity());
+            let node = OptimizationNode {
+                time: seconds(f64::from(i)),
+                local_from_node: local,
+                map_from_node: local,
+                gravity_alignment: Quaternion::identity(),
+            };
+            data.nodes.insert(NodeId::new(TRAJECTORY, i), node);
+            constraints.push(Constraint {
+                submap_id: SubmapId::new(TRAJECTORY, 0),
+                node_id: NodeId::new(TRAJECTORY, i),
+                submap_from_node: local,
+                translation_weight: 500.0,
+                rotation_weight: 1600.0,
+                tag: ConstraintTag::IntraSubmap,
+                score: None,
+            });
+            // Heights differ between the lanes by what houses reflect.
+            let height = if i < 20 { -0.6 } else { 0.6 } + 0.3 * f64::from(i % 3);
+            let fixed_from_tracking = Some(Rigid3::translation(place.x, place.y, height));
+            let fix = FixedFramePoseData { time: seconds(f64::from(i)), fixed_from_tracking };
+            data.sensors_mut(TRAJECTORY).fixed_frame.insert(fix.time, fix);
+        }
+        data.submaps.insert(SubmapId::new(TRAJECTORY, 0), Rigid3::identity());
+        let options = OptimizationProblemOptions {
+            fixed_frame_pose_translation_weight: 1.0,
+            fixed_frame_pose_rotation_weight: 0.0,
+            ..Default::default()
+        };
+        optimize_3d(&mut data, &constraints, &options);
+        let up = data.nodes[&NodeId::new(TRAJECTORY, 30)].map_from_node.rotation * Vector3::z();
+        up.y.abs().asin().to_degrees()
+    };
+    let (free, held) = (roll_of(false), roll_of(true));
+    assert!(free > 10.0 && held < 3.0, "without {free} deg, with {held} deg");
+}
