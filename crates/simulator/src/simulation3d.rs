@@ -1,4 +1,4 @@
-//! A simulation in space: a world, a walk through it, and sensors; with the truth.
+//! A simulation in 3D: a world, a walk through it, and sensors; with the truth.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use crate::{Scenario3dOptions, SimulatorError};
 /// Points that are made ahead of the reader at most, in all.
 const POINTS_AHEAD: usize = 1 << 19;
 
-/// A recording in space that is made while it is read, with its truth. Copies share everything.
+/// A recording in 3D that is made while it is read, with its truth. Copies share everything.
 #[derive(Clone, Debug)]
 pub struct Simulation3d {
     pub(crate) inner: Arc<Inner3d>,

@@ -225,7 +225,7 @@ impl<M: Rolling> MessageStream for OdometryStream<M> {
     }
 }
 
-/// A pose in the plane as it stands in messages.
+/// A pose in 2D as it stands in messages.
 fn planar_pose(pose: &Rigid2) -> Pose {
     let (sine, cosine) = libm::sincos(0.5 * pose.normalized_angle());
     Pose {
