@@ -12,16 +12,17 @@ mod point_cloud2;
 mod point_time;
 mod read_ahead;
 mod recording_clock;
-mod seam;
+mod skew;
 mod statistics;
 mod survey;
 #[cfg(test)]
 mod test_messages;
 mod tf;
 mod timed_points;
+mod turn_clock;
 mod urdf;
 
-pub use azimuth_time::AzimuthTimes;
+pub use azimuth_time::{AzimuthTimes, Turn};
 pub use even_stamps::StampPolicy;
 pub use ingestion::{IngestError, Ingestion};
 pub use options::{ConfiguredSensors, IngestOptions, SamplingRatios};
@@ -31,6 +32,7 @@ pub use plan::{
 };
 pub use point_time::{PointTime, PointTimeOrigin};
 pub use recording_clock::RecordingClock;
+pub use skew::{Skew, SkewFactor, SkewState};
 pub use statistics::{ImuStatistics, RangeStatistics};
 pub use survey::{Inventory, TopicSurvey};
 pub use tf::{TfError, TfInput, TfTree, frame_name};

@@ -12,6 +12,9 @@ use crate::local_slam::{MOST_GATHERED_POINTS, first_point_time};
 const VOXEL_FRACTION: f32 = 0.5;
 /// Stamps jitter: this fraction of the wanted time will do.
 const ENOUGH: f64 = 0.9;
+/// Turns differ, and stamps more so: a message that spans this fraction by itself is a sweep, even if it begins before
+/// the last one ended.
+const WHOLE: f64 = 0.75;
 
 /// Gathers messages.
 pub(super) struct SweepAssembly {
@@ -40,7 +43,8 @@ impl SweepAssembly {
     pub fn add(&mut self, ranges: &SynchronizedRanges, issues: &mut IssueLog) -> Option<Vec<Gathered>> {
         self.gathered.push(Gathered::new(ranges, self.voxel_size));
         let begin = *self.since.get_or_insert_with(|| first_point_time(ranges));
-        let is_long_enough = ranges.time.seconds_since(begin) >= ENOUGH * self.min_duration;
+        let is_whole = ranges.time.seconds_since(first_point_time(ranges)) >= WHOLE * self.min_duration;
+        let is_long_enough = is_whole || ranges.time.seconds_since(begin) >= ENOUGH * self.min_duration;
         if self.gathered.len() < self.messages || !is_long_enough {
             if self.gathered.iter().map(Gathered::len).sum::<usize>() < MOST_GATHERED_POINTS {
                 return None;
