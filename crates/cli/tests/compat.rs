@@ -1,4 +1,4 @@
-//! A recording on the way through the programs of the reference: mapped, written, compared.
+//! A recording on the way through the programs of Cartographer: mapped, written, compared.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod common;

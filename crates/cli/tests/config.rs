@@ -39,7 +39,7 @@ fn shown_files_load_again() {
     std::fs::write(&path, &whole).unwrap();
     assert_eq!(portolan_with_code(0, &["config", "show", "--config", &path, "--lua"]).stdout, whole);
     let checked = portolan_with_code(0, &["config", "check", &path]);
-    assert!(checked.stdout.contains("mapping in space, no errors"), "{}", checked.stdout);
+    assert!(checked.stdout.contains("mapping in 3D, no errors"), "{}", checked.stdout);
     let json = portolan_with_code(0, &["config", "show", "--json"]).stdout;
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["map_builder"]["use_trajectory_builder_2d"], true);

@@ -46,7 +46,7 @@ fn walk() -> Walk {
     walk_in(recording, truth, CONTINUED, &["--duration", KNOWN])
 }
 
-/// Through one storey of a museum in space.
+/// Through one storey of a museum in 3D.
 fn museum_walk() -> Walk {
     let building = ["--no-gnss", "--size", "24x20", "--storeys", "1", "--people", "2", "--beams", "300"];
     let (recording, truth) = simulated_once(&[&["museum", "--seconds", "20"], &building[..]].concat());
@@ -179,7 +179,7 @@ fn optimising_a_map_in_space_again_changes_it_little() {
     let again = text(&walk.folder.path().join("again.pbstream"));
     let run = portolan_with_code(0, &["optimize", &walk.known_map, "-o", &again, "--json"]);
     let done: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
-    // With the weights of the reference instead of those that the map was made with it is several centimetres.
+    // With the weights of Cartographer instead of those that the map was made with it is several centimetres.
     assert!(done["largest_move"].as_f64().unwrap() < 0.005, "{done}");
     // What was written tells how it was made, too.
     let run = portolan_with_code(0, &["optimize", &again, "-o", &again, "--json"]);

@@ -78,7 +78,7 @@ fn a_trajectory_is_compared_with_the_truth() {
     let Some(map) = real("maps/reference/corridor_imu.pbstream") else { return };
     let truth = real("lidar3d/corridor_imu.truth.tum").unwrap();
     let run = portolan_with_code(0, &["evaluate", "trajectory", &map, &truth, "--rpe-distance", "5"]);
-    assert!(run.stdout.contains("(aligned in space)") && run.stdout.contains("over 5 m"), "{}", run.stdout);
+    assert!(run.stdout.contains("(aligned in 3D)") && run.stdout.contains("over 5 m"), "{}", run.stdout);
     let run = portolan_with_code(0, &["evaluate", "trajectory", &truth, &truth, "--align", "none", "--json"]);
     let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     assert!(json["absolute"]["translation"]["max"].as_f64().unwrap() < 1e-9, "{json}");
@@ -90,7 +90,7 @@ fn kitti_poses_and_simulated_truth() {
     let folder = tempfile::tempdir().unwrap();
     let truth = simulated(folder.path(), "a.bag", &[]).replace("a.bag", "a.truth.tum");
     let run = portolan_with_code(0, &["evaluate", "trajectory", &truth, &truth]);
-    assert!(run.stdout.contains("(aligned in the plane)"), "{}", run.stdout);
+    assert!(run.stdout.contains("(aligned in 2D)"), "{}", run.stdout);
     let kitti = common::text(&folder.path().join("00.txt"));
     let poses: String = (0..50).map(|i| format!("1 0 0 {i} 0 1 0 0 0 0 1 0\n")).collect();
     std::fs::write(&kitti, poses).unwrap();

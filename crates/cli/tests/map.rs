@@ -56,6 +56,9 @@ fn everything_that_is_promised_is_written() {
         assert!(run.stdout.contains(name), "{name} is not named in {}", run.stdout);
     }
     let report = report(&output);
+    let info = portolan_with_code(0, &["info", &text(&output.join("map.pbstream"))]).stdout;
+    let engine = report["engine"].as_str().unwrap();
+    assert!(info.contains(&format!("Engine: {engine}\n")), "{engine} is not in {info}");
     assert_eq!(report["interrupted"], false);
     assert_eq!(report["local_slam"]["scans"], report["scans"]);
     assert_eq!(report["options_fingerprint"].as_str().unwrap().len(), 32);

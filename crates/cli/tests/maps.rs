@@ -7,7 +7,7 @@ use std::path::Path;
 
 use common::{portolan, portolan_with_code, real, text};
 
-/// A map of the reference in a folder of its own.
+/// A map of Cartographer in a folder of its own.
 fn map(folder: &Path, name: &str) -> Option<String> {
     let path = real(&format!("maps/reference/{name}.pbstream"))?;
     let copy = text(&folder.join(format!("{name}.pbstream")));

@@ -47,7 +47,7 @@ fn relations_of_start(relations: &str, seconds: f64, folder: &Path) -> String {
     text(&file)
 }
 
-/// A log in the plane and the mean error of its relations when that was measured, metres.
+/// A log in 2D and the mean error of its relations when that was measured, metres.
 struct Log<'a> {
     name: &'a str,
     more: &'a [&'a str],

@@ -1,4 +1,4 @@
-//! Sensors besides lidar and IMU in space: two lidars with their own clocks, wheels, satellites, landmarks.
+//! Sensors besides lidar and IMU in 3D: two lidars with their own clocks, wheels, satellites, landmarks.
 #![allow(clippy::unwrap_used)]
 
 mod common;

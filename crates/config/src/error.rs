@@ -160,7 +160,7 @@ pub enum ConfigError {
     MissingKey {
         /// The key.
         key: String,
-        /// The dictionary in the text form of the reference.
+        /// The dictionary in the text form of Cartographer.
         dictionary: String,
     },
     /// A count that is negative.
@@ -220,7 +220,7 @@ fn at(place: &Option<Place>) -> String {
 /// Something in a configuration that was survived and should be told.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConfigWarning {
-    /// A key the reference demands is missing.
+    /// A key Cartographer demands is missing.
     #[error("{file}: `{path}` is missing, its default is used: {default}")]
     DefaultUsed {
         /// The main file.

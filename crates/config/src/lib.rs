@@ -34,7 +34,7 @@
 //!
 //! It is then a field with rustdoc, read from Lua and JSON, set by path, checked, listed, part of the
 //! fingerprint and on the reference page. Options that only Portolan has belong into
-//! `src/options/portolan.rs`; the table `portolan` may be left out of files. An option of the reference
+//! `src/options/portolan.rs`; the table `portolan` may be left out of files. An option of Cartographer
 //! also goes into the files of `src/configuration_files/`; a test compares these with the defaults.
 //! Types are `bool`, `i32`, `usize`, `f32`, `f64`, `String`, enums made by `choices!`, other tables, and
 //! `Option<table>` for tables that may be absent. Checks that concern several options are in `check.rs`.

@@ -9,7 +9,7 @@ use crate::value::{Table, Value};
 /// How a key behaves when a Lua file is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
-    /// The reference refuses a file without it; here the default is used and a warning given.
+    /// Cartographer refuses a file without it; here the default is used and a warning given.
     Required,
     /// May be left out.
     Optional,
@@ -33,7 +33,7 @@ pub struct OptionSpec {
 }
 
 impl OptionSpec {
-    /// An entry without unit and bounds that the reference demands.
+    /// An entry without unit and bounds that Cartographer demands.
     pub(crate) const fn new(key: &'static str, doc: &'static str) -> Self {
         Self { key, doc, unit: "", bounds: Bounds::ANY, mark: Mark::Required }
     }

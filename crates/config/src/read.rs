@@ -10,7 +10,7 @@ use crate::value::{Table, Value};
 /// What happens with keys that no option has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strictness {
-    /// They are errors, as in the reference.
+    /// They are errors, as in Cartographer.
     #[default]
     Error,
     /// They are ignored with a warning.

@@ -1,6 +1,6 @@
 //! Options that are read, checked and written, and change nothing.
 //!
-//! Files of the reference must load, so that these keys exist. This list is the only place that says so:
+//! Files of Cartographer must load, so that these keys exist. This list is the only place that says so:
 //! the documentation of each option in it, or within a table in it, ends with the reason.
 
 use crate::catalogue::explain;
@@ -9,10 +9,10 @@ use crate::options::Options;
 const LIVE: &str = "it belongs to the live output of ROS, and Portolan publishes nothing";
 const NO_THREADS: &str = "one scan match runs on one thread; `--threads` and `num_background_threads` say how many \
                           searches run side by side and how many threads optimise";
-const NOT_IN_2D: &str = "in the plane poses are predicted with constant velocity only, as in the reference";
+const NOT_IN_2D: &str = "in 2D poses are predicted with constant velocity only, as in Cartographer";
 const LIVE_GRAVITY: &str = "the live pose output of ROS reads it; mapping reads \
                             `pose_extrapolator.constant_velocity.imu_gravity_time_constant`";
-const NO_FINISHED_INTENSITIES: &str = "finished submaps hold no intensities, in the reference neither";
+const NO_FINISHED_INTENSITIES: &str = "finished submaps hold no intensities, in Cartographer neither";
 
 /// Paths of options and tables with the reason why they have no effect. A path that begins with `*` stands
 /// for all that end so.
@@ -52,10 +52,10 @@ const WITHOUT_EFFECT: &[(&str, &str)] = &[
 
 const GRIDS_ONLY: &str = "scans are matched to planes, and to grids only where that fails, unless --engine grids \
                           (`portolan.match_surfaces = false`) is given";
-const NO_WHEELS_WITH_IMU: &str = "in space with an IMU, wheels steer local SLAM and are no constraint of their own, \
+const NO_WHEELS_WITH_IMU: &str = "in 3D with an IMU, wheels steer local SLAM and are no constraint of their own, \
                                   unless `fix_z_in_3d` is on";
 
-/// Paths of options of mapping in space that matter only when scans are matched to grids, and the like.
+/// Paths of options of mapping in 3D that matter only when scans are matched to grids, and the like.
 const WITHOUT_EFFECT_ON_SURFACES: &[(&str, &str)] = &[
     ("trajectory_builder.trajectory_builder_3d.ceres_scan_matcher", GRIDS_ONLY),
     ("trajectory_builder.trajectory_builder_3d.use_online_correlative_scan_matching", GRIDS_ONLY),

@@ -28,7 +28,7 @@ fn evaluate(name: &str) -> Evaluation {
     evaluate_file(Path::new(name), &[], Limits::default()).unwrap()
 }
 
-/// The part of a configuration under test, with the reference's own defaults.
+/// The part of a configuration under test, with Cartographer's own defaults.
 fn part(includes: &[&str], returned: &str) -> Value {
     let includes: String = includes.iter().map(|name| format!("include \"{name}\"\n")).collect();
     let text = format!("{includes}return {returned}");

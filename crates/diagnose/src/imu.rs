@@ -18,13 +18,13 @@ const ACCELERATION: Kind = Kind {
 const MEAN_ACCELERATION: Kind = Kind {
     name: "mean acceleration",
     severity: Severity::Error,
-    effect: "level is misjudged; in space the map bends or the scale of motion is wrong",
+    effect: "level is misjudged; in 3D the map bends or the scale of motion is wrong",
     to_do: "acceleration data should include gravity and be given in m/s²",
 };
 const NO_GRAVITY: Kind = Kind {
     name: "no gravity",
     severity: Severity::Error,
-    effect: "the IMU is left out; in space level is only what it was at the start",
+    effect: "the IMU is left out; in 3D level is only what it was at the start",
     to_do: "let the driver send accelerations that include gravity, as the sensor measures them",
 };
 const IN_G: Kind = Kind {
@@ -49,7 +49,7 @@ const PARTIAL: Kind = Kind {
     name: "partial",
     severity: Severity::Error,
     effect: "samples that lack acceleration or angular velocity are left out",
-    to_do: "use an IMU that measures both, or map in the plane without it",
+    to_do: "use an IMU that measures both, or map in 2D without it",
 };
 const DEGREES: Kind = Kind {
     name: "gyroscope in degrees",
@@ -60,20 +60,20 @@ const DEGREES: Kind = Kind {
 const UPSIDE_DOWN: Kind = Kind {
     name: "upside down",
     severity: Severity::Warning,
-    effect: "the map comes out upside down, or motion is mirrored in the plane",
+    effect: "the map comes out upside down, or motion is mirrored in 2D",
     to_do: "at rest the acceleration must point up (+9.8 along the axis that points up); give the mounting of the IMU in the transforms",
 };
 const LEANING: Kind = Kind {
     name: "leaning",
     severity: Severity::Warning,
-    effect: "the map is level, but the robot seems to lean; in the plane scans are projected wrongly",
+    effect: "the map is level, but the robot seems to lean; in 2D scans are projected wrongly",
     to_do: "give the mounting of the IMU in the transforms",
 };
 
 const AXES: Kind = Kind {
     name: "axes",
     severity: Severity::Error,
-    effect: "the IMU is left out where the frame of the robot shows it; elsewhere in space level is found from gravity, but turns are taken about the wrong axes where transforms connect it with the lidar",
+    effect: "the IMU is left out where the frame of the robot shows it; elsewhere in 3D level is found from gravity, but turns are taken about the wrong axes where transforms connect it with the lidar",
     to_do: "give the mounting of the IMU in the transforms, or let the driver send x forward, y left, z up",
 };
 

@@ -10,7 +10,7 @@ use crate::offset::median;
 const BIAS: Kind = Kind {
     name: "gyroscope bias",
     severity: Severity::Info,
-    effect: "in space the bias is estimated while mapping; in the plane heading drifts by it between scans",
+    effect: "in 3D the bias is estimated while mapping; in 2D heading drifts by it between scans",
     to_do: "",
 };
 const LARGE_BIAS: Kind = Kind {

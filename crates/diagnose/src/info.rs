@@ -34,7 +34,7 @@ pub struct TopicDescription {
 /// What mapping would use.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct PlanDescription {
-    /// In the plane or in space.
+    /// In 2D or in 3D.
     pub dimension: Dimension,
     /// The frame whose motion is mapped.
     pub tracking_frame: String,
@@ -248,7 +248,7 @@ impl RecordingInfo {
             let _ = writeln!(text, "mapping:  not possible: {obstacle}");
         }
         let Some(plan) = &self.plan else { return };
-        let dimension = if plan.dimension == Dimension::Two { "in the plane" } else { "in space" };
+        let dimension = if plan.dimension == Dimension::Two { "in 2D" } else { "in 3D" };
         let _ = write!(text, "mapping:  {dimension} with {}", plan.range.join(", "));
         for (label, topic) in [("odometry", &plan.odometry), ("IMU", &plan.imu)] {
             if let Some(topic) = topic {

@@ -276,7 +276,7 @@ fn a_recording_is_described_in_text_and_json() {
         "20.",
         "base_link\n",
         "laser (0.5 0 0.2 m)",
-        "in the plane with /scan, odometry /odom",
+        "in 2D with /scan, odometry /odom",
     ] {
         assert!(text.contains(part), "{part}: {text}");
     }

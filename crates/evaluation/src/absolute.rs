@@ -24,7 +24,7 @@ pub struct AbsoluteErrors {
     pub alignment: Alignment,
     /// The map of the estimate in that of the truth: x y z (m), qx qy qz qw.
     pub truth_from_estimate: [f64; 7],
-    /// Metres; in the plane for [`Alignment::Se2`].
+    /// Metres; in 2D for [`Alignment::Se2`].
     pub translation: ErrorStatistics,
     /// Degrees; of heading alone for [`Alignment::Se2`].
     pub rotation_degrees: ErrorStatistics,
@@ -76,8 +76,8 @@ impl fmt::Display for AbsoluteErrors {
         let aligned = match self.alignment {
             Alignment::None => "not aligned",
             Alignment::FirstPose => "first pose made to agree",
-            Alignment::Se2 => "aligned in the plane",
-            Alignment::Se3 => "aligned in space",
+            Alignment::Se2 => "aligned in 2D",
+            Alignment::Se3 => "aligned in 3D",
         };
         writeln!(
             f,

@@ -12,7 +12,7 @@ pub enum Alignment {
     None,
     /// The first common pose is made to agree.
     FirstPose,
-    /// The positions in the plane agree best (least squares); heights are not compared.
+    /// The positions in 2D agree best (least squares); heights are not compared.
     #[default]
     Se2,
     /// The positions agree best (least squares; Umeyama 1991, with scale 1).

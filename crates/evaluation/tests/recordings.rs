@@ -59,7 +59,7 @@ fn walk() {
 
 #[test]
 fn relations_of_the_reference() {
-    // Written by the reference program; its figure for the nodes alone is 0.00195 m, 0.04833 degrees.
+    // Written by Cartographer; its figure for the nodes alone is 0.00195 m, 0.04833 degrees.
     let Some(path) = real_data("maps/reference/corridor_imu.generated_5m.pb") else { return };
     let bytes = std::fs::read(path).unwrap();
     let relations = read_relations(&bytes).unwrap();

@@ -15,7 +15,8 @@ const PEN: f32 = 0.8;
 /// Radius of a dot.
 const DOT: f32 = 0.6;
 
-/// Width in units of the grid, and the strokes. Characters that are not here are an empty box.
+/// Width in units of the grid, and the strokes. Characters that are not here are an empty box. A table, and long
+/// therefore.
 fn glyph(c: char) -> (f32, &'static str) {
     match c {
         ' ' => (1.6, ""),

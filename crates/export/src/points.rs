@@ -1,4 +1,4 @@
-//! The pipeline of the reference's assets writer: stages through which the points of a recording go, batch
+//! The pipeline of Cartographer's assets writer: stages through which the points of a recording go, batch
 //! by batch, to be filtered, coloured and written (`tools.md` §3). Files come out byte for byte as there.
 
 mod batch;

@@ -1,7 +1,7 @@
 //! X-ray pictures of clouds: how much stands one behind the other along a direction (`spec/formats.md` §6.4).
 //!
 //! A pixel is the darker the more occupied voxels lie along its line of sight, on a logarithmic scale: walls seen
-//! from above are dark, floors are faint. Unlike the reference a single voxel is not white, the darkest tone is
+//! from above are dark, floors are faint. Unlike Cartographer a single voxel is not white, the darkest tone is
 //! that of the 99.5th percentile instead of the one darkest pixel, and voxels are shared among the four nearest
 //! pixels, so that grids that are turned against each other make no pattern.
 

@@ -1,10 +1,10 @@
 //! Plane or space.
 
-/// Whether mapping happens in the plane or in space.
+/// Whether mapping happens in 2D or in 3D.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub enum Dimension {
-    /// In the plane: planar scans, 2D grids.
+    /// In 2D: planar scans, 2D grids.
     Two,
-    /// In space: clouds, hybrid grids.
+    /// In 3D: clouds, hybrid grids.
     Three,
 }

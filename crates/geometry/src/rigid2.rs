@@ -1,4 +1,4 @@
-//! Rigid transforms in the plane.
+//! Rigid transforms in 2D.
 
 use std::f64::consts::PI;
 use std::ops::Mul;

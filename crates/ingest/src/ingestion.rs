@@ -82,7 +82,7 @@ struct TransformOdometry {
     order: Ascending,
 }
 
-/// Samplers of the five kinds of sensors, as the reference has them.
+/// Samplers of the five kinds of sensors, as Cartographer has them.
 const RANGE: usize = 0;
 const ODOMETRY: usize = 1;
 const FIXED_FRAME_POSE: usize = 2;

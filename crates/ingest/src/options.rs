@@ -74,7 +74,7 @@ pub struct IngestOptions {
     pub tracking_frame: Option<String>,
     /// Transforms below this frame are results of mapping and are not used.
     pub map_frame: String,
-    /// In the plane or in space; none: found out.
+    /// In 2D or in 3D; none: found out.
     pub dimension: Option<Dimension>,
     /// Sensors as a configuration names them; they replace what would be found out.
     pub configured: Option<ConfiguredSensors>,

@@ -1,7 +1,7 @@
 //! From format version 1 to 2 (`formats.md §2.3`).
 //!
 //! Version 2 added to 3D submaps the histogram that rotational matching needs; here it is summed up from
-//! the histograms of the nodes in them. Unlike the reference program this also takes 2D maps, where the
+//! the histograms of the nodes in them. Unlike Cartographer this also takes 2D maps, where the
 //! versions differ only in the header.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,7 +18,7 @@ use crate::message::{MessageKind, RawMessage, decode_data};
 use crate::pose::{IdInFile, node_id, pose_from_proto, submap_id};
 use crate::proto::mapping::pose_graph::constraint::Tag;
 use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{PoseGraph, SerializedData, Submap, Submap3D};
+use crate::proto::mapping::{Node, PoseGraph, SerializedData, Submap, Submap3D};
 use crate::proto::transform::Quaterniond;
 use crate::reader::{PbstreamReader, ReadLimits};
 use crate::writer::{FORMAT_VERSION, PbstreamWriter};
@@ -120,6 +120,22 @@ struct NodeTurn {
     local_from_gravity_aligned: Quaternion,
 }
 
+impl NodeTurn {
+    /// None if the node has no histogram.
+    fn of(node: Node, id: IdInFile) -> Result<Option<Self>, MigrateError> {
+        let data = node.node_data.filter(|data| !data.rotational_scan_matcher_histogram.is_empty());
+        let Some(data) = data else { return Ok(None) };
+        let pose = pose_from_proto(data.local_pose.as_ref());
+        let (Some(pose), Some(gravity)) = (pose, rotation(data.gravity_alignment)) else {
+            return Err(MigrateError::Pose { what: "node", id });
+        };
+        Ok(Some(Self {
+            histogram: data.rotational_scan_matcher_histogram,
+            local_from_gravity_aligned: pose.rotation * gravity.inverse(),
+        }))
+    }
+}
+
 impl Plan {
     fn make(input: &Path, options: MigrateOptions) -> Result<Self, MigrateError> {
         let mut reader = MapReader::open_with(input, options.limits)?;
@@ -152,21 +168,7 @@ impl Plan {
                 }
                 Data::Node(node) if from_version == 1 => {
                     let id = node_id(node.node_id.as_ref());
-                    let Some(data) = node.node_data else { continue };
-                    if data.rotational_scan_matcher_histogram.is_empty() {
-                        continue;
-                    }
-                    let pose = pose_from_proto(data.local_pose.as_ref());
-                    let (Some(pose), Some(gravity)) = (pose, rotation(data.gravity_alignment)) else {
-                        return Err(MigrateError::Pose { what: "node", id });
-                    };
-                    nodes.insert(
-                        id,
-                        NodeTurn {
-                            histogram: data.rotational_scan_matcher_histogram,
-                            local_from_gravity_aligned: pose.rotation * gravity.inverse(),
-                        },
-                    );
+                    nodes.extend(NodeTurn::of(node, id)?.map(|turn| (id, turn)));
                 }
                 _ => {}
             }

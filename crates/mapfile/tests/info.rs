@@ -1,4 +1,4 @@
-//! Summaries of maps against what the reference program printed.
+//! Summaries of maps against what Cartographer printed.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 

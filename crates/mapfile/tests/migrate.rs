@@ -106,7 +106,7 @@ fn real_2d_maps_keep_their_content() {
     }
 }
 
-/// The sum of turned node histograms is what the reference stored in its submaps.
+/// The sum of turned node histograms is what Cartographer stored in its submaps.
 #[test]
 fn summed_histograms_are_those_of_the_reference() {
     let folder = tempfile::tempdir().unwrap();

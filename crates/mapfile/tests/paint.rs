@@ -1,4 +1,4 @@
-//! Painted maps against those of the reference program (`vectors.md §14`).
+//! Painted maps against those of Cartographer (`vectors.md §14`).
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 

@@ -10,7 +10,7 @@ use portolan_sensor::PointCloud;
 const MIN_RETURNS: usize = 3;
 
 /// The points of `cloud` that have other returns around them, within one to two times `spacing` metres
-/// in the plane. All of them if that leaves less than `min_share` of them.
+/// in 2D. All of them if that leaves less than `min_share` of them.
 pub fn densely_sampled(
     cloud: &PointCloud,
     returns: &PointCloud,

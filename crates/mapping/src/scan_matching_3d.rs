@@ -1,4 +1,4 @@
-//! Matchers in space as the options describe them, and matching a scan against the submap that is being
+//! Matchers in 3D as the options describe them, and matching a scan against the submap that is being
 //! filled (`slam3d.md` §3).
 
 use portolan_config::{

@@ -28,7 +28,7 @@ pub enum SearchRegion {
         /// Which matches are believed (2D).
         acceptance: MatchAcceptance,
     },
-    /// At any heading in the box around the guess (in space).
+    /// At any heading in the box around the guess (in 3D).
     NearNodes {
         /// Rotation from the submap to a level frame.
         level_from_submap: Quaternion,

@@ -14,7 +14,7 @@ use crate::scan_matching_3d::{clouds_in_grids, fast_matcher_options_3d, gradient
 use crate::submap_3d::Submap3d;
 use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion, Space};
 
-/// 3D mapping: poses in space, hybrid grids.
+/// 3D mapping: poses in 3D, hybrid grids.
 #[derive(Clone, Copy, Debug)]
 pub struct Spatial;
 

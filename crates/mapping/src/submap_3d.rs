@@ -1,4 +1,4 @@
-//! Submaps in space: a fine and a coarse grid, directions of walls (`slam3d.md` §5).
+//! Submaps in 3D: a fine and a coarse grid, directions of walls (`slam3d.md` §5).
 
 use std::sync::Arc;
 
@@ -68,7 +68,7 @@ pub struct Scan3d {
     pub local_from_gravity_aligned: Quaternion,
 }
 
-/// Grids in space with their place in the local map. The frame of a submap is level; its origin is where
+/// Grids in 3D with their place in the local map. The frame of a submap is level; its origin is where
 /// its first scan was taken.
 #[derive(Clone, Debug)]
 pub struct Submap3d {

@@ -1,4 +1,4 @@
-//! Matching one sweep of two lidars while mapping in space: gradient and correlative, in a hall of 30 m by
+//! Matching one sweep of two lidars while mapping in 3D: gradient and correlative, in a hall of 30 m by
 //! 20 m.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 

@@ -1,4 +1,4 @@
-//! Loop closure in space: a sweep of two lidars near a guess and anywhere in a finished submap of a hall of
+//! Loop closure in 3D: a sweep of two lidars near a guess and anywhere in a finished submap of a hall of
 //! 30 m by 20 m.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 

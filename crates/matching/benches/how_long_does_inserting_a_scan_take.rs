@@ -45,7 +45,7 @@ fn insert(c: &mut Criterion) {
         let mut sweep = hall::sweep(&pose, points / 32, &mut common::Lcg::new(5));
         sweep.points.truncate(points);
         let scan = hall::range_data(&pose, &sweep);
-        group.bench_function(format!("hall of 30 m by 20 m, {points} returns, two submaps in space"), |b| {
+        group.bench_function(format!("hall of 30 m by 20 m, {points} returns, two submaps in 3D"), |b| {
             b.iter(|| submaps.iter_mut().for_each(|s| s.insert_range_data(&scan)));
         });
     }

@@ -41,7 +41,7 @@ pub enum MatcherOptionError {
         /// How many there are.
         found: usize,
     },
-    /// A grid in space that no scanner can have made.
+    /// A grid in 3D that no scanner can have made.
     #[error("the grid has known cells in more than a million blocks of 4x4x4: it is damaged")]
     TooManyVoxels,
 }

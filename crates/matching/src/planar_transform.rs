@@ -2,7 +2,7 @@
 
 use portolan_geometry::{Point3f, Rigid2};
 
-/// A turn about z and a shift in the plane, applied to points in single precision the way quaternions
+/// A turn about z and a shift in 2D, applied to points in single precision the way quaternions
 /// do it. In which cell a point on a border lands depends on this order of operations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanarTransform {

@@ -1,6 +1,6 @@
 //! Where the robot is between two matched scans (`slam2d.md` §4.2).
 //!
-//! Two ways of predicting live here. The reference's goes on with constant velocity from the last
+//! Two ways of predicting live here. Cartographer's goes on with constant velocity from the last
 //! pose: in a straight line, with one velocity from the oldest and newest odometry pose, and turning
 //! at the last known rate. With few scans a second and no IMU this loses the heading at every start
 //! and end of a turn. Ours (`use_all_odometry`) follows what odometry and gyroscope measured since the
@@ -106,7 +106,7 @@ impl PoseExtrapolator {
     ///
     /// Velocity is taken over at least `pose_queue_duration` seconds of poses; gravity is averaged over
     /// `imu_gravity_time_constant` seconds. `use_all_odometry` chooses our way of predicting instead of
-    /// the reference's (see the module).
+    /// Cartographer's (see the module).
     pub fn new(pose_queue_duration: f64, imu_gravity_time_constant: f64, use_all_odometry: bool) -> Self {
         Self {
             pose_queue_duration: Duration::from_seconds(pose_queue_duration),
@@ -248,7 +248,7 @@ impl PoseExtrapolator {
         }
     }
 
-    /// Takes an odometry pose, in order of time. The reference's way of predicting has no use for one
+    /// Takes an odometry pose, in order of time. Cartographer's way of predicting has no use for one
     /// that is older than the last pose.
     pub fn add_odometry(&mut self, data: &OdometryData) -> Result<(), ExtrapolatorError> {
         let last_pose_time = self.last_pose_time();
@@ -359,7 +359,7 @@ impl PoseExtrapolator {
         trackers.main.orientation().inverse() * extrapolation.orientation()
     }
 
-    /// The reference's prediction: constant velocity in the local map.
+    /// Cartographer's prediction: constant velocity in the local map.
     fn go_straight_on(&mut self, last_time: Time, last: &Rigid3, trackers: Trackers, time: Time) -> Rigid3 {
         let velocity = if self.odometry.len() < 2 {
             self.linear_velocity_from_poses

@@ -34,7 +34,7 @@ pub struct Lidar {
 /// What settings depend on of the sensors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensors {
-    /// Whether to map in the plane, from planar scans, or in space, from clouds.
+    /// Whether to map in 2D, from planar scans, or in 3D, from clouds.
     pub dimension: Dimension,
     /// The lidar, or the first of several; none: settings as for any lidar.
     pub lidar: Option<Lidar>,
@@ -101,7 +101,7 @@ pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     settings_for(&Sensors::of(plan, statistics, Dimension::Two))
 }
 
-/// Options for mapping in space with the sensors of a recording.
+/// Options for mapping in 3D with the sensors of a recording.
 pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     let mut options = settings_for(&Sensors::of(plan, statistics, Dimension::Three));
     // Clouds that come so rarely are key frames, each of which is a scan.
@@ -134,8 +134,8 @@ fn settings_3d(sensors: &Sensors) -> Options {
     options.portolan.match_surfaces = true;
     // A tenth of a second is one turn of most lidars, and short enough to go straight in.
     options.portolan.min_scan_duration = MAX_SCAN_DURATION;
-    // Every second sweep of who walks; the sweeps between show the surfaces, too. Every sweep a node costs a
-    // fourth more time and makes maps a fifth better: 0.0058 instead of 0.0072 m, the mean of 13 simulated walks.
+    // About every second sweep at walking speed is a key frame; the sweeps between are matched, too. Every sweep a
+    // key frame costs a fourth more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).
     local.motion_filter.max_distance_meters = 0.15;
     local.motion_filter.max_angle_radians = 0.05;
     local.submaps.num_range_data = 45;
@@ -143,8 +143,8 @@ fn settings_3d(sensors: &Sensors) -> Options {
     local.ceres_scan_matcher.rotation_weight = 10.0;
     // What is tracked is the IMU itself: if turns of lidar and gyroscope have other axes, the lidar is mounted otherwise.
     options.map_builder.pose_graph.optimization_problem.use_online_imu_extrinsics_in_3d = !sensors.tracks_imu;
-    // Without an IMU odometry counts between nodes. Wheels tell how far it went, but know nothing of slopes: with the
-    // reference's weight of their turns four walks through parks are 0.1 to 0.8 m off, without it 0.02 to 0.07 m.
+    // Without an IMU odometry is a constraint between nodes. Wheels measure the distance travelled, but not the slope:
+    // their rotations get no weight (docs/experiments/2026-11-settings-3d.md).
     options.map_builder.pose_graph.optimization_problem.odometry_rotation_weight = 0.0;
     weigh_loop_closures(&mut options);
     let graph = &mut options.map_builder.pose_graph;
@@ -171,7 +171,7 @@ pub fn search_in_known_map(options: &mut Options, submaps: usize) {
     let graph = &mut options.map_builder.pose_graph;
     // One or two whole submaps a node, every time others: steps of the golden ratio come round last. The
     // reference program's 0.3 % takes minutes to find the first one in a small map.
-    // In space the newest nodes are searched as they come.
+    // In 3D the newest nodes are searched as they come.
     let golden = if options.portolan.match_surfaces { 0.618 } else { 1.618 };
     graph.global_sampling_ratio = (golden / submaps.max(1) as f64).min(1.0);
     if options.portolan.match_surfaces {

@@ -34,10 +34,10 @@ const SAME: f64 = 0.005;
 const DIFFERENT: f64 = 4.0;
 /// So many sweeps wait at most for samples of the IMU that come later.
 const MAX_WAITING: usize = 20;
-/// Clouds that are flatter are those of scanners in the plane, radians.
+/// Clouds that are flatter are those of scanners in 2D, radians.
 const FLAT: f64 = 0.05;
 
-/// The offset of the clock of each lidar in space against that of the IMU; of those for which the recording tells
+/// The offset of the clock of each lidar in 3D against that of the IMU; of those for which the recording tells
 /// it. Ends when enough was read. What cannot be read tells nothing: [`portolan_diagnose::check`] says why.
 /// `progress` is told the bytes read so far.
 pub fn measure(

@@ -8,7 +8,7 @@
 //! | `trajectory.tum` | pose of the tracking frame in the map for each scan: seconds since 1970, metres, quaternion |
 //! | `map.png` | the map from above, with the way and the loop closures |
 //! | `map.pgm`, `map.yaml` | the map for ROS's map server, cells of 5 cm |
-//! | `map_xray_*.png`, `map_section.png` | maps in space from three sides, and a section |
+//! | `map_xray_*.png`, `map_section.png` | maps in 3D from three sides, and a section |
 //! | `report.json` | sensors, options, counts, times, where scans did not tell everything, repairs |
 
 mod error;
@@ -56,7 +56,7 @@ pub struct MapRequest {
     pub ingest: IngestOptions,
     /// Options that are asked for; the rest is chosen from the recording.
     pub requested: RequestedOptions,
-    /// What scans in space are matched to; none as the options say.
+    /// What scans in 3D are matched to; none as the options say.
     pub engine: Option<Engine>,
     /// Maps that the recording is added to.
     pub known: KnownMaps,

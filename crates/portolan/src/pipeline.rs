@@ -197,6 +197,8 @@ impl<S: Space> KnownMap<S> {
 
 /// Maps a recording in the space that the preparation names, beginning with what `known` holds.
 /// `observe` is called now and then and stops everything cleanly by returning false.
+///
+/// Long, because what comes after the loop takes apart everything that the loop has filled.
 pub fn map_recording<S: Space>(
     recording: &dyn Recording,
     ingest: &IngestOptions,

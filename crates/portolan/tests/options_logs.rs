@@ -117,5 +117,5 @@ fn options_of_logs_have_their_effects() {
         ),
         0
     );
-    assert_eq!(logged::<Planar>(&["log_residual_histograms=true"], residuals), 0, "only in space");
+    assert_eq!(logged::<Planar>(&["log_residual_histograms=true"], residuals), 0, "only in 3D");
 }

@@ -4,7 +4,7 @@
 //! that what comes out is in order although sensors report with different delays. Before all sensors
 //! of a trajectory have started, only the last datum of each is kept.
 //!
-//! Unlike the reference, nothing that a sensor does stops the others for ever: a silent one is waited
+//! Unlike Cartographer, nothing that a sensor does stops the others for ever: a silent one is waited
 //! for only up to a [`WaitLimit`], and data that come too late are counted and dropped. What is given
 //! out depends on the order of the calls alone.
 
@@ -46,7 +46,7 @@ pub struct CollatorOptions {
     /// Every trajectory is ordered on its own, instead of all together (where a silent sensor of one
     /// holds back all). Default `false`.
     pub by_trajectory: bool,
-    /// How long to wait for a silent sensor; `None` waits for ever, as the reference does, with all
+    /// How long to wait for a silent sensor; `None` waits for ever, as Cartographer does, with all
     /// data of the others in memory.
     pub wait_limit: Option<WaitLimit>,
 }

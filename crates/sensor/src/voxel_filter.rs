@@ -1,6 +1,6 @@
 //! Voxel filters: at most one point per cube of space (`spec/slam2d.md` §6).
 //!
-//! Bit-exact with the reference: the point of a voxel is chosen by reservoir sampling with a generator
+//! Bit-exact with Cartographer: the point of a voxel is chosen by reservoir sampling with a generator
 //! that starts afresh with every call, so that the same cloud always gives the same result.
 
 mod adaptive;

@@ -1,4 +1,4 @@
-//! Draws what the lidars of a simulation in space see: a top view and a section of all points, placed by
+//! Draws what the lidars of a simulation in 3D see: a top view and a section of all points, placed by
 //! the true motion, with the way in red.
 //!
 //! `cargo run --release -p portolan-simulator --example render_section -- museum 1 60 /tmp/museum 2`

@@ -5,7 +5,7 @@
 //! [`portolan_recording::Recording`], so that mapping can consume it like a file. It knows the exact
 //! pose at any time.
 //!
-//! A [`Simulation3d`] is the same in space: storeys, stairs, ramps and terrain ([`solid`]), a walk with
+//! A [`Simulation3d`] is the same in 3D: storeys, stairs, ramps and terrain ([`solid`]), a walk with
 //! gait, and spinning lidars with any beams.
 //!
 //! The same options give the same bytes: random numbers are drawn per sensor and message from

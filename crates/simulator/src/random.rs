@@ -4,6 +4,7 @@
 //! order in which messages are made, nor on the number of threads. The transcendental functions come
 //! from `libm`, so they do not depend on the platform either.
 
+use portolan_geometry::Vector3;
 use portolan_numeric::{SplitMix64, splitmix64};
 
 /// A stream of random numbers (SplitMix64).
@@ -60,6 +61,11 @@ impl Random {
         let (sine, cosine) = libm::sincos(std::f64::consts::TAU * self.uniform());
         self.spare_gaussian = Some(radius * sine);
         radius * cosine
+    }
+
+    /// Three of [`Random::gaussian`].
+    pub fn gaussian_vector(&mut self) -> Vector3 {
+        Vector3::new(self.gaussian(), self.gaussian(), self.gaussian())
     }
 
     /// Puts the items in random order (Fisher and Yates).

@@ -53,6 +53,21 @@ pub(crate) struct Request<'a> {
     pub odometry: Option<&'a OdometryOptions>,
 }
 
+/// A motion in time.
+#[derive(Debug)]
+pub(crate) struct Timeline<M> {
+    pub motion: Arc<M>,
+    pub clock: Clock,
+    /// Seconds.
+    pub duration: f64,
+}
+
+impl<M> Timeline<M> {
+    pub fn new(motion: M, start: Time, duration: f64) -> Self {
+        Self { motion: Arc::new(motion), clock: Clock { start }, duration }
+    }
+}
+
 /// One lidar.
 pub(crate) struct RigLidar<'a> {
     pub topic: &'a Arc<str>,
@@ -75,10 +90,7 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
     type Motion: Motion + Rolling + 'static;
 
     fn request(&self) -> Request<'_>;
-    fn motion(&self) -> &Arc<Self::Motion>;
-    fn clock(&self) -> Clock;
-    /// Seconds.
-    fn duration(&self) -> f64;
+    fn timeline(&self) -> &Timeline<Self::Motion>;
     fn lidar_count(&self) -> usize;
     fn lidar(&self, index: usize) -> Option<RigLidar<'_>>;
     /// Message number `number` of a lidar, without faults.
@@ -100,7 +112,7 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
     }
 
     fn schedule(&self, rate: f64) -> Schedule {
-        Schedule::new(rate, self.duration(), 0.0)
+        Schedule::new(rate, self.timeline().duration, 0.0)
     }
 
     /// All topics, ascending.
@@ -162,7 +174,7 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
         let is_missing = |target| request.faults.contains(&Fault::MissingTransform { target });
         let mut transforms = Vec::new();
         let mut add = |frame: &str, base_from_sensor: &Rigid3| {
-            transforms.push(sensor_transform(self.clock().start, frame, base_from_sensor));
+            transforms.push(sensor_transform(self.timeline().clock.start, frame, base_from_sensor));
         };
         if !is_missing(FaultTarget::Scan) {
             for lidar in (0..self.lidar_count()).filter_map(|index| self.lidar(index)) {
@@ -182,7 +194,7 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
 /// The messages of a source; none if the rig does not have it.
 fn open<R: Rig>(rig: &Arc<R>, source: Source) -> Option<Box<dyn MessageStream>> {
     let Request { seed, imu, odometry, .. } = rig.request();
-    let (motion, clock) = (Arc::clone(rig.motion()), rig.clock());
+    let (motion, clock) = (Arc::clone(&rig.timeline().motion), rig.timeline().clock);
     let stream: Box<dyn MessageStream> = match source {
         Source::Transforms => Box::new(TransformStream::new(rig.static_transforms(), clock.start)),
         Source::Lidar(index) => lidar_stream(Arc::clone(rig), index)?,
@@ -218,7 +230,7 @@ pub(crate) fn read<R: Rig>(rig: &Arc<R>, wanted: &dyn Fn(&TopicInfo) -> bool) ->
     let streams = channels.filter_map(|channel| {
         let stream = open(rig, channel.source)?;
         let filter = rig.fault_filter(channel.source);
-        Some(Merged::start(stream, filter, rig.clock(), channel.message_bytes))
+        Some(Merged::start(stream, filter, rig.timeline().clock, channel.message_bytes))
     });
     Box::new(MergedReader::new(streams.collect()))
 }
@@ -241,25 +253,27 @@ macro_rules! simulation {
 
             /// Length of the recording, seconds.
             pub fn duration(&self) -> f64 {
-                self.inner.duration
+                self.inner.timeline.duration
             }
 
             /// True time at the start.
             pub fn start_time(&self) -> portolan_geometry::Time {
-                self.inner.clock.start
+                self.inner.timeline.clock.start
             }
 
             /// True time at the end.
             pub fn end_time(&self) -> portolan_geometry::Time {
-                self.inner.clock.moment(portolan_geometry::Duration::from_seconds(self.inner.duration))
+                self.inner
+                    .timeline
+                    .clock
+                    .moment(portolan_geometry::Duration::from_seconds(self.inner.timeline.duration))
             }
 
             /// Pose, velocities and accelerations at a time; none outside the recording.
             pub fn motion_at(&self, time: portolan_geometry::Time) -> Option<$crate::motion::MotionState> {
                 use $crate::motion::Motion as _;
-                use $crate::rig::Rig as _;
                 let is_within = (self.start_time()..=self.end_time()).contains(&time);
-                is_within.then(|| self.inner.motion().state(self.inner.clock.seconds(time)))
+                is_within.then(|| self.inner.timeline.motion.state(self.inner.timeline.clock.seconds(time)))
             }
 
             /// True poses of `base_link` in the map, `rate` per second, from the start to the end.

@@ -1,4 +1,4 @@
-//! What to simulate in space, and checks of it.
+//! What to simulate in 3D, and checks of it.
 
 use portolan_geometry::{Rigid3, Time, Vector3, nalgebra as na};
 

@@ -1,4 +1,4 @@
-//! The kinds of surroundings in space.
+//! The kinds of surroundings in 3D.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,7 +6,7 @@ use std::str::FromStr;
 use crate::SimulatorError;
 use crate::motion::Carrier;
 
-/// The kinds of surroundings in space.
+/// The kinds of surroundings in 3D.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Scene3d {
     /// Storeys of halls around an atrium, stairs, a ramp, and a garden: walked with a backpack.

@@ -7,8 +7,8 @@ use portolan_recording::{LaserScan, Message};
 
 use crate::motion::{Motion, TourRequest, Walk, plan_people, plan_tour};
 use crate::random::Random;
-use crate::rig::{Request, Rig, RigLidar, simulation};
-use crate::sensors::{Clock, Lidar, Schedule};
+use crate::rig::{Request, Rig, RigLidar, Timeline, simulation};
+use crate::sensors::{Lidar, Schedule};
 use crate::world::{ClearanceGrid, FloorPlan, World, draw_plan};
 use crate::{ScenarioOptions, SimulatorError};
 
@@ -28,10 +28,7 @@ pub(crate) struct Inner {
     pub options: ScenarioOptions,
     pub plan: FloorPlan,
     pub world: World,
-    pub walk: Arc<Walk>,
-    pub clock: Clock,
-    /// Seconds.
-    pub duration: f64,
+    pub timeline: Timeline<Walk>,
     pub lidars: Vec<(Lidar, Schedule)>,
 }
 
@@ -85,9 +82,8 @@ impl Simulation {
                 (lidar, schedule)
             })
             .collect();
-        let clock = Clock { start: options.start_time };
-        let walk = Arc::new(walk);
-        Self { inner: Arc::new(Inner { options, plan, world, walk, clock, duration, lidars }) }
+        let timeline = Timeline::new(walk, options.start_time, duration);
+        Self { inner: Arc::new(Inner { options, plan, world, timeline, lidars }) }
     }
 
     /// The floor plan with its places.
@@ -102,14 +98,16 @@ impl Simulation {
 
     /// The exact motion; its time 0 is [`Simulation::start_time`].
     pub fn walk(&self) -> &Walk {
-        &self.inner.walk
+        &self.inner.timeline.motion
     }
 
     /// The true pose of `base_link` in the map, to rounding; none outside the recording. Stamps of
     /// sensors with a clock offset must be corrected by it first.
     pub fn truth_at(&self, time: Time) -> Option<Rigid3> {
         let is_within = (self.start_time()..=self.end_time()).contains(&time);
-        is_within.then(|| self.inner.walk.planar(self.inner.clock.seconds(time)).map_from_base())
+        is_within.then(|| {
+            self.inner.timeline.motion.planar(self.inner.timeline.clock.seconds(time)).map_from_base()
+        })
     }
 
     /// Pose of a lidar on the robot, by its place in the options.
@@ -139,16 +137,8 @@ impl Rig for Inner {
         Request { seed: o.seed, faults: &o.faults, imu: o.imu.as_ref(), odometry: o.odometry.as_ref() }
     }
 
-    fn motion(&self) -> &Arc<Walk> {
-        &self.walk
-    }
-
-    fn clock(&self) -> Clock {
-        self.clock
-    }
-
-    fn duration(&self) -> f64 {
-        self.duration
+    fn timeline(&self) -> &Timeline<Walk> {
+        &self.timeline
     }
 
     fn lidar_count(&self) -> usize {
@@ -180,7 +170,7 @@ impl Rig for Inner {
 impl Inner {
     pub fn scan(&self, lidar: &Lidar, schedule: &Schedule, index: u64) -> LaserScan {
         let since_start = schedule.time_of(index);
-        let stamp = self.clock.moment(since_start);
-        lidar.scan(&self.world, &self.walk, index, since_start.seconds(), stamp)
+        let stamp = self.timeline.clock.moment(since_start);
+        lidar.scan(&self.world, &self.timeline.motion, index, since_start.seconds(), stamp)
     }
 }

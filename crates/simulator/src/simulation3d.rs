@@ -1,4 +1,4 @@
-//! A simulation in space: a world, a walk through it, and sensors; with the truth.
+//! A simulation in 3D: a world, a walk through it, and sensors; with the truth.
 
 use std::sync::Arc;
 
@@ -7,17 +7,15 @@ use portolan_recording::{Message, PointCloud2};
 
 use crate::motion::{Itinerary, ItineraryRequest, Motion, SplineMotion, motion_along};
 use crate::random::Random;
-use crate::rig::{OtherSensor, Request, Rig, RigLidar, Source, simulation};
-use crate::sensors::{
-    Clock, GnssStream, LandmarkStream, MessageStream, Schedule, SpinningLidar, landmark_poses,
-};
+use crate::rig::{OtherSensor, Request, Rig, RigLidar, Source, Timeline, simulation};
+use crate::sensors::{GnssStream, LandmarkStream, MessageStream, Schedule, SpinningLidar, landmark_poses};
 use crate::solid::{Pedestrian, Solid, SolidPlan, SolidWorld};
 use crate::{Scenario3dOptions, SimulatorError};
 
 /// Points that are made ahead of the reader at most, in all.
 const POINTS_AHEAD: usize = 1 << 19;
 
-/// A recording in space that is made while it is read, with its truth. Copies share everything.
+/// A recording in 3D that is made while it is read, with its truth. Copies share everything.
 #[derive(Clone, Debug)]
 pub struct Simulation3d {
     pub(crate) inner: Arc<Inner3d>,
@@ -27,11 +25,8 @@ pub struct Simulation3d {
 pub(crate) struct Inner3d {
     pub options: Scenario3dOptions,
     pub world: Arc<SolidWorld>,
-    pub motion: Arc<SplineMotion>,
     pub marks: Arc<[Rigid3]>,
-    pub clock: Clock,
-    /// Seconds.
-    pub duration: f64,
+    pub timeline: Timeline<SplineMotion>,
     pub lidars: Vec<(SpinningLidar, Schedule)>,
 }
 
@@ -82,9 +77,9 @@ impl Simulation3d {
             (lidar, schedule)
         });
         let lidars = lidars.collect();
-        let clock = Clock { start: options.start_time };
-        let (world, motion) = (Arc::new(world), Arc::new(motion));
-        Self { inner: Arc::new(Inner3d { options, world, motion, marks, clock, duration, lidars }) }
+        let timeline = Timeline::new(motion, options.start_time, duration);
+        let world = Arc::new(world);
+        Self { inner: Arc::new(Inner3d { options, world, timeline, marks, lidars }) }
     }
 
     /// The world with its people.
@@ -94,7 +89,7 @@ impl Simulation3d {
 
     /// The exact motion; its time 0 is [`Simulation3d::start_time`].
     pub fn motion(&self) -> &SplineMotion {
-        &self.inner.motion
+        &self.inner.timeline.motion
     }
 
     /// True poses of the landmarks in the map, in the order of their numbers.
@@ -129,16 +124,8 @@ impl Rig for Inner3d {
         Request { seed: o.seed, faults: &o.faults, imu: o.imu.as_ref(), odometry: o.odometry.as_ref() }
     }
 
-    fn motion(&self) -> &Arc<SplineMotion> {
-        &self.motion
-    }
-
-    fn clock(&self) -> Clock {
-        self.clock
-    }
-
-    fn duration(&self) -> f64 {
-        self.duration
+    fn timeline(&self) -> &Timeline<SplineMotion> {
+        &self.timeline
     }
 
     fn lidar_count(&self) -> usize {
@@ -182,17 +169,17 @@ impl Rig for Inner3d {
     }
 
     fn open_other(&self, source: Source) -> Option<Box<dyn MessageStream>> {
-        let (motion, world) = (Arc::clone(&self.motion), Arc::clone(&self.world));
+        let (motion, world) = (Arc::clone(&self.timeline.motion), Arc::clone(&self.world));
         let seed = self.options.seed;
         match source {
             Source::Gnss => {
                 let gnss = self.options.gnss.clone()?;
-                let when = (self.clock, self.schedule(gnss.rate));
+                let when = (self.timeline.clock, self.schedule(gnss.rate));
                 Some(Box::new(GnssStream::new(gnss, (world, motion), when, seed)))
             }
             Source::Landmarks => {
                 let marks = self.options.landmarks.clone()?;
-                let when = (self.clock, self.schedule(marks.rate));
+                let when = (self.timeline.clock, self.schedule(marks.rate));
                 let poses = Arc::clone(&self.marks);
                 Some(Box::new(LandmarkStream::new(marks, (world, motion, poses), when, seed)))
             }
@@ -204,8 +191,8 @@ impl Rig for Inner3d {
 impl Inner3d {
     pub fn sweep(&self, lidar: &SpinningLidar, schedule: &Schedule, index: u64) -> PointCloud2 {
         let since_start = schedule.time_of(index);
-        let stamp = self.clock.moment(since_start);
-        lidar.sweep(&self.world, &*self.motion, (index, since_start.seconds(), stamp))
+        let stamp = self.timeline.clock.moment(since_start);
+        lidar.sweep(&self.world, &*self.timeline.motion, (index, since_start.seconds(), stamp))
     }
 }
 

@@ -1,4 +1,4 @@
-//! The truth in space as files: trajectory and surfaces.
+//! The truth in 3D as files: trajectory and surfaces.
 
 use std::io::{self, Write};
 

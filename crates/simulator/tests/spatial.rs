@@ -1,4 +1,4 @@
-//! Simulations in space against analytic truth.
+//! Simulations in 3D against analytic truth.
 #![allow(clippy::unwrap_used)] // helpers of tests fail as tests do
 
 use portolan_geometry::nalgebra as na;

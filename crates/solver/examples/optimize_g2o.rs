@@ -1,5 +1,5 @@
 //! Optimises g2o files: `cargo run --release -p portolan-solver --example optimize_g2o -- a.g2o b.g2o`.
-//! `--city=10000` optimises a made-up city of so many poses in space instead of a file.
+//! `--city=10000` optimises a made-up city of so many poses in 3D instead of a file.
 //! Options, before the files: `--init=automatic|file|odometry|tree|rotations`, `--radius=1e8`, `--condition`,
 //! `--out=result.g2o`.
 

@@ -1,4 +1,4 @@
-//! Factors for poses in the plane and in space, all with analytic Jacobians.
+//! Factors for poses in 2D and in 3D, all with analytic Jacobians.
 //!
 //! Weighted pairs ([`Se2Between`], [`Se3Between`]) follow sparse pose adjustment (Konolige et al., 2010) as
 //! Cartographer uses it; pairs with a full information matrix ([`Se2BetweenInformation`],

@@ -1,4 +1,4 @@
-//! The optimisation problem of vectors.md §11, built from the factors of this crate: a pose graph in space
+//! The optimisation problem of vectors.md §11, built from the factors of this crate: a pose graph in 3D
 //! with IMU, gravity, calibration, landmark and fixed frame, with known costs and result.
 
 #![allow(clippy::unwrap_used, clippy::panic)]

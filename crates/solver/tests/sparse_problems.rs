@@ -121,7 +121,7 @@ fn robust_losses_ignore_outliers() {
     assert!(problem.scalar(x).abs() < 1e-6);
 }
 
-/// A spiral of poses in space with chords; wrong initial values.
+/// A spiral of poses in 3D with chords; wrong initial values.
 fn spiral(n: usize) -> (Problem, Vec<VariableId>) {
     let mut problem = Problem::new();
     let truth = |i: usize| {
@@ -289,7 +289,9 @@ fn covariance_is_the_inverse_of_the_information() {
     problem.solve(&tight()).unwrap();
     let covariance = problem.covariance(&[ids[2], ids[0]]).unwrap();
     let first = covariance.block(1, 1).unwrap();
-    assert!((first - na::DMatrix::from_diagonal(&na::dvector![0.25, 0.25, 0.01])).norm() < 1e-9);
+    assert!(
+        (first - na::DMatrix::from_diagonal(&na::DVector::from_vec(vec![0.25, 0.25, 0.01]))).norm() < 1e-9
+    );
     let last = covariance.block(0, 0).unwrap();
     // Along the chain variances add up: x is exact, y gets the angles with their levers 2 and 1.
     assert!((last[(0, 0)] - 2.25).abs() < 1e-9 && (last[(2, 2)] - 2.01).abs() < 1e-9);

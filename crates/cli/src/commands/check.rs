@@ -16,7 +16,7 @@ use crate::output::{counted, is_map, print, print_json};
 ///
 /// Of a recording: damage, stamps that jump or differ from the time of recording, gaps, scans that overlap or
 /// repeat, sensors that turn unlike the others or whose clocks are apart (from 10 ms on between a lidar and an IMU
-/// in space), frames without transforms, implausible IMU and odometry. Of a map (.pbstream): damage, missing or
+/// in 3D), frames without transforms, implausible IMU and odometry. Of a map (.pbstream): damage, missing or
 /// doubled parts, impossible poses, constraints and grids, times out of order, and whether `portolan repair` helps.
 ///
 /// Exit code 0 if there is no finding of severity error, 1 if there is.

@@ -1,4 +1,4 @@
-//! `portolan compat`: the reference program's own commands, for scripts that call them.
+//! `portolan compat`: Cartographer's own commands, for scripts that call them.
 
 mod assets;
 mod bags;

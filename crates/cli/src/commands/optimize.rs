@@ -17,7 +17,7 @@ use crate::output::is_map;
 
 /// Optimise a pose graph (g2o file) or a map (.pbstream).
 ///
-/// Of g2o files, poses in the plane (VERTEX_SE2) and in space (VERTEX_SE3:QUAT) with full information
+/// Of g2o files, poses in 2D (VERTEX_SE2) and in 3D (VERTEX_SE3:QUAT) with full information
 /// matrices are taken. The best of several starts is used unless one is named. Maps are optimised from their
 /// own poses, with their constraints and measurements and the options of `--set`.
 ///

@@ -1,4 +1,4 @@
-//! Reading a table key by key, with the reading rules and the bookkeeping of the reference.
+//! Reading a table key by key, with the reading rules and the bookkeeping of Cartographer.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -159,7 +159,7 @@ impl Dictionary {
 }
 
 impl std::fmt::Display for Dictionary {
-    /// The text form of the reference.
+    /// The text form of Cartographer.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&dump(&self.0.table))
     }

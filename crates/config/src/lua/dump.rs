@@ -1,9 +1,9 @@
-//! Writing values as Lua text: the dump of the reference byte for byte, and exact literals.
+//! Writing values as Lua text: the dump of Cartographer byte for byte, and exact literals.
 
 use crate::error::ConfigError;
 use crate::value::{Table, Value};
 
-/// A table in the text form of the reference: array values first, then string keys ascending, numbers
+/// A table in the text form of Cartographer: array values first, then string keys ascending, numbers
 /// with six decimals, a comma after every entry, two spaces for each level.
 pub fn dump(table: &Table) -> String {
     let mut text = String::new();

@@ -67,7 +67,7 @@ pub(crate) struct Resolver {
 }
 
 impl Resolver {
-    /// The first readable file of that name. As in the reference the name is appended to each directory,
+    /// The first readable file of that name. As in Cartographer the name is appended to each directory,
     /// also if it begins with a slash.
     pub fn find(&self, name: &str) -> Option<FoundFile> {
         if name.is_empty() {

@@ -1,4 +1,4 @@
-//! `trajectory_builder_2d`: local SLAM in the plane.
+//! `trajectory_builder_2d`: local SLAM in 2D.
 
 use super::{
     AdaptiveVoxelFilterOptions, CeresScanMatcher2dOptions, MotionFilterOptions, PoseExtrapolatorOptions,
@@ -8,7 +8,7 @@ use crate::bounds::Bounds;
 use crate::define::options;
 
 options! {
-    /// Local SLAM in the plane: from range data to scans inserted into submaps.
+    /// Local SLAM in 2D: from range data to scans inserted into submaps.
     TrajectoryBuilder2dOptions {
         /// Expect an IMU, for gravity and for turning between scans. Turn it off when there is none.
         use_imu_data: bool = true, "", Bounds::ANY;

@@ -1,4 +1,4 @@
-//! `trajectory_builder_3d`: local SLAM in space.
+//! `trajectory_builder_3d`: local SLAM in 3D.
 
 use super::{
     AdaptiveVoxelFilterOptions, CeresScanMatcher3dOptions, MotionFilterOptions, PoseExtrapolatorOptions,
@@ -11,7 +11,7 @@ use crate::define::options;
 const MAX_3D_RANGE: f32 = 60.0;
 
 options! {
-    /// Local SLAM in space: from range data to scans inserted into submaps.
+    /// Local SLAM in 3D: from range data to scans inserted into submaps.
     TrajectoryBuilder3dOptions {
         /// Returns nearer than this are dropped. Raise it when the scanner sees its own platform.
         min_range: f32 = 1.0, "m", Bounds::at_least(0.0);

@@ -7,9 +7,9 @@ use crate::define::options;
 options! {
     /// What all trajectories of a map share.
     MapBuilderOptions {
-        /// Map in the plane. Exactly one of this and `use_trajectory_builder_3d` must be on.
+        /// Map in 2D. Exactly one of this and `use_trajectory_builder_3d` must be on.
         use_trajectory_builder_2d: bool = false, "", Bounds::ANY;
-        /// Map in space. Exactly one of this and `use_trajectory_builder_2d` must be on.
+        /// Map in 3D. Exactly one of this and `use_trajectory_builder_2d` must be on.
         use_trajectory_builder_3d: bool = false, "", Bounds::ANY;
         /// Threads that search constraints and optimise while local SLAM goes on; never more than there are
         /// cores. `--threads` wins over it; without either all cores are used. Results do not depend on it.

@@ -13,13 +13,13 @@ options! {
         /// Predict the motion between scans by integrating odometry over the gap instead of from its last
         /// velocity. Turn it off only to compare with Cartographer.
         use_all_odometry: bool = true, "", Bounds::ANY;
-        /// Largest share by which the score of a correlative match of local SLAM in the plane may be lowered because it
-        /// is off the prediction. 1 is the reference's rule. Below 1 the gradient matcher is also held
+        /// Largest share by which the score of a correlative match of local SLAM in 2D may be lowered because it
+        /// is off the prediction. 1 is Cartographer's rule. Below 1 the gradient matcher is also held
         /// near what was found instead of near the prediction, so that high weights hold the pose
         /// where the scan tells nothing (along a corridor), and slipping wheels are still recognised where
         /// it does. Raise it when odometry is better than the scans.
         search_penalty_limit: f64 = 1.0, "share", Bounds::UNIT;
-        /// In the plane: search for scans around their predictions as far as predictions were wrong lately, and as far
+        /// In 2D: search for scans around their predictions as far as predictions were wrong lately, and as far
         /// as a robot can have gone where the scan contradicts the map. Off, windows are those of
         /// `real_time_correlative_scan_matcher`, as in Cartographer.
         adaptive_search: bool = false, "", Bounds::ANY;
@@ -30,33 +30,33 @@ options! {
         /// picked: short recordings get enough loop closures that way. 0 tries no more, as in the
         /// reference; long recordings are beyond it anyway.
         min_loop_closure_searches: usize = 0, "pairs", Bounds::ANY;
-        /// In the plane: loop closures are looked for as far around where a node is believed to be as local SLAM may
+        /// In 2D: loop closures are looked for as far around where a node is believed to be as local SLAM may
         /// have drifted since its submap was last seen: so many metres for each metre of way, over loop
         /// closures the short way. 0 takes the windows of `fast_correlative_scan_matcher` instead, as
         /// Cartographer does. Raise it when long ways come back to where they were and the loop stays open.
         loop_search_drift: f64 = 0.0, "m/m", Bounds::within(0.0, 10.0);
-        /// In the plane: a node is looked for in a submap once in so many metres of way, however many scans
+        /// In 2D: a node is looked for in a submap once in so many metres of way, however many scans
         /// that are. 0 takes `sampling_ratio` instead, as Cartographer does. Lower it when loops are missed.
         loop_search_spacing: f64 = 0.0, "m", Bounds::within(0.0, 1000.0);
-        /// In the plane: share of the beams of a node that must end at something solid that the submap knows, for a
+        /// In 2D: share of the beams of a node that must end at something solid that the submap knows, for a
         /// loop closure to be believed. 0 asks only for the score, as Cartographer does. Lower it when loops
         /// are missed where scans overlap little.
         loop_min_explained: f64 = 0.0, "share", Bounds::UNIT;
-        /// In the plane: share of the beams of a node that may contradict the submap, ending where it is free or
+        /// In 2D: share of the beams of a node that may contradict the submap, ending where it is free or
         /// passing through what is solid, in all beams about which it knows something. 1 does not look, as
         /// Cartographer. Lower it when wrong loop closures are made, raise it where much has moved.
         loop_max_contradiction: f64 = 1.0, "share", Bounds::UNIT;
-        /// In the plane: where scans are more than 0.25 m apart a submap is full after this way, too, however few
+        /// In 2D: where scans are more than 0.25 m apart a submap is full after this way, too, however few
         /// scans it has. Lower it when scans are metres apart and the map bends within submaps. 0 counts only scans (`submaps.num_range_data`), as Cartographer does.
         submap_length: f64 = 0.0, "m", Bounds::within(0.0, 1000.0);
         /// Scans that must be found in whole submaps, all saying the same place within 0.5 m and 5 degrees
         /// and at least twice as many as say any other, before a trajectory is connected with another part
-        /// of the map. 1 takes the first that is found, as the reference does. Raise it where places
+        /// of the map. 1 takes the first that is found, as Cartographer does. Raise it where places
         /// look alike.
         global_localization_min_matches: usize = 1, "scans", Bounds::at_least(1.0);
-        /// In the plane: after so many seconds without a scan, and with neither odometry nor a gyroscope to tell
+        /// In 2D: after so many seconds without a scan, and with neither odometry nor a gyroscope to tell
         /// what happened meanwhile, the robot is looked for at any angle and as far away as it can have
-        /// gone, instead of going on from the old velocity. 0 never does that, as in the reference.
+        /// gone, instead of going on from the old velocity. 0 never does that, as in Cartographer.
         /// Lower it when a hand-held scanner turns fast between its scans.
         wide_search_after_gap: f64 = 0.5, "s", Bounds::at_least(0.0);
         /// 3D: match scans, and loop closures after they were found, to planes in voxels of submaps instead

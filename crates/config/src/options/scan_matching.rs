@@ -102,7 +102,7 @@ options! {
         /// Half width of the window in rotation. Raise it when the heading drifts more than this between
         /// two visits.
         angular_search_window: f64 = 30.0_f64.to_radians(), "rad", Bounds::at_least(0.0);
-        /// Number of precomputed grids in the reference, each with twice the cell of the one before.
+        /// Number of precomputed grids in Cartographer, each with twice the cell of the one before.
         /// Portolan chooses the sizes of its search itself; the number decides only which of several places
         /// with exactly the same score is taken.
         branch_and_bound_depth: usize = 7, "grids", Bounds::within(1.0, 20.0);

@@ -153,7 +153,7 @@ impl<'a> Message<'a> {
     }
 }
 
-/// Writes relations as the reference does, byte for byte.
+/// Writes relations as Cartographer does, byte for byte.
 pub fn write_binary_relations(relations: &[Relation], mut writer: impl Write) -> std::io::Result<()> {
     for relation in relations {
         let mut message = Vec::new();

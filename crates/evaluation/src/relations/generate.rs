@@ -57,7 +57,7 @@ pub struct GeneratedRelations {
 }
 
 impl GeneratedRelations {
-    /// The line that the reference's tool prints.
+    /// The line that Cartographer's tool prints.
     pub fn summary(&self) -> String {
         format!("Generated {} relations and ignored {} outliers.", self.relations.len(), self.outliers)
     }
@@ -111,7 +111,7 @@ pub fn generate_relations(
     Ok(generated)
 }
 
-/// Quaternions in files are a little off their length, and the reference normalises every product.
+/// Quaternions in files are a little off their length, and Cartographer normalises every product.
 fn product(a: &Rigid3, b: &Rigid3) -> Rigid3 {
     let mut product = a * b;
     product.rotation.renormalize();

@@ -22,7 +22,7 @@ pub struct RelationError {
     pub rotation_degrees: f64,
 }
 
-/// Disagreement with all relations. Printed as the four lines of the reference's tool.
+/// Disagreement with all relations. Printed as the four lines of Cartographer's tool.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RelationReport {
     /// How many relations.
@@ -37,9 +37,9 @@ pub struct RelationReport {
     pub absolute_rotation: MeanDeviation,
     /// Square degrees.
     pub squared_rotation: MeanDeviation,
-    /// Metres: more figures than the reference prints.
+    /// Metres: more figures than Cartographer prints.
     pub translation: ErrorStatistics,
-    /// Degrees: more figures than the reference prints.
+    /// Degrees: more figures than Cartographer prints.
     pub rotation_degrees: ErrorStatistics,
     /// One by one, in the order of the relations.
     #[serde(skip)]
@@ -111,7 +111,7 @@ impl RelationReport {
         self.errors.iter().map(|e| e.rotation_degrees).collect()
     }
 
-    /// Writes the table of the reference's tool, one row per relation.
+    /// Writes the table of Cartographer's tool, one row per relation.
     pub fn write_csv(&self, mut writer: impl Write) -> std::io::Result<()> {
         writeln!(
             writer,

@@ -18,7 +18,7 @@ use crate::png_file::write_rgb;
 /// Grey of what is not known.
 const UNKNOWN: u8 = 128;
 
-/// What becomes of a grid in the plane.
+/// What becomes of a grid in 2D.
 pub(super) enum PlanarOutput {
     /// A picture with trajectories.
     Png { path: PathBuf, trajectories: Vec<Vec<(Time, Rigid3)>> },
@@ -28,7 +28,7 @@ pub(super) enum PlanarOutput {
     RosMap { stem: PathBuf },
 }
 
-/// Draws points and rays into a grid in the plane.
+/// Draws points and rays into a grid in 2D.
 pub(super) struct WritePlanarGrid {
     grid: ProbabilityGrid,
     inserter: ProbabilityInserter,

@@ -49,7 +49,7 @@ fn scans_are_subdivided_and_moved_into_the_tracking_frame() {
     assert!((first.time - expected).seconds().abs() < 1e-6);
     assert_eq!(first.points_in_tracking[8].time, 0.0);
     assert!((first.points_in_tracking[0].time + 0.004).abs() < 1e-6);
-    // Without times there is nothing to subdivide; the reference would keep one piece in ten.
+    // Without times there is nothing to subdivide; Cartographer would keep one piece in ten.
     let messages = robot((0..5).map(|i| named("/scan", f64::from(i), scan(f64::from(i), "laser"))));
     let (found, issues) = read(messages, &options);
     assert_eq!((found.len(), issue(&issues, "not subdivided").count), (5, 5));

@@ -167,7 +167,7 @@ pub struct PlannedImu {
 /// Which topics are which sensors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorPlan {
-    /// In the plane or in space.
+    /// In 2D or in 3D.
     pub dimension: Dimension,
     /// The frame whose motion is wanted.
     pub tracking_frame: String,
@@ -192,7 +192,7 @@ pub struct SensorPlan {
 /// What the defaults of mapping depend on.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SensorStatistics {
-    /// In the plane or in space.
+    /// In 2D or in 3D.
     pub dimension: Dimension,
     /// The range sensors in use, by name.
     pub range: Vec<(String, RangeStatistics)>,

@@ -1,4 +1,4 @@
-//! Choosing range sensors, and whether to map in the plane or in space.
+//! Choosing range sensors, and whether to map in 2D or in 3D.
 
 use portolan_geometry::{Dimension, Vector3};
 use portolan_sensor::SensorKind;
@@ -9,7 +9,7 @@ use super::{Chosen, PlanError, PlannedRange, SensorPlan};
 use crate::options::IngestOptions;
 use crate::survey::{Inventory, TopicSurvey, is_range};
 
-/// A scanner in the plane may lean this much.
+/// A scanner in 2D may lean this much.
 const MAX_TILT_DEGREES: f64 = 20.0;
 /// A cloud with at least this vertical field of view sees space …
 const MIN_VERTICAL_DEGREES: f64 = 5.0;
@@ -144,7 +144,7 @@ fn choose_dimension<'a>(
         plan.dimension = options.dimension.unwrap_or_else(|| dimension_of(&only));
         return Ok(only);
     }
-    // A lidar that looks around beats a scanner in the plane; a depth camera does not.
+    // A lidar that looks around beats a scanner in 2D; a depth camera does not.
     let space = clouds.iter().any(looks_around);
     plan.dimension = options.dimension.unwrap_or(if space { Dimension::Three } else { Dimension::Two });
     let (used, unused, flag) = match plan.dimension {

@@ -88,7 +88,7 @@ pub(super) fn choose_imu<'a>(
         }
     }
     if choice.is_none() && plan.dimension == Dimension::Three {
-        plan.note("mapping in space without an IMU: level is what it was at the start", "--imu <topic>");
+        plan.note("mapping in 3D without an IMU: level is what it was at the start", "--imu <topic>");
     }
     Ok(choice)
 }
@@ -140,8 +140,8 @@ fn is_connected(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> boo
 }
 
 /// Why an IMU cannot tell level: what it shows as up leans far against the upright of the robot, or of the scanner
-/// in the plane where no robot is known. Its axes are swapped, or its mounting is not in the transforms; scans
-/// levelled by it would be folded, and in space it tells turns about the wrong axes. There a scanner that is
+/// in 2D where no robot is known. Its axes are swapped, or its mounting is not in the transforms; scans
+/// levelled by it would be folded, and in 3D it tells turns about the wrong axes. There a scanner that is
 /// carried in the hand may lean as it likes.
 fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen], dimension: Dimension) -> Option<String> {
     let up = Vector3::from(chosen.survey.imu.as_ref()?.mean_acceleration).try_normalize(1e-9)?;

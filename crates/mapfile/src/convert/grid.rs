@@ -69,7 +69,7 @@ fn count_repairs(done: GridRepairs, issues: &mut IssueLog) {
     issues.count(IssueKind::CostBoundsReplaced, u64::from(done.cost_bounds_replaced));
 }
 
-/// A grid as a serialised `Grid2D`, the file that the reference's `write_probability_grid` writes.
+/// A grid as a serialised `Grid2D`, the file that Cartographer's `write_probability_grid` writes.
 pub fn encode_grid_2d(grid: &Grid2d) -> Vec<u8> {
     grid_to_proto(grid).encode_to_vec()
 }

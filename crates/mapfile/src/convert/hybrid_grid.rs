@@ -1,4 +1,4 @@
-//! Submaps in space and their grids (`formats.md` §4.6).
+//! Submaps in 3D and their grids (`formats.md` §4.6).
 
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{Spatial, Submap3d};
@@ -50,7 +50,7 @@ impl MapSpace for Spatial {
     }
 }
 
-/// A grid as a serialised `HybridGrid`, the file that the reference's `write_hybrid_grid` writes.
+/// A grid as a serialised `HybridGrid`, the file that Cartographer's `write_hybrid_grid` writes.
 pub fn encode_hybrid_grid(grid: &HybridGrid) -> Vec<u8> {
     hybrid_grid_to_proto(grid).encode_to_vec()
 }

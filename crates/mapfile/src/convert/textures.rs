@@ -21,7 +21,7 @@ pub fn submap_textures_2d(map: &Map<Planar>) -> Vec<PlacedTexture> {
     })
 }
 
-/// The same in space: X-rays of the fine grids, as [`load_textures`](crate::load_textures) makes them of the file that
+/// The same in 3D: X-rays of the fine grids, as [`load_textures`](crate::load_textures) makes them of the file that
 /// is written of the map. Submaps that cannot be shown are left out.
 pub fn submap_textures_3d(map: &Map<Spatial>) -> Vec<PlacedTexture> {
     placed_textures(map, |submap, map_from_submap| {

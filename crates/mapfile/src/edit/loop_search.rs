@@ -52,7 +52,7 @@ impl MapDraft {
         let not_found = || EditError::NotFound { submap, node };
         let (Some(grid), Some(scan)) = self.load_pair::<S>(submap, node)? else { return Err(not_found()) };
         let matcher = S::build_matcher(&grid, options).ok_or_else(not_found)?;
-        // In space the search wants to know which way is up: the poses of the map do.
+        // In 3D the search wants to know which way is up: the poses of the map do.
         let guess = self.guess::<S>(submap, node, &scan);
         let found = S::find_node(
             &matcher,

@@ -91,7 +91,7 @@ pub struct OptimizationData {
     pub fixed_frame_origins: BTreeMap<TrajectoryId, FixedFrameOrigin>,
     /// Trajectories that are not moved.
     pub frozen: BTreeSet<TrajectoryId>,
-    /// Whether biases of IMUs are estimated and taken away; the reference knows none.
+    /// Whether biases of IMUs are estimated and taken away; Cartographer knows none.
     pub corrects_imu_biases: bool,
     /// First submaps of parts of the map that nothing ties to the rest: they stay where they are, so that
     /// their part does not float. The first submap of all stays in any case.

@@ -29,7 +29,7 @@ pub(super) enum Role {
     FixedFrame,
 }
 
-/// What differs between the plane and space. Poses are in space here; in the plane only their projection
+/// What differs between 2D and 3D. Poses are in 3D here; in 2D only their projection
 /// counts.
 pub(super) trait ProblemSpace {
     type Between: Factor;
@@ -222,7 +222,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
                     let origin = known.unwrap_or_else(|| node.map_from_node * measured.inverse());
                     S::add_pose(&mut self.problem, &origin, Role::FixedFrame, o)
                 });
-                // A satellite fix says nothing of rotations. The reference takes it for heading east.
+                // A satellite fix says nothing of rotations. Cartographer takes it for heading east.
                 let is_fix = data.corrects_imu_biases && measured.rotation.angle() < 1e-9;
                 let weights = if is_fix { (weights.0, HEADING_OF_A_FIX * weights.1) } else { weights };
                 self.add_between([origin, self.nodes[&node_id]], &measured, weights, loss);

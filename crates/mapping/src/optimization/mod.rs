@@ -1,4 +1,4 @@
-//! The optimisation problem: what it knows, and its forms in the plane and in space.
+//! The optimisation problem: what it knows, and its forms in 2D and in 3D.
 
 mod data;
 mod graph_problem;

@@ -1,4 +1,4 @@
-//! The optimisation problem in space (`slam3d.md` §9.1).
+//! The optimisation problem in 3D (`slam3d.md` §9.1).
 
 use std::collections::BTreeMap;
 
@@ -31,7 +31,7 @@ const COMMON_HEIGHT_ERROR: f64 = 2.0;
 /// landmarks stay where they are.
 ///
 /// Neighbouring nodes are tied by the IMU where it measured what lies between them, elsewhere (and
-/// everywhere with `fix_z_in_3d`) by local SLAM and odometry. The reference demands an IMU.
+/// everywhere with `fix_z_in_3d`) by local SLAM and odometry. Cartographer demands an IMU.
 pub fn optimize_3d(
     data: &mut OptimizationData,
     constraints: &[Constraint],

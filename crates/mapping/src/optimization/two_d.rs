@@ -1,4 +1,4 @@
-//! The optimisation problem in the plane (`slam2d.md` §14.6).
+//! The optimisation problem in 2D (`slam2d.md` §14.6).
 
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::{Rigid3, embed_3d, project_2d};

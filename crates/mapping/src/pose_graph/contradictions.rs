@@ -10,7 +10,7 @@ use crate::{Constraint, Space};
 /// disagreement, and by more than these metres and radians. (Of normally distributed errors along three axes
 /// not one in 10¹² is so large.)
 const TIMES_MEDIAN: f64 = 5.0;
-/// In the plane as much as cells and bent submaps explain; in space scans lie on planes within a centimetre.
+/// In 2D as much as cells and bent submaps explain; in 3D scans lie on planes within a centimetre.
 const MIN_IN_PLANE: (f64, f64) = (0.2, 0.05);
 const MIN_IN_SPACE: (f64, f64) = (0.05, 0.015);
 /// Fewer loop closures than this cannot outvote one of them.

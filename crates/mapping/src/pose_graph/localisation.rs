@@ -1,6 +1,6 @@
 //! Finding a trajectory in a map that it is not connected with yet, while it is being recorded.
 //!
-//! In space a search without a guess is by far the most expensive one. It is made cheap by what is known all
+//! In 3D a search without a guess is by far the most expensive one. It is made cheap by what is known all
 //! the same: which way is up, by now, for whole trajectories; and that the scanner is near the ways of those
 //! that made the map. It is made in time by searching as soon as nodes come, not only before optimisations,
 //! and in bounds by allowing so many searches for each second of the recording.

@@ -380,7 +380,7 @@ impl<S: Space> PoseGraph<S> {
         self.last_summary = S::optimize(&mut self.problem, &constraints, &self.options.optimization_problem);
         self.optimizations += 1;
         self.publish_poses();
-        // As in the reference only in space.
+        // As in Cartographer only in 3D.
         if self.options.log_residual_histograms && S::OPTIMIZES_WITH_IMU {
             self.log_residuals();
         }

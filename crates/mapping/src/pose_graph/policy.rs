@@ -87,12 +87,12 @@ const GOLDEN: f64 = 0.618_033_988_749_895;
 pub struct PoseGraphPolicy {
     /// Loop closures that all others together contradict are dropped at the end.
     pub drops_contradicted: bool,
-    /// Biases of IMUs are estimated and taken away when optimising in space.
+    /// Biases of IMUs are estimated and taken away when optimising in 3D.
     pub corrects_imu_biases: bool,
     /// Matches in whole submaps that must agree before they connect trajectories; 1 takes the first.
     pub min_agreeing: usize,
     /// Trajectories without a place in the map are searched as soon as nodes come, as many times as real time
-    /// allows, where the scanner can be (only in space).
+    /// allows, where the scanner can be (only in 3D).
     pub localises_while_recording: bool,
     /// Pairs that are to be tried in all before the last optimisation; 0 adds none.
     pub min_searches: u64,

@@ -22,7 +22,7 @@ pub struct FastCorrelativeOptions2d {
     pub linear_search_window: f64,
     /// Radians to either side, default 30°.
     pub angular_search_window: f64,
-    /// How many levels the search had in the reference, default 7. Here it only decides between
+    /// How many levels the search had in Cartographer, default 7. Here it only decides between
     /// placements with exactly the same score.
     pub branch_and_bound_depth: u32,
 }

@@ -1,4 +1,4 @@
-//! Matching anywhere in a finished submap in space.
+//! Matching anywhere in a finished submap in 3D.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ mod scans;
 mod search;
 mod tiles;
 
-/// Where a fast correlative matcher in space looks when it has a guess, and what it asks of a match.
+/// Where a fast correlative matcher in 3D looks when it has a guess, and what it asks of a match.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FastCorrelativeOptions3d {
     /// The search starts with boxes of 2^(this − 1) cells, default 8.

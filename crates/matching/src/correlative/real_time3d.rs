@@ -1,4 +1,4 @@
-//! Matching near a guess in space while the grid is still being drawn.
+//! Matching near a guess in 3D while the grid is still being drawn.
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Rigid3f, to_f32, to_f64};

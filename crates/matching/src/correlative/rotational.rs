@@ -65,7 +65,7 @@ fn add_slice(slice: &[Point3f], histogram: &mut [f32]) {
             continue;
         }
         if distance > MAX_DISTANCE {
-            // The reference moves on only here, not with every point of a wall.
+            // Cartographer moves on only here, not with every point of a wall.
             reference = point;
             continue;
         }

@@ -1,4 +1,4 @@
-//! Scan matching in space by gradient descent on smooth residuals.
+//! Scan matching in 3D by gradient descent on smooth residuals.
 
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, Vector3};
@@ -63,7 +63,7 @@ pub struct CloudInGrid<'a> {
     pub intensities: Option<&'a IntensityGrid>,
 }
 
-/// What the gradient matcher in space found.
+/// What the gradient matcher in 3D found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GradientMatch3d {
     /// The best pose of the scan in the frame of the grids.
@@ -76,7 +76,7 @@ pub struct GradientMatch3d {
     pub information: na::Matrix6<f64>,
 }
 
-/// Matches scans to grids in space by least squares (`slam3d.md` §3.2).
+/// Matches scans to grids in 3D by least squares (`slam3d.md` §3.2).
 #[derive(Clone, Debug, PartialEq)]
 pub struct GradientMatcher3d {
     options: GradientMatcherOptions3d,

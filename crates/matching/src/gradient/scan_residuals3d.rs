@@ -1,4 +1,4 @@
-//! How well a scan fits a grid in space.
+//! How well a scan fits a grid in 3D.
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3};

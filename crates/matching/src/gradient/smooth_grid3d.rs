@@ -1,4 +1,4 @@
-//! A grid in space as a smooth function of place: between the centres of cells values go over into each
+//! A grid in 3D as a smooth function of place: between the centres of cells values go over into each
 //! other by `3u² − 2u³` along each axis, flat at the centres.
 
 use portolan_geometry::{Point3f, Vector3};
@@ -6,7 +6,7 @@ use portolan_geometry::{Point3f, Vector3};
 use crate::grid::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL};
 use crate::grid::{Average, HybridGrid, IntensityGrid, MAX_VOXEL_INDEX, VoxelLattice, VoxelMap};
 
-/// What cells of a grid in space mean.
+/// What cells of a grid in 3D mean.
 pub(crate) trait CellValue: Copy + Default {
     /// The value of a cell; none is a cell nothing is known about.
     fn value(cell: Option<Self>) -> f64;
@@ -57,7 +57,7 @@ impl<T: CellValue> SmoothGrid3d<'_, T> {
         if nearest.iter().any(|i| !reach.contains(i)) {
             return (T::value(None), Vector3::zeros());
         }
-        // Centres of cells are computed in single precision, as in the reference.
+        // Centres of cells are computed in single precision, as in Cartographer.
         let center = |index: i32| f64::from(index as f32 * self.lattice.resolution);
         let mut low = nearest;
         let (mut blend, mut slope) = ([0.0; 3], [0.0; 3]);

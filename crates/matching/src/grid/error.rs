@@ -22,7 +22,7 @@ pub enum GridError {
         /// Cells along −x.
         num_y_cells: i64,
     },
-    /// The edge of a cell in space that is none.
+    /// The edge of a cell in 3D that is none.
     #[error("cells with an edge of {0} m are not possible: it must be positive and finite")]
     InvalidResolution(f32),
     /// The grid would need more cells than allowed.
@@ -58,7 +58,7 @@ pub enum GridError {
         /// Given upper bound.
         upper: f32,
     },
-    /// Nothing can be drawn from a place that is not finite, or too far away for a grid in space.
+    /// Nothing can be drawn from a place that is not finite, or too far away for a grid in 3D.
     #[error("the origin of the range data is ({x}, {y}, {z}): it must be finite and within the grid")]
     InvalidOrigin {
         /// Metres.

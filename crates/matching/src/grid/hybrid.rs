@@ -1,4 +1,4 @@
-//! The grid of 3D submaps: how probable it is that a cell in space is occupied.
+//! The grid of 3D submaps: how probable it is that a cell in 3D is occupied.
 
 use portolan_geometry::Point3f;
 use portolan_sensor::lround_small;
@@ -7,7 +7,7 @@ use super::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL};
 use super::voxel_map::{Block, BlockKey, VoxelMap};
 use super::{GridError, MAX_VOXEL_INDEX, VoxelIndex};
 
-/// Where the cells of a grid in space are: cell i spans half an edge to both sides of i times the edge.
+/// Where the cells of a grid in 3D are: cell i spans half an edge to both sides of i times the edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VoxelLattice {
     /// Edge of a cell, metres.
@@ -53,7 +53,7 @@ impl VoxelLattice {
     }
 }
 
-/// Probabilities of cells in space, of which only the known ones take memory (3 to 5 bytes each where a
+/// Probabilities of cells in 3D, of which only the known ones take memory (3 to 5 bytes each where a
 /// surface was seen). Indices reach from −8192 to 8191 along each axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HybridGrid {
@@ -92,7 +92,7 @@ impl HybridGrid {
         self.cells.num_cells()
     }
 
-    /// Edge, in cells, of the cube around the origin that the reference would have reserved: 128, doubled
+    /// Edge, in cells, of the cube around the origin that Cartographer would have reserved: 128, doubled
     /// until it holds all known cells. The search of whole submaps covers it.
     pub fn extent(&self) -> u32 {
         self.cells.extent()

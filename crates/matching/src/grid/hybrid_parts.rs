@@ -46,7 +46,7 @@ impl HybridGrid {
     }
 
     /// The grid of these cells, given in any order, without spare memory. A value of 0 becomes 1, the
-    /// least probable one, as in the reference.
+    /// least probable one, as in Cartographer.
     ///
     /// # Errors
     /// If the resolution is not positive and finite, or the lists have different lengths.

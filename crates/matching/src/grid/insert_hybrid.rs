@@ -1,4 +1,4 @@
-//! Drawing range data into grids in space.
+//! Drawing range data into grids in 3D.
 
 use portolan_sensor::RangeData;
 
@@ -58,7 +58,7 @@ impl HybridInserter {
     /// Draws the returns of one scan (metres, in the frame of the grid) that are at most `max_range`
     /// metres from its origin. The cells in which rays end become more probable, the last few cells before
     /// them less (`slam3d.md` §5). A cell changes at most once, and being hit wins. `intensities` gets the
-    /// intensity of each return that has one below the threshold. Misses do not count in space.
+    /// intensity of each return that has one below the threshold. Misses do not count in 3D.
     ///
     /// # Errors
     /// If the origin is not finite or outside of what a grid can hold; nothing is changed then.

@@ -42,7 +42,7 @@ pub struct InsertReport {
     pub hits: usize,
     /// Points left out because they are not finite.
     pub not_finite: usize,
-    /// Points left out because they are beyond the reach of a grid in space.
+    /// Points left out because they are beyond the reach of a grid in 3D.
     pub outside: usize,
 }
 
@@ -124,7 +124,7 @@ pub(crate) fn is_finite(point: &Point3f) -> bool {
     point.coords.iter().all(|v| v.is_finite())
 }
 
-/// Bounding box in the plane.
+/// Bounding box in 2D.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     min: Vector2f,

@@ -1,4 +1,4 @@
-//! Mean intensities of cells in space.
+//! Mean intensities of cells in 3D.
 
 use portolan_geometry::Point3f;
 

@@ -1,7 +1,7 @@
 //! Occupancy on regular grids: value codes, the planar grids and what is drawn into them.
 //!
 //! Planar cell indices run against the axes of the map: the first one along −y, the second along −x,
-//! starting at the corner with the largest coordinates. Indices in space run along the axes, from the
+//! starting at the corner with the largest coordinates. Indices in 3D run along the axes, from the
 //! origin.
 
 mod cells;

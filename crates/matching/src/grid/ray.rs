@@ -7,6 +7,8 @@
 /// Cells come in order of ascending column, within a column along the ray (ascending for a ray within
 /// one column), whichever end is given first, each once. Where the ray passes exactly through a corner
 /// it steps diagonally.
+///
+/// In one function, because the two directions of rows share all of its state, and it is the innermost loop of drawing.
 pub fn for_each_cell_on_ray(begin: [i64; 2], end: [i64; 2], scale: i64, mut visit: impl FnMut(i64, i64)) {
     let (begin, end) = if begin[0] > end[0] { (end, begin) } else { (begin, end) };
     let (mut column, last_column) = (begin[0] / scale, end[0] / scale);

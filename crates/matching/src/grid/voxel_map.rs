@@ -1,4 +1,4 @@
-//! Values of cells in space, of which few are known: what all hybrid grids share.
+//! Values of cells in 3D, of which few are known: what all hybrid grids share.
 //!
 //! Space is cut into blocks of 4×4×4 cells. A block with known cells has a leaf: one bit for each cell
 //! that is known and a list with only their values. A surface seen by a lidar takes 3 to 5 bytes per
@@ -14,7 +14,7 @@ use block::{BLOCK_CELLS, Bits};
 pub(crate) use block::{Block, BlockKey};
 use portolan_spatial::DenseIndex;
 
-/// Indices of a cell in space along x, y, z. Cell (0, 0, 0) is centred at the origin of the grid.
+/// Indices of a cell in 3D along x, y, z. Cell (0, 0, 0) is centred at the origin of the grid.
 pub type VoxelIndex = [i32; 3];
 
 /// Cells have indices from minus this up to this minus one along each axis (`formats.md` §4.6).
@@ -41,7 +41,7 @@ pub(crate) struct VoxelMap<T> {
     num_cells: usize,
     /// The last leaf changed: neighbouring points hit neighbouring cells.
     recent: (u64, usize),
-    /// All cells are within ±(32 << this) of the origin: how far the reference's grid has grown.
+    /// All cells are within ±(32 << this) of the origin: how far Cartographer's grid has grown.
     root_bits: u32,
 }
 
@@ -107,7 +107,7 @@ impl<T: Copy + Default> VoxelMap<T> {
         self.num_cells
     }
 
-    /// Edge of the cube of cells that the reference would have reserved: 64 cells, doubled until all
+    /// Edge of the cube of cells that Cartographer would have reserved: 64 cells, doubled until all
     /// known cells are inside, at least 128.
     pub fn extent(&self) -> u32 {
         64 << self.root_bits

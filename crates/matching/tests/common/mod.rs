@@ -162,7 +162,7 @@ pub fn golden_pose_3d() -> Rigid3 {
     Rigid3::from_parts([0.4, -0.3, 0.1].into(), rotation_from_roll_pitch_yaw(0.0, 0.0, 0.1))
 }
 
-/// Initial pose I of the golden vectors in space.
+/// Initial pose I of the golden vectors in 3D.
 pub fn golden_initial_3d() -> Rigid3 {
     Rigid3::from_parts([0.5, -0.2, 0.05].into(), rotation_from_roll_pitch_yaw(0.005, -0.004, 0.09))
 }

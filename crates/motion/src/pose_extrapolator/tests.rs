@@ -254,7 +254,7 @@ mod all_odometry {
     fn odometry_as_seldom_as_scans_is_enough() {
         let (distance, angle) = largest_errors(true, Some(0.2), false, UNCHANGED);
         assert!(distance < 1e-6 && angle < 1e-6, "{distance} {angle}");
-        // The reference goes in a straight line.
+        // Cartographer goes in a straight line.
         let (distance, _) = largest_errors(false, Some(0.2), false, UNCHANGED);
         assert!(distance > 0.03, "{distance}");
     }

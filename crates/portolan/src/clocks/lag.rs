@@ -200,7 +200,7 @@ fn linearised(turns: &[SweepTurn], gyroscope: &Gyroscope, lag: f64) -> Vec<Equat
 
 /// The usual size of what is left (median, as a standard deviation of one axis).
 fn usual(equations: &[Equations], unknowns: &Unknowns) -> Option<f64> {
-    // The median of the length of a normal vector in space is 1.538 standard deviations.
+    // The median of the length of a normal vector in 3D is 1.538 standard deviations.
     let size = median(equations.iter().map(|e| e.left(unknowns).norm()).collect()) / 1.538;
     (equations.len() >= ENOUGH_TURNS && size.is_finite()).then_some(size.max(1e-9))
 }

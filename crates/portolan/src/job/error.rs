@@ -22,8 +22,8 @@ pub enum JobError {
     /// Options with values that they cannot have, or that do not fit each other.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Options(Vec<ConfigError>),
-    /// An engine that is not there in the plane.
-    #[error("planes are for mapping in space; scans in the plane are matched to grids")]
+    /// An engine that is not there in 2D.
+    #[error("planes are for mapping in 3D; scans in 2D are matched to grids")]
     PlanesInThePlane,
     /// Single trajectories to be frozen of several maps.
     #[error("single trajectories to be frozen do not tell which of the known maps they are of")]

@@ -29,7 +29,7 @@ pub struct CloudRequest {
     pub file: Option<PathBuf>,
     /// One point of the cloud for each cube of this size, metres: the mean of its points. None for all points.
     pub voxel_size_metres: Option<f64>,
-    /// Whether X-ray pictures of maps in space are drawn.
+    /// Whether X-ray pictures of maps in 3D are drawn.
     pub with_xrays: bool,
 }
 

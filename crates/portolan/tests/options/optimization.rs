@@ -1,4 +1,4 @@
-//! The optimisation problem, in the plane and in space, fed directly.
+//! The optimisation problem, in 2D and in 3D, fed directly.
 //!
 //! Seven nodes in a row. What they are told contradicts itself: submaps say 0.5 m from node to node, local
 //! SLAM 0.4 m and a little turn, odometry 0.6 m, the fixed frame 0.7 m; a loop closure says that the last one

@@ -1,4 +1,4 @@
-//! Local SLAM in the plane.
+//! Local SLAM in 2D.
 
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, roll_pitch_yaw, rotation_angle};

@@ -1,4 +1,4 @@
-//! Local SLAM in space.
+//! Local SLAM in 3D.
 
 use portolan::config::Options;
 use portolan::geometry::{Quaternion, Rigid3, Vector3, roll_pitch_yaw, rotation_from_roll_pitch_yaw};

@@ -1,4 +1,4 @@
-//! The pose graph in space: what it shares with that of the plane has its effects there, too.
+//! The pose graph in 3D: what it shares with that of the plane has its effects there, too.
 
 use std::collections::BTreeSet;
 

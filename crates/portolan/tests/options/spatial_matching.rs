@@ -1,4 +1,4 @@
-//! Matching of scans in space.
+//! Matching of scans in 3D.
 
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, Vector3, rotation_angle, rotation_from_roll_pitch_yaw};

@@ -1,4 +1,4 @@
-//! The search for constraints in space.
+//! The search for constraints in 3D.
 
 use std::sync::OnceLock;
 

@@ -87,7 +87,7 @@ pub fn planar_scan(map_from_tracking: &Rigid3, seconds: f64) -> TimedPointCloudD
     scan
 }
 
-/// A scan in space of a tracking frame that may lean.
+/// A scan in 3D of a tracking frame that may lean.
 pub fn spatial_scan(map_from_tracking: &Rigid3, seconds: f64) -> TimedPointCloudData {
     let elevations: Vec<f64> = (-5..=5).map(|ring| 0.09 * f64::from(ring)).collect();
     scan_at(map_from_tracking, seconds, &elevations, 90)

@@ -23,7 +23,7 @@ impl Bench {
         Self { collator, out: Vec::new() }
     }
 
-    /// How the reference orders: no limits.
+    /// How Cartographer orders: no limits.
     fn reference(trajectories: &[(u32, &[&str])]) -> Self {
         Self::new(CollatorOptions { by_trajectory: false, wait_limit: None }, trajectories)
     }

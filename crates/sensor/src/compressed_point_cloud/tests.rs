@@ -8,7 +8,7 @@ fn compress(points: &[[f32; 3]]) -> CompressedPointCloud {
 }
 
 #[test]
-#[allow(clippy::excessive_precision)] // the digits as printed by the reference
+#[allow(clippy::excessive_precision)] // the digits as printed by Cartographer
 fn golden_points() {
     let compressed = compress(&[
         [1.2345, -0.5, 0.25],

@@ -57,7 +57,7 @@ pub(super) fn small_indices<const N: usize>(points: &[[f32; 3]; N], edge: f32) -
     are_small.then_some(indices)
 }
 
-/// A voxel in 21 bits per axis, overlapping beyond ±2^20 voxels as in the reference.
+/// A voxel in 21 bits per axis, overlapping beyond ±2^20 voxels as in Cartographer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct VoxelKey(u64);
 

@@ -1,4 +1,4 @@
-//! A motion in space as a uniform quintic B-spline of position and of roll, pitch and yaw: derivatives
+//! A motion in 3D as a uniform quintic B-spline of position and of roll, pitch and yaw: derivatives
 //! are exact, and accelerations and their derivatives continuous.
 
 use portolan_geometry::nalgebra as na;

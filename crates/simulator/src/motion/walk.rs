@@ -7,7 +7,7 @@ use super::smooth;
 use super::turn::UnitTurn;
 use super::{Motion, MotionState, Rolling};
 
-/// Pose and derivatives of a robot in the plane.
+/// Pose and derivatives of a robot in 2D.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanarState {
     /// Metres in the map.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use portolan_geometry::{EastNorthUp, GeodeticPosition, Rigid3, Trigonometry, Vector3};
 use portolan_recording::{Header, Message, NavSatFix, RecordedMessage};
 
-use super::stream::{Clock, MessageStream, Schedule};
+use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::Motion;
 use crate::random::Random;
 use crate::solid::{Moment, Ray3, SolidWorld};
@@ -81,11 +81,9 @@ pub(crate) struct GnssStream<M> {
     pub options: GnssOptions,
     pub world: Arc<SolidWorld>,
     pub motion: Arc<M>,
-    pub clock: Clock,
-    pub schedule: Schedule,
+    ticks: Ticks,
     pub seed: u64,
     wander: Vector3,
-    next: u64,
 }
 
 impl<M: Motion> GnssStream<M> {
@@ -95,8 +93,8 @@ impl<M: Motion> GnssStream<M> {
         (clock, schedule): (Clock, Schedule),
         seed: u64,
     ) -> Self {
-        let wander = gaussian_vector(&mut Random::new(seed, "gnss wander", 0)) * options.wander;
-        Self { options, world, motion, clock, schedule, seed, wander, next: 0 }
+        let wander = position_error(&mut Random::new(seed, "gnss wander", 0)) * options.wander;
+        Self { options, world, motion, ticks: Ticks::new(clock, schedule), seed, wander }
     }
 
     fn sees_sky(&self, antenna: &Vector3) -> bool {
@@ -116,29 +114,23 @@ impl<M: Motion> GnssStream<M> {
     }
 }
 
-fn gaussian_vector(random: &mut Random) -> Vector3 {
-    Vector3::new(random.gaussian(), random.gaussian(), 2.0 * random.gaussian())
+/// Of unit size east and north; heights are known half as well.
+fn position_error(random: &mut Random) -> Vector3 {
+    random.gaussian_vector().component_mul(&Vector3::new(1.0, 1.0, 2.0))
 }
 
 impl<M: Motion> MessageStream for GnssStream<M> {
     fn next_message(&mut self) -> Option<RecordedMessage> {
-        if self.next >= self.schedule.count() {
-            return None;
-        }
-        let index = self.next;
-        self.next += 1;
-        let since_start = self.schedule.time_of(index);
-        let seconds = since_start.seconds();
-        let stamp = self.clock.moment(since_start);
+        let (index, seconds, stamp) = self.ticks.next()?;
         let o = &self.options;
         let mut random = Random::new(self.seed, "gnss", index);
         let antenna = self.motion.state(seconds).map_from_base * o.base_from_antenna;
         let antenna = antenna.translation.vector;
         let is_out = o.outages.iter().any(|[from, to]| (*from..*to).contains(&seconds));
         let has_fix = !is_out && (!o.needs_sky || self.sees_sky(&antenna));
-        let measured = antenna + self.wander + gaussian_vector(&mut random) * o.noise;
+        let measured = antenna + self.wander + position_error(&mut random) * o.noise;
         let keep = libm::exp(-1.0 / (o.rate * WANDER_TIME));
-        let fresh = gaussian_vector(&mut random) * (o.wander * (1.0 - keep * keep).sqrt());
+        let fresh = position_error(&mut random) * (o.wander * (1.0 - keep * keep).sqrt());
         let [latitude_degrees, longitude_degrees, altitude] =
             if has_fix { o.geodetic(&measured) } else { [f64::NAN; 3] };
         let variance = o.noise * o.noise + o.wander * o.wander;

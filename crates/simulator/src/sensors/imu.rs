@@ -6,7 +6,7 @@ use std::sync::Arc;
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_recording::{Header, Imu, Message, RecordedMessage};
 
-use super::stream::{Clock, MessageStream, Schedule};
+use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::{Motion, MotionState};
 use crate::random::Random;
 
@@ -89,12 +89,10 @@ pub(crate) struct ImuStream<M> {
     topic: Arc<str>,
     frame: Arc<str>,
     motion: Arc<M>,
-    clock: Clock,
-    schedule: Schedule,
+    ticks: Ticks,
     seed: u64,
     gyroscope_bias: Vector3,
     accelerometer_bias: Vector3,
-    next: u64,
 }
 
 impl<M: Motion> ImuStream<M> {
@@ -103,42 +101,30 @@ impl<M: Motion> ImuStream<M> {
         Self {
             topic: options.topic.as_str().into(),
             frame: options.frame.as_str().into(),
-            gyroscope_bias: gaussian_vector(&mut random) * options.gyroscope_bias,
-            accelerometer_bias: gaussian_vector(&mut random) * options.accelerometer_bias,
+            gyroscope_bias: random.gaussian_vector() * options.gyroscope_bias,
+            accelerometer_bias: random.gaussian_vector() * options.accelerometer_bias,
             options,
             motion,
-            clock,
-            schedule,
+            ticks: Ticks::new(clock, schedule),
             seed,
-            next: 0,
         }
     }
 }
 
-fn gaussian_vector(random: &mut Random) -> Vector3 {
-    Vector3::new(random.gaussian(), random.gaussian(), random.gaussian())
-}
-
 impl<M: Motion> MessageStream for ImuStream<M> {
     fn next_message(&mut self) -> Option<RecordedMessage> {
-        if self.next >= self.schedule.count() {
-            return None;
-        }
-        let index = self.next;
-        self.next += 1;
-        let since_start = self.schedule.time_of(index);
-        let stamp = self.clock.moment(since_start);
+        let (index, seconds, stamp) = self.ticks.next()?;
         let o = &self.options;
         let mut random = Random::new(self.seed, "imu", index);
-        let state = self.motion.state(since_start.seconds());
+        let state = self.motion.state(seconds);
         let (omega, force) = exact_sample(&state, &o.base_from_imu, o.gravity);
         let (per_sample, per_step) = (o.rate.sqrt(), (1.0 / o.rate).sqrt());
         let (gyroscope_noise, force_noise) =
             (o.gyroscope_noise * per_sample, o.accelerometer_noise * per_sample);
-        let omega = omega + self.gyroscope_bias + gaussian_vector(&mut random) * gyroscope_noise;
-        let force = force + self.accelerometer_bias + gaussian_vector(&mut random) * force_noise;
-        self.gyroscope_bias += gaussian_vector(&mut random) * (o.gyroscope_bias_walk * per_step);
-        self.accelerometer_bias += gaussian_vector(&mut random) * (o.accelerometer_bias_walk * per_step);
+        let omega = omega + self.gyroscope_bias + random.gaussian_vector() * gyroscope_noise;
+        let force = force + self.accelerometer_bias + random.gaussian_vector() * force_noise;
+        self.gyroscope_bias += random.gaussian_vector() * (o.gyroscope_bias_walk * per_step);
+        self.accelerometer_bias += random.gaussian_vector() * (o.accelerometer_bias_walk * per_step);
         let imu = Imu {
             header: Header { stamp, frame_id: Arc::clone(&self.frame) },
             // No orientation is measured: the message says so by −1 in the covariance.

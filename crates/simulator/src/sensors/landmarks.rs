@@ -6,7 +6,7 @@ use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_recording::{Header, LandmarkEntry, LandmarkList, Message, RecordedMessage};
 
-use super::stream::{Clock, MessageStream, Schedule};
+use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::{Motion, rotation};
 use crate::random::Random;
 use crate::solid::{Moment, Ray3, SolidWorld};
@@ -58,10 +58,8 @@ pub(crate) struct LandmarkStream<M> {
     world: Arc<SolidWorld>,
     motion: Arc<M>,
     marks: Arc<[Rigid3]>,
-    clock: Clock,
-    schedule: Schedule,
+    ticks: Ticks,
     seed: u64,
-    next: u64,
 }
 
 /// Poses of landmarks in the map: x out of the wall.
@@ -80,7 +78,7 @@ impl<M: Motion> LandmarkStream<M> {
         (clock, schedule): (Clock, Schedule),
         seed: u64,
     ) -> Self {
-        Self { options, world, motion, marks, clock, schedule, seed, next: 0 }
+        Self { options, world, motion, marks, ticks: Ticks::new(clock, schedule), seed }
     }
 
     fn is_seen(&self, camera: &Vector3, map_from_mark: &Rigid3) -> bool {
@@ -95,30 +93,20 @@ impl<M: Motion> LandmarkStream<M> {
     }
 }
 
-fn gaussian_vector(random: &mut Random) -> Vector3 {
-    Vector3::new(random.gaussian(), random.gaussian(), random.gaussian())
-}
-
 impl<M: Motion> MessageStream for LandmarkStream<M> {
     fn next_message(&mut self) -> Option<RecordedMessage> {
-        if self.next >= self.schedule.count() {
-            return None;
-        }
-        let index = self.next;
-        self.next += 1;
-        let since_start = self.schedule.time_of(index);
-        let stamp = self.clock.moment(since_start);
+        let (index, seconds, stamp) = self.ticks.next()?;
         let o = &self.options;
         let mut random = Random::new(self.seed, "landmarks", index);
-        let map_from_base = self.motion.state(since_start.seconds()).map_from_base;
+        let map_from_base = self.motion.state(seconds).map_from_base;
         let camera = (map_from_base * na::Point3::new(0.0, 0.0, o.camera_height)).coords;
         let mut landmarks = Vec::new();
         for (number, map_from_mark) in self.marks.iter().enumerate() {
             if !self.is_seen(&camera, map_from_mark) {
                 continue;
             }
-            let offset = gaussian_vector(&mut random) * o.position_noise;
-            let turn = gaussian_vector(&mut random) * o.rotation_noise;
+            let offset = random.gaussian_vector() * o.position_noise;
+            let turn = random.gaussian_vector() * o.rotation_noise;
             let turn = rotation(turn.x, turn.y, turn.z);
             let noise = Rigid3::from_parts(na::Translation3::from(offset), turn);
             landmarks.push(LandmarkEntry {

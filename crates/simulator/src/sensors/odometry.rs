@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Rigid2};
+use portolan_geometry::Rigid2;
 use portolan_recording::{Header, Message, Odometry, Pose, RecordedMessage};
 
-use super::stream::{Clock, MessageStream, Schedule};
+use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::Rolling;
 use crate::random::Random;
 
@@ -97,13 +97,11 @@ pub(crate) struct OdometryStream<M> {
     frame: Arc<str>,
     child_frame: Arc<str>,
     motion: Arc<M>,
-    clock: Clock,
-    schedule: Schedule,
+    ticks: Ticks,
     seed: u64,
     wheels: [Wheel; 2],
     assumed_separation: f64,
     odom_from_base: Rigid2,
-    next: u64,
     /// Time, distance and heading at the message before.
     before: (f64, f64, f64),
 }
@@ -130,13 +128,11 @@ impl<M: Rolling> OdometryStream<M> {
             child_frame: child_frame.into(),
             options,
             motion,
-            clock,
-            schedule,
+            ticks: Ticks::new(clock, schedule),
             seed,
             wheels,
             assumed_separation,
             odom_from_base: Rigid2::identity(),
-            next: 0,
             before: (0.0, travelled, heading),
         }
     }
@@ -203,14 +199,8 @@ impl<M: Rolling> OdometryStream<M> {
 
 impl<M: Rolling> MessageStream for OdometryStream<M> {
     fn next_message(&mut self) -> Option<RecordedMessage> {
-        if self.next >= self.schedule.count() {
-            return None;
-        }
-        let index = self.next;
-        self.next += 1;
-        let since_start: Duration = self.schedule.time_of(index);
-        let stamp = self.clock.moment(since_start);
-        let (forward, turn_rate) = self.advance(index, since_start.seconds());
+        let (index, seconds, stamp) = self.ticks.next()?;
+        let (forward, turn_rate) = self.advance(index, seconds);
         let odometry = Odometry {
             header: Header { stamp, frame_id: Arc::clone(&self.frame) },
             child_frame_id: Arc::clone(&self.child_frame),
@@ -225,7 +215,7 @@ impl<M: Rolling> MessageStream for OdometryStream<M> {
     }
 }
 
-/// A pose in the plane as it stands in messages.
+/// A pose in 2D as it stands in messages.
 fn planar_pose(pose: &Rigid2) -> Pose {
     let (sine, cosine) = libm::sincos(0.5 * pose.normalized_angle());
     Pose {

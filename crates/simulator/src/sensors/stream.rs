@@ -59,6 +59,33 @@ impl Schedule {
     }
 }
 
+/// The measurements of a sensor one after the other: number, seconds since the start, true time.
+#[derive(Clone, Debug)]
+pub(crate) struct Ticks {
+    clock: Clock,
+    schedule: Schedule,
+    next: u64,
+}
+
+impl Ticks {
+    pub fn new(clock: Clock, schedule: Schedule) -> Self {
+        Self { clock, schedule, next: 0 }
+    }
+}
+
+impl Iterator for Ticks {
+    type Item = (u64, f64, Time);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let index = self.next;
+        (index < self.schedule.count()).then(|| {
+            self.next += 1;
+            let since_start = self.schedule.time_of(index);
+            (index, since_start.seconds(), self.clock.moment(since_start))
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

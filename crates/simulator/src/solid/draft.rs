@@ -1,4 +1,4 @@
-//! Drawing in space: boxes, walls with openings, floors with holes.
+//! Drawing in 3D: boxes, walls with openings, floors with holes.
 
 use portolan_geometry::Vector3;
 
@@ -82,7 +82,7 @@ impl SolidDraft {
         piece(done, to, foot, top);
     }
 
-    /// A floor between two corners in the plane, its upper side at `level`, without a hole
+    /// A floor between two corners in 2D, its upper side at `level`, without a hole
     /// `[x0, y0, x1, y1]`.
     pub(super) fn floor(
         &mut self,

@@ -1,4 +1,4 @@
-//! Worlds in space: what stands in them, who walks in them, and what a beam meets.
+//! Worlds in 3D: what stands in them, who walks in them, and what a beam meets.
 
 mod bvh;
 mod draft;

@@ -1,4 +1,4 @@
-//! The solids and surfaces a world in space is made of, and where a ray meets them.
+//! The solids and surfaces a world in 3D is made of, and where a ray meets them.
 
 use portolan_geometry::Vector3;
 

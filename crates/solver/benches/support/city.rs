@@ -26,7 +26,7 @@ impl Random {
 const TRANSLATION_SIGMA: f64 = 0.05;
 const ROTATION_SIGMA: f64 = 0.01;
 
-/// `poses` poses in space, about one closure per pose, measurements with noise that the information matrices
+/// `poses` poses in 3D, about one closure per pose, measurements with noise that the information matrices
 /// describe; initial poses from dead reckoning.
 pub fn city_3d(poses: usize, closures_per_pose: f64) -> PoseGraph<Rigid3> {
     let mut random = Random(Lcg64::new(42));
@@ -46,7 +46,7 @@ pub fn city_3d(poses: usize, closures_per_pose: f64) -> PoseGraph<Rigid3> {
     finish(truth[0], edges, poses)
 }
 
-/// The same walk in the plane.
+/// The same walk in 2D.
 #[allow(dead_code)]
 pub fn city_2d(poses: usize, closures_per_pose: f64) -> PoseGraph<Rigid2> {
     let graph = city_3d(poses, closures_per_pose);

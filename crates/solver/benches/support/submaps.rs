@@ -74,7 +74,7 @@ impl SubmapGraph {
         problem
     }
 
-    /// The same with poses in space.
+    /// The same with poses in 3D.
     pub fn problem_3d(&self) -> Problem {
         let mut problem = Problem::new();
         let submaps: Vec<VariableId> = self.submaps.iter().map(|p| problem.add_se3(&embed_3d(p))).collect();

@@ -9,7 +9,7 @@ use crate::sparse::{Factor, VariableId};
 /// tracking_from_imu that is calibrated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuRotation {
-    /// First node, second node (poses in space), IMU calibration (rotation).
+    /// First node, second node (poses in 3D), IMU calibration (rotation).
     pub variables: [VariableId; 3],
     /// Integrated rotation from the first to the second node, in the IMU's frame: first_from_second.
     pub first_from_second: Quaternion,
@@ -21,7 +21,7 @@ pub struct ImuRotation {
 /// `w ( R_2 C Δv − g ½(Δ1+Δ2) e_z − ((p3−p2)/Δ2 − (p2−p1)/Δ1) )`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuAcceleration {
-    /// First, second, third node (poses in space), gravity (scalar), IMU calibration (rotation).
+    /// First, second, third node (poses in 3D), gravity (scalar), IMU calibration (rotation).
     pub variables: [VariableId; 5],
     /// Integrated specific force between the middles of the intervals, in the IMU's frame at the second
     /// node, m/s.

@@ -12,7 +12,7 @@ use crate::sparse::{Factor, VariableId};
 /// [`Se3Between`](super::Se3Between) from there to the landmark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landmark2d {
-    /// Previous node (planar), next node (planar), landmark (pose in space).
+    /// Previous node (planar), next node (planar), landmark (pose in 3D).
     pub variables: [VariableId; 3],
     /// Time of the observation as a fraction of the way from the previous to the next node.
     pub interpolation_factor: f64,
@@ -26,10 +26,10 @@ pub struct Landmark2d {
     pub rotation_weight: f64,
 }
 
-/// A landmark seen at a time between two nodes in space; otherwise like [`Landmark2d`].
+/// A landmark seen at a time between two nodes in 3D; otherwise like [`Landmark2d`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landmark3d {
-    /// Previous node, next node, landmark: poses in space.
+    /// Previous node, next node, landmark: poses in 3D.
     pub variables: [VariableId; 3],
     /// Time of the observation as a fraction of the way from the previous to the next node.
     pub interpolation_factor: f64,

@@ -1,4 +1,4 @@
-//! Relative poses in the plane.
+//! Relative poses in 2D.
 
 use nalgebra as na;
 use portolan_geometry::{Rigid2, normalize_angle};

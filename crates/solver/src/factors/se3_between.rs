@@ -1,4 +1,4 @@
-//! Relative poses in space.
+//! Relative poses in 3D.
 
 use portolan_geometry::Rigid3;
 

@@ -1,4 +1,4 @@
-//! Relative poses in space with a full information matrix.
+//! Relative poses in 3D with a full information matrix.
 
 use nalgebra as na;
 use portolan_geometry::{Rigid3, Vector3};

@@ -39,12 +39,12 @@ pub struct PoseGraph<P: GraphPose> {
     pub edges: Vec<Edge<P>>,
 }
 
-/// A pose graph in the plane or in space.
+/// A pose graph in 2D or in 3D.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Graph {
-    /// In the plane.
+    /// In 2D.
     Planar(PoseGraph<Rigid2>),
-    /// In space.
+    /// In 3D.
     Spatial(PoseGraph<Rigid3>),
 }
 

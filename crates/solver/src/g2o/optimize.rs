@@ -29,7 +29,7 @@ pub struct OptimizeOptions {
     pub initialization: Initialization,
     /// Iterations for each start that the automatic choice tries. Default 4.
     pub trial_iterations: u32,
-    /// What the six numbers of an error in space are. Default: the logarithm of SE(3).
+    /// What the six numbers of an error in 3D are. Default: the logarithm of SE(3).
     pub convention: Se3ErrorConvention,
     /// Robust loss of `√(eᵀΩe)`. Default none.
     pub loss: Loss,

@@ -38,7 +38,7 @@ pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Outp
     fn to_numbers(&self) -> Vec<f64>;
     /// A symmetric matrix from its upper triangle, row by row.
     fn information_from_upper(upper: &[f64]) -> Option<Self::Information>;
-    /// `eᵀΩe` of an edge; the convention matters in space only.
+    /// `eᵀΩe` of an edge; the convention matters in 3D only.
     fn chi2(
         ends: [&Self; 2],
         measurement: &Self,

@@ -1,6 +1,6 @@
 //! How well a step did compared with what the linear model promised, with or without memory.
 
-/// Steps in a row that may raise the cost before the reference moves up.
+/// Steps in a row that may raise the cost before Cartographer moves up.
 const MAX_CONSECUTIVE_NONMONOTONIC_STEPS: u32 = 5;
 
 /// Ratio of real to promised decrease. With non-monotonic steps the decrease is also measured against a

@@ -64,10 +64,9 @@ fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
         FindingKind::PointCloud => {
             ("the node cannot be matched again, and is missing in point clouds", AGAIN)
         }
-        FindingKind::Histogram => (
-            "loops through this node or submap are not found in space",
-            "`portolan migrate` makes histograms",
-        ),
+        FindingKind::Histogram => {
+            ("loops through this node or submap are not found in 3D", "`portolan migrate` makes histograms")
+        }
         FindingKind::Time => (
             "interpolation between these times is wrong",
             "check the stamps of the recording with `portolan check`; map it again or `portolan repair`",

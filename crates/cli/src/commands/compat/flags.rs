@@ -26,7 +26,7 @@ pub struct Flags {
 
 impl Flags {
     /// Reads `-flag value`, `--flag=value`, `--switch`, `--switch=false` and `--noswitch`. After `--` all is
-    /// positional. Unknown flags are wrong usage, as in the reference.
+    /// positional. Unknown flags are wrong usage, as in Cartographer.
     pub fn parse(arguments: &[String], known: &Known) -> Result<Self, CliError> {
         let mut flags = Self {
             values: known.values.iter().map(|(name, value)| (*name, (*value).to_owned())).collect(),

@@ -1,4 +1,4 @@
-//! Lines of the reference's log.
+//! Lines of Cartographer's log.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 

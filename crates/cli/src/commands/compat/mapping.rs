@@ -32,7 +32,7 @@ const FLAGS: Known = Known {
 };
 
 /// Each bag becomes a trajectory, after those of the state. The bags are mapped one after another, each into
-/// the map of those before; the reference mixes them by time.
+/// the map of those before; Cartographer mixes them by time.
 pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(arguments, &FLAGS)?;
     let directory = flags.required("configuration_directory")?;

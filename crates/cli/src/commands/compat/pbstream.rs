@@ -85,7 +85,7 @@ fn run_migrate(arguments: &[String]) -> Result<Outcome, CliError> {
     Ok(Outcome::Done)
 }
 
-/// The reference ends with code 1 also on wrong usage.
+/// Cartographer ends with code 1 also on wrong usage.
 fn as_failure(error: CliError) -> CliError {
     CliError::Failed(error.to_string())
 }

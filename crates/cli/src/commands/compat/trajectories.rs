@@ -29,7 +29,7 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let (input, output) = (flags.path("input")?, flags.path("output")?);
     let parent: Arc<str> = flags.value("parent_frame").into();
     let graph = read_pose_graph(&input)?;
-    // A name of any ending is a ROS 1 bag, as in the reference.
+    // A name of any ending is a ROS 1 bag, as in Cartographer.
     let format = RecordingFormat::from_path(&output);
     let format = format.unwrap_or(RecordingFormat::Ros1Bag(BagCompression::default()));
     let mut bag = create(&output, Some(format))?;

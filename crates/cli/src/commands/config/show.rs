@@ -10,7 +10,7 @@ use crate::progress::say;
 
 /// Print all options with the values that a file and settings give them.
 ///
-/// Without a file the defaults are shown. They are those of the reference: what `portolan map` chooses from a
+/// Without a file the defaults are shown. They are those of Cartographer: what `portolan map` chooses from a
 /// recording is in the report of the map.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -20,7 +20,7 @@ use crate::progress::say;
 pub struct ShowArgs {
     #[command(flatten)]
     settings: SettingArgs,
-    /// Defaults for mapping in space instead of in the plane; with --config the file decides.
+    /// Defaults for mapping in 3D instead of in 2D; with --config the file decides.
     #[arg(long = "3d", conflicts_with = "config")]
     three_dimensions: bool,
     /// Only options that differ from their defaults.

@@ -14,7 +14,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json};
 use crate::progress::say;
 
-/// Heights that differ by less are those of a motion in the plane, metres.
+/// Heights that differ by less are those of a motion in 2D, metres.
 const FLAT: f64 = 1e-6;
 
 /// Compare a trajectory with the true one: absolute and relative errors.
@@ -32,9 +32,9 @@ pub struct TrajectoryArgs {
     estimate: PathBuf,
     /// The truth.
     truth: PathBuf,
-    /// How both maps are laid over each other before errors are taken: by least squares in the plane (se2)
-    /// or in space (se3), by the first pose, or not at all. Default: se2 if the estimate never leaves its
-    /// plane, else se3. In the plane heights, roll and pitch are not compared.
+    /// How both maps are laid over each other before errors are taken: by least squares in 2D (se2)
+    /// or in 3D (se3), by the first pose, or not at all. Default: se2 if the estimate never leaves its
+    /// plane, else se3. In 2D heights, roll and pitch are not compared.
     #[arg(long, value_enum)]
     align: Option<Align>,
     /// Compare with the true pose nearest in time, at most so many seconds away, instead of interpolating
@@ -66,9 +66,9 @@ pub struct TrajectoryArgs {
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Align {
-    /// In the plane.
+    /// In 2D.
     Se2,
-    /// In space.
+    /// In 3D.
     Se3,
     /// By the first pose.
     First,

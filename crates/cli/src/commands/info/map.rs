@@ -4,6 +4,7 @@ use std::fmt::{self, Write as _};
 use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
+use portolan_config::Options;
 use portolan_geometry::Time;
 use portolan_mapfile::{Extent, MapInfo, MapReader, PbstreamReader, ReadLimits, TrajectoryInfo, info};
 use serde::Serialize;
@@ -17,6 +18,8 @@ pub struct MapReport {
     path: String,
     /// Bytes.
     size: u64,
+    /// What scans were matched to, if the map says so: those of other programs do not.
+    engine: Option<String>,
     #[serde(flatten)]
     info: MapInfo,
 }
@@ -26,7 +29,9 @@ pub fn read(path: &Path) -> Result<MapReport, CliError> {
     let failed = |error| CliError::in_file(path, format!("{error}; see `portolan check`"));
     let mut reader = MapReader::open_for_summary(path, ReadLimits::default()).map_err(failed)?;
     let info = info(&mut reader).map_err(failed)?;
-    Ok(MapReport { path: path.display().to_string(), size: reader.bytes_read(), info })
+    let configuration = Options::from_json(&reader.header().portolan_configuration).ok();
+    let engine = configuration.map(|configuration| configuration.options.engine().to_string());
+    Ok(MapReport { path: path.display().to_string(), size: reader.bytes_read(), engine, info })
 }
 
 /// Prints every message as protobuf text.
@@ -69,6 +74,9 @@ impl MapReport {
         let info = &self.info;
         let mut text = format!("{}: map, {}, {}\n", self.path, grids(info), size(self.size));
         text.push_str(&format!("Header: format_version: {}\n", info.format_version));
+        if let Some(engine) = &self.engine {
+            text.push_str(&format!("Engine: {engine}\n"));
+        }
         for (trajectory, line) in info.trajectories.iter().zip(info.trajectory_lines()) {
             text.push_str(&format!("{line}\n{}", trajectory_text(trajectory)));
             if with_options {

@@ -61,7 +61,7 @@ pub fn notes(repairs: &G2oRepairs) -> Vec<String> {
 }
 
 fn text(graph: &Graph, report: &Report) -> String {
-    let dimension = if matches!(graph, Graph::Planar(_)) { "in the plane" } else { "in space" };
+    let dimension = if matches!(graph, Graph::Planar(_)) { "in 2D" } else { "in 3D" };
     let mut text = format!(
         "{} poses {dimension}, {} edges, {}\n",
         graph.vertex_count(),

@@ -7,7 +7,7 @@ use portolan_export::write_tum;
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_mapfile::{EditError, MapDraft, ReadLimits};
 use portolan_pointcloud::{Attributes, BATCH_POINTS, CloudError, PointCloud, WriteOptions, create};
-use portolan_refinement::continuous::{Mounting, Refined};
+use portolan_refinement::continuous::{Mounting, RefineReport, Refined};
 use portolan_spatial::Sharpness;
 
 use super::cloud_pair::CloudPair;
@@ -166,6 +166,20 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
             100.0 * share
         ))
     );
+    text += &notes(&results.refined.report);
+    for issue in &results.read.issues {
+        let label = if issue.lost_data() { "lost" } else { "repaired" };
+        text += &format!("{label}: {issue} ({})\n", counted(issue.count, "time", "times"));
+    }
+    for file in files {
+        text += &format!("{}\n", file.display());
+    }
+    text
+}
+
+/// What was estimated besides, could not be determined, or is wrong with the trajectory.
+fn notes(report: &RefineReport) -> String {
+    let mut text = String::new();
     for u in &report.undetermined {
         let what = if u.is_rotation { "turn about" } else { "shift along" };
         let [x, y, z] = u.direction;
@@ -191,13 +205,6 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
     }
     if report.stopped {
         text += "stopped before the end; this is what was reached\n";
-    }
-    for issue in &results.read.issues {
-        let label = if issue.lost_data() { "lost" } else { "repaired" };
-        text += &format!("{label}: {issue} ({})\n", counted(issue.count, "time", "times"));
-    }
-    for file in files {
-        text += &format!("{}\n", file.display());
     }
     text
 }

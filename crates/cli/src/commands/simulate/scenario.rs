@@ -10,7 +10,7 @@ use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, motion::Ca
 
 use crate::commands::argument::spatial_pose;
 
-/// A kind of surroundings, in the plane or in space.
+/// A kind of surroundings, in 2D or in 3D.
 #[derive(Clone, Copy, Debug)]
 pub enum AnyScene {
     /// A floor that a robot with a planar lidar drives on.
@@ -21,9 +21,9 @@ pub enum AnyScene {
 
 /// What is simulated.
 pub enum AnyScenario {
-    /// In the plane.
+    /// In 2D.
     Plane(Box<ScenarioOptions>),
-    /// In space.
+    /// In 3D.
     Space(Box<Scenario3dOptions>),
 }
 

@@ -1,4 +1,4 @@
-//! What simulations in the plane and in space have in common.
+//! What simulations in 2D and in 3D have in common.
 
 use std::io::{self, Write};
 

@@ -1,4 +1,4 @@
-//! Local SLAM in the plane (`slam2d.md` §5).
+//! Local SLAM in 2D (`slam2d.md` §5).
 
 mod degeneracy;
 mod doubt;

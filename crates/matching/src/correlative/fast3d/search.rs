@@ -1,4 +1,4 @@
-//! Branch and bound over yaw and shifts in space together.
+//! Branch and bound over yaw and shifts in 3D together.
 
 use super::pyramid::MaxPyramid3d;
 use super::scans::Scans;

@@ -1,4 +1,4 @@
-//! Bytes of cells in space in tiles of 4×4×4, and how windows over them are widened.
+//! Bytes of cells in 3D in tiles of 4×4×4, and how windows over them are widened.
 
 use portolan_spatial::DenseIndex;
 

@@ -156,6 +156,7 @@ impl Scan<'_> {
         Ok(end)
     }
 
+    /// Takes a chunk in. Long, because every step needs to know which of the lengths before it agreed.
     fn chunk(&mut self, at: u64, record: &PeekedRecord) -> Result<u64, RecordingError> {
         let content = at + RECORD_HEAD_BYTES as u64;
         let Some(head) = ChunkHead::parse(&record.content) else {

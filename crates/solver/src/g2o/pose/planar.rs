@@ -1,4 +1,4 @@
-//! Poses in the plane as vertices.
+//! Poses in 2D as vertices.
 
 use nalgebra as na;
 use portolan_geometry::{Rigid2, normalize_angle};

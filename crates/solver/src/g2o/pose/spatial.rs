@@ -1,4 +1,4 @@
-//! Poses in space as vertices.
+//! Poses in 3D as vertices.
 
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3};
