@@ -3,6 +3,7 @@
 mod clouds;
 mod commands;
 mod error;
+mod input;
 mod interrupt;
 mod known_map;
 mod lost;

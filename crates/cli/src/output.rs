@@ -1,16 +1,12 @@
-//! Results on stdout and in files; telling maps from recordings.
+//! Results on stdout and in files.
 
-use std::fs::File;
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::Path;
 
 use portolan_mapfile::AtomicFile;
 use serde::Serialize;
 
 use crate::error::CliError;
-
-/// The first bytes of every map.
-const MAP_MAGIC: [u8; 8] = [0xdb, 0x01, 0xf5, 0x5b, 0x7b, 0x1f, 0x1d, 0x7b];
 
 /// Prints a result; a line feed follows unless it ends with one.
 pub fn print(text: &str) -> Result<(), CliError> {
@@ -38,19 +34,6 @@ pub fn write_file(
         Ok(()) => Ok(file.commit()?),
         Err(source) => Err(file.error(source).into()),
     }
-}
-
-/// Whether a file is a map, by its content.
-pub fn is_map(path: &Path) -> Result<bool, CliError> {
-    let failed = |source| CliError::File { path: path.to_owned(), source };
-    if path.is_dir() {
-        return Ok(false);
-    }
-    let mut start = Vec::with_capacity(MAP_MAGIC.len());
-    File::open(path)
-        .and_then(|file| file.take(MAP_MAGIC.len() as u64).read_to_end(&mut start))
-        .map_err(failed)?;
-    Ok(start == MAP_MAGIC)
 }
 
 /// `1 pose`, `2 poses`.

@@ -1,11 +1,13 @@
 //! E57: all scans of a file, each placed by its pose.
 
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
 
 use e57::{E57Reader, PointCloud as Scan, RawValues, Record, RecordDataType, RecordName, RecordValue};
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
+use portolan_input::{XmlLimits, check_xml, regular_file};
 
 use crate::BATCH_POINTS;
 use crate::cloud::{Attributes, PointCloud};
@@ -30,7 +32,10 @@ struct E57Points {
 /// Opens a file.
 pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     let damaged = |error: e57::Error| CloudError::damaged(path, error.to_string());
-    let mut reader = E57Reader::from_file(path).map_err(damaged)?;
+    let open = || regular_file(path).map(BufReader::new).map_err(|e| CloudError::read(path, e));
+    let xml = E57Reader::raw_xml(open()?).map_err(damaged)?;
+    check_xml(&xml, XmlLimits::default()).map_err(|e| CloudError::damaged(path, e.to_string()))?;
+    let mut reader = E57Reader::new(open()?).map_err(damaged)?;
     let scans: Vec<Scan> =
         reader.pointclouds().into_iter().filter(|scan| ScanLayout::of(scan).is_some()).collect();
     if scans.is_empty() {

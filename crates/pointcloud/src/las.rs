@@ -34,7 +34,7 @@ struct LasReader {
 
 /// Opens a LAS or LAZ file.
 pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
-    let file = std::fs::File::open(path).map_err(|e| CloudError::read(path, e))?;
+    let file = portolan_input::regular_file(path).map_err(|e| CloudError::read(path, e))?;
     let bytes = file.metadata().map_err(|e| CloudError::read(path, e))?.len();
     let mut file = BufReader::with_capacity(1 << 18, file);
     let damaged = |error: Option<String>| {

@@ -4,6 +4,8 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use portolan_input::{named, regular_file};
+
 use crate::container::{Source, most_unpacked};
 use crate::merge::MergedRecording;
 use crate::ros2::{db3, folder, mcap};
@@ -31,6 +33,8 @@ pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn Recording>, RecordingError
 
 /// Opens a recording without a look into raw packets.
 fn open_as_it_is(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
+    let path = &*named(path);
+    regular_file(path).map_err(|error| io_error(path, error))?;
     if path.is_dir() {
         if let Some(recording) = kitti::open(path)? {
             return Ok(recording);

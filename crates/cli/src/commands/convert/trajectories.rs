@@ -1,25 +1,28 @@
 //! Trajectories.
 
-use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufWriter, Write};
 
 use portolan_evaluation::{
     LocalFrame, Trajectory, read_geojson, write_csv, write_csv_all, write_geojson, write_kitti, write_tum,
 };
+use portolan_input::Forward;
 use portolan_mapfile::{MapDraft, ReadLimits};
 
 use super::ConvertArgs;
 use super::format::Format;
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::{TrajectorySource, nodes, read_pose_graph, tell_repairs};
+use crate::commands::evaluate::input::{TrajectorySource, nodes, pose_graph_from, tell_repairs};
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json, write_file};
 
 type Named = Vec<(i32, Trajectory)>;
 
-pub fn run(args: &ConvertArgs, to: Format, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let trajectories =
-        if to.holds_several() { read(args, global)? } else { vec![(0, read_one(args, global)?)] };
+pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let trajectories = if to.holds_several() {
+        read(args, input, global)?
+    } else {
+        vec![(0, read_one(args, input, global)?)]
+    };
     let frame = args.origin.map(LocalFrame::at);
     let mut files = vec![args.output.clone()];
     write_file(&args.output, |out| {
@@ -54,14 +57,14 @@ pub fn run(args: &ConvertArgs, to: Format, global: &GlobalArgs) -> Result<Outcom
 }
 
 /// Poses of a trajectory into a map.
-pub fn into_map(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let Some(map) = &args.into else {
         return Err(CliError::Usage(
             "a trajectory alone is no map: say with --into MAP which map gets its poses".to_owned(),
         ));
     };
     let id = args.trajectory.unwrap_or(0);
-    let trajectory = read_one(args, global)?;
+    let trajectory = read_one(args, input, global)?;
     let poses: Vec<_> = trajectory.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
     let mut draft = MapDraft::open(map, ReadLimits::default())?;
     let done = draft.replace_trajectory(id, &poses)?;
@@ -81,8 +84,8 @@ pub fn into_map(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliE
 }
 
 /// The trajectory of the input, or the one that was asked for.
-pub fn read_one(args: &ConvertArgs, global: &GlobalArgs) -> Result<Trajectory, CliError> {
-    let mut trajectories = read(args, global)?;
+pub fn read_one(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Trajectory, CliError> {
+    let mut trajectories = read(args, input, global)?;
     if trajectories.len() > 1 {
         let ids: Vec<String> = trajectories.iter().map(|(id, _)| id.to_string()).collect();
         return Err(CliError::Usage(format!(
@@ -97,20 +100,19 @@ pub fn read_one(args: &ConvertArgs, global: &GlobalArgs) -> Result<Trajectory, C
 }
 
 /// All trajectories of the input that are asked for.
-fn read(args: &ConvertArgs, global: &GlobalArgs) -> Result<Named, CliError> {
+fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<Named, CliError> {
     let path = &args.input;
-    let mut all = match Format::of_content(path)? {
+    let mut all = match Format::of_content(&mut input, path)? {
         Format::Map => {
-            let graph = read_pose_graph(path)?;
+            let graph = pose_graph_from(input, path)?;
             let ids: Vec<i32> = graph.trajectory.iter().map(|t| t.trajectory_id).collect();
             let read = |id| Ok((id, Trajectory::new(nodes(path, &graph, id)?).0));
             ids.into_iter().map(read).collect::<Result<Named, CliError>>()?
         }
         Format::Geojson => {
-            let file = File::open(path).map_err(|source| CliError::File { path: path.clone(), source })?;
             let frame = args.origin.map(LocalFrame::at);
-            let (all, repairs) = read_geojson(BufReader::new(file), frame.as_ref())
-                .map_err(|error| CliError::in_file(path, error))?;
+            let (all, repairs) =
+                read_geojson(input, frame.as_ref()).map_err(|error| CliError::in_file(path, error))?;
             if !global.quiet {
                 tell_repairs(path, &repairs);
             }
@@ -119,7 +121,7 @@ fn read(args: &ConvertArgs, global: &GlobalArgs) -> Result<Named, CliError> {
         _ => {
             let times = args.times.as_deref();
             let source = TrajectorySource { path, trajectory_id: 0, times, quiet: global.quiet };
-            return Ok(vec![(args.trajectory.unwrap_or(0), source.read()?)]);
+            return Ok(vec![(args.trajectory.unwrap_or(0), source.read_from(input)?)]);
         }
     };
     if let Some(wanted) = args.trajectory

@@ -1,8 +1,6 @@
 //! Optimisation of g2o files.
 
-use std::fs::File;
-use std::io::BufReader;
-
+use portolan_input::Forward;
 use portolan_solver::g2o::{G2oRepairs, Graph, Report, optimize_graph, read_g2o, write_g2o};
 
 use super::OptimizeArgs;
@@ -11,14 +9,11 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json, write_file};
 use crate::progress::say;
 
-pub fn run(args: &OptimizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+pub fn run(args: &OptimizeArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     if !args.set.is_empty() {
         return Err(CliError::Usage("--set is for maps; a g2o file has no options".to_owned()));
     }
-    let file =
-        File::open(&args.input).map_err(|source| CliError::File { path: args.input.clone(), source })?;
-    let (mut graph, repairs) =
-        read_g2o(BufReader::new(file)).map_err(|error| CliError::in_file(&args.input, error))?;
+    let (mut graph, repairs) = read_g2o(input).map_err(|error| CliError::in_file(&args.input, error))?;
     let notes = notes(&repairs);
     if !global.quiet {
         notes.iter().for_each(|note| say(&format!("{}: {note}", args.input.display())));

@@ -7,8 +7,8 @@ use portolan_geometry::{Rigid3, nalgebra as na};
 
 use crate::GlobalArgs;
 use crate::clouds::read_cloud;
-use crate::commands::evaluate::input::read_bytes;
 use crate::error::CliError;
+use crate::input::read_bytes;
 use crate::output::counted;
 use crate::progress::say;
 

@@ -1,0 +1,11 @@
+#![doc = include_str!("../README.md")]
+
+mod file;
+mod forward;
+mod lines;
+mod xml;
+
+pub use file::{named, read_all, regular_file};
+pub use forward::Forward;
+pub use lines::{Line, read_line, skip_line};
+pub use xml::{XmlLimits, XmlProblem, check_xml};
