@@ -7,15 +7,35 @@ use portolan_mapfile::AtomicFile;
 use serde::Serialize;
 
 use crate::error::CliError;
+use crate::progress::say;
 
-/// Prints a result; a line feed follows unless it ends with one.
+/// Prints what was asked for; a line feed follows unless it ends with one.
+///
+/// # Errors
+/// A stdout that takes it not: then it was not done.
 pub fn print(text: &str) -> Result<(), CliError> {
+    let line_feed = if text.ends_with('\n') { "" } else { "\n" };
+    print_bytes(format!("{text}{line_feed}").as_bytes())
+}
+
+/// Prints what was asked for.
+///
+/// # Errors
+/// As [`print`].
+pub fn print_bytes(bytes: &[u8]) -> Result<(), CliError> {
     let mut out = std::io::stdout().lock();
-    out.write_all(text.as_bytes())?;
-    if !text.ends_with('\n') {
-        out.write_all(b"\n")?;
-    }
+    out.write_all(bytes)?;
     Ok(out.flush()?)
+}
+
+/// Prints what was done where the results are files: they are there, whether or not anybody reads this.
+pub fn print_summary(text: &str) {
+    match print(text) {
+        Err(CliError::Output(error)) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            say(&format!("what was done cannot be written to the standard output: {error}"));
+        }
+        _ => {}
+    }
 }
 
 /// Prints a result as indented JSON.

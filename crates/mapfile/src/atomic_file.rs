@@ -4,6 +4,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use portolan_unfinished::Unfinished;
 use tempfile::NamedTempFile;
 
 /// A file could not be written.
@@ -27,7 +28,7 @@ pub struct AtomicFile {
 }
 
 enum Target {
-    Temporary(BufWriter<NamedTempFile>),
+    Temporary(BufWriter<NamedTempFile>, Unfinished),
     Direct(BufWriter<File>),
 }
 
@@ -55,7 +56,7 @@ impl AtomicFile {
             file.seek(SeekFrom::End(0)).map(drop)
         }
         match &mut self.target {
-            Target::Temporary(writer) => overwrite(writer, bytes),
+            Target::Temporary(writer, _) => overwrite(writer, bytes),
             Target::Direct(writer) => overwrite(writer, bytes),
         }
     }
@@ -64,7 +65,7 @@ impl AtomicFile {
     pub fn commit(self) -> Result<(), WriteError> {
         let path = self.path;
         let written = match self.target {
-            Target::Temporary(writer) => commit_temporary(writer, &path),
+            Target::Temporary(writer, unfinished) => commit_temporary(writer, unfinished, &path),
             Target::Direct(mut writer) => writer.flush(),
         };
         written.map_err(|source| WriteError { path, source })
@@ -112,7 +113,8 @@ fn open_target(path: &Path) -> io::Result<Target> {
         // As for any new file; the system takes away what the user's mask forbids.
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
-    Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, builder.tempfile_in(folder)?)))
+    let (unfinished, file) = Unfinished::create_named(|| builder.tempfile_in(folder), NamedTempFile::path)?;
+    Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, file), unfinished))
 }
 
 /// Where a link leads, so that the link stays one.
@@ -120,24 +122,23 @@ fn destination(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
 }
 
-fn commit_temporary(writer: BufWriter<NamedTempFile>, path: &Path) -> io::Result<()> {
+fn commit_temporary(writer: BufWriter<NamedTempFile>, unfinished: Unfinished, path: &Path) -> io::Result<()> {
     let file = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
     file.as_file().sync_all()?;
-    file.persist(destination(path)).map_err(|e| e.error)?;
-    Ok(())
+    unfinished.complete(|| file.persist(destination(path)).map(drop).map_err(|e| e.error))
 }
 
 impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match &mut self.target {
-            Target::Temporary(writer) => writer.write(bytes),
+            Target::Temporary(writer, _) => writer.write(bytes),
             Target::Direct(writer) => writer.write(bytes),
         }
     }
 
     fn flush(&mut self) -> io::Result<()> {
         match &mut self.target {
-            Target::Temporary(writer) => writer.flush(),
+            Target::Temporary(writer, _) => writer.flush(),
             Target::Direct(writer) => writer.flush(),
         }
     }

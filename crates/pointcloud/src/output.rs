@@ -4,6 +4,8 @@ use std::fs::File;
 use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use portolan_unfinished::Unfinished;
+
 use crate::error::CloudError;
 
 /// A file that is written under a temporary name beside its place and renamed when it is complete. Dropped
@@ -11,6 +13,7 @@ use crate::error::CloudError;
 pub(crate) struct Output {
     pub path: PathBuf,
     temporary: PathBuf,
+    unfinished: Option<Unfinished>,
     writer: Option<BufWriter<File>>,
 }
 
@@ -20,9 +23,11 @@ impl Output {
         name.push(".part");
         let temporary = path.with_file_name(name);
         // E57 files are read while they are written.
-        let file = File::options().read(true).write(true).create(true).truncate(true).open(&temporary);
-        let file = file.map_err(|e| CloudError::write(path, e))?;
-        Ok(Self { path: path.to_owned(), temporary, writer: Some(BufWriter::with_capacity(1 << 18, file)) })
+        let open = || File::options().read(true).write(true).create(true).truncate(true).open(&temporary);
+        let opened = Unfinished::create(&temporary, open);
+        let (unfinished, file) = opened.map_err(|e| CloudError::write(path, e))?;
+        let writer = Some(BufWriter::with_capacity(1 << 18, file));
+        Ok(Self { path: path.to_owned(), temporary, unfinished: Some(unfinished), writer })
     }
 
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), CloudError> {
@@ -50,10 +55,10 @@ impl Output {
     /// Gives the file its name.
     pub fn finish(&mut self) -> Result<(), CloudError> {
         let Some(mut writer) = self.writer.take() else { return Ok(()) };
-        let result = writer
-            .flush()
-            .and_then(|()| writer.get_ref().sync_data())
-            .and_then(|()| std::fs::rename(&self.temporary, &self.path));
+        let result = writer.flush().and_then(|()| writer.get_ref().sync_data()).and_then(|()| {
+            let rename = || std::fs::rename(&self.temporary, &self.path);
+            self.unfinished.take().map_or_else(rename, |unfinished| unfinished.complete(rename))
+        });
         if result.is_err() {
             let _ = std::fs::remove_file(&self.temporary);
         }

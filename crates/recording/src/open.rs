@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use portolan_input::{named, regular_file};
 
-use crate::container::{Source, most_unpacked};
+use crate::container::{Source, UnpackedFile, most_unpacked};
 use crate::merge::MergedRecording;
 use crate::ros2::{db3, folder, mcap};
 use crate::{
@@ -195,35 +195,44 @@ fn wrapped_prefix(path: &Path, wrapper: Wrapper) -> Result<Vec<u8>, RecordingErr
 /// Containers are read at random places, so that a compressed one is unpacked into a temporary file first.
 fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, RecordingError> {
     let mut repairs = RepairLog::default();
-    let mut unpacked = tempfile::NamedTempFile::new().map_err(|error| io_error(path, error))?;
-    let mut reader = wrapper.reader(path).map_err(|error| io_error(path, error))?;
-    let packed_bytes = std::fs::metadata(path).map_err(|error| io_error(path, error))?.len();
-    let mut left = most_unpacked(packed_bytes);
-    let mut block = vec![0; 1 << 16];
-    loop {
-        match reader.read(&mut block) {
-            Ok(0) => break,
-            Ok(count) if count as u64 > left => {
-                repairs
-                    .lost("the file claims to be compressed to less than a 256th; only its start was read");
-                break;
-            }
-            Ok(count) => io::Write::write_all(&mut unpacked, block.get(..count).unwrap_or_default())
-                .map(|()| left -= count as u64)
-                .map_err(|error| io_error(path, error))?,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(_) => {
-                repairs
-                    .lost("the compressed file is damaged or cut off; what could be decompressed was read");
-                break;
-            }
-        }
-    }
-    let file = Arc::new(unpacked.into_temp_path());
+    let file = UnpackedFile::write(|unpacked| unpack(path, wrapper, unpacked, &mut repairs));
+    let file = Arc::new(file.map_err(|error| io_error(path, error))?);
     let source = Source::Unpacked { original: path.into(), file };
     let prefix = source.open()?.peek(0, PREFIX_BYTES)?.to_vec();
     let recording = open_container(&source, &prefix)?.ok_or_else(|| unknown(path, &prefix))?;
     Ok(Box::new(MergedRecording::new(vec![recording], repairs.list())))
+}
+
+/// Unpacks what can be unpacked.
+fn unpack(
+    path: &Path,
+    wrapper: Wrapper,
+    into: &mut dyn io::Write,
+    repairs: &mut RepairLog,
+) -> io::Result<()> {
+    let mut reader = wrapper.reader(path)?;
+    let mut left = most_unpacked(std::fs::metadata(path)?.len());
+    let mut block = vec![0; 1 << 16];
+    loop {
+        match reader.read(&mut block) {
+            Ok(0) => return Ok(()),
+            Ok(count) if count as u64 > left => {
+                repairs
+                    .lost("the file claims to be compressed to less than a 256th; only its start was read");
+                return Ok(());
+            }
+            Ok(count) => {
+                into.write_all(block.get(..count).unwrap_or_default())?;
+                left -= count as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(_) => {
+                repairs
+                    .lost("the compressed file is damaged or cut off; what could be decompressed was read");
+                return Ok(());
+            }
+        }
+    }
 }
 
 fn io_error(path: &Path, source: io::Error) -> RecordingError {

@@ -4,6 +4,8 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use portolan_unfinished::Unfinished;
+
 use crate::RecordingError;
 
 /// A file that is written under a temporary name beside its place and renamed when it is complete.
@@ -11,6 +13,7 @@ use crate::RecordingError;
 pub(crate) struct OutputFile {
     path: PathBuf,
     temporary: PathBuf,
+    unfinished: Option<Unfinished>,
     writer: Option<BufWriter<File>>,
     position: u64,
     crc: crc32fast::Hasher,
@@ -22,9 +25,11 @@ impl OutputFile {
         name.push(".part");
         let temporary = path.with_file_name(name);
         let error = |source| RecordingError::Write { path: path.to_owned(), source };
-        let writer = Some(BufWriter::with_capacity(1 << 16, File::create(&temporary).map_err(error)?));
+        let created = Unfinished::create(&temporary, || File::create(&temporary));
+        let (unfinished, file) = created.map_err(error)?;
+        let (unfinished, writer) = (Some(unfinished), Some(BufWriter::with_capacity(1 << 16, file)));
         let crc = crc32fast::Hasher::new();
-        Ok(Self { path: path.to_owned(), temporary, writer, position: 0, crc })
+        Ok(Self { path: path.to_owned(), temporary, unfinished, writer, position: 0, crc })
     }
 
     /// Bytes written so far.
@@ -66,7 +71,10 @@ impl OutputFile {
             writer.flush()?;
             writer.get_ref().sync_data()
         })?;
-        std::fs::rename(&self.temporary, &self.path)
+        let rename = || std::fs::rename(&self.temporary, &self.path);
+        self.unfinished
+            .take()
+            .map_or_else(rename, |unfinished| unfinished.complete(rename))
             .map_err(|source| RecordingError::Write { path: self.path.clone(), source })?;
         self.writer = None;
         Ok(())

@@ -19,9 +19,9 @@ use portolan_recording::{Recording, open_all};
 use super::argument::{seconds, time_offset};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::interrupt;
+use crate::interrupt::{self, Saving};
 use crate::known_map::KnownMapArgs;
-use crate::output::print;
+use crate::output::print_summary;
 use crate::progress::{Progress, say};
 use cloud::CloudArgs;
 pub use words::summary;
@@ -217,7 +217,6 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let configuration = load_options(&args.config)?;
     let requested = RequestedOptions { configuration, settings: settings(&args) };
     let ingest = ingest_options(&args, &requested)?;
-    interrupt::watch();
     let request = MapRequest {
         folder,
         ingest,
@@ -254,22 +253,26 @@ pub fn run_job<S: ResultSpace>(
 ) -> Result<MappedRecording<S>, CliError> {
     let start = std::time::Instant::now();
     let known = job.load_known::<S>(&mut remarks(global))?;
+    let saving = Saving::begin();
     let mapped = map_with_progress(job, recording, known, global)?;
     let seconds = start.elapsed().as_secs_f64();
     let files = job.write_results(&mapped, seconds, &mut remarks(global))?;
-    print(&summary(&mapped, &files, seconds))?;
+    drop(saving);
+    print_summary(&summary(&mapped, &files, seconds));
     if let Some(clouds) = clouds_with_progress(job, &mapped, recording, global)? {
-        name_clouds(&clouds)?;
+        name_clouds(&clouds);
     }
     Ok(mapped)
 }
 
 /// Names what the second pass gave.
-fn name_clouds(clouds: &CloudResults) -> Result<(), CliError> {
+fn name_clouds(clouds: &CloudResults) {
     let text = clouds.cloud.as_ref().map(|(points, unwound)| cloud::summary(*points, unwound));
     let files = clouds.files.iter().map(|file| file.display().to_string());
     let lines: Vec<String> = text.into_iter().chain(files).filter(|line| !line.is_empty()).collect();
-    if lines.is_empty() { Ok(()) } else { print(&lines.join("\n")) }
+    if !lines.is_empty() {
+        print_summary(&lines.join("\n"));
+    }
 }
 
 /// Beside the working directory's other results: the recording's name with `_map`.

@@ -21,8 +21,8 @@ use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 use crate::GlobalArgs;
 use crate::commands::evaluate::input::TrajectorySource;
 use crate::error::{CliError, Outcome};
-use crate::interrupt;
-use crate::output::print;
+use crate::interrupt::{self, Saving};
+use crate::output::print_summary;
 use crate::progress::Progress;
 use points::{OtherSensor, PointArgs, read_points_and};
 use results::{Results, summary, write_results};
@@ -281,7 +281,6 @@ impl RefineArgs {
 
 pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let start = Instant::now();
-    interrupt::watch();
     args.check_options()?;
     let input = read_input(args, global)?;
     if args.output.exists() && !args.output.is_dir() {
@@ -295,7 +294,10 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         .num_threads(global.thread_count())
         .build()
         .map_err(|error| CliError::Failed(error.to_string()))?;
-    let mut refined = pool.install(|| refine_with_progress(&read, &input, args, global))?;
+    let mut refined = {
+        let _saving = Saving::begin();
+        pool.install(|| refine_with_progress(&read, &input, args, global))?
+    };
     refined.report.warnings.extend(args.tuning.without_data(&read));
     let command = command_line();
     let files: Vec<PathBuf> =
@@ -311,7 +313,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
     };
     let files = pool.install(|| write_results(&results, &args.output))?;
-    print(&summary(&results, &files))?;
+    print_summary(&summary(&results, &files));
     let lost = read.repairs.iter().any(|r| r.lost_data);
     Ok(if lost { Outcome::DataLost } else { Outcome::Done })
 }

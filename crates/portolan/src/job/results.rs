@@ -7,7 +7,7 @@ use portolan_mapfile::{MapSpace, PlacedTexture, submap_textures_2d, submap_textu
 use portolan_mapping::{Map, Planar, Space, Spatial, TrajectoryId};
 
 use super::error::{JobError, write_file};
-use super::event::Observer;
+use super::event::{Event, Observer, Remark, remark};
 use super::memory::resident_and_peak_bytes;
 use super::pictures::write_pictures;
 use super::report::report;
@@ -57,13 +57,18 @@ pub fn write_results<S: ResultSpace>(
     if all_poses {
         write_tum(&file("all_poses.tum"), &map.scan_poses(id))?;
     }
-    let textures = S::textures(map);
-    let content = MapContent {
-        textures: &textures,
-        trajectories: &trajectory_lines(map),
-        constraints: &constraint_lines(map),
-    };
-    files.extend(write_pictures(&content, folder, observe)?);
+    // What can be made of the map again is left out by whoever is in a hurry.
+    if observe(&Event::Drawing).is_continue() {
+        let textures = S::textures(map);
+        let content = MapContent {
+            textures: &textures,
+            trajectories: &trajectory_lines(map),
+            constraints: &constraint_lines(map),
+        };
+        files.extend(write_pictures(&content, folder, observe)?);
+    } else {
+        remark(observe, Remark::StoppedBeforePictures);
+    }
     let report = serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping))?;
     files.push(folder.join("report.json"));
     write_file(&folder.join("report.json"), &report)?;

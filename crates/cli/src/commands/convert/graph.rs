@@ -10,7 +10,7 @@ use super::trajectories::read_one;
 use crate::GlobalArgs;
 use crate::commands::optimize::notes;
 use crate::error::{CliError, Outcome};
-use crate::output::{print, print_json, write_file};
+use crate::output::{print_json, print_summary, write_file};
 use crate::progress::say;
 
 /// The constraints of a map.
@@ -47,7 +47,7 @@ fn write(args: &ConvertArgs, graph: &Graph) -> Result<Outcome, CliError> {
     if args.json {
         print_json(&serde_json::json!({ "output": output, "vertices": vertices, "edges": edges }))?;
     } else {
-        print(&format!("{vertices} vertices, {edges} edges\n{output}"))?;
+        print_summary(&format!("{vertices} vertices, {edges} edges\n{output}"));
     }
     Ok(Outcome::Done)
 }
@@ -69,7 +69,7 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
         let vertices = graph.vertex_count();
         print_json(&serde_json::json!({ "output": output, "poses": vertices, "messages": messages }))?;
     } else {
-        print(&format!("{} poses taken over\n{output}", graph.vertex_count()))?;
+        print_summary(&format!("{} poses taken over\n{output}", graph.vertex_count()));
     }
     Ok(Outcome::Done)
 }

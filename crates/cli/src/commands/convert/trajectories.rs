@@ -13,7 +13,7 @@ use super::format::Format;
 use crate::GlobalArgs;
 use crate::commands::evaluate::input::{TrajectorySource, nodes, pose_graph_from, tell_repairs};
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json, write_file};
+use crate::output::{counted, print_json, print_summary, write_file};
 
 type Named = Vec<(i32, Trajectory)>;
 
@@ -51,7 +51,7 @@ pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) 
         let count = trajectories.len();
         print_json(&serde_json::json!({ "files": names, "trajectories": count, "poses": poses }))?;
     } else {
-        print(&format!("{}\n{}", counted(poses as u64, "pose", "poses"), names.join("\n")))?;
+        print_summary(&format!("{}\n{}", counted(poses as u64, "pose", "poses"), names.join("\n")));
     }
     Ok(Outcome::Done)
 }
@@ -73,12 +73,12 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
     if args.json {
         print_json(&serde_json::json!({ "output": output, "replaced": done }))?;
     } else {
-        print(&format!(
+        print_summary(&format!(
             "{} placed, {} moved along, {} placed by their nodes\n{output}",
             counted(done.nodes, "node", "nodes"),
             done.nodes_moved_along,
             counted(done.submaps, "submap", "submaps"),
-        ))?;
+        ));
     }
     Ok(Outcome::Done)
 }

@@ -11,7 +11,7 @@ use super::{EditArgs, LoopArgs, PartArgs, PlaceArgs};
 use crate::GlobalArgs;
 use crate::commands::optimize::{loop_text, optimize_draft, options, summary};
 use crate::error::{CliError, Outcome};
-use crate::output::{print, print_json};
+use crate::output::{print_json, print_summary};
 use crate::progress::say;
 
 /// What was done, for programs.
@@ -43,7 +43,7 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     if args.json {
         print_json(&report)?;
     } else {
-        print(&report.text())?;
+        print_summary(&report.text());
     }
     Ok(Outcome::Done)
 }

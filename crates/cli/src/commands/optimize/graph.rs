@@ -6,7 +6,7 @@ use portolan_solver::g2o::{G2oRepairs, Graph, Report, optimize_graph, read_g2o, 
 use super::OptimizeArgs;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json, write_file};
+use crate::output::{counted, print_json, print_summary, write_file};
 use crate::progress::say;
 
 pub fn run(args: &OptimizeArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -24,7 +24,7 @@ pub fn run(args: &OptimizeArgs, input: Forward, global: &GlobalArgs) -> Result<O
     if args.json {
         print_json(&json(args, &graph, &report, &notes))?;
     } else {
-        print(&(text(&graph, &report) + &args.output.display().to_string()))?;
+        print_summary(&(text(&graph, &report) + &args.output.display().to_string()));
     }
     let lost = repairs.unusable_vertices
         + repairs.unusable_edges
