@@ -67,11 +67,13 @@ impl GlobalArgs {
 
 fn main() -> ExitCode {
     let arguments = commands::compat::arguments(std::env::args_os());
-    match Cli::try_parse_from(arguments) {
+    let status = match Cli::try_parse_from(arguments) {
         Ok(cli) => run(cli),
         Err(message) => show(&message),
-    }
-    .into()
+    };
+    // Threads that read ahead may still hold some.
+    portolan_unfinished::remove_all();
+    status.into()
 }
 
 fn run(cli: Cli) -> ExitStatus {

@@ -120,7 +120,7 @@ fn what_is_read_more_than_once_says_so() {
         (recording, vec!["info", "-"]),
         (recording, vec!["check", "/dev/stdin"]),
         (recording, vec!["map", "-", "-o", &output]),
-        (recording, vec!["refine", "-", "--trajectory", &samples.truth, "-o", &output]),
+        (recording, vec!["refine", "--recording", "-", "--trajectory", &samples.truth, "-o", &output]),
         (map, vec!["edit", "-", "-o", &mapped, "--optimize"]),
         (map, vec!["optimize", "-", "-o", &mapped]),
         (map, vec!["repair", "-", "-o", &mapped]),
@@ -251,7 +251,7 @@ fn whoever_is_told_to_stop_leaves_nothing_behind() {
         vec!["render", map, "-o", "p.png"],
         vec!["convert", map, "-o", "c.tum"],
         vec!["evaluate", "generate", map, "-o", "x.relations"],
-        vec!["refine", recording, "--trajectory", truth, "-o", "f"],
+        vec!["refine", "--recording", recording, "--trajectory", truth, "-o", "f"],
         vec!["compat", "cartographer_pbstream_to_ros_map", "-pbstream_filename", map, "-map_filestem", "q"],
     ];
     for arguments in &verbs {

@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use portolan::RequestedOptions;
-use portolan::job::{CloudResults, Event, Job, JobError, MapRequest, Remark, ResultSpace};
+use portolan::job::{CloudResults, Event, Job, JobError, Localisation, MapRequest, Remark, ResultSpace};
 use portolan::pipeline::{KnownMap, MappedRecording};
 use portolan_config::{Engine, Loader, Options};
 use portolan_geometry::{Dimension, Duration};
@@ -223,6 +223,7 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
         requested,
         engine: args.config.engine.map(Engine::from),
         known: args.known.maps(),
+        force: args.known.force,
         cloud,
         all_poses: args.all_poses,
         threads: global.threads,
@@ -242,7 +243,11 @@ fn finish<S: ResultSpace>(
 ) -> Result<Outcome, CliError> {
     let mapped = run_job::<S>(job, recording, global);
     let mapped = mapped.map_err(|error| nothing_left(error, recording, args))?;
-    Ok(if mapped.lost_data() { Outcome::DataLost } else { Outcome::Done })
+    Ok(match Localisation::of(&mapped) {
+        Some(found) if !found.is_trusted() => Outcome::Untrusted,
+        _ if mapped.lost_data() => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
 }
 
 /// Maps with a bar that tells how far it is, writes the results and names them.

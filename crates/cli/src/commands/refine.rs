@@ -66,6 +66,9 @@ pub struct RefineArgs {
     /// Folder for the results; created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    /// Write the input as the result where the refinement made the cloud less sharp and was refused (exit code 4).
+    #[arg(long)]
+    force: bool,
     #[command(flatten)]
     points: PointArgs,
     /// Format of the refined cloud (then it is called refined.FORMAT), or its name: `hall.laz`, in the folder for the
@@ -311,11 +314,16 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         files: &files,
         command: (!args.no_report).then_some(command.as_str()),
         map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
+        only_report: refined.report.kept_input && !args.force,
     };
     let files = pool.install(|| write_results(&results, &args.output))?;
     print_summary(&summary(&results, &files));
     let lost = read.repairs.iter().any(|r| r.lost_data);
-    Ok(if lost { Outcome::DataLost } else { Outcome::Done })
+    Ok(match refined.report.kept_input {
+        true => Outcome::Untrusted,
+        false if lost => Outcome::DataLost,
+        false => Outcome::Done,
+    })
 }
 
 /// `las` becomes `refined.las`; a name must end in a format that can be written.

@@ -83,6 +83,11 @@ pub enum Remark {
     },
     /// X-rays need the recording again, because scans that were kept cannot be read.
     KeptScansUnreadable(std::io::Error),
+    /// No map was written, because its parts are laid over each other wrongly.
+    NoMap {
+        /// Whether there is one of an earlier run in the folder.
+        left: bool,
+    },
     /// Stopped before the pictures of the map.
     StoppedBeforePictures,
     /// Stopped before the cloud.
@@ -122,6 +127,10 @@ impl fmt::Display for Remark {
             }
             Self::KeptScansUnreadable(error) => {
                 write!(f, "scans that were kept cannot be read ({error}): X-rays need a second pass")
+            }
+            Self::NoMap { left } => {
+                let left = if *left { "; map.pbstream there is of an earlier run" } else { "" };
+                write!(f, "no map was written, because its parts would lie over each other anyhow{left}")
             }
             Self::StoppedBeforePictures => {
                 f.write_str("stopped: no pictures (`portolan render` makes them of the map)")

@@ -49,9 +49,8 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
 }
 
 fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> Result<(), CliError> {
-    for (i, path) in args.merge.iter().enumerate() {
-        let pose = args.place.get(i).copied().unwrap_or_else(Rigid3::identity);
-        let ids = draft.append(path, &pose)?;
+    for (path, pose) in args.merge.iter().zip(&args.place) {
+        let ids = draft.append(path, pose)?;
         if !global.quiet {
             let names: Vec<String> = ids.iter().map(|(there, here)| format!("{there} is {here}")).collect();
             say(&format!("{}: trajectory {}", path.display(), names.join(", ")));

@@ -35,6 +35,8 @@ pub struct Results<'a> {
     pub files: &'a [PathBuf],
     /// What was typed, for the page; none for no page.
     pub command: Option<&'a str>,
+    /// Whether nothing but the report is written, because there is nothing better than the input.
+    pub only_report: bool,
     /// The map the trajectory came from, and which of its trajectories.
     pub map: Option<(&'a Path, i32)>,
 }
@@ -49,16 +51,18 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
     let trajectory = &results.refined.trajectory;
     let corrected: Vec<(Time, Rigid3)> =
         results.input.iter().map(|(time, pose)| (*time, trajectory.corrected(*time, pose))).collect();
-    write_tum(&file("refined.tum"), &corrected)?;
+    if !results.only_report {
+        write_tum(&file("refined.tum"), &corrected)?;
+    }
     let duration = trajectory.duration();
-    if duration > SPARSE * (results.input.len() - 1) as f64 {
+    if !results.only_report && duration > SPARSE * (results.input.len() - 1) as f64 {
         let dense: Vec<(Time, Rigid3)> = (0..=(duration / DENSE) as usize)
             .map(|i| i as f64 * DENSE)
             .map(|s| (trajectory.start() + Duration::from_seconds(s), trajectory.pose(s)))
             .collect();
         write_tum(&file("refined_dense.tum"), &dense)?;
     }
-    if let Some((map, id)) = results.map {
+    if let Some((map, id)) = results.map.filter(|_| !results.only_report) {
         let failed = |error: EditError| CliError::in_file(map, error);
         let mut draft = MapDraft::open(map, ReadLimits::default()).map_err(failed)?;
         draft.replace_trajectory(id, &corrected).map_err(failed)?;
@@ -66,7 +70,7 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
     }
     let pair = CloudPair::new(&results.read.store, results.refined);
     let start = results.read.store.start().unix_seconds();
-    for name in results.clouds {
+    for name in results.clouds.iter().filter(|_| !results.only_report) {
         write_cloud(&pair, start, &file(name))?;
     }
     let judgement = results.command.map(|_| Judgement::of(&pair));
@@ -190,6 +194,10 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
             jump.shift,
             jump.turn.to_degrees()
         );
+    }
+    if report.kept_input {
+        text += "REFUSED: the cloud would be less sharp with the refined trajectory, which was thrown away";
+        text += if results.only_report { "; --force writes the input as the result\n" } else { "\n" };
     }
     for warning in &report.warnings {
         text += &format!("warning: {warning}\n");
