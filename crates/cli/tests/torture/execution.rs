@@ -63,7 +63,7 @@ impl Execution<'_> {
             format!("ulimit -v {MEMORY_KIB}; ulimit -t {PROCESSOR_SECONDS}; ulimit -c 0; exec \"$@\"");
         let mut command = Command::new("sh");
         command
-            .args(["-c", &limits, "sh", env!("CARGO_BIN_EXE_portolan")])
+            .args(["-c", &limits, "sh", &program.to_string_lossy()])
             .args(self.verb.iter().map(|w| place(&w)));
         command.args(["--threads", "2"]).current_dir(folder).env("TMPDIR", temporary);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
