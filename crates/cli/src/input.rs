@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 use std::path::Path;
 
-use portolan_input::{Forward, named, read_all, regular_file};
+use portolan_input::{Forward, kind_of, named, read_all, regular_file};
 
 use crate::error::CliError;
 
@@ -39,6 +39,14 @@ pub fn open_map(path: &Path) -> Result<Option<Forward>, CliError> {
         must_be_a_file(path)?;
     }
     Ok(is_map.then_some(input))
+}
+
+/// Refuses what is no text of numbers, and says what it is.
+pub fn must_be_text(input: &mut Forward, path: &Path) -> Result<(), CliError> {
+    match kind_of(peek(input, path, 16)?) {
+        Some(kind) => Err(CliError::in_file(path, format!("this is {kind}"))),
+        None => Ok(()),
+    }
 }
 
 /// Refuses pipes where something is read more than once.

@@ -10,6 +10,7 @@ mod known_map;
 mod lost;
 mod output;
 mod progress;
+mod suggest;
 
 use std::process::ExitCode;
 
@@ -69,7 +70,7 @@ fn main() -> ExitCode {
     let arguments = commands::compat::arguments(std::env::args_os());
     let status = match Cli::try_parse_from(arguments) {
         Ok(cli) => run(cli),
-        Err(message) => show(&message),
+        Err(message) => show(&suggest::with_nearest_verb(message)),
     };
     // Threads that read ahead may still hold some.
     portolan_unfinished::remove_all();
@@ -78,6 +79,7 @@ fn main() -> ExitCode {
 
 fn run(cli: Cli) -> ExitStatus {
     start_logging(&cli.global);
+    keep_caught_panics_quiet();
     interrupt::watch(cli.global.quiet);
     match commands::run(cli.command, &cli.global) {
         // Whatever was saved, it is not all that was asked for.
@@ -91,6 +93,16 @@ fn run(cli: Cli) -> ExitStatus {
             status
         }
     }
+}
+
+/// Panics of libraries that are caught are told as damage of a file, not as faults of the program.
+fn keep_caught_panics_quiet() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !portolan_pointcloud::is_panic_caught() {
+            usual(panic);
+        }
+    }));
 }
 
 /// A help page, the version, or what is wrong with the command line.

@@ -10,6 +10,7 @@ use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 use portolan_input::{XmlLimits, check_xml, regular_file};
 
 use crate::BATCH_POINTS;
+use crate::caught;
 use crate::cloud::{Attributes, PointCloud};
 use crate::error::{CloudError, NOT_FINITE, Repair, Repairs};
 use crate::format::{CloudReader, CloudWriter, Written};
@@ -24,7 +25,8 @@ struct E57Points {
     attributes: Attributes,
     count: u64,
     batches: Receiver<Sent>,
-    thread: Option<JoinHandle<()>>,
+    /// Whether it ended without a panic.
+    thread: Option<JoinHandle<bool>>,
     given: u64,
     repairs: Repairs,
 }
@@ -50,7 +52,7 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     }
     let count = scans.iter().map(|scan| scan.records).sum();
     let (sender, batches) = sync_channel::<Sent>(2);
-    let thread = std::thread::spawn(move || {
+    let work = move || {
         for scan in &scans {
             let mut left_out = 0;
             let mut batch = PointCloud::new(attributes);
@@ -84,7 +86,8 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
                 return;
             }
         }
-    });
+    };
+    let thread = std::thread::spawn(move || caught::unpanicked(work).is_some());
     let (path, thread, repairs) = (path.to_owned(), Some(thread), Repairs::default());
     Ok(Box::new(E57Points { path, attributes, count, batches, thread, given: 0, repairs }))
 }
@@ -118,7 +121,7 @@ impl CloudReader for E57Points {
                 ),
                 Err(_) => {
                     // The thread has ended.
-                    let panicked = self.thread.take().is_some_and(|thread| thread.join().is_err());
+                    let panicked = self.thread.take().is_some_and(|thread| !thread.join().unwrap_or(false));
                     return if panicked {
                         Err(CloudError::damaged(&self.path, "its points cannot be decoded"))
                     } else {

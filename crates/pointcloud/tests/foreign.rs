@@ -305,3 +305,24 @@ fn what_is_read_forward_may_be_a_pipe() {
         }
     }
 }
+
+#[test]
+fn zeroed_blocks_of_a_compressed_cloud_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.laz");
+    let mut cloud = PointCloud::new(Attributes::default());
+    let at = |i: i32| f64::from(i);
+    (0..40_000).for_each(|i| cloud.push([500.0 + (at(i) * 0.7).sin(), at(i) * 0.01, 90.0], 0.0, 0.0, [0; 3]));
+    let mut writer = create(&path, cloud.attributes(), &WriteOptions::default()).unwrap();
+    writer.write(&cloud).unwrap();
+    writer.finish().unwrap();
+    let sound = std::fs::read(&path).unwrap();
+    assert!(read(&path).unwrap().1.is_empty());
+    let middle = sound.len() / 2;
+    let mut damaged = sound.clone();
+    damaged[middle..middle + 2000].fill(0);
+    match read_bytes(&damaged, "b.laz") {
+        Ok((_, repairs)) => assert!(repairs.iter().any(|repair| repair.lost_data), "{repairs:?}"),
+        Err(error) => assert!(error.to_string().contains("damaged"), "{error}"),
+    }
+}

@@ -62,9 +62,7 @@ impl Execution<'_> {
         let limits =
             format!("ulimit -v {MEMORY_KIB}; ulimit -t {PROCESSOR_SECONDS}; ulimit -c 0; exec \"$@\"");
         let mut command = Command::new("sh");
-        command
-            .args(["-c", &limits, "sh", &program.to_string_lossy()])
-            .args(self.verb.iter().map(|w| place(&w)));
+        command.args(["-c", &limits, "sh", &program.to_string_lossy()]).args(self.verb.iter().map(place));
         command.args(["--threads", "2"]).current_dir(folder).env("TMPDIR", temporary);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
     }

@@ -9,7 +9,7 @@
 //! PORTOLAN_TORTURE=only=4711,seed=7,keep=/tmp/found cargo test -p portolan-cli --test torture
 //! ```
 #![cfg(unix)]
-#![allow(clippy::unwrap_used, clippy::print_stderr)]
+#![allow(clippy::unwrap_used, clippy::print_stderr, clippy::panic)]
 
 #[path = "../common/mod.rs"]
 mod common;

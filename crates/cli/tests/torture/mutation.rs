@@ -150,7 +150,8 @@ fn in_message(bytes: &mut Vec<u8>, records: &Records, random: &mut Random) {
 /// Fields of a message and, for those that may be messages, the fields in them.
 fn protobuf_fields(message: &[u8]) -> Vec<Range<usize>> {
     let mut found = Vec::new();
-    let mut todo = vec![0..message.len()];
+    let whole = 0..message.len();
+    let mut todo = Vec::from([whole]);
     while let Some(range) = todo.pop() {
         let mut at = range.start;
         while at < range.end && found.len() < 5000 {

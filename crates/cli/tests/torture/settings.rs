@@ -42,9 +42,7 @@ impl Settings {
                 "only" => settings.only = Some(value.parse().unwrap()),
                 "program" => settings.program = value.into(),
                 "keep" => settings.keep = Some(value.into()),
-                _ => unimplemented!(
-                    "PORTOLAN_TORTURE knows cases, seed, only, keep and program, but not {key}"
-                ),
+                _ => panic!("PORTOLAN_TORTURE knows cases, seed, only, keep and program, but not {key}"),
             }
         }
         settings

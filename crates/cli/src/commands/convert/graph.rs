@@ -21,7 +21,7 @@ pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
 
 /// A chain of poses.
 pub fn of_trajectory(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let trajectory = read_one(args, input, global)?;
+    let (trajectory, _) = read_one(args, input, global)?;
     let poses: Vec<Rigid3> = trajectory.poses().iter().map(|p| p.map_from_tracking).collect();
     let unit: Vec<f64> = (0..6).flat_map(|r| (r..6).map(move |c| if r == c { 1.0 } else { 0.0 })).collect();
     let information = Rigid3::information_from_upper(&unit)

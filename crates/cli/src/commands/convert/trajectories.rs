@@ -11,17 +11,22 @@ use portolan_mapfile::{MapDraft, ReadLimits};
 use super::ConvertArgs;
 use super::format::Format;
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::{TrajectorySource, nodes, pose_graph_from, tell_repairs};
+use crate::commands::evaluate::input::{TrajectorySource, nodes, tell_repairs, whole_pose_graph_from};
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print_json, print_summary, write_file};
+use crate::progress::say;
 
 type Named = Vec<(i32, Trajectory)>;
 
+/// Trajectories, and whether the file they are from has lost something.
+type Read<T> = (T, bool);
+
 pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let trajectories = if to.holds_several() {
+    let (trajectories, lost_data) = if to.holds_several() {
         read(args, input, global)?
     } else {
-        vec![(0, read_one(args, input, global)?)]
+        let (trajectory, lost_data) = read_one(args, input, global)?;
+        (vec![(0, trajectory)], lost_data)
     };
     let frame = args.origin.map(LocalFrame::at);
     let mut files = vec![args.output.clone()];
@@ -53,7 +58,7 @@ pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) 
     } else {
         print_summary(&format!("{}\n{}", counted(poses as u64, "pose", "poses"), names.join("\n")));
     }
-    Ok(Outcome::Done)
+    Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
 }
 
 /// Poses of a trajectory into a map.
@@ -64,7 +69,7 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
         ));
     };
     let id = args.trajectory.unwrap_or(0);
-    let trajectory = read_one(args, input, global)?;
+    let (trajectory, lost_data) = read_one(args, input, global)?;
     let poses: Vec<_> = trajectory.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
     let mut draft = MapDraft::open(map, ReadLimits::default())?;
     let done = draft.replace_trajectory(id, &poses)?;
@@ -80,12 +85,16 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
             counted(done.submaps, "submap", "submaps"),
         ));
     }
-    Ok(Outcome::Done)
+    Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
 }
 
 /// The trajectory of the input, or the one that was asked for.
-pub fn read_one(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Trajectory, CliError> {
-    let mut trajectories = read(args, input, global)?;
+pub fn read_one(
+    args: &ConvertArgs,
+    input: Forward,
+    global: &GlobalArgs,
+) -> Result<Read<Trajectory>, CliError> {
+    let (mut trajectories, lost_data) = read(args, input, global)?;
     if trajectories.len() > 1 {
         let ids: Vec<String> = trajectories.iter().map(|(id, _)| id.to_string()).collect();
         return Err(CliError::Usage(format!(
@@ -94,17 +103,22 @@ pub fn read_one(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
         )));
     }
     match trajectories.pop() {
-        Some((_, trajectory)) if !trajectory.is_empty() => Ok(trajectory),
+        Some((_, trajectory)) if !trajectory.is_empty() => Ok((trajectory, lost_data)),
         _ => Err(CliError::in_file(&args.input, "there are no poses")),
     }
 }
 
 /// All trajectories of the input that are asked for.
-fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<Named, CliError> {
+fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<Read<Named>, CliError> {
     let path = &args.input;
+    let mut lost_data = false;
     let mut all = match Format::of_content(&mut input, path)? {
         Format::Map => {
-            let graph = pose_graph_from(input, path)?;
+            let (graph, damage) = whole_pose_graph_from(input, path)?;
+            if let Some(damage) = damage {
+                say(&format!("{}: damaged behind its poses, which are whole: {damage}", path.display()));
+                lost_data = true;
+            }
             let ids: Vec<i32> = graph.trajectory.iter().map(|t| t.trajectory_id).collect();
             let read = |id| Ok((id, Trajectory::new(nodes(path, &graph, id)?).0));
             ids.into_iter().map(read).collect::<Result<Named, CliError>>()?
@@ -121,7 +135,7 @@ fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<N
         _ => {
             let times = args.times.as_deref();
             let source = TrajectorySource { path, trajectory_id: 0, times, quiet: global.quiet };
-            return Ok(vec![(args.trajectory.unwrap_or(0), source.read_from(input)?)]);
+            return Ok((vec![(args.trajectory.unwrap_or(0), source.read_from(input)?)], false));
         }
     };
     if let Some(wanted) = args.trajectory
@@ -134,5 +148,5 @@ fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<N
             return Err(CliError::in_file(path, text));
         }
     }
-    Ok(all)
+    Ok((all, lost_data))
 }

@@ -12,7 +12,7 @@ use portolan_mapfile::proto::mapping::{self, PoseGraph};
 use portolan_mapfile::{MapReader, ReadLimits, pose_from_proto};
 
 use crate::error::CliError;
-use crate::input::{is_map, open_forward, peek, read_bytes};
+use crate::input::{is_map, must_be_text, open_forward, peek, read_bytes};
 use crate::output::counted;
 use crate::progress::say;
 
@@ -57,6 +57,7 @@ impl TrajectorySource<'_> {
     }
 
     fn read_text(&self, mut input: Forward) -> Result<(Trajectory, TrajectoryRepairs), CliError> {
+        must_be_text(&mut input, self.path)?;
         let read = match text_format(peek(&mut input, self.path, HEAD)?) {
             TextFormat::Tum => read_tum(input),
             TextFormat::Csv => read_csv(input),
@@ -113,6 +114,21 @@ pub fn pose_graph_from(input: Forward, path: &Path) -> Result<PoseGraph, CliErro
     let length = input.length();
     let reader = MapReader::from_source(input, length, ReadLimits::default());
     Ok(reader.map_err(|error| CliError::in_file(path, error))?.take_pose_graph())
+}
+
+/// The second message of a map, and what is wrong with what follows, which is looked through to its end.
+pub fn whole_pose_graph_from(input: Forward, path: &Path) -> Result<(PoseGraph, Option<String>), CliError> {
+    let length = input.length();
+    let reader = MapReader::from_source_for_summary(input, length, ReadLimits::default());
+    let mut reader = reader.map_err(|error| CliError::in_file(path, error))?;
+    let graph = reader.take_pose_graph();
+    loop {
+        match reader.next_message() {
+            Ok(Some(_)) => {}
+            Ok(None) => return Ok((graph, None)),
+            Err(error) => return Ok((graph, Some(error.to_string()))),
+        }
+    }
 }
 
 /// One trajectory of a map.
