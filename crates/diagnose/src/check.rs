@@ -76,19 +76,20 @@ pub fn check(
     options: &IngestOptions,
     progress: &mut dyn FnMut(u64),
 ) -> Result<CheckReport, RecordingError> {
-    check_with_clocks(recording, options, &[], progress)
+    let inventory = Inventory::of(recording, options)?;
+    check_with_clocks(recording, &inventory, options, &[], progress)
 }
 
 /// The same where offsets of clocks were measured before: those sensors are not compared once more.
 pub fn check_with_clocks(
     recording: &dyn Recording,
+    inventory: &Inventory,
     options: &IngestOptions,
     offsets: &[ClockOffset],
     progress: &mut dyn FnMut(u64),
 ) -> Result<CheckReport, RecordingError> {
-    let inventory = Inventory::of(recording, options)?;
-    let plan = plan(&inventory, options);
-    let mut check = Check::new(&inventory, options);
+    let plan = plan(inventory, options);
+    let mut check = Check::new(inventory, options);
     let mut reader = recording.read(&|_| true)?;
     let mut messages = 0u64;
     while let Some(message) = reader.next_message()? {

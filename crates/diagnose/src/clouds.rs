@@ -21,7 +21,7 @@ const NO_TIME: Kind = Kind {
     name: "no time",
     severity: Severity::Warning,
     effect: "times are guessed from the azimuth where the lidar spins; elsewhere motion during a sweep cannot be undone and blurs the map",
-    to_do: "let the driver add a time field (time, t, timestamp or offset_time); --azimuth-times chooses how to guess",
+    to_do: "let the driver add a time field (time, t, timestamp or offset_time); --point-times chooses how to guess",
 };
 const TIMES_FROM_START: Kind = Kind {
     name: "times from start",

@@ -1,69 +1,141 @@
 //! Times of points that have none, from their directions.
 //!
 //! A spinning lidar measures its points in the order of their azimuth, so the share of the turn that
-//! has passed tells when. Directions say nothing about when a turn began: it is taken to begin at the first
-//! point, at the stamp or one turn before it. The head turns the way in which most neighbouring points
-//! follow each other.
+//! has passed tells when. Where turns begin and which way they go follows from how sweeps fit together while the
+//! lidar moves ([`Skew`](crate::Skew)). As long as that is not known a turn is taken to begin at the first point, and
+//! the head to turn the way in which most neighbouring points follow each other. Turns begin or end at the stamp.
 
-use std::f32::consts::TAU;
+use std::f32::consts::{PI, TAU};
 
-use portolan_geometry::{Duration, Time};
+use portolan_geometry::{Duration, Point3f, Time};
 
-use crate::seam::sense_of_turn;
 use crate::timed_points::TimedPoints;
 
 /// Whether points without times get them from their azimuth, and what the stamp of a cloud means then.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum AzimuthTimes {
     /// They do where the lidar spins and motion was not taken out of its clouds already, as far as the first
-    /// clouds show; the stamp is the beginning of the turn if it was recorded a turn later, otherwise the end.
+    /// clouds show; when in the turn the stamp is follows from the time of recording. Times that points have are used
+    /// unless motion was taken out.
     #[default]
     Auto,
+    /// Points have the times that were recorded with them, whatever the clouds show.
+    Recorded,
     /// They do not: all points count as measured at the stamp.
     Off,
     /// They do; the stamp is when the turn began.
     FromStamp,
+    /// They do; the stamp is the middle of the turn.
+    AroundStamp,
     /// They do; the stamp is when the turn ended.
     UntilStamp,
 }
 
 impl AzimuthTimes {
-    /// What the stamps of clouds mean that are recorded `lag` after them, turn after turn of so many seconds:
-    /// nothing can be recorded before it was measured.
+    /// What the stamps of clouds mean that are recorded `lag` after them, turn after turn of so many seconds: nothing
+    /// can be recorded before it was measured.
     pub(super) fn of_stamps(lag: Option<Duration>, turn: f64) -> Self {
         // Beyond a second clocks differ, and nothing is known.
-        let is_late = lag.is_some_and(|lag| (0.9 * turn..1.0 + turn).contains(&lag.seconds()));
-        if is_late { Self::FromStamp } else { Self::UntilStamp }
+        let lag = lag.map(|lag| lag.seconds()).filter(|lag| (0.0..1.0 + turn).contains(lag));
+        match lag.map(|lag| lag / turn) {
+            Some(turns) if turns >= 0.9 => Self::FromStamp,
+            Some(turns) if turns >= 0.45 => Self::AroundStamp,
+            _ => Self::UntilStamp,
+        }
+    }
+
+    /// Share of the turn that had passed at the stamp.
+    fn share_at_stamp(self) -> f32 {
+        match self {
+            Self::UntilStamp => 1.0,
+            Self::AroundStamp => 0.5,
+            _ => 0.0,
+        }
+    }
+
+    /// Where in the turn the stamp is, in words.
+    pub(crate) fn where_stamp_is(self) -> &'static str {
+        match self {
+            Self::FromStamp => "begin at their stamps",
+            Self::AroundStamp => "have their stamps in the middle",
+            _ => "end at their stamps",
+        }
     }
 }
+
+/// How a lidar turns.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Turn {
+    /// Azimuth at which turns begin, in the frame of the lidar, radians.
+    pub begin_radians: f32,
+    /// Whether the head turns clockwise, seen from above.
+    pub is_clockwise: bool,
+}
+
+/// Neighbouring points farther apart than this are of other beams, radians.
+const SAME_TURN: f32 = 0.1;
+/// A known beginning is known to this, radians; the first point is where turns begin if it is as near.
+const BEGIN_TOLERANCE: f32 = 0.09;
 
 /// Points of the first turn this near to its beginning may lie before it, because beams of one firing have
 /// different azimuths (share of the turn and of the points).
 const EDGE: f32 = 0.03;
 
-/// Gives points times within a turn of `duration` seconds. They must stand as they came, all with the same
-/// time.
-pub(crate) fn assign(points: &mut TimedPoints, stamp: Time, duration: f64, meaning: AzimuthTimes) {
+/// A turn whose points get times.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TimedTurn {
+    pub stamp: Time,
+    pub seconds: f64,
+    pub meaning: AzimuthTimes,
+    /// As far as it is known.
+    pub turn: Option<Turn>,
+}
+
+/// Gives points times within a turn. They must stand as they came, all with the same time.
+pub(crate) fn assign(points: &mut TimedPoints, timed: &TimedTurn) {
+    let TimedTurn { stamp, seconds, meaning, turn } = *timed;
     let Some(first) = points.points.first() else { return };
-    let azimuth = |p: &portolan_sensor::TimedPoint| p.position.y.atan2(p.position.x);
-    let begin = azimuth(first);
-    let sign = sense_of_turn(points.points.iter().map(|p| &p.position));
-    let early = (points.points.len() as f32 * EDGE) as usize;
-    let offset = if meaning == AzimuthTimes::UntilStamp { -1.0 } else { 0.0 };
+    let of_first = azimuth(&first.position);
+    let begins_at_first = turn.is_none_or(|t| wrapped(t.begin_radians - of_first).abs() < BEGIN_TOLERANCE);
+    let begin = turn.filter(|_| !begins_at_first).map_or(of_first, |t| t.begin_radians);
+    let by_order = || sense_of_turn(points.points.iter().map(|p| &p.position));
+    let sign = turn.map_or_else(by_order, |t| if t.is_clockwise { -1.0 } else { 1.0 });
+    let early = if begins_at_first { (points.points.len() as f32 * EDGE) as usize } else { 0 };
+    let at_stamp = meaning.share_at_stamp();
     for (index, point) in points.points.iter_mut().enumerate() {
-        let mut share = (sign * (azimuth(point) - begin)).rem_euclid(TAU) / TAU;
+        let mut share = (sign * (azimuth(&point.position) - begin)).rem_euclid(TAU) / TAU;
         if index < early && share > 1.0 - EDGE {
             share -= 1.0;
         }
-        point.time = (share + offset) * duration as f32;
+        point.time = (share - at_stamp) * seconds as f32;
     }
     points.rebase(stamp);
+}
+
+fn azimuth(point: &Point3f) -> f32 {
+    point.y.atan2(point.x)
+}
+
+fn wrapped(angle: f32) -> f32 {
+    (angle + PI).rem_euclid(TAU) - PI
+}
+
+/// The way in which azimuths of neighbouring points go most often: 1 counter-clockwise, −1 clockwise.
+fn sense_of_turn<'a>(points: impl Iterator<Item = &'a Point3f>) -> f32 {
+    let (mut forward, mut last) = (0_i64, None);
+    for azimuth in points.map(azimuth) {
+        let step = last.replace(azimuth).map_or(0.0, |last| wrapped(azimuth - last));
+        // Larger steps are between rings, or gaps.
+        if step.abs() < SAME_TURN {
+            forward += if step > 0.0 { 1 } else { -i64::from(step < 0.0) };
+        }
+    }
+    if forward >= 0 { 1.0 } else { -1.0 }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_geometry::Point3f;
     use portolan_sensor::TimedPoint;
 
     fn turn(clockwise: bool, by_ring: bool) -> TimedPoints {
@@ -84,10 +156,14 @@ mod tests {
     #[test]
     fn times_follow_the_turn_whatever_the_order_of_points() {
         for (clockwise, by_ring) in [(true, true), (true, false), (false, true), (false, false)] {
-            for (meaning, shift) in [(AzimuthTimes::FromStamp, 0.0), (AzimuthTimes::UntilStamp, -0.1)] {
+            for (meaning, shift) in [
+                (AzimuthTimes::FromStamp, 0.0),
+                (AzimuthTimes::AroundStamp, -0.05),
+                (AzimuthTimes::UntilStamp, -0.1),
+            ] {
                 let mut points = turn(clockwise, by_ring);
                 let stamp = Time::from_ros(100, 0);
-                assign(&mut points, stamp, 0.1, meaning);
+                assign(&mut points, &TimedTurn { stamp, seconds: 0.1, meaning, turn: None });
                 let end = points.time.seconds_since(stamp);
                 for p in &points.points {
                     // The test keeps the true share in z.
@@ -99,18 +175,32 @@ mod tests {
     }
 
     #[test]
-    fn stamps_that_are_recorded_a_turn_later_are_of_the_beginning() {
-        let of = |lag: f64| AzimuthTimes::of_stamps(Some(Duration::from_seconds(lag)), 0.1);
-        assert_eq!(
-            [0.12, 0.1, 0.03, 0.0, 4e8].map(of),
-            [
-                AzimuthTimes::FromStamp,
-                AzimuthTimes::FromStamp,
-                AzimuthTimes::UntilStamp,
-                AzimuthTimes::UntilStamp,
-                AzimuthTimes::UntilStamp
-            ]
-        );
+    fn where_turns_begin_may_be_known_better_than_by_the_first_point() {
+        // The points come from the left on, counter-clockwise; the head turns clockwise from behind.
+        let mut points = turn(false, true);
+        let known = Turn { begin_radians: PI, is_clockwise: true };
+        let (stamp, meaning) = (Time::from_ros(100, 0), AzimuthTimes::FromStamp);
+        assign(&mut points, &TimedTurn { stamp, seconds: 0.1, meaning, turn: Some(known) });
+        let end = points.time.seconds_since(stamp);
+        for p in &points.points {
+            let share = (PI - azimuth(&p.position)).rem_euclid(TAU) / TAU;
+            assert!((end + f64::from(p.time) - f64::from(share) * 0.1).abs() < 1e-5, "{p:?}");
+        }
+    }
+
+    #[test]
+    fn when_clouds_are_recorded_tells_where_in_the_turn_stamps_are() {
+        use AzimuthTimes::{AroundStamp, FromStamp, UntilStamp};
+        for (lag, expected) in [
+            (0.12, FromStamp),
+            (0.1, FromStamp),
+            (0.05, AroundStamp),
+            (0.01, UntilStamp),
+            (0.0, UntilStamp),
+            (4e8, UntilStamp),
+        ] {
+            assert_eq!(AzimuthTimes::of_stamps(Some(Duration::from_seconds(lag)), 0.1), expected, "{lag}");
+        }
     }
 
     #[test]
@@ -118,7 +208,8 @@ mod tests {
         for count in 0..4 {
             let mut points = turn(false, false);
             points.points.truncate(count);
-            assign(&mut points, Time::UNIX_EPOCH, 0.1, AzimuthTimes::FromStamp);
+            let meaning = AzimuthTimes::FromStamp;
+            assign(&mut points, &TimedTurn { stamp: Time::UNIX_EPOCH, seconds: 0.1, meaning, turn: None });
             assert_eq!(points.points.len(), count);
         }
     }

@@ -10,7 +10,7 @@ use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_recording::{Message, RecordedMessage, Recording, RecordingError, Repair, RepairLog, TopicInfo};
 use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
 
-use crate::azimuth_time::AzimuthTimes;
+use crate::azimuth_time::{AzimuthTimes, Turn};
 use crate::clock::{Ascending, Order, SensorClock};
 use crate::convert::{Frames, LocalFixes};
 use crate::even_stamps::EvenStamps;
@@ -23,6 +23,7 @@ use crate::read_ahead::ReadAhead;
 use crate::recording_clock::RecordingClock;
 use crate::survey::{Inventory, is_tf};
 use crate::tf::{TfError, TfInput};
+use crate::turn_clock::TurnClock;
 
 /// Why a recording cannot be turned into measurements.
 #[derive(Debug, thiserror::Error)]
@@ -38,11 +39,9 @@ pub enum IngestError {
 /// What a topic is used for.
 #[derive(Clone, Debug)]
 enum Role {
-    /// `turn`: seconds between clouds, where known.
     Range {
         point_time: Option<PointTime>,
-        azimuth_times: AzimuthTimes,
-        turn: Option<f64>,
+        by_azimuth: Option<TimesByAzimuth>,
         directions: Box<BeamDirections>,
     },
     Imu {
@@ -52,6 +51,16 @@ enum Role {
     NavSat,
     FixedFramePose,
     Landmarks,
+}
+
+/// How points get times from their azimuth.
+#[derive(Clone, Debug)]
+struct TimesByAzimuth {
+    meaning: AzimuthTimes,
+    clock: TurnClock,
+    /// Whether stamps are used as they are.
+    keeps_stamps: bool,
+    turn: Option<Turn>,
 }
 
 /// A sensor while it is read.

@@ -13,16 +13,17 @@ mod point_cloud2;
 mod point_time;
 mod read_ahead;
 mod recording_clock;
-mod seam;
+mod skew;
 mod statistics;
 mod survey;
 #[cfg(test)]
 mod test_messages;
 mod tf;
 mod timed_points;
+mod turn_clock;
 mod urdf;
 
-pub use azimuth_time::AzimuthTimes;
+pub use azimuth_time::{AzimuthTimes, Turn};
 pub use even_stamps::StampPolicy;
 pub use gnss::GeodeticPosition;
 pub use ingestion::{IngestError, Ingestion};
@@ -33,6 +34,7 @@ pub use plan::{
 };
 pub use point_time::{PointTime, PointTimeOrigin};
 pub use recording_clock::RecordingClock;
+pub use skew::{Skew, SkewFactor, SkewState};
 pub use statistics::{ImuStatistics, RangeStatistics};
 pub use survey::{Inventory, TopicSurvey};
 pub use tf::{TfError, TfInput, TfTree, frame_name};

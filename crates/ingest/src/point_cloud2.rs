@@ -172,6 +172,14 @@ impl CloudLayout {
         });
     }
 
+    /// Calls `visit` with every point as it stands, and the value of its time if there is such a field.
+    pub(crate) fn sample_timed(&self, cloud: &PointCloud2, mut visit: impl FnMut(Point3f, Option<f64>)) {
+        self.for_each(cloud, |point| {
+            let [x, y, z] = self.xyz.map(|field| field.single(point, self.is_bigendian));
+            visit(Point3f::new(x, y, z), self.time.map(|field| field.value(point, cloud.is_bigendian)));
+        });
+    }
+
     /// The time values of a cloud, to find out what they mean. Those of points that are none are left out:
     /// some drivers leave them unset.
     pub(crate) fn time_span(&self, cloud: &PointCloud2) -> Option<TimeSpan> {

@@ -5,7 +5,7 @@ use portolan_recording::{Imu, LaserScan, MultiEchoLaserScan, PointCloud2};
 
 use crate::point_cloud2::CloudLayout;
 use crate::point_time::{PointTime, TimeSpan, detect};
-use crate::seam::SeamVotes;
+use crate::skew::{Skew, SkewEstimator};
 
 /// So many scans or clouds tell enough.
 const MAX_MESSAGES: usize = 200;
@@ -15,6 +15,9 @@ const MAX_READINGS: usize = 500;
 const MAX_SAMPLES: usize = 20_000;
 /// Share of readings at exactly the largest value that makes it the mark for "nothing seen".
 const SATURATED_SHARE: f64 = 0.005;
+
+/// Clouds of fewer degrees from top to bottom are not of space.
+const MIN_SPACE: f64 = 5.0;
 
 /// Turns of spinning lidars a second. Clouds that come more rarely are key frames that somebody chose, not turns.
 const SPINNING_RATES: std::ops::RangeInclusive<f64> = 4.0..=50.0;
@@ -47,9 +50,9 @@ pub struct RangeStatistics {
     pub saturation_range: Option<f64>,
     /// How long one message measures; zero if all points have the same time.
     pub sweep_duration: f64,
-    /// Whether clouds without any times of points had the motion of the sensor taken out; none if they have
-    /// times, or it cannot be told.
-    pub is_compensated: Option<bool>,
+    /// How much of the motion of the lidar is in its clouds; none if it did not move while it was looked at, or if
+    /// clouds are no sweeps in space.
+    pub skew: Option<Skew>,
 }
 
 impl RangeStatistics {
@@ -99,8 +102,9 @@ pub(crate) struct RangeSampler {
     scan: Option<(f64, f64)>,
     sweeps: Vec<f64>,
     time_spans: Vec<TimeSpan>,
-    seam: SeamVotes,
-    points: Vec<Point3f>,
+    skew: SkewEstimator,
+    sweep: Vec<Point3f>,
+    times: Vec<f64>,
 }
 
 impl Default for RangeSampler {
@@ -116,8 +120,9 @@ impl Default for RangeSampler {
             scan: None,
             sweeps: Vec::new(),
             time_spans: Vec::new(),
-            seam: SeamVotes::default(),
-            points: Vec::new(),
+            skew: SkewEstimator::default(),
+            sweep: Vec::new(),
+            times: Vec::new(),
         }
     }
 }
@@ -204,10 +209,29 @@ impl RangeSampler {
         self.readings.push(total);
         self.returns.push((total * returns).checked_div(seen).unwrap_or(0));
         self.time_spans.extend(layout.time_span(cloud));
-        if !layout.has_time() {
-            self.points.clear();
-            layout.sample(cloud, 1, |point| self.points.push(point));
-            self.seam.add(&self.points);
+        if !self.skew.is_done() && f64::from(self.elevation.1 - self.elevation.0).to_degrees() > MIN_SPACE {
+            self.add_sweep(&layout, cloud);
+        }
+    }
+
+    /// A sweep that may tell how much of the motion is in it.
+    fn add_sweep(&mut self, layout: &CloudLayout, cloud: &PointCloud2) {
+        self.sweep.clear();
+        self.times.clear();
+        layout.sample_timed(cloud, |point, time| {
+            self.sweep.push(point);
+            self.times.extend(time);
+        });
+        let span = self.time_spans.last().filter(|_| layout.has_time());
+        match span {
+            None if layout.has_time() => {}
+            None => self.skew.add(&self.sweep, None),
+            Some(span) if span.span > 0.0 => {
+                let share = |time: &f64| ((time - span.least) / span.span).clamp(0.0, 1.0) as f32;
+                let shares: Vec<f32> = self.times.iter().map(share).collect();
+                self.skew.add(&self.sweep, Some(&shares));
+            }
+            Some(_) => {}
         }
     }
 
@@ -218,7 +242,7 @@ impl RangeSampler {
 
     /// Whether more clouds would tell something that these do not.
     pub fn is_undecided(&self) -> bool {
-        !self.points.is_empty() && self.seam.is_compensated().is_none()
+        !self.sweep.is_empty() && !self.skew.is_done()
     }
 
     /// The field of view of clouds is a full turn less the largest sector without a point; sectors below
@@ -255,7 +279,12 @@ impl RangeSampler {
         let unit = self.point_time(interval).map_or(0.0, |t| t.unit);
         let mut sweeps = std::mem::take(&mut self.sweeps);
         sweeps.extend(self.time_spans.iter().map(|s| s.span * unit));
+        let is_sweep_rate = interval.is_some_and(|interval| SPINNING_RATES.contains(&(1.0 / interval)));
         let (field_of_view, angular_resolution) = self.scan.unwrap_or_else(|| self.view_of_clouds());
+        let sweep_duration = median(&mut sweeps).unwrap_or(0.0);
+        // Sweeps that last a part of the interval have a part of its motion in them.
+        let duty = interval.map_or(0.0, |interval| sweep_duration / interval);
+        let duty = if (0.2..1.0).contains(&duty) { duty } else { 1.0 };
         let vertical = f64::from(self.elevation.1 - self.elevation.0);
         RangeStatistics {
             messages: self.readings.len(),
@@ -269,8 +298,8 @@ impl RangeSampler {
             p95_range: quantile(0.95),
             max_range: quantile(1.0),
             saturation_range,
-            sweep_duration: median(&mut sweeps).unwrap_or(0.0),
-            is_compensated: self.seam.is_compensated(),
+            sweep_duration,
+            skew: self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty)),
         }
     }
 }

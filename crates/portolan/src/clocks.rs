@@ -42,10 +42,11 @@ const FLAT: f64 = 0.05;
 /// `progress` is told the bytes read so far.
 pub fn measure(
     recording: &dyn Recording,
+    inventory: &Inventory,
     options: &IngestOptions,
     progress: &mut dyn FnMut(u64),
 ) -> Vec<ClockOffset> {
-    match Clocks::new(recording, options) {
+    match Clocks::new(recording, inventory, options) {
         Ok(Some((mut clocks, mut ingestion))) => {
             // An error ends the reading, and what was read before it counts.
             while let Ok(Some((id, measurement))) = ingestion.next_measurement() {
@@ -92,10 +93,10 @@ impl Clocks {
     /// None if there is nothing to compare.
     fn new(
         recording: &dyn Recording,
+        inventory: &Inventory,
         options: &IngestOptions,
     ) -> Result<Option<(Self, Ingestion)>, IngestError> {
-        let inventory = Inventory::of(recording, options)?;
-        let mut plan = plan(&inventory, options)?;
+        let mut plan = plan(inventory, options)?;
         let Some(imu) = &plan.imu else { return Ok(None) };
         let shift = imu.source.clock_shift;
         // A clock that was put right already is known to be wrong.
@@ -108,7 +109,7 @@ impl Clocks {
         }
         (plan.odometry, plan.nav_sat, plan.fixed_frame_pose, plan.landmarks) = (None, None, None, None);
         let lidars = plan.range.iter().map(|range| (range.source.sensor.clone(), Lidar::default())).collect();
-        let ingestion = Ingestion::with_plan(recording, &inventory, plan, options)?;
+        let ingestion = Ingestion::with_plan(recording, inventory, plan, options)?;
         Ok(Some((Self { gyroscope: Gyroscope::default(), lidars, next: SWEEPS }, ingestion)))
     }
 

@@ -156,7 +156,10 @@ pub fn prepare(
         plan.delay_odometry(delay.seconds, delay.sigma);
     }
     let is_free = options.is_none() && plan.dimension == Dimension::Three && ingest.time_offsets.is_empty();
-    if is_free && let Some(offset) = clocks::common_offset(&clocks::measure(recording, ingest, &mut |_| {})) {
+    if is_free
+        && let Some(offset) =
+            clocks::common_offset(&clocks::measure(recording, &inventory, ingest, &mut |_| {}))
+    {
         plan.delay_imu(offset.seconds, offset.sigma);
     }
     let options = options.unwrap_or_else(|| match plan.dimension {

@@ -15,7 +15,7 @@ pub use closed_forms::{ClosedForm, best_transform, helical_motion};
 pub use dense_index::DenseIndex;
 pub use kd_tree::{KdTree, Neighbour};
 pub use moments::{Moments, PlaneFit};
-pub use normals::{LocalSurface, local_surfaces};
+pub use normals::{LocalSurface, local_surface, local_surfaces};
 pub use pair_moments::PairMoments;
 pub use reduce::{VoxelRepresentative, reduce, reduce_indices};
 pub use sharpness::{Neighbourhood, Sharpness, SharpnessOptions, ThinnedCloud, sharpness, spread_sample};

@@ -3,7 +3,7 @@
 use portolan_geometry::Vector3;
 use rayon::prelude::*;
 
-use crate::{KdTree, Moments};
+use crate::{KdTree, Moments, Neighbour};
 
 /// The surface around a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,24 +24,39 @@ pub fn local_surfaces(
     count: usize,
     max_distance: f32,
 ) -> Vec<Option<LocalSurface>> {
-    points
-        .par_iter()
-        .map_init(Vec::new, |found, query| {
-            tree.k_nearest(*query, count, max_distance, found);
-            let mut moments = Moments::default();
-            for neighbour in found.iter() {
-                let p = points[neighbour.index as usize];
-                moments.add(&Vector3::from(std::array::from_fn::<f64, 3, _>(|k| f64::from(p[k] - query[k]))));
-            }
-            let plane = moments.plane().filter(|plane| found.len() >= 4 && plane.variances[1] > 1e-12)?;
-            let [across, middle, along] = plane.variances;
-            Some(LocalSurface {
-                normal: [plane.normal.x as f32, plane.normal.y as f32, plane.normal.z as f32],
-                thickness: across.sqrt() as f32,
-                planarity: ((middle - across) / along.max(f64::MIN_POSITIVE)) as f32,
-            })
-        })
-        .collect()
+    let surface = |found: &mut Vec<Neighbour>, query: &[f32; 3]| {
+        tree.k_nearest(*query, count, max_distance, found);
+        surface_of(points, *query, found)
+    };
+    points.par_iter().map_init(Vec::new, surface).collect()
+}
+
+/// The surface around any place, as [`local_surfaces`] finds it around points.
+pub fn local_surface(
+    points: &[[f32; 3]],
+    tree: &KdTree,
+    place: [f32; 3],
+    count: usize,
+    max_distance: f32,
+) -> Option<LocalSurface> {
+    let mut found = Vec::with_capacity(count);
+    tree.k_nearest(place, count, max_distance, &mut found);
+    surface_of(points, place, &found)
+}
+
+fn surface_of(points: &[[f32; 3]], place: [f32; 3], found: &[Neighbour]) -> Option<LocalSurface> {
+    let mut moments = Moments::default();
+    for neighbour in found {
+        let p = points[neighbour.index as usize];
+        moments.add(&Vector3::from(std::array::from_fn::<f64, 3, _>(|k| f64::from(p[k] - place[k]))));
+    }
+    let plane = moments.plane().filter(|plane| found.len() >= 4 && plane.variances[1] > 1e-12)?;
+    let [across, middle, along] = plane.variances;
+    Some(LocalSurface {
+        normal: [plane.normal.x as f32, plane.normal.y as f32, plane.normal.z as f32],
+        thickness: across.sqrt() as f32,
+        planarity: ((middle - across) / along.max(f64::MIN_POSITIVE)) as f32,
+    })
 }
 
 #[cfg(test)]

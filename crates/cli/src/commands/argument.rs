@@ -1,6 +1,6 @@
 //! Arguments that several verbs have in common: ids, poses, areas.
 
-use portolan_geometry::{Rigid3, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_geometry::{Duration, Rigid3, Vector3, rotation_from_roll_pitch_yaw};
 use portolan_mapfile::{FrozenTrajectories, IdInFile, MapArea};
 
 /// Numbers separated by commas, as many as `names` has.
@@ -40,6 +40,11 @@ pub fn seconds(text: &str) -> Result<f64, String> {
 pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
     let [x, y, yaw] = numbers::<3>(text, "X,Y,YAW")?;
     Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
+}
+
+/// What is added to the stamps of topics.
+pub fn shifts(offsets: &[(String, f64)]) -> Vec<(String, Duration)> {
+    offsets.iter().map(|(topic, seconds)| (topic.clone(), Duration::from_seconds(*seconds))).collect()
 }
 
 /// A topic and seconds: `/imu=-0.05`.

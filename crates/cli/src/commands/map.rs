@@ -16,7 +16,7 @@ use portolan_ingest::{AzimuthTimes, IngestOptions, StampPolicy, read_urdf};
 use portolan_mapping::{Planar, Space, Spatial};
 use portolan_recording::{Recording, open_all};
 
-use super::argument::{seconds, time_offset};
+use super::argument::{seconds, shifts, time_offset};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::{self, Saving};
@@ -108,11 +108,10 @@ pub struct SensorArgs {
     /// Robot description whose fixed joints say where the sensors are.
     #[arg(long, value_name = "FILE")]
     pub urdf: Option<PathBuf>,
-    /// Whether the points of clouds without times get them from their azimuth, with the stamp at the beginning
-    /// or the end of the turn. On their own spinning lidars do, unless motion was taken out of the clouds. Unless
-    /// it is `auto`, times that the points of a spinning lidar have are not used.
-    #[arg(long, value_name = "HOW", default_value = "auto")]
-    pub azimuth_times: AzimuthTimesArg,
+    /// Where the times of the points of clouds come from. On its own: those that were recorded; without any, those of a
+    /// spinning lidar follow from the azimuth. Whether motion was taken out of the clouds already is found out.
+    #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
+    pub point_times: PointTimesArg,
     /// Move the stamps of a topic, and the times of its points, by seconds, `/points_rear=-0.05`; `check` tells how far
     /// clocks are off. May be given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
@@ -145,27 +144,33 @@ impl From<StampsArg> for StampPolicy {
     }
 }
 
-/// Times of points from their azimuth.
+/// Where the times of points come from.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum AzimuthTimesArg {
-    /// For spinning lidars, as the first clouds and the times of recording show.
+pub enum PointTimesArg {
+    /// What fits the clouds.
     #[default]
     Auto,
-    /// No: all points are measured at the stamp.
+    /// The times that were recorded, even if motion seems to be taken out already.
+    Recorded,
+    /// All points are measured at the stamp: motion was taken out.
     Off,
-    /// Yes: turns begin at the stamp.
+    /// The azimuth: turns begin at the stamp.
     FromStamp,
-    /// Yes: turns end at the stamp.
+    /// The azimuth: the stamp is in the middle of the turn.
+    AroundStamp,
+    /// The azimuth: turns end at the stamp.
     UntilStamp,
 }
 
-impl From<AzimuthTimesArg> for AzimuthTimes {
-    fn from(how: AzimuthTimesArg) -> Self {
+impl From<PointTimesArg> for AzimuthTimes {
+    fn from(how: PointTimesArg) -> Self {
         match how {
-            AzimuthTimesArg::Auto => Self::Auto,
-            AzimuthTimesArg::Off => Self::Off,
-            AzimuthTimesArg::FromStamp => Self::FromStamp,
-            AzimuthTimesArg::UntilStamp => Self::UntilStamp,
+            PointTimesArg::Auto => Self::Auto,
+            PointTimesArg::Recorded => Self::Recorded,
+            PointTimesArg::Off => Self::Off,
+            PointTimesArg::FromStamp => Self::FromStamp,
+            PointTimesArg::AroundStamp => Self::AroundStamp,
+            PointTimesArg::UntilStamp => Self::UntilStamp,
         }
     }
 }
@@ -310,13 +315,9 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
         odometry_topic: sensors.odom.clone(),
         imu_topic: sensors.imu.clone(),
         tracking_frame: sensors.tracking_frame.clone(),
-        azimuth_times: sensors.azimuth_times.into(),
+        azimuth_times: sensors.point_times.into(),
         stamps: sensors.stamps.into(),
-        time_offsets: sensors
-            .time_offset
-            .iter()
-            .map(|(topic, seconds)| (topic.clone(), Duration::from_seconds(*seconds)))
-            .collect(),
+        time_offsets: shifts(&sensors.time_offset),
         skip: Duration::from_seconds(args.skip),
         length: args.duration.map(Duration::from_seconds),
         ..IngestOptions::default()

@@ -6,8 +6,8 @@ use portolan_recording::{
 };
 use portolan_sensor::{FixedFramePoseData, Measurement};
 
-use super::{Ingestion, ODOMETRY, Role, Sensor};
-use crate::azimuth_time::{self, AzimuthTimes};
+use super::{Ingestion, ODOMETRY, Role, Sensor, TimesByAzimuth};
+use crate::azimuth_time::{self, TimedTurn};
 use crate::clock::Stamp;
 use crate::convert::{self, Frames, ImuFault};
 use crate::laser::{ScanFaults, points_of_echoes, points_of_laser_scan};
@@ -17,6 +17,19 @@ use crate::point_time::PointTime;
 use crate::timed_points::TimedPoints;
 
 const EVENED: &str = "stamps come in bursts or go back; times follow from the order of arrival and the usual rate (--stamps as-is keeps stamps)";
+
+impl TimesByAzimuth {
+    /// The turn of a cloud with this stamp.
+    fn at(&mut self, stamp: Time) -> TimedTurn {
+        let smooth = self.clock.smooth(stamp);
+        TimedTurn {
+            stamp: if self.keeps_stamps { stamp } else { smooth },
+            seconds: self.clock.period(),
+            meaning: self.meaning,
+            turn: self.turn,
+        }
+    }
+}
 
 impl Ingestion {
     pub(super) fn take_message(&mut self, sensor: &mut Sensor, message: &RecordedMessage) {
@@ -55,9 +68,10 @@ impl Ingestion {
                 self.count_scan_faults(&sensor.topic, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
-            (Role::Range { point_time, azimuth_times, turn, .. }, Message::PointCloud2(cloud)) => {
-                let (point_time, by_azimuth) = (*point_time, turn.map(|turn| (turn, *azimuth_times)));
-                self.take_cloud(sensor, stamp, cloud, point_time, by_azimuth);
+            (Role::Range { point_time, by_azimuth, .. }, Message::PointCloud2(cloud)) => {
+                let point_time = *point_time;
+                let turn = by_azimuth.as_mut().map(|turns| turns.at(stamp));
+                self.take_cloud(sensor, stamp, cloud, point_time, turn);
             }
             (Role::Imu { scale }, Message::Imu(imu)) => {
                 let scale = *scale;
@@ -126,7 +140,7 @@ impl Ingestion {
         stamp: Time,
         cloud: &PointCloud2,
         point_time: Option<PointTime>,
-        by_azimuth: Option<(f64, AzimuthTimes)>,
+        turn: Option<TimedTurn>,
     ) {
         let layout = match CloudLayout::of(cloud) {
             Ok(layout) => layout,
@@ -134,10 +148,8 @@ impl Ingestion {
         };
         let point_time = point_time.filter(|_| layout.has_time());
         let (mut points, faults) = layout.points(stamp, cloud, point_time, self.with_intensities);
-        if let (None, Some((turn, times))) = (point_time, by_azimuth)
-            && times != AzimuthTimes::Off
-        {
-            azimuth_time::assign(&mut points, stamp, turn, times);
+        if let (None, Some(turn)) = (point_time, turn) {
+            azimuth_time::assign(&mut points, &turn);
         }
         let CloudFaults { not_finite, far_time, zero, missing } = faults;
         self.repaired(

@@ -5,12 +5,14 @@ use std::sync::Arc;
 
 use portolan_sensor::FixedRatioSampler;
 
-use super::{FIXED_FRAME_POSE, IMU, LANDMARKS, ODOMETRY, RANGE, Role, Sensor};
+use super::{FIXED_FRAME_POSE, IMU, LANDMARKS, ODOMETRY, RANGE, Role, Sensor, TimesByAzimuth};
+use crate::azimuth_time::AzimuthTimes;
 use crate::clock::{Ascending, SensorClock};
 use crate::even_stamps::{EvenStamps, StampPolicy};
 use crate::options::SamplingRatios;
 use crate::plan::{PlanError, PlannedOdometry, PlannedSensor, SensorPlan};
 use crate::survey::Inventory;
+use crate::turn_clock::TurnClock;
 
 pub(super) fn samplers(ratios: &SamplingRatios) -> Result<[FixedRatioSampler; 5], PlanError> {
     let sampler =
@@ -42,15 +44,16 @@ pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<st
     };
     for range in &plan.range {
         let rate = range.statistics.rate;
-        let turn = (rate > 0.0 && rate.is_finite()).then(|| 1.0 / rate);
+        let is_asked = range.azimuth_times != AzimuthTimes::Off && rate > 0.0 && rate.is_finite();
+        let by_azimuth = is_asked.then(|| TimesByAzimuth {
+            meaning: range.azimuth_times,
+            clock: TurnClock::new(1.0 / rate),
+            keeps_stamps: stamps == StampPolicy::AsIs,
+            turn: range.turn,
+        });
         add(
             &range.source,
-            Role::Range {
-                point_time: range.point_time,
-                azimuth_times: range.azimuth_times,
-                turn,
-                directions: Box::default(),
-            },
+            Role::Range { point_time: range.point_time, by_azimuth, directions: Box::default() },
             RANGE,
         );
     }

@@ -5,6 +5,7 @@
 
 mod clocks;
 mod odometry;
+mod point_times;
 mod range;
 mod request;
 mod tracking;
@@ -14,7 +15,7 @@ use std::sync::Arc;
 use portolan_geometry::{Dimension, Duration};
 use portolan_sensor::{SensorId, SensorKind};
 
-use crate::azimuth_time::AzimuthTimes;
+use crate::azimuth_time::{AzimuthTimes, Turn};
 use crate::options::IngestOptions;
 use crate::point_time::PointTime;
 use crate::statistics::{ImuStatistics, RangeStatistics};
@@ -115,8 +116,11 @@ pub struct PlannedRange {
     pub source: PlannedSensor,
     /// What the times of points mean (point clouds only).
     pub point_time: Option<PointTime>,
-    /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`].
+    /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`] nor
+    /// [`AzimuthTimes::Recorded`].
     pub azimuth_times: AzimuthTimes,
+    /// How the lidar turns, where that is known and points get times from their azimuth.
+    pub turn: Option<Turn>,
     /// What it is like.
     pub statistics: RangeStatistics,
 }

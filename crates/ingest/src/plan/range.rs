@@ -3,12 +3,10 @@
 use portolan_geometry::{Dimension, Vector3};
 use portolan_sensor::SensorKind;
 
+use super::point_times::times_of_points;
 use super::request::Request;
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
-use crate::azimuth_time::AzimuthTimes;
 use crate::options::IngestOptions;
-use crate::point_time::PointTime;
-use crate::statistics::RangeStatistics;
 use crate::survey::{Inventory, TopicSurvey, is_range};
 
 /// A scanner in the plane may lean this much.
@@ -193,58 +191,6 @@ fn without_leaning<'a>(
     kept
 }
 
-/// The times that points have, and whether they get them from their azimuth. Who asks for the one does not want
-/// the other.
-fn times_of_points(
-    chosen: &Chosen,
-    asked: AzimuthTimes,
-    plan: &mut SensorPlan,
-) -> (Option<PointTime>, AzimuthTimes) {
-    let is_spinning = chosen.survey.range.as_ref().is_some_and(RangeStatistics::is_spinning);
-    if !is_cloud(chosen) || !is_spinning {
-        return (chosen.survey.point_time, AzimuthTimes::Off);
-    }
-    match (asked, chosen.survey.point_time) {
-        (AzimuthTimes::Auto, None) => (None, azimuth_times(chosen, plan)),
-        (AzimuthTimes::Auto, times) => (times, AzimuthTimes::Off),
-        (asked, None) => (None, asked),
-        (asked, Some(_)) => {
-            plan.note(
-                format!("the times of the points of {} are not used, as asked for", chosen.topic()),
-                "--azimuth-times auto",
-            );
-            (None, asked)
-        }
-    }
-}
-
-/// Whether the points of a cloud of a spinning lidar, which have no times, get them from their azimuth.
-fn azimuth_times(chosen: &Chosen, plan: &mut SensorPlan) -> AzimuthTimes {
-    let statistics = chosen.survey.range.clone().unwrap_or_default();
-    let topic = chosen.topic();
-    // A field of times that are all alike says that the points are of one moment.
-    if chosen.survey.has_time_field {
-        return AzimuthTimes::Off;
-    }
-    if statistics.is_compensated == Some(true) {
-        plan.note(
-            format!("the points of {topic} have no times, and motion was taken out of them already"),
-            "--azimuth-times from-stamp or until-stamp",
-        );
-        return AzimuthTimes::Off;
-    }
-    let times = AzimuthTimes::of_stamps(chosen.survey.lag, 1.0 / statistics.rate);
-    let (when, other) = match times {
-        AzimuthTimes::FromStamp => ("begin", "until-stamp"),
-        _ => ("end", "from-stamp"),
-    };
-    plan.note(
-        format!("the points of {topic} have no times; they get them from their azimuth, turns {when} at their stamps"),
-        format!("--azimuth-times {other} or off"),
-    );
-    times
-}
-
 /// Plans the range sensors that transforms connect with the tracking frame.
 pub(super) fn connect(
     inventory: &Inventory,
@@ -277,11 +223,12 @@ pub(super) fn connect(
             refused.push(chosen.topic().to_owned());
             continue;
         }
-        let (point_time, azimuth_times) = times_of_points(&chosen, options.azimuth_times, plan);
+        let times = times_of_points(&chosen, is_cloud(&chosen), options.azimuth_times, plan);
         plan.range.push(PlannedRange {
-            azimuth_times,
             source: chosen.planned(SensorKind::Range, &frame),
-            point_time,
+            point_time: times.recorded,
+            azimuth_times: times.by_azimuth,
+            turn: times.turn,
             statistics: chosen.survey.range.clone().unwrap_or_default(),
         });
     }

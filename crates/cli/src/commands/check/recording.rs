@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use portolan_diagnose::check_with_clocks;
-use portolan_ingest::IngestOptions;
+use portolan_ingest::{IngestOptions, Inventory};
 use portolan_recording::open;
 
 use super::Finding;
@@ -21,8 +21,9 @@ pub fn check(path: &Path, quiet: bool) -> Result<(Vec<Finding>, Vec<String>), Cl
         }
     };
     let options = IngestOptions::default();
-    let offsets = portolan::clocks::measure(recording.as_ref(), &options, &mut show);
-    let report = check_with_clocks(recording.as_ref(), &options, &offsets, &mut show)?;
+    let inventory = Inventory::of(recording.as_ref(), &options)?;
+    let offsets = portolan::clocks::measure(recording.as_ref(), &inventory, &options, &mut show);
+    let report = check_with_clocks(recording.as_ref(), &inventory, &options, &offsets, &mut show)?;
     progress.finish();
     let finding = |found: portolan_diagnose::Finding| Finding {
         severity: found.severity,

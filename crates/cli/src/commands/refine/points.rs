@@ -8,6 +8,8 @@ use portolan_refinement::{MotionSensors, PointStore};
 use portolan_sensor::Measurement;
 
 use crate::GlobalArgs;
+use crate::commands::argument::{shifts, time_offset};
+use crate::commands::map::{PointTimesArg, StampsArg};
 use crate::error::CliError;
 use crate::progress::{Progress, say};
 
@@ -24,6 +26,16 @@ pub struct PointArgs {
     /// Robot description whose fixed joints say where the sensors are.
     #[arg(long, value_name = "FILE")]
     pub urdf: Option<PathBuf>,
+    /// Where the times of the points of clouds come from, as in `map`.
+    #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
+    pub point_times: PointTimesArg,
+    /// Move the stamps of a topic, and the times of its points, by seconds, as in `map`: `/points_rear=-0.05`. May be
+    /// given several times.
+    #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
+    pub clock_offset: Vec<(String, f64)>,
+    /// How stamps are taken, as in `map`.
+    #[arg(long, value_name = "HOW", default_value = "auto")]
+    pub stamps: StampsArg,
     /// Points nearer to their sensor than this are left out, metres: whoever carries it.
     #[arg(long, value_name = "METRES", default_value_t = 0.3)]
     pub min_range: f32,
@@ -72,6 +84,9 @@ pub fn read_points_and(
         use_nav_sat: others.contains(&OtherSensor::Fixes).then_some(true),
         range_topics: args.points.clone(),
         tracking_frame: args.tracking_frame.clone(),
+        azimuth_times: args.point_times.into(),
+        time_offsets: shifts(&args.clock_offset),
+        stamps: args.stamps.into(),
         description: args.urdf.as_deref().map(read_urdf).transpose()?,
         ..IngestOptions::default()
     };

@@ -1,0 +1,143 @@
+//! Where the times of the points of clouds come from.
+
+use super::{Chosen, SensorPlan};
+use crate::azimuth_time::{AzimuthTimes, Turn};
+use crate::point_time::PointTime;
+use crate::skew::{Skew, SkewFactor, SkewState};
+use crate::statistics::RangeStatistics;
+
+/// Where the times of points come from; from nowhere: they are all of the stamp.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PointTimes {
+    /// From the field that clouds have.
+    pub recorded: Option<PointTime>,
+    /// From the azimuth.
+    pub by_azimuth: AzimuthTimes,
+    pub turn: Option<Turn>,
+}
+
+impl PointTimes {
+    const OF_STAMP: Self = Self { recorded: None, by_azimuth: AzimuthTimes::Off, turn: None };
+
+    fn recorded(times: Option<PointTime>) -> Self {
+        Self { recorded: times, ..Self::OF_STAMP }
+    }
+}
+
+/// How to choose otherwise.
+const CHANGE: &str = "--point-times recorded, from-stamp, around-stamp, until-stamp or off";
+
+/// Chooses the times of points. Who asks for times by azimuth does not want those that were recorded.
+pub(super) fn times_of_points(
+    chosen: &Chosen,
+    is_cloud: bool,
+    asked: AzimuthTimes,
+    plan: &mut SensorPlan,
+) -> PointTimes {
+    let times = chosen.survey.point_time;
+    let statistics = chosen.survey.range.clone().unwrap_or_default();
+    let is_spinning = is_cloud && statistics.is_spinning();
+    let turn = statistics.skew.filter(|s| is_spinning && s.is_turn_known()).map(|s| s.turn());
+    match (asked, times) {
+        (AzimuthTimes::Recorded, _) => PointTimes::recorded(times),
+        (AzimuthTimes::Auto, Some(_)) => recorded_or_none(chosen, &statistics, times, plan),
+        _ if !is_spinning => PointTimes::recorded(times),
+        (AzimuthTimes::Auto, None) => by_azimuth_or_none(chosen, &statistics, turn, plan),
+        (asked, _) => {
+            if times.is_some() {
+                let topic = chosen.topic();
+                plan.note(format!("the times of the points of {topic} are not used, as asked for"), CHANGE);
+            }
+            PointTimes { by_azimuth: asked, turn, ..PointTimes::OF_STAMP }
+        }
+    }
+}
+
+/// The times that points have, unless their motion was taken out.
+fn recorded_or_none(
+    chosen: &Chosen,
+    statistics: &RangeStatistics,
+    times: Option<PointTime>,
+    plan: &mut SensorPlan,
+) -> PointTimes {
+    let Some(skew) = statistics.skew else { return PointTimes::recorded(times) };
+    let topic = chosen.topic();
+    match skew.state() {
+        SkewState::Raw | SkewState::Unknown => PointTimes::recorded(times),
+        SkewState::Removed => {
+            plan.note(
+                format!(
+                    "the points of {topic} have times, but their motion was taken out already ({}): the times are not \
+                     used",
+                    told(skew)
+                ),
+                CHANGE,
+            );
+            PointTimes::OF_STAMP
+        }
+        SkewState::Partial => {
+            plan.note(
+                format!(
+                    "the times of the points of {topic} do not fit their motion ({}): are they right?",
+                    told(skew)
+                ),
+                CHANGE,
+            );
+            if skew.is_mostly_raw() { PointTimes::recorded(times) } else { PointTimes::OF_STAMP }
+        }
+    }
+}
+
+/// Times by azimuth for the points of a spinning lidar that have none, unless their motion was taken out.
+fn by_azimuth_or_none(
+    chosen: &Chosen,
+    statistics: &RangeStatistics,
+    turn: Option<Turn>,
+    plan: &mut SensorPlan,
+) -> PointTimes {
+    let topic = chosen.topic();
+    // A field of times that are all alike says that the points are of one moment.
+    if chosen.survey.has_time_field {
+        return PointTimes::OF_STAMP;
+    }
+    let state = statistics.skew.map_or(SkewState::Unknown, |skew| skew.state());
+    let told = statistics
+        .skew
+        .filter(|_| state != SkewState::Unknown)
+        .map_or_else(|| "whether their motion was taken out cannot be told".to_owned(), told);
+    let is_removed = state == SkewState::Removed
+        || (state == SkewState::Partial && statistics.skew.is_some_and(|skew| !skew.is_mostly_raw()));
+    if is_removed {
+        let how_much = if state == SkewState::Removed { "already" } else { "in part" };
+        plan.note(
+            format!(
+                "the points of {topic} have no times, and motion was taken out of them {how_much} ({told})"
+            ),
+            CHANGE,
+        );
+        return PointTimes::OF_STAMP;
+    }
+    let by_azimuth = AzimuthTimes::of_stamps(chosen.survey.lag, 1.0 / statistics.rate);
+    let when = by_azimuth.where_stamp_is();
+    let how = turn.map_or_else(String::new, |turn| {
+        let way = if turn.is_clockwise { "clockwise" } else { "counter-clockwise" };
+        format!(", go {way} from azimuth {:.0}°", turn.begin_radians.to_degrees())
+    });
+    plan.note(
+        format!(
+            "the points of {topic} have no times; they get them from their azimuth: turns {when}{how} \
+             ({told})"
+        ),
+        CHANGE,
+    );
+    PointTimes { by_azimuth, turn, ..PointTimes::OF_STAMP }
+}
+
+fn told(skew: Skew) -> String {
+    let part = |part: SkewFactor| match part.sigma.is_finite() {
+        true => format!("{:.2} (sigma {:.2})", part.factor, part.sigma),
+        false => "unknown".to_owned(),
+    };
+    let (translation, rotation) = (part(skew.translation), part(skew.rotation));
+    format!("skew factor of translation {translation}, of rotation {rotation}; 1 is raw, 0 de-skewed")
+}

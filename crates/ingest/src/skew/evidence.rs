@@ -1,0 +1,250 @@
+//! What residuals of registered sweeps tell about the times of their points.
+
+use std::f32::consts::TAU;
+
+use portolan_geometry::Vector2;
+use portolan_geometry::nalgebra::{DMatrix, DVector, Matrix2, Matrix6, Matrix6x2, Vector6};
+
+/// Azimuths between which turns may begin, five degrees each.
+const BINS: usize = 72;
+/// Directions whose sums are independent of each other.
+const SECTORS: usize = 24;
+/// What holds poses where nothing else does.
+const POSE_PRIOR: f64 = 1e-3;
+/// Up to so many standard deviations more is likely.
+pub(super) const LIKELY: f64 = 2.5;
+/// Another seam must fit so much better, in standard deviations.
+const CLEARLY: f64 = 4.0;
+
+/// When in a turn which phase was measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct TurnTimes {
+    /// Phase at which turns begin, 0 to 1.
+    pub begin: f32,
+    /// 1 where phases grow with time, −1 where they fall.
+    pub sense: f32,
+}
+
+impl TurnTimes {
+    /// Phases are shares of the sweep already.
+    pub const OF_SHARES: Self = Self { begin: 0.0, sense: 1.0 };
+
+    /// Share of the turn since its middle, −0.5 to 0.5.
+    pub fn share(&self, phase: f32) -> f64 {
+        // The last point of a sweep is at its end, not at its beginning.
+        if *self == Self::OF_SHARES {
+            return f64::from(phase) - 0.5;
+        }
+        f64::from((self.sense * (phase - self.begin)).rem_euclid(1.0)) - 0.5
+    }
+}
+
+/// A matched point.
+#[derive(Clone, Debug)]
+pub(super) struct Row {
+    /// Of the residual by the pose.
+    pub jacobian: Vector6<f64>,
+    /// Distance of the point from the surface, metres.
+    pub residual: f64,
+    pub weight: f64,
+    /// Of the point, and of the surface that it is on.
+    pub phases: [f32; 2],
+    /// What the residual changes by if these are given one turn more: by translation and by rotation.
+    pub gains: [Vector2; 2],
+    /// Azimuth of the surface, radians.
+    pub direction: f32,
+}
+
+/// What is left of the points of one sweep registered to another.
+#[derive(Clone, Debug)]
+pub(super) struct Pair {
+    pub rows: Vec<Row>,
+}
+
+/// By how much the factors of translation and of rotation should change.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step {
+    pub factors: Vector2,
+    pub sigmas: Vector2,
+}
+
+/// What the factors should be changed by, poses being free.
+pub(super) fn step(pairs: &[&Pair], times: TurnTimes) -> Option<Step> {
+    step_toward(pairs, |phase| times.share(phase))
+}
+
+/// The change of the factors of any function of the phase, in turns.
+fn step_toward(pairs: &[&Pair], share: impl Fn(f32) -> f64) -> Option<Step> {
+    let mut gradients = [Vector2::zeros(); SECTORS];
+    let mut informations = [Matrix2::zeros(); SECTORS];
+    for pair in pairs {
+        let slopes: Vec<Vector2> = pair.rows.iter().map(|row| row.slopes(&share)).collect();
+        let mut information = Matrix6::identity() * POSE_PRIOR;
+        let (mut of_slopes, mut of_residuals) = (Matrix6x2::zeros(), Vector6::zeros());
+        for (row, slopes) in pair.rows.iter().zip(&slopes) {
+            let weighted = row.jacobian * row.weight;
+            information += weighted * row.jacobian.transpose();
+            of_slopes += weighted * slopes.transpose();
+            of_residuals += weighted * row.residual;
+        }
+        let factor = information.cholesky()?;
+        let (of_slopes, of_residuals) = (factor.solve(&of_slopes), factor.solve(&of_residuals));
+        for (row, slopes) in pair.rows.iter().zip(&slopes) {
+            let slopes = slopes - of_slopes.tr_mul(&row.jacobian);
+            let residual = row.residual - row.jacobian.dot(&of_residuals);
+            let sector = row.sector();
+            gradients[sector] -= slopes * (row.weight * residual);
+            informations[sector] += slopes * slopes.transpose() * row.weight;
+        }
+    }
+    let covariance = held(informations.iter().sum()).try_inverse()?;
+    let factors: Vector2 = covariance * gradients.iter().sum::<Vector2>();
+    // What single sectors say, beside what all say together.
+    let scatter: Matrix2<f64> = (gradients.iter().zip(&informations))
+        .map(|(g, i)| g - i * factors)
+        .map(|rest| rest * rest.transpose())
+        .sum();
+    let sigmas = (covariance * scatter * covariance).diagonal().map(f64::sqrt);
+    Some(Step { factors, sigmas })
+}
+
+/// Where nothing turns, or nothing moves on, that factor stays.
+fn held(information: Matrix2<f64>) -> Matrix2<f64> {
+    information + Matrix2::identity() * (1e-6 * information.trace() + f64::MIN_POSITIVE)
+}
+
+impl Row {
+    fn slopes(&self, share: impl Fn(f32) -> f64) -> Vector2 {
+        self.gains[0] * share(self.phases[0]) + self.gains[1] * share(self.phases[1])
+    }
+
+    fn sector(&self) -> usize {
+        ((self.direction / TAU + 0.5) * SECTORS as f32) as usize % SECTORS
+    }
+}
+
+/// Where turns begin and which way they go, judged by how surely points that have the times of such turns would fit
+/// better.
+pub(super) fn most_likely_turn(pairs: &[&Pair]) -> Option<TurnTimes> {
+    let equations = BinEquations::of(pairs)?;
+    let sure = |times: &TurnTimes| equations.step(|phase| times.share(phase)).sureness();
+    turns().max_by(|a, b| sure(a).total_cmp(&sure(b)))
+}
+
+/// A turn that fits clearly better than the one whose motion was taken out already.
+pub(super) fn better_turn(pairs: &[&Pair], taken_out: TurnTimes) -> Option<TurnTimes> {
+    let equations = BinEquations::of(pairs)?;
+    let change = |times: &TurnTimes, phase: f32| times.share(phase) - taken_out.share(phase);
+    let sure = |times: &TurnTimes| equations.step(|phase| change(times, phase)).sureness();
+    let best = turns().filter(|t| *t != taken_out).max_by(|a, b| sure(a).total_cmp(&sure(b)))?;
+    let step = step_toward(pairs, |phase| change(&best, phase))?;
+    // A third of the way is what one step finds.
+    let is_better = |part: usize| step.factors[part] > (CLEARLY * step.sigmas[part]).max(0.2);
+    (is_better(0) || is_better(1)).then_some(best)
+}
+
+/// The largest steps that are likely for any turn; how much formal standard deviations are to be scaled is known from
+/// those of one.
+pub(super) fn largest_steps(pairs: &[&Pair], of_one: Step, one: TurnTimes) -> Option<Vector2> {
+    let equations = BinEquations::of(pairs)?;
+    let formal = equations.step(|phase| one.share(phase)).sigmas();
+    let scale = of_one.sigmas.component_div(&formal);
+    let likely = |times: TurnTimes| {
+        let step = equations.step(|phase| times.share(phase));
+        step.factors() + scale.component_mul(&step.sigmas()) * LIKELY
+    };
+    turns().map(likely).reduce(|a, b| a.sup(&b))
+}
+
+fn turns() -> impl Iterator<Item = TurnTimes> {
+    let begin = |i: usize| i as f32 / BINS as f32;
+    (0..BINS).flat_map(move |i| [1.0, -1.0].map(|sense| TurnTimes { begin: begin(i), sense }))
+}
+
+/// Normal equations of the times of all phases, poses eliminated: first of translation, then of rotation.
+struct BinEquations {
+    information: DMatrix<f64>,
+    gradient: DVector<f64>,
+}
+
+/// Normal equations of the factors of translation and of rotation.
+struct FactorEquations {
+    information: Matrix2<f64>,
+    gradient: Vector2,
+}
+
+impl BinEquations {
+    fn of(pairs: &[&Pair]) -> Option<Self> {
+        let size = 2 * BINS;
+        let (mut information, mut gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        for pair in pairs {
+            let mut of_pose = Matrix6::identity() * POSE_PRIOR;
+            let mut residuals = Vector6::zeros();
+            let mut cross = DMatrix::<f64>::zeros(6, size);
+            for row in &pair.rows {
+                let weighted = row.jacobian * row.weight;
+                of_pose += weighted * row.jacobian.transpose();
+                residuals += weighted * row.residual;
+                let gains = row.bin_gains();
+                for (bin, gain) in gains {
+                    let mut column = cross.column_mut(bin);
+                    column += weighted * gain;
+                    gradient[bin] -= row.weight * gain * row.residual;
+                    for (other, other_gain) in gains {
+                        information[(bin, other)] += row.weight * gain * other_gain;
+                    }
+                }
+            }
+            let factor = of_pose.cholesky()?;
+            gradient += cross.tr_mul(&factor.solve(&residuals));
+            information -= cross.tr_mul(&factor.solve(&cross));
+        }
+        Some(Self { information, gradient })
+    }
+
+    /// Of the factors of these times.
+    fn step(&self, share: impl Fn(f32) -> f64) -> FactorEquations {
+        let times = DVector::from_fn(BINS, |i, _| share((i as f32 + 0.5) / BINS as f32));
+        let block = |i: usize, j: usize| {
+            let part = self.information.view((i * BINS, j * BINS), (BINS, BINS));
+            times.dot(&(part * &times))
+        };
+        let information = Matrix2::new(block(0, 0), block(0, 1), block(1, 0), block(1, 1));
+        let gradient = |i: usize| self.gradient.rows(i * BINS, BINS).dot(&times);
+        FactorEquations { information: held(information), gradient: Vector2::new(gradient(0), gradient(1)) }
+    }
+}
+
+impl Row {
+    /// What the residual changes by with the times of bins, by translation and by rotation.
+    fn bin_gains(&self) -> [(usize, f64); 4] {
+        let bins = self.phases.map(|phase| (phase * BINS as f32) as usize % BINS);
+        let [source, target] = self.gains;
+        [(bins[0], source.x), (bins[1], target.x), (BINS + bins[0], source.y), (BINS + bins[1], target.y)]
+    }
+}
+
+impl FactorEquations {
+    fn factors(&self) -> Vector2 {
+        self.information.try_inverse().map_or_else(Vector2::zeros, |inverse| inverse * self.gradient)
+    }
+
+    /// Up to a common scale.
+    fn sigmas(&self) -> Vector2 {
+        let inverse = self.information.try_inverse().unwrap_or_else(|| Matrix2::identity() * f64::MAX);
+        inverse.diagonal().map(f64::sqrt)
+    }
+
+    /// By how many standard deviations the factors exceed zero, up to a common scale. Negative ones are no evidence.
+    fn sureness(&self) -> f64 {
+        let factors = self.factors();
+        let alone = |part: usize| {
+            self.gradient[part].max(0.0) / self.information[(part, part)].max(f64::MIN_POSITIVE).sqrt()
+        };
+        if factors.min() >= 0.0 {
+            factors.dot(&self.gradient).max(0.0).sqrt()
+        } else {
+            alone(0).max(alone(1))
+        }
+    }
+}

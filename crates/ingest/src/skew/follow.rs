@@ -1,0 +1,408 @@
+//! A few sweeps registered to each other, point to plane.
+
+use std::ops::RangeInclusive;
+
+use portolan_geometry::nalgebra::{Matrix6, Point3, Vector6};
+use portolan_geometry::{
+    Point3f, Rigid3, Vector2, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
+};
+use portolan_spatial::{KdTree, LocalSurface, local_surface, reduce_indices};
+
+use super::evidence::{Pair, Row, TurnTimes};
+
+/// So many points of a sweep are surfaces; so many of these are matched, and so many judged then.
+const WANTED_SURFACE_POINTS: f32 = 12_000.0;
+const MATCHED_POINTS: usize = 800;
+const JUDGED_POINTS: usize = 2500;
+/// More points of a sweep are not looked at.
+const MAX_POINTS: usize = 30_000;
+/// Points nearer than this, and than this share of the median range, are of the carrier; metres.
+const NEAREST: f32 = 0.7;
+const NEAREST_SHARE: f32 = 0.12;
+/// Farther points are too rare to have normals, metres.
+const FARTHEST: f32 = 80.0;
+/// A sweep is registered to the one so many sweeps before, or fewer: what was seen then must still be in view, which
+/// it is for so much of the median range.
+const LAGS: RangeInclusive<usize> = 2..=6;
+const IN_VIEW: f64 = 0.5;
+/// Neighbours that make a surface, metres; how thick it may be, and how planar it must be.
+const NEIGHBOURS: usize = 10;
+const NEIGHBOURHOOD: f32 = 1.5;
+const MAX_THICKNESS: f32 = 0.05;
+const MIN_PLANARITY: f32 = 0.05;
+/// Nearest points are paired within this first, metres, then nearer and nearer down to the second.
+const FIRST_GATE: f64 = 2.0;
+const GATE: f64 = 1.0;
+const LAST_GATE: f64 = 0.3;
+/// Points may be so far from where they are expected, as motion displaced them, metres.
+const JUDGED_GATE: f64 = 0.5;
+const GATE_SHRINKS: f64 = 0.7;
+const ITERATIONS: usize = 9;
+const CONVERGED: f64 = 1e-3;
+/// While points are paired from afar one in so many suffices.
+const FEWER: usize = 3;
+/// The least scale of the robust loss, metres.
+const LEAST_SCALE: f64 = 0.03;
+/// Fewer matched points tell nothing.
+const MIN_MATCHED: usize = 30;
+/// Ways of the first sweep that are tried, metres, and those nearer together are the same.
+const FIRST_WAYS: [f64; 4] = [0.7, 1.4, 2.1, 2.8];
+const SAME_WAY: f64 = 0.2;
+/// So many of them are followed for so many more sweeps.
+const CANDIDATES: usize = 6;
+const AHEAD: usize = 4;
+/// Motion of points by less than this in a sweep is none, metres.
+const STILL: f64 = 0.004;
+
+/// A sweep, thinned.
+#[derive(Clone, Debug)]
+pub(super) struct Sample {
+    /// In the frame of the lidar, metres.
+    points: Vec<[f32; 3]>,
+    /// Share of the turn by azimuth from behind, counter-clockwise, or of the sweep by time; 0 to 1.
+    phases: Vec<f32>,
+    median_range: f32,
+}
+
+/// Sweeps and how they were registered.
+#[derive(Clone, Debug)]
+pub(super) struct Followed {
+    /// Surfaces at the points of each sweep. Motion within a sweep hardly turns them.
+    surfaces: Vec<Vec<Surface>>,
+    /// The lidar in the middle of each sweep, in the frame of the first.
+    poses: Vec<Rigid3>,
+    /// How many sweeps before each it was registered to.
+    lag: usize,
+    /// What each registration left.
+    pub pairs: Vec<Pair>,
+}
+
+/// Motion during one turn: translation and rotation vector in the frame of the lidar.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Twist {
+    translation: Vector3,
+    rotation: Vector3,
+}
+
+impl Twist {
+    /// How a point moves with the lidar during one turn.
+    fn of(&self, point: &Vector3) -> Vector3 {
+        self.rotation.cross(point) + self.translation
+    }
+
+    /// The same along a direction, by translation and by rotation.
+    fn parts(&self, point: &Vector3, direction: &Vector3) -> Vector2 {
+        Vector2::new(direction.dot(&self.translation), direction.dot(&self.rotation.cross(point)))
+    }
+}
+
+impl Sample {
+    /// One point for each voxel, whose edge is adapted from sweep to sweep.
+    pub fn thinned(points: &[Point3f], phases: &[f32], edge: &mut f32) -> Self {
+        let stride = points.len().div_ceil(MAX_POINTS).max(1);
+        let mut some: Vec<(f32, usize)> =
+            (0..points.len()).step_by(stride).map(|i| (points[i].coords.norm(), i)).collect();
+        some.retain(|(range, _)| range.is_finite() && *range > 0.0);
+        let mut ranges: Vec<f32> = some.iter().map(|(range, _)| *range).collect();
+        ranges.sort_by(f32::total_cmp);
+        let median_range = ranges.get(ranges.len() / 2).copied().unwrap_or(0.0);
+        let nearest = NEAREST.max(NEAREST_SHARE * median_range);
+        some.retain(|(range, _)| (nearest..FARTHEST).contains(range));
+        let kept: Vec<[f32; 3]> = some.iter().map(|(_, i)| points[*i].coords.into()).collect();
+        if *edge <= 0.0 {
+            *edge = 0.02 * median_range;
+        }
+        let chosen = reduce_indices(&kept, *edge, 1);
+        let correction = (chosen.len() as f32 / WANTED_SURFACE_POINTS).sqrt().clamp(0.5, 2.0);
+        *edge = (*edge * correction).clamp(0.01, 1.0);
+        Self {
+            points: chosen.iter().map(|i| kept[*i as usize]).collect(),
+            phases: chosen.iter().filter_map(|i| phases.get(some[*i as usize].1).copied()).collect(),
+            median_range,
+        }
+    }
+
+    /// With the motion taken out that its points have by these times.
+    fn straightened(&self, times: Option<TurnTimes>, twist: &Twist) -> Vec<[f32; 3]> {
+        let Some(times) = times else { return self.points.clone() };
+        let moved = |(p, phase): (&[f32; 3], &f32)| {
+            let point = Vector3::from(p.map(f64::from));
+            (point + twist.of(&point) * times.share(*phase)).cast::<f32>().into()
+        };
+        self.points.iter().zip(&self.phases).map(moved).collect()
+    }
+}
+
+/// A sweep that others are registered to.
+struct Target {
+    points: Vec<[f32; 3]>,
+    tree: KdTree,
+    /// At its points; those that were not asked for are not computed.
+    surfaces: Vec<Surface>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Surface {
+    NotComputed,
+    None,
+    Some(LocalSurface),
+}
+
+/// A point of one sweep on a surface of another.
+struct Match {
+    /// Indices of the points in their samples.
+    source: usize,
+    target: u32,
+    /// Where the source point is in the frame of the target.
+    place: Vector3,
+    normal: Vector3,
+    residual: f64,
+}
+
+impl Target {
+    fn new(points: Vec<[f32; 3]>, surfaces: Option<&Vec<Surface>>) -> Self {
+        let tree = KdTree::new(&points);
+        let surfaces = surfaces.cloned().unwrap_or_else(|| vec![Surface::NotComputed; points.len()]);
+        Self { points, tree, surfaces }
+    }
+
+    /// The surface at one of its points.
+    fn surface(&mut self, index: u32) -> Option<LocalSurface> {
+        let at = index as usize;
+        match self.surfaces[at] {
+            Surface::Some(surface) => Some(surface),
+            Surface::None => None,
+            Surface::NotComputed => {
+                let found =
+                    local_surface(&self.points, &self.tree, self.points[at], NEIGHBOURS, NEIGHBOURHOOD);
+                let found = found.filter(|s| s.thickness < MAX_THICKNESS && s.planarity > MIN_PLANARITY);
+                self.surfaces[at] = found.map_or(Surface::None, Surface::Some);
+                found
+            }
+        }
+    }
+
+    fn matches(&mut self, source: &[(usize, Vector3)], pose: &Rigid3, gate: f64) -> Vec<Match> {
+        let mut matches = Vec::with_capacity(source.len());
+        for (index, point) in source {
+            let place = (pose * Point3::from(*point)).coords;
+            let Some(nearest) = self.tree.nearest(place.cast::<f32>().into(), gate as f32) else { continue };
+            let Some(surface) = self.surface(nearest.index) else { continue };
+            let normal = Vector3::from(surface.normal.map(f64::from));
+            let on_surface = Vector3::from(self.points[nearest.index as usize].map(f64::from));
+            let residual = normal.dot(&(place - on_surface));
+            matches.push(Match { source: *index, target: nearest.index, place, normal, residual });
+        }
+        matches
+    }
+
+    /// The pose of a sweep in the frame of this one; none if hardly anything fits.
+    fn register(&mut self, source: &[(usize, Vector3)], guess: Rigid3, gate: f64) -> Option<Rigid3> {
+        let (mut pose, mut gate) = (guess, gate);
+        let few: Vec<(usize, Vector3)> = source.iter().step_by(FEWER).copied().collect();
+        for _ in 0..ITERATIONS {
+            let is_near = gate <= LAST_GATE;
+            let matches = self.matches(if is_near { source } else { &few }, &pose, gate);
+            if matches.len() < MIN_MATCHED {
+                return None;
+            }
+            let scale = scale_of(&matches);
+            let (mut information, mut gradient) = (Matrix6::identity() * 1e-6, Vector6::zeros());
+            for m in &matches {
+                let (row, weight) = (m.jacobian(), weight(m.residual, scale));
+                information += row * row.transpose() * weight;
+                gradient += row * (m.residual * weight);
+            }
+            let change = -information.cholesky()?.solve(&gradient);
+            let turn = quaternion_from_angle_axis(&change.fixed_rows::<3>(3).into_owned());
+            pose = Rigid3::from_parts(change.fixed_rows::<3>(0).into_owned().into(), turn) * pose;
+            gate = (gate * GATE_SHRINKS).max(LAST_GATE);
+            if is_near && change.norm() < CONVERGED {
+                break;
+            }
+        }
+        Some(pose)
+    }
+}
+
+impl Target {
+    /// The pose of a sweep in the frame of this one, and how many points fit.
+    fn registered(&mut self, source: &[(usize, Vector3)], guess: Rigid3, gate: f64) -> Option<(f64, Rigid3)> {
+        let pose = self.register(source, guess, gate)?;
+        let matches = self.matches(source, &pose, LAST_GATE);
+        Some((matches.iter().map(|m| weight(m.residual, 2.0 * LEAST_SCALE)).sum(), pose))
+    }
+}
+
+impl Match {
+    /// Of the residual by a small translation and rotation of the source in the frame of the target.
+    fn jacobian(&self) -> Vector6<f64> {
+        let turn = self.place.cross(&self.normal);
+        Vector6::new(self.normal.x, self.normal.y, self.normal.z, turn.x, turn.y, turn.z)
+    }
+}
+
+/// The scale of the robust loss: one and a half times the median of the residuals, metres.
+fn scale_of(matches: &[Match]) -> f64 {
+    let mut sizes: Vec<f64> = matches.iter().map(|m| m.residual.abs()).collect();
+    let middle = sizes.len() / 2;
+    if sizes.is_empty() {
+        return LEAST_SCALE;
+    }
+    let (_, median, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
+    (1.5 * *median).max(LEAST_SCALE)
+}
+
+/// Weight of a residual (Geman and McClure).
+fn weight(residual: f64, scale: f64) -> f64 {
+    (1.0 + (residual / scale).powi(2)).powi(-2)
+}
+
+/// So many points, spread over the sweep.
+fn spread(points: &[[f32; 3]], wanted: usize) -> Vec<(usize, Vector3)> {
+    let stride = points.len().div_ceil(wanted).max(1);
+    (0..points.len()).step_by(stride).map(|i| (i, Vector3::from(points[i].map(f64::from)))).collect()
+}
+
+/// Whether nothing moved from the first of these sweeps to the last.
+pub(super) fn stands(samples: &[Sample]) -> bool {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return true };
+    let mut target = Target::new(first.points.clone(), None);
+    let found = target.register(&spread(&last.points, MATCHED_POINTS), Rigid3::identity(), LAST_GATE);
+    let Some(pose) = found else { return false };
+    let sweeps = samples.len() as f64 - 1.0;
+    let turn = angle_axis_from_quaternion(&pose.rotation).norm() * f64::from(last.median_range);
+    (pose.translation.vector.norm() + turn) / sweeps < STILL
+}
+
+/// Registers each sweep to an earlier one. With `times` the motion that points have by them is taken out, as it was
+/// found `before`.
+pub(super) fn follow(
+    samples: &[Sample],
+    times: Option<TurnTimes>,
+    before: Option<&Followed>,
+) -> Option<Followed> {
+    let twists = before.map_or_else(|| vec![Twist::default(); samples.len()], Followed::twists);
+    let straight: Vec<Vec<[f32; 3]>> =
+        samples.iter().zip(&twists).map(|(s, twist)| s.straightened(times, twist)).collect();
+    follow_straight(samples, straight, before)
+}
+
+fn follow_straight(
+    samples: &[Sample],
+    straight: Vec<Vec<[f32; 3]>>,
+    before: Option<&Followed>,
+) -> Option<Followed> {
+    let judged: Vec<_> = straight.iter().map(|points| spread(points, JUDGED_POINTS)).collect();
+    let sources: Vec<_> = straight.iter().map(|points| spread(points, MATCHED_POINTS)).collect();
+    let surfaces = |sweep: usize| before.map(|before| &before.surfaces[sweep]);
+    let mut targets: Vec<Target> =
+        straight.into_iter().enumerate().map(|(sweep, p)| Target::new(p, surfaces(sweep))).collect();
+    let mut poses = vec![Rigid3::identity()];
+    let mut matched = Vec::new();
+    let mut lag = before.map_or(1, |before| before.lag);
+    for (sweep, source) in sources.iter().enumerate().skip(1) {
+        let to = sweep.saturating_sub(lag);
+        let guess = match (before, sweep) {
+            (Some(before), _) => before.poses[sweep],
+            (None, 1) => first_pose(&mut targets[0], &sources)?,
+            (None, _) => poses[sweep - 1] * (poses[sweep - 2].inverse() * poses[sweep - 1]),
+        };
+        let gate = if before.is_some() { LAST_GATE } else { GATE };
+        let pose = targets[to].register(source, poses[to].inverse() * guess, gate)?;
+        poses.push(poses[to] * pose);
+        // Sweeps that follow each other see surfaces under the same azimuth.
+        if sweep == 1 && before.is_none() {
+            lag = lag_in_view(&pose, samples[0].median_range);
+        }
+        if sweep - to == lag {
+            matched.push((to, sweep, pose, targets[to].matches(&judged[sweep], &pose, JUDGED_GATE)));
+        }
+    }
+    let surfaces = targets.into_iter().map(|target| target.surfaces).collect();
+    let mut followed = Followed { surfaces, poses, lag, pairs: Vec::new() };
+    let twists = followed.twists();
+    for (to, from, pose, matches) in &matched {
+        let sides = [(&samples[*from], &twists[*from]), (&samples[*to], &twists[*to])];
+        followed.pairs.push(pair(sides, pose, matches));
+    }
+    Some(followed)
+}
+
+fn lag_in_view(motion_of_sweep: &Rigid3, median_range: f32) -> usize {
+    let sweeps = IN_VIEW * f64::from(median_range) / motion_of_sweep.translation.vector.norm().max(1e-3);
+    (sweeps as usize).clamp(*LAGS.start(), *LAGS.end())
+}
+
+/// The pose of the second sweep in the frame of the first. A car may be fast already, and rings on the ground look
+/// alike from anywhere: of several motions the one whose continuation explains the sweeps after it counts.
+fn first_pose(target: &mut Target, sources: &[Vec<(usize, Vector3)>]) -> Option<Rigid3> {
+    let few: Vec<Vec<_>> =
+        sources.iter().take(1 + AHEAD).map(|s| s.iter().step_by(FEWER).copied().collect()).collect();
+    let second = few.get(1)?;
+    let directions = [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y()];
+    let ways = FIRST_WAYS.iter().flat_map(|way| directions.map(|direction| direction * *way));
+    let guesses = std::iter::once(Vector3::zeros()).chain(ways);
+    let mut found: Vec<(f64, Rigid3)> = Vec::new();
+    for guess in guesses {
+        let guess = Rigid3::from_parts(guess.into(), Default::default());
+        found.extend(target.registered(second, guess, FIRST_GATE));
+    }
+    found.sort_by(|(a, _), (b, _)| b.total_cmp(a));
+    let mut candidates: Vec<(f64, Rigid3)> = Vec::new();
+    for (fit, pose) in found {
+        let is_new =
+            |(_, other): &(f64, Rigid3)| (other.inverse() * pose).translation.vector.norm() > SAME_WAY;
+        if candidates.iter().all(is_new) && candidates.len() < CANDIDATES {
+            candidates.push((fit, pose));
+        }
+    }
+    let judged = candidates.into_iter().filter_map(|(_, first)| {
+        let (mut before, mut last, mut fit) = (Rigid3::identity(), first, 0.0);
+        for source in few.iter().skip(2) {
+            let guess = last * (before.inverse() * last);
+            let (fits, pose) = target.registered(source, guess, GATE)?;
+            (before, last, fit) = (last, pose, fits);
+        }
+        Some((fit, first))
+    });
+    judged.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, pose)| pose)
+}
+
+fn pair([from, to]: [(&Sample, &Twist); 2], pose: &Rigid3, matches: &[Match]) -> Pair {
+    let scale = scale_of(matches);
+    let row = |m: &Match| {
+        let at = |sample: &Sample, index: usize| Vector3::from(sample.points[index].map(f64::from));
+        let in_source = pose.rotation.inverse() * m.normal;
+        let target = m.target as usize;
+        Row {
+            jacobian: m.jacobian(),
+            residual: m.residual,
+            weight: weight(m.residual, scale),
+            phases: [from.0.phases[m.source], to.0.phases[target]],
+            gains: [
+                from.1.parts(&at(from.0, m.source), &in_source),
+                -to.1.parts(&at(to.0, target), &m.normal),
+            ],
+            direction: m.place.y.atan2(m.place.x) as f32,
+        }
+    };
+    Pair { rows: matches.iter().map(row).collect() }
+}
+
+impl Followed {
+    /// The motion in each sweep, from the sweeps on both sides.
+    fn twists(&self) -> Vec<Twist> {
+        let last = self.poses.len() - 1;
+        let twist = |sweep: usize| {
+            let (a, b) = (sweep.saturating_sub(1), (sweep + 1).min(last));
+            let motion = self.poses[a].inverse() * self.poses[b];
+            let sweeps = (b - a).max(1) as f64;
+            Twist {
+                translation: motion.translation.vector / sweeps,
+                rotation: angle_axis_from_quaternion(&motion.rotation) / sweeps,
+            }
+        };
+        (0..=last).map(twist).collect()
+    }
+}

@@ -1,0 +1,273 @@
+//! How much of the motion of a lidar is still in its clouds, and when in a turn which azimuth was measured.
+//!
+//! While a lidar turns it moves, so each point of a raw cloud is displaced by the motion between its own time and
+//! the middle of the turn. Drivers and authors of data sets may have taken that out already, and the cloud does not
+//! say so; nor does it say where the turn began and which way it went, since many drivers write the points in another
+//! order. All of that shows as soon as the lidar moves: the same surface is seen under another azimuth a few sweeps
+//! later, where the displacement is another one, so that sweeps do not fit rigidly.
+//!
+//! A few sweeps are registered, point to plane, to those some sweeps before (`follow`). Each residual depends
+//! linearly on the times that the two azimuths are given, in units of the motion of one turn, which is estimated
+//! with the poses; so the times of all azimuths, and the *skew factors* of translation and of rotation (1: all motion is
+//! in the points, 0: none), follow from linear least squares with the poses eliminated (`evidence`). As nearest points are paired anew when
+//! points move, one step of that finds a third of the way; the factor is therefore where the step vanishes, on the
+//! line through the steps at 0 and at 1. Its standard deviation is that of sums over directions taken as
+//! independent.
+
+mod evidence;
+mod follow;
+#[cfg(test)]
+mod tests;
+
+use std::f32::consts::{PI, TAU};
+
+use portolan_geometry::{Point3f, Vector2};
+
+use crate::azimuth_time::Turn;
+use evidence::{Step, TurnTimes};
+use follow::{Followed, Sample};
+
+/// Sweeps that are judged together.
+const SWEEPS_OF_A_BATCH: usize = 16;
+/// More batches with motion are not looked at.
+const MAX_BATCHES: usize = 5;
+/// A factor with a smaller standard deviation is known.
+const SURE: f64 = 0.12;
+/// A factor this near to 0 or 1 is 0 or 1.
+const NEAR: f64 = 0.35;
+/// One between must be known so much better, for hardly anybody takes out a part.
+const SURE_OF_PART: f64 = 0.05;
+/// Directions are not quite independent: on real and simulated recordings factors scatter so much more.
+const INFLATION: f64 = 1.5;
+/// Seams are searched anew at most so many times.
+const SEAM_ROUNDS: usize = 2;
+
+/// What clouds tell about the motion that is in them.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Skew {
+    /// How much of the translation is in the points.
+    pub translation: SkewFactor,
+    /// How much of the rotation is in the points.
+    pub rotation: SkewFactor,
+    /// Azimuth at which turns begin, in the frame of the lidar, radians from −π to π. Without meaning if points have
+    /// times.
+    pub begin_radians: f32,
+    /// Whether the head turns clockwise, seen from above. Without meaning if points have times.
+    pub is_clockwise: bool,
+}
+
+/// How much of a motion is in the points: 1 if it is that of the whole turn, 0 if it was taken out.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct SkewFactor {
+    /// The factor.
+    pub factor: f64,
+    /// Its standard deviation.
+    pub sigma: f64,
+    /// The largest factor that is likely, whatever the turn.
+    pub at_most: f64,
+}
+
+/// What a [`Skew`] means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SkewState {
+    /// Points are where they were seen from while the lidar moved on.
+    Raw,
+    /// Points are as seen from one place.
+    Removed,
+    /// Something between.
+    Partial,
+    /// There was too little motion, or too few surfaces.
+    Unknown,
+}
+
+impl SkewFactor {
+    /// What it means.
+    pub fn state(&self) -> SkewState {
+        if self.sigma.is_nan() || self.sigma > SURE {
+            SkewState::Unknown
+        } else if self.factor.abs() <= NEAR && self.at_most < 1.0 - NEAR {
+            SkewState::Removed
+        } else if (self.factor - 1.0).abs() <= NEAR {
+            SkewState::Raw
+        } else if self.sigma < SURE_OF_PART {
+            SkewState::Partial
+        } else {
+            SkewState::Unknown
+        }
+    }
+
+    /// In units of the motion during such a part of the interval between clouds.
+    fn of_part(self, part: f64) -> Self {
+        let [factor, sigma, at_most] = [self.factor, self.sigma, self.at_most].map(|v| v / part);
+        Self { factor, sigma, at_most }
+    }
+}
+
+impl Skew {
+    /// What it means.
+    pub fn state(&self) -> SkewState {
+        match (self.translation.state(), self.rotation.state()) {
+            (SkewState::Unknown, _) | (_, SkewState::Unknown) => self.combined().state(),
+            (translation, rotation) if translation == rotation => translation,
+            _ => SkewState::Partial,
+        }
+    }
+
+    /// One factor for the whole motion: the mean, weighted by how sure the two are.
+    fn combined(&self) -> SkewFactor {
+        let (a, b) = (self.translation, self.rotation);
+        let weight = |part: &SkewFactor| if part.sigma.is_finite() { part.sigma.powi(-2) } else { 0.0 };
+        let (of_a, of_b) = (weight(&a), weight(&b));
+        // Not known at all: its factor may be anything.
+        let mean = |a: f64, b: f64| {
+            if of_b == 0.0 {
+                a
+            } else if of_a == 0.0 {
+                b
+            } else {
+                (of_a * a + of_b * b) / (of_a + of_b)
+            }
+        };
+        SkewFactor {
+            factor: mean(a.factor, b.factor),
+            sigma: (of_a + of_b).sqrt().recip(),
+            at_most: mean(a.at_most, b.at_most),
+        }
+    }
+
+    /// In units of the motion during such a part of the interval between clouds.
+    pub(crate) fn of_part(self, part: f64) -> Self {
+        let (translation, rotation) = (self.translation.of_part(part), self.rotation.of_part(part));
+        Self { translation, rotation, ..self }
+    }
+
+    /// Whether more of the motion is in the points than was taken out.
+    pub(crate) fn is_mostly_raw(&self) -> bool {
+        self.combined().factor > 0.5
+    }
+
+    /// Whether it is clear where turns begin and which way they go: raw clouds tell that.
+    pub(crate) fn is_turn_known(&self) -> bool {
+        matches!(self.state(), SkewState::Raw | SkewState::Partial)
+    }
+
+    /// How the lidar turns.
+    pub(crate) fn turn(&self) -> Turn {
+        Turn { begin_radians: self.begin_radians, is_clockwise: self.is_clockwise }
+    }
+}
+
+/// Collects sweeps until they tell.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SkewEstimator {
+    pending: Vec<Sample>,
+    batches: Vec<Batch>,
+    has_times: bool,
+    /// Edge of the voxels that thin sweeps, metres; follows from the sweeps before.
+    edge: f32,
+    skew: Option<Skew>,
+}
+
+/// Sweeps that follow each other, registered as they came.
+#[derive(Clone, Debug)]
+struct Batch {
+    samples: Vec<Sample>,
+    as_is: Followed,
+}
+
+impl SkewEstimator {
+    /// Takes the points of the next sweep, in the frame of the lidar, metres, each with the share of the sweep that
+    /// had passed (0 to 1) if that is known. Sweeps must follow each other.
+    pub fn add(&mut self, points: &[Point3f], shares: Option<&[f32]>) {
+        if self.is_done() {
+            return;
+        }
+        self.has_times = shares.is_some();
+        let phase = |(i, p): (usize, &Point3f)| match shares {
+            Some(shares) => shares.get(i).copied().unwrap_or(0.5),
+            None => (p.y.atan2(p.x) + PI) / TAU,
+        };
+        let phases: Vec<f32> = points.iter().enumerate().map(phase).collect();
+        self.pending.push(Sample::thinned(points, &phases, &mut self.edge));
+        if self.pending.len() == SWEEPS_OF_A_BATCH {
+            self.judge();
+        }
+    }
+
+    /// Whether more sweeps would tell nothing new.
+    pub fn is_done(&self) -> bool {
+        self.batches.len() >= MAX_BATCHES || self.skew.is_some_and(|s| s.state() != SkewState::Unknown)
+    }
+
+    /// What is known by now; none as long as nothing moved.
+    pub fn skew(&self) -> Option<Skew> {
+        self.skew
+    }
+
+    fn judge(&mut self) {
+        let samples = std::mem::take(&mut self.pending);
+        if follow::stands(&samples) {
+            return;
+        }
+        let Some(as_is) = follow::follow(&samples, None, None) else { return };
+        self.batches.push(Batch { samples, as_is });
+        self.skew = self.estimate().or(self.skew);
+    }
+
+    fn estimate(&self) -> Option<Skew> {
+        let as_is: Vec<_> = self.batches.iter().flat_map(|b| &b.as_is.pairs).collect();
+        let mut times = match self.has_times {
+            true => TurnTimes::OF_SHARES,
+            false => evidence::most_likely_turn(&as_is)?,
+        };
+        for round in 0.. {
+            let straightened: Vec<Followed> =
+                self.batches.iter().filter_map(|b| b.straightened(times)).collect();
+            let pairs: Vec<_> = straightened.iter().flat_map(|f| &f.pairs).collect();
+            let better =
+                evidence::better_turn(&pairs, times).filter(|_| !self.has_times && round < SEAM_ROUNDS);
+            if let Some(better) = better {
+                times = better;
+                continue;
+            }
+            let (at_none, at_all) = (evidence::step(&as_is, times)?, evidence::step(&pairs, times)?);
+            let largest = if self.has_times {
+                at_none.factors + at_none.sigmas * evidence::LIKELY
+            } else {
+                evidence::largest_steps(&as_is, at_none, times)?
+            };
+            return Some(skew(at_none, at_all, largest, times));
+        }
+        None
+    }
+}
+
+impl Batch {
+    fn straightened(&self, times: TurnTimes) -> Option<Followed> {
+        follow::follow(&self.samples, Some(times), Some(&self.as_is))
+    }
+}
+
+/// Where the steps vanish, given those at a factor of 0 and of 1 and the largest that is likely at 0.
+fn skew(at_none: Step, at_all: Step, largest: Vector2, times: TurnTimes) -> Skew {
+    let part = |part: usize| {
+        let (none, all) = (at_none.factors[part], at_all.factors[part]);
+        let (of_none, of_all) = (INFLATION * at_none.sigmas[part], INFLATION * at_all.sigmas[part]);
+        let slope = none - all;
+        let factor = none / slope;
+        // Each of the two is uncertain, and shifts the zero by its share.
+        let sigma = ((1.0 - factor) * of_none).hypot(factor * of_all) / slope.abs();
+        let is_told = slope > 2.0 * of_none.hypot(of_all);
+        SkewFactor {
+            factor,
+            sigma: if is_told { sigma } else { f64::INFINITY },
+            at_most: largest[part] / slope,
+        }
+    };
+    Skew {
+        translation: part(0),
+        rotation: part(1),
+        begin_radians: times.begin * TAU - PI,
+        is_clockwise: times.sense < 0.0,
+    }
+}

@@ -1,0 +1,124 @@
+use portolan_geometry::{Rigid3, Vector3, nalgebra::Point3, quaternion_from_angle_axis};
+
+use super::*;
+
+/// Boxes from a corner to the opposite one, metres: a hall, and what stands in it.
+const HALL: [[f64; 3]; 2] = [[-9.0, -6.0, 0.0], [14.0, 7.0, 4.0]];
+const THINGS: [[[f64; 3]; 2]; 5] = [
+    [[-3.0, 3.0, 0.0], [-1.5, 4.5, 2.5]],
+    [[4.0, -4.5, 0.0], [5.0, -3.0, 3.0]],
+    [[7.0, 3.0, 0.0], [8.5, 4.0, 1.2]],
+    [[-6.0, -4.0, 0.0], [-5.0, -2.5, 4.0]],
+    [[1.5, 4.5, 0.0], [2.0, 5.0, 4.0]],
+];
+const RINGS: usize = 16;
+const COLUMNS: usize = 450;
+const PERIOD: f64 = 0.1;
+
+/// Distance along a ray to the first side of a box that is entered, or left if the ray begins inside.
+fn distance(corners: &[[f64; 3]; 2], from: &Vector3, direction: &Vector3, is_inside: bool) -> Option<f64> {
+    let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+    for k in 0..3 {
+        let (a, b) = ((corners[0][k] - from[k]) / direction[k], (corners[1][k] - from[k]) / direction[k]);
+        (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+    }
+    if is_inside { Some(leave) } else { (enter < leave && enter > 0.0).then_some(enter) }
+}
+
+/// Somebody walks through the hall and looks about.
+fn pose(seconds: f64) -> Rigid3 {
+    let place =
+        Vector3::new(-2.0 + 1.3 * seconds, 0.6 * (0.9 * seconds).sin(), 1.4 + 0.03 * (12.0 * seconds).sin());
+    let turn = Vector3::new(
+        0.02 * (11.0 * seconds).sin(),
+        0.02 * (9.0 * seconds).cos(),
+        0.7 * (1.3 * seconds).sin(),
+    );
+    Rigid3::from_parts(place.into(), quaternion_from_angle_axis(&turn))
+}
+
+/// A sweep of a head that begins at the left and turns clockwise, with the share of the motion in it; points ordered by
+/// ring from ahead, as many drivers write them. With the share of the turn at which each was measured.
+fn sweep(index: usize, factor: f64, motion: impl Fn(f64) -> Rigid3) -> (Vec<Point3f>, Vec<f32>) {
+    let middle = (index as f64 + 0.5) * PERIOD;
+    let mut points = Vec::new();
+    for ring in 0..RINGS {
+        let elevation = (-15.0 + 2.0 * ring as f64).to_radians();
+        for column in 0..COLUMNS {
+            let azimuth = column as f64 / COLUMNS as f64 * std::f64::consts::TAU;
+            let share = ((std::f64::consts::FRAC_PI_2 - azimuth) / std::f64::consts::TAU).rem_euclid(1.0);
+            let seen_from = motion(middle + factor * (share - 0.5) * PERIOD);
+            let beam = Vector3::new(
+                azimuth.cos() * elevation.cos(),
+                azimuth.sin() * elevation.cos(),
+                elevation.sin(),
+            );
+            let (from, direction) = (seen_from.translation.vector, seen_from.rotation * beam);
+            let things = THINGS.iter().filter_map(|thing| distance(thing, &from, &direction, false));
+            let hall = distance(&HALL, &from, &direction, true);
+            let nearest = things.chain(hall).fold(f64::INFINITY, f64::min);
+            // Noise of a centimetre that repeats for nobody.
+            let noise = 0.01 * ((index * 7919 + ring * 104_729 + column * 1_299_709) as f64 * 0.618).sin();
+            points.push((Point3::from(beam * (nearest + noise)).cast::<f32>(), share as f32));
+        }
+    }
+    points.into_iter().unzip()
+}
+
+fn estimated(factor: f64, has_times: bool, motion: impl Fn(f64) -> Rigid3 + Copy) -> Option<Skew> {
+    let mut estimator = SkewEstimator::default();
+    for index in 0..MAX_BATCHES * SWEEPS_OF_A_BATCH {
+        let (points, shares) = sweep(index, factor, motion);
+        estimator.add(&points, has_times.then_some(&shares));
+        if estimator.is_done() {
+            break;
+        }
+    }
+    estimator.skew()
+}
+
+#[test]
+fn raw_clouds_tell_so_and_where_turns_begin() {
+    let skew = estimated(1.0, false, pose).unwrap();
+    assert_eq!(skew.state(), SkewState::Raw, "{skew:?}");
+    assert!(skew.is_clockwise && (skew.begin_radians.to_degrees() - 90.0).abs() <= 10.0, "{skew:?}");
+    let skew = estimated(1.0, true, pose).unwrap();
+    assert_eq!(skew.state(), SkewState::Raw, "{skew:?}");
+}
+
+#[test]
+fn clouds_whose_motion_was_taken_out_tell_so_with_and_without_times() {
+    for has_times in [false, true] {
+        let skew = estimated(0.0, has_times, pose).unwrap();
+        assert_eq!(skew.state(), SkewState::Removed, "{has_times}: {skew:?}");
+    }
+}
+
+#[test]
+fn a_part_is_a_part() {
+    let skew = estimated(0.5, true, pose).unwrap();
+    assert!((skew.rotation.factor - 0.5).abs() < 0.1, "{skew:?}");
+    assert!(skew.state() == SkewState::Partial, "{skew:?}");
+}
+
+#[test]
+fn who_stands_knows_nothing() {
+    assert_eq!(estimated(1.0, false, |_| pose(0.0)), None);
+    assert_eq!(estimated(0.0, true, |_| pose(0.0)), None);
+}
+
+#[test]
+fn clouds_of_any_kind_do_no_harm() {
+    let wild = vec![Point3f::new(f32::NAN, 1.0, f32::INFINITY); 50];
+    let line: Vec<Point3f> = (0..5000).map(|i| Point3f::new(1.0 + i as f32 * 0.01, 0.0, 0.0)).collect();
+    for points in [vec![], vec![Point3f::origin(); 3], wild, line, vec![Point3f::new(5.0, 5.0, 5.0); 3000]] {
+        for shares in [None, Some(vec![0.5; points.len()]), Some(vec![f32::NAN; points.len()])] {
+            let mut estimator = SkewEstimator::default();
+            for _ in 0..3 * SWEEPS_OF_A_BATCH {
+                estimator.add(&points, shares.as_deref());
+            }
+            let state = estimator.skew().map_or(SkewState::Unknown, |skew| skew.state());
+            assert_eq!(state, SkewState::Unknown);
+        }
+    }
+}
