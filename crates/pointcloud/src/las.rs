@@ -3,6 +3,7 @@
 //! Times stand in the field for GPS time as they are. Intensities are rounded to whole numbers from 0 to
 //! 65535, colours are spread over 16 bits.
 
+mod ahead;
 mod promises;
 mod remembering;
 
@@ -38,8 +39,10 @@ struct LasReader {
     repairs: Repairs,
 }
 
-/// Opens a LAS or LAZ file.
-pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
+pub(crate) use ahead::open;
+
+/// Opens a LAS or LAZ file, here and now.
+fn open_here(path: &Path) -> Result<LasReader, CloudError> {
     let file = portolan_input::regular_file(path).map_err(|e| CloudError::read(path, e))?;
     let bytes = file.metadata().map_err(|e| CloudError::read(path, e))?.len();
     let mut file = BufReader::with_capacity(1 << 18, file);
@@ -72,7 +75,7 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     let attributes = Attributes { intensity: true, time: format.has_gps_time, color: format.has_color };
     let data = PointDataBuilder::new().for_header(header).build();
     let (path, left, at_once) = (path.to_owned(), total, BATCH_POINTS as u64);
-    Ok(Box::new(LasReader { path, reader, data, attributes, total, left, at_once, bounds, repairs }))
+    Ok(LasReader { path, reader, data, attributes, total, left, at_once, bounds, repairs })
 }
 
 /// What a call of the library gives; its error as text, none where it panicked: the decompressor checks
