@@ -1,5 +1,6 @@
 //! Reading on a thread with much stack: on damaged times of points the decompressor of the library calls itself once for
-//! every few bits of the file, and a stack that overflows ends the process.
+//! every few bits of the file, and a stack that overflows ends the process. Damage can be such that no stack is enough:
+//! only the library can bound that.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
