@@ -4,6 +4,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use portolan_unfinished::Unfinished;
 use tempfile::NamedTempFile;
 
 /// A file could not be written.
@@ -28,7 +29,7 @@ pub struct AtomicFile {
 
 enum Target {
     /// To be renamed to the path.
-    Temporary(BufWriter<NamedTempFile>, PathBuf),
+    Temporary(BufWriter<NamedTempFile>, Unfinished, PathBuf),
     Direct(BufWriter<File>),
 }
 
@@ -56,7 +57,7 @@ impl AtomicFile {
             file.seek(SeekFrom::End(0)).map(drop)
         }
         match &mut self.target {
-            Target::Temporary(writer, _) => overwrite(writer, offset, bytes),
+            Target::Temporary(writer, ..) => overwrite(writer, offset, bytes),
             Target::Direct(writer) => overwrite(writer, offset, bytes),
         }
     }
@@ -64,7 +65,7 @@ impl AtomicFile {
     /// A handle for a library that writes the file itself, reads it while writing, and uses no buffer.
     pub fn handle(&self) -> io::Result<File> {
         match &self.target {
-            Target::Temporary(writer, _) => writer.get_ref().as_file().try_clone(),
+            Target::Temporary(writer, ..) => writer.get_ref().as_file().try_clone(),
             Target::Direct(writer) => writer.get_ref().try_clone(),
         }
     }
@@ -72,7 +73,9 @@ impl AtomicFile {
     /// Writes out what is buffered, waits until it is on the disk and gives the file its name.
     pub fn commit(self) -> Result<(), WriteError> {
         let written = match self.target {
-            Target::Temporary(writer, destination) => commit_temporary(writer, &destination),
+            Target::Temporary(writer, unfinished, destination) => {
+                commit_temporary(writer, unfinished, &destination)
+            }
             Target::Direct(mut writer) => writer.flush(),
         };
         written.map_err(|source| WriteError { path: self.path, source })
@@ -119,8 +122,9 @@ fn open_target(path: &Path) -> io::Result<Target> {
         // As for any new file; the system takes away what the user's mask forbids.
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
-    let file = BufWriter::with_capacity(BUFFER, builder.tempfile_in(folder)?);
-    Ok(Target::Temporary(file, destination))
+    // A signal removes it.
+    let (unfinished, file) = Unfinished::create_named(|| builder.tempfile_in(folder), NamedTempFile::path)?;
+    Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, file), unfinished, destination))
 }
 
 /// Where a link leads, so that the link stays one.
@@ -139,10 +143,14 @@ pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-fn commit_temporary(writer: BufWriter<NamedTempFile>, destination: &Path) -> io::Result<()> {
+fn commit_temporary(
+    writer: BufWriter<NamedTempFile>,
+    unfinished: Unfinished,
+    destination: &Path,
+) -> io::Result<()> {
     let file = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
     file.as_file().sync_all()?;
-    file.persist(destination).map_err(|e| e.error)?;
+    unfinished.complete(|| file.persist(destination).map_err(|e| e.error))?;
     sync_folder(folder_of(destination))
 }
 
@@ -158,14 +166,14 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match &mut self.target {
-            Target::Temporary(writer, _) => writer.write(bytes),
+            Target::Temporary(writer, ..) => writer.write(bytes),
             Target::Direct(writer) => writer.write(bytes),
         }
     }
 
     fn flush(&mut self) -> io::Result<()> {
         match &mut self.target {
-            Target::Temporary(writer, _) => writer.flush(),
+            Target::Temporary(writer, ..) => writer.flush(),
             Target::Direct(writer) => writer.flush(),
         }
     }

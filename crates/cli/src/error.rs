@@ -6,15 +6,28 @@ use std::path::{Path, PathBuf};
 use portolan::job::JobError;
 use portolan::pipeline::PipelineError;
 
+use crate::exit::ExitStatus;
 use crate::interrupt;
 
-/// A command that did what it was asked.
+/// A command that ran to its end; the worst comes last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Outcome {
-    /// Completely.
+    /// It did what it was asked, completely.
     Done,
-    /// But some of the input could not be used.
+    /// But some of the input could not be used, or some of the result hangs together with nothing.
     DataLost,
+    /// But nothing of the result can be trusted; why was said.
+    Untrusted,
+}
+
+impl From<Outcome> for ExitStatus {
+    fn from(outcome: Outcome) -> Self {
+        match outcome {
+            Outcome::Done => Self::Done,
+            Outcome::DataLost => Self::Loss,
+            Outcome::Untrusted => Self::Untrusted,
+        }
+    }
 }
 
 /// A command that could not do what it was asked.
@@ -54,9 +67,14 @@ impl CliError {
         Self::Failed(format!("{}: {reason}", path.display()))
     }
 
-    /// Nobody reads the output any more, as with `portolan info … | head`.
-    pub fn is_closed_pipe(&self) -> bool {
-        matches!(self, Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe)
+    /// How the program ends with it.
+    pub fn exit_status(&self) -> ExitStatus {
+        match self {
+            Self::Usage(_) => ExitStatus::Usage,
+            _ if interrupt::interrupted() => ExitStatus::Interrupted,
+            Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe => ExitStatus::ClosedPipe,
+            _ => ExitStatus::Failed,
+        }
     }
 }
 

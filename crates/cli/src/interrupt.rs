@@ -1,17 +1,25 @@
-//! Ctrl-C: the first asks to stop cleanly and save, the second stops at once.
+//! Ctrl-C, SIGTERM and SIGHUP. Usually one ends the program at once, and its temporary files are removed. While
+//! something is worth saving ([`Saving`]) the first one asks to stop and save, and the second ends the program.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use crate::exit::ExitStatus;
+use crate::progress::say;
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+static SAVING: AtomicUsize = AtomicUsize::new(0);
 
-/// How a program ends that was told to stop: 128 and the number of the signal.
-pub const EXIT_CODE: u8 = 130;
-
-/// From now on Ctrl-C and SIGTERM only set [`interrupted`]; a second one ends the program.
-pub fn watch() {
-    let installed = ctrlc::set_handler(|| {
-        if INTERRUPTED.swap(true, Ordering::SeqCst) {
-            std::process::exit(i32::from(EXIT_CODE));
+/// Begins to heed signals.
+pub fn watch(quiet: bool) {
+    let installed = ctrlc::set_handler(move || {
+        let again = INTERRUPTED.swap(true, Ordering::SeqCst);
+        if again || SAVING.load(Ordering::SeqCst) == 0 {
+            portolan_unfinished::remove_all();
+            std::process::exit(ExitStatus::Interrupted as i32);
+        }
+        if !quiet {
+            // Not on this thread: a stderr that nobody reads must not keep the next signal waiting.
+            std::thread::spawn(|| say("stopping: what was done is saved; once more to stop at once"));
         }
     });
     if let Err(error) = installed {
@@ -22,4 +30,21 @@ pub fn watch() {
 /// Whether the user asked to stop.
 pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::SeqCst)
+}
+
+/// As long as this lives, what is done is worth saving: the first signal only sets [`interrupted`].
+pub struct Saving(());
+
+impl Saving {
+    /// Begins now.
+    pub fn begin() -> Self {
+        SAVING.fetch_add(1, Ordering::SeqCst);
+        Self(())
+    }
+}
+
+impl Drop for Saving {
+    fn drop(&mut self) {
+        SAVING.fetch_sub(1, Ordering::SeqCst);
+    }
 }

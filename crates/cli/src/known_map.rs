@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use portolan::job::{KnownMaps, Localisation};
+use portolan::job::{KnownMaps, Localisation, Place};
 use portolan_geometry::Rigid3;
 use portolan_mapfile::FrozenTrajectories;
 
@@ -26,6 +26,10 @@ pub struct KnownMapArgs {
     #[arg(long, value_name = "X,Y,YAW", requires = "from", value_parser = start_pose,
         allow_hyphen_values = true)]
     pub start: Option<Rigid3>,
+    /// Write the map although the recording was not found in the known one, or refutes --start: two buildings laid over
+    /// each other.
+    #[arg(long, requires = "from")]
+    pub force: bool,
 }
 
 impl KnownMapArgs {
@@ -40,21 +44,29 @@ impl KnownMapArgs {
 }
 
 /// Whether the recording was found, for people.
+///
+/// What was not found is not to be used.
 pub fn sentence(found: &Localisation) -> String {
-    match found.placed_after_seconds.or(found.first_found_after_seconds) {
-        Some(seconds) => format!(
+    let seconds = found.placed_after_seconds.or(found.first_found_after_seconds).unwrap_or(0.0);
+    match found.place() {
+        Place::Found => format!(
             "found in the known map after {seconds:.0} s, {} loop closures with it",
             found.loop_closures
         ),
-        None if found.start_was_told => {
-            "no loop closure with the known map: the recording lies in it where --start \
-                 says, and goes on as it saw itself"
+        Place::Told => {
+            "no loop closure with the known map: the recording lies in it where --start says, and goes on as \
+                        it saw itself, where the known map does not reach"
                 .to_owned()
         }
-        None => {
-            "NOT found in the known map: the recording lies in the map as if it had started at its origin. \
-                 If you know the place, say --start X,Y,YAW; else lower \
-                 --set constraint_builder.global_localization_min_score"
+        Place::Refuted => {
+            "NOT found in the known map: it looks otherwise where --start says. If you know the place, say \
+                           it better; without --start it is searched in the whole map [--force]"
+                .to_owned()
+        }
+        Place::NotFound => {
+            "NOT found in the known map, so that nothing tells where in it the recording lies. If you know \
+                            the place, say --start X,Y,YAW; else lower \
+                            --set constraint_builder.global_localization_min_score [--force]"
                 .to_owned()
         }
     }

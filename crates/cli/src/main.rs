@@ -3,17 +3,29 @@
 mod clouds;
 mod commands;
 mod error;
+mod exit;
+mod input;
 mod interrupt;
 mod known_map;
 mod lost;
 mod output;
 mod progress;
+mod suggest;
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
 
-use error::{CliError, Outcome};
+use error::CliError;
+use exit::ExitStatus;
+
+/// What stands below the verbs.
+fn after_help() -> String {
+    let examples = "Try:\n  portolan demo                     a simulated building, mapped and measured\n  \
+        portolan info RECORDING           what a recording or a map holds\n  \
+        portolan map RECORDING -o DIR     the map of a recording";
+    format!("{examples}\n\n{}", ExitStatus::TABLE)
+}
 
 /// Turns what a moving lidar saw into a map and a trajectory.
 ///
@@ -22,12 +34,7 @@ use error::{CliError, Outcome};
 /// and measures its own results.
 #[derive(Parser)]
 #[command(name = "portolan", version, propagate_version = true, max_term_width = 100)]
-#[command(
-    after_help = "Try:\n  portolan demo                     a simulated building, mapped and measured\n  \
-    portolan info RECORDING           what a recording or a map holds\n  \
-    portolan map RECORDING -o DIR     the map of a recording\n\n\
-    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with data loss, 130 interrupted."
-)]
+#[command(after_help = after_help())]
 struct Cli {
     #[command(flatten)]
     global: GlobalArgs,
@@ -60,33 +67,68 @@ impl GlobalArgs {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse_from(commands::compat::arguments(std::env::args_os()));
+    let arguments = commands::compat::arguments(std::env::args_os());
+    let status = match Cli::try_parse_from(arguments) {
+        Ok(cli) => run(cli),
+        Err(message) => show(&suggest::with_nearest_verb(message)),
+    };
+    // Threads that read ahead may still hold some.
+    portolan_unfinished::remove_all();
+    status.into()
+}
+
+fn run(cli: Cli) -> ExitStatus {
     start_logging(&cli.global);
+    keep_caught_panics_quiet();
+    interrupt::watch(cli.global.quiet);
     match commands::run(cli.command, &cli.global) {
         // Whatever was saved, it is not all that was asked for.
-        Ok(_) if interrupt::interrupted() => ExitCode::from(interrupt::EXIT_CODE),
-        Ok(Outcome::Done) => ExitCode::SUCCESS,
-        Ok(Outcome::DataLost) => ExitCode::from(3),
-        Err(error) if error.is_closed_pipe() => ExitCode::SUCCESS,
+        Ok(_) if interrupt::interrupted() => ExitStatus::Interrupted,
+        Ok(outcome) => outcome.into(),
         Err(error) => {
-            report(&error);
-            ExitCode::from(match error {
-                CliError::Usage(_) => 2,
-                _ if interrupt::interrupted() => interrupt::EXIT_CODE,
-                _ => 1,
-            })
+            let status = error.exit_status();
+            if status != ExitStatus::ClosedPipe {
+                report(&error);
+            }
+            status
         }
     }
 }
 
-#[allow(clippy::print_stderr)] // the one place where errors reach the user
+/// Panics of libraries that are caught are told as damage of a file, not as faults of the program.
+fn keep_caught_panics_quiet() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !portolan_pointcloud::is_panic_caught() {
+            usual(panic);
+        }
+    }));
+}
+
+/// A help page, the version, or what is wrong with the command line.
+fn show(message: &clap::Error) -> ExitStatus {
+    let shown = message.print();
+    match shown {
+        _ if message.use_stderr() => ExitStatus::Usage,
+        Ok(()) => ExitStatus::Done,
+        Err(error) => CliError::Output(error).exit_status(),
+    }
+}
+
+/// The one place where errors reach the user. A cause that the message tells already is not told again.
 fn report(error: &CliError) {
-    eprintln!("error: {error}");
+    let mut told = error.to_string();
+    let mut text = format!("error: {told}");
     let mut source = std::error::Error::source(error);
     while let Some(cause) = source {
-        eprintln!("  because: {cause}");
+        let cause_text = cause.to_string();
+        if !told.contains(&cause_text) {
+            text.push_str(&format!("\n  because: {cause_text}"));
+            told.push_str(&cause_text);
+        }
         source = cause.source();
     }
+    progress::say(&text);
 }
 
 fn start_logging(global: &GlobalArgs) {
@@ -106,6 +148,8 @@ fn start_logging(global: &GlobalArgs) {
         )
         .without_time()
         .with_target(false)
+        // A stderr that is closed or full ends nothing.
+        .log_internal_errors(false)
         .init();
 }
 

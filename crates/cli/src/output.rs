@@ -1,7 +1,6 @@
-//! Results on stdout and in files; telling maps from recordings.
+//! Results on stdout and in files.
 
-use std::fs::File;
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::Path;
 
 use serde::Serialize;
@@ -9,18 +8,35 @@ use serde::Serialize;
 use portolan_atomic_file::AtomicFile;
 
 use crate::error::CliError;
+use crate::progress::say;
 
-/// The first bytes of every map.
-const MAP_MAGIC: [u8; 8] = [0xdb, 0x01, 0xf5, 0x5b, 0x7b, 0x1f, 0x1d, 0x7b];
-
-/// Prints a result; a line feed follows unless it ends with one.
+/// Prints what was asked for; a line feed follows unless it ends with one.
+///
+/// # Errors
+/// A stdout that takes it not: then it was not done.
 pub fn print(text: &str) -> Result<(), CliError> {
+    let line_feed = if text.ends_with('\n') { "" } else { "\n" };
+    print_bytes(format!("{text}{line_feed}").as_bytes())
+}
+
+/// Prints what was asked for.
+///
+/// # Errors
+/// As [`print`].
+pub fn print_bytes(bytes: &[u8]) -> Result<(), CliError> {
     let mut out = std::io::stdout().lock();
-    out.write_all(text.as_bytes())?;
-    if !text.ends_with('\n') {
-        out.write_all(b"\n")?;
-    }
+    out.write_all(bytes)?;
     Ok(out.flush()?)
+}
+
+/// Prints what was done where the results are files: they are there, whether or not anybody reads this.
+pub fn print_summary(text: &str) {
+    match print(text) {
+        Err(CliError::Output(error)) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            say(&format!("what was done cannot be written to the standard output: {error}"));
+        }
+        _ => {}
+    }
 }
 
 /// Prints a result as indented JSON.
@@ -39,19 +55,6 @@ pub fn write_file(
         Ok(()) => Ok(file.commit()?),
         Err(source) => Err(file.error(source).into()),
     }
-}
-
-/// Whether a file is a map, by its content.
-pub fn is_map(path: &Path) -> Result<bool, CliError> {
-    let failed = |source| CliError::File { path: path.to_owned(), source };
-    if path.is_dir() {
-        return Ok(false);
-    }
-    let mut start = Vec::with_capacity(MAP_MAGIC.len());
-    File::open(path)
-        .and_then(|file| file.take(MAP_MAGIC.len() as u64).read_to_end(&mut start))
-        .map_err(failed)?;
-    Ok(start == MAP_MAGIC)
 }
 
 /// `1 pose`, `2 poses`.

@@ -1,6 +1,6 @@
 //! Progress on stderr: a bar on a terminal, a line now and then elsewhere, nothing when quiet.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -65,8 +65,7 @@ impl Progress {
     }
 }
 
-/// A line on stderr.
-#[allow(clippy::print_stderr)] // progress and remarks belong there
+/// A line on stderr. One that is closed or full ends nothing: there is nobody to tell.
 pub fn say(line: &str) {
-    eprintln!("{line}");
+    let _ = std::io::stderr().lock().write_all(format!("{line}\n").as_bytes());
 }

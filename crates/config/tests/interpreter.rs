@@ -159,6 +159,14 @@ fn the_process_and_its_output_are_out_of_reach() {
         "os.remove('x')",
         "io.open('x', 'w')",
         "io.read()",
+        "io.write('x')",
+        "io.open('/etc/hostname')",
+        "io.lines('/etc/hostname')",
+        "os.getenv('HOME')",
+        "os.time()",
+        "os.x = 1",
+        "package.path = 'x'",
+        "loadfile('/etc/hostname')",
         "dofile()",
         "assert(load(string.dump(function() end)))",
         "require 'socket.core'",
@@ -167,9 +175,25 @@ fn the_process_and_its_output_are_out_of_reach() {
     ] {
         assert!(run(&format!("{text}\nreturn {{}}")).is_err(), "{text}");
     }
-    let printed = run("print('a', 1, nil)\nio.write('b', 2)\nreturn {}").unwrap().printed;
+    let refused = run("os.getenv('HOME')\nreturn {}").unwrap_err().to_string();
+    assert!(refused.contains("os.getenv is not available in a configuration"), "{refused}");
+    let printed = run("print('a', 1, nil)\nprint('b' .. 2)\nreturn {}").unwrap().printed;
     assert_eq!(printed, ["a\t1\tnil", "b2"]);
     assert_eq!(run("for i = 1, 5000 do print(i) end return {}").unwrap().printed.len(), 1000);
+}
+
+#[test]
+fn includes_are_bounded() {
+    let directory = tempfile::tempdir().unwrap();
+    let at = |i: usize| directory.path().join(format!("{i}.lua"));
+    for i in 0..120 {
+        std::fs::write(at(i), format!("return include \"{}.lua\"", i + 1)).unwrap();
+    }
+    let error = evaluate_file(&at(0), &[], Limits::default()).unwrap_err().to_string();
+    assert!(
+        error.contains("more than 100 files are included") || error.contains("stack overflow"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use portolan_geometry::{Quaternion, Rigid3, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_input::{XmlLimits, check_xml, read_all};
 use portolan_issue::{Issue, Severity};
 use portolan_recording::RecordingError;
 
@@ -36,11 +37,12 @@ pub struct RobotDescription {
 /// Reads a URDF file.
 pub fn read_urdf(path: &Path) -> Result<RobotDescription, RecordingError> {
     let io_error = |source| RecordingError::Io { path: path.to_owned(), source };
-    let size = std::fs::metadata(path).map_err(io_error)?.len();
-    if size > MAX_BYTES {
-        return Err(described(path, "it is larger than 64 MiB, which no robot description is"));
-    }
-    let bytes = std::fs::read(path).map_err(io_error)?;
+    let bytes = read_all(path, MAX_BYTES).map_err(|error| match error.kind() {
+        std::io::ErrorKind::FileTooLarge => {
+            described(path, "it is larger than 64 MiB, which no robot description is")
+        }
+        _ => io_error(error),
+    })?;
     let text =
         String::from_utf8(bytes).map_err(|_| described(path, "it is not UTF-8 text; save it as UTF-8"))?;
     let is_xacro = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("xacro"));
@@ -58,9 +60,8 @@ pub fn parse_urdf(text: &str, is_xacro: bool) -> Result<RobotDescription, String
                     (ROS 2: `ros2 run xacro xacro …`, ROS 1: `rosrun xacro xacro …`) and give robot.urdf"
             .to_owned());
     }
-    if depth(text) > MAX_DEPTH {
-        return Err(format!("its elements are nested deeper than {MAX_DEPTH} levels"));
-    }
+    let limits = XmlLimits { depth: MAX_DEPTH, ..XmlLimits::default() };
+    check_xml(text.as_bytes(), limits).map_err(|problem| problem.to_string())?;
     let robot = urdf_rs::read_from_string(text).map_err(|error| format!("it is no valid URDF: {error}"))?;
     let mut description = RobotDescription::default();
     for joint in &robot.joints {
@@ -80,44 +81,6 @@ pub fn parse_urdf(text: &str, is_xacro: bool) -> Result<RobotDescription, String
         });
     }
     Ok(description)
-}
-
-/// How deep elements are nested. The parser of the library recurses, so this is found out first.
-fn depth(text: &str) -> usize {
-    let (mut depth, mut deepest) = (0usize, 0);
-    let mut rest = text;
-    while let Some(start) = rest.find('<') {
-        rest = &rest[start..];
-        let special = [("<!--", "-->"), ("<![CDATA[", "]]>"), ("<?", "?>"), ("<!", ">")];
-        if let Some((_, end)) = special.iter().find(|(begin, _)| rest.starts_with(begin)) {
-            rest = rest.find(end).map_or("", |i| &rest[i + end.len()..]);
-            continue;
-        }
-        let length = tag_length(rest);
-        let tag = &rest[..length];
-        if tag.starts_with("</") {
-            depth = depth.saturating_sub(1);
-        } else {
-            deepest = deepest.max(depth + 1);
-            depth += usize::from(!tag.ends_with("/>"));
-        }
-        rest = &rest[length..];
-    }
-    deepest
-}
-
-/// Bytes of a tag up to its `>`, which does not count inside quotes.
-fn tag_length(text: &str) -> usize {
-    let mut quote = None;
-    for (i, byte) in text.bytes().enumerate() {
-        match (byte, quote) {
-            (b'>', None) => return i + 1,
-            (b'"' | b'\'', None) => quote = Some(byte),
-            (_, Some(open)) if byte == open => quote = None,
-            _ => {}
-        }
-    }
-    text.len()
 }
 
 impl RobotDescription {
@@ -164,7 +127,8 @@ mod tests {
         for deep in ["<a>", "<a b='/>'>", "<!-- <b> --><a>"] {
             assert!(parse_urdf(&deep.repeat(50_000), false).unwrap_err().contains("nested"));
         }
-        assert_eq!(depth("<a><b/><!-- <c><d> --><e x='>'></e></a>"), 2);
+        let many: String = (0..1000).map(|i| format!(" a{i}='1'")).collect();
+        assert!(parse_urdf(&format!("<robot name='r'{many}/>"), false).unwrap_err().contains("attributes"));
     }
 
     #[test]

@@ -248,9 +248,11 @@ kinds! {
 
     // Clouds in files.
     CloudPointNotFinite Info "points whose coordinates are not numbers were left out"
+    CloudPointsOutsideBounds Error "points lie outside the bounds that the header states: the file is damaged"
     CloudPointsMissing Error "points that the header promises and the file does not have"
     CloudDamage Error "points behind damage were left out"
     CloudLineUnreadable Error "lines that are no points were left out"
+    CloudLineTooLong Error "lines longer than 64 KiB were left out"
     CloudLineShort Error "lines with fewer than three numbers were left out"
     CloudLineNotNumbers Error "lines that are not numbers were left out"
 }

@@ -22,6 +22,12 @@ pub enum PbstreamError {
         /// The first bytes in hexadecimal.
         found: String,
     },
+    /// The file is one of another kind.
+    #[error("this is no map (pbstream) but {kind}")]
+    OtherKind {
+        /// Of which, and what can be done with it.
+        kind: &'static str,
+    },
     /// A record could not be read.
     #[error("message {index} at byte {offset}: {problem}")]
     Record {

@@ -45,6 +45,9 @@ impl FrameReader {
             return Err(PbstreamError::Record { index: 0, offset: 0, problem: error.into() });
         }
         if start != MAGIC {
+            if let Some(kind) = portolan_input::kind_of(&start) {
+                return Err(PbstreamError::OtherKind { kind });
+            }
             let mut found = String::new();
             start.iter().for_each(|b| {
                 let _ = write!(found, "{b:02x}");

@@ -75,6 +75,16 @@ impl MapReader {
         Self::start(FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?, limits, DECODE)
     }
 
+    /// Reads from any source for a summary, as [`MapReader::open_for_summary`].
+    pub fn from_source_for_summary(
+        source: impl Read + Send + 'static,
+        length: Option<u64>,
+        limits: ReadLimits,
+    ) -> Result<Self, PbstreamError> {
+        let frames = FrameReader::new(Box::new(source), length, limits.max_compressed_bytes)?;
+        Self::start(frames, limits, DECODE_SUMMARY)
+    }
+
     fn start(frames: FrameReader, limits: ReadLimits, step: Step<Decoded>) -> Result<Self, PbstreamError> {
         let mut records = Records::new(frames, limits, step);
         let header = match records.next_record()?.map(|decoded| decoded.message) {

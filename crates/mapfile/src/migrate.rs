@@ -20,7 +20,7 @@ use crate::proto::mapping::pose_graph::constraint::Tag;
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{Node, PoseGraph, SerializedData, Submap, Submap3D};
 use crate::proto::transform::Quaterniond;
-use crate::reader::{PbstreamReader, ReadLimits};
+use crate::reader::{PbstreamReader, ReadLimits, must_be_a_file};
 use crate::writer::{FORMAT_VERSION, PbstreamWriter};
 
 /// How to migrate.
@@ -138,6 +138,7 @@ impl NodeTurn {
 
 impl Plan {
     fn make(input: &Path, options: MigrateOptions) -> Result<Self, MigrateError> {
+        must_be_a_file(input)?;
         let mut reader = MapReader::open_with(input, options.limits)?;
         for (index, trajectory) in reader.pose_graph().trajectory.iter().enumerate() {
             if usize::try_from(trajectory.trajectory_id) != Ok(index) {

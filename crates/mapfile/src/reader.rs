@@ -1,9 +1,10 @@
 //! Reading a pbstream message by message, unpacking ahead on all cores.
 
 use std::collections::VecDeque;
-use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::Read;
 use std::path::Path;
+
+use portolan_input::{Forward, regular_file};
 
 use crate::decoded_size::{decoded_size, without_cells};
 use crate::error::{PbstreamError, RecordError};
@@ -95,15 +96,18 @@ impl Iterator for PbstreamReader {
     }
 }
 
-/// Opens a file and checks its magic number.
+/// Opens a file or pipe and checks its magic number.
 pub(crate) fn open_frames(path: &Path, limits: ReadLimits) -> Result<FrameReader, PbstreamError> {
     let open = |source| PbstreamError::Open { path: path.to_owned(), source };
-    let file = File::open(path).map_err(open)?;
-    let metadata = file.metadata().map_err(open)?;
-    // Pipes have no length that could be trusted.
-    let length = metadata.is_file().then_some(metadata.len());
-    let source = Box::new(BufReader::with_capacity(256 << 10, file));
-    FrameReader::new(source, length, limits.max_compressed_bytes)
+    let input = Forward::open(path).map_err(open)?;
+    let length = input.length();
+    FrameReader::new(Box::new(input), length, limits.max_compressed_bytes)
+}
+
+/// Refuses pipes where a map is read more than once.
+pub(crate) fn must_be_a_file(path: &Path) -> Result<(), PbstreamError> {
+    let opened = regular_file(path).map(drop);
+    opened.map_err(|source| PbstreamError::Open { path: path.to_owned(), source })
 }
 
 /// A message, without its bytes.

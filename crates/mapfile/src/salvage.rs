@@ -34,7 +34,7 @@ pub(crate) struct Salvage {
 
 impl Salvage {
     pub fn open(path: &Path, limits: ReadLimits) -> io::Result<Self> {
-        let file = File::open(path)?;
+        let file = portolan_input::regular_file(path)?;
         let length = file.metadata()?.len();
         Ok(Self {
             file,

@@ -1,14 +1,17 @@
 //! E57: all scans of a file, each placed by its pose.
 
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
 
 use e57::{E57Reader, PointCloud as Scan, RawValues, Record, RecordDataType, RecordName, RecordValue};
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
+use portolan_input::{XmlLimits, check_xml, regular_file};
 use portolan_issue::{Issue, IssueKind, IssueLog};
 
 use crate::BATCH_POINTS;
+use crate::caught;
 use crate::cloud::{Attributes, PointCloud};
 use crate::error::CloudError;
 use crate::format::{CloudReader, CloudWriter, Written};
@@ -23,7 +26,8 @@ struct E57Points {
     attributes: Attributes,
     count: u64,
     batches: Receiver<Sent>,
-    thread: Option<JoinHandle<()>>,
+    /// Whether it ended without a panic.
+    thread: Option<JoinHandle<bool>>,
     given: u64,
     issues: IssueLog,
 }
@@ -31,7 +35,10 @@ struct E57Points {
 /// Opens a file.
 pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     let damaged = |error: e57::Error| CloudError::damaged(path, error.to_string());
-    let mut reader = E57Reader::from_file(path).map_err(damaged)?;
+    let open = || regular_file(path).map(BufReader::new).map_err(|e| CloudError::read(path, e));
+    let xml = E57Reader::raw_xml(open()?).map_err(damaged)?;
+    check_xml(&xml, XmlLimits::default()).map_err(|e| CloudError::damaged(path, e.to_string()))?;
+    let mut reader = E57Reader::new(open()?).map_err(damaged)?;
     let scans: Vec<Scan> =
         reader.pointclouds().into_iter().filter(|scan| ScanLayout::of(scan).is_some()).collect();
     if scans.is_empty() {
@@ -46,7 +53,7 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     }
     let count = scans.iter().map(|scan| scan.records).sum();
     let (sender, batches) = sync_channel::<Sent>(2);
-    let thread = std::thread::spawn(move || {
+    let work = move || {
         for scan in &scans {
             let mut left_out = 0;
             let mut batch = PointCloud::new(attributes);
@@ -80,7 +87,8 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
                 return;
             }
         }
-    });
+    };
+    let thread = std::thread::spawn(move || caught::unpanicked(work).is_some());
     let (path, thread, issues) = (path.to_owned(), Some(thread), IssueLog::default());
     Ok(Box::new(E57Points { path, attributes, count, batches, thread, given: 0, issues }))
 }
@@ -112,7 +120,7 @@ impl CloudReader for E57Points {
                 }
                 Err(_) => {
                     // The thread has ended.
-                    let panicked = self.thread.take().is_some_and(|thread| thread.join().is_err());
+                    let panicked = self.thread.take().is_some_and(|thread| !thread.join().unwrap_or(false));
                     return if panicked {
                         Err(CloudError::damaged(&self.path, "its points cannot be decoded"))
                     } else {

@@ -1,12 +1,12 @@
 //! The formats: told apart by content when reading, by extension when writing.
 
-use std::io::Read;
 use std::path::Path;
 
 use portolan_issue::Issue;
 
 use crate::cloud::{Attributes, PointCloud};
 use crate::error::CloudError;
+use crate::input::Input;
 use crate::{e57, las, pcd, ply, uos, xyz};
 
 /// A format of files.
@@ -130,7 +130,8 @@ pub trait CloudWriter: Send {
     fn finish(self: Box<Self>) -> Result<Written, CloudError>;
 }
 
-/// Opens a cloud: a file of any format, told by its content, or a folder of uos scans.
+/// Opens a cloud: a file of any format, told by its content, or a folder of uos scans. PLY, PCD and text may come
+/// through a pipe (`/dev/stdin`, `-`); LAS and E57 are read back and forth.
 ///
 /// # Errors
 /// Fails if the file cannot be read, is of no known format, or its header is damaged.
@@ -139,30 +140,25 @@ pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn CloudReader>, CloudError> 
     if path.is_dir() {
         return Ok(Box::new(uos::UosFolder::open(path)?.into_reader()));
     }
-    let mut start = [0; 512];
-    let mut file = std::fs::File::open(path).map_err(|e| CloudError::read(path, e))?;
-    let mut length = 0;
-    while let Some(rest) = start.get_mut(length..).filter(|rest| !rest.is_empty()) {
-        match file.read(rest).map_err(|e| CloudError::read(path, e))? {
-            0 => break,
-            count => length += count,
-        }
-    }
-    let start = start.get(..length).unwrap_or_default();
+    let mut input = Input::open(path)?;
+    let start = input.peek(512)?.to_vec();
     if start.starts_with(b"ply") {
-        Ok(Box::new(ply::PlyReader::open(path)?))
+        Ok(Box::new(ply::PlyReader::open(input)?))
     } else if start.starts_with(b"LASF") {
         las::open(path)
     } else if start.starts_with(b"ASTM-E57") {
         e57::open(path)
-    } else if pcd::sniff(start) {
-        Ok(Box::new(pcd::PcdReader::open(path)?))
-    } else if xyz::sniff(start) {
-        Ok(Box::new(xyz::XyzReader::open(path)?))
+    } else if pcd::sniff(&start) {
+        Ok(Box::new(pcd::PcdReader::open(input)?))
+    } else if xyz::sniff(&start) {
+        Ok(Box::new(xyz::XyzReader::open(input)?))
     } else {
         Err(CloudError::UnknownFormat {
             path: path.to_owned(),
-            detail: "its content is not of PLY, PCD, LAS, LAZ, E57 or text with coordinates".to_owned(),
+            detail: match portolan_input::kind_of(&start) {
+                Some(kind) => format!("it is {kind}"),
+                None => "its content is not of PLY, PCD, LAS, LAZ, E57 or text with coordinates".to_owned(),
+            },
         })
     }
 }

@@ -1,79 +1,87 @@
 //! Reading files piece by piece: lines of bounded length, rows of bytes.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::io::Read;
 use std::path::{Path, PathBuf};
+
+use portolan_input::{Forward, Line, read_line, skip_line};
 
 use crate::error::CloudError;
 
-/// Longer lines are cut.
+/// No line of a cloud is longer, bytes.
 const MAX_LINE: usize = 1 << 16;
 
-/// A file that is read from start to end.
+/// A file or pipe that is read from start to end.
 pub(crate) struct Input {
     pub path: PathBuf,
-    reader: BufReader<File>,
-    length: u64,
+    reader: Forward,
     line: Vec<u8>,
+    line_number: u64,
+}
+
+/// A line of a cloud.
+pub(crate) enum CloudLine<'a> {
+    Text(&'a str),
+    /// Longer than any line of a cloud; passed over.
+    TooLong,
 }
 
 impl Input {
     pub fn open(path: &Path) -> Result<Self, CloudError> {
-        let file = File::open(path).map_err(|e| CloudError::read(path, e))?;
-        let length = file.metadata().map_err(|e| CloudError::read(path, e))?.len();
-        Ok(Self {
-            path: path.to_owned(),
-            reader: BufReader::with_capacity(1 << 18, file),
-            length,
-            line: Vec::new(),
-        })
+        let reader = Forward::open(path).map_err(|e| CloudError::read(path, e))?;
+        Ok(Self { path: path.to_owned(), reader, line: Vec::new(), line_number: 0 })
     }
 
-    /// Bytes of the file.
-    pub fn length(&self) -> u64 {
-        self.length
+    /// The next bytes, which are read again afterwards.
+    pub fn peek(&mut self, count: usize) -> Result<&[u8], CloudError> {
+        self.reader.peek(count).map_err(|e| CloudError::read(&self.path, e))
     }
 
-    /// Bytes read so far.
-    pub fn position(&mut self) -> Result<u64, CloudError> {
-        self.reader.stream_position().map_err(|e| CloudError::read(&self.path, e))
+    /// How many rows of so many bytes are still to come; none where the length is not known (a pipe).
+    pub fn rows_left(&self, row_bytes: u64) -> Option<u64> {
+        let left = self.reader.length()?.saturating_sub(self.reader.position());
+        Some(left / row_bytes.max(1))
     }
 
-    pub fn seek(&mut self, position: u64) -> Result<(), CloudError> {
-        self.reader.seek(SeekFrom::Start(position)).map(drop).map_err(|e| CloudError::read(&self.path, e))
+    /// Passes over bytes; false if the file ends before.
+    pub fn skip(&mut self, count: u64) -> Result<bool, CloudError> {
+        let skipped = self.reader.skip(count).map_err(|e| CloudError::read(&self.path, e))?;
+        Ok(skipped == count)
     }
 
-    /// The next line without its end; none at the end of the file. What is beyond 64 KiB is dropped.
+    /// The next line without its end; none at the end of the file.
+    ///
+    /// # Errors
+    /// A line longer than 64 KiB: this is not the text it seems to be.
     pub fn line(&mut self) -> Result<Option<&str>, CloudError> {
-        self.line.clear();
-        let mut any = false;
-        loop {
-            let buffer = self.reader.fill_buf().map_err(|e| CloudError::read(&self.path, e))?;
-            if buffer.is_empty() {
-                break;
-            }
-            any = true;
-            let end = buffer.iter().position(|b| *b == b'\n');
-            let taken = end.map_or(buffer.len(), |end| end + 1);
-            let room = MAX_LINE.saturating_sub(self.line.len());
-            let text = buffer.get(..end.unwrap_or(buffer.len())).unwrap_or_default();
-            self.line.extend_from_slice(text.get(..text.len().min(room)).unwrap_or_default());
-            self.reader.consume(taken);
-            if end.is_some() {
-                break;
-            }
+        let number = self.line_number + 1;
+        let path = self.path.clone();
+        match self.line_of_any_length()? {
+            None => Ok(None),
+            Some(CloudLine::Text(text)) => Ok(Some(text)),
+            Some(CloudLine::TooLong) => Err(CloudError::damaged(
+                &path,
+                format!("line {number} is longer than 64 KiB, so this is not text with a point a line"),
+            )),
         }
-        if !any {
-            return Ok(None);
-        }
-        if self.line.last() == Some(&b'\r') {
-            self.line.pop();
+    }
+
+    /// The next line, where one that is too long shall not end everything.
+    pub fn line_of_any_length(&mut self) -> Result<Option<CloudLine<'_>>, CloudError> {
+        let error = |e| CloudError::read(&self.path, e);
+        self.line_number += 1;
+        match read_line(&mut self.reader, MAX_LINE, &mut self.line).map_err(error)? {
+            Line::End => return Ok(None),
+            Line::TooLong => {
+                skip_line(&mut self.reader).map_err(error)?;
+                return Ok(Some(CloudLine::TooLong));
+            }
+            Line::Whole => {}
         }
         // Text in other encodings only appears in comments.
         if std::str::from_utf8(&self.line).is_err() {
             self.line.iter_mut().filter(|b| !b.is_ascii()).for_each(|b| *b = b'?');
         }
-        Ok(std::str::from_utf8(&self.line).ok())
+        Ok(std::str::from_utf8(&self.line).ok().map(CloudLine::Text))
     }
 
     /// Fills `bytes` as far as the file goes; how many there were.
@@ -88,6 +96,12 @@ impl Input {
             }
         }
         Ok(done)
+    }
+}
+
+impl Read for Input {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        self.reader.read(buffer)
     }
 }
 

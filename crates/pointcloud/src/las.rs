@@ -3,6 +3,7 @@
 //! Times stand in the field for GPS time as they are. Intensities are rounded to whole numbers from 0 to
 //! 65535, colours are spread over 16 bits.
 
+mod ahead;
 mod promises;
 mod remembering;
 
@@ -14,11 +15,15 @@ use las::{Builder, Color, Point, PointData, PointDataBuilder, Reader, Transform,
 use portolan_issue::{Issue, IssueKind, IssueLog};
 
 use crate::BATCH_POINTS;
+use crate::caught;
 use crate::cloud::{Attributes, PointCloud};
 use crate::error::CloudError;
 use crate::format::{CloudReader, CloudWriter, WriteOptions, Written};
 use crate::output::Output;
 use remembering::{Failure, Remembering};
+
+/// Share of the extent by which stated bounds may be off.
+const ROOM: f64 = 0.01;
 
 /// Reads points.
 struct LasReader {
@@ -30,12 +35,16 @@ struct LasReader {
     left: u64,
     /// Points that are asked for at once: fewer and fewer where the file is damaged.
     at_once: u64,
+    /// Where all points lie, by the header.
+    bounds: Option<[[f64; 3]; 2]>,
     issues: IssueLog,
 }
 
-/// Opens a LAS or LAZ file.
-pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
-    let file = std::fs::File::open(path).map_err(|e| CloudError::read(path, e))?;
+pub(crate) use ahead::open;
+
+/// Opens a LAS or LAZ file, here and now.
+fn open_here(path: &Path) -> Result<LasReader, CloudError> {
+    let file = portolan_input::regular_file(path).map_err(|e| CloudError::read(path, e))?;
     let bytes = file.metadata().map_err(|e| CloudError::read(path, e))?.len();
     let mut file = BufReader::with_capacity(1 << 18, file);
     let damaged = |error: Option<String>| {
@@ -59,19 +68,20 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
         issues.count(IssueKind::CloudPointsMissing, total.saturating_sub(there));
         total = total.min(there);
     }
+    let bounds = stated_bounds(header);
     let attributes = Attributes { intensity: true, time: format.has_gps_time, color: format.has_color };
     let data = PointDataBuilder::new().for_header(header).build();
     let (path, left, at_once) = (path.to_owned(), total, BATCH_POINTS as u64);
-    Ok(Box::new(LasReader { path, reader, data, attributes, total, left, at_once, issues }))
+    Ok(LasReader { path, reader, data, attributes, total, left, at_once, bounds, issues })
 }
 
 /// What a call of the library gives; its error as text, none where it panicked: the decompressor checks
 /// damaged files by assertions.
 fn unpanicked<T>(call: impl FnOnce() -> las::Result<T>) -> Result<T, Option<String>> {
     // Nothing is read any more from a reader that has panicked.
-    match std::panic::catch_unwind(std::panic::AssertUnwindSafe(call)) {
-        Ok(result) => result.map_err(|error| Some(error.to_string())),
-        Err(_) => Err(None),
+    match caught::unpanicked(call) {
+        Some(result) => result.map_err(|error| Some(error.to_string())),
+        None => Err(None),
     }
 }
 
@@ -129,10 +139,11 @@ impl LasReader {
         let mut times = data.gps_time();
         let mut colors = data.rgb();
         let positions = data.x().zip(data.y()).zip(data.z()).zip(data.intensity()).take(count);
-        let mut not_finite = 0;
+        let (mut not_finite, mut outside) = (0, 0);
         for (((x, y), z), intensity) in positions {
             let time = times.as_mut().and_then(Iterator::next).unwrap_or(0.0);
             let color = colors.as_mut().and_then(Iterator::next).unwrap_or((0, 0, 0));
+            outside += u64::from(self.bounds.is_some_and(|bounds| is_outside(&bounds, [x, y, z])));
             if x.is_finite() && y.is_finite() && z.is_finite() {
                 let color = [color.0, color.1, color.2].map(|c| (f64::from(c) / 257.0).round() as u8);
                 batch.push([x, y, z], f32::from(intensity), time, color);
@@ -141,7 +152,24 @@ impl LasReader {
             }
         }
         self.issues.count(IssueKind::CloudPointNotFinite, not_finite);
+        // What is decompressed from damaged bytes lies anywhere.
+        self.issues.count(IssueKind::CloudPointsOutsideBounds, outside);
     }
+}
+
+/// Least and greatest coordinates that the header states, with some room; none where it states none.
+fn stated_bounds(header: &las::Header) -> Option<[[f64; 3]; 2]> {
+    let (low, high) = (header.bounds().min, header.bounds().max);
+    let bounds = [[low.x, low.y, low.z], [high.x, high.y, high.z]];
+    let is_stated =
+        (0..3).all(|k| bounds[0][k] <= bounds[1][k]) && bounds.as_flattened().iter().any(|v| *v != 0.0);
+    let room: [f64; 3] = std::array::from_fn(|k| ROOM * (bounds[1][k] - bounds[0][k]).max(1.0));
+    let with_room = |side: usize, sign: f64| std::array::from_fn(|k| bounds[side][k] + sign * room[k]);
+    is_stated.then(|| [with_room(0, -1.0), with_room(1, 1.0)])
+}
+
+fn is_outside(bounds: &[[f64; 3]; 2], point: [f64; 3]) -> bool {
+    (0..3).any(|k| point[k] < bounds[0][k] || point[k] > bounds[1][k])
 }
 
 /// Writes points.

@@ -32,6 +32,7 @@
 //! # }
 //! ```
 
+mod caught;
 mod cloud;
 mod e57;
 mod error;
@@ -48,6 +49,7 @@ mod thin;
 mod uos;
 mod xyz;
 
+pub use caught::is_panic_caught;
 pub use cloud::{Attributes, PointCloud, Positions};
 pub use error::CloudError;
 pub use fields::Scalar;

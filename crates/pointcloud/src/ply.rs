@@ -46,8 +46,9 @@ fn header(input: &mut Input) -> Result<PlyHeader, CloudError> {
 }
 
 impl PlyReader {
-    pub fn open(path: &Path) -> Result<Self, CloudError> {
-        let mut input = Input::open(path)?;
+    pub fn open(mut input: Input) -> Result<Self, CloudError> {
+        let path = input.path.clone();
+        let path = path.as_path();
         let PlyHeader { storage, elements } = header(&mut input)?;
         let Some(at) = elements.iter().position(|element| element.name == "vertex") else {
             return Err(CloudError::damaged(path, "it has no element \"vertex\""));
@@ -73,8 +74,9 @@ impl PlyReader {
         let columns = Columns::of(&all).filter(|_| offset <= MAX_ROW);
         let columns = columns.ok_or_else(|| CloudError::damaged(path, "its vertices have no x, y and z"))?;
         let mut total = vertex.count;
-        if storage != PlyStorage::Ascii {
-            let there = input.length().saturating_sub(input.position()?) / offset.max(1) as u64;
+        if storage != PlyStorage::Ascii
+            && let Some(there) = input.rows_left(offset as u64)
+        {
             issues.count(IssueKind::CloudPointsMissing, total.saturating_sub(there));
             total = total.min(there);
         }
@@ -104,6 +106,12 @@ impl PlyReader {
         self.bytes.resize(count as usize * self.row_bytes, 0);
         let got = self.input.fill(&mut self.bytes)?;
         self.left -= count;
+        if got < self.bytes.len() {
+            // Of a pipe it shows only now.
+            let missing = count - (got / self.row_bytes.max(1)) as u64;
+            self.issues.count(IssueKind::CloudPointsMissing, missing.saturating_add(self.left));
+            self.left = 0;
+        }
         for row in self.bytes.get(..got).unwrap_or_default().chunks_exact(self.row_bytes) {
             let value = |c: &Column| c.scalar.decode(row.get(c.at..).unwrap_or_default(), is_big);
             let is_finite = self.columns.push(value, batch);
@@ -125,29 +133,27 @@ fn skip(input: &mut Input, storage: PlyStorage, element: &PlyElement) -> Result<
     };
     let fixed: Option<usize> =
         element.properties.iter().map(|p| p.length.is_none().then(|| p.scalar.bytes())).sum();
-    let position = input.position()?;
     if let Some(bytes) = fixed {
-        return input.seek(position.saturating_add(element.count.saturating_mul(bytes as u64)));
+        input.skip(element.count.saturating_mul(bytes as u64))?;
+        return Ok(());
     }
-    let (mut position, length) = (position, input.length());
     let mut word = [0; 8];
     for _ in 0..element.count {
         for property in &element.properties {
-            let bytes = property.scalar.bytes() as u64;
-            let Some(count) = property.length else {
-                position += bytes;
-                continue;
-            };
-            input.seek(position)?;
-            input.fill(word.get_mut(..count.bytes()).unwrap_or_default())?;
-            let number = count.decode(&word, is_big).max(0.0) as u64;
-            position += count.bytes() as u64 + number.saturating_mul(bytes).min(length);
-        }
-        if position >= length {
-            break;
+            let mut bytes = property.scalar.bytes() as u64;
+            if let Some(count) = property.length {
+                let word = word.get_mut(..count.bytes()).unwrap_or_default();
+                let got = input.fill(word)?;
+                let number = count.decode(word, is_big).max(0.0) as u64;
+                bytes = if got == word.len() { bytes.saturating_mul(number) } else { u64::MAX };
+            }
+            // The header may promise any number of elements.
+            if !input.skip(bytes)? {
+                return Ok(());
+            }
         }
     }
-    input.seek(position.min(length))
+    Ok(())
 }
 
 impl CloudReader for PlyReader {

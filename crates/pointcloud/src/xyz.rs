@@ -14,7 +14,7 @@ use crate::cloud::{Attributes, PointCloud};
 use crate::error::CloudError;
 use crate::fields::{Column, Columns, Role, Scalar};
 use crate::format::{CloudReader, CloudWriter, Written};
-use crate::input::{Input, numbers};
+use crate::input::{CloudLine, Input, numbers};
 use crate::output::Output;
 
 /// So many lines may come before the first point.
@@ -74,8 +74,7 @@ pub(crate) struct XyzReader {
 }
 
 impl XyzReader {
-    pub fn open(path: &Path) -> Result<Self, CloudError> {
-        let mut input = Input::open(path)?;
+    pub fn open(mut input: Input) -> Result<Self, CloudError> {
         let (mut named, mut count, mut values) = (None, None, Vec::new());
         for _ in 0..MAX_HEAD {
             let Some(line) = input.line()? else { break };
@@ -96,7 +95,7 @@ impl XyzReader {
             Some(columns) => {
                 Ok(Self { input, columns, count: Some(0), first: None, values, issues: IssueLog::default() })
             }
-            None => Err(CloudError::damaged(path, "it has no line with three numbers")),
+            None => Err(CloudError::damaged(&input.path, "it has no line with three numbers")),
         }
     }
 
@@ -125,7 +124,14 @@ impl CloudReader for XyzReader {
             self.push(&first, batch);
         }
         while batch.len() < BATCH_POINTS {
-            let Some(line) = self.input.line()? else { break };
+            let line = match self.input.line_of_any_length()? {
+                None => break,
+                Some(CloudLine::Text(line)) => line,
+                Some(CloudLine::TooLong) => {
+                    self.issues.add(IssueKind::CloudLineTooLong);
+                    continue;
+                }
+            };
             let mut values = std::mem::take(&mut self.values);
             let is_comment = line.trim().is_empty() || line.trim_start().starts_with(['#', '/']);
             if is_comment {

@@ -218,3 +218,115 @@ proptest! {
         let _ = read_bytes(&bytes, name);
     }
 }
+
+/// CRC-32C, as the pages of E57 files have it.
+fn crc32c(bytes: &[u8]) -> u32 {
+    let step = |crc: u32| if crc & 1 == 1 { (crc >> 1) ^ 0x82f6_3b78 } else { crc >> 1 };
+    !bytes.iter().fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), |crc, _| step(crc)))
+}
+
+/// An E57 file that holds nothing but this XML.
+fn e57_of(xml: &str) -> Vec<u8> {
+    let mut content = b"ASTM-E57".to_vec();
+    [1_u32, 0].iter().for_each(|version| content.extend(version.to_le_bytes()));
+    let pages = (48 + xml.len()).div_ceil(1020) as u64;
+    let numbers = [1024 * pages, 48, xml.len() as u64, 1024];
+    numbers.iter().for_each(|number| content.extend(number.to_le_bytes()));
+    content.extend(xml.as_bytes());
+    content.resize(1020 * pages as usize, 0);
+    content.chunks(1020).flat_map(|page| [page, &crc32c(page).to_be_bytes()].concat()).collect()
+}
+
+#[test]
+fn xml_that_would_take_minutes_is_refused() {
+    let attributes: String = (0..100_000).map(|i| format!(" a{i}=''")).collect();
+    let error = read_bytes(&e57_of(&format!("<e57Root{attributes}/>")), "a.e57").unwrap_err();
+    assert!(error.to_string().contains("more than 256 attributes"), "{error}");
+    let error = read_bytes(&e57_of(&"<a>".repeat(100_000)), "a.e57").unwrap_err();
+    assert!(error.to_string().contains("nested deeper than 128"), "{error}");
+    let error = read_bytes(&e57_of("<e57Root/>"), "a.e57").unwrap_err();
+    assert!(!error.to_string().contains("XML has"), "{error}");
+}
+
+#[test]
+fn lines_without_end_are_named_or_counted() {
+    let long = "7".repeat(100_000);
+    let (cloud, repairs) = read_bytes(format!("1 2 3\n{long} 2 3\n4 5 6\n").as_bytes(), "a.xyz").unwrap();
+    assert_eq!(cloud.len(), 2);
+    assert!(
+        repairs.iter().any(|r| r.lost_data() && r.to_string().contains("longer than 64 KiB")),
+        "{repairs:?}"
+    );
+    let header =
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n";
+    let ply = format!("{header}end_header\n1 2 3\n{long} 5 6\n7 8 9\n");
+    let error = read_bytes(ply.as_bytes(), "a.ply").unwrap_err();
+    assert!(error.to_string().contains("line 9 is longer than 64 KiB"), "{error}");
+}
+
+#[test]
+fn elements_that_are_promised_and_not_there_take_no_time() {
+    let ply = "ply\nformat binary_little_endian 1.0\nelement tag 18446744073709551615\nproperty list uchar int v\n\
+        element vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    let (cloud, repairs) = read_bytes(ply.as_bytes(), "a.ply").unwrap();
+    assert!(cloud.is_empty() && repairs.iter().any(|r| r.lost_data()), "{repairs:?}");
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_read_forward_may_be_a_pipe() {
+    let folder = tempfile::tempdir().unwrap();
+    let attributes = Attributes { intensity: true, time: true, color: true };
+    let mut cloud = PointCloud::new(attributes);
+    (0..5000).for_each(|i| cloud.push([f64::from(i), 0.5, -1.0], 7.0, 1.0, [1, 2, 3]));
+    for (name, encoding) in [
+        ("a.ply", Encoding::Binary),
+        ("b.ply", Encoding::Ascii),
+        ("c.pcd", Encoding::Binary),
+        ("d.pcd", Encoding::Compressed),
+        ("e.xyz", Encoding::Ascii),
+        ("f.las", Encoding::Binary),
+    ] {
+        let path = folder.path().join(name);
+        let options = WriteOptions { encoding, ..WriteOptions::default() };
+        let mut writer = create(&path, attributes, &options).unwrap();
+        writer.write(&cloud).unwrap();
+        writer.finish().unwrap();
+        let from_file = read(&path).unwrap();
+        let fifo = folder.path().join(format!("{name}.fifo"));
+        assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+        let bytes = std::fs::read(&path).unwrap();
+        let writing = fifo.clone();
+        // Whoever cannot use a pipe closes it early.
+        let writer = std::thread::spawn(move || std::fs::write(writing, bytes));
+        let from_pipe = read(&fifo);
+        if name.ends_with("las") {
+            let error = from_pipe.unwrap_err().to_string();
+            assert!(error.contains("save it as a file first"), "{error}");
+        } else {
+            assert_eq!(from_pipe.unwrap(), from_file, "{name}");
+            writer.join().unwrap().unwrap();
+        }
+    }
+}
+
+#[test]
+fn zeroed_blocks_of_a_compressed_cloud_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.laz");
+    let mut cloud = PointCloud::new(Attributes::default());
+    let at = |i: i32| f64::from(i);
+    (0..40_000).for_each(|i| cloud.push([500.0 + (at(i) * 0.7).sin(), at(i) * 0.01, 90.0], 0.0, 0.0, [0; 3]));
+    let mut writer = create(&path, cloud.attributes(), &WriteOptions::default()).unwrap();
+    writer.write(&cloud).unwrap();
+    writer.finish().unwrap();
+    let sound = std::fs::read(&path).unwrap();
+    assert!(read(&path).unwrap().1.is_empty());
+    let middle = sound.len() / 2;
+    let mut damaged = sound.clone();
+    damaged[middle..middle + 2000].fill(0);
+    match read_bytes(&damaged, "b.laz") {
+        Ok((_, repairs)) => assert!(repairs.iter().any(|repair| repair.lost_data()), "{repairs:?}"),
+        Err(error) => assert!(error.to_string().contains("damaged"), "{error}"),
+    }
+}

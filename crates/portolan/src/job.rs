@@ -37,11 +37,11 @@ use portolan_recording::Recording;
 pub use error::JobError;
 pub use event::{Event, Observer, Remark};
 pub use known_map::KnownMaps;
-pub use localisation::Localisation;
+pub use localisation::{Localisation, Place};
 pub use map_cloud::{CloudRequest, CloudResults, write_clouds};
 pub use memory::resident_and_peak_bytes;
 pub use read_cloud::{ReadCloud, read_cloud, read_cloud_from};
-pub use results::{ResultSpace, add_to_report, write_results};
+pub use results::{ResultFiles, ResultSpace, add_to_report, write_results};
 
 use crate::RequestedOptions;
 use crate::automatic::search_in_known_map;
@@ -60,6 +60,8 @@ pub struct MapRequest {
     pub engine: Option<Engine>,
     /// Maps that the recording is added to.
     pub known: KnownMaps,
+    /// Whether map and clouds are written although the recording was not found in the known maps.
+    pub force: bool,
     /// Clouds and pictures of them.
     pub cloud: CloudRequest,
     /// Whether the trajectory is written in the times of the map, too (`all_poses.tum`).
@@ -77,6 +79,7 @@ impl MapRequest {
             requested: RequestedOptions::default(),
             engine: None,
             known: KnownMaps::default(),
+            force: false,
             cloud: CloudRequest::default(),
             all_poses: false,
             threads: 0,
@@ -85,7 +88,7 @@ impl MapRequest {
 }
 
 /// What came of a recording.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Finished {
     /// The files, in the order in which they were written.
     pub files: Vec<PathBuf>,
@@ -93,6 +96,9 @@ pub struct Finished {
     pub interrupted: bool,
     /// Whether data were lost while reading, or parts of the map are not tied to the rest.
     pub lost_data: bool,
+    /// How well the recording was found in known maps; none without any. Unless that is to be trusted
+    /// ([`Localisation::is_trusted`]) there is no map among the files, or it was forced.
+    pub localisation: Option<Localisation>,
 }
 
 /// Maps a recording and leaves the results in the folder of the request. `observe` is told what happens.
@@ -190,7 +196,13 @@ impl<'a> Job<'a> {
         seconds: f64,
         observe: &mut Observer,
     ) -> Result<Vec<PathBuf>, JobError> {
-        write_results(mapped, &self.request.folder, seconds, self.request.all_poses, observe)
+        let what = ResultFiles { map: self.is_wanted(mapped), all_poses: self.request.all_poses };
+        write_results(mapped, &self.request.folder, seconds, what, observe)
+    }
+
+    /// Whether the result can be used, or is wanted all the same.
+    fn is_wanted<S: Space>(&self, mapped: &MappedRecording<S>) -> bool {
+        self.request.force || Localisation::of(mapped).is_none_or(|found| found.is_trusted())
     }
 
     /// Writes clouds and pictures of them as asked for, and adds to the report that [`Job::write_results`] left.
@@ -203,6 +215,9 @@ impl<'a> Job<'a> {
         observe: &mut Observer,
     ) -> Result<Option<CloudResults>, JobError> {
         let MapRequest { ingest, cloud, folder, .. } = &self.request;
+        if !self.is_wanted(mapped) {
+            return Ok(None);
+        }
         let clouds = write_clouds(self.recording, ingest, &self.preparation, mapped, cloud, folder, observe)?;
         if let Some(clouds) = &clouds {
             add_to_report(folder, "cloud", &clouds.report)?;
@@ -218,7 +233,8 @@ impl<'a> Job<'a> {
         if !mapped.interrupted {
             files.extend(self.write_clouds(&mapped, observe)?.into_iter().flat_map(|clouds| clouds.files));
         }
-        Ok(Finished { files, interrupted: mapped.interrupted, lost_data: mapped.lost_data() })
+        let localisation = Localisation::of(&mapped);
+        Ok(Finished { files, interrupted: mapped.interrupted, lost_data: mapped.lost_data(), localisation })
     }
 }
 

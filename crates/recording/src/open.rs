@@ -4,7 +4,9 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::container::{Source, most_unpacked};
+use portolan_input::{kind_of, named, regular_file};
+
+use crate::container::{Source, UnpackedFile, most_unpacked};
 use crate::merge::MergedRecording;
 use crate::ros2::{db3, folder, mcap};
 use crate::{Recording, RecordingError, kitti, open_text_log, open_text_log_bytes, packets, pcap, ros1};
@@ -30,6 +32,8 @@ pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn Recording>, RecordingError
 
 /// Opens a recording without a look into raw packets.
 fn open_as_it_is(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
+    let path = &*named(path);
+    regular_file(path).map_err(|error| io_error(path, error))?;
     if path.is_dir() {
         if let Some(recording) = kitti::open(path)? {
             return Ok(recording);
@@ -190,33 +194,37 @@ fn wrapped_prefix(path: &Path, wrapper: Wrapper) -> Result<Vec<u8>, RecordingErr
 /// Containers are read at random places, so that a compressed one is unpacked into a temporary file first.
 fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, RecordingError> {
     let mut issues = IssueLog::default();
-    let mut unpacked = tempfile::NamedTempFile::new().map_err(|error| io_error(path, error))?;
-    let mut reader = wrapper.reader(path).map_err(|error| io_error(path, error))?;
-    let packed_bytes = std::fs::metadata(path).map_err(|error| io_error(path, error))?.len();
-    let mut left = most_unpacked(packed_bytes);
-    let mut block = vec![0; 1 << 16];
-    loop {
-        match reader.read(&mut block) {
-            Ok(0) => break,
-            Ok(count) if count as u64 > left => {
-                issues.add(IssueKind::HighCompression);
-                break;
-            }
-            Ok(count) => io::Write::write_all(&mut unpacked, block.get(..count).unwrap_or_default())
-                .map(|()| left -= count as u64)
-                .map_err(|error| io_error(path, error))?,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(_) => {
-                issues.add(IssueKind::DamagedCompression);
-                break;
-            }
-        }
-    }
-    let file = Arc::new(unpacked.into_temp_path());
+    let file = UnpackedFile::write(|unpacked| unpack(path, wrapper, unpacked, &mut issues));
+    let file = Arc::new(file.map_err(|error| io_error(path, error))?);
     let source = Source::Unpacked { original: path.into(), file };
     let prefix = source.open()?.peek(0, PREFIX_BYTES)?.to_vec();
     let recording = open_container(&source, &prefix)?.ok_or_else(|| unknown(path, &prefix))?;
     Ok(Box::new(MergedRecording::new(vec![recording], issues.list())))
+}
+
+/// Unpacks what can be unpacked.
+fn unpack(path: &Path, wrapper: Wrapper, into: &mut dyn io::Write, issues: &mut IssueLog) -> io::Result<()> {
+    let mut reader = wrapper.reader(path)?;
+    let mut left = most_unpacked(std::fs::metadata(path)?.len());
+    let mut block = vec![0; 1 << 16];
+    loop {
+        match reader.read(&mut block) {
+            Ok(0) => return Ok(()),
+            Ok(count) if count as u64 > left => {
+                issues.add(IssueKind::HighCompression);
+                return Ok(());
+            }
+            Ok(count) => {
+                into.write_all(block.get(..count).unwrap_or_default())?;
+                left -= count as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(_) => {
+                issues.add(IssueKind::DamagedCompression);
+                return Ok(());
+            }
+        }
+    }
 }
 
 fn io_error(path: &Path, source: io::Error) -> RecordingError {
@@ -225,12 +233,14 @@ fn io_error(path: &Path, source: io::Error) -> RecordingError {
 
 fn unknown(path: &Path, prefix: &[u8]) -> RecordingError {
     let found = match prefix {
-        [] => "the file is empty",
-        [0xdb, 0x01, 0xf5, 0x5b, ..] => "it is a map (pbstream), not a recording",
+        [] => "the file is empty".to_owned(),
         prefix if prefix.starts_with(b"version https://git-lfs") => {
-            "it is only the pointer of a git LFS file (run `git lfs pull`)"
+            "it is only the pointer of a git LFS file (run `git lfs pull`)".to_owned()
         }
-        _ => "its content is of no known format",
+        prefix => match kind_of(prefix) {
+            Some(kind) => format!("it is {kind}, not a recording"),
+            None => "its content is of no known format".to_owned(),
+        },
     };
     RecordingError::UnknownFormat { path: PathBuf::from(path), detail: format!("{found}; {SUPPORTED}") }
 }

@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use portolan_input::{Line, read_line, skip_line};
+
 use crate::{
     CarmenLog, CarmenOptions, CoreSlamLog, Recording, RecordingError, looks_like_carmen, looks_like_coreslam,
 };
@@ -16,7 +18,7 @@ use crate::{
 /// Most text that is kept in memory.
 const CACHE_BYTES: u64 = 64 << 20;
 /// Longest line that is looked at; a scan of 100,000 beams has less.
-const LINE_BYTES: u64 = 1 << 20;
+const LINE_BYTES: usize = 1 << 20;
 /// How much is looked at to recognise a format.
 const PREFIX_BYTES: u64 = 1 << 17;
 
@@ -224,34 +226,28 @@ impl Lines {
     /// and counted.
     pub fn next_line(&mut self) -> Result<Option<&[u8]>, RecordingError> {
         loop {
-            self.line.clear();
             let stream: &mut dyn BufRead = match &mut self.source {
                 Source::Memory(cursor) => cursor,
                 Source::Stream(stream, _) => stream,
             };
-            let read = stream.take(LINE_BYTES).read_until(b'\n', &mut self.line);
-            if let Err(error) = read {
-                self.damage = Some(self.file.damage(error)?);
-                return Ok(None);
-            }
-            if self.line.is_empty() {
-                if let Some((_, damage)) = &self.file.cached {
-                    self.damage.clone_from(damage);
+            let read = match read_line(stream, LINE_BYTES, &mut self.line) {
+                Ok(Line::TooLong) => skip_line(stream).map(|()| Line::TooLong),
+                other => other,
+            };
+            match read {
+                Ok(Line::Whole) => return Ok(Some(&self.line)),
+                Ok(Line::TooLong) => self.overlong += 1,
+                Ok(Line::End) => {
+                    if let Some((_, damage)) = &self.file.cached {
+                        self.damage.clone_from(damage);
+                    }
+                    return Ok(None);
                 }
-                return Ok(None);
-            }
-            if self.line.len() as u64 == LINE_BYTES && self.line.last() != Some(&b'\n') {
-                self.overlong += 1;
-                if let Err(error) = skip_line(stream) {
+                Err(error) => {
                     self.damage = Some(self.file.damage(error)?);
                     return Ok(None);
                 }
-                continue;
             }
-            while matches!(self.line.last(), Some(b'\n' | b'\r')) {
-                self.line.pop();
-            }
-            return Ok(Some(&self.line));
         }
     }
 
@@ -273,20 +269,6 @@ impl Lines {
                 let share = cursor.position() as f64 / cursor.get_ref().len().max(1) as f64;
                 (share * self.file.size_bytes as f64) as u64
             }
-        }
-    }
-}
-
-fn skip_line(stream: &mut dyn BufRead) -> std::io::Result<()> {
-    loop {
-        let buffer = stream.fill_buf()?;
-        let (used, done) = match buffer.iter().position(|b| *b == b'\n') {
-            Some(index) => (index + 1, true),
-            None => (buffer.len(), buffer.is_empty()),
-        };
-        stream.consume(used);
-        if done {
-            return Ok(());
         }
     }
 }

@@ -11,6 +11,9 @@ const BUCKET: usize = 16;
 /// Subtrees of fewer points are built on one thread.
 const PARALLEL: usize = 16_384;
 
+/// In the axis of a node: all points below lie at one place, in the order of their indices.
+const COINCIDENT: u32 = 1 << 31;
+
 /// A point that was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
@@ -74,7 +77,7 @@ impl KdTree {
 
     /// The nearest point within `max_distance` (metres); of several equally near that of the lowest index.
     pub fn nearest(&self, query: [f32; 3], max_distance: f32) -> Option<Neighbour> {
-        self.nearest_where(query, max_distance, |_| true)
+        self.nearest_of(query, max_distance, 1, |_| true)
     }
 
     /// The nearest point within `max_distance` of those that `accept` takes (by index).
@@ -82,11 +85,21 @@ impl KdTree {
         &self,
         query: [f32; 3],
         max_distance: f32,
+        accept: impl FnMut(u32) -> bool,
+    ) -> Option<Neighbour> {
+        self.nearest_of(query, max_distance, usize::MAX, accept)
+    }
+
+    fn nearest_of(
+        &self,
+        query: [f32; 3],
+        max_distance: f32,
+        first: usize,
         mut accept: impl FnMut(u32) -> bool,
     ) -> Option<Neighbour> {
         let mut best: Option<Neighbour> = None;
         let limit = max_distance * max_distance;
-        self.visit(query, limit, |candidate, limit| {
+        self.visit(query, limit, first, |candidate, limit| {
             let better = match best {
                 Some(b) => (candidate.squared_distance, candidate.index) < (b.squared_distance, b.index),
                 None => candidate.squared_distance <= *limit,
@@ -103,7 +116,7 @@ impl KdTree {
     pub fn has_within(&self, query: [f32; 3], max_distance: f32) -> bool {
         let squared = max_distance * max_distance;
         let mut found = false;
-        self.visit(query, squared, |candidate, limit| {
+        self.visit(query, squared, 1, |candidate, limit| {
             if candidate.squared_distance <= squared {
                 found = true;
                 // Nothing is near enough any more.
@@ -119,7 +132,7 @@ impl KdTree {
         let limit = max_distance * max_distance;
         let mut best: Option<Neighbour> = None;
         let mut second = limit;
-        self.visit(query, limit, |candidate, limit| {
+        self.visit(query, limit, 2, |candidate, limit| {
             let key = (candidate.squared_distance, candidate.index);
             match best {
                 Some(b) if (b.squared_distance, b.index) <= key => {
@@ -145,7 +158,7 @@ impl KdTree {
             return;
         }
         let key = |n: &Neighbour| (n.squared_distance, n.index);
-        self.visit(query, max_distance * max_distance, |candidate, limit| {
+        self.visit(query, max_distance * max_distance, count, |candidate, limit| {
             if candidate.squared_distance > *limit {
                 return;
             }
@@ -162,16 +175,38 @@ impl KdTree {
 
     /// Calls `found` with every point within `radius` (metres), in an order that depends only on the points.
     pub fn within(&self, query: [f32; 3], radius: f32, mut found: impl FnMut(Neighbour)) {
-        self.visit(query, radius * radius, |candidate, limit| {
+        self.visit(query, radius * radius, usize::MAX, |candidate, limit| {
             if candidate.squared_distance <= *limit {
                 found(candidate);
             }
         });
     }
 
+    /// How many points lie within `radius` (metres), counted up to `most`.
+    pub fn count_within(&self, query: [f32; 3], radius: f32, most: usize) -> usize {
+        let (squared, mut count) = (radius * radius, 0);
+        self.visit(query, squared, usize::MAX, |candidate, limit| {
+            if candidate.squared_distance <= *limit {
+                count += 1;
+            }
+            if count >= most {
+                // Nothing is near enough any more.
+                *limit = -1.0;
+            }
+        });
+        count.min(most)
+    }
+
     /// Calls `candidate` with every point of every bucket that the current limit of the squared distance
-    /// does not exclude; `candidate` may lower the limit.
-    fn visit(&self, query: [f32; 3], mut limit: f32, mut candidate: impl FnMut(Neighbour, &mut f32)) {
+    /// does not exclude; `candidate` may lower the limit. Of many points at one place at least the `first` ones (by
+    /// index) are told: a million of them must not make each search look at all.
+    fn visit(
+        &self,
+        query: [f32; 3],
+        mut limit: f32,
+        first: usize,
+        mut candidate: impl FnMut(Neighbour, &mut f32),
+    ) {
         // Node, its number of levels below, its range of points, and its distance per axis.
         struct Pending {
             node: usize,
@@ -197,6 +232,11 @@ impl KdTree {
             while level < self.depth {
                 let Node { split, axis } = self.nodes[node];
                 let middle = start + (end - start) / 2;
+                if axis & COINCIDENT != 0 && middle - start >= first {
+                    (node, level, end) = (2 * node + 1, level + 1, middle);
+                    continue;
+                }
+                let axis = axis & !COINCIDENT;
                 let difference = query[axis as usize] - split;
                 let mut far_offsets = offsets;
                 far_offsets[axis as usize] = difference;
@@ -246,12 +286,17 @@ fn level_slices(nodes: &mut [Node], depth: u32) -> Vec<&mut [Node]> {
 fn build(entries: &mut [Entry], levels: Vec<&mut [Node]>) {
     let mut levels = levels.into_iter();
     let Some([node]) = levels.next() else { return };
-    let axis = widest_axis(entries);
+    let (axis, extent) = widest_axis(entries);
+    let is_coincident = extent == 0.0;
     let middle = entries.len() / 2;
-    let order =
-        |a: &Entry, b: &Entry| a.position[axis].total_cmp(&b.position[axis]).then(a.index.cmp(&b.index));
+    let order = |a: &Entry, b: &Entry| {
+        // Zeros of both signs are one place.
+        let by_place = a.position[axis].total_cmp(&b.position[axis]);
+        if is_coincident { a.index.cmp(&b.index) } else { by_place.then(a.index.cmp(&b.index)) }
+    };
     let (_, median, _) = entries.select_nth_unstable_by(middle, order);
-    *node = Node { split: median.position[axis], axis: axis as u32 };
+    let flag = if is_coincident { COINCIDENT } else { 0 };
+    *node = Node { split: median.position[axis], axis: axis as u32 | flag };
     let (mut left_levels, mut right_levels) = (Vec::new(), Vec::new());
     for level in levels {
         let (left, right) = level.split_at_mut(level.len() / 2);
@@ -268,7 +313,8 @@ fn build(entries: &mut [Entry], levels: Vec<&mut [Node]>) {
     }
 }
 
-fn widest_axis(entries: &[Entry]) -> usize {
+/// The axis along which the points extend most, and how far.
+fn widest_axis(entries: &[Entry]) -> (usize, f32) {
     let bounds = |entries: &[Entry]| {
         entries.iter().fold(([f32::MAX; 3], [f32::MIN; 3]), |(low, high), e| {
             (
@@ -292,7 +338,7 @@ fn widest_axis(entries: &[Entry]) -> usize {
             axis = k;
         }
     }
-    axis
+    (axis, extent(axis))
 }
 
 #[cfg(test)]

@@ -11,6 +11,11 @@ use serde::Serialize;
 
 use crate::{KdTree, Moments};
 
+/// Points that are looked at in all neighbourhoods together: some seconds. Usual clouds need a thousandth.
+const MOST_VISITS: usize = 1_000_000_000;
+/// Neighbourhoods that are counted to tell how large all are.
+const PROBES: usize = 50;
+
 /// What sharpness is measured with. Values can only be compared between clouds of equal density measured
 /// with equal options.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -126,10 +131,25 @@ impl ThinnedCloud {
     /// The surroundings of some of the points, spread evenly, in their order. Points with too few around them are
     /// left out. The same for any number of threads.
     pub fn neighbourhoods(&self, options: &SharpnessOptions) -> Vec<Neighbourhood> {
-        let queries = spread_sample(self.near.len(), options.queries);
+        let queries = self.affordable(spread_sample(self.near.len(), options.queries), options.radius as f32);
         let found: Vec<Option<Neighbourhood>> =
             queries.par_iter().map(|i| self.neighbourhood(*i as usize, options)).collect();
         found.into_iter().flatten().collect()
+    }
+
+    /// As many of the queries, spread evenly, as can be answered with [`MOST_VISITS`] points in their neighbourhoods:
+    /// all of them, unless very many points lie at one place.
+    fn affordable(&self, queries: Vec<u32>, radius: f32) -> Vec<u32> {
+        let probes = spread_sample(queries.len(), PROBES);
+        let visits = probes.iter().map(|i| {
+            let query = self.near[queries[*i as usize] as usize];
+            self.tree.count_within(query, radius, MOST_VISITS / PROBES)
+        });
+        let mean = visits.sum::<usize>() / probes.len().max(1);
+        match MOST_VISITS / mean.max(1) {
+            most if most >= queries.len() => queries,
+            most => spread_sample(queries.len(), most.max(1)).iter().map(|i| queries[*i as usize]).collect(),
+        }
     }
 
     fn neighbourhood(&self, query: usize, options: &SharpnessOptions) -> Option<Neighbourhood> {
@@ -227,6 +247,17 @@ mod tests {
         // The variance of a uniform distribution is width²/12; single precision relative to a point is enough.
         assert!((blurred.mean_plane_variance / (0.05 * 0.05 / 12.0) - 1.0).abs() < 0.1);
         assert!(sharpness(&[[0.0; 3]], SharpnessOptions::default()).is_none());
+    }
+
+    #[test]
+    fn many_points_at_one_place_are_sampled() {
+        let points = vec![[1.0, 2.0, 3.0]; 200_000];
+        let cloud = ThinnedCloud::new(&points, points.len());
+        let queries = cloud.affordable((0..20_000).collect(), 0.15);
+        assert_eq!(queries.len(), 5000);
+        let few = ThinnedCloud::new(&points[..1000], 1000);
+        assert_eq!(few.affordable((0..1000).collect(), 0.15).len(), 1000);
+        assert!(few.affordable(Vec::new(), 0.15).is_empty());
     }
 
     #[test]

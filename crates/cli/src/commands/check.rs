@@ -10,7 +10,8 @@ use serde::Serialize;
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, is_map, print, print_json};
+use crate::input::open_map;
+use crate::output::{counted, print, print_json};
 
 /// Tell what is wrong with recordings and maps, what follows from it, and what to do.
 ///
@@ -84,9 +85,12 @@ pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
 }
 
 fn check(path: &Path, quiet: bool) -> Result<Report, CliError> {
-    let is_map = is_map(path)?;
-    let (mut findings, histograms) =
-        if is_map { (map::check(path)?, Vec::new()) } else { recording::check(path, quiet)? };
+    let map = open_map(path)?;
+    let is_map = map.is_some();
+    let (mut findings, histograms) = match map {
+        Some(input) => (map::check(path, input)?, Vec::new()),
+        None => recording::check(path, quiet)?,
+    };
     // The worst first, otherwise as they were found.
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     let count = |severity| findings.iter().filter(|finding| finding.severity == severity).count();

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::print;
+use crate::output::{print, print_summary};
 use flags::Flags;
 
 /// Run under the names, flags and messages of Cartographer's programs.
@@ -129,7 +129,7 @@ fn make_links(folder: &Path) -> Result<Outcome, CliError> {
         let link = folder.join(name);
         let made = link_to(&program, &link);
         made.map_err(|source| CliError::File { path: link.clone(), source })?;
-        print(&link.display().to_string())?;
+        print_summary(&link.display().to_string());
     }
     Ok(Outcome::Done)
 }

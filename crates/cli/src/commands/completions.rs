@@ -1,6 +1,7 @@
 //! `portolan completions`: tab completion for shells.
 
 use crate::error::{CliError, Outcome};
+use crate::output::print_bytes;
 
 /// Print the completion script of a shell: `source <(portolan completions bash)`.
 #[derive(clap::Args)]
@@ -12,6 +13,6 @@ pub struct CompletionsArgs {
 pub fn run(args: &CompletionsArgs) -> Result<Outcome, CliError> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut crate::command_line(), "portolan", &mut script);
-    std::io::Write::write_all(&mut std::io::stdout().lock(), &script)?;
+    print_bytes(&script)?;
     Ok(Outcome::Done)
 }

@@ -11,6 +11,7 @@ use portolan_geometry::GeodeticPosition;
 use super::argument;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
+use crate::input::open_forward;
 use format::Format;
 
 /// Convert trajectories, pose graphs and maps into one another.
@@ -70,15 +71,16 @@ pub fn run(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError>
         Some(to) => to,
         None => Format::of_name(&args.output)?,
     };
-    match (Format::of_content(&args.input)?, to) {
-        (Format::G2o, Format::Map) => graph::into_map(args, global),
+    let mut input = open_forward(&args.input)?;
+    match (Format::of_content(&mut input, &args.input)?, to) {
+        (Format::G2o, Format::Map) => graph::into_map(args, input, global),
         (Format::Map, Format::G2o) => graph::of_map(args),
         (Format::G2o, _) => Err(CliError::Usage(
             "a g2o file has no times: it can be put into its map (--into MAP -o NEW.pbstream), nothing else"
                 .to_owned(),
         )),
-        (_, Format::G2o) => graph::of_trajectory(args, global),
-        (_, Format::Map) => trajectories::into_map(args, global),
-        _ => trajectories::run(args, to, global),
+        (_, Format::G2o) => graph::of_trajectory(args, input, global),
+        (_, Format::Map) => trajectories::into_map(args, input, global),
+        _ => trajectories::run(args, input, to, global),
     }
 }

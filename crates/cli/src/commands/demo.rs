@@ -16,8 +16,7 @@ use super::map::{remarks, run_job};
 use super::simulate::write_recording;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::interrupt;
-use crate::output::{print, write_file};
+use crate::output::{print_summary, write_file};
 use crate::progress::say;
 
 /// Firings of a turn: half of what the lidar has, so that the demo takes two minutes.
@@ -50,7 +49,6 @@ pub struct DemoArgs {
 }
 
 pub fn run(args: DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    interrupt::watch();
     if args.planar { office(&args, global) } else { museum(&args, global) }
 }
 
@@ -61,11 +59,11 @@ fn office(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     create_folder(&args.output)?;
     let mapped = mapped::<Planar>(&simulation, &args.output, global)?;
     let truth: Vec<(Time, Rigid3)> = simulation.truth(100.0).collect();
-    print(&format!(
+    print_summary(&format!(
         "{}\nlook at {}; then try: portolan map YOUR_RECORDING.bag",
         errors(&mapped, &truth, Alignment::Se2)?,
         args.output.join("map.png").display(),
-    ))?;
+    ));
     Ok(Outcome::Done)
 }
 
@@ -86,7 +84,7 @@ fn museum(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let mapped = mapped::<Spatial>(recording.as_ref(), &args.output, global)?;
     let truth: Vec<(Time, Rigid3)> = simulation.truth(100.0).collect();
     let (file, output) = (file.display(), args.output.display());
-    print(&format!(
+    print_summary(&format!(
         "{}\nthe demo took {:.0} s\n\
          look at {output}/map_section.png and the X-rays beside it; then try:\n  \
          portolan map {file} -o again --no-imu\n  \
@@ -96,7 +94,7 @@ fn museum(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
         errors(&mapped, &truth, Alignment::Se3)?,
         start.elapsed().as_secs_f64(),
         truth = truth_file.display(),
-    ))?;
+    ));
     Ok(Outcome::Done)
 }
 

@@ -48,8 +48,8 @@ struct PartArgs {
     /// Add another map; its trajectories get the next free numbers. May be given several times.
     #[arg(long, value_name = "MAP")]
     merge: Vec<PathBuf>,
-    /// Where the map of the --merge at the same place lies in this one: metres and degrees. Default: at the
-    /// same origin.
+    /// Where the map of the --merge at the same place lies in this one: metres and degrees; `0,0,0` if both have
+    /// one origin.
     #[arg(long, value_name = "X,Y,YAW", value_parser = argument::planar_pose, allow_hyphen_values = true)]
     place: Vec<Rigid3>,
     /// Leave only this trajectory; may be given several times.
@@ -116,6 +116,13 @@ struct PlaceArgs {
 }
 
 pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    if args.parts.place.len() < args.parts.merge.len() {
+        return Err(CliError::Usage(
+            "where does the merged map lie? Say --place X,Y,YAW for each --merge; --place 0,0,0 if both maps have one \
+             origin, as maps that were made with --from have"
+                .to_owned(),
+        ));
+    }
     if args.parts.place.len() > args.parts.merge.len() {
         return Err(CliError::Usage("there are more --place than --merge".to_owned()));
     }

@@ -12,7 +12,8 @@ use serde::Serialize;
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{is_map, print, print_json};
+use crate::input::{must_be_a_file, open_map};
+use crate::output::{print, print_json};
 
 /// Show what recordings and maps hold.
 ///
@@ -49,10 +50,12 @@ pub fn run(args: &InfoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let mut reports = Vec::new();
     let mut outcome = Outcome::Done;
     for (index, path) in args.paths.iter().enumerate() {
-        let info = if is_map(path)? {
-            Info::Map(map::read(path)?)
-        } else {
-            Info::Recording(recording::read(path, global.quiet)?)
+        if args.all {
+            must_be_a_file(path)?;
+        }
+        let info = match open_map(path)? {
+            Some(input) => Info::Map(map::read(path, input)?),
+            None => Info::Recording(recording::read(path, global.quiet)?),
         };
         if let Info::Recording(report) = &info
             && report.lost_data()

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::{CliError, Outcome};
+use crate::output::print_bytes;
 
 /// Print the manual page, or write one page per verb into a folder.
 #[derive(clap::Args)]
@@ -19,7 +20,7 @@ pub fn run(args: &ManArgs) -> Result<Outcome, CliError> {
         None => {
             let mut page = Vec::new();
             clap_mangen::Man::new(command).render(&mut page)?;
-            std::io::Write::write_all(&mut std::io::stdout().lock(), &page)?;
+            print_bytes(&page)?;
         }
     }
     Ok(Outcome::Done)

@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use portolan::RequestedOptions;
-use portolan::job::{CloudResults, Event, Job, JobError, MapRequest, Remark, ResultSpace};
+use portolan::job::{CloudResults, Event, Job, JobError, Localisation, MapRequest, Remark, ResultSpace};
 use portolan::pipeline::{KnownMap, MappedRecording};
 use portolan_config::{Engine, Loader, Options};
 use portolan_geometry::{Dimension, Duration};
@@ -19,9 +19,9 @@ use portolan_recording::{Recording, open_all};
 use super::argument::{seconds, shifts, time_offset};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::interrupt;
+use crate::interrupt::{self, Saving};
 use crate::known_map::KnownMapArgs;
-use crate::output::print;
+use crate::output::print_summary;
 use crate::progress::{Progress, say};
 use cloud::CloudArgs;
 pub use words::summary;
@@ -222,13 +222,13 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let configuration = load_options(&args.config)?;
     let requested = RequestedOptions { configuration, settings: settings(&args) };
     let ingest = ingest_options(&args, &requested)?;
-    interrupt::watch();
     let request = MapRequest {
         folder,
         ingest,
         requested,
         engine: args.config.engine.map(Engine::from),
         known: args.known.maps(),
+        force: args.known.force,
         cloud,
         all_poses: args.all_poses,
         threads: global.threads,
@@ -248,7 +248,11 @@ fn finish<S: ResultSpace>(
 ) -> Result<Outcome, CliError> {
     let mapped = run_job::<S>(job, recording, global);
     let mapped = mapped.map_err(|error| nothing_left(error, recording, args))?;
-    Ok(if mapped.lost_data() { Outcome::DataLost } else { Outcome::Done })
+    Ok(match Localisation::of(&mapped) {
+        Some(found) if !found.is_trusted() => Outcome::Untrusted,
+        _ if mapped.lost_data() => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
 }
 
 /// Maps with a bar that tells how far it is, writes the results and names them.
@@ -259,22 +263,26 @@ pub fn run_job<S: ResultSpace>(
 ) -> Result<MappedRecording<S>, CliError> {
     let start = std::time::Instant::now();
     let known = job.load_known::<S>(&mut remarks(global))?;
+    let saving = Saving::begin();
     let mapped = map_with_progress(job, recording, known, global)?;
     let seconds = start.elapsed().as_secs_f64();
     let files = job.write_results(&mapped, seconds, &mut remarks(global))?;
-    print(&summary(&mapped, &files, seconds))?;
+    drop(saving);
+    print_summary(&summary(&mapped, &files, seconds));
     if let Some(clouds) = clouds_with_progress(job, &mapped, recording, global)? {
-        name_clouds(&clouds)?;
+        name_clouds(&clouds);
     }
     Ok(mapped)
 }
 
 /// Names what the second pass gave.
-fn name_clouds(clouds: &CloudResults) -> Result<(), CliError> {
+fn name_clouds(clouds: &CloudResults) {
     let text = clouds.cloud.as_ref().map(|(points, unwound)| cloud::summary(*points, unwound));
     let files = clouds.files.iter().map(|file| file.display().to_string());
     let lines: Vec<String> = text.into_iter().chain(files).filter(|line| !line.is_empty()).collect();
-    if lines.is_empty() { Ok(()) } else { print(&lines.join("\n")) }
+    if !lines.is_empty() {
+        print_summary(&lines.join("\n"));
+    }
 }
 
 /// Beside the working directory's other results: the recording's name with `_map`.

@@ -6,7 +6,7 @@ use portolan_mapfile::{MigrateOptions, MigrateReport, migrate};
 use serde::Serialize;
 
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json};
+use crate::output::{counted, print_json, print_summary};
 
 /// Bring a map (.pbstream) of format version 1 to version 2.
 ///
@@ -55,6 +55,6 @@ pub fn run(args: &MigrateArgs) -> Result<Outcome, CliError> {
             counted(report.unfinished_submaps, "unfinished submap", "unfinished submaps")
         );
     }
-    print(&(text + &output))?;
+    print_summary(&(text + &output));
     Ok(Outcome::Done)
 }

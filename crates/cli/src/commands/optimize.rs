@@ -13,7 +13,7 @@ use portolan_solver::g2o::{Initialization, OptimizeOptions};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::is_map;
+use crate::input::{is_map, must_be_text, open_forward};
 
 /// Optimise a pose graph (g2o file) or a map (.pbstream).
 ///
@@ -115,5 +115,10 @@ impl OptimizeArgs {
 }
 
 pub fn run(args: &OptimizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    if is_map(&args.input)? { map::run(args, global) } else { graph::run(args, global) }
+    let mut input = open_forward(&args.input)?;
+    if is_map(&mut input, &args.input)? {
+        return map::run(args, global);
+    }
+    must_be_text(&mut input, &args.input)?;
+    graph::run(args, input, global)
 }

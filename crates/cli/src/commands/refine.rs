@@ -21,8 +21,8 @@ use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 use crate::GlobalArgs;
 use crate::commands::evaluate::input::TrajectorySource;
 use crate::error::{CliError, Outcome};
-use crate::interrupt;
-use crate::output::print;
+use crate::interrupt::{self, Saving};
+use crate::output::print_summary;
 use crate::progress::Progress;
 use points::{OtherSensor, PointArgs, read_points_and};
 use results::{Results, summary, write_results};
@@ -66,6 +66,9 @@ pub struct RefineArgs {
     /// Folder for the results; created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    /// Write the input as the result where the refinement made the cloud less sharp and was refused (exit code 4).
+    #[arg(long)]
+    force: bool,
     #[command(flatten)]
     points: PointArgs,
     /// Format of the refined cloud (then it is called refined.FORMAT), or its name: `hall.laz`, in the folder for the
@@ -281,7 +284,6 @@ impl RefineArgs {
 
 pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let start = Instant::now();
-    interrupt::watch();
     args.check_options()?;
     let input = read_input(args, global)?;
     if args.output.exists() && !args.output.is_dir() {
@@ -295,7 +297,10 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         .num_threads(global.thread_count())
         .build()
         .map_err(|error| CliError::Failed(error.to_string()))?;
-    let mut refined = pool.install(|| refine_with_progress(&read, &input, args, global))?;
+    let mut refined = {
+        let _saving = Saving::begin();
+        pool.install(|| refine_with_progress(&read, &input, args, global))?
+    };
     refined.report.warnings.extend(args.tuning.without_data(&read));
     let command = command_line();
     let files: Vec<PathBuf> =
@@ -309,10 +314,15 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         files: &files,
         command: (!args.no_report).then_some(command.as_str()),
         map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
+        without_results: refined.report.kept_input && !args.force,
     };
     let files = pool.install(|| write_results(&results, &args.output))?;
-    print(&summary(&results, &files))?;
-    Ok(if read.lost_data() { Outcome::DataLost } else { Outcome::Done })
+    print_summary(&summary(&results, &files));
+    Ok(match refined.report.kept_input {
+        true => Outcome::Untrusted,
+        false if read.lost_data() => Outcome::DataLost,
+        false => Outcome::Done,
+    })
 }
 
 /// `las` becomes `refined.las`; a name must end in a format that can be written.

@@ -3,6 +3,7 @@
 mod input;
 mod options;
 mod results;
+mod trust;
 
 use std::path::PathBuf;
 
@@ -26,6 +27,9 @@ use results::{History, Registered, describe, text, write_results};
 /// poses. Each scan is matched with the one before it (--metascan: with all before it), beginning where the correction
 /// of that one puts it; with --close-loops errors are shared out where the way comes back, and with --global all
 /// scans are then matched at once (Lu and Milios in six degrees of freedom).
+///
+/// Exit code 4, and no files without --force, if the scans do not overlap or matching did not come to rest; 3 if that is
+/// so of some of several scans.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  \
     portolan register scan000.ply scan001.ply\n  \
@@ -49,6 +53,9 @@ pub struct RegisterArgs {
     /// Format of the joined cloud.
     #[arg(long, value_parser = ["ply", "pcd", "xyz", "las", "laz", "e57"], default_value = "ply", value_name = "FORMAT", requires = "output")]
     cloud: String,
+    /// Write results that cannot be trusted, too.
+    #[arg(long)]
+    force: bool,
     #[command(flatten)]
     input: InputArgs,
     #[command(flatten)]
@@ -104,8 +111,10 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
         work.global = Some(match_globally(args, &scans, &mut work.poses, global.quiet)?);
         work.history.add(&work.poses, History::GLOBAL);
     }
-    let registered: Vec<Registered> = describe(&scans, &work);
+    let registered: Vec<Registered> = describe(&scans, &work, &args.icp);
+    let outcome = trusted(&work, &registered, global.quiet);
     let files = match &args.output {
+        Some(_) if outcome == Outcome::Untrusted && !args.force => Vec::new(),
         Some(folder) => write_results(folder, &args.cloud, &scans, &work, &registered)?,
         None => Vec::new(),
     };
@@ -114,7 +123,30 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     } else {
         print(&text(&work, &registered, &files))?;
     }
-    Ok(if lost || scans.lost_data { Outcome::DataLost } else { Outcome::Done })
+    Ok(if lost || scans.lost_data { outcome.max(Outcome::DataLost) } else { outcome })
+}
+
+/// Whether the result can be trusted: all of it, or some scans. What speaks against it is said.
+fn trusted(work: &Work, registered: &[Registered], quiet: bool) -> Outcome {
+    let doubtful: Vec<&Registered> = registered.iter().filter(|scan| scan.doubt.is_some()).collect();
+    let outcome = match &work.global {
+        // What was matched with all others no longer hangs on the one before.
+        Some(global) if global.converged => Outcome::Done,
+        Some(_) => Outcome::Untrusted,
+        None if doubtful.is_empty() => Outcome::Done,
+        None if doubtful.len() + 1 >= registered.len() => Outcome::Untrusted,
+        None => Outcome::DataLost,
+    };
+    if outcome != Outcome::Done && !quiet {
+        for scan in doubtful {
+            say(&format!("{}: NOT registered: {}", scan.file, scan.doubt.as_deref().unwrap_or_default()));
+        }
+        if work.global.is_some() {
+            say("the scans were matched all at once, but this did not come to rest");
+        }
+        say(trust::ADVICE);
+    }
+    outcome
 }
 
 /// First guesses, about the common origin of the points.

@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::argument;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json};
+use crate::output::{counted, print_json, print_summary};
 use crate::progress::say;
 
 /// Draw a map (.pbstream): a picture, or an image with description for ROS.
@@ -104,14 +104,14 @@ pub fn run(args: &RenderArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     if args.json {
         print_json(&report)?;
     } else {
-        print(&format!(
+        print_summary(&format!(
             "{} x {} pixels of {:.4} m, {}\n{}",
             report.width,
             report.height,
             report.resolution,
             counted(report.submaps as u64, "submap", "submaps"),
             report.files.join("\n")
-        ))?;
+        ));
     }
     Ok(outcome)
 }

@@ -6,7 +6,7 @@ use portolan_mapfile::{ReadLimits, Repair, RepairReport, repair};
 use serde::Serialize;
 
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json};
+use crate::output::{counted, print_json, print_summary};
 
 /// Save what is whole of a damaged map (.pbstream).
 ///
@@ -42,8 +42,7 @@ pub fn run(args: &RepairArgs) -> Result<Outcome, CliError> {
     if args.json {
         print_json(&Report { output: args.output.display().to_string(), report: &report, lost_data })?;
     } else {
-        print(&text(&report))?;
-        print(&args.output.display().to_string())?;
+        print_summary(&(text(&report) + &args.output.display().to_string()));
     }
     Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
 }

@@ -10,8 +10,7 @@ use portolan_simulator::{Simulation, Simulation3d, SimulatorError};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::interrupt;
-use crate::output::{print, write_file};
+use crate::output::{print_summary, write_file};
 use crate::progress::{Progress, say};
 use scenario::{AnyScenario, ScenarioArgs};
 use simulated::Simulated;
@@ -81,7 +80,6 @@ fn write_all(
         written.push(beside(asked, &args.output, ending));
     }
     refuse_equal(std::iter::once(&args.output).chain(&written))?;
-    interrupt::watch();
     let count = write_recording(simulation, &args.output, format, global.quiet)?;
     write_file(&written[0], |out| simulation.write_truth(out, rate))?;
     for (path, (_, write)) in written[1..].iter().zip(surfaces) {
@@ -95,7 +93,7 @@ fn write_all(
     for path in written {
         text.push_str(&format!("\n{}", path.display()));
     }
-    print(&text)?;
+    print_summary(&text);
     Ok(Outcome::Done)
 }
 
@@ -123,7 +121,7 @@ fn refuse_equal<'a>(paths: impl Iterator<Item = &'a PathBuf>) -> Result<(), CliE
     Ok(())
 }
 
-/// Writes all messages; how many. Interrupted, nothing remains.
+/// Writes all messages; how many.
 pub(super) fn write_recording(
     simulation: &dyn Simulated,
     path: &Path,
@@ -139,9 +137,6 @@ pub(super) fn write_recording(
     while let Some(message) = reader.next_message()? {
         writer.write(&message)?;
         count += 1;
-        if interrupt::interrupted() {
-            return Err(CliError::Failed(format!("interrupted; {} was not written", path.display())));
-        }
         if progress.is_due() {
             let seconds = start.map_or(0.0, |start| message.log_time.seconds_since(start));
             progress.update(reader.position_bytes(), total, format!("{seconds:.0} s recorded"));

@@ -104,6 +104,8 @@ impl State {
     }
 }
 
+/// A configuration of a robot includes three files.
+const MAX_INCLUDED: usize = 100;
 const TOO_LONG: &str = "it ran longer than ";
 
 /// The error that ends a run at its deadline.
@@ -159,6 +161,9 @@ fn include(lua: &Lua, session: &Session, arguments: &MultiValue) -> mlua::Result
                     found.path
                 ),
             ));
+        }
+        if state.included.len() >= MAX_INCLUDED {
+            return Err(located(lua, &format!("more than {MAX_INCLUDED} files are included")));
         }
         state.included.push(found.path.clone());
         state.sources.push(found.clone());

@@ -1,11 +1,13 @@
 //! Lines of a text file from anywhere.
 
-use std::io::{BufRead, Read};
+use std::io::BufRead;
+
+use portolan_input::{Line, read_line};
 
 use crate::EvaluationError;
 
 /// No line of numbers is longer than this.
-const MAX_LINE: u64 = 1 << 16;
+const MAX_LINE: usize = 1 << 16;
 
 /// Reads line by line without believing in the length of any.
 pub(crate) struct Lines<R> {
@@ -25,14 +27,13 @@ impl<R: BufRead> Lines<R> {
 
     /// The next line with its number, without line ends and surrounding blanks.
     pub fn next_line(&mut self) -> Result<Option<(usize, &str)>, EvaluationError> {
-        self.buffer.clear();
         self.number += 1;
-        let read = self.reader.by_ref().take(MAX_LINE).read_until(b'\n', &mut self.buffer)?;
-        if read == 0 {
-            return Ok(None);
-        }
-        if read as u64 == MAX_LINE {
-            return Err(bad_line(self.number, "longer than 64 KiB: this is not a file of numbers"));
+        match read_line(&mut self.reader, MAX_LINE, &mut self.buffer)? {
+            Line::End => return Ok(None),
+            Line::TooLong => {
+                return Err(bad_line(self.number, "longer than 64 KiB: this is not a file of numbers"));
+            }
+            Line::Whole => {}
         }
         let text = std::str::from_utf8(&self.buffer)
             .map_err(|_| bad_line(self.number, "not text: this is not a file of numbers"))?;

@@ -16,7 +16,7 @@ use crate::map_reader::MapReader;
 use crate::pose::{IdInFile, pose_from_proto};
 use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{PoseGraph, Trajectory};
-use crate::reader::ReadLimits;
+use crate::reader::{ReadLimits, must_be_a_file};
 use crate::writer::PbstreamWriter;
 
 /// What editing did.
@@ -84,6 +84,7 @@ impl MapDraft {
     pub fn open(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, EditError> {
         let path = path.as_ref();
         let failed = |source| EditError::File { path: path.to_owned(), source };
+        must_be_a_file(path).map_err(failed)?;
         let mut reader = MapReader::open_with(path, limits).map_err(failed)?;
         let graph = reader.pose_graph().clone();
         check(path, &graph)?;

@@ -1,7 +1,6 @@
 //! Reading PCD files.
 
-use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, Read};
 use std::path::Path;
 
 use portolan_issue::{Issue, IssueKind, IssueLog};
@@ -30,8 +29,9 @@ pub(crate) struct PcdReader {
 }
 
 impl PcdReader {
-    pub fn open(path: &Path) -> Result<Self, CloudError> {
-        let mut input = Input::open(path)?;
+    pub fn open(mut input: Input) -> Result<Self, CloudError> {
+        let path = input.path.clone();
+        let path = path.as_path();
         let header = Header::read(&mut input)?;
         let columns =
             header.columns().ok_or_else(|| CloudError::damaged(path, "it has no fields x, y and z"))?;
@@ -41,9 +41,10 @@ impl PcdReader {
         match header.data {
             Data::Ascii => {}
             Data::Binary => {
-                let there = input.length().saturating_sub(input.position()?) / row;
-                issues.count(IssueKind::CloudPointsMissing, total.saturating_sub(there));
-                total = total.min(there);
+                if let Some(there) = input.rows_left(row) {
+                    issues.count(IssueKind::CloudPointsMissing, total.saturating_sub(there));
+                    total = total.min(there);
+                }
             }
             Data::Compressed => {
                 let wanted = total.saturating_mul(row);
@@ -83,7 +84,14 @@ impl PcdReader {
         if self.unpacked.is_some() {
             self.gather(count)?;
         } else {
-            self.input.fill(&mut self.bytes)?;
+            let got = self.input.fill(&mut self.bytes)?;
+            if got < self.bytes.len() {
+                // Of a pipe it shows only now.
+                self.bytes.truncate(got);
+                let there = self.next + (got / row_bytes.max(1)) as u64;
+                self.issues.count(IssueKind::CloudPointsMissing, self.total.saturating_sub(there));
+                self.total = self.next + count;
+            }
         }
         self.next += count;
         for row in self.bytes.chunks_exact(row_bytes) {
@@ -130,9 +138,7 @@ fn unpack(input: &mut Input, path: &Path, wanted: u64) -> Result<Spool, CloudErr
     if u64::from(unpacked) != wanted {
         return Err(CloudError::damaged(path, "the size of its compressed points does not fit the header"));
     }
-    let mut file = File::open(path).map_err(error)?;
-    file.seek(SeekFrom::Start(input.position()?)).map_err(error)?;
-    let source = BufReader::with_capacity(1 << 16, file.take(u64::from(packed)));
+    let source = BufReader::with_capacity(1 << 16, input.take(u64::from(packed)));
     let mut decompressor = Decompressor::new(source);
     let mut spool = Spool::new().map_err(error)?;
     let mut bytes = Vec::new();

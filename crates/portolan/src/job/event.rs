@@ -21,7 +21,7 @@ pub type Observer<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
 pub enum Event<'a> {
     /// The recording is mapped, as far as this.
     Mapping(&'a PipelineProgress),
-    /// Clouds and pictures of them are about to be made, or are drawn of the scans that mapping kept.
+    /// Pictures or clouds are about to be made, or are drawn of the scans that mapping kept.
     Drawing,
     /// The recording is read again, and its points are placed in the map.
     PlacingPoints {
@@ -82,6 +82,13 @@ pub enum Remark {
     },
     /// X-rays need the recording again, because scans that were kept cannot be read.
     KeptScansUnreadable(std::io::Error),
+    /// No map was written, because its parts are laid over each other wrongly.
+    NoMap {
+        /// Whether there is one of an earlier run in the folder.
+        left: bool,
+    },
+    /// Stopped before the pictures of the map.
+    StoppedBeforePictures,
     /// Stopped before the cloud.
     StoppedBeforeClouds,
     /// Stopped while X-rays were drawn.
@@ -119,6 +126,13 @@ impl fmt::Display for Remark {
             }
             Self::KeptScansUnreadable(error) => {
                 write!(f, "scans that were kept cannot be read ({error}): X-rays need a second pass")
+            }
+            Self::NoMap { left } => {
+                let left = if *left { "; map.pbstream there is of an earlier run" } else { "" };
+                write!(f, "no map was written, because its parts would lie over each other anyhow{left}")
+            }
+            Self::StoppedBeforePictures => {
+                f.write_str("stopped: no pictures (`portolan render` makes them of the map)")
             }
             Self::StoppedBeforeClouds => f.write_str("stopped: no cloud and no X-rays of it"),
             Self::StoppedXrays => f.write_str("stopped: no X-rays of it"),

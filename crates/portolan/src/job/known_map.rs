@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use portolan_config::Options;
 use portolan_geometry::Rigid3;
+use portolan_input::regular_file;
 use portolan_mapfile::{FrozenTrajectories, MapReader, MapSpace, load_map};
 
 use super::error::JobError;
@@ -31,6 +32,7 @@ impl KnownMaps {
         let mut submaps = 0;
         for path in &self.files {
             let failed = |reason| JobError::KnownMap { path: path.clone(), reason };
+            regular_file(path).map_err(|source| JobError::file(path, source))?;
             let reader = MapReader::open(path).map_err(|e| failed(e.into()))?;
             submaps += reader.pose_graph().trajectory.iter().map(|t| t.submap.len()).sum::<usize>();
         }

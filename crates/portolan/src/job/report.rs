@@ -69,6 +69,7 @@ pub(super) fn report<S: Space>(
             "loop_closures": l.loop_closures,
             "first_found_after_seconds": l.first_found_after_seconds,
             "placed_after_seconds": l.placed_after_seconds,
+            "trusted": l.is_trusted(),
         })),
         "recording_seconds": mapped.recording_seconds,
         "wall_seconds": seconds,

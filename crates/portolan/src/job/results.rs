@@ -7,7 +7,7 @@ use portolan_mapfile::{MapSpace, PlacedTexture, submap_textures_2d, submap_textu
 use portolan_mapping::{Map, Planar, Space, Spatial, TrajectoryId};
 
 use super::error::{JobError, write_file};
-use super::event::Observer;
+use super::event::{Event, Observer, Remark, remark};
 use super::memory::resident_and_peak_bytes;
 use super::pictures::write_pictures;
 use super::report::report;
@@ -31,8 +31,16 @@ impl ResultSpace for Spatial {
     }
 }
 
-/// Writes map, trajectory, pictures and report; their files, in order. Mapping took `seconds`. With `all_poses` the
-/// trajectory is written in the times of the map, too.
+/// Which results are written.
+#[derive(Clone, Copy, Debug)]
+pub struct ResultFiles {
+    /// The map and pictures of it.
+    pub map: bool,
+    /// The trajectory in the times of the map, too.
+    pub all_poses: bool,
+}
+
+/// Writes map, trajectory, pictures and report; their files, in order. Mapping took `seconds`.
 ///
 /// # Errors
 /// Fails if something cannot be written.
@@ -40,7 +48,7 @@ pub fn write_results<S: ResultSpace>(
     mapped: &MappedRecording<S>,
     folder: &Path,
     seconds: f64,
-    all_poses: bool,
+    what: ResultFiles,
     observe: &mut Observer,
 ) -> Result<Vec<PathBuf>, JobError> {
     let map = &mapped.map;
@@ -50,20 +58,29 @@ pub fn write_results<S: ResultSpace>(
         files.push(folder.join(name));
         folder.join(name)
     };
-    write_map(map, file("map.pbstream"), true)?;
+    if what.map {
+        write_map(map, file("map.pbstream"), true)?;
+    }
     // Trajectories that were known before are in the map; these files are of the recording.
     let id = mapped.trajectory_id;
     write_tum(&file("trajectory.tum"), &mapped.trajectory())?;
-    if all_poses {
+    if what.all_poses {
         write_tum(&file("all_poses.tum"), &map.scan_poses(id))?;
     }
-    let textures = S::textures(map);
-    let content = MapContent {
-        textures: &textures,
-        trajectories: &trajectory_lines(map),
-        constraints: &constraint_lines(map),
-    };
-    files.extend(write_pictures(&content, folder, observe)?);
+    if !what.map {
+        remark(observe, Remark::NoMap { left: folder.join("map.pbstream").exists() });
+    } else if observe(&Event::Drawing).is_continue() {
+        let textures = S::textures(map);
+        let content = MapContent {
+            textures: &textures,
+            trajectories: &trajectory_lines(map),
+            constraints: &constraint_lines(map),
+        };
+        files.extend(write_pictures(&content, folder, observe)?);
+    } else {
+        // They can be made of the map again.
+        remark(observe, Remark::StoppedBeforePictures);
+    }
     let report = serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping))?;
     files.push(folder.join("report.json"));
     write_file(&folder.join("report.json"), &report)?;

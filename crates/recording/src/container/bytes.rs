@@ -5,8 +5,7 @@ use std::io::{Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tempfile::TempPath;
-
+use super::UnpackedFile;
 use crate::RecordingError;
 
 /// Where the bytes of a recording lie. Cheap to copy; every pass over a recording opens it anew.
@@ -15,7 +14,7 @@ pub(crate) enum Source {
     /// A file.
     File(Arc<Path>),
     /// A file that was unpacked for us and vanishes with the last copy of this value.
-    Unpacked { original: Arc<Path>, file: Arc<TempPath> },
+    Unpacked { original: Arc<Path>, file: Arc<UnpackedFile> },
     /// Bytes in memory, with a name for messages.
     Memory { name: Arc<Path>, bytes: Arc<[u8]> },
 }
@@ -34,7 +33,7 @@ impl Source {
     pub(crate) fn file(&self) -> Option<&Path> {
         match self {
             Self::File(path) => Some(path),
-            Self::Unpacked { file, .. } => Some(file),
+            Self::Unpacked { file, .. } => Some((**file).as_ref()),
             Self::Memory { .. } => None,
         }
     }

@@ -9,6 +9,7 @@ mod connection;
 mod index;
 mod loader;
 mod reader;
+mod unpacked;
 mod walk;
 
 pub(crate) use bytes::{FileBytes, Source};
@@ -16,4 +17,5 @@ pub(crate) use compression::{Compression, Decompressor, most_unpacked};
 pub(crate) use connection::{Connection, MessageDecoder, topics};
 pub(crate) use index::{ChunkIndex, LooseRun, MAX_SEGMENT_BYTES, Segment, SegmentLoader};
 pub(crate) use reader::ChunkedRecording;
+pub(crate) use unpacked::UnpackedFile;
 pub(crate) use walk::{Content, Record, RecordFormat, walk};

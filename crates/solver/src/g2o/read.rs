@@ -4,11 +4,15 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::{self, BufRead};
 
 use portolan_geometry::{Rigid2, Rigid3};
+use portolan_input::{Line, read_line};
 
 use super::connectivity::Adjacency;
 use super::graph::{Edge, Graph, PoseGraph, Vertex};
 use super::initialize::follow;
 use super::pose::GraphPose;
+
+/// A FIX line may name a million vertices; bytes.
+const MAX_LINE: usize = 16 << 20;
 
 /// Why a g2o file cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +41,17 @@ pub enum G2oError {
     /// No vertex and no edge.
     #[error("the file contains no vertices and edges (VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT)")]
     Empty,
+    /// A line that no graph has; the file is another one.
+    #[error(
+        "line {line} is longer than {limit_mib} MiB: this is not a g2o file, which is text with a line for each \
+        vertex and edge"
+    )]
+    LongLine {
+        /// From 1.
+        line: usize,
+        /// The limit.
+        limit_mib: usize,
+    },
     /// More than 4 billion vertices or edges.
     #[error("the graph has more than 4 billion vertices or edges")]
     TooLarge,
@@ -86,14 +101,13 @@ pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError
     let mut bytes = Vec::new();
     let mut line = 0;
     loop {
-        bytes.clear();
-        if input.read_until(b'\n', &mut bytes)? == 0 {
-            break;
-        }
         line += 1;
-        reader.line(line, &String::from_utf8_lossy(&bytes))?;
+        match read_line(&mut input, MAX_LINE, &mut bytes)? {
+            Line::End => return reader.finish(),
+            Line::TooLong => return Err(G2oError::LongLine { line, limit_mib: MAX_LINE >> 20 }),
+            Line::Whole => reader.line(line, &String::from_utf8_lossy(&bytes))?,
+        }
     }
-    reader.finish()
 }
 
 #[derive(Default)]

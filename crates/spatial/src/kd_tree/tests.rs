@@ -67,3 +67,39 @@ fn threads_do_not_change_the_tree() {
     assert_eq!(order(1), order(4));
     assert!(KdTree::new(&points).memory_bytes() <= 18 * points.len());
 }
+
+proptest! {
+    #[test]
+    fn many_points_at_few_places_agree_with_brute_force(
+        places in prop::collection::vec([coordinate(), coordinate(), coordinate()], 1..4),
+        choice in prop::collection::vec(0usize..4, 1..300),
+        query in [coordinate(), coordinate(), coordinate()],
+        k in 1usize..40,
+    ) {
+        let points: Vec<[f32; 3]> = choice.iter().map(|i| places[i % places.len()]).collect();
+        let tree = KdTree::new(&points);
+        let all = brute(&points, query);
+        prop_assert_eq!(tree.nearest(query, f32::INFINITY), all.first().copied());
+        let mut found = Vec::new();
+        tree.k_nearest(query, k, f32::INFINITY, &mut found);
+        prop_assert_eq!(&found[..], &all[..k.min(all.len())]);
+        let (nearest, second) = tree.nearest_two(query, 100.0).unwrap();
+        prop_assert_eq!(nearest, all[0]);
+        prop_assert_eq!(second, all.get(1).map_or(1e4, |n| n.squared_distance).sqrt());
+        let odd = tree.nearest_where(query, f32::INFINITY, |i| i % 2 == 1);
+        prop_assert_eq!(odd, all.iter().find(|n| n.index % 2 == 1).copied());
+        prop_assert_eq!(tree.count_within(query, 100.0, 50), all.len().min(50));
+    }
+}
+
+#[test]
+fn of_many_points_at_one_place_few_are_looked_at() {
+    let tree = KdTree::new(&vec![[1.0, 2.0, 3.0]; 100_000]);
+    let looked_at = |first: usize| {
+        let mut count = 0;
+        tree.visit([1.0, 2.0, 3.0], f32::INFINITY, first, |_, _| count += 1);
+        count
+    };
+    assert!(looked_at(1) <= 16 && looked_at(30) <= 64, "{} {}", looked_at(1), looked_at(30));
+    assert_eq!(looked_at(usize::MAX), 100_000);
+}

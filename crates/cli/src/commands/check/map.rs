@@ -3,14 +3,17 @@
 use std::path::Path;
 
 use portolan_diagnose::Severity;
-use portolan_mapfile::{FindingKind, PbstreamReader, Severity as MapSeverity, validate};
+use portolan_input::Forward;
+use portolan_mapfile::{FindingKind, PbstreamReader, ReadLimits, Severity as MapSeverity, validate};
 
 use super::Finding;
 use crate::error::CliError;
 
 /// Reads a whole map and tells all findings.
-pub fn check(path: &Path) -> Result<Vec<Finding>, CliError> {
-    let mut reader = PbstreamReader::open(path).map_err(|error| CliError::in_file(path, error))?;
+pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
+    let length = input.length();
+    let reader = PbstreamReader::from_source(input, length, ReadLimits::default());
+    let mut reader = reader.map_err(|error| CliError::in_file(path, error))?;
     let finding = |found: portolan_mapfile::Finding| {
         let (effect, advice) = consequences(found.kind);
         let about = match (found.message, found.offset) {

@@ -17,7 +17,6 @@ use super::log;
 use crate::GlobalArgs;
 use crate::commands::evaluate::input::{nodes, read_pose_graph};
 use crate::error::{CliError, Outcome};
-use crate::interrupt;
 
 /// Messages between two lines of the log.
 const LOG_EVERY: u64 = 10_000;
@@ -66,7 +65,6 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
         .into_iter()
         .map(|bag| Bag::open(PathBuf::from(bag), &options))
         .collect::<Result<Vec<_>, CliError>>()?;
-    interrupt::watch();
     let dropped = loop {
         let mut dropped = 0;
         for (id, (bag, trajectory)) in bags.iter_mut().zip(&trajectories).enumerate() {
@@ -150,9 +148,6 @@ impl Bag {
         let (mut messages, mut dropped) = (0_u64, 0);
         while let Some((sensor, measurement)) = ingestion.next_measurement()? {
             let Measurement::Range(sweep) = measurement else { continue };
-            if interrupt::interrupted() {
-                return Err(CliError::Failed("stopped: nothing was written".to_owned()));
-            }
             let frame = self.plan.range.iter().find(|r| r.source.sensor == sensor).map(|r| &r.source.frame);
             let frame: Arc<str> = frame.cloned().unwrap_or_default();
             if let Some(batch) = place(&sweep, trajectory, frame, id, &mut dropped) {

@@ -12,8 +12,9 @@ use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
 use crate::commands::evaluate::generate::read_map_graph;
-use crate::commands::evaluate::input::{nodes, read_bytes, read_pose_graph};
+use crate::commands::evaluate::input::{nodes, read_pose_graph};
 use crate::error::{CliError, Outcome};
+use crate::input::read_bytes;
 use crate::output::write_file;
 
 /// Relations from the loop closures of a map.

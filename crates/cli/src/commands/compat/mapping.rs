@@ -58,7 +58,8 @@ pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliErro
         line.push(results.display().to_string());
         line.extend(of_bag(&flags, directory, i)?);
         if let Some(map) = &known {
-            line.extend(["--from".to_owned(), map.display().to_string()]);
+            // The reference writes the state whether or not the bag was found in it.
+            line.extend(["--from".to_owned(), map.display().to_string(), "--force".to_owned()]);
             line.extend(frozen_argument(frozen, i == 0));
         }
         let parsed = Cli::try_parse_from(line).map_err(|error| CliError::Usage(error.to_string()))?;

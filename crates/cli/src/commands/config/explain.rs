@@ -11,7 +11,8 @@ const WIDTH: usize = 96;
 
 /// Tell what an option means: type, unit, bounds, default, what it does and when to raise it.
 ///
-/// KEY may be shortened from the left and may be that of a table; all options that it fits are told.
+/// KEY may be shortened from the left and may be that of a table; all options that it fits are told. Any other word is
+/// searched in names and explanations.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan config explain constraint_builder.min_score\n  \
     portolan config explain TRAJECTORY_BUILDER.trajectory_builder_2d.submaps")]
@@ -38,6 +39,11 @@ struct Explanation<'a> {
 pub fn run(args: &ExplainArgs) -> Result<Outcome, CliError> {
     let docs = explain_all(&args.key);
     if docs.is_empty() {
+        let found = search(&args.key);
+        if !found.is_empty() && !args.json {
+            print(&found)?;
+            return Ok(Outcome::Done);
+        }
         let nearest = Options::default().get(&args.key).err().map(|error| error.to_string());
         let unknown = || format!("unknown option `{}`", args.key);
         return Err(CliError::Usage(nearest.unwrap_or_else(unknown)));
@@ -50,6 +56,20 @@ pub fn run(args: &ExplainArgs) -> Result<Outcome, CliError> {
         print(&texts.join("\n"))?;
     }
     Ok(Outcome::Done)
+}
+
+/// Options whose name or explanation has a word in it, a line for each.
+fn search(word: &str) -> String {
+    let word = word.to_lowercase();
+    let has_word = |doc: &&OptionDoc| {
+        !word.is_empty()
+            && (doc.path.to_lowercase().contains(&word) || doc.doc.to_lowercase().contains(&word))
+    };
+    let line = |doc: &OptionDoc| {
+        let first = doc.doc.split_inclusive(['.', ':', ';']).next().unwrap_or_default();
+        format!("{}\n    {}\n", doc.path, first.trim_end_matches([':', ';']))
+    };
+    catalogue().iter().filter(has_word).map(line).collect()
 }
 
 fn explanation(doc: &OptionDoc) -> Explanation<'_> {

@@ -1,11 +1,11 @@
 //! What files hold.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
+use portolan_input::Forward;
+
 use crate::error::CliError;
-use crate::output::is_map;
+use crate::input::{is_map, peek};
 
 /// Formats of trajectories and pose graphs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -44,15 +44,11 @@ impl Format {
     }
 
     /// By the first bytes. Text formats of one trajectory are told apart when they are read.
-    pub fn of_content(path: &Path) -> Result<Self, CliError> {
-        if is_map(path)? {
+    pub fn of_content(input: &mut Forward, path: &Path) -> Result<Self, CliError> {
+        if is_map(input, path)? {
             return Ok(Self::Map);
         }
-        let mut start = Vec::new();
-        File::open(path)
-            .and_then(|file| file.take(4096).read_to_end(&mut start))
-            .map_err(|source| CliError::File { path: path.to_owned(), source })?;
-        let text = String::from_utf8_lossy(&start);
+        let text = String::from_utf8_lossy(peek(input, path, 4096)?);
         let mut lines = text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#'));
         let first = lines.next().unwrap_or_default();
         if first.starts_with('{') {

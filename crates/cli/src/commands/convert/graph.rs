@@ -1,9 +1,7 @@
 //! Pose graphs.
 
-use std::fs::File;
-use std::io::BufReader;
-
 use portolan_geometry::Rigid3;
+use portolan_input::Forward;
 use portolan_mapfile::{MapDraft, ReadLimits};
 use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex, read_g2o, write_g2o};
 
@@ -12,7 +10,7 @@ use super::trajectories::read_one;
 use crate::GlobalArgs;
 use crate::commands::optimize::notes;
 use crate::error::{CliError, Outcome};
-use crate::output::{print, print_json, write_file};
+use crate::output::{print_json, print_summary, write_file};
 use crate::progress::say;
 
 /// The constraints of a map.
@@ -22,8 +20,8 @@ pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
 }
 
 /// A chain of poses.
-pub fn of_trajectory(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let trajectory = read_one(args, global)?;
+pub fn of_trajectory(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let (trajectory, _) = read_one(args, input, global)?;
     let poses: Vec<Rigid3> = trajectory.poses().iter().map(|p| p.map_from_tracking).collect();
     let unit: Vec<f64> = (0..6).flat_map(|r| (r..6).map(move |c| if r == c { 1.0 } else { 0.0 })).collect();
     let information = Rigid3::information_from_upper(&unit)
@@ -49,20 +47,17 @@ fn write(args: &ConvertArgs, graph: &Graph) -> Result<Outcome, CliError> {
     if args.json {
         print_json(&serde_json::json!({ "output": output, "vertices": vertices, "edges": edges }))?;
     } else {
-        print(&format!("{vertices} vertices, {edges} edges\n{output}"))?;
+        print_summary(&format!("{vertices} vertices, {edges} edges\n{output}"));
     }
     Ok(Outcome::Done)
 }
 
 /// Poses of a g2o file back into the map it was made from.
-pub fn into_map(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let Some(map) = &args.into else {
         return Err(CliError::Usage("say with --into MAP which map gets the poses".to_owned()));
     };
-    let file =
-        File::open(&args.input).map_err(|source| CliError::File { path: args.input.clone(), source })?;
-    let (graph, repairs) =
-        read_g2o(BufReader::new(file)).map_err(|error| CliError::in_file(&args.input, error))?;
+    let (graph, repairs) = read_g2o(input).map_err(|error| CliError::in_file(&args.input, error))?;
     if !global.quiet {
         notes(&repairs).iter().for_each(|note| say(&format!("{}: {note}", args.input.display())));
     }
@@ -74,7 +69,7 @@ pub fn into_map(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliE
         let vertices = graph.vertex_count();
         print_json(&serde_json::json!({ "output": output, "poses": vertices, "messages": messages }))?;
     } else {
-        print(&format!("{} poses taken over\n{output}", graph.vertex_count()))?;
+        print_summary(&format!("{} poses taken over\n{output}", graph.vertex_count()));
     }
     Ok(Outcome::Done)
 }

@@ -1,26 +1,34 @@
 //! Trajectories.
 
-use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufWriter, Write};
 
 use portolan_evaluation::{
     Trajectory, read_geojson, write_csv, write_csv_all, write_geojson, write_kitti, write_tum,
 };
 use portolan_geometry::EastNorthUp;
+use portolan_input::Forward;
 use portolan_mapfile::{MapDraft, ReadLimits};
 
 use super::ConvertArgs;
 use super::format::Format;
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::{TrajectorySource, nodes, read_pose_graph, tell_repairs};
+use crate::commands::evaluate::input::{TrajectorySource, nodes, tell_repairs, whole_pose_graph_from};
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json, write_file};
+use crate::output::{counted, print_json, print_summary, write_file};
+use crate::progress::say;
 
 type Named = Vec<(i32, Trajectory)>;
 
-pub fn run(args: &ConvertArgs, to: Format, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let trajectories =
-        if to.holds_several() { read(args, global)? } else { vec![(0, read_one(args, global)?)] };
+/// Trajectories, and whether the file they are from has lost something.
+type Read<T> = (T, bool);
+
+pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let (trajectories, lost_data) = if to.holds_several() {
+        read(args, input, global)?
+    } else {
+        let (trajectory, lost_data) = read_one(args, input, global)?;
+        (vec![(0, trajectory)], lost_data)
+    };
     let frame = args.origin.as_ref().map(EastNorthUp::at);
     let mut files = vec![args.output.clone()];
     write_file(&args.output, |out| {
@@ -49,20 +57,20 @@ pub fn run(args: &ConvertArgs, to: Format, global: &GlobalArgs) -> Result<Outcom
         let count = trajectories.len();
         print_json(&serde_json::json!({ "files": names, "trajectories": count, "poses": poses }))?;
     } else {
-        print(&format!("{}\n{}", counted(poses as u64, "pose", "poses"), names.join("\n")))?;
+        print_summary(&format!("{}\n{}", counted(poses as u64, "pose", "poses"), names.join("\n")));
     }
-    Ok(Outcome::Done)
+    Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
 }
 
 /// Poses of a trajectory into a map.
-pub fn into_map(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let Some(map) = &args.into else {
         return Err(CliError::Usage(
             "a trajectory alone is no map: say with --into MAP which map gets its poses".to_owned(),
         ));
     };
     let id = args.trajectory.unwrap_or(0);
-    let trajectory = read_one(args, global)?;
+    let (trajectory, lost_data) = read_one(args, input, global)?;
     let poses: Vec<_> = trajectory.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
     let mut draft = MapDraft::open(map, ReadLimits::default())?;
     let done = draft.replace_trajectory(id, &poses)?;
@@ -71,19 +79,23 @@ pub fn into_map(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     if args.json {
         print_json(&serde_json::json!({ "output": output, "replaced": done }))?;
     } else {
-        print(&format!(
+        print_summary(&format!(
             "{} placed, {} moved along, {} placed by their nodes\n{output}",
             counted(done.nodes, "node", "nodes"),
             done.nodes_moved_along,
             counted(done.submaps, "submap", "submaps"),
-        ))?;
+        ));
     }
-    Ok(Outcome::Done)
+    Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
 }
 
 /// The trajectory of the input, or the one that was asked for.
-pub fn read_one(args: &ConvertArgs, global: &GlobalArgs) -> Result<Trajectory, CliError> {
-    let mut trajectories = read(args, global)?;
+pub fn read_one(
+    args: &ConvertArgs,
+    input: Forward,
+    global: &GlobalArgs,
+) -> Result<Read<Trajectory>, CliError> {
+    let (mut trajectories, lost_data) = read(args, input, global)?;
     if trajectories.len() > 1 {
         let ids: Vec<String> = trajectories.iter().map(|(id, _)| id.to_string()).collect();
         return Err(CliError::Usage(format!(
@@ -92,26 +104,30 @@ pub fn read_one(args: &ConvertArgs, global: &GlobalArgs) -> Result<Trajectory, C
         )));
     }
     match trajectories.pop() {
-        Some((_, trajectory)) if !trajectory.is_empty() => Ok(trajectory),
+        Some((_, trajectory)) if !trajectory.is_empty() => Ok((trajectory, lost_data)),
         _ => Err(CliError::in_file(&args.input, "there are no poses")),
     }
 }
 
 /// All trajectories of the input that are asked for.
-fn read(args: &ConvertArgs, global: &GlobalArgs) -> Result<Named, CliError> {
+fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<Read<Named>, CliError> {
     let path = &args.input;
-    let mut all = match Format::of_content(path)? {
+    let mut lost_data = false;
+    let mut all = match Format::of_content(&mut input, path)? {
         Format::Map => {
-            let graph = read_pose_graph(path)?;
+            let (graph, damage) = whole_pose_graph_from(input, path)?;
+            if let Some(damage) = damage {
+                say(&format!("{}: damaged behind its poses, which are whole: {damage}", path.display()));
+                lost_data = true;
+            }
             let ids: Vec<i32> = graph.trajectory.iter().map(|t| t.trajectory_id).collect();
             let read = |id| Ok((id, Trajectory::new(nodes(path, &graph, id)?).0));
             ids.into_iter().map(read).collect::<Result<Named, CliError>>()?
         }
         Format::Geojson => {
-            let file = File::open(path).map_err(|source| CliError::File { path: path.clone(), source })?;
             let frame = args.origin.as_ref().map(EastNorthUp::at);
-            let (all, repairs) = read_geojson(BufReader::new(file), frame.as_ref())
-                .map_err(|error| CliError::in_file(path, error))?;
+            let (all, repairs) =
+                read_geojson(input, frame.as_ref()).map_err(|error| CliError::in_file(path, error))?;
             if !global.quiet {
                 tell_repairs(path, &repairs);
             }
@@ -120,7 +136,7 @@ fn read(args: &ConvertArgs, global: &GlobalArgs) -> Result<Named, CliError> {
         _ => {
             let times = args.times.as_deref();
             let source = TrajectorySource { path, trajectory_id: 0, times, quiet: global.quiet };
-            return Ok(vec![(args.trajectory.unwrap_or(0), source.read()?)]);
+            return Ok((vec![(args.trajectory.unwrap_or(0), source.read_from(input)?)], false));
         }
     };
     if let Some(wanted) = args.trajectory
@@ -133,5 +149,5 @@ fn read(args: &ConvertArgs, global: &GlobalArgs) -> Result<Named, CliError> {
             return Err(CliError::in_file(path, text));
         }
     }
-    Ok(all)
+    Ok((all, lost_data))
 }

@@ -11,7 +11,7 @@ use super::{EditArgs, LoopArgs, PartArgs, PlaceArgs};
 use crate::GlobalArgs;
 use crate::commands::optimize::{loop_text, optimize_draft, options, summary};
 use crate::error::{CliError, Outcome};
-use crate::output::{print, print_json};
+use crate::output::{print_json, print_summary};
 use crate::progress::say;
 
 /// What was done, for programs.
@@ -43,15 +43,14 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     if args.json {
         print_json(&report)?;
     } else {
-        print(&report.text())?;
+        print_summary(&report.text());
     }
     Ok(Outcome::Done)
 }
 
 fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> Result<(), CliError> {
-    for (i, path) in args.merge.iter().enumerate() {
-        let pose = args.place.get(i).copied().unwrap_or_else(Rigid3::identity);
-        let ids = draft.append(path, &pose)?;
+    for (path, pose) in args.merge.iter().zip(&args.place) {
+        let ids = draft.append(path, pose)?;
         if !global.quiet {
             let names: Vec<String> = ids.iter().map(|(there, here)| format!("{there} is {here}")).collect();
             say(&format!("{}: trajectory {}", path.display(), names.join(", ")));

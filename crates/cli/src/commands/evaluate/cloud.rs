@@ -108,6 +108,7 @@ pub fn run(args: &CloudArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     } else {
         print(&text(&report))?
     }
+    let lost_data = lost_data || truth.is_some_and(|truth| truth.lost_data);
     Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
 }
 

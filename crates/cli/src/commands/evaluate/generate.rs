@@ -12,7 +12,7 @@ use portolan_mapfile::{IdInFile, node_id, pose_from_proto, submap_id};
 use super::input::{nodes, read_pose_graph, trajectory_of};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{print, print_json, write_file};
+use crate::output::{print_json, print_summary, write_file};
 use crate::progress::say;
 
 /// Make relations of the loop closures of a map, to compare other maps of the same recording with.
@@ -74,7 +74,7 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         let output = args.output.display().to_string();
         print_json(&serde_json::json!({ "output": output, "relations": relations, "outliers": outliers }))?;
     } else {
-        print(&generated.summary())?;
+        print_summary(&generated.summary());
     }
     Ok(Outcome::Done)
 }

@@ -7,13 +7,17 @@ use portolan_evaluation::{
     read_kitti_poses, read_kitti_times, read_relations, read_tum,
 };
 use portolan_geometry::{Duration, Time};
+use portolan_input::Forward;
 use portolan_mapfile::proto::mapping::{self, PoseGraph};
-use portolan_mapfile::{MapReader, pose_from_proto};
+use portolan_mapfile::{MapReader, ReadLimits, pose_from_proto};
 
 use crate::error::CliError;
-use crate::output::{counted, is_map};
+use crate::input::{is_map, must_be_text, open_forward, peek, read_bytes};
+use crate::output::counted;
 use crate::progress::say;
 
+/// So much of a text tells its format, bytes: more than any comments at its start.
+const HEAD: usize = 1 << 16;
 /// Seconds between the scans of KITTI recordings.
 const KITTI_PERIOD: f64 = 0.1;
 
@@ -32,11 +36,16 @@ pub struct TrajectorySource<'a> {
 impl TrajectorySource<'_> {
     /// Reads the trajectory; says on stderr what was put right.
     pub fn read(&self) -> Result<Trajectory, CliError> {
-        let (trajectory, repairs) = if is_map(self.path)? {
-            let pose_graph = read_pose_graph(self.path)?;
+        self.read_from(open_forward(self.path)?)
+    }
+
+    /// Reads the trajectory from an opened input.
+    pub fn read_from(&self, mut input: Forward) -> Result<Trajectory, CliError> {
+        let (trajectory, repairs) = if is_map(&mut input, self.path)? {
+            let pose_graph = pose_graph_from(input, self.path)?;
             Trajectory::new(nodes(self.path, &pose_graph, self.trajectory_id)?)
         } else {
-            self.read_text()?
+            self.read_text(input)?
         };
         if trajectory.is_empty() {
             return Err(CliError::in_file(self.path, "the trajectory has no poses"));
@@ -47,13 +56,13 @@ impl TrajectorySource<'_> {
         Ok(trajectory)
     }
 
-    fn read_text(&self) -> Result<(Trajectory, TrajectoryRepairs), CliError> {
-        let text = read_bytes(self.path)?;
-        let read = match text_format(&text) {
-            TextFormat::Tum => read_tum(&*text),
-            TextFormat::Csv => read_csv(&*text),
+    fn read_text(&self, mut input: Forward) -> Result<(Trajectory, TrajectoryRepairs), CliError> {
+        must_be_text(&mut input, self.path)?;
+        let read = match text_format(peek(&mut input, self.path, HEAD)?) {
+            TextFormat::Tum => read_tum(input),
+            TextFormat::Csv => read_csv(input),
             TextFormat::Kitti => {
-                let poses = read_kitti_poses(&*text).map_err(|error| CliError::in_file(self.path, error))?;
+                let poses = read_kitti_poses(input).map_err(|error| CliError::in_file(self.path, error))?;
                 kitti_trajectory(&poses, &self.kitti_times(poses.len())?)
             }
         };
@@ -62,7 +71,7 @@ impl TrajectorySource<'_> {
 
     fn kitti_times(&self, count: usize) -> Result<Vec<Time>, CliError> {
         if let Some(path) = self.times {
-            return read_kitti_times(&*read_bytes(path)?).map_err(|error| CliError::in_file(path, error));
+            return read_kitti_times(open_forward(path)?).map_err(|error| CliError::in_file(path, error));
         }
         if !self.quiet {
             say(&format!(
@@ -97,8 +106,29 @@ fn text_format(text: &[u8]) -> TextFormat {
 
 /// The second message of a map.
 pub fn read_pose_graph(path: &Path) -> Result<PoseGraph, CliError> {
-    let reader = MapReader::open(path).map_err(|error| CliError::in_file(path, error))?;
-    Ok(reader.pose_graph().clone())
+    pose_graph_from(open_forward(path)?, path)
+}
+
+/// The second message of a map that is opened; `path` is named in errors.
+pub fn pose_graph_from(input: Forward, path: &Path) -> Result<PoseGraph, CliError> {
+    let length = input.length();
+    let reader = MapReader::from_source(input, length, ReadLimits::default());
+    Ok(reader.map_err(|error| CliError::in_file(path, error))?.take_pose_graph())
+}
+
+/// The second message of a map, and what is wrong with what follows, which is looked through to its end.
+pub fn whole_pose_graph_from(input: Forward, path: &Path) -> Result<(PoseGraph, Option<String>), CliError> {
+    let length = input.length();
+    let reader = MapReader::from_source_for_summary(input, length, ReadLimits::default());
+    let mut reader = reader.map_err(|error| CliError::in_file(path, error))?;
+    let graph = reader.take_pose_graph();
+    loop {
+        match reader.next_message() {
+            Ok(Some(_)) => {}
+            Ok(None) => return Ok((graph, None)),
+            Err(error) => return Ok((graph, Some(error.to_string()))),
+        }
+    }
 }
 
 /// One trajectory of a map.
@@ -132,11 +162,6 @@ pub fn nodes(path: &Path, pose_graph: &PoseGraph, id: i32) -> Result<Vec<TimedPo
 /// Relations, text or binary.
 pub fn read_relations_file(path: &Path) -> Result<Vec<Relation>, CliError> {
     read_relations(&read_bytes(path)?).map_err(|error: EvaluationError| CliError::in_file(path, error))
-}
-
-/// A whole file.
-pub fn read_bytes(path: &Path) -> Result<Vec<u8>, CliError> {
-    std::fs::read(path).map_err(|source| CliError::File { path: path.to_owned(), source })
 }
 
 /// Says on stderr what was put right.

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use portolan_config::Options;
 use portolan_geometry::Time;
+use portolan_input::Forward;
 use portolan_mapfile::{Extent, MapInfo, MapReader, PbstreamReader, ReadLimits, TrajectoryInfo, info};
 use serde::Serialize;
 
@@ -25,9 +26,11 @@ pub struct MapReport {
 }
 
 /// Reads a map and sums it up.
-pub fn read(path: &Path) -> Result<MapReport, CliError> {
+pub fn read(path: &Path, input: Forward) -> Result<MapReport, CliError> {
     let failed = |error| CliError::in_file(path, format!("{error}; see `portolan check`"));
-    let mut reader = MapReader::open_for_summary(path, ReadLimits::default()).map_err(failed)?;
+    let length = input.length();
+    let mut reader =
+        MapReader::from_source_for_summary(input, length, ReadLimits::default()).map_err(failed)?;
     let info = info(&mut reader).map_err(failed)?;
     let configuration = Options::from_json(&reader.header().portolan_configuration).ok();
     let engine = configuration.map(|configuration| configuration.options.engine().to_string());

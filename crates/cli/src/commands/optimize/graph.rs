@@ -1,24 +1,19 @@
 //! Optimisation of g2o files.
 
-use std::fs::File;
-use std::io::BufReader;
-
+use portolan_input::Forward;
 use portolan_solver::g2o::{G2oRepairs, Graph, Report, optimize_graph, read_g2o, write_g2o};
 
 use super::OptimizeArgs;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json, write_file};
+use crate::output::{counted, print_json, print_summary, write_file};
 use crate::progress::say;
 
-pub fn run(args: &OptimizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+pub fn run(args: &OptimizeArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     if !args.set.is_empty() {
         return Err(CliError::Usage("--set is for maps; a g2o file has no options".to_owned()));
     }
-    let file =
-        File::open(&args.input).map_err(|source| CliError::File { path: args.input.clone(), source })?;
-    let (mut graph, repairs) =
-        read_g2o(BufReader::new(file)).map_err(|error| CliError::in_file(&args.input, error))?;
+    let (mut graph, repairs) = read_g2o(input).map_err(|error| CliError::in_file(&args.input, error))?;
     let notes = notes(&repairs);
     if !global.quiet {
         notes.iter().for_each(|note| say(&format!("{}: {note}", args.input.display())));
@@ -29,7 +24,7 @@ pub fn run(args: &OptimizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     if args.json {
         print_json(&json(args, &graph, &report, &notes))?;
     } else {
-        print(&(text(&graph, &report) + &args.output.display().to_string()))?;
+        print_summary(&(text(&graph, &report) + &args.output.display().to_string()));
     }
     let lost = repairs.unusable_vertices
         + repairs.unusable_edges

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::{Init, OptimizeArgs};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json};
+use crate::output::{counted, print_json, print_summary};
 use portolan_solver::Loss;
 
 #[derive(Serialize)]
@@ -36,7 +36,7 @@ pub fn run(args: &OptimizeArgs, _: &GlobalArgs) -> Result<Outcome, CliError> {
     if args.json {
         print_json(&report)?;
     } else {
-        print(&report.text())?;
+        print_summary(&report.text());
     }
     Ok(Outcome::Done)
 }

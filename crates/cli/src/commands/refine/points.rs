@@ -12,7 +12,6 @@ use crate::GlobalArgs;
 use crate::commands::argument::{shifts, time_offset};
 use crate::commands::map::{PointTimesArg, StampsArg};
 use crate::error::CliError;
-use crate::interrupt;
 use crate::progress::{Progress, say};
 
 /// Where the points come from; found without being told.
@@ -127,9 +126,6 @@ pub fn read_points_and(
                 total,
                 format!("{:.1} million points", store.points().len() as f64 / 1e6),
             );
-        }
-        if interrupt::interrupted() {
-            return Err(CliError::Failed("stopped while reading: nothing was written".to_owned()));
         }
     }
     progress.finish();

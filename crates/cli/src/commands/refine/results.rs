@@ -35,6 +35,8 @@ pub struct Results<'a> {
     pub files: &'a [PathBuf],
     /// What was typed, for the page; none for no page.
     pub command: Option<&'a str>,
+    /// Whether no cloud and no map are written, because there is nothing better than the input.
+    pub without_results: bool,
     /// The map the trajectory came from, and which of its trajectories.
     pub map: Option<(&'a Path, i32)>,
 }
@@ -49,16 +51,17 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
     let trajectory = &results.refined.trajectory;
     let corrected: Vec<(Time, Rigid3)> =
         results.input.iter().map(|(time, pose)| (*time, trajectory.corrected(*time, pose))).collect();
+    // Where the input was kept it is the input.
     write_tum(&file("refined.tum"), &corrected)?;
     let duration = trajectory.duration();
-    if duration > SPARSE * (results.input.len() - 1) as f64 {
+    if !results.without_results && duration > SPARSE * (results.input.len() - 1) as f64 {
         let dense: Vec<(Time, Rigid3)> = (0..=(duration / DENSE) as usize)
             .map(|i| i as f64 * DENSE)
             .map(|s| (trajectory.start() + Duration::from_seconds(s), trajectory.pose(s)))
             .collect();
         write_tum(&file("refined_dense.tum"), &dense)?;
     }
-    if let Some((map, id)) = results.map {
+    if let Some((map, id)) = results.map.filter(|_| !results.without_results) {
         let failed = |error: EditError| CliError::in_file(map, error);
         let mut draft = MapDraft::open(map, ReadLimits::default()).map_err(failed)?;
         draft.replace_trajectory(id, &corrected).map_err(failed)?;
@@ -66,7 +69,7 @@ pub fn write_results(results: &Results, folder: &Path) -> Result<Vec<PathBuf>, C
     }
     let pair = CloudPair::new(&results.read.store, results.refined);
     let start = results.read.store.start().unix_seconds();
-    for name in results.clouds {
+    for name in results.clouds.iter().filter(|_| !results.without_results) {
         write_cloud(&pair, start, &file(name))?;
     }
     let judgement = results.command.map(|_| Judgement::of(&pair));
@@ -166,7 +169,7 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
             100.0 * share
         ))
     );
-    text += &notes(&results.refined.report);
+    text += &notes(&results.refined.report, results.without_results);
     for issue in &results.read.issues {
         let label = if issue.lost_data() { "lost" } else { "repaired" };
         text += &format!("{label}: {issue} ({})\n", counted(issue.count, "time", "times"));
@@ -178,7 +181,7 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
 }
 
 /// What was estimated besides, could not be determined, or is wrong with the trajectory.
-fn notes(report: &RefineReport) -> String {
+fn notes(report: &RefineReport, without_results: bool) -> String {
     let mut text = String::new();
     for u in &report.undetermined {
         let what = if u.is_rotation { "turn about" } else { "shift along" };
@@ -199,6 +202,11 @@ fn notes(report: &RefineReport) -> String {
             jump.shift,
             jump.turn.to_degrees()
         );
+    }
+    if report.kept_input {
+        text += "REFUSED: the cloud would be less sharp with the refined trajectory, which was thrown away";
+        text += "; refined.tum is the input";
+        text += if without_results { ", no cloud and no map are written without --force\n" } else { "\n" };
     }
     for warning in &report.warnings {
         text += &format!("warning: {warning}\n");

@@ -10,8 +10,9 @@ use portolan_spatial::{VoxelRepresentative, reduce};
 
 use super::options::SurfacesOf;
 use crate::clouds::read_cloud_from;
-use crate::commands::evaluate::input::{TrajectorySource, read_bytes};
+use crate::commands::evaluate::input::TrajectorySource;
 use crate::error::CliError;
+use crate::input::read_bytes;
 use crate::output::counted;
 use crate::progress::say;
 

@@ -28,10 +28,10 @@ pub struct IcpArgs {
     epsilon: f64,
     /// Only pairs each of which is the nearest of the other.
     #[arg(long)]
-    reciprocal: bool,
+    pub reciprocal: bool,
     /// Share of the nearest pairs that is used, above 0 to 1 (trimming).
     #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
-    keep: f64,
+    pub keep: f64,
     /// Only pairs whose surfaces are turned against each other by less than this, degrees.
     #[arg(long, value_name = "DEGREES")]
     normals_within: Option<f64>,
@@ -43,7 +43,7 @@ pub struct IcpArgs {
     kernel: Kernel,
     /// Only every so manieth point looks for a partner.
     #[arg(long, value_name = "N", default_value_t = 1)]
-    every: usize,
+    pub every: usize,
     /// Match each scan with all before it.
     #[arg(long)]
     metascan: bool,

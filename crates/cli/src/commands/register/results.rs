@@ -12,6 +12,8 @@ use serde::Serialize;
 
 use super::Work;
 use super::input::Scans;
+use super::options::IcpArgs;
+use super::trust::doubt;
 use crate::error::CliError;
 use crate::output::{counted, write_file};
 
@@ -43,7 +45,7 @@ impl History {
 /// A registered scan.
 #[derive(Serialize)]
 pub struct Registered {
-    file: String,
+    pub file: String,
     points: usize,
     /// x y z (m), qx qy qz qw; in the frame of the first scan unless first poses say otherwise.
     pose: [f64; 7],
@@ -53,6 +55,8 @@ pub struct Registered {
     converged: bool,
     pairs: u64,
     rms: f64,
+    /// What speaks against the result; it is worth nothing then.
+    pub doubt: Option<String>,
     /// Standard deviations of turn (rad) and shift (m) after ICP; none for the first scan.
     deviations: Option<[f64; 6]>,
     /// The covariance they are from, row by row.
@@ -62,7 +66,7 @@ pub struct Registered {
 }
 
 /// All scans with their results.
-pub fn describe(scans: &Scans, work: &Work) -> Vec<Registered> {
+pub fn describe(scans: &Scans, work: &Work, icp: &IcpArgs) -> Vec<Registered> {
     let covariances = work.global.as_ref().map(|g| g.covariances.as_slice()).unwrap_or_default();
     (0..scans.clouds.len())
         .map(|i| {
@@ -71,7 +75,9 @@ pub fn describe(scans: &Scans, work: &Work) -> Vec<Registered> {
             let matched = work.sequence.matched.get(i).and_then(Option::as_ref);
             let result = matched.and_then(|m| m.as_ref().ok());
             let deviations = |c: &na::Matrix6<f64>| std::array::from_fn(|k| c[(k, k)].max(0.0).sqrt());
-            let covariance = result.and_then(|r| r.covariance);
+            let doubt = result.and_then(|r| doubt(r, scans.clouds[i].points().len(), icp));
+            // What is not good to anything is not good to millimetres.
+            let covariance = result.and_then(|r| r.covariance).filter(|_| doubt.is_none());
             Registered {
                 file: scans.names[i].clone(),
                 points: scans.clouds[i].points().len(),
@@ -81,6 +87,7 @@ pub fn describe(scans: &Scans, work: &Work) -> Vec<Registered> {
                 converged: result.is_none_or(|r| r.converged),
                 pairs: result.map_or(0, |r| r.pairs),
                 rms: result.map_or(0.0, |r| r.rms),
+                doubt,
                 deviations: covariance.as_ref().map(deviations),
                 covariance: covariance.map(|c| std::array::from_fn(|r| std::array::from_fn(|k| c[(r, k)]))),
                 global_deviations: covariances.get(i).filter(|_| i > 0).map(deviations),
@@ -146,6 +153,9 @@ pub fn text(work: &Work, registered: &[Registered], files: &[PathBuf]) -> String
         if let Some(d) = scan.deviations {
             let [shift, turn] = [&d[3..], &d[..3]].map(|part| part.iter().map(|v| v * v).sum::<f64>().sqrt());
             text += &format!(", good to {:.2} mm and {:.4} deg", 1e3 * shift, turn.to_degrees());
+        }
+        if scan.doubt.is_some() {
+            text += ", NOT to be trusted";
         }
         if let Some(error) = &scan.error {
             text += &format!("; not matched: {error}");

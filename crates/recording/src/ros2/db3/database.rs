@@ -2,17 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection as Sqlite, ErrorCode, OpenFlags, Row, params};
-use tempfile::TempPath;
 
 use crate::RecordingError;
 use crate::codec::Encoding;
-use crate::container::{Connection, Source};
+use crate::container::{Connection, Source, UnpackedFile};
 use portolan_issue::{IssueKind, IssueLog};
 
 /// An open database.
@@ -20,7 +18,7 @@ pub(super) struct Database {
     sqlite: Sqlite,
     source: Source,
     /// Holds the bytes if they were in memory.
-    _unpacked: Option<Arc<TempPath>>,
+    _unpacked: Option<Arc<UnpackedFile>>,
 }
 
 /// Where a message stands.
@@ -46,7 +44,7 @@ impl Database {
             Source::Memory { name, bytes } => Some(Arc::new(unpack(name, bytes)?)),
             _ => None,
         };
-        let path = unpacked.as_deref().map(|path| path as &Path).or(source.file()).unwrap_or(source.name());
+        let path = unpacked.as_deref().map(AsRef::<Path>::as_ref).or(source.file()).unwrap_or(source.name());
         let error = |error: rusqlite::Error| unreadable(source.name(), &error);
         let work = most_work(source, path)?;
         let mut sqlite = connect(path, false, work).map_err(error)?;
@@ -240,13 +238,9 @@ fn immutable_uri(path: &Path) -> String {
     uri + "?immutable=1"
 }
 
-fn unpack(name: &Path, bytes: &[u8]) -> Result<TempPath, RecordingError> {
-    let write = || {
-        let mut file = tempfile::NamedTempFile::new()?;
-        file.write_all(bytes)?;
-        Ok(file.into_temp_path())
-    };
-    write().map_err(|source| RecordingError::Io { path: name.to_owned(), source })
+fn unpack(name: &Path, bytes: &[u8]) -> Result<UnpackedFile, RecordingError> {
+    UnpackedFile::write(|file| file.write_all(bytes))
+        .map_err(|source| RecordingError::Io { path: name.to_owned(), source })
 }
 
 fn code<T>(result: &rusqlite::Result<T>) -> Option<ErrorCode> {

@@ -7,8 +7,8 @@ use portolan_geometry::{Rigid3, nalgebra as na};
 
 use crate::GlobalArgs;
 use crate::clouds::read_cloud;
-use crate::commands::evaluate::input::read_bytes;
 use crate::error::CliError;
+use crate::input::read_bytes;
 use crate::output::counted;
 use crate::progress::say;
 
@@ -44,6 +44,8 @@ pub struct Truth {
     fit: bool,
     /// Points farther away do not count, metres.
     pub beyond: f64,
+    /// Whether some of the surfaces could not be read.
+    pub lost_data: bool,
 }
 
 impl TruthArgs {
@@ -58,7 +60,7 @@ impl TruthArgs {
         if beyond.is_nan() || beyond <= 0.0 {
             return Err(CliError::Usage(format!("--beyond must be above 0 m, but is {beyond}")));
         }
-        let surfaces = match (&self.surfaces, &self.reference) {
+        let (surfaces, lost_data) = match (&self.surfaces, &self.reference) {
             (Some(path), _) => surfaces(path, global.quiet)?,
             (None, Some(path)) => reference(path, global.quiet)?,
             (None, None) if self.beyond.is_some() || self.fit || self.truth.is_some() => {
@@ -68,16 +70,17 @@ impl TruthArgs {
             }
             (None, None) => return Ok(None),
         };
-        Ok(Some(Truth { surfaces, fit: self.fit, beyond }))
+        Ok(Some(Truth { surfaces, fit: self.fit, beyond, lost_data }))
     }
 }
 
-fn surfaces(path: &Path, quiet: bool) -> Result<TrueSurfaces, CliError> {
+/// Surfaces, and whether some of them could not be read.
+fn surfaces(path: &Path, quiet: bool) -> Result<(TrueSurfaces, bool), CliError> {
     let bytes = read_bytes(path)?;
     let none = || CliError::in_file(path, "there are no surfaces in it");
     if !is_mesh(&bytes) {
         let boxes = read_boxes(&*bytes).map_err(|error| CliError::in_file(path, error))?;
-        return TrueSurfaces::boxes(boxes).ok_or_else(none);
+        return TrueSurfaces::boxes(boxes).map(|surfaces| (surfaces, false)).ok_or_else(none);
     }
     let mesh = read_mesh(&bytes).map_err(|error| {
         CliError::in_file(path, format!("{error} (a cloud as the truth is given with --reference)"))
@@ -86,14 +89,15 @@ fn surfaces(path: &Path, quiet: bool) -> Result<TrueSurfaces, CliError> {
         let faces = counted(mesh.left_out as u64, "face", "faces");
         say(&format!("{}: {faces} with corners that are not there left out", path.display()));
     }
-    TrueSurfaces::triangles(mesh.triangles).ok_or_else(none)
+    let lost_data = mesh.left_out > 0;
+    TrueSurfaces::triangles(mesh.triangles).map(|surfaces| (surfaces, lost_data)).ok_or_else(none)
 }
 
-fn reference(path: &Path, quiet: bool) -> Result<TrueSurfaces, CliError> {
+fn reference(path: &Path, quiet: bool) -> Result<(TrueSurfaces, bool), CliError> {
     let cloud = read_cloud(path, REFERENCE_POINTS, quiet)?;
     let reference = ReferenceCloud::new(&cloud.points);
     reference
-        .map(TrueSurfaces::cloud)
+        .map(|reference| (TrueSurfaces::cloud(reference), cloud.lost_data()))
         .ok_or_else(|| CliError::in_file(path, "it has fewer than three points"))
 }
 

@@ -1,0 +1,66 @@
+//! Inputs of verbs: files or pipes, told apart by what they begin with.
+
+use std::io::ErrorKind;
+use std::path::Path;
+
+use portolan_input::{Forward, kind_of, named, read_all, regular_file};
+
+use crate::error::CliError;
+
+/// The first bytes of every map.
+const MAP_MAGIC: [u8; 8] = [0xdb, 0x01, 0xf5, 0x5b, 0x7b, 0x1f, 0x1d, 0x7b];
+/// Files that are read whole are not larger, bytes.
+const WHOLE_FILE: u64 = 1 << 30;
+
+/// Opens what is read from start to end, once: a file, a pipe, `-` for the standard input.
+pub fn open_forward(path: &Path) -> Result<Forward, CliError> {
+    Forward::open(path).map_err(|source| CliError::File { path: path.to_owned(), source })
+}
+
+/// Looks at the next bytes, which are read again afterwards.
+pub fn peek<'a>(input: &'a mut Forward, path: &Path, count: usize) -> Result<&'a [u8], CliError> {
+    input.peek(count).map_err(|source| CliError::File { path: path.to_owned(), source })
+}
+
+/// Whether an input is a map, by its content.
+pub fn is_map(input: &mut Forward, path: &Path) -> Result<bool, CliError> {
+    Ok(peek(input, path, MAP_MAGIC.len())? == MAP_MAGIC)
+}
+
+/// The input if it is a map; none of recordings, which are files or folders.
+pub fn open_map(path: &Path) -> Result<Option<Forward>, CliError> {
+    if named(path).is_dir() {
+        return Ok(None);
+    }
+    let mut input = open_forward(path)?;
+    let is_map = is_map(&mut input, path)?;
+    if !is_map {
+        // What was looked at of a pipe is gone: say so before a recording is looked for in the rest.
+        must_be_a_file(path)?;
+    }
+    Ok(is_map.then_some(input))
+}
+
+/// Refuses what is no text of numbers, and says what it is.
+pub fn must_be_text(input: &mut Forward, path: &Path) -> Result<(), CliError> {
+    match kind_of(peek(input, path, 16)?) {
+        Some(kind) => Err(CliError::in_file(path, format!("this is {kind}"))),
+        None => Ok(()),
+    }
+}
+
+/// Refuses pipes where something is read more than once.
+pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
+    match regular_file(path) {
+        Err(source) if source.kind() == ErrorKind::Unsupported => {
+            Err(CliError::File { path: path.to_owned(), source })
+        }
+        // Whoever reads it says more.
+        _ => Ok(()),
+    }
+}
+
+/// A whole file of at most 1 GiB.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>, CliError> {
+    read_all(path, WHOLE_FILE).map_err(|source| CliError::File { path: path.to_owned(), source })
+}

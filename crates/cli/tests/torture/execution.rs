@@ -1,0 +1,131 @@
+//! Running a verb under limits, and judging how it ended.
+
+use std::io::Read;
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::samples::Sample;
+use crate::settings::Settings;
+use crate::verbs::Verb;
+
+/// Seconds of processor time; and of the clock, which says more of the machine than of the program.
+const PROCESSOR_SECONDS: u64 = 40;
+const CLOCK: Duration = Duration::from_secs(300);
+/// Memory, KiB of address space: the stacks of threads count.
+const MEMORY_KIB: u64 = 4 << 20;
+
+/// How it went.
+pub enum Verdict {
+    Right,
+    /// What was wrong, and how to see it again.
+    Wrong(String),
+}
+
+/// A case.
+pub struct Execution<'a> {
+    pub number: u64,
+    pub sample: &'a Sample,
+    pub bytes: &'a [u8],
+    pub verb: &'a Verb,
+}
+
+impl Execution<'_> {
+    /// Runs it in a folder of its own.
+    pub fn judge(&self, settings: &Settings) -> Verdict {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, temporary) = (folder.path().join(&self.sample.name), folder.path().join("temporary"));
+        std::fs::write(&file, self.bytes).unwrap();
+        std::fs::create_dir(&temporary).unwrap();
+        let mut child = self.spawn(&settings.program, folder.path(), &temporary);
+        let mut stderr = child.stderr.take().unwrap();
+        let said = std::thread::spawn(move || {
+            let mut said = Vec::new();
+            let _ = stderr.by_ref().take(1 << 20).read_to_end(&mut said);
+            String::from_utf8_lossy(&said).into_owned()
+        });
+        let status = wait(&mut child);
+        let said = said.join().unwrap();
+        match self.fault(status, &said, folder.path(), &temporary) {
+            None => Verdict::Right,
+            Some(fault) => Verdict::Wrong(self.describe(&fault, &said, settings)),
+        }
+    }
+
+    fn spawn(&self, program: &Path, folder: &Path, temporary: &Path) -> Child {
+        let place = |word: &&str| match *word {
+            "FILE" => self.sample.name.clone(),
+            "BAG" => self.sample.recording.clone(),
+            "TUM" => self.sample.trajectory.clone(),
+            word => word.replace("OUT", "out"),
+        };
+        let limits =
+            format!("ulimit -v {MEMORY_KIB}; ulimit -t {PROCESSOR_SECONDS}; ulimit -c 0; exec \"$@\"");
+        let mut command = Command::new("sh");
+        command.args(["-c", &limits, "sh", &program.to_string_lossy()]).args(self.verb.iter().map(place));
+        command.args(["--threads", "2"]).current_dir(folder).env("TMPDIR", temporary);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+    }
+
+    /// What is wrong with the end of a run.
+    fn fault(
+        &self,
+        status: Option<ExitStatus>,
+        said: &str,
+        folder: &Path,
+        temporary: &Path,
+    ) -> Option<String> {
+        let Some(status) = status else { return Some(format!("not done after {} s", CLOCK.as_secs())) };
+        let Some(code) = status.code() else { return Some(format!("ended by {status}")) };
+        if said.contains("panicked") {
+            return Some("a panic".to_owned());
+        }
+        if !(0..=4).contains(&code) {
+            return Some(format!("exit code {code}"));
+        }
+        if code == 1 && !said.lines().any(|line| line.starts_with("error: ")) {
+            return Some("it failed without a word".to_owned());
+        }
+        let is_temporary = |name: &str| name.starts_with(".portolan") || name.ends_with(".part");
+        let left =
+            names(temporary).into_iter().chain(names(folder).into_iter().filter(|name| is_temporary(name)));
+        let left: Vec<String> = left.collect();
+        (!left.is_empty()).then(|| format!("left behind: {}", left.join(", ")))
+    }
+
+    fn describe(&self, fault: &str, said: &str, settings: &Settings) -> String {
+        let end: String = said.lines().rev().take(3).collect::<Vec<_>>().join(" | ");
+        if let Some(keep) = &settings.keep {
+            std::fs::create_dir_all(keep).unwrap();
+            std::fs::write(keep.join(format!("{}-{}", self.number, self.sample.name)), self.bytes).unwrap();
+        }
+        format!(
+            "{fault}: portolan {} ({}), see it again with PORTOLAN_TORTURE=only={},seed={}; {end}",
+            self.verb.join(" "),
+            self.sample.name,
+            self.number,
+            settings.seed
+        )
+    }
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+}
+
+/// None if it had to be ended.
+fn wait(child: &mut Child) -> Option<ExitStatus> {
+    let start = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            return Some(status);
+        }
+        if start.elapsed() > CLOCK {
+            let _ = child.kill();
+            let _ = child.wait();
+            return None;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}

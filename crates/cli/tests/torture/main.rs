@@ -1,0 +1,72 @@
+//! `portolan-torture`: files of every format, damaged with knowledge of their records, given to every verb that takes
+//! them, under limits of time and memory. Whatever comes, the program ends by itself, with a code of its table, with a
+//! sentence where it failed, and without a temporary file or half a result.
+//!
+//! In CI a few hundred cases run. More, reproducible by seed:
+//!
+//! ```sh
+//! PORTOLAN_TORTURE=cases=100000,seed=7 cargo test --release -p portolan-cli --test torture
+//! PORTOLAN_TORTURE=only=4711,seed=7,keep=/tmp/found cargo test -p portolan-cli --test torture
+//! ```
+#![cfg(unix)]
+#![allow(clippy::unwrap_used, clippy::print_stderr, clippy::panic)]
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod execution;
+mod mutation;
+mod random;
+mod records;
+mod samples;
+mod settings;
+mod verbs;
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use execution::{Execution, Verdict};
+use random::Random;
+use samples::Sample;
+use settings::Settings;
+
+/// One case: which sample, how damaged, and for which verb follows from seed and number alone.
+fn run_case(number: u64, samples: &[Sample], settings: &Settings) -> Verdict {
+    let mut random = Random::new(settings.seed, number);
+    let sample = random.choose(samples);
+    let bytes = mutation::damaged(sample, &mut random);
+    let verb = random.choose(verbs::taking(sample.kind));
+    Execution { number, sample, bytes: &bytes, verb }.judge(settings)
+}
+
+#[test]
+fn damaged_files_end_in_the_truth() {
+    let settings = Settings::from_environment();
+    let folder = tempfile::tempdir().unwrap();
+    let samples = samples::make(folder.path());
+    let (next, found) = (AtomicU64::new(settings.first()), Mutex::new(Vec::new()));
+    let work = || {
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            if number >= settings.end() {
+                return;
+            }
+            if let Verdict::Wrong(what) = run_case(number, &samples, &settings) {
+                eprintln!("{what}\n");
+                found.lock().unwrap().push(what);
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let cores = std::thread::available_parallelism().map_or(2, std::num::NonZero::get);
+        (0..cores).for_each(|_| drop(scope.spawn(work)));
+    });
+    let found = found.into_inner().unwrap();
+    assert!(
+        found.is_empty(),
+        "{} of {} cases went wrong:\n{}",
+        found.len(),
+        settings.cases,
+        found.join("\n")
+    );
+}

@@ -1,0 +1,60 @@
+//! How much is done.
+
+use std::path::PathBuf;
+
+/// Cases of a short run.
+const SHORT: u64 = 300;
+
+/// What `PORTOLAN_TORTURE` says: `cases=100000,seed=7,keep=FOLDER,only=NUMBER,program=FILE`.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// How many.
+    pub cases: u64,
+    /// What they follow from.
+    pub seed: u64,
+    /// The program; that of the tests unless another is named.
+    pub program: PathBuf,
+    /// Folder for the files of cases that went wrong.
+    pub keep: Option<PathBuf>,
+    /// Only this case.
+    only: Option<u64>,
+}
+
+impl Settings {
+    /// Of the environment.
+    ///
+    /// # Panics
+    /// On what is not understood.
+    pub fn from_environment() -> Self {
+        let mut settings = Self {
+            cases: SHORT,
+            seed: 1,
+            program: env!("CARGO_BIN_EXE_portolan").into(),
+            keep: None,
+            only: None,
+        };
+        let text = std::env::var("PORTOLAN_TORTURE").unwrap_or_default();
+        for part in text.split(',').filter(|part| !part.is_empty()) {
+            let (key, value) = part.split_once('=').unwrap();
+            match key {
+                "cases" => settings.cases = value.parse().unwrap(),
+                "seed" => settings.seed = value.parse().unwrap(),
+                "only" => settings.only = Some(value.parse().unwrap()),
+                "program" => settings.program = value.into(),
+                "keep" => settings.keep = Some(value.into()),
+                _ => panic!("PORTOLAN_TORTURE knows cases, seed, only, keep and program, but not {key}"),
+            }
+        }
+        settings
+    }
+
+    /// The first case.
+    pub fn first(&self) -> u64 {
+        self.only.unwrap_or(0)
+    }
+
+    /// The one behind the last.
+    pub fn end(&self) -> u64 {
+        self.only.map_or(self.cases, |only| only + 1)
+    }
+}

@@ -1,0 +1,116 @@
+//! What failed does not look done: exit code 4, plain words, and no result that looks like one.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::path::Path;
+
+use common::{Run, portolan, portolan_with_code, simulated_once, text};
+
+const OFFICE: [&str; 7] = ["office", "--seconds", "25", "--beams", "180", "--people", "0"];
+
+/// A recording of an office, and where its truth is; another seed is another building.
+fn office(seed: &str) -> (String, String) {
+    simulated_once(&[&OFFICE[..], &["--seed", seed]].concat())
+}
+
+fn mapped(recording: &str, folder: &Path, more: &[&str]) -> (Run, std::path::PathBuf) {
+    let output = folder.join("results");
+    let run = portolan(&[&["map", recording, "-o", &text(&output)], more].concat());
+    (run, output)
+}
+
+#[test]
+fn another_building_is_not_laid_over_the_known_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (here, _) = office("1");
+    let (elsewhere, _) = office("2");
+    let known = text(&folder.path().join("known/map.pbstream"));
+    portolan_with_code(0, &["map", &here, "-o", &text(&folder.path().join("known")), "-q"]);
+    let from = ["--from", &known];
+    let (run, output) = mapped(&elsewhere, folder.path(), &from);
+    assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
+    assert!(run.stdout.contains("NOT found in the known map"), "{}", run.stdout);
+    assert!(run.stderr.contains("no map was written"), "{}", run.stderr);
+    let left: Vec<_> = std::fs::read_dir(&output).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert!(output.join("trajectory.tum").exists() && output.join("report.json").exists(), "{left:?}");
+    assert_eq!(left.len(), 2, "{left:?}");
+    // Whoever wants it all the same gets it, and is told.
+    let (run, output) = mapped(&elsewhere, folder.path(), &[&from[..], &["--force"]].concat());
+    assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
+    assert!(output.join("map.pbstream").exists());
+    // A start in the middle of the known map says nothing better.
+    let (run, _) = mapped(&elsewhere, folder.path(), &[&from[..], &["--start", "0,0,0"]].concat());
+    assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
+    assert!(run.stdout.contains("looks otherwise where --start says"), "{}", run.stdout);
+    assert!(run.stderr.contains("map.pbstream there is of an earlier run"), "{}", run.stderr);
+    // Far away nothing speaks against it.
+    let (run, output) = mapped(&elsewhere, folder.path(), &[&from[..], &["--start", "500,0,0"]].concat());
+    assert_eq!(run.code, Some(0), "{} {}", run.stdout, run.stderr);
+    assert!(run.stdout.contains("where --start says") && output.join("map.pbstream").exists());
+}
+
+#[test]
+fn a_merged_map_needs_a_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let (recording, _) = office("1");
+    portolan_with_code(0, &["map", &recording, "-o", &text(folder.path()), "-q"]);
+    let (map, both) = (text(&folder.path().join("map.pbstream")), text(&folder.path().join("both.pbstream")));
+    let merge = ["edit", &map, "-o", &both, "--merge", &map];
+    let run = portolan_with_code(2, &merge);
+    assert!(run.stderr.contains("--place X,Y,YAW"), "{}", run.stderr);
+    assert!(!Path::new(&both).exists());
+    portolan_with_code(0, &[&merge[..], &["--place", "0,0,0"]].concat());
+}
+
+/// The walls of a room with a corner cut off, so that it fits itself one way only, metres.
+fn room(width: f64, depth: f64, height: f64) -> Vec<[f64; 3]> {
+    let random = |i: u32, k: f64| (f64::from(i) * k).fract();
+    (0..12_000)
+        .map(|i| {
+            let (u, v) = (random(i, 0.754_877_666), random(i, 0.569_840_291));
+            match i % 6 {
+                0 => [u * width, v * depth, 0.0],
+                1 => [u * width, 0.0, v * height],
+                2 => [u * width, depth - 0.4 * u * u * width, v * height],
+                3 => [0.0, u * depth, v * height],
+                4 => [width, u * depth, v * height],
+                _ => [width * 0.3 + u, depth * 0.3, v * height * 0.6],
+            }
+        })
+        .collect()
+}
+
+fn write(path: &Path, points: &[[f64; 3]]) -> String {
+    let lines: String = points.iter().map(|[x, y, z]| format!("{x:.4} {y:.4} {z:.4}\n")).collect();
+    std::fs::write(path, lines).unwrap();
+    text(path)
+}
+
+#[test]
+fn scans_that_do_not_overlap_are_not_registered() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let here = write(&at("here.xyz"), &room(6.0, 5.0, 2.5));
+    let shifted: Vec<_> = room(6.0, 5.0, 2.5).iter().map(|[x, y, z]| [x + 0.1, y - 0.05, z + 0.02]).collect();
+    let again = write(&at("again.xyz"), &shifted);
+    let beyond: Vec<_> = room(3.0, 9.0, 4.0).iter().map(|[x, y, z]| [x + 4.5, z + 2.0, y - 3.0]).collect();
+    let elsewhere = write(&at("elsewhere.xyz"), &beyond);
+    let output = text(&at("together"));
+    let run = portolan_with_code(0, &["register", &here, &again, "-o", &output]);
+    assert!(run.stdout.contains("good to"), "{}", run.stdout);
+    std::fs::remove_dir_all(&output).unwrap();
+    let run = portolan_with_code(4, &["register", &here, &elsewhere, "-o", &output]);
+    assert!(run.stderr.contains("NOT registered") && run.stderr.contains("--force"), "{}", run.stderr);
+    assert!(!run.stdout.contains("good to") && !Path::new(&output).exists(), "{}", run.stdout);
+    let run = portolan_with_code(4, &["register", &here, &elsewhere, "-o", &output, "--force", "--json"]);
+    let report: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert!(
+        report["scans"][1]["doubt"].is_string() && report["scans"][1]["deviations"].is_null(),
+        "{report}"
+    );
+    assert!(Path::new(&output).join("poses.tum").exists());
+    // Of several scans the others are good.
+    let run = portolan_with_code(3, &["register", &here, &again, &elsewhere, "--metascan"]);
+    assert!(run.stderr.contains("elsewhere.xyz: NOT registered"), "{}", run.stderr);
+}

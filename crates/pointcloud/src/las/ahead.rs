@@ -1,0 +1,103 @@
+//! Reading on a thread with much stack: on damaged times of points the decompressor of the library calls itself once for
+//! every few bits of the file, and a stack that overflows ends the process. Damage can be such that no stack is enough:
+//! only the library can bound that.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+use portolan_issue::Issue;
+
+use crate::cloud::{Attributes, PointCloud};
+use crate::error::CloudError;
+use crate::format::CloudReader;
+
+use super::open_here;
+
+/// Only what is used of it is ever taken.
+#[cfg(target_pointer_width = "64")]
+const STACK: usize = 1 << 30;
+#[cfg(not(target_pointer_width = "64"))]
+const STACK: usize = 64 << 20;
+
+/// What the thread tells.
+enum Told {
+    /// The file is open: what its points have, and how many there are.
+    Opened(Attributes, Option<u64>),
+    /// Points, none at the end, and all issues so far.
+    Points(PointCloud, Vec<Issue>),
+    Failed(CloudError),
+}
+
+/// A file that is read on the thread.
+struct LasPoints {
+    path: PathBuf,
+    attributes: Attributes,
+    count: Option<u64>,
+    told: Receiver<Told>,
+    issues: Vec<Issue>,
+}
+
+/// Opens a LAS or LAZ file.
+pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
+    let (sender, told) = sync_channel(1);
+    let path = path.to_owned();
+    let read = {
+        let path = path.clone();
+        move || {
+            let _ = read(&path, &sender);
+        }
+    };
+    let thread = std::thread::Builder::new().name("las".to_owned()).stack_size(STACK).spawn(read);
+    thread.map_err(|error| CloudError::read(&path, error))?;
+    match told.recv() {
+        Ok(Told::Opened(attributes, count)) => {
+            Ok(Box::new(LasPoints { path, attributes, count, told, issues: Vec::new() }))
+        }
+        Ok(Told::Failed(error)) => Err(error),
+        _ => Err(CloudError::damaged(&path, "it cannot be decoded")),
+    }
+}
+
+/// Tells everything of a file; ends early when nobody listens any more.
+fn read(path: &Path, sender: &SyncSender<Told>) -> Option<()> {
+    let tell = |told: Told| sender.send(told).ok();
+    let mut reader = match open_here(path) {
+        Ok(reader) => reader,
+        Err(error) => return tell(Told::Failed(error)),
+    };
+    tell(Told::Opened(reader.attributes(), reader.count()))?;
+    loop {
+        let mut batch = PointCloud::default();
+        match reader.next_batch(&mut batch) {
+            Ok(goes_on) => tell(Told::Points(batch, reader.issues())).filter(|()| goes_on)?,
+            Err(error) => return tell(Told::Failed(error)),
+        }
+    }
+}
+
+impl CloudReader for LasPoints {
+    fn attributes(&self) -> Attributes {
+        self.attributes
+    }
+
+    fn count(&self) -> Option<u64> {
+        self.count
+    }
+
+    fn next_batch(&mut self, batch: &mut PointCloud) -> Result<bool, CloudError> {
+        batch.reset(self.attributes);
+        match self.told.recv() {
+            Ok(Told::Points(points, issues)) => {
+                self.issues = issues;
+                *batch = points;
+                Ok(!batch.is_empty())
+            }
+            Ok(Told::Failed(error)) => Err(error),
+            _ => Err(CloudError::damaged(&self.path, "its points cannot be decoded")),
+        }
+    }
+
+    fn issues(&self) -> Vec<Issue> {
+        self.issues.clone()
+    }
+}
