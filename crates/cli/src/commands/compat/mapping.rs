@@ -63,7 +63,13 @@ pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliErro
             line.extend(frozen_argument(frozen, i == 0));
         }
         let parsed = Cli::try_parse_from(line).map_err(|error| CliError::Usage(error.to_string()))?;
-        outcome = outcome.max(crate::commands::run(parsed.command, global)?);
+        match crate::commands::run(parsed.command, global)? {
+            // As in the reference, which does not tell.
+            Outcome::Untrusted => {
+                log::warning(&format!("{bag} was not found in the state; it is written all the same."))
+            }
+            done => outcome = outcome.max(done),
+        }
         known = Some(results.join("map.pbstream"));
     }
     log::info(&format!("Writing state to '{}'...", output.display()));

@@ -63,6 +63,8 @@ fn search(word: &str) -> String {
     let word = word.to_lowercase();
     let has_word = |doc: &&OptionDoc| {
         !word.is_empty()
+            // A path is no word; one that is misspelt gets the nearest.
+            && !word.contains('.')
             && (doc.path.to_lowercase().contains(&word) || doc.doc.to_lowercase().contains(&word))
     };
     let line = |doc: &OptionDoc| {
