@@ -4,10 +4,9 @@
 //! nearest neighbours and the pairs are brought together as in Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP",
 //! 2023 (equations 5 to 7), with cells that begin as large as the motion may be.
 
-use std::collections::BTreeMap;
-
 use nalgebra as na;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
+use portolan_spatial::VoxelHash;
 
 use crate::settings::CoarseAlignmentSettings;
 
@@ -20,11 +19,13 @@ pub(crate) fn coarse_alignment(
     initial: &Rigid3,
     settings: &CoarseAlignmentSettings,
 ) -> Option<Rigid3> {
+    let stride = scan.len().div_ceil(settings.max_points.max(1)).max(1);
+    let scan: Vec<Point3f> = scan.iter().copied().step_by(stride).collect();
     let mut pose = *initial;
     for edge in settings.cells {
         let cells = Cells::new(reference, edge, settings.points_per_cell);
         for _ in 0..settings.iterations {
-            let step = step(&cells, scan, &pose, settings.min_pairs)?;
+            let step = step(&cells, &scan, &pose, settings.min_pairs)?;
             let turn = quaternion_from_angle_axis(&step.fixed_rows::<3>(3).into_owned());
             let translation: Vector3 = step.fixed_rows::<3>(0).into();
             pose = Rigid3::from_parts(
@@ -41,14 +42,14 @@ pub(crate) fn coarse_alignment(
 
 struct Cells {
     edge: f32,
-    points: BTreeMap<[i32; 3], Vec<Point3f>>,
+    points: VoxelHash<Vec<Point3f>>,
 }
 
 impl Cells {
     fn new(reference: &[Point3f], edge: f32, points_per_cell: usize) -> Self {
-        let mut cells = Self { edge, points: BTreeMap::new() };
+        let mut cells = Self { edge, points: VoxelHash::default() };
         for point in reference.iter().filter(|p| p.coords.iter().all(|v| v.abs() < 1e6)) {
-            let cell = cells.points.entry(cells.cell(point)).or_default();
+            let cell = cells.points.or_default(cells.cell(point));
             if cell.len() < points_per_cell {
                 cell.push(*point);
             }

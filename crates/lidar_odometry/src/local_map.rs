@@ -34,9 +34,8 @@ impl GrowingMap {
         let origin = map_from_local * sweep_in_local.origin;
         // A matrix turns many points sooner than a quaternion.
         let (turn, shift) = (map_from_local.rotation.to_rotation_matrix(), map_from_local.translation);
-        for point in &sweep_in_local.returns.points {
-            self.planes.insert_seen_from(&(shift * (turn * point)), &origin);
-        }
+        let points = sweep_in_local.returns.points.iter().map(|point| shift * (turn * point));
+        self.planes.insert_all(points, &origin);
     }
 }
 
@@ -71,9 +70,11 @@ impl LocalMap {
 
     /// Shows all maps a sweep that is no key frame.
     pub fn insert(&mut self, sweep_in_local: &RangeData) {
-        self.older.insert(sweep_in_local);
-        if let Some(newer) = &mut self.newer {
-            newer.insert(sweep_in_local);
+        match &mut self.newer {
+            Some(newer) => {
+                rayon::join(|| self.older.insert(sweep_in_local), || newer.insert(sweep_in_local));
+            }
+            None => self.older.insert(sweep_in_local),
         }
     }
 

@@ -57,12 +57,28 @@ pub struct PlaneMap {
     cells: Vec<PlaneCell>,
     /// Of each cell.
     fits: Vec<PlaneFit>,
-    /// Key and number of the voxel of each size that was changed last: neighbouring hits share it.
-    recent: [(u64, usize); LEVELS as usize],
 }
 
 /// No voxel has this key.
 const NO_KEY: u64 = u64::MAX;
+/// So many hits are inserted at once.
+const BATCH: usize = 32;
+
+/// A hit to be inserted.
+struct Hit {
+    point: Point3f,
+    /// Unit vector to where it was seen from, or zero.
+    toward: na::Vector3<f32>,
+    /// None for one that is not finite or too far away.
+    smallest: Option<Smallest>,
+}
+
+impl Hit {
+    #[inline]
+    fn new(map: &PlaneMap, point: &Point3f, toward: na::Vector3<f32>) -> Self {
+        Self { point: *point, toward, smallest: Smallest::around(&map.scaled(point)) }
+    }
+}
 
 impl PlaneMap {
     /// An empty map whose largest voxels have an edge of `edge` metres (at least a millimetre).
@@ -84,7 +100,6 @@ impl PlaneMap {
             index: DenseIndex::with_capacity(planes),
             cells: Vec::with_capacity(planes),
             fits: Vec::with_capacity(planes),
-            recent: [(NO_KEY, 0); LEVELS as usize],
         }
     }
 
@@ -103,15 +118,31 @@ impl PlaneMap {
     /// Adds a hit (metres, in the frame of the map) of which nobody knows from where it was seen. One that is
     /// not finite or far away changes nothing.
     pub fn insert(&mut self, point: &Point3f) {
-        self.insert_toward(point, &na::Vector3::zeros());
+        self.insert_hits(&[Hit::new(self, point, na::Vector3::zeros())]);
     }
 
     /// Adds a hit that was seen from `origin` (both metres, in the frame of the map).
     pub fn insert_seen_from(&mut self, point: &Point3f, origin: &Point3f) {
-        let toward = origin - point;
-        let distance = toward.norm();
-        let toward = if distance > 1e-6 { toward * (1.0 / distance) } else { na::Vector3::zeros() };
-        self.insert_toward(point, &toward);
+        self.insert_all(std::iter::once(*point), origin);
+    }
+
+    /// Adds hits that were seen from `origin` (all metres, in the frame of the map).
+    pub fn insert_all(&mut self, points: impl Iterator<Item = Point3f>, origin: &Point3f) {
+        let mut points = points.fuse();
+        let mut hits = Vec::with_capacity(BATCH);
+        loop {
+            hits.clear();
+            hits.extend(points.by_ref().take(BATCH).map(|point| {
+                let toward = origin - point;
+                let distance = toward.norm();
+                let toward = if distance > 1e-6 { toward * (1.0 / distance) } else { na::Vector3::zeros() };
+                Hit::new(self, &point, toward)
+            }));
+            if hits.is_empty() {
+                return;
+            }
+            self.insert_hits(&hits);
+        }
     }
 
     /// A place in smallest voxels from the corner of all of them.
@@ -121,40 +152,55 @@ impl PlaneMap {
         place.coords * self.smallest_per_metre + na::Vector3::repeat(to_corner)
     }
 
-    fn insert_toward(&mut self, point: &Point3f, toward: &na::Vector3<f32>) {
-        let Some(smallest) = Smallest::around(&self.scaled(point)) else { return };
+    /// Adds at most [`BATCH`] hits, size by size of voxels. All voxels of a size are looked up before the first of them
+    /// is changed, so that their reads overlap: the time goes into waiting for memory.
+    fn insert_hits(&mut self, hits: &[Hit]) {
+        let mut open = [0_u8; BATCH];
+        let mut num_open = 0;
+        for i in (0..hits.len().min(BATCH)).filter(|i| hits[*i].smallest.is_some()) {
+            open[num_open] = i as u8;
+            num_open += 1;
+        }
         for level in 0..LEVELS {
-            let Some(key) = smallest.key(level) else { return };
-            let number = self.number_of(key, level as usize);
-            let cell = &mut self.cells[number];
-            let is_settled = cell.count > self.settings.settled_hits && cell.is_plane;
-            // The other side of a floor or of a wall is a surface of its own.
-            if is_settled && cell.shows_other_side(toward, &self.settings) {
-                continue;
+            let mut found = [(0_u64, None); BATCH];
+            for (found, i) in found.iter_mut().zip(&open[..num_open]) {
+                let key = hits[usize::from(*i)].smallest.and_then(|smallest| smallest.key(level));
+                *found = key.map_or((NO_KEY, None), |key| (key, self.index.get(key)));
             }
-            let edge = self.edge / (1 << level) as f32;
-            cell.add(point, toward, edge, &self.settings, &mut self.fits[number]);
-            if is_settled {
-                return;
+            let mut still_open = 0;
+            for (k, (key, number)) in found[..num_open].iter().enumerate().filter(|(_, (key, _))| *key != NO_KEY) {
+                let number = number.unwrap_or_else(|| self.number_of(*key));
+                if self.goes_on(number, level, &hits[usize::from(open[k])]) {
+                    open[still_open] = open[k];
+                    still_open += 1;
+                }
             }
+            num_open = still_open;
         }
     }
 
-    /// The number of a voxel, which is made if it is not there yet.
+    /// Adds a hit to a voxel of a size; whether smaller ones want it, too.
     #[inline]
-    fn number_of(&mut self, key: u64, level: usize) -> usize {
-        let (recent, number) = self.recent[level];
-        if recent == key {
-            return number;
+    fn goes_on(&mut self, number: usize, level: u32, hit: &Hit) -> bool {
+        let cell = &mut self.cells[number];
+        let is_settled = cell.count > self.settings.settled_hits && cell.is_plane;
+        // The other side of a floor or of a wall is a surface of its own.
+        if is_settled && cell.shows_other_side(&hit.toward, &self.settings) {
+            return true;
         }
-        let number = self.index.get(key).unwrap_or_else(|| {
+        let edge = self.edge / (1 << level) as f32;
+        cell.add(&hit.point, &hit.toward, edge, &self.settings, &mut self.fits[number]);
+        !is_settled
+    }
+
+    /// The number of a voxel, which is made if it is not there yet.
+    fn number_of(&mut self, key: u64) -> usize {
+        self.index.get(key).unwrap_or_else(|| {
             self.index.insert(key, self.cells.len());
             self.cells.push(PlaneCell::new());
             self.fits.push(PlaneFit::default());
             self.cells.len() - 1
-        });
-        self.recent[level] = (key, number);
-        number
+        })
     }
 
     /// The plane near a place: that of the largest flat voxel around it, or of the neighbour across the

@@ -66,16 +66,19 @@ impl PolePoint {
 /// Those points that lie above others of their column.
 fn above_others(all: &[(TimedPoint, Point3f)], settings: &PoleSettings) -> Vec<(TimedPoint, Point3f)> {
     let mut columns = Cells::new(settings.column, [f32::INFINITY, f32::NEG_INFINITY]);
-    for (_, place) in all {
-        let [lowest, highest] = columns.at_mut(columns.column(place));
+    let mut count = |place: &Point3f| {
+        let column = columns.number_of(columns.column(place));
+        let [lowest, highest] = columns.value_mut(column);
         (*lowest, *highest) = (lowest.min(place.z), highest.max(place.z));
-    }
-    let stands = |(_, place): &&(TimedPoint, Point3f)| {
-        columns.at(columns.column(place)).is_some_and(|[lowest, highest]| {
-            highest - lowest > settings.min_height && place.z > lowest + settings.foot
-        })
+        column
     };
-    all.iter().filter(stands).copied().collect()
+    let column_of: Vec<usize> = all.iter().map(|(_, place)| count(place)).collect();
+    let stands = |place: &Point3f, column: usize| {
+        let [lowest, highest] = columns.value(column);
+        highest - lowest > settings.min_height && place.z > lowest + settings.foot
+    };
+    let standing = all.iter().zip(column_of).filter(|((_, place), column)| stands(place, *column));
+    standing.map(|(point, _)| *point).collect()
 }
 
 /// How many points a cell has, their sum and the sum of their outer products.

@@ -54,9 +54,7 @@ pub(crate) fn planes_of_loaded(
         let pose = to_f32(&(submap_from_local * node.local_from_tracking));
         let clouds = [&node.high_resolution_point_cloud, &node.low_resolution_point_cloud];
         let origin = Point3f::from(pose.translation.vector);
-        for point in clouds.iter().flat_map(|cloud| &cloud.points) {
-            planes.insert_seen_from(&(pose * point), &origin);
-        }
+        planes.insert_all(clouds.iter().flat_map(|cloud| &cloud.points).map(|point| pose * point), &origin);
         count += usize::from(clouds.iter().any(|cloud| !cloud.is_empty()));
     }
     if count < MIN_NODES {

@@ -146,9 +146,11 @@ impl Submap3d {
     pub fn draw_grids(&mut self) {
         let scans = std::mem::take(&mut self.waiting);
         let Some(inserter) = &self.inserter else { return };
-        let (fine, max_range) = (&inserter.inserter, inserter.high_resolution_max_range);
-        fine.insert_all(&scans, max_range, &mut self.high_resolution_grid);
-        fine.insert_all(&scans, f32::INFINITY, &mut self.low_resolution_grid);
+        let (inserter, max_range) = (&inserter.inserter, inserter.high_resolution_max_range);
+        rayon::join(
+            || inserter.insert_all(&scans, max_range, &mut self.high_resolution_grid),
+            || inserter.insert_all(&scans, f32::INFINITY, &mut self.low_resolution_grid),
+        );
     }
 
     /// A submap as a file has it.

@@ -17,6 +17,7 @@ mod correction;
 mod coverage;
 mod dense_trajectory;
 mod fine;
+mod held_out;
 mod information;
 mod jumps;
 mod knots;
@@ -45,6 +46,7 @@ use portolan_geometry::{Rigid3, Time};
 pub(crate) use conjugate_gradients::{TIGHT, conjugate_gradients};
 pub use correction::SensorCorrection;
 pub use dense_trajectory::{Correction, DenseTrajectory, PoseMatrices};
+pub use held_out::{Agreement, CrossValidation};
 pub use jumps::Jump;
 pub use knots::Knots;
 pub(crate) use motion_blocks::MotionBlocks;
@@ -62,6 +64,7 @@ pub(crate) use session::Session;
 
 use crate::{MotionSensors, PointStore, RefineError};
 use coarse::{agreement, coarse_step};
+use held_out::{Part, Selection};
 use odometry::motion_terms;
 use rounds::Rounds;
 use surfels::SurfelMap;
@@ -123,10 +126,14 @@ pub fn refine_continuous_with(
             .warnings
             .push("there is only one lidar: there is nothing to calibrate it against".to_owned());
     }
-    let mut run = Run { session, sensors, options, observe };
+    let input = session.trajectory.input_matrices();
+    let mut run = Run { session, sensors, options, observe, input, part: Part::Fitted };
     run.coarse()?;
     let mut rounds = Rounds::new(&mut run);
     rounds.run()?;
+    if rounds.cross_validate() {
+        rounds.end()?;
+    }
     let (found, world_from_fixed) = (rounds.others.found, rounds.others.world_from_fixed);
     run.session.report.other_sensors = found;
     run.session.judge_mountings(sensors);
@@ -162,18 +169,47 @@ struct Run<'a, 'b> {
     sensors: &'b MotionSensors,
     options: &'b ContinuousOptions,
     observe: &'b mut dyn FnMut(&RefineProgress) -> bool,
+    /// The poses of the input.
+    input: PoseMatrices,
+    /// In which points patches are looked for.
+    part: Part,
 }
 
 impl Run<'_, '_> {
     fn extract(&mut self, window: f64) -> Result<SurfelMap, RefineError> {
+        let map = self.surfels(window, self.part);
         let session = &mut self.session;
-        let points = session.points_for_surfaces();
-        let map = SurfelMap::extract(&points, &session.coverage, &session.trajectory, window);
         if map.surfels.is_empty() {
             return Err(RefineError::NoSurfaces(session.report.points));
         }
         session.report.planar_share = Some(map.planar_share());
         Ok(map)
+    }
+
+    fn surfels(&self, window: f64, part: Part) -> SurfelMap {
+        let session = &self.session;
+        let selection = Selection { part, input: &self.input };
+        let points = session.points_for_surfaces();
+        SurfelMap::extract(&points, selection, &session.coverage, &session.trajectory, window)
+    }
+
+    /// Judges what was reached by the points that were kept out of the fit. Whether it is better than the input.
+    fn cross_validate(&mut self) -> bool {
+        if self.session.report.stopped {
+            return true;
+        }
+        let map = self.surfels(self.options.window, Part::HeldOut);
+        let session = &mut self.session;
+        let found = held_out::judge(&map, &session.points.corrections, &session.trajectory);
+        let is_refused = found.as_ref().is_some_and(|found| found.is_refused);
+        if is_refused {
+            session.keep_input(
+                "surfaces that were kept out of the fit agree less with the result than with the input, so the \
+                 input was kept",
+            );
+        }
+        session.report.cross_validation = found;
+        !is_refused
     }
 
     /// Draws windows together: those near in time first, among which there is little drift, then all.

@@ -34,6 +34,25 @@ impl<T: Clone> Cells<T> {
         key_of([x, y, 0])
     }
 
+    /// The number of a cell, which is made if it is missing.
+    pub fn number_of(&mut self, key: u64) -> usize {
+        self.index.get(key).unwrap_or_else(|| {
+            self.index.insert(key, self.values.len());
+            self.values.push(self.empty.clone());
+            self.values.len() - 1
+        })
+    }
+
+    /// The value of a cell by its number.
+    pub fn value(&self, number: usize) -> &T {
+        &self.values[number]
+    }
+
+    /// The value of a cell by its number, to be changed.
+    pub fn value_mut(&mut self, number: usize) -> &mut T {
+        &mut self.values[number]
+    }
+
     /// The value of a cell, if it has been made.
     pub fn at(&self, key: u64) -> Option<&T> {
         self.values.get(self.index.get(key)?)
@@ -41,11 +60,7 @@ impl<T: Clone> Cells<T> {
 
     /// The value of a cell, to be changed.
     pub fn at_mut(&mut self, key: u64) -> &mut T {
-        let number = self.index.get(key).unwrap_or_else(|| {
-            self.index.insert(key, self.values.len());
-            self.values.push(self.empty.clone());
-            self.values.len() - 1
-        });
-        &mut self.values[number]
+        let number = self.number_of(key);
+        self.value_mut(number)
     }
 }

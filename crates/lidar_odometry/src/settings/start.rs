@@ -57,6 +57,10 @@ settings! {
             "Edges of the cells in whose neighbourhood a nearest point is looked for, coarse to fine",
             origin: "derived: a car goes 3 m between sweeps",
             larger: "larger basin of attraction, slower";
+        max_points: usize = 2000, "points", 20.0..=1e6,
+            "So many points of the scan are paired at most, evenly in order",
+            origin: "derived: hundreds of points for each of six unknowns; what follows is exact",
+            larger: "slower";
         iterations: u32 = 40, "iterations", 1.0..=1000.0,
             "Iterations at most with each",
             origin: "tuned",

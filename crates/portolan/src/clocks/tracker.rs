@@ -227,9 +227,7 @@ impl SweepTracker {
         for map in &mut self.maps {
             let map_from_tracking = to_f32(&(map.local_from_map.inverse() * last.local_from_tracking));
             let origin = map_from_tracking * origin;
-            for point in &self.straight {
-                map.planes.insert_seen_from(&(map_from_tracking * point), &origin);
-            }
+            map.planes.insert_all(self.straight.iter().map(|point| map_from_tracking * point), &origin);
             map.sweeps += 1;
         }
     }

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::correction::Corrections;
 use super::{
-    ContinuousOptions, DenseTrajectory, Jump, Mounting, OdometryNoise, OtherSensorsFound, PoseMatrices,
+    ContinuousOptions, CrossValidation, DenseTrajectory, Jump, Mounting, OdometryNoise, OtherSensorsFound, PoseMatrices,
     SensorCorrection,
 };
 use crate::semi_rigid::SemiRigidOptions;
@@ -124,7 +124,10 @@ pub struct RefineReport {
     /// For so many seconds no pass came back: there the input's motion over more than two seconds was kept, since
     /// nothing tells how it would have to be changed.
     pub long_shape_held_seconds: f64,
-    /// The result was less sharp than the input, which was therefore kept.
+    /// How well surfaces agree that were kept out of the fit; none if there are too few, or with another method.
+    pub cross_validation: Option<CrossValidation>,
+    /// The result was less sharp than the input, or surfaces kept out of the fit agreed less with it: the input was
+    /// kept.
     pub kept_input: bool,
     /// It was stopped before it had converged.
     pub stopped: bool,

@@ -4,6 +4,7 @@ use portolan_geometry::{Vector3, angular_distance};
 
 use super::conjugate_gradients::{LOOSE, TIGHT};
 use super::fine::{FineProblem, FineStep, fine_step};
+use super::held_out::Part;
 use super::mounting::Mounting;
 use super::odometry::{noise_found, odometry_terms};
 use super::other_sensors::OtherSensors;
@@ -24,6 +25,8 @@ const STEPS_REST: f64 = 0.0005;
 const RESTS: (f64, f64) = (0.001, 0.0005);
 /// … and no sensor moves farther: metres, radians, seconds.
 const SENSOR_RESTS: [f64; 3] = [0.001, 0.0003, 0.0005];
+/// Most rounds with all points at the end, which begin where those with most points ended.
+const LAST_ROUNDS: usize = 2;
 /// Usual number of rounds, for progress.
 const USUAL_ROUNDS: f64 = 4.0;
 
@@ -46,38 +49,57 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         Self { run, others, sensors, found }
     }
 
+    /// Rounds with what is fitted, until nothing moves.
     pub fn run(&mut self) -> Result<(), RefineError> {
+        self.rounds(0, self.run.options.max_rounds)?;
+        Ok(())
+    }
+
+    /// Judges what was reached by what took no part in it. Whether it is better than the input.
+    pub fn cross_validate(&mut self) -> bool {
+        self.run.cross_validate()
+    }
+
+    /// Ends with all points, those that were kept out of the fit included.
+    pub fn end(&mut self) -> Result<(), RefineError> {
+        self.run.part = Part::All;
+        match self.rounds(self.run.options.max_rounds, LAST_ROUNDS)? {
+            Some((map, knots)) => self.judge_sensors(&map, &knots),
+            None => Ok(()),
+        }
+    }
+
+    /// Rounds that are counted from `first` on; patches and knots of the last one, unless it was stopped.
+    fn rounds(&mut self, first: usize, number: usize) -> Result<Option<(SurfelMap, Knots)>, RefineError> {
         let options = self.run.options;
         let mut last = None;
-        for round in 0..options.max_rounds {
+        for round in first..first + number {
             if self.run.session.report.stopped {
-                return Ok(());
+                return Ok(None);
             }
-            let first = round == 0;
-            let spacing = if first { FIRST_SPACING.max(options.knot_spacing) } else { options.knot_spacing };
+            let is_first = round == 0;
+            let spacing = if is_first { FIRST_SPACING.max(options.knot_spacing) } else { options.knot_spacing };
             let knots = Knots::new(self.run.session.trajectory.duration(), spacing);
             let before = self.run.session.trajectory.clone();
             let map = self.run.extract(options.window)?;
             let sensors_moved = self.steps(&map, &knots, round)?;
             if self.run.session.report.stopped {
-                return Ok(());
+                return Ok(None);
             }
             self.run.session.measure_round(round);
-            if !first {
+            last = Some((map, knots));
+            if !is_first {
                 let session = &mut self.run.session;
-                session.report.odometry_found = noise_found(&session.trajectory, &knots);
+                if let Some((_, knots)) = &last {
+                    session.report.odometry_found = noise_found(&session.trajectory, knots);
+                }
                 let (shift, turn) = movement(&before, &session.trajectory);
                 if shift < RESTS.0 && turn < RESTS.1 && !sensors_moved {
-                    last = Some((map, knots));
                     break;
                 }
             }
-            last = Some((map, knots));
         }
-        match last {
-            Some((map, knots)) => self.judge_sensors(&map, &knots),
-            None => Ok(()),
-        }
+        Ok(last)
     }
 
     /// The steps of one round; whether a sensor still moves at the end.

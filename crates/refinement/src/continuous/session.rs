@@ -5,7 +5,7 @@ use portolan_geometry::{Duration, Rigid3, Time, Vector3};
 
 use super::correction::Corrections;
 use super::coverage::{Coverage, TimedPoints};
-use super::long_shape;
+use super::{held_out, long_shape};
 use super::report::{Method, RefineReport, Refined, RoundSharpness};
 use super::time_base::{self, TimeBase};
 use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound, information};
@@ -77,6 +77,7 @@ impl<'a> Session<'a> {
             largest_shift: 0.0,
             largest_turn: 0.0,
             undetermined: Vec::new(),
+            cross_validation: None,
             kept_input: false,
             long_shape_held_seconds: 0.0,
             stopped: false,
@@ -139,27 +140,33 @@ impl<'a> Session<'a> {
         }
     }
 
+    /// Takes back everything, and says why.
+    pub fn keep_input(&mut self, why: &str) {
+        self.trajectory.reset();
+        self.points.corrections = Corrections::default();
+        let report = &mut self.report;
+        (report.kept_input, report.calibrated) = (true, false);
+        report.sharpness_after = report.sharpness_before;
+        report.warnings.push(why.to_owned());
+    }
+
     /// Judges the result, keeps the input if that is sharper, and lets `settle` move the whole (which begins at the first
     /// pose of the input now, moved there by the given transform).
     pub fn finish(mut self, settle: impl FnOnce(&mut DenseTrajectory, &Rigid3)) -> Refined {
         self.report.long_shape_held_seconds = long_shape::keep(&mut self.trajectory);
+        if let Some(validation) = self.report.cross_validation.as_ref().filter(|v| !v.is_refused) {
+            held_out::keep_input(&mut self.trajectory, &validation.refused);
+        }
         let anchor = self.trajectory.anchor_first_pose();
-        let report = &mut self.report;
-        report.sharpness_after =
+        self.report.sharpness_after =
             measure(&self.points, &self.coverage, &self.trajectory, SharpnessOptions::default());
-        if let (Some(before), Some(after)) = (&report.sharpness_before, &report.sharpness_after) {
+        if let (Some(before), Some(after)) = (&self.report.sharpness_before, &self.report.sharpness_after) {
             let error = before.entropy_standard_error.hypot(after.entropy_standard_error);
             if after.mean_map_entropy > before.mean_map_entropy + 2.0 * error {
-                self.trajectory.reset();
-                self.points.corrections = Corrections::default();
-                report.kept_input = true;
-                report.calibrated = false;
-                report.sharpness_after = report.sharpness_before;
-                report.warnings.push(
-                    "the refined cloud was less sharp than the original, so the input was kept".to_owned(),
-                );
+                self.keep_input("the refined cloud was less sharp than the original, so the input was kept");
             }
         }
+        let report = &mut self.report;
         (report.largest_shift, report.largest_turn) = self.trajectory.largest_correction();
         report.undetermined = information::undetermined(&self.information);
         for free in &mut report.undetermined {

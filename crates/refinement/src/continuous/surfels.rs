@@ -12,6 +12,7 @@ use super::cells::{Cells, Key};
 use super::correction::Corrections;
 use super::coverage::{Coverage, TimedPoints};
 use super::dense_trajectory::{DenseTrajectory, PoseMatrices};
+use super::held_out::Selection;
 use crate::point_store::StoredPoint;
 use portolan_spatial::{Moments, PlaneFit};
 
@@ -92,6 +93,7 @@ impl SurfelMap {
     /// Finds the planar patches of every window of about `window` seconds with the current trajectory.
     pub fn extract(
         points: &TimedPoints,
+        selection: Selection,
         coverage: &Coverage,
         trajectory: &DenseTrajectory,
         window: f64,
@@ -102,7 +104,7 @@ impl SurfelMap {
             .into_par_iter()
             .map_init(Workspace::default, |workspace, part| {
                 let (window, sensor) = (windows[part / points.sensors], part % points.sensors);
-                workspace.take(points, points.between(window), sensor);
+                workspace.take(points, points.between(window), sensor, selection);
                 workspace.extract(&points.corrections, sensor, trajectory, &matrices)
             })
             .collect();
@@ -154,10 +156,18 @@ struct Workspace {
 }
 
 impl Workspace {
-    /// Takes the points of a sensor.
-    fn take(&mut self, points: &TimedPoints, seen: &[StoredPoint], sensor: usize) {
+    /// Takes the points of a sensor that are selected.
+    fn take(
+        &mut self,
+        points: &TimedPoints,
+        seen: &[StoredPoint],
+        sensor: usize,
+        selection: Selection,
+    ) {
         self.points.clear();
-        let own = seen.iter().filter(|p| p.sensor() == sensor);
+        let is_wanted =
+            |p: &&StoredPoint| p.sensor() == sensor && selection.contains(points.seconds(p), p.in_tracking);
+        let own = seen.iter().filter(is_wanted);
         self.points.extend(own.map(|point| points.place(point)));
     }
 

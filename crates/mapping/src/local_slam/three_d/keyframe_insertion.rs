@@ -52,15 +52,18 @@ impl KeyframeInsertion {
     /// Makes a node of a key frame and inserts it.
     pub fn insert(&mut self, keyframe: KeyframeScan) -> MatchingResult<Spatial> {
         let KeyframeScan { time, local_from_tracking, scan, open, .. } = keyframe;
-        let [high, low] = keyframe.clouds.unwrap_or_else(|| self.clouds(&scan.returns));
         let gravity = keyframe.gravity_from_tracking;
+        let ([high, low], histogram) = rayon::join(
+            || keyframe.clouds.unwrap_or_else(|| self.clouds(&scan.returns)),
+            || self.histogram(&scan.returns, &gravity),
+        );
         let data = NodeData {
             time,
             gravity_alignment: gravity,
             filtered_gravity_aligned_point_cloud: PointCloud::default(),
             high_resolution_point_cloud: high,
             low_resolution_point_cloud: low,
-            rotational_scan_matcher_histogram: self.histogram(&scan.returns, &gravity),
+            rotational_scan_matcher_histogram: histogram,
             local_from_tracking,
         };
         let range_data_in_local = scan.transformed(&to_f32(&local_from_tracking));

@@ -1,0 +1,252 @@
+//! Cross-validation: whether surfaces that took no part in the fit agree better with the result than with the input.
+//!
+//! A share of space, in blocks, is kept out of the fit. Afterwards the patches seen there are paired, window with window,
+//! once with the input and once with the result, and the distance of each pair is taken with both: with windows that are
+//! near in time it shows how thick surfaces are, with others how well passes agree. Where held-out surfaces
+//! fit worse than with the input, the fit has followed something that is not the motion, and the input's motion
+//! is kept (hold-out validation; Arlot and Celisse, "A survey of cross-validation procedures for model selection", 2010).
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use portolan_geometry::{
+    Rigid3, Vector3, angle_axis_from_quaternion, nalgebra as na, quaternion_from_angle_axis,
+};
+use portolan_numeric::scramble;
+use serde::Serialize;
+
+use super::DenseTrajectory;
+use super::correction::Corrections;
+use super::dense_trajectory::PoseMatrices;
+use super::pairs::{PlacedSurfel, find_pairs, place};
+use super::surfels::SurfelMap;
+
+/// Edge of the blocks of space that are kept out, metres: some patches wide.
+const BLOCK: f64 = 4.0;
+/// One block of so many is kept out.
+const ONE_OF: u32 = 5;
+/// Pairs are looked for up to this distance across a surface, metres; more costs no more.
+const REACH: f64 = 0.3;
+/// Windows more than so many numbers apart are different passes.
+const PASS: usize = 5;
+/// Windows that are judged together: in one alone chance decides.
+const TOGETHER: usize = 10;
+/// Fewer pairs of windows are not judged.
+const LEAST_PAIRS: usize = 8;
+/// Worse by so many standard errors is worse …
+const SIGNIFICANT: f64 = 3.0;
+/// … if it is at least this share of the cost.
+const RELEVANT: f64 = 0.01;
+/// Scale of the robust cost at least, metres: patches are not flatter.
+const LEAST_SCALE: f64 = 0.005;
+
+/// Which points are looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// All.
+    All,
+    /// Those that are fitted.
+    Fitted,
+    /// Those that are kept out of the fit.
+    HeldOut,
+}
+
+/// A part of the points: by blocks of the world as the input sees it.
+#[derive(Clone, Copy)]
+pub(crate) struct Selection<'a> {
+    pub part: Part,
+    /// Poses of the input.
+    pub input: &'a PoseMatrices,
+}
+
+impl Selection<'_> {
+    /// Whether a point, given by its time and place in the tracking frame as recorded, belongs to the part.
+    #[inline]
+    pub fn contains(&self, seconds: f64, in_tracking: [f32; 3]) -> bool {
+        let wanted = match self.part {
+            Part::All => return true,
+            Part::Fitted => false,
+            Part::HeldOut => true,
+        };
+        let block = self.input.to_world(seconds, in_tracking).map(|v| (v / BLOCK).floor() as i64 as u32);
+        let hash = block.iter().fold(0, |hash, index| scramble(hash ^ index));
+        (hash % ONE_OF == 0) == wanted
+    }
+}
+
+/// How well patches that were kept out of the fit agree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Agreement {
+    /// Pairs of windows that show the same surfaces.
+    pub pairs: usize,
+    /// Root mean square distance with the input, metres; distances of 0.3 m and more count as 0.3 m.
+    pub before: f64,
+    /// The same with the result.
+    pub after: f64,
+}
+
+/// What cross-validation says of a refinement.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct CrossValidation {
+    /// Windows near in time: how thick surfaces are.
+    pub near_in_time: Agreement,
+    /// Windows of different passes: how well these agree.
+    pub between_passes: Agreement,
+    /// Where the input's motion was kept because surfaces kept out of the fit agreed less with the result
+    /// (from, to; seconds since the start of the trajectory).
+    pub refused: Vec<[f64; 2]>,
+    /// Whether all of the result was refused.
+    pub is_refused: bool,
+}
+
+/// Costs of the pairs of two windows with input and result.
+#[derive(Clone, Copy, Debug, Default)]
+struct Costs {
+    count: f64,
+    robust: [f64; 2],
+    squares: [f64; 2],
+}
+
+/// Two windows and their costs.
+type Sample<'a> = (&'a (usize, usize), &'a Costs);
+
+/// Compares the agreement of held-out patches with the result to that with the input. None where there are too few.
+pub(super) fn judge(
+    map: &SurfelMap,
+    corrections: &Corrections,
+    trajectory: &DenseTrajectory,
+) -> Option<CrossValidation> {
+    let mut input = trajectory.clone();
+    input.reset();
+    let placed = [place(map, &Corrections::default(), &input), place(map, corrections, trajectory)];
+    let costs = costs_of_windows(map, &placed);
+    let is_near = |(a, b): &(usize, usize)| a.abs_diff(*b) <= PASS;
+    let (near, far): (Vec<_>, Vec<_>) = costs.iter().partition(|(windows, _)| is_near(windows));
+    let mut result = CrossValidation {
+        near_in_time: agreement(&near),
+        between_passes: agreement(&far),
+        ..CrossValidation::default()
+    };
+    if near.len() < LEAST_PAIRS {
+        return None;
+    }
+    result.is_refused = is_worse(&near) || is_worse(&far);
+    let last = map.windows.iter().map(|window| window.number).max()?;
+    for first in (0..=last).step_by(TOGETHER) {
+        let here = first..(first + TOGETHER).min(last + 1);
+        if [&near, &far].iter().any(|all| is_worse(&touching(all, &here))) {
+            result.refused.extend(span(map, trajectory.duration(), &here));
+        }
+    }
+    join(&mut result.refused);
+    Some(result)
+}
+
+/// Robust costs (Geman and McClure 1987) and squares of the distances of pairs, by their windows.
+fn costs_of_windows(map: &SurfelMap, placed: &[Vec<PlacedSurfel>; 2]) -> BTreeMap<(usize, usize), Costs> {
+    let window_of = |surfel: u32| {
+        let index = map.windows.partition_point(|w| w.surfels.end <= surfel as usize);
+        map.windows[index].number
+    };
+    // What only one of both takes for one surface counts, too.
+    let mut pairs: BTreeSet<(u32, u32)> = BTreeSet::new();
+    for placed in placed {
+        let found = find_pairs(map, placed, REACH, None);
+        pairs.extend(found.iter().map(|pair| (pair.a.min(pair.b), pair.a.max(pair.b))));
+    }
+    let distance = |placed: &[PlacedSurfel], (a, b): (u32, u32)| {
+        let (a, b) = (&placed[a as usize], &placed[b as usize]);
+        let normal = (a.normal + b.normal).try_normalize(1e-6).unwrap_or(a.normal);
+        normal.dot(&(a.mean - b.mean)).abs().min(REACH)
+    };
+    let distances: Vec<((u32, u32), [f64; 2])> =
+        pairs.into_iter().map(|pair| (pair, [0, 1].map(|k| distance(&placed[k], pair)))).collect();
+    // The better half of both tells how flat patches are.
+    let mut smaller: Vec<f64> = distances.iter().map(|(_, [a, b])| a.min(*b)).collect();
+    smaller.sort_by(f64::total_cmp);
+    let scale = smaller.get(smaller.len() / 2).map_or(LEAST_SCALE, |median| median / 0.6745).max(LEAST_SCALE);
+    let mut costs: BTreeMap<(usize, usize), Costs> = BTreeMap::new();
+    for ((a, b), distances) in distances {
+        let windows = (window_of(a), window_of(b));
+        let sum = costs.entry((windows.0.min(windows.1), windows.0.max(windows.1))).or_default();
+        sum.count += 1.0;
+        for (k, d) in distances.into_iter().enumerate() {
+            sum.robust[k] += d * d / (scale * scale + d * d);
+            sum.squares[k] += d * d;
+        }
+    }
+    costs
+}
+
+/// Those of which a window is one of some.
+fn touching<'a>(costs: &[Sample<'a>], windows: &Range<usize>) -> Vec<Sample<'a>> {
+    let touches = |(a, b): &(usize, usize)| windows.contains(a) || windows.contains(b);
+    costs.iter().filter(|(pair, _)| touches(pair)).copied().collect()
+}
+
+fn agreement(costs: &[Sample]) -> Agreement {
+    let count: f64 = costs.iter().map(|(_, c)| c.count).sum();
+    let rms =
+        |k: usize| (costs.iter().map(|(_, c)| c.squares[k]).sum::<f64>() / f64::max(count, 1.0)).sqrt();
+    Agreement { pairs: costs.len(), before: rms(0), after: rms(1) }
+}
+
+/// Whether pairs fit worse with the result than with the input. Pairs of the same two windows are wrong in the same way:
+/// together they are one sample.
+fn is_worse(costs: &[Sample]) -> bool {
+    if costs.len() < LEAST_PAIRS {
+        return false;
+    }
+    let mean = |k: usize, c: &Costs| c.robust[k] / c.count.max(1.0);
+    let number = costs.len() as f64;
+    let differences: Vec<f64> = costs.iter().map(|(_, c)| mean(1, c) - mean(0, c)).collect();
+    let before = costs.iter().map(|(_, c)| mean(0, c)).sum::<f64>() / number;
+    let worse = differences.iter().sum::<f64>() / number;
+    let variance = differences.iter().map(|d| (d - worse).powi(2)).sum::<f64>() / (number - 1.0);
+    worse > SIGNIFICANT * (variance / number).sqrt() && worse > RELEVANT * before
+}
+
+/// When the patches of some windows were seen, seconds.
+fn span(map: &SurfelMap, duration: f64, windows: &Range<usize>) -> Option<[f64; 2]> {
+    let own = map.windows.iter().filter(|w| windows.contains(&w.number));
+    let times = own.flat_map(|w| &map.surfels[w.surfels.clone()]).map(|surfel| surfel.seconds);
+    let [from, to] =
+        times.fold([f64::INFINITY, f64::NEG_INFINITY], |[from, to], t| [from.min(t), to.max(t)]);
+    (from < to).then(|| [from.max(0.0), to.min(duration)])
+}
+
+/// Neighbouring spans become one.
+fn join(spans: &mut Vec<[f64; 2]>) {
+    const GAP: f64 = 2.0;
+    spans.dedup_by(|next, last| {
+        let is_next = next[0] - last[1] < GAP;
+        if is_next {
+            last[1] = last[1].max(next[1]);
+        }
+        is_next
+    });
+}
+
+/// Gives a trajectory the input's motion within spans: its correction goes evenly from what it is before to what it is
+/// after, so that nothing around is moved.
+pub(super) fn keep_input(trajectory: &mut DenseTrajectory, spans: &[[f64; 2]]) {
+    const STEP: f64 = 0.1;
+    for [from, to] in spans {
+        let ends = [*from, *to].map(|seconds| trajectory.correction(seconds));
+        let turns = ends.map(|end| angle_axis_from_quaternion(&end.turn));
+        let steps = ((to - from) / STEP).ceil().max(1.0) as usize;
+        let mut moves = vec![(*from, Rigid3::identity())];
+        for i in 0..=steps {
+            let share = i as f64 / steps as f64;
+            let seconds = from + (to - from) * share;
+            let input = trajectory.joined_pose(seconds);
+            let shift: Vector3 = ends[0].shift.lerp(&ends[1].shift, share);
+            let turn = quaternion_from_angle_axis(&turns[0].lerp(&turns[1], share));
+            let place = na::Translation3::from(input.translation.vector + shift);
+            let wanted = Rigid3::from_parts(place, turn * input.rotation);
+            moves.push((seconds, wanted * trajectory.pose(seconds).inverse()));
+        }
+        moves.push((*to, Rigid3::identity()));
+        trajectory.move_each(&moves);
+    }
+}
