@@ -12,6 +12,7 @@ use portolan_recording::{Message, RecordedMessage, Recording, RecordingError, To
 use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
 
 use crate::azimuth_time::{AzimuthTimes, Turn};
+use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, Order, SensorClock};
 use crate::convert::{Frames, LocalFixes};
 use crate::even_stamps::EvenStamps;
@@ -42,6 +43,8 @@ enum Role {
     Range {
         point_time: Option<PointTime>,
         by_azimuth: Option<TimesByAzimuth>,
+        /// Raises the beams, if they point too high or too low.
+        raise: Option<Raise>,
         directions: Box<BeamDirections>,
     },
     Imu {

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod azimuth_time;
+mod beam_elevation;
 mod clock;
 mod convert;
 mod even_stamps;
@@ -23,6 +24,7 @@ mod turn_clock;
 mod urdf;
 
 pub use azimuth_time::{AzimuthTimes, Turn};
+pub use beam_elevation::{BeamElevation, ElevationOffset};
 pub use even_stamps::StampPolicy;
 pub use ingestion::{IngestError, Ingestion};
 pub use options::{ConfiguredSensors, IngestOptions, SamplingRatios};

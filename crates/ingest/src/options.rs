@@ -4,6 +4,7 @@ use portolan_geometry::{Dimension, Duration};
 
 use crate::RobotDescription;
 use crate::azimuth_time::AzimuthTimes;
+use crate::beam_elevation::BeamElevation;
 use crate::even_stamps::StampPolicy;
 
 /// Sensors as a robot configuration names them (`spec/options.md` §8): `scan` or `scan_1` …,
@@ -89,6 +90,8 @@ pub struct IngestOptions {
     /// What to do with clouds whose points have no times of their own; unless it is `Auto`, those of spinning lidars
     /// are not used.
     pub azimuth_times: AzimuthTimes,
+    /// By what the beams of spinning lidars are raised.
+    pub beam_elevation: BeamElevation,
     /// Pairs of a topic and what to add to its stamps and times of points.
     pub time_offsets: Vec<(String, Duration)>,
     /// How stamps are taken.
@@ -127,6 +130,7 @@ impl Default for IngestOptions {
             use_recorded_transforms: true,
             num_subdivisions_per_laser_scan: 1,
             azimuth_times: AzimuthTimes::default(),
+            beam_elevation: BeamElevation::default(),
             time_offsets: Vec::new(),
             stamps: StampPolicy::default(),
             sampling: SamplingRatios::default(),

@@ -168,7 +168,9 @@ impl PlaneMap {
                 *found = key.map_or((NO_KEY, None), |key| (key, self.index.get(key)));
             }
             let mut still_open = 0;
-            for (k, (key, number)) in found[..num_open].iter().enumerate().filter(|(_, (key, _))| *key != NO_KEY) {
+            for (k, (key, number)) in
+                found[..num_open].iter().enumerate().filter(|(_, (key, _))| *key != NO_KEY)
+            {
                 let number = number.unwrap_or_else(|| self.number_of(*key));
                 if self.goes_on(number, level, &hits[usize::from(open[k])]) {
                     open[still_open] = open[k];

@@ -1,6 +1,7 @@
 //! Arguments that several verbs have in common: ids, poses, areas.
 
 use portolan_geometry::{Duration, Rigid3, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_ingest::BeamElevation;
 use portolan_mapfile::{FrozenTrajectories, IdInFile, MapArea};
 
 /// Numbers separated by commas, as many as `names` has.
@@ -54,6 +55,21 @@ pub fn time_offset(text: &str) -> Result<(String, f64), String> {
     // Clocks that differ by more are found out.
     let valid = parsed.filter(|(_, seconds)| seconds.abs() <= 1e6);
     valid.ok_or_else(|| format!("expected TOPIC=SECONDS, not \"{text}\""))
+}
+
+/// By what beams are raised: `auto`, `off` or degrees.
+pub fn beam_elevation(text: &str) -> Result<BeamElevation, String> {
+    /// A larger error is none of a calibration.
+    const MOST_DEGREES: f64 = 5.0;
+    match text {
+        "auto" => Ok(BeamElevation::Auto),
+        "off" => Ok(BeamElevation::Fixed(0.0)),
+        degrees => {
+            let degrees = degrees.parse::<f64>().ok().filter(|degrees| degrees.abs() <= MOST_DEGREES);
+            let fixed = degrees.map(|degrees| BeamElevation::Fixed(degrees.to_radians()));
+            fixed.ok_or_else(|| format!("expected auto, off or degrees (-5 to 5), not \"{text}\""))
+        }
+    }
 }
 
 /// x, y, z, roll, pitch, yaw: metres and degrees.

@@ -12,11 +12,11 @@ use portolan::job::{CloudResults, Event, Job, JobError, Localisation, MapRequest
 use portolan::pipeline::{KnownMap, MappedRecording};
 use portolan_config::{Engine, Loader, Options};
 use portolan_geometry::{Dimension, Duration};
-use portolan_ingest::{AzimuthTimes, IngestOptions, StampPolicy, read_urdf};
+use portolan_ingest::{AzimuthTimes, BeamElevation, IngestOptions, StampPolicy, read_urdf};
 use portolan_mapping::{Planar, Space, Spatial};
 use portolan_recording::{Recording, open_all};
 
-use super::argument::{seconds, shifts, time_offset};
+use super::argument::{beam_elevation, seconds, shifts, time_offset};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::{self, Saving};
@@ -112,6 +112,10 @@ pub struct SensorArgs {
     /// spinning lidar follow from the azimuth. Whether motion was taken out of the clouds already is found out.
     #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
     pub point_times: PointTimesArg,
+    /// Raise all beams of the lidar: "auto" by the error of their calibration that motion shows, if it is clear; "off" not
+    /// at all; or by so many degrees. Beams that point too low bend a straight drive.
+    #[arg(long, value_name = "HOW", default_value = "auto", value_parser = beam_elevation, allow_hyphen_values = true)]
+    pub beam_elevation: BeamElevation,
     /// Move the stamps of a topic, and the times of its points, by seconds, `/points_rear=-0.05`; `check` tells how far
     /// clocks are off. May be given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
@@ -316,6 +320,7 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
         imu_topic: sensors.imu.clone(),
         tracking_frame: sensors.tracking_frame.clone(),
         azimuth_times: sensors.point_times.into(),
+        beam_elevation: sensors.beam_elevation,
         stamps: sensors.stamps.into(),
         time_offsets: shifts(&sensors.time_offset),
         skip: Duration::from_seconds(args.skip),

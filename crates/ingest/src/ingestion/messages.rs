@@ -11,6 +11,7 @@ use portolan_sensor::{FixedFramePoseData, Measurement};
 
 use super::{Ingestion, ODOMETRY, Role, Sensor, TimesByAzimuth};
 use crate::azimuth_time::{self, TimedTurn};
+use crate::beam_elevation::Raise;
 use crate::clock::Stamp;
 use crate::convert::{self, Frames, ImuFault};
 use crate::laser::{ScanFaults, points_of_echoes, points_of_laser_scan};
@@ -69,10 +70,10 @@ impl Ingestion {
                 self.count_scan_faults(&sensor.topic, stamp, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
-            (Role::Range { point_time, by_azimuth, .. }, Message::PointCloud2(cloud)) => {
-                let point_time = *point_time;
+            (Role::Range { point_time, by_azimuth, raise, .. }, Message::PointCloud2(cloud)) => {
+                let (point_time, raise) = (*point_time, *raise);
                 let turn = by_azimuth.as_mut().map(|turns| turns.at(stamp));
-                self.take_cloud(sensor, stamp, cloud, point_time, turn);
+                self.take_cloud(sensor, stamp, cloud, (point_time, turn), raise);
             }
             (Role::Imu { scale }, Message::Imu(imu)) => {
                 let scale = *scale;
@@ -137,8 +138,8 @@ impl Ingestion {
         sensor: &mut Sensor,
         stamp: Time,
         cloud: &PointCloud2,
-        point_time: Option<PointTime>,
-        turn: Option<TimedTurn>,
+        (point_time, turn): (Option<PointTime>, Option<TimedTurn>),
+        raise: Option<Raise>,
     ) {
         let layout = match CloudLayout::of(cloud) {
             Ok(layout) => layout,
@@ -148,6 +149,9 @@ impl Ingestion {
         let (mut points, faults) = layout.points(stamp, cloud, point_time, self.with_intensities);
         if let (None, Some(turn)) = (point_time, turn) {
             azimuth_time::assign(&mut points, &turn);
+        }
+        if let Some(raise) = raise {
+            points.points.iter_mut().for_each(|point| point.position = raise.point(&point.position));
         }
         let CloudFaults { not_finite, far_time, zero, missing } = faults;
         self.count(&sensor.topic, stamp, IssueKind::PointNotFinite, not_finite);

@@ -7,6 +7,7 @@ use portolan_sensor::FixedRatioSampler;
 
 use super::{FIXED_FRAME_POSE, IMU, LANDMARKS, ODOMETRY, RANGE, Role, Sensor, TimesByAzimuth};
 use crate::azimuth_time::AzimuthTimes;
+use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, SensorClock};
 use crate::even_stamps::{EvenStamps, StampPolicy};
 use crate::options::SamplingRatios;
@@ -53,7 +54,12 @@ pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<st
         });
         add(
             &range.source,
-            Role::Range { point_time: range.point_time, by_azimuth, directions: Box::default() },
+            Role::Range {
+                point_time: range.point_time,
+                by_azimuth,
+                raise: (range.beam_elevation != 0.0).then(|| Raise::new(range.beam_elevation)),
+                directions: Box::default(),
+            },
             RANGE,
         );
     }

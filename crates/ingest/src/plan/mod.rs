@@ -3,6 +3,7 @@
 //! Everything is chosen by rules from the first look at the recording, unless it is told. Where there
 //! was a choice, a [`Notice`] says what was chosen and how to choose otherwise.
 
+mod beam_elevation;
 mod clocks;
 mod odometry;
 mod point_times;
@@ -122,6 +123,8 @@ pub struct PlannedRange {
     /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`] nor
     /// [`AzimuthTimes::Recorded`].
     pub azimuth_times: AzimuthTimes,
+    /// What is added to the elevations of all beams (point clouds only), radians.
+    pub beam_elevation: f64,
     /// How the lidar turns, where that is known and points get times from their azimuth.
     pub turn: Option<Turn>,
     /// What it is like.

@@ -3,6 +3,7 @@
 use portolan_geometry::{Dimension, Vector3};
 use portolan_sensor::SensorKind;
 
+use super::beam_elevation::beam_elevation;
 use super::point_times::times_of_points;
 use super::request::Request;
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
@@ -223,12 +224,14 @@ pub(super) fn connect(
             refused.push(chosen.topic().to_owned());
             continue;
         }
+        let beam_elevation = beam_elevation(&chosen, is_cloud(&chosen), options, plan);
         let times = times_of_points(&chosen, is_cloud(&chosen), options.azimuth_times, plan);
         plan.range.push(PlannedRange {
             source: chosen.planned(SensorKind::Range, &frame),
             point_time: times.recorded,
             azimuth_times: times.by_azimuth,
             turn: times.turn,
+            beam_elevation,
             statistics: chosen.survey.range.clone().unwrap_or_default(),
         });
     }

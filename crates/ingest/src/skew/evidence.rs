@@ -51,6 +51,8 @@ pub(super) struct Row {
     pub phases: [f32; 2],
     /// What the residual changes by if these are given one turn more: by translation and by rotation.
     pub gains: [Vector2; 2],
+    /// What the residual changes by for each radian that all beams are raised.
+    pub by_elevation: f64,
     /// Azimuth of the surface, radians.
     pub direction: f32,
 }
@@ -75,10 +77,21 @@ pub(super) fn step(pairs: &[&Pair], times: TurnTimes) -> Option<Step> {
 
 /// The change of the factors of any function of the phase, in turns.
 fn step_toward(pairs: &[&Pair], share: impl Fn(f32) -> f64) -> Option<Step> {
+    solve(pairs, |row| row.slopes(&share))
+}
+
+/// By what all beams should be raised, radians: the first of the two. An error of ranges is not estimated with it: ground
+/// hardly tells one from the other.
+pub(super) fn beam_step(pairs: &[&Pair]) -> Option<Step> {
+    solve(pairs, |row| Vector2::new(row.by_elevation, 0.0))
+}
+
+/// Two unknowns that the residuals depend on by these slopes, poses being free.
+fn solve(pairs: &[&Pair], slopes_of: impl Fn(&Row) -> Vector2) -> Option<Step> {
     let mut gradients = [Vector2::zeros(); SECTORS];
     let mut informations = [Matrix2::zeros(); SECTORS];
     for pair in pairs {
-        let slopes: Vec<Vector2> = pair.rows.iter().map(|row| row.slopes(&share)).collect();
+        let slopes: Vec<Vector2> = pair.rows.iter().map(&slopes_of).collect();
         let mut information = Matrix6::identity() * POSE_PRIOR;
         let (mut of_slopes, mut of_residuals) = (Matrix6x2::zeros(), Vector6::zeros());
         for (row, slopes) in pair.rows.iter().zip(&slopes) {

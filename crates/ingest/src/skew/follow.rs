@@ -9,6 +9,7 @@ use portolan_geometry::{
 use portolan_spatial::{KdTree, LocalSurface, local_surface, reduce_indices};
 
 use super::evidence::{Pair, Row, TurnTimes};
+use crate::beam_elevation::{Raise, by_elevation};
 
 /// So many points of a sweep are surfaces; so many of these are matched, and so many judged then.
 const WANTED_SURFACE_POINTS: f32 = 12_000.0;
@@ -73,7 +74,7 @@ pub(super) struct Followed {
     poses: Vec<Rigid3>,
     /// How many sweeps before each it was registered to.
     lag: usize,
-    /// What each registration left.
+    /// What each registration left, for those that were registered so many sweeps back.
     pub pairs: Vec<Pair>,
 }
 
@@ -120,6 +121,12 @@ impl Sample {
             phases: chosen.iter().filter_map(|i| phases.get(some[*i as usize].1).copied()).collect(),
             median_range,
         }
+    }
+
+    /// With all beams raised.
+    pub fn raised(&self, raise: &Raise) -> Self {
+        let point = |p: &[f32; 3]| raise.point(&Point3f::from(*p)).coords.into();
+        Self { points: self.points.iter().map(point).collect(), ..self.clone() }
     }
 
     /// With the motion taken out that its points have by these times.
@@ -295,7 +302,7 @@ fn follow_straight(
 ) -> Option<Followed> {
     let judged: Vec<_> = straight.iter().map(|points| spread(points, JUDGED_POINTS)).collect();
     let sources: Vec<_> = straight.iter().map(|points| spread(points, MATCHED_POINTS)).collect();
-    let surfaces = |sweep: usize| before.map(|before| &before.surfaces[sweep]);
+    let surfaces = |sweep: usize| before.and_then(|before| before.surfaces.get(sweep));
     let mut targets: Vec<Target> =
         straight.into_iter().enumerate().map(|(sweep, p)| Target::new(p, surfaces(sweep))).collect();
     let mut poses = vec![Rigid3::identity()];
@@ -384,6 +391,8 @@ fn pair([from, to]: [(&Sample, &Twist); 2], pose: &Rigid3, matches: &[Match]) ->
                 from.1.parts(&at(from.0, m.source), &in_source),
                 -to.1.parts(&at(to.0, target), &m.normal),
             ],
+            by_elevation: in_source.dot(&by_elevation(&at(from.0, m.source)))
+                - m.normal.dot(&by_elevation(&at(to.0, target))),
             direction: m.place.y.atan2(m.place.x) as f32,
         }
     };
@@ -391,6 +400,11 @@ fn pair([from, to]: [(&Sample, &Twist); 2], pose: &Rigid3, matches: &[Match]) ->
 }
 
 impl Followed {
+    /// The motion alone: surfaces are to be computed anew.
+    pub fn without_surfaces(&self) -> Self {
+        Self { surfaces: Vec::new(), poses: self.poses.clone(), lag: self.lag, pairs: Vec::new() }
+    }
+
     /// The motion in each sweep, from the sweeps on both sides.
     fn twists(&self) -> Vec<Twist> {
         let last = self.poses.len() - 1;

@@ -14,6 +14,7 @@
 //! line through the steps at 0 and at 1. Its standard deviation is that of sums over directions taken as
 //! independent.
 
+mod beams;
 mod evidence;
 mod follow;
 #[cfg(test)]
@@ -24,6 +25,7 @@ use std::f32::consts::{PI, TAU};
 use portolan_geometry::{Point3f, Vector2};
 
 use crate::azimuth_time::Turn;
+use crate::beam_elevation::ElevationOffset;
 use evidence::{Step, TurnTimes};
 use follow::{Followed, Sample};
 
@@ -54,6 +56,8 @@ pub struct Skew {
     pub begin_radians: f32,
     /// Whether the head turns clockwise, seen from above. Without meaning if points have times.
     pub is_clockwise: bool,
+    /// What the elevations of all beams are off by, once it is known how much of the motion is in the points.
+    pub elevation: Option<ElevationOffset>,
 }
 
 /// How much of a motion is in the points: 1 if it is that of the whole turn, 0 if it was taken out.
@@ -196,7 +200,10 @@ impl SkewEstimator {
 
     /// Whether more sweeps would tell nothing new.
     pub fn is_done(&self) -> bool {
-        self.batches.len() >= MAX_BATCHES || self.skew.is_some_and(|s| s.state() != SkewState::Unknown)
+        let is_open = |offset: ElevationOffset| !offset.is_clear() && offset.may_be_there();
+        let is_known =
+            |skew: Skew| skew.state() != SkewState::Unknown && !skew.elevation.is_some_and(is_open);
+        self.batches.len() >= MAX_BATCHES || self.skew.is_some_and(is_known)
     }
 
     /// What is known by now; none as long as nothing moved.
@@ -236,9 +243,21 @@ impl SkewEstimator {
             } else {
                 evidence::largest_steps(&as_is, at_none, times)?
             };
-            return Some(skew(at_none, at_all, largest, times));
+            let mut skew = skew(at_none, at_all, largest, times);
+            skew.elevation = match skew.state() {
+                SkewState::Raw => beams::elevation(&self.batches, &straightened, Some(times)),
+                SkewState::Removed => beams::elevation(&self.batches, &self.as_is(), None),
+                SkewState::Partial | SkewState::Unknown => None,
+            };
+            return Some(skew);
         }
         None
+    }
+}
+
+impl SkewEstimator {
+    fn as_is(&self) -> Vec<Followed> {
+        self.batches.iter().map(|batch| batch.as_is.clone()).collect()
     }
 }
 
@@ -269,5 +288,6 @@ fn skew(at_none: Step, at_all: Step, largest: Vector2, times: TurnTimes) -> Skew
         rotation: part(1),
         begin_radians: times.begin * TAU - PI,
         is_clockwise: times.sense < 0.0,
+        elevation: None,
     }
 }

@@ -1,6 +1,7 @@
 use portolan_geometry::{Rigid3, Vector3, nalgebra::Point3, quaternion_from_angle_axis};
 
 use super::*;
+use crate::beam_elevation::Raise;
 
 /// Boxes from a corner to the opposite one, metres: a hall, and what stands in it.
 const HALL: [[f64; 3]; 2] = [[-9.0, -6.0, 0.0], [14.0, 7.0, 4.0]];
@@ -99,6 +100,26 @@ fn a_part_is_a_part() {
     let skew = estimated(0.5, true, pose).unwrap();
     assert!((skew.rotation.factor - 0.5).abs() < 0.1, "{skew:?}");
     assert!(skew.state() == SkewState::Partial, "{skew:?}");
+}
+
+#[test]
+fn beams_that_point_too_low_are_found_and_right_ones_are_left() {
+    for (error, factor, has_times) in [(0.008, 1.0, true), (0.0, 1.0, true), (0.0, 0.0, false)] {
+        let mut estimator = SkewEstimator::default();
+        for index in 0..MAX_BATCHES * SWEEPS_OF_A_BATCH {
+            let (points, shares) = sweep(index, factor, pose);
+            let lowered: Vec<Point3f> = points.iter().map(|p| Raise::new(-error).point(p)).collect();
+            estimator.add(&lowered, has_times.then_some(&shares));
+            if estimator.is_done() {
+                break;
+            }
+        }
+        let offset = estimator.skew().unwrap().elevation.unwrap();
+        assert_eq!(offset.is_clear(), error != 0.0, "{error} {factor}: {offset:?}");
+        // Sixteen rings on a floor: neighbouring ones are taken for one surface, and a part of the error stays.
+        let found = offset.radians / error;
+        assert!(error == 0.0 || (0.5..1.1).contains(&found), "{error} {factor}: {offset:?}");
+    }
 }
 
 #[test]

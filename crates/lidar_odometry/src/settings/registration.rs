@@ -89,10 +89,10 @@ settings! {
 settings! {
     /// Which points of a sweep are registered, and when the result counts.
     SweepSettings {
-        wanted_points: f32 = 1500.0, "points", 50.0..=1e6,
+        wanted_points: f32 = 3000.0, "points", 50.0..=1e6,
             "So many points of a sweep are registered, spread evenly over what it sees",
-            origin: "tuned: time",
-            larger: "slower, hardly more exact";
+            origin: "measured on kitti_0001 (docs/experiments/2026-11-beams.md): half as many scatter twice as far along the way",
+            larger: "slower, less scatter";
         first_spacing_per_edge: f32 = 0.4, "1", 0.01..=5.0,
             "Spacing of these points in the first sweep, as a fraction of the edge of the largest voxels; later ones adapt",
             origin: "tuned",

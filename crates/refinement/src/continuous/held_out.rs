@@ -32,13 +32,13 @@ const PASS: usize = 5;
 /// Windows that are judged together: in one alone chance decides.
 const TOGETHER: usize = 10;
 /// Fewer pairs of windows are not judged.
-const LEAST_PAIRS: usize = 8;
+const LEAST_PAIRS: usize = 30;
 /// Worse by so many standard errors is worse …
 const SIGNIFICANT: f64 = 3.0;
 /// … if it is at least this share of the cost.
-const RELEVANT: f64 = 0.01;
-/// Scale of the robust cost at least, metres: patches are not flatter.
-const LEAST_SCALE: f64 = 0.005;
+const RELEVANT: f64 = 0.1;
+/// Scale of the robust cost at least, metres: the noise of ranges.
+const LEAST_SCALE: f64 = 0.02;
 
 /// Which points are looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -186,8 +186,7 @@ fn touching<'a>(costs: &[Sample<'a>], windows: &Range<usize>) -> Vec<Sample<'a>>
 
 fn agreement(costs: &[Sample]) -> Agreement {
     let count: f64 = costs.iter().map(|(_, c)| c.count).sum();
-    let rms =
-        |k: usize| (costs.iter().map(|(_, c)| c.squares[k]).sum::<f64>() / f64::max(count, 1.0)).sqrt();
+    let rms = |k: usize| (costs.iter().map(|(_, c)| c.squares[k]).sum::<f64>() / f64::max(count, 1.0)).sqrt();
     Agreement { pairs: costs.len(), before: rms(0), after: rms(1) }
 }
 
@@ -210,8 +209,7 @@ fn is_worse(costs: &[Sample]) -> bool {
 fn span(map: &SurfelMap, duration: f64, windows: &Range<usize>) -> Option<[f64; 2]> {
     let own = map.windows.iter().filter(|w| windows.contains(&w.number));
     let times = own.flat_map(|w| &map.surfels[w.surfels.clone()]).map(|surfel| surfel.seconds);
-    let [from, to] =
-        times.fold([f64::INFINITY, f64::NEG_INFINITY], |[from, to], t| [from.min(t), to.max(t)]);
+    let [from, to] = times.fold([f64::INFINITY, f64::NEG_INFINITY], |[from, to], t| [from.min(t), to.max(t)]);
     (from < to).then(|| [from.max(0.0), to.min(duration)])
 }
 
@@ -248,5 +246,69 @@ pub(super) fn keep_input(trajectory: &mut DenseTrajectory, spans: &[[f64; 2]]) {
         }
         moves.push((*to, Rigid3::identity()));
         trajectory.move_each(&moves);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::{Duration, Time};
+
+    fn straight(seconds: i32) -> DenseTrajectory {
+        let pose = |i: i32| {
+            let t = 0.1 * f64::from(i);
+            (Time::from_unix_seconds(1e9) + Duration::from_seconds(t), Rigid3::translation(t, 0.0, 0.0))
+        };
+        DenseTrajectory::new(&(0..=10 * seconds).map(pose).collect::<Vec<_>>()).unwrap()
+    }
+
+    #[test]
+    fn blocks_are_either_fitted_or_kept_out() {
+        let input = straight(20).matrices();
+        let in_part = |part, i: usize| {
+            let place = [(i % 100) as f32 - 50.0, (i / 100) as f32 - 50.0, 0.5];
+            Selection { part, input: &input }.contains(5.0, place)
+        };
+        let held_out = (0..10_000).filter(|i| in_part(Part::HeldOut, *i)).count();
+        assert!((1_200..2_800).contains(&held_out), "{held_out} of 10,000");
+        assert!((0..10_000).all(|i| in_part(Part::All, i)));
+        assert!((0..10_000).all(|i| in_part(Part::Fitted, i) != in_part(Part::HeldOut, i)));
+    }
+
+    #[test]
+    fn worse_is_what_is_clearly_and_noticeably_worse() {
+        let costs = |after: &dyn Fn(usize) -> f64| -> BTreeMap<(usize, usize), Costs> {
+            let cost = |i: usize| Costs { count: 10.0, robust: [4.0, after(i)], squares: [0.0; 2] };
+            (0..100).map(|i| ((i, i + 1), cost(i))).collect()
+        };
+        let scatter = |i: usize| 2.0 * ((i as f64 * 0.618).fract() - 0.5);
+        let is_worse_by = |shift: f64, share: f64| {
+            let costs = costs(&|i| 4.0 + shift + share * scatter(i));
+            is_worse(&costs.iter().collect::<Vec<_>>())
+        };
+        assert!(is_worse_by(1.0, 1.0) && !is_worse_by(-1.0, 1.0));
+        // Hardly noticeable; and nothing but chance.
+        assert!(!is_worse_by(0.2, 0.1) && !is_worse_by(0.5, 8.0));
+        let few = costs(&|_| 8.0);
+        assert!(!is_worse(&few.iter().take(LEAST_PAIRS - 1).collect::<Vec<_>>()), "too few");
+    }
+
+    #[test]
+    fn where_a_result_is_refused_the_motion_of_the_input_stays() {
+        let mut trajectory = straight(30);
+        let wave = |t: f64| Rigid3::translation(0.0, 0.02 * t + 0.1 * (3.0 * t).sin(), 0.0);
+        let moves: Vec<(f64, Rigid3)> = (0..=300).map(|i| 0.1 * f64::from(i)).map(|t| (t, wave(t))).collect();
+        trajectory.move_each(&moves);
+        let before = trajectory.clone();
+        keep_input(&mut trajectory, &[[10.0, 20.0]]);
+        let bend = |t: f64| {
+            let shift = |t: f64| trajectory.correction(t).shift.y;
+            (shift(t) - 0.5 * (shift(t - 0.5) + shift(t + 0.5))).abs()
+        };
+        assert!((21..=39).all(|i| bend(0.5 * f64::from(i)) < 1e-3), "a straight correction within");
+        for seconds in [5.0, 9.9, 10.0, 20.0, 20.1, 28.0] {
+            let moved = trajectory.pose(seconds).inverse() * before.pose(seconds);
+            assert!(moved.translation.vector.norm() < 0.01, "{seconds}: {moved}");
+        }
     }
 }

@@ -4,8 +4,8 @@ use serde::Serialize;
 
 use super::correction::Corrections;
 use super::{
-    ContinuousOptions, CrossValidation, DenseTrajectory, Jump, Mounting, OdometryNoise, OtherSensorsFound, PoseMatrices,
-    SensorCorrection,
+    ContinuousOptions, CrossValidation, DenseTrajectory, Jump, Mounting, OdometryNoise, OtherSensorsFound,
+    PoseMatrices, SensorCorrection,
 };
 use crate::semi_rigid::SemiRigidOptions;
 use crate::{LeftOutPoints, PointStore, StoredPoint, StoredSensor};

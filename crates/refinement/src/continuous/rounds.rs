@@ -78,7 +78,8 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
                 return Ok(None);
             }
             let is_first = round == 0;
-            let spacing = if is_first { FIRST_SPACING.max(options.knot_spacing) } else { options.knot_spacing };
+            let spacing =
+                if is_first { FIRST_SPACING.max(options.knot_spacing) } else { options.knot_spacing };
             let knots = Knots::new(self.run.session.trajectory.duration(), spacing);
             let before = self.run.session.trajectory.clone();
             let map = self.run.extract(options.window)?;

@@ -5,10 +5,10 @@ use portolan_geometry::{Duration, Rigid3, Time, Vector3};
 
 use super::correction::Corrections;
 use super::coverage::{Coverage, TimedPoints};
-use super::{held_out, long_shape};
 use super::report::{Method, RefineReport, Refined, RoundSharpness};
 use super::time_base::{self, TimeBase};
 use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound, information};
+use super::{held_out, long_shape};
 use crate::{MAX_SENSORS, PointStore, RefineError, StoredPoint};
 use portolan_spatial::{Sharpness, SharpnessOptions, sharpness, spread_sample};
 

@@ -157,13 +157,7 @@ struct Workspace {
 
 impl Workspace {
     /// Takes the points of a sensor that are selected.
-    fn take(
-        &mut self,
-        points: &TimedPoints,
-        seen: &[StoredPoint],
-        sensor: usize,
-        selection: Selection,
-    ) {
+    fn take(&mut self, points: &TimedPoints, seen: &[StoredPoint], sensor: usize, selection: Selection) {
         self.points.clear();
         let is_wanted =
             |p: &&StoredPoint| p.sensor() == sensor && selection.contains(points.seconds(p), p.in_tracking);

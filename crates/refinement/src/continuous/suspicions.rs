@@ -1,6 +1,7 @@
 //! What may be wrong with the input, said in words that name what would be right.
 
 use super::mounting::{self, Mounting};
+use super::report::Method;
 use super::session::Session;
 use super::time_base::{self, TimeBase};
 use crate::MotionSensors;
@@ -99,7 +100,12 @@ impl Session<'_> {
             (Some(before), Some(after)) => before.mean_map_entropy - after.mean_map_entropy,
             _ => 0.0,
         };
-        if self.fits_nowhere && sharpened < SHARPENED {
+        // What was bent until it is sharp proves nothing: something else must agree.
+        let is_validated = match report.method {
+            Method::Continuous(_) => report.cross_validation.as_ref().is_some_and(|v| !v.is_refused),
+            Method::SemiRigid(_) => true,
+        };
+        if self.fits_nowhere && (sharpened < SHARPENED || !is_validated) {
             said.push(
                 "the trajectory makes the points no sharper than if the sensors had stood still: is it that of another \
                  recording, of another frame, or of another clock?"

@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use portolan_ingest::{IngestError, IngestOptions, Ingestion, SensorPlan, read_urdf};
+use portolan_ingest::{BeamElevation, IngestError, IngestOptions, Ingestion, SensorPlan, read_urdf};
 use portolan_issue::Issue;
 use portolan_recording::Recording;
 use portolan_refinement::{MotionSensors, PointStore};
 use portolan_sensor::Measurement;
 
 use crate::GlobalArgs;
-use crate::commands::argument::{shifts, time_offset};
+use crate::commands::argument::{beam_elevation, shifts, time_offset};
 use crate::commands::map::{PointTimesArg, StampsArg};
 use crate::error::CliError;
 use crate::progress::{Progress, say};
@@ -30,6 +30,9 @@ pub struct PointArgs {
     /// Where the times of the points of clouds come from, as in `map`.
     #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
     pub point_times: PointTimesArg,
+    /// Raise all beams of the lidar, as in `map`: "auto", "off", or degrees.
+    #[arg(long, value_name = "HOW", default_value = "auto", value_parser = beam_elevation, allow_hyphen_values = true)]
+    pub beam_elevation: BeamElevation,
     /// Move the stamps of a topic, and the times of its points, by seconds, as in `map`: `/points_rear=-0.05`. May be
     /// given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
@@ -93,6 +96,7 @@ pub fn read_points_and(
         range_topics: args.points.clone(),
         tracking_frame: args.tracking_frame.clone(),
         azimuth_times: args.point_times.into(),
+        beam_elevation: args.beam_elevation,
         time_offsets: shifts(&args.clock_offset),
         stamps: args.stamps.into(),
         description: args.urdf.as_deref().map(read_urdf).transpose()?,

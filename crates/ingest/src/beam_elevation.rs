@@ -1,0 +1,110 @@
+//! The error that the elevations of all beams of a lidar share.
+//!
+//! The calibration of a spinning lidar says how high each beam points. Where all of them point higher or lower by the same
+//! angle, flat ground becomes a shallow cone around the lidar, and every sweep that is registered to those before pitches a
+//! little: a straight drive bends up or down. KITTI's HDL-64 has such an error of 0.2° (Deschaud, "IMLS-SLAM: Scan-to-Model
+//! Matching Based on 3D Data", 2018, section IV).
+
+use portolan_geometry::{Point3f, Vector3};
+
+/// Larger ones are no error of a calibration, radians.
+const LARGEST: f64 = 0.017;
+/// What an estimate may be off by beside its standard deviation, as sparse rings are taken for one surface, radians: half
+/// of what it is off by in a simulated hall with sixteen beams.
+const SYSTEMATIC: f64 = 8e-4;
+/// An error must be so many times its uncertainty.
+const SIGNIFICANT: f64 = 4.0;
+/// If it is so many times, more sweeps are looked at.
+const POSSIBLE: f64 = 2.0;
+
+/// How beams are raised.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum BeamElevation {
+    /// By what motion shows, if that is clear.
+    #[default]
+    Auto,
+    /// By this angle, radians.
+    Fixed(f64),
+}
+
+/// What motion shows of the elevations of beams.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct ElevationOffset {
+    /// To be added to all of them, radians.
+    pub radians: f64,
+    /// Its standard deviation.
+    pub sigma: f64,
+}
+
+impl ElevationOffset {
+    /// Standard deviation with what is not in it.
+    pub fn uncertainty(&self) -> f64 {
+        self.sigma.hypot(SYSTEMATIC)
+    }
+
+    /// Whether more sweeps may show that it is there.
+    pub(crate) fn may_be_there(&self) -> bool {
+        self.radians.abs() > POSSIBLE * self.uncertainty()
+    }
+
+    /// Whether it is there, and an error of a calibration.
+    pub fn is_clear(&self) -> bool {
+        self.radians.abs() < LARGEST && self.radians.abs() > SIGNIFICANT * self.uncertainty()
+    }
+}
+
+/// Raises points, given in the frame of their lidar, by an angle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Raise {
+    sine: f32,
+    cosine: f32,
+}
+
+impl Raise {
+    pub fn new(radians: f64) -> Self {
+        Self { sine: radians.sin() as f32, cosine: radians.cos() as f32 }
+    }
+
+    /// A point, raised. Straight up there is no elevation to change.
+    pub fn point(&self, point: &Point3f) -> Point3f {
+        let level = point.x.hypot(point.y);
+        if level < 1e-6 {
+            return *point;
+        }
+        let share = self.cosine - self.sine * point.z / level;
+        Point3f::new(share * point.x, share * point.y, self.sine * level + self.cosine * point.z)
+    }
+}
+
+/// What a point moves by for each radian that its beam is raised.
+pub(crate) fn by_elevation(point: &Vector3) -> Vector3 {
+    let level = point.x.hypot(point.y).max(1e-6);
+    Vector3::new(-point.x / level * point.z, -point.y / level * point.z, level)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn beams_are_raised_and_ranges_stay() {
+        for point in [Point3f::new(3.0, -4.0, 1.0), Point3f::new(-10.0, 0.5, -2.0)] {
+            let elevation = |p: &Point3f| f64::from(p.z).atan2(f64::from(p.x.hypot(p.y)));
+            let raised = Raise::new(0.01).point(&point);
+            assert!((elevation(&raised) - elevation(&point) - 0.01).abs() < 1e-6);
+            assert!((raised.coords.norm() - point.coords.norm()).abs() < 1e-5);
+            assert!((raised.y.atan2(raised.x) - point.y.atan2(point.x)).abs() < 1e-6);
+            let small = Raise::new(1e-3).point(&point) - point;
+            assert!((small.cast::<f64>() - by_elevation(&point.coords.cast()) * 1e-3).norm() < 1e-4);
+        }
+        assert_eq!(Raise::new(0.1).point(&Point3f::new(0.0, 0.0, 5.0)), Point3f::new(0.0, 0.0, 5.0));
+    }
+
+    #[test]
+    fn only_clear_errors_count() {
+        let is_clear = |radians, sigma| ElevationOffset { radians, sigma }.is_clear();
+        assert!(is_clear(0.004, 0.0003) && is_clear(-0.004, 0.0003));
+        assert!(!is_clear(0.004, 0.002) && !is_clear(0.003, 0.00001) && !is_clear(0.2, 0.001));
+        assert!(!is_clear(0.004, f64::INFINITY) && !is_clear(f64::NAN, 0.0));
+    }
+}
