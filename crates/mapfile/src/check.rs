@@ -56,6 +56,10 @@ pub enum FindingKind {
     Histogram,
     /// Times that do not ascend or do not agree.
     Time,
+    /// 3D: a trajectory whose IMU data do not reach back to its first node.
+    Imu,
+    /// A trajectory none of whose nodes has a constraint.
+    Unconstrained,
 }
 
 impl FindingKind {
@@ -65,7 +69,8 @@ impl FindingKind {
             Self::Damage => Some("keeps the records that are whole"),
             Self::Header => Some("makes a header"),
             Self::Order => Some("makes what is missing, drops what is there twice"),
-            Self::UnknownMessage => None,
+            Self::UnknownMessage | Self::Unconstrained => None,
+            Self::Imu => Some("adds samples that agree with the poses"),
             Self::Options => Some("makes empty options, takes back impossible starts"),
             Self::DuplicateId => Some("keeps the first"),
             Self::MissingPart => Some("leaves out what lacks its counterpart, with its constraints"),
@@ -142,6 +147,9 @@ pub(crate) struct Check {
     pub(crate) nodes_seen: BTreeSet<IdInFile>,
     pub(crate) submaps_seen: BTreeSet<IdInFile>,
     last_times: BTreeMap<(i32, u32), i64>,
+    /// Times of the first IMU sample of each trajectory.
+    pub(crate) first_imu: BTreeMap<i32, i64>,
+    pub(crate) is_3d: bool,
 }
 
 /// Ids in the pose graph.
@@ -153,6 +161,8 @@ pub(crate) struct GraphIds {
     pub submaps: BTreeSet<IdInFile>,
     /// With their times.
     pub nodes: BTreeMap<IdInFile, i64>,
+    /// Trajectories whose nodes have constraints.
+    pub constrained: BTreeSet<i32>,
 }
 
 impl Check {
@@ -302,6 +312,7 @@ impl Check {
         for problem in bad_starts(&graph.order, &self.starts) {
             self.error(FindingKind::Options, problem.1);
         }
+        self.trajectories_of_other_programs(graph);
         let seen = std::mem::take(&mut self.submaps_seen);
         for (t, i) in graph.submaps.difference(&seen) {
             self.error(FindingKind::MissingPart, format!("submap ({t}, {i}) has a pose but no grid"));
@@ -309,6 +320,30 @@ impl Check {
         let seen = std::mem::take(&mut self.nodes_seen);
         for (t, i) in graph.nodes.keys().filter(|id| !seen.contains(id)) {
             self.error(FindingKind::MissingPart, format!("node ({t}, {i}) has a pose but no data"));
+        }
+    }
+
+    /// What Cartographer needs of a trajectory that it may move.
+    fn trajectories_of_other_programs(&mut self, graph: &GraphIds) {
+        let mut first_nodes: BTreeMap<i32, i64> = BTreeMap::new();
+        for ((trajectory, _), time) in &graph.nodes {
+            first_nodes.entry(*trajectory).and_modify(|t| *t = (*t).min(*time)).or_insert(*time);
+        }
+        for (trajectory, first_node) in first_nodes {
+            if self.is_3d && self.first_imu.get(&trajectory).is_none_or(|first| *first > first_node) {
+                let text = format!(
+                    "trajectory {trajectory} has no IMU data at its first node: Cartographer ends when it loads the \
+                     map unfrozen and optimises it"
+                );
+                self.warn(FindingKind::Imu, text);
+            }
+            if !graph.constrained.contains(&trajectory) {
+                let text = format!(
+                    "trajectory {trajectory} has no constraints of its own: nothing holds its nodes when it is \
+                     optimised"
+                );
+                self.warn(FindingKind::Unconstrained, text);
+            }
         }
     }
 

@@ -139,6 +139,12 @@ impl MapReader {
         &self.options
     }
 
+    /// What the map was made with, as JSON; empty unless Portolan made it.
+    pub fn configuration(&self) -> &str {
+        let in_options = &self.options.portolan_configuration;
+        if in_options.is_empty() { &self.header.portolan_configuration } else { in_options }
+    }
+
     /// The next message after those three, or nothing at the end. Further pose graphs, options and
     /// unknown kinds are left out and counted in [`MapReader::ignored`].
     pub fn next_message(&mut self) -> Result<Option<MapMessage>, PbstreamError> {

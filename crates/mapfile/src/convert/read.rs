@@ -37,8 +37,8 @@ pub struct MapLoadSettings {
     pub limits: ReadLimits,
 }
 
-/// Trajectories of a file that become a fixed part of the map. Their measurements are not taken over;
-/// constraints between them are kept for saving, but move nothing.
+/// Trajectories of a file that become a fixed part of the map. Their measurements and the constraints between
+/// them are kept for saving, but move nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum FrozenTrajectories {
     /// All may move.
@@ -144,7 +144,6 @@ pub fn load_map<S: MapSpace>(
             data => load_sensor_data(
                 data,
                 &loading.result.trajectory_ids,
-                frozen,
                 loading.graph,
                 &mut loading.result.issues,
             ),

@@ -89,8 +89,7 @@ impl MapDraft {
         let graph = reader.pose_graph().clone();
         check(path, &graph)?;
         let (unread, options) = Unread::read(path, limits).map_err(failed)?;
-        let header = reader.header();
-        let (version, configuration) = (header.format_version, header.portolan_configuration.clone());
+        let (version, configuration) = (reader.header().format_version, reader.configuration().to_owned());
         let dimension = dimension(&mut reader).map_err(failed)?;
         let ids = graph.trajectory.iter().map(|t| (t.trajectory_id, t.trajectory_id)).collect();
         let source = Source { path: path.to_owned(), ids, map_from_source: Rigid3::identity() };
@@ -214,14 +213,16 @@ impl MapDraft {
         let failed = |source| EditError::File { path: output.to_owned(), source };
         self.sort_trajectories();
         let mut writer = PbstreamWriter::create(output).map_err(failed)?;
-        writer.write_header(self.version, &self.configuration).map_err(failed)?;
-        let mut rest = Rest::new(&self.graph, &self.cuts, &self.estimates);
+        writer.write_header(self.version).map_err(failed)?;
+        let mut rest = Rest::new(&self.graph, &self.cuts, &self.estimates, self.dimension);
         let graph = std::mem::take(&mut self.graph).encode_to_vec();
         writer.write_bytes(self.unread.pose_graph_message(graph)).map_err(failed)?;
-        writer.write_bytes(self.unread.options_message(&self.options)).map_err(failed)?;
+        let options = self.unread.options_message(&self.options, &self.configuration);
+        writer.write_bytes(options).map_err(failed)?;
         for source in &self.sources {
             rest.copy(source, self.limits, &mut |bytes| writer.write_bytes(bytes).map_err(failed))?;
         }
+        rest.finish(&mut |bytes| writer.write_bytes(bytes).map_err(failed))?;
         self.report.sensor_messages_removed += rest.sensor_messages_removed;
         self.report.messages = writer.messages();
         writer.finish().map_err(failed)?;

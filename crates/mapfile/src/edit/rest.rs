@@ -2,10 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use portolan_geometry::{Dimension, Time};
 use prost::Message as _;
 
 use super::EditError;
 use super::draft::{Estimate, Source};
+use crate::convert::imu_state_from_proto;
+use crate::derived_imu::DerivedImu;
 use crate::message::{MessageKind, RawMessage};
 use crate::pose::{IdInFile, pose_from_proto, pose_to_proto};
 use crate::proto::mapping::serialized_data::Data;
@@ -13,6 +16,9 @@ use crate::proto::mapping::{PoseGraph, SerializedData, TrajectoryData};
 use crate::proto::transform::Quaterniond;
 use crate::reader::{PbstreamReader, ReadLimits};
 use crate::wire::{joined, last_varint, put_bytes_field, put_varint_field, without_field};
+
+/// Number of the field of an IMU message, as in the schema.
+const DERIVED_FROM_POSES: u32 = 1000;
 
 type Write<'a> = &'a mut dyn FnMut(Vec<u8>) -> Result<(), EditError>;
 
@@ -23,7 +29,9 @@ pub(super) struct Rest<'a> {
     cuts: &'a BTreeMap<i32, (i64, i64)>,
     estimates: &'a BTreeMap<i32, Estimate>,
     /// The last measurement of a stream before its cut; interpolation at the first node needs it.
-    held: BTreeMap<(i32, u32), Vec<u8>>,
+    held: BTreeMap<(i32, u32), (i64, Vec<u8>)>,
+    /// 3D: samples where no IMU measured, by trajectory.
+    derived: BTreeMap<i32, DerivedImu>,
     /// Streams whose first measurement after the cut was written.
     ended: BTreeSet<(i32, u32)>,
     pub sensor_messages_removed: u64,
@@ -34,6 +42,7 @@ impl<'a> Rest<'a> {
         graph: &PoseGraph,
         cuts: &'a BTreeMap<i32, (i64, i64)>,
         estimates: &'a BTreeMap<i32, Estimate>,
+        dimension: Option<Dimension>,
     ) -> Self {
         let mut submaps = BTreeSet::new();
         let mut nodes = BTreeSet::new();
@@ -42,8 +51,18 @@ impl<'a> Rest<'a> {
             submaps.extend(trajectory.submap.iter().map(|s| (t, s.submap_index)));
             nodes.extend(trajectory.node.iter().map(|n| (t, n.node_index)));
         }
-        let (held, ended) = (BTreeMap::new(), BTreeSet::new());
-        Self { submaps, nodes, cuts, estimates, held, ended, sensor_messages_removed: 0 }
+        let in_space = graph.trajectory.iter().filter(|_| dimension == Some(Dimension::Three));
+        let derived = in_space.map(|t| (t.trajectory_id, DerivedImu::of(t)));
+        Self {
+            submaps,
+            nodes,
+            cuts,
+            estimates,
+            held: BTreeMap::new(),
+            derived: derived.collect(),
+            ended: BTreeSet::new(),
+            sensor_messages_removed: 0,
+        }
     }
 
     /// Copies what is wanted of one file.
@@ -64,10 +83,30 @@ impl<'a> Rest<'a> {
             }
         }
         // Streams that end before the cut begins.
-        for (_, bytes) in std::mem::take(&mut self.held) {
-            write(bytes)?;
+        for (stream, (time, bytes)) in std::mem::take(&mut self.held) {
+            self.write_measured(stream, time, bytes, write)?;
         }
         Ok(())
+    }
+
+    /// Writes what belongs after everything that was measured.
+    pub fn finish(&mut self, write: Write<'_>) -> Result<(), EditError> {
+        let messages = self.derived.values_mut().flat_map(DerivedImu::rest);
+        messages.map(|d| SerializedData { data: Some(Data::ImuData(d)) }.encode_to_vec()).try_for_each(write)
+    }
+
+    fn write_measured(
+        &mut self,
+        stream: (i32, u32),
+        time: i64,
+        bytes: Vec<u8>,
+        write: Write<'_>,
+    ) -> Result<(), EditError> {
+        let of_imu = self.derived.get_mut(&stream.0).filter(|_| stream.1 == MessageKind::ImuData.tag());
+        for sample in of_imu.map(|d| d.before(Time::from_ticks(time))).unwrap_or_default() {
+            write(SerializedData { data: Some(Data::ImuData(sample)) }.encode_to_vec())?;
+        }
+        write(bytes)
     }
 
     fn part(
@@ -122,6 +161,9 @@ impl<'a> Rest<'a> {
             data.gravity_constant = imu.gravity_constant;
             data.imu_calibration = Some(Quaterniond { x: q.i, y: q.j, z: q.k, w: q.w });
         }
+        if let (Some(derived), Some(state)) = (self.derived.get_mut(new), imu_state_from_proto(&data)) {
+            derived.set_state(state);
+        }
         if data == decoded {
             return write(raw.bytes.clone());
         }
@@ -136,6 +178,10 @@ impl<'a> Rest<'a> {
         write: Write<'_>,
     ) -> Result<(), EditError> {
         let content = joined(&raw.bytes, kind.tag());
+        // Made anew, because nodes may have moved.
+        if kind == MessageKind::ImuData && last_varint(&content, DERIVED_FROM_POSES) != 0 {
+            return Ok(());
+        }
         let trajectory = last_varint(&content, 1) as i32;
         let Some(new) = source.ids.get(&trajectory).copied() else {
             self.sensor_messages_removed += 1;
@@ -149,22 +195,24 @@ impl<'a> Rest<'a> {
             renamed.extend(without_field(&content, 1));
             with_content(&raw, kind, &renamed)
         };
-        let Some((start, end)) = self.cuts.get(&new) else { return write(bytes) };
         let time = last_varint(&joined(&content, 2), 1).cast_signed();
         let stream = (new, kind.tag());
+        let Some((start, end)) = self.cuts.get(&new) else {
+            return self.write_measured(stream, time, bytes, write);
+        };
         let interpolated = kind != MessageKind::LandmarkData;
         if time < *start && interpolated {
-            if self.held.insert(stream, bytes).is_some() {
+            if self.held.insert(stream, (time, bytes)).is_some() {
                 self.sensor_messages_removed += 1;
             }
             return Ok(());
         }
-        if let Some(before) = self.held.remove(&stream) {
-            write(before)?;
+        if let Some((before, held)) = self.held.remove(&stream) {
+            self.write_measured(stream, before, held, write)?;
         }
         let inside = (*start..=*end).contains(&time);
         if inside || (time > *end && interpolated && self.ended.insert(stream)) {
-            return write(bytes);
+            return self.write_measured(stream, time, bytes, write);
         }
         self.sensor_messages_removed += 1;
         Ok(())

@@ -70,6 +70,14 @@ fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
         FindingKind::Histogram => {
             ("loops through this node or submap are not found in 3D", "`portolan migrate` makes histograms")
         }
+        FindingKind::Imu => (
+            "none here: such a trajectory is held by its scans",
+            "`portolan repair`, if Cartographer is to move the trajectory",
+        ),
+        FindingKind::Unconstrained => (
+            "whatever optimises the map tears the trajectory off, or leaves it where it is",
+            "use it frozen; or map its recording again",
+        ),
         FindingKind::Time => (
             "interpolation between these times is wrong",
             "check the stamps of the recording with `portolan check`; map it again or `portolan repair`",

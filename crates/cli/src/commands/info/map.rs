@@ -32,7 +32,7 @@ pub fn read(path: &Path, input: Forward) -> Result<MapReport, CliError> {
     let mut reader =
         MapReader::from_source_for_summary(input, length, ReadLimits::default()).map_err(failed)?;
     let info = info(&mut reader).map_err(failed)?;
-    let configuration = Options::from_json(&reader.header().portolan_configuration).ok();
+    let configuration = Options::from_json(reader.configuration()).ok();
     let engine = configuration.map(|configuration| configuration.options.engine().to_string());
     Ok(MapReport { path: path.display().to_string(), size: reader.bytes_read(), engine, info })
 }
