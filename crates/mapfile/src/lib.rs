@@ -50,8 +50,8 @@ pub use convert::{
     trajectory_options_to_proto, write_graph, write_map, write_map_2d,
 };
 pub use edit::{
-    EditError, EditReport, FoundLoop, LoopResidual, LoopWeights, MapDraft, MapOptimization, PoseReplacement,
-    Walls, find_walls,
+    EditError, EditReport, FoundLoop, JoinedMap, LoopResidual, LoopWeights, MapDraft, MapOptimization,
+    PoseReplacement, Walls, find_walls,
 };
 pub use error::{PbstreamError, RecordError};
 pub use gzip::{GzipError, gunzip, gzip};

@@ -10,6 +10,7 @@ use prost::Message as _;
 use serde::Serialize;
 
 use super::EditError;
+use super::clear::ClearedArea;
 use super::rest::Rest;
 use super::unread::{TrajectoryOptions, Unread};
 use crate::map_reader::MapReader;
@@ -32,6 +33,8 @@ pub struct EditReport {
     pub constraints_removed: u64,
     /// Loop closures put in.
     pub constraints_added: u64,
+    /// Cells made unknown.
+    pub cells_cleared: u64,
     /// Measurements taken out.
     pub sensor_messages_removed: u64,
     /// Messages written.
@@ -70,6 +73,8 @@ pub struct MapDraft {
     pub(super) sources: Vec<Source>,
     /// Measurements of these trajectories are kept from the first to the second time only, ticks.
     pub(super) cuts: BTreeMap<i32, (i64, i64)>,
+    /// Where submaps lose their cells.
+    pub(super) cleared: Vec<ClearedArea>,
     /// Replaces what the files say.
     pub(super) estimates: BTreeMap<i32, Estimate>,
     pub(super) limits: ReadLimits,
@@ -102,6 +107,7 @@ impl MapDraft {
             dimension,
             sources: vec![source],
             cuts: BTreeMap::new(),
+            cleared: Vec::new(),
             estimates: BTreeMap::new(),
             limits,
             report: EditReport::default(),
@@ -215,6 +221,7 @@ impl MapDraft {
         let mut writer = PbstreamWriter::create(output).map_err(failed)?;
         writer.write_header(self.version).map_err(failed)?;
         let mut rest = Rest::new(&self.graph, &self.cuts, &self.estimates, self.dimension);
+        rest.clear(&self.cleared);
         let graph = std::mem::take(&mut self.graph).encode_to_vec();
         writer.write_bytes(self.unread.pose_graph_message(graph)).map_err(failed)?;
         let options = self.unread.options_message(&self.options, &self.configuration);
@@ -223,6 +230,7 @@ impl MapDraft {
             rest.copy(source, self.limits, &mut |bytes| writer.write_bytes(bytes).map_err(failed))?;
         }
         rest.finish(&mut |bytes| writer.write_bytes(bytes).map_err(failed))?;
+        self.report.cells_cleared += rest.cells_cleared;
         self.report.sensor_messages_removed += rest.sensor_messages_removed;
         self.report.messages = writer.messages();
         writer.finish().map_err(failed)?;

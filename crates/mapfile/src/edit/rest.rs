@@ -6,18 +6,22 @@ use portolan_geometry::{Dimension, Time};
 use prost::Message as _;
 
 use super::EditError;
+use super::clear::ClearedArea;
 use super::draft::{Estimate, Source};
 use crate::convert::imu_state_from_proto;
 use crate::derived_imu::DerivedImu;
 use crate::message::{MessageKind, RawMessage};
 use crate::pose::{IdInFile, pose_from_proto, pose_to_proto};
 use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{PoseGraph, SerializedData, TrajectoryData};
+use crate::proto::mapping::{PoseGraph, SerializedData, Submap, TrajectoryData};
 use crate::proto::transform::Quaterniond;
 use crate::reader::{PbstreamReader, ReadLimits};
 use crate::wire::{joined, last_varint, put_bytes_field, put_varint_field, without_field};
 
-/// Number of the field of an IMU message, as in the schema.
+/// Numbers of fields, as in the schema.
+const SUBMAP_ID: u32 = 1;
+const SUBMAP_2D: u32 = 2;
+const SUBMAP_3D: u32 = 3;
 const DERIVED_FROM_POSES: u32 = 1000;
 
 type Write<'a> = &'a mut dyn FnMut(Vec<u8>) -> Result<(), EditError>;
@@ -34,6 +38,8 @@ pub(super) struct Rest<'a> {
     derived: BTreeMap<i32, DerivedImu>,
     /// Streams whose first measurement after the cut was written.
     ended: BTreeSet<(i32, u32)>,
+    cleared: &'a [ClearedArea],
+    pub cells_cleared: u64,
     pub sensor_messages_removed: u64,
 }
 
@@ -61,8 +67,15 @@ impl<'a> Rest<'a> {
             held: BTreeMap::new(),
             derived: derived.collect(),
             ended: BTreeSet::new(),
+            cleared: &[],
+            cells_cleared: 0,
             sensor_messages_removed: 0,
         }
+    }
+
+    /// Submaps lose their cells in these areas.
+    pub fn clear(&mut self, areas: &'a [ClearedArea]) {
+        self.cleared = areas;
     }
 
     /// Copies what is wanted of one file.
@@ -126,9 +139,11 @@ impl<'a> Rest<'a> {
         if !wanted.remove(&(*new, index)) {
             return Ok(());
         }
-        if *new == trajectory {
+        let content = self.without_cleared_cells((*new, index), kind, content);
+        if *new == trajectory && content.is_none() {
             return write(raw.bytes.clone());
         }
+        let content = content.unwrap_or_else(|| joined(&raw.bytes, kind.tag()));
         let mut new_id = Vec::new();
         put_varint_field(&mut new_id, 1, new.cast_unsigned().into());
         put_varint_field(&mut new_id, 2, index.cast_unsigned().into());
@@ -136,6 +151,28 @@ impl<'a> Rest<'a> {
         put_bytes_field(&mut renamed, 1, &new_id);
         renamed.extend(without_field(&content, 1));
         write(with_content(raw, kind, &renamed))
+    }
+
+    /// The content of a submap that lost cells; none if nothing changed.
+    fn without_cleared_cells(
+        &mut self,
+        id: IdInFile,
+        kind: MessageKind,
+        content: Vec<u8>,
+    ) -> Option<Vec<u8>> {
+        if kind != MessageKind::Submap || self.cleared.is_empty() {
+            return None;
+        }
+        let mut submap = Submap::decode(&*content).ok()?;
+        let cleared: u64 = self.cleared.iter().map(|area| area.clear(id, &mut submap)).sum();
+        self.cells_cleared += cleared;
+        if cleared == 0 {
+            return None;
+        }
+        let rest = [SUBMAP_ID, SUBMAP_2D, SUBMAP_3D].iter().fold(content, |rest, n| without_field(&rest, *n));
+        let mut bytes = submap.encode_to_vec();
+        bytes.extend(rest);
+        Some(bytes)
     }
 
     fn trajectory_data(
