@@ -5,7 +5,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{Run, json, portolan, portolan_with_code, simulated_once, text};
+use common::{Run, portolan, portolan_with_code, simulated_once, text};
 
 const OFFICE: [&str; 7] = ["office", "--seconds", "25", "--beams", "180", "--people", "0"];
 
@@ -70,7 +70,8 @@ fn a_merged_map_is_found_or_refused() {
     portolan_with_code(0, &["edit", &maps[0], "-o", &moved, "--rotate", "30", "--move=5,-3"]);
     let run = merge(&moved, &["--json"], 0);
     assert!(run.stderr.contains("trajectory 0 is 1; found at"), "{}", run.stderr);
-    let merged = &json(&run.stdout)["merged"][0];
+    let report: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    let merged = &report["merged"][0];
     assert!(merged["loop_closures"].as_u64() > Some(3), "{merged}");
     merge(&maps[1], &["--place", "0,0,0"], 0);
     merge(&maps[1], &["--place", "0,0,0", "--place", "0,0,0"], 2);

@@ -41,6 +41,7 @@ pub enum IngestError {
 enum Role {
     Range {
         point_time: Option<PointTime>,
+        length_unit: f32,
         by_azimuth: Option<TimesByAzimuth>,
         directions: Box<BeamDirections>,
     },

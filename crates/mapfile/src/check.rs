@@ -1,4 +1,5 @@
 //! Whether a map file is what other programs expect of it.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -95,6 +96,8 @@ pub struct Finding {
     pub message: Option<u64>,
     /// Position of the message in the file.
     pub offset: Option<u64>,
+    /// How many findings it stands for.
+    pub count: u64,
     /// What is wrong, in a sentence.
     pub text: String,
 }
@@ -171,7 +174,8 @@ impl Check {
         *count += 1;
         if *count <= MAX_FINDINGS_OF_A_KIND {
             let (message, offset) = self.at.unzip();
-            self.findings.push(Finding { severity, kind, message, offset, text: text.into() });
+            let (count, text) = (1, text.into());
+            self.findings.push(Finding { severity, kind, message, offset, count, text });
         }
     }
 
@@ -294,7 +298,8 @@ impl Check {
         for ((kind, severity), count) in std::mem::take(&mut self.counts) {
             if let Some(more) = count.checked_sub(MAX_FINDINGS_OF_A_KIND).filter(|m| *m > 0) {
                 let text = format!("{more} more findings of this kind ({kind:?})");
-                self.findings.push(Finding { severity, kind, message: None, offset: None, text });
+                let (message, offset) = (None, None);
+                self.findings.push(Finding { severity, kind, message, offset, count: more, text });
             }
         }
         self.findings
@@ -376,12 +381,14 @@ pub(crate) fn bad_starts(ids: &[i32], starts: &[Option<i32>]) -> Vec<(usize, Str
         }
         let mut at = Some(i);
         while let Some(here) = at.filter(|here| reached.get(*here) == Some(&usize::MAX)) {
-            reached[here] = i;
+            if let Some(first) = reached.get_mut(here) {
+                *first = i;
+            }
             at = next(here).and_then(|to| place.get(&to)).copied();
         }
         if let Some(met) = at.filter(|met| reached.get(*met) == Some(&i)) {
-            let text = format!("the start of trajectory {} is relative to itself, in a circle", ids[met]);
-            bad.push((met, text));
+            let id = ids.get(met).copied().unwrap_or_default();
+            bad.push((met, format!("the start of trajectory {id} is relative to itself, in a circle")));
         }
     }
     bad

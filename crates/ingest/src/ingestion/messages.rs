@@ -69,10 +69,10 @@ impl Ingestion {
                 self.count_scan_faults(&sensor.topic, stamp, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
-            (Role::Range { point_time, by_azimuth, .. }, Message::PointCloud2(cloud)) => {
-                let point_time = *point_time;
+            (Role::Range { point_time, length_unit, by_azimuth, .. }, Message::PointCloud2(cloud)) => {
+                let (point_time, length_unit) = (*point_time, *length_unit);
                 let turn = by_azimuth.as_mut().map(|turns| turns.at(stamp));
-                self.take_cloud(sensor, stamp, cloud, point_time, turn);
+                self.take_cloud(sensor, stamp, cloud, (point_time, length_unit), turn);
             }
             (Role::Imu { scale }, Message::Imu(imu)) => {
                 let scale = *scale;
@@ -137,11 +137,11 @@ impl Ingestion {
         sensor: &mut Sensor,
         stamp: Time,
         cloud: &PointCloud2,
-        point_time: Option<PointTime>,
+        (point_time, length_unit): (Option<PointTime>, f32),
         turn: Option<TimedTurn>,
     ) {
         let layout = match CloudLayout::of(cloud) {
-            Ok(layout) => layout,
+            Ok(layout) => layout.with_length_unit(length_unit),
             Err(error) => return self.count(&sensor.topic, stamp, error.kind(), 1),
         };
         let point_time = point_time.filter(|_| layout.has_time());
@@ -149,6 +149,7 @@ impl Ingestion {
         if let (None, Some(turn)) = (point_time, turn) {
             azimuth_time::assign(&mut points, &turn);
         }
+        self.count(&sensor.topic, stamp, IssueKind::CloudInMillimetres, u64::from(length_unit != 1.0));
         let CloudFaults { not_finite, far_time, zero, missing } = faults;
         self.count(&sensor.topic, stamp, IssueKind::PointNotFinite, not_finite);
         self.count(&sensor.topic, stamp, IssueKind::PointTimeFar, far_time);

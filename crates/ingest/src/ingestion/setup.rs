@@ -53,7 +53,12 @@ pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<st
         });
         add(
             &range.source,
-            Role::Range { point_time: range.point_time, by_azimuth, directions: Box::default() },
+            Role::Range {
+                point_time: range.point_time,
+                length_unit: range.length_unit,
+                by_azimuth,
+                directions: Box::default(),
+            },
             RANGE,
         );
     }

@@ -122,6 +122,8 @@ pub struct PlannedRange {
     /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`] nor
     /// [`AzimuthTimes::Recorded`].
     pub azimuth_times: AzimuthTimes,
+    /// Metres in one unit of the coordinates (point clouds only).
+    pub length_unit: f32,
     /// How the lidar turns, where that is known and points get times from their azimuth.
     pub turn: Option<Turn>,
     /// What it is like.

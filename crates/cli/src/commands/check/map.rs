@@ -9,7 +9,7 @@ use portolan_mapfile::{FindingKind, PbstreamReader, ReadLimits, Severity as MapS
 use super::Finding;
 use crate::error::CliError;
 
-/// Reads a whole map and tells all findings.
+/// Reads a whole map; one finding of each kind, with its count.
 pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
     let length = input.length();
     let reader = PbstreamReader::from_source(input, length, ReadLimits::default());
@@ -34,7 +34,16 @@ pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
             repair: found.kind.repair(),
         }
     };
-    Ok(validate(&mut reader).into_iter().map(finding).collect())
+    let mut by_kind: Vec<(FindingKind, Finding)> = Vec::new();
+    for found in validate(&mut reader) {
+        let (kind, more) = (found.kind, found.count);
+        let next = finding(found);
+        match by_kind.iter_mut().find(|(of, first)| *of == kind && first.severity == next.severity) {
+            Some((_, first)) => first.count += more,
+            None => by_kind.push((kind, next)),
+        }
+    }
+    Ok(by_kind.into_iter().map(|(_, finding)| finding).collect())
 }
 
 /// What follows from a finding, and what to do.
