@@ -30,6 +30,8 @@ fn wrong_files_are_named_by_their_kind() {
 
 #[test]
 fn what_was_meant_is_found() {
+    let run = portolan_with_code(2, &["config", "show", "--set", "constraint_builder.min_score=2"]);
+    assert!(run.stderr.contains("0 to 1"), "{}", run.stderr);
     let run = portolan_with_code(2, &["mpa", "walk.bag"]);
     assert!(run.stderr.contains("'map'") && !run.stderr.contains("'compat'"), "{}", run.stderr);
     let run = portolan_with_code(2, &["simualte"]);
