@@ -106,8 +106,8 @@ impl MapDraft {
         }
         for (id, sensors) in &collected.sensors {
             sensors.imu.values().for_each(|data| graph.add_imu_data(*id, *data));
-            sensors.odometry.values().for_each(|data| graph.add_odometry_data(*id, data.clone()));
-            sensors.fixed_frame.values().for_each(|data| graph.add_fixed_frame_pose_data(*id, data.clone()));
+            sensors.odometry.values().for_each(|data| graph.add_odometry_data(*id, *data));
+            sensors.fixed_frame.values().for_each(|data| graph.add_fixed_frame_pose_data(*id, *data));
             graph.set_imu_state(*id, sensors.imu_state);
         }
         for sighting in collected.landmarks.values().flat_map(|landmark| &landmark.sightings) {

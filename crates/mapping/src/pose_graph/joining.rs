@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use portolan_sensor::FixedRatioSampler;
 
 use super::PoseGraph;
-use super::policy::GOLDEN;
+use super::policy::{GOLDEN, LoopSearchPolicy};
 use super::travel::TravelGraph;
 use crate::{NodeId, Space, SubmapId, TrajectoryId, of_trajectory};
 
@@ -115,7 +115,10 @@ impl<S: Space> PoseGraph<S> {
             let Some(submap) = &entry.submap else { continue };
             self.search.add_unsampled((submap_id, submap), (node_id, &node.data), guess);
         }
+        // Every pair tells something of how the two lie, however short the way over others is.
+        self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.policy.loops });
         let found = self.search.run(&TravelGraph::new(&self.state));
+        self.search.set_policy(self.policy.loops);
         self.add_found(found);
     }
 
