@@ -85,6 +85,6 @@ fn maps_are_checked() {
     let run = portolan_with_code(1, &["check", &damaged]);
     assert!(run.stdout.contains("error: message") && run.stderr.contains("found"), "{}", run.stdout);
     assert!(run.stdout.contains("repair: keeps the records that are whole"), "{}", run.stdout);
-    let run = portolan_with_code(1, &["info", &damaged]);
-    assert!(run.stderr.contains("message 1") && run.stderr.contains(" at byte "), "{}", run.stderr);
+    let run = portolan_with_code(3, &["info", &damaged]);
+    assert!(run.stdout.contains("lost: message 1") && run.stdout.contains(" at byte "), "{}", run.stdout);
 }
