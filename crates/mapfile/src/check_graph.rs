@@ -1,4 +1,5 @@
 //! Checks of the pose graph.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use crate::check::{Check, FindingKind, GraphIds};
 use crate::pose::{node_id, submap_id};

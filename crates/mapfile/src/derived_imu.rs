@@ -4,6 +4,7 @@
 //! takes the last sample to hold over any gap. Where nothing was measured, maps get samples that agree with the
 //! poses and with gravity: all residuals of the IMU are zero where the nodes stand. They are marked
 //! (`derived_from_poses`) and not read again.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::VecDeque;
 
@@ -138,7 +139,8 @@ fn acceleration(first: Option<&Interval>, second: Option<&Interval>) -> Vector3 
 
 /// Samples for the whole time from the first node to the last, in the axes of the IMU.
 fn samples(nodes: &[(Time, Rigid3)], state: &ImuState) -> Vec<sensor::ImuData> {
-    let intervals: Vec<Interval> = nodes.windows(2).filter_map(|p| Interval::between(&p[0], &p[1])).collect();
+    let pairs = nodes.iter().zip(nodes.iter().skip(1));
+    let intervals: Vec<Interval> = pairs.filter_map(|(a, b)| Interval::between(a, b)).collect();
     let imu_from_tracking = state.calibration.inverse();
     let up = Vector3::z() * state.gravity_constant;
     let message = |time: Time, map_from_tracking: Quaternion, acceleration: Vector3, rate: Vector3| {

@@ -1,4 +1,5 @@
 //! Cells of grids made unknown by area.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 

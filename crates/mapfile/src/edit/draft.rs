@@ -1,4 +1,5 @@
 //! The map that is being edited.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
 //! Submaps, nodes and measurements copied from their files, as far as the draft has them.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,4 +1,5 @@
 //! Trajectories removed and renamed; maps cut by time.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 
