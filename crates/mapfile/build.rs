@@ -5,6 +5,10 @@ use std::path::{Path, PathBuf};
 
 use prost::Message;
 
+/// Messages written by hand, in `src/exact_numbers.rs`.
+const EXACT: [&str; 7] =
+    ["Vector2d", "Vector2f", "Vector3d", "Vector3f", "Vector4f", "Quaterniond", "Quaternionf"];
+
 fn main() -> Result<(), Box<dyn Error>> {
     let root = Path::new("proto");
     println!("cargo::rerun-if-changed={}", root.display());
@@ -17,7 +21,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let out = PathBuf::from(std::env::var("OUT_DIR")?);
     // The names of fields, for printing messages as text.
     std::fs::write(out.join("descriptors.bin"), descriptors.encode_to_vec())?;
-    prost_build::Config::new().include_file("messages.rs").compile_fds(descriptors)?;
+    let mut config = prost_build::Config::new();
+    for name in EXACT {
+        config.extern_path(
+            format!(".cartographer.transform.proto.{name}"),
+            format!("crate::exact_numbers::{name}"),
+        );
+    }
+    config.include_file("messages.rs").compile_fds(descriptors)?;
     Ok(())
 }
 

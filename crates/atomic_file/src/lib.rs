@@ -1,11 +1,19 @@
 #![doc = include_str!("../README.md")]
 
+mod disk;
+#[cfg(feature = "faults")]
+pub mod faults;
+mod space;
+
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use portolan_unfinished::Unfinished;
 use tempfile::NamedTempFile;
+
+use disk::{Disk, before_commit};
+pub use space::free_bytes;
 
 /// A file could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -29,8 +37,8 @@ pub struct AtomicFile {
 
 enum Target {
     /// To be renamed to the path.
-    Temporary(BufWriter<NamedTempFile>, Unfinished, PathBuf),
-    Direct(BufWriter<File>),
+    Temporary(BufWriter<Disk<NamedTempFile>>, Unfinished, PathBuf),
+    Direct(BufWriter<Disk<File>>),
 }
 
 const BUFFER: usize = 256 << 10;
@@ -65,8 +73,8 @@ impl AtomicFile {
     /// A handle for a library that writes the file itself, reads it while writing, and uses no buffer.
     pub fn handle(&self) -> io::Result<File> {
         match &self.target {
-            Target::Temporary(writer, ..) => writer.get_ref().as_file().try_clone(),
-            Target::Direct(writer) => writer.get_ref().try_clone(),
+            Target::Temporary(writer, ..) => writer.get_ref().0.as_file().try_clone(),
+            Target::Direct(writer) => writer.get_ref().0.try_clone(),
         }
     }
 
@@ -105,7 +113,7 @@ fn open_target(path: &Path) -> io::Result<Target> {
             // Some formats are read while they are written.
             let both = OpenOptions::new().read(true).write(true).open(path);
             let file = both.or_else(|_| OpenOptions::new().write(true).open(path))?;
-            return Ok(Target::Direct(BufWriter::with_capacity(BUFFER, file)));
+            return Ok(Target::Direct(BufWriter::with_capacity(BUFFER, Disk(file))));
         }
     }
     let destination = destination(path)?;
@@ -124,7 +132,7 @@ fn open_target(path: &Path) -> io::Result<Target> {
     }
     // A signal removes it.
     let (unfinished, file) = Unfinished::create_named(|| builder.tempfile_in(folder), NamedTempFile::path)?;
-    Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, file), unfinished, destination))
+    Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, Disk(file)), unfinished, destination))
 }
 
 /// Where a link leads, so that the link stays one.
@@ -144,12 +152,14 @@ pub fn folder_of(path: &Path) -> &Path {
 }
 
 fn commit_temporary(
-    writer: BufWriter<NamedTempFile>,
+    writer: BufWriter<Disk<NamedTempFile>>,
     unfinished: Unfinished,
     destination: &Path,
 ) -> io::Result<()> {
-    let file = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
+    let Disk(file) = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
+    before_commit()?;
     file.as_file().sync_all()?;
+    before_commit()?;
     unfinished.complete(|| file.persist(destination).map_err(|e| e.error))?;
     sync_folder(folder_of(destination))
 }

@@ -35,6 +35,27 @@ fn faults_are_named_with_effect_and_advice() {
 }
 
 #[test]
+fn what_map_cannot_use_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = common::text(&folder.path().join("results"));
+    let (path, mut ends) = (common::text(&folder.path().join("short.bag")), Vec::new());
+    for scenario in ["corridors", "garage"] {
+        for seconds in ["0.1", "0.2"] {
+            portolan_with_code(0, &["simulate", scenario, "--seconds", seconds, "-o", &path, "-q"]);
+            let (map, check) = (portolan(&["map", &path, "-o", &output]), portolan(&["check", &path]));
+            assert_eq!(map.code, check.code, "{scenario} {seconds}: {} {}", map.stderr, check.stdout);
+            ends.push(map.code.unwrap());
+        }
+    }
+    assert_eq!(ends, [1, 0, 1, 0]);
+    let Some(path) = real("ros_bags/ouster_512x10_raw.bag") else { return };
+    let run = portolan_with_code(1, &["check", &path]);
+    assert!(run.stdout.contains("the only scan begins before /os_node0/imu_packets does"), "{}", run.stdout);
+    assert!(run.stdout.contains("harmless remarks [-v lists them]"), "{}", run.stdout);
+    portolan_with_code(1, &["map", &path, "-o", &output]);
+}
+
+#[test]
 fn a_damaged_bag_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let path = simulated(folder.path(), "whole.bag", &[]);
@@ -64,6 +85,6 @@ fn maps_are_checked() {
     let run = portolan_with_code(1, &["check", &damaged]);
     assert!(run.stdout.contains("error: message") && run.stderr.contains("found"), "{}", run.stdout);
     assert!(run.stdout.contains("repair: keeps the records that are whole"), "{}", run.stdout);
-    let run = portolan_with_code(1, &["info", &damaged]);
-    assert!(run.stderr.contains("message 1") && run.stderr.contains(" at byte "), "{}", run.stderr);
+    let run = portolan_with_code(3, &["info", &damaged]);
+    assert!(run.stdout.contains("lost: message 1") && run.stdout.contains(" at byte "), "{}", run.stdout);
 }

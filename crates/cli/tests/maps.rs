@@ -127,7 +127,8 @@ fn maps_are_edited() {
     portolan_with_code(0, &["check", &out]);
     for (wrong, code, reason) in [
         (&["--keep", "7"][..], 1, "there is no trajectory 7"),
-        (&["--inside=900,900,901,901"], 1, "nothing would be left"),
+        (&["--inside=900,900,901,901"], 1, "nothing would be left of the map after --inside"),
+        (&["--before", "+-5"], 1, "left of the map after --before (the map is of 13"),
         (&["--drop-loop", "0,0:0,1"], 1, "no loop closure"),
         (&["--rename", "0=x"], 2, "expected OLD=NEW"),
         (&["--after", "noon"], 2, "Unix seconds"),

@@ -51,16 +51,30 @@ fn another_building_is_not_laid_over_the_known_one() {
 }
 
 #[test]
-fn a_merged_map_needs_a_place() {
+fn a_merged_map_is_found_or_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let (recording, _) = office("1");
-    portolan_with_code(0, &["map", &recording, "-o", &text(folder.path()), "-q"]);
-    let (map, both) = (text(&folder.path().join("map.pbstream")), text(&folder.path().join("both.pbstream")));
-    let merge = ["edit", &map, "-o", &both, "--merge", &map];
-    let run = portolan_with_code(2, &merge);
-    assert!(run.stderr.contains("--place X,Y,YAW"), "{}", run.stderr);
+    let maps = ["1", "2"].map(|seed| {
+        let output = folder.path().join(seed);
+        portolan_with_code(0, &["map", &office(seed).0, "-o", &text(&output), "-q"]);
+        text(&output.join("map.pbstream"))
+    });
+    let both = text(&folder.path().join("both.pbstream"));
+    let merge = |other: &str, more: &[&str], code| {
+        portolan_with_code(code, &[&["edit", &maps[0], "-o", &both, "--merge", other], more].concat())
+    };
+    let run = merge(&maps[1], &[], 4);
+    assert!(run.stderr.contains("was not found") && run.stderr.contains("--place X,Y,YAW"), "{}", run.stderr);
     assert!(!Path::new(&both).exists());
-    portolan_with_code(0, &[&merge[..], &["--place", "0,0,0"]].concat());
+    // Moved, so that its place is another one.
+    let moved = text(&folder.path().join("moved.pbstream"));
+    portolan_with_code(0, &["edit", &maps[0], "-o", &moved, "--rotate", "30", "--move=5,-3"]);
+    let run = merge(&moved, &["--json"], 0);
+    assert!(run.stderr.contains("trajectory 0 is 1; found at"), "{}", run.stderr);
+    let report: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    let merged = &report["merged"][0];
+    assert!(merged["loop_closures"].as_u64() > Some(3), "{merged}");
+    merge(&maps[1], &["--place", "0,0,0"], 0);
+    merge(&maps[1], &["--place", "0,0,0", "--place", "0,0,0"], 2);
 }
 
 /// The walls of a room with a corner cut off, so that it fits itself one way only, metres.

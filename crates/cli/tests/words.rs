@@ -30,6 +30,8 @@ fn wrong_files_are_named_by_their_kind() {
 
 #[test]
 fn what_was_meant_is_found() {
+    let run = portolan_with_code(2, &["config", "show", "--set", "constraint_builder.min_score=2"]);
+    assert!(run.stderr.contains("0 to 1"), "{}", run.stderr);
     let run = portolan_with_code(2, &["mpa", "walk.bag"]);
     assert!(run.stderr.contains("'map'") && !run.stderr.contains("'compat'"), "{}", run.stderr);
     let run = portolan_with_code(2, &["simualte"]);
@@ -49,6 +51,9 @@ fn damage_is_never_quiet() {
     std::fs::write(at("cut.pbstream"), &map[..map.len() - 10]).unwrap();
     let run = portolan_with_code(3, &["convert", &at("cut.pbstream"), "-o", &at("cut.tum")]);
     assert!(run.stderr.contains("damaged behind its poses"), "{}", run.stderr);
+    let run = portolan_with_code(3, &["info", &at("cut.pbstream")]);
+    assert!(run.stdout.contains("1 trajectory") || run.stdout.contains("Trajectory"), "{}", run.stdout);
+    assert!(run.stdout.contains("lost: "), "{}", run.stdout);
     portolan_with_code(0, &["convert", &at("m/map.pbstream"), "-o", &at("whole.tum")]);
     assert_eq!(std::fs::read(at("cut.tum")).unwrap(), std::fs::read(at("whole.tum")).unwrap());
     let rows = |count: usize| -> String {

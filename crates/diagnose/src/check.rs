@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_geometry::{Duration, Rigid3, Time, Vector3};
 use portolan_ingest::{
-    BeamDirections, CloudLayout, IngestOptions, Inventory, RecordingClock, SensorPlan, TfInput, TfTree, plan,
-    points_of_echoes, points_of_laser_scan,
+    BeamDirections, CloudLayout, IngestOptions, Inventory, RecordingClock, SensorPlan, TfInput, TfTree,
+    TimedPoints, TopicSurvey, plan, points_of_echoes, points_of_laser_scan,
 };
 use portolan_issue::{Issue, IssueKind, Severity};
 use portolan_recording::{
@@ -15,6 +15,7 @@ use portolan_recording::{
 
 use crate::clock_offset::ClockOffset;
 use crate::clouds::CloudChecks;
+use crate::coverage::Coverage;
 use crate::finding::{Finding, Findings, Kind};
 use crate::imu::ImuChecks;
 use crate::odometry::OdometryChecks;
@@ -125,6 +126,7 @@ struct Check<'a> {
     tf: TfInput,
     messages: u64,
     clock: RecordingClock,
+    coverage: Coverage,
 }
 
 impl<'a> Check<'a> {
@@ -138,6 +140,7 @@ impl<'a> Check<'a> {
             tf: TfInput::new(&options.map_frame),
             messages: 0,
             clock: RecordingClock::default(),
+            coverage: Coverage::default(),
         }
     }
 
@@ -155,14 +158,16 @@ impl<'a> Check<'a> {
         if let Some(jump) = self.clock.take(recorded.log_time) {
             self.findings.add(&CLOCK_SET, "", || jump.to_string());
         }
-        let end = self.add_values(&recorded.topic, &recorded.message).unwrap_or(header.stamp);
+        let sweep = self.add_values(&recorded.topic, &recorded.message);
+        let end = sweep.map_or(header.stamp, |(_, end)| end);
+        self.coverage.add(&recorded.topic, end, sweep);
         let stamps = self.stamps.entry(recorded.topic.clone());
         let stamps = stamps.or_insert_with(|| Stamps::new(&recorded.message, header, recorded.log_time));
         stamps.add(&recorded.topic, (header, end), recorded.log_time, &mut self.findings);
     }
 
-    /// Takes what a message measured; returns when its last point was, if it has points.
-    fn add_values(&mut self, topic: &Arc<str>, message: &Message) -> Option<Time> {
+    /// Takes what a message measured; returns when its first and its last point were, if it has points.
+    fn add_values(&mut self, topic: &Arc<str>, message: &Message) -> Option<(Time, Time)> {
         let checks = match self.topics.get_mut(topic) {
             Some(checks) => checks,
             None => {
@@ -178,14 +183,14 @@ impl<'a> Check<'a> {
                 ranges.add_scan(topic, scan, faults, findings);
                 ranges.add_points(topic, &header.frame_id, &points, findings);
                 turns.add(points.time, scan);
-                return Some(points.time);
+                return Some((first_time(&points), points.time));
             }
             (TopicChecks::Echoes { ranges, directions }, Message::MultiEchoLaserScan(scan)) => {
                 add_echoes(topic, scan, ranges, directions, findings);
             }
             (TopicChecks::Cloud { ranges, clouds, turns }, Message::PointCloud2(cloud)) => {
-                let time = self.inventory.topic(topic).and_then(|t| t.point_time);
-                return add_cloud(topic, cloud, time, (ranges, clouds, turns), findings);
+                let survey = self.inventory.topic(topic);
+                return add_cloud(topic, cloud, survey, (ranges, clouds, turns), findings);
             }
             (TopicChecks::Imu { imu, turns }, Message::Imu(message)) => {
                 imu.add(topic, message, findings);
@@ -223,6 +228,9 @@ impl<'a> Check<'a> {
             stamps.finish(topic, common_lag, &mut self.findings);
         }
         self.check_spans();
+        if let Some(plan) = plan {
+            self.coverage.finish(plan, &mut self.findings);
+        }
         check_frames(self.stamps.iter().map(|(topic, stamps)| (&**topic, stamps)), &mut self.findings);
         self.compare_turns(plan, offsets);
         offsets.iter().for_each(|offset| offset.tell(&mut self.findings));
@@ -355,25 +363,31 @@ fn add_echoes(
 fn add_cloud(
     topic: &str,
     cloud: &PointCloud2,
-    time: Option<portolan_ingest::PointTime>,
+    survey: Option<&TopicSurvey>,
     (ranges, clouds, turns): (&mut RangeChecks, &mut CloudChecks, &mut CloudTurns),
     findings: &mut Findings,
-) -> Option<Time> {
+) -> Option<(Time, Time)> {
     let layout = match CloudLayout::of(cloud) {
-        Ok(layout) => layout,
+        Ok(layout) => layout.with_length_unit(survey.map_or(1.0, |s| s.length_unit)),
         Err(error) => {
             CloudChecks::add_error(topic, error, findings);
             return None;
         }
     };
-    let time = time.filter(|_| layout.has_time());
+    let time = survey.and_then(|s| s.point_time).filter(|_| layout.has_time());
     let (points, faults) = layout.points(cloud.header.stamp, cloud, time, false);
     clouds.add(topic, cloud, &layout, time, faults, findings);
     if cloud.width > 0 && cloud.height > 0 {
         ranges.add_points(topic, &cloud.header.frame_id, &points, findings);
         turns.add(&points);
     }
-    (!points.points.is_empty()).then_some(points.time)
+    (!points.points.is_empty()).then(|| (first_time(&points), points.time))
+}
+
+/// When the first point was measured.
+fn first_time(points: &TimedPoints) -> Time {
+    let earliest = points.points.iter().map(|point| point.time).fold(0.0, f32::min);
+    points.time + Duration::from_seconds(f64::from(earliest))
 }
 
 /// The sensor of a topic in the tracking frame, if that is known and fixed.

@@ -42,6 +42,12 @@ const FAR_TIME: Kind = Kind {
     effect: "these points are left out",
     to_do: "mend the driver: it writes other values than times for some points, often zero where nothing came back",
 };
+const MILLIMETRES: Kind = Kind {
+    name: "millimetres",
+    severity: Severity::Warning,
+    effect: "none in the map: coordinates are converted to metres",
+    to_do: "let the driver write metres, as point clouds of ROS have them",
+};
 const NOT_FINITE: Kind =
     Kind { name: "no points", severity: Severity::Info, effect: "these points are left out", to_do: "" };
 
@@ -90,6 +96,9 @@ impl CloudChecks {
         }
         if points > HUGE_POINTS {
             findings.add(&HUGE, topic, || format!("clouds of {points} points"));
+        }
+        if layout.length_unit() != 1.0 {
+            findings.add(&MILLIMETRES, topic, || "coordinates of clouds are in millimetres".to_owned());
         }
         self.not_finite += faults.not_finite;
         self.far_time += faults.far_time;

@@ -3,6 +3,7 @@
 mod check;
 mod clock_offset;
 mod clouds;
+mod coverage;
 mod finding;
 mod histogram;
 mod imu;

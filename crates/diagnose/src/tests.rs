@@ -56,6 +56,45 @@ fn a_good_recording_has_nothing_worth_a_warning() {
 }
 
 #[test]
+fn scans_outside_of_the_time_of_the_imu_are_no_map() {
+    let recording = |seconds: f64| {
+        let mut messages = robot(vec![]);
+        messages.extend((0..10).map(|i| {
+            let t = 0.01 * f64::from(i);
+            named("/imu", t, imu(t, [0.1, 0.0, 9.8]))
+        }));
+        messages.push(named("/points", seconds, cloud(seconds, "laser")));
+        messages
+    };
+    let findings = checked(recording(0.2));
+    let found = find(&findings, "the only scan begins before /imu does, or ends after it");
+    assert_eq!(found.severity, Severity::Error);
+    let findings = checked(recording(0.03));
+    assert!(findings.iter().all(|f| !f.what.contains("the only scan")), "{}", findings_to_text(&findings));
+}
+
+#[test]
+fn clouds_in_millimetres_are_told() {
+    let clouds = |unit: f32| {
+        let mut messages = robot(vec![]);
+        messages.extend((0..20).map(|i| {
+            let t = 0.1 * f64::from(i);
+            let Message::PointCloud2(mut cloud) = cloud(t, "laser") else { panic!() };
+            for point in cloud.data.chunks_exact_mut(cloud.point_step as usize) {
+                for value in point[..12].as_chunks_mut::<4>().0 {
+                    *value = (f32::from_le_bytes(*value) * unit).to_le_bytes();
+                }
+            }
+            named("/points", t, Message::PointCloud2(cloud))
+        }));
+        checked(messages)
+    };
+    let findings = clouds(1e3);
+    assert_eq!(find(&findings, "in millimetres").count, 20);
+    assert!(clouds(1.0).iter().all(|f| !f.what.contains("millimetres")));
+}
+
+#[test]
 fn faults_of_stamps() {
     let mut messages = robot(scans(100, |i, message| match i {
         20 => message.header.stamp -= portolan_geometry::Duration::from_seconds(0.5),

@@ -43,8 +43,7 @@ enum Role {
     Range {
         point_time: Option<PointTime>,
         by_azimuth: Option<TimesByAzimuth>,
-        /// Raises the beams, if they point too high or too low.
-        raise: Option<Raise>,
+        coordinates: Coordinates,
         directions: Box<BeamDirections>,
     },
     Imu {
@@ -54,6 +53,15 @@ enum Role {
     NavSat,
     FixedFramePose,
     Landmarks,
+}
+
+/// What becomes of the coordinates of clouds in the frame of their sensor.
+#[derive(Clone, Copy, Debug)]
+struct Coordinates {
+    /// Metres in one of their units.
+    length_unit: f32,
+    /// Raises the beams, if they point too high or too low.
+    raise: Option<Raise>,
 }
 
 /// How points get times from their azimuth.

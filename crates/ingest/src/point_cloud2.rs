@@ -113,6 +113,8 @@ pub struct CloudLayout {
     intensity: Option<Field>,
     step: usize,
     is_bigendian: bool,
+    /// Metres in one unit of the coordinates.
+    length_unit: f32,
 }
 
 impl CloudLayout {
@@ -139,7 +141,24 @@ impl CloudLayout {
             intensity,
             step,
             is_bigendian: cloud.is_bigendian,
+            length_unit: 1.0,
         })
+    }
+
+    /// Coordinates are of this many metres.
+    pub fn with_length_unit(mut self, metres: f32) -> Self {
+        self.length_unit = metres;
+        self
+    }
+
+    /// Metres in one unit of the coordinates.
+    pub fn length_unit(&self) -> f32 {
+        self.length_unit
+    }
+
+    fn position(&self, point: &[u8]) -> Point3f {
+        let [x, y, z] = self.xyz.map(|field| self.length_unit * field.single(point, self.is_bigendian));
+        Point3f::new(x, y, z)
     }
 
     /// Whether there is a time field.
@@ -176,8 +195,7 @@ impl CloudLayout {
         let mut index = 0;
         self.for_each(cloud, |point| {
             if index % stride.max(1) == 0 {
-                let [x, y, z] = self.xyz.map(|field| field.single(point, self.is_bigendian));
-                visit(Point3f::new(x, y, z));
+                visit(self.position(point));
             }
             index += 1;
         });
@@ -186,8 +204,7 @@ impl CloudLayout {
     /// Calls `visit` with every point as it stands, and the value of its time if there is such a field.
     pub(crate) fn sample_timed(&self, cloud: &PointCloud2, mut visit: impl FnMut(Point3f, Option<f64>)) {
         self.for_each(cloud, |point| {
-            let [x, y, z] = self.xyz.map(|field| field.single(point, self.is_bigendian));
-            visit(Point3f::new(x, y, z), self.time.map(|field| field.value(point, cloud.is_bigendian)));
+            visit(self.position(point), self.time.map(|field| field.value(point, cloud.is_bigendian)));
         });
     }
 
@@ -280,7 +297,8 @@ impl CloudLayout {
         });
         let big = self.is_bigendian;
         faults.missing = self.for_each(cloud, |point| {
-            let [x, y, z] = self.xyz.map(|field| field.single(point, big));
+            let position = self.position(point);
+            let (x, y, z) = (position.x, position.y, position.z);
             let (time, is_near) = times.map_or((0.0, true), |(field, time, middle, reference)| {
                 let value = field.value(point, big);
                 // What is not finite is counted as that.
@@ -291,7 +309,7 @@ impl CloudLayout {
             } else if !is_near {
                 faults.far_time += 1;
             } else if x.abs() < HUGE && y.abs() < HUGE && z.abs() < HUGE && time.is_finite() {
-                result.points.push(TimedPoint { position: Point3f::new(x, y, z), time });
+                result.points.push(TimedPoint { position, time });
                 if with_intensities {
                     result.intensities.push(self.intensity.map_or(0.0, |f| f.single(point, big)));
                 }

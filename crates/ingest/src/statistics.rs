@@ -106,6 +106,8 @@ pub(crate) struct RangeSampler {
     skew: SkewEstimator,
     sweep: Vec<Point3f>,
     times: Vec<f64>,
+    /// Metres in one unit of the coordinates of clouds, once a cloud told it.
+    length_unit: Option<f32>,
 }
 
 impl Default for RangeSampler {
@@ -124,6 +126,7 @@ impl Default for RangeSampler {
             skew: SkewEstimator::default(),
             sweep: Vec::new(),
             times: Vec::new(),
+            length_unit: None,
         }
     }
 }
@@ -186,6 +189,8 @@ impl RangeSampler {
 
     pub fn add_cloud(&mut self, cloud: &PointCloud2) {
         let Ok(layout) = CloudLayout::of(cloud) else { return };
+        self.length_unit = self.length_unit.or_else(|| length_unit(&layout, cloud));
+        let layout = layout.with_length_unit(self.length_unit());
         let total = cloud.data.len() / (cloud.point_step as usize).max(1);
         let (mut seen, mut returns) = (0usize, 0usize);
         let stride = total.div_ceil(4 * MAX_READINGS).max(1);
@@ -239,6 +244,11 @@ impl RangeSampler {
     /// Whether clouds have a field of times.
     pub fn has_time_field(&self) -> bool {
         !self.time_spans.is_empty()
+    }
+
+    /// Metres in one unit of the coordinates of clouds.
+    pub fn length_unit(&self) -> f32 {
+        self.length_unit.unwrap_or(METRE)
     }
 
     /// Whether more clouds would tell something that these do not.
@@ -303,6 +313,30 @@ impl RangeSampler {
             skew: self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty)),
         }
     }
+}
+
+const METRE: f32 = 1.0;
+const MILLIMETRE: f32 = 1e-3;
+/// Half of the points of a cloud lie beyond this only if it is in millimetres: no lidar sees that far, and nothing is
+/// that near.
+const MEDIAN_IN_MILLIMETRES: std::ops::Range<f32> = 500.0..500_000.0;
+/// Fewer points tell nothing.
+const TELLING_POINTS: usize = 50;
+
+/// Metres in one unit of the coordinates, as its points tell; none if they are too few.
+fn length_unit(layout: &CloudLayout, cloud: &PointCloud2) -> Option<f32> {
+    let total = cloud.data.len() / (cloud.point_step as usize).max(1);
+    let mut ranges = Vec::new();
+    layout.sample(cloud, total.div_ceil(4 * MAX_READINGS).max(1), |point| {
+        let range = point.coords.norm();
+        ranges.extend((range.is_finite() && range > 0.0).then_some(range));
+    });
+    if ranges.len() < TELLING_POINTS {
+        return None;
+    }
+    let middle = ranges.len() / 2;
+    let (_, median, _) = ranges.select_nth_unstable_by(middle, f32::total_cmp);
+    Some(if MEDIAN_IN_MILLIMETRES.contains(median) { MILLIMETRE } else { METRE })
 }
 
 /// Nobody who maps turns faster than this for long, rad/s.

@@ -45,6 +45,8 @@ pub struct TopicSurvey {
     pub range: Option<RangeStatistics>,
     /// What the times of points mean.
     pub point_time: Option<PointTime>,
+    /// Metres in one unit of the coordinates of clouds: 0.001 where they are in millimetres.
+    pub length_unit: f32,
     /// Whether clouds have a field of times at all, whatever it says.
     pub has_time_field: bool,
     /// What the IMU is like.
@@ -298,6 +300,7 @@ impl TopicLook {
             interval,
             lag: lag.map(Duration::from_seconds),
             point_time: self.range.as_ref().and_then(|r| r.point_time(interval)),
+            length_unit: self.range.as_ref().map_or(1.0, RangeSampler::length_unit),
             has_time_field: self.range.as_ref().is_some_and(RangeSampler::has_time_field),
             range: self.range.map(|r| r.finish(interval)),
             imu: self.imu.map(|i| i.finish(interval)),

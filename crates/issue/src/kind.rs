@@ -160,6 +160,7 @@ kinds! {
     NoDistance Info "messages without a single distance gave nothing"
     CloudWithoutCoordinates Error "clouds without fields x, y and z were left out"
     CloudFieldOutside Error "clouds with fields beyond the end of a point were left out"
+    CloudInMillimetres Warning "clouds in millimetres were converted to metres"
     PointNotFinite Info "points that are not a number or beyond 1,000 km were left out"
     PointTimeFar Info "points whose time lies far outside their cloud were left out"
     PointAtOrigin Info "points at (0, 0, 0) were left out as no return"

@@ -1,4 +1,5 @@
 //! Whether a map file is what other programs expect of it.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -56,6 +57,10 @@ pub enum FindingKind {
     Histogram,
     /// Times that do not ascend or do not agree.
     Time,
+    /// 3D: a trajectory whose IMU data do not reach back to its first node.
+    Imu,
+    /// A trajectory none of whose nodes has a constraint.
+    Unconstrained,
 }
 
 impl FindingKind {
@@ -65,7 +70,8 @@ impl FindingKind {
             Self::Damage => Some("keeps the records that are whole"),
             Self::Header => Some("makes a header"),
             Self::Order => Some("makes what is missing, drops what is there twice"),
-            Self::UnknownMessage => None,
+            Self::UnknownMessage | Self::Unconstrained => None,
+            Self::Imu => Some("adds samples that agree with the poses"),
             Self::Options => Some("makes empty options, takes back impossible starts"),
             Self::DuplicateId => Some("keeps the first"),
             Self::MissingPart => Some("leaves out what lacks its counterpart, with its constraints"),
@@ -90,6 +96,8 @@ pub struct Finding {
     pub message: Option<u64>,
     /// Position of the message in the file.
     pub offset: Option<u64>,
+    /// How many findings it stands for.
+    pub count: u64,
     /// What is wrong, in a sentence.
     pub text: String,
 }
@@ -142,6 +150,9 @@ pub(crate) struct Check {
     pub(crate) nodes_seen: BTreeSet<IdInFile>,
     pub(crate) submaps_seen: BTreeSet<IdInFile>,
     last_times: BTreeMap<(i32, u32), i64>,
+    /// Times of the first IMU sample of each trajectory.
+    pub(crate) first_imu: BTreeMap<i32, i64>,
+    pub(crate) is_3d: bool,
 }
 
 /// Ids in the pose graph.
@@ -153,6 +164,8 @@ pub(crate) struct GraphIds {
     pub submaps: BTreeSet<IdInFile>,
     /// With their times.
     pub nodes: BTreeMap<IdInFile, i64>,
+    /// Trajectories whose nodes have constraints.
+    pub constrained: BTreeSet<i32>,
 }
 
 impl Check {
@@ -161,7 +174,8 @@ impl Check {
         *count += 1;
         if *count <= MAX_FINDINGS_OF_A_KIND {
             let (message, offset) = self.at.unzip();
-            self.findings.push(Finding { severity, kind, message, offset, text: text.into() });
+            let (count, text) = (1, text.into());
+            self.findings.push(Finding { severity, kind, message, offset, count, text });
         }
     }
 
@@ -284,7 +298,8 @@ impl Check {
         for ((kind, severity), count) in std::mem::take(&mut self.counts) {
             if let Some(more) = count.checked_sub(MAX_FINDINGS_OF_A_KIND).filter(|m| *m > 0) {
                 let text = format!("{more} more findings of this kind ({kind:?})");
-                self.findings.push(Finding { severity, kind, message: None, offset: None, text });
+                let (message, offset) = (None, None);
+                self.findings.push(Finding { severity, kind, message, offset, count: more, text });
             }
         }
         self.findings
@@ -302,6 +317,7 @@ impl Check {
         for problem in bad_starts(&graph.order, &self.starts) {
             self.error(FindingKind::Options, problem.1);
         }
+        self.trajectories_of_other_programs(graph);
         let seen = std::mem::take(&mut self.submaps_seen);
         for (t, i) in graph.submaps.difference(&seen) {
             self.error(FindingKind::MissingPart, format!("submap ({t}, {i}) has a pose but no grid"));
@@ -309,6 +325,30 @@ impl Check {
         let seen = std::mem::take(&mut self.nodes_seen);
         for (t, i) in graph.nodes.keys().filter(|id| !seen.contains(id)) {
             self.error(FindingKind::MissingPart, format!("node ({t}, {i}) has a pose but no data"));
+        }
+    }
+
+    /// What Cartographer needs of a trajectory that it may move.
+    fn trajectories_of_other_programs(&mut self, graph: &GraphIds) {
+        let mut first_nodes: BTreeMap<i32, i64> = BTreeMap::new();
+        for ((trajectory, _), time) in &graph.nodes {
+            first_nodes.entry(*trajectory).and_modify(|t| *t = (*t).min(*time)).or_insert(*time);
+        }
+        for (trajectory, first_node) in first_nodes {
+            if self.is_3d && self.first_imu.get(&trajectory).is_none_or(|first| *first > first_node) {
+                let text = format!(
+                    "trajectory {trajectory} has no IMU data at its first node: Cartographer ends when it loads the \
+                     map unfrozen and optimises it"
+                );
+                self.warn(FindingKind::Imu, text);
+            }
+            if !graph.constrained.contains(&trajectory) {
+                let text = format!(
+                    "trajectory {trajectory} has no constraints of its own: nothing holds its nodes when it is \
+                     optimised"
+                );
+                self.warn(FindingKind::Unconstrained, text);
+            }
         }
     }
 
@@ -341,12 +381,14 @@ pub(crate) fn bad_starts(ids: &[i32], starts: &[Option<i32>]) -> Vec<(usize, Str
         }
         let mut at = Some(i);
         while let Some(here) = at.filter(|here| reached.get(*here) == Some(&usize::MAX)) {
-            reached[here] = i;
+            if let Some(first) = reached.get_mut(here) {
+                *first = i;
+            }
             at = next(here).and_then(|to| place.get(&to)).copied();
         }
         if let Some(met) = at.filter(|met| reached.get(*met) == Some(&i)) {
-            let text = format!("the start of trajectory {} is relative to itself, in a circle", ids[met]);
-            bad.push((met, text));
+            let id = ids.get(met).copied().unwrap_or_default();
+            bad.push((met, format!("the start of trajectory {id} is relative to itself, in a circle")));
         }
     }
     bad

@@ -1,4 +1,5 @@
 //! Checks of submaps, nodes and sensor data.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use crate::check::{Check, FindingKind};
 use crate::grid_check::{GridReport, check_grid_2d, check_hybrid_grid};
@@ -37,6 +38,7 @@ impl Check {
     }
 
     fn submap_3d(&mut self, id: IdInFile, submap: &Submap3D) {
+        self.is_3d = true;
         self.pose(&format!("submap {id:?} in its local map"), submap.local_pose.as_ref());
         for grid in [&submap.high_resolution_hybrid_grid, &submap.low_resolution_hybrid_grid] {
             match grid {
@@ -116,6 +118,8 @@ impl Check {
                 let Some(imu) = &data.imu_data else {
                     return self.error(FindingKind::MissingPart, "an IMU message without content");
                 };
+                let first = self.first_imu.entry(data.trajectory_id).or_insert(imu.timestamp);
+                *first = imu.timestamp.min(*first);
                 self.ascending(data.trajectory_id, STREAM_IMU, imu.timestamp, "IMU data");
                 let values = [imu.linear_acceleration, imu.angular_velocity].map(Option::unwrap_or_default);
                 if !values.iter().all(|v: &Vector3d| v.x.is_finite() && v.y.is_finite() && v.z.is_finite()) {

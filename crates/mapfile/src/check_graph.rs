@@ -1,4 +1,5 @@
 //! Checks of the pose graph.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use crate::check::{Check, FindingKind, GraphIds};
 use crate::pose::{node_id, submap_id};
@@ -14,6 +15,7 @@ pub(crate) fn check_pose_graph(check: &mut Check, graph: &PoseGraph) -> GraphIds
     }
     for (i, constraint) in graph.constraint.iter().enumerate() {
         check_constraint(check, i, constraint, &ids);
+        ids.constrained.insert(node_id(constraint.node_id.as_ref()).0);
     }
     for landmark in &graph.landmark_poses {
         check.pose(&format!("landmark {:?}", landmark.landmark_id), landmark.global_pose.as_ref());

@@ -5,11 +5,13 @@
 //! message: memory does not grow with the grids, and what need not be changed keeps its bytes.
 
 mod area;
+mod clear;
 mod constraints;
 mod draft;
 mod error;
 mod graph;
 mod loop_search;
+mod merge;
 mod optimize;
 mod poses;
 mod rest;
@@ -21,6 +23,7 @@ pub use constraints::{LoopResidual, LoopWeights};
 pub use draft::{EditReport, MapDraft};
 pub use error::EditError;
 pub use loop_search::FoundLoop;
+pub use merge::JoinedMap;
 pub use optimize::MapOptimization;
 pub use poses::PoseReplacement;
 pub use walls::{Walls, find_walls};

@@ -1,4 +1,5 @@
 //! One gzip stream (RFC 1952) for one record, with bounds and without allocating codec states anew.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::cell::RefCell;
 use std::io;
@@ -100,7 +101,11 @@ fn deflate(data: &[u8], output: &mut Vec<u8>) -> io::Result<()> {
         deflate.reset();
         loop {
             let consumed = (deflate.total_in() as usize).min(data.len());
-            match deflate.compress_vec(&data[consumed..], output, FlushCompress::Finish) {
+            match deflate.compress_vec(
+                data.get(consumed..).unwrap_or_default(),
+                output,
+                FlushCompress::Finish,
+            ) {
                 Ok(Status::StreamEnd) => return Ok(()),
                 Ok(Status::Ok | Status::BufError) => output.reserve((output.len() - before).max(64)),
                 Err(error) => return Err(io::Error::other(error)),
@@ -137,7 +142,7 @@ fn skip_header(input: &[u8]) -> Result<&[u8], GzipError> {
     for zero_terminated in [8, 16] {
         if flags & zero_terminated != 0 {
             let end = rest.iter().position(|b| *b == 0).ok_or(GzipError::Truncated)?;
-            rest = &rest[end + 1..];
+            rest = rest.get(end + 1..).ok_or(GzipError::Truncated)?;
         }
     }
     if flags & 2 != 0 {

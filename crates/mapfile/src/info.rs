@@ -41,6 +41,8 @@ pub struct MapInfo {
     pub bounding_box: Option<Extent>,
     /// Around the known cells of all submaps, in the global map.
     pub mapped_extent: Option<Extent>,
+    /// What ends the file too early, if anything does: what comes behind is not counted.
+    pub damage: Option<String>,
     /// Messages that were left out.
     pub ignored: IgnoredMessages,
 }
@@ -133,7 +135,7 @@ impl Extent {
     }
 }
 
-/// Reads the rest of a map and sums it up. The pose graph is taken out of the reader: it would be the largest
+/// Reads the rest of a map and sums it up, as far as it is whole ([`MapInfo::damage`]). The pose graph is taken out of the reader: it would be the largest
 /// part of the memory that this needs.
 pub fn info(reader: &mut MapReader) -> Result<MapInfo, PbstreamError> {
     let mut info = MapInfo { format_version: reader.header().format_version, ..MapInfo::default() };
@@ -147,7 +149,16 @@ pub fn info(reader: &mut MapReader) -> Result<MapInfo, PbstreamError> {
     info.add_size("all_trajectory_builder_options", reader.options().encoded_len());
     let poses = submap_poses(&pose_graph);
     drop(pose_graph);
-    while let Some(message) = reader.next_message()? {
+    loop {
+        let message = match reader.next_message() {
+            Ok(Some(message)) => message,
+            Ok(None) => break,
+            Err(error @ PbstreamError::Record { .. }) => {
+                info.damage = Some(error.to_string());
+                break;
+            }
+            Err(error) => return Err(error),
+        };
         let name = kind_of(&message.data).name();
         info.count(name);
         info.add_size(name, message.size);

@@ -6,8 +6,10 @@ mod check_graph;
 mod codes;
 mod convert;
 mod decoded_size;
+mod derived_imu;
 mod edit;
 mod error;
+mod exact_numbers;
 mod frames;
 mod grid_check;
 mod gzip;
@@ -48,8 +50,8 @@ pub use convert::{
     trajectory_options_to_proto, write_graph, write_map, write_map_2d,
 };
 pub use edit::{
-    EditError, EditReport, FoundLoop, LoopResidual, LoopWeights, MapDraft, MapOptimization, PoseReplacement,
-    Walls, find_walls,
+    EditError, EditReport, FoundLoop, JoinedMap, LoopResidual, LoopWeights, MapDraft, MapOptimization,
+    PoseReplacement, Walls, find_walls,
 };
 pub use error::{PbstreamError, RecordError};
 pub use gzip::{GzipError, gunzip, gzip};

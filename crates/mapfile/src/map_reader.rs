@@ -1,4 +1,5 @@
 //! Reading a map: the header, the pose graph and the options at once, everything else one by one.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::io::Read;
 use std::path::Path;
@@ -137,6 +138,12 @@ impl MapReader {
     /// The third message: one entry for each trajectory of the pose graph, in its order.
     pub fn options(&self) -> &AllTrajectoryBuilderOptions {
         &self.options
+    }
+
+    /// What the map was made with, as JSON; empty unless Portolan made it.
+    pub fn configuration(&self) -> &str {
+        let in_options = &self.options.portolan_configuration;
+        if in_options.is_empty() { &self.header.portolan_configuration } else { in_options }
     }
 
     /// The next message after those three, or nothing at the end. Further pose graphs, options and

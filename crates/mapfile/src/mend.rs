@@ -1,4 +1,5 @@
 //! Repairs of single messages.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,5 @@
 //! Repairs of the pose graph: what remains of it must be whole.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -18,7 +18,7 @@ use crate::message::{MessageKind, RawMessage, decode_data};
 use crate::pose::{IdInFile, node_id, pose_from_proto, submap_id};
 use crate::proto::mapping::pose_graph::constraint::Tag;
 use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{Node, PoseGraph, SerializedData, Submap, Submap3D};
+use crate::proto::mapping::{AllTrajectoryBuilderOptions, Node, PoseGraph, SerializedData, Submap, Submap3D};
 use crate::proto::transform::Quaterniond;
 use crate::reader::{PbstreamReader, ReadLimits, must_be_a_file};
 use crate::writer::{FORMAT_VERSION, PbstreamWriter};
@@ -87,7 +87,8 @@ pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<M
     let mut writer = PbstreamWriter::create(output)?;
     while let Some(raw) = reader.next_message()? {
         match raw.kind() {
-            MessageKind::Header => writer.write_header(FORMAT_VERSION, &plan.configuration)?,
+            MessageKind::Header => writer.write_header(FORMAT_VERSION)?,
+            MessageKind::Options => writer.write_bytes(plan.options(raw))?,
             MessageKind::PoseGraph if !plan.unfinished.is_empty() => {
                 writer.write_bytes(without_submaps(raw, &plan.unfinished))?;
             }
@@ -107,7 +108,7 @@ pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<M
 /// What is to be done, known after reading the map once.
 struct Plan {
     from_version: u32,
-    /// Of Portolan, in the header.
+    /// Of Portolan, if it stands in the header, where it used to be.
     configuration: String,
     histograms: BTreeMap<IdInFile, Vec<f32>>,
     unfinished: BTreeSet<IdInFile>,
@@ -186,6 +187,20 @@ impl Plan {
             BTreeMap::new()
         };
         Ok(Self { from_version, configuration, histograms, unfinished })
+    }
+
+    /// The options with the configuration that stood in the header: a message appended to a message is merged.
+    fn options(&self, raw: RawMessage) -> Vec<u8> {
+        let mut bytes = raw.bytes;
+        if !self.configuration.is_empty() {
+            let options = AllTrajectoryBuilderOptions {
+                portolan_configuration: self.configuration.clone(),
+                ..AllTrajectoryBuilderOptions::default()
+            };
+            let data = Some(Data::AllTrajectoryBuilderOptions(options));
+            bytes.extend(SerializedData { data }.encode_to_vec());
+        }
+        bytes
     }
 
     fn submap(&self, raw: RawMessage, report: &mut MigrateReport) -> Option<Vec<u8>> {

@@ -1,4 +1,5 @@
 //! Point clouds on a millimetre grid, as nodes store them (`formats.md §4.3`).
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 
@@ -86,12 +87,11 @@ pub fn decompress(cloud: &CompressedPointCloud) -> Result<Vec<Point3f>, PointClo
         let count = usize::try_from(*count).map_err(|_| PointCloudError::BlockSize(*count))?;
         let (words, after) = after.split_at_checked(count).ok_or(truncated)?;
         rest = after;
-        let corner = block.map(|b| b.wrapping_shl(BITS));
+        let [x, y, z] = block.map(|b| b.wrapping_shl(BITS));
         let wanted_here = words.iter().take(wanted - points.len());
         points.extend(wanted_here.map(|word| {
-            let within = [word & MASK, word >> BITS & MASK, word >> (2 * BITS)];
-            let at = |i: usize| corner[i].wrapping_add(within[i]) as f32 * PRECISION;
-            Point3f::new(at(0), at(1), at(2))
+            let at = |corner: i32, within: i32| corner.wrapping_add(within) as f32 * PRECISION;
+            Point3f::new(at(x, word & MASK), at(y, word >> BITS & MASK), at(z, word >> (2 * BITS)))
         }));
     }
     Ok(points)

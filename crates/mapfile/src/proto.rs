@@ -15,7 +15,12 @@ pub use generated::cartographer::mapping::optimization::proto as optimization;
 pub use generated::cartographer::mapping::proto as mapping;
 pub use generated::cartographer::mapping::scan_matching::proto as scan_matching;
 pub use generated::cartographer::sensor::proto as sensor;
-pub use generated::cartographer::transform::proto as transform;
+
+/// Vectors and poses.
+pub mod transform {
+    pub use super::generated::cartographer::transform::proto::*;
+    pub use crate::exact_numbers::*;
+}
 
 /// The compiled schema as a serialised `FileDescriptorSet`.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));

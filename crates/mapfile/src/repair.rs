@@ -1,19 +1,23 @@
 //! Saving what is whole of a damaged map.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::Path;
 
+use portolan_geometry::Time;
 use prost::Message as _;
 use serde::Serialize;
 
+use crate::convert::imu_state_from_proto;
+use crate::derived_imu::DerivedImu;
 use crate::error::PbstreamError;
 use crate::mend::{Mended, SensorTimes, mend, trajectory_of};
 use crate::mend_graph::{Parts, mend_pose_graph};
 use crate::message::{Message, RawMessage};
 use crate::pose::{IdInFile, node_id, submap_id};
 use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
+use crate::proto::mapping::{self, AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
 use crate::reader::ReadLimits;
 use crate::salvage::Salvage;
 use crate::writer::{FORMAT_VERSION, PbstreamWriter};
@@ -58,12 +62,14 @@ pub enum Repair {
     CellsMended,
     /// A rotation was made one again.
     QuaternionNormalised,
+    /// IMU samples that agree with the poses were put in where a 3D trajectory had none.
+    ImuDerived,
 }
 
 impl Repair {
     /// Whether data are lost by it.
     pub fn loses_data(self) -> bool {
-        !matches!(self, Self::HeaderMade | Self::QuaternionNormalised)
+        !matches!(self, Self::HeaderMade | Self::QuaternionNormalised | Self::ImuDerived)
     }
 }
 
@@ -118,12 +124,15 @@ pub fn repair(input: &Path, output: &Path, limits: ReadLimits) -> Result<RepairR
     let mut writer = PbstreamWriter::create(output)?;
     start.messages.iter().try_for_each(|m| writer.write_bytes(m.clone()))?;
     let mut salvage = Salvage::open(input, limits)?;
-    let mut rest = Rest::new(&start.graph);
+    let mut rest = Rest::new(&start.graph, survey.is_3d);
     while let Some(raw) = salvage.next_message()? {
-        if let Some(bytes) = rest.message(raw, &mut report) {
+        let message = rest.message(raw, &mut report);
+        rest.derived_before.drain(..).try_for_each(|data| writer.write(data))?;
+        if let Some(bytes) = message {
             writer.write_bytes(bytes)?;
         }
     }
+    rest.derived_at_end(&mut report).into_iter().try_for_each(|data| writer.write(data))?;
     report.messages = writer.messages();
     writer.finish()?;
     Ok(report)
@@ -136,6 +145,7 @@ struct Survey {
     graph: Option<(PoseGraph, Vec<u8>)>,
     options: Option<(AllTrajectoryBuilderOptions, Vec<u8>)>,
     parts: Parts,
+    is_3d: bool,
 }
 
 /// The first three messages of the repaired map.
@@ -181,6 +191,7 @@ impl Survey {
     fn part(&mut self, data: &Data) {
         match data {
             Data::Submap(submap) => {
+                self.is_3d |= submap.submap_3d.is_some();
                 let pose = submap.submap_2d.as_ref().map(|s| s.local_pose);
                 let pose = pose.or(submap.submap_3d.as_ref().map(|s| s.local_pose)).flatten();
                 self.parts.submaps.entry(submap_id(submap.submap_id.as_ref())).or_insert(pose);
@@ -228,13 +239,16 @@ struct Rest {
     nodes: BTreeSet<IdInFile>,
     submaps: BTreeSet<IdInFile>,
     times: SensorTimes,
+    /// 3D: samples where no IMU measured, by trajectory, and those that belong before the message at hand.
+    derived: BTreeMap<i32, DerivedImu>,
+    derived_before: Vec<Data>,
     has_graph: bool,
     has_options: bool,
     has_header: bool,
 }
 
 impl Rest {
-    fn new(graph: &PoseGraph) -> Self {
+    fn new(graph: &PoseGraph, is_3d: bool) -> Self {
         let of = |t: &crate::proto::mapping::Trajectory| t.trajectory_id;
         let nodes = graph.trajectory.iter().flat_map(|t| t.node.iter().map(move |n| (of(t), n.node_index)));
         let submaps =
@@ -244,6 +258,8 @@ impl Rest {
             nodes: nodes.collect(),
             submaps: submaps.collect(),
             times: SensorTimes::default(),
+            derived: graph.trajectory.iter().filter(|_| is_3d).map(|t| (of(t), DerivedImu::of(t))).collect(),
+            derived_before: Vec::new(),
             has_graph: false,
             has_options: false,
             has_header: false,
@@ -307,7 +323,38 @@ impl Rest {
                 (!known || !self.times.is_next(data)).then_some(Repair::SensorDataDropped)
             }
         };
-        dropped.inspect(|r| report.add(*r)).is_none()
+        let kept = dropped.inspect(|r| report.add(*r)).is_none();
+        if kept {
+            self.derive_before(data, report);
+        }
+        kept
+    }
+
+    fn derive_before(&mut self, data: &Data, report: &mut RepairReport) {
+        match data {
+            Data::TrajectoryData(data) => {
+                if let (Some(derived), Some(state)) =
+                    (self.derived.get_mut(&data.trajectory_id), imu_state_from_proto(data))
+                {
+                    derived.set_state(state);
+                }
+            }
+            Data::ImuData(mapping::ImuData { trajectory_id, imu_data: Some(sample), .. }) => {
+                let derived = self.derived.get_mut(trajectory_id);
+                let before = derived.map(|d| d.before(Time::from_ticks(sample.timestamp)));
+                self.derived_before.extend(before.unwrap_or_default().into_iter().map(Data::ImuData));
+                (0..self.derived_before.len()).for_each(|_| report.add(Repair::ImuDerived));
+            }
+            _ => {}
+        }
+    }
+
+    /// Samples after everything that was measured.
+    fn derived_at_end(&mut self, report: &mut RepairReport) -> Vec<Data> {
+        let rest: Vec<Data> =
+            self.derived.values_mut().flat_map(DerivedImu::rest).map(Data::ImuData).collect();
+        rest.iter().for_each(|_| report.add(Repair::ImuDerived));
+        rest
     }
 }
 

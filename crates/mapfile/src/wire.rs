@@ -1,4 +1,5 @@
 //! Protobuf fields without a schema: to name the kind of a message and to print unknown fields.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 /// The content of one field as it stands on the wire.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,7 +101,8 @@ pub(crate) fn without_field(message: &[u8], number: u32) -> Vec<u8> {
         let before = fields.rest;
         let Some(Ok((found, _))) = fields.next() else { return kept };
         if found != number {
-            kept.extend_from_slice(&before[..before.len() - fields.rest.len()]);
+            let length = before.len() - fields.rest.len();
+            kept.extend_from_slice(before.get(..length).unwrap_or_default());
         }
     }
 }

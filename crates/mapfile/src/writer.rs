@@ -96,15 +96,10 @@ impl PbstreamWriter {
         })
     }
 
-    /// Writes the header that must be the first message; see [`FORMAT_VERSION`]. `portolan_configuration` is what
-    /// the map was made with, as JSON, or empty.
-    pub fn write_header(
-        &mut self,
-        format_version: u32,
-        portolan_configuration: &str,
-    ) -> Result<(), PbstreamError> {
-        let portolan_configuration = portolan_configuration.to_owned();
-        self.write_bytes(SerializationHeader { format_version, portolan_configuration }.encode_to_vec())
+    /// Writes the header that must be the first message; see [`FORMAT_VERSION`].
+    pub fn write_header(&mut self, format_version: u32) -> Result<(), PbstreamError> {
+        let header = SerializationHeader { format_version, ..SerializationHeader::default() };
+        self.write_bytes(header.encode_to_vec())
     }
 
     /// Writes one message of a known kind.

@@ -255,12 +255,12 @@ fn writing_fails_where_it_must() {
     assert!(error.to_string().contains("does not exist"), "{error}");
     let path = folder.path().join("map.pbstream");
     let mut writer = PbstreamWriter::create(&path).unwrap();
-    writer.write_header(FORMAT_VERSION, "").unwrap();
+    writer.write_header(FORMAT_VERSION).unwrap();
     drop(writer);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     if cfg!(target_os = "linux") {
         let mut writer = PbstreamWriter::create("/dev/full").unwrap();
-        writer.write_header(FORMAT_VERSION, "").unwrap();
+        writer.write_header(FORMAT_VERSION).unwrap();
         assert!(matches!(writer.finish(), Err(PbstreamError::Write { .. })));
     }
 }
@@ -268,7 +268,11 @@ fn writing_fails_where_it_must() {
 fn sample() -> (Vec<Vec<u8>>, Vec<u8>) {
     let mut messages = start(2);
     messages.extend(every_kind().into_iter().map(message));
-    messages.push(message(Data::ImuData(mapping::ImuData { trajectory_id: 7, imu_data: None })));
+    messages.push(message(Data::ImuData(mapping::ImuData {
+        trajectory_id: 7,
+        imu_data: None,
+        derived_from_poses: false,
+    })));
     let bytes = written(messages.clone());
     (messages, bytes)
 }

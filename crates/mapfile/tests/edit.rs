@@ -14,8 +14,8 @@ use portolan_geometry::{Rigid3, Time, Vector3};
 use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::proto::mapping::{PoseGraph, TrajectoryData};
 use portolan_mapfile::{
-    EditError, MapArea, MapDraft, MapInfo, MapReader, PbstreamReader, ReadLimits, Severity, info,
-    pose_from_proto, validate,
+    EditError, MapArea, MapDraft, MapInfo, MapReader, PbstreamReader, PlacedTexture, ReadLimits, Severity,
+    info, load_textures, pose_from_proto, validate,
 };
 use portolan_solver::g2o::Graph;
 use portolan_testing::real_data;
@@ -152,6 +152,47 @@ fn maps_are_cut_by_time_and_area() {
     assert!(matches!(draft(&path).cut_time(Time::MIN, at(-1.0)), Err(EditError::Nothing)));
 }
 
+/// Known pixels of submaps that lie in the area, a pixel from its border.
+fn known_in(area: &MapArea, path: &Path) -> usize {
+    let textures = load_textures(&mut MapReader::open(path).unwrap()).unwrap().textures;
+    let known_in = |placed: &PlacedTexture| {
+        let texture = &placed.texture;
+        let map_from_slice = placed.map_from_submap * texture.submap_from_slice;
+        let (pixels, width) = (texture.pixels(), texture.width);
+        let is_known_inside = |i: &usize| {
+            let metres = |i: usize| -(i as f64 + 0.5) * texture.resolution;
+            let p = map_from_slice * nalgebra::Point3::new(metres(i / width), metres(i % width), 0.0);
+            let border = 1.5 * texture.resolution;
+            pixels[*i] != [0, 0]
+                && (area.min_x + border..area.max_x - border).contains(&p.x)
+                && (area.min_y + border..area.max_y - border).contains(&p.y)
+        };
+        (0..pixels.len()).filter(is_known_inside).count()
+    };
+    textures.iter().map(known_in).sum()
+}
+
+#[test]
+fn what_is_taken_out_by_area_is_not_seen_any_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out.pbstream");
+    for (name, area) in [
+        ("aces", MapArea { min_x: -5.0, min_y: -5.0, max_x: 8.0, max_y: 5.0 }),
+        ("small_tsdf", MapArea { min_x: 1.0, min_y: -20.0, max_x: 20.0, max_y: 20.0 }),
+        ("small_3d", MapArea { min_x: 2.0, min_y: -20.0, max_x: 20.0, max_y: 20.0 }),
+    ] {
+        let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { return };
+        assert!(known_in(&area, &path) > 100, "{name}");
+        let mut map = draft(&path);
+        map.cut_area(&area, false).unwrap();
+        map.rename_trajectories(&BTreeMap::from([(0, 3)])).unwrap();
+        let report = map.write(&out).unwrap();
+        assert!(report.cells_cleared > 0, "{name}");
+        assert_eq!(known_in(&area, &out), 0, "{name}");
+        assert_eq!(summary(&out).trajectories[0].id, 3);
+    }
+}
+
 #[test]
 fn loops_are_dropped_found_again_and_optimised() {
     let Some(path) = real_data("maps/reference/aces.pbstream") else { return };
@@ -174,7 +215,11 @@ fn loops_are_dropped_found_again_and_optimised() {
     let again = map.loop_residuals().into_iter().find(|r| (r.submap, r.node) == (good.submap, good.node));
     assert!(again.unwrap().translation < good.translation + 0.1, "{again:?} {good:?}");
     let missing = map.add_loop((0, 9999), good.node, &found.submap_from_node, weights);
-    assert!(matches!(missing, Err(EditError::NoPart { what: "submap", .. })));
+    let message = missing.unwrap_err().to_string();
+    assert!(message.contains("there is no submap 0,9999 in the map; there are 0,0 to 0,"), "{message}");
+    let strict = ConstraintBuilderOptions { global_localization_min_score: 0.999, ..Default::default() };
+    let message = map.find_loop(good.submap, good.node, &strict).unwrap_err().to_string();
+    assert!(message.contains("at best, and 0.999 is needed"), "{message}");
     let dropped = map.drop_loops_beyond(1.0, f64::INFINITY);
     assert!(dropped > 0 && map.loop_residuals()[0].translation <= 1.0);
     let done = map.optimize(&Options::for_2d(), 50).unwrap();

@@ -171,7 +171,7 @@ proptest! {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("map.pbstream");
         let mut writer = PbstreamWriter::create(&path).unwrap();
-        writer.write_header(2, "").unwrap();
+        writer.write_header(2).unwrap();
         messages.iter().for_each(|m| writer.write_bytes(m.clone()).unwrap());
         writer.finish().unwrap();
         let read: Vec<RawMessage> = PbstreamReader::open(&path).unwrap().collect::<Result<_, _>>().unwrap();

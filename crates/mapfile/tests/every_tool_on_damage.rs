@@ -56,7 +56,11 @@ fn whole_map(kind: Kind) -> SmallMap {
         ..m::TrajectoryData::default()
     }));
     for i in 0..2 {
-        map.rest.push(Data::ImuData(m::ImuData { trajectory_id: 0, imu_data: Some(imu(i)) }));
+        map.rest.push(Data::ImuData(m::ImuData {
+            trajectory_id: 0,
+            imu_data: Some(imu(i)),
+            derived_from_poses: false,
+        }));
         let fixed_frame_pose_data = Some(fixed(2 * i));
         map.rest.push(Data::FixedFramePoseData(m::FixedFramePoseData {
             trajectory_id: 0,

@@ -11,8 +11,8 @@ use portolan_config::Options;
 use portolan_mapfile::proto::mapping as m;
 use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::{
-    LoadedMap, MapConversionError, MapLoadSettings, MapReader, load_textures, read_map, submap_textures_3d,
-    write_graph,
+    FindingKind, LoadedMap, MapConversionError, MapDraft, MapLoadSettings, MapReader, PbstreamReader,
+    ReadLimits, load_textures, read_map, submap_textures_3d, validate, write_graph,
 };
 use portolan_mapping::{Planar, Spatial};
 use portolan_testing::real_data;
@@ -99,6 +99,85 @@ fn maps_in_space_survive_memory() {
         count += 1;
     }
     assert!(count > 0 || all_maps().is_empty());
+}
+
+/// Times of IMU samples, and whether they were measured.
+fn imu(path: &Path) -> Vec<(i64, bool)> {
+    let of = |data: &Data| match data {
+        Data::ImuData(m::ImuData { imu_data: Some(imu), derived_from_poses, .. }) => {
+            Some((imu.timestamp, !derived_from_poses))
+        }
+        _ => None,
+    };
+    messages(path).1.iter().filter_map(of).collect()
+}
+
+#[test]
+fn trajectories_without_imu_get_samples_that_agree_with_the_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let [path, copy, edited] = ["map", "copy", "edited"].map(|name| folder.path().join(name));
+    let mut map = SmallMap::new(true);
+    for (node, part) in map.graph.trajectory[0].node.iter_mut().zip(&mut map.rest[2..5]) {
+        node.timestamp = (node.timestamp - 1000) * 10_000_000;
+        let Data::Node(m::Node { node_data: Some(data), .. }) = part else { panic!("no node: {part:?}") };
+        data.timestamp = node.timestamp;
+    }
+    map.rest.retain(|data| !matches!(data, Data::ImuData(_)));
+    map.write(&path);
+    let warnings = |path: &Path| {
+        let findings = validate(&mut PbstreamReader::open(path).unwrap());
+        findings.into_iter().map(|f| f.kind).collect::<Vec<_>>()
+    };
+    assert_eq!(warnings(&path), [FindingKind::Imu]);
+    let loaded = through_memory(&path, &copy);
+    assert!(loaded.graph.problem().sensors.values().all(|s| s.imu.is_empty()));
+    assert_eq!(warnings(&copy), []);
+    let expected: Vec<(i64, bool)> = (0..9).map(|i| (i * 2_500_000, false)).collect();
+    assert_eq!(imu(&copy), expected);
+    // What is derived is not taken for measured.
+    let again = through_memory(&copy, &edited);
+    assert!(again.graph.problem().sensors.values().all(|s| s.imu.is_empty()));
+    for from in [&path, &copy] {
+        MapDraft::open(from, ReadLimits::default()).unwrap().write(&edited).unwrap();
+        assert_eq!((imu(&edited), warnings(&edited)), (expected.clone(), vec![]));
+    }
+}
+
+#[test]
+fn negative_zeros_survive_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let [path, copy] = ["map", "copy"].map(|name| folder.path().join(name));
+    let mut map = SmallMap::new(true);
+    let pose = map.graph.trajectory[0].node[1].pose.as_mut().unwrap();
+    pose.translation.as_mut().unwrap().y = -0.0;
+    pose.rotation.as_mut().unwrap().x = -0.0;
+    map.write(&path);
+    through_memory(&path, &copy);
+    for path in [path, copy] {
+        let pose = messages(&path).0.trajectory[0].node[1].pose.unwrap();
+        assert!(
+            pose.translation.unwrap().y.is_sign_negative() && pose.rotation.unwrap().x.is_sign_negative()
+        );
+    }
+}
+
+#[test]
+fn open_submaps_stay_open() {
+    let folder = tempfile::tempdir().unwrap();
+    let [path, copy, edited] = ["map", "copy", "edited"].map(|name| folder.path().join(name));
+    let mut map = SmallMap::new(true);
+    let Data::Submap(m::Submap { submap_3d: Some(last), .. }) = &mut map.rest[1] else { panic!("no submap") };
+    last.finished = false;
+    map.write(&path);
+    through_memory(&path, &copy);
+    MapDraft::open(&copy, ReadLimits::default()).unwrap().write(&edited).unwrap();
+    for path in [path, copy, edited] {
+        let finished = |data: &Data| match data {
+            Data::Submap(m::Submap { submap_3d: Some(submap), .. }) => Some(submap.finished),
+            _ => None,
+        };
+        assert_eq!(messages(&path).1.iter().filter_map(finished).collect::<Vec<_>>(), [true, false]);
+    }
 }
 
 #[test]

@@ -6,11 +6,14 @@ mod common;
 
 use common::all_maps;
 use common::small_map::SmallMap;
+use portolan_mapfile::proto::mapping as m;
 use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::{
-    MapReader, MigrateError, MigrateOptions, PbstreamReader, RawMessage, load_textures, migrate, validate,
+    MapDraft, MapReader, MigrateError, MigrateOptions, PbstreamReader, PbstreamWriter, RawMessage,
+    ReadLimits, load_textures, migrate, validate,
 };
 use portolan_testing::real_data;
+use prost::Message as _;
 use std::path::Path;
 
 fn old_3d_map() -> SmallMap {
@@ -54,6 +57,35 @@ fn unfinished_submaps_can_be_left_out() {
     assert_eq!((report.histograms, report.unfinished_submaps, report.messages), (1, 1, 10));
     assert_eq!(histograms(&new), [vec![2.0; 10]]);
     assert_eq!(validate(&mut PbstreamReader::open(&new).unwrap()), []);
+}
+
+#[test]
+fn the_configuration_moves_from_the_header_to_the_options() {
+    let folder = tempfile::tempdir().unwrap();
+    let (old, new) = (folder.path().join("old.pbstream"), folder.path().join("new.pbstream"));
+    let map = old_3d_map();
+    let mut writer = PbstreamWriter::create(&old).unwrap();
+    let portolan_configuration = "{\"a\": 1}".to_owned();
+    let header = m::SerializationHeader { format_version: 1, portolan_configuration };
+    writer.write_bytes(header.encode_to_vec()).unwrap();
+    writer.write(Data::PoseGraph(map.graph)).unwrap();
+    writer.write(Data::AllTrajectoryBuilderOptions(map.options)).unwrap();
+    map.rest.into_iter().for_each(|data| writer.write(data).unwrap());
+    writer.finish().unwrap();
+    migrate(&old, &new, MigrateOptions::default()).unwrap();
+    for path in [&old, &new] {
+        assert_eq!(MapReader::open(path).unwrap().configuration(), "{\"a\": 1}");
+    }
+    let reader = MapReader::open(&new).unwrap();
+    assert_eq!(reader.header().portolan_configuration, "");
+    assert_eq!(reader.options().options_with_sensor_ids.len(), 1);
+    // `edit` moves it, too, and keeps it once.
+    for from in [&old, &new] {
+        let edited = folder.path().join("edited.pbstream");
+        MapDraft::open(from, ReadLimits::default()).unwrap().write(&edited).unwrap();
+        let reader = MapReader::open(&edited).unwrap();
+        assert_eq!((reader.configuration(), &*reader.header().portolan_configuration), ("{\"a\": 1}", ""));
+    }
 }
 
 #[test]
@@ -117,7 +149,7 @@ fn summed_histograms_are_those_of_the_reference() {
         for raw in PbstreamReader::open(path).unwrap() {
             let raw = raw.unwrap();
             match raw.decode().unwrap() {
-                portolan_mapfile::Message::Header(_) => writer.write_header(1, "").unwrap(),
+                portolan_mapfile::Message::Header(_) => writer.write_header(1).unwrap(),
                 portolan_mapfile::Message::Data(data) => match *data {
                     Data::Submap(mut submap) => {
                         let submap_3d = submap.submap_3d.as_mut().unwrap();

@@ -21,6 +21,7 @@ mod pictures;
 mod read_cloud;
 mod report;
 mod results;
+mod room;
 mod xray;
 
 use std::ops::ControlFlow;
@@ -143,6 +144,8 @@ impl<'a> Job<'a> {
     ) -> Result<Self, JobError> {
         let configuration = request.requested.configuration.clone();
         let is_configured = configuration.is_some();
+        let with_cloud = request.cloud.file.is_some() && request.cloud.voxel_size_metres.is_none();
+        room::require(&request.folder, room::needed(recording.size_bytes(), with_cloud))?;
         let mut preparation = prepare(recording, &request.ingest, configuration)?;
         for notice in &preparation.plan.notices {
             event::remark(observe, Remark::Chosen(notice.clone()));

@@ -70,7 +70,7 @@ pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     for path in &args.paths {
         let report = check(path, global.quiet)?;
         if !args.json {
-            print(&report.text(args.histograms))?;
+            print(&report.text(args.histograms, global.verbose > 0))?;
         }
         reports.push(report);
     }
@@ -105,7 +105,8 @@ fn check(path: &Path, quiet: bool) -> Result<Report, CliError> {
 }
 
 impl Report {
-    fn text(&self, with_histograms: bool) -> String {
+    /// Remarks on which nothing has to be done only where they are wanted.
+    fn text(&self, with_histograms: bool, with_harmless: bool) -> String {
         let verdict = match (self.errors, self.warnings) {
             (0, 0) => "nothing wrong was found".to_owned(),
             (errors, warnings) => format!(
@@ -115,7 +116,13 @@ impl Report {
             ),
         };
         let mut text = format!("{}: {}, {verdict}\n", self.path, self.kind);
-        text.extend(self.findings.iter().map(Finding::text));
+        let is_shown = |finding: &&Finding| with_harmless || !finding.is_harmless();
+        text.extend(self.findings.iter().filter(is_shown).map(Finding::text));
+        let hidden = self.findings.iter().filter(|finding| !is_shown(finding)).count() as u64;
+        if hidden > 0 {
+            text +=
+                &format!("  {} [-v lists them]\n", counted(hidden, "harmless remark", "harmless remarks"));
+        }
         for histogram in self.histograms.iter().filter(|_| with_histograms) {
             text += &format!("{histogram}\n");
         }
@@ -124,6 +131,10 @@ impl Report {
 }
 
 impl Finding {
+    fn is_harmless(&self) -> bool {
+        self.severity == Severity::Info && self.advice.is_empty()
+    }
+
     fn text(&self) -> String {
         let severity = match self.severity {
             Severity::Info => "info",

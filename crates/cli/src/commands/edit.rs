@@ -21,6 +21,7 @@ use values::{LoopToAdd, Rotation};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan edit house.pbstream -o straight.pbstream --rotate walls\n  \
     portolan edit house.pbstream -o ground.pbstream --keep 0 --inside=-10,-5,30,20\n  \
+    portolan edit east.pbstream -o both.pbstream --merge west.pbstream\n  \
     portolan edit east.pbstream -o both.pbstream --merge west.pbstream --place 12.5,0,90\n  \
     portolan edit house.pbstream -o better.pbstream --drop-loops-beyond 0.5 --add-loop 0,3:0,812 --optimize\n  \
     portolan edit house.pbstream -o house.pbstream --after +60 --before +600")]
@@ -45,7 +46,9 @@ pub struct EditArgs {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Parts")]
 struct PartArgs {
-    /// Add another map; its trajectories get the next free numbers. May be given several times.
+    /// Add another map; its trajectories get the next free numbers. Without --place it is looked for in this one:
+    /// its scans have to agree where they fit, then loops between the maps are closed and all poses are
+    /// optimised. Where it is not found nothing is written (exit code 4). May be given several times.
     #[arg(long, value_name = "MAP")]
     merge: Vec<PathBuf>,
     /// Where the map of the --merge at the same place lies in this one: metres and degrees; `0,0,0` if both have
@@ -70,7 +73,7 @@ struct PartArgs {
     /// Leave only submaps and nodes in this rectangle, metres.
     #[arg(long, value_name = "X1,Y1,X2,Y2", value_parser = argument::area, allow_hyphen_values = true)]
     inside: Option<MapArea>,
-    /// Take out submaps and nodes in this rectangle.
+    /// Take out submaps and nodes in this rectangle, and the cells there of the submaps that stay.
     #[arg(long, value_name = "X1,Y1,X2,Y2", value_parser = argument::area, allow_hyphen_values = true)]
     outside: Option<MapArea>,
 }
@@ -116,15 +119,11 @@ struct PlaceArgs {
 }
 
 pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    if args.parts.place.len() < args.parts.merge.len() {
+    if !args.parts.place.is_empty() && args.parts.place.len() != args.parts.merge.len() {
         return Err(CliError::Usage(
-            "where does the merged map lie? Say --place X,Y,YAW for each --merge; --place 0,0,0 if both maps have one \
-             origin, as maps that were made with --from have"
+            "say --place X,Y,YAW for each --merge, or for none: then the maps are looked for in the first one"
                 .to_owned(),
         ));
-    }
-    if args.parts.place.len() > args.parts.merge.len() {
-        return Err(CliError::Usage("there are more --place than --merge".to_owned()));
     }
     steps::run(args, global)
 }

@@ -57,9 +57,11 @@ pub fn run(args: &InfoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
             Some(input) => Info::Map(map::read(path, input)?),
             None => Info::Recording(recording::read(path, global.quiet)?),
         };
-        if let Info::Recording(report) = &info
-            && report.lost_data()
-        {
+        let lost_data = match &info {
+            Info::Map(report) => report.lost_data(),
+            Info::Recording(report) => report.lost_data(),
+        };
+        if lost_data {
             outcome = Outcome::DataLost;
         }
         if args.json {

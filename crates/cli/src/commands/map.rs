@@ -272,7 +272,7 @@ pub fn run_job<S: ResultSpace>(
     let seconds = start.elapsed().as_secs_f64();
     let files = job.write_results(&mapped, seconds, &mut remarks(global))?;
     drop(saving);
-    print_summary(&summary(&mapped, &files, seconds));
+    print_summary(&summary(&mapped, &files, seconds, global.verbose > 0));
     if let Some(clouds) = clouds_with_progress(job, &mapped, recording, global)? {
         name_clouds(&clouds);
     }

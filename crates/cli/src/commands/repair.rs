@@ -84,5 +84,6 @@ fn in_words(repair: Repair) -> &'static str {
         Repair::HistogramDropped => "histogram that is not finite",
         Repair::CellsMended => "cells of a grid with impossible values, now unknown",
         Repair::QuaternionNormalised => "rotation made one again",
+        Repair::ImuDerived => "IMU sample put in that agrees with the poses",
     }
 }

@@ -7,6 +7,7 @@
 //! ```sh
 //! PORTOLAN_TORTURE=cases=100000,seed=7 cargo test --release -p portolan-cli --test torture
 //! PORTOLAN_TORTURE=only=4711,seed=7,keep=/tmp/found cargo test -p portolan-cli --test torture
+//! PORTOLAN_TORTURE=kills=200,seed=7 cargo test --release -p portolan-cli --test torture kills
 //! ```
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, clippy::print_stderr, clippy::panic)]
@@ -15,6 +16,7 @@
 mod common;
 
 mod execution;
+mod kills;
 mod mutation;
 mod random;
 mod records;
@@ -37,6 +39,12 @@ fn run_case(number: u64, samples: &[Sample], settings: &Settings) -> Verdict {
     let bytes = mutation::damaged(sample, &mut random);
     let verb = random.choose(verbs::taking(sample.kind));
     Execution { number, sample, bytes: &bytes, verb }.judge(settings)
+}
+
+#[test]
+fn kills_leave_whole_files_or_none() {
+    let wrong = kills::kill_runs(&Settings::from_environment());
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[test]

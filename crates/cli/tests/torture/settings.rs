@@ -4,12 +4,15 @@ use std::path::PathBuf;
 
 /// Cases of a short run.
 const SHORT: u64 = 300;
+const FEW_KILLS: u64 = 8;
 
-/// What `PORTOLAN_TORTURE` says: `cases=100000,seed=7,keep=FOLDER,only=NUMBER,program=FILE`.
+/// What `PORTOLAN_TORTURE` says: `cases=100000,kills=200,seed=7,keep=FOLDER,only=NUMBER,program=FILE`.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// How many.
     pub cases: u64,
+    /// How many runs are killed.
+    pub kills: u64,
     /// What they follow from.
     pub seed: u64,
     /// The program; that of the tests unless another is named.
@@ -28,6 +31,7 @@ impl Settings {
     pub fn from_environment() -> Self {
         let mut settings = Self {
             cases: SHORT,
+            kills: FEW_KILLS,
             seed: 1,
             program: env!("CARGO_BIN_EXE_portolan").into(),
             keep: None,
@@ -38,11 +42,14 @@ impl Settings {
             let (key, value) = part.split_once('=').unwrap();
             match key {
                 "cases" => settings.cases = value.parse().unwrap(),
+                "kills" => settings.kills = value.parse().unwrap(),
                 "seed" => settings.seed = value.parse().unwrap(),
                 "only" => settings.only = Some(value.parse().unwrap()),
                 "program" => settings.program = value.into(),
                 "keep" => settings.keep = Some(value.into()),
-                _ => panic!("PORTOLAN_TORTURE knows cases, seed, only, keep and program, but not {key}"),
+                _ => {
+                    panic!("PORTOLAN_TORTURE knows cases, kills, seed, only, keep and program, but not {key}")
+                }
             }
         }
         settings

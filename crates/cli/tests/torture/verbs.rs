@@ -31,6 +31,8 @@ pub fn taking(kind: Kind) -> &'static [Verb] {
             &["optimize", "FILE", "-o", "OUT.pbstream"],
             &["edit", "FILE", "-o", "OUT.pbstream", "--rotate", "walls", "--optimize"],
             &["edit", "FILE", "-o", "OUT.pbstream", "--inside=-1,-1,3,3"],
+            &["edit", "FILE", "-o", "OUT.pbstream", "--outside=-1,-1,3,3"],
+            &["edit", "FILE", "-o", "OUT.pbstream", "--merge", "FILE"],
             &["convert", "FILE", "-o", "OUT.g2o"],
             &["convert", "FILE", "-o", "OUT.geojson"],
             &["evaluate", "generate", "FILE", "-o", "OUT.relations"],

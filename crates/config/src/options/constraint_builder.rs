@@ -18,10 +18,10 @@ options! {
         max_constraint_distance: f64 = 15.0, "m", Bounds::at_least(0.0).or_infinite();
         /// Least score of a match in a window. Raise it against wrong loop closures, lower it when true
         /// ones are missed.
-        min_score: f64 = 0.55, "score", Bounds::at_least(0.0);
+        min_score: f64 = 0.55, "score", Bounds::UNIT;
         /// Least score of a match against a whole submap. Raise it when relocalisation lands in the wrong
         /// place.
-        global_localization_min_score: f64 = 0.6, "score", Bounds::at_least(0.0);
+        global_localization_min_score: f64 = 0.6, "score", Bounds::UNIT;
         /// Weight of the translation of a loop closure. Raise it when loops do not close fully.
         loop_closure_translation_weight: f64 = 1.1e4, "weight", Bounds::at_least(0.0);
         /// Weight of the rotation of a loop closure. Raise it when loops do not close fully.

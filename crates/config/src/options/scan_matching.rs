@@ -120,9 +120,9 @@ options! {
         full_resolution_depth: usize = 3, "grids", Bounds::within(1.0, 20.0);
         /// Yaws whose histograms agree less than this are not tried. Raise it to search faster, lower it
         /// when true closures are missed.
-        min_rotational_score: f64 = 0.77, "score", Bounds::ANY;
+        min_rotational_score: f64 = 0.77, "score", Bounds::within(-1.0, 1.0);
         /// A match must reach this score in the low-resolution grid too. Raise it against wrong closures.
-        min_low_resolution_score: f64 = 0.55, "score", Bounds::ANY;
+        min_low_resolution_score: f64 = 0.55, "score", Bounds::within(-1.0, 1.0);
         /// Half width of the window in x and y. Raise it when drift is larger than this.
         linear_xy_search_window: f64 = 5.0, "m", Bounds::at_least(0.0);
         /// Half width of the window in z. Raise it when the height drifts more than this.

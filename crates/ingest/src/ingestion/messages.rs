@@ -9,9 +9,8 @@ use portolan_recording::{
 };
 use portolan_sensor::{FixedFramePoseData, Measurement};
 
-use super::{Ingestion, ODOMETRY, Role, Sensor, TimesByAzimuth};
+use super::{Coordinates, Ingestion, ODOMETRY, Role, Sensor, TimesByAzimuth};
 use crate::azimuth_time::{self, TimedTurn};
-use crate::beam_elevation::Raise;
 use crate::clock::Stamp;
 use crate::convert::{self, Frames, ImuFault};
 use crate::laser::{ScanFaults, points_of_echoes, points_of_laser_scan};
@@ -70,10 +69,10 @@ impl Ingestion {
                 self.count_scan_faults(&sensor.topic, stamp, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
-            (Role::Range { point_time, by_azimuth, raise, .. }, Message::PointCloud2(cloud)) => {
-                let (point_time, raise) = (*point_time, *raise);
+            (Role::Range { point_time, by_azimuth, coordinates, .. }, Message::PointCloud2(cloud)) => {
+                let (point_time, coordinates) = (*point_time, *coordinates);
                 let turn = by_azimuth.as_mut().map(|turns| turns.at(stamp));
-                self.take_cloud(sensor, stamp, cloud, (point_time, turn), raise);
+                self.take_cloud(sensor, stamp, cloud, (point_time, turn), coordinates);
             }
             (Role::Imu { scale }, Message::Imu(imu)) => {
                 let scale = *scale;
@@ -139,10 +138,10 @@ impl Ingestion {
         stamp: Time,
         cloud: &PointCloud2,
         (point_time, turn): (Option<PointTime>, Option<TimedTurn>),
-        raise: Option<Raise>,
+        coordinates: Coordinates,
     ) {
         let layout = match CloudLayout::of(cloud) {
-            Ok(layout) => layout,
+            Ok(layout) => layout.with_length_unit(coordinates.length_unit),
             Err(error) => return self.count(&sensor.topic, stamp, error.kind(), 1),
         };
         let point_time = point_time.filter(|_| layout.has_time());
@@ -150,9 +149,11 @@ impl Ingestion {
         if let (None, Some(turn)) = (point_time, turn) {
             azimuth_time::assign(&mut points, &turn);
         }
-        if let Some(raise) = raise {
+        if let Some(raise) = coordinates.raise {
             points.points.iter_mut().for_each(|point| point.position = raise.point(&point.position));
         }
+        let is_converted = coordinates.length_unit != 1.0;
+        self.count(&sensor.topic, stamp, IssueKind::CloudInMillimetres, u64::from(is_converted));
         let CloudFaults { not_finite, far_time, zero, missing } = faults;
         self.count(&sensor.topic, stamp, IssueKind::PointNotFinite, not_finite);
         self.count(&sensor.topic, stamp, IssueKind::PointTimeFar, far_time);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use portolan_sensor::FixedRatioSampler;
 
-use super::{FIXED_FRAME_POSE, IMU, LANDMARKS, ODOMETRY, RANGE, Role, Sensor, TimesByAzimuth};
+use super::{Coordinates, FIXED_FRAME_POSE, IMU, LANDMARKS, ODOMETRY, RANGE, Role, Sensor, TimesByAzimuth};
 use crate::azimuth_time::AzimuthTimes;
 use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, SensorClock};
@@ -57,7 +57,10 @@ pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<st
             Role::Range {
                 point_time: range.point_time,
                 by_azimuth,
-                raise: (range.beam_elevation != 0.0).then(|| Raise::new(range.beam_elevation)),
+                coordinates: Coordinates {
+                    length_unit: range.length_unit,
+                    raise: (range.beam_elevation != 0.0).then(|| Raise::new(range.beam_elevation)),
+                },
                 directions: Box::default(),
             },
             RANGE,

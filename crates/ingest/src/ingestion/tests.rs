@@ -56,6 +56,33 @@ fn scans_are_subdivided_and_moved_into_the_tracking_frame() {
 }
 
 #[test]
+fn clouds_in_millimetres_become_metres() {
+    let in_units = |unit: f32| {
+        let clouds = (0..3).map(|i| {
+            let t = 0.1 * f64::from(i);
+            let Message::PointCloud2(mut cloud) = cloud(t, "laser") else { panic!() };
+            for point in cloud.data.chunks_exact_mut(cloud.point_step as usize) {
+                for value in point[..12].as_chunks_mut::<4>().0 {
+                    *value = (f32::from_le_bytes(*value) * unit).to_le_bytes();
+                }
+            }
+            named("/points", t, Message::PointCloud2(cloud))
+        });
+        read(robot(clouds), &IngestOptions::default())
+    };
+    let ((found, issues), (expected, none)) = (in_units(1e3), in_units(1.0));
+    assert_eq!(issue(&issues, "clouds in millimetres were converted to metres").count, 3);
+    assert!(none.is_empty(), "{none:?}");
+    assert_eq!((found.len(), expected.len()), (3, 3));
+    for ((_, a), (_, b)) in found.iter().zip(&expected) {
+        let (Measurement::Range(a), Measurement::Range(b)) = (a, b) else { panic!() };
+        for (a, b) in a.points_in_tracking.iter().zip(&b.points_in_tracking) {
+            assert!((a.position - b.position).norm() < 1e-4, "{a:?} {b:?}");
+        }
+    }
+}
+
+#[test]
 fn odometry_is_that_of_the_tracking_frame() {
     let mut messages =
         robot((0..5).map(|i| named("/odom", f64::from(i), odometry(f64::from(i), f64::from(i)))));

@@ -123,6 +123,8 @@ pub struct PlannedRange {
     /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`] nor
     /// [`AzimuthTimes::Recorded`].
     pub azimuth_times: AzimuthTimes,
+    /// Metres in one unit of the coordinates (point clouds only).
+    pub length_unit: f32,
     /// What is added to the elevations of all beams (point clouds only), radians.
     pub beam_elevation: f64,
     /// How the lidar turns, where that is known and points get times from their azimuth.

@@ -229,6 +229,7 @@ pub(super) fn connect(
         plan.range.push(PlannedRange {
             source: chosen.planned(SensorKind::Range, &frame),
             point_time: times.recorded,
+            length_unit: chosen.survey.length_unit,
             azimuth_times: times.by_azimuth,
             turn: times.turn,
             beam_elevation,

@@ -129,7 +129,8 @@ fn pose_for_file<S: MapSpace>(submap_from_node: &Rigid3, gravity_alignment: &Qua
     if turned == *submap_from_node {
         return *submap_from_node;
     }
-    let rounded = |v: f64| (v * ROUNDING).round() / ROUNDING;
+    // A zero that is computed has no sign.
+    let rounded = |v: f64| (v * ROUNDING).round() / ROUNDING + 0.0;
     Rigid3::from_parts(
         turned.translation.vector.map(rounded).into(),
         Quaternion::new_unchecked(turned.rotation.quaternion().coords.map(rounded).into()),

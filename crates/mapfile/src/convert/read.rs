@@ -1,4 +1,5 @@
 //! Reading a map into a pose graph (`formats.md` §2.2).
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
@@ -37,8 +38,8 @@ pub struct MapLoadSettings {
     pub limits: ReadLimits,
 }
 
-/// Trajectories of a file that become a fixed part of the map. Their measurements are not taken over;
-/// constraints between them are kept for saving, but move nothing.
+/// Trajectories of a file that become a fixed part of the map. Their measurements and the constraints between
+/// them are kept for saving, but move nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum FrozenTrajectories {
     /// All may move.
@@ -144,7 +145,6 @@ pub fn load_map<S: MapSpace>(
             data => load_sensor_data(
                 data,
                 &loading.result.trajectory_ids,
-                frozen,
                 loading.graph,
                 &mut loading.result.issues,
             ),

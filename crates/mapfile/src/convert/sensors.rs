@@ -1,16 +1,17 @@
 //! Measurements, as files hold them one by one (`formats.md` §2, order of messages ≥ 3).
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use portolan_geometry::{Quaternion, Time};
 use portolan_issue::{IssueKind, IssueLog};
-use portolan_mapping::{ImuState, PoseGraph, Space, TrajectoryId};
+use portolan_mapping::{ImuState, PoseGraph, Space, TrajectoryId, of_trajectory};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, OdometryData};
 
-use super::read::FrozenTrajectories;
 use super::values::{id_to_proto, pose_in_file};
 use super::{MapConversionError, WriteReport};
+use crate::derived_imu::DerivedImu;
 use crate::error::PbstreamError;
 use crate::pose::pose_to_proto;
 use crate::proto::mapping as m;
@@ -54,11 +55,8 @@ fn write_streams<S: Space>(
 ) -> Result<(), MapConversionError> {
     let sensors =
         || ids.iter().filter_map(|(id, file_id)| Some((*file_id, graph.problem().sensors.get(id)?)));
-    for (trajectory_id, sensors) in sensors() {
-        for data in sensors.imu.values() {
-            let imu_data = Some(imu_to_proto(data));
-            write(Data::ImuData(m::ImuData { trajectory_id, imu_data }))?;
-        }
+    for (id, trajectory_id) in ids {
+        write_imu(graph, *id, *trajectory_id, write)?;
     }
     for (trajectory_id, sensors) in sensors() {
         for data in sensors.odometry.values() {
@@ -76,6 +74,26 @@ fn write_streams<S: Space>(
         }
     }
     Ok(())
+}
+
+/// What was measured, and in 3D what is derived where nothing was.
+fn write_imu<S: Space>(
+    graph: &PoseGraph<S>,
+    id: TrajectoryId,
+    trajectory_id: i32,
+    write: Write<'_>,
+) -> Result<(), PbstreamError> {
+    let nodes = of_trajectory(&graph.state().nodes, id).filter(|_| S::OPTIMIZES_WITH_IMU);
+    let nodes = nodes.map(|(_, node)| (node.data.time, node.map_from_tracking)).collect();
+    let mut derived = DerivedImu::new(trajectory_id, nodes);
+    let sensors = graph.problem().sensors.get(&id);
+    derived.set_state(sensors.map_or_else(ImuState::default, |s| s.imu_state));
+    for data in sensors.into_iter().flat_map(|s| s.imu.values()) {
+        derived.before(data.time).into_iter().try_for_each(|d| write(Data::ImuData(d)))?;
+        let imu_data = Some(imu_to_proto(data));
+        write(Data::ImuData(m::ImuData { trajectory_id, imu_data, derived_from_poses: false }))?;
+    }
+    derived.rest().into_iter().try_for_each(|d| write(Data::ImuData(d)))
 }
 
 /// One message for each observation. Those by deleted trajectories could not be read again and are left
@@ -126,16 +144,15 @@ pub(crate) fn imu_state_from_proto(data: &m::TrajectoryData) -> Option<ImuState>
     is_possible.then_some(ImuState { gravity_constant, calibration })
 }
 
-/// Takes a measurement of a file into the graph, unless its trajectory is frozen. What cannot be used is
-/// counted by its reason.
+/// Takes a measurement of a file into the graph. What cannot be used is counted by its reason.
 pub(super) fn load_sensor_data<S: Space>(
     data: Data,
     trajectory_ids: &BTreeMap<i32, TrajectoryId>,
-    frozen: &FrozenTrajectories,
     graph: &mut PoseGraph<S>,
     issues: &mut IssueLog,
 ) {
     let trajectory_id = match &data {
+        Data::ImuData(d) if d.derived_from_poses => return,
         Data::ImuData(d) => d.trajectory_id,
         Data::OdometryData(d) => d.trajectory_id,
         Data::FixedFramePoseData(d) => d.trajectory_id,
@@ -144,7 +161,6 @@ pub(super) fn load_sensor_data<S: Space>(
     };
     let dropped = match trajectory_ids.get(&trajectory_id) {
         None => Some(IssueKind::MeasurementOfNoTrajectory),
-        Some(_) if frozen.contains(trajectory_id) => None,
         Some(id) => add_measurement(data, *id, graph).err(),
     };
     if let Some(reason) = dropped {

@@ -1,4 +1,5 @@
 //! Options and sensors of a trajectory as the third message of a file holds them.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeSet;
 

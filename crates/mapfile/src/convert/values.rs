@@ -1,4 +1,5 @@
 //! Ids, poses and point clouds, as they stand in files and in memory.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, is_valid_pose};

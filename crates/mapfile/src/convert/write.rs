@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use portolan_config::{Options, TrajectoryBuilderOptions};
+use portolan_config::Options;
 use portolan_mapping::{
     EndedTrajectory, Map, Node, NodeData, NodeId, Planar, PoseGraph, SubmapEntry, SubmapId, TrajectoryId,
 };
@@ -80,9 +80,9 @@ pub fn write_graph<S: MapSpace>(
     let mut writer = PbstreamWriter::create(path)?;
     let mut report = WriteReport::default();
     let selection = Selection::new(graph.state(), include_unfinished);
-    writer.write_header(FORMAT_VERSION, &options.to_json())?;
+    writer.write_header(FORMAT_VERSION)?;
     writer.write(Data::PoseGraph(pose_graph_to_proto(graph, &selection, &mut report)?))?;
-    let all_options = all_options_to_proto(graph, &selection, trajectories, &options.trajectory_builder)?;
+    let all_options = all_options_to_proto(graph, &selection, trajectories, options)?;
     writer.write(Data::AllTrajectoryBuilderOptions(all_options))?;
     write_submaps(graph, &selection, &mut writer)?;
     write_nodes(graph, &mut writer, &mut report)?;
@@ -97,20 +97,20 @@ fn all_options_to_proto<S: MapSpace>(
     graph: &PoseGraph<S>,
     selection: &Selection,
     trajectories: &BTreeMap<TrajectoryId, EndedTrajectory>,
-    options: &TrajectoryBuilderOptions,
+    options: &Options,
 ) -> Result<m::AllTrajectoryBuilderOptions, MapConversionError> {
     let no_sensors = BTreeSet::new();
     let entry = |id: &TrajectoryId| {
         let ended = trajectories.get(id);
         let initial_pose = graph.state().trajectories.get(id).and_then(|t| t.initial_pose.as_ref());
         trajectory_options_to_proto(
-            ended.map_or(options, |e| &e.options),
+            ended.map_or(&options.trajectory_builder, |e| &e.options),
             ended.map_or(&no_sensors, |e| &e.sensors),
             initial_pose,
         )
     };
     let options_with_sensor_ids = selection.trajectories.iter().map(entry).collect::<Result<_, _>>()?;
-    Ok(m::AllTrajectoryBuilderOptions { options_with_sensor_ids })
+    Ok(m::AllTrajectoryBuilderOptions { options_with_sensor_ids, portolan_configuration: options.to_json() })
 }
 
 fn write_submaps<S: MapSpace>(

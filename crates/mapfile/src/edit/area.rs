@@ -2,13 +2,15 @@
 
 use portolan_geometry::Rigid3;
 
+use super::clear::ClearedArea;
 use super::{EditError, MapDraft};
 use crate::paint::MapArea;
+use crate::pose::submap_poses;
 
 impl MapDraft {
     /// Leaves only what was seen from inside of a rectangle of the global map, or, with `inside` false, only
     /// what was seen from outside of it. Whole submaps stay or go, by the rule of
-    /// [`MapDraft::cut_time`].
+    /// [`MapDraft::cut_time`]; with `inside` false those that stay lose their cells in the rectangle.
     ///
     /// # Errors
     /// If nothing would be left.
@@ -18,6 +20,10 @@ impl MapDraft {
             let within = (area.min_x..=area.max_x).contains(&x) && (area.min_y..=area.max_y).contains(&y);
             within == inside
         };
-        self.retain_nodes(&|_, pose, _| wanted(pose), &wanted)
+        self.retain_nodes(&|_, pose, _| wanted(pose), &wanted)?;
+        if !inside {
+            self.cleared.push(ClearedArea { area: *area, submaps: submap_poses(&self.graph) });
+        }
+        Ok(())
     }
 }

@@ -1,4 +1,5 @@
 //! Loop closures judged, dropped and added.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 
@@ -35,6 +36,19 @@ pub struct LoopWeights {
 
 /// Defaults of `loop_closure_translation_weight` and `loop_closure_rotation_weight`.
 const DEFAULT_WEIGHTS: LoopWeights = LoopWeights { translation: 1.1e4, rotation: 1e5 };
+
+/// Ids for people: `0,0 to 0,7, 1,0 to 1,3`, by trajectory. `ids` ascend.
+fn ranges<'a>(ids: impl Iterator<Item = &'a IdInFile>) -> String {
+    let mut ranges: BTreeMap<i32, (i32, i32)> = BTreeMap::new();
+    for (trajectory, index) in ids {
+        ranges.entry(*trajectory).and_modify(|range| range.1 = *index).or_insert((*index, *index));
+    }
+    if ranges.is_empty() {
+        return "none".to_owned();
+    }
+    let text = |(t, (first, last)): (&i32, &(i32, i32))| format!("{t},{first} to {t},{last}");
+    ranges.iter().map(text).collect::<Vec<_>>().join(", ")
+}
 
 impl MapDraft {
     /// All loop closures with their residuals, the worst first.
@@ -139,11 +153,13 @@ impl MapDraft {
     }
 
     pub(super) fn require_parts(&self, submap: IdInFile, node: IdInFile) -> Result<(), EditError> {
-        if !submap_poses(&self.graph).contains_key(&submap) {
-            return Err(EditError::NoPart { what: "submap", id: submap });
+        let (submaps, nodes) = (submap_poses(&self.graph), self.all_node_poses());
+        if !submaps.contains_key(&submap) {
+            let known = ranges(submaps.keys());
+            return Err(EditError::NoPart { what: "submap", id: submap, known });
         }
-        if !self.all_node_poses().contains_key(&node) {
-            return Err(EditError::NoPart { what: "node", id: node });
+        if !nodes.contains_key(&node) {
+            return Err(EditError::NoPart { what: "node", id: node, known: ranges(nodes.keys()) });
         }
         Ok(())
     }

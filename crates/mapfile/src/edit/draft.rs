@@ -1,4 +1,5 @@
 //! The map that is being edited.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -10,6 +11,7 @@ use prost::Message as _;
 use serde::Serialize;
 
 use super::EditError;
+use super::clear::ClearedArea;
 use super::rest::Rest;
 use super::unread::{TrajectoryOptions, Unread};
 use crate::map_reader::MapReader;
@@ -32,6 +34,8 @@ pub struct EditReport {
     pub constraints_removed: u64,
     /// Loop closures put in.
     pub constraints_added: u64,
+    /// Cells made unknown.
+    pub cells_cleared: u64,
     /// Measurements taken out.
     pub sensor_messages_removed: u64,
     /// Messages written.
@@ -70,6 +74,8 @@ pub struct MapDraft {
     pub(super) sources: Vec<Source>,
     /// Measurements of these trajectories are kept from the first to the second time only, ticks.
     pub(super) cuts: BTreeMap<i32, (i64, i64)>,
+    /// Where submaps lose their cells.
+    pub(super) cleared: Vec<ClearedArea>,
     /// Replaces what the files say.
     pub(super) estimates: BTreeMap<i32, Estimate>,
     pub(super) limits: ReadLimits,
@@ -89,8 +95,7 @@ impl MapDraft {
         let graph = reader.pose_graph().clone();
         check(path, &graph)?;
         let (unread, options) = Unread::read(path, limits).map_err(failed)?;
-        let header = reader.header();
-        let (version, configuration) = (header.format_version, header.portolan_configuration.clone());
+        let (version, configuration) = (reader.header().format_version, reader.configuration().to_owned());
         let dimension = dimension(&mut reader).map_err(failed)?;
         let ids = graph.trajectory.iter().map(|t| (t.trajectory_id, t.trajectory_id)).collect();
         let source = Source { path: path.to_owned(), ids, map_from_source: Rigid3::identity() };
@@ -103,6 +108,7 @@ impl MapDraft {
             dimension,
             sources: vec![source],
             cuts: BTreeMap::new(),
+            cleared: Vec::new(),
             estimates: BTreeMap::new(),
             limits,
             report: EditReport::default(),
@@ -214,14 +220,18 @@ impl MapDraft {
         let failed = |source| EditError::File { path: output.to_owned(), source };
         self.sort_trajectories();
         let mut writer = PbstreamWriter::create(output).map_err(failed)?;
-        writer.write_header(self.version, &self.configuration).map_err(failed)?;
-        let mut rest = Rest::new(&self.graph, &self.cuts, &self.estimates);
+        writer.write_header(self.version).map_err(failed)?;
+        let mut rest = Rest::new(&self.graph, &self.cuts, &self.estimates, self.dimension);
+        rest.clear(&self.cleared);
         let graph = std::mem::take(&mut self.graph).encode_to_vec();
         writer.write_bytes(self.unread.pose_graph_message(graph)).map_err(failed)?;
-        writer.write_bytes(self.unread.options_message(&self.options)).map_err(failed)?;
+        let options = self.unread.options_message(&self.options, &self.configuration);
+        writer.write_bytes(options).map_err(failed)?;
         for source in &self.sources {
             rest.copy(source, self.limits, &mut |bytes| writer.write_bytes(bytes).map_err(failed))?;
         }
+        rest.finish(&mut |bytes| writer.write_bytes(bytes).map_err(failed))?;
+        self.report.cells_cleared += rest.cells_cleared;
         self.report.sensor_messages_removed += rest.sensor_messages_removed;
         self.report.messages = writer.messages();
         writer.finish().map_err(failed)?;

@@ -45,12 +45,14 @@ pub enum EditError {
     #[error("two trajectories would have the number {0}")]
     SameTrajectory(i32),
     /// A submap or node that is not there.
-    #[error("there is no {what} {},{} in the map", id.0, id.1)]
+    #[error("there is no {what} {},{} in the map; there are {known}", id.0, id.1)]
     NoPart {
         /// `submap` or `node`.
         what: &'static str,
         /// The id asked for.
         id: IdInFile,
+        /// Those that are there.
+        known: String,
     },
     /// Nothing would be left.
     #[error("nothing would be left of the map")]
@@ -71,7 +73,7 @@ pub enum EditError {
     },
     /// The node was not found in the submap.
     #[error(
-        "node {},{} was not found in submap {},{}; give the pose of the node in the submap",
+        "node {},{} was not found in submap {},{}: {why}; else give the pose of the node in the submap",
         node.0, node.1, submap.0, submap.1
     )]
     NotFound {
@@ -79,6 +81,21 @@ pub enum EditError {
         submap: IdInFile,
         /// The node.
         node: IdInFile,
+        /// How well it fits at best.
+        why: String,
+    },
+    /// The scans of a merged map do not agree where in the other it lies.
+    #[error(
+        "{}: where it lies in the other map was not found: its scans fit nowhere, or in more than one place (not \
+         found: trajectory {})",
+        path.display(),
+        trajectories.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+    )]
+    NotPlaced {
+        /// The map.
+        path: PathBuf,
+        /// Those of its trajectories that were not found.
+        trajectories: Vec<i32>,
     },
     /// No direction of walls.
     #[error("the map shows no walls of a common direction; give the angle")]

@@ -1,7 +1,7 @@
 //! A node looked for in a submap, to add a loop closure that mapping missed.
 
 use portolan_config::ConstraintBuilderOptions;
-use portolan_geometry::{Dimension, Rigid3};
+use portolan_geometry::{Dimension, Rigid3, rotation_angle};
 use portolan_issue::IssueLog;
 use portolan_mapping::{MatchAcceptance, NodeData, Planar, SearchRegion, Spatial};
 use serde::Serialize;
@@ -19,6 +19,8 @@ pub struct FoundLoop {
     pub score: f32,
     /// Position of the node in the submap, metres.
     pub position: [f64; 3],
+    /// How far that is from where the poses of the map have it: metres and radians.
+    pub off: (f64, f64),
     /// The node's tracking frame in the submap.
     #[serde(skip)]
     pub submap_from_node: Rigid3,
@@ -49,23 +51,36 @@ impl MapDraft {
         node: IdInFile,
         options: &ConstraintBuilderOptions,
     ) -> Result<FoundLoop, EditError> {
-        let not_found = || EditError::NotFound { submap, node };
-        let (Some(grid), Some(scan)) = self.load_pair::<S>(submap, node)? else { return Err(not_found()) };
-        let matcher = S::build_matcher(&grid, options).ok_or_else(not_found)?;
+        let not_found = |why: String| EditError::NotFound { submap, node, why };
+        let (Some(grid), Some(scan)) = self.load_pair::<S>(submap, node)? else {
+            return Err(not_found("its scan or the grid is not in the file".to_owned()));
+        };
+        let matcher = S::build_matcher(&grid, options)
+            .ok_or_else(|| not_found("the submap is empty, or too large to be searched".to_owned()))?;
         // In 3D the search wants to know which way is up: the poses of the map do.
         let guess = self.guess::<S>(submap, node, &scan);
-        let found = S::find_node(
-            &matcher,
-            &grid,
-            &scan,
-            &guess,
-            SearchRegion::WholeSubmap { acceptance: MatchAcceptance::default() },
-            options,
-        )
-        .ok_or_else(not_found)?;
+        let search = |options: &ConstraintBuilderOptions| {
+            let region = SearchRegion::WholeSubmap { acceptance: MatchAcceptance::default() };
+            S::find_node(&matcher, &grid, &scan, &guess, region, options)
+        };
+        let needed = options.global_localization_min_score;
+        let found = search(options).ok_or_else(|| {
+            let lenient =
+                ConstraintBuilderOptions { global_localization_min_score: LEAST_SCORE, ..options.clone() };
+            not_found(match search(&lenient) {
+                Some(best) => format!(
+                    "its scan fits with a score of {:.2} at best, and {needed} is needed \
+                     (constraint_builder.global_localization_min_score)",
+                    best.score
+                ),
+                None => "its scan fits nowhere".to_owned(),
+            })
+        })?;
         let submap_from_node = S::tracking_pose(&found.submap_from_node, &scan.gravity_alignment);
         let t = submap_from_node.translation;
-        Ok(FoundLoop { score: found.score, position: [t.x, t.y, t.z], submap_from_node })
+        let off = guess.inverse() * found.submap_from_node;
+        let off = (off.translation.vector.norm(), rotation_angle(&off));
+        Ok(FoundLoop { score: found.score, position: [t.x, t.y, t.z], off, submap_from_node })
     }
 
     /// Where the node is in the submap by the poses of the map.
@@ -114,10 +129,13 @@ impl MapDraft {
     }
 }
 
+/// What fits worse is not told.
+const LEAST_SCORE: f64 = 0.1;
+
 /// Clouds of more points are no scan of a node, and looking for them would take minutes.
 const MAX_POINTS: usize = 1 << 20;
 
-fn check_size(node: &NodeData) -> Result<(), String> {
+pub(super) fn check_size(node: &NodeData) -> Result<(), String> {
     let clouds = [
         &node.filtered_gravity_aligned_point_cloud,
         &node.high_resolution_point_cloud,

@@ -103,7 +103,7 @@ impl MapDraft {
         data
     }
 
-    fn constraints<S: Space>(&self, collected: &Collected) -> Vec<Constraint> {
+    pub(super) fn constraints<S: Space>(&self, collected: &Collected) -> Vec<Constraint> {
         let usable = self.graph.constraint.iter().filter_map(|c| {
             let node = node_id(c.node_id.as_ref());
             let weights = [c.translation_weight, c.rotation_weight];
@@ -125,7 +125,7 @@ impl MapDraft {
         usable.collect()
     }
 
-    fn take_over<S: Space>(
+    pub(super) fn take_over<S: Space>(
         &mut self,
         data: &OptimizationData,
         constraints: usize,
@@ -185,18 +185,18 @@ fn connectivity(data: &OptimizationData, constraints: &[Constraint]) -> Trajecto
 }
 
 // Ids of a draft are checked to be at least zero.
-fn trajectory_in_memory(id: i32) -> TrajectoryId {
+pub(super) fn trajectory_in_memory(id: i32) -> TrajectoryId {
     TrajectoryId(id.unsigned_abs())
 }
 
-fn submap_in_memory(id: IdInFile) -> SubmapId {
+pub(super) fn submap_in_memory(id: IdInFile) -> SubmapId {
     SubmapId::new(trajectory_in_memory(id.0), id.1.unsigned_abs())
 }
 
-fn node_in_memory(id: IdInFile) -> NodeId {
+pub(super) fn node_in_memory(id: IdInFile) -> NodeId {
     NodeId::new(trajectory_in_memory(id.0), id.1.unsigned_abs())
 }
 
-fn in_file(trajectory: TrajectoryId, index: u32) -> IdInFile {
+pub(super) fn in_file(trajectory: TrajectoryId, index: u32) -> IdInFile {
     (trajectory.0.cast_signed(), index.cast_signed())
 }

@@ -1,18 +1,29 @@
 //! Submaps, nodes and measurements copied from their files, as far as the draft has them.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use portolan_geometry::{Dimension, Time};
 use prost::Message as _;
 
 use super::EditError;
+use super::clear::ClearedArea;
 use super::draft::{Estimate, Source};
+use crate::convert::imu_state_from_proto;
+use crate::derived_imu::DerivedImu;
 use crate::message::{MessageKind, RawMessage};
 use crate::pose::{IdInFile, pose_from_proto, pose_to_proto};
 use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{PoseGraph, SerializedData, TrajectoryData};
+use crate::proto::mapping::{PoseGraph, SerializedData, Submap, TrajectoryData};
 use crate::proto::transform::Quaterniond;
 use crate::reader::{PbstreamReader, ReadLimits};
 use crate::wire::{joined, last_varint, put_bytes_field, put_varint_field, without_field};
+
+/// Numbers of fields, as in the schema.
+const SUBMAP_ID: u32 = 1;
+const SUBMAP_2D: u32 = 2;
+const SUBMAP_3D: u32 = 3;
+const DERIVED_FROM_POSES: u32 = 1000;
 
 type Write<'a> = &'a mut dyn FnMut(Vec<u8>) -> Result<(), EditError>;
 
@@ -23,9 +34,13 @@ pub(super) struct Rest<'a> {
     cuts: &'a BTreeMap<i32, (i64, i64)>,
     estimates: &'a BTreeMap<i32, Estimate>,
     /// The last measurement of a stream before its cut; interpolation at the first node needs it.
-    held: BTreeMap<(i32, u32), Vec<u8>>,
+    held: BTreeMap<(i32, u32), (i64, Vec<u8>)>,
+    /// 3D: samples where no IMU measured, by trajectory.
+    derived: BTreeMap<i32, DerivedImu>,
     /// Streams whose first measurement after the cut was written.
     ended: BTreeSet<(i32, u32)>,
+    cleared: &'a [ClearedArea],
+    pub cells_cleared: u64,
     pub sensor_messages_removed: u64,
 }
 
@@ -34,6 +49,7 @@ impl<'a> Rest<'a> {
         graph: &PoseGraph,
         cuts: &'a BTreeMap<i32, (i64, i64)>,
         estimates: &'a BTreeMap<i32, Estimate>,
+        dimension: Option<Dimension>,
     ) -> Self {
         let mut submaps = BTreeSet::new();
         let mut nodes = BTreeSet::new();
@@ -42,8 +58,25 @@ impl<'a> Rest<'a> {
             submaps.extend(trajectory.submap.iter().map(|s| (t, s.submap_index)));
             nodes.extend(trajectory.node.iter().map(|n| (t, n.node_index)));
         }
-        let (held, ended) = (BTreeMap::new(), BTreeSet::new());
-        Self { submaps, nodes, cuts, estimates, held, ended, sensor_messages_removed: 0 }
+        let in_space = graph.trajectory.iter().filter(|_| dimension == Some(Dimension::Three));
+        let derived = in_space.map(|t| (t.trajectory_id, DerivedImu::of(t)));
+        Self {
+            submaps,
+            nodes,
+            cuts,
+            estimates,
+            held: BTreeMap::new(),
+            derived: derived.collect(),
+            ended: BTreeSet::new(),
+            cleared: &[],
+            cells_cleared: 0,
+            sensor_messages_removed: 0,
+        }
+    }
+
+    /// Submaps lose their cells in these areas.
+    pub fn clear(&mut self, areas: &'a [ClearedArea]) {
+        self.cleared = areas;
     }
 
     /// Copies what is wanted of one file.
@@ -64,10 +97,30 @@ impl<'a> Rest<'a> {
             }
         }
         // Streams that end before the cut begins.
-        for (_, bytes) in std::mem::take(&mut self.held) {
-            write(bytes)?;
+        for (stream, (time, bytes)) in std::mem::take(&mut self.held) {
+            self.write_measured(stream, time, bytes, write)?;
         }
         Ok(())
+    }
+
+    /// Writes what belongs after everything that was measured.
+    pub fn finish(&mut self, write: Write<'_>) -> Result<(), EditError> {
+        let messages = self.derived.values_mut().flat_map(DerivedImu::rest);
+        messages.map(|d| SerializedData { data: Some(Data::ImuData(d)) }.encode_to_vec()).try_for_each(write)
+    }
+
+    fn write_measured(
+        &mut self,
+        stream: (i32, u32),
+        time: i64,
+        bytes: Vec<u8>,
+        write: Write<'_>,
+    ) -> Result<(), EditError> {
+        let of_imu = self.derived.get_mut(&stream.0).filter(|_| stream.1 == MessageKind::ImuData.tag());
+        for sample in of_imu.map(|d| d.before(Time::from_ticks(time))).unwrap_or_default() {
+            write(SerializedData { data: Some(Data::ImuData(sample)) }.encode_to_vec())?;
+        }
+        write(bytes)
     }
 
     fn part(
@@ -87,9 +140,11 @@ impl<'a> Rest<'a> {
         if !wanted.remove(&(*new, index)) {
             return Ok(());
         }
-        if *new == trajectory {
+        let content = self.without_cleared_cells((*new, index), kind, content);
+        if *new == trajectory && content.is_none() {
             return write(raw.bytes.clone());
         }
+        let content = content.unwrap_or_else(|| joined(&raw.bytes, kind.tag()));
         let mut new_id = Vec::new();
         put_varint_field(&mut new_id, 1, new.cast_unsigned().into());
         put_varint_field(&mut new_id, 2, index.cast_unsigned().into());
@@ -97,6 +152,28 @@ impl<'a> Rest<'a> {
         put_bytes_field(&mut renamed, 1, &new_id);
         renamed.extend(without_field(&content, 1));
         write(with_content(raw, kind, &renamed))
+    }
+
+    /// The content of a submap that lost cells; none if nothing changed.
+    fn without_cleared_cells(
+        &mut self,
+        id: IdInFile,
+        kind: MessageKind,
+        content: Vec<u8>,
+    ) -> Option<Vec<u8>> {
+        if kind != MessageKind::Submap || self.cleared.is_empty() {
+            return None;
+        }
+        let mut submap = Submap::decode(&*content).ok()?;
+        let cleared: u64 = self.cleared.iter().map(|area| area.clear(id, &mut submap)).sum();
+        self.cells_cleared += cleared;
+        if cleared == 0 {
+            return None;
+        }
+        let rest = [SUBMAP_ID, SUBMAP_2D, SUBMAP_3D].iter().fold(content, |rest, n| without_field(&rest, *n));
+        let mut bytes = submap.encode_to_vec();
+        bytes.extend(rest);
+        Some(bytes)
     }
 
     fn trajectory_data(
@@ -122,6 +199,9 @@ impl<'a> Rest<'a> {
             data.gravity_constant = imu.gravity_constant;
             data.imu_calibration = Some(Quaterniond { x: q.i, y: q.j, z: q.k, w: q.w });
         }
+        if let (Some(derived), Some(state)) = (self.derived.get_mut(new), imu_state_from_proto(&data)) {
+            derived.set_state(state);
+        }
         if data == decoded {
             return write(raw.bytes.clone());
         }
@@ -136,6 +216,10 @@ impl<'a> Rest<'a> {
         write: Write<'_>,
     ) -> Result<(), EditError> {
         let content = joined(&raw.bytes, kind.tag());
+        // Made anew, because nodes may have moved.
+        if kind == MessageKind::ImuData && last_varint(&content, DERIVED_FROM_POSES) != 0 {
+            return Ok(());
+        }
         let trajectory = last_varint(&content, 1) as i32;
         let Some(new) = source.ids.get(&trajectory).copied() else {
             self.sensor_messages_removed += 1;
@@ -149,22 +233,24 @@ impl<'a> Rest<'a> {
             renamed.extend(without_field(&content, 1));
             with_content(&raw, kind, &renamed)
         };
-        let Some((start, end)) = self.cuts.get(&new) else { return write(bytes) };
         let time = last_varint(&joined(&content, 2), 1).cast_signed();
         let stream = (new, kind.tag());
+        let Some((start, end)) = self.cuts.get(&new) else {
+            return self.write_measured(stream, time, bytes, write);
+        };
         let interpolated = kind != MessageKind::LandmarkData;
         if time < *start && interpolated {
-            if self.held.insert(stream, bytes).is_some() {
+            if self.held.insert(stream, (time, bytes)).is_some() {
                 self.sensor_messages_removed += 1;
             }
             return Ok(());
         }
-        if let Some(before) = self.held.remove(&stream) {
-            write(before)?;
+        if let Some((before, held)) = self.held.remove(&stream) {
+            self.write_measured(stream, before, held, write)?;
         }
         let inside = (*start..=*end).contains(&time);
         if inside || (time > *end && interpolated && self.ended.insert(stream)) {
-            return write(bytes);
+            return self.write_measured(stream, time, bytes, write);
         }
         self.sensor_messages_removed += 1;
         Ok(())

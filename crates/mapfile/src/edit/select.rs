@@ -1,4 +1,5 @@
 //! Trajectories removed and renamed; maps cut by time.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -81,6 +82,10 @@ impl MapDraft {
             source.ids.values_mut().for_each(|id| *id = new(*id));
         }
         self.cuts = std::mem::take(&mut self.cuts).into_iter().map(|(id, cut)| (new(id), cut)).collect();
+        for area in &mut self.cleared {
+            let submaps = std::mem::take(&mut area.submaps);
+            area.submaps = submaps.into_iter().map(|(id, pose)| ((new(id.0), id.1), pose)).collect();
+        }
         let estimates = std::mem::take(&mut self.estimates);
         self.estimates = estimates.into_iter().map(|(id, estimate)| (new(id), estimate)).collect();
         Ok(())

@@ -1,5 +1,6 @@
 //! What pose graph and options of a file hold besides what is edited: kept as bytes, so that fields of other
 //! programs survive.
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::path::Path;
 
@@ -11,6 +12,7 @@ use crate::wire::{Fields, WireValue, joined, last_varint, put_bytes_field, put_v
 /// Numbers of fields, as in the schema.
 const CONSTRAINTS_TRAJECTORIES_LANDMARKS: [u32; 3] = [2, 4, 5];
 const OPTIONS_WITH_SENSOR_IDS: u32 = 1;
+const PORTOLAN_CONFIGURATION: u32 = 1000;
 const TRAJECTORY_BUILDER_OPTIONS: u32 = 2;
 const INITIAL_TRAJECTORY_POSE: u32 = 4;
 const TO_TRAJECTORY_ID: u32 = 2;
@@ -74,7 +76,8 @@ impl Unread {
                             all.push(TrajectoryOptions(bytes.to_vec()));
                         }
                     }
-                    unread.in_options = without_field(&options, OPTIONS_WITH_SENSOR_IDS);
+                    let rest = without_field(&options, OPTIONS_WITH_SENSOR_IDS);
+                    unread.in_options = without_field(&rest, PORTOLAN_CONFIGURATION);
                     unread.beside_options = without_field(&raw.bytes, options_tag);
                     break;
                 }
@@ -90,13 +93,16 @@ impl Unread {
         message(MessageKind::PoseGraph, &graph, &self.beside_pose_graph)
     }
 
-    /// The message of the options.
-    pub fn options_message(&self, options: &[TrajectoryOptions]) -> Vec<u8> {
+    /// The message of the options, with what the map was made with as JSON (or empty).
+    pub fn options_message(&self, options: &[TrajectoryOptions], configuration: &str) -> Vec<u8> {
         let mut content = Vec::new();
         for TrajectoryOptions(bytes) in options {
             put_bytes_field(&mut content, OPTIONS_WITH_SENSOR_IDS, bytes);
         }
         content.extend_from_slice(&self.in_options);
+        if !configuration.is_empty() {
+            put_bytes_field(&mut content, PORTOLAN_CONFIGURATION, configuration.as_bytes());
+        }
         message(MessageKind::Options, &content, &self.beside_options)
     }
 }

@@ -52,7 +52,16 @@ impl SmallMap {
         };
         let mut rest: Vec<Data> = (0..2).map(|i| Data::Submap(submap(i, three_d))).collect();
         rest.extend((0..3).map(|i| Data::Node(node(i))));
-        rest.extend((0..3).map(|i| {
+        // In space also the sample of an IMU, without which other programs take no map.
+        if three_d {
+            let imu_data = Some(sensor::ImuData {
+                timestamp: -1,
+                linear_acceleration: Some(transform::Vector3d { x: 0.0, y: 0.0, z: 9.8 }),
+                angular_velocity: Some(transform::Vector3d::default()),
+            });
+            rest.push(Data::ImuData(m::ImuData { trajectory_id: 0, imu_data, derived_from_poses: false }));
+        }
+        rest.extend((i64::from(three_d)..3).map(|i| {
             Data::OdometryData(m::OdometryData {
                 trajectory_id: 0,
                 odometry_data: Some(sensor::OdometryData { timestamp: i, pose: pose(0.1 * i as f64) }),
@@ -60,6 +69,7 @@ impl SmallMap {
         }));
         let options = m::AllTrajectoryBuilderOptions {
             options_with_sensor_ids: vec![m::TrajectoryBuilderOptionsWithSensorIds::default()],
+            ..Default::default()
         };
         Self { version: 2, graph, options, rest }
     }
@@ -67,7 +77,7 @@ impl SmallMap {
     /// Writes the map.
     pub fn write(self, path: &Path) {
         let mut writer = PbstreamWriter::create(path).unwrap();
-        writer.write_header(self.version, "").unwrap();
+        writer.write_header(self.version).unwrap();
         writer.write(Data::PoseGraph(self.graph)).unwrap();
         writer.write(Data::AllTrajectoryBuilderOptions(self.options)).unwrap();
         self.rest.into_iter().for_each(|d| writer.write(d).unwrap());

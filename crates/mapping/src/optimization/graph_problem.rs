@@ -164,7 +164,8 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
     /// Every landmark is seen from a pose between two nodes.
     pub fn add_landmarks(&mut self, data: &OptimizationData) {
         for (name, landmark) in &data.landmarks {
-            for sighting in &landmark.sightings {
+            let moving = |s: &&LandmarkSighting| !data.frozen.contains(&s.trajectory_id);
+            for sighting in landmark.sightings.iter().filter(moving) {
                 let Some(seen) = SightingBetweenNodes::find(sighting, data) else { continue };
                 let (Some(previous), Some(next)) =
                     (self.nodes.get(&seen.previous.0).copied(), self.nodes.get(&seen.next.0).copied())
@@ -214,7 +215,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         let weights = (o.fixed_frame_pose_translation_weight, o.fixed_frame_pose_rotation_weight);
         let (a, b) = (o.fixed_frame_pose_tolerant_loss_param_a, o.fixed_frame_pose_tolerant_loss_param_b);
         let loss = if o.fixed_frame_pose_use_tolerant_loss { Loss::Tolerant(a, b) } else { Loss::None };
-        for (trajectory_id, sensors) in &data.sensors {
+        for (trajectory_id, sensors) in data.sensors.iter().filter(|(id, _)| !data.frozen.contains(id)) {
             for (node_id, node) in of_trajectory(&data.nodes, *trajectory_id) {
                 let Some(measured) = fixed_frame_at(&sensors.fixed_frame, node.time) else { continue };
                 let origin = *self.fixed_frames.entry(*trajectory_id).or_insert_with(|| {

@@ -111,7 +111,7 @@ impl<'a> SpatialProblem<'a> {
     /// Where fixes, but no IMU, tell which way is up: the start is about level.
     fn hold_level_at_start(&mut self, data: &OptimizationData) {
         let tilts = |id: &TrajectoryId| {
-            let sensors = data.sensors.get(id);
+            let sensors = data.sensors.get(id).filter(|_| !data.frozen.contains(id));
             sensors.is_some_and(|s| s.imu.is_empty() && !s.fixed_frame.is_empty())
         };
         let trajectories: Vec<TrajectoryId> = data.sensors.keys().copied().filter(tilts).collect();

@@ -10,6 +10,7 @@ mod connectivity;
 mod contradictions;
 mod editing;
 mod final_search;
+mod joining;
 mod localisation;
 mod policy;
 mod search;
@@ -192,16 +193,14 @@ impl<S: Space> PoseGraph<S> {
         node_id
     }
 
-    /// How far a new node is along its trajectory. Turning shows new sides of a place as moving does.
+    /// How far a new node is along its trajectory.
     fn way_to(&self, node_id: NodeId, local_from_tracking: &Rigid3) -> f64 {
-        const METRES_PER_RADIAN: f64 = 1.0;
         let Some((before_id, before)) = of_trajectory(&self.state.nodes, node_id.trajectory_id).next_back()
         else {
             return 0.0;
         };
         let motion = before.data.local_from_tracking.inverse() * local_from_tracking;
-        let step = motion.translation.vector.norm() + METRES_PER_RADIAN * motion.rotation.angle();
-        self.ways.get(&before_id).copied().unwrap_or(0.0) + step
+        self.ways.get(&before_id).copied().unwrap_or(0.0) + step_length(&motion)
     }
 
     /// Gives new submaps their identity and first global pose (`slam2d.md` §14.3, 1).
@@ -439,6 +438,12 @@ impl<S: Space> PoseGraph<S> {
             landmark.sightings.push(LandmarkSighting { trajectory_id: id, time: data.time, observation });
         }
     }
+}
+
+/// What a motion from one node to the next counts, metres. Turning shows new sides of a place as moving does.
+fn step_length(motion: &Rigid3) -> f64 {
+    const METRES_PER_RADIAN: f64 = 1.0;
+    motion.translation.vector.norm() + METRES_PER_RADIAN * motion.rotation.angle()
 }
 
 /// All constraints but those between frozen trajectories, which would only cost time.

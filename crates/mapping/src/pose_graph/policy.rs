@@ -80,7 +80,7 @@ impl Spacing {
 }
 
 /// Multiples of it fill an interval evenly.
-const GOLDEN: f64 = 0.618_033_988_749_895;
+pub(super) const GOLDEN: f64 = 0.618_033_988_749_895;
 
 /// What the pose graph does beyond what Cartographer does; nothing by default.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -44,6 +44,21 @@ pub enum JobError {
         /// Why.
         source: std::io::Error,
     },
+    /// The disk is too full.
+    #[error(
+        "{}: only {:.1} MB are free, and the results need at least {:.1} MB",
+        folder.display(),
+        *free as f64 / 1048576.0,
+        *needed as f64 / 1048576.0
+    )]
+    NoRoom {
+        /// Where the results should go.
+        folder: PathBuf,
+        /// Bytes that are free there.
+        free: u64,
+        /// Bytes that the results need at the very least.
+        needed: u64,
+    },
     /// A file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),

@@ -58,12 +58,14 @@ pub fn write_results<S: ResultSpace>(
         files.push(folder.join(name));
         folder.join(name)
     };
+    // Trajectories that were known before are in the map; these files are of the recording. The trajectory comes
+    // first: it is what took longest for its size, should there be no room for the rest.
+    let id = mapped.trajectory_id;
+    write_tum(&folder.join("trajectory.tum"), &mapped.trajectory())?;
     if what.map {
         write_map(map, file("map.pbstream"), true)?;
     }
-    // Trajectories that were known before are in the map; these files are of the recording.
-    let id = mapped.trajectory_id;
-    write_tum(&file("trajectory.tum"), &mapped.trajectory())?;
+    file("trajectory.tum");
     if what.all_poses {
         write_tum(&file("all_poses.tum"), &map.scan_poses(id))?;
     }

@@ -9,7 +9,7 @@ use portolan_mapfile::{FindingKind, PbstreamReader, ReadLimits, Severity as MapS
 use super::Finding;
 use crate::error::CliError;
 
-/// Reads a whole map and tells all findings.
+/// Reads a whole map; one finding of each kind, with its count.
 pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
     let length = input.length();
     let reader = PbstreamReader::from_source(input, length, ReadLimits::default());
@@ -34,7 +34,16 @@ pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
             repair: found.kind.repair(),
         }
     };
-    Ok(validate(&mut reader).into_iter().map(finding).collect())
+    let mut by_kind: Vec<(FindingKind, Finding)> = Vec::new();
+    for found in validate(&mut reader) {
+        let (kind, more) = (found.kind, found.count);
+        let next = finding(found);
+        match by_kind.iter_mut().find(|(of, first)| *of == kind && first.severity == next.severity) {
+            Some((_, first)) => first.count += more,
+            None => by_kind.push((kind, next)),
+        }
+    }
+    Ok(by_kind.into_iter().map(|(_, finding)| finding).collect())
 }
 
 /// What follows from a finding, and what to do.
@@ -70,6 +79,14 @@ fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
         FindingKind::Histogram => {
             ("loops through this node or submap are not found in 3D", "`portolan migrate` makes histograms")
         }
+        FindingKind::Imu => (
+            "none here: such a trajectory is held by its scans",
+            "`portolan repair`, if Cartographer is to move the trajectory",
+        ),
+        FindingKind::Unconstrained => (
+            "whatever optimises the map tears the trajectory off, or leaves it where it is",
+            "use it frozen; or map its recording again",
+        ),
         FindingKind::Time => (
             "interpolation between these times is wrong",
             "check the stamps of the recording with `portolan check`; map it again or `portolan repair`",

@@ -39,6 +39,9 @@ fn run_info(arguments: &[String]) -> Result<Outcome, CliError> {
     let mut reader = MapReader::open_for_summary(path, ReadLimits::default()).map_err(failed)?;
     let pose_graph = flags.is_on("all_debug_strings").then(|| pose_graph_to_text(reader.pose_graph()));
     let summary: MapInfo = info(&mut reader).map_err(failed)?;
+    if let Some(damage) = &summary.damage {
+        return Err(CliError::in_file(path, damage));
+    }
     let counters: Vec<String> = summary.counter_lines().collect();
     let lines = summary.lines(name);
     let before_counters = lines.len().saturating_sub(counters.len());

@@ -1,9 +1,12 @@
 //! The steps of `edit`, in their order.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use portolan_geometry::{Rigid3, Time, Vector3};
-use portolan_mapfile::{EditReport, LoopResidual, MapDraft, MapOptimization, ReadLimits};
+use portolan_mapfile::{
+    EditError, EditReport, JoinedMap, LoopResidual, MapDraft, MapOptimization, ReadLimits,
+};
 use serde::Serialize;
 
 use super::values::{Rotation, time};
@@ -11,13 +14,14 @@ use super::{EditArgs, LoopArgs, PartArgs, PlaceArgs};
 use crate::GlobalArgs;
 use crate::commands::optimize::{loop_text, optimize_draft, options, summary};
 use crate::error::{CliError, Outcome};
-use crate::output::{print_json, print_summary};
+use crate::output::{counted, print_json, print_summary};
 use crate::progress::say;
 
 /// What was done, for programs.
 #[derive(Serialize)]
 struct Report {
     output: String,
+    merged: Vec<JoinedMap>,
     #[serde(flatten)]
     edit: EditReport,
     optimization: Option<MapOptimization>,
@@ -28,6 +32,21 @@ struct Report {
 
 pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let mut draft = MapDraft::open(&args.map, ReadLimits::default())?;
+    let mut merged = Vec::new();
+    if args.parts.place.is_empty() {
+        for path in &args.parts.merge {
+            match draft.append_where_it_fits(path, &options(&draft, &args.loops.set)?) {
+                Ok(joined) => merged.push(told(path, joined, global)),
+                Err(error @ EditError::NotPlaced { .. }) => {
+                    say(&format!(
+                        "{error}. Nothing was written; if you know the place, say [--place X,Y,YAW]"
+                    ));
+                    return Ok(Outcome::Untrusted);
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
     choose_parts(&mut draft, &args.parts, global)?;
     change_loops(&mut draft, &args.loops, global)?;
     let optimization = match args.loops.optimize {
@@ -39,7 +58,7 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let turned = place(&mut draft, &args.place)?.to_degrees();
     let edit = draft.write(&args.output)?;
     let report =
-        Report { output: args.output.display().to_string(), edit, optimization, turned, worst_loops };
+        Report { output: args.output.display().to_string(), merged, edit, optimization, turned, worst_loops };
     if args.json {
         print_json(&report)?;
     } else {
@@ -52,8 +71,7 @@ fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> R
     for (path, pose) in args.merge.iter().zip(&args.place) {
         let ids = draft.append(path, pose)?;
         if !global.quiet {
-            let names: Vec<String> = ids.iter().map(|(there, here)| format!("{there} is {here}")).collect();
-            say(&format!("{}: trajectory {}", path.display(), names.join(", ")));
+            say(&format!("{}: {}", path.display(), new_numbers(&ids)));
         }
     }
     for id in args.keep.iter().chain(&args.delete) {
@@ -65,6 +83,9 @@ fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> R
     if !args.delete.is_empty() {
         draft.retain_trajectories(|id| !args.delete.contains(&id));
     }
+    if draft.trajectory_ids().next().is_none() {
+        return Err(nothing_left("--keep and --delete"));
+    }
     if !args.rename.is_empty() {
         let names: BTreeMap<i32, i32> = args.rename.iter().copied().collect();
         if names.len() < args.rename.len() {
@@ -74,10 +95,10 @@ fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> R
     }
     cut_time(draft, args)?;
     if let Some(area) = &args.inside {
-        draft.cut_area(area, true)?;
+        draft.cut_area(area, true).map_err(|error| naming("--inside", error))?;
     }
     if let Some(area) = &args.outside {
-        draft.cut_area(area, false)?;
+        draft.cut_area(area, false).map_err(|error| naming("--outside", error))?;
     }
     Ok(())
 }
@@ -86,14 +107,56 @@ fn cut_time(draft: &mut MapDraft, args: &PartArgs) -> Result<(), CliError> {
     if args.after.is_none() && args.before.is_none() {
         return Ok(());
     }
-    let (first, _) = draft
+    let (first, last) = draft
         .time_span()
         .ok_or_else(|| CliError::Failed("the map has no nodes to cut by time".to_owned()))?;
     let at = |text: &Option<String>, otherwise| match text {
         Some(text) => time(text, first).map_err(CliError::Usage),
         None => Ok(otherwise),
     };
-    Ok(draft.cut_time(at(&args.after, Time::MIN)?, at(&args.before, Time::MAX)?)?)
+    draft.cut_time(at(&args.after, Time::MIN)?, at(&args.before, Time::MAX)?).map_err(|error| {
+        let options = match (&args.after, &args.before) {
+            (Some(_), None) => "--after",
+            (None, Some(_)) => "--before",
+            _ => "--after and --before",
+        };
+        let span = format!("{options} (the map is of {:.1} s, from +0)", last.seconds_since(first));
+        naming(&span, error)
+    })
+}
+
+/// An error that says which option left nothing.
+fn naming(option: &str, error: EditError) -> CliError {
+    match error {
+        EditError::Nothing => nothing_left(option),
+        other => other.into(),
+    }
+}
+
+fn nothing_left(option: &str) -> CliError {
+    CliError::Failed(format!("nothing would be left of the map after {option}"))
+}
+
+fn new_numbers(ids: &BTreeMap<i32, i32>) -> String {
+    let names: Vec<String> = ids.iter().map(|(there, here)| format!("{there} is {here}")).collect();
+    format!("trajectory {}", names.join(", "))
+}
+
+/// Says where a map was found.
+fn told(path: &Path, joined: JoinedMap, global: &GlobalArgs) -> JoinedMap {
+    if !global.quiet {
+        let place = &joined.map_from_other;
+        let (x, y) = (place.translation.x, place.translation.y);
+        say(&format!(
+            "{}: {}; found at {x:.3},{y:.3},{:.2}, {} between the maps; {}",
+            path.display(),
+            new_numbers(&joined.ids),
+            portolan_geometry::yaw(&place.rotation).to_degrees(),
+            counted(joined.loop_closures, "loop closure", "loop closures"),
+            summary(&joined.optimization)
+        ));
+    }
+    joined
 }
 
 fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> Result<(), CliError> {
@@ -117,8 +180,15 @@ fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> R
                 if !global.quiet {
                     let [x, y, _] = found.position;
                     say(&format!(
-                        "found node {},{} in submap {},{} at {x:.3}, {y:.3} with score {:.3}",
-                        new.node.0, new.node.1, new.submap.0, new.submap.1, found.score
+                        "found node {},{} in submap {},{} at {x:.3}, {y:.3} with score {:.3}, {:.3} m and {:.2} degrees from \
+                         where the map has it",
+                        new.node.0,
+                        new.node.1,
+                        new.submap.0,
+                        new.submap.1,
+                        found.score,
+                        found.off.0,
+                        found.off.1.to_degrees()
                     ));
                 }
                 found.submap_from_node
@@ -157,6 +227,7 @@ impl Report {
             (edit.nodes_removed, "nodes taken out"),
             (edit.constraints_removed, "constraints taken out"),
             (edit.constraints_added, "loop closures put in"),
+            (edit.cells_cleared, "cells made unknown"),
             (edit.sensor_messages_removed, "measurements taken out"),
         ];
         let mut text: String =

@@ -32,7 +32,7 @@ pub fn read(path: &Path, input: Forward) -> Result<MapReport, CliError> {
     let mut reader =
         MapReader::from_source_for_summary(input, length, ReadLimits::default()).map_err(failed)?;
     let info = info(&mut reader).map_err(failed)?;
-    let configuration = Options::from_json(&reader.header().portolan_configuration).ok();
+    let configuration = Options::from_json(reader.configuration()).ok();
     let engine = configuration.map(|configuration| configuration.options.engine().to_string());
     Ok(MapReport { path: path.display().to_string(), size: reader.bytes_read(), engine, info })
 }
@@ -72,6 +72,11 @@ impl<W: io::Write> fmt::Write for Stdout<W> {
 }
 
 impl MapReport {
+    /// Whether a part of the file could not be read.
+    pub fn lost_data(&self) -> bool {
+        self.info.damage.is_some()
+    }
+
     /// For people; lines that Cartographer's tool prints stand there in its words.
     pub fn text(&self, with_options: bool) -> String {
         let info = &self.info;
@@ -103,6 +108,9 @@ impl MapReport {
         let count = ignored.pose_graphs + ignored.options + ignored.unknown;
         if count > 0 {
             text.push_str(&format!("{count} messages were left out; see `portolan check`\n"));
+        }
+        if let Some(damage) = &info.damage {
+            text.push_str(&format!("lost: {damage}; `portolan check` tells more\n"));
         }
         text
     }

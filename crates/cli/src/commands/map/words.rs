@@ -4,10 +4,12 @@ use std::path::PathBuf;
 
 use portolan::job::{Localisation, resident_and_peak_bytes};
 use portolan::pipeline::{MappedRecording, PipelineProgress};
+use portolan_issue::{Issue, Severity};
 use portolan_mapping::Space;
 
 use super::weak::weak_stretches;
 use crate::known_map::sentence;
+use crate::output::counted;
 
 /// How far mapping is.
 pub(super) fn describe(state: &PipelineProgress, start: std::time::Instant) -> String {
@@ -23,8 +25,30 @@ pub(super) fn describe(state: &PipelineProgress, start: std::time::Instant) -> S
     )
 }
 
+/// One line for each issue; harmless ones only where they are wanted.
+fn issues(all: impl Iterator<Item = Issue>, with_harmless: bool) -> String {
+    let (mut text, mut harmless) = (String::new(), 0);
+    for issue in all {
+        if issue.severity == Severity::Info && !with_harmless {
+            harmless += 1;
+            continue;
+        }
+        let label = if issue.lost_data() { "lost" } else { "repaired" };
+        text += &format!("{label}: {issue} ({}x)\n", issue.count);
+    }
+    if harmless > 0 {
+        text += &format!("{} [-v lists them]\n", counted(harmless, "harmless repair", "harmless repairs"));
+    }
+    text
+}
+
 /// What was made, for people.
-pub fn summary<S: Space>(mapped: &MappedRecording<S>, files: &[PathBuf], seconds: f64) -> String {
+pub fn summary<S: Space>(
+    mapped: &MappedRecording<S>,
+    files: &[PathBuf],
+    seconds: f64,
+    with_harmless: bool,
+) -> String {
     let state = mapped.map.graph.state();
     let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
     let mut text = format!(
@@ -56,10 +80,7 @@ pub fn summary<S: Space>(mapped: &MappedRecording<S>, files: &[PathBuf], seconds
     }
     text += &crate::lost::losses(mapped);
     text += &weak_stretches(&mapped.degenerate_intervals, mapped.recording_seconds);
-    for issue in mapped.issues.iter() {
-        let label = if issue.lost_data() { "lost" } else { "repaired" };
-        text += &format!("{label}: {issue} ({}x)\n", issue.count);
-    }
+    text += &issues(mapped.issues.iter(), with_harmless);
     if mapped.interrupted {
         text += "interrupted: stopped before the end of the recording; what was mapped is saved\n";
     }

@@ -65,7 +65,7 @@ impl Collected {
                     self.fixed_frame_origins.insert(trajectory_in_memory(id), Some(moved));
                 }
             }
-            Data::ImuData(m::ImuData { trajectory_id, imu_data: Some(data) }) => {
+            Data::ImuData(m::ImuData { trajectory_id, imu_data: Some(data), derived_from_poses: false }) => {
                 if let (Some(id), Some(imu)) = (id(trajectory_id), imu_from_proto(&data)) {
                     self.sensors_of(id).imu.entry(imu.time).or_insert(imu);
                 }

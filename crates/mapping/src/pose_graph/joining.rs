@@ -1,0 +1,139 @@
+//! Loaded trajectories looked for in others that are loaded, too: how maps are merged.
+
+use std::collections::BTreeSet;
+
+use portolan_sensor::FixedRatioSampler;
+
+use super::PoseGraph;
+use super::policy::{GOLDEN, LoopSearchPolicy};
+use super::travel::TravelGraph;
+use crate::{NodeId, Space, SubmapId, TrajectoryId, of_trajectory};
+
+/// So many nodes of a trajectory are searched in whole submaps before looking whether enough matches agree, and in
+/// all.
+const NODES_A_ROUND: usize = 8;
+const MOST_NODES: usize = 64;
+/// Pairs that are tried around their guess once a trajectory has its place.
+const MOST_PAIRS: usize = 3000;
+/// Nodes closer together than this along their way tell the same, metres.
+const LEAST_SPACING: f64 = 1.0;
+
+impl<S: Space> PoseGraph<S> {
+    /// Looks for each of these trajectories in the rest of the graph, moves it where matches agree that it lies,
+    /// closes loops in both directions, and optimises. The trajectories that were not found are returned; then
+    /// nothing is optimised.
+    pub fn join(&mut self, joining: &BTreeSet<TrajectoryId>) -> BTreeSet<TrajectoryId> {
+        let all: Vec<TrajectoryId> = self.state.trajectories.keys().copied().collect();
+        all.into_iter().for_each(|id| self.measure_way(id));
+        for id in joining {
+            self.place(*id, joining);
+        }
+        let lost: BTreeSet<TrajectoryId> =
+            joining.iter().copied().filter(|id| !self.is_joined(*id, joining)).collect();
+        if lost.is_empty() {
+            self.run_optimization();
+            self.close_loops_with(joining);
+            self.run_final_optimization();
+        }
+        lost
+    }
+
+    /// How far nodes are along their trajectory: files do not keep it.
+    fn measure_way(&mut self, id: TrajectoryId) {
+        let mut way = 0.0;
+        let mut before: Option<portolan_geometry::Rigid3> = None;
+        for (node_id, node) in of_trajectory(&self.state.nodes, id) {
+            let pose = node.data.local_from_tracking;
+            way += before.map_or(0.0, |b| super::step_length(&(b.inverse() * pose)));
+            self.ways.insert(node_id, way);
+            before = Some(pose);
+        }
+    }
+
+    fn is_joined(&self, id: TrajectoryId, joining: &BTreeSet<TrajectoryId>) -> bool {
+        let members = self.state.connectivity.members(id);
+        members.iter().any(|member| !joining.contains(member))
+    }
+
+    /// Searches nodes of a trajectory, from all over it, in whole submaps of the rest until they agree.
+    fn place(&mut self, id: TrajectoryId, joining: &BTreeSet<TrajectoryId>) {
+        let nodes: Vec<NodeId> = of_trajectory(&self.state.nodes, id).map(|(id, _)| id).collect();
+        let mut seen = BTreeSet::new();
+        let spread = (0..MOST_NODES)
+            .map(|i| ((i as f64 * GOLDEN).fract() * nodes.len() as f64) as usize)
+            .filter(|i| seen.insert(*i))
+            .filter_map(|i| nodes.get(i).copied());
+        let spread: Vec<NodeId> = spread.collect();
+        for round in spread.chunks(NODES_A_ROUND) {
+            if self.is_joined(id, joining) {
+                return;
+            }
+            for (submap_id, node_id) in self.pairs(round, |id| !joining.contains(&id)) {
+                let (guess, region) = self.anywhere(node_id, submap_id);
+                let (Some(entry), Some(node)) =
+                    (self.state.submaps.get(&submap_id), self.state.nodes.get(&node_id))
+                else {
+                    continue;
+                };
+                let Some(submap) = &entry.submap else { continue };
+                self.search.add_global((submap_id, submap), (node_id, &node.data), guess, region);
+            }
+            let found = self.search.run_unplaced();
+            self.add_found(found);
+        }
+    }
+
+    /// All pairs of these nodes and the complete submaps of some trajectories.
+    fn pairs(&self, nodes: &[NodeId], of: impl Fn(TrajectoryId) -> bool) -> Vec<(SubmapId, NodeId)> {
+        let submaps = self.state.submaps.iter();
+        let complete =
+            submaps.filter(|(id, s)| s.insertion_finished && s.submap.is_some() && of(id.trajectory_id));
+        complete.flat_map(|(submap_id, _)| nodes.iter().map(|node_id| (*submap_id, *node_id))).collect()
+    }
+
+    /// Tries pairs of either side that are near each other now.
+    fn close_loops_with(&mut self, joining: &BTreeSet<TrajectoryId>) {
+        let (new, old): (Vec<NodeId>, Vec<NodeId>) =
+            self.spaced_nodes().into_iter().partition(|id| joining.contains(&id.trajectory_id));
+        let mut pairs = self.pairs(&new, |id| !joining.contains(&id));
+        pairs.extend(self.pairs(&old, |id| joining.contains(&id)));
+        let farthest = self.options.constraint_builder.max_constraint_distance;
+        let with_guess = pairs.into_iter().filter_map(|(submap_id, node_id)| {
+            let map_from_submap = self.problem.submaps.get(&submap_id)?;
+            let guess = map_from_submap.inverse() * self.problem.nodes.get(&node_id)?.map_from_node;
+            (guess.translation.vector.norm() <= farthest).then_some((submap_id, node_id, guess))
+        });
+        let near: Vec<_> = with_guess.collect();
+        let share = (MOST_PAIRS as f64 / near.len().max(1) as f64).min(1.0);
+        let Ok(mut sampler) = FixedRatioSampler::new(share) else { return };
+        for (submap_id, node_id, guess) in near.into_iter().filter(|_| sampler.pulse()) {
+            let (Some(entry), Some(node)) =
+                (self.state.submaps.get(&submap_id), self.state.nodes.get(&node_id))
+            else {
+                continue;
+            };
+            let Some(submap) = &entry.submap else { continue };
+            self.search.add_unsampled((submap_id, submap), (node_id, &node.data), guess);
+        }
+        // Every pair tells something of how the two lie, however short the way over others is.
+        self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.policy.loops });
+        let found = self.search.run(&TravelGraph::new(&self.state));
+        self.search.set_policy(self.policy.loops);
+        self.add_found(found);
+    }
+
+    /// Nodes that are some way from the one before.
+    fn spaced_nodes(&self) -> Vec<NodeId> {
+        let spacing = self.policy.loops.spacing.max(LEAST_SPACING);
+        let mut last: Option<(TrajectoryId, f64)> = None;
+        let ways = self.ways.iter().filter(|(id, way)| {
+            let is_due =
+                last.is_none_or(|(trajectory, at)| trajectory != id.trajectory_id || **way - at >= spacing);
+            if is_due {
+                last = Some((id.trajectory_id, **way));
+            }
+            is_due
+        });
+        ways.map(|(id, _)| *id).collect()
+    }
+}
