@@ -5,8 +5,9 @@
     scripts/field_localize.py --logs aces --pieces 8   less
     scripts/field_localize.py --kidnap                 two pieces of the rest glued together, too
 
-The truth is the map of the whole log, put over the map of its first half by their common part. A piece counts as one
-whose place the map contains if a pose of the map's part lies within 3 m of its way. Needs Python 3 alone. The data folder
+The truth is the map of the whole log. The map of the first half alone is bent against it where loops close later, by more
+than a metre in aces: so the whole is put over the half place by place, by the common poses nearest to it. A piece counts
+as one whose place the map contains if a pose of the map's part lies within 3 m of its way. Needs Python 3 alone. The data folder
 is $PORTOLAN_DATA, or ../shared/data.
 """
 import argparse
@@ -35,6 +36,8 @@ WRONG = (0.5, 10.0)
 LASTING = 2.0
 # A piece is in the map if it comes so near to the map's way, metres.
 NEAR = 3.0
+# Poses this near to a place, metres, tell how the map of the first half is bent there.
+LOCAL = 6.0
 
 
 def data_folder():
@@ -142,6 +145,33 @@ def longest_false(rows):
     return longest
 
 
+class Truth:
+    """The way of the whole log as the map of its first half has it."""
+
+    def __init__(self, whole, known):
+        self.whole = Way(whole)
+        common = [(pose[1:], self.whole.at(pose[0])) for pose in known]
+        self.common = [pair for pair in common if pair[1]][::2]
+        self.cells = {}
+
+    def at(self, time):
+        pose = self.whole.at(time)
+        return pose and self.put(pose)(pose)
+
+    def put(self, pose):
+        """The motion that puts the surroundings of a pose of the whole where the half has them; one for each cell."""
+        cell = (round(pose[0] / 2), round(pose[1] / 2))
+        if cell not in self.cells:
+            centre = (2 * cell[0], 2 * cell[1])
+            far = lambda pair: math.hypot(pair[1][0] - centre[0], pair[1][1] - centre[1])
+            nearest = sorted(self.common, key=far)[: max(30, sum(far(pair) < LOCAL for pair in self.common))]
+            self.cells[cell] = align([pair[0] for pair in nearest], [pair[1] for pair in nearest])
+        return self.cells[cell]
+
+    def between(self, first, last):
+        return [(p[0], *self.put(p[1:])(p[1:])) for p in self.whole.between(first, last)]
+
+
 class Log:
     """A log, the map of its first half, and its truth."""
 
@@ -153,12 +183,8 @@ class Log:
         self.half = (self.end - self.start) / 2
         folder = mapped(program, self.recording, cache / f"{name}_half", ["--duration", self.half])
         self.map = folder / "map.pbstream"
-        known = read_tum(folder / "trajectory.tum")
-        way = Way(whole)
-        common = [(pose[1:], way.at(pose[0])) for pose in known if way.at(pose[0])]
-        put = align([c[0] for c in common], [c[1] for c in common])
-        self.truth = Way([(p[0], *put(p[1:])) for p in whole])
-        self.known = known
+        self.known = read_tum(folder / "trajectory.tum")
+        self.truth = Truth(whole, self.known)
 
     def contains(self, first, last):
         way = self.truth.between(first, last)

@@ -60,8 +60,7 @@ impl Belief {
         transition[(1, 2)] = turned.x;
         let (way, turn, time) = (motion.translation.norm(), motion.angle.abs(), seconds.clamp(0.0, 10.0));
         let shift = SHIFT_BY_WAY.powi(2) * way + SHIFT_BY_TIME.powi(2) * time;
-        let angle =
-            TURN_BY_WAY.powi(2) * way + TURN_BY_TURN.powi(2) * turn + TURN_BY_TIME.powi(2) * time;
+        let angle = TURN_BY_WAY.powi(2) * way + TURN_BY_TURN.powi(2) * turn + TURN_BY_TIME.powi(2) * time;
         let noise = Matrix3::from_diagonal(&na::Vector3::new(shift, shift, angle));
         self.covariance = transition * self.covariance * transition.transpose() + noise;
         self.pose = self.pose * *motion;

@@ -102,7 +102,8 @@ impl Finder {
             self.told = Some(ToldStart { map_from_scan, sigmas, local_from_scan });
         }
         let current = self.current(scan, local_from_scan);
-        let mode = std::mem::replace(&mut self.mode, Mode::Searching { places: Places::default(), lost: None });
+        let mode =
+            std::mem::replace(&mut self.mode, Mode::Searching { places: Places::default(), lost: None });
         let (mode, state, reason) = match mode {
             Mode::Searching { places, lost } => self.search(places, lost, &current),
             Mode::Tracking(track) => self.track(track, &current),
@@ -137,8 +138,7 @@ impl Finder {
         let last = self.last.replace(Last { time: scan.time, local_from_scan });
         let motion = last.map_or_else(Rigid2::identity, |l| l.local_from_scan.inverse() * local_from_scan);
         let seconds = last.map_or(0.0, |l| scan.time.seconds_since(l.time));
-        let offered =
-            self.recent.offer(KeyScan { time: scan.time, local_from_scan, scan: seen.clone() });
+        let offered = self.recent.offer(KeyScan { time: scan.time, local_from_scan, scan: seen.clone() });
         Current { time: scan.time, local_from_scan, motion, seconds, scan: seen, offered }
     }
 
@@ -150,19 +150,12 @@ impl Finder {
             places.all.iter_mut().for_each(|place| place.remember(oldest_left));
         }
         let is_new = current.offered != Offered::LeftOut;
-        let mut decision = Decision::Nothing;
-        if places.is_search_due(current.time, is_new) {
-            places.merge(self.propose(current), current.time);
-            places.prune();
-            decision = places.decide(&self.recent, self.told.as_ref(), &current.local_from_scan);
-        } else if !places.all.is_empty() {
-            places.prune();
-            decision = match places.decide(&self.recent, self.told.as_ref(), &current.local_from_scan) {
-                // Only right after a search it is known that nothing else fits.
-                Decision::Believed(best) => Decision::Tentative(best, Reason::TooLittleSeen),
-                other => other,
-            };
+        let is_due = places.is_search_due(current.time, is_new);
+        if is_due {
+            places.merge(self.propose(current, &places.all), current.time);
         }
+        places.prune();
+        let decision = places.decide(&self.recent, self.told.as_ref(), &current.local_from_scan, is_due);
         match decision {
             Decision::Believed(best) => {
                 let track = Track {
@@ -187,18 +180,18 @@ impl Finder {
     }
 
     /// Places where the recent scans fit, moved along to the current scan.
-    fn propose(&self, current: &Current) -> Vec<Hypothesis> {
-        let mut found = self.searcher.propose(&self.recent);
-        if let Some(newest) = self.recent.iter().next_back() {
-            if let Some(told) = &self.told {
-                let near = told.map_from_scan * told.local_from_scan.inverse() * newest.local_from_scan;
-                let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
-                let Searcher { map, matcher, .. } = &self.searcher;
-                found.extend(Hypothesis::within(map, matcher, &self.recent, &near, window));
-            }
-            let motion = newest.local_from_scan.inverse() * current.local_from_scan;
-            found.iter_mut().for_each(|place| place.predict(&motion, 0.0));
+    fn propose(&self, current: &Current, known: &[Hypothesis]) -> Vec<Hypothesis> {
+        let Some(newest) = self.recent.iter().next_back() else { return Vec::new() };
+        let motion = newest.local_from_scan.inverse() * current.local_from_scan;
+        let is_known = |pose: &Rigid2| known.iter().any(|place| place.is_at(&(*pose * motion)));
+        let mut found = self.searcher.propose(&self.recent, &is_known);
+        if let Some(told) = &self.told {
+            let near = told.map_from_scan * told.local_from_scan.inverse() * newest.local_from_scan;
+            let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
+            let Searcher { map, matcher, .. } = &self.searcher;
+            found.extend(Hypothesis::within(map, matcher, &self.recent, &near, window));
         }
+        found.iter_mut().for_each(|place| place.predict(&motion, 0.0));
         found
     }
 
@@ -234,7 +227,7 @@ impl Finder {
             _ => {}
         }
         if track.is_check_due(current.time) {
-            let rivals = self.propose(current);
+            let rivals = self.propose(current, std::slice::from_ref(&track.place));
             if let Some(places) = track.check(rivals, current.time) {
                 let reason = Reason::AnotherPlaceFitsBetter;
                 return (Mode::Searching { places, lost: Some(reason) }, State::Lost, reason);

@@ -88,7 +88,6 @@ impl Hypothesis {
         self.fits.iter().map(fit).sum::<f64>() / self.fits.len().max(1) as f64
     }
 
-
     /// Goes along with local SLAM, without looking.
     pub fn predict(&mut self, motion: &Rigid2, seconds: f64) {
         self.belief.predict(motion, seconds);
@@ -120,7 +119,12 @@ impl Hypothesis {
 
     /// Whether both are one place.
     pub fn is_same_place(&self, other: &Self) -> bool {
-        let (a, b) = (&self.belief.pose, &other.belief.pose);
+        self.is_at(&other.belief.pose)
+    }
+
+    /// Whether a pose is that of this place.
+    pub fn is_at(&self, b: &Rigid2) -> bool {
+        let a = &self.belief.pose;
         (a.translation - b.translation).norm() < SAME_PLACE.0
             && normalize_angle(a.angle - b.angle).abs() < SAME_PLACE.1
     }

@@ -81,8 +81,7 @@ impl Localizer {
         sensors: &BTreeSet<SensorId>,
         settings: &LocalizerSettings,
     ) -> Result<Self, LocalizerError> {
-        let ranges: Vec<SensorId> =
-            sensors.iter().filter(|s| s.kind == SensorKind::Range).cloned().collect();
+        let ranges: Vec<SensorId> = sensors.iter().filter(|s| s.kind == SensorKind::Range).cloned().collect();
         let mut collation = SensorCollation::new(options.map_builder.collate_by_trajectory);
         collation.add_trajectory(TRAJECTORY, sensors, &options.trajectory_builder);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build()?;

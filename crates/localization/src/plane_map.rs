@@ -115,9 +115,8 @@ impl Placed {
     /// Corners in the map.
     fn corners(&self) -> [Vector2; 4] {
         let (max, size) = (self.limits.max(), self.size());
-        [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]].map(|[x, y]| {
-            self.map_from_grid.transform_point(&(max - Vector2::new(x * size.x, y * size.y)))
-        })
+        [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+            .map(|[x, y]| self.map_from_grid.transform_point(&(max - Vector2::new(x * size.x, y * size.y))))
     }
 
     fn size(&self) -> Vector2 {
@@ -197,7 +196,8 @@ fn fuse(placed: &[Placed], limits: MapLimits) -> ProbabilityGrid {
 fn cells_around(submap: &Placed, limits: &MapLimits) -> impl Iterator<Item = CellIndex> + use<> {
     let corners = submap.corners().map(|p| limits.cell_index(p.cast::<f32>()));
     let range = |value: fn(&CellIndex) -> i32, count: u32| {
-        let (low, high) = corners.iter().map(value).fold((i32::MAX, i32::MIN), |(l, h), v| (l.min(v), h.max(v)));
+        let (low, high) =
+            corners.iter().map(value).fold((i32::MAX, i32::MIN), |(l, h), v| (l.min(v), h.max(v)));
         low.saturating_sub(1).max(0)..high.saturating_add(2).min(count as i32)
     };
     let (x, y) = (range(|c| c.x, limits.num_x_cells()), range(|c| c.y, limits.num_y_cells()));
@@ -210,7 +210,8 @@ fn coarsened(grid: &ProbabilityGrid) -> Result<ProbabilityGrid, GridError> {
     let factor = ((COARSE / fine.resolution()).round() as u32).max(1);
     let count = |cells: u32| cells.div_ceil(factor);
     let resolution = fine.resolution() * f64::from(factor);
-    let limits = MapLimits::new(resolution, fine.max(), count(fine.num_x_cells()), count(fine.num_y_cells()))?;
+    let limits =
+        MapLimits::new(resolution, fine.max(), count(fine.num_x_cells()), count(fine.num_y_cells()))?;
     let mut largest = vec![0.0_f32; limits.num_cells()];
     let (columns, rows) = (fine.num_x_cells() as i32, fine.num_y_cells() as i32);
     let coarse_cell = |cell: CellIndex| CellIndex::new(cell.x / factor as i32, cell.y / factor as i32);

@@ -25,8 +25,8 @@ mod testing;
 pub use correlative::{
     FastCorrelativeMatcher2d, FastCorrelativeMatcher3d, FastCorrelativeOptions2d, FastCorrelativeOptions3d,
     FastMatch3d, MatchResult, NodeToFind, RealTimeCorrelativeMatcher2d, RealTimeCorrelativeMatcher3d,
-    RealTimeCorrelativeOptions, SearchReach3d, SeveralPlaces, SubmapToSearch, histogram_similarity, judge_placement_3d,
-    rotate_histogram, rotational_histogram,
+    RealTimeCorrelativeOptions, SearchReach3d, SeveralPlaces, SubmapToSearch, histogram_similarity,
+    judge_placement_3d, rotate_histogram, rotational_histogram,
 };
 pub use error::MatcherOptionError;
 pub use gradient::{

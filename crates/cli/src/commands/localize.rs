@@ -4,17 +4,13 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use portolan::job::{
-    Event, Found, JobError, LocalizeRequest, LocalizedRecording, localize, write_localized,
-};
+use portolan::job::{Event, Found, JobError, LocalizeRequest, LocalizedRecording, localize, write_localized};
 use portolan_geometry::Rigid3;
 use portolan_localization::{StartPose, State};
 use portolan_recording::{Recording, open_all};
 
 use super::argument::{start_pose, start_sigma};
-use super::map::{
-    ConfigArgs, CutArgs, SensorArgs, ingest_options, nothing_left, remarks, requested_options,
-};
+use super::map::{ConfigArgs, CutArgs, SensorArgs, ingest_options, nothing_left, remarks, requested_options};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::Saving;
@@ -82,8 +78,7 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     };
     let saving = Saving::begin();
     let localized = localize_with_progress(recording.as_ref(), &request, global);
-    let localized =
-        localized.map_err(|error| nothing_left(error.into(), recording.as_ref(), &args.cut))?;
+    let localized = localized.map_err(|error| nothing_left(error.into(), recording.as_ref(), &args.cut))?;
     let seconds = begin.elapsed().as_secs_f64();
     let files = write_localized(&localized, &request.folder, seconds, &mut remarks(global))?;
     drop(saving);

@@ -147,8 +147,7 @@ impl FastCorrelativeMatcher2d {
         let (centre, everywhere) = self.everywhere();
         let min_inside = self.min_points_inside(points.len(), wanted.min_score);
         let (Some(min_inside), false) = (min_inside, points.is_empty()) else { return Vec::new() };
-        let window =
-            SearchWindow::new(&points, self.limits.resolution(), everywhere, std::f64::consts::PI);
+        let window = SearchWindow::new(&points, self.limits.resolution(), everywhere, std::f64::consts::PI);
         let mut search = self.joint_search(&points, &centre, window, min_inside);
         let found = search.run_several(wanted.min_score, wanted.share_of_best, wanted.lookups);
         let mut places: Vec<MatchResult<Rigid2>> = Vec::new();

@@ -46,7 +46,9 @@ pub enum JobError {
         reason: KnownMapError,
     },
     /// A recording in 3D, or a map in 3D.
-    #[error("localisation works in 2D so far, and {0} is in 3D; `portolan map RECORDING --from MAP --frozen` finds it")]
+    #[error(
+        "localisation works in 2D so far, and {0} is in 3D; `portolan map RECORDING --from MAP --frozen` finds it"
+    )]
     LocalizationInSpace(&'static str),
     /// Localisation could not begin.
     #[error(transparent)]

@@ -107,11 +107,7 @@ struct LoadedMap {
     issues: IssueLog,
 }
 
-fn load(
-    request: &LocalizeRequest,
-    options: &Options,
-    observe: &mut Observer,
-) -> Result<LoadedMap, JobError> {
+fn load(request: &LocalizeRequest, options: &Options, observe: &mut Observer) -> Result<LoadedMap, JobError> {
     let known = KnownMaps { files: vec![request.map.clone()], frozen: FrozenTrajectories::All, start: None };
     let known = known.load::<Planar>(options, observe)?;
     let planar = PlanarMap::new(known.graph.state());

@@ -146,9 +146,10 @@ pub fn write_localized(
 
 /// One line a scan. Numbers are missing where no place is known.
 fn csv(localized: &LocalizedRecording) -> String {
-    let mut text = "time,state,reason,x,y,yaw,cov_xx,cov_xy,cov_x_yaw,cov_yy,cov_y_yaw,cov_yaw_yaw,explained,\
+    let mut text =
+        "time,state,reason,x,y,yaw,cov_xx,cov_xy,cov_x_yaw,cov_yy,cov_y_yaw,cov_yaw_yaw,explained,\
                     in_free_space,through_solid\n"
-        .to_owned();
+            .to_owned();
     for estimate in &localized.estimates {
         let time = localized.recorded(estimate.time).unix_decimal();
         let _ = write!(text, "{time},{},{}", estimate.state, estimate.reason.name());
