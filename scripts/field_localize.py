@@ -186,9 +186,13 @@ class Log:
         self.known = read_tum(folder / "trajectory.tum")
         self.truth = Truth(whole, self.known)
 
+    def reached(self, first, last):
+        """When the way first comes near that of the map; None if it never does."""
+        near = lambda p: any(math.hypot(p[1] - q[1], p[2] - q[2]) < NEAR for q in self.known[::5])
+        return next((p[0] for p in self.truth.between(first, last)[::5] if near(p)), None)
+
     def contains(self, first, last):
-        way = self.truth.between(first, last)
-        return any(math.hypot(p[1] - q[1], p[2] - q[2]) < NEAR for p in way[::5] for q in self.known[::5])
+        return self.reached(first, last) is not None
 
     def localize(self, recording, folder, options):
         code, cpu = run([self.program, "localize", self.map, recording, "-o", folder, "-q", "--threads", 1, *options])
@@ -200,7 +204,8 @@ class Log:
         with tempfile.TemporaryDirectory() as results:
             folder = pathlib.Path(results)
             code, cpu = self.localize(self.recording, folder, ["--skip", skip, "--duration", seconds])
-            figures = {"skip": skip, "code": code, "cpu": cpu, "known": self.contains(first, first + seconds)}
+            reached = self.reached(first, first + seconds)
+            figures = {"skip": skip, "code": code, "cpu": cpu, "known": reached is not None, "reached": reached}
             if not (folder / "poses.csv").exists():
                 return figures | {"rows": [], "changes": []}
             report = json.loads((folder / "report.json").read_text())
@@ -210,7 +215,7 @@ class Log:
 def summary(log, pieces):
     known = [p for p in pieces if p["known"]]
     outside = [p for p in pieces if not p["known"]]
-    right, times, wrong = 0, [], []
+    right, times, inside, wrong = 0, [], [], []
     for piece in pieces:
         localised = [row for row in piece["rows"] if row[1] == "localised"]
         false = longest_false(piece["rows"])
@@ -220,6 +225,8 @@ def summary(log, pieces):
         if piece["known"] and first:
             right += 1
             times.append(first[0] - piece["rows"][0][0])
+            inside.append(max(first[0] - piece["reached"], 0.0))
+    late = [p for p in known if p["rows"] and p["reached"] - p["rows"][0][0] > 30]
     rows = [row for piece in pieces for row in piece["rows"] if row[1] == "localised" and row[2] is not None]
     good = [row for row in rows if not is_wrong(row)]
     middle = lambda values: statistics.median(values) if values else float("nan")
@@ -227,11 +234,13 @@ def summary(log, pieces):
     all_rows = [row for piece in known for row in piece["rows"]]
     print(f"{log.name:10} found {right}/{len(known)} ({share(right, len(known)):.0f} %), after {middle(times):.1f} s "
           f"(90 %: {sorted(times)[int(0.9 * len(times))] if times else float('nan'):.1f} s), "
+          f"{middle(inside):.1f} s after it came near the map's way, "
           f"false > {LASTING:.0f} s: {len(wrong)}, error {middle([row[2] for row in good]):.3f} m {middle([row[3] for row in good]):.2f} deg, "
           f"localised {share(sum(row[1] == 'localised' for row in all_rows), len(all_rows)):.0f} % of scans, "
           f"NEES {statistics.fmean(min(row[4], 100) for row in good) if good else float('nan'):.1f} (3), "
           f"95 % within: {share(sum(row[4] < 7.815 for row in good), len(good)):.0f} %; "
-          f"outside {len(outside)}, localised there: {sum(any(r[1] == 'localised' for r in p['rows']) for p in outside)}; "
+          f"outside {len(outside)}, localised there: {sum(any(r[1] == 'localised' for r in p['rows']) for p in outside)} "
+          f"(wrongly {sum(any(is_wrong(r) for r in p['rows']) for p in outside)}); {len(late)} come near only after 30 s; "
           f"{middle([p['cpu'] for p in pieces]):.1f} CPU-s a piece", flush=True)
     missed = [round(p["skip"]) for p in known if not any(r[1] == "localised" and not is_wrong(r) for r in p["rows"])]
     if missed or wrong:

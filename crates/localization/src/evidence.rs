@@ -10,8 +10,8 @@ const MOST_CONTRADICTION: f32 = 0.35;
 /// … and speaks against it if the map contradicts so much of what it knows, where it knows at least that share.
 const CONTRADICTION: f32 = 0.5;
 const KNOWN: f32 = 0.25;
-/// So many seconds of scans that support bring full support, so many that contradict or that the map knows nothing of
-/// take it all. A scan counts for at least one time step and at most for a share of the whole.
+/// So many seconds of scans that support bring full support, so many that contradict or that say nothing clear take it
+/// all. A scan counts for at least one time step and at most for a share of the whole.
 const SECONDS_TO_SUPPORT: f64 = 1.5;
 const SECONDS_TO_CONTRADICT: f64 = 1.6;
 const SECONDS_OF_NOTHING: f64 = 6.0;
@@ -66,8 +66,7 @@ impl Support {
         let step = |whole: f64| (seconds / whole).min(MOST_OF_ONE_SCAN);
         self.level += match verdict {
             Verdict::Supports => step(SECONDS_TO_SUPPORT),
-            Verdict::Mixed => 0.0,
-            Verdict::Unknown => -step(SECONDS_OF_NOTHING),
+            Verdict::Mixed | Verdict::Unknown => -step(SECONDS_OF_NOTHING),
             Verdict::Contradicts => -step(SECONDS_TO_CONTRADICT),
         };
         self.level = self.level.clamp(0.0, 1.0);

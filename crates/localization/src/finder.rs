@@ -200,13 +200,13 @@ impl Finder {
         let Searcher { map, matcher, .. } = &self.searcher;
         track.place.predict(&current.motion, current.seconds);
         track.place.look(map, matcher, &current.scan);
-        let mut verdict = Verdict::of(&track.place.agreement);
-        if matches!(verdict, Verdict::Contradicts | Verdict::Mixed) {
+        let verdict = Verdict::of(&track.place.agreement);
+        if verdict == Verdict::Contradicts {
             let wide = matcher.find(map, &current.scan, &track.place.belief.pose, SLIPPED);
             let is_better = fit(&wide.agreement) > fit(&track.place.agreement) + SLIPPED_FIT;
             if is_better && Verdict::of(&wide.agreement) == Verdict::Supports {
                 track.place.slip(&wide, SLIPPED_SIGMAS);
-                verdict = Verdict::Contradicts;
+                track.support.doubt();
             }
         }
         track.support.add(verdict, current.time);

@@ -27,9 +27,9 @@ const REFUTED_BY: f64 = 0.3;
 const FIT: f64 = 0.45;
 const LEAD: f64 = 0.2;
 const FIT_AND_LEAD: f64 = 0.85;
-/// Each of them is higher by so much for a scanner that stands; after this way, metres, where a radian of turning counts as
+/// Each of them is higher by so much for a scanner that stands, because one view says little; after this way, metres, where a radian of turning counts as
 /// so many metres, no more.
-const STANDING: f64 = 0.1;
+const STANDING: f64 = 0.2;
 const MOVED: f64 = 1.5;
 const METRES_PER_RADIAN: f64 = 0.5;
 /// And after so many searches that proposed nothing better.
