@@ -14,9 +14,10 @@ const TURN_BY_WAY: f64 = 0.012;
 const TURN_BY_TURN: f64 = 0.02;
 const SHIFT_BY_TIME: f64 = 0.005;
 const TURN_BY_TIME: f64 = 0.001;
-/// What no number of scans makes smaller: walls of the map lie where the map's own error puts them, metres and radians.
-const MAP_ERROR: f64 = 0.025;
-const MAP_TURN: f64 = 0.005;
+/// What no number of scans makes smaller: walls of the map lie where the map's own error and its cells put them, metres and
+/// radians. About what maps of the halves of real logs are bent against those of the whole within a few metres.
+const MAP_ERROR: f64 = 0.035;
+const MAP_TURN: f64 = 0.008;
 /// Two matches are independent after this way, this turn or this time; nearer ones see the same errors of the map.
 const INDEPENDENT_METRES: f64 = 0.5;
 const INDEPENDENT_RADIANS: f64 = 0.35;
@@ -107,13 +108,13 @@ mod tests {
         for _ in 0..100 {
             belief.predict(&Rigid2::new(0.5, 0.0, 0.0), 0.5);
             let found = Rigid2::new(belief.pose.translation.x + 3.0, 0.0, 0.0);
-            assert!(belief.distance(&found, &across) < 9.0 + 2.0 * 100.0);
+            assert!(belief.distance(&found, &across) < 200.0);
             belief.update(&found, &across);
         }
         let covariance = belief.covariance();
         // 4 cm a root of a metre over 50 m, and what it began with.
         assert!((covariance[(0, 0)].sqrt() - 0.35).abs() < 0.05, "{covariance}");
-        assert!(covariance[(1, 1)].sqrt() < 0.04 && (belief.pose.translation.x - 50.0).abs() < 1e-6);
+        assert!(covariance[(1, 1)].sqrt() < 0.05 && (belief.pose.translation.x - 50.0).abs() < 1e-6);
     }
 
     #[test]

@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn sparse_scans_count_as_scans_and_a_door_is_no_loss() {
         let mut support = Support::full();
-        (0..3).for_each(|i| support.add(Verdict::Contradicts, at(60.0 * f64::from(i))));
+        (0..4).for_each(|i| support.add(Verdict::Contradicts, at(60.0 * f64::from(i))));
         assert!(support.contradicted_since().is_none() && !support.is_sure());
         let mut support = Support::full();
         (0..5).for_each(|i| support.add(Verdict::Contradicts, at(0.1 * f64::from(i))));
