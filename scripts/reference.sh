@@ -29,7 +29,7 @@ verbs() {
     "$program" --help
     printf '```\n'
     local name
-    for name in demo map info check; do verb "$name"; done
+    for name in demo map localize info check; do verb "$name"; done
     for name in show explain reference check; do verb config "$name"; done
     for name in relations trajectory cloud generate loops; do verb evaluate "$name"; done
     for name in render edit convert optimize refine register repair migrate simulate compat completions man; do

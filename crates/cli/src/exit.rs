@@ -12,7 +12,7 @@ pub enum ExitStatus {
     Failed = 1,
     /// The command line asks for something impossible.
     Usage = 2,
-    /// Done, but something is missing: data of the input, or ties between the pieces of a map.
+    /// Done, but something is missing: data of the input, ties between the pieces of a map, or places in a known map.
     Loss = 3,
     /// It ran to its end, but nothing of the result can be trusted.
     Untrusted = 4,
@@ -24,8 +24,8 @@ pub enum ExitStatus {
 
 impl ExitStatus {
     /// The table, for help pages.
-    pub const TABLE: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done with loss (data of the input, or \
-        ties between pieces of a map, are missing); 4 ran to its end, but nothing of the result can be trusted \
+    pub const TABLE: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done with loss (data of the input, ties \
+        between pieces of a map, or places of a recording in a known map are missing); 4 ran to its end, but nothing of the result can be trusted \
         (clouds that do not overlap, a known map that was not found, a start that is refuted, a refinement that was \
         refused); 130 interrupted; 141 nobody read the output.";
 }

@@ -15,6 +15,7 @@ mod point_picture;
 pub mod points;
 mod raster;
 mod tum;
+mod way;
 mod xray;
 
 pub use colour::{Rgb, hsv, mix, palette, rgb, to_bytes};
@@ -29,4 +30,5 @@ pub use png_file::{write_grey_map, write_picture};
 pub use point_picture::{PointImage, PointView, encode_grey};
 pub use raster::{Frame, MapColours};
 pub use tum::{tum_line, write_tum};
+pub use way::{ColouredLine, draw_way};
 pub use xray::{CloudSample, Extent, XrayPicture, XrayView, colour_of_share};

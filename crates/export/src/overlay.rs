@@ -5,6 +5,7 @@ use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, PathBuilder, PixmapMu
 use crate::colour::{Rgb, palette, rgb};
 use crate::font::{draw_text, text_width};
 use crate::raster::Frame;
+use crate::way::ColouredLine;
 
 /// Start and end of a trajectory.
 const START: Rgb = rgb(0x2ca02c);
@@ -84,6 +85,21 @@ pub fn draw_trajectories(pixmap: &mut PixmapMut, frame: &Frame, lines: &[Traject
                 fill_circle(pixmap, x, y, (radius + 1.6) * scale, &solid_paint(WHITE, 0.95));
                 fill_circle(pixmap, x, y, radius * scale, &solid_paint(colour, 1.0));
             }
+        }
+    }
+}
+
+/// Draws lines each in its colour, the last on top; those of a single position as dots.
+pub fn draw_coloured(pixmap: &mut PixmapMut, frame: &Frame, lines: &[ColouredLine], scale: f32) {
+    for line in lines {
+        stroke_line(pixmap, frame, &line.points, &solid_paint(WHITE, 0.65), 4.6 * scale);
+    }
+    for line in lines {
+        let paint = solid_paint(line.colour, 0.95);
+        stroke_line(pixmap, frame, &line.points, &paint, 2.6 * scale);
+        if let [point] = line.points[..] {
+            let (x, y) = frame.pixel(point);
+            fill_circle(pixmap, x, y, 1.6 * scale, &paint);
         }
     }
 }

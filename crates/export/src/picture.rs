@@ -145,7 +145,7 @@ fn emptiest(canvas: PixmapRef, places: [[f32; 4]; 4], ground: [u8; 3]) -> [f32; 
 }
 
 /// White paper where only walls are known (3D seen from above), grey where free space is known.
-fn suitable_colours(textures: &[PlacedTexture]) -> MapColours {
+pub(crate) fn suitable_colours(textures: &[PlacedTexture]) -> MapColours {
     let (mut free, mut known) = (0_u64, 0_u64);
     for placed in textures {
         free += placed.texture.free_count() as u64;
@@ -155,7 +155,7 @@ fn suitable_colours(textures: &[PlacedTexture]) -> MapColours {
     MapColours { free: rgb(0xffffff), occupied: rgb(0x14181d), unknown }
 }
 
-fn frame(content: &MapContent, options: &PictureOptions) -> Result<Frame, PictureError> {
+pub(crate) fn frame(content: &MapContent, options: &PictureOptions) -> Result<Frame, PictureError> {
     if !(16..=MAX_EDGE).contains(&options.max_edge) {
         return Err(PictureError::MaxEdge(options.max_edge));
     }

@@ -28,6 +28,7 @@ mod submap_2d;
 mod submap_3d;
 
 pub use backend::{BackendProgress, MapperError};
+pub use collation::{Ready, SensorCollation};
 pub use constraint::{Constraint, ConstraintTag};
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
 pub use latency::LatencyHistogram;

@@ -12,6 +12,7 @@ mod error;
 pub mod gradient;
 pub mod grid;
 mod planar_transform;
+mod surface;
 mod voxel_order;
 
 #[cfg(test)]
@@ -24,8 +25,8 @@ mod testing;
 pub use correlative::{
     FastCorrelativeMatcher2d, FastCorrelativeMatcher3d, FastCorrelativeOptions2d, FastCorrelativeOptions3d,
     FastMatch3d, MatchResult, NodeToFind, RealTimeCorrelativeMatcher2d, RealTimeCorrelativeMatcher3d,
-    RealTimeCorrelativeOptions, SearchReach3d, SubmapToSearch, histogram_similarity, judge_placement_3d,
-    rotate_histogram, rotational_histogram,
+    RealTimeCorrelativeOptions, SearchReach3d, SeveralPlaces, SubmapToSearch, histogram_similarity,
+    judge_placement_3d, rotate_histogram, rotational_histogram,
 };
 pub use error::MatcherOptionError;
 pub use gradient::{
@@ -40,3 +41,4 @@ pub use grid::{
     score_difference,
 };
 pub use planar_transform::PlanarTransform;
+pub use surface::surface_tangents;

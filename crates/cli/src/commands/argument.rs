@@ -93,6 +93,17 @@ pub fn start_pose(text: &str) -> Result<Rigid3, String> {
     pose.map_err(|_| format!("expected {NAMES}, not \"{text}\""))
 }
 
+/// How well a start is known: standard deviations of the position, metres, and of the heading, degrees.
+pub fn start_sigma(text: &str) -> Result<(f64, f64), String> {
+    let [metres, degrees] = match text.contains(',') {
+        true => numbers::<2>(text, "METRES,DEGREES")?,
+        false => numbers::<1>(text, "METRES,DEGREES").map(|[metres]| [metres, 10.0])?,
+    };
+    let is_possible = (0.01..=1000.0).contains(&metres) && (0.1..=180.0).contains(&degrees);
+    let bounds = || format!("expected 0.01 to 1000 metres and 0.1 to 180 degrees, not \"{text}\"");
+    if is_possible { Ok((metres, degrees.to_radians())) } else { Err(bounds()) }
+}
+
 /// Trajectory and index of a submap or node: `0,12`, or `12` for trajectory 0.
 pub fn id(text: &str) -> Result<IdInFile, String> {
     let bad = || format!("expected TRAJECTORY,INDEX, not \"{text}\"");
@@ -131,6 +142,13 @@ mod tests {
         assert_eq!(pose("1,2,3,0,0,45"), pose("1,2,3,45"));
         assert!((pose("1,2,3,20,0,0").rotation.euler_angles().0.to_degrees() - 20.0).abs() < 1e-9);
         assert!(["1,2", "1,2,3,4,5", "1,2,x", ""].iter().all(|text| start_pose(text).is_err()));
+    }
+
+    #[test]
+    fn how_well_a_start_is_known() {
+        assert_eq!(start_sigma("2,90"), Ok((2.0, 90f64.to_radians())));
+        assert_eq!(start_sigma("0.3"), Ok((0.3, 10f64.to_radians())));
+        assert!(["0", "-1,10", "1,0", "nan", "1,2,3"].iter().all(|text| start_sigma(text).is_err()));
     }
 
     #[test]

@@ -64,6 +64,13 @@ pub struct MapArgs {
     #[arg(long)]
     pub all_poses: bool,
 
+    #[command(flatten)]
+    pub cut: CutArgs,
+}
+
+/// Which part of the recording is used.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct CutArgs {
     /// Leave out the first seconds of the recording.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = seconds, allow_negative_numbers = true)]
     pub skip: f64,
@@ -223,9 +230,8 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;
-    let configuration = load_options(&args.config)?;
-    let requested = RequestedOptions { configuration, settings: settings(&args) };
-    let ingest = ingest_options(&args, &requested)?;
+    let requested = requested_options(&args.sensors, &args.config)?;
+    let ingest = ingest_options(&args.sensors, &args.cut, &requested)?;
     let request = MapRequest {
         folder,
         ingest,
@@ -251,7 +257,7 @@ fn finish<S: ResultSpace>(
     global: &GlobalArgs,
 ) -> Result<Outcome, CliError> {
     let mapped = run_job::<S>(job, recording, global);
-    let mapped = mapped.map_err(|error| nothing_left(error, recording, args))?;
+    let mapped = mapped.map_err(|error| nothing_left(error, recording, &args.cut))?;
     Ok(match Localisation::of(&mapped) {
         Some(found) if !found.is_trusted() => Outcome::Untrusted,
         _ if mapped.lost_data() => Outcome::DataLost,
@@ -305,15 +311,19 @@ fn load_options(config: &ConfigArgs) -> Result<Option<Options>, CliError> {
     Ok(Some(loaded.options))
 }
 
-/// Settings to change, in this order: what is said by name of an option comes last.
-fn settings(args: &MapArgs) -> Vec<String> {
-    let gnss = args.sensors.gnss.then(|| "use_nav_sat=true".to_owned());
-    gnss.into_iter().chain(args.config.set.iter().cloned()).collect()
+/// The configuration, and settings to change in this order: what is said by name of an option comes last.
+pub fn requested_options(sensors: &SensorArgs, config: &ConfigArgs) -> Result<RequestedOptions, CliError> {
+    let gnss = sensors.gnss.then(|| "use_nav_sat=true".to_owned());
+    let settings = gnss.into_iter().chain(config.set.iter().cloned()).collect();
+    Ok(RequestedOptions { configuration: load_options(config)?, settings })
 }
 
 /// What the command line and options say of the sensors.
-fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<IngestOptions, CliError> {
-    let sensors = &args.sensors;
+pub fn ingest_options(
+    sensors: &SensorArgs,
+    cut: &CutArgs,
+    requested: &RequestedOptions,
+) -> Result<IngestOptions, CliError> {
     let mut ingest = IngestOptions {
         range_topics: sensors.scan.iter().chain(&sensors.points).cloned().collect(),
         odometry_topic: sensors.odom.clone(),
@@ -323,8 +333,8 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
         beam_elevation: sensors.beam_elevation,
         stamps: sensors.stamps.into(),
         time_offsets: shifts(&sensors.time_offset),
-        skip: Duration::from_seconds(args.skip),
-        length: args.duration.map(Duration::from_seconds),
+        skip: Duration::from_seconds(cut.skip),
+        length: cut.duration.map(Duration::from_seconds),
         ..IngestOptions::default()
     };
     requested.configure(&mut ingest).map_err(|e| CliError::Usage(e.to_string()))?;
@@ -347,9 +357,9 @@ fn ingest_options(args: &MapArgs, requested: &RequestedOptions) -> Result<Ingest
 }
 
 /// Names --skip and --duration where they left no scan.
-fn nothing_left(error: CliError, recording: &dyn Recording, args: &MapArgs) -> CliError {
-    let length = args.duration.map(|seconds| format!("--duration {seconds}"));
-    let skip = (args.skip > 0.0).then(|| format!("--skip {}", args.skip));
+pub fn nothing_left(error: CliError, recording: &dyn Recording, cut: &CutArgs) -> CliError {
+    let length = cut.duration.map(|seconds| format!("--duration {seconds}"));
+    let skip = (cut.skip > 0.0).then(|| format!("--skip {}", cut.skip));
     let cuts: Vec<String> = skip.into_iter().chain(length).collect();
     if cuts.is_empty() || interrupt::interrupted() || !matches!(error, CliError::NoScans(_)) {
         return error;

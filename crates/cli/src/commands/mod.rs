@@ -10,6 +10,7 @@ mod demo;
 mod edit;
 mod evaluate;
 mod info;
+mod localize;
 mod man;
 mod map;
 mod migrate;
@@ -28,6 +29,7 @@ use crate::error::{CliError, Outcome};
 pub enum Command {
     Demo(demo::DemoArgs),
     Map(Box<map::MapArgs>),
+    Localize(Box<localize::LocalizeArgs>),
     Info(info::InfoArgs),
     Check(check::CheckArgs),
     Config(config::ConfigArgs),
@@ -51,6 +53,7 @@ pub fn run(command: Command, global: &GlobalArgs) -> Result<Outcome, CliError> {
     match command {
         Command::Demo(args) => demo::run(args, global),
         Command::Map(args) => map::run(*args, global),
+        Command::Localize(args) => localize::run(&args, global),
         Command::Info(args) => info::run(&args, global),
         Command::Check(args) => check::run(&args, global),
         Command::Config(args) => config::run(&args, global),

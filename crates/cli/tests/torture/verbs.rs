@@ -38,6 +38,7 @@ pub fn taking(kind: Kind) -> &'static [Verb] {
             &["evaluate", "generate", "FILE", "-o", "OUT.relations"],
             &["evaluate", "trajectory", "FILE", "TUM"],
             &["map", "BAG", "--from", "FILE", "-o", "OUT", "--duration", "1"],
+            &["localize", "FILE", "BAG", "-o", "OUT", "--duration", "1"],
         ],
         Kind::Graph => &[
             &["optimize", "FILE", "-o", "OUT.g2o"],

@@ -31,6 +31,40 @@ pub(crate) struct Best<P> {
     max_ties: usize,
     /// Look-ups of cells that may still be made.
     lookups_left: u64,
+    /// Everything nearly as good as the best, where that is wanted.
+    several: Option<Several<P>>,
+}
+
+/// Placements that score at least a share of the best score.
+#[derive(Clone, Debug)]
+struct Several<P> {
+    share: f32,
+    /// Only scores above this count now.
+    floor: f32,
+    found: Vec<(f32, P)>,
+}
+
+/// Of more placements than this the better half is kept.
+const MAX_SEVERAL: usize = 1 << 17;
+
+impl<P: Copy + Ord> Several<P> {
+    fn offer(&mut self, placement: P, score: f32) {
+        if score <= self.floor {
+            return;
+        }
+        self.floor = self.floor.max(self.share * score);
+        self.found.push((score, placement));
+        if self.found.len() > MAX_SEVERAL {
+            self.sort();
+            self.found.truncate(MAX_SEVERAL / 2);
+            self.floor = self.found.last().map_or(self.floor, |(score, _)| self.floor.max(*score));
+        }
+    }
+
+    /// The best first, among equals in the order of placements.
+    fn sort(&mut self) {
+        self.found.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    }
 }
 
 /// After this many boxes whose bound only equals the best score, equal placements are no longer looked
@@ -53,7 +87,15 @@ impl<P: Copy + Ord> Best<P> {
             tied_boxes: 0,
             max_ties: MAX_TIES,
             lookups_left: MAX_LOOKUPS,
+            several: None,
         }
+    }
+
+    /// Nothing yet; wanted is all that scores above `min_score` and above `share` of the best score. After
+    /// so many look-ups of cells the search ends with what it has.
+    pub fn several_above(min_score: f32, share: f32, lookups: u64) -> Self {
+        let several = Some(Several { share, floor: min_score, found: Vec::new() });
+        Self { lookups_left: lookups, several, ..Self::above(min_score) }
     }
 
     /// Nothing yet; only scores above `min_score` count, and one placement with the best one is enough.
@@ -64,6 +106,9 @@ impl<P: Copy + Ord> Best<P> {
     /// Whether something with this bound may still change the result.
     #[inline]
     pub fn is_promising(&self, bound: f32) -> bool {
+        if let Some(several) = &self.several {
+            return bound > several.floor && self.lookups_left > 0;
+        }
         let is_better = bound > self.score || (bound == self.score && self.collects_ties());
         is_better && self.lookups_left > 0
     }
@@ -82,7 +127,9 @@ impl<P: Copy + Ord> Best<P> {
 
     /// Takes a placement into account.
     pub fn offer(&mut self, placement: P, score: f32) {
-        if score > self.score {
+        if let Some(several) = &mut self.several {
+            several.offer(placement, score);
+        } else if score > self.score {
             self.score = score;
             self.placements.clear();
             self.tied_boxes = 0;
@@ -99,6 +146,14 @@ impl<P: Copy + Ord> Best<P> {
         }
         self.placements.sort_unstable();
         (self.score, self.placements)
+    }
+
+    /// All placements that were wanted with their scores, the best first.
+    fn finish_several(self) -> Vec<(f32, P)> {
+        let Some(mut several) = self.several else { return Vec::new() };
+        several.sort();
+        several.found.retain(|(score, _)| *score > several.floor);
+        several.found
     }
 }
 
@@ -135,14 +190,27 @@ pub(crate) fn best_first<B: Branching>(
     boxes: &mut B,
     mut best: Best<B::Placement>,
 ) -> (f32, Vec<B::Placement>) {
+    search_best_first(boxes, &mut best);
+    best.finish()
+}
+
+/// As [`best_first`] with what [`Best::several_above`] started: everything that was wanted, the best first.
+pub(crate) fn best_first_several<B: Branching>(
+    boxes: &mut B,
+    mut best: Best<B::Placement>,
+) -> Vec<(f32, B::Placement)> {
+    search_best_first(boxes, &mut best);
+    best.finish_several()
+}
+
+fn search_best_first<B: Branching>(boxes: &mut B, best: &mut Best<B::Placement>) {
     let mut waiting = BinaryHeap::new();
-    boxes.roots(&mut best, &mut |node| waiting.push(node));
+    boxes.roots(best, &mut |node| waiting.push(node));
     while let Some(node) = waiting.pop()
         && best.is_promising(node.bound)
     {
-        split(boxes, &node, &mut best, &mut waiting);
+        split(boxes, &node, best, &mut waiting);
     }
-    best.finish()
 }
 
 /// Searches in bounded time: of the boxes of each size only the `width` most promising ones are split. What is
@@ -257,6 +325,17 @@ mod tests {
         assert_eq!(beam(&mut line, Best::single_above(0.2), 4), (0.9, vec![700]));
         assert!(line.1 <= 2 * 4 * 10, "{}", line.1);
         assert_eq!(beam(&mut Line(|_| 0.1, 0), Best::single_above(0.2), 4), (0.2, vec![]));
+    }
+
+    #[test]
+    fn everything_nearly_as_good_is_found() {
+        let score = |i: u32| match i {
+            700 => 0.9,
+            20 | 300 => 0.8,
+            _ => 0.3,
+        };
+        let all = best_first_several(&mut Line(score, 0), Best::several_above(0.1, 0.7, 1 << 20));
+        assert_eq!(all, [(0.9, 700), (0.8, 20), (0.8, 300)]);
     }
 
     #[test]

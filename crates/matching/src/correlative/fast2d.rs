@@ -1,6 +1,6 @@
 //! Matching anywhere in a finished submap.
 
-use portolan_geometry::{Point3f, Rigid2};
+use portolan_geometry::{Point3f, Rigid2, normalize_angle};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
@@ -35,6 +35,21 @@ impl Default for FastCorrelativeOptions2d {
             branch_and_bound_depth: 7,
         }
     }
+}
+
+/// Which places are wanted where there may be several.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeveralPlaces {
+    /// Only placements with a larger score.
+    pub min_score: f32,
+    /// And with a larger share of the best score.
+    pub share_of_best: f32,
+    /// Places nearer to each other, metres and radians, are one.
+    pub separation: (f64, f64),
+    /// The most that are wanted.
+    pub most: usize,
+    /// The search ends after so many look-ups of cells with what it has; a thousand million take about a second.
+    pub lookups: u64,
 }
 
 /// Depths up to this make sense: windows of 2^23 cells.
@@ -121,6 +136,32 @@ impl FastCorrelativeMatcher2d {
 
     /// The same anywhere on the grid, at any angle.
     pub fn match_full(&self, points: &PointCloud, min_score: f32) -> Option<MatchResult<Rigid2>> {
+        let (centre, everywhere) = self.everywhere();
+        self.search(&centre, points, min_score, everywhere, std::f64::consts::PI)
+    }
+
+    /// All places on the grid, at any angle, where `points` (metres, in the gravity-aligned tracking frame) fit about as
+    /// well as where they fit best; the best first.
+    pub fn match_several(&self, points: &PointCloud, wanted: &SeveralPlaces) -> Vec<MatchResult<Rigid2>> {
+        let points: Vec<Point3f> = points.points.iter().copied().filter(is_finite).collect();
+        let (centre, everywhere) = self.everywhere();
+        let min_inside = self.min_points_inside(points.len(), wanted.min_score);
+        let (Some(min_inside), false) = (min_inside, points.is_empty()) else { return Vec::new() };
+        let window = SearchWindow::new(&points, self.limits.resolution(), everywhere, std::f64::consts::PI);
+        let mut search = self.joint_search(&points, &centre, window, min_inside);
+        let found = search.run_several(wanted.min_score, wanted.share_of_best, wanted.lookups);
+        let mut places: Vec<MatchResult<Rigid2>> = Vec::new();
+        for (score, placement) in found {
+            let pose = window.pose(&centre, &placement);
+            if places.len() < wanted.most && !places.iter().any(|p| is_near(&p.pose, &pose, wanted)) {
+                places.push(MatchResult { score, pose });
+            }
+        }
+        places
+    }
+
+    /// The middle of the grid, and how far around it everything lies, metres.
+    fn everywhere(&self) -> (Rigid2, f64) {
         let half_size = 0.5
             * self.limits.resolution()
             * nalgebra::Vector2::new(
@@ -128,8 +169,22 @@ impl FastCorrelativeMatcher2d {
                 f64::from(self.limits.num_x_cells()),
             );
         let centre = Rigid2 { translation: self.limits.max() - half_size, angle: 0.0 };
-        let everywhere = f64::from(MAX_LINEAR_STEPS) * self.limits.resolution();
-        self.search(&centre, points, min_score, everywhere, std::f64::consts::PI)
+        (centre, f64::from(MAX_LINEAR_STEPS) * self.limits.resolution())
+    }
+
+    fn joint_search(
+        &self,
+        points: &[Point3f],
+        initial: &Rigid2,
+        window: SearchWindow,
+        min_inside: usize,
+    ) -> JointSearch<'_, MeanByte> {
+        let scans = RotatedScans::new(points, initial, window, self.limits, [0, 0]);
+        let size = [self.limits.num_x_cells() as i32, self.limits.num_y_cells() as i32];
+        let shifts = ShiftBounds::Overlap { size, min_inside };
+        let objective = MeanByte { score: self.score, num_points: points.len() };
+        let options = SearchOptions { max_exponent: MAX_EXPONENT, leaf_exponent: 0 };
+        JointSearch::new(&self.pyramid, scans, window, shifts, objective, options)
     }
 
     fn search(
@@ -145,14 +200,8 @@ impl FastCorrelativeMatcher2d {
             return None;
         }
         let window = SearchWindow::new(&points, self.limits.resolution(), linear, angular);
-        let scans = RotatedScans::new(&points, initial, window, self.limits, [0, 0]);
-        let shifts = ShiftBounds::Overlap {
-            size: [self.limits.num_x_cells() as i32, self.limits.num_y_cells() as i32],
-            min_inside: self.min_points_inside(points.len(), min_score)?,
-        };
-        let objective = MeanByte { score: self.score, num_points: points.len() };
-        let options = SearchOptions { max_exponent: MAX_EXPONENT, leaf_exponent: 0 };
-        let mut search = JointSearch::new(&self.pyramid, scans, window, shifts, objective, options);
+        let min_inside = self.min_points_inside(points.len(), min_score)?;
+        let mut search = self.joint_search(&points, initial, window, min_inside);
         let (score, placements) = search.run(min_score);
         let placement = order::first_of(&placements, self, &mut search.scans)?;
         Some(MatchResult { score, pose: window.pose(initial, &placement) })
@@ -168,6 +217,11 @@ impl FastCorrelativeMatcher2d {
         }
         enough(low).then_some(low)
     }
+}
+
+fn is_near(a: &Rigid2, b: &Rigid2, wanted: &SeveralPlaces) -> bool {
+    let (metres, radians) = wanted.separation;
+    (a.translation - b.translation).norm() < metres && normalize_angle(a.angle - b.angle).abs() < radians
 }
 
 /// The mean of the bytes met, as a score.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::best_first::{self, Branching, Node, best_first};
+use super::best_first::{self, Branching, Node, best_first, best_first_several};
 use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
 use super::search_window::SearchWindow;
@@ -109,6 +109,12 @@ impl<'a, O: Objective> JointSearch<'a, O> {
     /// in the order of scan, x and y. Empty if there is none.
     pub fn run(&mut self, min_score: f32) -> (f32, Vec<Placement>) {
         best_first(self, Best::above(min_score))
+    }
+
+    /// All placements that score above `min_score` and above `share` of the best score, the best first;
+    /// what was found by then after so many look-ups of cells.
+    pub fn run_several(&mut self, min_score: f32, share: f32, lookups: u64) -> Vec<(f32, Placement)> {
+        best_first_several(self, Best::several_above(min_score, share, lookups))
     }
 
     /// Shifts along each axis in a box.

@@ -18,7 +18,7 @@ mod real_time2d;
 mod real_time3d;
 mod rotational;
 
-pub use fast2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d};
+pub use fast2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d, SeveralPlaces};
 pub use fast3d::{
     FastCorrelativeMatcher3d, FastCorrelativeOptions3d, FastMatch3d, NodeToFind, SearchReach3d,
     SubmapToSearch, judge_placement_3d,

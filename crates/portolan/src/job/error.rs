@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use portolan_atomic_file::{AtomicFile, WriteError};
 use portolan_config::ConfigError;
 use portolan_export::PictureError;
+use portolan_localization::{KnownMapError, LocalizerError};
 use portolan_mapfile::{MapConversionError, PaintError};
 use portolan_pointcloud::CloudError;
 
@@ -36,6 +37,22 @@ pub enum JobError {
         /// Why.
         reason: MapConversionError,
     },
+    /// A known map in which nothing can be found.
+    #[error("{}: {reason}", path.display())]
+    UnusableMap {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        reason: KnownMapError,
+    },
+    /// A recording in 3D, or a map in 3D.
+    #[error(
+        "localisation works in 2D so far, and {0} is in 3D; `portolan map RECORDING --from MAP --frozen` finds it"
+    )]
+    LocalizationInSpace(&'static str),
+    /// Localisation could not begin.
+    #[error(transparent)]
+    Localizer(#[from] LocalizerError),
     /// A file or folder.
     #[error("{}: {source}", path.display())]
     File {

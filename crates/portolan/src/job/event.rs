@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use portolan_export::PictureError;
 use portolan_ingest::Notice;
 use portolan_issue::Issue;
+use portolan_localization::State;
 use portolan_mapfile::PaintError;
 use portolan_mapping::TrajectoryId;
 
@@ -21,6 +22,15 @@ pub type Observer<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
 pub enum Event<'a> {
     /// The recording is mapped, as far as this.
     Mapping(&'a PipelineProgress),
+    /// The recording is localised, as far as this.
+    Localizing {
+        /// Bytes of the recording read.
+        position_bytes: u64,
+        /// Bytes of the recording.
+        total_bytes: u64,
+        /// What is known of the place.
+        state: State,
+    },
     /// Pictures or clouds are about to be made, or are drawn of the scans that mapping kept.
     Drawing,
     /// The recording is read again, and its points are placed in the map.

@@ -5,13 +5,9 @@
 //! weighed with the prediction, as a Kalman filter would: by what the surfaces that face that direction tell.
 
 use portolan_geometry::{Rigid2, Vector2};
-use portolan_matching::{Grid2d, score_difference};
+use portolan_matching::{Grid2d, score_difference, surface_tangents};
 use portolan_sensor::PointCloud;
 
-/// Neighbouring returns between these distances, metres, belong to one surface and tell its direction.
-const NEIGHBOURS: (f32, f32) = (0.15, 0.5);
-/// Returns that are looked at for a neighbour.
-const LOOKED_AT: usize = 12;
 /// Where the weakest direction has less than this share of all information, the prediction is weighed there.
 const WEAK: f64 = 0.2;
 /// With fewer normals nothing is known.
@@ -34,7 +30,7 @@ pub(super) struct WeakDirection {
 impl WeakDirection {
     /// The direction along which the surfaces of a scan tell least, if they tell little there.
     pub fn of(returns: &PointCloud) -> Option<Self> {
-        let tangents = tangents(returns);
+        let tangents = surface_tangents(returns);
         let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
         for tangent in tangents.iter().flatten() {
             // The normal is (−y, x).
@@ -105,23 +101,4 @@ impl WeakDirection {
     fn in_grid(&self, found: &Rigid2) -> Vector2 {
         Rigid2 { translation: Vector2::zeros(), angle: found.angle }.transform_point(&self.in_scan)
     }
-}
-
-/// Unit vectors along the surface at each return, where a neighbour tells.
-fn tangents(returns: &PointCloud) -> Vec<Option<Vector2>> {
-    let points = &returns.points;
-    let mut tangents = vec![None; points.len()];
-    for (i, a) in points.iter().enumerate() {
-        for (j, b) in points.iter().enumerate().skip(i + 1).take(LOOKED_AT) {
-            let along = b - a;
-            let length = along.x.hypot(along.y);
-            if length >= NEIGHBOURS.0 && length <= NEIGHBOURS.1 {
-                let tangent = Vector2::new(f64::from(along.x / length), f64::from(along.y / length));
-                tangents[i] = Some(tangent);
-                tangents[j] = Some(tangent);
-                break;
-            }
-        }
-    }
-    tangents
 }

@@ -1,0 +1,155 @@
+//! `portolan localize`: where a recording was taken in a saved map.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use portolan::job::{Event, Found, JobError, LocalizeRequest, LocalizedRecording, localize, write_localized};
+use portolan_geometry::Rigid3;
+use portolan_localization::{StartPose, State};
+use portolan_recording::{Recording, open_all};
+
+use super::argument::{start_pose, start_sigma};
+use super::map::{ConfigArgs, CutArgs, SensorArgs, ingest_options, nothing_left, remarks, requested_options};
+use crate::GlobalArgs;
+use crate::error::{CliError, Outcome};
+use crate::interrupt::Saving;
+use crate::output::print_summary;
+use crate::progress::Progress;
+
+/// Find a recording in a saved map, scan by scan: where it was, how sure that is, and when it was lost.
+///
+/// The place is searched in the whole map; nothing of the map changes, and memory does not grow with time. Works
+/// in 2D. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
+/// reason and covariance, `way.png` the way in the map coloured by state (green localised, orange uncertain, violet
+/// dots tentative), `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
+#[derive(clap::Args, Clone, Debug)]
+#[command(after_help = "Examples:\n  portolan localize house/map.pbstream today.bag -o today\n  \
+    portolan localize house/map.pbstream today.bag --start 3.5,-2,90\n  \
+    portolan localize house/map.pbstream today.bag --start 3.5,-2,90 --start-sigma 2,45")]
+pub struct LocalizeArgs {
+    /// The map: a .pbstream of Portolan or Cartographer.
+    #[arg(value_name = "MAP.pbstream")]
+    pub map: PathBuf,
+
+    /// Recordings, read as one in the order given.
+    #[arg(required = true, value_name = "RECORDING")]
+    pub recordings: Vec<PathBuf>,
+
+    /// Folder for the results; created if missing. Default: the recording's name with `_localized`.
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+
+    /// Where in the map the recording starts: metres and degrees; also X,Y,Z,YAW or X,Y,Z,ROLL,PITCH,YAW. A
+    /// wrong one costs seconds; without it the whole map is searched.
+    #[arg(long, value_name = "X,Y,YAW", value_parser = start_pose, allow_hyphen_values = true)]
+    pub start: Option<Rigid3>,
+
+    /// How well the start is known: standard deviations in metres and degrees.
+    #[arg(long, value_name = "METRES[,DEGREES]", requires = "start", value_parser = start_sigma,
+        default_value = "0.5,10", allow_hyphen_values = true)]
+    pub start_sigma: (f64, f64),
+
+    #[command(flatten)]
+    pub sensors: SensorArgs,
+
+    #[command(flatten)]
+    pub config: ConfigArgs,
+
+    #[command(flatten)]
+    pub cut: CutArgs,
+}
+
+pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let begin = Instant::now();
+    let recording = open_all(&args.recordings)?;
+    let requested = requested_options(&args.sensors, &args.config)?;
+    let request = LocalizeRequest {
+        map: args.map.clone(),
+        folder: args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0])),
+        ingest: ingest_options(&args.sensors, &args.cut, &requested)?,
+        requested,
+        start: args.start.map(|map_from_tracking| StartPose {
+            map_from_tracking,
+            sigma_metres: args.start_sigma.0,
+            sigma_radians: args.start_sigma.1,
+        }),
+        threads: global.threads,
+    };
+    let saving = Saving::begin();
+    let localized = localize_with_progress(recording.as_ref(), &request, global);
+    let localized = localized.map_err(|error| nothing_left(error.into(), recording.as_ref(), &args.cut))?;
+    let seconds = begin.elapsed().as_secs_f64();
+    let files = write_localized(&localized, &request.folder, seconds, &mut remarks(global))?;
+    drop(saving);
+    print_summary(&summary(&localized, &files, seconds));
+    Ok(match localized.found() {
+        Found::Never => Outcome::Untrusted,
+        Found::InParts => Outcome::DataLost,
+        Found::Throughout if localized.issues.lost_data() => Outcome::DataLost,
+        Found::Throughout => Outcome::Done,
+    })
+}
+
+fn localize_with_progress(
+    recording: &dyn Recording,
+    request: &LocalizeRequest,
+    global: &GlobalArgs,
+) -> Result<LocalizedRecording, JobError> {
+    let mut progress = Progress::start("localising", recording.size_bytes(), global.quiet);
+    let mut tell = remarks(global);
+    let localized = localize(recording, request, &mut |event| -> ControlFlow<()> {
+        if let Event::Localizing { position_bytes, total_bytes, state } = event
+            && progress.is_due()
+        {
+            progress.update(*position_bytes, *total_bytes, state.to_string());
+        }
+        tell(event)
+    });
+    progress.finish();
+    localized
+}
+
+fn default_folder(recording: &Path) -> PathBuf {
+    let name = recording.file_name().map_or_else(|| "recording".into(), |n| n.to_string_lossy());
+    PathBuf::from(format!("{}_localized", name.split('.').next().unwrap_or("recording")))
+}
+
+/// What was found, for people.
+fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> String {
+    let found = match (localized.found(), localized.found_after_seconds()) {
+        (Found::Throughout, Some(after)) => format!("found after {after:.1} s and never lost"),
+        (Found::InParts, Some(after)) => {
+            format!("found after {after:.1} s, but not known all the time since (see way.png and poses.csv)")
+        }
+        _ => "NOT found in the map: nothing tells where in it the recording was taken. If you know the place, say \
+              --start X,Y,YAW; it is not believed unless scans fit there"
+            .to_owned(),
+    };
+    let mut text = format!("{found}\n");
+    let counts = localized.state_counts();
+    let all: f64 = counts.iter().map(|(_, count)| count.seconds).sum();
+    let shares = counts.iter().filter(|(_, count)| count.scans > 0);
+    let shares: Vec<String> =
+        shares.map(|(state, count)| format!("{state} {:.1} s", count.seconds)).collect();
+    text += &format!("{} scans: {}\n", localized.estimates.len(), shares.join(", "));
+    text += &format!("{all:.0} s of recording in {seconds:.1} s\n");
+    if localized.start_agrees == Some(false) {
+        text += "the start that was told is WRONG: the recording starts elsewhere in the map\n";
+    }
+    let last = localized.estimates.last();
+    if let Some(estimate) = last.filter(|e| e.state != State::Localised) {
+        text += &format!("at the end it is {} ({})\n", estimate.state, estimate.reason.name());
+    }
+    for issue in localized.issues.iter() {
+        let label = if issue.lost_data() { "lost" } else { "repaired" };
+        text += &format!("{label}: {issue} ({}x)\n", issue.count);
+    }
+    if localized.interrupted {
+        text += "interrupted: stopped before the end of the recording; what was found is saved\n";
+    }
+    for file in files {
+        text += &format!("{}\n", file.display());
+    }
+    text.trim_end().to_owned()
+}

@@ -1,0 +1,152 @@
+//! Whether scans go on saying that the place is right: what they say, with hysteresis and bounds of time.
+
+use portolan_geometry::Time;
+use portolan_matching::ScanAgreement;
+
+/// A scan supports the place if the map explains at least this share of its beams and contradicts at most that share of
+/// what it knows …
+const EXPLAINED: f32 = 0.45;
+const MOST_CONTRADICTION: f32 = 0.35;
+/// … and speaks against it if the map contradicts so much of what it knows, where it knows at least that share.
+const CONTRADICTION: f32 = 0.5;
+const KNOWN: f32 = 0.25;
+/// So many seconds of scans that support bring full support, so many that contradict or that say nothing clear take it
+/// all. A scan counts for at least one time step and at most for a share of the whole.
+const SECONDS_TO_SUPPORT: f64 = 1.5;
+const SECONDS_TO_CONTRADICT: f64 = 1.6;
+const SECONDS_OF_NOTHING: f64 = 6.0;
+const MOST_OF_ONE_SCAN: f64 = 0.25;
+/// Above the one the place is known again, below the other not any more.
+const SURE: f64 = 0.7;
+const UNSURE: f64 = 0.4;
+/// With no support left it is lost after so many scans that spoke against it.
+const SCANS_TO_LOSE: u32 = 4;
+
+/// What a scan says of a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    Supports,
+    /// It neither fits well nor contradicts.
+    Mixed,
+    /// The map knows too little there.
+    Unknown,
+    Contradicts,
+}
+
+impl Verdict {
+    pub fn of(agreement: &ScanAgreement) -> Self {
+        let known = agreement.explained + agreement.contradicted();
+        match agreement.contradiction() {
+            _ if known < KNOWN => Self::Unknown,
+            c if c >= CONTRADICTION => Self::Contradicts,
+            c if c <= MOST_CONTRADICTION && agreement.explained >= EXPLAINED => Self::Supports,
+            _ => Self::Mixed,
+        }
+    }
+}
+
+/// How much recent scans support the place, 0 to 1.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Support {
+    level: f64,
+    is_sure: bool,
+    /// Scans in a row that spoke against the place, and the time of the first.
+    against: Option<(u32, Time)>,
+    last: Option<Time>,
+}
+
+impl Support {
+    pub fn full() -> Self {
+        Self { level: 1.0, is_sure: true, against: None, last: None }
+    }
+
+    pub fn add(&mut self, verdict: Verdict, time: Time) {
+        let seconds = self.last.map_or(0.1, |last| time.seconds_since(last)).max(0.02);
+        self.last = Some(time);
+        let step = |whole: f64| (seconds / whole).min(MOST_OF_ONE_SCAN);
+        self.level += match verdict {
+            Verdict::Supports => step(SECONDS_TO_SUPPORT),
+            Verdict::Mixed | Verdict::Unknown => -step(SECONDS_OF_NOTHING),
+            Verdict::Contradicts => -step(SECONDS_TO_CONTRADICT),
+        };
+        self.level = self.level.clamp(0.0, 1.0);
+        self.against = match (verdict, self.against) {
+            (Verdict::Contradicts, Some((count, since))) => Some((count + 1, since)),
+            (Verdict::Contradicts, None) => Some((1, time)),
+            (Verdict::Supports, _) => None,
+            (_, against) => against,
+        };
+        self.judge();
+    }
+
+    /// Takes away what makes it sure.
+    pub fn doubt(&mut self) {
+        self.level = self.level.min(0.9 * UNSURE);
+        self.judge();
+    }
+
+    fn judge(&mut self) {
+        self.is_sure = if self.is_sure { self.level >= UNSURE } else { self.level >= SURE };
+    }
+
+    pub fn is_sure(&self) -> bool {
+        self.is_sure
+    }
+
+    /// Since when scans contradict the place, if they have done so for long enough.
+    pub fn contradicted_since(&self) -> Option<Time> {
+        self.against.filter(|(count, _)| self.level <= 0.0 && *count >= SCANS_TO_LOSE).map(|(_, since)| since)
+    }
+
+    pub fn is_contradicted(&self) -> bool {
+        self.against.is_some()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Duration;
+
+    fn at(seconds: f64) -> Time {
+        Time::from_ticks(0) + Duration::from_seconds(seconds)
+    }
+
+    #[test]
+    fn a_wrong_place_is_left_within_bounds_of_time() {
+        let mut support = Support::full();
+        let (mut unsure, mut lost) = (None, None);
+        for i in 0..60 {
+            support.add(Verdict::Contradicts, at(0.1 * f64::from(i)));
+            unsure = unsure.or((!support.is_sure()).then_some(i));
+            lost = lost.or(support.contradicted_since().map(|_| i));
+        }
+        assert!(unsure.is_some_and(|i| (5..=11).contains(&i)), "{unsure:?}");
+        assert!(lost.is_some_and(|i| (12..=20).contains(&i)), "{lost:?}");
+        assert_eq!(support.contradicted_since(), Some(at(0.0)));
+    }
+
+    #[test]
+    fn sparse_scans_count_as_scans_and_a_door_is_no_loss() {
+        let mut support = Support::full();
+        (0..4).for_each(|i| support.add(Verdict::Contradicts, at(60.0 * f64::from(i))));
+        assert!(support.contradicted_since().is_none() && !support.is_sure());
+        let mut support = Support::full();
+        (0..5).for_each(|i| support.add(Verdict::Contradicts, at(0.1 * f64::from(i))));
+        assert!(support.is_sure());
+        support.add(Verdict::Supports, at(0.5));
+        assert!(!support.is_contradicted());
+    }
+
+    #[test]
+    fn it_is_sure_again_later_than_it_became_unsure() {
+        let mut support = Support::full();
+        support.doubt();
+        assert!(!support.is_sure());
+        let back = (1..40).find(|i| {
+            support.add(Verdict::Supports, at(0.1 * f64::from(*i)));
+            support.is_sure()
+        });
+        assert!(back.is_some_and(|i| (4..=8).contains(&i)), "{back:?}");
+    }
+}

@@ -1,0 +1,295 @@
+//! From scans in the local map to places in the known one: searching, tracking, getting lost and being found.
+
+use portolan_geometry::{Rigid2, Rigid3, Time, embed_3d, project_2d, to_f32};
+use portolan_sensor::PointCloud;
+
+use crate::evidence::{Support, Verdict};
+use crate::hypothesis::{Hypothesis, fit};
+use crate::likelihood::Window;
+use crate::scan::{KeyScan, Offered, RecentScans, Scan};
+use crate::search::{Decision, Places, Searcher, ToldStart};
+use crate::state::{Estimate, Place, Reason, State};
+
+/// A scan that contradicts the map where it is believed to be is looked for so far around, metres and radians, and
+/// believed to be there if it fits better by so much.
+const SLIPPED: Window = Window { metres: 1.0, radians: 0.3 };
+const SLIPPED_FIT: f64 = 0.2;
+const SLIPPED_SIGMAS: (f64, f64) = (0.15, 0.03);
+/// The whole map is searched for better places after so many seconds where the place is uncertain; where it is not, after
+/// more seconds and this way, metres.
+const CHECK_UNCERTAIN: f64 = 2.0;
+const CHECK_SURE: f64 = 10.0;
+const CHECK_WAY: f64 = 3.0;
+/// Another place is better if it fits so well, and so much better, in so many searches.
+const BETTER_FIT: f64 = 0.45;
+const BETTER_BY: f64 = 0.12;
+const BETTER_SEARCHES: u32 = 2;
+/// Outside of the map the place is lost when its standard deviation reaches this, metres.
+const WIDEST: f64 = 2.0;
+
+/// A scan as local SLAM found it.
+pub(crate) struct LocalScan<'a> {
+    pub time: Time,
+    pub local_from_tracking: Rigid3,
+    /// In the local map.
+    pub returns: &'a PointCloud,
+    /// Whether local SLAM lost its way before it.
+    pub begins_anew: bool,
+}
+
+/// What is being done.
+enum Mode {
+    Searching {
+        places: Places,
+        /// Why it is lost, if it was localised before.
+        lost: Option<Reason>,
+    },
+    Tracking(Box<Track>),
+}
+
+/// A place that is believed.
+struct Track {
+    place: Hypothesis,
+    support: Support,
+    last_check: Time,
+    way_since_check: f64,
+    beaten: u32,
+    doubt: Reason,
+}
+
+/// Where the last scan was taken.
+#[derive(Clone, Copy)]
+struct Last {
+    time: Time,
+    local_from_scan: Rigid2,
+}
+
+/// A scan on its way through.
+struct Current {
+    time: Time,
+    local_from_scan: Rigid2,
+    motion: Rigid2,
+    seconds: f64,
+    scan: Scan,
+    offered: Offered,
+}
+
+/// Finds places in a map.
+pub(crate) struct Finder {
+    searcher: Searcher,
+    recent: RecentScans,
+    mode: Mode,
+    last: Option<Last>,
+    start: Option<(Rigid3, (f64, f64))>,
+    told: Option<ToldStart>,
+}
+
+impl Finder {
+    /// With the start that somebody told, and its standard deviations in metres and radians.
+    pub fn new(searcher: Searcher, start: Option<(Rigid3, (f64, f64))>) -> Self {
+        let mode = Mode::Searching { places: Places::default(), lost: None };
+        Self { searcher, recent: RecentScans::default(), mode, last: None, start, told: None }
+    }
+
+    /// Takes a scan.
+    pub fn add(&mut self, scan: &LocalScan) -> Estimate {
+        let local_from_scan = project_2d(&scan.local_from_tracking);
+        if scan.begins_anew {
+            self.begin_anew();
+        }
+        if let Some((pose, sigmas)) = self.start.take() {
+            let map_from_scan = project_2d(&pose);
+            self.told = Some(ToldStart { map_from_scan, sigmas, local_from_scan });
+        }
+        let current = self.current(scan, local_from_scan);
+        let mode =
+            std::mem::replace(&mut self.mode, Mode::Searching { places: Places::default(), lost: None });
+        let (mode, state, reason) = match mode {
+            Mode::Searching { places, lost } => self.search(places, lost, &current),
+            Mode::Tracking(track) => self.track(track, &current),
+        };
+        self.mode = mode;
+        let place = self.place_of(state, &current, &scan.local_from_tracking);
+        Estimate { time: scan.time, state, reason, local_from_tracking: scan.local_from_tracking, place }
+    }
+
+    /// Whether the start that was told is where the place that is known says; none as long as none is known.
+    pub fn start_agrees(&self) -> Option<bool> {
+        let (told, last) = (self.told.as_ref()?, self.last.as_ref()?);
+        let Mode::Tracking(track) = &self.mode else { return None };
+        Some(told.agreement(&track.place, &last.local_from_scan) > 0.5)
+    }
+
+    /// Local SLAM lost its way: nothing that was seen before can be put together with what comes.
+    fn begin_anew(&mut self) {
+        self.recent.clear();
+        self.last = None;
+        self.told = None;
+        let lost = match &self.mode {
+            Mode::Tracking(_) => Some(Reason::LocalMapLost),
+            Mode::Searching { lost, .. } => *lost,
+        };
+        self.mode = Mode::Searching { places: Places::default(), lost };
+    }
+
+    fn current(&mut self, scan: &LocalScan, local_from_scan: Rigid2) -> Current {
+        let scan_from_local = to_f32(&embed_3d(&local_from_scan.inverse()));
+        let seen = Scan::new(&scan.returns.transformed(&scan_from_local));
+        let last = self.last.replace(Last { time: scan.time, local_from_scan });
+        let motion = last.map_or_else(Rigid2::identity, |l| l.local_from_scan.inverse() * local_from_scan);
+        let seconds = last.map_or(0.0, |l| scan.time.seconds_since(l.time));
+        let offered = self.recent.offer(KeyScan { time: scan.time, local_from_scan, scan: seen.clone() });
+        Current { time: scan.time, local_from_scan, motion, seconds, scan: seen, offered }
+    }
+
+    fn search(&mut self, places: Places, lost: Option<Reason>, current: &Current) -> (Mode, State, Reason) {
+        let mut places = places;
+        places.all.iter_mut().for_each(|place| place.predict(&current.motion, current.seconds));
+        if let Offered::Kept { oldest_left } = current.offered {
+            self.searcher.look(&mut places.all, &current.scan);
+            places.all.iter_mut().for_each(|place| place.remember(oldest_left));
+        }
+        let is_new = current.offered != Offered::LeftOut;
+        let is_due = places.is_search_due(current.time, is_new);
+        if is_due {
+            places.merge(self.propose(current, &places.all), current.time);
+        }
+        places.prune();
+        let decision = places.decide(&self.recent, self.told.as_ref(), &current.local_from_scan, is_due);
+        match decision {
+            Decision::Believed(best) => {
+                let track = Track {
+                    place: places.all.swap_remove(best),
+                    support: Support::full(),
+                    last_check: current.time,
+                    way_since_check: 0.0,
+                    beaten: 0,
+                    doubt: Reason::ScansContradict,
+                };
+                (Mode::Tracking(Box::new(track)), State::Localised, Reason::ScansFit)
+            }
+            Decision::Tentative(best, reason) => {
+                places.all.swap(0, best);
+                (Mode::Searching { places, lost }, State::Tentative, reason)
+            }
+            Decision::Nothing => {
+                let state = if lost.is_some() { State::Lost } else { State::Searching };
+                (Mode::Searching { places, lost }, state, lost.unwrap_or(Reason::NoPlaceFits))
+            }
+        }
+    }
+
+    /// Places where the recent scans fit, moved along to the current scan.
+    fn propose(&self, current: &Current, known: &[Hypothesis]) -> Vec<Hypothesis> {
+        let Some(newest) = self.recent.iter().next_back() else { return Vec::new() };
+        let motion = newest.local_from_scan.inverse() * current.local_from_scan;
+        let is_known = |pose: &Rigid2| known.iter().any(|place| place.is_at(&(*pose * motion)));
+        let mut found = self.searcher.propose(&self.recent, &is_known);
+        if let Some(told) = &self.told {
+            let near = told.map_from_scan * told.local_from_scan.inverse() * newest.local_from_scan;
+            let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
+            let Searcher { map, matcher, .. } = &self.searcher;
+            found.extend(Hypothesis::within(map, matcher, &self.recent, &near, window));
+        }
+        found.iter_mut().for_each(|place| place.predict(&motion, 0.0));
+        found
+    }
+
+    fn track(&mut self, track: Box<Track>, current: &Current) -> (Mode, State, Reason) {
+        let mut track = track;
+        let Searcher { map, matcher, .. } = &self.searcher;
+        track.place.predict(&current.motion, current.seconds);
+        track.place.look(map, matcher, &current.scan);
+        let verdict = Verdict::of(&track.place.agreement);
+        if verdict == Verdict::Contradicts {
+            let wide = matcher.find(map, &current.scan, &track.place.belief.pose, SLIPPED);
+            let is_better = fit(&wide.agreement) > fit(&track.place.agreement) + SLIPPED_FIT;
+            if is_better && Verdict::of(&wide.agreement) == Verdict::Supports {
+                track.place.slip(&wide, SLIPPED_SIGMAS);
+                track.support.doubt();
+            }
+        }
+        track.support.add(verdict, current.time);
+        if let Offered::Kept { oldest_left } = current.offered {
+            track.place.remember(oldest_left);
+        }
+        track.way_since_check += current.motion.translation.norm();
+        if let Some(since) = track.support.contradicted_since() {
+            self.recent.forget_before(since);
+            return lost(Reason::ScansContradict);
+        }
+        if track.place.belief.sigmas().0 > WIDEST {
+            return lost(Reason::OutsideTheMap);
+        }
+        match verdict {
+            Verdict::Unknown if !track.support.is_contradicted() => track.doubt = Reason::OutsideTheMap,
+            Verdict::Contradicts => track.doubt = Reason::ScansContradict,
+            _ => {}
+        }
+        if track.is_check_due(current.time) {
+            let rivals = self.propose(current, std::slice::from_ref(&track.place));
+            if let Some(places) = track.check(rivals, current.time) {
+                let reason = Reason::AnotherPlaceFitsBetter;
+                return (Mode::Searching { places, lost: Some(reason) }, State::Lost, reason);
+            }
+        }
+        if track.support.is_sure() {
+            (Mode::Tracking(track), State::Localised, Reason::ScansFit)
+        } else {
+            let reason = track.doubt;
+            (Mode::Tracking(track), State::Uncertain, reason)
+        }
+    }
+
+    fn place_of(&self, state: State, current: &Current, local_from_tracking: &Rigid3) -> Option<Place> {
+        let place = match (&self.mode, state) {
+            (Mode::Tracking(track), _) => &track.place,
+            (Mode::Searching { places, .. }, State::Tentative) => places.all.first()?,
+            _ => return None,
+        };
+        let map_from_local = place.belief.pose * current.local_from_scan.inverse();
+        Some(Place {
+            map_from_tracking: embed_3d(&map_from_local) * local_from_tracking,
+            covariance: place.belief.covariance(),
+            agreement: place.agreement,
+        })
+    }
+}
+
+fn lost(reason: Reason) -> (Mode, State, Reason) {
+    (Mode::Searching { places: Places::default(), lost: Some(reason) }, State::Lost, reason)
+}
+
+impl Track {
+    fn is_check_due(&self, time: Time) -> bool {
+        let waited = time.seconds_since(self.last_check);
+        if self.support.is_sure() && self.beaten == 0 {
+            waited >= CHECK_SURE && self.way_since_check >= CHECK_WAY
+        } else {
+            waited >= CHECK_UNCERTAIN
+        }
+    }
+
+    /// Compares the place with others that a search proposed; all of them if it is given up.
+    fn check(&mut self, rivals: Vec<Hypothesis>, time: Time) -> Option<Places> {
+        (self.last_check, self.way_since_check) = (time, 0.0);
+        let own = self.place.fit();
+        let is_better = |rival: &Hypothesis| {
+            !rival.is_same_place(&self.place) && rival.fit() > BETTER_FIT && rival.fit() > own + BETTER_BY
+        };
+        if !rivals.iter().any(is_better) {
+            self.beaten = 0;
+            return None;
+        }
+        self.beaten += 1;
+        self.support.doubt();
+        self.doubt = Reason::AnotherPlaceFitsBetter;
+        if self.beaten < BETTER_SEARCHES {
+            return None;
+        }
+        let mut places = Places::default();
+        places.merge(rivals, time);
+        places.merge(vec![self.place.clone()], time);
+        Some(places)
+    }
+}

@@ -1,0 +1,131 @@
+//! Places where the scanner may be, and which of them what was seen speaks for.
+
+use std::collections::VecDeque;
+
+use portolan_geometry::{Rigid2, normalize_angle};
+use portolan_matching::ScanAgreement;
+
+use crate::belief::Belief;
+use crate::likelihood::Window;
+use crate::plane_map::PlanarMap;
+use crate::scan::{RecentScans, Scan};
+use crate::scan_match::{Matcher, ScanMatch, agreement};
+
+/// Scans are looked for within so many standard deviations of their prediction, and within these bounds, metres and
+/// radians.
+const WITHIN_SIGMAS: f64 = 3.0;
+const NARROWEST: Window = Window { metres: 0.1, radians: 0.03 };
+const WIDEST: Window = Window { metres: 1.5, radians: 0.6 };
+/// A match that lies farther from its prediction is none: the square of a Mahalanobis distance in three dimensions.
+const GATE: f64 = 25.0;
+/// What is known of a place that was just proposed: standard deviations, metres and radians.
+const PROPOSED: (f64, f64) = (0.1, 0.02);
+/// Around a place where it is proposed, coarsely, and where earlier scans of the way are looked for.
+const AROUND_PROPOSAL: Window = Window { metres: 0.3, radians: 0.06 };
+const ON_THE_WAY: Window = Window { metres: 0.1, radians: 0.03 };
+/// Places nearer to each other, metres and radians, are the same.
+const SAME_PLACE: (f64, f64) = (0.6, 0.2);
+
+/// How well what was seen fits a place: shares of beams explained less contradicted, the mean of recent scans.
+pub(crate) fn fit(agreement: &ScanAgreement) -> f64 {
+    f64::from(agreement.explained - agreement.contradicted())
+}
+
+/// A place where the scanner may be.
+#[derive(Clone, Debug)]
+pub(crate) struct Hypothesis {
+    pub belief: Belief,
+    /// What the map says to the newest scan that was matched.
+    pub agreement: ScanAgreement,
+    /// What it says to the recent scans, oldest first.
+    fits: VecDeque<ScanAgreement>,
+}
+
+impl Hypothesis {
+    /// A place near `map_from_scan` of the newest of the recent scans: finds the others from there back along the way.
+    pub fn propose(map: &PlanarMap, matcher: &Matcher, recent: &RecentScans, near: &Rigid2) -> Option<Self> {
+        Self::within(map, matcher, recent, near, AROUND_PROPOSAL)
+    }
+
+    /// The place in a window around `map_from_scan` of the newest scan that fits best.
+    pub fn within(
+        map: &PlanarMap,
+        matcher: &Matcher,
+        recent: &RecentScans,
+        near: &Rigid2,
+        window: Window,
+    ) -> Option<Self> {
+        let newest = recent.iter().next_back()?;
+        let joint = recent.joint();
+        let plane = |p: &portolan_geometry::Point3f| p.xy().coords.cast::<f64>();
+        let points: Vec<_> = joint.points.iter().map(plane).collect();
+        let mut place = matcher.place(map, &joint, &points, near, window);
+        let mut fits = VecDeque::new();
+        let mut after = newest;
+        let mut found = None;
+        for kept in recent.iter().rev() {
+            let guess = place * (after.local_from_scan.inverse() * kept.local_from_scan);
+            let here = matcher.find(map, &kept.scan, &guess, ON_THE_WAY);
+            fits.push_front(here.agreement);
+            found.get_or_insert(here);
+            (place, after) = (here.pose, kept);
+        }
+        let found: ScanMatch = found?;
+        let belief = Belief::new(found.pose, PROPOSED.0, PROPOSED.1);
+        Some(Self { belief, agreement: found.agreement, fits })
+    }
+
+    /// Remembers what the map says to a scan that is kept.
+    pub fn remember(&mut self, oldest_left: bool) {
+        self.fits.push_back(self.agreement);
+        if oldest_left {
+            self.fits.pop_front();
+        }
+    }
+
+    /// How well the recent scans fit.
+    pub fn fit(&self) -> f64 {
+        self.fits.iter().map(fit).sum::<f64>() / self.fits.len().max(1) as f64
+    }
+
+    /// Goes along with local SLAM, without looking.
+    pub fn predict(&mut self, motion: &Rigid2, seconds: f64) {
+        self.belief.predict(motion, seconds);
+    }
+
+    /// Finds a scan near the prediction.
+    pub fn look(&mut self, map: &PlanarMap, matcher: &Matcher, scan: &Scan) {
+        let found = matcher.find(map, scan, &self.belief.pose, self.window());
+        if self.belief.distance(&found.pose, &found.information) < GATE {
+            self.belief.update(&found.pose, &found.information);
+        }
+        // What decides is the pose that is told, not the one that fits best.
+        self.agreement = agreement(map, scan, &self.belief.pose);
+    }
+
+    /// Is where the newest scan was found, far from the prediction, with these standard deviations (metres, radians).
+    pub fn slip(&mut self, found: &ScanMatch, (metres, radians): (f64, f64)) {
+        self.belief = Belief::new(found.pose, metres, radians);
+        self.agreement = found.agreement;
+    }
+
+    fn window(&self) -> Window {
+        let (metres, radians) = self.belief.sigmas();
+        Window {
+            metres: (WITHIN_SIGMAS * metres).clamp(NARROWEST.metres, WIDEST.metres),
+            radians: (WITHIN_SIGMAS * radians).clamp(NARROWEST.radians, WIDEST.radians),
+        }
+    }
+
+    /// Whether both are one place.
+    pub fn is_same_place(&self, other: &Self) -> bool {
+        self.is_at(&other.belief.pose)
+    }
+
+    /// Whether a pose is that of this place.
+    pub fn is_at(&self, b: &Rigid2) -> bool {
+        let a = &self.belief.pose;
+        (a.translation - b.translation).norm() < SAME_PLACE.0
+            && normalize_angle(a.angle - b.angle).abs() < SAME_PLACE.1
+    }
+}

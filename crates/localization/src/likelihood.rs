@@ -1,0 +1,196 @@
+//! How near every place is to something solid, and searching scans by it.
+//!
+//! The likelihood field of Thrun, Burgard and Fox ("Probabilistic Robotics", §6.4): smooth where grids are not, so
+//! that a search may take steps of several cells.
+
+use portolan_geometry::{Rigid2, Vector2};
+use portolan_matching::{CellIndex, MapLimits, ProbabilityGrid};
+
+/// Cells of this probability are solid.
+const SOLID: f32 = 0.6;
+/// Standard deviation of the distance of a return from what it hit, metres: what makes steps of a search find it.
+const SIGMA: f64 = 0.12;
+/// Steps of the search, metres and radians.
+const STEP: f64 = 0.1;
+const TURN: f64 = 0.026;
+/// Placements that a search looks at, at most; wider windows are searched in larger steps.
+const MAX_PLACEMENTS: f64 = 2e5;
+/// By so much of the mean likelihood a placement at the edge of the window has to be better than the guess.
+const PREFERENCE: f64 = 0.03;
+
+/// Bytes: 255 at something solid, 0 far from everything.
+pub(crate) struct LikelihoodField {
+    limits: MapLimits,
+    bytes: Vec<u8>,
+}
+
+/// How far around a guess a scan is searched, metres and radians to either side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Window {
+    pub metres: f64,
+    pub radians: f64,
+}
+
+impl LikelihoodField {
+    pub fn new(grid: &ProbabilityGrid) -> Self {
+        let limits = *grid.limits();
+        let distances = squared_distances(grid);
+        let cells = SIGMA / limits.resolution();
+        let byte = |squared: f32| (255.0 * (-0.5 * f64::from(squared) / (cells * cells)).exp()).round() as u8;
+        Self { limits, bytes: distances.into_iter().map(byte).collect() }
+    }
+
+    /// Whether anything is solid.
+    pub fn has_walls(&self) -> bool {
+        self.bytes.contains(&255)
+    }
+
+    /// 1 at something solid, 0 far from everything.
+    pub fn at(&self, point: &Vector2) -> f64 {
+        f64::from(self.byte(point)) / 255.0
+    }
+
+    fn byte(&self, point: &Vector2) -> u8 {
+        let index = self.limits.flat_index(self.limits.cell_index(point.cast::<f32>()));
+        index.and_then(|i| self.bytes.get(i)).copied().unwrap_or(0)
+    }
+
+    /// Sum of bytes that a scan meets at a pose.
+    fn sum(&self, turned: &[Vector2], at: &Vector2) -> u64 {
+        turned.iter().map(|p| u64::from(self.byte(&(p + at)))).sum()
+    }
+
+    /// The placement of a scan in a window around a guess that is nearest to what is solid.
+    pub fn search(&self, points: &[Vector2], guess: &Rigid2, window: Window) -> Rigid2 {
+        let count = |width: f64, step: f64| (width / step - 1e-6).ceil().max(0.0);
+        let (mut shifts, mut turns) = (count(window.metres, STEP), count(window.radians, TURN));
+        while (2.0 * shifts + 1.0).powi(2) * (2.0 * turns + 1.0) > MAX_PLACEMENTS {
+            (shifts, turns) = ((0.8 * shifts).floor(), (0.8 * turns).floor());
+        }
+        let step = |width: f64, count: f64| if count > 0.0 { width / count } else { 0.0 };
+        let (metres, radians) = (step(window.metres, shifts), step(window.radians, turns));
+        let (shifts, turns) = (shifts as i32, turns as i32);
+        let mut best = (f64::NEG_INFINITY, *guess);
+        for turn in -turns..=turns {
+            let angle = guess.angle + f64::from(turn) * radians;
+            let matrix = Rigid2::new(0.0, 0.0, angle).rotation_matrix();
+            let turned: Vec<Vector2> = points.iter().map(|p| matrix * p).collect();
+            for (x, y) in (-shifts..=shifts).flat_map(|x| (-shifts..=shifts).map(move |y| (x, y))) {
+                let at = guess.translation + metres * Vector2::new(f64::from(x), f64::from(y));
+                let mean = self.sum(&turned, &at) as f64 / (255.0 * points.len().max(1) as f64);
+                let part = |i: i32, most: i32| f64::from(i) / f64::from(most.max(1));
+                let off = part(x, shifts).powi(2) + part(y, shifts).powi(2) + part(turn, turns).powi(2);
+                let score = mean - PREFERENCE * off;
+                if score > best.0 {
+                    best = (score, Rigid2 { translation: at, angle });
+                }
+            }
+        }
+        best.1
+    }
+}
+
+/// Squares of the distances to the nearest solid cell, in cells, exact (Felzenszwalb and Huttenlocher 2012, "Distance
+/// transforms of sampled functions").
+fn squared_distances(grid: &ProbabilityGrid) -> Vec<f32> {
+    let limits = grid.limits();
+    let (columns, rows) = (limits.num_x_cells() as usize, limits.num_y_cells() as usize);
+    let mut distances = vec![f32::INFINITY; columns * rows];
+    for (i, distance) in distances.iter_mut().enumerate() {
+        let cell = CellIndex::new((i % columns) as i32, (i / columns) as i32);
+        if grid.is_known(cell) && grid.probability(cell) > SOLID {
+            *distance = 0.0;
+        }
+    }
+    let mut transform = Transform::default();
+    for row in distances.chunks_mut(columns) {
+        let line = transform.run(row.iter().copied()).to_vec();
+        row.copy_from_slice(&line);
+    }
+    for column in 0..columns {
+        let values = (0..rows).map(|row| distances[row * columns + column]);
+        let line = transform.run(values).to_vec();
+        for (row, value) in line.into_iter().enumerate() {
+            distances[row * columns + column] = value;
+        }
+    }
+    distances
+}
+
+/// The lower envelope of parabolas over one line.
+#[derive(Default)]
+struct Transform {
+    values: Vec<f32>,
+    /// Where the parabolas of the envelope stand, and from where on each is the lowest.
+    envelope: Vec<(usize, f32)>,
+    result: Vec<f32>,
+}
+
+impl Transform {
+    fn run(&mut self, values: impl Iterator<Item = f32>) -> &[f32] {
+        self.values.clear();
+        self.values.extend(values);
+        self.envelope.clear();
+        for (i, value) in self.values.iter().enumerate().filter(|(_, v)| v.is_finite()) {
+            let mut from = f32::NEG_INFINITY;
+            while let Some((j, start)) = self.envelope.last() {
+                let (a, b) = (i as f32, *j as f32);
+                from = ((value + a * a) - (self.values[*j] + b * b)) / (2.0 * (a - b));
+                if from > *start {
+                    break;
+                }
+                self.envelope.pop();
+                from = f32::NEG_INFINITY;
+            }
+            self.envelope.push((i, from));
+        }
+        self.result.clear();
+        let mut k = 0;
+        for i in 0..self.values.len() {
+            while self.envelope.get(k + 1).is_some_and(|(_, from)| *from < i as f32) {
+                k += 1;
+            }
+            let distance = |(j, _): &(usize, f32)| (i as f32 - *j as f32).powi(2) + self.values[*j];
+            self.result.push(self.envelope.get(k).map_or(f32::INFINITY, distance));
+        }
+        &self.result
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(solid: &[(i32, i32)]) -> ProbabilityGrid {
+        let limits = MapLimits::new(0.05, Vector2::new(2.0, 3.0), 60, 40).unwrap();
+        let mut grid = ProbabilityGrid::new(limits);
+        for (x, y) in solid {
+            grid.set_probability(CellIndex::new(*x, *y), 0.9);
+        }
+        grid
+    }
+
+    #[test]
+    fn distances_are_those_to_the_nearest_cell() {
+        let solid = [(3, 7), (50, 30), (51, 30), (20, 0)];
+        let distances = squared_distances(&grid(&solid));
+        for (i, distance) in distances.iter().enumerate() {
+            let (x, y) = ((i % 60) as i32, (i / 60) as i32);
+            let nearest = solid.iter().map(|(a, b)| (x - a).pow(2) + (y - b).pow(2)).min();
+            assert_eq!(Some(*distance as i32), nearest, "{x} {y}");
+        }
+        assert!(squared_distances(&grid(&[])).iter().all(|d| d.is_infinite()));
+    }
+
+    #[test]
+    fn a_corner_is_found_within_a_step() {
+        let walls: Vec<(i32, i32)> = (5..50).map(|i| (i, 10)).chain((10..38).map(|i| (50, i))).collect();
+        let grid = grid(&walls);
+        let field = LikelihoodField::new(&grid);
+        let points: Vec<Vector2> =
+            walls.iter().map(|(x, y)| grid.limits().cell_center(CellIndex::new(*x, *y))).collect();
+        let guess = Rigid2::new(0.2, -0.1, 0.05);
+        let found = field.search(&points, &guess, Window { metres: 0.3, radians: 0.1 });
+        assert!(found.translation.norm() < 0.08 && found.angle.abs() < 0.03, "{found:?}");
+    }
+}

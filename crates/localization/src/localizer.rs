@@ -1,0 +1,150 @@
+//! Measurements in, places out.
+
+use std::collections::BTreeSet;
+
+use portolan_config::Options;
+use portolan_geometry::Rigid3;
+use portolan_issue::IssueLog;
+use portolan_mapping::{
+    LocalSlam, MapperError, MatchingResult, Planar, SensorCollation, Space, TrajectoryId,
+};
+use portolan_matching::MatcherOptionError;
+use portolan_sensor::{Measurement, SensorId, SensorKind};
+
+use crate::finder::{Finder, LocalScan};
+use crate::plane_map::PlanarMap;
+use crate::scan_match::Matcher;
+use crate::search::Searcher;
+use crate::state::Estimate;
+
+/// Where a recording starts, as far as somebody knows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StartPose {
+    /// Pose of the tracking frame in the map at the first scan.
+    pub map_from_tracking: Rigid3,
+    /// Standard deviation of the position along each axis, metres.
+    pub sigma_metres: f64,
+    /// Standard deviation of the heading, radians.
+    pub sigma_radians: f64,
+}
+
+impl StartPose {
+    /// A start that somebody read off a picture: half a metre and ten degrees.
+    pub fn new(map_from_tracking: Rigid3) -> Self {
+        Self { map_from_tracking, sigma_metres: 0.5, sigma_radians: 10f64.to_radians() }
+    }
+}
+
+/// How to localise.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LocalizerSettings {
+    /// Where the recording starts; searched in the whole map if that is not known, or wrong.
+    pub start: Option<StartPose>,
+    /// Threads for searching; 0 for as many as there are cores. What is found does not depend on it.
+    pub threads: usize,
+}
+
+/// Why localisation cannot begin, or go on.
+#[derive(Debug, thiserror::Error)]
+pub enum LocalizerError {
+    /// Local SLAM.
+    #[error(transparent)]
+    Mapper(#[from] MapperError),
+    /// A matcher.
+    #[error(transparent)]
+    Matcher(#[from] MatcherOptionError),
+    /// Threads could not be started.
+    #[error("cannot start threads for searching: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+}
+
+/// Finds a lidar in a saved map of the plane.
+///
+/// Local SLAM gives the motion from scan to scan; what it draws is forgotten. Memory does not grow with time.
+pub struct Localizer {
+    collation: SensorCollation,
+    local_slam: <Planar as Space>::LocalSlam,
+    finder: Finder,
+}
+
+/// The one trajectory.
+const TRAJECTORY: TrajectoryId = TrajectoryId(0);
+
+impl Localizer {
+    /// For a recording with these sensors.
+    ///
+    /// # Errors
+    /// If options contradict each other or threads cannot be started.
+    pub fn new(
+        map: PlanarMap,
+        options: &Options,
+        sensors: &BTreeSet<SensorId>,
+        settings: &LocalizerSettings,
+    ) -> Result<Self, LocalizerError> {
+        let ranges: Vec<SensorId> = sensors.iter().filter(|s| s.kind == SensorKind::Range).cloned().collect();
+        let mut collation = SensorCollation::new(options.map_builder.collate_by_trajectory);
+        collation.add_trajectory(TRAJECTORY, sensors, &options.trajectory_builder);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build()?;
+        let searcher = Searcher { map, matcher: Matcher::new()?, pool };
+        let start = settings.start.map(|s| (s.map_from_tracking, (s.sigma_metres, s.sigma_radians)));
+        Ok(Self {
+            collation,
+            local_slam: Planar::new_local_slam(options, &ranges)?,
+            finder: Finder::new(searcher, start),
+        })
+    }
+
+    /// Takes a measurement; what is known after each scan whose turn has come with it.
+    pub fn add(&mut self, sensor_id: &SensorId, measurement: Measurement) -> Vec<Estimate> {
+        let ready = self.collation.add(TRAJECTORY, sensor_id, measurement);
+        ready.into_iter().flat_map(|(_, id, measurement)| self.dispatch(&id, measurement)).collect()
+    }
+
+    /// Ends the recording: uses what waits.
+    pub fn finish(&mut self) -> Vec<Estimate> {
+        let ready = self.collation.finish_trajectory(TRAJECTORY);
+        let mut estimates: Vec<Estimate> =
+            ready.into_iter().flat_map(|(_, id, measurement)| self.dispatch(&id, measurement)).collect();
+        let late = self.local_slam.flush();
+        estimates.extend(self.find(late));
+        estimates
+    }
+
+    /// What was dropped or repaired so far.
+    pub fn issues(&self) -> IssueLog {
+        let mut issues = self.local_slam.issues();
+        issues.append(&self.collation.issues());
+        issues
+    }
+
+    /// Whether the start that was told agrees with the place that is known; none while none is known, or none was told.
+    pub fn start_agrees(&self) -> Option<bool> {
+        self.finder.start_agrees()
+    }
+
+    fn dispatch(&mut self, sensor_id: &SensorId, measurement: Measurement) -> Vec<Estimate> {
+        let matched = match measurement {
+            Measurement::Range(data) => self.local_slam.add_range_data(sensor_id, data),
+            Measurement::Odometry(data) => self.local_slam.add_odometry_data(&data),
+            Measurement::Imu(data) => {
+                self.local_slam.add_imu_data(&data);
+                Vec::new()
+            }
+            Measurement::FixedFramePose(_) | Measurement::Landmark(_) => Vec::new(),
+        };
+        self.find(matched)
+    }
+
+    fn find(&mut self, matched: Vec<MatchingResult<Planar>>) -> Vec<Estimate> {
+        let finder = &mut self.finder;
+        let find = |scan: MatchingResult<Planar>| {
+            finder.add(&LocalScan {
+                time: scan.time,
+                local_from_tracking: scan.local_from_tracking,
+                returns: &scan.range_data_in_local.returns,
+                begins_anew: scan.lost.is_some(),
+            })
+        };
+        matched.into_iter().map(find).collect()
+    }
+}

@@ -1,0 +1,335 @@
+//! A saved map of the plane as one grid, and what finds scans in it.
+
+use std::collections::BTreeMap;
+
+use portolan_geometry::{Rigid2, Vector2, project_2d};
+use portolan_mapping::{GraphState, Planar, SubmapEntry};
+use portolan_matching::{
+    CellIndex, FastCorrelativeMatcher2d, FastCorrelativeOptions2d, Grid2d, GridError, MapLimits,
+    MatcherOptionError, ProbabilityGrid,
+};
+
+use crate::likelihood::LikelihoodField;
+
+/// Why a map cannot be localised in.
+#[derive(Debug, thiserror::Error)]
+pub enum KnownMapError {
+    /// There is nothing in it.
+    #[error("the map is empty: it has no submap")]
+    Empty,
+    /// Submaps without grids: somebody removed them, or the file is damaged.
+    #[error("the map has {0} submaps, but not one with a grid: there is nothing to find scans in")]
+    NoGrids(usize),
+    /// Grids in which nothing is solid.
+    #[error("nothing in the map is solid: its grids show no wall to find scans by")]
+    NoWalls,
+    /// A grid cannot be made.
+    #[error(transparent)]
+    Grid(#[from] GridError),
+    /// A matcher cannot be made.
+    #[error(transparent)]
+    Matcher(#[from] MatcherOptionError),
+}
+
+/// Cells of the one grid, at most: 290 m by 290 m at 5 cm. Larger maps get larger cells.
+const MAX_CELLS: f64 = (1 << 25) as f64;
+/// Edge of the cells in which places are proposed, metres.
+const COARSE: f64 = 0.2;
+/// Evidence of a cell beyond this adds nothing: a probability of 0.9.
+const CERTAIN: f32 = 2.197_224_6;
+/// In a distance field a surface fills cells nearer than this many cells.
+const SURFACE: f32 = 0.75;
+/// What a distance field says of a cell that is not a surface, as log odds.
+const FREE_IN_DISTANCE_FIELD: f32 = -1.0;
+
+/// A saved map of the plane: the evidence of all its submaps, where the pose graph puts them.
+pub struct PlanarMap {
+    /// How likely each cell is occupied.
+    pub(crate) grid: Grid2d,
+    /// How near each cell is to something solid.
+    pub(crate) field: LikelihoodField,
+    /// Finds places in coarse cells.
+    pub(crate) places: FastCorrelativeMatcher2d,
+    known_square_metres: f64,
+}
+
+impl PlanarMap {
+    /// The map that a pose graph holds.
+    ///
+    /// # Errors
+    /// If there is nothing in it that scans could be found by.
+    pub fn new(state: &GraphState<Planar>) -> Result<Self, KnownMapError> {
+        if state.submaps.is_empty() {
+            return Err(KnownMapError::Empty);
+        }
+        let placed: Vec<Placed> = state
+            .submaps
+            .iter()
+            .filter_map(|(id, entry)| Placed::new(entry, &project_2d(&state.map_from_submap(*id)?)))
+            .collect();
+        let limits = limits(&placed)?.ok_or(KnownMapError::NoGrids(state.submaps.len()))?;
+        let grid = fuse(&placed, limits);
+        let grid = grid.cropped();
+        let field = LikelihoodField::new(&grid);
+        if !field.has_walls() {
+            return Err(KnownMapError::NoWalls);
+        }
+        let coarse = Grid2d::Probability(coarsened(&grid)?);
+        let places = FastCorrelativeMatcher2d::new(&coarse, &FastCorrelativeOptions2d::default())?;
+        let cell = grid.limits().resolution();
+        let known = (0..grid.cells().len()).filter(|i| grid.cells()[*i] != 0).count();
+        let known_square_metres = known as f64 * cell * cell;
+        Ok(Self { grid: Grid2d::Probability(grid), field, places, known_square_metres })
+    }
+
+    /// Edge of a cell, metres.
+    pub fn resolution(&self) -> f64 {
+        self.grid.limits().resolution()
+    }
+
+    /// How much of the plane the map knows.
+    pub fn known_square_metres(&self) -> f64 {
+        self.known_square_metres
+    }
+}
+
+/// A submap, and where it lies.
+struct Placed<'a> {
+    grid: &'a Grid2d,
+    map_from_grid: Rigid2,
+}
+
+impl<'a> Placed<'a> {
+    fn new(entry: &'a SubmapEntry<Planar>, map_from_submap: &Rigid2) -> Option<Self> {
+        let submap = entry.submap.as_ref()?;
+        submap.grid.known_cells_box()?;
+        let map_from_grid = *map_from_submap * project_2d(&submap.local_from_submap).inverse();
+        map_from_grid.is_finite().then_some(Self { grid: &submap.grid, map_from_grid })
+    }
+
+    /// Corners in the map.
+    fn corners(&self) -> [Vector2; 4] {
+        let limits = self.grid.limits();
+        let cells = [limits.num_y_cells(), limits.num_x_cells()].map(f64::from);
+        let (max, size) = (limits.max(), limits.resolution() * Vector2::from(cells));
+        [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+            .map(|[x, y]| self.map_from_grid.transform_point(&(max - Vector2::new(x * size.x, y * size.y))))
+    }
+}
+
+/// What a submap says of its cells.
+struct Evidence {
+    limits: MapLimits,
+    /// Log odds; 0 where nothing is known.
+    log_odds: Vec<f32>,
+}
+
+impl Evidence {
+    fn of(grid: &Grid2d) -> Self {
+        let limits = *grid.limits();
+        Self { limits, log_odds: all_cells(&limits).map(|cell| log_odds(grid, cell)).collect() }
+    }
+
+    /// Interpolated between the four cells around a point of the map.
+    fn at_point(&self, point: &Vector2) -> f32 {
+        let cell = 1.0 / self.limits.resolution();
+        let (x, y) =
+            ((self.limits.max().y - point.y) * cell - 0.5, (self.limits.max().x - point.x) * cell - 0.5);
+        let (left, top) = (x.floor(), y.floor());
+        let (u, v) = ((x - left) as f32, (y - top) as f32);
+        let at = |dx: i32, dy: i32| {
+            let index = CellIndex::new(left as i32 + dx, top as i32 + dy);
+            self.limits.flat_index(index).and_then(|i| self.log_odds.get(i)).copied().unwrap_or(0.0)
+        };
+        (1.0 - v) * ((1.0 - u) * at(0, 0) + u * at(1, 0)) + v * ((1.0 - u) * at(0, 1) + u * at(1, 1))
+    }
+}
+
+/// All cells of a grid, in the order in which they are stored.
+fn all_cells(limits: &MapLimits) -> impl Iterator<Item = CellIndex> + use<> {
+    let (columns, rows) = (limits.num_x_cells() as i32, limits.num_y_cells() as i32);
+    (0..rows).flat_map(move |y| (0..columns).map(move |x| CellIndex::new(x, y)))
+}
+
+fn log_odds(grid: &Grid2d, cell: CellIndex) -> f32 {
+    if !grid.is_known(cell) {
+        return 0.0;
+    }
+    let cost = grid.correspondence_cost(cell);
+    match grid {
+        Grid2d::Probability(_) => ((1.0 - cost) / cost.max(1e-3)).max(1e-3).ln(),
+        Grid2d::Tsdf(_) if cost.abs() < SURFACE * grid.limits().resolution() as f32 => CERTAIN,
+        Grid2d::Tsdf(_) => FREE_IN_DISTANCE_FIELD,
+    }
+}
+
+/// A grid in which all submaps lie; none without any.
+fn limits(placed: &[Placed]) -> Result<Option<MapLimits>, GridError> {
+    let corners = || placed.iter().flat_map(Placed::corners);
+    let Some(first) = corners().next() else { return Ok(None) };
+    let (low, high) = corners().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
+    let finest = placed.iter().map(|p| p.grid.limits().resolution()).fold(f64::INFINITY, f64::min);
+    let mut resolution = finest;
+    let cells = |resolution: f64| (high - low).map(|length| (length / resolution).ceil() + 2.0);
+    while cells(resolution).product() > MAX_CELLS && resolution < 1e6 {
+        resolution *= 2.0;
+    }
+    let max = high.map(|v| ((v / resolution).ceil() + 1.0) * resolution);
+    let count = cells(resolution).map(|c| (c + 1.0).min(f64::from(MapLimits::MAX_SIDE)) as u32);
+    MapLimits::new(resolution, max, count.y, count.x).map(Some)
+}
+
+/// Adds up what all submaps say of each cell.
+fn fuse(placed: &[Placed], limits: MapLimits) -> ProbabilityGrid {
+    let mut evidence = vec![0.0_f32; limits.num_cells()];
+    for submap in placed {
+        let says = Evidence::of(submap.grid);
+        if limits.resolution() > 1.5 * says.limits.resolution() {
+            for (index, most) in most_in_larger_cells(submap, &says, &limits) {
+                evidence[index] += most;
+            }
+            continue;
+        }
+        let grid_from_map = submap.map_from_grid.inverse();
+        for cell in cells_around(submap, &limits) {
+            let Some(index) = limits.flat_index(cell) else { continue };
+            let point = grid_from_map.transform_point(&limits.cell_center(cell));
+            evidence[index] += says.at_point(&point);
+        }
+    }
+    let mut grid = ProbabilityGrid::new(limits);
+    for cell in all_cells(&limits) {
+        match limits.flat_index(cell).map(|i| evidence[i]) {
+            Some(sum) if sum != 0.0 => {
+                grid.set_probability(cell, 1.0 / (1.0 + (-sum.clamp(-CERTAIN, CERTAIN)).exp()));
+            }
+            _ => {}
+        }
+    }
+    grid
+}
+
+/// The most that a submap says of each of some larger cells, so that walls do not get lost between their centres.
+fn most_in_larger_cells(submap: &Placed, says: &Evidence, limits: &MapLimits) -> BTreeMap<usize, f32> {
+    let mut most = BTreeMap::new();
+    for (cell, value) in all_cells(&says.limits).zip(&says.log_odds).filter(|(_, value)| **value != 0.0) {
+        let point = submap.map_from_grid.transform_point(&says.limits.cell_center(cell));
+        if let Some(index) = limits.flat_index(limits.cell_index(point.cast::<f32>())) {
+            most.entry(index).and_modify(|most: &mut f32| *most = most.max(*value)).or_insert(*value);
+        }
+    }
+    most
+}
+
+/// The cells of a grid that a submap may reach.
+fn cells_around(submap: &Placed, limits: &MapLimits) -> impl Iterator<Item = CellIndex> + use<> {
+    let corners = submap.corners().map(|p| limits.cell_index(p.cast::<f32>()));
+    let range = |value: fn(&CellIndex) -> i32, count: u32| {
+        let (low, high) =
+            corners.iter().map(value).fold((i32::MAX, i32::MIN), |(l, h), v| (l.min(v), h.max(v)));
+        low.saturating_sub(1).max(0)..high.saturating_add(2).min(count as i32)
+    };
+    let (x, y) = (range(|c| c.x, limits.num_x_cells()), range(|c| c.y, limits.num_y_cells()));
+    y.flat_map(move |y| x.clone().map(move |x| CellIndex::new(x, y)))
+}
+
+/// The most that any cell says, in larger cells.
+fn coarsened(grid: &ProbabilityGrid) -> Result<ProbabilityGrid, GridError> {
+    let fine = grid.limits();
+    let factor = ((COARSE / fine.resolution()).round() as u32).max(1);
+    let count = |cells: u32| cells.div_ceil(factor);
+    let resolution = fine.resolution() * f64::from(factor);
+    let limits =
+        MapLimits::new(resolution, fine.max(), count(fine.num_x_cells()), count(fine.num_y_cells()))?;
+    let mut largest = vec![0.0_f32; limits.num_cells()];
+    let coarse_cell = |cell: CellIndex| CellIndex::new(cell.x / factor as i32, cell.y / factor as i32);
+    for cell in all_cells(fine) {
+        if let (true, Some(index)) = (grid.is_known(cell), limits.flat_index(coarse_cell(cell))) {
+            largest[index] = largest[index].max(grid.probability(cell));
+        }
+    }
+    let mut coarse = ProbabilityGrid::new(limits);
+    for cell in all_cells(&limits) {
+        match limits.flat_index(cell).map(|i| largest[i]) {
+            Some(probability) if probability > 0.0 => {
+                coarse.set_probability(cell, probability);
+            }
+            _ => {}
+        }
+    }
+    Ok(coarse)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Rigid3;
+    use portolan_mapping::{Submap2d, SubmapId, TrajectoryId};
+    use std::sync::Arc;
+
+    /// A submap with a wall of 2 m along y at x = 1 m in its own frame, free on one side.
+    fn state(map_from_submap: &[Rigid3]) -> GraphState<Planar> {
+        let mut state = GraphState::default();
+        for (index, pose) in map_from_submap.iter().enumerate() {
+            let mut grid =
+                ProbabilityGrid::new(MapLimits::new(0.05, Vector2::new(3.0, 3.0), 120, 120).unwrap());
+            for y in -20..20 {
+                let point = |x: f64| Vector2::new(x, 0.05 * f64::from(y) + 0.025).cast::<f32>();
+                grid.set_probability(grid.limits().cell_index(point(1.025)), 0.8);
+                (0..20).for_each(|i| {
+                    let free = grid.limits().cell_index(point(0.05 * f64::from(i) + 0.025));
+                    grid.set_probability(free, 0.3);
+                });
+            }
+            let submap = Submap2d::from_parts(Rigid3::identity(), 10, true, Grid2d::Probability(grid));
+            let id = SubmapId::new(TrajectoryId(0), index as u32);
+            state.submaps.insert(
+                id,
+                SubmapEntry {
+                    submap: Some(Arc::new(submap)),
+                    local_from_submap: Rigid3::identity(),
+                    searchable: true,
+                    insertion_finished: true,
+                    node_ids: Default::default(),
+                },
+            );
+            state.optimized_submaps.insert(id, *pose);
+        }
+        state
+    }
+
+    fn probability(map: &PlanarMap, x: f64, y: f64) -> f32 {
+        let Grid2d::Probability(grid) = &map.grid else { panic!() };
+        grid.probability(grid.limits().cell_index(Vector2::new(x, y).cast::<f32>()))
+    }
+
+    #[test]
+    fn submaps_lie_where_the_pose_graph_puts_them_and_add_up() {
+        let turned = Rigid3::new(
+            portolan_geometry::Vector3::new(5.0, 0.0, 0.0),
+            portolan_geometry::Vector3::z() * std::f64::consts::FRAC_PI_2,
+        );
+        let map = PlanarMap::new(&state(&[Rigid3::identity(), Rigid3::identity(), turned])).unwrap();
+        assert!(probability(&map, 1.02, 0.33) > 0.85, "two submaps say more than one");
+        assert!(probability(&map, 0.52, 0.33) < 0.2);
+        assert!(probability(&map, 5.3, 1.03) > 0.6, "the wall of the turned one lies along x");
+        assert!(
+            map.field.at(&Vector2::new(1.02, 0.0)) > 0.95 && map.field.at(&Vector2::new(0.3, 0.0)) < 0.01
+        );
+    }
+
+    #[test]
+    fn maps_without_anything_to_find_scans_by_are_told() {
+        assert!(matches!(PlanarMap::new(&GraphState::default()), Err(KnownMapError::Empty)));
+        let mut without_grids = state(&[Rigid3::identity()]);
+        without_grids.submaps.values_mut().for_each(|entry| entry.submap = None);
+        assert!(matches!(PlanarMap::new(&without_grids), Err(KnownMapError::NoGrids(1))));
+    }
+
+    #[test]
+    fn submaps_far_apart_get_larger_cells() {
+        let map = PlanarMap::new(&state(&[Rigid3::identity(), Rigid3::translation(3000.0, 3000.0, 0.0)]));
+        let map = map.unwrap();
+        assert!(map.resolution() > 0.3 && map.known_square_metres() > 0.0, "{}", map.resolution());
+    }
+}

@@ -1,0 +1,109 @@
+//! What is known of the place, and why.
+
+use std::fmt;
+
+use portolan_geometry::{Rigid3, Time};
+use portolan_matching::ScanAgreement;
+
+use crate::belief::Matrix3;
+
+/// What is known of the place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum State {
+    /// Nothing fits yet.
+    Searching,
+    /// Something fits, but other places may fit as well.
+    Tentative,
+    /// The place is known.
+    Localised,
+    /// It was known, and nothing says so any more for a moment.
+    Uncertain,
+    /// It was known, and scans say that it is not.
+    Lost,
+}
+
+impl State {
+    /// All of them, in the order of a life.
+    pub const ALL: [Self; 5] =
+        [Self::Searching, Self::Tentative, Self::Localised, Self::Uncertain, Self::Lost];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Searching => "searching",
+            Self::Tentative => "tentative",
+            Self::Localised => "localised",
+            Self::Uncertain => "uncertain",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+impl fmt::Display for State {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Why the state is what it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Reason {
+    /// No place in the map fits what was seen.
+    NoPlaceFits,
+    /// Several places fit about as well.
+    SeveralPlacesFit,
+    /// One place fits, but too little was seen on the way to be sure.
+    TooLittleSeen,
+    /// Scans fit the map.
+    ScansFit,
+    /// Scans contradict the map.
+    ScansContradict,
+    /// The map knows nothing of what the scans see.
+    OutsideTheMap,
+    /// Another place fits better.
+    AnotherPlaceFitsBetter,
+    /// Local SLAM lost its own way, so that nothing tells how far the scanner went.
+    LocalMapLost,
+}
+
+impl Reason {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NoPlaceFits => "no_place_fits",
+            Self::SeveralPlacesFit => "several_places_fit",
+            Self::TooLittleSeen => "too_little_seen",
+            Self::ScansFit => "scans_fit",
+            Self::ScansContradict => "scans_contradict",
+            Self::OutsideTheMap => "outside_the_map",
+            Self::AnotherPlaceFitsBetter => "another_place_fits_better",
+            Self::LocalMapLost => "local_map_lost",
+        }
+    }
+}
+
+/// A place in the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Pose of the tracking frame in the map.
+    pub map_from_tracking: Rigid3,
+    /// Covariance of x, y and yaw in the map, metres and radians.
+    pub covariance: Matrix3,
+    /// What the map says to the scan there: shares of its beams.
+    pub agreement: ScanAgreement,
+}
+
+/// What is known after one scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Time of the scan.
+    pub time: Time,
+    /// What is known of the place.
+    pub state: State,
+    /// Why.
+    pub reason: Reason,
+    /// Pose of the tracking frame in the local map: smooth, but for its jumps where local SLAM lost its way.
+    pub local_from_tracking: Rigid3,
+    /// The place; the most likely one where the state is tentative, none while there is none.
+    pub place: Option<Place>,
+}

@@ -1,0 +1,243 @@
+//! What localisation leaves in its folder.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use portolan_export::{
+    ColouredLine, PictureError, PictureOptions, Rgb, draw_way, rgb, write_picture, write_tum,
+};
+use portolan_geometry::{Rigid3, Time, yaw};
+use portolan_ingest::SensorPlan;
+use portolan_issue::IssueLog;
+use portolan_localization::{Estimate, Place, StartPose, State};
+use portolan_mapfile::PlacedTexture;
+
+use super::error::{JobError, write_file};
+use super::event::{Observer, Remark, remark};
+
+/// A recording that was looked for in a map.
+pub struct LocalizedRecording {
+    /// What was known after each scan, in order.
+    pub estimates: Vec<Estimate>,
+    /// Which topics were used as which sensors.
+    pub plan: SensorPlan,
+    /// Where somebody said that it starts.
+    pub start: Option<StartPose>,
+    /// Whether that agrees with where it was found; none if nobody said it, or it is not known at the end.
+    pub start_agrees: Option<bool>,
+    /// What was repaired or left out.
+    pub issues: IssueLog,
+    /// Scans whose stamps were changed: their times here, and the stamps as recorded.
+    pub recorded_times: BTreeMap<Time, Time>,
+    /// What the map looks like.
+    pub textures: Vec<PlacedTexture>,
+    /// Whether it was stopped before the end.
+    pub interrupted: bool,
+}
+
+/// Whether a recording was found in a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Found {
+    /// Since it was found it was never lost, and hardly ever uncertain.
+    Throughout,
+    /// It was lost at times, or went where the map does not reach.
+    InParts,
+    /// It was not found.
+    Never,
+}
+
+impl Found {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Throughout => "throughout",
+            Self::InParts => "in_parts",
+            Self::Never => "never",
+        }
+    }
+}
+
+/// How often and how long a state was.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StateCount {
+    /// Scans after which it was so.
+    pub scans: usize,
+    /// Seconds until the next scan, summed up.
+    pub seconds: f64,
+}
+
+/// Since it was found, at least this share of scans has to be localised where it was found throughout.
+const THROUGHOUT: f64 = 0.95;
+
+impl LocalizedRecording {
+    /// Whether it was found.
+    pub fn found(&self) -> Found {
+        let Some(first) = self.estimates.iter().position(|e| e.state == State::Localised) else {
+            return Found::Never;
+        };
+        let since = &self.estimates[first..];
+        let localised = since.iter().filter(|e| e.state == State::Localised).count();
+        let was_lost = since.iter().any(|e| e.state == State::Lost);
+        if was_lost || (localised as f64) < THROUGHOUT * since.len() as f64 {
+            return Found::InParts;
+        }
+        Found::Throughout
+    }
+
+    /// Seconds of the recording until it was first localised.
+    pub fn found_after_seconds(&self) -> Option<f64> {
+        let first = self.estimates.first()?;
+        let found = self.estimates.iter().find(|e| e.state == State::Localised)?;
+        Some(found.time.seconds_since(first.time))
+    }
+
+    /// How often and how long each state was, in the order of [`State::ALL`].
+    pub fn state_counts(&self) -> [(State, StateCount); 5] {
+        State::ALL.map(|state| {
+            let mut count = StateCount::default();
+            for (i, estimate) in self.estimates.iter().enumerate().filter(|(_, e)| e.state == state) {
+                count.scans += 1;
+                let next = self.estimates.get(i + 1);
+                count.seconds += next.map_or(0.0, |next| next.time.seconds_since(estimate.time));
+            }
+            (state, count)
+        })
+    }
+
+    /// Poses of the tracking frame in the map where it was localised, under the times of the recording.
+    pub fn poses(&self) -> Vec<(Time, Rigid3)> {
+        let localised = self.estimates.iter().filter(|e| e.state == State::Localised);
+        localised.filter_map(|e| Some((self.recorded(e.time), e.place?.map_from_tracking))).collect()
+    }
+
+    fn recorded(&self, time: Time) -> Time {
+        self.recorded_times.get(&time).copied().unwrap_or(time)
+    }
+}
+
+/// Writes `poses.tum`, `poses.csv`, `way.png` and `report.json`; their paths. It took `seconds`.
+///
+/// # Errors
+/// Fails if something cannot be written.
+pub fn write_localized(
+    localized: &LocalizedRecording,
+    folder: &Path,
+    seconds: f64,
+    observe: &mut Observer,
+) -> Result<Vec<PathBuf>, JobError> {
+    std::fs::create_dir_all(folder).map_err(|source| JobError::file(folder, source))?;
+    let mut files = Vec::new();
+    let mut file = |name: &str| {
+        files.push(folder.join(name));
+        folder.join(name)
+    };
+    write_tum(&file("poses.tum"), &localized.poses())?;
+    write_file(&file("poses.csv"), csv(localized).as_bytes())?;
+    match draw_way(&localized.textures, &way(&localized.estimates), &PictureOptions::default()) {
+        Ok(picture) => write_picture(&file("way.png"), &picture)?,
+        Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
+        Err(error) => return Err(error.into()),
+    }
+    let report = serde_json::to_vec_pretty(&report(localized, seconds))?;
+    write_file(&file("report.json"), &report)?;
+    Ok(files)
+}
+
+/// One line a scan. Numbers are missing where no place is known.
+fn csv(localized: &LocalizedRecording) -> String {
+    let mut text =
+        "time,state,reason,x,y,yaw,cov_xx,cov_xy,cov_x_yaw,cov_yy,cov_y_yaw,cov_yaw_yaw,explained,\
+                    in_free_space,through_solid\n"
+            .to_owned();
+    for estimate in &localized.estimates {
+        let time = localized.recorded(estimate.time).unix_decimal();
+        let _ = write!(text, "{time},{},{}", estimate.state, estimate.reason.name());
+        match &estimate.place {
+            Some(place) => {
+                let Place { map_from_tracking: pose, covariance: c, agreement: a } = place;
+                let (at, heading) = (pose.translation, yaw(&pose.rotation));
+                let _ = write!(text, ",{:.6},{:.6},{heading:.7}", at.x, at.y);
+                for (i, j) in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)] {
+                    let _ = write!(text, ",{:.6e}", c[(i, j)]);
+                }
+                let _ = writeln!(text, ",{:.3},{:.3},{:.3}", a.explained, a.in_free_space, a.through_solid);
+            }
+            None => text += ",,,,,,,,,,,,\n",
+        }
+    }
+    text
+}
+
+/// The colour of a state in pictures.
+fn colour(state: State) -> Rgb {
+    match state {
+        State::Searching | State::Lost => rgb(0xd62728),
+        State::Tentative => rgb(0x8073ac),
+        State::Localised => rgb(0x2ca02c),
+        State::Uncertain => rgb(0xe08214),
+    }
+}
+
+/// The way in pieces of one state; what is tentative jumps, so that it is dots.
+fn way(estimates: &[Estimate]) -> Vec<ColouredLine> {
+    let mut lines: Vec<ColouredLine> = Vec::new();
+    let mut last: Option<State> = None;
+    for estimate in estimates {
+        let Some(place) = &estimate.place else {
+            last = None;
+            continue;
+        };
+        let at = place.map_from_tracking.translation;
+        let (point, state) = ([at.x, at.y], estimate.state);
+        match lines.last_mut() {
+            Some(line) if last == Some(state) && state != State::Tentative => line.points.push(point),
+            _ => lines.push(ColouredLine { colour: colour(state), points: vec![point] }),
+        }
+        last = Some(state);
+    }
+    lines
+}
+
+/// What `report.json` tells.
+fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
+    let counts = localized.state_counts();
+    let states = counts.map(|(state, count)| {
+        let seconds = (1e3 * count.seconds).round() / 1e3;
+        (state.name().to_owned(), serde_json::json!({ "scans": count.scans, "seconds": seconds }))
+    });
+    let sensors: Vec<String> =
+        localized.plan.sensors().iter().map(|s| format!("{:?} {}", s.kind, s.id)).collect();
+    serde_json::json!({
+        "found": localized.found().name(),
+        "found_after_seconds": localized.found_after_seconds(),
+        "scans": localized.estimates.len(),
+        "states": states.into_iter().collect::<serde_json::Map<_, _>>(),
+        "changes": changes(localized),
+        "start": localized.start.map(|start| serde_json::json!({
+            "x": start.map_from_tracking.translation.x,
+            "y": start.map_from_tracking.translation.y,
+            "yaw": yaw(&start.map_from_tracking.rotation),
+            "sigma_metres": start.sigma_metres,
+            "sigma_radians": start.sigma_radians,
+            "agrees_with_the_place_at_the_end": localized.start_agrees,
+        })),
+        "wall_seconds": seconds,
+        "interrupted": localized.interrupted,
+        "tracking_frame": localized.plan.tracking_frame,
+        "sensors": sensors,
+        "issues": localized.issues,
+        "data_lost": localized.issues.lost_data(),
+    })
+}
+
+/// When the state changed, what it became and why.
+fn changes(localized: &LocalizedRecording) -> Vec<serde_json::Value> {
+    let mut last = None;
+    let changed = localized.estimates.iter().filter(|e| last.replace(e.state) != Some(e.state));
+    let entry = |e: &Estimate| {
+        let time = localized.recorded(e.time).unix_seconds();
+        serde_json::json!({ "time": time, "state": e.state.name(), "reason": e.reason.name() })
+    };
+    changed.map(entry).collect()
+}

@@ -1,0 +1,224 @@
+//! Finding simulated drives in a saved map of the building, and not finding them in that of another.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use portolan::RequestedOptions;
+use portolan::geometry::{Duration, Rigid3, Time, Vector3, rotation_angle};
+use portolan::ingest::IngestOptions;
+use portolan::job::{
+    Found, JobError, LocalizeRequest, LocalizedRecording, MapRequest, localize, map, unobserved,
+    write_localized,
+};
+use portolan::localization::{KnownMapError, PlanarMap, Reason, StartPose, State};
+use portolan::mapping::{GraphState, Planar};
+use portolan::recording::{Recording, create, open_all};
+use portolan::simulator::world::Scene;
+use portolan::simulator::{ScenarioOptions, Simulation};
+
+/// A drive through an office; another day, another way through it.
+fn drive(building: u64, day: u64, seconds: f64) -> Simulation {
+    let options = ScenarioOptions {
+        building_seed: Some(building),
+        duration: Some(seconds),
+        people: Some(2),
+        ..ScenarioOptions::new(Scene::Office, day)
+    };
+    Simulation::new(options).unwrap()
+}
+
+/// A map of the whole office, made once, and where it lies in the building.
+struct Known {
+    folder: tempfile::TempDir,
+    world_from_map: Rigid3,
+}
+
+fn known() -> &'static Known {
+    static KNOWN: OnceLock<Known> = OnceLock::new();
+    KNOWN.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let first_day = drive(1, 1, 240.0);
+        map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
+        let world_from_map = first_day.truth_at(first_day.start_time()).unwrap();
+        Known { folder, world_from_map }
+    })
+}
+
+impl Known {
+    fn map(&self) -> PathBuf {
+        self.folder.path().join("map.pbstream")
+    }
+
+    fn truth(&self, drive: &Simulation, time: Time) -> Rigid3 {
+        self.world_from_map.inverse() * drive.truth_at(time).unwrap()
+    }
+
+    /// Metres and radians by which localised poses are off, with their times.
+    fn errors(&self, drive: &Simulation, found: &LocalizedRecording) -> Vec<(Time, f64, f64)> {
+        let localised = found.estimates.iter().filter(|e| e.state == State::Localised);
+        let off = localised.map(|e| {
+            let error = self.truth(drive, e.time).inverse() * e.place.unwrap().map_from_tracking;
+            (e.time, error.translation.vector.norm(), rotation_angle(&error))
+        });
+        off.collect()
+    }
+}
+
+fn request(map: &Path) -> LocalizeRequest {
+    LocalizeRequest {
+        map: map.to_owned(),
+        folder: PathBuf::new(),
+        ingest: IngestOptions::default(),
+        requested: RequestedOptions::default(),
+        start: None,
+        threads: 1,
+    }
+}
+
+fn find(recording: &dyn Recording, start: Option<StartPose>) -> LocalizedRecording {
+    let request = LocalizeRequest { start, ..request(&known().map()) };
+    localize(recording, &request, &mut unobserved).unwrap()
+}
+
+#[test]
+fn a_robot_is_found_without_a_start() {
+    for day in [2, 3] {
+        let today = drive(1, day, 40.0);
+        let found = find(&today, None);
+        assert_eq!(found.found(), Found::Throughout, "day {day}: {:?}", found.state_counts());
+        // It stands for the first two seconds.
+        assert!(found.found_after_seconds().unwrap() < 8.0, "day {day}: {:?}", found.found_after_seconds());
+        let errors = known().errors(&today, &found);
+        let largest = errors.iter().map(|e| e.1).fold(0.0, f64::max);
+        assert!(errors.len() > 200 && largest < 0.2, "day {day}: {} poses, {largest} m", errors.len());
+    }
+}
+
+#[test]
+fn covariances_are_about_what_errors_are() {
+    let today = drive(1, 4, 60.0);
+    let found = find(&today, None);
+    let localised = found.estimates.iter().filter(|e| e.state == State::Localised);
+    let squares: Vec<f64> = localised
+        .map(|e| {
+            let place = e.place.unwrap();
+            let error = known().truth(&today, e.time).inverse() * place.map_from_tracking;
+            let in_map = place.map_from_tracking.rotation * error.translation.vector;
+            let error = Vector3::new(in_map.x, in_map.y, error.rotation.euler_angles().2);
+            (error.transpose() * place.covariance.try_inverse().unwrap() * error)[(0, 0)]
+        })
+        .collect();
+    let within = squares.iter().filter(|s| **s < 7.815).count() as f64 / squares.len() as f64;
+    assert!(squares.len() > 300 && within > 0.8, "{} poses, {within} within their 95 %", squares.len());
+    let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+    assert!((0.2..6.0).contains(&mean), "{mean} in place of 3");
+}
+
+#[test]
+fn a_wrong_start_costs_seconds() {
+    let today = drive(1, 2, 30.0);
+    let right = known().truth(&today, today.start_time());
+    let told = find(&today, Some(StartPose::new(right)));
+    assert_eq!((told.found(), told.start_agrees), (Found::Throughout, Some(true)));
+    let wrong =
+        Rigid3::translation(4.0, -3.0, 0.0) * right * Rigid3::new(Vector3::zeros(), Vector3::z() * 1.5);
+    let corrected = find(&today, Some(StartPose::new(wrong)));
+    assert_eq!((corrected.found(), corrected.start_agrees), (Found::Throughout, Some(false)));
+    assert!(corrected.found_after_seconds().unwrap() < 10.0, "{:?}", corrected.found_after_seconds());
+    let errors = known().errors(&today, &corrected);
+    assert!(errors.iter().all(|e| e.1 < 0.2 && e.2 < 0.1), "{errors:?}");
+}
+
+#[test]
+fn nothing_is_found_in_another_building() {
+    for building in [2, 3, 4] {
+        let elsewhere = drive(building, 2, 60.0);
+        let found = find(&elsewhere, None);
+        assert_eq!(found.found(), Found::Never, "building {building}: {:?}", found.state_counts());
+        assert!(found.poses().is_empty());
+        let told = find(&elsewhere, Some(StartPose::new(Rigid3::identity())));
+        assert_eq!(told.found(), Found::Never, "building {building} with a start: {:?}", told.state_counts());
+    }
+}
+
+/// Two drives one right after the other, as if somebody had carried the robot with its eyes closed.
+fn kidnapped(folder: &Path) -> (Simulation, Simulation, Box<dyn Recording>) {
+    let first = drive(1, 2, 25.0);
+    let start_time = first.start_time() + Duration::from_seconds(25.2);
+    let second = Simulation::new(ScenarioOptions {
+        start_time,
+        building_seed: Some(1),
+        duration: Some(30.0),
+        people: Some(2),
+        ..ScenarioOptions::new(Scene::Office, 3)
+    })
+    .unwrap();
+    let paths = [(&first, "first.bag"), (&second, "second.bag")].map(|(drive, name)| {
+        let path = folder.join(name);
+        let mut writer = create(&path, None).unwrap();
+        drive.write_messages(&mut *writer).unwrap();
+        writer.finish().unwrap();
+        path
+    });
+    (first, second, open_all(&paths).unwrap())
+}
+
+#[test]
+fn a_kidnapped_robot_knows_that_it_is_lost_and_is_found_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first, second, recording) = kidnapped(folder.path());
+    let found = find(recording.as_ref(), None);
+    assert_eq!(found.found(), Found::InParts);
+    let kidnapped_at = second.start_time();
+    let is_right = |estimate: &portolan::localization::Estimate| {
+        let drive = if estimate.time < kidnapped_at { &first } else { &second };
+        let error = known().truth(drive, estimate.time).inverse() * estimate.place.unwrap().map_from_tracking;
+        error.translation.vector.norm() < 0.3
+    };
+    let localised = || found.estimates.iter().filter(|e| e.state == State::Localised);
+    let false_ones: Vec<f64> =
+        localised().filter(|e| !is_right(e)).map(|e| e.time.seconds_since(kidnapped_at)).collect();
+    assert!(false_ones.iter().all(|t| (0.0..3.0).contains(t)), "{false_ones:?}");
+    let again = localised().find(|e| e.time > kidnapped_at && is_right(e)).map(|e| e.time);
+    let seconds = again.map(|time| time.seconds_since(kidnapped_at));
+    assert!(seconds.is_some_and(|s| s < 12.0), "{seconds:?} {:?}", found.state_counts());
+    assert!(found.estimates.iter().any(|e| e.state == State::Lost));
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let today = drive(1, 5, 15.0);
+    let files = [1, 2, 4].map(|threads| {
+        let request = LocalizeRequest { threads, ..request(&known().map()) };
+        let found = localize(&today, &request, &mut unobserved).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        write_localized(&found, folder.path(), 0.0, &mut unobserved).unwrap();
+        ["poses.tum", "poses.csv", "way.png", "report.json"]
+            .map(|name| std::fs::read(folder.path().join(name)).unwrap())
+    });
+    assert!(files[0][1].len() > 5_000 && files[0] == files[1] && files[0] == files[2]);
+}
+
+#[test]
+fn bad_maps_are_told_as_what_they_are() {
+    let empty = PlanarMap::new(&GraphState::<Planar>::default());
+    assert!(matches!(empty, Err(KnownMapError::Empty)));
+    let folder = tempfile::tempdir().unwrap();
+    let damaged = folder.path().join("damaged.pbstream");
+    let whole = std::fs::read(known().map()).unwrap();
+    std::fs::write(&damaged, &whole[..whole.len() / 3]).unwrap();
+    let today = drive(1, 2, 3.0);
+    let error = |path: &Path| localize(&today, &request(path), &mut unobserved).err().unwrap();
+    assert!(matches!(error(&damaged), JobError::KnownMap { .. }), "{}", error(&damaged));
+    assert!(error(&folder.path().join("missing.pbstream")).to_string().contains("missing.pbstream"));
+}
+
+#[test]
+fn why_it_is_not_known_is_said() {
+    let elsewhere = drive(2, 2, 10.0);
+    let found = find(&elsewhere, None);
+    let reasons = [Reason::NoPlaceFits, Reason::SeveralPlacesFit, Reason::TooLittleSeen];
+    assert!(found.estimates.iter().all(|e| reasons.contains(&e.reason)));
+    assert!(found.estimates.iter().all(|e| e.place.is_some() == (e.state == State::Tentative)));
+}
