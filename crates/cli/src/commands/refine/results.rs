@@ -7,7 +7,7 @@ use portolan_export::write_tum;
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_mapfile::{EditError, MapDraft, ReadLimits};
 use portolan_pointcloud::{Attributes, BATCH_POINTS, CloudError, PointCloud, WriteOptions, create};
-use portolan_refinement::continuous::{Mounting, RefineReport, Refined};
+use portolan_refinement::continuous::{Agreement, CrossValidation, Mounting, RefineReport, Refined};
 use portolan_spatial::Sharpness;
 
 use super::cloud_pair::CloudPair;
@@ -169,6 +169,7 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
             100.0 * share
         ))
     );
+    text += &report.cross_validation.as_ref().map_or_else(String::new, cross_validation_lines);
     text += &notes(&results.refined.report, results.without_results);
     for issue in &results.read.issues {
         let label = if issue.lost_data() { "lost" } else { "repaired" };
@@ -176,6 +177,25 @@ pub fn summary(results: &Results, files: &[PathBuf]) -> String {
     }
     for file in files {
         text += &format!("{}\n", file.display());
+    }
+    text
+}
+
+/// What surfaces say that took no part in the fit.
+fn cross_validation_lines(found: &CrossValidation) -> String {
+    let agreement = |a: &Agreement| format!("{:.2} -> {:.2} cm", 100.0 * a.before, 100.0 * a.after);
+    let mut text = format!(
+        "surfaces kept out of the fit: seconds apart they agree to {}",
+        agreement(&found.near_in_time)
+    );
+    if found.between_passes.pairs > 0 {
+        text += &format!(", of different passes to {}", agreement(&found.between_passes));
+    }
+    text += "\n";
+    for [from, to] in &found.refused {
+        text += &format!(
+            "from {from:.0} s to {to:.0} s they agree less than before: the input's motion is kept there\n"
+        );
     }
     text
 }
