@@ -88,7 +88,7 @@ pub fn table() -> Vec<Effect> {
     effects! {
         "fast_correlative_scan_matcher_3d.branch_and_bound_depth", "2" => "7", Rises, memory;
         "fast_correlative_scan_matcher_3d.full_resolution_depth", "1" => "6", Rises, memory;
-        "min_rotational_score", "0.5" => "1.01", Falls, |o| is_found(o, guess());
+        "min_rotational_score", "0.5" => "1", Falls, |o| is_found(o, guess());
         "min_low_resolution_score", "0.2" => "0.99", Falls, |o| is_found(o, guess());
         "linear_xy_search_window", "0.2" => "2", Rises, |o| is_found(o, Rigid3::translation(1.0, 0.5, 0.0));
         "linear_z_search_window", "0.2" => "1.5", Rises, |o| is_found(o, Rigid3::translation(0.0, 0.0, 1.0));
