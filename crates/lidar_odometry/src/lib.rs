@@ -28,6 +28,7 @@ mod sweep_registration;
 #[cfg(test)]
 mod testing;
 mod tracker;
+mod two_threads;
 mod vertical;
 
 pub use degenerate_intervals::{DegenerateInterval, DegenerateMotion, Substitute};
@@ -47,3 +48,4 @@ pub use segment::{MotionSource, SegmentCorrection, TrajectorySegment};
 pub use settings::{OdometrySettings, RegistrationSettings};
 pub use sweep::{Sweep, SweepPoint};
 pub use tracker::{Fallback, Keyframe, Observability, RegisteredSweep};
+pub use two_threads::both;

@@ -6,6 +6,7 @@ use portolan_sensor::RangeData;
 
 use crate::plane_map::PlaneMap;
 use crate::settings::{LocalMapSettings, OdometrySettings, PlaneFitSettings};
+use crate::two_threads::both;
 
 /// A planar voxel map that takes key frames.
 #[derive(Clone, Debug)]
@@ -72,7 +73,8 @@ impl LocalMap {
     pub fn insert(&mut self, sweep_in_local: &RangeData) {
         match &mut self.newer {
             Some(newer) => {
-                rayon::join(|| self.older.insert(sweep_in_local), || newer.insert(sweep_in_local));
+                let points = sweep_in_local.returns.points.len();
+                both(points, || self.older.insert(sweep_in_local), || newer.insert(sweep_in_local));
             }
             None => self.older.insert(sweep_in_local),
         }

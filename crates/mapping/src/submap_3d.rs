@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use portolan_config::Submaps3dOptions;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, to_f32, yaw};
-use portolan_lidar_odometry::PlaneMap;
+use portolan_lidar_odometry::{PlaneMap, both};
 use portolan_matching::grid::InserterOptionError;
 use portolan_matching::{
     GridError, HybridGrid, HybridInserter, HybridInserterOptions, IntensityGrid, rotate_histogram,
@@ -147,7 +147,9 @@ impl Submap3d {
         let scans = std::mem::take(&mut self.waiting);
         let Some(inserter) = &self.inserter else { return };
         let (inserter, max_range) = (&inserter.inserter, inserter.high_resolution_max_range);
-        rayon::join(
+        let points = scans.iter().map(|scan| scan.returns.len()).sum();
+        both(
+            points,
             || inserter.insert_all(&scans, max_range, &mut self.high_resolution_grid),
             || inserter.insert_all(&scans, f32::INFINITY, &mut self.low_resolution_grid),
         );

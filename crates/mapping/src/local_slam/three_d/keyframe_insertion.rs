@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Time, to_f32};
-use portolan_lidar_odometry::PlaneMap;
+use portolan_lidar_odometry::{PlaneMap, both};
 use portolan_matching::rotational_histogram;
 use portolan_sensor::{PointCloud, RangeData};
 
@@ -53,7 +53,8 @@ impl KeyframeInsertion {
     pub fn insert(&mut self, keyframe: KeyframeScan) -> MatchingResult<Spatial> {
         let KeyframeScan { time, local_from_tracking, scan, open, .. } = keyframe;
         let gravity = keyframe.gravity_from_tracking;
-        let ([high, low], histogram) = rayon::join(
+        let ([high, low], histogram) = both(
+            scan.returns.len(),
             || keyframe.clouds.unwrap_or_else(|| self.clouds(&scan.returns)),
             || self.histogram(&scan.returns, &gravity),
         );
