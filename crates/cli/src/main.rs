@@ -81,6 +81,8 @@ fn run(cli: Cli) -> ExitStatus {
     start_logging(&cli.global);
     keep_caught_panics_quiet();
     interrupt::watch(cli.global.quiet);
+    // The pool of local SLAM; other work has pools of its own. An error says that there is one already.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(cli.global.thread_count()).build_global();
     match commands::run(cli.command, &cli.global) {
         // Whatever was saved, it is not all that was asked for.
         Ok(_) if interrupt::interrupted() => ExitStatus::Interrupted,

@@ -54,7 +54,7 @@ mod tests {
         let covariance = attenuation.covariance();
         let expected = [distance * 1e-4, distance * 0.5, most].map(|error| error * error);
         assert!((covariance.diagonal() - na::Vector3::from(expected)).norm() < 1e-9, "{covariance}");
-        // Beside points whose information is twice what is feigned a prior of their own error weighs as much as they.
+        // Points whose information is twice the spurious part weigh as much as a prior of the same error.
         let information = na::Matrix3::from_diagonal_element((distance * 0.5).powi(-2));
         let stiffer = attenuation.stiffening(&information);
         assert!((stiffer[(1, 1)] - 2.0).abs() < 1e-9 && (stiffer[(0, 0)] - 1.0).abs() < 1e-6, "{stiffer}");
