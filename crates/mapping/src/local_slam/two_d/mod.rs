@@ -2,6 +2,7 @@
 
 mod degeneracy;
 mod doubt;
+mod odometry_scale;
 mod prediction_error;
 mod tracking;
 

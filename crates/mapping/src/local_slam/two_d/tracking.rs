@@ -10,6 +10,7 @@ use portolan_sensor::PointCloud;
 
 use super::LocalSlamExtras;
 use super::degeneracy::WeakDirection;
+use super::odometry_scale::OdometryScale;
 use super::prediction_error::{PredictionError, UsualScore};
 use crate::SearchWindow;
 use crate::scan_matching_2d::{ScanMatch2d, ScanMatcher2d};
@@ -70,6 +71,7 @@ pub(super) struct Tracker {
     is_adaptive: bool,
     /// After so many seconds of which nothing was measured the scanner may as well have stood still.
     gap: f64,
+    odometry_scale: OdometryScale,
     prediction_error: PredictionError,
     usual_score: UsualScore,
 }
@@ -87,6 +89,7 @@ impl Tracker {
             } else {
                 f64::INFINITY
             },
+            odometry_scale: OdometryScale::default(),
             prediction_error: PredictionError::default(),
             usual_score: UsualScore::default(),
         })
@@ -108,7 +111,13 @@ impl Tracker {
     pub fn find(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Found {
         // After so long nothing is left of a velocity.
         let is_unknown = !motion.is_measured && motion.seconds > LONGEST_UNMEASURED;
-        let prediction = if is_unknown { motion.last } else { prediction };
+        let measured = motion.last.inverse() * prediction;
+        let scaled = self.odometry_scale.corrected(&measured);
+        let prediction = match motion.is_measured {
+            true => motion.last * scaled,
+            false if is_unknown => motion.last,
+            false => prediction,
+        };
         let weak = WeakDirection::of(scan.returns);
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
@@ -130,6 +139,11 @@ impl Tracker {
             return Found { pose: prediction, is_far: false, agreement: None };
         }
         let pose = self.weigh(found.pose, near.around, motion, &scan, weak.as_ref());
+        // Where scans leave a direction open, they do not say how far it went.
+        if motion.is_measured && !is_far && weak.is_none() {
+            let sigma = self.prediction_error.sigmas(&measured).translation;
+            self.odometry_scale.add(&measured, &(near.around.inverse() * found.pose), sigma);
+        }
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud);
         Found { pose, is_far, agreement }
     }
