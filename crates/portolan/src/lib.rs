@@ -29,6 +29,7 @@ pub use portolan_mapping as mapping;
 pub use portolan_matching as matching;
 pub use portolan_motion as motion;
 pub use portolan_numeric as numeric;
+pub use portolan_pbstream as pbstream;
 pub use portolan_pointcloud as pointcloud;
 pub use portolan_recording as recording;
 pub use portolan_refinement as refinement;

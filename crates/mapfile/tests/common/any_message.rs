@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use portolan_mapfile::proto::DESCRIPTORS;
 use portolan_numeric::SplitMix64;
+use portolan_pbstream::proto::DESCRIPTORS;
 use prost::Message as _;
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorSet};

@@ -6,8 +6,8 @@ use portolan_evaluation::{
     GenerateOptions, MapConstraint, MapGraph, generate_relations, write_binary_relations,
     write_text_relations,
 };
-use portolan_mapfile::proto::mapping::pose_graph::{Constraint, constraint::Tag};
-use portolan_mapfile::{IdInFile, node_id, pose_from_proto, submap_id};
+use portolan_pbstream::proto::mapping::pose_graph::{Constraint, constraint::Tag};
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
 
 use super::input::{nodes, read_pose_graph, trajectory_of};
 use crate::GlobalArgs;

@@ -73,7 +73,7 @@ impl<'a> Iterator for Fields<'a> {
 
 /// All content of the length-delimited fields of one number, one after the other: protobuf merges messages
 /// that are there several times by joining their bytes.
-pub(crate) fn joined(message: &[u8], number: u32) -> Vec<u8> {
+pub fn joined(message: &[u8], number: u32) -> Vec<u8> {
     let mut joined = Vec::new();
     for (found, value) in Fields::new(message).map_while(Result::ok) {
         if let (true, WireValue::Bytes(bytes)) = (found == number, value) {
@@ -84,7 +84,7 @@ pub(crate) fn joined(message: &[u8], number: u32) -> Vec<u8> {
 }
 
 /// The last variable-length number of a field; zero where there is none, as protobuf has it.
-pub(crate) fn last_varint(message: &[u8], number: u32) -> u64 {
+pub fn last_varint(message: &[u8], number: u32) -> u64 {
     let fields = Fields::new(message).map_while(Result::ok);
     let values = fields.filter_map(|(found, value)| match value {
         WireValue::Varint(v) if found == number => Some(v),
@@ -94,7 +94,7 @@ pub(crate) fn last_varint(message: &[u8], number: u32) -> u64 {
 }
 
 /// The message without all fields of one number; what is left is copied byte for byte.
-pub(crate) fn without_field(message: &[u8], number: u32) -> Vec<u8> {
+pub fn without_field(message: &[u8], number: u32) -> Vec<u8> {
     let mut kept = Vec::with_capacity(message.len());
     let mut fields = Fields::new(message);
     loop {
@@ -108,7 +108,7 @@ pub(crate) fn without_field(message: &[u8], number: u32) -> Vec<u8> {
 }
 
 /// Appends a variable-length number.
-pub(crate) fn put_varint(out: &mut Vec<u8>, mut value: u64) {
+pub fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
         out.push(value as u8 | 0x80);
         value >>= 7;
@@ -117,7 +117,7 @@ pub(crate) fn put_varint(out: &mut Vec<u8>, mut value: u64) {
 }
 
 /// Appends a field with a variable-length number; zero is told by leaving it out.
-pub(crate) fn put_varint_field(out: &mut Vec<u8>, number: u32, value: u64) {
+pub fn put_varint_field(out: &mut Vec<u8>, number: u32, value: u64) {
     if value != 0 {
         put_varint(out, u64::from(number) << 3);
         put_varint(out, value);
@@ -125,7 +125,7 @@ pub(crate) fn put_varint_field(out: &mut Vec<u8>, number: u32, value: u64) {
 }
 
 /// Appends a length-delimited field.
-pub(crate) fn put_bytes_field(out: &mut Vec<u8>, number: u32, content: &[u8]) {
+pub fn put_bytes_field(out: &mut Vec<u8>, number: u32, content: &[u8]) {
     put_varint(out, u64::from(number) << 3 | 2);
     put_varint(out, content.len() as u64);
     out.extend_from_slice(content);

@@ -143,7 +143,7 @@ impl RawMessage {
 }
 
 /// Decodes any message but the header; none where its kind is not known.
-pub(crate) fn decode_data(bytes: &[u8]) -> Result<Option<Data>, RecordError> {
+pub fn decode_data(bytes: &[u8]) -> Result<Option<Data>, RecordError> {
     let needed = decoded_size(bytes);
     if needed > MAX_DECODED_BYTES {
         return Err(RecordError::DecodedTooLarge { needed, limit: MAX_DECODED_BYTES });

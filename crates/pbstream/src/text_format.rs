@@ -82,7 +82,7 @@ pub fn pose_graph_to_text(pose_graph: &PoseGraph) -> String {
 }
 
 /// A message of the package `cartographer.mapping.proto` as text.
-pub(crate) fn mapping_to_text(message: &impl prost::Message, name: &str) -> String {
+pub fn mapping_to_text(message: &impl prost::Message, name: &str) -> String {
     let mut text = String::new();
     let _ = print_message(&message.encode_to_vec(), Some(&format!("{MAPPING}{name}")), 0, &mut text);
     text

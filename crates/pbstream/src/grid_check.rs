@@ -9,7 +9,7 @@ const MAX_VOXEL_INDEX: i32 = 8192;
 
 /// What is wrong with a grid.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct GridReport {
+pub struct GridReport {
     /// The grid cannot be used: why.
     pub broken: Option<String>,
     /// Cells whose value is not 0 to 32767, or whose index is out of range.
@@ -23,6 +23,7 @@ impl GridReport {
         Self { broken: Some(text), ..Self::default() }
     }
 
+    /// Whether nothing was found.
     pub fn is_good(&self) -> bool {
         *self == Self::default()
     }
@@ -33,7 +34,7 @@ fn is_bad(cell: i32) -> bool {
 }
 
 /// Checks sizes, bounds and cells of a 2D grid.
-pub(crate) fn check_grid_2d(grid: &Grid2D) -> GridReport {
+pub fn check_grid_2d(grid: &Grid2D) -> GridReport {
     let limits = grid.limits.unwrap_or_default();
     let max = limits.max.unwrap_or_default();
     if !(limits.resolution.is_finite() && limits.resolution > 0.0) {
@@ -84,7 +85,7 @@ fn fits(known: &CellBox, columns: i32, rows: i32) -> bool {
 }
 
 /// Checks sizes and cells of a 3D grid.
-pub(crate) fn check_hybrid_grid(grid: &HybridGrid) -> GridReport {
+pub fn check_hybrid_grid(grid: &HybridGrid) -> GridReport {
     if !(grid.resolution.is_finite() && grid.resolution > 0.0) {
         return GridReport::broken(format!("the resolution is {}", grid.resolution));
     }
@@ -108,7 +109,7 @@ fn is_bad_voxel(grid: &HybridGrid, i: usize) -> bool {
 
 /// Takes markers away, makes impossible cells unknown and finds the box of known cells anew. The sizes
 /// must be right.
-pub(crate) fn mend_grid_2d(grid: &mut Grid2D) {
+pub fn mend_grid_2d(grid: &mut Grid2D) {
     let mend = |cells: &mut Vec<i32>| {
         cells
             .iter_mut()
@@ -134,7 +135,7 @@ pub(crate) fn mend_grid_2d(grid: &mut Grid2D) {
 }
 
 /// Leaves out voxels that cannot be. The sizes must be right.
-pub(crate) fn mend_hybrid_grid(grid: &mut HybridGrid) {
+pub fn mend_hybrid_grid(grid: &mut HybridGrid) {
     let keep: Vec<bool> = (0..grid.values.len()).map(|i| !is_bad_voxel(grid, i)).collect();
     for values in [&mut grid.x_indices, &mut grid.y_indices, &mut grid.z_indices, &mut grid.values] {
         let mut keep = keep.iter();

@@ -2,18 +2,16 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-mod common;
-
 use std::io::{self, Cursor, Write};
 use std::sync::{Arc, Mutex};
 
-use common::all_maps;
-use portolan_mapfile::proto::mapping::serialized_data::Data;
-use portolan_mapfile::proto::mapping::{self, Trajectory, trajectory};
-use portolan_mapfile::{
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{self, Trajectory, trajectory};
+use portolan_pbstream::{
     FORMAT_VERSION, MapReader, Message, MessageKind, PbstreamError, PbstreamReader, PbstreamWriter,
     RawMessage, ReadLimits, gzip,
 };
+use portolan_testing::real_maps;
 use proptest::prelude::*;
 use prost::Message as _;
 
@@ -81,7 +79,7 @@ fn every_kind() -> Vec<Data> {
 #[test]
 fn real_maps_survive_reading_and_writing() {
     let folder = tempfile::tempdir().unwrap();
-    for path in all_maps() {
+    for path in real_maps() {
         let before: Vec<RawMessage> = PbstreamReader::open(&path).unwrap().collect::<Result<_, _>>().unwrap();
         let copy = folder.path().join("copy.pbstream");
         let mut writer = PbstreamWriter::create(&copy).unwrap();
@@ -110,7 +108,7 @@ fn real_maps_survive_reading_and_writing() {
 
 #[test]
 fn real_maps_open_as_maps() {
-    for path in all_maps() {
+    for path in real_maps() {
         let mut reader = MapReader::open(&path).unwrap();
         assert!(!reader.pose_graph().trajectory.is_empty());
         let (mut nodes, mut submaps) = (0, 0);
@@ -202,7 +200,7 @@ fn what_is_unknown_is_counted_and_survives() {
 
 #[test]
 fn the_number_of_threads_does_not_change_the_bytes() {
-    let Some(path) = all_maps().into_iter().find(|p| p.ends_with("corridor_imu.pbstream")) else { return };
+    let Some(path) = real_maps().into_iter().find(|p| p.ends_with("corridor_imu.pbstream")) else { return };
     let pack = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {

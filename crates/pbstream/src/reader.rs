@@ -106,7 +106,7 @@ pub(crate) fn open_frames(path: &Path, limits: ReadLimits) -> Result<FrameReader
 }
 
 /// Refuses pipes where a map is read more than once.
-pub(crate) fn must_be_a_file(path: &Path) -> Result<(), PbstreamError> {
+pub fn must_be_a_file(path: &Path) -> Result<(), PbstreamError> {
     let opened = regular_file(path).map(drop);
     opened.map_err(|source| PbstreamError::Open { path: path.to_owned(), source })
 }

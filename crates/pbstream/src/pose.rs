@@ -45,6 +45,6 @@ pub fn submap_poses(pose_graph: &PoseGraph) -> std::collections::BTreeMap<IdInFi
 }
 
 /// Whether a quaternion in a file is a rotation (norm within 1e-3 of one).
-pub(crate) fn is_rotation(q: &Quaterniond) -> bool {
+pub fn is_rotation(q: &Quaterniond) -> bool {
     pose_from_xyz_quaternion([0.0; 3], [q.x, q.y, q.z, q.w]).is_some()
 }

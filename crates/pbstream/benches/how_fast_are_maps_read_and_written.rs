@@ -7,7 +7,7 @@
 use std::io::Cursor;
 use std::time::Instant;
 
-use portolan_mapfile::{MapReader, PbstreamReader, PbstreamWriter, ReadLimits};
+use portolan_pbstream::{MapReader, PbstreamReader, PbstreamWriter, ReadLimits};
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();

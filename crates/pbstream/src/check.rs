@@ -64,7 +64,7 @@ pub enum FindingKind {
 }
 
 impl FindingKind {
-    /// What [`repair`](crate::repair) does about it; none where nothing has to be done or nothing can.
+    /// What `repair` of `portolan-mapfile` does about it; none where nothing has to be done or nothing can.
     pub fn repair(self) -> Option<&'static str> {
         match self {
             Self::Damage => Some("keeps the records that are whole"),
@@ -358,16 +358,14 @@ impl Check {
 }
 
 /// The trajectory to which the start of another is relative.
-pub(crate) fn start_of(
-    options: &crate::proto::mapping::TrajectoryBuilderOptionsWithSensorIds,
-) -> Option<i32> {
+pub fn start_of(options: &crate::proto::mapping::TrajectoryBuilderOptionsWithSensorIds) -> Option<i32> {
     let options = options.trajectory_builder_options.as_ref()?;
     options.initial_trajectory_pose.as_ref().map(|start| start.to_trajectory_id)
 }
 
 /// Trajectories (by their place in the file) whose start is relative to one that is not there, to themselves,
 /// or in a circle, and what is wrong with each.
-pub(crate) fn bad_starts(ids: &[i32], starts: &[Option<i32>]) -> Vec<(usize, String)> {
+pub fn bad_starts(ids: &[i32], starts: &[Option<i32>]) -> Vec<(usize, String)> {
     let place: BTreeMap<i32, usize> = ids.iter().enumerate().map(|(i, id)| (*id, i)).rev().collect();
     let next = |i: usize| starts.get(i).copied().flatten();
     let mut bad = Vec::new();
