@@ -36,3 +36,4 @@ pub use portolan_refinement as refinement;
 pub use portolan_sensor as sensor;
 pub use portolan_simulator as simulator;
 pub use portolan_solver as solver;
+pub use portolan_worlds as worlds;

@@ -7,7 +7,8 @@ use std::fs::File;
 use std::io::BufWriter;
 
 use portolan_geometry::{Duration, Vector3, nalgebra as na};
-use portolan_simulator::{Scenario3dOptions, Scene3d, Simulation3d};
+use portolan_simulator::{Scenario3dOptions, Simulation3d};
+use portolan_worlds::three_d::Scene3d;
 
 const PIXEL: f64 = 0.06;
 

@@ -5,7 +5,7 @@ use portolan_geometry::Time;
 use crate::SimulatorError;
 use crate::motion::MotionLimits;
 use crate::sensors::{Fault, FaultTarget, ImuOptions, LidarOptions, OdometryOptions, check_faults};
-use crate::world::{PlanStyle, Scene};
+use portolan_worlds::two_d::{PlanStyle, Scene};
 
 /// Everything that can be chosen. The defaults are a full tour of an office floor by a robot with a
 /// lidar, wheel odometry and an IMU.

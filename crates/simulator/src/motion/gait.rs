@@ -5,7 +5,8 @@ use portolan_geometry::Vector3;
 use super::itinerary::Itinerary;
 use super::smooth;
 use super::spline::{Control, KNOT_SPACING, SplineMotion};
-use crate::random::Random;
+use portolan_worlds::Random;
+use portolan_worlds::three_d::Scene3d;
 
 /// Metres of way for one step of a walker.
 const STEP: f64 = 0.72;
@@ -25,6 +26,14 @@ pub enum Carrier {
 }
 
 impl Carrier {
+    /// Who carries the sensors where nothing else is asked for.
+    pub fn usual_in(scene: Scene3d) -> Self {
+        match scene {
+            Scene3d::Museum => Self::Walker,
+            _ => Self::Wheels,
+        }
+    }
+
     /// Standard deviations of the smoothing of positions and of yaw, seconds.
     fn smoothing(self) -> (f64, f64) {
         match self {

@@ -3,7 +3,7 @@
 use portolan_geometry::Vector3;
 
 use super::smooth;
-use crate::random::Random;
+use portolan_worlds::Random;
 
 /// Seconds to reach walking speed, and to stop.
 const START_TIME: f64 = 1.6;

@@ -7,8 +7,8 @@ use portolan_geometry::{Quaternion, Rigid3, Time, Vector2};
 use portolan_recording::{Header, LaserScan};
 
 use crate::motion::Walk;
-use crate::random::Random;
-use crate::world::{Hit, NearbyPeople, Ray, World};
+use portolan_worlds::Random;
+use portolan_worlds::two_d::{Hit, NearbyPeople, Ray, World};
 
 /// Where a lidar is mounted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

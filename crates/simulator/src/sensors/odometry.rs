@@ -7,7 +7,7 @@ use portolan_recording::{Header, Message, Odometry, Pose, RecordedMessage};
 
 use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::Rolling;
-use crate::random::Random;
+use portolan_worlds::Random;
 
 /// Wheels with encoders.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,8 +7,8 @@ use portolan_recording::{FieldType, Header, PointCloud2, PointField};
 
 use super::beam_table::BeamTable;
 use crate::motion::{Motion, MotionState};
-use crate::random::Random;
-use crate::solid::{Echo, Ray3, SolidWorld};
+use portolan_worlds::Random;
+use portolan_worlds::three_d::{Echo, Ray3, SolidWorld};
 
 /// Bytes of a point: x, y, z, intensity, ring and time, as Velodyne's driver lays them out.
 const POINT_BYTES: usize = 22;

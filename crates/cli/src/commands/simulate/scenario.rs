@@ -5,8 +5,9 @@ use portolan_geometry::Rigid3;
 use portolan_simulator::sensors::{
     BeamTable, Fault, GnssOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
-use portolan_simulator::world::Scene;
-use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, motion::Carrier};
+use portolan_simulator::{Scenario3dOptions, ScenarioOptions, motion::Carrier};
+use portolan_worlds::three_d::Scene3d;
+use portolan_worlds::two_d::Scene;
 
 use crate::commands::argument::spatial_pose;
 

@@ -285,7 +285,7 @@ impl WayCosts {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::{Draft, Material, Opening};
+    use crate::two_d::{Draft, Material, Opening};
 
     /// Two rooms with a door between them.
     fn two_rooms() -> ClearanceGrid {

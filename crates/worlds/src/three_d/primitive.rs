@@ -2,7 +2,7 @@
 
 use portolan_geometry::Vector3;
 
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// Nearer than this to its start a ray meets nothing, metres.
 const NEAREST: f64 = 1e-6;

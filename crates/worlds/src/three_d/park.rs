@@ -3,12 +3,12 @@
 use portolan_geometry::Vector3;
 
 use super::SolidPlan;
+use super::SolidStyle;
 use super::draft::SolidDraft;
 use super::furnishing::{FreeWays, furnish_outdoors};
 use super::terrain::Terrain;
 use crate::random::Random;
-use crate::scenario3d::SolidStyle;
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// Paths are drawn with a point about every so many metres.
 const STEP: f64 = 1.0;

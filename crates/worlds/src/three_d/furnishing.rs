@@ -6,7 +6,7 @@ use super::draft::SolidDraft;
 use super::primitive::Body;
 use super::tree::{draw_bush, draw_tree};
 use crate::random::Random;
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// Ways that are kept free.
 #[derive(Clone, Debug, Default)]

@@ -3,8 +3,11 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::SimulatorError;
-use crate::motion::Carrier;
+use super::{
+    SolidPlan, SolidStyle, field::draw_field, garage::draw_garage, museum::draw_museum, park::draw_park,
+    tunnel::draw_tunnel,
+};
+use crate::WorldError;
 
 /// The kinds of surroundings in 3D.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -67,20 +70,24 @@ impl Scene3d {
         }
     }
 
-    /// Who carries the sensors.
-    pub fn default_carrier(self) -> Carrier {
-        match self {
-            Self::Museum => Carrier::Walker,
-            _ => Carrier::Wheels,
-        }
-    }
-
-    pub(crate) fn default_people(self) -> usize {
+    /// People who walk about, where no number is asked for.
+    pub fn default_people(self) -> usize {
         match self {
             Self::Museum => 12,
             Self::Garage => 3,
             Self::Park => 8,
             Self::Tunnel | Self::Field => 0,
+        }
+    }
+
+    /// Draws such surroundings; the same seed gives the same.
+    pub fn draw(self, style: &SolidStyle, seed: u64) -> SolidPlan {
+        match self {
+            Self::Museum => draw_museum(style, seed),
+            Self::Garage => draw_garage(style, seed),
+            Self::Park => draw_park(style, seed),
+            Self::Tunnel => draw_tunnel(style, seed),
+            Self::Field => draw_field(style, seed),
         }
     }
 }
@@ -92,10 +99,10 @@ impl fmt::Display for Scene3d {
 }
 
 impl FromStr for Scene3d {
-    type Err = SimulatorError;
+    type Err = WorldError;
 
-    fn from_str(name: &str) -> Result<Self, SimulatorError> {
-        Self::ALL.into_iter().find(|scene| scene.name() == name).ok_or_else(|| SimulatorError::UnknownScene {
+    fn from_str(name: &str) -> Result<Self, WorldError> {
+        Self::ALL.into_iter().find(|scene| scene.name() == name).ok_or_else(|| WorldError::UnknownScene {
             name: name.to_owned(),
             known: Self::ALL.map(Self::name).join(", "),
         })

@@ -3,7 +3,7 @@
 use portolan_geometry::Vector3;
 
 use super::draft::SolidDraft;
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// Height and depth of a step, metres.
 const RISE: f64 = 0.15;

@@ -7,7 +7,7 @@ use portolan_geometry::Vector2;
 
 use super::shape::Shape;
 use super::{corridors, hall, office, warehouse};
-use crate::SimulatorError;
+use crate::WorldError;
 use crate::random::Random;
 
 /// The kinds of building that can be drawn.
@@ -76,10 +76,10 @@ impl fmt::Display for Scene {
 }
 
 impl FromStr for Scene {
-    type Err = SimulatorError;
-    fn from_str(name: &str) -> Result<Self, SimulatorError> {
+    type Err = WorldError;
+    fn from_str(name: &str) -> Result<Self, WorldError> {
         let known = Self::ALL.into_iter().find(|scene| scene.name() == name);
-        known.ok_or_else(|| SimulatorError::UnknownScene {
+        known.ok_or_else(|| WorldError::UnknownScene {
             name: name.to_owned(),
             known: Self::ALL.map(Self::name).join(", "),
         })
@@ -139,8 +139,11 @@ const LONGEST_SIDE: f64 = 200.0;
 
 impl FloorPlan {
     /// Checks sizes and indices of a plan from outside.
-    pub(crate) fn check(&self) -> Result<(), SimulatorError> {
-        let bad = |detail: String| Err(SimulatorError::BadPlan { detail });
+    ///
+    /// # Errors
+    /// [`WorldError::BadPlan`] says what to change.
+    pub fn check(&self) -> Result<(), WorldError> {
+        let bad = |detail: String| Err(WorldError::BadPlan { detail });
         let is_size = |side: f64| (1.0..=LONGEST_SIDE).contains(&side);
         if !is_size(self.size.x) || !is_size(self.size.y) {
             return bad(format!("its sides must be from 1 to {LONGEST_SIDE} m"));
@@ -168,17 +171,20 @@ impl FloorPlan {
         }
     }
 
-    pub(crate) fn add_junction(&mut self, name: String, position: Vector2) -> usize {
+    /// Adds a place where passages meet, and gives its index.
+    pub fn add_junction(&mut self, name: String, position: Vector2) -> usize {
         self.places.push(Place { name, position, is_room: false });
         self.places.len() - 1
     }
 
-    pub(crate) fn add_room(&mut self, name: String, position: Vector2) -> usize {
+    /// Adds a room, and gives its index.
+    pub fn add_room(&mut self, name: String, position: Vector2) -> usize {
         self.places.push(Place { name, position, is_room: true });
         self.places.len() - 1
     }
 
-    pub(crate) fn add_passage(&mut self, from: usize, to: usize) {
+    /// Connects two places.
+    pub fn add_passage(&mut self, from: usize, to: usize) {
         self.passages.push(Passage { from, to, rooms: Vec::new() });
     }
 }

@@ -218,8 +218,8 @@ fn split(items: &mut [Item], bounds: &Bounds) -> Option<usize> {
 mod tests {
     use super::*;
     use crate::Random;
-    use crate::solid::Body;
-    use crate::world::Material;
+    use crate::three_d::Body;
+    use crate::two_d::Material;
 
     fn random_solid(random: &mut Random) -> Solid {
         let mut vector = |scale: f64| {

@@ -3,10 +3,10 @@
 use portolan_geometry::Vector3;
 
 use super::SolidPlan;
+use super::SolidStyle;
 use super::draft::SolidDraft;
 use crate::random::Random;
-use crate::scenario3d::SolidStyle;
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// Length of the flat pieces that walls are made of, metres. On the narrowest bend they leave the arc by 4 mm.
 const PIECE: f64 = 4.0;

@@ -5,7 +5,7 @@ use portolan_geometry::Vector3;
 use super::draft::SolidDraft;
 use super::primitive::Body;
 use crate::random::Random;
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// Draws a tree with about `leaves` leaves (as triangles of a quarter of a metre).
 pub(super) fn draw_tree(draft: &mut SolidDraft, foot: Vector3, random: &mut Random, leaves: usize) {

@@ -3,7 +3,7 @@
 use portolan_geometry::Vector3;
 
 use super::primitive::{Body, Hit3, Ray3};
-use crate::world::Material;
+use crate::two_d::Material;
 
 const LEG_HEIGHT: f64 = 0.85;
 const LEG_RADIUS: f64 = 0.09;

@@ -7,7 +7,7 @@ use super::bvh::Hierarchy;
 use super::pedestrian::{Pedestrian, Walker};
 use super::primitive::{Hit3, Ray3, Solid};
 use crate::random::Random;
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// After so many panes and mirrors a beam is lost.
 const MAX_SURFACES: usize = 8;
@@ -129,7 +129,7 @@ fn pane_return(cosine: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::solid::SolidDraft;
+    use crate::three_d::SolidDraft;
 
     #[test]
     fn a_mirror_shows_the_wall_behind_the_lidar() {

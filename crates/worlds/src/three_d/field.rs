@@ -3,11 +3,11 @@
 use portolan_geometry::Vector3;
 
 use super::SolidPlan;
+use super::SolidStyle;
 use super::draft::SolidDraft;
 use super::terrain::Terrain;
 use super::tree::draw_tree;
 use crate::random::Random;
-use crate::scenario3d::SolidStyle;
 
 /// Height of the undulations, metres: slopes of less than a hundredth.
 const UNDULATION: f64 = 0.1;

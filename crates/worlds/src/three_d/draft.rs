@@ -3,7 +3,7 @@
 use portolan_geometry::Vector3;
 
 use super::primitive::{Body, Solid};
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// Solids as they are drawn.
 #[derive(Clone, Debug, Default)]

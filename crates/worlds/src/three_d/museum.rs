@@ -3,13 +3,13 @@
 use portolan_geometry::Vector3;
 
 use super::SolidPlan;
+use super::SolidStyle;
 use super::draft::{Hole, SolidDraft};
 use super::furnishing::{FreeWays, Hall, furnish_outdoors};
 use super::stairs::Stairwell;
 use super::terrain::Terrain;
 use crate::random::Random;
-use crate::scenario3d::SolidStyle;
-use crate::world::Material;
+use crate::two_d::Material;
 
 const OUTER_WALL: f64 = 0.3;
 const INNER_WALL: f64 = 0.2;

@@ -3,12 +3,12 @@
 use portolan_geometry::Vector3;
 
 use super::SolidPlan;
+use super::SolidStyle;
 use super::draft::SolidDraft;
 use super::furnishing::{FreeWays, draw_car, furnish_outdoors};
 use super::terrain::Terrain;
 use crate::random::Random;
-use crate::scenario3d::SolidStyle;
-use crate::world::Material;
+use crate::two_d::Material;
 
 const STOREY: f64 = 3.0;
 const SLOPE: f64 = 0.14;

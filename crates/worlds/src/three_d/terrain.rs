@@ -5,7 +5,7 @@ use portolan_geometry::Vector3;
 use super::draft::SolidDraft;
 use super::primitive::Body;
 use crate::random::Random;
-use crate::world::Material;
+use crate::two_d::Material;
 
 /// A wave: its vector (radians a metre), phase and height (metres).
 #[derive(Clone, Copy, Debug)]

@@ -9,6 +9,7 @@ mod museum;
 mod park;
 mod pedestrian;
 mod primitive;
+mod scene;
 mod stairs;
 mod terrain;
 mod tree;
@@ -17,17 +18,26 @@ mod world;
 
 pub use bvh::Hierarchy;
 pub use draft::SolidDraft;
-pub(crate) use field::draw_field;
-pub(crate) use garage::draw_garage;
-pub(crate) use museum::draw_museum;
-pub(crate) use park::draw_park;
 pub use pedestrian::Pedestrian;
 pub use primitive::{Body, Bounds, Hit3, Ray3, Solid};
+pub use scene::Scene3d;
 pub use terrain::Terrain;
-pub(crate) use tunnel::draw_tunnel;
 pub use world::{Echo, Moment, SolidWorld};
 
 use portolan_geometry::Vector3;
+
+/// What a world looks like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolidStyle {
+    /// Width and depth, metres.
+    pub size: [f64; 2],
+    /// Storeys or decks.
+    pub storeys: usize,
+    /// How much stands about: 0 nothing, 1 as usual, at most 3.
+    pub clutter: f64,
+    /// Fraction of windows, 0 to 1.
+    pub glass: f64,
+}
 
 /// A world as it is drawn, before anything moves.
 #[derive(Clone, Debug, Default)]
