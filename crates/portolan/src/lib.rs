@@ -33,6 +33,7 @@ pub use portolan_pbstream as pbstream;
 pub use portolan_pointcloud as pointcloud;
 pub use portolan_recording as recording;
 pub use portolan_refinement as refinement;
+pub use portolan_ros_messages as ros_messages;
 pub use portolan_sensor as sensor;
 pub use portolan_simulator as simulator;
 pub use portolan_solver as solver;

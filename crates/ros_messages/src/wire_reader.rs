@@ -4,12 +4,12 @@ use std::borrow::Cow;
 
 use portolan_geometry::Time;
 
-use super::Encoding;
+use crate::Encoding;
 
 /// Why a message could not be decoded; the text completes "dropped: …".
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub(crate) struct DecodeError(pub(crate) &'static str);
+pub struct DecodeError(pub(crate) &'static str);
 
 const TOO_SHORT: DecodeError = DecodeError("it ends before its last field");
 

@@ -50,8 +50,8 @@ pub enum Message {
     TransformStamped(TransformStamped),
     /// `cartographer_ros_msgs/LandmarkList`.
     LandmarkList(LandmarkList),
-    /// Packets as a sensor sent them. [`open`](crate::open) gives the clouds and IMU samples that they
-    /// hold instead.
+    /// Packets as a sensor sent them. Where a recording is opened by `portolan-recording`, the clouds and
+    /// IMU samples that they hold stand in their place.
     SensorPackets(SensorPackets),
     /// A type that is listed but not understood.
     Other {

@@ -1,6 +1,6 @@
 //! From messages to bytes: the layout of every understood type.
 
-use super::wire_writer::{EncodeError, WireWriter};
+use crate::wire_writer::{EncodeError, WireWriter};
 use crate::{
     Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, NavSatFix, Odometry, PointCloud2,
     PointField, Pose, TransformStamped,
@@ -9,7 +9,7 @@ use crate::{
 type Encoded = Result<(), EncodeError>;
 
 /// Serialises a message for ROS 2 (`is_cdr`) or ROS 1 into `buffer`, whose memory is reused.
-pub(crate) fn encode(message: &Message, is_cdr: bool, buffer: Vec<u8>) -> Result<Vec<u8>, EncodeError> {
+pub fn encode(message: &Message, is_cdr: bool, buffer: Vec<u8>) -> Result<Vec<u8>, EncodeError> {
     let mut writer = WireWriter::new(is_cdr, buffer);
     let w = &mut writer;
     match message {

@@ -1,23 +1,22 @@
-//! The serialised form of ROS messages.
-//!
-//! ROS 1 and ROS 2 lay the same fields out in the same order and differ only in primitives: alignment,
-//! the terminating NUL of strings, the sequence number of headers. Those differences live in
-//! [`WireReader`] and [`WireWriter`]; the layout of each message is written once for decoding
-//! (`decode.rs`) and once for encoding (`encode.rs`).
+#![doc = include_str!("../README.md")]
 
 mod decode;
 mod definitions;
 mod encode;
+mod message;
 mod wire_reader;
 mod wire_writer;
 
-pub(crate) use decode::Decoder;
-pub(crate) use definitions::{Dialect, definition, md5sum};
-pub(crate) use encode::encode;
+pub use decode::Decoder;
+pub use definitions::{Dialect, definition, md5sum};
+pub use encode::encode;
+pub use message::*;
+pub use wire_reader::DecodeError;
+pub use wire_writer::EncodeError;
 
 /// How messages of a connection are serialised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Encoding {
+pub enum Encoding {
     /// ROS 1: little endian, packed.
     Ros1,
     /// OMG CDR (XCDR1) with its four-byte encapsulation header.
@@ -28,19 +27,30 @@ pub(crate) enum Encoding {
 
 /// The message types that are decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum MessageKind {
+pub enum MessageKind {
+    /// `sensor_msgs/LaserScan`.
     LaserScan,
+    /// `sensor_msgs/MultiEchoLaserScan`.
     MultiEchoLaserScan,
+    /// `sensor_msgs/PointCloud2`.
     PointCloud2,
+    /// `sensor_msgs/Imu`.
     Imu,
+    /// `nav_msgs/Odometry`.
     Odometry,
+    /// `sensor_msgs/NavSatFix`.
     NavSatFix,
+    /// `tf2_msgs/TFMessage`, `tf/tfMessage`.
     Tf,
+    /// `geometry_msgs/PoseStamped`.
     PoseStamped,
+    /// `cartographer_ros_msgs/LandmarkList`.
     LandmarkList,
     /// `CustomMsg` of Livox's drivers.
     LivoxPoints,
+    /// `velodyne_msgs/VelodyneScan`.
     VelodyneScan,
+    /// `PacketMsg` of Ouster's drivers.
     OusterPacket,
     /// Text, of which only what a sensor tells about itself is decoded.
     Text,
@@ -48,7 +58,7 @@ pub(crate) enum MessageKind {
 
 impl MessageKind {
     /// The kind of a type given as `package/Type`.
-    pub(crate) fn from_type_name(type_name: &str) -> Option<Self> {
+    pub fn from_type_name(type_name: &str) -> Option<Self> {
         Some(match type_name {
             "sensor_msgs/LaserScan" => Self::LaserScan,
             "sensor_msgs/MultiEchoLaserScan" => Self::MultiEchoLaserScan,
@@ -73,7 +83,7 @@ impl MessageKind {
 }
 
 /// `package/Type` for any of the spellings `package/msg/Type`, `package::msg::dds_::Type_`.
-pub(crate) fn normalized_type_name(name: &str) -> String {
+pub fn normalized_type_name(name: &str) -> String {
     if name.contains("::") {
         let parts: Vec<&str> =
             name.split("::").filter(|part| !matches!(*part, "msg" | "dds_" | "")).collect();
@@ -83,7 +93,7 @@ pub(crate) fn normalized_type_name(name: &str) -> String {
 }
 
 /// Whether a topic carries static transforms: `/tf_static`, also inside a namespace.
-pub(crate) fn is_static_tf_topic(topic: &str) -> bool {
+pub fn is_static_tf_topic(topic: &str) -> bool {
     topic.rsplit('/').next() == Some("tf_static")
 }
 

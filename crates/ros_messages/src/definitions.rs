@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 /// Which of the two languages of message definitions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Dialect {
+pub enum Dialect {
     /// ROS 1: `time` is a primitive and headers are numbered.
     Ros1,
     /// ROS 2.
@@ -12,7 +12,7 @@ pub(crate) enum Dialect {
 }
 
 /// MD5 sum that ROS 1 compares types by, of a type that can be written.
-pub(crate) fn md5sum(type_name: &str) -> Option<&'static str> {
+pub fn md5sum(type_name: &str) -> Option<&'static str> {
     Some(match type_name {
         "sensor_msgs/LaserScan" => "90c7ef2dc6895d81024acba2ac42f369",
         "sensor_msgs/MultiEchoLaserScan" => "6fefb0c6da89d7c8abe4b339f5c2f8fb",
@@ -29,7 +29,7 @@ pub(crate) fn md5sum(type_name: &str) -> Option<&'static str> {
 }
 
 /// The full definition: the type's own fields, then those of every type it is made of.
-pub(crate) fn definition(type_name: &str, dialect: Dialect) -> Option<String> {
+pub fn definition(type_name: &str, dialect: Dialect) -> Option<String> {
     let mut text = fields(type_name, dialect)?.to_owned();
     let mut done = vec![type_name];
     let mut open = parts(text.as_str()).collect::<Vec<_>>();

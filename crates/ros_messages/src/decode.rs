@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::wire_reader::{DecodeError, WireReader};
-use super::{Encoding, MessageKind, is_static_tf_topic};
+use crate::wire_reader::{DecodeError, WireReader};
+use crate::{Encoding, MessageKind, is_static_tf_topic};
 use crate::{
     FieldType, Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, NavSatFix, Odometry, PacketKind,
     PointCloud2, PointField, Pose, PoseStamped, SensorPackets, TfMessage, TransformStamped,
@@ -12,7 +12,7 @@ use crate::{
 /// Decodes messages and shares the names of frames between them, so that a name is not allocated anew
 /// for every message.
 #[derive(Default)]
-pub(crate) struct Decoder {
+pub struct Decoder {
     frames: Vec<Arc<str>>,
 }
 
@@ -23,7 +23,7 @@ type Decoded<T> = Result<T, DecodeError>;
 
 impl Decoder {
     /// Decodes one message. Leading slashes of frame names are removed.
-    pub(crate) fn decode(
+    pub fn decode(
         &mut self,
         kind: MessageKind,
         encoding: Encoding,

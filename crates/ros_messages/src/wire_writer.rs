@@ -5,7 +5,7 @@ use portolan_geometry::Time;
 /// Why a message cannot be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub(crate) struct EncodeError(pub(crate) &'static str);
+pub struct EncodeError(pub(crate) &'static str);
 
 /// Appends primitives one after the other to a serialised message.
 pub(crate) struct WireWriter {
