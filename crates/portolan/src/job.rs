@@ -21,6 +21,7 @@ mod map_cloud;
 mod memory;
 mod pictures;
 mod read_cloud;
+pub mod refine;
 mod report;
 mod results;
 mod room;

@@ -4,13 +4,13 @@ use portolan_config::fingerprint_of;
 use portolan_evaluation::cloud::{CloudQuality, WallThickness};
 use portolan_export::{HtmlPage, PlotBars, PlotLabels, PlotLine, bar_plot, line_plot};
 use portolan_geometry::{Vector3, angle_axis_from_quaternion};
+use portolan_numeric::counted;
 use portolan_refinement::continuous::DenseTrajectory;
 
 use super::judgement::Judgement;
 use super::pictures::Pictures;
-use super::results::Results;
-use crate::error::CliError;
-use crate::output::counted;
+use super::results::RefineResults;
+use crate::job::JobError;
 
 /// Points of a plotted line at most.
 const PLOT_POINTS: usize = 800;
@@ -20,11 +20,11 @@ const AFTER: &str = "#1f77b4";
 
 /// The whole page.
 pub fn report_page(
-    results: &Results,
+    results: &RefineResults,
     judgement: &Judgement,
     pictures: &Pictures,
     command: &str,
-) -> Result<String, CliError> {
+) -> Result<String, JobError> {
     let mut page = HtmlPage::new("Portolan: a refined map");
     page.command(command);
     input(&mut page, results);
@@ -56,12 +56,12 @@ pub fn report_page(
     Ok(page.finish())
 }
 
-fn side_by_side(picture: &super::pictures::PicturePair) -> Result<[(String, String); 2], CliError> {
-    let [before, after] = picture.drawings().map_err(|error| CliError::Failed(error.to_string()))?;
+fn side_by_side(picture: &super::pictures::PicturePair) -> Result<[(String, String); 2], JobError> {
+    let [before, after] = picture.drawings().map_err(JobError::Drawing)?;
     Ok([(before, format!("{} (before)", picture.title)), (after, format!("{} (after)", picture.title))])
 }
 
-fn input(page: &mut HtmlPage, results: &Results) {
+fn input(page: &mut HtmlPage, results: &RefineResults) {
     let plan = &results.read.plan;
     let topics: Vec<&str> = plan.range.iter().map(|r| &*r.source.topic).collect();
     let report = &results.refined.report;
@@ -93,7 +93,7 @@ fn input(page: &mut HtmlPage, results: &Results) {
 }
 
 /// Warnings, what is not determined, and issues.
-fn notes(page: &mut HtmlPage, results: &Results) {
+fn notes(page: &mut HtmlPage, results: &RefineResults) {
     let report = &results.refined.report;
     report.warnings.iter().for_each(|warning| page.warning(warning));
     if report.stopped {
@@ -199,7 +199,7 @@ fn turn_plot(trajectory: &DenseTrajectory) -> String {
 }
 
 /// How the optimisation went.
-fn steps(page: &mut HtmlPage, results: &Results) {
+fn steps(page: &mut HtmlPage, results: &RefineResults) {
     let steps = &results.refined.report.steps;
     if steps.is_empty() {
         return;

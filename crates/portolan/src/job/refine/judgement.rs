@@ -18,7 +18,9 @@ const APART: f64 = 5.0;
 /// Both clouds, judged.
 #[derive(Serialize)]
 pub struct Judgement {
+    /// Of the input.
     pub before: CloudQuality,
+    /// Of the result.
     pub after: CloudQuality,
     /// What changed, place by place.
     pub changes: Vec<PairedComparison>,
@@ -27,7 +29,8 @@ pub struct Judgement {
 }
 
 impl Judgement {
-    pub fn of(pair: &CloudPair) -> Self {
+    /// Judges samples of both clouds.
+    pub(super) fn of(pair: &CloudPair) -> Self {
         let options = QualityOptions::default();
         let sample = pair.sample(options.sharpness.max_points);
         let seconds: Vec<f64> = sample.iter().map(|p| p.seconds).collect();
