@@ -22,6 +22,7 @@ mod memory;
 mod pictures;
 mod read_cloud;
 pub mod refine;
+pub mod register;
 mod report;
 mod results;
 mod room;

@@ -1,25 +1,35 @@
-//! What a registration prints and writes.
+//! What a registration leaves in its folder.
 
 use std::path::{Path, PathBuf};
 
 use portolan_export::{PointImage, PointView, encode_grey, write_tum};
-use portolan_geometry::{Quaternion, Rigid3, Time, nalgebra as na};
+use portolan_geometry::{Rigid3, Time, nalgebra as na};
 use portolan_pointcloud::{
-    Attributes, CloudError, PointCloud, UosFrame, WriteOptions, create, uos_frames_text, uos_pose_text,
+    Attributes, PointCloud, UosFrame, WriteOptions, create, uos_frames_text, uos_pose_text,
 };
-use portolan_refinement::registration::ClosedLoop;
+use portolan_refinement::registration::{ClosedLoop, GlobalReport, IcpOptions, SequenceReport};
 use serde::Serialize;
 
-use super::Work;
-use super::input::Scans;
-use super::options::IcpArgs;
-use super::trust::doubt;
-use crate::error::CliError;
-use crate::output::{counted, write_file};
+use super::scans::Scans;
+use super::trust::reason_for_distrust;
+use crate::job::JobError;
+use crate::job::error::write_file;
 
 /// Longest edge of the pictures, pixels, and least metres per pixel.
 const EDGE: usize = 1600;
 const FINEST: f64 = 0.005;
+
+/// What registration found.
+pub struct Registration {
+    /// Of each scan, from its points in memory.
+    pub poses: Vec<Rigid3>,
+    /// Scan by scan, and loops.
+    pub sequence: SequenceReport,
+    /// Of the global matching.
+    pub global: Option<GlobalReport>,
+    /// Poses after each stage.
+    pub history: History,
+}
 
 /// Poses of all scans, stage after stage.
 pub struct History(Vec<(u32, Vec<Rigid3>)>);
@@ -27,8 +37,11 @@ pub struct History(Vec<(u32, Vec<Rigid3>)>);
 impl History {
     /// Kinds of states as `.frames` files name them.
     pub const ICP: u32 = 1;
+    /// Given beforehand.
     const GIVEN: u32 = 2;
+    /// After the global matching.
     pub const GLOBAL: u32 = 3;
+    /// After loops were closed.
     pub const LOOPS: u32 = 4;
 
     /// What is given.
@@ -45,20 +58,26 @@ impl History {
 /// A registered scan.
 #[derive(Serialize)]
 pub struct Registered {
+    /// Its name.
     pub file: String,
-    points: usize,
+    /// How many are matched.
+    pub points: usize,
     /// x y z (m), qx qy qz qw; in the frame of the first scan unless first poses say otherwise.
-    pose: [f64; 7],
+    pub pose: [f64; 7],
     /// Why it could not be matched with the scans before it.
-    error: Option<String>,
-    iterations: usize,
-    converged: bool,
-    pairs: u64,
-    rms: f64,
+    pub error: Option<String>,
+    /// Of ICP.
+    pub iterations: usize,
+    /// Whether ICP came to rest.
+    pub converged: bool,
+    /// Pairs of points in the last iteration.
+    pub pairs: u64,
+    /// Root mean square of their distances, metres.
+    pub rms: f64,
     /// What speaks against the result; it is worth nothing then.
     pub doubt: Option<String>,
     /// Standard deviations of turn (rad) and shift (m) after ICP; none for the first scan.
-    deviations: Option<[f64; 6]>,
+    pub deviations: Option<[f64; 6]>,
     /// The covariance they are from, row by row.
     covariance: Option<[[f64; 6]; 6]>,
     /// Standard deviations of shift (m) and turn (rad) after the global matching.
@@ -66,7 +85,7 @@ pub struct Registered {
 }
 
 /// All scans with their results.
-pub fn describe(scans: &Scans, work: &Work, icp: &IcpArgs) -> Vec<Registered> {
+pub fn describe(scans: &Scans, work: &Registration, icp: &IcpOptions) -> Vec<Registered> {
     let covariances = work.global.as_ref().map(|g| g.covariances.as_slice()).unwrap_or_default();
     (0..scans.clouds.len())
         .map(|i| {
@@ -75,7 +94,7 @@ pub fn describe(scans: &Scans, work: &Work, icp: &IcpArgs) -> Vec<Registered> {
             let matched = work.sequence.matched.get(i).and_then(Option::as_ref);
             let result = matched.and_then(|m| m.as_ref().ok());
             let deviations = |c: &na::Matrix6<f64>| std::array::from_fn(|k| c[(k, k)].max(0.0).sqrt());
-            let doubt = result.and_then(|r| doubt(r, scans.clouds[i].points().len(), icp));
+            let doubt = result.and_then(|r| reason_for_distrust(r, scans.clouds[i].points().len(), icp));
             // What is not good to anything is not good to millimetres.
             let covariance = result.and_then(|r| r.covariance).filter(|_| doubt.is_none());
             Registered {
@@ -107,6 +126,7 @@ struct GlobalSummary {
     shift: f64,
 }
 
+/// Everything for programs.
 #[derive(Serialize)]
 pub struct RegisterReport<'a> {
     scans: &'a [Registered],
@@ -115,7 +135,7 @@ pub struct RegisterReport<'a> {
 }
 
 /// Everything for programs.
-pub fn report<'a>(work: &'a Work, registered: &'a [Registered]) -> RegisterReport<'a> {
+pub fn report<'a>(work: &'a Registration, registered: &'a [Registered]) -> RegisterReport<'a> {
     let global = work.global.as_ref().map(|g| GlobalSummary {
         iterations: g.iterations,
         converged: g.converged,
@@ -127,75 +147,18 @@ pub fn report<'a>(work: &'a Work, registered: &'a [Registered]) -> RegisterRepor
     RegisterReport { scans: registered, loops: &work.sequence.loops, global }
 }
 
-/// Everything for people.
-pub fn text(work: &Work, registered: &[Registered], files: &[PathBuf]) -> String {
-    let mut text = String::new();
-    for scan in registered {
-        let [x, y, z, qx, qy, qz, qw] = scan.pose;
-        let rotation = Quaternion::new_normalize(na::Quaternion::new(qw, qx, qy, qz));
-        let (roll, pitch, yaw) = rotation.euler_angles();
-        text += &format!(
-            "{}: x {x:.4} y {y:.4} z {z:.4} m, roll {:.3} pitch {:.3} yaw {:.3} deg",
-            scan.file,
-            roll.to_degrees(),
-            pitch.to_degrees(),
-            yaw.to_degrees()
-        );
-        if scan.iterations > 0 {
-            text += &format!(
-                "; {} within {:.4} m rms, {}{}",
-                counted(scan.pairs, "pair", "pairs"),
-                scan.rms,
-                counted(scan.iterations as u64, "iteration", "iterations"),
-                if scan.converged { "" } else { ", not converged" }
-            );
-        }
-        if let Some(d) = scan.deviations {
-            let [shift, turn] = [&d[3..], &d[..3]].map(|part| part.iter().map(|v| v * v).sum::<f64>().sqrt());
-            text += &format!(", good to {:.2} mm and {:.4} deg", 1e3 * shift, turn.to_degrees());
-        }
-        if scan.doubt.is_some() {
-            text += ", NOT to be trusted";
-        }
-        if let Some(error) = &scan.error {
-            text += &format!("; not matched: {error}");
-        }
-        text += "\n";
-    }
-    for closed in &work.sequence.loops {
-        text += &format!(
-            "loop closed from scan {} to scan {}: {:.3} m and {:.3} deg shared out\n",
-            closed.first,
-            closed.last,
-            closed.shift,
-            closed.turn.to_degrees()
-        );
-    }
-    if let Some(global) = &work.global {
-        text += &format!(
-            "all at once: {}, {} within {:.4} m rms, {}{}\n",
-            counted(global.links as u64, "link", "links"),
-            counted(global.pairs, "pair", "pairs"),
-            global.rms,
-            counted(global.iterations as u64, "iteration", "iterations"),
-            if global.converged { "" } else { ", not converged" }
-        );
-    }
-    for file in files {
-        text += &format!("{}\n", file.display());
-    }
-    text
-}
-
 /// Writes poses, frames, the joined cloud, pictures and the report; returns their names.
-pub fn write_results(
+///
+/// # Errors
+/// Files that cannot be read or written.
+pub fn write_registration(
     folder: &Path,
     extension: &str,
     scans: &Scans,
-    work: &Work,
+    work: &Registration,
     registered: &[Registered],
-) -> Result<Vec<PathBuf>, CliError> {
-    std::fs::create_dir_all(folder).map_err(|source| CliError::File { path: folder.to_owned(), source })?;
+) -> Result<Vec<PathBuf>, JobError> {
+    std::fs::create_dir_all(folder).map_err(|source| JobError::file(folder, source))?;
     let mut files = Vec::new();
     let mut file = |name: &str| {
         files.push(folder.join(name));
@@ -213,7 +176,7 @@ pub fn write_results(
         let texts = [("pose", uos_pose_text(pose)), ("frames", uos_frames_text(&frames))];
         for (extension, text) in texts {
             let path = folder.join(format!("scan{i:03}.{extension}"));
-            write_file(&path, |out| out.write_all(text.as_bytes()))?;
+            write_file(&path, text.as_bytes())?;
         }
     }
     file("scan000.pose");
@@ -221,31 +184,28 @@ pub fn write_results(
     write_cloud(&file(&format!("registered.{extension}")), scans, &poses)?;
     let start = &work.history.0[0].1;
     for (name, image, view) in pictures(scans, start, &work.poses) {
-        let png =
-            encode_grey(view.width, view.height, &image).map_err(|e| CliError::Failed(e.to_string()))?;
-        write_file(&file(name), |out| out.write_all(&png))?;
+        let png = encode_grey(view.width, view.height, &image).map_err(JobError::Drawing)?;
+        write_file(&file(name), &png)?;
     }
-    let report =
-        serde_json::to_vec_pretty(&report(work, registered)).map_err(|e| CliError::Failed(e.to_string()))?;
-    write_file(&file("report.json"), |out| out.write_all(&report))?;
+    let report = serde_json::to_vec_pretty(&report(work, registered))?;
+    write_file(&file("report.json"), &report)?;
     Ok(files)
 }
 
 /// All points of all files, not only those that were kept for matching.
-fn write_cloud(path: &Path, scans: &Scans, poses: &[Rigid3]) -> Result<(), CliError> {
-    let failed = |error: CloudError| CliError::Failed(error.to_string());
+fn write_cloud(path: &Path, scans: &Scans, poses: &[Rigid3]) -> Result<(), JobError> {
     let attributes: Attributes = match scans.sources.first() {
         Some(source) => source.open()?.attributes(),
         None => Attributes::default(),
     };
-    let mut writer = create(path, attributes, &WriteOptions::default()).map_err(failed)?;
+    let mut writer = create(path, attributes, &WriteOptions::default())?;
     let (mut batch, mut placed) = (PointCloud::default(), PointCloud::new(attributes));
     for (source, pose) in scans.sources.iter().zip(poses) {
         let mut reader = source.open()?;
-        while reader.next_batch(&mut batch).map_err(failed)? {
+        while reader.next_batch(&mut batch)? {
             placed.reset(attributes);
             for i in 0..batch.len() {
-                let Some(point) = scans.input.point(batch.position(i)) else { continue };
+                let Some(point) = scans.limits.point(batch.position(i)) else { continue };
                 placed.push(
                     (pose * na::Point3::from(point)).coords.into(),
                     batch.intensity(i).unwrap_or(0.0),
@@ -253,10 +213,10 @@ fn write_cloud(path: &Path, scans: &Scans, poses: &[Rigid3]) -> Result<(), CliEr
                     batch.color(i).unwrap_or([0; 3]),
                 );
             }
-            writer.write(&placed).map_err(failed)?;
+            writer.write(&placed)?;
         }
     }
-    writer.finish().map_err(failed)?;
+    writer.finish()?;
     Ok(())
 }
 

@@ -1,8 +1,6 @@
 //! Whether a registration can be trusted: scans that do not overlap come to rest somewhere, too.
 
-use portolan_refinement::registration::IcpResult;
-
-use super::options::IcpArgs;
+use portolan_refinement::registration::{IcpOptions, IcpResult};
 
 /// Least share of the points of a scan that have a partner.
 const LEAST_SHARE: f64 = 0.2;
@@ -13,7 +11,7 @@ const RECIPROCAL: f64 = 0.5;
 const CHANCE: f64 = 0.36;
 
 /// What speaks against a result; nothing if it can be trusted. The scan has so many points.
-pub fn doubt(result: &IcpResult, points: usize, icp: &IcpArgs) -> Option<String> {
+pub fn reason_for_distrust(result: &IcpResult, points: usize, icp: &IcpOptions) -> Option<String> {
     let asked = points as f64 / icp.every.max(1) as f64 * icp.keep;
     let least = if icp.reciprocal { RECIPROCAL * LEAST_SHARE } else { LEAST_SHARE };
     let share = result.pairs as f64 / asked.max(1.0);
@@ -34,7 +32,3 @@ pub fn doubt(result: &IcpResult, points: usize, icp: &IcpArgs) -> Option<String>
         )
     })
 }
-
-/// What can be done about it.
-pub const ADVICE: &str = "give a nearer first pose (--guess, --poses), a larger --max-distance or more --iterations, if the \
-    scans overlap at all; --force writes the result all the same";
