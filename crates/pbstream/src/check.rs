@@ -116,7 +116,7 @@ impl std::fmt::Display for Finding {
 }
 
 /// Reads a whole map and tells everything that is wrong with it, in the order of the file. Of each kind
-/// of finding the first twenty are told and the rest is counted. An empty answer means: a good map.
+/// of finding the first twenty are reported and the rest is counted. An empty answer means: a good map.
 pub fn validate(reader: &mut PbstreamReader) -> Vec<Finding> {
     let mut check = Check::default();
     loop {

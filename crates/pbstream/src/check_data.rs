@@ -166,7 +166,7 @@ impl Check {
         }
     }
 
-    /// Whether the pose graph knows a submap or node. Without a pose graph that is told once, at the end.
+    /// Whether the pose graph knows a submap or node. Without a pose graph that is reported once, at the end.
     fn belongs(&mut self, what: &str, id: IdInFile, known: impl Fn(&crate::check::GraphIds) -> bool) {
         if self.graph().is_some_and(|g| !known(g)) {
             self.error(FindingKind::MissingPart, format!("{what} {id:?} has no pose in the pose graph"));

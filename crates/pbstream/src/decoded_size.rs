@@ -1,4 +1,4 @@
-//! How much memory a message needs when it is decoded, told before that is done.
+//! How much memory a message needs when it is decoded, known before that is done.
 //!
 //! Two bytes of a file can stand for an empty message within a message, which takes hundreds of bytes in
 //! memory; packed, such bytes cost nearly nothing. So a file of some kilobytes could ask for many gigabytes.

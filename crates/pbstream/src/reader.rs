@@ -226,7 +226,7 @@ impl<T: Send + 'static> Records<T> {
             self.under_way.pop_front();
             match self.workers.pop() {
                 Some(batch) => self.ready = batch.into(),
-                // The error is told once; after it comes the end.
+                // The error is reported once; after it comes the end.
                 None => {
                     return match self.end.replace(Ok(())) {
                         Some(Err(error)) => Err(error),

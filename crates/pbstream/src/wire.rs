@@ -116,7 +116,7 @@ pub fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Appends a field with a variable-length number; zero is told by leaving it out.
+/// Appends a field with a variable-length number; zero is written by leaving it out.
 pub fn put_varint_field(out: &mut Vec<u8>, number: u32, value: u64) {
     if value != 0 {
         put_varint(out, u64::from(number) << 3);

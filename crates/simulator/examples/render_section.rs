@@ -1,5 +1,5 @@
 //! Draws what the lidars of a simulation in 3D see: a top view and a section of all points, placed by
-//! the true motion, with the way in red.
+//! the true motion, with the trajectory in red.
 //!
 //! `cargo run --release -p portolan-simulator --example render_section -- museum 1 60 /tmp/museum 2`
 

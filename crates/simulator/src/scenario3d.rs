@@ -25,7 +25,7 @@ pub struct Scenario3dOptions {
     pub size: Option<[f64; 2]>,
     /// Storeys or decks, 1 to 6; none for what suits the scene.
     pub storeys: Option<usize>,
-    /// Seconds of the recording; none for every loop once. As many loops as fit are walked, then a way
+    /// Seconds of the recording; none for every loop once. As many loops as fit are walked, then a path
     /// out and back again. Default none.
     pub duration: Option<f64>,
     /// True time at the start. Default 1 700 000 000 s after 1970.
@@ -34,7 +34,7 @@ pub struct Scenario3dOptions {
     pub people: Option<usize>,
     /// How much stands about. Default 1.
     pub clutter: f64,
-    /// Share of windows, 0 to 1. Default 0.35.
+    /// Fraction of windows, 0 to 1. Default 0.35.
     pub glass: f64,
     /// What carries the sensors; none for what suits the scene.
     pub carrier: Option<Carrier>,

@@ -20,7 +20,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{print_summary, write_file};
 use crate::progress::say;
 
-/// Firings of a turn: half of what the lidar has, so that the demo takes two minutes.
+/// Firings of a revolution: half of what the lidar has, so that the demo takes two minutes.
 const COLUMNS: usize = 900;
 /// The museum of the demo: width and depth, metres, and storeys.
 const SIZE: [f64; 2] = [26.0, 20.0];

@@ -27,7 +27,7 @@ use summary::{ADVICE, text};
 ///
 /// Scans are files of points (PLY, PCD, text, LAS, LAZ, E57, uos), metres, or a folder of uos scans with their first
 /// poses. Each scan is matched with the one before it (--metascan: with all before it), beginning where the correction
-/// of that one puts it; with --close-loops errors are shared out where the way comes back, and with --global all
+/// of that one puts it; with --close-loops errors are shared out where the trajectory comes back, and with --global all
 /// scans are then matched at once (Lu and Milios in six degrees of freedom).
 ///
 /// Exit code 4, and no files without --force, if the scans do not overlap or matching did not come to rest; 3 if that is

@@ -129,7 +129,7 @@ impl MapDraft {
     }
 }
 
-/// What fits worse is not told.
+/// What fits worse is not reported.
 const LEAST_SCORE: f64 = 0.1;
 
 /// Clouds of more points are no scan of a node, and looking for them would take minutes.

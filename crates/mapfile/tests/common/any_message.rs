@@ -101,7 +101,7 @@ impl Schema {
             scalar => {
                 let mut value = Vec::new();
                 put_scalar(&mut value, scalar, luck);
-                // Zero is told by leaving the field out.
+                // Zero is written by leaving the field out.
                 if value.iter().any(|b| *b != 0) {
                     put_varint(out, u64::from(number << 3 | wire_type(scalar)));
                     out.extend(value);

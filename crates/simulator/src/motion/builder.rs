@@ -28,7 +28,7 @@ impl Default for MotionLimits {
     }
 }
 
-/// A corner of the way.
+/// A corner of the path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
     /// Metres in the map.

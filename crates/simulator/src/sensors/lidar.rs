@@ -63,7 +63,7 @@ pub struct LidarOptions {
     pub range_max: f64,
     /// Standard deviation of ranges, metres. Default 0.01.
     pub range_noise: f64,
-    /// Further standard deviation as a share of the range. Default 0.002.
+    /// Further standard deviation as a fraction of the range. Default 0.002.
     pub range_noise_relative: f64,
     /// Ranges are multiples of this, metres; 0 for none. Default 0.001.
     pub range_resolution: f64,

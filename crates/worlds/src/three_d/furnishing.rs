@@ -1,4 +1,4 @@
-//! What stands in halls and outdoors, away from the ways.
+//! What stands in halls and outdoors, away from the paths.
 
 use portolan_geometry::Vector3;
 

@@ -44,9 +44,9 @@ pub struct SolidStyle {
 pub struct SolidPlan {
     /// Everything fixed.
     pub solids: Vec<Solid>,
-    /// Closed ways over the ground, all from the same place and back to it. A tour is made of them.
+    /// Closed paths over the ground, all from the same place and back to it. A tour is made of them.
     pub loops: Vec<Vec<Vector3>>,
-    /// Closed ways for people.
+    /// Closed paths for people.
     pub strolls: Vec<Vec<Vector3>>,
     /// Places for landmarks on walls, with the direction in which they can be seen.
     pub marks: Vec<(Vector3, Vector3)>,

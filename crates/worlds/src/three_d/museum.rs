@@ -35,7 +35,7 @@ struct Museum {
     ys: [f64; 4],
     storey: f64,
     storeys: usize,
-    /// Middle of a way through each cell of each storey.
+    /// Middle of a path through each cell of each storey.
     centres: Vec<[[Vector3; 3]; 3]>,
     /// Where along their wall the doors are, by storey: from each cell of the ring to the next.
     doors: Vec<[f64; 8]>,

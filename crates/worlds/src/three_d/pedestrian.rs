@@ -25,16 +25,16 @@ const HEIGHT: f64 = 1.8;
 pub struct Pedestrian {
     /// Corners on the ground; the last one is the first again.
     corners: Vec<Vector3>,
-    /// Length of the way up to each corner, metres.
+    /// Length of the path up to each corner, metres.
     lengths: Vec<f64>,
     speed: f64,
-    /// Metres along the way at time 0.
+    /// Metres along the path at time 0.
     offset: f64,
 }
 
 impl Pedestrian {
     /// Walks through the corners and back to the first, `speed` m/s, starting `offset` metres along;
-    /// none if the way has no length.
+    /// none if the path has no length.
     pub fn new(way: &[Vector3], speed: f64, offset: f64) -> Option<Self> {
         let mut corners = way.to_vec();
         corners.push(*way.first()?);

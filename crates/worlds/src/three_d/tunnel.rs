@@ -16,7 +16,7 @@ const RADIUS: [f64; 2] = [500.0, 900.0];
 const END: f64 = 14.0;
 /// Ways end so far from the ends, metres.
 const TURNING_PLACE: f64 = 7.0;
-/// From the middle of the floor to where one drives, as a share of the width, and on how many metres one gets there.
+/// From the middle of the floor to where one drives, as a fraction of the width, and on how many metres one gets there.
 const LANE: f64 = 0.2;
 const MERGING: f64 = 12.0;
 /// From one landmark to the next, metres.

@@ -11,9 +11,9 @@ use crate::two_d::Material;
 
 /// After so many panes and mirrors a beam is lost.
 const MAX_SURFACES: usize = 8;
-/// Share of light that a mirror throws on.
+/// Fraction of light that a mirror throws on.
 const MIRROR_SHARE: f64 = 0.9;
-/// Share of light that comes through a pane and back.
+/// Fraction of light that comes through a pane and back.
 const PANE_SHARE: f64 = 0.8;
 
 /// Fixed solids and people who walk.
@@ -30,7 +30,7 @@ pub struct Echo {
     pub range: f64,
     /// Cosine of the angle between beam and normal where it was thrown back, in [0, 1].
     pub cosine: f64,
-    /// Share of the light that is scattered back there, lessened by panes and mirrors on the way.
+    /// Fraction of the light that is scattered back there, lessened by panes and mirrors on the way.
     pub albedo: f64,
     /// Of what the surface is.
     pub material: Material,

@@ -7,7 +7,7 @@ use portolan_geometry::Vector2;
 
 use super::shape::Shape;
 
-/// Larger distances to surfaces are not told apart, metres.
+/// Larger distances to surfaces are not distinguished, metres.
 const FAR: f64 = 1.0;
 /// Ways keep this distance where there is room, metres.
 const COMFORTABLE: f64 = 0.6;

@@ -7,7 +7,7 @@ use portolan_geometry::Vector2;
 
 use super::shape::{Hit, Material, Outline, Ray, Shape, cross};
 
-/// How many panes in front of a solid hit are told; further ones count as perfectly clear.
+/// How many panes in front of a solid hit are reported; further ones count as perfectly clear.
 const MAX_PANES: usize = 6;
 
 /// Cells grow where there would be more of them than this.

@@ -91,11 +91,11 @@ impl FromStr for Scene {
 pub struct PlanStyle {
     /// Width and height of the floor inside its outer walls, metres.
     pub size: [f64; 2],
-    /// Share of doors that are closed, in [0, 1].
+    /// Fraction of doors that are closed, in [0, 1].
     pub closed_doors: f64,
     /// How much stands about: 0 nothing, 1 as usual, 2 twice as likely.
     pub clutter: f64,
-    /// Share of larger rooms with a glass front, in [0, 1].
+    /// Fraction of larger rooms with a glass front, in [0, 1].
     pub glass: f64,
 }
 

@@ -30,7 +30,7 @@ pub enum Material {
 }
 
 impl Material {
-    /// Share of the light that is scattered back, in [0, 1].
+    /// Fraction of the light that is scattered back, in [0, 1].
     pub fn albedo(self) -> f64 {
         match self {
             Self::Wall => 0.75,

@@ -17,7 +17,7 @@ use crate::progress::say;
 
 /// Make relations of the loop closures of a map, to compare other maps of the same recording with.
 ///
-/// Does what cartographer_autogenerate_ground_truth does: loop closures that span enough of the way and
+/// Does what cartographer_autogenerate_ground_truth does: loop closures that span enough of the trajectory and
 /// agree with the optimised map are taken for true. They are as good as the map, no better.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  \

@@ -1,4 +1,4 @@
-//! Trajectories and relations from files of any format, told apart by content.
+//! Trajectories and relations from files of any format, distinguished by content.
 
 use std::path::Path;
 

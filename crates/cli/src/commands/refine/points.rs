@@ -12,9 +12,9 @@ use crate::commands::map::{PointTimesArg, StampsArg};
 use crate::error::CliError;
 use crate::progress::{Progress, say};
 
-/// Where the points come from; found without being told.
+/// Where the points come from; detected automatically.
 #[derive(clap::Args, Clone, Debug, Default)]
-#[command(next_help_heading = "Points (found without being told)")]
+#[command(next_help_heading = "Points (detected automatically)")]
 pub struct PointArgs {
     /// Topic of points; may be given several times, for several sensors.
     #[arg(long, value_name = "TOPIC")]
@@ -38,7 +38,7 @@ pub struct PointArgs {
     /// How stamps are taken, as in `map`.
     #[arg(long, value_name = "HOW", default_value = "auto")]
     pub stamps: StampsArg,
-    /// Points nearer to their sensor than this are left out, metres: whoever carries it.
+    /// Points nearer to their sensor than this are left out, metres: the platform itself.
     #[arg(long, value_name = "METRES", default_value_t = 0.3)]
     pub min_range: f32,
 }
@@ -48,7 +48,7 @@ pub struct PointArgs {
 pub enum OtherSensor {
     /// Angular velocities, and which way is down.
     Imu,
-    /// The way by the wheels.
+    /// Wheel odometry.
     Odometry,
     /// Places by satellite.
     Fixes,

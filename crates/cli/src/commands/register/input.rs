@@ -247,7 +247,7 @@ pub fn read_links(path: &Path, count: usize) -> Result<Vec<Link>, CliError> {
     for (number, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
         let values: Option<Vec<usize>> = line.split_ascii_whitespace().map(|w| w.parse().ok()).collect();
         match values.as_deref() {
-            // The two counts are only told.
+            // The two counts are not needed.
             Some([_]) if links.is_empty() => {}
             Some([from, to, ..]) if from != to && *from < count && *to < count => {
                 let link = Link { from: *from.min(to), to: *from.max(to) };

@@ -8,7 +8,7 @@ use super::cloud_pair::{CloudPair, PairedPoint};
 
 /// Points drawn at most.
 const POINTS: usize = 16_000_000;
-/// Points that tell how far the cloud reaches, and the share at each end that is left outside.
+/// Points that tell how far the cloud reaches, and the fraction at each end that is left outside.
 const EXTENT_POINTS: usize = 200_000;
 const STRAYS: f64 = 0.003;
 /// Longest edge of large pictures and of details, pixels, and least metres per pixel.
@@ -116,14 +116,14 @@ fn whole_views(pair: &CloudPair, trajectory: &DenseTrajectory, changes: &[WallCh
         from_above,
     );
     level.level = true;
-    let lines = ways(trajectory, &from_above);
+    let lines = trajectory_marks(trajectory, &from_above);
     for picture in [&mut top, &mut level] {
         for (marks, line) in picture.marks.iter_mut().zip(&lines) {
             marks.push(line.clone());
             marks.extend(changes.iter().enumerate().map(|(i, c)| frame(&from_above, i + 1, c)));
         }
     }
-    // Along the way, in the middle or through the largest change.
+    // Along the trajectory, in the middle or through the largest change.
     let along = main_direction(trajectory);
     let middle = changes.first().map_or(centre, |c| c.place);
     let reach = |k: usize| (high[k] - low[k]).abs();
@@ -154,8 +154,8 @@ fn extent(sample: &[PairedPoint]) -> Option<[[f64; 3]; 2]> {
     Some([lowest, highest])
 }
 
-/// The way before and after as lines.
-fn ways(trajectory: &DenseTrajectory, view: &PointView) -> [Mark; 2] {
+/// The trajectory before and after as lines.
+fn trajectory_marks(trajectory: &DenseTrajectory, view: &PointView) -> [Mark; 2] {
     let count = (trajectory.duration() / LINE_STEP).ceil().clamp(1.0, 4000.0) as usize;
     let line = |input: bool| {
         let place = |i: usize| {
@@ -168,7 +168,7 @@ fn ways(trajectory: &DenseTrajectory, view: &PointView) -> [Mark; 2] {
     [line(true), line(false)]
 }
 
-/// The horizontal direction in which the way extends most.
+/// The horizontal direction in which the trajectory extends most.
 fn main_direction(trajectory: &DenseTrajectory) -> [f64; 3] {
     let count = 500;
     let places: Vec<[f64; 2]> = (0..=count)

@@ -2,11 +2,11 @@
 
 use portolan_refinement::registration::{IcpOptions, IcpResult};
 
-/// Least share of the points of a scan that have a partner.
+/// Least fraction of the points of a scan that have a partner.
 const LEAST_SHARE: f64 = 0.2;
 /// Of pairs that are each the nearest of the other there are fewer.
 const RECIPROCAL: f64 = 0.5;
-/// Pairs of surfaces that have nothing to do with each other lie this share of the greatest distance apart, or more.
+/// Pairs of surfaces that have nothing to do with each other lie this fraction of the greatest distance apart, or more.
 /// Evenly spread distances would give 0.58; matching draws them together as far as it can.
 const CHANCE: f64 = 0.36;
 

@@ -3,7 +3,7 @@
 use portolan_geometry::Time;
 use portolan_matching::ScanAgreement;
 
-/// A scan of which the map contradicts this share of all beams fits nothing there. Of 6,566 scans of a building walked
+/// A scan of which the map contradicts this fraction of all beams fits nothing there. Of 6,566 scans of a building walked
 /// through without odometry only those after a cut reach 0.3, and they 0.48 to 0.58.
 const CONTRADICTED: f32 = 0.4;
 /// So many scans in a row, over so many seconds, are no accident.
