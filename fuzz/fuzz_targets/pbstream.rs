@@ -7,10 +7,8 @@
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use portolan_mapfile::{
-    MapDraft, MapReader, MigrateOptions, PaintOptions, PbstreamReader, PbstreamWriter, ReadLimits, Severity,
-    info, load_textures, migrate, paint, repair, validate,
-};
+use portolan_mapfile::{MapDraft, MigrateOptions, PaintOptions, info, load_textures, migrate, paint, repair};
+use portolan_pbstream::{MapReader, PbstreamReader, PbstreamWriter, ReadLimits, Severity, validate};
 
 /// Small, so that the fuzzer does not call honest large messages a fault.
 const LIMITS: ReadLimits = ReadLimits { max_compressed_bytes: 1 << 20, max_message_bytes: 1 << 20 };
@@ -31,7 +29,7 @@ fuzz_target!(|bytes: &[u8]| {
 /// A map of four messages of which one is the bytes.
 fn write_map(path: &Path, place: usize, message: &[u8]) -> bool {
     let empty = [&[8, 2][..], &[10, 0], &[18, 0], &[26, 0]];
-    let write = || -> Result<(), portolan_mapfile::PbstreamError> {
+    let write = || -> Result<(), portolan_pbstream::PbstreamError> {
         let mut writer = PbstreamWriter::create(path)?;
         for (i, other) in empty.iter().enumerate() {
             writer.write_bytes(if i == place { message.to_vec() } else { other.to_vec() })?;
@@ -52,7 +50,7 @@ fn use_map(path: &Path, out: &Path) {
         let _ = paint(&textures.textures, &PaintOptions { max_pixels: 1 << 20, ..PaintOptions::default() });
     }
     let _ = migrate(path, out, MigrateOptions { limits: LIMITS, ..MigrateOptions::default() });
-    if let Ok(mut draft) = MapDraft::open(path, LIMITS) {
+    if let Ok(draft) = MapDraft::open(path, LIMITS) {
         draft.loop_residuals();
         let _ = draft.to_graph();
         let _ = draft.write(out);

@@ -1,4 +1,4 @@
-//! Inputs of verbs: files or pipes, told apart by what they begin with.
+//! Inputs of verbs: files or pipes, distinguished by what they begin with.
 
 use std::io::ErrorKind;
 use std::path::Path;

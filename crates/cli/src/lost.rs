@@ -1,4 +1,4 @@
-//! When nothing told where the scanner was, for people.
+//! When nothing constrained the pose of the scanner, for people.
 
 use portolan::pipeline::MappedRecording;
 use portolan_geometry::Time;

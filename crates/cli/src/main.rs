@@ -97,7 +97,7 @@ fn run(cli: Cli) -> ExitStatus {
     }
 }
 
-/// Panics of libraries that are caught are told as damage of a file, not as faults of the program.
+/// Panics of libraries that are caught are reported as damage of a file, not as faults of the program.
 fn keep_caught_panics_quiet() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
@@ -117,7 +117,7 @@ fn show(message: &clap::Error) -> ExitStatus {
     }
 }
 
-/// The one place where errors reach the user. A cause that the message tells already is not told again.
+/// The one place where errors reach the user. A cause that the message tells already is not reported again.
 fn report(error: &CliError) {
     let mut told = error.to_string();
     let mut text = format!("error: {told}");

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use portolan_atomic_file::AtomicFile;
+pub use portolan_numeric::counted;
 
 use crate::error::CliError;
 use crate::progress::say;
@@ -55,9 +56,4 @@ pub fn write_file(
         Ok(()) => Ok(file.commit()?),
         Err(source) => Err(file.error(source).into()),
     }
-}
-
-/// `1 pose`, `2 poses`.
-pub fn counted(count: u64, one: &str, several: &str) -> String {
-    if count == 1 { format!("1 {one}") } else { format!("{count} {several}") }
 }

@@ -18,7 +18,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Work of `total` units (bytes, seconds, …), shown as a share.
+    /// Work of `total` units (bytes, seconds, …), shown as a fraction.
     pub fn start(title: &str, total: u64, quiet: bool) -> Self {
         let terminal = std::io::stderr().is_terminal();
         let bar = (!quiet && terminal).then(|| {

@@ -140,3 +140,39 @@ fn the_page_of_verbs_is_current() {
     }
     assert!(sections > 20, "{sections}");
 }
+
+/// Rows of all tables, without their heads.
+fn table_rows(text: &str) -> Vec<&str> {
+    let lines: Vec<&str> = text.lines().collect();
+    let is_rule = |line: &str| line.starts_with('|') && line.chars().all(|c| "|-: ".contains(c));
+    let is_head = |i: usize| lines.get(i + 1).is_some_and(|next| is_rule(next));
+    let rows =
+        lines.iter().enumerate().filter(|(i, line)| line.starts_with('|') && !is_head(*i) && !is_rule(line));
+    rows.map(|(_, line)| *line).collect()
+}
+
+#[test]
+fn the_page_of_benchmarks_stays_short_and_says_what_is_real() {
+    let text = std::fs::read_to_string(repository().join("BENCHMARKS.md")).unwrap();
+    let rows = table_rows(&text);
+    assert!((1..=40).contains(&rows.len()), "{} rows", rows.len());
+    for row in rows {
+        let cells: Vec<&str> = row.trim_matches('|').split('|').map(str::trim).collect();
+        let data = cells.first().copied().unwrap_or_default();
+        assert!(data.contains("real") || data.contains("simulated"), "real or simulated? {row}");
+        assert!(cells.iter().all(|cell| cell.chars().count() <= 400), "too long: {row}");
+        assert!(
+            cells.last().is_some_and(|commit| commit.chars().any(|c| c.is_ascii_digit())),
+            "of which commit? {row}"
+        );
+    }
+}
+
+#[test]
+fn rows_of_tables_can_be_read() {
+    for path in documents() {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let long = text.lines().find(|line| line.trim_start().starts_with('|') && line.chars().count() > 700);
+        assert!(long.is_none(), "{}: {}", path.display(), long.unwrap_or_default());
+    }
+}

@@ -6,7 +6,7 @@ use portolan_geometry::Dimension;
 
 use crate::options::Options;
 
-/// Range data are gathered to scans of about this long, seconds, where scans are matched to planes: one turn of most
+/// Range data are gathered to scans of about this long, seconds, where scans are matched to planes: one sweep of most
 /// lidars.
 const PLANES_SCAN_DURATION: f64 = 0.1;
 
@@ -36,7 +36,7 @@ impl Options {
         if is_3d && self.portolan.match_surfaces { Engine::Planes } else { Engine::Grids }
     }
 
-    /// Chooses the engine of 3D. With planes, scans are gathered to whole turns unless the options have a duration.
+    /// Chooses the engine of 3D. With planes, scans are gathered to whole sweeps unless the options have a duration.
     pub fn set_engine(&mut self, engine: Engine) {
         self.portolan.match_surfaces = engine == Engine::Planes;
         if engine == Engine::Grids {

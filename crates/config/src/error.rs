@@ -217,7 +217,7 @@ fn at(place: &Option<Place>) -> String {
     place.as_ref().map(|place| format!("{place}: ")).unwrap_or_default()
 }
 
-/// Something in a configuration that was survived and should be told.
+/// Something in a configuration that was survived and should be reported.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConfigWarning {
     /// A key Cartographer demands is missing.

@@ -18,7 +18,7 @@ use crate::value::{Table, Value};
 pub struct LoadedConfig<T = Options> {
     /// The options, checked.
     pub options: T,
-    /// What should be told to the user, in the order it was noticed.
+    /// What should be reported to the user, in the order it was noticed.
     pub warnings: Vec<ConfigWarning>,
     /// Every file that was read, the main file first; built-in ones as `built-in:NAME`.
     pub files: Vec<String>,

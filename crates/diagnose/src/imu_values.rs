@@ -139,7 +139,7 @@ impl Extreme {
 const ENOUGH_RUNS: u64 = 5;
 /// … which must be at least this (gyroscope, accelerometer) …
 const LEAST: [f64; 2] = [0.2, 2.0];
-/// … and away from the mean by this share of all values, or the axis only rests there.
+/// … and away from the mean by this fraction of all values, or the axis only rests there.
 const AWAY: f64 = 0.25;
 
 /// Ends of the ranges of gyroscope and accelerometer.

@@ -17,7 +17,7 @@ const REACH: f64 = 0.2;
 const STEP: f64 = 0.01;
 /// Differences count up to so many times their usual size.
 const LIMIT: f64 = 2.5;
-/// Sensors differ by such a share of each turn, besides.
+/// Sensors differ by such a fraction of each turn, besides.
 const SCALE_ERROR: f64 = 0.2;
 /// Parts of the recording of which each is left out once.
 const BLOCKS: usize = 12;
@@ -31,7 +31,7 @@ pub(super) struct Offset {
     pub lag: f64,
     /// Standard deviation of that, seconds.
     pub sigma: f64,
-    /// By how large a share differences are smaller than without any offset.
+    /// By how large a fraction differences are smaller than without any offset.
     pub gain: f64,
 }
 

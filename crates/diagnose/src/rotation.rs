@@ -26,7 +26,7 @@ pub(crate) struct Agreement {
     pub lag: f64,
     /// By how much that may be off, seconds (standard deviation).
     pub lag_sigma: f64,
-    /// By how large a share differences of turns are smaller with the lag than without.
+    /// By how large a fraction differences of turns are smaller with the lag than without.
     pub lag_gain: f64,
     /// How much the first sensor turned in all, radians.
     pub turned: f64,

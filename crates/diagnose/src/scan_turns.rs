@@ -13,7 +13,7 @@ const MAX_BEAMS: usize = 360;
 const MAX_TURN: f32 = 0.6;
 /// Differences of ranges beyond this count alike, metres.
 const MAX_DIFFERENCE: f32 = 0.3;
-/// Share of the beams that must be seen by both scans.
+/// Fraction of the beams that must be seen by both scans.
 const MIN_OVERLAP: f32 = 0.3;
 /// So many scans are compared.
 const MAX_SCANS: usize = 20_000;
@@ -77,7 +77,7 @@ pub(crate) struct CloudTurns {
     last: Option<(Time, Profile)>,
     costs: Vec<f32>,
     pub turns: Vec<Turn>,
-    /// Whether points have times; without, it is not known when within a turn of the head they were measured.
+    /// Whether points have times; without, it is not known when within a revolution of the head they were measured.
     pub has_times: bool,
 }
 
@@ -115,7 +115,7 @@ struct Profile {
 struct FoundTurn {
     turn: f32,
     /// When what tells it was measured in the sweep before and in this one, if that is known: walls on one side
-    /// are seen at one time in each turn of the head.
+    /// are seen at one time in each revolution of the head.
     offsets: Option<[f32; 2]>,
 }
 

@@ -39,7 +39,7 @@ const REPEATED_SELDOM: Kind = Kind {
     effect: REPEATED.effect,
     to_do: REPEATED.to_do,
 };
-/// More than this share of repeated messages is an error.
+/// More than this fraction of repeated messages is an error.
 const MANY_REPEATED: f64 = 0.05;
 const NO_RETURNS: Kind = Kind {
     name: "no returns",

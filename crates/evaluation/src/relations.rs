@@ -28,7 +28,7 @@ pub struct Relation {
     pub time2: Time,
     /// Tracking frame at `time2` seen from that at `time1`.
     pub expected_1_from_2: Rigid3,
-    /// Metres along the way between them; zero if not known.
+    /// Metres along the trajectory between them; zero if not known.
     pub covered_distance: f64,
 }
 

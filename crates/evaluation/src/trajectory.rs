@@ -106,12 +106,12 @@ impl Trajectory {
         (distance <= tolerance).then_some(pose)
     }
 
-    /// Metres from the first pose to each pose, along the way.
+    /// Metres from the first pose to each pose, along the trajectory.
     pub fn covered_distances(&self) -> Vec<f64> {
         covered_distances(self.poses.iter().map(|p| &p.map_from_tracking))
     }
 
-    /// Metres from the first to the last pose, along the way.
+    /// Metres from the first to the last pose, along the trajectory.
     pub fn path_length(&self) -> f64 {
         self.covered_distances().last().copied().unwrap_or(0.0)
     }

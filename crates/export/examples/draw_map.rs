@@ -5,7 +5,8 @@ use std::path::Path;
 use portolan_export::{
     MapContent, PictureOptions, constraint_lines, draw_map, trajectory_lines, write_picture,
 };
-use portolan_mapfile::{MapReader, load_textures};
+use portolan_mapfile::load_textures;
+use portolan_pbstream::MapReader;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use portolan_mapfile::proto::mapping::PoseGraph;
-use portolan_mapfile::proto::mapping::pose_graph::constraint::Tag;
-use portolan_mapfile::{IdInFile, node_id, pose_from_proto, submap_id, submap_poses};
+use portolan_pbstream::proto::mapping::PoseGraph;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id, submap_poses};
 
 use crate::overlay::{ConstraintLine, TrajectoryLine};
 

@@ -6,7 +6,7 @@ use std::io;
 const FAINTEST: f64 = 0.25;
 /// Greys are rounded to so many steps, which packs better and is not seen.
 const STEP: u8 = 8;
-/// This share of the pixels with points is not quite black.
+/// This fraction of the pixels with points is not quite black.
 const STRONG: f64 = 0.97;
 
 /// From where a cloud is seen.

@@ -20,7 +20,7 @@ const PAPER: Rgb = rgb(0xffffff);
 const INK: Rgb = rgb(0x0d1b2a);
 /// Ground of coloured pictures.
 const NIGHT: Rgb = rgb(0x12161c);
-/// Share of the pixels that are not darker than the darkest tone.
+/// Fraction of the pixels that are not darker than the darkest tone.
 const DARKEST: f64 = 0.995;
 
 /// A direction to look in, level or down, of a map turned by an angle.

@@ -9,9 +9,8 @@ use portolan_export::{
     to_bytes, trajectory_lines, tum_line, write_grey_map, write_picture, write_tum,
 };
 use portolan_geometry::{Rigid3, Time};
-use portolan_mapfile::{
-    MapArea, MapReader, PaintOptions, PlacedTexture, SubmapTexture, load_textures, paint,
-};
+use portolan_mapfile::{MapArea, PaintOptions, PlacedTexture, SubmapTexture, load_textures, paint};
+use portolan_pbstream::MapReader;
 use portolan_testing::{real_data, spec_data};
 
 fn drawn(path: &Path, options: &PictureOptions) -> Picture {

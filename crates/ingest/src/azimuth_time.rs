@@ -1,9 +1,9 @@
 //! Times of points that have none, from their directions.
 //!
-//! A spinning lidar measures its points in the order of their azimuth, so the share of the turn that
-//! has passed tells when. Where turns begin and which way they go follows from how sweeps fit together while the
-//! lidar moves ([`Skew`](crate::Skew)). As long as that is not known a turn is taken to begin at the first point, and
-//! the head to turn the way in which most neighbouring points follow each other. Turns begin or end at the stamp.
+//! A spinning lidar measures its points in the order of their azimuth, so the fraction of the turn that
+//! has passed tells when. Where sweeps begin and in which sense the head spins follows from how sweeps fit together while the
+//! lidar moves ([`Skew`](crate::Skew)). As long as that is not known a sweep is taken to begin at the first point, and
+//! the head to turn the way in which most neighbouring points follow each other. Sweeps begin or end at the stamp.
 
 use std::f32::consts::{PI, TAU};
 
@@ -27,7 +27,7 @@ pub enum AzimuthTimes {
     FromStamp,
     /// They do; the stamp is the middle of the turn.
     AroundStamp,
-    /// They do; the stamp is when the turn ended.
+    /// They do; the stamp is when the sweep ended.
     UntilStamp,
 }
 
@@ -44,7 +44,7 @@ impl AzimuthTimes {
         }
     }
 
-    /// Share of the turn that had passed at the stamp.
+    /// Fraction of the turn that had passed at the stamp.
     fn share_at_stamp(self) -> f32 {
         match self {
             Self::UntilStamp => 1.0,
@@ -66,7 +66,7 @@ impl AzimuthTimes {
 /// How a lidar turns.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Turn {
-    /// Azimuth at which turns begin, in the frame of the lidar, radians.
+    /// Azimuth at which sweeps begin, in the frame of the lidar, radians.
     pub begin_radians: f32,
     /// Whether the head turns clockwise, seen from above.
     pub is_clockwise: bool,
@@ -74,7 +74,7 @@ pub struct Turn {
 
 /// Neighbouring points farther apart than this are of other beams, radians.
 const SAME_TURN: f32 = 0.1;
-/// A known beginning is known to this, radians; the first point is where turns begin if it is as near.
+/// A known beginning is known to this, radians; the first point is where sweeps begin if it is as near.
 const BEGIN_TOLERANCE: f32 = 0.09;
 
 /// Points of the first turn this near to its beginning may lie before it, because beams of one firing have
@@ -91,7 +91,7 @@ pub(crate) struct TimedTurn {
     pub turn: Option<Turn>,
 }
 
-/// Gives points times within a turn. They must stand as they came, all with the same time.
+/// Gives points times within a sweep. They must stand as they came, all with the same time.
 pub(crate) fn assign(points: &mut TimedPoints, timed: &TimedTurn) {
     let TimedTurn { stamp, seconds, meaning, turn } = *timed;
     let Some(first) = points.points.first() else { return };

@@ -27,7 +27,7 @@ pub struct ConfiguredSensors {
     pub use_landmarks: Option<bool>,
 }
 
-/// Share of messages that is kept, 0 to 1, per kind of sensor.
+/// Fraction of messages that is kept, 0 to 1, per kind of sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SamplingRatios {
     /// Laser scans and point clouds.

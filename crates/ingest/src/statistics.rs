@@ -14,7 +14,7 @@ const MAX_MESSAGES: usize = 200;
 const MAX_READINGS: usize = 500;
 /// So many IMU samples.
 const MAX_SAMPLES: usize = 20_000;
-/// Share of readings at exactly the largest value that makes it the mark for "nothing seen".
+/// Fraction of readings at exactly the largest value that makes it the mark for "nothing seen".
 const SATURATED_SHARE: f64 = 0.005;
 
 /// Clouds of fewer degrees from top to bottom are not of space.
@@ -84,7 +84,7 @@ pub struct ImuStatistics {
     pub mean_acceleration: [f64; 3],
     /// Median length of the measured angular velocity, as it stands.
     pub median_angular_velocity: f64,
-    /// Share of the samples whose angular velocity, as it stands, is above 12: too fast for rad/s.
+    /// Fraction of the samples whose angular velocity, as it stands, is above 12: too fast for rad/s.
     pub fast_share: f64,
     /// Whether it says that it measures no acceleration or no angular velocity.
     pub is_partial: bool,

@@ -1,6 +1,6 @@
 //! When the turns of a spinning lidar were, from stamps that jitter.
 //!
-//! The head of a spinning lidar has inertia: one turn takes as long as the last one. What stamps differ from that is
+//! The head of a spinning lidar has inertia: one revolution takes as long as the last one. What stamps differ from that is
 //! the doing of whoever stamped: a camera that triggers, a clock of 10 ms, a busy computer. A turn whose points get
 //! their times from it must not begin before the last one ended, so stamps are smoothed by a filter of time and
 //! period with growing, then fading memory (Morrison 1969, Introduction to Sequential Smoothing and Prediction,
@@ -10,15 +10,15 @@ use portolan_geometry::{Duration, Time};
 
 /// The memory grows to so many turns.
 const MEMORY: f64 = 30.0;
-/// Stamps that are farther off than this share of a turn are another turn, or say something.
+/// Stamps that are farther off than this fraction of a revolution belong to another one, or say something.
 const JITTER: f64 = 0.25;
 /// After so many missing turns time is counted anew.
 const MAX_MISSING: f64 = 20.0;
 
-/// Time and period of turns.
+/// Time and period of revolutions.
 #[derive(Clone, Debug)]
 pub(crate) struct TurnClock {
-    /// Seconds of a turn.
+    /// Seconds of a revolution.
     period: f64,
     last: Option<Time>,
     turns: f64,
@@ -30,7 +30,7 @@ impl TurnClock {
         Self { period, last: None, turns: 0.0 }
     }
 
-    /// Seconds of a turn, as known by now.
+    /// Seconds of a revolution, as known by now.
     pub fn period(&self) -> f64 {
         self.period
     }

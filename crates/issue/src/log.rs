@@ -9,7 +9,7 @@ use serde::{Serialize, Serializer};
 
 use crate::{Datum, Issue, IssueKind, Severity};
 
-/// So many entries are told apart; a hostile file cannot make the report grow beyond.
+/// So many entries are distinguished; a hostile file cannot make the report grow beyond.
 const MAX_ENTRIES: usize = 256;
 
 /// What makes issues alike.

@@ -21,7 +21,7 @@ pub struct ImuSample {
 /// What packets hold.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Measured {
-    /// A turn of a lidar.
+    /// A sweep of a lidar.
     Sweep(Sweep),
     /// A sample of an IMU.
     Imu(ImuSample),

@@ -42,11 +42,11 @@ pub struct OusterMetadata {
     pub azimuths: Vec<f64>,
     /// Distance of the beams' origin from the axis, metres.
     pub beam_origin: f64,
-    /// Columns of a whole turn.
+    /// Columns of a whole revolution.
     pub columns_per_frame: usize,
     /// Columns of a packet.
     pub columns_per_packet: usize,
-    /// None if it is not told.
+    /// None if it is not given.
     pub profile: Option<PacketProfile>,
     /// Rows of the rotation and the translation in metres.
     rotation: [[f64; 3]; 3],

@@ -21,7 +21,7 @@ impl PacketSource {
     /// The lidar of an Ouster, from what it tells or from the length of its packets; none if no layout is as long.
     ///
     /// `largest_column` is that of some packets ([`PacketLayout::largest_column`]): without metadata it tells how many
-    /// columns a turn has.
+    /// columns a revolution has.
     pub fn ouster_lidar(
         metadata: Option<&OusterMetadata>,
         packet_bytes: usize,

@@ -31,7 +31,7 @@ pub struct SweepPoint {
     pub seconds: f32,
 }
 
-/// The points of one turn of a lidar, in the order in which they were measured.
+/// The points of one sweep of a lidar, in the order in which they were measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
     /// When the first point was measured.

@@ -13,10 +13,10 @@ use portolan_geometry::{
 };
 use portolan_mapping::ImuState;
 
-use crate::pose::pose_from_proto;
-use crate::proto::mapping as m;
-use crate::proto::sensor;
-use crate::proto::transform::Vector3d;
+use portolan_pbstream::pose_from_proto;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::sensor;
+use portolan_pbstream::proto::transform::Vector3d;
 
 /// A measured sample counts for this long, as in mapping.
 const MAX_GAP: Duration = Duration::from_ticks(5_000_000);

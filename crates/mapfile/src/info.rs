@@ -7,17 +7,17 @@ use portolan_geometry::{Rigid3, Time, Vector3};
 use prost::Message as _;
 use serde::Serialize;
 
-use crate::error::PbstreamError;
-use crate::map_reader::{IgnoredMessages, MapReader};
-use crate::message::kind_of;
-use crate::pose::{IdInFile, pose_from_proto, submap_id, submap_poses};
-use crate::proto::mapping::sensor_id::SensorType;
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{
+use portolan_pbstream::PbstreamError;
+use portolan_pbstream::kind_of;
+use portolan_pbstream::mapping_to_text;
+use portolan_pbstream::proto::mapping::sensor_id::SensorType;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{
     self, AllTrajectoryBuilderOptions, HybridGrid, PoseGraph, Submap, Submap2D, Submap3D, grid2_d,
     pose_graph::constraint::Tag,
 };
-use crate::text_format::mapping_to_text;
+use portolan_pbstream::{IdInFile, pose_from_proto, submap_id, submap_poses};
+use portolan_pbstream::{IgnoredMessages, MapReader};
 
 /// Summary of a map.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -3,14 +3,14 @@
 use portolan_geometry::Rigid3;
 use rayon::prelude::*;
 
-use crate::error::PbstreamError;
-use crate::map_reader::MapReader;
 use crate::paint::PlacedTexture;
-use crate::pose::{IdInFile, submap_id, submap_poses};
-use crate::proto::mapping::Submap;
-use crate::proto::mapping::serialized_data::Data;
 use crate::texture::{TextureError, texture_2d};
 use crate::texture_3d::texture_3d;
+use portolan_pbstream::MapReader;
+use portolan_pbstream::PbstreamError;
+use portolan_pbstream::proto::mapping::Submap;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::{IdInFile, submap_id, submap_poses};
 
 /// Submaps whose textures are made together: so many, or so many bytes of messages; bounds the decoded grids
 /// in memory.

@@ -3,14 +3,14 @@
 
 use std::collections::BTreeMap;
 
-use crate::grid_check::{GridReport, check_grid_2d, check_hybrid_grid, mend_grid_2d, mend_hybrid_grid};
-use crate::point_cloud::decompress;
-use crate::pose::{is_rotation, pose_from_proto};
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{self, HybridGrid, Node, Submap};
-use crate::proto::sensor::CompressedPointCloud;
-use crate::proto::transform::{Quaterniond, Rigid3d};
 use crate::repair::Repair;
+use portolan_pbstream::decompress_points;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{self, HybridGrid, Node, Submap};
+use portolan_pbstream::proto::sensor::CompressedPointCloud;
+use portolan_pbstream::proto::transform::{Quaterniond, Rigid3d};
+use portolan_pbstream::{GridReport, check_grid_2d, check_hybrid_grid, mend_grid_2d, mend_hybrid_grid};
+use portolan_pbstream::{is_rotation, pose_from_proto};
 
 /// Quaternions of a norm between this and its inverse are taken for rotations and normalised.
 const MIN_NORM: f64 = 0.5;
@@ -134,7 +134,7 @@ fn mend_node(node: &mut Node, repairs: &mut Vec<Repair>) -> Option<Repair> {
         &mut data.low_resolution_point_cloud,
     ];
     for cloud in clouds.into_iter().flatten() {
-        if decompress(cloud).is_err() {
+        if decompress_points(cloud).is_err() {
             *cloud = CompressedPointCloud::default();
             repairs.push(Repair::PointCloudDropped);
         }

@@ -3,13 +3,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::check::{bad_starts, start_of};
 use crate::mend::mend_pose;
-use crate::pose::{IdInFile, node_id, submap_id};
-use crate::proto::mapping::pose_graph::constraint::Tag;
-use crate::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, Trajectory, trajectory};
-use crate::proto::transform::Rigid3d;
 use crate::repair::Repair;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, Trajectory, trajectory};
+use portolan_pbstream::proto::transform::Rigid3d;
+use portolan_pbstream::{IdInFile, node_id, submap_id};
+use portolan_pbstream::{bad_starts, start_of};
 
 /// What whole messages were found of nodes and submaps.
 #[derive(Default)]

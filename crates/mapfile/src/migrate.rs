@@ -12,16 +12,18 @@ use portolan_matching::rotate_histogram;
 use prost::Message as _;
 use serde::Serialize;
 
-use crate::error::PbstreamError;
-use crate::map_reader::MapReader;
-use crate::message::{MessageKind, RawMessage, decode_data};
-use crate::pose::{IdInFile, node_id, pose_from_proto, submap_id};
-use crate::proto::mapping::pose_graph::constraint::Tag;
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{AllTrajectoryBuilderOptions, Node, PoseGraph, SerializedData, Submap, Submap3D};
-use crate::proto::transform::Quaterniond;
-use crate::reader::{PbstreamReader, ReadLimits, must_be_a_file};
-use crate::writer::{FORMAT_VERSION, PbstreamWriter};
+use portolan_pbstream::MapReader;
+use portolan_pbstream::PbstreamError;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{
+    AllTrajectoryBuilderOptions, Node, PoseGraph, SerializedData, Submap, Submap3D,
+};
+use portolan_pbstream::proto::transform::Quaterniond;
+use portolan_pbstream::{FORMAT_VERSION, PbstreamWriter};
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
+use portolan_pbstream::{MessageKind, RawMessage, decode_data};
+use portolan_pbstream::{PbstreamReader, ReadLimits, must_be_a_file};
 
 /// How to migrate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -232,7 +234,7 @@ impl Plan {
 }
 
 fn rotation(q: Option<Quaterniond>) -> Option<Quaternion> {
-    let pose = crate::proto::transform::Rigid3d { translation: None, rotation: q };
+    let pose = portolan_pbstream::proto::transform::Rigid3d { translation: None, rotation: q };
     pose_from_proto(Some(&pose)).map(|p| p.rotation)
 }
 

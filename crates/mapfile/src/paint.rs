@@ -7,8 +7,8 @@ use portolan_geometry::Rigid3;
 use rayon::prelude::*;
 
 use crate::packed_texture::PackedTexture;
-use crate::pose::IdInFile;
 use crate::resample::{Sample, Sampler, add_evidence, over};
+use portolan_pbstream::IdInFile;
 
 /// Free margin around the submaps, pixels.
 const PADDING: f32 = 5.0;

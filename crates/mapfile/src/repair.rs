@@ -11,16 +11,16 @@ use serde::Serialize;
 
 use crate::convert::imu_state_from_proto;
 use crate::derived_imu::DerivedImu;
-use crate::error::PbstreamError;
 use crate::mend::{Mended, SensorTimes, mend, trajectory_of};
 use crate::mend_graph::{Parts, mend_pose_graph};
-use crate::message::{Message, RawMessage};
-use crate::pose::{IdInFile, node_id, submap_id};
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{self, AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
-use crate::reader::ReadLimits;
 use crate::salvage::Salvage;
-use crate::writer::{FORMAT_VERSION, PbstreamWriter};
+use portolan_pbstream::PbstreamError;
+use portolan_pbstream::ReadLimits;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{self, AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
+use portolan_pbstream::{FORMAT_VERSION, PbstreamWriter};
+use portolan_pbstream::{IdInFile, node_id, submap_id};
+use portolan_pbstream::{Message, RawMessage};
 
 /// A kind of repair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -249,7 +249,7 @@ struct Rest {
 
 impl Rest {
     fn new(graph: &PoseGraph, is_3d: bool) -> Self {
-        let of = |t: &crate::proto::mapping::Trajectory| t.trajectory_id;
+        let of = |t: &portolan_pbstream::proto::mapping::Trajectory| t.trajectory_id;
         let nodes = graph.trajectory.iter().flat_map(|t| t.node.iter().map(move |n| (of(t), n.node_index)));
         let submaps =
             graph.trajectory.iter().flat_map(|t| t.submap.iter().map(move |s| (of(t), s.submap_index)));
@@ -359,7 +359,7 @@ impl Rest {
 }
 
 fn encode(data: Data) -> Vec<u8> {
-    crate::proto::mapping::SerializedData { data: Some(data) }.encode_to_vec()
+    portolan_pbstream::proto::mapping::SerializedData { data: Some(data) }.encode_to_vec()
 }
 
 /// The header is recognised by its content, because records before it may be lost.
@@ -374,5 +374,5 @@ fn numbered(raw: &RawMessage) -> RawMessage {
 }
 
 fn decode(raw: &RawMessage) -> Option<Data> {
-    crate::message::decode_data(&raw.bytes).ok()?
+    portolan_pbstream::decode_data(&raw.bytes).ok()?
 }

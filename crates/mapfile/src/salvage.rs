@@ -5,9 +5,9 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use crate::gzip::gunzip;
-use crate::message::RawMessage;
-use crate::reader::ReadLimits;
+use portolan_pbstream::RawMessage;
+use portolan_pbstream::ReadLimits;
+use portolan_pbstream::gunzip;
 
 /// How every record begins after its size: gzip, deflate.
 const GZIP_START: [u8; 3] = [0x1f, 0x8b, 8];

@@ -3,12 +3,12 @@
 use nalgebra::Translation3;
 use portolan_geometry::{Quaternion, Rigid3};
 
-use crate::codes::{self, CodeRange};
-use crate::gzip::gzip;
-use crate::pose::{pose_from_proto, pose_to_proto};
-use crate::proto::mapping::grid2_d::Grid;
-use crate::proto::mapping::submap_query::response::SubmapTexture as TextureMessage;
-use crate::proto::mapping::{Grid2D, Submap2D};
+use portolan_pbstream::codes::{self, CodeRange};
+use portolan_pbstream::gzip;
+use portolan_pbstream::proto::mapping::grid2_d::Grid;
+use portolan_pbstream::proto::mapping::submap_query::response::SubmapTexture as TextureMessage;
+use portolan_pbstream::proto::mapping::{Grid2D, Submap2D};
+use portolan_pbstream::{pose_from_proto, pose_to_proto};
 
 /// Textures of more pixels than this are taken for damage: 2 GB in a message, 40 km² at 5 cm.
 pub const MAX_TEXTURE_PIXELS: usize = 1 << 28;

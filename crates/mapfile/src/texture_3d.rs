@@ -3,9 +3,9 @@
 use nalgebra::{Quaternion as RawQuaternion, Translation3, Vector3};
 use portolan_geometry::{Quaternion, Rigid3, to_f32};
 
-use crate::codes::{self, MAX_PROBABILITY, MIN_PROBABILITY, PROBABILITIES};
-use crate::proto::mapping::{HybridGrid, Submap3D};
 use crate::texture::{MAX_TEXTURE_PIXELS, SubmapTexture, TextureError};
+use portolan_pbstream::codes::{self, MAX_PROBABILITY, MIN_PROBABILITY, PROBABILITIES};
+use portolan_pbstream::proto::mapping::{HybridGrid, Submap3D};
 
 /// Cells below this are free or not sure.
 const OBSTRUCTED: f32 = 0.501;

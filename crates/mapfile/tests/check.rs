@@ -4,13 +4,11 @@
 
 mod common;
 
-use common::all_maps;
 use common::small_map::SmallMap;
-use portolan_mapfile::proto::mapping::serialized_data::Data;
-use portolan_mapfile::{
-    FindingKind, MapReader, PbstreamReader, RawMessage, ReadLimits, Repair, RepairError, RepairReport,
-    Severity, info, repair, validate,
-};
+use portolan_mapfile::{Repair, RepairError, RepairReport, info, repair};
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::{FindingKind, MapReader, PbstreamReader, RawMessage, ReadLimits, Severity, validate};
+use portolan_testing::real_maps;
 use proptest::prelude::*;
 use std::path::Path;
 
@@ -23,7 +21,7 @@ fn messages(path: &Path) -> Vec<Vec<u8>> {
 fn real_maps_have_no_errors_and_need_no_repair() {
     let folder = tempfile::tempdir().unwrap();
     let repaired = folder.path().join("repaired.pbstream");
-    for path in all_maps() {
+    for path in real_maps() {
         let findings = validate(&mut PbstreamReader::open(&path).unwrap());
         assert!(findings.iter().all(|f| f.severity < Severity::Error), "{}: {findings:?}", path.display());
         let report = repair(&path, &repaired, ReadLimits::default()).unwrap();

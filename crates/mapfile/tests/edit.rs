@@ -7,18 +7,15 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use common::all_maps;
 use common::small_map::SmallMap;
 use portolan_config::{ConstraintBuilderOptions, Options};
 use portolan_geometry::{Rigid3, Time, Vector3};
-use portolan_mapfile::proto::mapping::serialized_data::Data;
-use portolan_mapfile::proto::mapping::{PoseGraph, TrajectoryData};
-use portolan_mapfile::{
-    EditError, MapArea, MapDraft, MapInfo, MapReader, PbstreamReader, PlacedTexture, ReadLimits, Severity,
-    info, load_textures, pose_from_proto, validate,
-};
+use portolan_mapfile::{EditError, MapArea, MapDraft, MapInfo, PlacedTexture, info, load_textures};
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{PoseGraph, TrajectoryData};
+use portolan_pbstream::{MapReader, PbstreamReader, ReadLimits, Severity, pose_from_proto, validate};
 use portolan_solver::g2o::Graph;
-use portolan_testing::real_data;
+use portolan_testing::{real_data, real_maps};
 use tempfile::TempDir;
 
 fn draft(path: &Path) -> MapDraft {
@@ -49,7 +46,7 @@ fn small(folder: &TempDir, three_d: bool) -> PathBuf {
 fn nothing_changed_is_the_same_map() {
     let folder = tempfile::tempdir().unwrap();
     let copy = folder.path().join("copy.pbstream");
-    for path in all_maps() {
+    for path in real_maps() {
         draft(&path).write(&copy).unwrap();
         let (a, b) = (messages(&path), messages(&copy));
         // The pose graph is written anew, which changes the sign of zeros at most.

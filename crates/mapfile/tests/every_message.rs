@@ -11,13 +11,12 @@ use std::collections::BTreeMap;
 
 use any_message::{Luck, Schema, put_bytes, put_varint};
 use common::small_map::SmallMap;
-use portolan_mapfile::proto::{
+use portolan_mapfile::MapDraft;
+use portolan_pbstream::proto::{
     common as common_proto, constraints, ground_truth, mapping, optimization, scan_matching, sensor,
     transform,
 };
-use portolan_mapfile::{
-    MapDraft, Message, MessageKind, PbstreamReader, PbstreamWriter, RawMessage, ReadLimits,
-};
+use portolan_pbstream::{Message, MessageKind, PbstreamReader, PbstreamWriter, RawMessage, ReadLimits};
 use proptest::prelude::*;
 
 /// Decodes as a type and encodes again.

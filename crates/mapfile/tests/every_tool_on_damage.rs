@@ -10,14 +10,16 @@ use std::path::{Path, PathBuf};
 use common::small_map::{SmallMap, pose};
 use portolan_config::Options;
 use portolan_geometry::{Dimension, Rigid3, Time};
-use portolan_mapfile::proto::mapping as m;
-use portolan_mapfile::proto::mapping::grid2_d::Grid;
-use portolan_mapfile::proto::mapping::pose_graph::LandmarkPose;
-use portolan_mapfile::proto::mapping::serialized_data::Data;
-use portolan_mapfile::proto::sensor;
 use portolan_mapfile::{
-    MapArea, MapDraft, MapReader, MessageKind, MigrateOptions, PaintOptions, PbstreamReader, PbstreamWriter,
-    RawMessage, ReadLimits, Severity, info, load_textures, migrate, paint, repair, validate,
+    MapArea, MapDraft, MigrateOptions, PaintOptions, info, load_textures, migrate, paint, repair,
+};
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::grid2_d::Grid;
+use portolan_pbstream::proto::mapping::pose_graph::LandmarkPose;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::sensor;
+use portolan_pbstream::{
+    MapReader, MessageKind, PbstreamReader, PbstreamWriter, RawMessage, ReadLimits, Severity, validate,
 };
 use proptest::prelude::*;
 

@@ -7,7 +7,8 @@ use std::path::Path;
 
 use common::small_map::SmallMap;
 use portolan_atomic_file::faults::{Fault, fail_at, mend};
-use portolan_mapfile::{MapDraft, MigrateOptions, ReadLimits, migrate, repair};
+use portolan_mapfile::{MapDraft, MigrateOptions, migrate, repair};
+use portolan_pbstream::ReadLimits;
 
 fn write_all(from: &Path, folder: &Path) -> Result<(), String> {
     let failed = |error: &dyn std::fmt::Display| error.to_string();

@@ -2,13 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-mod common;
-
 use std::collections::BTreeMap;
 
-use common::all_maps;
-use portolan_mapfile::{MapReader, PbstreamReader, ReadLimits, info};
-use portolan_testing::real_data;
+use portolan_mapfile::info;
+use portolan_pbstream::{MapReader, PbstreamReader, ReadLimits};
+use portolan_testing::{real_data, real_maps};
 
 #[test]
 fn counts_agree_with_the_reference() {
@@ -42,7 +40,7 @@ fn counts_agree_with_the_reference() {
 
 #[test]
 fn figures_are_sensible() {
-    for path in all_maps() {
+    for path in real_maps() {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let info = info(&mut MapReader::open(&path).unwrap()).unwrap();
         for trajectory in &info.trajectories {
@@ -57,7 +55,7 @@ fn figures_are_sensible() {
 
 #[test]
 fn the_schema_knows_every_field_of_real_maps() {
-    for path in all_maps() {
+    for path in real_maps() {
         for raw in PbstreamReader::open(&path).unwrap() {
             let raw = raw.unwrap();
             if raw.bytes.len() > 100_000 {
@@ -72,7 +70,7 @@ fn the_schema_knows_every_field_of_real_maps() {
 
 #[test]
 fn summaries_do_not_need_the_cells() {
-    for path in all_maps() {
+    for path in real_maps() {
         let with = info(&mut MapReader::open(&path).unwrap()).unwrap();
         let mut reader = MapReader::open_for_summary(&path, ReadLimits::default()).unwrap();
         assert!(info(&mut reader).unwrap() == with, "{}", path.display());

@@ -6,21 +6,20 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use common::all_maps;
 use common::small_map::SmallMap;
 use portolan_config::{Options, PoseGraphOptions};
 use portolan_geometry::{Rigid3, rotation_angle};
 use portolan_issue::{IssueKind, IssueLog};
-use portolan_mapfile::proto::mapping::serialized_data::Data;
-use portolan_mapfile::proto::mapping::{self as m};
-use portolan_mapfile::proto::transform::Rigid3d;
 use portolan_mapfile::{
-    FrozenTrajectories, LoadedMap, MapConversionError, MapLoadSettings, MapReader, PbstreamReader,
-    PbstreamWriter, load_map, load_textures, pose_from_proto, read_map_2d, submap_textures_2d, validate,
-    write_map_2d,
+    FrozenTrajectories, LoadedMap, MapConversionError, MapLoadSettings, load_map, load_textures, read_map_2d,
+    submap_textures_2d, write_map_2d,
 };
 use portolan_mapping::{Mapper, MapperSettings, Planar, PoseGraph, TrajectoryId, TrajectoryState};
-use portolan_testing::real_data;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{self as m};
+use portolan_pbstream::proto::transform::Rigid3d;
+use portolan_pbstream::{MapReader, PbstreamReader, PbstreamWriter, pose_from_proto, validate};
+use portolan_testing::{real_data, real_maps};
 use proptest::prelude::*;
 use tempfile::TempDir;
 
@@ -94,7 +93,7 @@ fn off(a: &Rigid3, b: &Rigid3) -> f64 {
 }
 
 fn maps_2d() -> Vec<PathBuf> {
-    all_maps().into_iter().filter(|p| !contents(p).is_3d()).collect()
+    real_maps().into_iter().filter(|p| !contents(p).is_3d()).collect()
 }
 
 #[test]

@@ -5,17 +5,17 @@ mod common;
 
 use std::path::Path;
 
-use common::all_maps;
 use common::small_map::SmallMap;
 use portolan_config::Options;
-use portolan_mapfile::proto::mapping as m;
-use portolan_mapfile::proto::mapping::serialized_data::Data;
 use portolan_mapfile::{
-    FindingKind, LoadedMap, MapConversionError, MapDraft, MapLoadSettings, MapReader, PbstreamReader,
-    ReadLimits, load_textures, read_map, submap_textures_3d, validate, write_graph,
+    LoadedMap, MapConversionError, MapDraft, MapLoadSettings, load_textures, read_map, submap_textures_3d,
+    write_graph,
 };
 use portolan_mapping::{Planar, Spatial};
-use portolan_testing::real_data;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::{FindingKind, MapReader, PbstreamReader, ReadLimits, validate};
+use portolan_testing::{real_data, real_maps};
 use prost::Message as _;
 
 fn messages(path: &Path) -> (m::PoseGraph, Vec<Data>) {
@@ -59,7 +59,7 @@ fn textures_of_memory_and_file_agree() {
 fn maps_in_space_survive_memory() {
     let folder = tempfile::tempdir().unwrap();
     let mut count = 0;
-    for path in all_maps().into_iter().filter(|p| is_3d(p)) {
+    for path in real_maps().into_iter().filter(|p| is_3d(p)) {
         let copy = folder.path().join("copy.pbstream");
         let loaded = through_memory(&path, &copy);
         let ((before, old), (after, new)) = (messages(&path), messages(&copy));
@@ -98,7 +98,7 @@ fn maps_in_space_survive_memory() {
         assert!(5 * memory <= 6 * stored, "{}: {memory} bytes, {stored} in the file", path.display());
         count += 1;
     }
-    assert!(count > 0 || all_maps().is_empty());
+    assert!(count > 0 || real_maps().is_empty());
 }
 
 /// Times of IMU samples, and whether they were measured.

@@ -6,10 +6,10 @@ use std::collections::BTreeSet;
 use portolan_config::{GridType2d, Options, RangeDataInserterType2d};
 use portolan_geometry::{Duration, Point3f, Rigid3, Time, rotation_from_roll_pitch_yaw, to_f32};
 use portolan_mapfile::{
-    MapLoadSettings, PaintOptions, PbstreamReader, paint, read_map_2d, submap_textures_2d, validate,
-    write_graph, write_map_2d,
+    MapLoadSettings, PaintOptions, paint, read_map_2d, submap_textures_2d, write_graph, write_map_2d,
 };
 use portolan_mapping::{InitialTrajectoryPose, Map, Mapper, MapperSettings, Planar, TrajectoryId};
+use portolan_pbstream::{PbstreamReader, validate};
 use portolan_sensor::{
     FixedFramePoseData, LandmarkData, LandmarkObservation, Measurement, OdometryData, SensorId, SensorKind,
     TimedPoint, TimedPointCloudData,

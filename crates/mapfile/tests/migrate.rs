@@ -4,15 +4,12 @@
 
 mod common;
 
-use common::all_maps;
 use common::small_map::SmallMap;
-use portolan_mapfile::proto::mapping as m;
-use portolan_mapfile::proto::mapping::serialized_data::Data;
-use portolan_mapfile::{
-    MapDraft, MapReader, MigrateError, MigrateOptions, PbstreamReader, PbstreamWriter, RawMessage,
-    ReadLimits, load_textures, migrate, validate,
-};
-use portolan_testing::real_data;
+use portolan_mapfile::{MapDraft, MigrateError, MigrateOptions, load_textures, migrate};
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::{MapReader, PbstreamReader, PbstreamWriter, RawMessage, ReadLimits, validate};
+use portolan_testing::{real_data, real_maps};
 use prost::Message as _;
 use std::path::Path;
 
@@ -97,7 +94,7 @@ fn unknown_fields_survive() {
     // Field 100 of SerializedData, in a submap's message.
     let unknown = [0xa0, 6, 42];
     all[3].bytes.extend_from_slice(&unknown);
-    let mut writer = portolan_mapfile::PbstreamWriter::create(&old).unwrap();
+    let mut writer = portolan_pbstream::PbstreamWriter::create(&old).unwrap();
     all.into_iter().for_each(|m| writer.write_bytes(m.bytes).unwrap());
     writer.finish().unwrap();
     migrate(&old, &new, MigrateOptions::default()).unwrap();
@@ -143,14 +140,14 @@ fn real_2d_maps_keep_their_content() {
 fn summed_histograms_are_those_of_the_reference() {
     let folder = tempfile::tempdir().unwrap();
     let (old, new) = (folder.path().join("old.pbstream"), folder.path().join("new.pbstream"));
-    for path in all_maps().iter().filter(|p| p.to_string_lossy().contains("3d")) {
-        let mut writer = portolan_mapfile::PbstreamWriter::create(&old).unwrap();
+    for path in real_maps().iter().filter(|p| p.to_string_lossy().contains("3d")) {
+        let mut writer = portolan_pbstream::PbstreamWriter::create(&old).unwrap();
         let mut expected = Vec::new();
         for raw in PbstreamReader::open(path).unwrap() {
             let raw = raw.unwrap();
             match raw.decode().unwrap() {
-                portolan_mapfile::Message::Header(_) => writer.write_header(1).unwrap(),
-                portolan_mapfile::Message::Data(data) => match *data {
+                portolan_pbstream::Message::Header(_) => writer.write_header(1).unwrap(),
+                portolan_pbstream::Message::Data(data) => match *data {
                     Data::Submap(mut submap) => {
                         let submap_3d = submap.submap_3d.as_mut().unwrap();
                         expected.push(std::mem::take(&mut submap_3d.rotational_scan_matcher_histogram));
@@ -158,7 +155,7 @@ fn summed_histograms_are_those_of_the_reference() {
                     }
                     _ => writer.write_bytes(raw.bytes).unwrap(),
                 },
-                portolan_mapfile::Message::Unknown(_) => unreachable!(),
+                portolan_pbstream::Message::Unknown(_) => unreachable!(),
             }
         }
         writer.finish().unwrap();

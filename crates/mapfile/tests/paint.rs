@@ -6,9 +6,9 @@ mod common;
 
 use portolan_geometry::Rigid3;
 use portolan_mapfile::{
-    MapArea, MapReader, PaintError, PaintOptions, PaintedMap, PlacedTexture, SubmapTexture, load_textures,
-    paint,
+    MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, SubmapTexture, load_textures, paint,
 };
+use portolan_pbstream::MapReader;
 use portolan_testing::{real_data, spec_data};
 
 struct Expected {

@@ -8,11 +8,12 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use portolan_geometry::Rigid3;
-use portolan_mapfile::proto::mapping::{
+use portolan_mapfile::{SubmapTexture, texture_2d, xray_texture};
+use portolan_pbstream::proto::mapping::{
     CellLimits, Grid2D, HybridGrid, MapLimits, ProbabilityGrid, Submap2D, grid2_d,
 };
-use portolan_mapfile::proto::transform::Vector2d;
-use portolan_mapfile::{CodeRange, SubmapTexture, gunzip, pose_to_proto, texture_2d, xray_texture};
+use portolan_pbstream::proto::transform::Vector2d;
+use portolan_pbstream::{CodeRange, gunzip, pose_to_proto};
 
 const P_MIN: f32 = 0.1;
 const P_MAX: f32 = 1.0 - P_MIN;

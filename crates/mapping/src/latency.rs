@@ -55,7 +55,7 @@ impl LatencyHistogram {
         self.longest
     }
 
-    /// Upper bound of the time that the share `quantile` in [0, 1] of all stayed within.
+    /// Upper bound of the time that the fraction `quantile` in [0, 1] of all stayed within.
     pub fn quantile(&self, quantile: f64) -> Duration {
         let wanted = (quantile.clamp(0.0, 1.0) * self.count() as f64).ceil() as u64;
         let mut seen = 0;

@@ -21,9 +21,9 @@ pub struct OpenDirections {
     pub translations: Vec<Vector3>,
     /// Unit vectors about which turns were open, in the tracking frame.
     pub rotations: Vec<Vector3>,
-    /// Whether odometry told how far it went.
+    /// Whether odometry measured the translation.
     pub way_is_measured: bool,
-    /// Whether a gyroscope told how far it turned.
+    /// Whether a gyroscope measured the rotation.
     pub turn_is_measured: bool,
 }
 

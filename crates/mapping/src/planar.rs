@@ -27,7 +27,7 @@ pub struct PlanarMatcher {
     refinement: GradientMatcher2d,
 }
 
-/// A scan that scores less than this share of the probability of solid cells explains too little.
+/// A scan that scores less than this fraction of the probability of solid cells explains too little.
 const LEAST_OF_SOLIDITY: f32 = 0.68;
 
 impl Space for Planar {

@@ -19,7 +19,7 @@ const REFINEMENT_SCALE: f64 = 0.4;
 /// The same where a node was found without a guess: gravity is off by a degree in the first second, which is
 /// 0.5 m in 30 m.
 const UNCERTAIN_SCALE: f64 = 0.8;
-/// A loop closure needs so large a share of its points on planes.
+/// A loop closure needs so large a fraction of its points on planes.
 const MIN_MATCHED_FRACTION: f64 = 0.5;
 /// What a node may be off after no way at all, and for each metre travelled since: metres and radians.
 /// Matched to planes, trajectories drift by a fifth of this at most (simulated buildings, with and without
@@ -116,7 +116,7 @@ fn register_to_planes(
     (found.matched_fraction >= MIN_MATCHED_FRACTION && is_valid_pose(&found.pose)).then_some(found)
 }
 
-/// Puts a node on the planes near its guess, which may be off by what a way of `travelled` metres explains, and judges
+/// Puts a node on the planes near its guess, which may be off by what a path of `travelled` metres explains, and judges
 /// the result as a search would.
 pub(crate) fn find_nearby(
     submap: &Submap3d,

@@ -116,7 +116,7 @@ pub struct ScanMatch2d {
 
 /// Hits of neighbouring beams that are further apart than so many cells draw dots, not a wall.
 const DENSE_CELLS: f64 = 3.0;
-/// With less than this share of the points left, sparse ones are used as well.
+/// With less than this fraction of the points left, sparse ones are used as well.
 const MIN_DENSE_SHARE: f64 = 0.2;
 
 /// How fast a robot is thought to be able to go and turn when nothing was seen of it.

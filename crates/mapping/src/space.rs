@@ -50,9 +50,9 @@ pub struct SearchWindow {
 /// often the cells of the submap were seen; how many beams it explains and contradicts does not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchAcceptance {
-    /// Least share of beams that must end at something that the submap knows.
+    /// Least fraction of beams that must end at something that the submap knows.
     pub min_explained: f32,
-    /// Largest share of beams that contradict the submap in all about which it knows something.
+    /// Largest fraction of beams that contradict the submap in all about which it knows something.
     pub max_contradiction: f32,
 }
 

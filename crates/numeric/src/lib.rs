@@ -4,6 +4,6 @@ mod print;
 mod random;
 mod statistics;
 
-pub use print::format_general;
+pub use print::{counted, format_general};
 pub use random::{Lcg64, SplitMix64, scramble, splitmix64};
 pub use statistics::{mean, median, percentile, quantile, rms};

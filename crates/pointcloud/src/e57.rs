@@ -226,7 +226,7 @@ fn number(value: Option<&RecordValue>, kind: &RecordDataType) -> f64 {
     }
 }
 
-/// A colour as a share of its largest value.
+/// A colour as a fraction of its largest value.
 fn share(value: f64, kind: &RecordDataType) -> f64 {
     match kind {
         RecordDataType::Integer { min, max } if max > min => {

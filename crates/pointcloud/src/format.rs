@@ -1,4 +1,4 @@
-//! The formats: told apart by content when reading, by extension when writing.
+//! The formats: distinguished by content when reading, by extension when writing.
 
 use std::path::Path;
 

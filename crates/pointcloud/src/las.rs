@@ -22,7 +22,7 @@ use crate::format::{CloudReader, CloudWriter, WriteOptions, Written};
 use crate::output::Output;
 use remembering::{Failure, Remembering};
 
-/// Share of the extent by which stated bounds may be off.
+/// Fraction of the extent by which stated bounds may be off.
 const ROOM: f64 = 0.01;
 
 /// Reads points.

@@ -9,8 +9,8 @@ use std::path::Path;
 
 use portolan::job::{Event, MapRequest, map};
 use portolan::recording::{create, open};
-use portolan::simulator::world::Scene;
 use portolan::simulator::{ScenarioOptions, Simulation};
+use portolan::worlds::two_d::Scene;
 
 /// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {

@@ -10,7 +10,8 @@ use portolan::geometry::{self, Dimension, Point3f};
 use portolan::mapping::{Mapper, MapperSettings, Planar};
 use portolan::recording::{LaserScan, Message, Odometry, Recording};
 use portolan::sensor::{Measurement, OdometryData, SensorId, SensorKind, TimedPoint, TimedPointCloudData};
-use portolan::simulator::{ScenarioOptions, Simulation, world::Scene};
+use portolan::simulator::{ScenarioOptions, Simulation};
+use portolan::worlds::two_d::Scene;
 use portolan::{Lidar, Sensors, settings_for};
 
 /// What `cargo run` and the test of the examples call.

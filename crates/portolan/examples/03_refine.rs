@@ -10,7 +10,8 @@ use portolan::ingest::{IngestOptions, Ingestion};
 use portolan::refinement::PointStore;
 use portolan::refinement::continuous::{ContinuousOptions, RefineProgress, refine_continuous};
 use portolan::sensor::Measurement;
-use portolan::simulator::{Scenario3dOptions, Scene3d, Simulation3d};
+use portolan::simulator::{Scenario3dOptions, Simulation3d};
+use portolan::worlds::three_d::Scene3d;
 
 /// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {

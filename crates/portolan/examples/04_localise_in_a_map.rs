@@ -8,8 +8,8 @@ use std::io::Write;
 use portolan::job::{Job, KnownMaps, Localisation, MapRequest, map, unobserved};
 use portolan::mapfile::FrozenTrajectories;
 use portolan::mapping::Planar;
-use portolan::simulator::world::Scene;
 use portolan::simulator::{ScenarioOptions, Simulation};
+use portolan::worlds::two_d::Scene;
 
 /// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {

@@ -9,8 +9,8 @@ use std::path::Path;
 use portolan::ingest::{IngestOptions, Ingestion};
 use portolan::recording::{Message, create, open};
 use portolan::sensor::Measurement;
-use portolan::simulator::world::Scene;
 use portolan::simulator::{ScenarioOptions, Simulation};
+use portolan::worlds::two_d::Scene;
 
 /// What `cargo run` and the test of the examples call.
 pub fn main() -> Result<(), Box<dyn Error>> {

@@ -9,7 +9,8 @@ use portolan::job::{MapRequest, map, unobserved};
 use portolan::recording::{
     Header, Issue, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo,
 };
-use portolan::simulator::{ScenarioOptions, Simulation, world::Scene};
+use portolan::simulator::{ScenarioOptions, Simulation};
+use portolan::worlds::two_d::Scene;
 
 /// The text. One of many gigabytes would be read line by line.
 struct Turns(String);

@@ -21,7 +21,7 @@ const MAX_SCAN_DURATION: f64 = 0.1;
 /// What settings depend on of a lidar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lidar {
-    /// Angle between neighbouring beams of a turn, radians.
+    /// Angle between neighbouring beams of a sweep, radians.
     pub angular_resolution_radians: f64,
     /// Half of the distances that it measures where it is used are shorter, metres: about 3 in rooms, 10 and more
     /// outside.
@@ -132,7 +132,7 @@ fn settings_3d(sensors: &Sensors) -> Options {
         local.max_range = if outside { 100.0 } else { 60.0 };
     }
     options.portolan.match_surfaces = true;
-    // A tenth of a second is one turn of most lidars, and short enough to go straight in.
+    // A tenth of a second is one sweep of most lidars, and short enough to go straight in.
     options.portolan.min_scan_duration = MAX_SCAN_DURATION;
     // About every second sweep at walking speed is a key frame; the sweeps between are matched, too. Every sweep a
     // key frame costs a fourth more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | `map.pbstream` | the map: submaps, nodes, constraints; can be continued and localised in ([`KnownMaps`]) |
 //! | `trajectory.tum` | pose of the tracking frame in the map for each scan: seconds since 1970, metres, quaternion |
-//! | `map.png` | the map from above, with the way and the loop closures |
+//! | `map.png` | the map from above, with the trajectory and the loop closures |
 //! | `map.pgm`, `map.yaml` | the map for ROS's map server, cells of 5 cm |
 //! | `map_xray_*.png`, `map_section.png` | maps in 3D from three sides, and a section |
 //! | `report.json` | sensors, options, counts, times, where scans did not tell everything, repairs |
@@ -21,6 +21,8 @@ mod map_cloud;
 mod memory;
 mod pictures;
 mod read_cloud;
+pub mod refine;
+pub mod register;
 mod report;
 mod results;
 mod room;

@@ -73,7 +73,7 @@ pub struct MappedRecording<S: Space> {
     pub issues: IssueLog,
     /// Where scans left directions open and the prediction decided (3D).
     pub degenerate_intervals: Vec<DegenerateInterval>,
-    /// When nothing told where the scanner was, and what came then.
+    /// When nothing constrained the pose of the scanner, and what came then.
     pub losses: Vec<Loss>,
     /// Scans whose stamps were changed: the times that they have in the map, and the stamps as recorded.
     pub recorded_times: BTreeMap<Time, Time>,

@@ -14,8 +14,8 @@ use portolan::job::{
 use portolan::localization::{KnownMapError, PlanarMap, Reason, StartPose, State};
 use portolan::mapping::{GraphState, Planar};
 use portolan::recording::{Recording, create, open_all};
-use portolan::simulator::world::Scene;
 use portolan::simulator::{ScenarioOptions, Simulation};
+use portolan::worlds::two_d::Scene;
 
 /// A drive through an office; another day, another way through it.
 fn drive(building: u64, day: u64, seconds: f64) -> Simulation {

@@ -6,7 +6,7 @@
 //! scanner: nothing seen.
 //!
 //! The log does not say how large the robot is. Its builders published wheels of 77 mm radius, 165 mm
-//! from the middle, 2000 ticks a turn, and the scanner 145 mm ahead of the axle; matching scans
+//! from the middle, 2000 ticks a revolution, and the scanner 145 mm ahead of the axle; matching scans
 //! against each other gives the same within a few per cent (2.2e-4 to 2.4e-4 m a tick, 7.1e-4 rad a
 //! tick of difference, 0.14 m).
 //!

@@ -1,13 +1,11 @@
 #![doc = include_str!("../README.md")]
 
 mod carmen;
-mod codec;
 mod container;
 mod coreslam;
 mod kitti;
 mod memory;
 mod merge;
-mod message;
 mod open;
 mod output_file;
 mod packets;
@@ -22,9 +20,13 @@ mod writer;
 pub use carmen::{CarmenLog, CarmenOptions, TimeColumn, looks_like_carmen};
 pub use coreslam::{CoreSlamLog, looks_like_coreslam};
 pub use memory::MemoryRecording;
-pub use message::*;
 pub use open::{open, open_all, open_bytes};
 pub use portolan_issue::{Issue, IssueKind, IssueLog};
+pub use portolan_ros_messages::{
+    FieldType, Header, Imu, LandmarkEntry, LandmarkList, LaserScan, Message, MultiEchoLaserScan, NavSatFix,
+    Odometry, PacketKind, PointCloud2, PointField, Pose, PoseStamped, RecordedMessage, SensorPackets,
+    TfMessage, TransformStamped,
+};
 pub use source::*;
 pub use stamp_pattern::StampPattern;
 pub use text::{open_text_log, open_text_log_bytes};

@@ -1,4 +1,4 @@
-//! Opening recordings of any format, told apart by content.
+//! Opening recordings of any format, distinguished by content.
 
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};

@@ -7,7 +7,7 @@ use portolan_numeric::quantile;
 const MEAN_OVER: usize = 50;
 /// Means that differ by more than this factor are of no steady sensor.
 const STEADY: f64 = 2.0;
-/// Share of messages in bursts, or with earlier stamps than the one before, from which stamps are not believed.
+/// Fraction of messages in bursts, or with earlier stamps than the one before, from which stamps are not believed.
 /// Real logs with good stamps have at most 0.03 in any window (odometry of aces), intel 0.17 to 0.87.
 const MOST_IN_BURSTS: f64 = 0.1;
 /// Slower sensors are triggered or thinned out: no rate is to be expected of them, seconds.
@@ -18,14 +18,14 @@ const LONGEST_PERIOD: f64 = 1.0;
 pub struct StampPattern {
     /// Usual interval, seconds.
     pub period: f64,
-    /// Share of messages in bursts or with earlier stamps than the one before.
+    /// Fraction of messages in bursts or with earlier stamps than the one before.
     pub disturbed: f64,
 }
 
 impl StampPattern {
     /// Fewer stamps do not tell what they are like.
     pub const ENOUGH: usize = 60;
-    /// Messages closer than this share of the period came in a burst.
+    /// Messages closer than this fraction of the period came in a burst.
     pub const BURST: f64 = 0.25;
 
     /// Of a sensor that measures at a steady rate; none for others, and for too few stamps.

@@ -72,7 +72,7 @@ use surfels::SurfelMap;
 /// Each coarse reach is so much of the one before; the last is about as wide as a wall.
 const REACH_RATIO: f64 = 0.5;
 const LAST_REACH: f64 = 0.12;
-/// Most steps at one reach, and the share of the reach below which a shift ends them.
+/// Most steps at one reach, and the fraction of the reach below which a shift ends them.
 const COARSE_STEPS: usize = 5;
 const COARSE_REST: f64 = 0.05;
 /// At first only windows at most so many numbers apart are drawn together.
@@ -81,7 +81,7 @@ const NEAR_IN_TIME: usize = 4;
 const NEAR_REACH: f64 = 0.5;
 /// How wrong the motion may be once windows near in time have been drawn together.
 const AFTER_NEAR: OdometryNoise = OdometryNoise { translation: 0.02, rotation: 0.004 };
-/// Loops are closed if this share of far pairs fits together; otherwise they are searched farther away, which must
+/// Loops are closed if this fraction of far pairs fits together; otherwise they are searched farther away, which must
 /// make so many times more fit.
 const CLOSED: f64 = 0.7;
 const MUCH_BETTER: f64 = 1.03;

@@ -8,7 +8,7 @@ const TICKS_PER_SECOND: f64 = 4e4;
 /// The time takes this many bits of a point, the number of its sensor the others.
 const TIME_BITS: u32 = 29;
 const LAST_TICK: u32 = (1 << TIME_BITS) - 1;
-/// Sensors that are told apart; further ones count as the last of them.
+/// Sensors that are distinguished; further ones count as the last of them.
 pub const MAX_SENSORS: usize = 8;
 
 /// A raw point: in the tracking frame as it was at the point's own time.
@@ -77,7 +77,7 @@ pub struct LeftOutPoints {
     pub thinned: u64,
 }
 
-/// Most points that are kept unless it is told otherwise: 2.6 GB.
+/// Most points that are kept unless set otherwise: 2.6 GB.
 const USUAL_LIMIT: usize = 160_000_000;
 /// A usual turn of a spinning lidar, seconds.
 const USUAL_SWEEP: f64 = 0.1;

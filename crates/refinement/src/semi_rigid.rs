@@ -41,7 +41,7 @@ const KERNEL_SCATTER: f64 = 2.0;
 const LEAST_DEVIATION: f64 = 0.005;
 /// Shortest element, seconds: poses are kept no finer than this.
 const SHORTEST_ELEMENT: f64 = 0.005;
-/// Beyond this share of the pair distance pairs lose weight (Cauchy).
+/// Beyond this fraction of the pair distance pairs lose weight (Cauchy).
 const KERNEL: f64 = 0.1;
 /// Links with less weight of pairs are not used.
 const LEAST_ROWS: f64 = 20.0;

@@ -1,4 +1,4 @@
-//! How long does it take to thin a 2D scan, one turn of a 3D lidar, and a scan adaptively?
+//! How long does it take to thin a 2D scan, one sweep of a 3D lidar, and a scan adaptively?
 
 use std::hint::black_box;
 

@@ -19,7 +19,7 @@ use portolan_geometry::{Duration, Time};
 use crate::SensorId;
 use queues::Queues;
 
-/// Unknown sensors that are told apart in the counts; further ones are counted together.
+/// Unknown sensors that are distinguished in the counts; further ones are counted together.
 const MAX_UNKNOWN_SENSORS: usize = 256;
 
 /// How long data wait for a silent sensor, before they are given out without it. The wait is a delay,
@@ -70,7 +70,7 @@ pub struct CollatedItem<P> {
     pub payload: P,
 }
 
-/// A sensor that fell silent while others had data; told once per sensor.
+/// A sensor that fell silent while others had data; reported once per sensor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CollatorReport {
     /// Its trajectory.

@@ -11,8 +11,8 @@ use std::io::BufWriter;
 use portolan_geometry::Vector2;
 use portolan_recording::LaserScan;
 use portolan_simulator::motion::Motion;
-use portolan_simulator::world::{Material, Outline, Scene, Shape};
 use portolan_simulator::{ScenarioOptions, Simulation};
+use portolan_worlds::two_d::{Material, Outline, Scene, Shape};
 
 /// Metres per pixel.
 const PIXEL: f64 = 0.03;

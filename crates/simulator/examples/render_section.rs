@@ -1,5 +1,5 @@
 //! Draws what the lidars of a simulation in 3D see: a top view and a section of all points, placed by
-//! the true motion, with the way in red.
+//! the true motion, with the trajectory in red.
 //!
 //! `cargo run --release -p portolan-simulator --example render_section -- museum 1 60 /tmp/museum 2`
 
@@ -7,7 +7,8 @@ use std::fs::File;
 use std::io::BufWriter;
 
 use portolan_geometry::{Duration, Vector3, nalgebra as na};
-use portolan_simulator::{Scenario3dOptions, Scene3d, Simulation3d};
+use portolan_simulator::{Scenario3dOptions, Simulation3d};
+use portolan_worlds::three_d::Scene3d;
 
 const PIXEL: f64 = 0.06;
 

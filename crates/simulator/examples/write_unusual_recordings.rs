@@ -12,7 +12,8 @@ use std::path::Path;
 
 use portolan_geometry::{Duration, Rigid3, Time, rotation_from_roll_pitch_yaw};
 use portolan_recording::{Message, PointCloud2, Recording, RecordingWriter};
-use portolan_simulator::{Scenario3dOptions, Scene3d, Simulation3d};
+use portolan_simulator::{Scenario3dOptions, Simulation3d};
+use portolan_worlds::three_d::Scene3d;
 
 /// A kind: its name, what it changes in the scenario, and what in each message.
 type Kind = (&'static str, fn(&mut Scenario3dOptions), fn(&mut Message, Context));

@@ -1,16 +1,13 @@
 //! What can be wrong with a request.
 
+use portolan_worlds::WorldError;
+
 /// Why nothing could be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulatorError {
-    /// There is no such kind of building.
-    #[error("there is no scene \"{name}\"; choose one of: {known}")]
-    UnknownScene {
-        /// What was asked for.
-        name: String,
-        /// What there is.
-        known: String,
-    },
+    /// The world cannot be drawn.
+    #[error(transparent)]
+    World(#[from] WorldError),
     /// An option is out of bounds.
     #[error("{option} must be {bounds}, but is {value}")]
     OutOfBounds {
@@ -44,12 +41,6 @@ pub enum SimulatorError {
         text: String,
         /// What is missing.
         sensor: &'static str,
-    },
-    /// A floor plan of one's own cannot be used.
-    #[error("the floor plan cannot be used: {detail}")]
-    BadPlan {
-        /// What to change.
-        detail: String,
     },
     /// The robot fits nowhere.
     #[error(

@@ -1,15 +1,15 @@
 //! Buildings, lidars, IMU, wheels and walks with exact truth.
 //!
-//! A [`Simulation`] draws a building from a seed ([`world`]), plans a smooth walk through it
+//! A [`Simulation`] draws a building from a seed ([`portolan_worlds`]), plans a smooth walk through it
 //! ([`motion`]), measures with its sensors while walking ([`sensors`]) and is a
 //! [`portolan_recording::Recording`], so that mapping can consume it like a file. It knows the exact
 //! pose at any time.
 //!
-//! A [`Simulation3d`] is the same in 3D: storeys, stairs, ramps and terrain ([`solid`]), a walk with
+//! A [`Simulation3d`] is the same in 3D: storeys, stairs, ramps and terrain, a walk with
 //! gait, and spinning lidars with any beams.
 //!
 //! The same options give the same bytes: random numbers are drawn per sensor and message from
-//! [`Random`], so the number of threads does not matter, and transcendental functions come from `libm`,
+//! [`Random`](portolan_worlds::Random), so the number of threads does not matter, and transcendental functions come from `libm`,
 //! so the platform does not matter.
 //!
 //! ```
@@ -25,25 +25,19 @@
 
 mod error;
 pub mod motion;
-mod random;
 mod rig;
 mod scenario;
 mod scenario3d;
-mod scene3d;
 pub mod sensors;
 mod simulation;
 mod simulation3d;
-pub mod solid;
 mod streams;
 mod truth;
 mod truth3d;
-pub mod world;
 
 pub use error::SimulatorError;
-pub use random::Random;
 pub use scenario::ScenarioOptions;
-pub use scenario3d::{Scenario3dOptions, SolidStyle};
-pub use scene3d::Scene3d;
+pub use scenario3d::Scenario3dOptions;
 pub use simulation::Simulation;
 pub use simulation3d::Simulation3d;
 pub use truth::OccupancyPicture;

@@ -5,7 +5,7 @@ use portolan_geometry::Time;
 use crate::SimulatorError;
 use crate::motion::MotionLimits;
 use crate::sensors::{Fault, FaultTarget, ImuOptions, LidarOptions, OdometryOptions, check_faults};
-use crate::world::{PlanStyle, Scene};
+use portolan_worlds::two_d::{PlanStyle, Scene};
 
 /// Everything that can be chosen. The defaults are a full tour of an office floor by a robot with a
 /// lidar, wheel odometry and an IMU.
@@ -26,11 +26,11 @@ pub struct ScenarioOptions {
     pub start_time: Time,
     /// How many people walk about; none for what suits the scene.
     pub people: Option<usize>,
-    /// Share of doors that are closed, in [0, 1]. Default 0.2.
+    /// Fraction of doors that are closed, in [0, 1]. Default 0.2.
     pub closed_doors: f64,
     /// How much furniture stands about: 0 none, 1 as usual, at most 3. Default 1.
     pub clutter: f64,
-    /// Share of larger rooms with a glass front, in [0, 1]; 0 also takes the glass out of halls.
+    /// Fraction of larger rooms with a glass front, in [0, 1]; 0 also takes the glass out of halls.
     /// Default 0.35.
     pub glass: f64,
     /// Speed and acceleration of the robot.

@@ -5,24 +5,11 @@ use portolan_geometry::{Rigid3, Time, Vector3, nalgebra as na};
 use crate::SimulatorError;
 use crate::motion::{Carrier, rotation};
 use crate::scenario::{LONGEST, Names, check_sensors, within};
-use crate::scene3d::Scene3d;
 use crate::sensors::{
     Fault, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
-use crate::solid::{SolidPlan, draw_field, draw_garage, draw_museum, draw_park, draw_tunnel};
-
-/// What a world looks like.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SolidStyle {
-    /// Width and depth, metres.
-    pub size: [f64; 2],
-    /// Storeys or decks.
-    pub storeys: usize,
-    /// How much stands about: 0 nothing, 1 as usual, at most 3.
-    pub clutter: f64,
-    /// Share of windows, 0 to 1.
-    pub glass: f64,
-}
+use portolan_worlds::three_d::Scene3d;
+use portolan_worlds::three_d::{SolidPlan, SolidStyle};
 
 /// Everything that can be chosen. The defaults are a tour of a museum with a backpack that has one
 /// lidar and an IMU.
@@ -38,7 +25,7 @@ pub struct Scenario3dOptions {
     pub size: Option<[f64; 2]>,
     /// Storeys or decks, 1 to 6; none for what suits the scene.
     pub storeys: Option<usize>,
-    /// Seconds of the recording; none for every loop once. As many loops as fit are walked, then a way
+    /// Seconds of the recording; none for every loop once. As many loops as fit are walked, then a path
     /// out and back again. Default none.
     pub duration: Option<f64>,
     /// True time at the start. Default 1 700 000 000 s after 1970.
@@ -47,7 +34,7 @@ pub struct Scenario3dOptions {
     pub people: Option<usize>,
     /// How much stands about. Default 1.
     pub clutter: f64,
-    /// Share of windows, 0 to 1. Default 0.35.
+    /// Fraction of windows, 0 to 1. Default 0.35.
     pub glass: f64,
     /// What carries the sensors; none for what suits the scene.
     pub carrier: Option<Carrier>,
@@ -150,7 +137,7 @@ impl Scenario3dOptions {
 
     /// What carries the sensors.
     pub fn carrier(&self) -> Carrier {
-        self.carrier.unwrap_or(self.scene.default_carrier())
+        self.carrier.unwrap_or(Carrier::usual_in(self.scene))
     }
 
     /// How many people walk about.
@@ -169,14 +156,7 @@ impl Scenario3dOptions {
 
     /// Draws the world.
     pub(crate) fn plan(&self) -> SolidPlan {
-        let (style, seed) = (self.style(), self.building_seed.unwrap_or(self.seed));
-        match self.scene {
-            Scene3d::Museum => draw_museum(&style, seed),
-            Scene3d::Garage => draw_garage(&style, seed),
-            Scene3d::Park => draw_park(&style, seed),
-            Scene3d::Tunnel => draw_tunnel(&style, seed),
-            Scene3d::Field => draw_field(&style, seed),
-        }
+        self.scene.draw(&self.style(), self.building_seed.unwrap_or(self.seed))
     }
 
     /// Checks every value; errors name the option and its bounds.

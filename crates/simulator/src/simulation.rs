@@ -6,11 +6,11 @@ use portolan_geometry::{Rigid3, Time};
 use portolan_recording::{LaserScan, Message};
 
 use crate::motion::{Motion, TourRequest, Walk, plan_people, plan_tour};
-use crate::random::Random;
 use crate::rig::{Request, Rig, RigLidar, Timeline, simulation};
 use crate::sensors::{Lidar, Schedule};
-use crate::world::{ClearanceGrid, FloorPlan, World, draw_plan};
 use crate::{ScenarioOptions, SimulatorError};
+use portolan_worlds::Random;
+use portolan_worlds::two_d::{ClearanceGrid, FloorPlan, World, draw_plan};
 
 /// Beams that are made ahead of the reader at most, in all.
 const BEAMS_AHEAD: usize = 1 << 15;

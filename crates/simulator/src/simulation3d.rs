@@ -6,11 +6,11 @@ use portolan_geometry::{Rigid3, Time, Vector3};
 use portolan_recording::{Message, PointCloud2};
 
 use crate::motion::{Itinerary, ItineraryRequest, Motion, SplineMotion, motion_along};
-use crate::random::Random;
 use crate::rig::{OtherSensor, Request, Rig, RigLidar, Source, Timeline, simulation};
 use crate::sensors::{GnssStream, LandmarkStream, MessageStream, Schedule, SpinningLidar, landmark_poses};
-use crate::solid::{Pedestrian, Solid, SolidPlan, SolidWorld};
 use crate::{Scenario3dOptions, SimulatorError};
+use portolan_worlds::Random;
+use portolan_worlds::three_d::{Pedestrian, Solid, SolidPlan, SolidWorld};
 
 /// Points that are made ahead of the reader at most, in all.
 const POINTS_AHEAD: usize = 1 << 19;

@@ -6,7 +6,7 @@ use portolan_geometry::{Rigid3, Time, Vector2};
 
 use crate::Simulation;
 use crate::motion::Motion;
-use crate::world::{Outline, Shape};
+use portolan_worlds::two_d::{Outline, Shape};
 
 /// Circles are written as polygons with this many corners.
 const CIRCLE_CORNERS: usize = 24;

@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use portolan_geometry::Vector3;
 
 use crate::Simulation3d;
-use crate::solid::{Body, Solid};
-use crate::world::Material;
+use portolan_worlds::three_d::{Body, Solid};
+use portolan_worlds::two_d::Material;
 
 /// Round things become prisms with so many sides.
 const SIDES: usize = 24;

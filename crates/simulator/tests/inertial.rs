@@ -119,7 +119,7 @@ fn perfect_wheels_follow_the_truth() {
     }
 }
 
-/// Largest error of odometry over 10 m of way, as a share, and per radian turned, on average.
+/// Largest error of odometry over 10 m of way, as a fraction, and per radian turned, on average.
 fn drift(options: &OdometryOptions, seed: u64) -> (f64, f64) {
     let scenario = ScenarioOptions {
         seed,

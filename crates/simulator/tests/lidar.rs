@@ -5,8 +5,8 @@ use portolan_geometry::{Vector2, Vector3, nalgebra as na};
 use portolan_recording::LaserScan;
 use portolan_simulator::motion::{Motion, MotionLimits, Walk, Waypoint};
 use portolan_simulator::sensors::{LidarMount, LidarOptions, NoReturn};
-use portolan_simulator::world::{Draft, FloorPlan, Material, Scene};
 use portolan_simulator::{ScenarioOptions, Simulation};
+use portolan_worlds::two_d::{Draft, FloorPlan, Material, Scene};
 
 /// A box of 8 m by 6 m.
 fn box_room() -> FloorPlan {
@@ -272,7 +272,7 @@ fn beams_meet_walls_or_the_legs_of_people_where_they_are_at_that_time() {
             let robot = simulation.walk().planar(time).position;
             let legs: Vec<_> =
                 simulation.world().people().iter().flat_map(|person| person.legs(time, &robot)).collect();
-            let nearest = |shapes: &[portolan_simulator::world::Shape]| {
+            let nearest = |shapes: &[portolan_worlds::two_d::Shape]| {
                 shapes.iter().map(|s| s.distance(&point).abs()).fold(f64::INFINITY, f64::min)
             };
             let (wall, leg) = (nearest(shapes), nearest(&legs));

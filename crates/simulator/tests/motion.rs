@@ -2,8 +2,8 @@
 
 use portolan_geometry::Vector2;
 use portolan_simulator::motion::{Motion, MotionLimits, Walk, Waypoint};
-use portolan_simulator::world::Scene;
 use portolan_simulator::{ScenarioOptions, Simulation};
+use portolan_worlds::two_d::Scene;
 
 /// Checks derivatives against differences and values against limits; distance walked.
 fn check_smooth(walk: &Walk, limits: &MotionLimits) -> f64 {

@@ -4,8 +4,8 @@
 use portolan_geometry::Vector2;
 use portolan_recording::{LaserScan, Message, RecordedMessage, Recording, RecordingFormat, create, open};
 use portolan_simulator::sensors::{Fault, FaultTarget, LidarMount, LidarOptions};
-use portolan_simulator::world::{FloorPlan, Material, Scene, Shape};
 use portolan_simulator::{ScenarioOptions, Simulation};
+use portolan_worlds::two_d::{FloorPlan, Material, Scene, Shape};
 
 fn options(seed: u64, duration: f64) -> ScenarioOptions {
     ScenarioOptions { seed, duration: Some(duration), ..ScenarioOptions::default() }

@@ -10,9 +10,10 @@ use portolan_simulator::motion::{Carrier, Motion, SplineMotion};
 use portolan_simulator::sensors::{
     BeamTable, Fault, GnssOptions, ImuOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
-use portolan_simulator::solid::SolidDraft;
-use portolan_simulator::world::Material;
-use portolan_simulator::{Scenario3dOptions, Scene3d, Simulation3d};
+use portolan_simulator::{Scenario3dOptions, Simulation3d};
+use portolan_worlds::three_d::Scene3d;
+use portolan_worlds::three_d::SolidDraft;
+use portolan_worlds::two_d::Material;
 
 fn small(columns: usize) -> Vec<SpinningLidarOptions> {
     let beams = BeamTable { columns, ..BeamTable::vlp16() };
@@ -58,7 +59,7 @@ fn moving_sweeps_show_the_room_as_it_is() {
     );
     let solids = draft.solids.iter().map(|solid| {
         let mut solid = *solid;
-        if let portolan_simulator::solid::Body::Box { centre, .. } = &mut solid.body {
+        if let portolan_worlds::three_d::Body::Box { centre, .. } = &mut solid.body {
             *centre += start - Vector3::new(0.0, 0.0, 1.3);
         }
         solid
@@ -250,7 +251,7 @@ fn tours_are_free_of_obstacles_and_end_where_they_began() {
                 for i in 0..8 {
                     let (s, c) = (f64::from(i) * 0.785).sin_cos();
                     let ray =
-                        portolan_simulator::solid::Ray3 { origin: place, direction: Vector3::new(c, s, 0.0) };
+                        portolan_worlds::three_d::Ray3 { origin: place, direction: Vector3::new(c, s, 0.0) };
                     let hit = simulation.world().cast(&ray, 3.0, &moment, 0.0);
                     let range = hit.filter(|h| h.material != Material::Foliage).map_or(3.0, |h| h.range);
                     if range < nearest.0 {

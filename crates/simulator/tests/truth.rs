@@ -3,8 +3,8 @@
 
 use portolan_geometry::Vector2;
 use portolan_simulator::motion::Motion;
-use portolan_simulator::world::Scene;
 use portolan_simulator::{OccupancyPicture, ScenarioOptions, Simulation};
+use portolan_worlds::two_d::Scene;
 
 fn simulation(scene: Scene) -> Simulation {
     let options = ScenarioOptions { duration: Some(60.0), ..ScenarioOptions::new(scene, 2) };

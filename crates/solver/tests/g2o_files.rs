@@ -151,7 +151,7 @@ fn indefinite_and_empty_information_are_survived() {
     let report = optimize_graph(&mut graph, &options).unwrap();
     assert_eq!(report.repaired_information, 1);
     assert!(report.termination.is_usable());
-    // A vertex that nothing determines is told by the condition.
+    // A vertex that nothing determines is recognised by the condition.
     let loose = format!("{PLANAR}EDGE_SE2 0 5 1 0 0 0 0 0 0 0 0\n");
     let mut graph = read(&loose).unwrap().0;
     let report = optimize_graph(&mut graph, &options).unwrap();

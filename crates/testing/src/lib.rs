@@ -19,4 +19,4 @@ mod real_data;
 pub use fingerprints::Fingerprints;
 pub use left_out::{is_fast, left_out};
 pub use program::{Program, Run};
-pub use real_data::{real_data, spec_data};
+pub use real_data::{real_data, real_maps, spec_data};

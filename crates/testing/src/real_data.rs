@@ -41,6 +41,18 @@ fn existing(file: PathBuf) -> Option<PathBuf> {
     exists.then_some(file)
 }
 
+/// All maps of the real data, in order of their names.
+pub fn real_maps() -> Vec<PathBuf> {
+    let mut maps = Vec::new();
+    let folders = [real_data("maps/reference"), real_data("maps/wild"), spec_data("")];
+    for folder in folders.into_iter().flatten() {
+        let files = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
+        maps.extend(files.filter(|p| p.extension().is_some_and(|e| e == "pbstream")));
+    }
+    maps.sort();
+    maps
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

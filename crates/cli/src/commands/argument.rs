@@ -2,7 +2,8 @@
 
 use portolan_geometry::{Duration, Rigid3, Vector3, rotation_from_roll_pitch_yaw};
 use portolan_ingest::BeamElevation;
-use portolan_mapfile::{FrozenTrajectories, IdInFile, MapArea};
+use portolan_mapfile::{FrozenTrajectories, MapArea};
+use portolan_pbstream::IdInFile;
 
 /// Numbers separated by commas, as many as `names` has.
 pub fn numbers<const N: usize>(text: &str, names: &str) -> Result<[f64; N], String> {

@@ -39,7 +39,7 @@ pub struct CompatArgs {
     command: Vec<String>,
 }
 
-/// How a program ended that did not do its work: its message is already told.
+/// How a program ended that did not do its work: its message was already printed.
 type Run = fn(&[String], &GlobalArgs) -> Result<Outcome, CliError>;
 
 /// The programs, and what each does.

@@ -9,8 +9,9 @@ use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolut
 use portolan_geometry::{Rigid3, Time};
 use portolan_mapping::{Planar, Spatial, TrajectoryId};
 use portolan_recording::{Recording, RecordingFormat, open};
-use portolan_simulator::world::Scene;
-use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, Simulation, Simulation3d};
+use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Simulation, Simulation3d};
+use portolan_worlds::three_d::Scene3d;
+use portolan_worlds::two_d::Scene;
 
 use super::map::{remarks, run_job};
 use super::simulate::write_recording;
@@ -19,7 +20,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{print_summary, write_file};
 use crate::progress::say;
 
-/// Firings of a turn: half of what the lidar has, so that the demo takes two minutes.
+/// Firings of a revolution: half of what the lidar has, so that the demo takes two minutes.
 const COLUMNS: usize = 900;
 /// The museum of the demo: width and depth, metres, and storeys.
 const SIZE: [f64; 2] = [26.0, 20.0];

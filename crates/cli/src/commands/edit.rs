@@ -6,7 +6,8 @@ mod values;
 use std::path::PathBuf;
 
 use portolan_geometry::Rigid3;
-use portolan_mapfile::{IdInFile, MapArea};
+use portolan_mapfile::MapArea;
+use portolan_pbstream::IdInFile;
 
 use super::argument;
 use crate::GlobalArgs;

@@ -80,9 +80,9 @@ pub struct CutArgs {
     pub duration: Option<f64>,
 }
 
-/// Which topics and frames are which sensors; found without being told.
+/// Which topics and frames are which sensors; detected automatically.
 #[derive(clap::Args, Clone, Debug, Default)]
-#[command(next_help_heading = "Sensors (found without being told)")]
+#[command(next_help_heading = "Sensors (detected automatically)")]
 pub struct SensorArgs {
     /// Topic of a laser scan; may be given several times.
     #[arg(long, value_name = "TOPIC")]
@@ -102,7 +102,7 @@ pub struct SensorArgs {
     /// Use no IMU.
     #[arg(long, conflicts_with = "imu")]
     pub no_imu: bool,
-    /// Use satellite fixes (sensor_msgs/NavSatFix), as `--set use_nav_sat=true` does. They help on long ways outdoors
+    /// Use satellite fixes (sensor_msgs/NavSatFix), as `--set use_nav_sat=true` does. They help on long trajectories outdoors
     /// that do not come back to where they were; indoors and between high houses fixes are wrong and harm.
     #[arg(long)]
     pub gnss: bool,
@@ -165,11 +165,11 @@ pub enum PointTimesArg {
     Recorded,
     /// All points are measured at the stamp: motion was taken out.
     Off,
-    /// The azimuth: turns begin at the stamp.
+    /// The azimuth: sweeps begin at the stamp.
     FromStamp,
     /// The azimuth: the stamp is in the middle of the turn.
     AroundStamp,
-    /// The azimuth: turns end at the stamp.
+    /// The azimuth: sweeps end at the stamp.
     UntilStamp,
 }
 
@@ -206,7 +206,7 @@ impl From<EngineArg> for Engine {
 
 /// Settings; defaults are chosen from the recording.
 #[derive(clap::Args, Clone, Debug, Default)]
-#[command(next_help_heading = "Settings (chosen from the recording without being told)")]
+#[command(next_help_heading = "Settings (chosen automatically from the recording)")]
 pub struct ConfigArgs {
     /// Cartographer configuration in Lua, instead of settings chosen from the recording: its sensors, frames and
     /// weights. 3D scans are matched to planes all the same; `--engine grids` is Cartographer's way.

@@ -1,15 +1,12 @@
 //! `portolan refine`: a trajectory bent until what was seen from it fits together.
 
-mod cloud_pair;
-mod judgement;
-mod page;
-mod pictures;
 pub mod points;
-mod results;
+mod summary;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use portolan::job::refine::{ReadPoints, RefineResults, write_refinement};
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_pointcloud::CloudFormat;
 use portolan_recording::open_all;
@@ -25,7 +22,7 @@ use crate::interrupt::{self, Saving};
 use crate::output::print_summary;
 use crate::progress::Progress;
 use points::{OtherSensor, PointArgs, read_points_and};
-use results::{Results, summary, write_results};
+use summary::summary;
 
 /// Sharpen a map: bend a trajectory, continuously in time and in all six degrees of freedom, until the points
 /// seen from it fit together.
@@ -216,7 +213,7 @@ impl TuningArgs {
     }
 
     /// What was asked to count and is not in the recording.
-    fn without_data(&self, read: &points::ReadPoints) -> Vec<String> {
+    fn without_data(&self, read: &ReadPoints) -> Vec<String> {
         let sensors = &read.sensors;
         let missing = |sensor: &OtherSensor| match sensor {
             OtherSensor::Imu => sensors.imu().is_empty().then_some(("imu", "samples of an IMU")),
@@ -305,7 +302,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     let command = command_line();
     let files: Vec<PathBuf> =
         args.recording.iter().chain(&args.trajectory).chain(&args.map).cloned().collect();
-    let results = Results {
+    let results = RefineResults {
         input: &input,
         refined: &refined,
         read: &read,
@@ -316,7 +313,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
         without_results: refined.report.kept_input && !args.force,
     };
-    let files = pool.install(|| write_results(&results, &args.output))?;
+    let files = pool.install(|| write_refinement(&results, &args.output))?;
     print_summary(&summary(&results, &files));
     Ok(match refined.report.kept_input {
         true => Outcome::Untrusted,
@@ -371,7 +368,7 @@ fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid
 }
 
 fn refine_with_progress(
-    read: &points::ReadPoints,
+    read: &ReadPoints,
     input: &[(Time, Rigid3)],
     args: &RefineArgs,
     global: &GlobalArgs,

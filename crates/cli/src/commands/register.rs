@@ -2,11 +2,13 @@
 
 mod input;
 mod options;
-mod results;
-mod trust;
+mod summary;
 
 use std::path::PathBuf;
 
+use portolan::job::register::{
+    History, Registered, Registration, Scans, describe, report, write_registration,
+};
 use portolan_geometry::{Rigid3, nalgebra as na, rotation_from_roll_pitch_yaw};
 use portolan_refinement::registration::{
     GlobalReport, Link, ScanCloud, SequenceReport, links_by_distance, links_by_overlap,
@@ -17,15 +19,15 @@ use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json};
 use crate::progress::{Progress, say};
-use input::{InputArgs, Scans, read_links, read_scans};
+use input::{InputArgs, read_links, read_scans};
 use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
-use results::{History, Registered, describe, text, write_results};
+use summary::{ADVICE, text};
 
 /// Bring scans together: where each scan lies in the frame of the first.
 ///
 /// Scans are files of points (PLY, PCD, text, LAS, LAZ, E57, uos), metres, or a folder of uos scans with their first
 /// poses. Each scan is matched with the one before it (--metascan: with all before it), beginning where the correction
-/// of that one puts it; with --close-loops errors are shared out where the way comes back, and with --global all
+/// of that one puts it; with --close-loops errors are shared out where the trajectory comes back, and with --global all
 /// scans are then matched at once (Lu and Milios in six degrees of freedom).
 ///
 /// Exit code 4, and no files without --force, if the scans do not overlap or matching did not come to rest; 3 if that is
@@ -69,14 +71,6 @@ pub struct RegisterArgs {
     json: bool,
 }
 
-/// What was done.
-struct Work {
-    poses: Vec<Rigid3>,
-    sequence: SequenceReport,
-    global: Option<GlobalReport>,
-    history: History,
-}
-
 pub fn run(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(global.thread_count())
@@ -94,7 +88,7 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
         return Err(CliError::Usage(format!("{} holds one scan; two are needed", args.scans[0].display())));
     }
     let guesses = first_poses(args, &mut scans)?;
-    let mut work = Work {
+    let mut work = Registration {
         poses: guesses.clone(),
         sequence: SequenceReport { matched: Vec::new(), loops: Vec::new() },
         global: None,
@@ -111,15 +105,15 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
         work.global = Some(match_globally(args, &scans, &mut work.poses, global.quiet)?);
         work.history.add(&work.poses, History::GLOBAL);
     }
-    let registered: Vec<Registered> = describe(&scans, &work, &args.icp);
+    let registered: Vec<Registered> = describe(&scans, &work, &sequence.icp);
     let outcome = trusted(&work, &registered, global.quiet);
     let files = match &args.output {
         Some(_) if outcome == Outcome::Untrusted && !args.force => Vec::new(),
-        Some(folder) => write_results(folder, &args.cloud, &scans, &work, &registered)?,
+        Some(folder) => write_registration(folder, &args.cloud, &scans, &work, &registered)?,
         None => Vec::new(),
     };
     if args.json {
-        print_json(&results::report(&work, &registered))?;
+        print_json(&report(&work, &registered))?;
     } else {
         print(&text(&work, &registered, &files))?;
     }
@@ -127,7 +121,7 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
 }
 
 /// Whether the result can be trusted: all of it, or some scans. What speaks against it is said.
-fn trusted(work: &Work, registered: &[Registered], quiet: bool) -> Outcome {
+fn trusted(work: &Registration, registered: &[Registered], quiet: bool) -> Outcome {
     let doubtful: Vec<&Registered> = registered.iter().filter(|scan| scan.doubt.is_some()).collect();
     let outcome = match &work.global {
         // What was matched with all others no longer hangs on the one before.
@@ -144,7 +138,7 @@ fn trusted(work: &Work, registered: &[Registered], quiet: bool) -> Outcome {
         if work.global.is_some() {
             say("the scans were matched all at once, but this did not come to rest");
         }
-        say(trust::ADVICE);
+        say(ADVICE);
     }
     outcome
 }

@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 use portolan_export::{
     MapContent, PictureOptions, constraint_lines, draw_map, trajectory_lines, write_grey_map, write_picture,
 };
-use portolan_mapfile::proto::mapping::PoseGraph;
-use portolan_mapfile::{
-    IdInFile, ImageName, MapArea, MapReader, MapTextures, PaintOptions, load_textures, paint, write_ros_map,
-};
+use portolan_mapfile::{ImageName, MapArea, MapTextures, PaintOptions, load_textures, paint, write_ros_map};
+use portolan_pbstream::proto::mapping::PoseGraph;
+use portolan_pbstream::{IdInFile, MapReader};
 use serde::Serialize;
 
 use super::argument;

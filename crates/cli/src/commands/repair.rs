@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use portolan_mapfile::{ReadLimits, Repair, RepairReport, repair};
+use portolan_mapfile::{Repair, RepairReport, repair};
+use portolan_pbstream::ReadLimits;
 use serde::Serialize;
 
 use crate::error::{CliError, Outcome};

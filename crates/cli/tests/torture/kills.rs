@@ -76,7 +76,7 @@ impl Victim {
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
     }
 
-    /// Ends a run after this share of its time; what is wrong then.
+    /// Ends a run after this fraction of its time; what is wrong then.
     fn kill(&self, share: f64, settings: &Settings) -> Option<String> {
         let folder = tempfile::tempdir().unwrap();
         let mut child = self.spawn(folder.path(), settings);

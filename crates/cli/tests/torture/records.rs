@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-/// How records are told apart.
+/// How records are distinguished.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// Text, a record a line.

@@ -24,7 +24,7 @@ pub struct Sample {
     /// Its name, whose ending counts for some readers.
     pub name: String,
     pub kind: Kind,
-    /// How its records are told apart.
+    /// How its records are distinguished.
     pub layout: Layout,
     pub bytes: Vec<u8>,
     /// A sound recording and a sound trajectory of the same drive, for verbs that take two files.

@@ -38,7 +38,7 @@ pub struct PairedComparison {
     pub change: f64,
     /// 95 % of resampled means lie between.
     pub interval_95: [f64; 2],
-    /// Share of places that became less.
+    /// Fraction of places that became less.
     pub places_less: f64,
     /// Probability of a difference as large by chance (two-sided).
     pub probability_of_chance: f64,

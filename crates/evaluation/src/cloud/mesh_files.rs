@@ -1,4 +1,4 @@
-//! Meshes from files: PLY (ascii and binary), OBJ and STL (ascii and binary), told apart by content.
+//! Meshes from files: PLY (ascii and binary), OBJ and STL (ascii and binary), distinguished by content.
 
 mod obj;
 mod ply;

@@ -33,7 +33,7 @@ pub struct MutualOrthogonality {
     pub axes: [[f64; 3]; 3],
     /// Surfaces that belong to each axis.
     pub surfaces: [usize; 3],
-    /// Share of all planar neighbourhoods that belong to one of the axes, 0 to 1.
+    /// Fraction of all planar neighbourhoods that belong to one of the axes, 0 to 1.
     pub share: f64,
 }
 

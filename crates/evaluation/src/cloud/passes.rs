@@ -28,7 +28,7 @@ pub struct PassDistances {
     pub options: PassOptions,
     /// Planar places that were looked at.
     pub places: usize,
-    /// Share of them with a point of another pass near, 0 to 1.
+    /// Fraction of them with a point of another pass near, 0 to 1.
     pub seen_again: f64,
     /// Median distance of the nearest points; it depends on density.
     pub median_distance: f64,

@@ -1,4 +1,4 @@
-//! Everything that can be told of a cloud without truth.
+//! Everything that can be measured of a cloud without truth.
 
 use std::fmt;
 

@@ -23,7 +23,7 @@ pub struct SurfaceErrors {
     pub median: f64,
     /// 95 of 100 points are nearer.
     pub percentile_95: f64,
-    /// Share of points within 5 cm, 0 to 1.
+    /// Fraction of points within 5 cm, 0 to 1.
     pub within_5_cm: f64,
 }
 

@@ -67,7 +67,7 @@ pub(super) fn bad(reason: impl Into<String>) -> EvaluationError {
     EvaluationError::BadMap(reason.into())
 }
 
-/// Every loop closure relates its node to the middle of its submap. Those that span enough of the way
+/// Every loop closure relates its node to the middle of its submap. Those that span enough of the trajectory
 /// and agree with the optimised map are taken for true.
 pub fn generate_relations(
     map: &MapGraph,

@@ -71,7 +71,7 @@ pub fn at_times_of(
 }
 
 impl RelationReport {
-    /// Share of the relations within metres and degrees, 0 to 1.
+    /// Fraction of the relations within metres and degrees, 0 to 1.
     pub fn share_right(&self, (metres, degrees): (f64, f64)) -> f64 {
         let right = self.errors.iter().filter(|e| e.translation <= metres && e.rotation_degrees <= degrees);
         right.count() as f64 / self.errors.len().max(1) as f64

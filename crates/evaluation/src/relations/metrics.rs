@@ -95,7 +95,7 @@ impl fmt::Display for RelationReport {
 }
 
 impl RelationReport {
-    /// Share of relations whose translational error is at most `limit` metres, 0 to 1.
+    /// Fraction of relations whose translational error is at most `limit` metres, 0 to 1.
     pub fn share_within(&self, limit: f64) -> f64 {
         let within = self.errors.iter().filter(|e| e.translation <= limit).count();
         within as f64 / self.errors.len().max(1) as f64

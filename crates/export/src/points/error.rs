@@ -48,7 +48,7 @@ pub enum PointsError {
         /// What is too large.
         reason: String,
     },
-    /// The floors of a building cannot be told apart.
+    /// The floors of a building cannot be distinguished.
     #[error("separate_floors: {0}")]
     Floors(&'static str),
     /// A grid refuses its points.

@@ -1,4 +1,4 @@
-//! Floors of a building, told apart by the heights of a trajectory (`tools.md` §3).
+//! Floors of a building, distinguished by the heights of a trajectory (`tools.md` §3).
 
 use portolan_geometry::{Rigid3, Time};
 

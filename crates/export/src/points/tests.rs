@@ -84,7 +84,7 @@ fn the_files_are_the_golden_ones() {
     let counts: Vec<&str> = log.iter().filter(|l| l.starts_with("Processed")).map(String::as_str).collect();
     let finishing =
         ["Processed 224 and finishing.", "Processed 447 and finishing.", "Processed 652 and finishing."];
-    // A pass that does not reach the end is not told of.
+    // A pass that does not reach the end is not counted.
     assert_eq!(counts[counts.len() - 3..], finishing, "{counts:?}");
     for (name, bytes, crc) in [
         ("points.ply", 8741, 0x1b41_e7cb),

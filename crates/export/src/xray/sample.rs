@@ -57,7 +57,7 @@ impl CloudSample {
         self.seen += 1;
     }
 
-    /// How far the cloud reaches along what `measure` says, but for a share of `outliers` on either side; points
+    /// How far the cloud reaches along what `measure` says, but for a fraction of `outliers` on either side; points
     /// of which it says NaN do not count. None without points.
     pub fn extent(&self, outliers: f64, measure: impl Fn([f64; 3]) -> f64) -> Option<Extent> {
         let mut values: Vec<f64> =

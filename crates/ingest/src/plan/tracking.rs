@@ -15,7 +15,7 @@ use crate::tf::frame_name;
 const GRAVITY: f64 = 9.80665;
 /// Half of the accelerations of an IMU that measures gravity are within these, m/s².
 const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
-/// Nothing that is mapped turns fast for longer than this share of the time: such samples are in degrees.
+/// Nothing that is mapped turns fast for longer than this fraction of the time: such samples are in degrees.
 const MOST_FAST: f64 = 0.1;
 /// Slower IMUs are of no use.
 const MIN_RATE: f64 = 10.0;

@@ -3,8 +3,8 @@
 use portolan_matching::GridError;
 use portolan_sensor::CompressedPointCloudError;
 
-use crate::error::PbstreamError;
-use crate::pose::IdInFile;
+use portolan_pbstream::IdInFile;
+use portolan_pbstream::PbstreamError;
 
 /// Why a map could not be read from a file or written to one.
 #[derive(Debug, thiserror::Error)]

@@ -11,11 +11,11 @@ use prost::Message as _;
 
 use super::MapConversionError;
 use super::values::pose_in_file;
-use crate::codes::correspondence_cost_bounds;
-use crate::pose::{IdInFile, pose_to_proto};
-use crate::proto::mapping as m;
-use crate::proto::mapping::grid2_d;
-use crate::proto::transform::Vector2d;
+use portolan_pbstream::correspondence_cost_bounds;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::grid2_d;
+use portolan_pbstream::proto::transform::Vector2d;
+use portolan_pbstream::{IdInFile, pose_to_proto};
 
 /// A space whose submaps files can hold.
 pub trait MapSpace: Space {

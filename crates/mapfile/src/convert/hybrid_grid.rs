@@ -8,8 +8,8 @@ use prost::Message as _;
 
 use super::values::pose_in_file;
 use super::{MapConversionError, MapSpace};
-use crate::pose::{IdInFile, pose_to_proto};
-use crate::proto::mapping as m;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::{IdInFile, pose_to_proto};
 
 impl MapSpace for Spatial {
     fn submap_to_proto(submap: &Submap3d, finished: bool, message: &mut m::Submap) {

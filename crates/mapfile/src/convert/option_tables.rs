@@ -3,11 +3,11 @@
 use portolan_config as c;
 
 use super::option_message::{OptionMessage, nested_message, option_message};
-use crate::proto::mapping as m;
-use crate::proto::mapping::grid_options2_d::GridType;
-use crate::proto::mapping::range_data_inserter_options::RangeDataInserterType;
-use crate::proto::mapping::trajectory_builder_options as tb;
-use crate::proto::{common, scan_matching as sm, sensor};
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::grid_options2_d::GridType;
+use portolan_pbstream::proto::mapping::range_data_inserter_options::RangeDataInserterType;
+use portolan_pbstream::proto::mapping::trajectory_builder_options as tb;
+use portolan_pbstream::proto::{common, scan_matching as sm, sensor};
 
 option_message!(c::SolverOptions => common::CeresSolverOptions {
     use_nonmonotonic_steps, max_num_iterations, num_threads

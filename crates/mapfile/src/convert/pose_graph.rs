@@ -10,10 +10,10 @@ use portolan_mapping::{
 use super::grid::MapSpace;
 use super::values::{id_to_proto, node_id_to_proto, submap_id_to_proto};
 use super::{MapConversionError, WriteReport};
-use crate::pose::pose_to_proto;
-use crate::proto::mapping as m;
-use crate::proto::mapping::pose_graph::constraint::Tag;
-use crate::proto::mapping::{pose_graph, trajectory};
+use portolan_pbstream::pose_to_proto;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::proto::mapping::{pose_graph, trajectory};
 
 /// What of a pose graph goes into a file.
 pub(super) struct Selection {

@@ -20,12 +20,12 @@ use super::pose_graph::pose_in_memory;
 use super::sensors::{imu_state_from_proto, load_sensor_data};
 use super::trajectory_options::{initial_pose_from_proto, trajectory_options_from_proto};
 use super::values::{cloud_from_proto, pose_in_file, rotation_in_file};
-use crate::map_reader::MapReader;
-use crate::pose::{IdInFile, node_id, submap_id};
-use crate::proto::mapping as m;
-use crate::proto::mapping::pose_graph::constraint::Tag;
-use crate::proto::mapping::serialized_data::Data;
-use crate::reader::ReadLimits;
+use portolan_pbstream::MapReader;
+use portolan_pbstream::ReadLimits;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::{IdInFile, node_id, submap_id};
 
 /// How to read a map.
 #[derive(Clone, Debug, Default)]

@@ -12,12 +12,12 @@ use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, LandmarkObserva
 use super::values::{id_to_proto, pose_in_file};
 use super::{MapConversionError, WriteReport};
 use crate::derived_imu::DerivedImu;
-use crate::error::PbstreamError;
-use crate::pose::pose_to_proto;
-use crate::proto::mapping as m;
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::sensor::{self, landmark_data};
-use crate::proto::transform::{Quaterniond, Vector3d};
+use portolan_pbstream::PbstreamError;
+use portolan_pbstream::pose_to_proto;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::sensor::{self, landmark_data};
+use portolan_pbstream::proto::transform::{Quaterniond, Vector3d};
 
 type Write<'a> = &'a mut dyn FnMut(Data) -> Result<(), PbstreamError>;
 

@@ -12,9 +12,9 @@ use portolan_sensor::{SensorId, SensorKind};
 use super::MapConversionError;
 use super::option_message::OptionMessage;
 use super::values::{id_to_proto, pose_in_file};
-use crate::pose::pose_to_proto;
-use crate::proto::mapping::sensor_id::SensorType;
-use crate::proto::mapping::{
+use portolan_pbstream::pose_to_proto;
+use portolan_pbstream::proto::mapping::sensor_id::SensorType;
+use portolan_pbstream::proto::mapping::{
     self, TrajectoryBuilderOptions as BuilderMessage, TrajectoryBuilderOptionsWithSensorIds as WithSensors,
 };
 

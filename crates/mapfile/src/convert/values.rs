@@ -7,10 +7,10 @@ use portolan_mapping::{NodeId, SubmapId, TrajectoryId};
 use portolan_sensor::{CompressedPointCloud, CompressedPointCloudError, PointCloud};
 
 use super::MapConversionError;
-use crate::pose::IdInFile;
-use crate::proto::mapping as m;
-use crate::proto::sensor::CompressedPointCloud as CloudMessage;
-use crate::proto::transform::{Quaterniond, Rigid3d};
+use portolan_pbstream::IdInFile;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::sensor::CompressedPointCloud as CloudMessage;
+use portolan_pbstream::proto::transform::{Quaterniond, Rigid3d};
 
 /// Quaternions whose norm is that near to one are taken as they are, so that a map that is read and
 /// written again keeps its bytes.
@@ -43,7 +43,7 @@ pub(super) fn rotation_in_file(rotation: Option<&Quaterniond>) -> Option<Quatern
     pose_in_file(Some(&pose)).map(|p| p.rotation)
 }
 
-/// A pose from its message. Like [`crate::pose_from_proto`], but a quaternion that is good to nine digits
+/// A pose from its message. Like [`portolan_pbstream::pose_from_proto`], but a quaternion that is good to nine digits
 /// is not touched.
 pub(super) fn pose_in_file(pose: Option<&Rigid3d>) -> Option<Rigid3> {
     let pose = pose?;

@@ -15,10 +15,10 @@ use super::pose_graph::{Selection, pose_graph_to_proto};
 use super::sensors::write_sensors;
 use super::trajectory_options::trajectory_options_to_proto;
 use super::values::{cloud_to_proto, id_for_errors, node_id_to_proto, rotation_to_proto, submap_id_to_proto};
-use crate::pose::pose_to_proto;
-use crate::proto::mapping as m;
-use crate::proto::mapping::serialized_data::Data;
-use crate::writer::{FORMAT_VERSION, PbstreamWriter};
+use portolan_pbstream::pose_to_proto;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::{FORMAT_VERSION, PbstreamWriter};
 
 /// Submaps and nodes that are turned into messages together, on all cores.
 const SUBMAP_BATCH: usize = 8;

@@ -5,7 +5,7 @@ use portolan_geometry::Rigid3;
 use super::clear::ClearedArea;
 use super::{EditError, MapDraft};
 use crate::paint::MapArea;
-use crate::pose::submap_poses;
+use portolan_pbstream::submap_poses;
 
 impl MapDraft {
     /// Leaves only what was seen from inside of a rectangle of the global map, or, with `inside` false, only

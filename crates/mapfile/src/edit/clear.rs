@@ -6,11 +6,11 @@ use std::collections::BTreeMap;
 use portolan_geometry::Rigid3;
 use portolan_geometry::nalgebra::Point3;
 
-use crate::grid_check::{check_grid_2d, check_hybrid_grid, mend_grid_2d};
 use crate::paint::MapArea;
-use crate::pose::{IdInFile, pose_from_proto};
-use crate::proto::mapping::grid2_d::Grid;
-use crate::proto::mapping::{Grid2D, HybridGrid, Submap};
+use portolan_pbstream::proto::mapping::grid2_d::Grid;
+use portolan_pbstream::proto::mapping::{Grid2D, HybridGrid, Submap};
+use portolan_pbstream::{IdInFile, pose_from_proto};
+use portolan_pbstream::{check_grid_2d, check_hybrid_grid, mend_grid_2d};
 
 /// A rectangle of the global map in which submaps keep no cells, and where they lay when that was said.
 pub(super) struct ClearedArea {

@@ -7,10 +7,10 @@ use portolan_geometry::{Rigid3, rotation_angle};
 use serde::Serialize;
 
 use super::{EditError, MapDraft};
-use crate::pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
-use crate::proto::mapping::pose_graph::Constraint;
-use crate::proto::mapping::pose_graph::constraint::Tag;
-use crate::proto::mapping::{NodeId, SubmapId};
+use portolan_pbstream::proto::mapping::pose_graph::Constraint;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::proto::mapping::{NodeId, SubmapId};
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 
 /// How far a loop closure is from the poses of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

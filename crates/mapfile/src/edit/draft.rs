@@ -14,12 +14,12 @@ use super::EditError;
 use super::clear::ClearedArea;
 use super::rest::Rest;
 use super::unread::{TrajectoryOptions, Unread};
-use crate::map_reader::MapReader;
-use crate::pose::{IdInFile, pose_from_proto};
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{PoseGraph, Trajectory};
-use crate::reader::{ReadLimits, must_be_a_file};
-use crate::writer::PbstreamWriter;
+use portolan_pbstream::MapReader;
+use portolan_pbstream::PbstreamWriter;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{PoseGraph, Trajectory};
+use portolan_pbstream::{IdInFile, pose_from_proto};
+use portolan_pbstream::{ReadLimits, must_be_a_file};
 
 /// What editing did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -249,7 +249,7 @@ impl MapDraft {
 }
 
 /// By the first submap of the file.
-fn dimension(reader: &mut MapReader) -> Result<Option<Dimension>, crate::error::PbstreamError> {
+fn dimension(reader: &mut MapReader) -> Result<Option<Dimension>, portolan_pbstream::PbstreamError> {
     while let Some(message) = reader.next_message()? {
         if let Data::Submap(submap) = message.data {
             let spatial = submap.submap_3d.is_some() && submap.submap_2d.is_none();

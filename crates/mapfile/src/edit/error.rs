@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::convert::MapConversionError;
-use crate::error::PbstreamError;
-use crate::pose::IdInFile;
+use portolan_pbstream::IdInFile;
+use portolan_pbstream::PbstreamError;
 
 /// Why a map cannot be edited.
 #[derive(Debug, thiserror::Error)]

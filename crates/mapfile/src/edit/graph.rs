@@ -8,7 +8,7 @@ use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex};
 
 use super::optimize::Collected;
 use super::{EditError, MapDraft};
-use crate::pose::{IdInFile, node_id, pose_from_proto, submap_id, submap_poses};
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id, submap_poses};
 
 impl MapDraft {
     /// The map as a pose graph: its submaps, ascending by id, are the vertices from 0 on, its nodes the

@@ -8,9 +8,9 @@ use serde::Serialize;
 
 use super::{EditError, MapDraft};
 use crate::convert::{MapSpace, node_data};
-use crate::map_reader::MapReader;
-use crate::pose::{IdInFile, node_id, submap_id, submap_poses};
-use crate::proto::mapping::serialized_data::Data;
+use portolan_pbstream::MapReader;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::{IdInFile, node_id, submap_id, submap_poses};
 
 /// A node found in a submap.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -129,7 +129,7 @@ impl MapDraft {
     }
 }
 
-/// What fits worse is not told.
+/// What fits worse is not reported.
 const LEAST_SCORE: f64 = 0.1;
 
 /// Clouds of more points are no scan of a node, and looking for them would take minutes.

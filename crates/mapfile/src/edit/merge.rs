@@ -19,12 +19,12 @@ use super::optimize::{
 };
 use super::{EditError, MapDraft};
 use crate::convert::{MapSpace, node_data};
-use crate::map_reader::MapReader;
-use crate::pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
-use crate::proto::mapping::pose_graph::Constraint as ConstraintMessage;
-use crate::proto::mapping::pose_graph::constraint::Tag;
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{NodeId as NodeIdMessage, SubmapId as SubmapIdMessage};
+use portolan_pbstream::MapReader;
+use portolan_pbstream::proto::mapping::pose_graph::Constraint as ConstraintMessage;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{NodeId as NodeIdMessage, SubmapId as SubmapIdMessage};
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 
 /// Where a merged map was found.
 #[derive(Clone, Debug, Serialize)]

@@ -13,9 +13,9 @@ use portolan_mapping::{
 use serde::Serialize;
 
 use super::{EditError, MapDraft};
-use crate::pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
-use crate::proto::mapping::pose_graph::constraint::Tag;
 pub(super) use collect::Collected;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 
 /// What an optimisation of a map did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]

@@ -6,10 +6,10 @@ use portolan_geometry::{Rigid3, Time, interpolate};
 use serde::Serialize;
 
 use super::{EditError, MapDraft};
-use crate::pose::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id};
-use crate::proto::mapping::PoseGraph;
-use crate::proto::mapping::pose_graph::constraint::Tag;
-use crate::proto::transform::Rigid3d;
+use portolan_pbstream::proto::mapping::PoseGraph;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::proto::transform::Rigid3d;
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id};
 
 /// What was replaced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

@@ -11,13 +11,13 @@ use super::clear::ClearedArea;
 use super::draft::{Estimate, Source};
 use crate::convert::imu_state_from_proto;
 use crate::derived_imu::DerivedImu;
-use crate::message::{MessageKind, RawMessage};
-use crate::pose::{IdInFile, pose_from_proto, pose_to_proto};
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::mapping::{PoseGraph, SerializedData, Submap, TrajectoryData};
-use crate::proto::transform::Quaterniond;
-use crate::reader::{PbstreamReader, ReadLimits};
-use crate::wire::{joined, last_varint, put_bytes_field, put_varint_field, without_field};
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{PoseGraph, SerializedData, Submap, TrajectoryData};
+use portolan_pbstream::proto::transform::Quaterniond;
+use portolan_pbstream::wire::{joined, last_varint, put_bytes_field, put_varint_field, without_field};
+use portolan_pbstream::{IdInFile, pose_from_proto, pose_to_proto};
+use portolan_pbstream::{MessageKind, RawMessage};
+use portolan_pbstream::{PbstreamReader, ReadLimits};
 
 /// Numbers of fields, as in the schema.
 const SUBMAP_ID: u32 = 1;

@@ -6,8 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use portolan_geometry::{Rigid3, Time};
 
 use super::{EditError, MapDraft};
-use crate::pose::{IdInFile, node_id, pose_from_proto, submap_id};
-use crate::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
 
 impl MapDraft {
     /// Whether there is such a trajectory.

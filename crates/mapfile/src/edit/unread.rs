@@ -4,10 +4,12 @@
 
 use std::path::Path;
 
-use crate::error::PbstreamError;
-use crate::message::MessageKind;
-use crate::reader::{PbstreamReader, ReadLimits};
-use crate::wire::{Fields, WireValue, joined, last_varint, put_bytes_field, put_varint_field, without_field};
+use portolan_pbstream::MessageKind;
+use portolan_pbstream::PbstreamError;
+use portolan_pbstream::wire::{
+    Fields, WireValue, joined, last_varint, put_bytes_field, put_varint_field, without_field,
+};
+use portolan_pbstream::{PbstreamReader, ReadLimits};
 
 /// Numbers of fields, as in the schema.
 const CONSTRAINTS_TRAJECTORIES_LANDMARKS: [u32; 3] = [2, 4, 5];

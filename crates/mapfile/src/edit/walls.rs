@@ -6,9 +6,9 @@ use serde::Serialize;
 
 use super::{EditError, MapDraft};
 use crate::load_textures::{MapTextures, load_placed_textures};
-use crate::map_reader::MapReader;
 use crate::paint::PlacedTexture;
-use crate::pose::submap_poses;
+use portolan_pbstream::MapReader;
+use portolan_pbstream::submap_poses;
 
 /// Points of walls beyond this many are thinned out.
 const MAX_POINTS: usize = 100_000;

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use portolan_mapfile::proto::DESCRIPTORS;
 use portolan_numeric::SplitMix64;
+use portolan_pbstream::proto::DESCRIPTORS;
 use prost::Message as _;
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorSet};
@@ -101,7 +101,7 @@ impl Schema {
             scalar => {
                 let mut value = Vec::new();
                 put_scalar(&mut value, scalar, luck);
-                // Zero is told by leaving the field out.
+                // Zero is written by leaving the field out.
                 if value.iter().any(|b| *b != 0) {
                     put_varint(out, u64::from(number << 3 | wire_type(scalar)));
                     out.extend(value);

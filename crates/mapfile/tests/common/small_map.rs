@@ -4,10 +4,10 @@
 use std::path::Path;
 
 use portolan_geometry::Rigid3;
-use portolan_mapfile::proto::mapping::serialized_data::Data;
-use portolan_mapfile::proto::mapping::{self as m, grid2_d, pose_graph, trajectory};
-use portolan_mapfile::proto::{sensor, transform};
-use portolan_mapfile::{PbstreamWriter, pose_to_proto};
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::mapping::{self as m, grid2_d, pose_graph, trajectory};
+use portolan_pbstream::proto::{sensor, transform};
+use portolan_pbstream::{PbstreamWriter, pose_to_proto};
 
 /// A pose at `x` without rotation.
 pub fn pose(x: f64) -> Option<transform::Rigid3d> {

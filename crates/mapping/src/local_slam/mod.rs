@@ -38,7 +38,7 @@ pub struct MatchingResult<S: Space> {
     pub lost: Option<Lost<S>>,
 }
 
-/// The end of a piece of map, after which nothing told where the scanner was.
+/// The end of a piece of map, after which nothing constrained the pose of the scanner.
 #[derive(Clone, Debug)]
 pub struct Lost<S: Space> {
     /// Time of the first scan that did not fit any more.

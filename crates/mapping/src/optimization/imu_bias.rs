@@ -17,7 +17,7 @@ use crate::{TrajectoryId, of_trajectory};
 /// The bias of a gyroscope is the mean of this long around a time, seconds.
 const WINDOW: f64 = 60.0;
 /// Gyroscope and scans contradict each other where they differ by more than this within so many seconds,
-/// radians, and by more than this share of the turn.
+/// radians, and by more than this fraction of the turn.
 const CONTRADICTION_WINDOW: f64 = 1.0;
 const CONTRADICTION: f64 = 0.15;
 const CONTRADICTION_SHARE: f64 = 0.1;
@@ -156,7 +156,7 @@ fn step(
 
 /// The bias b and the gravity g (in the local map) at which measured changes of velocity agree best with
 /// those of consecutive nodes: `R₂ (Δv − b T) − g T = Δv_local`, linear least squares with b believed to be
-/// small. Where the frame never turns b cannot be told from a tilt of g, and stays small.
+/// small. Where the frame never turns b cannot be distinguished from a tilt of g, and stays small.
 fn accelerometer_bias(
     nodes: &[&OptimizationNode],
     imu: &std::collections::BTreeMap<Time, portolan_sensor::ImuData>,

@@ -19,7 +19,7 @@ use crate::{Constraint, NodeId, TrajectoryId, of_trajectory};
 const MOUNTING_SIGMA: f64 = 0.02;
 
 /// How far from level local SLAM begins without an IMU, radians (standard deviation): lidars are mounted level, and
-/// streets slope by a few degrees. Fixes along a straight way say nothing of the roll about it, so that without
+/// streets slope by a few degrees. Fixes along a straight path say nothing of the roll about it, so that without
 /// this noise decides.
 const START_LEVEL_SIGMA: f64 = 0.09;
 /// What the heights of many fixes are off by together, metres: reflections and the troposphere change slowly, so that

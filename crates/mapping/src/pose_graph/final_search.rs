@@ -1,6 +1,6 @@
 //! Searching once more at the end of a short recording.
 //!
-//! While mapping, a share of the pairs of nodes and submaps is tried (`sampling_ratio`), small enough for
+//! While mapping, a fraction of the pairs of nodes and submaps is tried (`sampling_ratio`), small enough for
 //! long recordings. A short one leaves only a handful of loop closures that way, and its walls stay
 //! double where its two or three rounds disagree.
 

@@ -115,7 +115,7 @@ impl<S: Space> PoseGraph<S> {
             let Some(submap) = &entry.submap else { continue };
             self.search.add_unsampled((submap_id, submap), (node_id, &node.data), guess);
         }
-        // Every pair tells something of how the two lie, however short the way over others is.
+        // Every pair tells something of how the two lie, however short the path over others is.
         self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.policy.loops });
         let found = self.search.run(&TravelGraph::new(&self.state));
         self.search.set_policy(self.policy.loops);

@@ -22,13 +22,13 @@ pub struct LoopSearchPolicy {
     pub whole_submaps_per_metre: f64,
 }
 
-/// A node can be so far off however short the way was: cells, bent submaps, a slip of the wheels.
+/// A node can be so far off however short the path was: cells, bent submaps, a slip of the wheels.
 const LEAST_WINDOW: SearchWindow = SearchWindow { linear: 1.5, angular: 0.2 };
 /// No window is wider than this, metres: what drifts farther is left to searching whole submaps.
 const WIDEST_WINDOW: f64 = 30.0;
 
 impl LoopSearchPolicy {
-    /// How far around its guess a node is searched after a way of so many metres. The place drifts with the
+    /// How far around its guess a node is searched after a path of so many metres. The place drifts with the
     /// way, as a heading that is off by a constant makes it; the heading itself does a random walk.
     pub(super) fn window(&self, travelled: f64) -> SearchWindow {
         SearchWindow {
@@ -45,7 +45,7 @@ impl LoopSearchPolicy {
 
 /// Loop closures over so many metres of way tell all they can; over less they tell less.
 const TELLING_WAY: f64 = 20.0;
-/// A share of all is searched all the same: places are measured better by being measured more often.
+/// A fraction of all is searched all the same: places are measured better by being measured more often.
 const LEAST_SHARE: f64 = 0.1;
 
 /// When it is the turn of a node to be searched in one submap.
@@ -70,7 +70,7 @@ impl Spacing {
         is_due
     }
 
-    /// Whether to search after a way of so many metres.
+    /// Whether to search after a path of so many metres.
     pub fn is_telling(&mut self, travelled: f64) -> bool {
         self.due += (travelled / TELLING_WAY).clamp(LEAST_SHARE, 1.0);
         let is_due = self.due >= 1.0;
@@ -116,7 +116,7 @@ impl Default for PoseGraphPolicy {
 /// Steps of the golden ratio come round last: every metre is searched in other submaps.
 const WHOLE_SUBMAPS: f64 = 2.0 + GOLDEN;
 
-/// A graph is optimised again when it has grown by this share.
+/// A graph is optimised again when it has grown by this fraction.
 const GROWTH: f64 = 0.05;
 
 impl PoseGraphPolicy {

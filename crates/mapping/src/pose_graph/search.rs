@@ -28,7 +28,7 @@ struct SearchTask<S: Space> {
 }
 
 impl<S: Space> SearchTask<S> {
-    /// `lengths` are those of the ways from the submap to others.
+    /// `lengths` are those of the paths from the submap to others.
     fn set_travelled(
         &mut self,
         travel: &TravelGraph,
@@ -236,7 +236,7 @@ impl<S: Space> ConstraintSearch<S> {
     }
 
     /// Which tasks need not be tried: those out of reach by the way since the submap was last seen, and most
-    /// of those that would tell little, because the way over other loop closures is short.
+    /// of those that would tell little, because the path over other loop closures is short.
     fn skip_needless(&mut self, tasks: &[SearchTask<S>]) -> Vec<bool> {
         let policy = self.policy;
         let farthest = self.options.max_constraint_distance;

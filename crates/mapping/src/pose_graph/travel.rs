@@ -1,6 +1,6 @@
 //! How far the scanner travelled between a node and a submap.
 //!
-//! What two places are off against each other grows with the way between them, and starts afresh where a
+//! What two places are off against each other grows with the path between them, and starts afresh where a
 //! loop is closed: the shortest way over the trajectory and over loop closures tells how widely a node has
 //! to be searched.
 
@@ -11,10 +11,10 @@ use crate::{NodeId, Space, SubmapId};
 
 use super::state::GraphState;
 
-/// A loop closure counts as a way of so many metres: it is no more exact than that much of a trajectory.
+/// A loop closure counts as a path of so many metres: it is no more exact than that much of a trajectory.
 const LENGTH_OF_LOOP_CLOSURE: f64 = 2.0;
 
-/// Submaps and the ways between neighbouring ones, metres.
+/// Submaps and the paths between neighbouring ones, metres.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TravelGraph {
     neighbours: BTreeMap<SubmapId, BTreeMap<SubmapId, f64>>,

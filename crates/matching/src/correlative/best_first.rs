@@ -35,7 +35,7 @@ pub(crate) struct Best<P> {
     several: Option<Several<P>>,
 }
 
-/// Placements that score at least a share of the best score.
+/// Placements that score at least a fraction of the best score.
 #[derive(Clone, Debug)]
 struct Several<P> {
     share: f32,

@@ -408,7 +408,7 @@ fn evenly_over_heights(points: &[Point3f], level: &Rigid3f, most: usize) -> Vec<
     for point in points {
         slices.entry(slice(point)).or_default().push(*point);
     }
-    // The largest share of each slice with which all of them together are few enough.
+    // The largest fraction of each slice with which all of them together are few enough.
     let kept = |share: usize| slices.values().map(|s| s.len().min(share)).sum::<usize>();
     let largest = slices.values().map(Vec::len).max().unwrap_or(0);
     let share = (1..=largest).rev().find(|share| kept(*share) <= most).unwrap_or(1);

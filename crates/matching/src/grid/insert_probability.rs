@@ -8,7 +8,7 @@ use super::{CellIndex, GridError, InserterOptionError, ProbabilityGrid, for_each
 
 /// Rays are cast between the thousandth parts of cells.
 pub(crate) const SUBPIXELS: i64 = 1000;
-/// Cells a grid may grow to unless told otherwise: 8192×8192 cells, 128 MB.
+/// Cells a grid may grow to unless set otherwise: 8192×8192 cells, 128 MB.
 pub const DEFAULT_MAX_CELLS: usize = 1 << 26;
 
 /// How strongly a scan changes the cells it meets.

@@ -31,7 +31,7 @@ impl ScanAgreement {
         self.in_free_space + self.through_solid
     }
 
-    /// Share of what is contradicted in all that the grid knows.
+    /// Fraction of what is contradicted in all that the grid knows.
     pub fn contradiction(&self) -> f32 {
         let contradicted = self.contradicted();
         let known = self.explained + contradicted;

@@ -1,8 +1,9 @@
 use portolan_ingest::IngestOptions;
 use portolan_recording::Recording;
 use portolan_simulator::sensors::ImuOptions;
-use portolan_simulator::world::Scene;
-use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, Simulation, Simulation3d};
+use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Simulation, Simulation3d};
+use portolan_worlds::three_d::Scene3d;
+use portolan_worlds::two_d::Scene;
 
 use super::*;
 use crate::pipeline::{Preparation, prepare};

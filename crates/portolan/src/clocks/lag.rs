@@ -19,7 +19,7 @@ const MAX_EXCESS: f64 = 0.2;
 /// Lags that are tried: up to so many seconds, and so densely.
 const REACH: f64 = 0.5;
 const STEP: f64 = 0.01;
-/// Turns of less than this share of large ones (19 of 20 are smaller) are none: it may rest most of the time. Steps
+/// Turns of less than this fraction of large ones (19 of 20 are smaller) are none: it may rest most of the time. Steps
 /// turn a tenth as far as corners, and what is matched at rest a thousandth.
 const SMALL_SHARE: f64 = 0.02;
 /// So many turns are needed.
@@ -34,7 +34,7 @@ const LIMIT: f64 = 3.0;
 const MOUNTING_SIGMA: f64 = 0.03;
 /// Matches are wrong by so much besides what they say, radians: surfaces are not planes.
 const MATCH_ERROR: f64 = 1e-4;
-/// Differences may have such a share of the turns themselves (of root mean squares), or the two do not turn alike.
+/// Differences may have such a fraction of the turns themselves (of root mean squares), or the two do not turn alike.
 const MAX_SHARE: f64 = 0.5;
 
 /// Lag, three of the bias of the gyroscope, nine of the matrix.
@@ -124,7 +124,7 @@ pub(super) fn find_lag(sweeps: &[TrackedSweep], gyroscope: &Gyroscope) -> Option
     Some(Lag { seconds: lag, sigma })
 }
 
-/// The share of turns that is left (of root mean squares, weighted).
+/// The fraction of turns that is left (of root mean squares, weighted).
 fn share_left(equations: &[Equations], unknowns: &Unknowns, limit: f64) -> f64 {
     // With the matrix zero the gyroscope shows nothing.
     let mut nothing_shown = Unknowns::zeros();

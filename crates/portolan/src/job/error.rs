@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 use portolan_atomic_file::{AtomicFile, WriteError};
 use portolan_config::ConfigError;
 use portolan_export::PictureError;
+use portolan_ingest::IngestError;
 use portolan_localization::{KnownMapError, LocalizerError};
-use portolan_mapfile::{MapConversionError, PaintError};
+use portolan_mapfile::{EditError, MapConversionError, PaintError};
 use portolan_pointcloud::CloudError;
+use portolan_recording::RecordingError;
 
 use crate::pipeline::PipelineError;
 
@@ -91,6 +93,31 @@ pub enum JobError {
     /// A cloud.
     #[error(transparent)]
     Cloud(#[from] CloudError),
+    /// A file of a cloud.
+    #[error("{}: {reason}", path.display())]
+    CloudFile {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        reason: CloudError,
+    },
+    /// A map that cannot be edited.
+    #[error("{}: {reason}", path.display())]
+    Edit {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        reason: Box<EditError>,
+    },
+    /// A drawing for the report.
+    #[error(transparent)]
+    Drawing(std::io::Error),
+    /// Which topics are which sensors.
+    #[error(transparent)]
+    Ingest(#[from] IngestError),
+    /// A recording.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// Scans that were kept for pictures.
     #[error("scans that were kept cannot be read: {0}")]
     KeptScans(std::io::Error),

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use portolan_config::Options;
 use portolan_geometry::Rigid3;
 use portolan_input::regular_file;
-use portolan_mapfile::{FrozenTrajectories, MapReader, MapSpace, load_map};
+use portolan_mapfile::{FrozenTrajectories, MapSpace, load_map};
+use portolan_pbstream::MapReader;
 
 use super::error::JobError;
 use super::event::{Observer, Remark, remark};

@@ -67,7 +67,7 @@ pub struct StateCount {
     pub seconds: f64,
 }
 
-/// Since it was found, at least this share of scans has to be localised where it was found throughout.
+/// Since it was found, at least this fraction of scans has to be localised where it was found throughout.
 const THROUGHOUT: f64 = 0.95;
 
 impl LocalizedRecording {

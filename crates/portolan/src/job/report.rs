@@ -93,7 +93,7 @@ pub(super) fn report<S: Space>(
     })
 }
 
-/// When nothing told where the scanner was, and what became of it.
+/// When nothing constrained the pose of the scanner, and what became of it.
 fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
     let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time).unix_seconds();
     let entry = |loss: &Loss| {

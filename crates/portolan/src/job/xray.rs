@@ -20,10 +20,10 @@ const VOXEL_SIZES: std::ops::RangeInclusive<f64> = 0.03..=0.5;
 const MAX_EDGE: usize = 2400;
 /// Thickness of the section, metres.
 const SECTION: f64 = 1.5;
-/// Share of the points that may lie outside of a picture, on either side: reflections in glass, far trees.
+/// Fraction of the points that may lie outside of a picture, on either side: reflections in glass, far trees.
 const OUTLIERS: f64 = 0.001;
 const OUTLIERS_OF_SECTION: f64 = 0.01;
-/// Width of the strips of which the section takes the one with most of the way, metres.
+/// Width of the strips of which the section takes the one with most of the trajectory, metres.
 const STRIP: f64 = 0.5;
 
 /// Which way the map reaches is judged by one point in each cube of so many voxels along an edge.
@@ -182,7 +182,7 @@ impl Request {
         }
     }
 
-    /// What the picture shows: the cloud and the way.
+    /// What the picture shows: the cloud and the trajectory.
     fn extents(&self, sample: &CloudSample, view: &XrayView) -> (Option<Extent>, Option<Extent>) {
         let along = |axis: usize| {
             let extent = sample.extent(OUTLIERS, |p| view.project(p)[axis])?;

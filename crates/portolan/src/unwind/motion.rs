@@ -63,7 +63,7 @@ impl SmoothMotion {
         (seconds <= self.gap_seconds).then_some(seconds)
     }
 
-    /// The pose at a share of the way from `index` to the next.
+    /// The pose at a fraction of the way from `index` to the next.
     fn between(&self, index: usize, share: f64) -> Rigid3 {
         let (start, end) = (&self.poses[index].1, &self.poses[index + 1].1);
         let start_from = |pose: &Rigid3| {

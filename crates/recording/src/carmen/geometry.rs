@@ -84,7 +84,7 @@ fn usual(count: usize) -> (f64, f64) {
         // Hokuyo with 270°.
         541 => degrees(270.0, 0.5),
         1081 => degrees(270.0, 0.25),
-        // Hokuyo URG with 1024 steps a turn, looking ahead with the middle one.
+        // Hokuyo URG with 1024 steps a revolution, looking ahead with the middle one.
         682 | 683 => (-340.0 * PI / 512.0, PI / 512.0),
         726 => (-363.0 * PI / 512.0, PI / 512.0),
         769 => (-384.0 * PI / 512.0, PI / 512.0),

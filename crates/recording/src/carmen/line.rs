@@ -18,9 +18,9 @@ use std::str::SplitAsciiWhitespace;
 /// The scanner a line comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum LaserKind {
-    /// `FLASER`: the front scanner, geometry not told.
+    /// `FLASER`: the front scanner, geometry not given.
     Front,
-    /// `RLASER`: the rear scanner, geometry not told.
+    /// `RLASER`: the rear scanner, geometry not given.
     Rear,
     /// `ROBOTLASER1` (front), `ROBOTLASER2` (rear), …
     Robot(u8),

@@ -4,10 +4,10 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::codec::{Decoder, Encoding, MessageKind, normalized_type_name};
 use crate::container::{Compression, Decompressor, most_unpacked};
 use crate::{Message, TopicInfo};
 use portolan_issue::{Issue, IssueKind, IssueLog};
+use portolan_ros_messages::{Decoder, Encoding, MessageKind, normalized_type_name};
 
 /// One publisher of one topic (a connection of a bag, a channel of an MCAP file).
 #[derive(Clone, Debug, PartialEq, Eq)]

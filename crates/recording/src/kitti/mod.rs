@@ -1,6 +1,6 @@
 //! Folders of the KITTI data set: raw drives (`…_sync`, `…_extract`) and sequences of the odometry benchmark.
 //!
-//! Sweeps are files of x, y, z and reflectance (`f32`). A raw drive has the time at which each turn began,
+//! Sweeps are files of x, y, z and reflectance (`f32`). A raw drive has the time at which each sweep began,
 //! faced ahead and ended; the head turns clockwise from behind, so each point's time follows from its
 //! azimuth. Sequences of the benchmark have their motion removed and one time per sweep. `oxts` gives
 //! satellite fixes and an IMU.
@@ -120,7 +120,7 @@ fn raw_sweeps(raw: &Path, files: Vec<PathBuf>, issues: &mut IssueLog) -> Result<
     let middle = times::date_file(&raw.join("timestamps.txt"))?;
     let start = times::date_file(&raw.join("timestamps_start.txt"))?;
     let end = times::date_file(&raw.join("timestamps_end.txt"))?;
-    // Where begin and end are not told, a turn takes 0.1 s and its middle is the time.
+    // Where begin and end are not given, a sweep takes 0.1 s and its middle is the time.
     let half = Duration::from_seconds(0.05);
     let sweeps = times::paired(files, middle, "sweeps", issues).enumerate().map(|(i, (path, time))| {
         let number = times::number_of(&path).unwrap_or(i);

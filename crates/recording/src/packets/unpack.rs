@@ -10,8 +10,8 @@ use portolan_lidar_packets::{
 };
 
 use super::{OUSTER_FRAME, PacketMessages, type_name};
-use crate::codec::MessageKind;
 use crate::{Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, TopicInfo};
+use portolan_ros_messages::MessageKind;
 
 /// So many messages are looked at to find out what a topic of packets holds.
 const LOOK: usize = 400;

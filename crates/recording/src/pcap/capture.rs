@@ -9,7 +9,7 @@ use portolan_issue::{IssueKind, IssueLog};
 /// A longer packet or block is not believed.
 const MAX_PACKET: u32 = 1 << 20;
 const MAX_BLOCK: u32 = 1 << 24;
-/// Interfaces of one section that are told apart.
+/// Interfaces of one section that are distinguished.
 const MAX_INTERFACES: usize = 256;
 /// The file is read in pieces of this size.
 const PIECE: u64 = 1 << 20;

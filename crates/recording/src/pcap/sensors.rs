@@ -15,7 +15,7 @@ use crate::packets::OUSTER_FRAME;
 
 /// Longer files beside a capture are no descriptions of a sensor.
 const MAX_DESCRIPTION: u64 = 1 << 22;
-/// More senders than this are not told apart.
+/// More senders than this are not distinguished.
 const MAX_ENDPOINTS: usize = 256;
 /// A sender with fewer packets than this part of those of the busiest of its kind is no sensor: its address
 /// was damaged on the way.

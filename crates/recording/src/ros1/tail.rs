@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use super::record::{Fields, Op, peek_head};
 use crate::RecordingError;
-use crate::codec::Encoding;
 use crate::container::{Connection, FileBytes};
+use portolan_ros_messages::Encoding;
 
 /// What the index says of one chunk.
 #[derive(Clone, Debug)]

@@ -8,9 +8,9 @@ use std::sync::Arc;
 use portolan_geometry::Time;
 
 use super::record::{MAGIC, Op};
-use crate::codec::{Dialect, definition, encode, is_static_tf_topic, md5sum};
 use crate::output_file::OutputFile;
 use crate::{BagCompression, RecordedMessage, RecordingError, RecordingWriter};
+use portolan_ros_messages::{Dialect, definition, encode, is_static_tf_topic, md5sum};
 
 /// Chunks are closed at this size, as `rosbag record` does.
 const CHUNK_BYTES: usize = 768 << 10;

@@ -97,7 +97,7 @@ fn transforms_odometry_and_foreign_types_are_read() {
             .iter()
             .filter_map(|m| if let Message::PointCloud2(c) = &m.message { Some(c) } else { None })
             .collect();
-        // 32 packets of 16 columns are one turn of 512, in two pieces.
+        // 32 packets of 16 columns are one sweep of 512, in two pieces.
         assert!((1..=2).contains(&clouds.len()) && clouds.iter().map(|c| c.width).sum::<u32>() > 20_000);
         assert_eq!(count_of(&messages, "/os_node0/lidar_packets"), clouds.len());
         assert!(count_of(&messages, "/os_node0/imu_packets") > 0);

@@ -79,7 +79,7 @@ fn reliability(map: &SurfelMap, pair: &Pair) -> f64 {
     count / (count + HALF_COUNT) / (PAIR_DEVIATION.powi(2) + (TILT * pair.aside).powi(2))
 }
 
-/// Share of the pairs up to `gate` metres apart, of windows that are not neighbours, that fit together, 0 to 1, and how
+/// Fraction of the pairs up to `gate` metres apart, of windows that are not neighbours, that fit together, 0 to 1, and how
 /// much they weigh together.
 pub(crate) fn agreement(
     map: &SurfelMap,

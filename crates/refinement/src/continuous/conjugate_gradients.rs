@@ -2,14 +2,14 @@
 
 use super::unknowns::dot;
 
-/// The share of the residual that may be left, where that is the end of it …
+/// The fraction of the residual that may be left, where that is the end of it …
 pub(crate) const TIGHT: f64 = 1e-3;
 /// … and where the equations are set up anew afterwards.
 pub(crate) const LOOSE: f64 = 1e-2;
 /// At most so many steps.
 const MAX_STEPS: usize = 150;
 
-/// Solves `S x = right` (Hestenes and Stiefel 1952) until the residual has fallen to a share of it.
+/// Solves `S x = right` (Hestenes and Stiefel 1952) until the residual has fallen to a fraction of it.
 pub(crate) fn conjugate_gradients(
     right: &[f64],
     product: impl Fn(&[f64], &mut [f64]),

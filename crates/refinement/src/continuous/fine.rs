@@ -46,7 +46,7 @@ pub(crate) struct FineProblem<'a> {
     pub sensors: &'a SensorUnknowns,
     /// A gap of so many metres separates planes.
     pub gap: f64,
-    /// How exactly the equations are solved: the share of the residual that may be left.
+    /// How exactly the equations are solved: the fraction of the residual that may be left.
     pub tolerance: f64,
     /// Whether covariances of the sensors are wanted.
     pub covariance: bool,

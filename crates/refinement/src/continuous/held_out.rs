@@ -1,6 +1,6 @@
 //! Cross-validation: whether surfaces that took no part in the fit agree better with the result than with the input.
 //!
-//! A share of space, in blocks, is kept out of the fit. Afterwards the patches seen there are paired, window with window,
+//! A fraction of space, in blocks, is kept out of the fit. Afterwards the patches seen there are paired, window with window,
 //! once with the input and once with the result, and the distance of each pair is taken with both: with windows that are
 //! near in time it shows how thick surfaces are, with others how well passes agree. Where held-out surfaces
 //! fit worse than with the input, the fit has followed something that is not the motion, and the input's motion
@@ -35,7 +35,7 @@ const TOGETHER: usize = 10;
 const LEAST_PAIRS: usize = 30;
 /// Worse by so many standard errors is worse …
 const SIGNIFICANT: f64 = 3.0;
-/// … if it is at least this share of the cost.
+/// … if it is at least this fraction of the cost.
 const RELEVANT: f64 = 0.1;
 /// Scale of the robust cost at least, metres: the noise of ranges.
 const LEAST_SCALE: f64 = 0.02;

@@ -7,7 +7,7 @@ use super::report::Undetermined;
 
 /// Seconds that are looked at together.
 pub(crate) const SECONDS: f64 = 1.0;
-/// A direction with less than this share of the information of the best one is not determined: normals that
+/// A direction with less than this fraction of the information of the best one is not determined: normals that
 /// are off by two degrees would feign as much.
 pub(crate) const LEAST_SHARE: f64 = 2e-3;
 /// Directions this near (cosine) in consecutive seconds are one.

@@ -17,18 +17,18 @@ const STRETCH: f64 = 0.5;
 const MOST: usize = 1500;
 /// What is found must be so many standard deviations away from nothing …
 const SIGNIFICANT: f64 = 8.0;
-/// … explain at least this share of the differences (a wrong mounting explains nearly all, errors that happen to be alike at
+/// … explain at least this fraction of the differences (a wrong mounting explains nearly all, errors that happen to be alike at
 /// every corner a quarter) …
 const EXPLAINED: f64 = 0.4;
 /// … and matter: metres, radians, seconds.
 const MATTERS: [f64; 3] = [0.005, 0.002, 0.003];
-/// It is looked for in so many parts of the time, too, and must be the same but for this share of itself.
+/// It is looked for in so many parts of the time, too, and must be the same but for this fraction of itself.
 const PARTS: usize = 3;
 const CONSTANT: f64 = 0.4;
 /// Standard deviations beforehand: shift (metres), turn (radians), delay (seconds), bias of a gyroscope (rad/s), of an
 /// accelerometer and gravity (m/s²).
 const PRIOR: [f64; 6] = [0.5, 0.3, 0.2, 0.1, 0.3, 20.0];
-/// What is known less well than this share of what was known beforehand is not determined by the motion.
+/// What is known less well than this fraction of what was known beforehand is not determined by the motion.
 const DETERMINED: f64 = 0.3;
 
 /// How one sensor sits against another, with standard deviations.
@@ -80,7 +80,7 @@ impl Mounting {
         }
     }
 
-    /// Whether shift, turn and delay are beyond doubt and large enough to matter.
+    /// Whether shift, turn and delay are significant and large enough to matter.
     pub(crate) fn significant(&self, times: f64) -> [bool; 3] {
         let beyond = |value: &[f64; 3], deviation: &[f64; 3], matters: f64| {
             let norm = value.iter().map(|v| v * v).sum::<f64>().sqrt();

@@ -5,7 +5,7 @@ use portolan_geometry::Rigid3;
 use super::motion_term::MotionTerm;
 use super::{DenseTrajectory, Knots};
 
-/// Share of the motions that may be jumps; they do not tell how wrong the others are.
+/// Fraction of the motions that may be jumps; they do not tell how wrong the others are.
 const JUMPS: f64 = 0.02;
 
 /// Standard deviations of the error of the input's motion, per square root of a second.

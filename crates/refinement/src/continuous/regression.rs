@@ -13,7 +13,7 @@ const CORRELATED: f64 = 3.0;
 pub(crate) struct Fit {
     pub value: DVector<f64>,
     pub covariance: DMatrix<f64>,
-    /// Share of the weighted sum of squares that the unknowns explain, 0 to 1.
+    /// Fraction of the weighted sum of squares that the unknowns explain, 0 to 1.
     pub explained: f64,
 }
 
@@ -24,7 +24,7 @@ impl Fit {
 }
 
 /// Fits by Gauss and Newton with Jacobians by differences. `residuals` gives for each moment a vector of `kinds.len()`
-/// numbers, which are told apart by kind: each kind has a standard deviation of its own, which is found. `steps` are
+/// numbers, which are distinguished by kind: each kind has a standard deviation of its own, which is found. `steps` are
 /// those of the differences, `prior` inverse variances about zero. None with fewer than four times as many residuals as unknowns.
 pub(crate) fn fit(
     residuals: impl Fn(&DVector<f64>) -> Vec<Vec<f64>>,

@@ -95,7 +95,7 @@ pub struct RefineReport {
     pub gaps: Vec<[f64; 2]>,
     /// Jumps of the trajectory that were taken out before it was refined.
     pub jumps: Vec<Jump>,
-    /// Share of the points that lie on planar patches at the end, 0 to 1, if the method looks for patches.
+    /// Fraction of the points that lie on planar patches at the end, 0 to 1, if the method looks for patches.
     pub planar_share: Option<f64>,
     /// Sharpness with the input; none if there are too few points.
     pub sharpness_before: Option<Sharpness>,

@@ -85,7 +85,7 @@ pub(crate) struct SurfelMap {
 }
 
 impl SurfelMap {
-    /// Share of the points that lie on patches, 0 to 1.
+    /// Fraction of the points that lie on patches, 0 to 1.
     pub fn planar_share(&self) -> f64 {
         self.surfels.iter().map(|s| s.count).sum::<f64>() / self.looked_at.max(1) as f64
     }

@@ -14,7 +14,7 @@ const SIGNIFICANT: f64 = 6.0;
 const SHARPENED: f64 = 0.3;
 /// Poses farther apart than this are sparse, seconds.
 const SPARSE: f64 = 0.04;
-/// More points than this share outside the trajectory are worth a word.
+/// More points than this fraction outside the trajectory are worth a word.
 const OUTSIDE: f64 = 0.05;
 
 impl Session<'_> {

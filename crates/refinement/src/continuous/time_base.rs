@@ -13,7 +13,7 @@ const WINDOW: f64 = 1.0;
 const WINDOWS: usize = 16;
 /// Points of a window that are looked at.
 const POINTS: usize = 8000;
-/// Edges of the cells, metres: twice the way of a turn of most lidars, seconds, so that what is not where it was a turn
+/// Edges of the cells, metres: twice the motion during a sweep of most lidars, seconds, so that what is not where it was a turn
 /// ago is in the same cell and makes it thick; within bounds.
 const CELL: [f64; 2] = [0.5, 4.0];
 const TURN: f64 = 0.1;
@@ -30,13 +30,13 @@ const SIGNIFICANT: f64 = 4.0;
 const LARGE: f64 = 0.05;
 /// A trajectory that is sharper than standing still by so many standard errors is one of this recording, however inexact.
 const HINT: f64 = 1.0;
-/// A trajectory that moves less than this in the windows, on average, cannot be told from standing, metres and radians.
+/// A trajectory that moves less than this in the windows, on average, cannot be distinguished from standing, metres and radians.
 const STANDING: (f64, f64) = (0.05, 0.03);
 
 /// How trajectory and points fit together in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum TimeBase {
-    /// As well as can be told.
+    /// As well as can be determined.
     Fits,
     /// Better with so many seconds added to the stamps of the trajectory.
     FitsWith(f64),
@@ -189,7 +189,7 @@ fn improvement(a: &[Option<f64>], b: &[Option<f64>]) -> Option<(f64, f64)> {
     Some((mean, mean / (variance / count).sqrt().max(1e-12)))
 }
 
-/// Whether `a` is sharper than `b` beyond doubt.
+/// Whether `a` is significantly sharper than `b`.
 fn is_better(a: &[Option<f64>], b: &[Option<f64>]) -> bool {
     improvement(a, b).is_some_and(|(mean, errors)| mean > LARGE && errors > SIGNIFICANT)
 }

@@ -65,7 +65,7 @@ pub struct IcpOptions {
     pub epsilon: f64,
     /// Only pairs each of which is the nearest of the other.
     pub reciprocal: bool,
-    /// Share of the nearest pairs that is used, above 0 to 1.
+    /// Fraction of the nearest pairs that is used, above 0 to 1.
     pub keep: f64,
     /// Least cosine between the normals of a pair, where both have one; −1 uses all.
     pub least_cosine: f64,

@@ -57,7 +57,7 @@ pub fn link_costs(
     links.iter().map(cost).collect()
 }
 
-/// The share of a correction that each scan gets, 0 to 1: none at `first`, all at `last`. The cheapest way between two
+/// The fraction of a correction that each scan gets, 0 to 1: none at `first`, all at `last`. The cheapest way between two
 /// scans whose shares are known is found again and again, shares along it grow with its costs, and what hangs on
 /// one scan gets that scan's share. Scans without any link stay (share 0).
 ///
@@ -107,8 +107,8 @@ struct Way {
     links: Vec<usize>,
 }
 
-/// The cheapest way through unused links from one scan with a share to another, by way of scans without one
-/// (Dijkstra from all scans with a share at once).
+/// The cheapest way through unused links from one scan with a fraction to another, by way of scans without one
+/// (Dijkstra from all scans with a fraction at once).
 fn cheapest_way(
     count: usize,
     costs: &[(usize, usize, f64)],

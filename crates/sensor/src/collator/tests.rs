@@ -177,7 +177,7 @@ fn a_silent_sensor_delays_but_does_not_block() {
     bench.add(0, "scan", 89 * SECOND / 10);
     assert_eq!(bench.out.len(), 90 + 1);
     assert!(bench.times().is_sorted());
-    // It falls silent again, which is counted but not told again.
+    // It falls silent again, which is counted but not reported again.
     for tenth in 100..130 {
         bench.add(0, "imu", tenth * SECOND / 10);
     }

@@ -7,7 +7,7 @@ use super::Walk;
 use super::smooth::{MOST_CURVED, STEEPEST};
 use super::turn::UnitTurn;
 use super::walk::Span;
-use crate::world::ClearanceGrid;
+use portolan_worlds::two_d::ClearanceGrid;
 
 /// What the robot can do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,7 +28,7 @@ impl Default for MotionLimits {
     }
 }
 
-/// A corner of the way.
+/// A corner of the path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
     /// Metres in the map.

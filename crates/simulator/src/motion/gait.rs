@@ -5,7 +5,8 @@ use portolan_geometry::Vector3;
 use super::itinerary::Itinerary;
 use super::smooth;
 use super::spline::{Control, KNOT_SPACING, SplineMotion};
-use crate::random::Random;
+use portolan_worlds::Random;
+use portolan_worlds::three_d::Scene3d;
 
 /// Metres of way for one step of a walker.
 const STEP: f64 = 0.72;
@@ -25,6 +26,14 @@ pub enum Carrier {
 }
 
 impl Carrier {
+    /// The platform that carries the sensors where nothing else is asked for.
+    pub fn usual_in(scene: Scene3d) -> Self {
+        match scene {
+            Scene3d::Museum => Self::Walker,
+            _ => Self::Wheels,
+        }
+    }
+
     /// Standard deviations of the smoothing of positions and of yaw, seconds.
     fn smoothing(self) -> (f64, f64) {
         match self {
@@ -92,13 +101,13 @@ pub(crate) fn motion_along(
     SplineMotion::new(controls.collect::<Vec<Control>>(), itinerary.duration())
 }
 
-/// Slope of the ground along the way; level where one stands.
+/// Slope of the ground along the path; level where one stands.
 fn slope([dx, dy, dz]: [f64; 3]) -> f64 {
     let run = (dx * dx + dy * dy).sqrt();
     if run > SLOW * KNOT_SPACING { dz / run } else { 0.0 }
 }
 
-/// The direction of the way at each sample, with whole turns; turning on the spot where one turns round.
+/// The direction of the path at each sample, with whole turns; turning on the spot where one turns round.
 fn directions(x: &[f64], y: &[f64], itinerary: &Itinerary) -> Vec<f64> {
     let count = x.len();
     let mut known: Vec<Option<f64>> = vec![None; count];
@@ -158,7 +167,7 @@ fn smoothed(samples: &[f64], deviation: f64) -> Vec<f64> {
     (0..samples.len()).map(|k| sum(k) / total).collect()
 }
 
-/// How a body moves about the way.
+/// How a body moves about the path.
 struct Shape {
     carrier: Carrier,
     gait: f64,

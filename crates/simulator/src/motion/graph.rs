@@ -3,8 +3,8 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap};
 
-use crate::random::Random;
-use crate::world::{FloorPlan, Passage};
+use portolan_worlds::Random;
+use portolan_worlds::two_d::{FloorPlan, Passage};
 
 const UNREACHED: u64 = u64::MAX;
 

@@ -3,7 +3,7 @@
 use portolan_geometry::Vector3;
 
 use super::smooth;
-use crate::random::Random;
+use portolan_worlds::Random;
 
 /// Seconds to reach walking speed, and to stop.
 const START_TIME: f64 = 1.6;
@@ -36,7 +36,7 @@ pub(crate) struct Itinerary {
 /// What one asks for.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ItineraryRequest<'a> {
-    /// Closed ways from the same place.
+    /// Closed paths from the same place.
     pub loops: &'a [Vec<Vector3>],
     /// m/s.
     pub speed: f64,
@@ -48,7 +48,7 @@ pub(crate) struct ItineraryRequest<'a> {
     pub standing: bool,
 }
 
-/// Where one is along the way.
+/// Where one is along the path.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
     /// On the ground, metres.
@@ -76,7 +76,7 @@ impl Itinerary {
         Some(plan)
     }
 
-    /// As many loops as fit, then a way out and back again.
+    /// As many loops as fit, then a path out and back again.
     fn fill(&mut self, loops: &[Stroke], end: f64, random: &mut Random) {
         let available = |speed: f64, from: f64| (end - from - START_TIME) * speed;
         let (mut chosen, mut length) = (Vec::new(), 0.0);

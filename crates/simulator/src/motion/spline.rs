@@ -171,8 +171,8 @@ pub(crate) fn rotation(roll: f64, pitch: f64, yaw: f64) -> Quaternion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Random;
     use portolan_geometry::{angle_axis_from_quaternion, rotation_from_roll_pitch_yaw};
+    use portolan_worlds::Random;
 
     #[test]
     fn the_basis_is_a_partition_of_one_with_right_derivatives() {

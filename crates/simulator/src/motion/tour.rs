@@ -5,8 +5,8 @@ use portolan_geometry::Vector2;
 use super::builder::{MotionLimits, Waypoint, turning_time};
 use super::graph::PassageGraph;
 use super::{Motion, Walk};
-use crate::random::Random;
-use crate::world::{ClearanceGrid, FloorPlan, Person, WayCosts, WaySearch};
+use portolan_worlds::Random;
+use portolan_worlds::two_d::{ClearanceGrid, FloorPlan, Person, WayCosts, WaySearch};
 
 /// Rooms are entered up to the roomiest spot this near to their middle, metres.
 const SPOT_RADIUS: f64 = 1.3;

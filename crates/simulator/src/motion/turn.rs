@@ -43,13 +43,13 @@ impl UnitTurn {
         sum * half
     }
 
-    /// Position at the share `u` of the turn, in [0, 1].
+    /// Position at the fraction `u` of the turn, in [0, 1].
     pub fn position(&self, u: f64) -> Vector2 {
         let knot = ((u * KNOTS as f64) as usize).min(KNOTS - 1);
         self.knots[knot] + self.advance(knot as f64 / KNOTS as f64, u)
     }
 
-    /// Heading at the share `u` of the turn, and its first and second derivative by `u`.
+    /// Heading at the fraction `u` of the turn, and its first and second derivative by `u`.
     pub fn heading(&self, u: f64) -> (f64, f64, f64) {
         (self.angle * smooth::step(u), self.angle * smooth::slope(u), self.angle * smooth::bend(u))
     }

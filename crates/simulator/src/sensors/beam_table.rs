@@ -15,7 +15,7 @@ pub struct BeamTable {
     pub azimuth_offsets: Vec<f64>,
     /// Seconds from the start of a firing to each beam; one per beam.
     pub delays: Vec<f64>,
-    /// Firings per turn.
+    /// Firings per revolution.
     pub columns: usize,
     /// Metres.
     pub range_max: f64,
@@ -34,7 +34,7 @@ impl BeamTable {
         Self { name, elevations, azimuth_offsets: zeros.clone(), delays: zeros, columns, range_max }
     }
 
-    /// 16 beams of ±15°, fired 2.304 µs apart (Velodyne, VLP-16 user manual); 1875 firings a turn are
+    /// 16 beams of ±15°, fired 2.304 µs apart (Velodyne, VLP-16 user manual); 1875 firings a revolution are
     /// 300,000 points a second at 10 turns.
     pub fn vlp16() -> Self {
         Self { delays: delays(16, 2.304e-6), ..Self::even("vlp16", -15.0, 15.0, 16, 1875, 100.0) }
@@ -146,7 +146,7 @@ fn is_count(value: f64, most: f64) -> bool {
 }
 
 impl BeamTable {
-    /// Beams at these elevations, degrees; `rest` may have the firings of a turn and the range, metres.
+    /// Beams at these elevations, degrees; `rest` may have the firings of a revolution and the range, metres.
     fn own(elevations: &[f64], rest: &[f64]) -> Option<Self> {
         let columns = rest.first().copied().unwrap_or(1800.0);
         let range = rest.get(1).copied().unwrap_or(100.0);

@@ -91,7 +91,7 @@ pub enum Fault {
         /// m/s².
         acceleration: f64,
     },
-    /// `swap-axes`: the IMU is turned by a quarter about its x axis, which nobody was told.
+    /// `swap-axes`: the IMU is turned by a quarter about its x axis, which no message says.
     SwappedAxes,
     /// `no-tf:SENSOR`: the transform of its frame is not in the recording (`scan` and `imu`).
     MissingTransform {

@@ -7,8 +7,8 @@ use portolan_recording::{Header, Message, NavSatFix, RecordedMessage};
 
 use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::Motion;
-use crate::random::Random;
-use crate::solid::{Moment, Ray3, SolidWorld};
+use portolan_worlds::Random;
+use portolan_worlds::three_d::{Moment, Ray3, SolidWorld};
 
 /// Functions that are the same on every system.
 const FUNCTIONS: Trigonometry = Trigonometry { sin_cos: libm::sincos, atan2: libm::atan2 };

@@ -8,7 +8,7 @@ use portolan_recording::{Header, Imu, Message, RecordedMessage};
 
 use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::{Motion, MotionState};
-use crate::random::Random;
+use portolan_worlds::Random;
 
 /// An inertial measurement unit. Noise is given as density, as in data sheets: a sample at the rate f
 /// has the standard deviation density · √f.

@@ -8,9 +8,9 @@ use portolan_recording::{Header, LandmarkEntry, LandmarkList, Message, RecordedM
 
 use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::{Motion, rotation};
-use crate::random::Random;
-use crate::solid::{Moment, Ray3, SolidWorld};
 use crate::streams::{ROBOT_FRAME, pose_message};
+use portolan_worlds::Random;
+use portolan_worlds::three_d::{Moment, Ray3, SolidWorld};
 
 /// Seen at most this aslant: cosine of the angle to the normal.
 const MOST_ASLANT: f64 = 0.35;

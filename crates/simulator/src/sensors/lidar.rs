@@ -7,8 +7,8 @@ use portolan_geometry::{Quaternion, Rigid3, Time, Vector2};
 use portolan_recording::{Header, LaserScan};
 
 use crate::motion::Walk;
-use crate::random::Random;
-use crate::world::{Hit, NearbyPeople, Ray, World};
+use portolan_worlds::Random;
+use portolan_worlds::two_d::{Hit, NearbyPeople, Ray, World};
 
 /// Where a lidar is mounted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -63,7 +63,7 @@ pub struct LidarOptions {
     pub range_max: f64,
     /// Standard deviation of ranges, metres. Default 0.01.
     pub range_noise: f64,
-    /// Further standard deviation as a share of the range. Default 0.002.
+    /// Further standard deviation as a fraction of the range. Default 0.002.
     pub range_noise_relative: f64,
     /// Ranges are multiples of this, metres; 0 for none. Default 0.001.
     pub range_resolution: f64,

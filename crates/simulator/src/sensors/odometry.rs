@@ -7,7 +7,7 @@ use portolan_recording::{Header, Message, Odometry, Pose, RecordedMessage};
 
 use super::stream::{Clock, MessageStream, Schedule, Ticks};
 use crate::motion::Rolling;
-use crate::random::Random;
+use portolan_worlds::Random;
 
 /// Wheels with encoders.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,7 +30,7 @@ pub struct OdometryOptions {
     pub noise: f64,
     /// Slip events per minute. Default 1.
     pub slips_per_minute: f64,
-    /// How much farther a slipping wheel turns than the ground moves, as a share. Default 0.3.
+    /// How much farther a slipping wheel turns than the ground moves, as a fraction. Default 0.3.
     pub slip_ratio: f64,
     /// Metres of travel per encoder count; 0 for infinitely fine. Default 0.0005.
     pub encoder_resolution: f64,

@@ -7,12 +7,12 @@ use portolan_recording::{FieldType, Header, PointCloud2, PointField};
 
 use super::beam_table::BeamTable;
 use crate::motion::{Motion, MotionState};
-use crate::random::Random;
-use crate::solid::{Echo, Ray3, SolidWorld};
+use portolan_worlds::Random;
+use portolan_worlds::three_d::{Echo, Ray3, SolidWorld};
 
 /// Bytes of a point: x, y, z, intensity, ring and time, as Velodyne's driver lays them out.
 const POINT_BYTES: usize = 22;
-/// A surface that throws back less than this share of what a white one does at the longest range is
+/// A surface that throws back less than this fraction of what a white one does at the longest range is
 /// not seen.
 const FAINTEST: f64 = 0.04;
 
@@ -145,7 +145,7 @@ impl SpinningLidar {
         if options.clockwise { -turn } else { turn }
     }
 
-    /// Seconds of one turn.
+    /// Seconds of one revolution.
     pub fn sweep_time(&self) -> f64 {
         1.0 / self.options.rate
     }

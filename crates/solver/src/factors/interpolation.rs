@@ -8,7 +8,7 @@ use super::rotation::{Matrix3, put};
 /// A pose between two others: translation linear, rotation by the shorter arc.
 pub(super) struct Interpolated {
     pub pose: Rigid3,
-    /// Share of the first and of the second translation.
+    /// Fraction of the first and of the second translation.
     pub shares: (f64, f64),
     /// Half-angle turn of the interpolated rotation by half-angle turns of the first and of the second.
     pub by_first: Matrix3,

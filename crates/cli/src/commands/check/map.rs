@@ -4,7 +4,7 @@ use std::path::Path;
 
 use portolan_diagnose::Severity;
 use portolan_input::Forward;
-use portolan_mapfile::{FindingKind, PbstreamReader, ReadLimits, Severity as MapSeverity, validate};
+use portolan_pbstream::{FindingKind, PbstreamReader, ReadLimits, Severity as MapSeverity, validate};
 
 use super::Finding;
 use crate::error::CliError;
@@ -14,7 +14,7 @@ pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
     let length = input.length();
     let reader = PbstreamReader::from_source(input, length, ReadLimits::default());
     let mut reader = reader.map_err(|error| CliError::in_file(path, error))?;
-    let finding = |found: portolan_mapfile::Finding| {
+    let finding = |found: portolan_pbstream::Finding| {
         let (effect, advice) = consequences(found.kind);
         let about = match (found.message, found.offset) {
             (Some(message), Some(offset)) => format!("message {message} at byte {offset}"),

@@ -11,7 +11,7 @@ pub struct Known {
     pub values: &'static [(&'static str, &'static str)],
     /// Flags that are on or off, and their defaults.
     pub switches: &'static [(&'static str, bool)],
-    /// Told when something is wrong.
+    /// Shown when something is wrong.
     pub usage: &'static str,
 }
 

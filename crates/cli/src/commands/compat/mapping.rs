@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use portolan_mapfile::MapReader;
+use portolan_pbstream::MapReader;
 
 use super::Flags;
 use super::flags::Known;

@@ -2,10 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan_mapfile::{
-    MapInfo, MapReader, MessageKind, MigrateOptions, PbstreamReader, ReadLimits, info, migrate,
-    pose_graph_to_text,
-};
+use portolan_mapfile::{MapInfo, MigrateOptions, info, migrate};
+use portolan_pbstream::{MapReader, MessageKind, PbstreamReader, ReadLimits, pose_graph_to_text};
 
 use super::flags::{Flags, Known};
 use super::log;

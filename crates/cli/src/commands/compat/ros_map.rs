@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use portolan_mapfile::{ImageName, MapReader, PaintOptions, load_textures, paint, write_ros_map};
+use portolan_mapfile::{ImageName, PaintOptions, load_textures, paint, write_ros_map};
+use portolan_pbstream::MapReader;
 
 use super::Flags;
 use super::flags::Known;

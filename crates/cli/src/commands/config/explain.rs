@@ -11,7 +11,7 @@ const WIDTH: usize = 96;
 
 /// Tell what an option means: type, unit, bounds, default, what it does and when to raise it.
 ///
-/// KEY may be shortened from the left and may be that of a table; all options that it fits are told. Any other word is
+/// KEY may be shortened from the left and may be that of a table; all options that it fits are shown. Any other word is
 /// searched in names and explanations.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan config explain constraint_builder.min_score\n  \

@@ -43,7 +43,7 @@ impl Format {
         }
     }
 
-    /// By the first bytes. Text formats of one trajectory are told apart when they are read.
+    /// By the first bytes. Text formats of one trajectory are distinguished when they are read.
     pub fn of_content(input: &mut Forward, path: &Path) -> Result<Self, CliError> {
         if is_map(input, path)? {
             return Ok(Self::Map);

@@ -2,7 +2,8 @@
 
 use portolan_geometry::Rigid3;
 use portolan_input::Forward;
-use portolan_mapfile::{MapDraft, ReadLimits};
+use portolan_mapfile::MapDraft;
+use portolan_pbstream::ReadLimits;
 use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex, read_g2o, write_g2o};
 
 use super::ConvertArgs;

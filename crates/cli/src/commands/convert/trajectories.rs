@@ -7,7 +7,8 @@ use portolan_evaluation::{
 };
 use portolan_geometry::EastNorthUp;
 use portolan_input::Forward;
-use portolan_mapfile::{MapDraft, ReadLimits};
+use portolan_mapfile::MapDraft;
+use portolan_pbstream::ReadLimits;
 
 use super::ConvertArgs;
 use super::format::Format;

@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use portolan_geometry::{Rigid3, Time, Vector3};
-use portolan_mapfile::{
-    EditError, EditReport, JoinedMap, LoopResidual, MapDraft, MapOptimization, ReadLimits,
-};
+use portolan_mapfile::{EditError, EditReport, JoinedMap, LoopResidual, MapDraft, MapOptimization};
+use portolan_pbstream::ReadLimits;
 use serde::Serialize;
 
 use super::values::{Rotation, time};

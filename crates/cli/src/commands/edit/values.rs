@@ -1,7 +1,7 @@
 //! What the arguments of `edit` mean.
 
 use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
-use portolan_mapfile::IdInFile;
+use portolan_pbstream::IdInFile;
 
 use crate::commands::argument::{id, numbers, planar_pose};
 

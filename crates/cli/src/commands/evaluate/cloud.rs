@@ -30,7 +30,7 @@ const LIKE_DENSITY: f64 = 1.1;
 /// the raw points of a recording, each placed at its own time. Of several clouds each is compared with the first,
 /// place by place.
 ///
-/// Without truth are told: mean map entropy and mean plane variance (Razlaw et al. 2015), the mutual orthogonality
+/// Without truth are reported: mean map entropy and mean plane variance (Razlaw et al. 2015), the mutual orthogonality
 /// metric (Kornilova and Ferrer 2021), the thickness of walls, and for points with times the distance between passes.
 /// Lower is sharper. These figures can only be compared between clouds of one density, measured with the same radius.
 #[derive(clap::Args)]

@@ -6,8 +6,8 @@ use portolan_evaluation::{
     GenerateOptions, MapConstraint, MapGraph, generate_relations, write_binary_relations,
     write_text_relations,
 };
-use portolan_mapfile::proto::mapping::pose_graph::{Constraint, constraint::Tag};
-use portolan_mapfile::{IdInFile, node_id, pose_from_proto, submap_id};
+use portolan_pbstream::proto::mapping::pose_graph::{Constraint, constraint::Tag};
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
 
 use super::input::{nodes, read_pose_graph, trajectory_of};
 use crate::GlobalArgs;
@@ -17,7 +17,7 @@ use crate::progress::say;
 
 /// Make relations of the loop closures of a map, to compare other maps of the same recording with.
 ///
-/// Does what cartographer_autogenerate_ground_truth does: loop closures that span enough of the way and
+/// Does what cartographer_autogenerate_ground_truth does: loop closures that span enough of the trajectory and
 /// agree with the optimised map are taken for true. They are as good as the map, no better.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  \

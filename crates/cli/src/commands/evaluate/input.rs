@@ -1,4 +1,4 @@
-//! Trajectories and relations from files of any format, told apart by content.
+//! Trajectories and relations from files of any format, distinguished by content.
 
 use std::path::Path;
 
@@ -8,8 +8,8 @@ use portolan_evaluation::{
 };
 use portolan_geometry::{Duration, Time};
 use portolan_input::Forward;
-use portolan_mapfile::proto::mapping::{self, PoseGraph};
-use portolan_mapfile::{MapReader, ReadLimits, pose_from_proto};
+use portolan_pbstream::proto::mapping::{self, PoseGraph};
+use portolan_pbstream::{MapReader, ReadLimits, pose_from_proto};
 
 use crate::error::CliError;
 use crate::input::{is_map, must_be_text, open_forward, peek, read_bytes};

@@ -19,7 +19,7 @@ const GOOD: f64 = 0.2;
 ///
 /// The result is that of cartographer_compute_relations_metrics: mean and standard deviation over all
 /// relations. Poses are interpolated at the times of the relations; outside the trajectory its nearest end
-/// is taken, and how often is told. Relations counted from the start of a CARMEN log are shifted to the
+/// is taken, and how often is reported. Relations counted from the start of a CARMEN log are shifted to the
 /// clock of the trajectory, with a notice.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan evaluate relations aces.pbstream aces.relations\n  \

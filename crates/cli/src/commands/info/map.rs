@@ -7,7 +7,8 @@ use std::path::Path;
 use portolan_config::Options;
 use portolan_geometry::Time;
 use portolan_input::Forward;
-use portolan_mapfile::{Extent, MapInfo, MapReader, PbstreamReader, ReadLimits, TrajectoryInfo, info};
+use portolan_mapfile::{Extent, MapInfo, TrajectoryInfo, info};
+use portolan_pbstream::{MapReader, PbstreamReader, ReadLimits};
 use serde::Serialize;
 
 use super::describe::{duration, size, utc};

@@ -2,7 +2,8 @@
 
 use portolan_config::Options;
 use portolan_geometry::Dimension;
-use portolan_mapfile::{LoopResidual, MapDraft, MapOptimization, ReadLimits};
+use portolan_mapfile::{LoopResidual, MapDraft, MapOptimization};
+use portolan_pbstream::ReadLimits;
 use serde::Serialize;
 
 use super::{Init, OptimizeArgs};

@@ -2,11 +2,9 @@
 
 use std::path::PathBuf;
 
-use portolan_ingest::{BeamElevation, IngestError, IngestOptions, Ingestion, SensorPlan, read_urdf};
-use portolan_issue::Issue;
+use portolan::job::refine::{MotionSensor, PointReading, ReadPoints};
+use portolan_ingest::{BeamElevation, IngestOptions, read_urdf};
 use portolan_recording::Recording;
-use portolan_refinement::{MotionSensors, PointStore};
-use portolan_sensor::Measurement;
 
 use crate::GlobalArgs;
 use crate::commands::argument::{beam_elevation, shifts, time_offset};
@@ -14,9 +12,9 @@ use crate::commands::map::{PointTimesArg, StampsArg};
 use crate::error::CliError;
 use crate::progress::{Progress, say};
 
-/// Where the points come from; found without being told.
+/// Where the points come from; detected automatically.
 #[derive(clap::Args, Clone, Debug, Default)]
-#[command(next_help_heading = "Points (found without being told)")]
+#[command(next_help_heading = "Points (detected automatically)")]
 pub struct PointArgs {
     /// Topic of points; may be given several times, for several sensors.
     #[arg(long, value_name = "TOPIC")]
@@ -40,28 +38,9 @@ pub struct PointArgs {
     /// How stamps are taken, as in `map`.
     #[arg(long, value_name = "HOW", default_value = "auto")]
     pub stamps: StampsArg,
-    /// Points nearer to their sensor than this are left out, metres: whoever carries it.
+    /// Points nearer to their sensor than this are left out, metres: the platform itself.
     #[arg(long, value_name = "METRES", default_value_t = 0.3)]
     pub min_range: f32,
-}
-
-/// The points of a recording and how they were read.
-pub struct ReadPoints {
-    /// In order of time.
-    pub store: PointStore,
-    /// What other sensors measured, as far as it was asked for.
-    pub sensors: MotionSensors,
-    /// Which topics were used.
-    pub plan: SensorPlan,
-    /// What was repaired.
-    pub issues: Vec<Issue>,
-}
-
-impl ReadPoints {
-    /// Whether data were lost while reading.
-    pub fn lost_data(&self) -> bool {
-        self.issues.iter().any(Issue::lost_data)
-    }
 }
 
 /// Sensors besides the lidars that know of the motion.
@@ -69,10 +48,20 @@ impl ReadPoints {
 pub enum OtherSensor {
     /// Angular velocities, and which way is down.
     Imu,
-    /// The way by the wheels.
+    /// Wheel odometry.
     Odometry,
     /// Places by satellite.
     Fixes,
+}
+
+impl From<OtherSensor> for MotionSensor {
+    fn from(sensor: OtherSensor) -> Self {
+        match sensor {
+            OtherSensor::Imu => Self::Imu,
+            OtherSensor::Odometry => Self::Odometry,
+            OtherSensor::Fixes => Self::Fixes,
+        }
+    }
 }
 
 /// Reads all points of the range sensors.
@@ -102,37 +91,27 @@ pub fn read_points_and(
         description: args.urdf.as_deref().map(read_urdf).transpose()?,
         ..IngestOptions::default()
     };
-    let failed = |error: IngestError| CliError::Failed(error.to_string());
-    let mut ingestion = Ingestion::new(recording, &options).map_err(failed)?;
-    let plan = ingestion.plan().clone();
-    if !global.quiet {
-        say(&format!("the trajectory is taken as that of frame \"{}\"", plan.tracking_frame));
-    }
-    let mut store = PointStore::new(args.min_range);
-    let mut sensors = MotionSensors::default();
-    let mut progress = Progress::start("reading", recording.size_bytes(), global.quiet);
-    while let Some((sensor, measurement)) = ingestion.next_measurement()? {
-        match measurement {
-            Measurement::Range(sweep) => store.push_from(&sensor.id, &sweep),
-            Measurement::Imu(sample) if others.contains(&OtherSensor::Imu) => sensors.push_imu(&sample),
-            Measurement::Odometry(sample) if others.contains(&OtherSensor::Odometry) => {
-                sensors.push_odometry(&sample);
+    let mut progress = None;
+    let mut observe = |state: PointReading<'_>| match state {
+        PointReading::Planned(plan) => {
+            if !global.quiet {
+                say(&format!("the trajectory is taken as that of frame \"{}\"", plan.tracking_frame));
             }
-            Measurement::FixedFramePose(sample) if others.contains(&OtherSensor::Fixes) => {
-                sensors.push_fix(&sample);
+            progress = Some(Progress::start("reading", recording.size_bytes(), global.quiet));
+        }
+        PointReading::Progress { position, total, points } => {
+            if let Some(progress) = &mut progress
+                && progress.is_due()
+            {
+                progress.update(position, total, format!("{:.1} million points", points as f64 / 1e6));
             }
-            _ => {}
         }
-        if progress.is_due() {
-            let (position, total) = ingestion.progress();
-            progress.update(
-                position,
-                total,
-                format!("{:.1} million points", store.points().len() as f64 / 1e6),
-            );
-        }
+    };
+    let sensors: Vec<MotionSensor> = others.iter().map(|sensor| (*sensor).into()).collect();
+    let read =
+        portolan::job::refine::read_points(recording, &options, args.min_range, &sensors, &mut observe)?;
+    if let Some(progress) = progress {
+        progress.finish();
     }
-    progress.finish();
-    store.sort();
-    Ok(ReadPoints { store, sensors, plan, issues: ingestion.issues() })
+    Ok(read)
 }

@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan::job::register::{PointLimits, ScanSource, Scans};
 use portolan_evaluation::Trajectory;
-use portolan_geometry::{Quaternion, Rigid3, Vector3};
-use portolan_pointcloud::{CloudError, CloudReader, UosFolder, UosScan};
+use portolan_geometry::{Quaternion, Rigid3};
+use portolan_pointcloud::{CloudError, UosFolder, UosScan};
 use portolan_refinement::registration::{Link, ScanCloud};
 use portolan_spatial::{VoxelRepresentative, reduce};
 
@@ -76,74 +77,14 @@ impl InputArgs {
         }
     }
 
-    /// A point as it is used; none if it is too near or too far.
-    pub fn point(&self, position: [f64; 3]) -> Option<[f64; 3]> {
-        let scaled = position.map(|v| v * self.scale);
-        let range = Vector3::from(scaled).norm();
-        (range >= self.min_range && range <= self.max_range.unwrap_or(f64::INFINITY)).then_some(scaled)
-    }
-}
-
-/// Where a scan comes from.
-#[derive(Clone, Debug)]
-pub enum ScanSource {
-    /// A cloud of any format.
-    File(PathBuf),
-    /// A uos scan.
-    Uos(UosScan),
-}
-
-impl ScanSource {
-    fn path(&self) -> &Path {
-        match self {
-            Self::File(path) => path,
-            Self::Uos(scan) => &scan.points,
-        }
-    }
-
-    /// Its points in its own frame.
-    pub fn open(&self) -> Result<Box<dyn CloudReader>, CliError> {
-        match self {
-            Self::File(path) => portolan_pointcloud::open(path).map_err(failed),
-            Self::Uos(scan) => Ok(scan.reader()),
-        }
+    fn limits(&self) -> PointLimits {
+        let max_range = self.max_range.unwrap_or(f64::INFINITY);
+        PointLimits { scale: self.scale, min_range: self.min_range, max_range }
     }
 }
 
 fn failed(error: CloudError) -> CliError {
     CliError::Failed(error.to_string())
-}
-
-/// All scans in memory.
-pub struct Scans {
-    pub names: Vec<String>,
-    pub sources: Vec<ScanSource>,
-    pub input: InputArgs,
-    pub clouds: Vec<ScanCloud>,
-    /// First poses from files beside the scans, else the origin.
-    pub guesses: Vec<Rigid3>,
-    pub lost_data: bool,
-    /// Place that the points in memory count from, metres.
-    from_origin: Rigid3,
-    /// Place of the first scan, which poses in memory count from, metres: poses may be those of a national grid.
-    from_first: Rigid3,
-}
-
-impl Scans {
-    /// Makes poses in memory count from the place of the first of these.
-    pub fn count_from(&mut self, first: &Rigid3) {
-        self.from_first = Rigid3::from_parts(first.translation, Quaternion::identity());
-    }
-
-    /// A pose of a scan as that of its points in memory.
-    pub fn about_origin(&self, pose: &Rigid3) -> Rigid3 {
-        self.from_origin.inverse() * (self.from_first.inverse() * *pose) * self.from_origin
-    }
-
-    /// The pose of a scan from that of its points in memory.
-    pub fn of_file(&self, pose: &Rigid3) -> Rigid3 {
-        self.from_first * (self.from_origin * *pose * self.from_origin.inverse())
-    }
 }
 
 /// Reads all scans; what is strange is said.
@@ -167,7 +108,7 @@ pub fn read_scans(
             .collect(),
         clouds: Vec::with_capacity(sources.len()),
         sources,
-        input: input.clone(),
+        limits: input.limits(),
         lost_data: false,
         from_origin: Rigid3::identity(),
         from_first: Rigid3::identity(),
@@ -215,12 +156,13 @@ fn read_scan(
     origin: &mut Option<[f64; 3]>,
 ) -> Result<(ScanCloud, bool), CliError> {
     let path = source.path();
-    let read = read_cloud_from(source.open()?, path, MOST_POINTS, quiet)?;
+    let read = read_cloud_from(source.open().map_err(failed)?, path, MOST_POINTS, quiet)?;
     if read.total > read.points.len() as u64 && !quiet {
         say(&format!("{}: only {} of {} points are used", path.display(), read.points.len(), read.total));
     }
+    let limits = input.limits();
     let mut points: Vec<[f32; 3]> = Vec::with_capacity(read.points.len());
-    for position in read.points.iter().filter_map(|p| input.point(*p)) {
+    for position in read.points.iter().filter_map(|p| limits.point(*p)) {
         let far = position.iter().any(|v| v.abs() > SINGLE_PRECISION_REACH);
         let origin = origin.get_or_insert(if far { position } else { [0.0; 3] });
         points.push(std::array::from_fn(|k| (position[k] - origin[k]) as f32));
@@ -305,7 +247,7 @@ pub fn read_links(path: &Path, count: usize) -> Result<Vec<Link>, CliError> {
     for (number, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
         let values: Option<Vec<usize>> = line.split_ascii_whitespace().map(|w| w.parse().ok()).collect();
         match values.as_deref() {
-            // The two counts are only told.
+            // The two counts are not needed.
             Some([_]) if links.is_empty() => {}
             Some([from, to, ..]) if from != to && *from < count && *to < count => {
                 let link = Link { from: *from.min(to), to: *from.max(to) };

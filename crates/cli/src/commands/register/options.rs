@@ -29,7 +29,7 @@ pub struct IcpArgs {
     /// Only pairs each of which is the nearest of the other.
     #[arg(long)]
     pub reciprocal: bool,
-    /// Share of the nearest pairs that is used, above 0 to 1 (trimming).
+    /// Fraction of the nearest pairs that is used, above 0 to 1 (trimming).
     #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
     pub keep: f64,
     /// Only pairs whose surfaces are turned against each other by less than this, degrees.
@@ -180,7 +180,7 @@ fn positive(name: &str, value: f64) -> Result<(), CliError> {
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Loops")]
 pub struct LoopArgs {
-    /// Where the way comes back, match the scans of both ends and share out the error over the loop.
+    /// Where the trajectory comes back, match the scans of both ends and share out the error over the loop.
     #[arg(long)]
     close_loops: bool,
     /// The way comes back where two scans are nearer than this, metres.

@@ -5,8 +5,9 @@ use portolan_geometry::Rigid3;
 use portolan_simulator::sensors::{
     BeamTable, Fault, GnssOptions, LandmarkOptions, OdometryOptions, SpinningLidarOptions,
 };
-use portolan_simulator::world::Scene;
-use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Scene3d, motion::Carrier};
+use portolan_simulator::{Scenario3dOptions, ScenarioOptions, motion::Carrier};
+use portolan_worlds::three_d::Scene3d;
+use portolan_worlds::two_d::Scene;
 
 use crate::commands::argument::spatial_pose;
 
@@ -53,7 +54,7 @@ pub struct ScenarioArgs {
     /// How many people walk about. Default: what suits the building.
     #[arg(long, help_heading = "Building", value_name = "N")]
     people: Option<usize>,
-    /// Share of doors that are closed, 0 to 1. Default 0.2. Planar scenarios only.
+    /// Fraction of doors that are closed, 0 to 1. Default 0.2. Planar scenarios only.
     #[arg(long, help_heading = "Building", value_name = "SHARE")]
     closed_doors: Option<f64>,
     /// Storeys or decks, 1 to 6. Default 3. 3D scenarios only.
@@ -62,16 +63,16 @@ pub struct ScenarioArgs {
     /// How much furniture stands about: 0 none, 1 as usual, at most 3.
     #[arg(long, help_heading = "Building", value_name = "FACTOR", default_value_t = 1.0)]
     clutter: f64,
-    /// Share of larger rooms with a glass front, 0 to 1.
+    /// Fraction of larger rooms with a glass front, 0 to 1.
     #[arg(long, help_heading = "Building", value_name = "SHARE", default_value_t = 0.35)]
     glass: f64,
     /// Speed, m/s. Default 0.8, in 3D 1.2.
     #[arg(long, help_heading = "Robot and sensors", value_name = "M/S")]
     speed: Option<f64>,
-    /// Scans or turns per second. Default 10.
+    /// Scans or sweeps per second. Default 10.
     #[arg(long, help_heading = "Robot and sensors", value_name = "HZ")]
     scan_rate: Option<f64>,
-    /// Beams of a scan, in 3D firings of a turn. Default 360, in 3D what the lidar has.
+    /// Beams of a scan, in 3D firings of a revolution. Default 360, in 3D what the lidar has.
     #[arg(long, help_heading = "Robot and sensors", value_name = "N")]
     beams: Option<usize>,
     /// Angle that a scan covers, degrees. Default 360. Planar scenarios only.

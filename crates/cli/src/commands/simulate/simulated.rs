@@ -20,7 +20,7 @@ pub trait Simulated: Recording {
     /// Endings of files of surfaces, and what writes them.
     fn surfaces(&self) -> Vec<(&'static str, SurfaceWriter<'_>)>;
 
-    /// Seconds and metres of the way.
+    /// Seconds and metres of the trajectory.
     fn extent(&self) -> (f64, f64);
 }
 

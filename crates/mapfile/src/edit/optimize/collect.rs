@@ -10,11 +10,11 @@ use super::trajectory_in_memory;
 use crate::convert::{imu_from_proto, imu_state_from_proto};
 use crate::edit::draft::Source;
 use crate::edit::{EditError, MapDraft};
-use crate::map_reader::MapReader;
-use crate::pose::{IdInFile, node_id, pose_from_proto};
-use crate::proto::mapping as m;
-use crate::proto::mapping::serialized_data::Data;
-use crate::proto::transform::Rigid3d;
+use portolan_pbstream::MapReader;
+use portolan_pbstream::proto::mapping as m;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+use portolan_pbstream::proto::transform::Rigid3d;
+use portolan_pbstream::{IdInFile, node_id, pose_from_proto};
 
 /// What does not change of a node, as far as the optimisation needs it.
 pub(in crate::edit) struct NodeFacts {
@@ -120,7 +120,11 @@ impl Collected {
         Ok(())
     }
 
-    fn landmarks(&mut self, trajectory_id: TrajectoryId, data: crate::proto::sensor::LandmarkData) {
+    fn landmarks(
+        &mut self,
+        trajectory_id: TrajectoryId,
+        data: portolan_pbstream::proto::sensor::LandmarkData,
+    ) {
         for seen in data.landmark_observations {
             let weights = [seen.translation_weight, seen.rotation_weight];
             let Some(tracking_from_landmark) = pose_from_proto(seen.landmark_to_tracking_transform.as_ref())

@@ -8,7 +8,7 @@ use portolan_geometry::{Rigid2, Vector2};
 use portolan_matching::{Grid2d, score_difference, surface_tangents};
 use portolan_sensor::PointCloud;
 
-/// Where the weakest direction has less than this share of all information, the prediction is weighed there.
+/// Where the weakest direction has less than this fraction of all information, the prediction is weighed there.
 const WEAK: f64 = 0.2;
 /// With fewer normals nothing is known.
 const MIN_NORMALS: f64 = 5.0;
@@ -50,7 +50,7 @@ impl WeakDirection {
         Some(Self { facing: tangents.iter().map(facing).collect(), in_scan })
     }
 
-    /// Share of the motion from `predicted` to `found` along this direction to believe: σ² / (σ² + σₘ²), where σ is the
+    /// Fraction of the motion from `predicted` to `found` along this direction to believe: σ² / (σ² + σₘ²), where σ is the
     /// standard deviation of the prediction, metres, and σₘ that of the match by how significantly the scan fits better.
     pub fn gain(
         &self,
@@ -68,7 +68,7 @@ impl WeakDirection {
         if offset == 0.0 { 1.0 } else { weighed * weighed / (weighed * weighed + offset * offset) }
     }
 
-    /// `found` with this share of its offset from `predicted` along this direction.
+    /// `found` with this fraction of its offset from `predicted` along this direction.
     pub fn with_share(&self, predicted: &Rigid2, found: &Rigid2, share: f64) -> Rigid2 {
         let along = self.in_grid(found) * (self.offset(predicted, found) * (1.0 - share));
         Rigid2 { translation: found.translation - along, angle: found.angle }

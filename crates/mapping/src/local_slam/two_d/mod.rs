@@ -1,7 +1,7 @@
 //! Local SLAM in 2D (`slam2d.md` §5).
 
+mod belief;
 mod degeneracy;
-mod doubt;
 mod odometry_scale;
 mod prediction_error;
 mod tracking;
@@ -24,7 +24,7 @@ use super::{
     ActiveSubmaps, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, count_collated, count_extrapolated,
     filtered, first_point_time, motion_filter, take_odometry,
 };
-use doubt::Belief;
+use belief::Belief;
 use tracking::{Found, Motion, Scan, Tracker};
 
 use crate::scan_matching_2d::search_after_gap;
@@ -42,7 +42,7 @@ const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
 pub struct LocalSlamExtras {
     /// Predict from all odometry and gyroscope data of the gap between scans.
     pub use_all_odometry: bool,
-    /// Largest share by which the prediction lowers the score of a match.
+    /// Largest fraction by which the prediction lowers the score of a match.
     pub search_penalty_limit: f64,
     /// Seconds without any sensor after which the scan is looked for far and wide; 0 never does.
     pub wide_search_after_gap: f64,

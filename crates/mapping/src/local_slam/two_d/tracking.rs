@@ -18,7 +18,7 @@ use crate::submap_2d::Submap2d;
 
 /// Scans are searched within so many standard deviations of their prediction.
 const WITHIN_SIGMAS: f64 = 3.5;
-/// A match beyond this share of the window may have its best place outside.
+/// A match beyond this fraction of the window may have its best place outside.
 const AT_EDGE: f64 = 0.85;
 /// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
 const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };

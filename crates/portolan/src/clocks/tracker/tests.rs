@@ -7,7 +7,7 @@ fn truth(t: f64) -> Rigid3 {
     Rigid3::new(Vector3::new(0.5 * t, 0.02 * (4.4 * t).cos(), 0.02 * (8.8 * t).sin()), turn)
 }
 
-/// What 16 beams of a turn of the head that ends at `end` hit: walls, floor and ceiling.
+/// What 16 beams of a revolution of the head that ends at `end` hit: walls, floor and ceiling.
 fn sweep(end: f64) -> Sweep {
     let (low, high) = (Vector3::new(-6.0, -4.0, -1.2), Vector3::new(9.0, 5.0, 3.0));
     let mut points = Vec::new();

@@ -9,9 +9,9 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection as Sqlite, ErrorCode, OpenFlags, Row, params};
 
 use crate::RecordingError;
-use crate::codec::Encoding;
 use crate::container::{Connection, Source, UnpackedFile};
 use portolan_issue::{IssueKind, IssueLog};
+use portolan_ros_messages::Encoding;
 
 /// An open database.
 pub(super) struct Database {

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::RecordingError;
-use crate::codec::Encoding;
 use crate::container::{Compression, Connection, Content, FileBytes, Record, RecordFormat};
+use portolan_ros_messages::Encoding;
 
 /// First and last bytes of an MCAP file.
 pub(crate) const MAGIC: &[u8] = b"\x89MCAP0\r\n";

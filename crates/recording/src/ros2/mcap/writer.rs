@@ -9,9 +9,9 @@ use super::record::{
     CHANNEL, CHUNK, CHUNK_INDEX, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, MESSAGE_HEAD_BYTES, MESSAGE_INDEX,
     RECORD_HEAD_BYTES, SCHEMA, STATISTICS, SUMMARY_OFFSET,
 };
-use crate::codec::{Dialect, definition, encode};
 use crate::output_file::OutputFile;
 use crate::{McapCompression, RecordedMessage, RecordingError, RecordingWriter};
+use portolan_ros_messages::{Dialect, definition, encode};
 
 /// Chunks are closed at this size.
 const CHUNK_BYTES: usize = 1 << 20;

@@ -9,7 +9,7 @@ use crate::registration::model::{Model, ModelPoint};
 
 /// Points worked on by one thread at a time; part of the definition of the sums.
 pub(super) const CHUNK: usize = 1024;
-/// A partner found before is taken again only if it is nearer by this share: single precision is not exact.
+/// A partner found before is taken again only if it is nearer by this fraction: single precision is not exact.
 const SURE: f32 = 0.999;
 /// Points that tell how far two scans are apart.
 const SAMPLE: usize = 2000;

@@ -1,0 +1,15 @@
+//! What `refine` reads and leaves: the raw points of a recording, and a folder with trajectory, cloud, map and report.
+//!
+//! [`read_points`] gives what [`refine_continuous_with`](portolan_refinement::continuous::refine_continuous_with)
+//! takes; [`write_refinement`] writes what it found.
+
+mod cloud_pair;
+mod judgement;
+mod page;
+mod pictures;
+mod points;
+mod results;
+
+pub use judgement::Judgement;
+pub use points::{MotionSensor, PointReading, ReadPoints, read_points};
+pub use results::{RefineResults, write_refinement};

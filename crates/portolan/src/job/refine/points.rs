@@ -1,0 +1,91 @@
+//! The raw points of a recording.
+
+use portolan_ingest::{IngestOptions, Ingestion, SensorPlan};
+use portolan_issue::Issue;
+use portolan_recording::Recording;
+use portolan_refinement::{MotionSensors, PointStore};
+use portolan_sensor::Measurement;
+
+use crate::job::JobError;
+
+/// The points of a recording and how they were read.
+pub struct ReadPoints {
+    /// In order of time.
+    pub store: PointStore,
+    /// What other sensors measured, as far as it was asked for.
+    pub sensors: MotionSensors,
+    /// Which topics were used.
+    pub plan: SensorPlan,
+    /// What was repaired.
+    pub issues: Vec<Issue>,
+}
+
+impl ReadPoints {
+    /// Whether data were lost while reading.
+    pub fn lost_data(&self) -> bool {
+        self.issues.iter().any(Issue::lost_data)
+    }
+}
+
+/// Sensors besides the lidars that measure motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MotionSensor {
+    /// Angular velocity and specific force.
+    Imu,
+    /// Wheel odometry.
+    Odometry,
+    /// Satellite fixes.
+    Fixes,
+}
+
+/// How far reading has come.
+#[derive(Clone, Copy, Debug)]
+pub enum PointReading<'a> {
+    /// Which topics are read is settled.
+    Planned(&'a SensorPlan),
+    /// Measurements were read.
+    Progress {
+        /// Bytes or messages so far.
+        position: u64,
+        /// Of so many.
+        total: u64,
+        /// Points so far.
+        points: usize,
+    },
+}
+
+/// Reads all points of the range sensors that are not nearer than `min_range` metres, and what these other sensors
+/// measured.
+///
+/// # Errors
+/// A recording without range sensors, or one that cannot be read.
+pub fn read_points(
+    recording: &dyn Recording,
+    options: &IngestOptions,
+    min_range: f32,
+    others: &[MotionSensor],
+    observe: &mut dyn FnMut(PointReading<'_>),
+) -> Result<ReadPoints, JobError> {
+    let mut ingestion = Ingestion::new(recording, options)?;
+    let plan = ingestion.plan().clone();
+    observe(PointReading::Planned(&plan));
+    let mut store = PointStore::new(min_range);
+    let mut sensors = MotionSensors::default();
+    while let Some((sensor, measurement)) = ingestion.next_measurement()? {
+        match measurement {
+            Measurement::Range(sweep) => store.push_from(&sensor.id, &sweep),
+            Measurement::Imu(sample) if others.contains(&MotionSensor::Imu) => sensors.push_imu(&sample),
+            Measurement::Odometry(sample) if others.contains(&MotionSensor::Odometry) => {
+                sensors.push_odometry(&sample);
+            }
+            Measurement::FixedFramePose(sample) if others.contains(&MotionSensor::Fixes) => {
+                sensors.push_fix(&sample);
+            }
+            _ => {}
+        }
+        let (position, total) = ingestion.progress();
+        observe(PointReading::Progress { position, total, points: store.points().len() });
+    }
+    store.sort();
+    Ok(ReadPoints { store, sensors, plan, issues: ingestion.issues() })
+}
