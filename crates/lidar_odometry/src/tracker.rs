@@ -2,6 +2,7 @@
 
 use portolan_geometry::nalgebra::Matrix3;
 use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
+use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
@@ -15,6 +16,7 @@ use crate::plane_map::PlaneMap;
 use crate::poles::RecentPoles;
 use crate::predict::{Prediction, Reason, Registered};
 use crate::registration::DegenerateDirections;
+use crate::remembered::{self, Finding};
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
@@ -74,6 +76,9 @@ pub(crate) struct Tracker {
     intervals: DegenerateIntervals,
     /// When a sweep last fitted planes.
     fitted_at: Time,
+    memory: Memory,
+    /// Of all sweeps so far, if anything is remembered.
+    seen: Fingerprint,
 }
 
 impl Tracker {
@@ -124,6 +129,8 @@ impl Tracker {
             keyframes,
             intervals: DegenerateIntervals::new(&settings.degeneracy),
             fitted_at: registered.sweep.end,
+            memory: Memory::default(),
+            seen: Fingerprint::of("sweeps"),
             settings: settings.clone(),
         };
         (tracker, registered)
@@ -138,9 +145,9 @@ impl Tracker {
     ) -> RegisteredSweep {
         let is_warming_up = self.is_warming_up();
         // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
-        let mut prediction = self.motion.predict(sweep.end);
+        let prediction = self.motion.predict(sweep.end);
         // 2. Register the hypotheses to planes and poles; the one that fits best counts.
-        let (best, poles) = self.best_hypothesis(&sweep, &mut prediction, issues);
+        let (best, poles) = self.best_hypothesis(&sweep, &prediction, issues);
         // 3. Learn the bias of the gyroscope.
         self.motion.learn_gyroscope_bias(&prediction, &best, is_warming_up);
         // 4. Report directions that the sweep does not constrain.
@@ -194,15 +201,27 @@ impl Tracker {
     fn best_hypothesis(
         &mut self,
         sweep: &Sweep,
-        prediction: &mut Prediction,
+        prediction: &Prediction,
         issues: &mut Issues,
     ) -> (Registered, Option<Vec<Point3f>>) {
-        let sample = self.registration.sample(sweep);
         let map = self.local_map.older();
         let poles = self.poles.to_register(sweep, &prediction.segment, &map.local_from_map.inverse());
         let target =
             Target { local_from_map: &map.local_from_map, planes: &map.planes, poles: poles.as_ref() };
-        let best = prediction.best(|segment| self.registration.register(&sample, segment, &target));
+        let registration = &self.registration;
+        let ask = |question: &mut Fingerprint| {
+            remembered::ask(&mut self.seen, sweep, &prediction.segment);
+            question.add_word(self.seen.value());
+        };
+        let Finding { sampled, reason, found } = self.memory.answer(ask, || {
+            let sample = registration.sample(sweep);
+            let best = prediction.best(|segment| registration.register(&sample, segment, &target));
+            Finding { sampled: sample.len() as u64, reason: best.reason, found: best.registered.found }
+        });
+        let segment = prediction.segment_of(reason).clone();
+        let registered = registration.registered(&segment, &map.local_from_map, found);
+        let best = Registered { segment, registered, reason };
+        self.registration.adapt(sampled);
         if best.reason == Some(Reason::GyroscopeFails) {
             issues.count(Issue::GyroscopeOverruled);
         }
@@ -306,6 +325,11 @@ impl Tracker {
     /// Whether the map is made of too few key frames to learn from it.
     pub fn is_warming_up(&self) -> bool {
         self.local_map.is_warming_up()
+    }
+
+    /// Remembers what is found of sweeps with this.
+    pub fn remember_with(&mut self, memory: &Memory) {
+        self.memory = memory.clone();
     }
 
     pub fn motion(&self) -> &MotionState {

@@ -76,6 +76,20 @@ pub enum JobError {
         /// Bytes that the results need at the very least.
         needed: u64,
     },
+    /// There is nothing to go on with.
+    #[error("{}: nothing to go on with; without --resume mapping begins anew", .0.display())]
+    NoJournal(PathBuf),
+    /// A journal of another job.
+    #[error(
+        "{} is the journal of another job: {difference} differ; without --resume mapping begins anew",
+        path.display()
+    )]
+    JournalOfAnother {
+        /// Its file.
+        path: PathBuf,
+        /// What differs.
+        difference: String,
+    },
     /// A file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
