@@ -1,7 +1,7 @@
 //! Tracking: what is done with every sweep once there is a map.
 
 use portolan_geometry::nalgebra::Matrix3;
-use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, to_f32};
 use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
@@ -13,7 +13,7 @@ use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
 use crate::motion_state::{MotionState, SweepEnd};
 use crate::plane_map::PlaneMap;
-use crate::poles::RecentPoles;
+use crate::poles::{RecentPoles, SeenPoles};
 use crate::predict::{Prediction, Reason, Registered};
 use crate::registration::DegenerateDirections;
 use crate::remembered::{self, Finding};
@@ -178,8 +178,8 @@ impl Tracker {
         };
         let inertial = prediction.inertial.as_ref().filter(|_| reason.is_none());
         let gravity = self.motion.update(&prediction, inertial, &end);
-        if let Some(points) = poles {
-            self.poles.add(sweep.end, pose, points);
+        if let Some(poles) = poles {
+            self.poles.add(sweep.end, pose, poles);
         }
         // 9. Show the map what the sweep saw, as a key frame or not.
         let mut result =
@@ -196,37 +196,49 @@ impl Tracker {
         result
     }
 
-    /// Registers the hypotheses of the motion, and takes the one that fits best. With it come points of poles as seen from
-    /// the end of the sweep, if poles were registered.
+    /// Registers the hypotheses of the motion, and takes the one that fits best. With it come poles as seen from the
+    /// end of the sweep, if they are registered.
     fn best_hypothesis(
         &mut self,
         sweep: &Sweep,
         prediction: &Prediction,
         issues: &mut Issues,
-    ) -> (Registered, Option<Vec<Point3f>>) {
+    ) -> (Registered, Option<SeenPoles>) {
         let map = self.local_map.older();
-        let poles = self.poles.to_register(sweep, &prediction.segment, &map.local_from_map.inverse());
-        let target =
-            Target { local_from_map: &map.local_from_map, planes: &map.planes, poles: poles.as_ref() };
-        let registration = &self.registration;
-        let ask = |question: &mut Fingerprint| {
+        let question = self.memory.question(|question| {
             remembered::ask(&mut self.seen, sweep, &prediction.segment);
             question.add_word(self.seen.value());
+        });
+        let known = self.memory.recall(question);
+        let to_register = if known.is_some() {
+            None
+        } else {
+            self.poles.to_register(sweep, &prediction.segment, &map.local_from_map.inverse())
         };
-        let Finding { sampled, reason, found } = self.memory.answer(ask, || {
+        let registration = &self.registration;
+        let Finding { sampled, reason, found } = known.unwrap_or_else(|| {
+            let poles = to_register.as_ref();
+            let target = Target { local_from_map: &map.local_from_map, planes: &map.planes, poles };
             let sample = registration.sample(sweep);
             let best = prediction.best(|segment| registration.register(&sample, segment, &target));
-            Finding { sampled: sample.len() as u64, reason: best.reason, found: best.registered.found }
+            let (reason, found) = (best.reason, best.registered.found);
+            let finding = Finding { sampled: sample.len() as u64, reason, found };
+            self.memory.keep(question, &finding);
+            finding
         });
         let segment = prediction.segment_of(reason).clone();
         let registered = registration.registered(&segment, &map.local_from_map, found);
-        let best = Registered { segment, registered, reason };
         self.registration.adapt(sampled);
-        if best.reason == Some(Reason::GyroscopeFails) {
+        if reason == Some(Reason::GyroscopeFails) {
             issues.count(Issue::GyroscopeOverruled);
         }
-        let points = poles.map(|poles| poles.deskewed(&best.registered.to_end));
-        (best, points)
+        let to_end = &registered.to_end;
+        let poles = match to_register {
+            Some(poles) => Some(poles.seen_from_end(to_end)),
+            None if !RecentPoles::are_wanted(&prediction.segment) => None,
+            None => Some(SeenPoles::unpicked(sweep, &prediction.segment, to_end)),
+        };
+        (Registered { segment, registered, reason }, poles)
     }
 
     /// The covariance of what attenuation may keep a place off by, m² in the local map; none where a sweep fits nothing.
