@@ -1,6 +1,6 @@
 //! What registration of a sweep found, as it is remembered: a job that was cut off takes it from there.
 
-use portolan_recall::{Answer, Fingerprint, Words};
+use portolan_recall::{Answer, Fingerprint, Sink, Words};
 
 use crate::predict::Reason;
 use crate::registration::{DegenerateDirections, RegistrationResult};
@@ -30,7 +30,7 @@ pub(crate) fn ask(question: &mut Fingerprint, sweep: &Sweep, segment: &Trajector
 }
 
 impl Answer for Finding {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         self.sampled.write(words);
         self.reason.write(words);
         self.found.write(words);
@@ -46,7 +46,7 @@ impl Answer for Finding {
 }
 
 impl Answer for Reason {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         let number: u64 = match self {
             Self::AccelerometerFails => 0,
             Self::LongGap => 1,
@@ -66,7 +66,7 @@ impl Answer for Reason {
 }
 
 impl Answer for RegistrationResult {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         self.pose.write(words);
         [self.correction.start, self.correction.growth].write(words);
         [self.matched_fraction, self.rms].write(words);

@@ -1,7 +1,7 @@
 //! What is remembered of matches, searches and optimisations, so that a job that was cut off can go on.
 
 use portolan_geometry::{Rigid3, Time};
-use portolan_recall::{Answer, Fingerprint, Memory, Words};
+use portolan_recall::{Answer, Fingerprint, Memory, Sink, Words};
 use portolan_sensor::PointCloud;
 
 use crate::optimization::{ImuState, OptimizationData, OptimizationSummary};
@@ -152,7 +152,8 @@ fn add_problem(question: &mut Fingerprint, data: &OptimizationData, constraints:
         question.add((c.submap_from_node, [c.translation_weight, c.rotation_weight]));
     }
     for (id, sensors) in &data.sensors {
-        question.add((id.0, [sensors.imu.len(), sensors.odometry.len(), sensors.fixed_frame.len()].map(count)));
+        question
+            .add((id.0, [sensors.imu.len(), sensors.odometry.len(), sensors.fixed_frame.len()].map(count)));
     }
     for landmark in data.landmarks.values() {
         question.add((count(landmark.sightings.len()), landmark.map_from_landmark));
@@ -168,7 +169,7 @@ fn count(number: usize) -> u64 {
 }
 
 impl Answer for MatchedPose {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         (self.submap_from_node, self.score).write(words);
     }
 
@@ -179,7 +180,7 @@ impl Answer for MatchedPose {
 }
 
 impl Answer for ScanMatch2d {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         (self.pose, self.score).write(words);
     }
 
@@ -190,7 +191,7 @@ impl Answer for ScanMatch2d {
 }
 
 impl Answer for SearchWindow {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         [self.linear, self.angular].write(words);
     }
 
@@ -201,7 +202,7 @@ impl Answer for SearchWindow {
 }
 
 impl Answer for ImuState {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         (self.gravity_constant, self.calibration).write(words);
     }
 
@@ -212,7 +213,7 @@ impl Answer for ImuState {
 }
 
 impl Answer for OptimizationSummary {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         ([self.initial_cost, self.final_cost], (self.iterations, self.converged)).write(words);
     }
 
@@ -273,7 +274,7 @@ impl Optimized {
 }
 
 impl Answer for Optimized {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         self.summary.write(words);
         self.submaps.write(words);
         self.nodes.write(words);

@@ -6,10 +6,22 @@ use portolan_geometry::{Duration, Quaternion, Rigid2, Rigid3, Time, Vector3};
 /// What can be kept and read again bit by bit.
 pub trait Answer: Sized {
     /// Adds it to words.
-    fn write(&self, words: &mut Vec<u64>);
+    fn write(&self, words: &mut impl Sink);
 
     /// Takes it from the next words; none if that is not what they hold.
     fn read(words: &mut Words<'_>) -> Option<Self>;
+}
+
+/// Takes words one after the other.
+pub trait Sink {
+    /// Takes one.
+    fn put(&mut self, word: u64);
+}
+
+impl Sink for Vec<u64> {
+    fn put(&mut self, word: u64) {
+        self.push(word);
+    }
 }
 
 /// Words that are read one after the other.
@@ -29,8 +41,8 @@ impl<'a> Words<'a> {
 }
 
 impl Answer for u64 {
-    fn write(&self, words: &mut Vec<u64>) {
-        words.push(*self);
+    fn write(&self, words: &mut impl Sink) {
+        words.put(*self);
     }
 
     fn read(words: &mut Words<'_>) -> Option<Self> {
@@ -42,7 +54,7 @@ impl Answer for u64 {
 macro_rules! answers_as {
     ($($type:ty as $other:ty: $to:expr, $from:expr;)*) => {
         $(impl Answer for $type {
-            fn write(&self, words: &mut Vec<u64>) {
+            fn write(&self, words: &mut impl Sink) {
                 let to: fn(&$type) -> $other = $to;
                 to(self).write(words);
             }
@@ -70,7 +82,7 @@ answers_as! {
 }
 
 impl<A: Answer, B: Answer> Answer for (A, B) {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         self.0.write(words);
         self.1.write(words);
     }
@@ -81,7 +93,7 @@ impl<A: Answer, B: Answer> Answer for (A, B) {
 }
 
 impl<T: Answer, const N: usize> Answer for [T; N] {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         self.iter().for_each(|value| value.write(words));
     }
 
@@ -92,7 +104,7 @@ impl<T: Answer, const N: usize> Answer for [T; N] {
 }
 
 impl<T: Answer> Answer for Option<T> {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         self.is_some().write(words);
         if let Some(value) = self {
             value.write(words);
@@ -105,7 +117,7 @@ impl<T: Answer> Answer for Option<T> {
 }
 
 impl<T: Answer> Answer for Vec<T> {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         (self.len() as u64).write(words);
         self.iter().for_each(|value| value.write(words));
     }
@@ -118,7 +130,7 @@ impl<T: Answer> Answer for Vec<T> {
 }
 
 impl<const R: usize, const C: usize> Answer for na::SMatrix<f64, R, C> {
-    fn write(&self, words: &mut Vec<u64>) {
+    fn write(&self, words: &mut impl Sink) {
         self.iter().for_each(|value| value.write(words));
     }
 

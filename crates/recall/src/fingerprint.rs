@@ -1,6 +1,6 @@
 //! What a question is known by.
 
-use crate::Answer;
+use crate::{Answer, Sink};
 
 /// An odd constant whose bits look random: the golden ratio as a fraction of 2⁶⁴.
 const FACTOR: u64 = 0x9e37_79b9_7f4a_7c15;
@@ -38,9 +38,7 @@ impl Fingerprint {
 
     /// Adds whatever can be an answer.
     pub fn add<T: Answer>(&mut self, value: T) {
-        let mut words = Vec::new();
-        value.write(&mut words);
-        words.into_iter().for_each(|word| self.add_word(word));
+        value.write(self);
     }
 
     /// Adds numbers and how many they are, two to a word.
@@ -61,6 +59,12 @@ impl Fingerprint {
     /// As a number.
     pub fn value(self) -> u64 {
         self.0 ^ (self.0 >> 32)
+    }
+}
+
+impl Sink for Fingerprint {
+    fn put(&mut self, word: u64) {
+        self.add_word(word);
     }
 }
 

@@ -6,7 +6,7 @@ mod fingerprint;
 use std::fmt;
 use std::sync::Arc;
 
-pub use answer::{Answer, Words};
+pub use answer::{Answer, Sink, Words};
 pub use fingerprint::Fingerprint;
 
 /// Where answers are kept.

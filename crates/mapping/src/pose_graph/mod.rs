@@ -36,8 +36,8 @@ pub use trimming::Trimmer;
 use localisation::Localisation;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::{Rigid3, Time};
-use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
 use portolan_recall::Memory;
+use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
 use search::{ConstraintSearch, WholeSubmapTurns};
 
 use crate::histogram::Histogram;

@@ -160,7 +160,10 @@ impl fmt::Display for Remark {
             }
             Self::JournalReplaced(path) => {
                 let path = path.display();
-                write!(f, "{path} of an earlier run that was cut off is replaced; --resume would go on with it")
+                write!(
+                    f,
+                    "{path} of an earlier run that was cut off is replaced; --resume would go on with it"
+                )
             }
             Self::JournalLeft(path) => {
                 write!(f, "{} stays: the same command with --resume maps the rest", path.display())

@@ -88,7 +88,6 @@ impl Journal {
         let writer = self.answers.writer.lock().unwrap_or_else(PoisonError::into_inner).take();
         writer.map_or(Ok(None), Writer::close)
     }
-
 }
 
 impl Drop for Journal {

@@ -173,7 +173,8 @@ impl GridEngine {
         }
         let (submap, matcher) = (insertion.submaps.matching_submap(), self.matcher.with_imu(self.has_imu));
         self.remembered.note(end, prediction, [&high, &low]);
-        let matched = self.remembered.answer(*prediction, || matcher.match_scan(prediction, [&high, &low], submap).0);
+        let matched =
+            self.remembered.answer(*prediction, || matcher.match_scan(prediction, [&high, &low], submap).0);
         let local_from_tracking = if is_valid_pose(&matched) { matched } else { *prediction };
         if !is_valid_pose(&local_from_tracking) {
             count(issues, IssueKind::ScanWithoutPose, end);

@@ -172,8 +172,7 @@ impl Tracker {
         around: Rigid2,
         window: SearchWindow,
     ) -> ScanMatch2d {
-        let find =
-            || self.matcher.match_scan(around, cloud, scan.returns, Some(scan.submap), Some(window));
+        let find = || self.matcher.match_scan(around, cloud, scan.returns, Some(scan.submap), Some(window));
         self.remembered.answer((around, window), find)
     }
 

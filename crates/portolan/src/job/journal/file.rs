@@ -1,11 +1,12 @@
-//! The file: a line that says what it is, then records of a length, a checksum and as many bytes. The first one has the
+//! The file: eight bytes that say what it is, then records of a length, a checksum and as many bytes. The first one has the
 //! identity of the job, each of the others a question and its answer. A record that is not whole ends it.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -13,7 +14,7 @@ use super::Identity;
 use crate::job::JobError;
 
 /// What the file begins with.
-const FIRST_LINE: &[u8] = b"portolan map journal 1\n";
+const MAGIC: &[u8] = b"\x89PMAPJ1\n";
 /// No answer is larger: ten million nodes.
 const LARGEST: u32 = 1 << 30;
 /// What was found is in the file after so long …
@@ -34,22 +35,21 @@ pub(super) struct Content {
 /// Reads a journal and cuts off what is not whole.
 pub(super) fn read(path: &Path) -> Result<Content, JobError> {
     let failed = |source| JobError::file(path, source);
-    let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(|source| {
-        match source.kind() {
+    let mut file =
+        OpenOptions::new().read(true).write(true).open(path).map_err(|source| match source.kind() {
             io::ErrorKind::NotFound => JobError::NoJournal(path.to_owned()),
             _ => failed(source),
-        }
-    })?;
+        })?;
     lock(&file).map_err(failed)?;
     let size = file.metadata().map_err(failed)?.len();
     let mut reader = BufReader::new(&file);
-    let mut first = [0; FIRST_LINE.len()];
-    let is_journal = reader.read_exact(&mut first).is_ok() && first == FIRST_LINE;
+    let mut first = [0; MAGIC.len()];
+    let is_journal = reader.read_exact(&mut first).is_ok() && first == MAGIC;
     let header = if is_journal { record(&mut reader, size) } else { None };
     let identity = header.as_deref().and_then(|header| serde_json::from_slice(header).ok());
     let Some(identity) = identity else { return Err(JobError::NoJournal(path.to_owned())) };
     let mut known = BTreeMap::new();
-    let mut whole = (FIRST_LINE.len() + FRAME + header.map_or(0, |h| h.len())) as u64;
+    let mut whole = (MAGIC.len() + FRAME + header.map_or(0, |h| h.len())) as u64;
     while let Some(bytes) = record(&mut reader, size) {
         let (words, rest) = bytes.as_chunks::<8>();
         let mut words = words.iter().map(|word| u64::from_le_bytes(*word));
@@ -77,8 +77,8 @@ fn record(reader: &mut impl Read, most: u64) -> Option<Vec<u8>> {
     }
     let mut content = Vec::new();
     reader.take(u64::from(length)).read_to_end(&mut content).ok()?;
-    let is_whole =
-        content.len() as u64 == u64::from(length) && crc32fast::hash(&content) == u32::from_le_bytes(checksum);
+    let is_whole = content.len() as u64 == u64::from(length)
+        && crc32fast::hash(&content) == u32::from_le_bytes(checksum);
     is_whole.then_some(content)
 }
 
@@ -103,8 +103,22 @@ fn lock(file: &File) -> io::Result<()> {
 
 /// Writes records on a thread of its own, so that a slow disk holds nobody up.
 pub(super) struct Writer {
-    sender: Sender<Vec<u8>>,
+    pending: Arc<Pending>,
     thread: Option<JoinHandle<io::Result<Option<PathBuf>>>>,
+}
+
+/// Records that are not written yet. The thread looks for them now and then: to wake it for each would take longer than
+/// to write it.
+#[derive(Default)]
+struct Pending {
+    bytes: Mutex<Vec<u8>>,
+    is_closed: AtomicBool,
+}
+
+impl Pending {
+    fn lock(&self) -> MutexGuard<'_, Vec<u8>> {
+        self.bytes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 /// Where records go.
@@ -117,7 +131,7 @@ enum Target {
 impl Writer {
     /// Writes a new file, which appears with the first records.
     pub fn begin(path: PathBuf, identity: &Identity) -> Self {
-        let mut header = FIRST_LINE.to_vec();
+        let mut header = MAGIC.to_vec();
         // A list of texts.
         let identity = serde_json::to_vec(identity).unwrap_or_default();
         add_record(&mut header, &identity);
@@ -130,54 +144,52 @@ impl Writer {
     }
 
     fn start(path: PathBuf, target: Target) -> Self {
-        let (sender, receiver) = channel();
+        let pending = Arc::new(Pending::default());
+        let records = Arc::clone(&pending);
         let name = "journal".to_owned();
-        let thread = std::thread::Builder::new().name(name).spawn(move || write(path, target, &receiver));
-        Self { sender, thread: thread.ok() }
+        let thread = std::thread::Builder::new().name(name).spawn(move || write(path, target, &records));
+        Self { pending, thread: thread.ok() }
     }
 
     /// Adds an answer.
     pub fn add(&self, question: u64, answer: &[u64]) {
-        let words = std::iter::once(&question).chain(answer);
-        let content: Vec<u8> = words.flat_map(|word| word.to_le_bytes()).collect();
-        let mut bytes = Vec::with_capacity(content.len() + FRAME);
-        add_record(&mut bytes, &content);
-        // Where nothing can be written any more, that is told at the end.
-        let _ = self.sender.send(bytes);
+        let is_written = self.thread.as_ref().is_some_and(|thread| !thread.is_finished());
+        if is_written {
+            let words = std::iter::once(&question).chain(answer);
+            let content: Vec<u8> = words.flat_map(|word| word.to_le_bytes()).collect();
+            add_record(&mut self.pending.lock(), &content);
+        }
     }
 
     /// Writes everything; the file, if there is one.
     pub fn close(self) -> io::Result<Option<PathBuf>> {
-        drop(self.sender);
-        let written = self.thread.map(JoinHandle::join);
-        match written {
-            Some(Ok(written)) => written,
-            _ => Err(io::Error::other("no thread could be started")),
-        }
+        let Some(thread) = self.thread else { return Err(io::Error::other("no thread could be started")) };
+        self.pending.is_closed.store(true, Ordering::Release);
+        thread.thread().unpark();
+        thread.join().unwrap_or_else(|_| Err(io::Error::other("its thread has stopped")))
     }
 }
 
-/// Writes what comes until nobody sends any more. A job that takes less than a moment leaves no file.
-fn write(path: PathBuf, target: Target, receiver: &Receiver<Vec<u8>>) -> io::Result<Option<PathBuf>> {
-    let (mut target, mut pending) = (target, Vec::new());
+/// Writes what comes until it is closed. A job that takes less than a moment leaves no file.
+fn write(path: PathBuf, mut target: Target, pending: &Pending) -> io::Result<Option<PathBuf>> {
     let (mut written_at, mut synced_at) = (Instant::now(), Instant::now());
     loop {
-        let next = receiver.recv_timeout(WRITING);
-        if let Ok(bytes) = &next {
-            pending.extend_from_slice(bytes);
+        let rest = WRITING.saturating_sub(written_at.elapsed());
+        let is_last = pending.is_closed.load(Ordering::Acquire);
+        if !rest.is_zero() && !is_last {
+            std::thread::park_timeout(rest);
+            continue;
         }
-        let is_last = next == Err(RecvTimeoutError::Disconnected);
-        let is_due = written_at.elapsed() >= WRITING;
-        if !pending.is_empty() && (is_due || is_last && matches!(target, Target::Open(_))) {
+        let bytes = std::mem::take(&mut *pending.lock());
+        if !bytes.is_empty() && (rest.is_zero() || matches!(target, Target::Open(_))) {
             let file = opened(&path, &mut target)?;
-            file.write_all(&pending)?;
-            pending.clear();
-            written_at = Instant::now();
+            file.write_all(&bytes)?;
             if synced_at.elapsed() >= SYNCING {
                 file.sync_data()?;
                 synced_at = Instant::now();
             }
         }
+        written_at = Instant::now();
         if is_last {
             return Ok(matches!(target, Target::Open(_)).then_some(path));
         }
@@ -207,8 +219,8 @@ fn create(path: &Path) -> io::Result<File> {
     let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
     lock(&file)?;
     let mut first = Vec::new();
-    Read::by_ref(&mut file).take(FIRST_LINE.len() as u64).read_to_end(&mut first)?;
-    if !FIRST_LINE.starts_with(&first) {
+    Read::by_ref(&mut file).take(MAGIC.len() as u64).read_to_end(&mut first)?;
+    if !MAGIC.starts_with(&first) {
         return Err(io::Error::new(io::ErrorKind::AlreadyExists, "it is there already and no journal"));
     }
     file.set_len(0)?;
