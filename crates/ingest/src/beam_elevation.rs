@@ -12,10 +12,13 @@ const LARGEST: f64 = 0.017;
 /// What an estimate may be off by beside its standard deviation, as sparse rings are taken for one surface, radians: half
 /// of what it is off by in a simulated hall with sixteen beams.
 const SYSTEMATIC: f64 = 8e-4;
-/// An error must be so many times its uncertainty.
-const SIGNIFICANT: f64 = 4.0;
-/// If it is so many times, more sweeps are looked at.
-const POSSIBLE: f64 = 2.0;
+/// An error counts beyond so many standard deviations, each of them the random and the systematic one together: twice the
+/// latter is all that was seen of it.
+const SIGNIFICANT: f64 = 2.0;
+/// If it may be as large as KITTI's, more sweeps are looked at, radians.
+const WORTHWHILE: f64 = 3.5e-3;
+/// ... unless even all of them would not be enough: its standard deviation then, radians.
+const HOPELESS: f64 = 2.1e-3;
 
 /// How beams are raised.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -44,12 +47,12 @@ impl ElevationOffset {
 
     /// Whether more sweeps may show that it is there.
     pub(crate) fn may_be_there(&self) -> bool {
-        self.radians.abs() > POSSIBLE * self.uncertainty()
+        self.sigma < HOPELESS && self.radians.abs() + SIGNIFICANT * self.sigma > WORTHWHILE
     }
 
     /// Whether it is there, and an error of a calibration.
     pub fn is_clear(&self) -> bool {
-        self.radians.abs() < LARGEST && self.radians.abs() > SIGNIFICANT * self.uncertainty()
+        self.radians.abs() < LARGEST && self.radians.abs() > SIGNIFICANT * (self.sigma + SYSTEMATIC)
     }
 }
 
@@ -104,7 +107,10 @@ mod tests {
     fn only_clear_errors_count() {
         let is_clear = |radians, sigma| ElevationOffset { radians, sigma }.is_clear();
         assert!(is_clear(0.004, 0.0003) && is_clear(-0.004, 0.0003));
-        assert!(!is_clear(0.004, 0.002) && !is_clear(0.003, 0.00001) && !is_clear(0.2, 0.001));
+        assert!(!is_clear(0.004, 0.002) && !is_clear(0.0015, 0.00001) && !is_clear(0.2, 0.001));
+        let may_be_there = |radians, sigma| ElevationOffset { radians, sigma }.may_be_there();
+        assert!(may_be_there(0.0, 0.0019) && may_be_there(-0.002, 0.001));
+        assert!(!may_be_there(0.0, 0.001) && !may_be_there(0.004, 0.01));
         assert!(!is_clear(0.004, f64::INFINITY) && !is_clear(f64::NAN, 0.0));
     }
 }

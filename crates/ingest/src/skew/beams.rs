@@ -28,7 +28,7 @@ pub(super) fn elevation(
     let (mut last, mut step) = (0.0, first.factors[0]);
     let mut sigma = INFLATION * first.sigmas[0];
     if step.abs() < WORTHWHILE * sigma {
-        return Some(ElevationOffset { radians: 0.0, sigma: sigma / FOUND_AT_ONCE });
+        return Some(ElevationOffset { radians: step / FOUND_AT_ONCE, sigma: sigma / FOUND_AT_ONCE });
     }
     let mut next = step / FOUND_AT_ONCE;
     for _ in 0..SECANTS {

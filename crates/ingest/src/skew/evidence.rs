@@ -61,6 +61,8 @@ pub(super) struct Row {
 #[derive(Clone, Debug)]
 pub(super) struct Pair {
     pub rows: Vec<Row>,
+    /// How many of the points that were judged lie on surfaces.
+    pub explained: f64,
 }
 
 /// By how much the factors of translation and of rotation should change.

@@ -396,7 +396,10 @@ fn pair([from, to]: [(&Sample, &Twist); 2], pose: &Rigid3, matches: &[Match]) ->
             direction: m.place.y.atan2(m.place.x) as f32,
         }
     };
-    Pair { rows: matches.iter().map(row).collect() }
+    Pair {
+        rows: matches.iter().map(row).collect(),
+        explained: matches.iter().map(|m| weight(m.residual, 2.0 * LEAST_SCALE)).sum(),
+    }
 }
 
 impl Followed {

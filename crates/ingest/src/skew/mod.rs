@@ -12,10 +12,11 @@
 //! in the points, 0: none), follow from linear least squares with the poses eliminated (`evidence`). As nearest points are paired anew when
 //! points move, one step of that finds a third of the way; the factor is therefore where the step vanishes, on the
 //! line through the steps at 0 and at 1. Its standard deviation is that of sums over directions taken as
-//! independent.
+//! independent. What the factors mean is believed if sweeps do not fit clearly better otherwise (`fit`).
 
 mod beams;
 mod evidence;
+mod fit;
 mod follow;
 #[cfg(test)]
 mod tests;
@@ -56,6 +57,8 @@ pub struct Skew {
     pub begin_radians: f32,
     /// Whether the head turns clockwise, seen from above. Without meaning if points have times.
     pub is_clockwise: bool,
+    /// Whether sweeps fit better if the motion in their points is taken for another one than the factors say.
+    pub is_contradicted: bool,
     /// What the elevations of all beams are off by, once it is known how much of the motion is in the points.
     pub elevation: Option<ElevationOffset>,
 }
@@ -110,6 +113,9 @@ impl SkewFactor {
 impl Skew {
     /// What it means.
     pub fn state(&self) -> SkewState {
+        if self.is_contradicted {
+            return SkewState::Unknown;
+        }
         match (self.translation.state(), self.rotation.state()) {
             (SkewState::Unknown, _) | (_, SkewState::Unknown) => self.combined().state(),
             (translation, rotation) if translation == rotation => translation,
@@ -228,8 +234,7 @@ impl SkewEstimator {
             false => evidence::most_likely_turn(&as_is)?,
         };
         for round in 0.. {
-            let straightened: Vec<Followed> =
-                self.batches.iter().filter_map(|b| b.straightened(times)).collect();
+            let straightened = self.straightened(times)?;
             let pairs: Vec<_> = straightened.iter().flat_map(|f| &f.pairs).collect();
             let better =
                 evidence::better_turn(&pairs, times).filter(|_| !self.has_times && round < SEAM_ROUNDS);
@@ -244,6 +249,7 @@ impl SkewEstimator {
                 evidence::largest_steps(&as_is, at_none, times)?
             };
             let mut skew = skew(at_none, at_all, largest, times);
+            skew.is_contradicted = self.is_contradicted(skew.state(), &straightened);
             skew.elevation = match skew.state() {
                 SkewState::Raw => beams::elevation(&self.batches, &straightened, Some(times)),
                 SkewState::Removed => beams::elevation(&self.batches, &self.as_is(), None),
@@ -256,6 +262,25 @@ impl SkewEstimator {
 }
 
 impl SkewEstimator {
+    /// Whether sweeps fit better as they came although they are said to be raw, or the other way round.
+    fn is_contradicted(&self, state: SkewState, straightened: &[Followed]) -> bool {
+        let fits_better_as_is = |straightened: &[Followed]| fit::is_better(straightened, &self.as_is());
+        let fits_worse_as_is = |straightened: &[Followed]| fit::is_better(&self.as_is(), straightened);
+        match state {
+            SkewState::Raw => fits_better_as_is(straightened),
+            SkewState::Removed if self.has_times => fits_worse_as_is(straightened),
+            SkewState::Removed => fit::usual_turns()
+                .filter_map(|turn| self.straightened(turn))
+                .any(|straightened| fits_worse_as_is(&straightened)),
+            SkewState::Partial | SkewState::Unknown => false,
+        }
+    }
+
+    /// All sweeps with the motion of such turns taken out; none if they do not fit then.
+    fn straightened(&self, times: TurnTimes) -> Option<Vec<Followed>> {
+        self.batches.iter().map(|batch| batch.straightened(times)).collect()
+    }
+
     fn as_is(&self) -> Vec<Followed> {
         self.batches.iter().map(|batch| batch.as_is.clone()).collect()
     }
@@ -288,6 +313,7 @@ fn skew(at_none: Step, at_all: Step, largest: Vector2, times: TurnTimes) -> Skew
         rotation: part(1),
         begin_radians: times.begin * TAU - PI,
         is_clockwise: times.sense < 0.0,
+        is_contradicted: false,
         elevation: None,
     }
 }

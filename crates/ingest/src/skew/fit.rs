@@ -1,0 +1,48 @@
+//! How well sweeps fit each other if the motion in their points is taken for this or that.
+//!
+//! Residuals of points beyond the seam of a turn are as large as the motion of a turn, so the robust loss takes them for
+//! outliers, and linear least squares may see nothing of the motion where only they could show it. How many points lie on
+//! surfaces when the motion of a turn is taken out shows it.
+
+use super::evidence::TurnTimes;
+use super::follow::Followed;
+
+/// A fit is better or worse if it is so by so many standard errors.
+const CLEARLY: f64 = 2.5;
+/// Fewer pairs of sweeps have no standard error.
+const MIN_PAIRS: usize = 4;
+
+/// Turns that lidars make: from ahead, behind and the sides, both ways.
+pub(super) fn usual_turns() -> impl Iterator<Item = TurnTimes> {
+    [0.0, 0.25, 0.5, 0.75].into_iter().flat_map(|begin| [1.0, -1.0].map(|sense| TurnTimes { begin, sense }))
+}
+
+/// Whether sweeps fit clearly better in the second way; both were followed from the same pairs.
+pub(super) fn is_better(one: &[Followed], other: &[Followed]) -> bool {
+    let gains: Vec<f64> = (one.iter().zip(other))
+        .flat_map(|(one, other)| one.pairs.iter().zip(&other.pairs))
+        .map(|(one, other)| other.explained - one.explained)
+        .collect();
+    is_clearly_positive(&gains)
+}
+
+fn is_clearly_positive(gains: &[f64]) -> bool {
+    let n = gains.len() as f64;
+    let mean = gains.iter().sum::<f64>() / n;
+    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    gains.len() >= MIN_PAIRS && mean > CLEARLY * (variance / n).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gain_must_exceed_its_own_scatter() {
+        assert!(is_clearly_positive(&[4.0, 5.0, 3.0, 4.0]));
+        assert!(!is_clearly_positive(&[4.0, -5.0, 3.0, 1.0]));
+        assert!(!is_clearly_positive(&[-4.0, -5.0, -3.0, -4.0]));
+        assert!(!is_clearly_positive(&[9.0, 9.0]) && !is_clearly_positive(&[]));
+        assert!(!is_clearly_positive(&[f64::NAN; 5]));
+    }
+}
