@@ -39,10 +39,14 @@ pub struct Resumes {
 }
 
 impl Run {
-    fn new((simulated, words): (&[&str], &'static [&'static str]), folder: &Path, settings: &Settings) -> Self {
+    fn new(
+        (simulated, words): (&[&str], &'static [&'static str]),
+        folder: &Path,
+        settings: &Settings,
+    ) -> Self {
         let recording = folder.join(format!("{}.bag", simulated.first().unwrap()));
-        let asked = [&["simulate"], simulated, &["-q", "-o", &text(&recording)]].concat();
-        portolan_with_code(0, &asked);
+        let path = text(&recording);
+        portolan_with_code(0, &[&["simulate"], simulated, &["-q", "-o", &path]].concat());
         let mut run = Self { recording, words, results: Default::default(), takes: Duration::ZERO };
         let folder = tempfile::tempdir().unwrap();
         let start = Instant::now();
