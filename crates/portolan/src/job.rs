@@ -53,7 +53,9 @@ pub use results::{ResultFiles, ResultSpace, add_to_report, write_results};
 
 use crate::RequestedOptions;
 use crate::automatic::search_in_known_map;
-use crate::pipeline::{KnownMap, MappedRecording, PipelineProgress, Preparation, map_recording, prepare};
+use crate::pipeline::{
+    KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
+};
 
 /// What is to be made of a recording.
 #[derive(Clone, Debug)]
@@ -238,7 +240,12 @@ impl<'a> Job<'a> {
         let settings = MapperSettings { threads, ..MapperSettings::default() };
         let mut progress = |state: &PipelineProgress| observe(&Event::Mapping(state)).is_continue();
         let (ingest, preparation) = (&self.request.ingest, self.preparation.clone());
-        Ok(map_recording(self.recording, ingest, preparation, known, settings, &mut progress)?)
+        let mapped = map_recording(self.recording, ingest, preparation, known, settings, &mut progress);
+        if let Err(PipelineError::NoScans) = mapped {
+            // Nothing would be there to go on with.
+            self.end_journal(false, observe);
+        }
+        Ok(mapped?)
     }
 
     /// Writes everything but clouds and pictures of them; the files. Loading and mapping took `seconds`.

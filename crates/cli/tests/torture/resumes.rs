@@ -79,7 +79,8 @@ impl Run {
         let mut shares = Vec::new();
         let mut has_journal = false;
         for _ in 0..=random.below(2) {
-            shares.push(random.below(1000) as f64 / 1000.0);
+            // A second passes before there is a journal.
+            shares.push(0.4 + 0.6 * random.below(1000) as f64 / 1000.0);
             let mut command = self.command(folder.path(), threads(random), settings);
             if has_journal {
                 command.arg("--resume");
