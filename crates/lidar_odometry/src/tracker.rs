@@ -213,7 +213,7 @@ impl Tracker {
         let to_register = if known.is_some() {
             None
         } else {
-            self.poles.to_register(sweep, &prediction.segment, &map.local_from_map.inverse())
+            self.poles.prepare(sweep, &prediction.segment, &map.local_from_map.inverse())
         };
         let registration = &self.registration;
         let Finding { sampled, reason, found } = known.unwrap_or_else(|| {

@@ -31,6 +31,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use portolan_atomic_file::require_room;
 use portolan_config::{Engine, little_effect};
 use portolan_geometry::Dimension;
 use portolan_ingest::IngestOptions;
@@ -159,7 +160,7 @@ impl<'a> Job<'a> {
         let configuration = request.requested.configuration.clone();
         let is_configured = configuration.is_some();
         let with_cloud = request.cloud.file.is_some() && request.cloud.voxel_size_metres.is_none();
-        room::require(&request.folder, room::needed(recording.size_bytes(), with_cloud))?;
+        require_room(&request.folder, room::needed(recording.size_bytes(), with_cloud))?;
         let mut preparation = prepare(recording, &request.ingest, configuration)?;
         for notice in &preparation.plan.notices {
             event::remark(observe, Remark::Chosen(notice.clone()));

@@ -92,7 +92,7 @@ impl RecentPoles {
     }
 
     /// What to register, if poles are wanted.
-    pub fn to_register(
+    pub fn prepare(
         &mut self,
         sweep: &Sweep,
         segment: &TrajectorySegment,
