@@ -13,7 +13,7 @@ use portolan_unfinished::Unfinished;
 use tempfile::NamedTempFile;
 
 use disk::{Disk, before_commit};
-pub use space::free_bytes;
+pub use space::{NoRoom, free_bytes, require_room, require_room_for};
 
 /// A file could not be written.
 #[derive(Debug, thiserror::Error)]

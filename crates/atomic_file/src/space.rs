@@ -1,6 +1,46 @@
 //! How much room a disk has.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// A disk is too full.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[error(
+    "{}: only {:.1} MB are free, and the results need at least {:.1} MB",
+    folder.display(),
+    *free as f64 / 1048576.0,
+    *needed as f64 / 1048576.0
+)]
+pub struct NoRoom {
+    /// Where the results should go.
+    pub folder: PathBuf,
+    /// Bytes that are free there.
+    pub free: u64,
+    /// Bytes that the results need at the very least.
+    pub needed: u64,
+}
+
+/// Refuses a folder on a disk without that much room. Where it is not known how much there is, everything fits.
+///
+/// # Errors
+/// There is less.
+pub fn require_room(folder: &Path, needed: u64) -> Result<(), NoRoom> {
+    match free_bytes(folder) {
+        Some(free) if free < needed => Err(NoRoom { folder: folder.to_owned(), free, needed }),
+        _ => Ok(()),
+    }
+}
+
+/// Refuses a file on a disk without that much room; devices and pipes take anything.
+///
+/// # Errors
+/// There is less.
+pub fn require_room_for(file: &Path, needed: u64) -> Result<(), NoRoom> {
+    let is_other = std::fs::metadata(file).is_ok_and(|found| !found.is_file());
+    match file.parent() {
+        Some(folder) if !is_other => require_room(folder, needed),
+        _ => Ok(()),
+    }
+}
 
 /// Bytes that may still be written to the disk of a folder; none where that is not known.
 #[cfg(unix)]
@@ -17,8 +57,20 @@ pub fn free_bytes(_: &Path) -> Option<u64> {
 }
 
 #[cfg(all(test, target_os = "linux"))]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn disks_without_room_are_refused() {
+        let error = require_room_for(Path::new("/proc/map"), 1 << 20).unwrap_err().to_string();
+        assert_eq!(error, "/proc: only 0.0 MB are free, and the results need at least 1.0 MB");
+        let here = tempfile::tempdir().unwrap();
+        require_room(here.path(), 1).unwrap();
+        require_room(here.path(), u64::MAX).unwrap_err();
+        require_room_for(Path::new("/dev/stdout"), u64::MAX).unwrap();
+        require_room_for(Path::new("map"), 1).unwrap();
+    }
 
     #[test]
     fn disks_have_room() {

@@ -50,6 +50,9 @@ pub enum CliError {
         /// Why.
         source: std::io::Error,
     },
+    /// The disk is too full.
+    #[error(transparent)]
+    NoRoom(#[from] portolan_atomic_file::NoRoom),
     /// A recording.
     #[error(transparent)]
     Recording(#[from] portolan_recording::RecordingError),

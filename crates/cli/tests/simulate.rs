@@ -129,3 +129,20 @@ fn lidars_have_beams_and_mountings_of_their_own() {
     };
     assert!(hanging("0.5,0,2,180,0,0") != hanging("0.5,0,2,0,0,0"));
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn disks_without_room_are_refused_before_anything_is_done() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "walk.bag", &[]);
+    let truth = text(&Path::new(&recording).with_extension("truth.tum"));
+    let cases = [
+        vec!["simulate", "corridors", "--seconds", "2", "-o", "/proc/walk.bag"],
+        vec!["convert", &truth, "-o", "/proc/walk.csv"],
+        vec!["refine", "--recording", &recording, "--trajectory", &truth, "-o", "/proc"],
+    ];
+    for arguments in cases {
+        let run = portolan_with_code(1, &arguments);
+        assert!(run.stderr.contains("/proc: only 0.0 MB are free"), "{arguments:?}: {}", run.stderr);
+    }
+}

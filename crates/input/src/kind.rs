@@ -1,8 +1,12 @@
 //! What a file is that was given for another one.
 
 /// The beginnings of files, what they are, and what can be done with them.
-const KINDS: [(&[u8], &str); 17] = [
+const KINDS: [(&[u8], &str); 18] = [
     (b"\xdb\x01\xf5\x5b\x7b\x1f\x1d\x7b", "a map (pbstream)"),
+    (
+        b"\x89PMAPJ1\n",
+        "what a `portolan map` left that was cut off: the same command with --resume goes on with it",
+    ),
     (b"#ROSBAG V", "a ROS 1 bag: map it first (`portolan map`)"),
     (b"#ROSBAG ", "a ROS 1 bag: map it first (`portolan map`)"),
     (b"\x89MCAP0\r\n", "a recording (MCAP): map it first (`portolan map`)"),

@@ -20,6 +20,7 @@ mod plane_map;
 mod poles;
 mod predict;
 mod registration;
+mod remembered;
 mod segment;
 pub mod settings;
 mod standstill;

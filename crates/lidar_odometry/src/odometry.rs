@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use portolan_geometry::Time;
 use portolan_motion::ExtrapolatorCounts;
+use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData};
 use thiserror::Error;
 
@@ -37,6 +38,7 @@ pub struct LidarOdometry {
     /// Whether no more sweeps will come.
     is_ended: bool,
     issues: Issues,
+    memory: Memory,
 }
 
 impl LidarOdometry {
@@ -48,7 +50,13 @@ impl LidarOdometry {
             waiting: VecDeque::new(),
             is_ended: false,
             issues: Issues::default(),
+            memory: Memory::default(),
         }
+    }
+
+    /// Remembers where sweeps were found with this. To be called before anything is added.
+    pub fn remember_with(&mut self, memory: &Memory) {
+        self.memory = memory.clone();
     }
 
     /// Takes a sweep and the IMU samples since the last one. Gives the sweeps whose turn has come: none while gravity is
@@ -89,7 +97,8 @@ impl LidarOdometry {
         }
         let State::FirstSweep(motion) = std::mem::take(&mut self.state) else { return None };
         let (first, second) = (self.waiting.pop_front()?, self.waiting.front());
-        let (tracker, registered) = Tracker::begin(&self.settings, *motion, first, second);
+        let (mut tracker, registered) = Tracker::begin(&self.settings, *motion, first, second);
+        tracker.remember_with(&self.memory);
         self.state = State::Tracking(Box::new(tracker));
         Some(registered)
     }

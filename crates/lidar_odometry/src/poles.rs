@@ -23,7 +23,7 @@ mod residuals;
 mod tests;
 
 pub use map::PoleMap;
-pub(crate) use recent::{PolesToRegister, RecentPoles};
+pub(crate) use recent::{PolesToRegister, RecentPoles, SeenPoles};
 pub(crate) use residuals::PoleResiduals;
 
 /// A point of a vertical structure.

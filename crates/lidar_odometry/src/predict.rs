@@ -65,20 +65,26 @@ pub(crate) struct Registered {
 
 impl Prediction {
     /// Registers the first hypothesis, then those others that are worth trying; each has to beat the best before.
-    pub fn best(&mut self, register: impl Fn(&TrajectorySegment) -> RegisteredSegment) -> Registered {
+    pub fn best(&self, register: impl Fn(&TrajectorySegment) -> RegisteredSegment) -> Registered {
         let (segment, registered) = (self.segment.clone(), register(&self.segment));
         let mut best = Registered { segment, registered, reason: None };
-        for alternative in std::mem::take(&mut self.alternatives) {
+        for alternative in &self.alternatives {
             if !alternative.is_worth_trying(self, &best.registered) {
                 continue;
             }
             let other = register(&alternative.segment);
             if other.fit > alternative.required_ratio * best.registered.fit {
                 let reason = Some(alternative.reason);
-                best = Registered { segment: alternative.segment, registered: other, reason };
+                best = Registered { segment: alternative.segment.clone(), registered: other, reason };
             }
         }
         best
+    }
+
+    /// The segment of the first hypothesis, or of that which is tried for a reason.
+    pub fn segment_of(&self, reason: Option<Reason>) -> &TrajectorySegment {
+        let alternative = self.alternatives.iter().find(|alternative| Some(alternative.reason) == reason);
+        alternative.map_or(&self.segment, |alternative| &alternative.segment)
     }
 }
 

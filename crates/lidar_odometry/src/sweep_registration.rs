@@ -60,18 +60,23 @@ impl SweepRegistration {
     }
 
     /// Points that cover everything seen, in order of time.
-    pub fn sample(&mut self, sweep: &Sweep) -> Vec<TimedPoint> {
+    pub fn sample(&self, sweep: &Sweep) -> Vec<TimedPoint> {
         let kept = voxel_filter_indices(&sweep.points, |p| p.position, self.spacing);
-        if !kept.is_empty() {
-            let settings = &self.settings;
-            let wanted = (kept.len() as f32 / settings.wanted_points).sqrt();
-            let adapted = self.spacing * wanted.clamp(settings.least_adaptation, settings.largest_adaptation);
-            self.spacing = adapted.clamp(settings.least_spacing, settings.largest_spacing);
-        }
         let mut sample: Vec<TimedPoint> =
             kept.into_iter().filter_map(|i| Some(sweep.points.get(i as usize)?.timed())).collect();
         sample.sort_by(|a, b| a.time.total_cmp(&b.time));
         sample
+    }
+
+    /// Samples the next sweep so that as many points are kept as wanted, after so many were.
+    pub fn adapt(&mut self, kept: u64) {
+        if kept == 0 {
+            return;
+        }
+        let settings = &self.settings;
+        let wanted = (kept as f32 / settings.wanted_points).sqrt();
+        let adapted = self.spacing * wanted.clamp(settings.least_adaptation, settings.largest_adaptation);
+        self.spacing = adapted.clamp(settings.least_spacing, settings.largest_spacing);
     }
 
     /// Registers a sample near a predicted segment.
@@ -82,14 +87,26 @@ impl SweepRegistration {
         target: &Target<'_>,
     ) -> RegisteredSegment {
         let &Target { local_from_map, planes, poles } = target;
+        let in_map = segment.seen_from(&local_from_map.inverse());
         let prior = self.motion_prior(segment);
         let settings = &self.settings;
         let by_sigma = settings.scale_per_sigma * prior.growth.translation;
         let scale = settings.start_scale.max(by_sigma).min(settings.max_scale);
-        let in_map = segment.seen_from(&local_from_map.inverse());
         let poles = poles.map(|poles| (&poles.map, &poles.points[..]));
         let found = self.registration.register_sweep(planes, sample, &in_map, &prior, scale, poles);
         let found = found.filter(|found| found.matched_fraction >= settings.min_matched_fraction);
+        self.registered(segment, local_from_map, found)
+    }
+
+    /// A segment (in the local map) that was registered with this result.
+    pub fn registered(
+        &self,
+        segment: &TrajectorySegment,
+        local_from_map: &Rigid3,
+        found: Option<RegistrationResult>,
+    ) -> RegisteredSegment {
+        let prior = self.motion_prior(segment);
+        let in_map = segment.seen_from(&local_from_map.inverse());
         let correction = found.as_ref().map_or_else(SegmentCorrection::default, |found| found.correction);
         let local_from_tracking = local_from_map * in_map.corrected_end(&correction);
         let error = segment.end().rotation.angle_to(&local_from_tracking.rotation);

@@ -1,7 +1,8 @@
 //! Tracking: what is done with every sweep once there is a map.
 
 use portolan_geometry::nalgebra::Matrix3;
-use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, to_f32};
+use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
@@ -12,9 +13,10 @@ use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
 use crate::motion_state::{MotionState, SweepEnd};
 use crate::plane_map::PlaneMap;
-use crate::poles::RecentPoles;
+use crate::poles::{RecentPoles, SeenPoles};
 use crate::predict::{Prediction, Reason, Registered};
 use crate::registration::DegenerateDirections;
+use crate::remembered::{self, Finding};
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
@@ -74,6 +76,9 @@ pub(crate) struct Tracker {
     intervals: DegenerateIntervals,
     /// When a sweep last fitted planes.
     fitted_at: Time,
+    memory: Memory,
+    /// Of all sweeps so far, if anything is remembered.
+    seen: Fingerprint,
 }
 
 impl Tracker {
@@ -124,6 +129,8 @@ impl Tracker {
             keyframes,
             intervals: DegenerateIntervals::new(&settings.degeneracy),
             fitted_at: registered.sweep.end,
+            memory: Memory::default(),
+            seen: Fingerprint::of("sweeps"),
             settings: settings.clone(),
         };
         (tracker, registered)
@@ -138,9 +145,9 @@ impl Tracker {
     ) -> RegisteredSweep {
         let is_warming_up = self.is_warming_up();
         // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
-        let mut prediction = self.motion.predict(sweep.end);
+        let prediction = self.motion.predict(sweep.end);
         // 2. Register the hypotheses to planes and poles; the one that fits best counts.
-        let (best, poles) = self.best_hypothesis(&sweep, &mut prediction, issues);
+        let (best, poles) = self.best_hypothesis(&sweep, &prediction, issues);
         // 3. Learn the bias of the gyroscope.
         self.motion.learn_gyroscope_bias(&prediction, &best, is_warming_up);
         // 4. Report directions that the sweep does not constrain.
@@ -171,8 +178,8 @@ impl Tracker {
         };
         let inertial = prediction.inertial.as_ref().filter(|_| reason.is_none());
         let gravity = self.motion.update(&prediction, inertial, &end);
-        if let Some(points) = poles {
-            self.poles.add(sweep.end, pose, points);
+        if let Some(poles) = poles {
+            self.poles.add(sweep.end, pose, poles);
         }
         // 9. Show the map what the sweep saw, as a key frame or not.
         let mut result =
@@ -189,25 +196,49 @@ impl Tracker {
         result
     }
 
-    /// Registers the hypotheses of the motion, and takes the one that fits best. With it come points of poles as seen from
-    /// the end of the sweep, if poles were registered.
+    /// Registers the hypotheses of the motion, and takes the one that fits best. With it come poles as seen from the
+    /// end of the sweep, if they are registered.
     fn best_hypothesis(
         &mut self,
         sweep: &Sweep,
-        prediction: &mut Prediction,
+        prediction: &Prediction,
         issues: &mut Issues,
-    ) -> (Registered, Option<Vec<Point3f>>) {
-        let sample = self.registration.sample(sweep);
+    ) -> (Registered, Option<SeenPoles>) {
         let map = self.local_map.older();
-        let poles = self.poles.to_register(sweep, &prediction.segment, &map.local_from_map.inverse());
-        let target =
-            Target { local_from_map: &map.local_from_map, planes: &map.planes, poles: poles.as_ref() };
-        let best = prediction.best(|segment| self.registration.register(&sample, segment, &target));
-        if best.reason == Some(Reason::GyroscopeFails) {
+        let question = self.memory.question(|question| {
+            remembered::ask(&mut self.seen, sweep, &prediction.segment);
+            question.add_word(self.seen.value());
+        });
+        let known = self.memory.recall(question);
+        let to_register = if known.is_some() {
+            None
+        } else {
+            self.poles.prepare(sweep, &prediction.segment, &map.local_from_map.inverse())
+        };
+        let registration = &self.registration;
+        let Finding { sampled, reason, found } = known.unwrap_or_else(|| {
+            let poles = to_register.as_ref();
+            let target = Target { local_from_map: &map.local_from_map, planes: &map.planes, poles };
+            let sample = registration.sample(sweep);
+            let best = prediction.best(|segment| registration.register(&sample, segment, &target));
+            let (reason, found) = (best.reason, best.registered.found);
+            let finding = Finding { sampled: sample.len() as u64, reason, found };
+            self.memory.keep(question, &finding);
+            finding
+        });
+        let segment = prediction.segment_of(reason).clone();
+        let registered = registration.registered(&segment, &map.local_from_map, found);
+        self.registration.adapt(sampled);
+        if reason == Some(Reason::GyroscopeFails) {
             issues.count(Issue::GyroscopeOverruled);
         }
-        let points = poles.map(|poles| poles.deskewed(&best.registered.to_end));
-        (best, points)
+        let to_end = &registered.to_end;
+        let poles = match to_register {
+            Some(poles) => Some(poles.seen_from_end(to_end)),
+            None if !RecentPoles::are_wanted(&prediction.segment) => None,
+            None => Some(SeenPoles::unpicked(sweep, &prediction.segment, to_end)),
+        };
+        (Registered { segment, registered, reason }, poles)
     }
 
     /// The covariance of what attenuation may keep a place off by, m² in the local map; none where a sweep fits nothing.
@@ -306,6 +337,11 @@ impl Tracker {
     /// Whether the map is made of too few key frames to learn from it.
     pub fn is_warming_up(&self) -> bool {
         self.local_map.is_warming_up()
+    }
+
+    /// Remembers what is found of sweeps with this.
+    pub fn remember_with(&mut self, memory: &Memory) {
+        self.memory = memory.clone();
     }
 
     pub fn motion(&self) -> &MotionState {

@@ -2,7 +2,8 @@
 #![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io;
+use std::fs::File;
+use std::io::{self, Read as _};
 use std::path::Path;
 
 use portolan_geometry::Time;
@@ -14,6 +15,7 @@ use crate::derived_imu::DerivedImu;
 use crate::mend::{Mended, SensorTimes, mend, trajectory_of};
 use crate::mend_graph::{Parts, mend_pose_graph};
 use crate::salvage::Salvage;
+use portolan_pbstream::MAGIC;
 use portolan_pbstream::PbstreamError;
 use portolan_pbstream::ReadLimits;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
@@ -104,6 +106,9 @@ pub enum RepairError {
     /// Nothing of a map is in the file.
     #[error("there is no whole submap and no whole node in the file: nothing can be saved")]
     Nothing,
+    /// The file is something else.
+    #[error("this is {0}: nothing can be saved")]
+    OtherKind(&'static str),
     /// The output could not be written.
     #[error(transparent)]
     Write(#[from] PbstreamError),
@@ -118,7 +123,7 @@ pub fn repair(input: &Path, output: &Path, limits: ReadLimits) -> Result<RepairR
     let mut report = RepairReport::default();
     let survey = Survey::take(input, limits, &mut report)?;
     if survey.parts.nodes.is_empty() && survey.parts.submaps.is_empty() {
-        return Err(RepairError::Nothing);
+        return Err(other_kind(input).map_or(RepairError::Nothing, RepairError::OtherKind));
     }
     let start = survey.start(&mut report);
     let mut writer = PbstreamWriter::create(output)?;
@@ -136,6 +141,13 @@ pub fn repair(input: &Path, output: &Path, limits: ReadLimits) -> Result<RepairR
     report.messages = writer.messages();
     writer.finish()?;
     Ok(report)
+}
+
+/// What a file is in which nothing of a map was found, if that is known.
+fn other_kind(input: &Path) -> Option<&'static str> {
+    let mut start = Vec::new();
+    File::open(input).ok()?.take(64).read_to_end(&mut start).ok()?;
+    portolan_input::kind_of(&start).filter(|_| !start.starts_with(&MAGIC))
 }
 
 /// What a damaged file has to offer.

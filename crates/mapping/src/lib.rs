@@ -19,6 +19,7 @@ mod optimization;
 mod planar;
 mod plane_search;
 mod pose_graph;
+mod remembered;
 mod sampling_density;
 mod scan_matching_2d;
 mod scan_matching_3d;

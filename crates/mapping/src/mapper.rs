@@ -11,6 +11,7 @@ use portolan_config::{Options, TrajectoryBuilderOptions};
 use portolan_geometry::Time;
 use portolan_issue::IssueLog;
 use portolan_motion::MotionFilter;
+use portolan_recall::Memory;
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::backend::{Backend, BackendProgress, MapperError};
@@ -78,6 +79,7 @@ pub struct Mapper<S: Space> {
     scan_times: LatencyHistogram,
     degenerate_intervals: Vec<DegenerateInterval>,
     losses: Vec<Loss>,
+    memory: Memory,
 }
 
 /// What stays of a trajectory for the map.
@@ -121,7 +123,15 @@ impl<S: Space> Mapper<S> {
             scan_times: LatencyHistogram::default(),
             degenerate_intervals: Vec::new(),
             losses: Vec::new(),
+            memory: Memory::default(),
         })
+    }
+
+    /// Remembers what was matched, searched and optimised with this. To be called before anything is added.
+    pub fn remember_with(&mut self, memory: &Memory) -> Result<(), MapperError> {
+        self.memory = memory.clone();
+        let memory = memory.clone();
+        self.backend.enqueue(move |graph| graph.remember_with(memory))
     }
 
     /// Starts a trajectory with these sensors.
@@ -135,8 +145,10 @@ impl<S: Space> Mapper<S> {
         let options = self.options.trajectory_builder.clone();
         let range_sensors: Vec<SensorId> =
             sensors.iter().filter(|s| s.kind == SensorKind::Range).cloned().collect();
+        let mut local_slam = S::new_local_slam(&self.options, &range_sensors)?;
+        local_slam.remember_with(&self.memory);
         let trajectory = ActiveTrajectory {
-            local_slam: S::new_local_slam(&self.options, &range_sensors)?,
+            local_slam,
             odometry_filter: options.pose_graph_odometry_motion_filter.as_ref().map(motion_filter),
             sensors: sensors.clone(),
             scans: Vec::new(),

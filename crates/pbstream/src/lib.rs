@@ -27,6 +27,7 @@ pub use codes::{
     correspondence_cost_bounds, log_odds_byte,
 };
 pub use error::{PbstreamError, RecordError};
+pub use frames::MAGIC;
 pub use grid_check::{GridReport, check_grid_2d, check_hybrid_grid, mend_grid_2d, mend_hybrid_grid};
 pub use gzip::{GzipError, gunzip, gzip};
 pub use map_reader::{IgnoredMessages, MapMessage, MapReader};

@@ -13,6 +13,7 @@
 
 mod error;
 mod event;
+mod journal;
 mod known_map;
 mod localisation;
 mod localize;
@@ -32,6 +33,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use portolan_atomic_file::require_room;
 use portolan_config::{Engine, little_effect};
 use portolan_geometry::Dimension;
 use portolan_ingest::IngestOptions;
@@ -41,6 +43,8 @@ use portolan_recording::Recording;
 
 pub use error::JobError;
 pub use event::{Event, Observer, Remark};
+pub use journal::JOURNAL;
+use journal::{Identity, Journal, Resumed};
 pub use known_map::KnownMaps;
 pub use localisation::{Localisation, Place};
 pub use localize::{LocalizeRequest, localize};
@@ -52,7 +56,9 @@ pub use results::{ResultFiles, ResultSpace, add_to_report, write_results};
 
 use crate::RequestedOptions;
 use crate::automatic::search_in_known_map;
-use crate::pipeline::{KnownMap, MappedRecording, PipelineProgress, Preparation, map_recording, prepare};
+use crate::pipeline::{
+    KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
+};
 
 /// What is to be made of a recording.
 #[derive(Clone, Debug)]
@@ -73,6 +79,8 @@ pub struct MapRequest {
     pub cloud: CloudRequest,
     /// Whether the trajectory is written in the times of the map, too (`all_poses.tum`).
     pub all_poses: bool,
+    /// Whether to go on with what an earlier run left that was cut off ([`JOURNAL`]).
+    pub resume: bool,
     /// Threads; 0 for as many as there are cores, but not more than options allow. Results do not depend on it.
     pub threads: usize,
 }
@@ -89,6 +97,7 @@ impl MapRequest {
             force: false,
             cloud: CloudRequest::default(),
             all_poses: false,
+            resume: false,
             threads: 0,
         }
     }
@@ -123,7 +132,8 @@ pub fn map(
     std::fs::create_dir_all(&request.folder).map_err(|source| JobError::file(&request.folder, source))?;
     let mut request = request;
     request.requested.configure(&mut request.ingest)?;
-    let job = Job::prepare(recording, request, observe)?;
+    let mut job = Job::prepare(recording, request, observe)?;
+    job.keep_journal(observe)?;
     match job.preparation.dimension {
         Dimension::Two => job.finish::<Planar>(observe),
         Dimension::Three => job.finish::<Spatial>(observe),
@@ -135,6 +145,7 @@ pub struct Job<'a> {
     recording: &'a dyn Recording,
     request: MapRequest,
     preparation: Preparation,
+    journal: Option<Journal>,
 }
 
 impl<'a> Job<'a> {
@@ -151,7 +162,7 @@ impl<'a> Job<'a> {
         let configuration = request.requested.configuration.clone();
         let is_configured = configuration.is_some();
         let with_cloud = request.cloud.file.is_some() && request.cloud.voxel_size_metres.is_none();
-        room::require(&request.folder, room::needed(recording.size_bytes(), with_cloud))?;
+        require_room(&request.folder, room::needed(recording.size_bytes(), with_cloud))?;
         let mut preparation = prepare(recording, &request.ingest, configuration)?;
         for notice in &preparation.plan.notices {
             event::remark(observe, Remark::Chosen(notice.clone()));
@@ -163,7 +174,47 @@ impl<'a> Job<'a> {
         change_options(&mut preparation, &request.requested.settings, observe)?;
         preparation.background_threads = request.requested.background_threads();
         request.cloud.keep_scans(&mut preparation, &request.folder);
-        Ok(Self { recording, request, preparation })
+        Ok(Self { recording, request, preparation, journal: None })
+    }
+
+    /// Keeps a journal in the folder of results while mapping, so that what was cut off can be resumed; resumes what was
+    /// cut off if the request says so.
+    ///
+    /// # Errors
+    /// There is nothing to resume, or it is of another job; a known map cannot be read.
+    pub fn keep_journal(&mut self, observe: &mut Observer) -> Result<(), JobError> {
+        let identity = Identity::of(self.recording, &self.request, &self.preparation)?;
+        let folder = &self.request.folder;
+        let path = folder.join(JOURNAL);
+        let journal = if self.request.resume {
+            let (journal, Resumed { answers, cut_off }) = Journal::resume(folder, &identity)?;
+            event::remark(observe, Remark::Resumed { path, answers, cut_off });
+            journal
+        } else {
+            if path.is_file() {
+                event::remark(observe, Remark::JournalReplaced(path));
+            }
+            Journal::begin(folder, &identity)
+        };
+        self.preparation.memory = journal.memory();
+        self.journal = Some(journal);
+        Ok(())
+    }
+
+    /// Removes the journal once all results are there; that of a mapping that was stopped stays, so that the rest can be
+    /// mapped.
+    pub fn end_journal(&self, interrupted: bool, observe: &mut Observer) {
+        let Some(journal) = &self.journal else { return };
+        match journal.close() {
+            Err(error) => {
+                let (folder, reason) = (self.request.folder.clone(), error.to_string());
+                event::remark(observe, Remark::NoJournal { folder, reason });
+            }
+            Ok(Some(path)) if interrupted => event::remark(observe, Remark::JournalLeft(path)),
+            // Where it cannot be removed it harms nobody.
+            Ok(Some(path)) => std::fs::remove_file(path).unwrap_or_default(),
+            Ok(None) => {}
+        }
     }
 
     /// What is mapped, and how.
@@ -192,7 +243,12 @@ impl<'a> Job<'a> {
         let settings = MapperSettings { threads, ..MapperSettings::default() };
         let mut progress = |state: &PipelineProgress| observe(&Event::Mapping(state)).is_continue();
         let (ingest, preparation) = (&self.request.ingest, self.preparation.clone());
-        Ok(map_recording(self.recording, ingest, preparation, known, settings, &mut progress)?)
+        let mapped = map_recording(self.recording, ingest, preparation, known, settings, &mut progress);
+        if let Err(PipelineError::NoScans) = mapped {
+            // Nothing would be there to go on with.
+            self.end_journal(false, observe);
+        }
+        Ok(mapped?)
     }
 
     /// Writes everything but clouds and pictures of them; the files. Loading and mapping took `seconds`.
@@ -242,6 +298,7 @@ impl<'a> Job<'a> {
         if !mapped.interrupted {
             files.extend(self.write_clouds(&mapped, observe)?.into_iter().flat_map(|clouds| clouds.files));
         }
+        self.end_journal(mapped.interrupted, observe);
         let localisation = Localisation::of(&mapped);
         Ok(Finished { files, interrupted: mapped.interrupted, lost_data: mapped.lost_data(), localisation })
     }

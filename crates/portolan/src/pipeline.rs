@@ -12,6 +12,7 @@ use portolan_mapping::{
     BackendProgress, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map,
     Mapper, MapperError, MapperSettings, MatchingResult, PoseGraph, Space, TrajectoryId, of_trajectory,
 };
+use portolan_recall::Memory;
 use portolan_recording::{Recording, RecordingError};
 use portolan_sensor::SensorId;
 
@@ -127,6 +128,8 @@ pub struct Preparation {
     pub background_threads: Option<usize>,
     /// Scans are kept for pictures in a nameless file in this folder; not at all unless it is set.
     pub keep_scans_in: Option<PathBuf>,
+    /// What is remembered of an earlier run, and for a later one.
+    pub memory: Memory,
 }
 
 impl Preparation {
@@ -161,7 +164,15 @@ pub fn prepare(
         Dimension::Three => automatic::options_3d(&plan, &plan.statistics()),
     });
     let dimension = options.map_builder.dimension().map_err(|e| PipelineError::Setting(e.to_string()))?;
-    Ok(Preparation { inventory, plan, options, dimension, background_threads: None, keep_scans_in: None })
+    Ok(Preparation {
+        inventory,
+        plan,
+        options,
+        dimension,
+        background_threads: None,
+        keep_scans_in: None,
+        memory: Memory::default(),
+    })
 }
 
 /// A map that a recording is added to.
@@ -207,11 +218,12 @@ pub fn map_recording<S: Space>(
     settings: MapperSettings,
     observe: &mut dyn FnMut(&PipelineProgress) -> bool,
 ) -> Result<MappedRecording<S>, PipelineError> {
-    let Preparation { inventory, plan, options, keep_scans_in, .. } = preparation;
+    let Preparation { inventory, plan, options, keep_scans_in, memory, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
     let known_issues = known.issues;
     let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
+    mapper.remember_with(&memory)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let trajectory_id = mapper.add_trajectory(&sensors, initial_pose)?;
     let mut silences = Silences::default();

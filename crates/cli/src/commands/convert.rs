@@ -6,6 +6,7 @@ mod trajectories;
 
 use std::path::PathBuf;
 
+use portolan_atomic_file::require_room_for;
 use portolan_geometry::GeodeticPosition;
 
 use super::argument;
@@ -71,6 +72,9 @@ pub fn run(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError>
         Some(to) => to,
         None => Format::of_name(&args.output)?,
     };
+    // A map that gets other poses stays about as large, whatever else is written may be small.
+    let map = args.into.as_deref().and_then(|map| std::fs::metadata(map).ok());
+    require_room_for(&args.output, (1 << 12) + map.map_or(0, |map| map.len() / 2))?;
     let mut input = open_forward(&args.input)?;
     match (Format::of_content(&mut input, &args.input)?, to) {
         (Format::G2o, Format::Map) => graph::into_map(args, input, global),

@@ -64,6 +64,11 @@ pub struct MapArgs {
     #[arg(long)]
     pub all_poses: bool,
 
+    /// Go on with a run that was cut off, by a power cut for example: the same command, with this. What `map.journal` in
+    /// the folder holds is not computed again; the results are the same as without the cut.
+    #[arg(long)]
+    pub resume: bool,
+
     #[command(flatten)]
     pub cut: CutArgs,
 }
@@ -241,9 +246,11 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
         force: args.known.force,
         cloud,
         all_poses: args.all_poses,
+        resume: args.resume,
         threads: global.threads,
     };
-    let job = Job::prepare(recording.as_ref(), request, &mut remarks(global))?;
+    let mut job = Job::prepare(recording.as_ref(), request, &mut remarks(global))?;
+    job.keep_journal(&mut remarks(global))?;
     match job.preparation().dimension {
         Dimension::Two => finish::<Planar>(&job, recording.as_ref(), &args, global),
         Dimension::Three => finish::<Spatial>(&job, recording.as_ref(), &args, global),
@@ -282,6 +289,7 @@ pub fn run_job<S: ResultSpace>(
     if let Some(clouds) = clouds_with_progress(job, &mapped, recording, global)? {
         name_clouds(&clouds);
     }
+    job.end_journal(mapped.interrupted, &mut remarks(global));
     Ok(mapped)
 }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use portolan::job::refine::{ReadPoints, RefineResults, write_refinement};
+use portolan_atomic_file::require_room;
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_pointcloud::CloudFormat;
 use portolan_recording::open_all;
@@ -288,6 +289,8 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     }
     std::fs::create_dir_all(&args.output)
         .map_err(|source| CliError::File { path: args.output.clone(), source })?;
+    // Trajectory, report and pictures.
+    require_room(&args.output, 1 << 20)?;
     let recording = open_all(&args.recording)?;
     let read = read_points_and(recording.as_ref(), &args.points, &args.tuning.sensors(), global)?;
     let pool = rayon::ThreadPoolBuilder::new()

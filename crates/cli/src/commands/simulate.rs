@@ -5,6 +5,7 @@ mod simulated;
 
 use std::path::{Path, PathBuf};
 
+use portolan_atomic_file::require_room_for;
 use portolan_recording::{RecordingFormat, RecordingWriter, create};
 use portolan_simulator::{Simulation, Simulation3d, SimulatorError};
 
@@ -80,6 +81,8 @@ fn write_all(
         written.push(beside(asked, &args.output, ending));
     }
     refuse_equal(std::iter::once(&args.output).chain(&written))?;
+    // Formats that compress make it smaller.
+    require_room_for(&args.output, (1 << 16) + simulation.size_bytes() / 20)?;
     let count = write_recording(simulation, &args.output, format, global.quiet)?;
     write_file(&written[0], |out| simulation.write_truth(out, rate))?;
     for (path, (_, write)) in written[1..].iter().zip(surfaces) {

@@ -5,6 +5,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use portolan::job::JOURNAL;
+
 use crate::common::{portolan_with_code, text};
 use crate::random::Random;
 use crate::settings::Settings;
@@ -26,7 +28,7 @@ fn files(folder: &Path) -> Files {
     let entries = std::fs::read_dir(folder).unwrap().map(Result::unwrap);
     let named = entries.map(|e| (e.file_name().to_string_lossy().into_owned(), e.path()));
     named
-        .filter(|(name, path)| !name.starts_with(".portolan-") && path.is_file())
+        .filter(|(name, path)| !name.starts_with(".portolan-") && name != JOURNAL && path.is_file())
         .map(|(name, path)| (name, std::fs::read(path).unwrap()))
         .collect()
 }

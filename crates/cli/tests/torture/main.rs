@@ -8,6 +8,7 @@
 //! PORTOLAN_TORTURE=cases=100000,seed=7 cargo test --release -p portolan-cli --test torture
 //! PORTOLAN_TORTURE=only=4711,seed=7,keep=/tmp/found cargo test -p portolan-cli --test torture
 //! PORTOLAN_TORTURE=kills=200,seed=7 cargo test --release -p portolan-cli --test torture kills
+//! PORTOLAN_TORTURE=resumes=200,seed=7 cargo test --release -p portolan-cli --test torture resumed -- --nocapture
 //! ```
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, clippy::print_stderr, clippy::panic)]
@@ -20,6 +21,7 @@ mod kills;
 mod mutation;
 mod random;
 mod records;
+mod resumes;
 mod samples;
 mod settings;
 mod verbs;
@@ -45,6 +47,14 @@ fn run_case(number: u64, samples: &[Sample], settings: &Settings) -> Verdict {
 fn kills_leave_whole_files_or_none() {
     let wrong = kills::kill_runs(&Settings::from_environment());
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn maps_that_were_cut_off_and_resumed_are_the_same() {
+    let seen = resumes::resume_runs(&Settings::from_environment());
+    eprintln!("{} kills, {} journals", seen.kills, seen.journals);
+    assert!(seen.wrong.is_empty(), "{}", seen.wrong.join("\n"));
+    assert!(seen.journals > 0 || seen.kills < 20, "{seen:?}");
 }
 
 #[test]

@@ -5,14 +5,17 @@ use std::path::PathBuf;
 /// Cases of a short run.
 const SHORT: u64 = 300;
 const FEW_KILLS: u64 = 8;
+const FEW_RESUMES: u64 = 6;
 
-/// What `PORTOLAN_TORTURE` says: `cases=100000,kills=200,seed=7,keep=FOLDER,only=NUMBER,program=FILE`.
+/// What `PORTOLAN_TORTURE` says: `cases=100000,kills=200,resumes=200,seed=7,keep=FOLDER,only=NUMBER,program=FILE`.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// How many.
     pub cases: u64,
     /// How many runs are killed.
     pub kills: u64,
+    /// How many are killed and resumed.
+    pub resumes: u64,
     /// What they follow from.
     pub seed: u64,
     /// The program; that of the tests unless another is named.
@@ -32,6 +35,7 @@ impl Settings {
         let mut settings = Self {
             cases: SHORT,
             kills: FEW_KILLS,
+            resumes: FEW_RESUMES,
             seed: 1,
             program: env!("CARGO_BIN_EXE_portolan").into(),
             keep: None,
@@ -43,12 +47,15 @@ impl Settings {
             match key {
                 "cases" => settings.cases = value.parse().unwrap(),
                 "kills" => settings.kills = value.parse().unwrap(),
+                "resumes" => settings.resumes = value.parse().unwrap(),
                 "seed" => settings.seed = value.parse().unwrap(),
                 "only" => settings.only = Some(value.parse().unwrap()),
                 "program" => settings.program = value.into(),
                 "keep" => settings.keep = Some(value.into()),
                 _ => {
-                    panic!("PORTOLAN_TORTURE knows cases, kills, seed, only, keep and program, but not {key}")
+                    panic!(
+                        "PORTOLAN_TORTURE knows cases, kills, resumes, seed, only, keep and program, not {key}"
+                    )
                 }
             }
         }

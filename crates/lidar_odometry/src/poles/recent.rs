@@ -19,8 +19,53 @@ pub(crate) struct RecentPoles {
 struct PolesOfSweep {
     end: Time,
     local_from_tracking: Rigid3,
-    /// As seen from the end of the sweep.
-    points: Vec<Point3f>,
+    poles: SeenPoles,
+}
+
+/// Points of vertical structures in a sweep, as seen from its end.
+pub(crate) enum SeenPoles {
+    /// These.
+    Known(Vec<Point3f>),
+    /// To be picked when they are needed: where the sweep was found is remembered of an earlier run.
+    Unpicked(Box<UnpickedPoles>),
+}
+
+/// A sweep whose vertical structures have not been looked for yet.
+pub(crate) struct UnpickedPoles {
+    pub sweep: Sweep,
+    /// As it was predicted.
+    pub segment: TrajectorySegment,
+    /// As it was registered.
+    pub to_end: PiecewiseLinearTrajectory,
+}
+
+impl SeenPoles {
+    /// Those of a sweep that was predicted and registered like this, not picked yet.
+    pub fn unpicked(sweep: &Sweep, segment: &TrajectorySegment, to_end: &PiecewiseLinearTrajectory) -> Self {
+        let (sweep, segment, to_end) = (sweep.clone(), segment.clone(), to_end.clone());
+        Self::Unpicked(Box::new(UnpickedPoles { sweep, segment, to_end }))
+    }
+
+    fn picked(&mut self, settings: &PoleSettings) -> &[Point3f] {
+        if let Self::Unpicked(unpicked) = self {
+            let points = points_of(&unpicked.sweep, &unpicked.segment, settings);
+            *self = Self::Known(deskewed(&points, &unpicked.to_end));
+        }
+        match self {
+            Self::Known(points) => points,
+            Self::Unpicked(_) => &[],
+        }
+    }
+}
+
+fn points_of(sweep: &Sweep, segment: &TrajectorySegment, settings: &PoleSettings) -> Vec<PolePoint> {
+    let to_end = segment.deskewing(&Default::default());
+    let points = sweep.points.iter().map(|p| p.timed());
+    PolePoint::of_sweep(points, &to_end, &segment.end().rotation, settings)
+}
+
+fn deskewed(points: &[PolePoint], to_end: &PiecewiseLinearTrajectory) -> Vec<Point3f> {
+    points.iter().map(|p| to_end.moved(&p.point.position, p.point.time)).collect()
 }
 
 /// Vertical structures of a sweep, and those of the sweeps before, in the frame of the planes.
@@ -30,8 +75,8 @@ pub(crate) struct PolesToRegister {
 }
 
 impl PolesToRegister {
-    pub fn deskewed(&self, to_end: &PiecewiseLinearTrajectory) -> Vec<Point3f> {
-        self.points.iter().map(|p| to_end.moved(&p.point.position, p.point.time)).collect()
+    pub fn seen_from_end(&self, to_end: &PiecewiseLinearTrajectory) -> SeenPoles {
+        SeenPoles::Known(deskewed(&self.points, to_end))
     }
 }
 
@@ -40,30 +85,34 @@ impl RecentPoles {
         Self { settings: settings.clone(), sweeps: VecDeque::new() }
     }
 
-    /// What to register if nothing measures translation or rotation of a sweep. With odometry it would help among trees,
-    /// too, but in a bare tunnel, where some points of the walls pass for poles, it contradicts the odometry.
-    pub fn to_register(
-        &self,
+    /// Whether to register poles: if nothing measures translation or rotation of a sweep. With odometry it would help
+    /// among trees, too, but in a bare tunnel, where some points of the walls pass for poles, it contradicts the odometry.
+    pub fn are_wanted(segment: &TrajectorySegment) -> bool {
+        segment.source == MotionSource::ConstantVelocity && !segment.rotation_is_measured
+    }
+
+    /// What to register, if poles are wanted.
+    pub fn prepare(
+        &mut self,
         sweep: &Sweep,
         segment: &TrajectorySegment,
         map_from_local: &Rigid3,
     ) -> Option<PolesToRegister> {
-        if segment.source != MotionSource::ConstantVelocity || segment.rotation_is_measured {
+        if !Self::are_wanted(segment) {
             return None;
         }
-        let to_end = segment.deskewing(&Default::default());
-        let points = sweep.points.iter().map(|p| p.timed());
-        let points = PolePoint::of_sweep(points, &to_end, &segment.end().rotation, &self.settings);
-        let in_map = self.sweeps.iter().rev().flat_map(|sweep| {
+        let settings = &self.settings;
+        let points = points_of(sweep, segment, settings);
+        let in_map = self.sweeps.iter_mut().rev().flat_map(|sweep| {
             let there = to_f32(&(map_from_local * sweep.local_from_tracking));
-            sweep.points.iter().map(move |p| there * p)
+            sweep.poles.picked(settings).iter().map(move |p| there * p)
         });
-        Some(PolesToRegister { map: PoleMap::new(in_map, &self.settings), points })
+        Some(PolesToRegister { map: PoleMap::new(in_map, settings), points })
     }
 
     /// Keeps those of a sweep that was registered, as seen from its end.
-    pub fn add(&mut self, end: Time, local_from_tracking: Rigid3, points: Vec<Point3f>) {
-        self.sweeps.push_back(PolesOfSweep { end, local_from_tracking, points });
+    pub fn add(&mut self, end: Time, local_from_tracking: Rigid3, poles: SeenPoles) {
+        self.sweeps.push_back(PolesOfSweep { end, local_from_tracking, poles });
         let is_old = |first: &PolesOfSweep| end.seconds_since(first.end) > self.settings.memory;
         while self.sweeps.front().is_some_and(is_old) {
             self.sweeps.pop_front();

@@ -13,6 +13,7 @@ use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_lidar_odometry::{DegenerateInterval, SweepPoint};
 use portolan_motion::{ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
+use portolan_recall::Memory;
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollatorCounts, SensorId, SynchronizedRanges,
     TimedPointCloudData, adaptive_voxel_filter,
@@ -63,6 +64,9 @@ pub trait LocalSlam<S: Space>: Send {
 
     /// Matches what still waits for odometry that will not come.
     fn flush(&mut self) -> Vec<MatchingResult<S>>;
+
+    /// Remembers where scans were found with this. To be called before anything is added.
+    fn remember_with(&mut self, memory: &Memory);
 
     /// Ends the trajectory and hands over the submaps that were being filled.
     fn finish(&mut self) -> Vec<InsertionSubmap<S>>;

@@ -78,7 +78,7 @@ impl<S: Space> PoseGraph<S> {
                 let Some(submap) = &entry.submap else { continue };
                 self.search.add_global((submap_id, submap), (node_id, &node.data), guess, region);
             }
-            let found = self.search.run_unplaced();
+            let found = self.search.run_unplaced(&self.remembered);
             self.add_found(found);
         }
     }
@@ -117,7 +117,7 @@ impl<S: Space> PoseGraph<S> {
         }
         // Every pair tells something of how the two lie, however short the path over others is.
         self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.policy.loops });
-        let found = self.search.run(&TravelGraph::new(&self.state));
+        let found = self.search.run(&TravelGraph::new(&self.state), &self.remembered);
         self.search.set_policy(self.policy.loops);
         self.add_found(found);
     }

@@ -105,7 +105,7 @@ impl<S: Space> PoseGraph<S> {
         }
         self.localisation.last_search = Some(time);
         let parts = self.state.connectivity.components().len();
-        let found = self.search.run_unplaced();
+        let found = self.search.run_unplaced(&self.remembered);
         self.add_found(found);
         if self.state.connectivity.components().len() < parts {
             self.optimize();

@@ -36,11 +36,13 @@ pub use trimming::Trimmer;
 use localisation::Localisation;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::{Rigid3, Time};
+use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
 use search::{ConstraintSearch, WholeSubmapTurns};
 
 use crate::histogram::Histogram;
 use crate::optimization::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
+use crate::remembered::Remembered;
 use crate::{
     Constraint, ConstraintTag, Node, NodeData, NodeId, OpenDirections, Space, SubmapId, TrajectoryId,
     of_trajectory,
@@ -89,6 +91,7 @@ pub struct PoseGraph<S: Space> {
     localisation: Localisation,
     optimizations: u64,
     last_summary: OptimizationSummary,
+    remembered: Remembered,
 }
 
 impl<S: Space> PoseGraph<S> {
@@ -110,6 +113,7 @@ impl<S: Space> PoseGraph<S> {
             localisation: Localisation::default(),
             optimizations: 0,
             last_summary: OptimizationSummary::default(),
+            remembered: Remembered::default(),
         }
     }
 
@@ -142,6 +146,11 @@ impl<S: Space> PoseGraph<S> {
         self.policy = policy;
     }
 
+    /// Remembers what searches and optimisations find with this. To be set before anything is added.
+    pub fn remember_with(&mut self, memory: Memory) {
+        self.remembered = Remembered::new(memory);
+    }
+
     /// Adds what removes superfluous submaps after each optimisation.
     pub fn add_trimmer(&mut self, trimmer: Trimmer) {
         self.trimmers.push(trimmer);
@@ -159,6 +168,7 @@ impl<S: Space> PoseGraph<S> {
     /// Adds a node, relates it to its submaps, looks for it in finished submaps and, when it is time,
     /// optimises.
     pub fn add_node(&mut self, trajectory_id: TrajectoryId, inserted: InsertedNode<S>) -> NodeId {
+        self.remembered.note_node(trajectory_id, &inserted);
         let node_id = self.append_node(trajectory_id, &inserted.data);
         let submap_ids = self.register_submaps(trajectory_id, &inserted);
         self.place_node(node_id, &inserted, &submap_ids);
@@ -338,7 +348,7 @@ impl<S: Space> PoseGraph<S> {
 
     /// Tries the pairs that wait, adds what was found, optimises, and trims.
     pub fn optimize(&mut self) {
-        let found = self.search.run(&TravelGraph::new(&self.state));
+        let found = self.search.run(&TravelGraph::new(&self.state), &self.remembered);
         self.add_found(found);
         self.run_optimization();
         self.delete_requested_trajectories();
@@ -376,7 +386,9 @@ impl<S: Space> PoseGraph<S> {
         }
         self.problem.set_anchors(&self.state.connectivity);
         let constraints = constraints_that_move(&self.state.constraints, &self.problem.frozen);
-        self.last_summary = S::optimize(&mut self.problem, &constraints, &self.options.optimization_problem);
+        let options = &self.options.optimization_problem;
+        let optimize = |data: &mut _, constraints: &_| S::optimize(data, constraints, options);
+        self.last_summary = self.remembered.optimize(&mut self.problem, &constraints, optimize);
         self.optimizations += 1;
         self.publish_poses();
         // As in Cartographer only in 3D.

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use super::policy::{LoopSearchPolicy, Spacing};
 use super::travel::TravelGraph;
 use crate::histogram::Histogram;
+use crate::remembered::Remembered;
 use crate::{
     Constraint, ConstraintTag, MatchedPose, Nearby, NodeData, NodeId, SearchRegion, Space, SubmapId,
     TrajectoryId,
@@ -147,11 +148,11 @@ impl<S: Space> ConstraintSearch<S> {
     }
 
     /// Tries the pairs whose relative pose is unknown, as [`Self::run`] does.
-    pub fn run_unplaced(&mut self) -> Vec<Constraint> {
+    pub(crate) fn run_unplaced(&mut self, remembered: &Remembered) -> Vec<Constraint> {
         let (unplaced, others) =
             std::mem::take(&mut self.tasks).into_iter().partition(|t| !is_window(t.region));
         self.tasks = others;
-        self.run_tasks(unplaced, &TravelGraph::default())
+        self.run_tasks(unplaced, &TravelGraph::default(), remembered)
     }
 
     fn push(
@@ -180,12 +181,17 @@ impl<S: Space> ConstraintSearch<S> {
 
     /// Tries all pairs on the threads of the current pool and returns the constraints found, in the
     /// order in which the pairs were added. `travel` tells how far nodes are from submaps by now.
-    pub fn run(&mut self, travel: &TravelGraph) -> Vec<Constraint> {
+    pub(crate) fn run(&mut self, travel: &TravelGraph, remembered: &Remembered) -> Vec<Constraint> {
         let tasks = std::mem::take(&mut self.tasks);
-        self.run_tasks(tasks, travel)
+        self.run_tasks(tasks, travel, remembered)
     }
 
-    fn run_tasks(&mut self, mut tasks: Vec<SearchTask<S>>, travel: &TravelGraph) -> Vec<Constraint> {
+    fn run_tasks(
+        &mut self,
+        mut tasks: Vec<SearchTask<S>>,
+        travel: &TravelGraph,
+        remembered: &Remembered,
+    ) -> Vec<Constraint> {
         let mut by_submap: BTreeMap<SubmapId, Vec<usize>> = BTreeMap::new();
         for (index, task) in tasks.iter().enumerate() {
             by_submap.entry(task.submap_id).or_default().push(index);
@@ -197,31 +203,13 @@ impl<S: Space> ConstraintSearch<S> {
             members.iter().for_each(|i| tasks[*i].set_travelled(travel, &lengths, self.policy));
         }
         let skipped = self.skip_needless(&tasks);
-        let (matchers, options) = (&self.matchers, &self.options);
         let mut found: Vec<(usize, Option<Constraint>)> = groups
             .par_iter()
             .with_max_len(1)
             .flat_map_iter(|(submap_id, members)| {
-                let members = members.par_iter().filter(|i| !skipped[**i]);
-                let nearby: Vec<(usize, Nearby)> =
-                    members.map(|i| (*i, find_nearby(&tasks[*i], options))).collect();
-                // What is needed for searching takes long to make.
-                let is_searched = nearby.iter().any(|(_, nearby)| *nearby == Nearby::Unknown);
-                let submap = nearby.first().map(|(i, _)| &tasks[*i].submap).filter(|_| is_searched);
-                let matcher = submap.and_then(|submap| matchers.get_or_build(*submap_id, submap, options));
-                let search = |task: &SearchTask<S>| search_node(matcher.as_deref(), task, options);
-                let found: Vec<_> = nearby
-                    .into_par_iter()
-                    .map(|(i, nearby)| {
-                        let found = match nearby {
-                            Nearby::Found(found) => Some(found),
-                            Nearby::Unknown => search(&tasks[i]),
-                            Nearby::Ambiguous | Nearby::Absent => None,
-                        };
-                        (i, found.map(|found| constraint_of(&tasks[i], &found, options)))
-                    })
-                    .collect();
-                found
+                let wanted: Vec<(usize, &SearchTask<S>)> =
+                    members.iter().filter(|i| !skipped[**i]).map(|i| (*i, &tasks[*i])).collect();
+                self.search_submap(*submap_id, &wanted, remembered)
             })
             .collect();
         found.sort_unstable_by_key(|(index, _)| *index);
@@ -233,6 +221,40 @@ impl<S: Space> ConstraintSearch<S> {
             log_scores(tasks.iter().map(|task| task.region), &found);
         }
         found.into_iter().filter_map(|(_, result)| result).collect()
+    }
+
+    /// Tries tasks of one submap, but those whose results are remembered.
+    fn search_submap(
+        &self,
+        submap_id: SubmapId,
+        tasks: &[(usize, &SearchTask<S>)],
+        remembered: &Remembered,
+    ) -> Vec<(usize, Option<Constraint>)> {
+        let (memory, options) = (&remembered.memory, &self.options);
+        let pending = tasks.par_iter().map(|(i, task)| {
+            let pair = (task.submap_id, task.node_id);
+            let question = remembered.where_is(pair, &task.guess_submap_from_node, &task.region);
+            let outcome = match memory.recall::<Option<MatchedPose>>(question) {
+                Some(known) => known.map_or(Nearby::Absent, Nearby::Found),
+                None => find_nearby(task, options),
+            };
+            (*i, *task, question, outcome)
+        });
+        let pending: Vec<_> = pending.collect();
+        // What is needed for searching takes long to make.
+        let unknown = pending.iter().find(|(.., nearby)| *nearby == Nearby::Unknown);
+        let matcher =
+            unknown.and_then(|(_, task, ..)| self.matchers.get_or_build(submap_id, &task.submap, options));
+        let found = pending.into_par_iter().map(|(i, task, question, nearby)| {
+            let found = match nearby {
+                Nearby::Found(found) => Some(found),
+                Nearby::Unknown => search_node(matcher.as_deref(), task, options),
+                Nearby::Ambiguous | Nearby::Absent => None,
+            };
+            memory.keep(question, &found);
+            (i, found.map(|found| constraint_of(task, &found, options)))
+        });
+        found.collect()
     }
 
     /// Which tasks need not be tried: those out of reach by the way since the submap was last seen, and most

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan_atomic_file::{AtomicFile, WriteError};
+use portolan_atomic_file::{AtomicFile, NoRoom, WriteError};
 use portolan_config::ConfigError;
 use portolan_export::PictureError;
 use portolan_ingest::IngestError;
@@ -64,19 +64,21 @@ pub enum JobError {
         source: std::io::Error,
     },
     /// The disk is too full.
+    #[error(transparent)]
+    NoRoom(#[from] NoRoom),
+    /// There is nothing to go on with.
+    #[error("{}: nothing to go on with; without --resume mapping begins anew", .0.display())]
+    NoJournal(PathBuf),
+    /// A journal of another job.
     #[error(
-        "{}: only {:.1} MB are free, and the results need at least {:.1} MB",
-        folder.display(),
-        *free as f64 / 1048576.0,
-        *needed as f64 / 1048576.0
+        "{} is the journal of another job: {difference} differ; without --resume mapping begins anew",
+        path.display()
     )]
-    NoRoom {
-        /// Where the results should go.
-        folder: PathBuf,
-        /// Bytes that are free there.
-        free: u64,
-        /// Bytes that the results need at the very least.
-        needed: u64,
+    JournalOfAnother {
+        /// Its file.
+        path: PathBuf,
+        /// What differs.
+        difference: String,
     },
     /// A file could not be written.
     #[error(transparent)]

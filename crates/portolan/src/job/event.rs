@@ -83,6 +83,26 @@ pub enum Remark {
         /// Usual size, metres.
         usual_metres: f64,
     },
+    /// What an earlier run found out need not be found out again.
+    Resumed {
+        /// The journal.
+        path: PathBuf,
+        /// Results that it holds.
+        answers: usize,
+        /// Bytes at its end that were not whole.
+        cut_off: u64,
+    },
+    /// A run that does not end could not be resumed.
+    NoJournal {
+        /// Where.
+        folder: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// An earlier run did not end; its journal is replaced.
+    JournalReplaced(PathBuf),
+    /// The journal of a run that was stopped stays.
+    JournalLeft(PathBuf),
     /// X-rays need the recording again, because scans could not be kept.
     ScansNotKept {
         /// Where.
@@ -129,6 +149,24 @@ impl fmt::Display for Remark {
                     f,
                     "map.pgm has cells of {resolution_metres} m: with {usual_metres} m it would be too large"
                 )
+            }
+            Self::Resumed { path, answers, cut_off } => {
+                write!(f, "{}: {answers} results of an earlier run are used again", path.display())?;
+                if *cut_off > 0 { write!(f, "; {cut_off} bytes at its end were not whole") } else { Ok(()) }
+            }
+            Self::NoJournal { folder, reason } => {
+                let folder = folder.display();
+                write!(f, "{folder}: no journal ({reason}): if this run is cut off, --resume finds nothing")
+            }
+            Self::JournalReplaced(path) => {
+                let path = path.display();
+                write!(
+                    f,
+                    "{path} of an earlier run that was cut off is replaced; --resume would go on with it"
+                )
+            }
+            Self::JournalLeft(path) => {
+                write!(f, "{} stays: the same command with --resume maps the rest", path.display())
             }
             Self::ScansNotKept { folder, reason } => {
                 let folder = folder.display();

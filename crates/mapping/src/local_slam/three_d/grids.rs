@@ -7,6 +7,7 @@ use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::settings::{ExtrapolatorSettings, InitialisationSettings};
 use portolan_lidar_odometry::{Beginning, GravityInitialisation, Issue as OdometryIssue, WaitingSweeps};
 use portolan_motion::{ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
+use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData};
 
 use super::LocalSlam3dSettings;
@@ -15,6 +16,7 @@ use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, not_inserted};
 use super::planes::{extrapolator_settings, kind_of};
 use crate::local_slam::motion_filter;
+use crate::remembered::RememberedScans;
 use crate::{MatchingResult, OpenDirections, Spatial};
 
 /// Without an IMU a scan is de-skewed again with the pose it was matched at, so many times.
@@ -30,6 +32,7 @@ pub(super) struct GridEngine {
     has_imu: bool,
     matcher: GridMatcher,
     motion_filter: MotionFilter,
+    remembered: RememberedScans,
 }
 
 /// A scan that was matched.
@@ -56,6 +59,7 @@ impl GridEngine {
             has_imu: false,
             matcher,
             motion_filter: motion_filter(&options.motion_filter),
+            remembered: RememberedScans::default(),
             options: options.clone(),
         }
     }
@@ -106,6 +110,10 @@ impl GridEngine {
         }
     }
 
+    pub fn remember_with(&mut self, memory: &Memory) {
+        self.remembered = RememberedScans::new(memory);
+    }
+
     pub fn extrapolator_counts(&self) -> ExtrapolatorCounts {
         self.extrapolator.as_ref().map(PoseExtrapolator::counts).unwrap_or_default()
     }
@@ -147,7 +155,7 @@ impl GridEngine {
 
     /// Thins a de-skewed sweep and matches it near a predicted pose.
     fn match_deskewed(
-        &self,
+        &mut self,
         (end, deskewed): (Time, &Deskewed),
         prediction: &Rigid3,
         insertion: &KeyframeInsertion,
@@ -164,7 +172,9 @@ impl GridEngine {
             return None;
         }
         let (submap, matcher) = (insertion.submaps.matching_submap(), self.matcher.with_imu(self.has_imu));
-        let (matched, _) = matcher.match_scan(prediction, [&high, &low], submap);
+        self.remembered.note(end, prediction, [&high, &low]);
+        let matched =
+            self.remembered.answer(*prediction, || matcher.match_scan(prediction, [&high, &low], submap).0);
         let local_from_tracking = if is_valid_pose(&matched) { matched } else { *prediction };
         if !is_valid_pose(&local_from_tracking) {
             count(issues, IssueKind::ScanWithoutPose, end);

@@ -10,6 +10,7 @@ use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::{DegenerateInterval, WaitingSweeps};
+use portolan_recall::Memory;
 use portolan_sensor::{
     ImuData, OdometryData, RangeDataCollator, SensorId, SynchronizedRanges, TimedPointCloudData,
 };
@@ -192,6 +193,13 @@ impl LocalSlam<Spatial> for LocalSlam3d {
             results.extend(engine.flush(&mut self.insertion));
         }
         results
+    }
+
+    fn remember_with(&mut self, memory: &Memory) {
+        match &mut self.engine {
+            Engine::Planes(engine) => engine.remember_with(memory),
+            Engine::Grids(engine) => engine.remember_with(memory),
+        }
     }
 
     fn finish(&mut self) -> Vec<InsertionSubmap<Spatial>> {

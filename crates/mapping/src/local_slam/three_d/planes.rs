@@ -9,6 +9,7 @@ use portolan_lidar_odometry::{
     RegisteredSweep, WaitingSweeps,
 };
 use portolan_motion::{ExtrapolatorCounts, ImuBasedSettings};
+use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData, voxel_filter};
 
 use super::LocalSlam3dSettings;
@@ -58,6 +59,10 @@ impl PlaneEngine {
     ) -> Self {
         let odometry = LidarOdometry::new(odometry_settings(options, settings, voxel_size));
         Self { options: options.clone(), odometry, matcher, issues: IssueLog::default() }
+    }
+
+    pub fn remember_with(&mut self, memory: &Memory) {
+        self.odometry.remember_with(memory);
     }
 
     pub fn begin_if_ready(&mut self, waiting: Option<&WaitingSweeps>) -> bool {

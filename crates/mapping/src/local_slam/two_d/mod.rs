@@ -15,6 +15,7 @@ use portolan_geometry::{
 };
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_motion::{MotionFilter, PoseExtrapolator};
+use portolan_recall::Memory;
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
     TimedPointCloudData, voxel_filter,
@@ -256,6 +257,7 @@ impl LocalSlam2d {
         cloud: &PointCloud,
         returns: &PointCloud,
     ) -> Found {
+        self.tracker.note(time, &prediction, [cloud, returns]);
         let submap = self.active_submaps.matching_submap();
         let scan = submap.map(|submap| Scan { cloud, returns, submap });
         if let (true, Some(motion), Some(scan)) = (self.tracker.is_adaptive(), motion, scan) {
@@ -412,6 +414,10 @@ impl LocalSlam<Planar> for LocalSlam2d {
     fn flush(&mut self) -> Vec<MatchingResult<Planar>> {
         self.last_odometry_time = None;
         self.match_waiting(Time::MAX)
+    }
+
+    fn remember_with(&mut self, memory: &Memory) {
+        self.tracker.remember_with(memory);
     }
 
     fn finish(&mut self) -> Vec<InsertionSubmap<Planar>> {

@@ -11,8 +11,12 @@ use portolan_geometry::Rigid2;
 const PRIOR: f64 = 0.05;
 /// What is known of it grows uncertain by this variance for each metre.
 const WALK_PER_METRE: f64 = 1e-5;
-/// One innovation counts as at most so many standard deviations: a slip says nothing of the wheels.
+/// Innovations beyond so many standard deviations are slips and stalls, which say nothing of the wheels.
 const LARGEST: f64 = 2.0;
+/// Errors up to this share are expected of any odometry, and searches are wide enough for them.
+const USUAL: f64 = 0.05;
+/// A larger one is corrected if it is so many standard deviations.
+const SIGNIFICANT: f64 = 3.0;
 
 /// What measured distances are to be multiplied by.
 #[derive(Clone, Copy, Debug)]
@@ -28,24 +32,29 @@ impl Default for OdometryScale {
 }
 
 impl OdometryScale {
-    /// The motion that was measured, corrected.
+    /// The motion that was measured, corrected if that is called for.
     pub fn corrected(&self, measured: &Rigid2) -> Rigid2 {
+        let off = (self.factor - 1.0).abs();
+        if off < USUAL || off < SIGNIFICANT * self.variance.sqrt() {
+            return *measured;
+        }
         Rigid2 { translation: measured.translation * self.factor, ..*measured }
     }
 
-    /// Takes what matching added to the corrected motion, in the frame at its end, with the standard deviation that such
-    /// innovations have along each axis, metres.
-    pub fn add(&mut self, measured: &Rigid2, innovation: &Rigid2, sigma: f64) {
+    /// Takes what the motion was by matching, with the standard deviation that predictions of it have along each axis,
+    /// metres.
+    pub fn add(&mut self, measured: &Rigid2, moved: &Rigid2, sigma: f64) {
         let metres = measured.translation.norm();
         if metres == 0.0 {
             return;
         }
         self.variance += WALK_PER_METRE * metres;
-        let at_end = -measured.inverse().translation;
-        let ahead = innovation.translation.dot(&at_end) / metres;
-        let limit = LARGEST * sigma;
+        let innovation = moved.translation.dot(&measured.translation) / metres - self.factor * metres;
+        if innovation.abs() > LARGEST * sigma {
+            return;
+        }
         let gain = self.variance * metres / (self.variance * metres.powi(2) + sigma.powi(2));
-        self.factor += gain * ahead.clamp(-limit, limit);
+        self.factor += gain * innovation;
         self.variance *= 1.0 - gain * metres;
     }
 }
@@ -69,23 +78,26 @@ mod tests {
                     + Vector2::new((7.1 * k).sin(), (3.7 * k).sin()) * noise,
                 angle,
             };
-            scale.add(&measured, &(scale.corrected(&measured).inverse() * moved), SIGMA);
+            scale.add(&measured, &moved, SIGMA);
         }
         scale
     }
 
     #[test]
     fn wheels_of_another_size_are_learned() {
-        for factor in [1.0, 1.2, 0.7] {
+        for factor in [1.0, 1.2, 0.75] {
             let scale = learned(factor, 0.01);
             assert!((scale.factor - factor).abs() < 0.02, "{factor}: {scale:?}");
+            let measured = Rigid2 { translation: Vector2::new(2.0, 0.0), angle: 0.3 };
+            assert!((scale.corrected(&measured).translation.x - 2.0 * factor).abs() < 0.04);
+            assert_eq!(scale.corrected(&measured).angle, 0.3);
         }
     }
 
     #[test]
     fn a_slip_and_standing_teach_next_to_nothing() {
         let mut scale = learned(1.0, 0.0);
-        let slip = Rigid2 { translation: Vector2::new(-3.0, 0.0), angle: 1.4 };
+        let slip = Rigid2 { translation: Vector2::new(-2.85, 0.0), angle: 1.4 };
         let measured = Rigid2 { translation: Vector2::new(0.15, 0.0), angle: 0.0 };
         scale.add(&measured, &slip, SIGMA);
         assert!((scale.factor - 1.0).abs() < 0.02, "{scale:?}");

@@ -4,8 +4,9 @@
 use std::f64::consts::PI;
 
 use portolan_config::TrajectoryBuilder2dOptions;
-use portolan_geometry::Rigid2;
+use portolan_geometry::{Rigid2, Time, embed_3d};
 use portolan_matching::{MatcherOptionError, ScanAgreement, scan_agreement};
+use portolan_recall::Memory;
 use portolan_sensor::PointCloud;
 
 use super::LocalSlamExtras;
@@ -13,6 +14,7 @@ use super::degeneracy::WeakDirection;
 use super::odometry_scale::OdometryScale;
 use super::prediction_error::{PredictionError, UsualScore};
 use crate::SearchWindow;
+use crate::remembered::RememberedScans;
 use crate::scan_matching_2d::{ScanMatch2d, ScanMatcher2d};
 use crate::submap_2d::Submap2d;
 
@@ -74,6 +76,7 @@ pub(super) struct Tracker {
     odometry_scale: OdometryScale,
     prediction_error: PredictionError,
     usual_score: UsualScore,
+    remembered: RememberedScans,
 }
 
 impl Tracker {
@@ -92,7 +95,18 @@ impl Tracker {
             odometry_scale: OdometryScale::default(),
             prediction_error: PredictionError::default(),
             usual_score: UsualScore::default(),
+            remembered: RememberedScans::default(),
         })
+    }
+
+    /// Remembers where scans were found with this.
+    pub fn remember_with(&mut self, memory: &Memory) {
+        self.remembered = RememberedScans::new(memory);
+    }
+
+    /// Takes note of the scan that is to be found next.
+    pub fn note(&mut self, time: Time, prediction: &Rigid2, clouds: [&PointCloud; 2]) {
+        self.remembered.note(time, &embed_3d(prediction), clouds);
     }
 
     /// Whether scans are searched as far as predictions were wrong lately.
@@ -103,7 +117,8 @@ impl Tracker {
     /// Finds the scan as the options say, without judging it.
     pub fn match_scan(&self, prediction: Rigid2, scan: Option<Scan>, cloud: &PointCloud) -> Rigid2 {
         let (returns, submap) = scan.map_or((cloud, None), |s| (s.returns, Some(s.submap)));
-        self.matcher.match_scan(prediction, cloud, returns, submap, None).pose
+        let find = || self.matcher.match_scan(prediction, cloud, returns, submap, None);
+        self.remembered.answer(prediction, find).pose
     }
 
     /// Finds the scan around its prediction, as far as predictions were wrong lately, and as far as the scanner can
@@ -142,7 +157,7 @@ impl Tracker {
         // Where scans leave a direction open, they do not say how far it went.
         if motion.is_measured && !is_far && weak.is_none() {
             let sigma = self.prediction_error.sigmas(&measured).translation;
-            self.odometry_scale.add(&measured, &(near.around.inverse() * found.pose), sigma);
+            self.odometry_scale.add(&measured, &(motion.last.inverse() * found.pose), sigma);
         }
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud);
         Found { pose, is_far, agreement }
@@ -171,7 +186,8 @@ impl Tracker {
         around: Rigid2,
         window: SearchWindow,
     ) -> ScanMatch2d {
-        self.matcher.match_scan(around, cloud, scan.returns, Some(scan.submap), Some(window))
+        let find = || self.matcher.match_scan(around, cloud, scan.returns, Some(scan.submap), Some(window));
+        self.remembered.answer((around, window), find)
     }
 
     /// Weighs the match with the prediction where the scan tells little, and learns from both how far predictions are

@@ -1,0 +1,229 @@
+//! The file: eight bytes that say what it is, then records of a length, a checksum and as many bytes. The first one has the
+//! identity of the job, each of the others a question and its answer. A record that is not whole ends it.
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::Identity;
+use crate::job::JobError;
+
+/// What the file begins with.
+const MAGIC: &[u8] = b"\x89PMAPJ1\n";
+/// No answer is larger: ten million nodes.
+const LARGEST: u32 = 1 << 30;
+/// What was found is in the file after so long …
+const WRITING: Duration = Duration::from_secs(1);
+/// … and on the disk after so long.
+const SYNCING: Duration = Duration::from_secs(15);
+
+/// What a journal holds.
+pub(super) struct Content {
+    /// Open and locked, at the end of what is whole.
+    pub file: File,
+    pub identity: Identity,
+    pub known: BTreeMap<u64, Vec<u64>>,
+    /// Bytes that were not whole.
+    pub cut_off: u64,
+}
+
+/// Reads a journal and cuts off what is not whole.
+pub(super) fn read(path: &Path) -> Result<Content, JobError> {
+    let failed = |source| JobError::file(path, source);
+    let mut file =
+        OpenOptions::new().read(true).write(true).open(path).map_err(|source| match source.kind() {
+            io::ErrorKind::NotFound => JobError::NoJournal(path.to_owned()),
+            _ => failed(source),
+        })?;
+    lock(&file).map_err(failed)?;
+    let size = file.metadata().map_err(failed)?.len();
+    let mut reader = BufReader::new(&file);
+    let mut first = [0; MAGIC.len()];
+    let is_journal = reader.read_exact(&mut first).is_ok() && first == MAGIC;
+    let header = if is_journal { record(&mut reader, size) } else { None };
+    let identity = header.as_deref().and_then(|header| serde_json::from_slice(header).ok());
+    let Some(identity) = identity else { return Err(JobError::NoJournal(path.to_owned())) };
+    let mut known = BTreeMap::new();
+    let mut whole = (MAGIC.len() + FRAME + header.map_or(0, |h| h.len())) as u64;
+    while let Some(bytes) = record(&mut reader, size) {
+        let (words, rest) = bytes.as_chunks::<8>();
+        let mut words = words.iter().map(|word| u64::from_le_bytes(*word));
+        let (Some(question), []) = (words.next(), rest) else { break };
+        known.insert(question, words.collect());
+        whole += (FRAME + bytes.len()) as u64;
+    }
+    drop(reader);
+    file.set_len(whole).map_err(failed)?;
+    file.seek(SeekFrom::Start(whole)).map_err(failed)?;
+    Ok(Content { file, identity, known, cut_off: size.saturating_sub(whole) })
+}
+
+/// Bytes of a record beside its content.
+const FRAME: usize = 8;
+
+/// The next record; none if it is not whole.
+fn record(reader: &mut impl Read, most: u64) -> Option<Vec<u8>> {
+    let mut frame = [0; FRAME];
+    reader.read_exact(&mut frame).ok()?;
+    let [a, b, c, d, checksum @ ..] = frame;
+    let length = u32::from_le_bytes([a, b, c, d]);
+    if length > LARGEST || u64::from(length) > most {
+        return None;
+    }
+    let mut content = Vec::new();
+    reader.take(u64::from(length)).read_to_end(&mut content).ok()?;
+    let is_whole = content.len() as u64 == u64::from(length)
+        && crc32fast::hash(&content) == u32::from_le_bytes(checksum);
+    is_whole.then_some(content)
+}
+
+fn add_record(bytes: &mut Vec<u8>, content: &[u8]) {
+    // What is larger is not kept, and found again.
+    if let Some(length) = u32::try_from(content.len()).ok().filter(|length| *length <= LARGEST) {
+        bytes.extend(length.to_le_bytes());
+        bytes.extend(crc32fast::hash(content).to_le_bytes());
+        bytes.extend(content);
+    }
+}
+
+fn lock(file: &File) -> io::Result<()> {
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => {
+            Err(io::Error::new(io::ErrorKind::ResourceBusy, "another process is writing it"))
+        }
+        // Where files cannot be locked two runs with one folder are the user's concern.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
+    }
+}
+
+/// Writes records on a thread of its own, so that a slow disk holds nobody up.
+pub(super) struct Writer {
+    pending: Arc<Pending>,
+    thread: Option<JoinHandle<io::Result<Option<PathBuf>>>>,
+}
+
+/// Records that are not written yet. The thread looks for them now and then: to wake it for each would take longer than
+/// to write it.
+#[derive(Default)]
+struct Pending {
+    bytes: Mutex<Vec<u8>>,
+    is_closed: AtomicBool,
+}
+
+impl Pending {
+    fn lock(&self) -> MutexGuard<'_, Vec<u8>> {
+        self.bytes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Where records go.
+enum Target {
+    /// Not there yet; these bytes come first.
+    New(Vec<u8>),
+    Open(File),
+}
+
+impl Writer {
+    /// Writes a new file, which appears with the first records.
+    pub fn begin(path: PathBuf, identity: &Identity) -> Self {
+        let mut header = MAGIC.to_vec();
+        // A list of texts.
+        let identity = serde_json::to_vec(identity).unwrap_or_default();
+        add_record(&mut header, &identity);
+        Self::start(path, Target::New(header))
+    }
+
+    /// Goes on with a file.
+    pub fn go_on(path: PathBuf, file: File) -> Self {
+        Self::start(path, Target::Open(file))
+    }
+
+    fn start(path: PathBuf, target: Target) -> Self {
+        let pending = Arc::new(Pending::default());
+        let records = Arc::clone(&pending);
+        let name = "journal".to_owned();
+        let thread = std::thread::Builder::new().name(name).spawn(move || write(path, target, &records));
+        Self { pending, thread: thread.ok() }
+    }
+
+    /// Adds an answer.
+    pub fn add(&self, question: u64, answer: &[u64]) {
+        let is_written = self.thread.as_ref().is_some_and(|thread| !thread.is_finished());
+        if is_written {
+            let words = std::iter::once(&question).chain(answer);
+            let content: Vec<u8> = words.flat_map(|word| word.to_le_bytes()).collect();
+            add_record(&mut self.pending.lock(), &content);
+        }
+    }
+
+    /// Writes everything; the file, if there is one.
+    pub fn close(self) -> io::Result<Option<PathBuf>> {
+        let Some(thread) = self.thread else { return Err(io::Error::other("no thread could be started")) };
+        self.pending.is_closed.store(true, Ordering::Release);
+        thread.thread().unpark();
+        thread.join().unwrap_or_else(|_| Err(io::Error::other("its thread has stopped")))
+    }
+}
+
+/// Writes what comes until it is closed. A job that takes less than a moment leaves no file.
+fn write(path: PathBuf, mut target: Target, pending: &Pending) -> io::Result<Option<PathBuf>> {
+    let (mut written_at, mut synced_at) = (Instant::now(), Instant::now());
+    loop {
+        let rest = WRITING.saturating_sub(written_at.elapsed());
+        let is_last = pending.is_closed.load(Ordering::Acquire);
+        if !rest.is_zero() && !is_last {
+            std::thread::park_timeout(rest);
+            continue;
+        }
+        let bytes = std::mem::take(&mut *pending.lock());
+        if !bytes.is_empty() && (rest.is_zero() || matches!(target, Target::Open(_))) {
+            let file = opened(&path, &mut target)?;
+            file.write_all(&bytes)?;
+            if synced_at.elapsed() >= SYNCING {
+                file.sync_data()?;
+                synced_at = Instant::now();
+            }
+        }
+        written_at = Instant::now();
+        if is_last {
+            return Ok(matches!(target, Target::Open(_)).then_some(path));
+        }
+    }
+}
+
+/// The file; made if it is not there yet.
+fn opened<'a>(path: &Path, target: &'a mut Target) -> io::Result<&'a mut File> {
+    if let Target::New(header) = target {
+        let mut file = create(path)?;
+        file.write_all(header)?;
+        file.sync_all()?;
+        *target = Target::Open(file);
+    }
+    match target {
+        Target::Open(file) => Ok(file),
+        Target::New(_) => Err(io::Error::other("no journal")),
+    }
+}
+
+/// Makes the file, or empties one of an earlier run. Anything else of this name stays.
+fn create(path: &Path) -> io::Result<File> {
+    let is_link = std::fs::symlink_metadata(path).is_ok_and(|found| !found.is_file());
+    if is_link {
+        return Err(io::Error::new(io::ErrorKind::AlreadyExists, "it is there already and no file"));
+    }
+    let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
+    lock(&file)?;
+    let mut first = Vec::new();
+    Read::by_ref(&mut file).take(MAGIC.len() as u64).read_to_end(&mut first)?;
+    if !MAGIC.starts_with(&first) {
+        return Err(io::Error::new(io::ErrorKind::AlreadyExists, "it is there already and no journal"));
+    }
+    file.set_len(0)?;
+    file.seek(SeekFrom::Start(0))?;
+    Ok(file)
+}

@@ -1,0 +1,101 @@
+use std::fs;
+use std::time::Duration;
+
+use super::*;
+
+fn identity(options: &str) -> Identity {
+    Identity::from_parts(&[("the recording", "walk.bag"), ("the options", options)])
+}
+
+/// A folder with the journal of a run of a moment that gave these answers.
+fn left(answers: &[f64]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let journal = Journal::begin(folder.path(), &identity("usual"));
+    let memory = journal.memory();
+    for (question, answer) in answers.iter().enumerate() {
+        memory.keep(Some(question as u64), answer);
+    }
+    std::thread::sleep(Duration::from_millis(1200));
+    memory.keep(Some(u64::MAX), &0.0);
+    assert_eq!(journal.close().unwrap(), Some(folder.path().join(JOURNAL)));
+    folder
+}
+
+fn answers(journal: &Journal) -> Vec<f64> {
+    (0..10).filter_map(|question| journal.memory().recall(Some(question))).collect()
+}
+
+#[test]
+fn answers_come_back_and_more_are_added() {
+    let folder = left(&[1.5, -0.0]);
+    let (journal, resumed) = Journal::resume(folder.path(), &identity("usual")).unwrap();
+    assert_eq!(resumed, Resumed { answers: 3, cut_off: 0 });
+    assert_eq!(answers(&journal), [1.5, -0.0]);
+    journal.memory().keep(Some(0), &7.0);
+    journal.memory().keep(Some(2), &2.5);
+    drop(journal);
+    let (journal, resumed) = Journal::resume(folder.path(), &identity("usual")).unwrap();
+    assert_eq!((answers(&journal), resumed.answers), (vec![1.5, -0.0, 2.5], 4));
+}
+
+#[test]
+fn whatever_is_damaged_or_missing_at_the_end_is_cut_off() {
+    let folder = left(&[1.5, 2.5, 3.5]);
+    let path = folder.path().join(JOURNAL);
+    let whole = fs::read(&path).unwrap();
+    for end in 0..whole.len() {
+        fs::write(&path, &whole[..end]).unwrap();
+        match Journal::resume(folder.path(), &identity("usual")) {
+            Ok((journal, resumed)) => {
+                let wanted = [1.5, 2.5, 3.5];
+                assert_eq!(answers(&journal), wanted[..resumed.answers.min(3)]);
+                assert!(resumed.cut_off < 24, "{end}");
+            }
+            Err(error) => assert!(matches!(error, JobError::NoJournal(_)), "{error}"),
+        }
+    }
+    for at in 0..whole.len() {
+        let mut damaged = whole.clone();
+        damaged[at] ^= 0x10;
+        fs::write(&path, &damaged).unwrap();
+        if let Ok((journal, _)) = Journal::resume(folder.path(), &identity("usual")) {
+            assert!([1.5, 2.5, 3.5].starts_with(&answers(&journal)), "{at}");
+        }
+    }
+}
+
+#[test]
+fn journals_of_other_jobs_are_refused_with_what_differs() {
+    let folder = left(&[1.5]);
+    let resume = |identity: &Identity| Journal::resume(folder.path(), identity).map(|_| ());
+    let error = resume(&identity("others")).unwrap_err().to_string();
+    assert!(error.contains("of another job: the options differ"), "{error}");
+    resume(&identity("usual")).unwrap();
+    let nothing = tempfile::tempdir().unwrap();
+    let error = Journal::resume(nothing.path(), &identity("usual")).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("nothing to go on with"), "{error}");
+}
+
+#[test]
+fn one_process_writes_at_a_time_and_foreign_files_stay() {
+    let folder = left(&[1.5]);
+    let (_journal, _) = Journal::resume(folder.path(), &identity("usual")).unwrap();
+    let error = Journal::resume(folder.path(), &identity("usual")).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("another process is writing it"), "{error}");
+    let foreign = tempfile::tempdir().unwrap();
+    fs::write(foreign.path().join(JOURNAL), "my own notes").unwrap();
+    let journal = Journal::begin(foreign.path(), &identity("usual"));
+    std::thread::sleep(Duration::from_millis(1100));
+    journal.memory().keep(Some(1), &1.0);
+    assert!(journal.close().unwrap_err().to_string().contains("no journal"));
+    assert_eq!(fs::read_to_string(foreign.path().join(JOURNAL)).unwrap(), "my own notes");
+}
+
+#[test]
+fn a_moment_leaves_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let journal = Journal::begin(folder.path(), &identity("usual"));
+    journal.memory().keep(Some(1), &1.0);
+    assert_eq!(journal.close().unwrap(), None);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}

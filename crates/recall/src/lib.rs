@@ -1,0 +1,135 @@
+#![doc = include_str!("../README.md")]
+
+mod answer;
+mod fingerprint;
+
+use std::fmt;
+use std::sync::Arc;
+
+pub use answer::{Answer, Sink, Words};
+pub use fingerprint::Fingerprint;
+
+/// Where answers are kept.
+pub trait Recall: Send + Sync {
+    /// The answer to a question, if it was given before.
+    fn recall(&self, question: u64) -> Option<Vec<u64>>;
+
+    /// Keeps an answer.
+    fn keep(&self, question: u64, answer: &[u64]);
+}
+
+/// Memory of the answers of expensive functions. Without any, which is the default, everything is computed.
+#[derive(Clone, Default)]
+pub struct Memory(Option<Arc<dyn Recall>>);
+
+impl Memory {
+    /// That remembers with this.
+    pub fn new(recall: Arc<dyn Recall>) -> Self {
+        Self(Some(recall))
+    }
+
+    /// Whether anything is remembered.
+    pub fn is_on(&self) -> bool {
+        self.0.is_some()
+    }
+
+    /// The answer to a question: the one that is remembered, or else the one that is computed. `ask` adds to the
+    /// fingerprint everything that the answer depends on.
+    pub fn answer<T: Answer>(&self, ask: impl FnOnce(&mut Fingerprint), compute: impl FnOnce() -> T) -> T {
+        let question = self.question(ask);
+        self.recall(question).unwrap_or_else(|| {
+            let answer = compute();
+            self.keep(question, &answer);
+            answer
+        })
+    }
+
+    /// A question to be asked by [`Self::recall`] and answered by [`Self::keep`]; none if nothing is remembered.
+    pub fn question(&self, ask: impl FnOnce(&mut Fingerprint)) -> Option<u64> {
+        self.0.as_ref()?;
+        let mut question = Fingerprint::default();
+        ask(&mut question);
+        Some(question.value())
+    }
+
+    /// The answer to a question, if it is remembered.
+    pub fn recall<T: Answer>(&self, question: Option<u64>) -> Option<T> {
+        let words = self.0.as_ref()?.recall(question?)?;
+        Words::new(&words).whole()
+    }
+
+    /// Remembers the answer to a question.
+    pub fn keep<T: Answer>(&self, question: Option<u64>, answer: &T) {
+        if let (Some(recall), Some(question)) = (&self.0, question) {
+            let mut words = Vec::new();
+            answer.write(&mut words);
+            recall.keep(question, &words);
+        }
+    }
+}
+
+impl fmt::Debug for Memory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Memory").field(&self.is_on()).finish()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::sync::Mutex;
+
+    use super::*;
+
+    #[derive(Default)]
+    struct Notes(Mutex<BTreeMap<u64, Vec<u64>>>);
+
+    impl Recall for Notes {
+        fn recall(&self, question: u64) -> Option<Vec<u64>> {
+            self.0.lock().unwrap().get(&question).cloned()
+        }
+
+        fn keep(&self, question: u64, answer: &[u64]) {
+            self.0.lock().unwrap().insert(question, answer.to_vec());
+        }
+    }
+
+    fn root(memory: &Memory, of: f64, computed: &mut u32) -> f64 {
+        memory.answer(
+            |question| question.add(of),
+            || {
+                *computed += 1;
+                of.sqrt()
+            },
+        )
+    }
+
+    #[test]
+    fn what_was_answered_once_is_not_computed_again() {
+        let memory = Memory::new(Arc::new(Notes::default()));
+        let mut computed = 0;
+        let roots = [2.0, 3.0, 2.0].map(|of| root(&memory, of, &mut computed));
+        assert_eq!((roots, computed), ([2f64.sqrt(), 3f64.sqrt(), 2f64.sqrt()], 2));
+    }
+
+    #[test]
+    fn without_memory_everything_is_computed() {
+        let mut computed = 0;
+        [2.0, 2.0].map(|of| root(&Memory::default(), of, &mut computed));
+        assert_eq!(computed, 2);
+    }
+
+    #[test]
+    fn answers_that_are_none_are_not_believed() {
+        let notes = Arc::new(Notes::default());
+        let memory = Memory::new(notes.clone());
+        let mut computed = 0;
+        root(&memory, 2.0, &mut computed);
+        for wrong in [vec![], vec![1, 2]] {
+            notes.0.lock().unwrap().values_mut().for_each(|answer| answer.clone_from(&wrong));
+            assert_eq!(root(&memory, 2.0, &mut computed), 2f64.sqrt());
+        }
+        assert_eq!(computed, 3);
+    }
+}
