@@ -4,6 +4,7 @@
     scripts/field_localize.py                          aces, fr079, intel, mit-csail: 40 pieces of 60 s each
     scripts/field_localize.py --logs aces --pieces 8   less
     scripts/field_localize.py --kidnap                 two pieces of the rest glued together, too
+    scripts/field_localize.py --space                  odd sweeps of real 3D drives in maps of the even ones
 
 The truth is the map of the whole log. The map of the first half alone is bent against it where loops close later, by more
 than a metre in aces: so the whole is put over the half place by place, by the common poses nearest to it. A piece counts
@@ -303,6 +304,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", default=str(REPOSITORY / "target/release/portolan"))
     parser.add_argument("--logs", nargs="+", default=list(LOGS), choices=list(LOGS))
+    parser.add_argument("--space", nargs="*", metavar="DRIVE", help="3D drives instead; all of them where none is named")
+    parser.add_argument("--every", type=int, default=5, help="with --space: every so manieth odd sweep is a start")
     parser.add_argument("--pieces", type=int, default=40)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--kidnap", action="store_true")
@@ -314,6 +317,12 @@ def main():
         sys.exit(f"{data_folder()} is missing: set PORTOLAN_DATA to the folder of the recordings")
     with tempfile.TemporaryDirectory() as temporary:
         cache = pathlib.Path(arguments.maps or temporary)
+        if arguments.space is not None:
+            # What makes bags of other formats needs more than Python.
+            from field_localize_space import drives
+
+            drives(arguments.program, arguments.space, cache, arguments.every, arguments.workers, arguments.details)
+            return
         for name in arguments.logs:
             log = Log(arguments.program, name, cache)
             room = log.end - log.start - log.half - arguments.seconds

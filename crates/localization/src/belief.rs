@@ -2,10 +2,14 @@
 //! matches of scans to the map.
 
 use nalgebra as na;
-use portolan_geometry::{Rigid2, Vector2, normalize_angle};
+use portolan_geometry::{
+    Quaternion, Rigid3, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
+};
 
-/// Covariance, or information, of (x, y, yaw) in the map: metres and radians.
-pub type Matrix3 = na::Matrix3<f64>;
+/// Covariance, or information, of a pose in the map: x, y, z, and a small rotation about these axes; metres and radians.
+pub type Matrix6 = na::Matrix6<f64>;
+/// A small change of a pose in the same order.
+pub(crate) type Vector6 = na::Vector6<f64>;
 
 /// Drift of local SLAM as a random walk: metres per root of a metre, radians per root of a metre and of a radian, and
 /// metres and radians per root of a second.
@@ -22,57 +26,96 @@ const MAP_TURN: f64 = 0.008;
 const INDEPENDENT_METRES: f64 = 0.5;
 const INDEPENDENT_RADIANS: f64 = 0.35;
 const INDEPENDENT_SECONDS: f64 = 10.0;
+/// Variance of what cannot vary in the plane: so small that it changes nothing, and not 0, so that matrices can be inverted.
+const FIXED: f64 = 1e-9;
+
+/// How a scanner can move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Freedom {
+    /// In the plane: x, y and yaw.
+    Plane,
+    /// In space.
+    Space,
+}
+
+impl Freedom {
+    /// Variances along the axes in which it can move, nothing along others.
+    fn variances(self, metres_squared: f64, radians_squared: f64) -> Vector6 {
+        let (m, r) = (metres_squared, radians_squared);
+        match self {
+            Self::Plane => Vector6::new(m, m, 0.0, 0.0, 0.0, r),
+            Self::Space => Vector6::new(m, m, m, r, r, r),
+        }
+    }
+
+    /// A covariance in which what cannot vary is as good as known.
+    fn restricted(self, covariance: &Matrix6) -> Matrix6 {
+        if self == Self::Space {
+            return 0.5 * (covariance + covariance.transpose());
+        }
+        let is_open = |i: usize| matches!(i, 0 | 1 | 5);
+        Matrix6::from_fn(|i, j| match (is_open(i) && is_open(j), i == j) {
+            (true, _) => 0.5 * (covariance[(i, j)] + covariance[(j, i)]),
+            (false, true) => FIXED,
+            (false, false) => 0.0,
+        })
+    }
+}
 
 /// Where a scan was taken, and how well that is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Belief {
     /// `map_from_scan`.
-    pub pose: Rigid2,
-    covariance: Matrix3,
+    pub pose: Rigid3,
+    covariance: Matrix6,
+    freedom: Freedom,
     /// Share of an independent match that has gathered since the last one.
     fresh: f64,
 }
 
 impl Belief {
     /// A pose with standard deviations in metres and radians.
-    pub fn new(pose: Rigid2, metres: f64, radians: f64) -> Self {
-        let diagonal = na::Vector3::new(metres, metres, radians).map(|sigma| sigma * sigma);
-        Self { pose, covariance: Matrix3::from_diagonal(&diagonal), fresh: 1.0 }
+    pub fn new(pose: Rigid3, freedom: Freedom, metres: f64, radians: f64) -> Self {
+        let diagonal = freedom.variances(metres * metres, radians * radians);
+        let covariance = freedom.restricted(&Matrix6::from_diagonal(&diagonal));
+        Self { pose, covariance, freedom, fresh: 1.0 }
     }
 
     /// Covariance of what is told: with the errors that matches have in common.
-    pub fn covariance(&self) -> Matrix3 {
-        let map = na::Vector3::new(MAP_ERROR, MAP_ERROR, MAP_TURN).map(|sigma| sigma * sigma);
-        self.covariance + Matrix3::from_diagonal(&map)
+    pub fn covariance(&self) -> Matrix6 {
+        let map = self.freedom.variances(MAP_ERROR * MAP_ERROR, MAP_TURN * MAP_TURN);
+        self.covariance + Matrix6::from_diagonal(&map)
     }
 
-    /// Standard deviations: metres along the worse direction, and radians.
+    /// Standard deviations: metres along the worst direction, and radians about the worst axis.
     pub fn sigmas(&self) -> (f64, f64) {
-        let c = &self.covariance;
-        let (mean, half) = (0.5 * (c[(0, 0)] + c[(1, 1)]), 0.5 * (c[(0, 0)] - c[(1, 1)]));
-        ((mean + half.hypot(c[(0, 1)])).max(0.0).sqrt(), c[(2, 2)].max(0.0).sqrt())
+        let shifts = self.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let turns = self.covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        let worst = |block: na::Matrix3<f64>| block.symmetric_eigenvalues().max().max(0.0).sqrt();
+        (worst(shifts), worst(turns))
     }
 
     /// Goes along with a motion that local SLAM found, in the frame of the scan before it.
-    pub fn predict(&mut self, motion: &Rigid2, seconds: f64) {
-        let turned = self.pose.rotation_matrix() * motion.translation;
-        let mut transition = Matrix3::identity();
-        transition[(0, 2)] = -turned.y;
-        transition[(1, 2)] = turned.x;
-        let (way, turn, time) = (motion.translation.norm(), motion.angle.abs(), seconds.clamp(0.0, 10.0));
+    pub fn predict(&mut self, motion: &Rigid3, seconds: f64) {
+        let turned = self.pose.rotation * motion.translation.vector;
+        let mut transition = Matrix6::identity();
+        transition.fixed_view_mut::<3, 3>(0, 3).copy_from(&-turned.cross_matrix());
+        let (way, turn) = (motion.translation.vector.norm(), motion.rotation.angle());
+        let time = seconds.clamp(0.0, 10.0);
         let shift = SHIFT_BY_WAY.powi(2) * way + SHIFT_BY_TIME.powi(2) * time;
         let angle = TURN_BY_WAY.powi(2) * way + TURN_BY_TURN.powi(2) * turn + TURN_BY_TIME.powi(2) * time;
-        let noise = Matrix3::from_diagonal(&na::Vector3::new(shift, shift, angle));
-        self.covariance = transition * self.covariance * transition.transpose() + noise;
-        self.pose = self.pose * *motion;
-        self.pose.angle = normalize_angle(self.pose.angle);
+        let noise = Matrix6::from_diagonal(&self.freedom.variances(shift, angle));
+        let covariance = transition * self.covariance * transition.transpose() + noise;
+        self.covariance = self.freedom.restricted(&covariance);
+        self.pose *= *motion;
+        self.pose.rotation.renormalize();
         let fresh = way / INDEPENDENT_METRES + turn / INDEPENDENT_RADIANS + time / INDEPENDENT_SECONDS;
         self.fresh = (self.fresh + fresh).min(1.0);
     }
 
     /// How far a match lies from this belief, as the square of a Mahalanobis distance.
-    pub fn distance(&self, found: &Rigid2, information: &Matrix3) -> f64 {
-        let tiny = Matrix3::identity() * 1e-6;
+    pub fn distance(&self, found: &Rigid3, information: &Matrix6) -> f64 {
+        let tiny = Matrix6::identity() * 1e-6;
         let Some(of_match) = (information + tiny).try_inverse() else { return f64::INFINITY };
         let Some(weight) = (self.covariance() + of_match).try_inverse() else { return f64::INFINITY };
         let offset = self.offset(found);
@@ -80,20 +123,23 @@ impl Belief {
     }
 
     /// Takes a match into account; directions in which it has no information stay as they are.
-    pub fn update(&mut self, found: &Rigid2, information: &Matrix3) {
+    pub fn update(&mut self, found: &Rigid3, information: &Matrix6) {
         let information = information * self.fresh;
         let Some(prior) = self.covariance.try_inverse() else { return };
         let Some(covariance) = (prior + information).try_inverse() else { return };
         let step = covariance * information * self.offset(found);
-        self.covariance = 0.5 * (covariance + covariance.transpose());
-        self.pose.translation += Vector2::new(step.x, step.y);
-        self.pose.angle = normalize_angle(self.pose.angle + step.z);
+        self.covariance = self.freedom.restricted(&covariance);
+        self.pose.translation.vector += Vector3::new(step[0], step[1], step[2]);
+        let turn = quaternion_from_angle_axis(&Vector3::new(step[3], step[4], step[5]));
+        self.pose.rotation = turn * self.pose.rotation;
         self.fresh = 0.0;
     }
 
-    fn offset(&self, found: &Rigid2) -> na::Vector3<f64> {
-        let shift = found.translation - self.pose.translation;
-        na::Vector3::new(shift.x, shift.y, normalize_angle(found.angle - self.pose.angle))
+    fn offset(&self, found: &Rigid3) -> Vector6 {
+        let shift = found.translation.vector - self.pose.translation.vector;
+        let turn: Quaternion = found.rotation * self.pose.rotation.inverse();
+        let turn = angle_axis_from_quaternion(&turn);
+        Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
     }
 }
 
@@ -101,32 +147,50 @@ impl Belief {
 mod tests {
     use super::*;
 
+    fn along(x: f64) -> Rigid3 {
+        Rigid3::translation(x, 0.0, 0.0)
+    }
+
     #[test]
     fn a_corridor_tells_nothing_along_it() {
-        let mut belief = Belief::new(Rigid2::identity(), 0.2, 0.02);
-        let across = Matrix3::from_diagonal(&na::Vector3::new(0.0, 1e4, 1e5));
-        for _ in 0..100 {
-            belief.predict(&Rigid2::new(0.5, 0.0, 0.0), 0.5);
-            let found = Rigid2::new(belief.pose.translation.x + 3.0, 0.0, 0.0);
-            assert!(belief.distance(&found, &across) < 200.0);
-            belief.update(&found, &across);
+        for freedom in [Freedom::Plane, Freedom::Space] {
+            let mut belief = Belief::new(Rigid3::identity(), freedom, 0.2, 0.02);
+            let across = Matrix6::from_diagonal(&Vector6::new(0.0, 1e4, 1e4, 1e5, 1e5, 1e5));
+            for _ in 0..100 {
+                belief.predict(&along(0.5), 0.5);
+                let found = along(belief.pose.translation.x + 3.0);
+                assert!(belief.distance(&found, &across) < 200.0);
+                belief.update(&found, &across);
+            }
+            let covariance = belief.covariance();
+            // 4 cm a root of a metre over 50 m, and what it began with.
+            assert!((covariance[(0, 0)].sqrt() - 0.35).abs() < 0.05, "{covariance}");
+            assert!(covariance[(1, 1)].sqrt() < 0.05 && (belief.pose.translation.x - 50.0).abs() < 1e-6);
+            assert!(covariance[(2, 2)].sqrt() < 0.05);
         }
-        let covariance = belief.covariance();
-        // 4 cm a root of a metre over 50 m, and what it began with.
-        assert!((covariance[(0, 0)].sqrt() - 0.35).abs() < 0.05, "{covariance}");
-        assert!(covariance[(1, 1)].sqrt() < 0.05 && (belief.pose.translation.x - 50.0).abs() < 1e-6);
     }
 
     #[test]
     fn standing_scans_do_not_add_up() {
-        let mut belief = Belief::new(Rigid2::identity(), 1.0, 0.1);
-        let information = Matrix3::identity() * 1e3;
-        belief.update(&Rigid2::new(0.1, 0.0, 0.0), &information);
+        let mut belief = Belief::new(Rigid3::identity(), Freedom::Plane, 1.0, 0.1);
+        let information = Matrix6::from_diagonal(&Vector6::new(1e3, 1e3, 0.0, 0.0, 0.0, 1e3));
+        belief.update(&along(0.1), &information);
         let once = belief.sigmas().0;
         (0..10).for_each(|_| {
-            belief.predict(&Rigid2::identity(), 0.1);
-            belief.update(&Rigid2::new(0.1, 0.0, 0.0), &information);
+            belief.predict(&Rigid3::identity(), 0.1);
+            belief.update(&along(0.1), &information);
         });
         assert!(belief.sigmas().0 > 0.8 * once && (belief.pose.translation.x - 0.1).abs() < 0.01);
+    }
+
+    #[test]
+    fn what_cannot_vary_in_the_plane_never_does() {
+        let mut belief = Belief::new(Rigid3::identity(), Freedom::Plane, 0.2, 0.02);
+        for _ in 0..10_000 {
+            belief.predict(&Rigid3::translation(1.0, 0.5, 0.0), 0.1);
+            let information = Matrix6::from_diagonal(&Vector6::new(1e4, 1e4, 0.0, 0.0, 0.0, 1e5));
+            belief.update(&belief.pose.clone(), &information);
+        }
+        assert!(belief.covariance()[(2, 2)] < 1e-6 && belief.sigmas().0 < 0.1);
     }
 }

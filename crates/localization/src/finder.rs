@@ -1,12 +1,12 @@
 //! From scans in the local map to places in the known one: searching, tracking, getting lost and being found.
 
-use portolan_geometry::{Rigid2, Rigid3, Time, embed_3d, project_2d, to_f32};
+use portolan_geometry::{Rigid3, Time, to_f32};
 use portolan_sensor::PointCloud;
 
 use crate::evidence::{Support, Verdict};
 use crate::hypothesis::{Hypothesis, fit};
-use crate::likelihood::Window;
-use crate::scan::{KeyScan, Offered, RecentScans, Scan};
+use crate::known_map::{KnownMap, Window};
+use crate::recent::{KeyScan, Offered, RecentScans};
 use crate::search::{Decision, Places, Searcher, ToldStart};
 use crate::state::{Estimate, Place, Reason, State};
 
@@ -61,44 +61,44 @@ struct Track {
 #[derive(Clone, Copy)]
 struct Last {
     time: Time,
-    local_from_scan: Rigid2,
+    local_from_scan: Rigid3,
 }
 
 /// A scan on its way through.
-struct Current {
+struct Current<S> {
     time: Time,
-    local_from_scan: Rigid2,
-    motion: Rigid2,
+    local_from_scan: Rigid3,
+    motion: Rigid3,
     seconds: f64,
-    scan: Scan,
+    scan: S,
     offered: Offered,
 }
 
 /// Finds places in a map.
-pub(crate) struct Finder {
-    searcher: Searcher,
-    recent: RecentScans,
+pub(crate) struct Finder<M: KnownMap> {
+    searcher: Searcher<M>,
+    recent: RecentScans<M::Scan>,
     mode: Mode,
     last: Option<Last>,
     start: Option<(Rigid3, (f64, f64))>,
     told: Option<ToldStart>,
 }
 
-impl Finder {
+impl<M: KnownMap> Finder<M> {
     /// With the start that somebody told, and its standard deviations in metres and radians.
-    pub fn new(searcher: Searcher, start: Option<(Rigid3, (f64, f64))>) -> Self {
+    pub fn new(searcher: Searcher<M>, start: Option<(Rigid3, (f64, f64))>) -> Self {
         let mode = Mode::Searching { places: Places::default(), lost: None };
         Self { searcher, recent: RecentScans::default(), mode, last: None, start, told: None }
     }
 
     /// Takes a scan.
     pub fn add(&mut self, scan: &LocalScan) -> Estimate {
-        let local_from_scan = project_2d(&scan.local_from_tracking);
+        let local_from_scan = M::local_from_scan(&scan.local_from_tracking);
         if scan.begins_anew {
             self.begin_anew();
         }
         if let Some((pose, sigmas)) = self.start.take() {
-            let map_from_scan = project_2d(&pose);
+            let map_from_scan = M::local_from_scan(&pose);
             self.told = Some(ToldStart { map_from_scan, sigmas, local_from_scan });
         }
         let current = self.current(scan, local_from_scan);
@@ -132,17 +132,22 @@ impl Finder {
         self.mode = Mode::Searching { places: Places::default(), lost };
     }
 
-    fn current(&mut self, scan: &LocalScan, local_from_scan: Rigid2) -> Current {
-        let scan_from_local = to_f32(&embed_3d(&local_from_scan.inverse()));
-        let seen = Scan::new(&scan.returns.transformed(&scan_from_local));
+    fn current(&mut self, scan: &LocalScan, local_from_scan: Rigid3) -> Current<M::Scan> {
+        let scan_from_local = to_f32(&local_from_scan.inverse());
+        let seen = self.searcher.map.scan(&scan.returns.transformed(&scan_from_local));
         let last = self.last.replace(Last { time: scan.time, local_from_scan });
-        let motion = last.map_or_else(Rigid2::identity, |l| l.local_from_scan.inverse() * local_from_scan);
+        let motion = last.map_or_else(Rigid3::identity, |l| l.local_from_scan.inverse() * local_from_scan);
         let seconds = last.map_or(0.0, |l| scan.time.seconds_since(l.time));
         let offered = self.recent.offer(KeyScan { time: scan.time, local_from_scan, scan: seen.clone() });
         Current { time: scan.time, local_from_scan, motion, seconds, scan: seen, offered }
     }
 
-    fn search(&mut self, places: Places, lost: Option<Reason>, current: &Current) -> (Mode, State, Reason) {
+    fn search(
+        &mut self,
+        places: Places,
+        lost: Option<Reason>,
+        current: &Current<M::Scan>,
+    ) -> (Mode, State, Reason) {
         let mut places = places;
         places.all.iter_mut().for_each(|place| place.predict(&current.motion, current.seconds));
         if let Offered::Kept { oldest_left } = current.offered {
@@ -155,7 +160,8 @@ impl Finder {
             places.merge(self.propose(current, &places.all), current.time);
         }
         places.prune();
-        let decision = places.decide(&self.recent, self.told.as_ref(), &current.local_from_scan, is_due);
+        let decision =
+            places.decide(self.recent.motion(), self.told.as_ref(), &current.local_from_scan, is_due);
         match decision {
             Decision::Believed(best) => {
                 let track = Track {
@@ -180,32 +186,33 @@ impl Finder {
     }
 
     /// Places where the recent scans fit, moved along to the current scan.
-    fn propose(&self, current: &Current, known: &[Hypothesis]) -> Vec<Hypothesis> {
+    fn propose(&self, current: &Current<M::Scan>, known: &[Hypothesis]) -> Vec<Hypothesis> {
         let Some(newest) = self.recent.iter().next_back() else { return Vec::new() };
         let motion = newest.local_from_scan.inverse() * current.local_from_scan;
-        let is_known = |pose: &Rigid2| known.iter().any(|place| place.is_at(&(*pose * motion)));
+        let is_known = |pose: &Rigid3| known.iter().any(|place| place.is_at(&(*pose * motion)));
         let mut found = self.searcher.propose(&self.recent, &is_known);
         if let Some(told) = &self.told {
             let near = told.map_from_scan * told.local_from_scan.inverse() * newest.local_from_scan;
             let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
-            let Searcher { map, matcher, .. } = &self.searcher;
-            found.extend(Hypothesis::within(map, matcher, &self.recent, &near, window));
+            let map = &self.searcher.map;
+            let settled = map.settle(&map.joint(&self.recent), &near, window);
+            found.extend(Hypothesis::along(map, &self.recent, &settled));
         }
         found.iter_mut().for_each(|place| place.predict(&motion, 0.0));
         found
     }
 
-    fn track(&mut self, track: Box<Track>, current: &Current) -> (Mode, State, Reason) {
+    fn track(&mut self, track: Box<Track>, current: &Current<M::Scan>) -> (Mode, State, Reason) {
         let mut track = track;
-        let Searcher { map, matcher, .. } = &self.searcher;
+        let map = &self.searcher.map;
         track.place.predict(&current.motion, current.seconds);
-        track.place.look(map, matcher, &current.scan);
+        track.place.look(map, &current.scan);
         let verdict = Verdict::of(&track.place.agreement);
         if verdict == Verdict::Contradicts {
-            let wide = matcher.find(map, &current.scan, &track.place.belief.pose, SLIPPED);
+            let wide = map.find(&current.scan, &track.place.belief.pose, SLIPPED);
             let is_better = fit(&wide.agreement) > fit(&track.place.agreement) + SLIPPED_FIT;
             if is_better && Verdict::of(&wide.agreement) == Verdict::Supports {
-                track.place.slip(&wide, SLIPPED_SIGMAS);
+                track.place.slip::<M>(&wide, SLIPPED_SIGMAS);
                 track.support.doubt();
             }
         }
@@ -213,7 +220,7 @@ impl Finder {
         if let Offered::Kept { oldest_left } = current.offered {
             track.place.remember(oldest_left);
         }
-        track.way_since_check += current.motion.translation.norm();
+        track.way_since_check += current.motion.translation.vector.norm();
         if let Some(since) = track.support.contradicted_since() {
             self.recent.forget_before(since);
             return lost(Reason::ScansContradict);
@@ -241,7 +248,12 @@ impl Finder {
         }
     }
 
-    fn place_of(&self, state: State, current: &Current, local_from_tracking: &Rigid3) -> Option<Place> {
+    fn place_of(
+        &self,
+        state: State,
+        current: &Current<M::Scan>,
+        local_from_tracking: &Rigid3,
+    ) -> Option<Place> {
         let place = match (&self.mode, state) {
             (Mode::Tracking(track), _) => &track.place,
             (Mode::Searching { places, .. }, State::Tentative) => places.all.first()?,
@@ -249,7 +261,7 @@ impl Finder {
         };
         let map_from_local = place.belief.pose * current.local_from_scan.inverse();
         Some(Place {
-            map_from_tracking: embed_3d(&map_from_local) * local_from_tracking,
+            map_from_tracking: map_from_local * local_from_tracking,
             covariance: place.belief.covariance(),
             agreement: place.agreement,
         })

@@ -2,14 +2,12 @@
 
 use std::collections::VecDeque;
 
-use portolan_geometry::{Rigid2, normalize_angle};
+use portolan_geometry::Rigid3;
 use portolan_matching::ScanAgreement;
 
 use crate::belief::Belief;
-use crate::likelihood::Window;
-use crate::plane_map::PlanarMap;
-use crate::scan::{RecentScans, Scan};
-use crate::scan_match::{Matcher, ScanMatch, agreement};
+use crate::known_map::{KnownMap, ScanMatch, Window};
+use crate::recent::RecentScans;
 
 /// Scans are looked for within so many standard deviations of their prediction, and within these bounds, metres and
 /// radians.
@@ -20,8 +18,7 @@ const WIDEST: Window = Window { metres: 1.5, radians: 0.6 };
 const GATE: f64 = 25.0;
 /// What is known of a place that was just proposed: standard deviations, metres and radians.
 const PROPOSED: (f64, f64) = (0.1, 0.02);
-/// Around a place where it is proposed, coarsely, and where earlier scans of the way are looked for.
-const AROUND_PROPOSAL: Window = Window { metres: 0.3, radians: 0.06 };
+/// Where earlier scans of the way are looked for.
 const ON_THE_WAY: Window = Window { metres: 0.1, radians: 0.03 };
 /// Places nearer to each other, metres and radians, are the same.
 const SAME_PLACE: (f64, f64) = (0.6, 0.2);
@@ -42,36 +39,26 @@ pub(crate) struct Hypothesis {
 }
 
 impl Hypothesis {
-    /// A place near `map_from_scan` of the newest of the recent scans: finds the others from there back along the way.
-    pub fn propose(map: &PlanarMap, matcher: &Matcher, recent: &RecentScans, near: &Rigid2) -> Option<Self> {
-        Self::within(map, matcher, recent, near, AROUND_PROPOSAL)
-    }
-
-    /// The place in a window around `map_from_scan` of the newest scan that fits best.
-    pub fn within(
-        map: &PlanarMap,
-        matcher: &Matcher,
-        recent: &RecentScans,
-        near: &Rigid2,
-        window: Window,
+    /// The place where the newest of the recent scans lies at `map_from_scan`: finds the others from there back along
+    /// the way.
+    pub fn along<M: KnownMap>(
+        map: &M,
+        recent: &RecentScans<M::Scan>,
+        map_from_scan: &Rigid3,
     ) -> Option<Self> {
-        let newest = recent.iter().next_back()?;
-        let joint = recent.joint();
-        let plane = |p: &portolan_geometry::Point3f| p.xy().coords.cast::<f64>();
-        let points: Vec<_> = joint.points.iter().map(plane).collect();
-        let mut place = matcher.place(map, &joint, &points, near, window);
+        let mut after = recent.iter().next_back()?;
+        let mut place = *map_from_scan;
         let mut fits = VecDeque::new();
-        let mut after = newest;
         let mut found = None;
         for kept in recent.iter().rev() {
             let guess = place * (after.local_from_scan.inverse() * kept.local_from_scan);
-            let here = matcher.find(map, &kept.scan, &guess, ON_THE_WAY);
+            let here = map.find(&kept.scan, &guess, ON_THE_WAY);
             fits.push_front(here.agreement);
             found.get_or_insert(here);
             (place, after) = (here.pose, kept);
         }
         let found: ScanMatch = found?;
-        let belief = Belief::new(found.pose, PROPOSED.0, PROPOSED.1);
+        let belief = Belief::new(found.pose, M::FREEDOM, PROPOSED.0, PROPOSED.1);
         Some(Self { belief, agreement: found.agreement, fits })
     }
 
@@ -89,23 +76,23 @@ impl Hypothesis {
     }
 
     /// Goes along with local SLAM, without looking.
-    pub fn predict(&mut self, motion: &Rigid2, seconds: f64) {
+    pub fn predict(&mut self, motion: &Rigid3, seconds: f64) {
         self.belief.predict(motion, seconds);
     }
 
     /// Finds a scan near the prediction.
-    pub fn look(&mut self, map: &PlanarMap, matcher: &Matcher, scan: &Scan) {
-        let found = matcher.find(map, scan, &self.belief.pose, self.window());
+    pub fn look<M: KnownMap>(&mut self, map: &M, scan: &M::Scan) {
+        let found = map.find(scan, &self.belief.pose, self.window());
         if self.belief.distance(&found.pose, &found.information) < GATE {
             self.belief.update(&found.pose, &found.information);
         }
         // What decides is the pose that is told, not the one that fits best.
-        self.agreement = agreement(map, scan, &self.belief.pose);
+        self.agreement = map.agreement(scan, &self.belief.pose);
     }
 
     /// Is where the newest scan was found, far from the prediction, with these standard deviations (metres, radians).
-    pub fn slip(&mut self, found: &ScanMatch, (metres, radians): (f64, f64)) {
-        self.belief = Belief::new(found.pose, metres, radians);
+    pub fn slip<M: KnownMap>(&mut self, found: &ScanMatch, (metres, radians): (f64, f64)) {
+        self.belief = Belief::new(found.pose, M::FREEDOM, metres, radians);
         self.agreement = found.agreement;
     }
 
@@ -123,9 +110,9 @@ impl Hypothesis {
     }
 
     /// Whether a pose is that of this place.
-    pub fn is_at(&self, b: &Rigid2) -> bool {
+    pub fn is_at(&self, b: &Rigid3) -> bool {
         let a = &self.belief.pose;
-        (a.translation - b.translation).norm() < SAME_PLACE.0
-            && normalize_angle(a.angle - b.angle).abs() < SAME_PLACE.1
+        (a.translation.vector - b.translation.vector).norm() < SAME_PLACE.0
+            && a.rotation.angle_to(&b.rotation) < SAME_PLACE.1
     }
 }

@@ -6,6 +6,8 @@
 use portolan_geometry::{Rigid2, Vector2};
 use portolan_matching::{CellIndex, MapLimits, ProbabilityGrid};
 
+use crate::known_map::Window;
+
 /// Cells of this probability are solid.
 const SOLID: f32 = 0.6;
 /// Standard deviation of the distance of a return from what it hit, metres: what makes steps of a search find it.
@@ -22,13 +24,6 @@ const PREFERENCE: f64 = 0.03;
 pub(crate) struct LikelihoodField {
     limits: MapLimits,
     bytes: Vec<u8>,
-}
-
-/// How far around a guess a scan is searched, metres and radians to either side.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Window {
-    pub metres: f64,
-    pub radians: f64,
 }
 
 impl LikelihoodField {

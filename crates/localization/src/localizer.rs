@@ -5,15 +5,11 @@ use std::collections::BTreeSet;
 use portolan_config::Options;
 use portolan_geometry::Rigid3;
 use portolan_issue::IssueLog;
-use portolan_mapping::{
-    LocalSlam, MapperError, MatchingResult, Planar, SensorCollation, Space, TrajectoryId,
-};
-use portolan_matching::MatcherOptionError;
+use portolan_mapping::{LocalSlam, MapperError, MatchingResult, SensorCollation, Space, TrajectoryId};
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::finder::{Finder, LocalScan};
-use crate::plane_map::PlanarMap;
-use crate::scan_match::Matcher;
+use crate::known_map::KnownMap;
 use crate::search::Searcher;
 use crate::state::Estimate;
 
@@ -50,33 +46,30 @@ pub enum LocalizerError {
     /// Local SLAM.
     #[error(transparent)]
     Mapper(#[from] MapperError),
-    /// A matcher.
-    #[error(transparent)]
-    Matcher(#[from] MatcherOptionError),
     /// Threads could not be started.
     #[error("cannot start threads for searching: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// Finds a lidar in a saved map of the plane.
+/// Finds a lidar in a saved map: a [`PlanarMap`](crate::PlanarMap) or a [`SpatialMap`](crate::SpatialMap).
 ///
 /// Local SLAM gives the motion from scan to scan; what it draws is forgotten. Memory does not grow with time.
-pub struct Localizer {
+pub struct Localizer<M: KnownMap> {
     collation: SensorCollation,
-    local_slam: <Planar as Space>::LocalSlam,
-    finder: Finder,
+    local_slam: <M::Space as Space>::LocalSlam,
+    finder: Finder<M>,
 }
 
 /// The one trajectory.
 const TRAJECTORY: TrajectoryId = TrajectoryId(0);
 
-impl Localizer {
+impl<M: KnownMap> Localizer<M> {
     /// For a recording with these sensors.
     ///
     /// # Errors
     /// If options contradict each other or threads cannot be started.
     pub fn new(
-        map: PlanarMap,
+        map: M,
         options: &Options,
         sensors: &BTreeSet<SensorId>,
         settings: &LocalizerSettings,
@@ -85,11 +78,11 @@ impl Localizer {
         let mut collation = SensorCollation::new(options.map_builder.collate_by_trajectory);
         collation.add_trajectory(TRAJECTORY, sensors, &options.trajectory_builder);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build()?;
-        let searcher = Searcher { map, matcher: Matcher::new()?, pool };
+        let searcher = Searcher { map, pool };
         let start = settings.start.map(|s| (s.map_from_tracking, (s.sigma_metres, s.sigma_radians)));
         Ok(Self {
             collation,
-            local_slam: Planar::new_local_slam(options, &ranges)?,
+            local_slam: M::Space::new_local_slam(options, &ranges)?,
             finder: Finder::new(searcher, start),
         })
     }
@@ -135,9 +128,9 @@ impl Localizer {
         self.find(matched)
     }
 
-    fn find(&mut self, matched: Vec<MatchingResult<Planar>>) -> Vec<Estimate> {
+    fn find(&mut self, matched: Vec<MatchingResult<M::Space>>) -> Vec<Estimate> {
         let finder = &mut self.finder;
-        let find = |scan: MatchingResult<Planar>| {
+        let find = |scan: MatchingResult<M::Space>| {
             finder.add(&LocalScan {
                 time: scan.time,
                 local_from_tracking: scan.local_from_tracking,

@@ -1,37 +1,35 @@
-//! Matching a scan to the map, and what the match tells.
+//! Matching a scan to a map of the plane, and what the match tells.
 
-use nalgebra as na;
-use portolan_geometry::{Rigid2, Vector2};
+use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d};
+use portolan_mapping::Planar;
 use portolan_matching::{
-    GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, ScanAgreement, scan_agreement,
+    GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, ScanAgreement, SeveralPlaces,
+    scan_agreement,
 };
 use portolan_sensor::PointCloud;
 
-use crate::belief::Matrix3;
-use crate::likelihood::Window;
-use crate::plane_map::PlanarMap;
-use crate::scan::Scan;
+use crate::belief::Freedom;
+use crate::information::{Contact, information};
+use crate::known_map::{KnownMap, ScanMatch, Window};
+use crate::planar_map::PlanarMap;
+use crate::planar_scan::{PlanarJoint, PlanarScan};
+use crate::recent::RecentScans;
 
 /// Descent that leaves the place which the search found is not believed beyond this, metres and radians.
 const FARTHEST_DESCENT: f64 = 0.25;
 const WIDEST_DESCENT: f64 = 0.1;
-/// Standard deviation of the distance of one point from its wall, metres; so large because neighbours on one wall err
-/// together.
-const POINT_SIGMA: f64 = 0.1;
-/// Normals are off by some 10°: so much of the information of the strongest direction appears in the weakest
-/// without anything being there, and is taken off.
-const SPURIOUS: f64 = 0.04;
+/// What a search of the whole map proposes: what scores at least this in coarse cells, and this share of the best.
+const PROPOSALS: SeveralPlaces = SeveralPlaces {
+    min_score: 0.35,
+    share_of_best: 0.75,
+    separation: (0.8, 0.26),
+    most: 24,
+    lookups: 150_000_000,
+};
+/// Around a place where it is proposed, coarsely.
+const AROUND_PROPOSAL: Window = Window { metres: 0.3, radians: 0.06 };
 /// A point tells something if the field at its place is at least this: within some 15 cm of a wall.
 const NEAR_WALL: f64 = 0.45;
-
-/// A scan found in the map.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ScanMatch {
-    pub pose: Rigid2,
-    /// Information of (x, y, yaw) in the map; nothing along directions that the scan leaves open.
-    pub information: Matrix3,
-    pub agreement: ScanAgreement,
-}
 
 /// Matches scans to a map.
 pub(crate) struct Matcher {
@@ -49,13 +47,7 @@ impl Matcher {
         Ok(Self { gradient: GradientMatcher2d::new(&options)? })
     }
 
-    /// Finds a scan in a window around a guess.
-    pub fn find(&self, map: &PlanarMap, scan: &Scan, guess: &Rigid2, window: Window) -> ScanMatch {
-        let pose = self.place(map, &scan.cloud, &scan.points, guess, window);
-        ScanMatch { pose, information: information(map, scan, &pose), agreement: agreement(map, scan, &pose) }
-    }
-
-    /// The same of any cloud: the pose alone.
+    /// Finds a cloud in a window around a guess.
     pub fn place(
         &self,
         map: &PlanarMap,
@@ -73,43 +65,60 @@ impl Matcher {
     }
 }
 
-/// What the map says to a scan at a pose.
-pub(crate) fn agreement(map: &PlanarMap, scan: &Scan, pose: &Rigid2) -> ScanAgreement {
-    scan_agreement(&map.grid, pose, &scan.cloud).unwrap_or_default()
-}
+impl KnownMap for PlanarMap {
+    type Space = Planar;
+    type Scan = PlanarScan;
+    type Joint = PlanarJoint;
+    const FREEDOM: Freedom = Freedom::Plane;
 
-/// Point-to-line constraints along the normals of what is seen (Censi 2007, "On achievable accuracy for range-finder
-/// localization"), of the points that lie at walls.
-fn information(map: &PlanarMap, scan: &Scan, pose: &Rigid2) -> Matrix3 {
-    let rotation = pose.rotation_matrix();
-    let mut sum = Matrix3::zeros();
-    for (point, tangent) in scan.points.iter().zip(&scan.tangents) {
-        let Some(tangent) = tangent else { continue };
-        let lever = rotation * point;
-        if map.field.at(&(lever + pose.translation)) < NEAR_WALL {
-            continue;
-        }
-        let along = rotation * tangent;
-        let normal = Vector2::new(-along.y, along.x);
-        let row = na::Vector3::new(normal.x, normal.y, normal.y * lever.x - normal.x * lever.y);
-        sum += row * row.transpose();
+    fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
+        embed_3d(&project_2d(local_from_tracking))
     }
-    without_spurious(sum) / (POINT_SIGMA * POINT_SIGMA)
+
+    fn scan(&self, returns: &PointCloud) -> PlanarScan {
+        PlanarScan::new(returns)
+    }
+
+    fn joint(&self, recent: &RecentScans<PlanarScan>) -> PlanarJoint {
+        PlanarJoint::of(recent)
+    }
+
+    fn propose(&self, joint: &PlanarJoint, is_known: &(dyn Fn(&Rigid3) -> bool + Sync)) -> Vec<Rigid3> {
+        let found = self.places.match_several(&joint.cloud, &PROPOSALS);
+        let poses = found.iter().map(|place| embed_3d(&place.pose)).filter(|pose| !is_known(pose));
+        poses.map(|pose| self.settle(joint, &pose, AROUND_PROPOSAL)).collect()
+    }
+
+    fn settle(&self, joint: &PlanarJoint, guess: &Rigid3, window: Window) -> Rigid3 {
+        let PlanarJoint { cloud, points } = joint;
+        embed_3d(&self.matcher.place(self, cloud, points, &project_2d(guess), window))
+    }
+
+    fn find(&self, scan: &PlanarScan, guess: &Rigid3, window: Window) -> ScanMatch {
+        let pose = self.matcher.place(self, &scan.cloud, &scan.points, &project_2d(guess), window);
+        let information = information(contacts(self, scan, &pose), Self::FREEDOM);
+        let pose = embed_3d(&pose);
+        ScanMatch { pose, information, agreement: self.agreement(scan, &pose) }
+    }
+
+    fn agreement(&self, scan: &PlanarScan, pose: &Rigid3) -> ScanAgreement {
+        scan_agreement(&self.grid, &project_2d(pose), &scan.cloud).unwrap_or_default()
+    }
 }
 
-/// Takes off what errors of normals add in every direction.
-fn without_spurious(information: Matrix3) -> Matrix3 {
-    let scale = na::Vector3::new(1.0, 1.0, lever_scale(&information));
-    let scaled = information.component_mul(&(scale * scale.transpose()).map(|v: f64| 1.0 / v));
-    let eigen = scaled.symmetric_eigen();
-    let most = eigen.eigenvalues.max();
-    let kept = eigen.eigenvalues.map(|value| (value - SPURIOUS * most).max(0.0));
-    let reduced = eigen.eigenvectors * Matrix3::from_diagonal(&kept) * eigen.eigenvectors.transpose();
-    reduced.component_mul(&(scale * scale.transpose()))
-}
-
-/// How far, metres, the points lie that a turn moves, so that turns can be compared with shifts.
-fn lever_scale(information: &Matrix3) -> f64 {
-    let shifts = 0.5 * (information[(0, 0)] + information[(1, 1)]);
-    if shifts > 0.0 { (information[(2, 2)] / shifts).sqrt().max(0.1) } else { 1.0 }
+/// The points of a scan that lie at walls of the map, with the normals of what the scan sees there.
+fn contacts<'a>(
+    map: &'a PlanarMap,
+    scan: &'a PlanarScan,
+    pose: &Rigid2,
+) -> impl Iterator<Item = Contact> + use<'a> {
+    let (rotation, translation) = (pose.rotation_matrix(), pose.translation);
+    let contact = move |(point, tangent): (&Vector2, &Option<Vector2>)| {
+        let along = rotation * (*tangent)?;
+        let lever = rotation * point;
+        let is_near = map.field.at(&(lever + translation)) >= NEAR_WALL;
+        let (lever, normal) = (Vector3::new(lever.x, lever.y, 0.0), Vector3::new(-along.y, along.x, 0.0));
+        is_near.then_some(Contact { lever, normal })
+    };
+    scan.points.iter().zip(&scan.tangents).filter_map(contact)
 }

@@ -1,23 +1,13 @@
 //! Places proposed by a search of the whole map, and when one of them is believed.
 
-use portolan_geometry::{Rigid2, Time, normalize_angle};
-use portolan_matching::SeveralPlaces;
+use portolan_geometry::{Rigid3, Time, normalize_angle, project_2d};
 use rayon::prelude::*;
 
 use crate::hypothesis::Hypothesis;
-use crate::plane_map::PlanarMap;
-use crate::scan::RecentScans;
-use crate::scan_match::Matcher;
+use crate::known_map::KnownMap;
+use crate::recent::RecentScans;
 use crate::state::Reason;
 
-/// What a search of the whole map proposes: what scores at least this in coarse cells, and this share of the best.
-const PROPOSALS: SeveralPlaces = SeveralPlaces {
-    min_score: 0.35,
-    share_of_best: 0.75,
-    separation: (0.8, 0.26),
-    most: 24,
-    lookups: 150_000_000,
-};
 /// Places that are kept, and by how much they may fit worse than the best.
 const MOST_PLACES: usize = 32;
 const REFUTED_BY: f64 = 0.3;
@@ -47,19 +37,21 @@ const TOLD: f64 = 0.2;
 /// Where somebody says that the recording starts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ToldStart {
-    pub map_from_scan: Rigid2,
+    pub map_from_scan: Rigid3,
     /// Standard deviations, metres and radians.
     pub sigmas: (f64, f64),
-    pub local_from_scan: Rigid2,
+    pub local_from_scan: Rigid3,
 }
 
 impl ToldStart {
     /// How well the start agrees with a place, 0 to 1.
-    pub fn agreement(&self, place: &Hypothesis, local_from_scan: &Rigid2) -> f64 {
+    pub fn agreement(&self, place: &Hypothesis, local_from_scan: &Rigid3) -> f64 {
         let map_from_local = place.belief.pose * local_from_scan.inverse();
         let start = map_from_local * self.local_from_scan;
-        let metres = (start.translation - self.map_from_scan.translation).norm() / self.sigmas.0;
-        let radians = normalize_angle(start.angle - self.map_from_scan.angle).abs() / self.sigmas.1;
+        // Who tells a start reads it off a picture: nobody knows heights.
+        let (start, told) = (project_2d(&start), project_2d(&self.map_from_scan));
+        let metres = (start.translation - told.translation).norm() / self.sigmas.0;
+        let radians = normalize_angle(start.angle - told.angle).abs() / self.sigmas.1;
         // Three standard deviations are as good as one: people round.
         let beyond = (metres.hypot(radians) - 3.0).max(0.0);
         (-0.5 * beyond * beyond).exp()
@@ -84,36 +76,31 @@ pub(crate) struct Places {
     searches: u32,
 }
 
-/// What searching and matching need.
-pub(crate) struct Searcher {
-    pub map: PlanarMap,
-    pub matcher: Matcher,
+/// A map with threads to search in it.
+pub(crate) struct Searcher<M> {
+    pub map: M,
     pub pool: rayon::ThreadPool,
 }
 
-impl Searcher {
+impl<M: KnownMap> Searcher<M> {
     /// Places in the whole map where the recent scans fit, found without any guess; the best first.
     /// Places like one that is `known` already are left out.
-    pub fn propose(&self, recent: &RecentScans, known: &dyn Fn(&Rigid2) -> bool) -> Vec<Hypothesis> {
-        let joint = recent.joint();
-        let mut proposed = self.map.places.match_several(&joint, &PROPOSALS);
-        proposed.retain(|p| !known(&p.pose));
-        let place = |p: &portolan_matching::MatchResult<Rigid2>| {
-            Hypothesis::propose(&self.map, &self.matcher, recent, &p.pose)
-        };
-        let mut found: Vec<Hypothesis> =
-            self.pool.install(|| proposed.par_iter().filter_map(place).collect());
+    pub fn propose(
+        &self,
+        recent: &RecentScans<M::Scan>,
+        known: &(dyn Fn(&Rigid3) -> bool + Sync),
+    ) -> Vec<Hypothesis> {
+        let mut found: Vec<Hypothesis> = self.pool.install(|| {
+            let proposed = self.map.propose(&self.map.joint(recent), known);
+            proposed.par_iter().filter_map(|pose| Hypothesis::along(&self.map, recent, pose)).collect()
+        });
         found.sort_by(|a, b| b.fit().total_cmp(&a.fit()));
         found
     }
 
     /// Looks for a scan at all places.
-    pub fn look(&self, places: &mut [Hypothesis], scan: &crate::scan::Scan) {
-        self.pool.install(|| {
-            places.par_iter_mut().for_each(|place| {
-                place.look(&self.map, &self.matcher, scan);
-            });
-        });
+    pub fn look(&self, places: &mut [Hypothesis], scan: &M::Scan) {
+        self.pool.install(|| places.par_iter_mut().for_each(|place| place.look(&self.map, scan)));
     }
 }
 
@@ -155,9 +142,9 @@ impl Places {
     /// Which place is believed, if a search was made just now: only then it is known that nothing else fits.
     pub fn decide(
         &self,
-        recent: &RecentScans,
+        way: (f64, f64),
         told: Option<&ToldStart>,
-        local_from_scan: &Rigid2,
+        local_from_scan: &Rigid3,
         was_searched: bool,
     ) -> Decision {
         let bonus = |p: &Hypothesis| told.map_or(0.0, |told| TOLD * told.agreement(p, local_from_scan));
@@ -170,7 +157,7 @@ impl Places {
         }
         let others = (0..ratings.len()).filter(|i| !self.all[*i].is_same_place(place));
         let second = others.map(|i| ratings[i]).fold(0.0, f64::max);
-        let (way, turn) = recent.motion();
+        let (way, turn) = way;
         let moved = ((way + METRES_PER_RADIAN * turn) / MOVED).min(1.0);
         let more = STANDING * (1.0 - moved);
         let lead = ratings[best] - second;

@@ -2,10 +2,11 @@
 
 use std::fmt;
 
+use nalgebra::Matrix3;
 use portolan_geometry::{Rigid3, Time};
 use portolan_matching::ScanAgreement;
 
-use crate::belief::Matrix3;
+use crate::belief::Matrix6;
 
 /// What is known of the place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -87,10 +88,19 @@ impl Reason {
 pub struct Place {
     /// Pose of the tracking frame in the map.
     pub map_from_tracking: Rigid3,
-    /// Covariance of x, y and yaw in the map, metres and radians.
-    pub covariance: Matrix3,
+    /// Covariance of the pose in the map: x, y, z and a small rotation about these axes (the last about z: yaw), metres
+    /// and radians. In the plane nothing is said of z and of tilts.
+    pub covariance: Matrix6,
     /// What the map says to the scan there: shares of its beams.
     pub agreement: ScanAgreement,
+}
+
+impl Place {
+    /// Covariance of x, y and yaw alone.
+    pub fn planar_covariance(&self) -> Matrix3<f64> {
+        let axes = [0, 1, 5];
+        Matrix3::from_fn(|i, j| self.covariance[(axes[i], axes[j])])
+    }
 }
 
 /// What is known after one scan.

@@ -106,7 +106,7 @@ fn covariances_are_about_what_errors_are() {
             let error = known().truth(&today, e.time).inverse() * place.map_from_tracking;
             let in_map = place.map_from_tracking.rotation * error.translation.vector;
             let error = Vector3::new(in_map.x, in_map.y, error.rotation.euler_angles().2);
-            (error.transpose() * place.covariance.try_inverse().unwrap() * error)[(0, 0)]
+            (error.transpose() * place.planar_covariance().try_inverse().unwrap() * error)[(0, 0)]
         })
         .collect();
     let within = squares.iter().filter(|s| **s < 7.815).count() as f64 / squares.len() as f64;

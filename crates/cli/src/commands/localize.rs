@@ -19,8 +19,7 @@ use crate::progress::Progress;
 
 /// Find a recording in a saved map, scan by scan: where it was, how sure that is, and when it was lost.
 ///
-/// The place is searched in the whole map; nothing of the map changes, and memory does not grow with time. Works
-/// in 2D. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
+/// The place is searched in the whole map; nothing of the map changes, and memory does not grow with time. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
 /// reason and covariance, `way.png` the way in the map coloured by state (green localised, orange uncertain, violet
 /// dots tentative), `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
 #[derive(clap::Args, Clone, Debug)]

@@ -47,11 +47,6 @@ pub enum JobError {
         /// Why.
         reason: KnownMapError,
     },
-    /// A recording in 3D, or a map in 3D.
-    #[error(
-        "localisation works in 2D so far, and {0} is in 3D; `portolan map RECORDING --from MAP --frozen` finds it"
-    )]
-    LocalizationInSpace(&'static str),
     /// Localisation could not begin.
     #[error(transparent)]
     Localizer(#[from] LocalizerError),

@@ -3,13 +3,14 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use portolan_config::Options;
 use portolan_geometry::Dimension;
 use portolan_ingest::{IngestOptions, Ingestion};
 use portolan_issue::IssueLog;
-use portolan_localization::{Estimate, Localizer, LocalizerSettings, PlanarMap, StartPose, State};
-use portolan_mapfile::{FrozenTrajectories, PlacedTexture, submap_textures_2d};
-use portolan_mapping::{Map, Planar};
+use portolan_localization::{
+    Estimate, KnownMap, KnownMapError, Localizer, LocalizerSettings, PlanarMap, SpatialMap, StartPose, State,
+};
+use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d};
+use portolan_mapping::{Map, Planar, Space, Spatial};
 use portolan_recording::Recording;
 use portolan_sensor::SensorId;
 
@@ -19,7 +20,7 @@ use super::known_map::KnownMaps;
 use super::localized::LocalizedRecording;
 use super::{Job, MapRequest};
 use crate::RequestedOptions;
-use crate::pipeline::PipelineError;
+use crate::pipeline::{KnownMap as LoadedGraph, PipelineError, Preparation};
 use crate::silence::Silences;
 
 /// What is to be found where.
@@ -42,8 +43,8 @@ pub struct LocalizeRequest {
 /// Finds a recording in a map. `observe` is told how far it is and may stop it.
 ///
 /// # Errors
-/// A map that is damaged, empty or in 3D; a recording that cannot be read, is in 3D or has not a single scan that can
-/// be used; options that are not possible.
+/// A map that is damaged, empty or of the other dimension; a recording that cannot be read or has not a single scan that
+/// can be used; options that are not possible.
 pub fn localize(
     recording: &dyn Recording,
     request: &LocalizeRequest,
@@ -55,17 +56,37 @@ pub fn localize(
         ..MapRequest::new(&request.folder)
     };
     let job = Job::prepare(recording, how, observe)?;
-    let preparation = job.preparation();
-    if preparation.dimension == Dimension::Three {
-        return Err(JobError::LocalizationInSpace("the recording"));
+    match job.preparation().dimension {
+        Dimension::Two => {
+            let known = load::<Planar>(request, job.preparation(), observe)?;
+            let map = PlanarMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
+            let map = textured(map, known, submap_textures_2d, job.preparation());
+            localize_in(map, recording, request, job.preparation(), observe)
+        }
+        Dimension::Three => {
+            let known = load::<Spatial>(request, job.preparation(), observe)?;
+            let map = SpatialMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
+            let map = textured(map, known, submap_textures_3d, job.preparation());
+            localize_in(map, recording, request, job.preparation(), observe)
+        }
     }
-    let LoadedMap { planar, textures, mut issues } = load(request, &preparation.options, observe)?;
+}
+
+/// Finds a recording in a map that is loaded.
+fn localize_in<M: KnownMap>(
+    loaded: LoadedMap<M>,
+    recording: &dyn Recording,
+    request: &LocalizeRequest,
+    preparation: &Preparation,
+    observe: &mut Observer,
+) -> Result<LocalizedRecording, JobError> {
+    let LoadedMap { map, textures, mut issues } = loaded;
     let mut ingestion =
         Ingestion::with_plan(recording, preparation.inventory(), preparation.plan.clone(), &request.ingest)
             .map_err(PipelineError::from)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let settings = LocalizerSettings { start: request.start, threads: request.threads };
-    let mut localizer = Localizer::new(planar, &preparation.options, &sensors, &settings)?;
+    let mut localizer = Localizer::new(map, &preparation.options, &sensors, &settings)?;
     let mut estimates: Vec<Estimate> = Vec::new();
     let mut silences = Silences::default();
     let mut interrupted = false;
@@ -90,6 +111,7 @@ pub fn localize(
     issues.append(&localizer.issues());
     Ok(LocalizedRecording {
         estimates,
+        dimension: preparation.dimension,
         plan: preparation.plan.clone(),
         start: request.start,
         start_agrees: localizer.start_agrees(),
@@ -101,17 +123,31 @@ pub fn localize(
 }
 
 /// A map as the localizer wants it, what it looks like, and what was wrong with its file.
-struct LoadedMap {
-    planar: PlanarMap,
+struct LoadedMap<M> {
+    map: M,
     textures: Vec<PlacedTexture>,
     issues: IssueLog,
 }
 
-fn load(request: &LocalizeRequest, options: &Options, observe: &mut Observer) -> Result<LoadedMap, JobError> {
+fn load<S: MapSpace>(
+    request: &LocalizeRequest,
+    preparation: &Preparation,
+    observe: &mut Observer,
+) -> Result<LoadedGraph<S>, JobError> {
     let known = KnownMaps { files: vec![request.map.clone()], frozen: FrozenTrajectories::All, start: None };
-    let known = known.load::<Planar>(options, observe)?;
-    let planar = PlanarMap::new(known.graph.state());
-    let planar = planar.map_err(|reason| JobError::UnusableMap { path: request.map.clone(), reason })?;
-    let textures = submap_textures_2d(&Map::new(options.clone(), known.graph, known.trajectories));
-    Ok(LoadedMap { planar, textures, issues: known.issues })
+    known.load(&preparation.options, observe)
+}
+
+fn unusable(request: &LocalizeRequest, reason: KnownMapError) -> JobError {
+    JobError::UnusableMap { path: request.map.clone(), reason }
+}
+
+fn textured<S: Space, M>(
+    map: M,
+    known: LoadedGraph<S>,
+    textures: fn(&Map<S>) -> Vec<PlacedTexture>,
+    preparation: &Preparation,
+) -> LoadedMap<M> {
+    let textures = textures(&Map::new(preparation.options.clone(), known.graph, known.trajectories));
+    LoadedMap { map, textures, issues: known.issues }
 }

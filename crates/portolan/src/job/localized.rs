@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use portolan_export::{
     ColouredLine, PictureError, PictureOptions, Rgb, draw_way, rgb, write_picture, write_tum,
 };
-use portolan_geometry::{Rigid3, Time, yaw};
+use portolan_geometry::{Dimension, Rigid3, Time, roll_pitch_yaw, yaw};
 use portolan_ingest::SensorPlan;
 use portolan_issue::IssueLog;
 use portolan_localization::{Estimate, Place, StartPose, State};
@@ -20,6 +20,8 @@ use super::event::{Observer, Remark, remark};
 pub struct LocalizedRecording {
     /// What was known after each scan, in order.
     pub estimates: Vec<Estimate>,
+    /// Whether it was looked for in the plane or in space.
+    pub dimension: Dimension,
     /// Which topics were used as which sensors.
     pub plan: SensorPlan,
     /// Where somebody said that it starts.
@@ -146,27 +148,67 @@ pub fn write_localized(
 
 /// One line a scan. Numbers are missing where no place is known.
 fn csv(localized: &LocalizedRecording) -> String {
-    let mut text =
-        "time,state,reason,x,y,yaw,cov_xx,cov_xy,cov_x_yaw,cov_yy,cov_y_yaw,cov_yaw_yaw,explained,\
-                    in_free_space,through_solid\n"
-            .to_owned();
+    let axes = Axes::of(localized.dimension);
+    let mut text = format!("time,state,reason,{},explained,in_free_space,through_solid\n", axes.header());
     for estimate in &localized.estimates {
         let time = localized.recorded(estimate.time).unix_decimal();
         let _ = write!(text, "{time},{},{}", estimate.state, estimate.reason.name());
         match &estimate.place {
             Some(place) => {
-                let Place { map_from_tracking: pose, covariance: c, agreement: a } = place;
-                let (at, heading) = (pose.translation, yaw(&pose.rotation));
-                let _ = write!(text, ",{:.6},{:.6},{heading:.7}", at.x, at.y);
-                for (i, j) in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)] {
-                    let _ = write!(text, ",{:.6e}", c[(i, j)]);
-                }
+                axes.write(&mut text, place);
+                let a = &place.agreement;
                 let _ = writeln!(text, ",{:.3},{:.3},{:.3}", a.explained, a.in_free_space, a.through_solid);
             }
-            None => text += ",,,,,,,,,,,,\n",
+            None => {
+                let _ = writeln!(text, "{}", ",".repeat(axes.columns() + 3));
+            }
         }
     }
     text
+}
+
+/// Which axes of a pose are told, as indices of its covariance, with their names.
+struct Axes(&'static [(usize, &'static str)]);
+
+impl Axes {
+    fn of(dimension: Dimension) -> Self {
+        match dimension {
+            Dimension::Two => Self(&[(0, "x"), (1, "y"), (5, "yaw")]),
+            Dimension::Three => Self(&[(0, "x"), (1, "y"), (2, "z"), (3, "roll"), (4, "pitch"), (5, "yaw")]),
+        }
+    }
+
+    /// Each pair of axes once.
+    fn pairs(&self) -> impl Iterator<Item = ((usize, &'static str), (usize, &'static str))> {
+        self.0.iter().enumerate().flat_map(|(i, a)| self.0[i..].iter().map(move |b| (*a, *b)))
+    }
+
+    fn columns(&self) -> usize {
+        self.0.len() + self.pairs().count()
+    }
+
+    fn header(&self) -> String {
+        // Names of angles stand apart: cov_x_yaw.
+        let separator = |a: &str, b: &str| if a.len() + b.len() > 2 { "_" } else { "" };
+        let axes = self.0.iter().map(|(_, name)| (*name).to_owned());
+        let pairs = self.pairs().map(|((_, a), (_, b))| format!("cov_{a}{}{b}", separator(a, b)));
+        axes.chain(pairs).collect::<Vec<_>>().join(",")
+    }
+
+    fn write(&self, text: &mut String, place: &Place) {
+        let Place { map_from_tracking: pose, covariance, .. } = place;
+        let (at, turn) = (pose.translation, roll_pitch_yaw(&pose.rotation));
+        let turn = [turn.0, turn.1, turn.2];
+        for (axis, _) in self.0 {
+            let _ = match *axis {
+                0..3 => write!(text, ",{:.6}", at.vector[*axis]),
+                _ => write!(text, ",{:.7}", turn[*axis - 3]),
+            };
+        }
+        for ((a, _), (b, _)) in self.pairs() {
+            let _ = write!(text, ",{:.6e}", covariance[(a, b)]);
+        }
+    }
 }
 
 /// The colour of a state in pictures.

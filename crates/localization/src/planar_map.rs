@@ -6,30 +6,12 @@ use portolan_geometry::{Rigid2, Vector2, project_2d};
 use portolan_mapping::{GraphState, Planar, SubmapEntry};
 use portolan_matching::{
     CellIndex, FastCorrelativeMatcher2d, FastCorrelativeOptions2d, Grid2d, GridError, MapLimits,
-    MatcherOptionError, ProbabilityGrid,
+    ProbabilityGrid,
 };
 
+use crate::known_map::KnownMapError;
 use crate::likelihood::LikelihoodField;
-
-/// Why a map cannot be localised in.
-#[derive(Debug, thiserror::Error)]
-pub enum KnownMapError {
-    /// There is nothing in it.
-    #[error("the map is empty: it has no submap")]
-    Empty,
-    /// Submaps without grids: somebody removed them, or the file is damaged.
-    #[error("the map has {0} submaps, but not one with a grid: there is nothing to find scans in")]
-    NoGrids(usize),
-    /// Grids in which nothing is solid.
-    #[error("nothing in the map is solid: its grids show no wall to find scans by")]
-    NoWalls,
-    /// A grid cannot be made.
-    #[error(transparent)]
-    Grid(#[from] GridError),
-    /// A matcher cannot be made.
-    #[error(transparent)]
-    Matcher(#[from] MatcherOptionError),
-}
+use crate::scan_match::Matcher;
 
 /// Cells of the one grid, at most: 290 m by 290 m at 5 cm. Larger maps get larger cells.
 const MAX_CELLS: f64 = (1 << 25) as f64;
@@ -50,6 +32,8 @@ pub struct PlanarMap {
     pub(crate) field: LikelihoodField,
     /// Finds places in coarse cells.
     pub(crate) places: FastCorrelativeMatcher2d,
+    /// Finds scans near a guess.
+    pub(crate) matcher: Matcher,
     known_square_metres: f64,
 }
 
@@ -79,7 +63,13 @@ impl PlanarMap {
         let cell = grid.limits().resolution();
         let known = (0..grid.cells().len()).filter(|i| grid.cells()[*i] != 0).count();
         let known_square_metres = known as f64 * cell * cell;
-        Ok(Self { grid: Grid2d::Probability(grid), field, places, known_square_metres })
+        Ok(Self {
+            grid: Grid2d::Probability(grid),
+            field,
+            places,
+            matcher: Matcher::new()?,
+            known_square_metres,
+        })
     }
 
     /// Edge of a cell, metres.

@@ -1,0 +1,75 @@
+//! A scan of the plane as it is found in the map, and the joint cloud of several.
+
+use portolan_geometry::{Point3f, Vector2, project_2d};
+use portolan_matching::surface_tangents;
+use portolan_sensor::{PointCloud, voxel_filter_indices, voxel_filter_points};
+
+use crate::recent::RecentScans;
+
+/// Points of a scan are thinned to voxels of this edge, metres, and to this number.
+const VOXEL: f32 = 0.1;
+const MOST_POINTS: usize = 180;
+/// The cloud of all kept scans: reach, metres, voxels, metres, and points.
+const REACH: f32 = 25.0;
+const JOINT_VOXEL: f32 = 0.2;
+const MOST_JOINT_POINTS: usize = 320;
+
+/// A scan in its own level frame.
+#[derive(Clone, Debug)]
+pub struct PlanarScan {
+    /// Some of its points, metres.
+    pub cloud: PointCloud,
+    /// The same in the plane.
+    pub points: Vec<Vector2>,
+    /// Which way the surface runs at each of them, where that is known.
+    pub tangents: Vec<Option<Vector2>>,
+}
+
+impl PlanarScan {
+    /// Of all returns in the order in which they were measured, in the level frame of the scanner.
+    pub fn new(returns: &PointCloud) -> Self {
+        let tangents = surface_tangents(returns);
+        let kept = voxel_filter_indices(&returns.points, |p| *p, VOXEL);
+        let stride = kept.len().div_ceil(MOST_POINTS).max(1);
+        let kept: Vec<usize> = kept.into_iter().step_by(stride).map(|i| i as usize).collect();
+        let flat = |i: &usize| Point3f::new(returns.points[*i].x, returns.points[*i].y, 0.0);
+        let cloud = PointCloud::new(kept.iter().map(flat).collect());
+        let points = cloud.points.iter().map(plane).collect();
+        Self { cloud, points, tangents: kept.iter().map(|i| tangents[*i]).collect() }
+    }
+}
+
+pub(crate) fn plane(p: &Point3f) -> Vector2 {
+    Vector2::new(f64::from(p.x), f64::from(p.y))
+}
+
+/// Scans as one cloud in the frame of the newest.
+#[derive(Clone, Debug, Default)]
+pub struct PlanarJoint {
+    /// Metres, at height 0.
+    pub cloud: PointCloud,
+    /// The same in the plane.
+    pub points: Vec<Vector2>,
+}
+
+impl PlanarJoint {
+    /// Of all kept scans.
+    pub fn of(recent: &RecentScans<PlanarScan>) -> Self {
+        let mut points: Vec<Point3f> = Vec::new();
+        for (newest_from_scan, scan) in recent.seen_from_newest() {
+            let newest_from_scan = project_2d(&newest_from_scan);
+            let moved = scan.points.iter().map(|p| newest_from_scan.transform_point(p).cast::<f32>());
+            points.extend(moved.filter(|p| p.norm() < REACH).map(|p| Point3f::new(p.x, p.y, 0.0)));
+        }
+        Self::thinned(&points)
+    }
+
+    /// Of points at height 0, metres, in the frame of the newest scan: thinned.
+    pub fn thinned(points: &[Point3f]) -> Self {
+        let thinned = voxel_filter_points(points, JOINT_VOXEL);
+        let stride = thinned.len().div_ceil(MOST_JOINT_POINTS).max(1);
+        let cloud = PointCloud::new(thinned.into_iter().step_by(stride).collect());
+        let points = cloud.points.iter().map(plane).collect();
+        Self { cloud, points }
+    }
+}

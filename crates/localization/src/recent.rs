@@ -1,0 +1,85 @@
+//! The last scans on the way.
+
+use std::collections::VecDeque;
+
+use portolan_geometry::{Rigid3, Time};
+
+/// Scans are kept after this way, metres, or this turn, radians, so many of them.
+const KEY_WAY: f64 = 0.4;
+const KEY_TURN: f64 = 0.35;
+const KEPT: usize = 12;
+
+/// A scan that is kept for judging places.
+#[derive(Clone, Debug)]
+pub(crate) struct KeyScan<S> {
+    pub time: Time,
+    pub local_from_scan: Rigid3,
+    pub scan: S,
+}
+
+/// The last scans on the way, oldest first.
+#[derive(Clone, Debug)]
+pub struct RecentScans<S> {
+    scans: VecDeque<KeyScan<S>>,
+}
+
+impl<S> Default for RecentScans<S> {
+    fn default() -> Self {
+        Self { scans: VecDeque::new() }
+    }
+}
+
+/// What became of a scan that was offered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Offered {
+    /// It is like the last one.
+    LeftOut,
+    /// It is kept; whether the oldest one went for it.
+    Kept { oldest_left: bool },
+}
+
+impl<S> RecentScans<S> {
+    pub(crate) fn offer(&mut self, scan: KeyScan<S>) -> Offered {
+        if let Some(last) = self.scans.back() {
+            let motion = last.local_from_scan.inverse() * scan.local_from_scan;
+            let turn = motion.rotation.angle();
+            if motion.translation.vector.norm() < KEY_WAY && turn < KEY_TURN {
+                return Offered::LeftOut;
+            }
+        }
+        self.scans.push_back(scan);
+        let oldest_left = self.scans.len() > KEPT;
+        if oldest_left {
+            self.scans.pop_front();
+        }
+        Offered::Kept { oldest_left }
+    }
+
+    pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = &KeyScan<S>> + ExactSizeIterator {
+        self.scans.iter()
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.scans.clear();
+    }
+
+    /// Forgets scans before a time.
+    pub(crate) fn forget_before(&mut self, time: Time) {
+        self.scans.retain(|scan| scan.time >= time);
+    }
+
+    /// Way and turn from the first kept scan to the last, metres and radians, along the kept scans.
+    pub(crate) fn motion(&self) -> (f64, f64) {
+        let steps = self.scans.iter().zip(self.scans.iter().skip(1));
+        steps.fold((0.0, 0.0), |(way, turn), (a, b)| {
+            let step = a.local_from_scan.inverse() * b.local_from_scan;
+            (way + step.translation.vector.norm(), turn + step.rotation.angle())
+        })
+    }
+
+    /// The kept scans with where they were taken in the frame of the newest, the newest first.
+    pub fn seen_from_newest(&self) -> impl Iterator<Item = (Rigid3, &S)> {
+        let newest = self.scans.back().map_or_else(Rigid3::identity, |scan| scan.local_from_scan);
+        self.scans.iter().rev().map(move |kept| (newest.inverse() * kept.local_from_scan, &kept.scan))
+    }
+}

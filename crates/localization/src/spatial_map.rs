@@ -1,0 +1,263 @@
+//! A saved map of space: its planes, what is solid and free, and what stands upright seen from above.
+
+use nalgebra as na;
+use portolan_geometry::{
+    Point3f, Rigid3, Vector2, Vector3, embed_3d, is_valid_pose, rotation_from_roll_pitch_yaw, to_f32, yaw,
+};
+use portolan_lidar_odometry::{PlaneMap, PosePrior, Registration, RegistrationSettings, Sigmas};
+use portolan_mapping::{GraphState, Spatial};
+use portolan_matching::{
+    FastCorrelativeMatcher2d, FastCorrelativeOptions2d, Grid2d, MapLimits, ProbabilityGrid, ScanAgreement,
+    SeveralPlaces,
+};
+use portolan_sensor::PointCloud;
+use rayon::prelude::*;
+
+use crate::belief::Freedom;
+use crate::information::{Contact, information};
+use crate::known_map::{KnownMap, KnownMapError, ScanMatch, Window};
+use crate::occupancy::Occupancy;
+use crate::recent::RecentScans;
+use crate::spatial_scan::{COLUMN, SpatialJoint, SpatialScan, upright_columns};
+
+/// Edge of the largest voxels of planes, metres.
+const VOXEL: f32 = 1.0;
+/// A column of the map stands if so many of its slices are solid.
+const UPRIGHT: usize = 3;
+/// Cells of the picture from above, at most: 1.2 km by 1.2 km; maps farther across get larger cells.
+const MAX_CELLS: f64 = (1 << 24) as f64;
+/// Probability of a cell in which something stands upright.
+const STANDS: f32 = 0.9;
+/// What a search of the picture from above proposes: what scores at least this, and this share of the best.
+const PROPOSALS: SeveralPlaces = SeveralPlaces {
+    min_score: 0.3,
+    share_of_best: 0.7,
+    separation: (1.0, 0.2),
+    most: 24,
+    lookups: 150_000_000,
+};
+/// So many of them, which fit best after registration, are looked into.
+const MOST_PROPOSED: usize = 8;
+/// The scanner is at the height of a node no farther than this from its place, metres; nodes whose heights differ by
+/// so much are on different storeys.
+const NODES_AROUND: f64 = 10.0;
+const STOREY: f64 = 1.0;
+/// Around a place where it is proposed.
+const AROUND_PROPOSAL: Window = Window { metres: 0.8, radians: 0.12 };
+/// A registration reaches no farther than this, metres; wider windows are searched from several places.
+const FARTHEST: f64 = 0.8;
+/// Planes nearer than this to a point explain it, metres.
+const ON_PLANE: f32 = 0.15;
+
+/// A saved map of space.
+pub struct SpatialMap {
+    planes: PlaneMap,
+    occupancy: Occupancy,
+    /// Finds places from above.
+    places: FastCorrelativeMatcher2d,
+    /// Where nodes were taken.
+    nodes: Vec<Vector3>,
+    registration: Registration,
+}
+
+impl SpatialMap {
+    /// The map that a pose graph holds.
+    ///
+    /// # Errors
+    /// If there is nothing in it that scans could be found by.
+    pub fn new(state: &GraphState<Spatial>) -> Result<Self, KnownMapError> {
+        if state.submaps.is_empty() {
+            return Err(KnownMapError::Empty);
+        }
+        if state.submaps.values().all(|entry| entry.submap.is_none()) {
+            return Err(KnownMapError::NoGrids(state.submaps.len()));
+        }
+        let occupancy = Occupancy::new(state)?;
+        let solid = occupancy.solid();
+        if solid.is_empty() {
+            return Err(KnownMapError::NoWalls);
+        }
+        let places =
+            FastCorrelativeMatcher2d::new(&from_above(&solid)?, &FastCorrelativeOptions2d::default())?;
+        let nodes = state.nodes.values().map(|node| node.map_from_tracking.translation.vector).collect();
+        let settings = RegistrationSettings { final_scale: 0.1 * f64::from(VOXEL), ..Default::default() };
+        let registration = Registration::new(settings);
+        Ok(Self { planes: planes(state), occupancy, places, nodes, registration })
+    }
+
+    /// Poses in space over a place seen from above: at the heights of the storeys there.
+    fn lifted(&self, pose: &Rigid3) -> Vec<Rigid3> {
+        let place = pose.translation.vector;
+        let off = |node: &Vector3| (node.xy() - place.xy()).norm();
+        let mut near: Vec<(f64, f64)> =
+            self.nodes.iter().filter(|n| off(n) < NODES_AROUND).map(|n| (n.z, off(n))).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // The nearest node of each storey.
+        let storeys = near.chunk_by(|a, b| b.0 - a.0 < STOREY);
+        let heights = storeys.filter_map(|s| s.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map(|n| n.0));
+        heights.map(|z| Rigid3::translation(0.0, 0.0, z) * pose).collect()
+    }
+
+    /// Puts points on planes near a guess; the guess itself where they fit none.
+    fn register(&self, points: &[Point3f], guess: &Rigid3, window: Window) -> Rigid3 {
+        let scale = window.metres.clamp(0.2, FARTHEST);
+        let sigmas = Sigmas { translation: scale, rotation: window.radians.max(0.01) };
+        let prior = PosePrior { pose: *guess, sigmas };
+        let found = self.registration.register_scan(&self.planes, points, guess, &prior, scale);
+        found.map(|f| f.pose).filter(is_valid_pose).unwrap_or(*guess)
+    }
+
+    /// The same in windows of any size: of several places to begin with, the one that fits best.
+    fn search(&self, points: &[Point3f], guess: &Rigid3, window: Window) -> Rigid3 {
+        let rings = ((window.metres - FARTHEST) / FARTHEST).ceil().clamp(0.0, 3.0) as i32;
+        let turns = ((window.radians - 0.15) / 0.15).ceil().clamp(0.0, 3.0) as i32;
+        if rings == 0 && turns == 0 {
+            return self.register(points, guess, window);
+        }
+        let step = FARTHEST.min(window.metres);
+        let shifts = (-rings..=rings).flat_map(|x| (-rings..=rings).map(move |y| (x, y)));
+        let starts = shifts.flat_map(|(x, y)| (-turns..=turns).map(move |turn| (x, y, turn)));
+        let from = |(x, y, turn): (i32, i32, i32)| {
+            let mut start = *guess;
+            start.translation.vector += step * Vector3::new(f64::from(x), f64::from(y), 0.0);
+            start.rotation = rotation_from_roll_pitch_yaw(0.0, 0.0, 0.15 * f64::from(turn)) * start.rotation;
+            let found = self.register(points, &start, AROUND_PROPOSAL);
+            (self.agreement_of(points, &found).explained, found)
+        };
+        let found: Vec<_> = starts.collect::<Vec<_>>().into_par_iter().map(from).collect();
+        let best = found.into_iter().reduce(|best, other| if other.0 > best.0 { other } else { best });
+        best.map_or(*guess, |best| best.1)
+    }
+
+    fn agreement_of(&self, points: &[Point3f], pose: &Rigid3) -> ScanAgreement {
+        let pose = to_f32(pose);
+        let (mut explained, mut in_free) = (0_u32, 0_u32);
+        for point in points.iter().map(|p| pose * p) {
+            if self.occupancy.is_solid_near(&point) || self.is_on_plane(&point) {
+                explained += 1;
+            } else if self.occupancy.is_free(&point) {
+                in_free += 1;
+            }
+        }
+        let share = |count: u32| count as f32 / points.len().max(1) as f32;
+        ScanAgreement { explained: share(explained), in_free_space: share(in_free), through_solid: 0.0 }
+    }
+
+    fn is_on_plane(&self, point: &Point3f) -> bool {
+        self.planes
+            .plane_near(point)
+            .is_some_and(|plane| plane.normal.dot(&(point.coords - plane.point)).abs() < ON_PLANE)
+    }
+
+    /// The points that lie on planes, with their normals.
+    fn contacts<'a>(
+        &'a self,
+        points: &'a [Point3f],
+        pose: &Rigid3,
+    ) -> impl Iterator<Item = Contact> + use<'a> {
+        let (map_from_scan, origin) = (to_f32(pose), pose.translation.vector);
+        points.iter().filter_map(move |point| {
+            let point = map_from_scan * point;
+            let plane = self.planes.plane_near(&point)?;
+            let is_near = plane.normal.dot(&(point.coords - plane.point)).abs() < ON_PLANE;
+            let lever = point.coords.cast::<f64>() - origin;
+            is_near.then_some(Contact { lever, normal: plane.normal.cast() })
+        })
+    }
+}
+
+/// The planes that nodes saw, where the pose graph puts them; of maps without the points of nodes, those of solid cells.
+fn planes(state: &GraphState<Spatial>) -> PlaneMap {
+    let mut planes = PlaneMap::new(VOXEL);
+    for (id, entry) in &state.submaps {
+        let (Some(submap), Some(pose)) = (&entry.submap, state.map_from_submap(*id)) else { continue };
+        let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
+        let nodes = entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
+        let origin = nodes.map(|node| node.map_from_tracking.translation.vector).next();
+        let origin = Point3f::from(origin.unwrap_or_else(|| pose.translation.vector.cast()).cast::<f32>());
+        let mut solid = Vec::new();
+        grid.for_each_cell(|cell, _| {
+            if grid.probability(cell) > 0.55 {
+                solid.push(pose * grid.cell_center(cell));
+            }
+        });
+        planes.insert_all(solid.into_iter(), &origin);
+    }
+    for node in state.nodes.values() {
+        let pose = to_f32(&node.map_from_tracking);
+        let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];
+        let points = clouds.into_iter().flat_map(|cloud| &cloud.points).map(|p| pose * p);
+        planes.insert_all(points, &Point3f::from(pose.translation.vector));
+    }
+    planes.compacted()
+}
+
+/// What stands upright, seen from above.
+fn from_above(solid: &[Point3f]) -> Result<Grid2d, KnownMapError> {
+    let columns = upright_columns(solid.iter().copied(), UPRIGHT);
+    let first = columns.first().ok_or(KnownMapError::NoWalls)?;
+    let (low, high) =
+        columns.iter().fold((first.coords, first.coords), |(l, h), p| (l.inf(&p.coords), h.sup(&p.coords)));
+    let size: na::Vector3<f64> = (high - low).cast();
+    let mut resolution = f64::from(COLUMN);
+    let cells = |length: f64, resolution: f64| (length / resolution).ceil() + 3.0;
+    while cells(size.x, resolution) * cells(size.y, resolution) > MAX_CELLS {
+        resolution *= 2.0;
+    }
+    let max = Vector2::new(f64::from(high.x) + 1.5 * resolution, f64::from(high.y) + 1.5 * resolution);
+    let count = |length: f64| cells(length, resolution) as u32;
+    let mut grid = ProbabilityGrid::new(MapLimits::new(resolution, max, count(size.y), count(size.x))?);
+    for column in columns {
+        let cell = grid.limits().cell_index(column.xy().coords);
+        grid.set_probability(cell, STANDS);
+    }
+    Ok(Grid2d::Probability(grid))
+}
+
+impl KnownMap for SpatialMap {
+    type Space = Spatial;
+    type Scan = SpatialScan;
+    type Joint = SpatialJoint;
+    const FREEDOM: Freedom = Freedom::Space;
+
+    fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
+        let heading = rotation_from_roll_pitch_yaw(0.0, 0.0, yaw(&local_from_tracking.rotation));
+        Rigid3::from_parts(local_from_tracking.translation, heading)
+    }
+
+    fn scan(&self, returns: &PointCloud) -> SpatialScan {
+        SpatialScan::new(returns)
+    }
+
+    fn joint(&self, recent: &RecentScans<SpatialScan>) -> SpatialJoint {
+        SpatialJoint::of(recent)
+    }
+
+    fn propose(&self, joint: &SpatialJoint, is_known: &(dyn Fn(&Rigid3) -> bool + Sync)) -> Vec<Rigid3> {
+        let found = self.places.match_several(&joint.columns.cloud, &PROPOSALS);
+        let lifted: Vec<Rigid3> =
+            found.iter().flat_map(|place| self.lifted(&embed_3d(&place.pose))).collect();
+        let settled = lifted.par_iter().filter(|pose| !is_known(pose)).map(|pose| {
+            let pose = self.settle(joint, pose, AROUND_PROPOSAL);
+            let agreement = self.agreement_of(&joint.points, &pose);
+            (agreement.explained - agreement.contradicted(), pose)
+        });
+        let mut settled: Vec<(f32, Rigid3)> = settled.collect();
+        settled.sort_by(|a, b| b.0.total_cmp(&a.0));
+        settled.into_iter().take(MOST_PROPOSED).map(|(_, pose)| pose).collect()
+    }
+
+    fn settle(&self, joint: &SpatialJoint, guess: &Rigid3, window: Window) -> Rigid3 {
+        self.search(&joint.points, guess, window)
+    }
+
+    fn find(&self, scan: &SpatialScan, guess: &Rigid3, window: Window) -> ScanMatch {
+        let pose = self.register(&scan.points, guess, window);
+        let information = information(self.contacts(&scan.judged, &pose), Self::FREEDOM);
+        ScanMatch { pose, information, agreement: self.agreement(scan, &pose) }
+    }
+
+    fn agreement(&self, scan: &SpatialScan, pose: &Rigid3) -> ScanAgreement {
+        self.agreement_of(&scan.judged, pose)
+    }
+}

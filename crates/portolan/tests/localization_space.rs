@@ -1,0 +1,127 @@
+//! Finding simulated walks in saved maps of space, and not finding them in those of other places.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use std::path::PathBuf;
+
+use portolan::RequestedOptions;
+use portolan::geometry::{Rigid3, Vector3, rotation_angle};
+use portolan::ingest::IngestOptions;
+use portolan::job::{
+    Found, LocalizeRequest, LocalizedRecording, MapRequest, localize, map, unobserved, write_localized,
+};
+use portolan::localization::{KnownMapError, SpatialMap, StartPose, State};
+use portolan::mapping::{GraphState, Spatial};
+use portolan::simulator::{Scenario3dOptions, Simulation3d};
+use portolan::worlds::three_d::Scene3d;
+
+/// A walk through a place; another day, another way through it.
+fn walk(scene: Scene3d, building: u64, day: u64, seconds: f64) -> Simulation3d {
+    let mut options = Scenario3dOptions::new(scene, day, 1);
+    options.building_seed = Some(building);
+    options.duration = Some(seconds);
+    for lidar in &mut options.lidars {
+        lidar.beams.columns = 450;
+    }
+    Simulation3d::new(options).unwrap()
+}
+
+/// A map, and where it lies in the world.
+struct Known {
+    folder: tempfile::TempDir,
+    world_from_map: Rigid3,
+}
+
+impl Known {
+    fn new(scene: Scene3d, seconds: f64) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let first_day = walk(scene, 1, 1, seconds);
+        map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
+        let trajectory = std::fs::read_to_string(folder.path().join("trajectory.tum")).unwrap();
+        let first: Vec<f64> =
+            trajectory.lines().next().unwrap().split(' ').map(|word| word.parse().unwrap()).collect();
+        let rotation = portolan::geometry::Quaternion::from_quaternion(
+            portolan::geometry::nalgebra::Quaternion::new(first[7], first[4], first[5], first[6]),
+        );
+        let map_from_tracking =
+            Rigid3::from_parts(Vector3::new(first[1], first[2], first[3]).into(), rotation);
+        let time = portolan::geometry::Time::from_unix_seconds(first[0]);
+        let world_from_map = first_day.truth_at(time).unwrap() * map_from_tracking.inverse();
+        Self { folder, world_from_map }
+    }
+
+    fn map(&self) -> PathBuf {
+        self.folder.path().join("map.pbstream")
+    }
+
+    fn request(&self) -> LocalizeRequest {
+        LocalizeRequest {
+            map: self.map(),
+            folder: PathBuf::new(),
+            ingest: IngestOptions::default(),
+            requested: RequestedOptions::default(),
+            start: None,
+            threads: 2,
+        }
+    }
+
+    fn find(&self, walk: &Simulation3d, start: Option<StartPose>) -> LocalizedRecording {
+        localize(walk, &LocalizeRequest { start, ..self.request() }, &mut unobserved).unwrap()
+    }
+
+    /// Metres and radians by which localised poses are off.
+    fn errors(&self, walk: &Simulation3d, found: &LocalizedRecording) -> Vec<(f64, f64)> {
+        let localised = found.estimates.iter().filter(|e| e.state == State::Localised);
+        let off = localised.filter_map(|e| {
+            let truth = self.world_from_map.inverse() * walk.truth_at(e.time)?;
+            let error = truth.inverse() * e.place?.map_from_tracking;
+            Some((error.translation.vector.norm(), rotation_angle(&error)))
+        });
+        off.collect()
+    }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+fn walks_are_found_without_a_start() {
+    for (scene, seconds) in [(Scene3d::Museum, 60.0), (Scene3d::Garage, 40.0)] {
+        let known = Known::new(scene, seconds);
+        let today = walk(scene, 1, 2, 15.0);
+        let found = known.find(&today, None);
+        assert_ne!(found.found(), Found::Never, "{scene:?}: {:?}", found.state_counts());
+        let errors = known.errors(&today, &found);
+        let middle = median(errors.iter().map(|e| e.0));
+        assert!(errors.len() > 50 && middle < 0.1, "{scene:?}: {} poses, {middle} m", errors.len());
+        assert!(errors.iter().all(|e| e.0 < 0.5 && e.1 < 0.17), "{scene:?}: {errors:?}");
+        let elsewhere = known.find(&walk(scene, 2, 2, 8.0), None);
+        assert_eq!(elsewhere.found(), Found::Never, "{scene:?}: {:?}", elsewhere.state_counts());
+    }
+}
+
+#[test]
+fn files_do_not_depend_on_the_number_of_threads_and_have_six_dimensions() {
+    let known = Known::new(Scene3d::Museum, 20.0);
+    let today = walk(Scene3d::Museum, 1, 1, 8.0);
+    let files = [1, 2, 4].map(|threads| {
+        let request = LocalizeRequest { threads, ..known.request() };
+        let found = localize(&today, &request, &mut unobserved).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        write_localized(&found, folder.path(), 0.0, &mut unobserved).unwrap();
+        ["poses.tum", "poses.csv", "way.png", "report.json"]
+            .map(|name| std::fs::read(folder.path().join(name)).unwrap())
+    });
+    assert!(files[0] == files[1] && files[0] == files[2]);
+    let table = String::from_utf8(files[0][1].clone()).unwrap();
+    let columns: Vec<usize> = table.lines().map(|line| line.split(',').count()).collect();
+    assert!(columns.len() > 20 && columns.iter().all(|c| *c == 3 + 6 + 21 + 3), "{columns:?}");
+}
+
+#[test]
+fn empty_maps_are_told_as_such() {
+    let empty = SpatialMap::new(&GraphState::<Spatial>::default());
+    assert!(matches!(empty, Err(KnownMapError::Empty)));
+}
