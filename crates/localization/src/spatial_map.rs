@@ -48,6 +48,13 @@ const AROUND_PROPOSAL: Window = Window { metres: 0.8, radians: 0.12 };
 const FARTHEST: f64 = 0.8;
 /// Planes nearer than this to a point explain it, metres.
 const ON_PLANE: f32 = 0.15;
+/// Scans of so many nodes are put where they do not belong to see how well anything fits; turned by the golden angle
+/// against each other, radians.
+const MISPLACED: usize = 48;
+const GOLDEN_ANGLE: f64 = 2.399_963;
+/// The share that is explained by chance is taken for no more than this, and for this if no node has points.
+const MOST_BY_CHANCE: f32 = 0.9;
+const USUAL_CHANCE: f32 = 0.6;
 
 /// A saved map of space.
 pub struct SpatialMap {
@@ -58,6 +65,8 @@ pub struct SpatialMap {
     /// Where nodes were taken.
     nodes: Vec<Vector3>,
     registration: Registration,
+    /// The share of a scan that the map explains where the scan does not belong: floors fit anywhere.
+    by_chance: f32,
 }
 
 impl SpatialMap {
@@ -82,7 +91,32 @@ impl SpatialMap {
         let nodes = state.nodes.values().map(|node| node.map_from_tracking.translation.vector).collect();
         let settings = RegistrationSettings { final_scale: 0.1 * f64::from(VOXEL), ..Default::default() };
         let registration = Registration::new(settings);
-        Ok(Self { planes: planes(state), occupancy, places, nodes, registration })
+        let planes = planes(state);
+        let mut map = Self { planes, occupancy, places, nodes, registration, by_chance: 0.0 };
+        map.by_chance = map.explained_by_chance(state);
+        Ok(map)
+    }
+
+    /// The median share that the map explains of its own scans, put to wrong places.
+    fn explained_by_chance(&self, state: &GraphState<Spatial>) -> f32 {
+        let nodes: Vec<_> = state.nodes.values().collect();
+        let misplaced = |k: usize| {
+            let (here, there) = (k * nodes.len() / MISPLACED, (k * 7 + 1) * nodes.len() / MISPLACED / 2);
+            let (node, other) = (nodes.get(here)?, nodes.get(there % nodes.len())?);
+            let level = Self::local_from_scan(&node.map_from_tracking);
+            let scan_from_tracking = to_f32(&(level.inverse() * node.map_from_tracking));
+            let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];
+            let points = clouds.into_iter().flat_map(|cloud| &cloud.points);
+            let scan = SpatialScan::new(&PointCloud::new(points.map(|p| scan_from_tracking * p).collect()));
+            let turn = rotation_from_roll_pitch_yaw(0.0, 0.0, 1.0 + GOLDEN_ANGLE * k as f64);
+            let mut guess = Self::local_from_scan(&other.map_from_tracking);
+            guess.rotation = turn * level.rotation;
+            let pose = self.register(&scan.points, &guess, AROUND_PROPOSAL);
+            (!scan.judged.is_empty()).then(|| self.agreement_of(&scan.judged, &pose).explained)
+        };
+        let mut shares: Vec<f32> = (0..MISPLACED).into_par_iter().filter_map(misplaced).collect();
+        shares.sort_by(f32::total_cmp);
+        shares.get(shares.len() / 2).map_or(USUAL_CHANCE, |share| share.min(MOST_BY_CHANCE))
     }
 
     /// Poses in space over a place seen from above: at the heights of the storeys there.
@@ -129,6 +163,8 @@ impl SpatialMap {
         best.map_or(*guess, |best| best.1)
     }
 
+    /// What is explained is the share beyond that which would be by chance (as in Cohen, "A coefficient of agreement for
+    /// nominal scales", 1960): 1 where all points are, 0 where the place may be any.
     fn agreement_of(&self, points: &[Point3f], pose: &Rigid3) -> ScanAgreement {
         let pose = to_f32(pose);
         let (mut explained, mut in_free) = (0_u32, 0_u32);
@@ -140,7 +176,8 @@ impl SpatialMap {
             }
         }
         let share = |count: u32| count as f32 / points.len().max(1) as f32;
-        ScanAgreement { explained: share(explained), in_free_space: share(in_free), through_solid: 0.0 }
+        let beyond_chance = (share(explained) - self.by_chance) / (1.0 - self.by_chance);
+        ScanAgreement { explained: beyond_chance.max(0.0), in_free_space: share(in_free), through_solid: 0.0 }
     }
 
     fn is_on_plane(&self, point: &Point3f) -> bool {
