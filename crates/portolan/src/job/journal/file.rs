@@ -172,7 +172,8 @@ impl Writer {
 
 /// Writes what comes until it is closed. A job that takes less than a moment leaves no file.
 fn write(path: PathBuf, mut target: Target, pending: &Pending) -> io::Result<Option<PathBuf>> {
-    let (mut written_at, mut synced_at) = (Instant::now(), Instant::now());
+    let began = Instant::now();
+    let (mut written_at, mut synced_at) = (began, began);
     loop {
         let rest = WRITING.saturating_sub(written_at.elapsed());
         let is_last = pending.is_closed.load(Ordering::Acquire);
@@ -181,7 +182,8 @@ fn write(path: PathBuf, mut target: Target, pending: &Pending) -> io::Result<Opt
             continue;
         }
         let bytes = std::mem::take(&mut *pending.lock());
-        if !bytes.is_empty() && (rest.is_zero() || matches!(target, Target::Open(_))) {
+        let is_long = began.elapsed() >= WRITING || matches!(target, Target::Open(_));
+        if is_long && !bytes.is_empty() {
             let file = opened(&path, &mut target)?;
             file.write_all(&bytes)?;
             if synced_at.elapsed() >= SYNCING {
