@@ -89,7 +89,7 @@ pub struct PoseGraphPolicy {
     pub drops_contradicted: bool,
     /// Biases of IMUs are estimated and taken away when optimising in 3D.
     pub corrects_imu_biases: bool,
-    /// Matches in whole submaps that must agree before they connect trajectories; 1 takes the first.
+    /// How many matches in whole submaps must agree to connect two trajectories; with 1 a single match does.
     pub min_agreeing: usize,
     /// Trajectories without a place in the map are searched as soon as nodes come, as many times as real time
     /// allows, where the scanner can be (only in 3D).

@@ -2,20 +2,20 @@
 //! (`slam2d.md` §13).
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::Rigid3;
-use portolan_sensor::FixedRatioSampler;
 use rayon::prelude::*;
 
+use super::matcher_cache::MatcherCache;
 use super::policy::{LoopSearchPolicy, Spacing};
+use super::sampling::Samplers;
 use super::travel::TravelGraph;
 use crate::histogram::Histogram;
 use crate::remembered::Remembered;
 use crate::{
     Constraint, ConstraintTag, MatchedPose, Nearby, NodeData, NodeId, SearchRegion, Space, SubmapId,
-    TrajectoryId,
 };
 
 /// A pair to try.
@@ -297,129 +297,6 @@ impl<S: Space> ConstraintSearch<S> {
     /// Drops waiting pairs of a submap that is about to go.
     pub fn forget_tasks(&mut self, mut concerns: impl FnMut(SubmapId, NodeId) -> bool) {
         self.tasks.retain(|task| !concerns(task.submap_id, task.node_id));
-    }
-}
-
-/// The most recently used matchers. What it holds decides only how long a search takes.
-struct MatcherCache<S: Space> {
-    kept: Mutex<KeptMatchers<S>>,
-}
-
-struct KeptMatchers<S: Space> {
-    uses: u64,
-    by_submap: BTreeMap<SubmapId, (u64, Arc<S::Matcher>)>,
-}
-
-impl<S: Space> Default for MatcherCache<S> {
-    fn default() -> Self {
-        Self { kept: Mutex::new(KeptMatchers { uses: 0, by_submap: BTreeMap::new() }) }
-    }
-}
-
-impl<S: Space> MatcherCache<S> {
-    fn lock(&self) -> MutexGuard<'_, KeptMatchers<S>> {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn get_or_build(
-        &self,
-        id: SubmapId,
-        submap: &S::Submap,
-        options: &ConstraintBuilderOptions,
-    ) -> Option<Arc<S::Matcher>> {
-        let kept = self.lock().by_submap.get(&id).map(|(_, matcher)| Arc::clone(matcher));
-        let matcher = match kept {
-            Some(matcher) => matcher,
-            None => Arc::new(S::build_matcher(submap, options)?),
-        };
-        let mut kept = self.lock();
-        kept.uses += 1;
-        let used = kept.uses;
-        kept.by_submap.insert(id, (used, Arc::clone(&matcher)));
-        kept.shrink();
-        Some(matcher)
-    }
-
-    fn shrink(&self) {
-        self.lock().shrink();
-    }
-
-    fn remove(&self, id: &SubmapId) {
-        self.lock().by_submap.remove(id);
-    }
-}
-
-impl<S: Space> KeptMatchers<S> {
-    /// Drops those that were not used for longest until the rest fits.
-    fn shrink(&mut self) {
-        let mut total: usize = self.by_submap.values().map(|(_, m)| S::matcher_bytes(m)).sum();
-        while total > S::MATCHER_CACHE_BYTES {
-            let oldest = self.by_submap.iter().min_by_key(|(_, (used, _))| *used).map(|(id, _)| *id);
-            let Some((_, matcher)) = oldest.and_then(|id| self.by_submap.remove(&id)) else { break };
-            total -= S::matcher_bytes(&matcher);
-        }
-    }
-}
-
-/// Samplers that are made when they are first needed.
-pub(super) struct Samplers<K> {
-    ratio: f64,
-    samplers: BTreeMap<K, FixedRatioSampler>,
-}
-
-impl<K: Ord> Samplers<K> {
-    /// All with one ratio; one that makes no sense (options are checked elsewhere) samples nothing.
-    pub fn new(ratio: f64) -> Self {
-        Self { ratio, samplers: BTreeMap::new() }
-    }
-
-    /// Whether the turn of this one has come.
-    pub fn pulse(&mut self, key: K) -> bool {
-        if let Some(sampler) = self.samplers.get_mut(&key) {
-            return sampler.pulse();
-        }
-        let Ok(mut sampler) = FixedRatioSampler::new(self.ratio) else { return false };
-        let turn = sampler.pulse();
-        self.samplers.insert(key, sampler);
-        turn
-    }
-
-    /// Starts anew for this one.
-    pub fn forget(&mut self, key: &K) {
-        self.samplers.remove(key);
-    }
-}
-
-/// Whose turn it is to be searched in a whole submap.
-pub(super) struct WholeSubmapTurns {
-    samplers: Samplers<TrajectoryId>,
-    per_metre: f64,
-    /// Searches that are due.
-    due: BTreeMap<TrajectoryId, f64>,
-}
-
-impl WholeSubmapTurns {
-    /// One pair in so many, whatever their number.
-    pub fn new(sampling_ratio: f64) -> Self {
-        Self { samplers: Samplers::new(sampling_ratio), per_metre: 0.0, due: BTreeMap::new() }
-    }
-
-    /// Each metre of way in so many submaps, however many there are; 0: as the ratio says.
-    pub fn set_per_metre(&mut self, submaps: f64) {
-        self.per_metre = submaps;
-    }
-
-    /// Whether to search a node of a trajectory, a step of so many metres after the one before, in one of so many
-    /// submaps.
-    pub fn is_due(&mut self, id: TrajectoryId, submaps: usize, step: f64) -> bool {
-        if self.per_metre <= 0.0 {
-            return self.samplers.pulse(id);
-        }
-        let due = self.due.entry(id).or_default();
-        *due += (self.per_metre * step / submaps.max(1) as f64).clamp(0.0, 1.0);
-        let is_due = *due >= 1.0;
-        *due -= f64::from(u8::from(is_due));
-        is_due
     }
 }
 

@@ -110,8 +110,8 @@ impl BlockSystem {
         result.is_ok()
     }
 
-    /// Smallest ratio of a squared pivot of the last factor to the undamped diagonal: how much of an unknown
-    /// remains once those before it are known. Rounding alone leaves about 1e-16.
+    /// Smallest ratio of a squared pivot of the last factor to the undamped diagonal: the share of an unknown's
+    /// information that is left when the unknowns eliminated before it are given. Rounding alone leaves about 1e-16.
     pub fn smallest_pivot_ratio(&self) -> f64 {
         let factor = supernodal::SupernodalLltRef::new(&self.symbolic, &self.factor);
         let mut smallest = f64::INFINITY;
