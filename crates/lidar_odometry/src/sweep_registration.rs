@@ -91,7 +91,7 @@ impl SweepRegistration {
         let prior = self.motion_prior(segment);
         let settings = &self.settings;
         let by_sigma = settings.scale_per_sigma * prior.growth.translation;
-        let scale = settings.start_scale.max(by_sigma).min(settings.max_scale);
+        let scale = by_sigma.min(settings.max_scale);
         let poles = poles.map(|poles| (&poles.map, &poles.points[..]));
         let found = self.registration.register_sweep(planes, sample, &in_map, &prior, scale, poles);
         let found = found.filter(|found| found.matched_fraction >= settings.min_matched_fraction);

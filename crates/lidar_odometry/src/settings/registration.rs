@@ -117,13 +117,9 @@ settings! {
             "Scale of the loss at the end, as a fraction of the edge of the largest voxels",
             origin: "tuned",
             larger: "more outliers count";
-        start_scale: f64 = 0.3, "m", 0.01..=5.0,
-            "Points may be off by this at the beginning",
-            origin: "tuned",
-            larger: "larger basin of attraction, slower";
         scale_per_sigma: f64 = 3.0, "1", 0.0..=10.0,
-            "And by so many standard deviations of the predicted translation",
-            origin: "usual",
+            "Points may be off at the beginning by so many standard deviations of the predicted translation",
+            origin: "usual (docs/experiments/2026-11-cpu-time.md)",
             larger: "larger basin of attraction, slower";
         max_scale: f64 = 2.0, "m", 0.1..=20.0,
             "But not by more than this",
