@@ -161,7 +161,7 @@ fn add_problem(question: &mut Fingerprint, data: &OptimizationData, constraints:
     for id in &data.anchors {
         question.add([id.trajectory_id.0, id.index]);
     }
-    question.add((data.corrects_imu_biases, data.max_iterations_override));
+    question.add((data.doubts_sensors, data.max_iterations_override));
 }
 
 fn count(number: usize) -> u64 {

@@ -91,8 +91,9 @@ pub struct OptimizationData {
     pub fixed_frame_origins: BTreeMap<TrajectoryId, FixedFrameOrigin>,
     /// Trajectories that are not moved.
     pub frozen: BTreeSet<TrajectoryId>,
-    /// Whether biases of IMUs are estimated and taken away; Cartographer knows none.
-    pub corrects_imu_biases: bool,
+    /// Whether biases of IMUs are estimated and taken away, and fixes weighted by how far they scatter; Cartographer
+    /// believes both as they are.
+    pub doubts_sensors: bool,
     /// First submaps of parts of the map that nothing ties to the rest: they stay where they are, so that
     /// their part does not float. The first submap of all stays in any case.
     pub anchors: BTreeSet<SubmapId>,

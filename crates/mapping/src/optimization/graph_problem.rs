@@ -10,6 +10,7 @@ use portolan_motion::{fixed_frame_at, odometry_at};
 use portolan_solver::{Factor, Loss, Problem, SolverOptions, VariableId};
 
 use super::data::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
+use super::fixes;
 use crate::{Constraint, NodeId, SubmapId, TrajectoryId, of_trajectory};
 
 /// So little of the weight of rotations counts for poses that have none: enough for a heading to be found where
@@ -212,10 +213,9 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
     /// Ties nodes to the fixed frame of their trajectory.
     pub fn add_fixed_frames(&mut self, data: &OptimizationData) {
         let o = self.options;
-        let weights = (o.fixed_frame_pose_translation_weight, o.fixed_frame_pose_rotation_weight);
-        let (a, b) = (o.fixed_frame_pose_tolerant_loss_param_a, o.fixed_frame_pose_tolerant_loss_param_b);
-        let loss = if o.fixed_frame_pose_use_tolerant_loss { Loss::Tolerant(a, b) } else { Loss::None };
+        let loss = fixes::loss(data, o);
         for (trajectory_id, sensors) in data.sensors.iter().filter(|(id, _)| !data.frozen.contains(id)) {
+            let translation = fixes::translation_weight(data, *trajectory_id, o);
             for (node_id, node) in of_trajectory(&data.nodes, *trajectory_id) {
                 let Some(measured) = fixed_frame_at(&sensors.fixed_frame, node.time) else { continue };
                 let origin = *self.fixed_frames.entry(*trajectory_id).or_insert_with(|| {
@@ -224,8 +224,10 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
                     S::add_pose(&mut self.problem, &origin, Role::FixedFrame, o)
                 });
                 // A satellite fix says nothing of rotations. Cartographer takes it for heading east.
-                let is_fix = data.corrects_imu_biases && measured.rotation.angle() < 1e-9;
-                let weights = if is_fix { (weights.0, HEADING_OF_A_FIX * weights.1) } else { weights };
+                let is_fix = data.doubts_sensors && measured.rotation.angle() < 1e-9;
+                let rotation =
+                    o.fixed_frame_pose_rotation_weight * if is_fix { HEADING_OF_A_FIX } else { 1.0 };
+                let weights = (translation, rotation);
                 self.add_between([origin, self.nodes[&node_id]], &measured, weights, loss);
             }
         }

@@ -1,6 +1,7 @@
 //! The optimisation problem: what it knows, and its forms in 2D and in 3D.
 
 mod data;
+mod fixes;
 mod graph_problem;
 mod imu_bias;
 mod three_d;

@@ -9,13 +9,13 @@ use portolan_motion::{integrate_imu, velocity_change};
 use portolan_solver::{Loss, Problem, RotationFreedom, TranslationFreedom, VariableId, factors};
 
 use super::data::{ImuState, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
+use super::fixes::translation_weight;
 use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNodes, Weights, follows};
 use super::imu_bias::ImuBias;
 use crate::{Constraint, NodeId, TrajectoryId, of_trajectory};
 
-/// How far off an IMU may be mounted, radians (standard deviation). Without this a walk that hardly turns says
-/// nothing of whether the IMU or the whole map is tilted, and noise decides: simulated recordings of 8 and 12 s without motion were
-/// mapped 30 and 120 degrees off level.
+/// How far off an IMU may be mounted, radians (standard deviation). A walk that hardly turns says nothing of whether
+/// the IMU or the whole map is tilted, so that without this noise decides.
 const MOUNTING_SIGMA: f64 = 0.02;
 
 /// How far from level local SLAM begins without an IMU, radians (standard deviation): lidars are mounted level, and
@@ -115,11 +115,11 @@ impl<'a> SpatialProblem<'a> {
             sensors.is_some_and(|s| s.imu.is_empty() && !s.fixed_frame.is_empty())
         };
         let trajectories: Vec<TrajectoryId> = data.sensors.keys().copied().filter(tilts).collect();
-        for id in trajectories.into_iter().filter(|_| data.corrects_imu_biases) {
+        for id in trajectories.into_iter().filter(|_| data.doubts_sensors) {
             let Some((node_id, node)) = of_trajectory(&data.nodes, id).next() else { continue };
             let fixes = of_trajectory(&data.nodes, id).count().min(data.sensors[&id].fixed_frame.len());
             // All fixes together count as one whose height is off by that.
-            let of_fixes = self.options.fixed_frame_pose_translation_weight * (fixes as f64).sqrt();
+            let of_fixes = translation_weight(data, id, self.options) * (fixes as f64).sqrt();
             let weight = of_fixes * COMMON_HEIGHT_ERROR / START_LEVEL_SIGMA;
             // Local SLAM and the map may differ in heading.
             let heading = yaw(&node.map_from_node.rotation) - yaw(&node.local_from_node.rotation);
@@ -149,7 +149,7 @@ impl<'a> SpatialProblem<'a> {
             calibration: problem.add_rotation(&state.calibration, freedom),
         };
         self.imus.insert(id, variables);
-        if freedom == RotationFreedom::Free && data.corrects_imu_biases {
+        if freedom == RotationFreedom::Free && data.doubts_sensors {
             let (variable, rotation) = (variables.calibration, Quaternion::identity());
             let factor = factors::RotationPrior { variable, rotation, weight: 1.0 / MOUNTING_SIGMA };
             self.graph.add_factor(factor, Loss::None);
@@ -159,7 +159,7 @@ impl<'a> SpatialProblem<'a> {
 
     fn estimate_imu_biases(&mut self, data: &OptimizationData) {
         let options = self.options;
-        let wanted = data.corrects_imu_biases && !options.fix_z_in_3d;
+        let wanted = data.doubts_sensors && !options.fix_z_in_3d;
         let moving = data.sensors.keys().filter(|id| wanted && !data.frozen.contains(id));
         self.imu_biases = moving.map(|id| (*id, ImuBias::estimate(data, *id, options))).collect();
     }

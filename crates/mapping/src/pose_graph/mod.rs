@@ -142,7 +142,7 @@ impl<S: Space> PoseGraph<S> {
 
     /// What is done beyond what Cartographer does. To be set before anything is added.
     pub fn set_policy(&mut self, policy: PoseGraphPolicy) {
-        self.problem.corrects_imu_biases = policy.corrects_imu_biases;
+        self.problem.doubts_sensors = policy.doubts_sensors;
         self.localisation.set_wanted(policy.localises_while_recording && S::OPTIMIZES_WITH_IMU);
         self.search.set_policy(policy.loops);
         self.whole_submaps.set_per_metre(policy.loops.whole_submaps_per_metre);

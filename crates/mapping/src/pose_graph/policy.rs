@@ -87,8 +87,8 @@ pub(super) const GOLDEN: f64 = 0.618_033_988_749_895;
 pub struct PoseGraphPolicy {
     /// Loop closures that all others together contradict are dropped at the end.
     pub drops_contradicted: bool,
-    /// Biases of IMUs are estimated and taken away when optimising in 3D.
-    pub corrects_imu_biases: bool,
+    /// Biases of IMUs are estimated and taken away when optimising in 3D, and fixes weighted by how far they scatter.
+    pub doubts_sensors: bool,
     /// How many matches in whole submaps must agree to connect two trajectories; with 1 a single match does.
     pub min_agreeing: usize,
     /// Trajectories without a place in the map are searched as soon as nodes come, as many times as real time
@@ -104,7 +104,7 @@ impl Default for PoseGraphPolicy {
     fn default() -> Self {
         Self {
             drops_contradicted: false,
-            corrects_imu_biases: false,
+            doubts_sensors: false,
             min_agreeing: 1,
             localises_while_recording: false,
             min_searches: 0,
@@ -132,7 +132,7 @@ impl PoseGraphPolicy {
     pub fn new(options: &PortolanOptions) -> Self {
         Self {
             drops_contradicted: options.drop_contradicted_loop_closures,
-            corrects_imu_biases: options.match_surfaces,
+            doubts_sensors: options.match_surfaces,
             min_agreeing: options.global_localization_min_matches,
             localises_while_recording: options.match_surfaces,
             min_searches: options.min_loop_closure_searches as u64,

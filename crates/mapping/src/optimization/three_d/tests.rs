@@ -156,7 +156,7 @@ fn frozen_trajectories_stay() {
 fn fixes_along_a_straight_way_do_not_roll_the_map() {
     let roll_of = |corrects: bool| {
         let mut data = OptimizationData {
-            corrects_imu_biases: corrects,
+            doubts_sensors: corrects,
             max_iterations_override: Some(200),
             ..Default::default()
         };
