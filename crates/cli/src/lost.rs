@@ -18,7 +18,11 @@ pub fn losses<S: Space>(mapped: &MappedRecording<S>) -> String {
             "what came then was found again in the map"
         };
         let [since, until] = [loss.since, loss.until].map(|t| recorded(t).seconds_since(start));
-        format!("lost from {since:.1} to {until:.1} s: no scan fitted the map; {outcome}\n")
+        let when = match until - since < 0.05 {
+            true => format!("at {since:.1} s"),
+            false => format!("from {since:.1} to {until:.1} s"),
+        };
+        format!("lost {when}: scans did not fit the map any more; {outcome}\n")
     });
     let mut text: String = lines.collect();
     if mapped.losses.len() > NAMED {

@@ -34,10 +34,10 @@ pub(crate) struct FirstSweeps<'a> {
 }
 
 /// A sweep as a place to be in.
-struct Reference {
+pub(crate) struct Reference {
     planes: PlaneMap,
     /// Points that are not on the ground.
-    upright: Vec<Point3f>,
+    pub upright: Vec<Point3f>,
 }
 
 impl<'a> FirstSweeps<'a> {
@@ -136,7 +136,8 @@ impl<'a> FirstSweeps<'a> {
 }
 
 impl Reference {
-    fn new(points: &[Point3f], settings: &OdometrySettings) -> Self {
+    /// Of points in a level frame.
+    pub fn new(points: &[Point3f], settings: &OdometrySettings) -> Self {
         let mut planes =
             PlaneMap::with_settings(settings.local_map.voxel_size as f32, settings.plane_fit.clone());
         points.iter().for_each(|p| planes.insert(p));

@@ -21,6 +21,8 @@ pub enum Issue {
     GyroscopeOverruled,
     /// A sweep that fits no plane; its pose is predicted, or another map's.
     NoPlaneFits,
+    /// A sweep that contradicts the map; the map is not shown it.
+    ContradictsMap,
 }
 
 impl Issue {
@@ -36,6 +38,7 @@ impl Issue {
             Self::EmptySweep => "scan without a single return",
             Self::SweepTooOld => "scan that ends before the last matched scan",
             Self::GyroscopeOverruled => "sweep whose turn the gyroscope did not tell; scans told it",
+            Self::ContradictsMap => "scan that contradicts the map, not inserted",
             Self::NoPlaneFits => {
                 "scan that fits no surface; its pose is what wheels, IMU, the velocity before or grids tell"
             }

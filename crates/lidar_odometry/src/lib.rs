@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod belief;
 mod coarse_alignment;
 mod degenerate_intervals;
 mod deskew;
@@ -15,6 +16,7 @@ mod local_map;
 mod motion_state;
 mod odometry;
 mod phase;
+mod pieces;
 mod plane_fit;
 mod plane_map;
 mod poles;
@@ -31,6 +33,7 @@ mod testing;
 mod tracker;
 mod two_threads;
 mod vertical;
+mod wide_search;
 
 pub use degenerate_intervals::{DegenerateInterval, DegenerateMotion, Substitute};
 pub use deskew::PiecewiseLinearTrajectory;
@@ -40,6 +43,7 @@ pub use issues::{Issue, Issues};
 pub use local_map::GrowingMap;
 pub use odometry::{LidarOdometry, SweepError};
 pub use phase::Phase;
+pub use pieces::PieceBegun;
 pub use plane_map::{Plane, PlaneMap, Unreliable};
 pub use poles::{PoleMap, PolePoint};
 pub use registration::{

@@ -8,12 +8,14 @@ use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData};
 use thiserror::Error;
 
+use crate::belief::Belief;
 use crate::degenerate_intervals::DegenerateInterval;
 use crate::gravity_initialisation::{Beginning, GravityInitialisation, WaitingSweeps};
 use crate::issues::{Issue, Issues};
 use crate::local_map::GrowingMap;
 use crate::motion_state::MotionState;
 use crate::phase::{Phase, State};
+use crate::pieces::{Ended, PieceBegun, Recent};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
 use crate::tracker::{Fallback, RegisteredSweep, Tracker};
@@ -35,6 +37,13 @@ pub struct LidarOdometry {
     state: State,
     /// Sweeps that are not registered yet, in order of time.
     waiting: VecDeque<Sweep>,
+    /// Sweeps that are registered and not handed over yet.
+    ready: VecDeque<RegisteredSweep>,
+    /// What came since a sweep last fitted the map.
+    recent: Recent,
+    /// The beginning of a piece of map whose first sweep is not registered yet.
+    begun: Option<PieceBegun>,
+    ended: Ended,
     /// Whether no more sweeps will come.
     is_ended: bool,
     issues: Issues,
@@ -48,6 +57,10 @@ impl LidarOdometry {
             state: State::WaitingForGravity(GravityInitialisation::new(&settings.initialisation)),
             settings,
             waiting: VecDeque::new(),
+            ready: VecDeque::new(),
+            recent: Recent::default(),
+            begun: None,
+            ended: Ended::default(),
             is_ended: false,
             issues: Issues::default(),
             memory: Memory::default(),
@@ -74,20 +87,64 @@ impl LidarOdometry {
         Ok(std::iter::from_fn(|| self.advance(None)).collect())
     }
 
-    /// Registers the next of the sweeps that wait, if its turn has come. Where it fits no plane, another map is asked.
-    pub fn advance(&mut self, fallback: Option<&mut dyn Fallback>) -> Option<RegisteredSweep> {
-        // 1. Wait until an IMU has told which way is up, or until it is clear that there is none.
-        let waiting = self.waiting_sweeps();
-        if !self.begin_if_ready(waiting.as_ref()) {
-            return None;
+    /// Gives the next sweep that is registered; none if more has to come first. Where it fits no plane, another map is
+    /// asked. Sweeps that contradict the map are held back until others fit, or until it is clear that the pose is lost:
+    /// then they are registered once more, and the first of them begins a new piece of map.
+    pub fn advance(&mut self, mut fallback: Option<&mut (dyn Fallback + '_)>) -> Option<RegisteredSweep> {
+        while self.ready.is_empty() {
+            // 1. Wait until an IMU has told which way is up, or until it is clear that there is none.
+            if !self.begin_if_ready(None) {
+                return None;
+            }
+            let registered = match &mut self.state {
+                State::WaitingForGravity(_) => return None,
+                // 2. The first sweep waits for the second, which tells how fast everything was already moving.
+                State::FirstSweep(_) => self.register_first()?,
+                // 3. All others are registered to planes that those before them saw.
+                State::Tracking(tracker) => {
+                    let Some(sweep) = self.waiting.pop_front() else { break };
+                    tracker.register(sweep, fallback.as_deref_mut(), &mut self.issues)
+                }
+            };
+            // 4. Hand it over, hold it back, or begin anew.
+            self.judge(registered);
         }
-        // 2. The first sweep waits for the second, which tells how fast everything was already moving.
-        if matches!(self.state, State::FirstSweep(_)) {
-            return self.register_first();
+        if self.is_ended && self.waiting.is_empty() {
+            self.ready.extend(self.recent.release());
         }
-        // 3. All others are registered to planes that those before them saw.
-        let State::Tracking(tracker) = &mut self.state else { return None };
-        Some(tracker.register(self.waiting.pop_front()?, fallback, &mut self.issues))
+        self.ready.pop_front()
+    }
+
+    fn judge(&mut self, mut registered: RegisteredSweep) {
+        match registered.belief {
+            Belief::Sure => {
+                self.recent.fitted(&registered);
+                registered.begun = self.begun.take();
+                self.ready.extend(self.recent.release());
+                self.ready.push_back(registered);
+            }
+            Belief::Doubtful { .. } => self.recent.hold(registered),
+            Belief::Lost { since } => {
+                self.recent.hold(registered);
+                self.begin_anew(since);
+            }
+        }
+    }
+
+    /// Ends the piece of map that sweeps do not fit any more, and registers everything since then once more, to a map that
+    /// knows nothing yet.
+    fn begin_anew(&mut self, since: Time) {
+        let initialisation =
+            State::WaitingForGravity(GravityInitialisation::new(&self.settings.initialisation));
+        let State::Tracking(tracker) = std::mem::replace(&mut self.state, initialisation) else { return };
+        self.ended.add(&tracker);
+        let maps = tracker.local_map().all().map(|map| map.planes.compacted()).collect();
+        self.begun = Some(PieceBegun { since, ended_from_begun: self.recent.ended_from_begun(), maps });
+        let replay = self.recent.replay();
+        replay.sweeps.into_iter().rev().for_each(|sweep| self.waiting.push_front(sweep));
+        replay.imu.iter().for_each(|sample| self.add_imu(sample));
+        self.begin_if_ready(None);
+        replay.odometry.iter().for_each(|pose| self.add_odometry(pose));
     }
 
     fn register_first(&mut self) -> Option<RegisteredSweep> {
@@ -129,7 +186,10 @@ impl LidarOdometry {
             State::FirstSweep(motion) => motion.add_imu(data),
             State::Tracking(tracker) => tracker.motion_mut().add_imu(data),
         };
-        issue.into_iter().for_each(|issue| self.issues.count(issue));
+        match issue {
+            Some(issue) => self.issues.count(issue),
+            None => self.recent.add_imu(data),
+        }
     }
 
     /// Takes an odometry pose, in order of time.
@@ -142,25 +202,31 @@ impl LidarOdometry {
             State::FirstSweep(motion) => motion.add_odometry(data),
             State::Tracking(tracker) => tracker.motion_mut().add_odometry(data),
         };
-        issue.into_iter().for_each(|issue| self.issues.count(issue));
+        match issue {
+            Some(issue) => self.issues.count(issue),
+            None => self.recent.add_odometry(data),
+        }
     }
 
-    /// Begins the trajectory if enough is known, or if too little comes to wait for more; sweeps may wait elsewhere.
+    /// Begins the trajectory if enough is known, or if too little comes to wait for more; sweeps may wait elsewhere, too.
     /// Whether it has begun.
-    pub fn begin_if_ready(&mut self, waiting: Option<&WaitingSweeps>) -> bool {
+    pub fn begin_if_ready(&mut self, elsewhere: Option<&WaitingSweeps>) -> bool {
+        let waiting = self.waiting_sweeps(elsewhere);
         if let State::WaitingForGravity(initialisation) = &self.state
-            && (self.is_ended || initialisation.is_ready(waiting))
+            && (self.is_ended || initialisation.is_ready(waiting.as_ref()))
         {
-            self.begin(waiting);
+            self.begin(elsewhere);
         }
         !matches!(self.state, State::WaitingForGravity(_))
     }
 
     /// Begins the trajectory with what is known, if that is anything at all.
-    pub fn begin(&mut self, waiting: Option<&WaitingSweeps>) {
+    pub fn begin(&mut self, elsewhere: Option<&WaitingSweeps>) {
+        let waiting = self.waiting_sweeps(elsewhere);
         let State::WaitingForGravity(initialisation) = &mut self.state else { return };
         let extrapolator = self.settings.extrapolator.extrapolator();
-        let Some(Beginning { extrapolator, imu }) = initialisation.begin(extrapolator, waiting) else {
+        let Some(Beginning { extrapolator, imu }) = initialisation.begin(extrapolator, waiting.as_ref())
+        else {
             return;
         };
         let (motion, issues) = MotionState::new(&self.settings, extrapolator, &imu);
@@ -173,9 +239,13 @@ impl LidarOdometry {
         self.is_ended = true;
     }
 
-    fn waiting_sweeps(&self) -> Option<WaitingSweeps> {
-        let (first, last) = (self.waiting.front()?, self.waiting.back()?);
-        Some(WaitingSweeps { first_point: first.begin(), first_end: first.end, last_end: last.end })
+    /// The sweeps that wait here, and then elsewhere.
+    fn waiting_sweeps(&self, elsewhere: Option<&WaitingSweeps>) -> Option<WaitingSweeps> {
+        let (Some(first), Some(last)) = (self.waiting.front(), self.waiting.back()) else {
+            return elsewhere.copied();
+        };
+        let last_end = elsewhere.map_or(last.end, |more| more.last_end.max(last.end));
+        Some(WaitingSweeps { first_point: first.begin(), first_end: first.end, last_end })
     }
 
     /// Where it stands.
@@ -203,11 +273,12 @@ impl LidarOdometry {
     }
 
     /// Intervals in which sweeps left a direction unconstrained, in order of their beginning.
-    pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
-        match &self.state {
-            State::Tracking(tracker) => tracker.degenerate_intervals(),
-            _ => &[],
+    pub fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
+        let mut all = self.ended.intervals.clone();
+        if let State::Tracking(tracker) = &self.state {
+            all.extend_from_slice(tracker.degenerate_intervals());
         }
+        all
     }
 
     /// What was wrong with the data so far.
@@ -217,6 +288,7 @@ impl LidarOdometry {
 
     /// What was wrong with poses, odometry and IMU since the first sweep.
     pub fn extrapolator_counts(&self) -> ExtrapolatorCounts {
-        self.state.motion().map(|motion| motion.extrapolator.counts()).unwrap_or_default()
+        let now = self.state.motion().map(|motion| motion.extrapolator.counts()).unwrap_or_default();
+        self.ended.counts.plus(&now)
     }
 }

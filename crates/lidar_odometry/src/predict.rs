@@ -42,6 +42,8 @@ pub(crate) enum Reason {
     LongGap,
     /// A gyroscope may be saturated, or its clock or axes wrong.
     GyroscopeFails,
+    /// A sweep contradicts the map where it is predicted, and fits elsewhere.
+    OtherMotion,
 }
 
 impl Alternative {
@@ -50,6 +52,8 @@ impl Alternative {
         match self.reason {
             Reason::AccelerometerFails => best.found.is_none(),
             Reason::LongGap => true,
+            // It is no alternative of the prediction.
+            Reason::OtherMotion => false,
             Reason::GyroscopeFails => prediction.is_saturated || best.contradicts_rotation,
         }
     }

@@ -51,6 +51,7 @@ impl Answer for Reason {
             Self::AccelerometerFails => 0,
             Self::LongGap => 1,
             Self::GyroscopeFails => 2,
+            Self::OtherMotion => 3,
         };
         number.write(words);
     }
@@ -60,6 +61,7 @@ impl Answer for Reason {
             0 => Some(Self::AccelerometerFails),
             1 => Some(Self::LongGap),
             2 => Some(Self::GyroscopeFails),
+            3 => Some(Self::OtherMotion),
             _ => None,
         }
     }

@@ -133,6 +133,13 @@ impl TrajectorySegment {
         SegmentCorrection { growth, ..SegmentCorrection::default() }
     }
 
+    /// The segment from the same start to another end.
+    #[must_use]
+    pub(crate) fn ending_at(&self, end: &Rigid3) -> Self {
+        let poses = self.corrected_poses(&self.correction_to(end)).collect();
+        Self { poses, ..self.clone() }
+    }
+
     /// The fractions of the growth that apply after a fraction s of the time, to translation and to rotation.
     ///
     /// What was measured drifts with time: s. Where velocity was assumed constant, that of the sweep before belongs to the

@@ -71,7 +71,7 @@ pub use motion::{
     GravitySettings, GyroscopeSettings, HypothesisSettings, ImuSettings, InertialSettings,
     MotionPriorSettings, StandstillSettings,
 };
-pub use registration::{DegeneracySettings, RegistrationSettings, SweepSettings};
+pub use registration::{DegeneracySettings, LossSettings, RegistrationSettings, SweepSettings};
 pub use start::{CoarseAlignmentSettings, InitialisationSettings, VerticalSettings};
 
 /// One setting: what it is called, what it is, and what it does.
@@ -175,6 +175,8 @@ pub struct OdometrySettings {
     pub hypotheses: HypothesisSettings,
     /// Which points of a sweep are registered, and when that counts.
     pub sweep: SweepSettings,
+    /// When the pose is lost.
+    pub loss: LossSettings,
     /// Registration to planes.
     pub registration: RegistrationSettings,
     /// Degenerate intervals.
@@ -207,6 +209,7 @@ impl OdometrySettings {
         self.motion_prior.entries_into(&mut all);
         self.hypotheses.entries_into(&mut all);
         self.sweep.entries_into(&mut all);
+        self.loss.entries_into(&mut all);
         self.registration.entries_into(&mut all);
         self.degeneracy.entries_into(&mut all);
         self.poles.entries_into(&mut all);

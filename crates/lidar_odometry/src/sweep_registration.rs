@@ -4,6 +4,7 @@
 use portolan_geometry::Rigid3;
 use portolan_sensor::{TimedPoint, voxel_filter_indices};
 
+use crate::belief::SweepFit;
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::PlaneMap;
 use crate::poles::PolesToRegister;
@@ -26,6 +27,13 @@ pub(crate) struct RegisteredSegment {
     pub contradicts_rotation: bool,
 }
 
+impl RegisteredSegment {
+    /// To be compared with other sweeps.
+    pub fn sweep_fit(&self) -> SweepFit {
+        SweepFit { fit: self.fit, rms: self.found.as_ref().map(|found| found.rms) }
+    }
+}
+
 /// What a sweep is registered to.
 pub(crate) struct Target<'a> {
     pub local_from_map: &'a Rigid3,
@@ -39,6 +47,9 @@ pub(crate) struct SweepRegistration {
     settings: SweepSettings,
     prior: MotionPriorSettings,
     contradiction_sigmas: f64,
+    /// How far off a coarse alignment may be, and how far points may be then, metres.
+    coarse: Sigmas,
+    coarse_scale: f64,
     /// Edge of the voxels of which one point each is registered, adapted from sweep to sweep.
     spacing: f32,
 }
@@ -55,6 +66,11 @@ impl SweepRegistration {
             settings: settings.sweep.clone(),
             prior: settings.motion_prior.clone(),
             contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
+            coarse: Sigmas {
+                translation: settings.initialisation.translation_sigma,
+                rotation: settings.initialisation.rotation_sigma,
+            },
+            coarse_scale: settings.initialisation.scale,
             spacing: settings.sweep.first_spacing_per_edge * voxel_size as f32,
         }
     }
@@ -86,14 +102,38 @@ impl SweepRegistration {
         segment: &TrajectorySegment,
         target: &Target<'_>,
     ) -> RegisteredSegment {
+        let prior = self.motion_prior(segment);
+        let by_sigma = self.settings.scale_per_sigma * prior.growth.translation;
+        self.register_with(sample, segment, target, &prior, by_sigma.min(self.settings.max_scale))
+    }
+
+    /// Registers a sample near a segment that was found coarsely.
+    pub fn register_widely(
+        &self,
+        sample: &[TimedPoint],
+        segment: &TrajectorySegment,
+        target: &Target<'_>,
+    ) -> RegisteredSegment {
+        let Sigmas { translation, rotation } = self.coarse;
+        let start = self.motion_prior(segment).start;
+        let growth = Sigmas { translation, rotation };
+        let prior = MotionPrior { start, growth, compensates_attenuation: false };
+        self.register_with(sample, segment, target, &prior, self.coarse_scale)
+    }
+
+    fn register_with(
+        &self,
+        sample: &[TimedPoint],
+        segment: &TrajectorySegment,
+        target: &Target<'_>,
+        prior: &MotionPrior,
+        scale: f64,
+    ) -> RegisteredSegment {
         let &Target { local_from_map, planes, poles } = target;
         let in_map = segment.seen_from(&local_from_map.inverse());
-        let prior = self.motion_prior(segment);
         let settings = &self.settings;
-        let by_sigma = settings.scale_per_sigma * prior.growth.translation;
-        let scale = by_sigma.min(settings.max_scale);
         let poles = poles.map(|poles| (&poles.map, &poles.points[..]));
-        let found = self.registration.register_sweep(planes, sample, &in_map, &prior, scale, poles);
+        let found = self.registration.register_sweep(planes, sample, &in_map, prior, scale, poles);
         let found = found.filter(|found| found.matched_fraction >= settings.min_matched_fraction);
         self.registered(segment, local_from_map, found)
     }

@@ -1,10 +1,11 @@
 //! Tracking: what is done with every sweep once there is a map.
 
 use portolan_geometry::nalgebra::Matrix3;
-use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, to_f32};
+use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
 use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
+use crate::belief::{Belief, FitMonitor};
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
 use crate::deskew::deskewed;
 use crate::initialise::FirstSweeps;
@@ -12,6 +13,7 @@ use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
 use crate::motion_state::{MotionState, SweepEnd};
+use crate::pieces::PieceBegun;
 use crate::plane_map::PlaneMap;
 use crate::poles::{RecentPoles, SeenPoles};
 use crate::predict::{Prediction, Reason, Registered};
@@ -21,6 +23,7 @@ use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
 use crate::sweep_registration::{RegisteredSegment, SweepRegistration, Target};
+use crate::wide_search::WideSearch;
 
 /// A sweep that was registered.
 #[derive(Clone, Debug)]
@@ -39,6 +42,9 @@ pub struct RegisteredSweep {
     pub observability: Observability,
     /// What else is known if it is a key frame.
     pub keyframe: Option<Keyframe>,
+    /// Present where the pose was lost before this sweep, which begins a new piece of map.
+    pub begun: Option<PieceBegun>,
+    pub(crate) belief: Belief,
 }
 
 /// What makes a key frame.
@@ -74,6 +80,9 @@ pub(crate) struct Tracker {
     poles: RecentPoles,
     keyframes: KeyframePolicy,
     intervals: DegenerateIntervals,
+    fits: FitMonitor,
+    /// Points of the last sweep that fitted, in the local map.
+    last_fitting: Vec<Point3f>,
     /// When a sweep last fitted planes.
     fitted_at: Time,
     memory: Memory,
@@ -128,6 +137,8 @@ impl Tracker {
             poles: RecentPoles::new(&settings.poles),
             keyframes,
             intervals: DegenerateIntervals::new(&settings.degeneracy),
+            fits: FitMonitor::new(&settings.loss),
+            last_fitting: Vec::new(),
             fitted_at: registered.sweep.end,
             memory: Memory::default(),
             seen: Fingerprint::of("sweeps"),
@@ -140,24 +151,34 @@ impl Tracker {
     pub fn register(
         &mut self,
         sweep: Sweep,
-        fallback: Option<&mut dyn Fallback>,
+        fallback: Option<&mut (dyn Fallback + '_)>,
         issues: &mut Issues,
     ) -> RegisteredSweep {
         let is_warming_up = self.is_warming_up();
         // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
         let prediction = self.motion.predict(sweep.end);
         // 2. Register the hypotheses to planes and poles; the one that fits best counts.
-        let (best, poles) = self.best_hypothesis(&sweep, &prediction, issues);
-        // 3. Learn the bias of the gyroscope.
-        self.motion.learn_gyroscope_bias(&prediction, &best, is_warming_up);
-        // 4. Report directions that the sweep does not constrain.
+        let (mut best, mut poles) = self.best_hypothesis(&sweep, &prediction, issues);
+        // 3. Does it fit as well as the sweeps before it? If not, it may have moved otherwise than predicted.
+        if self.fits.contradicts(&best.registered.sweep_fit())
+            && let Some(other) = self.search_widely(&sweep, &prediction)
+        {
+            // Poles were seen from where it was predicted.
+            (best, poles) = (other, None);
+        }
+        let belief = self.fits.after(sweep.end, best.registered.sweep_fit(), is_warming_up);
+        // 4. Learn the bias of the gyroscope.
+        if belief == Belief::Sure {
+            self.motion.learn_gyroscope_bias(&prediction, &best, is_warming_up);
+        }
+        // 5. Report directions that the sweep does not constrain.
         let observability = self.observability(sweep.end, &best, prediction.standing.is_some(), issues);
-        // 5. De-skew with the registered motion.
+        // 6. De-skew with the registered motion.
         let Registered { segment, registered, reason } = best;
         let deskewed = deskewed(&sweep.points, &registered.to_end, self.settings.keeps_intensities);
         let mut pose = registered.local_from_tracking;
         let mut attenuation = self.attenuation_in_local(&registered);
-        // 6. Where no plane fits, another map may know.
+        // 7. Where no plane fits, another map may know.
         if self.asks_fallback(sweep.end, &segment, registered.found.is_some())
             && let Some(fallback) = fallback
         {
@@ -165,10 +186,10 @@ impl Tracker {
             attenuation = Some(Matrix3::from_diagonal_element(error * error));
             pose = fallback.locate(&deskewed.returns, &pose).unwrap_or(pose);
         }
-        // 7. Zero-velocity update: a platform at rest stands where the median of its last poses is.
+        // 8. Zero-velocity update: a platform at rest stands where the median of its last poses is.
         let standing = self.motion.zero_velocity_update(sweep.end, &pose);
         pose = standing.unwrap_or(pose);
-        // 8. Correct the inertial filter, the extrapolator and gravity.
+        // 9. Correct the inertial filter, the extrapolator and gravity.
         let end = SweepEnd {
             time: sweep.end,
             local_from_tracking: &pose,
@@ -178,21 +199,20 @@ impl Tracker {
         };
         let inertial = prediction.inertial.as_ref().filter(|_| reason.is_none());
         let gravity = self.motion.update(&prediction, inertial, &end);
-        if let Some(poles) = poles {
+        if let Some(poles) = poles.filter(|_| belief == Belief::Sure) {
             self.poles.add(sweep.end, pose, poles);
         }
-        // 9. Show the map what the sweep saw, as a key frame or not.
+        // 10. Show the map what the sweep saw, as a key frame or not; nothing if it contradicts the map.
         let mut result =
-            RegisteredSweep { observability, ..RegisteredSweep::new(sweep, pose, gravity, deskewed) };
-        let decision = self.keyframes.decide(&Candidate {
-            time: result.sweep.end,
-            local_from_tracking: &pose,
-            is_standing: standing.is_some(),
+            RegisteredSweep { observability, belief, ..RegisteredSweep::new(sweep, pose, gravity, deskewed) };
+        if belief == Belief::Sure {
             // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
-            is_wanted: segment.rotation_is_measured && is_warming_up,
-            may_be_ignored: !is_warming_up,
-        });
-        self.insert(decision, &mut result);
+            let is_wanted = segment.rotation_is_measured && is_warming_up;
+            self.insert(&mut result, standing.is_some(), is_wanted);
+            self.last_fitting.clone_from(&result.in_local.returns.points);
+        } else {
+            issues.count(Issue::ContradictsMap);
+        }
         result
     }
 
@@ -239,6 +259,20 @@ impl Tracker {
             None => Some(SeenPoles::unpicked(sweep, &prediction.segment, to_end)),
         };
         (Registered { segment, registered, reason }, poles)
+    }
+
+    /// Where a sweep fits that contradicts the map where it is predicted.
+    fn search_widely(&self, sweep: &Sweep, prediction: &Prediction) -> Option<Registered> {
+        let map = self.local_map.older();
+        let target = Target { local_from_map: &map.local_from_map, planes: &map.planes, poles: None };
+        let search = WideSearch {
+            settings: &self.settings,
+            registration: &self.registration,
+            target: &target,
+            fits: &self.fits,
+            before: &self.last_fitting,
+        };
+        search.find(sweep, prediction)
     }
 
     /// The covariance of what attenuation may keep a place off by, m² in the local map; none where a sweep fits nothing.
@@ -321,8 +355,15 @@ impl Tracker {
         (translation, rotation)
     }
 
-    /// Shows the map what a sweep saw, as it was decided.
-    fn insert(&mut self, decision: Decision, registered: &mut RegisteredSweep) {
+    /// Shows the map what a sweep saw, as a key frame if it is one.
+    fn insert(&mut self, registered: &mut RegisteredSweep, is_standing: bool, is_wanted: bool) {
+        let decision = self.keyframes.decide(&Candidate {
+            time: registered.sweep.end,
+            local_from_tracking: &registered.local_from_tracking,
+            is_standing,
+            is_wanted,
+            may_be_ignored: !self.is_warming_up(),
+        });
         match decision {
             Decision::KeyFrame => {
                 let rotation = registered.local_from_gravity();
@@ -377,6 +418,8 @@ impl RegisteredSweep {
             deskewed,
             observability: Observability::default(),
             keyframe: None,
+            begun: None,
+            belief: Belief::Sure,
         }
     }
 

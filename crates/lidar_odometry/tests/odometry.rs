@@ -156,6 +156,8 @@ fn where_no_plane_fits_another_map_is_asked() {
         SweepPoint { time: 0.0, position, intensity: 0.0 }
     });
     odometry.push(Sweep { end: at(3.1), points: points.collect() }).unwrap();
+    // It is held back, for the lidar may be elsewhere, until no more sweeps come.
+    odometry.end();
     let mut elsewhere = Elsewhere(0);
     let registered = odometry.advance(Some(&mut elsewhere)).unwrap();
     assert_eq!((elsewhere.0, registered.local_from_tracking.translation.x), (1, 7.0));
@@ -171,4 +173,78 @@ fn complete_maps_come_with_their_last_key_frame() {
     let complete: Vec<usize> =
         registered.iter().enumerate().filter(|(_, r)| is_complete(r)).map(|(i, _)| i + 1).collect();
     assert_eq!(complete, [10, 15, 20, 25, 30]);
+}
+
+/// A hall that is wider, longer and higher than the room, seen from beside its middle.
+fn hall() -> Vector3 {
+    Vector3::new(14.0, 7.0, 2.6)
+}
+
+/// Three seconds in the room, then three in the hall, as if somebody had carried the lidar there with a lid on it.
+fn carried(odometry: &mut LidarOdometry, with_imu: bool) -> Vec<RegisteredSweep> {
+    let elsewhere = Rigid3::new(Vector3::new(6.0, -3.0, 0.4), Vector3::z() * 1.1);
+    let mut registered = Vec::new();
+    for i in 1..=60 {
+        let end = 0.1 * f64::from(i);
+        let seen = match i {
+            ..=30 => sweep(end, &truth(end), room()),
+            _ => sweep(end, &(elsewhere * truth(end - 3.0)), hall()),
+        };
+        let samples = if with_imu { imu(end) } else { Vec::new() };
+        registered.extend(odometry.register(&seen, &samples).unwrap());
+    }
+    registered
+}
+
+#[test]
+fn a_lidar_that_was_carried_elsewhere_begins_a_new_piece_of_map() {
+    for with_imu in [true, false] {
+        let mut odometry = LidarOdometry::new(OdometrySettings::default());
+        let registered = carried(&mut odometry, with_imu);
+        // No sweep is lost, and none comes twice.
+        let ends: Vec<Time> = registered.iter().map(|r| r.sweep.end).collect();
+        assert_eq!(ends, (1..=60).map(|i| at(0.1 * f64::from(i))).collect::<Vec<_>>(), "{with_imu}");
+        let begun: Vec<usize> = (0..60).filter(|i| registered[*i].begun.is_some()).collect();
+        assert_eq!(begun, [30], "{with_imu}");
+        let piece = registered[30].begun.as_ref().unwrap();
+        let last = registered[29].local_from_tracking;
+        let error = piece.ended_from_begun.translation.vector - last.translation.vector;
+        assert!(piece.since == at(3.1) && error.norm() < 1e-9 && piece.maps.len() == 1, "{piece:?}");
+        assert!(registered[30].keyframe.is_some());
+        for (i, result) in registered.iter().enumerate().skip(31) {
+            let expected = truth(0.1).inverse() * truth(0.1 * (i + 1) as f64 - 3.0);
+            let moved = registered[30].local_from_tracking.inverse() * result.local_from_tracking;
+            let error = (expected.inverse() * moved).translation.vector.norm();
+            assert!(error < 0.04, "{with_imu}, {i}: {error}");
+        }
+        assert_eq!(odometry.issues().of(Issue::ContradictsMap), 11);
+    }
+}
+
+#[test]
+fn a_recording_that_ends_in_doubt_loses_no_sweep() {
+    let mut odometry = LidarOdometry::new(OdometrySettings::default());
+    let mut registered = follow(&mut odometry, false).0;
+    for i in 31..=34 {
+        let end = 0.1 * f64::from(i);
+        odometry.push(sweep(end, &Rigid3::translation(6.0, -3.0, 0.4), hall())).unwrap();
+        assert!(odometry.advance(None).is_none());
+    }
+    odometry.end();
+    registered.extend(std::iter::from_fn(|| odometry.advance(None)));
+    assert_eq!(registered.len(), 34);
+    assert!(registered[30..].iter().all(|r| r.keyframe.is_none() && r.begun.is_none()));
+}
+
+#[test]
+fn a_lidar_that_was_pushed_is_found_in_its_map() {
+    let mut odometry = LidarOdometry::new(OdometrySettings::default());
+    let registered = follow(&mut odometry, false).0;
+    let pushed = truth(3.0) * Rigid3::new(Vector3::new(0.9, -0.5, 0.0), Vector3::z() * 0.7);
+    for end in [3.1, 3.2] {
+        let found = odometry.register(&sweep(end, &pushed, room()), &[]).unwrap().pop().unwrap();
+        let moved = registered[29].local_from_tracking.inverse() * found.local_from_tracking;
+        let error = (truth(3.0).inverse() * pushed).inverse() * moved;
+        assert!(error.translation.vector.norm() < 0.04 && found.begun.is_none(), "{end}: {error}");
+    }
 }

@@ -274,7 +274,11 @@ impl<S: Space> Mapper<S> {
         (trajectory.last_node, trajectory.next_node) = (None, 0);
         self.ended.insert(before, ended);
         let remaining = lost.remaining.clone();
-        self.backend.enqueue(move |graph| graph.begin_piece(before, remaining, piece))
+        let (since, ended_from_begun) = (lost.since, lost.ended_from_begun);
+        self.backend.enqueue(move |graph| {
+            graph.begin_piece(before, remaining, piece, &ended_from_begun);
+            graph.move_measurements(before, piece, since);
+        })
     }
 
     /// Ends a trajectory: what waits is used, its submaps are completed.

@@ -63,6 +63,20 @@ pub struct ExtrapolatorCounts {
     pub queries_too_early: u64,
 }
 
+impl ExtrapolatorCounts {
+    /// Both together.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        Self {
+            rejected_poses: self.rejected_poses + other.rejected_poses,
+            rejected_imu: self.rejected_imu + other.rejected_imu,
+            rejected_odometry: self.rejected_odometry + other.rejected_odometry,
+            odometry_jumps: self.odometry_jumps + other.odometry_jumps,
+            queries_too_early: self.queries_too_early + other.queries_too_early,
+        }
+    }
+}
+
 /// The three orientations that are followed.
 #[derive(Clone, Copy, Debug)]
 struct Trackers {

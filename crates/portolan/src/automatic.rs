@@ -152,8 +152,16 @@ fn settings_3d(sensors: &Sensors) -> Options {
     graph.optimization_problem.huber_scale = 200.0;
     // One in a metre of way for each submap.
     graph.constraint_builder.sampling_ratio = 0.15;
+    // Pieces of map that begin where the pose was lost are looked for in the rest, and believed once matches agree.
+    options.portolan.global_localization_min_matches = 3;
+    graph.global_sampling_ratio = 0.1;
+    graph.constraint_builder.global_localization_min_score = PROPOSED_SCORE_3D;
     options
 }
+
+/// Scores of whole submaps in 3D only propose places; what is found is refined and has to score `min_score` then. Right
+/// places score up to 0.15 less before, because cells and steps of yaw are coarse.
+const PROPOSED_SCORE_3D: f64 = 0.4;
 
 /// A scan is measured in an old submap as well as in its own, so that both weigh the same. The robust loss keeps a wrong
 /// loop closure from pulling as hard as it is wrong. Cartographer weighs loop closures 22 (translation) and 63 times
@@ -175,10 +183,7 @@ pub fn search_in_known_map(options: &mut Options, submaps: usize) {
     let golden = if options.portolan.match_surfaces { 0.618 } else { 1.618 };
     graph.global_sampling_ratio = (golden / submaps.max(1) as f64).min(1.0);
     if options.portolan.match_surfaces {
-        // This only proposes places; what is found is refined and has to score `min_score` then. Right places
-        // score up to 0.15 less before, because cells and steps of yaw are coarse (a dozen of them, in three
-        // worlds: 0.05 to 0.23 less).
-        graph.constraint_builder.global_localization_min_score = 0.4;
+        graph.constraint_builder.global_localization_min_score = PROPOSED_SCORE_3D;
     }
     // Once it is found it is not lost any more.
     graph.global_constraint_search_after_n_seconds = f64::INFINITY;

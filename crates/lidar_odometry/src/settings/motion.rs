@@ -263,6 +263,14 @@ settings! {
             "After so many seconds without a sweep it may have stopped, or a clock jumped: standing is tried, too",
             origin: "tuned",
             larger: "lost more often after gaps";
+        heading_step: f64 = 0.35, "rad", 0.01..=3.2,
+            "A sweep that contradicts the map is looked for from headings this far apart, if nothing measured the rotation",
+            origin: "derived: nearest points bring together what is turned by less than about half of it",
+            larger: "fewer headings are tried, or fast turns lost";
+        headings_each_side: usize = 3, "headings", 0.0..=100.0,
+            "So many headings to either side of the predicted one",
+            origin: "derived: a carried lidar turns by 60° between key frames at 2 Hz",
+            larger: "slower where sweeps contradict the map";
         slow: f64 = 1.0, "m/s", 0.0..=100.0,
             "A platform that seems slower by its first two sweeps while the IMU rests stands",
             origin: "what two sparse sweeps are off by",

@@ -165,3 +165,37 @@ settings! {
             larger: "curves are noticed later";
     }
 }
+
+settings! {
+    /// When the pose is lost: sweeps that fit far worse than those before them.
+    LossSettings {
+        poor_fit_ratio: f64 = 0.5, "1", 0.0..=1.0,
+            "A sweep contradicts the map if it fits by less than this fraction of what is usual",
+            origin: "measured (docs/experiments/2026-11-lost-in-3d.md): 0.9 and more where nothing is wrong, 0.10 to 0.22 after a cut",
+            larger: "lost sooner, now and then without reason";
+        poor_rms_ratio: f64 = 1.5, "1", 1.0..=100.0,
+            "And if its points on planes lie farther off than usual by this factor; otherwise it sees something new",
+            origin: "measured there: 1.9 to 4.7 after a cut",
+            larger: "lost later";
+        least_usual_fit: f64 = 0.25, "1", 0.0..=1.0,
+            "Where usual sweeps fit no better than this, nothing contradicts anything",
+            origin: "between open country, 0.2, and streets and buildings, 0.38 and more",
+            larger: "never lost in open country";
+        remembered: usize = 20, "sweeps", 1.0..=1e4,
+            "What is usual is the median of so many sweeps",
+            origin: "two seconds",
+            larger: "slower to get used to another place";
+        least_remembered: usize = 8, "sweeps", 1.0..=1e4,
+            "Fewer say nothing of what is usual",
+            origin: "the median of fewer scatters",
+            larger: "later able to notice";
+        sweeps: u32 = 5, "sweeps", 1.0..=1e4,
+            "So many sweeps in a row that contradict the map are no accident",
+            origin: "as in 2D",
+            larger: "lost later";
+        seconds: f64 = 1.0, "s", 0.0..=1e4,
+            "And only over this time",
+            origin: "as in 2D: people pass faster",
+            larger: "lost later";
+    }
+}

@@ -46,6 +46,9 @@ pub struct Lost<S: Space> {
     pub since: Time,
     /// The submaps that were being filled then.
     pub remaining: Vec<InsertionSubmap<S>>,
+    /// From the local map of the new piece to that of the one that ended, as if the scanner had stayed where it was last
+    /// found.
+    pub ended_from_begun: Rigid3,
 }
 
 /// A scan is matched when so many points are gathered, however many messages it was to have.

@@ -4,13 +4,16 @@
 use std::sync::Arc;
 
 use portolan_config::Options;
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{Duration, Rigid3, Time};
 
 use super::{InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
 use crate::optimization::{ImuState, OptimizationNode};
 use crate::{
     Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId,
 };
+
+/// A piece of map takes over measurements from so long before it, so that its first node lies between two of them.
+const BEFORE_PIECE: Duration = Duration::from_ticks(2_000_000);
 
 impl<S: Space> PoseGraph<S> {
     /// Ends a trajectory. `remaining` are the submaps that local SLAM was still filling; those that
@@ -46,10 +49,26 @@ impl<S: Space> PoseGraph<S> {
         ended: TrajectoryId,
         remaining: Vec<InsertionSubmap<S>>,
         piece: TrajectoryId,
+        ended_from_begun: &Rigid3,
     ) {
         self.complete(ended, remaining);
-        let map_from_local = self.state.map_from_local(ended);
+        let map_from_local = self.state.map_from_local(ended) * ended_from_begun;
         self.state.trajectory_mut(piece).map_from_local_before_optimization = Some(map_from_local);
+        self.pieces.insert(piece);
+    }
+
+    /// Gives what was measured from a time on, and just before it, from one trajectory to another as well.
+    pub fn move_measurements(&mut self, from: TrajectoryId, to: TrajectoryId, since: Time) {
+        let begin = since - BEFORE_PIECE;
+        let Some(sensors) = self.problem.sensors.get(&from) else { return };
+        let (imu, odometry, fixes) = (&sensors.imu, &sensors.odometry, &sensors.fixed_frame);
+        let imu: Vec<_> = imu.range(begin..).map(|(time, data)| (*time, *data)).collect();
+        let odometry: Vec<_> = odometry.range(begin..).map(|(time, data)| (*time, *data)).collect();
+        let fixes: Vec<_> = fixes.range(begin..).map(|(time, data)| (*time, data.clone())).collect();
+        let sensors = self.problem.sensors_mut(to);
+        sensors.imu.extend(imu);
+        sensors.odometry.extend(odometry);
+        sensors.fixed_frame.extend(fixes);
     }
 
     /// Keeps the grid of a submap that is not complete, so that it can be saved and drawn.

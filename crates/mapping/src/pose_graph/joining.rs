@@ -38,6 +38,17 @@ impl<S: Space> PoseGraph<S> {
         lost
     }
 
+    /// Looks for pieces of map that have no place in the rest yet, with scans from all over each.
+    pub(super) fn place_pieces(&mut self) {
+        for id in self.pieces.clone() {
+            let part = self.state.connectivity.members(id);
+            let is_placed = part.iter().any(|member| !self.pieces.contains(member));
+            if !is_placed && of_trajectory(&self.state.nodes, id).next().is_some() {
+                self.place(id, &part.into_iter().collect());
+            }
+        }
+    }
+
     /// How far nodes are along their trajectory: files do not keep it.
     fn measure_way(&mut self, id: TrajectoryId) {
         let mut way = 0.0;

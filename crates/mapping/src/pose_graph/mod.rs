@@ -90,6 +90,8 @@ pub struct PoseGraph<S: Space> {
     /// How far nodes are along their trajectories, metres.
     ways: BTreeMap<NodeId, f64>,
     contradicted: u64,
+    /// Trajectories that began where a scanner was lost, without a place in the rest.
+    pieces: BTreeSet<TrajectoryId>,
     waiting: WaitingMatches,
     localisation: Localisation,
     optimizations: u64,
@@ -112,6 +114,7 @@ impl<S: Space> PoseGraph<S> {
             policy: PoseGraphPolicy::default(),
             ways: BTreeMap::new(),
             contradicted: 0,
+            pieces: BTreeSet::new(),
             waiting: WaitingMatches::default(),
             localisation: Localisation::default(),
             optimizations: 0,
@@ -359,10 +362,11 @@ impl<S: Space> PoseGraph<S> {
         self.nodes_since_optimization = 0;
     }
 
-    /// Optimises once more, with as many iterations as the options allow at the end: after searching more
-    /// if too little was searched so far, and again after leaving out contradicted loop closures if that
+    /// Optimises once more, with as many iterations as the options allow at the end: after searching for pieces of map
+    /// that have no place yet, and more if too little was searched so far, and again after leaving out contradicted loop closures if that
     /// is wanted.
     pub fn run_final_optimization(&mut self) {
+        self.place_pieces();
         self.search_more();
         self.problem.max_iterations_override = u32::try_from(self.options.max_num_final_iterations).ok();
         self.optimize();

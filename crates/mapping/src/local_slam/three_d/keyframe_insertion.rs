@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Time, to_f32};
+use portolan_issue::IssueLog;
 use portolan_lidar_odometry::{PlaneMap, both};
 use portolan_matching::rotational_histogram;
 use portolan_sensor::{PointCloud, RangeData};
@@ -33,6 +34,8 @@ pub(super) struct KeyframeInsertion {
     options: TrajectoryBuilder3dOptions,
     inserter: Arc<Inserter3d>,
     pub submaps: ActiveSubmaps<Spatial>,
+    /// Of submaps of pieces of map that ended.
+    issues: IssueLog,
 }
 
 impl KeyframeInsertion {
@@ -41,6 +44,7 @@ impl KeyframeInsertion {
             submaps: ActiveSubmaps::new(keyframes_per_half(options)),
             inserter: Arc::new(inserter),
             options: options.clone(),
+            issues: IssueLog::default(),
         }
     }
 
@@ -108,6 +112,20 @@ impl KeyframeInsertion {
         let level = Rigid3::from_parts(Default::default(), *gravity_alignment);
         let aligned = returns_in_tracking.transformed(&to_f32(&level));
         rotational_histogram(&aligned, self.options.rotational_histogram_size)
+    }
+
+    /// Ends a piece of map as [`Self::finish`] does, and begins another one.
+    pub fn begin_anew(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Spatial>> {
+        let remaining = self.finish(maps);
+        self.submaps.count_into(&mut self.issues);
+        self.submaps = ActiveSubmaps::new(keyframes_per_half(&self.options));
+        remaining
+    }
+
+    /// Adds what could not be inserted.
+    pub fn count_into(&self, issues: &mut IssueLog) {
+        issues.append(&self.issues);
+        self.submaps.count_into(issues);
     }
 
     /// Ends the trajectory; maps of planes belong to the submaps that are being filled, oldest first.

@@ -220,7 +220,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
 
     fn issues(&self) -> IssueLog {
         let mut issues = self.issues.clone();
-        self.insertion.submaps.count_into(&mut issues);
+        self.insertion.count_into(&mut issues);
         count_collated(self.collator.counts(), &mut issues);
         let counts = match &self.engine {
             Engine::Planes(engine) => {
@@ -235,7 +235,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
 
     fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
         match &self.engine {
-            Engine::Planes(engine) => engine.degenerate_intervals().to_vec(),
+            Engine::Planes(engine) => engine.degenerate_intervals(),
             Engine::Grids(_) => Vec::new(),
         }
     }

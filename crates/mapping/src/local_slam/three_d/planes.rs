@@ -16,7 +16,7 @@ use super::LocalSlam3dSettings;
 use super::deskew::{Gathered, raw_sweep};
 use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, clouds, keyframes_per_half, not_inserted};
-use crate::local_slam::ActiveSubmaps;
+use crate::local_slam::{ActiveSubmaps, Lost};
 use crate::{MatchingResult, OpenDirections, Spatial};
 
 /// Local SLAM by lidar odometry.
@@ -129,9 +129,14 @@ impl PlaneEngine {
     /// A node of a key frame, and nothing of other sweeps.
     fn insert(
         &self,
-        registered: RegisteredSweep,
+        mut registered: RegisteredSweep,
         insertion: &mut KeyframeInsertion,
     ) -> MatchingResult<Spatial> {
+        let lost = registered.begun.take().map(|begun| Lost {
+            since: begun.since,
+            remaining: insertion.begin_anew(begun.maps.into_iter()),
+            ended_from_begun: begun.ended_from_begun,
+        });
         let RegisteredSweep { sweep, local_from_tracking, gravity_from_tracking, deskewed, .. } = registered;
         let result = match registered.keyframe {
             None => not_inserted(sweep.end, local_from_tracking, registered.in_local),
@@ -148,7 +153,7 @@ impl PlaneEngine {
                 completed_map: keyframe.completed_map,
             }),
         };
-        MatchingResult { measured: sweep.points, ..result }
+        MatchingResult { measured: sweep.points, lost, ..result }
     }
 
     /// The planes of the maps that are being filled, oldest first.
@@ -156,7 +161,7 @@ impl PlaneEngine {
         self.odometry.local_maps().map(|map| map.planes.compacted())
     }
 
-    pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
+    pub fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
         self.odometry.degenerate_intervals()
     }
 
@@ -190,6 +195,7 @@ pub(super) fn kind_of(issue: OdometryIssue) -> IssueKind {
         OdometryIssue::SweepTooOld => IssueKind::ScanTooOld,
         OdometryIssue::GyroscopeOverruled => IssueKind::GyroscopeOverruled,
         OdometryIssue::NoPlaneFits => IssueKind::ScanFitsNoPlane,
+        OdometryIssue::ContradictsMap => IssueKind::ScanContradictsMap,
     }
 }
 

@@ -245,7 +245,7 @@ impl LocalSlam2d {
             self.extrapolator = None;
             self.start_extrapolator(time);
         }
-        Lost { since, remaining }
+        Lost { since, remaining, ended_from_begun: Rigid3::identity() }
     }
 
     /// The pose of the scan in the local map.

@@ -1,0 +1,135 @@
+//! Knowing that it is lost: sweeps that fit the map far worse than those before them did.
+//!
+//! What a sweep should look like at its place is told by the sweeps before it: places change slowly from one to the next. A
+//! sweep of another place lies on planes by chance alone: fewer points do, and those that do lie all over the width of the
+//! loss. A sweep that sees something new through a door has fewer points on planes, too, but they lie where planes are.
+
+use std::collections::VecDeque;
+
+use portolan_geometry::Time;
+use portolan_numeric::median;
+
+use crate::settings::LossSettings;
+
+/// What is believed of the pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum Belief {
+    /// Sweeps fit the map.
+    #[default]
+    Sure,
+    /// Sweeps have contradicted the map. They are not inserted.
+    Doubtful {
+        /// End of the first one.
+        since: Time,
+        /// How many there were.
+        sweeps: u32,
+    },
+    /// The pose is not known any more.
+    Lost {
+        /// End of the first sweep that contradicted the map.
+        since: Time,
+    },
+}
+
+/// How a sweep fits planes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SweepFit {
+    /// Fraction of the points on planes, less if they lie far off; 0 where it fits nothing.
+    pub fit: f64,
+    /// Root mean square distance of points from their planes, metres; none where it fits nothing.
+    pub rms: Option<f64>,
+}
+
+/// Compares each sweep with those before it.
+#[derive(Clone, Debug)]
+pub(crate) struct FitMonitor {
+    settings: LossSettings,
+    /// Of the last sweeps that fitted.
+    recent: VecDeque<SweepFit>,
+    belief: Belief,
+}
+
+impl FitMonitor {
+    pub fn new(settings: &LossSettings) -> Self {
+        Self { settings: settings.clone(), recent: VecDeque::new(), belief: Belief::Sure }
+    }
+
+    /// What is believed after one more sweep. A map that is warming up fits whatever it was made of: nothing is usual yet.
+    pub fn after(&mut self, end: Time, fit: SweepFit, is_warming_up: bool) -> Belief {
+        if is_warming_up {
+            return Belief::Sure;
+        }
+        let settings = &self.settings;
+        self.belief = match (self.contradicts(&fit), self.belief) {
+            (false, _) => Belief::Sure,
+            (true, Belief::Doubtful { since, sweeps })
+                if sweeps + 1 >= settings.sweeps && end.seconds_since(since) >= settings.seconds =>
+            {
+                Belief::Lost { since }
+            }
+            (true, Belief::Doubtful { since, sweeps }) => Belief::Doubtful { since, sweeps: sweeps + 1 },
+            (true, _) => Belief::Doubtful { since: end, sweeps: 1 },
+        };
+        if self.belief == Belief::Sure {
+            self.recent.push_back(fit);
+            if self.recent.len() > settings.remembered {
+                self.recent.pop_front();
+            }
+        }
+        self.belief
+    }
+
+    /// Whether a sweep fits far worse than those before it.
+    pub fn contradicts(&self, fit: &SweepFit) -> bool {
+        let settings = &self.settings;
+        if self.recent.len() < settings.least_remembered {
+            return false;
+        }
+        let usual_fit = median(&mut self.recent.iter().map(|f| f.fit).collect::<Vec<f64>>());
+        let usual_rms = median(&mut self.recent.iter().filter_map(|f| f.rms).collect::<Vec<f64>>());
+        let (Some(usual_fit), Some(usual_rms)) = (usual_fit, usual_rms) else { return false };
+        let lies_off = fit.rms.is_none_or(|rms| rms > settings.poor_rms_ratio * usual_rms);
+        usual_fit >= settings.least_usual_fit && fit.fit < settings.poor_fit_ratio * usual_fit && lies_off
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::Duration;
+
+    use super::*;
+
+    /// What is believed after sweeps that fit so well, ten a second.
+    fn believed(fits: &[(f64, f64)]) -> Vec<Belief> {
+        let mut monitor = FitMonitor::new(&LossSettings::default());
+        let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
+        let fit = |&(fit, rms): &(f64, f64)| SweepFit { fit, rms: (rms > 0.0).then_some(rms) };
+        fits.iter().enumerate().map(|(i, f)| monitor.after(at(i), fit(f), false)).collect()
+    }
+
+    #[test]
+    fn a_second_of_sweeps_of_another_place_is_a_loss() {
+        for elsewhere in [(0.08, 0.13), (0.0, 0.0)] {
+            let beliefs = believed(&[&[(0.4, 0.065); 20][..], &[elsewhere; 12]].concat());
+            assert!(beliefs[..20].iter().all(|b| *b == Belief::Sure), "{beliefs:?}");
+            let since = Time::from_ticks(20_000_000);
+            assert_eq!(beliefs[20], Belief::Doubtful { since, sweeps: 1 });
+            assert_eq!(beliefs[29], Belief::Doubtful { since, sweeps: 10 });
+            assert_eq!(beliefs[30], Belief::Lost { since });
+        }
+    }
+
+    #[test]
+    fn a_door_a_single_sweep_and_open_country_are_none() {
+        let sure = |fits: &[(f64, f64)]| believed(fits).iter().all(|b| *b == Belief::Sure);
+        // A new room: few points on planes, but they lie there.
+        assert!(sure(&[&[(0.5, 0.03); 20][..], &[(0.15, 0.04); 30]].concat()));
+        // Among trees hardly anything is flat.
+        assert!(sure(&[&[(0.08, 0.09); 20][..], &[(0.0, 0.0); 30]].concat()));
+        // At the beginning nothing is usual.
+        assert!(sure(&[&[(0.5, 0.03); 5][..], &[(0.05, 0.13); 30]].concat()[..7]));
+        let beliefs = believed(&[&[(0.4, 0.065); 20][..], &[(0.05, 0.13); 9], &[(0.4, 0.065); 2]].concat());
+        assert!(beliefs.iter().all(|b| !matches!(b, Belief::Lost { .. })));
+        assert_eq!(beliefs[29..], [Belief::Sure; 2]);
+    }
+}

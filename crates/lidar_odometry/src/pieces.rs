@@ -1,0 +1,110 @@
+//! Pieces of map: what is kept while it is not clear whether the pose is lost, so that a new piece begins where the old one
+//! ended, and what is handed over then.
+
+use std::collections::VecDeque;
+
+use portolan_geometry::{Rigid3, Time, Vector3, quaternion_from_angle_axis, yaw};
+use portolan_motion::ExtrapolatorCounts;
+use portolan_sensor::{ImuData, OdometryData};
+
+use crate::degenerate_intervals::DegenerateInterval;
+use crate::plane_map::PlaneMap;
+use crate::sweep::Sweep;
+use crate::tracker::{RegisteredSweep, Tracker};
+
+/// Memory is bounded also where no sweep comes: so many samples are kept.
+const MOST_SAMPLES: usize = 20_000;
+
+/// The beginning of a new piece of map: sweeps did not fit the one before any more.
+#[derive(Clone, Debug)]
+pub struct PieceBegun {
+    /// End of the first sweep that did not fit.
+    pub since: Time,
+    /// From the local map that begins to the one that ended: as if the platform had stayed where it was last found.
+    pub ended_from_begun: Rigid3,
+    /// Planes of the maps that were being filled, oldest first.
+    pub maps: Vec<PlaneMap>,
+}
+
+/// What came since a sweep last fitted, and a little before.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Recent {
+    /// Sweeps that contradict the map.
+    held: Vec<RegisteredSweep>,
+    imu: VecDeque<ImuData>,
+    odometry: VecDeque<OdometryData>,
+    /// Where the last sweep was that fitted.
+    last_sure: Rigid3,
+}
+
+/// What is to be registered once more, by a map that knows nothing yet.
+pub(crate) struct Replay {
+    pub sweeps: Vec<Sweep>,
+    pub imu: VecDeque<ImuData>,
+    pub odometry: VecDeque<OdometryData>,
+}
+
+impl Recent {
+    pub fn add_imu(&mut self, data: &ImuData) {
+        keep(&mut self.imu, *data);
+    }
+
+    pub fn add_odometry(&mut self, data: &OdometryData) {
+        keep(&mut self.odometry, *data);
+    }
+
+    /// Holds back a sweep that contradicts the map.
+    pub fn hold(&mut self, sweep: RegisteredSweep) {
+        self.held.push(sweep);
+    }
+
+    /// Takes note of a sweep that fits: older samples are not needed any more.
+    pub fn fitted(&mut self, sweep: &RegisteredSweep) {
+        let begin = sweep.sweep.begin();
+        while self.imu.front().is_some_and(|sample| sample.time < begin) {
+            self.imu.pop_front();
+        }
+        while self.odometry.front().is_some_and(|pose| pose.time < begin) {
+            self.odometry.pop_front();
+        }
+        self.last_sure = sweep.local_from_tracking;
+    }
+
+    /// Sweeps that were held back.
+    pub fn release(&mut self) -> Vec<RegisteredSweep> {
+        std::mem::take(&mut self.held)
+    }
+
+    /// From a local map that begins at the last sweep that fitted to the one that ended: both are level.
+    pub fn ended_from_begun(&self) -> Rigid3 {
+        let heading = quaternion_from_angle_axis(&(Vector3::z() * yaw(&self.last_sure.rotation)));
+        Rigid3::from_parts(self.last_sure.translation, heading)
+    }
+
+    /// Everything that came since the last sweep that fitted.
+    pub fn replay(&mut self) -> Replay {
+        let sweeps = self.release().into_iter().map(|registered| registered.sweep).collect();
+        Replay { sweeps, imu: std::mem::take(&mut self.imu), odometry: std::mem::take(&mut self.odometry) }
+    }
+}
+
+fn keep<T>(samples: &mut VecDeque<T>, sample: T) {
+    samples.push_back(sample);
+    if samples.len() > MOST_SAMPLES {
+        samples.pop_front();
+    }
+}
+
+/// What stays of pieces that ended.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Ended {
+    pub intervals: Vec<DegenerateInterval>,
+    pub counts: ExtrapolatorCounts,
+}
+
+impl Ended {
+    pub fn add(&mut self, tracker: &Tracker) {
+        self.intervals.extend_from_slice(tracker.degenerate_intervals());
+        self.counts = self.counts.plus(&tracker.motion().extrapolator.counts());
+    }
+}
