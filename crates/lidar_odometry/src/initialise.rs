@@ -14,23 +14,29 @@ use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::PlaneMap;
 use crate::registration::{PosePrior, Registration, Sigmas};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
-use crate::settings::{OdometrySettings, RegistrationSettings};
+use crate::settings::{CoarseAlignmentSettings, OdometrySettings, RegistrationSettings};
 use crate::sweep::Sweep;
 use crate::vertical::vertical_from_planes;
 
-/// The first sweeps, and what is known of the motion then.
-pub(crate) struct FirstSweeps<'a> {
-    first: &'a Sweep,
-    second: Option<&'a Sweep>,
-    /// What a gyroscope says of the rotation (tracking in local), if there is one.
-    rotation_at: Option<&'a dyn Fn(Time) -> Quaternion>,
-    settings: &'a OdometrySettings,
-    /// Tracking in local at the end of the first sweep.
+/// How everything was moving, and which way was up, at the end of the first sweep.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Start {
+    /// Tracking in local.
     rotation: Quaternion,
     /// In the local map, m/s.
     velocity: Vector3,
     /// In the tracking frame, rad/s; zero where a gyroscope measures.
     turn_rate: Vector3,
+}
+
+/// The first sweep, and what is believed of the motion then.
+#[derive(Clone)]
+pub(crate) struct FirstSweeps<'a> {
+    first: &'a Sweep,
+    /// What a gyroscope says of the rotation (tracking in local), if there is one.
+    rotation_at: Option<&'a dyn Fn(Time) -> Quaternion>,
+    settings: &'a OdometrySettings,
+    start: Start,
 }
 
 /// A sweep as a place to be in.
@@ -40,42 +46,116 @@ pub(crate) struct Reference {
     pub upright: Vec<Point3f>,
 }
 
+/// A sweep registered to another one.
+struct Relative {
+    /// The second pose in the first.
+    motion: Rigid3,
+    /// How well it fits there.
+    fit: f64,
+}
+
 impl<'a> FirstSweeps<'a> {
-    /// Finds out how it all started.
+    /// Moving as a hypothesis says.
     pub fn new(
         first: &'a Sweep,
-        second: Option<&'a Sweep>,
         rotation_at: Option<&'a dyn Fn(Time) -> Quaternion>,
         settings: &'a OdometrySettings,
+        start: Start,
     ) -> Self {
-        let mut sweeps = Self {
-            first,
-            second: second.filter(|s| s.end > first.end),
-            rotation_at,
-            settings,
-            rotation: rotation_at.map_or_else(Quaternion::identity, |rotation| rotation(first.end)),
-            velocity: Vector3::zeros(),
-            turn_rate: Vector3::zeros(),
+        Self { first, rotation_at, settings, start }
+    }
+
+    /// How everything may have been moving, the most likely motion first. At speed a street looks alike after one step and
+    /// after two: the second sweep is aligned coarsely from several places, and each that it fits about as well is a
+    /// hypothesis.
+    pub fn hypotheses(
+        first: &'a Sweep,
+        second: Option<&Sweep>,
+        rotation_at: Option<&'a dyn Fn(Time) -> Quaternion>,
+        settings: &'a OdometrySettings,
+    ) -> Vec<Start> {
+        let rotation = rotation_at.map_or_else(Quaternion::identity, |rotation| rotation(first.end));
+        let start = Start { rotation, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() };
+        let still = Self::new(first, rotation_at, settings, start);
+        let reference = still.reference();
+        let Some(second) = second.filter(|s| s.end > first.end) else {
+            return vec![still.leveled(&reference)];
         };
-        let mut reference = sweeps.reference();
-        for iteration in 0..settings.initialisation.iterations {
-            let Some(motion) = sweeps.second.and_then(|s| sweeps.motion(&reference, s, iteration == 0))
-            else {
-                break;
-            };
-            let interval = sweeps.second.map_or(1.0, |s| s.end.seconds_since(first.end));
-            sweeps.velocity = sweeps.rotation * motion.translation.vector / interval;
-            if rotation_at.is_none() {
-                sweeps.turn_rate = angle_axis_from_quaternion(&motion.rotation) / interval;
+        let seconds = second.end.seconds_since(first.end);
+        let same_velocity = settings.initialisation.same_motion / seconds;
+        let mut found: Vec<(Start, f64)> = Vec::new();
+        for coarse in still.coarse_motions(&reference, second) {
+            let (start, fit) = still.clone().followed(&reference, second, coarse);
+            let is_known =
+                |(other, _): &(Start, f64)| (other.velocity - start.velocity).norm() < same_velocity;
+            if !found.iter().any(is_known) {
+                found.push((start, fit));
             }
-            reference = sweeps.reference();
         }
-        if rotation_at.is_none() {
-            let up = vertical_from_planes(&reference.planes, &Vector3::z(), &settings.vertical);
-            sweeps.rotation = rotation_between(&up.unwrap_or_else(Vector3::z), &Vector3::z());
-            sweeps.velocity = sweeps.rotation * sweeps.velocity;
+        let best = found.iter().map(|(_, fit)| *fit).fold(0.0, f64::max);
+        found.retain(|(_, fit)| *fit >= settings.initialisation.similar_fit * best);
+        found.sort_by(|a, b| b.1.total_cmp(&a.1));
+        found.into_iter().map(|(start, _)| start).take(settings.initialisation.max_hypotheses).collect()
+    }
+
+    /// Where the second sweep may lie, coarsely: what is found from rest, and what is found from elsewhere and differs.
+    fn coarse_motions(&self, reference: &Reference, second: &Sweep) -> Vec<Option<Rigid3>> {
+        let own = Reference::new(&self.deskewed(second), self.settings);
+        let believed = self.believed(second);
+        let settings = &self.settings.coarse_alignment;
+        let align = |initial: &Rigid3, settings| {
+            coarse_alignment(&reference.upright, &own.upright, initial, settings)
+        };
+        let mut found = vec![align(&believed, settings)];
+        let few = CoarseAlignmentSettings { max_points: settings.max_points / 4, ..settings.clone() };
+        let offsets = self.settings.initialisation.offsets;
+        let axes = [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y()];
+        for offset in offsets.into_iter().flat_map(|metres| axes.map(|axis| axis * metres)) {
+            let initial =
+                Rigid3::from_parts((believed.translation.vector + offset).into(), believed.rotation);
+            let Some(motion) = align(&initial, &few) else { continue };
+            let differs = |other: &Rigid3| {
+                (other.translation.vector - motion.translation.vector).norm()
+                    > self.settings.initialisation.same_motion
+            };
+            if found.iter().flatten().all(differs) {
+                found.push(Some(motion));
+            }
         }
-        sweeps
+        found
+    }
+
+    /// What follows from a coarse motion: the second sweep is registered, the velocity that this gives de-skews both, and so
+    /// on. With it, how well it fits in the end.
+    fn followed(mut self, still: &Reference, second: &Sweep, coarse: Option<Rigid3>) -> (Start, f64) {
+        let seconds = second.end.seconds_since(self.first.end);
+        let (mut reference, mut fit) = (None, 0.0);
+        for iteration in 0..self.settings.initialisation.iterations {
+            let coarse = coarse.filter(|_| iteration == 0);
+            let Some(found) = self.motion(reference.as_ref().unwrap_or(still), second, coarse) else { break };
+            self.start.velocity = self.start.rotation * found.motion.translation.vector / seconds;
+            if self.rotation_at.is_none() {
+                self.start.turn_rate = angle_axis_from_quaternion(&found.motion.rotation) / seconds;
+            }
+            (reference, fit) = (Some(self.reference()), found.fit);
+        }
+        (self.leveled(reference.as_ref().unwrap_or(still)), fit)
+    }
+
+    /// The start, upright as planes say where no IMU tells.
+    fn leveled(&self, reference: &Reference) -> Start {
+        let mut start = self.start;
+        if self.rotation_at.is_none() {
+            let up = vertical_from_planes(&reference.planes, &Vector3::z(), &self.settings.vertical);
+            start.rotation = rotation_between(&up.unwrap_or_else(Vector3::z), &Vector3::z());
+            start.velocity = start.rotation * start.velocity;
+        }
+        start
+    }
+
+    /// The pose at the end of the second sweep in that of the first, as it is believed.
+    fn believed(&self, second: &Sweep) -> Rigid3 {
+        self.pose_at(self.first.end).inverse() * self.pose_at(second.end)
     }
 
     /// The pose at a time; the first sweep ended at the origin of the local map.
@@ -83,9 +163,9 @@ impl<'a> FirstSweeps<'a> {
         let seconds = time.seconds_since(self.first.end);
         let rotation = match self.rotation_at {
             Some(rotation) => rotation(time),
-            None => self.rotation * quaternion_from_angle_axis(&(self.turn_rate * seconds)),
+            None => self.start.rotation * quaternion_from_angle_axis(&(self.start.turn_rate * seconds)),
         };
-        Rigid3::from_parts((self.velocity * seconds).into(), rotation)
+        Rigid3::from_parts((self.start.velocity * seconds).into(), rotation)
     }
 
     /// Motion compensation of a sweep.
@@ -104,22 +184,15 @@ impl<'a> FirstSweeps<'a> {
         Reference::new(&self.deskewed(self.first), self.settings)
     }
 
-    /// The second pose in the first.
-    fn motion(&self, reference: &Reference, second: &Sweep, is_first_iteration: bool) -> Option<Rigid3> {
-        let all = self.deskewed(second);
-        let believed = self.pose_at(self.first.end).inverse() * self.pose_at(second.end);
-        let points = voxel_filter_points(&all, self.settings.initialisation.spacing);
-        let coarse = is_first_iteration.then(|| {
-            let own = Reference::new(&all, self.settings);
-            let settings = &self.settings.coarse_alignment;
-            coarse_alignment(&reference.upright, &own.upright, &believed, settings)
-        });
-        let mut initial = [coarse.flatten(), Some(believed)].into_iter().flatten();
+    /// The second sweep registered near a coarse motion if there is one, or else as it is believed.
+    fn motion(&self, reference: &Reference, second: &Sweep, coarse: Option<Rigid3>) -> Option<Relative> {
+        let points = voxel_filter_points(&self.deskewed(second), self.settings.initialisation.spacing);
+        let mut initial = [coarse, Some(self.believed(second))].into_iter().flatten();
         initial.find_map(|initial| self.register(reference, &points, &initial))
     }
 
     /// The second pose in the first near another one, if the points constrain it.
-    fn register(&self, reference: &Reference, points: &[Point3f], initial: &Rigid3) -> Option<Rigid3> {
+    fn register(&self, reference: &Reference, points: &[Point3f], initial: &Rigid3) -> Option<Relative> {
         let settings = &self.settings.initialisation;
         let sigmas = Sigmas { translation: settings.translation_sigma, rotation: settings.rotation_sigma };
         let prior = PosePrior { pose: *initial, sigmas };
@@ -131,7 +204,8 @@ impl<'a> FirstSweeps<'a> {
         // A single sparse sweep among trees shows few planes, but they constrain translation if not rotation, too.
         let constrains_translation = self.rotation_at.is_some() && found.degenerate.translations.is_empty();
         let is_enough = found.matched_fraction >= settings.min_matched_fraction || constrains_translation;
-        is_enough.then_some(found.pose)
+        let fit = found.matched_fraction / (1.0 + (found.rms / self.settings.sweep.poor_rms).powi(2));
+        is_enough.then_some(Relative { motion: found.pose, fit })
     }
 }
 

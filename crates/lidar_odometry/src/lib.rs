@@ -26,6 +26,7 @@ mod remembered;
 mod segment;
 pub mod settings;
 mod standstill;
+mod start;
 mod sweep;
 mod sweep_registration;
 #[cfg(test)]

@@ -16,6 +16,7 @@ use crate::settings::{HypothesisSettings, ImuSettings, OdometrySettings};
 use crate::standstill::ZeroVelocityDetector;
 
 /// Follows the motion.
+#[derive(Clone, Debug)]
 pub(crate) struct MotionState {
     pub extrapolator: PoseExtrapolator,
     pub has_imu: bool,

@@ -17,6 +17,7 @@ use crate::motion_state::MotionState;
 use crate::phase::{Phase, State};
 use crate::pieces::{Ended, PieceBegun, Recent};
 use crate::settings::OdometrySettings;
+use crate::start::FirstMotion;
 use crate::sweep::Sweep;
 use crate::tracker::{Fallback, RegisteredSweep, Tracker};
 
@@ -148,13 +149,11 @@ impl LidarOdometry {
     }
 
     fn register_first(&mut self) -> Option<RegisteredSweep> {
-        let needed = if self.is_ended { 1 } else { 2 };
-        if self.waiting.len() < needed {
-            return None;
-        }
-        let State::FirstSweep(motion) = std::mem::take(&mut self.state) else { return None };
-        let (first, second) = (self.waiting.pop_front()?, self.waiting.front());
-        let (mut tracker, registered) = Tracker::begin(&self.settings, *motion, first, second);
+        let State::FirstSweep(first) = &mut self.state else { return None };
+        let start = first.decide(&self.settings, self.waiting.make_contiguous(), self.is_ended)?;
+        let State::FirstSweep(first) = std::mem::take(&mut self.state) else { return None };
+        let sweep = self.waiting.pop_front()?;
+        let (mut tracker, registered) = Tracker::begin(&self.settings, first.motion, sweep, start);
         tracker.remember_with(&self.memory);
         self.state = State::Tracking(Box::new(tracker));
         Some(registered)
@@ -183,7 +182,7 @@ impl LidarOdometry {
     pub fn add_imu(&mut self, data: &ImuData) {
         let issue = match &mut self.state {
             State::WaitingForGravity(initialisation) => initialisation.add_imu(data),
-            State::FirstSweep(motion) => motion.add_imu(data),
+            State::FirstSweep(first) => first.motion.add_imu(data),
             State::Tracking(tracker) => tracker.motion_mut().add_imu(data),
         };
         match issue {
@@ -199,7 +198,7 @@ impl LidarOdometry {
                 initialisation.add_odometry(data);
                 None
             }
-            State::FirstSweep(motion) => motion.add_odometry(data),
+            State::FirstSweep(first) => first.motion.add_odometry(data),
             State::Tracking(tracker) => tracker.motion_mut().add_odometry(data),
         };
         match issue {
@@ -231,7 +230,7 @@ impl LidarOdometry {
         };
         let (motion, issues) = MotionState::new(&self.settings, extrapolator, &imu);
         issues.into_iter().for_each(|issue| self.issues.count(issue));
-        self.state = State::FirstSweep(Box::new(motion));
+        self.state = State::FirstSweep(Box::new(FirstMotion::new(motion)));
     }
 
     /// Says that no more sweeps will come: what waits need not wait any longer.

@@ -3,6 +3,7 @@
 use crate::gravity_initialisation::GravityInitialisation;
 use crate::motion_state::MotionState;
 use crate::settings::InitialisationSettings;
+use crate::start::FirstMotion;
 use crate::tracker::Tracker;
 
 /// Where an odometry stands.
@@ -10,7 +11,8 @@ use crate::tracker::Tracker;
 pub enum Phase {
     /// Sweeps wait until an IMU has told which way is up, or until it is clear that there is none.
     WaitingForGravity,
-    /// The first sweep waits for the second, which tells how fast everything was already moving.
+    /// The first sweep waits for the second, which tells how fast everything was already moving, and for more where that is
+    /// not clear.
     FirstSweep,
     /// The map is made of a few key frames; it is registered to, but nothing is learned from it yet.
     WarmUp,
@@ -21,7 +23,7 @@ pub enum Phase {
 /// What an odometry knows in each phase.
 pub(crate) enum State {
     WaitingForGravity(GravityInitialisation),
-    FirstSweep(Box<MotionState>),
+    FirstSweep(Box<FirstMotion>),
     /// Warm-up and tracking, which differ by the number of key frames in the map.
     Tracking(Box<Tracker>),
 }
@@ -46,7 +48,7 @@ impl State {
     pub fn motion(&self) -> Option<&MotionState> {
         match self {
             Self::WaitingForGravity(_) => None,
-            Self::FirstSweep(motion) => Some(motion),
+            Self::FirstSweep(first) => Some(&first.motion),
             Self::Tracking(tracker) => Some(tracker.motion()),
         }
     }

@@ -8,7 +8,7 @@ use portolan_sensor::{PointCloud, RangeData};
 use crate::belief::{Belief, FitMonitor};
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
 use crate::deskew::deskewed;
-use crate::initialise::FirstSweeps;
+use crate::initialise::{FirstSweeps, Start};
 use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
@@ -45,6 +45,8 @@ pub struct RegisteredSweep {
     /// Present where the pose was lost before this sweep, which begins a new piece of map.
     pub begun: Option<PieceBegun>,
     pub(crate) belief: Belief,
+    /// How well it fits.
+    pub(crate) fit: f64,
 }
 
 /// What makes a key frame.
@@ -91,20 +93,19 @@ pub(crate) struct Tracker {
 }
 
 impl Tracker {
-    /// Begins with the first sweep, and the second if there is one: registers the first to the second, and makes it the
-    /// first key frame at the origin of the local map.
+    /// Begins with the first sweep, moving as a hypothesis says: makes it the first key frame at the origin of the local map.
     pub fn begin(
         settings: &OdometrySettings,
         mut motion: MotionState,
         first: Sweep,
-        second: Option<&Sweep>,
+        start: Start,
     ) -> (Self, RegisteredSweep) {
         // 1. Velocity, and without an IMU the vertical.
         let extrapolator = &motion.extrapolator;
         let measured = |time: Time| extrapolator.estimate_gravity_orientation(time);
         let rotation_at: Option<&dyn Fn(Time) -> Quaternion> =
             if motion.has_imu { Some(&measured) } else { None };
-        let sweeps = FirstSweeps::new(&first, second, rotation_at, settings);
+        let sweeps = FirstSweeps::new(&first, rotation_at, settings, start);
         let (to_end, end) = (sweeps.deskewing(&first), sweeps.pose_at(first.end));
         // 2. An earlier pose, so that the extrapolator knows the velocity.
         let earliest = extrapolator.last_pose_time().filter(|_| motion.has_imu).unwrap_or(Time::MIN);
@@ -174,6 +175,7 @@ impl Tracker {
         // 5. Report directions that the sweep does not constrain.
         let observability = self.observability(sweep.end, &best, prediction.standing.is_some(), issues);
         // 6. De-skew with the registered motion.
+        let fit = best.registered.fit;
         let Registered { segment, registered, reason } = best;
         let deskewed = deskewed(&sweep.points, &registered.to_end, self.settings.keeps_intensities);
         let mut pose = registered.local_from_tracking;
@@ -203,8 +205,12 @@ impl Tracker {
             self.poles.add(sweep.end, pose, poles);
         }
         // 10. Show the map what the sweep saw, as a key frame or not; nothing if it contradicts the map.
-        let mut result =
-            RegisteredSweep { observability, belief, ..RegisteredSweep::new(sweep, pose, gravity, deskewed) };
+        let mut result = RegisteredSweep {
+            observability,
+            belief,
+            fit,
+            ..RegisteredSweep::new(sweep, pose, gravity, deskewed)
+        };
         if belief == Belief::Sure {
             // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
             let is_wanted = segment.rotation_is_measured && is_warming_up;
@@ -420,6 +426,7 @@ impl RegisteredSweep {
             keyframe: None,
             begun: None,
             belief: Belief::Sure,
+            fit: 0.0,
         }
     }
 

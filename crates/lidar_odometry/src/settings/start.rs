@@ -43,6 +43,30 @@ settings! {
             "Standard deviation of the coarse rotation",
             origin: "hardly a prior",
             larger: "no change";
+        offsets: [f64; 2] = [2.5, 5.0], "m", 0.1..=100.0,
+            "The second sweep is aligned coarsely from rest, and from so far ahead, behind and to the sides",
+            origin: "derived: up to 50 m/s at ten sweeps a second, in steps that nearest points bring together",
+            larger: "faster starts are found, slower ones are not";
+        same_motion: f64 = 0.4, "m", 0.01..=10.0,
+            "Motions between the first two sweeps that differ by less are one hypothesis",
+            origin: "derived: registration brings them together",
+            larger: "fewer hypotheses";
+        similar_fit: f64 = 0.6, "1", 0.0..=1.0,
+            "Motions that fit by this fraction of the best are hypotheses that the next sweeps judge",
+            origin: "measured (docs/experiments/2026-11-starts.md)",
+            larger: "fewer hypotheses";
+        max_hypotheses: usize = 4, "hypotheses", 1.0..=100.0,
+            "So many are judged at most",
+            origin: "time",
+            larger: "slower starts";
+        judged_sweeps: usize = 10, "sweeps", 2.0..=1000.0,
+            "Hypotheses of the first motion are judged after so many sweeps",
+            origin: "a second",
+            larger: "later starts, surer ones";
+        clearly_better: f64 = 1.1, "1", 1.0..=10.0,
+            "A motion that fits the first two sweeps less well than another has to fit the next ones so many times better",
+            origin: "measured (docs/experiments/2026-11-starts.md)",
+            larger: "the first two sweeps decide";
         velocity_interval: f64 = 0.05, "s", 0.001..=1.0,
             "A pose so long before the end of the first sweep tells the extrapolator the first velocity",
             origin: "half a sweep",

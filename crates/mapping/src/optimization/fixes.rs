@@ -48,7 +48,7 @@ fn scatter(data: &OptimizationData, id: TrajectoryId) -> Option<f64> {
     let between = nodes.windows(2).filter_map(|pair| {
         let [a, b] = pair else { return None };
         let seconds = b.time.seconds_since(a.time);
-        (seconds > 0.0).then(|| (*a, *b, seconds))
+        (seconds > 0.0).then_some((*a, *b, seconds))
     });
     let errors: Vec<Vector3> = between
         .flat_map(|(a, b, seconds)| {

@@ -64,7 +64,7 @@ impl<S: Space> PoseGraph<S> {
         let (imu, odometry, fixes) = (&sensors.imu, &sensors.odometry, &sensors.fixed_frame);
         let imu: Vec<_> = imu.range(begin..).map(|(time, data)| (*time, *data)).collect();
         let odometry: Vec<_> = odometry.range(begin..).map(|(time, data)| (*time, *data)).collect();
-        let fixes: Vec<_> = fixes.range(begin..).map(|(time, data)| (*time, data.clone())).collect();
+        let fixes: Vec<_> = fixes.range(begin..).map(|(time, data)| (*time, *data)).collect();
         let sensors = self.problem.sensors_mut(to);
         sensors.imu.extend(imu);
         sensors.odometry.extend(odometry);
