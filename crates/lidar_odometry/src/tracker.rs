@@ -161,8 +161,8 @@ impl Tracker {
         // 2. Register the hypotheses to planes and poles; the one that fits best counts.
         let (mut best, mut poles) = self.best_hypothesis(&sweep, &prediction, issues);
         // 3. Does it fit as well as the sweeps before it? If not, it may have moved otherwise than predicted.
-        if self.fits.contradicts(&best.registered.sweep_fit())
-            && let Some(other) = self.search_widely(&sweep, &prediction)
+        if self.fits.is_poor(&best.registered.sweep_fit())
+            && let Some(other) = self.search_widely(&sweep, &prediction, best.registered.fit)
         {
             // Poles were seen from where it was predicted.
             (best, poles) = (other, None);
@@ -267,8 +267,8 @@ impl Tracker {
         (Registered { segment, registered, reason }, poles)
     }
 
-    /// Where a sweep fits that contradicts the map where it is predicted.
-    fn search_widely(&self, sweep: &Sweep, prediction: &Prediction) -> Option<Registered> {
+    /// Where a sweep fits that fits poorly where it is predicted.
+    fn search_widely(&self, sweep: &Sweep, prediction: &Prediction, fit: f64) -> Option<Registered> {
         let map = self.local_map.older();
         let target = Target { local_from_map: &map.local_from_map, planes: &map.planes, poles: None };
         let search = WideSearch {
@@ -278,7 +278,7 @@ impl Tracker {
             fits: &self.fits,
             before: &self.last_fitting,
         };
-        search.find(sweep, prediction)
+        search.find(sweep, prediction, self.settings.hypotheses.clearly_better * fit)
     }
 
     /// The covariance of what attenuation may keep a place off by, m² in the local map; none where a sweep fits nothing.

@@ -26,8 +26,8 @@ pub(crate) struct WideSearch<'a> {
 }
 
 impl WideSearch<'_> {
-    /// The first hypothesis under which the sweep does not contradict the map.
-    pub fn find(&self, sweep: &Sweep, prediction: &Prediction) -> Option<Registered> {
+    /// The first hypothesis under which the sweep fits about as well as others do, and at least as well as `least_fit` says.
+    pub fn find(&self, sweep: &Sweep, prediction: &Prediction, least_fit: f64) -> Option<Registered> {
         let segment = &prediction.segment;
         let end = segment.end();
         let to_end = segment.deskewing(&SegmentCorrection::default());
@@ -46,7 +46,7 @@ impl WideSearch<'_> {
             let end = Rigid3::from_parts(found.translation, found.rotation * end.rotation);
             let segment = segment.ending_at(&end);
             let registered = self.registration.register_widely(&sample, &segment, self.target);
-            let fits = !self.fits.contradicts(&registered.sweep_fit());
+            let fits = registered.fit >= least_fit && !self.fits.is_poor(&registered.sweep_fit());
             fits.then_some(Registered { segment, registered, reason: Some(Reason::OtherMotion) })
         })
     }

@@ -170,8 +170,12 @@ settings! {
     /// When the pose is lost: sweeps that fit far worse than those before them.
     LossSettings {
         poor_fit_ratio: f64 = 0.5, "1", 0.0..=1.0,
-            "A sweep contradicts the map if it fits by less than this fraction of what is usual",
-            origin: "measured (docs/experiments/2026-11-lost-in-3d.md): 0.9 and more where nothing is wrong, 0.10 to 0.22 after a cut",
+            "A sweep that fits by less than this fraction of what is usual is looked for with other motions, too",
+            origin: "measured (docs/experiments/2026-11-lost-in-3d.md): 0.9 and more where nothing is wrong, 0.14 to 0.37 for key frames whose motion was predicted wrongly",
+            larger: "slower, finds more of what is predicted wrongly";
+        chance_fit_ratio: f64 = 0.35, "1", 0.0..=1.0,
+            "A sweep that fits by less than this fraction of what is usual contradicts the map",
+            origin: "measured there: 0.10 to 0.26 after a cut",
             larger: "lost sooner, now and then without reason";
         poor_rms_ratio: f64 = 1.5, "1", 1.0..=100.0,
             "And if its points on planes lie farther off than usual by this factor; otherwise it sees something new",
