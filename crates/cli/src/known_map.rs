@@ -54,20 +54,18 @@ pub fn sentence(found: &Localisation) -> String {
             found.loop_closures
         ),
         Place::Told => {
-            "no loop closure with the known map: the recording lies in it where --start says, and goes on as \
-                        it saw itself, where the known map does not reach"
+            "no loop closure with the known map: the recording lies in it where --start says, and goes \
+                        where the known map does not reach, by its own odometry"
                 .to_owned()
         }
         Place::Refuted => {
-            "NOT found in the known map: it looks otherwise where --start says. If you know the place, say \
+            "NOT found in the known map: scans do not fit it where --start says. If you know the place, say \
                            it better; without --start it is searched in the whole map [--force]"
                 .to_owned()
         }
-        Place::NotFound => {
-            "NOT found in the known map, so that nothing tells where in it the recording lies. If you know \
+        Place::NotFound => "NOT found in the known map: its place there is unknown. If you know \
                             the place, say --start X,Y,YAW; else lower \
                             --set constraint_builder.global_localization_min_score [--force]"
-                .to_owned()
-        }
+            .to_owned(),
     }
 }

@@ -13,9 +13,9 @@ pub fn losses<S: Space>(mapped: &MappedRecording<S>) -> String {
     let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time);
     let lines = mapped.losses.iter().take(NAMED).map(|loss| {
         let outcome = if mapped.is_apart(loss) {
-            "nothing ties what came then to the rest of the map, which overlaps it wrongly"
+            "the trajectory after it is not connected to the rest of the map, which overlaps it wrongly"
         } else {
-            "what came then was found again in the map"
+            "the trajectory after it was found again in the map"
         };
         let [since, until] = [loss.since, loss.until].map(|t| recorded(t).seconds_since(start));
         let when = match until - since < 0.05 {

@@ -27,7 +27,7 @@ fn after_help() -> String {
     format!("{examples}\n\n{}", ExitStatus::TABLE)
 }
 
-/// Turns what a moving lidar saw into a map and a trajectory.
+/// Makes a map and a trajectory from a recording of a moving lidar.
 ///
 /// Portolan maps recordings (ROS 1 bags, ROS 2 MCAP and db3, packets of Velodyne and Ouster lidars, KITTI
 /// folders, CARMEN logs) without ROS and without configuration, reads and writes Cartographer's .pbstream maps,
@@ -117,7 +117,7 @@ fn show(message: &clap::Error) -> ExitStatus {
     }
 }
 
-/// The one place where errors reach the user. A cause that the message tells already is not reported again.
+/// The one place where errors reach the user. A cause that the message says already is not reported again.
 fn report(error: &CliError) {
     let mut told = error.to_string();
     let mut text = format!("error: {told}");

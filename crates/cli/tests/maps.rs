@@ -121,7 +121,7 @@ fn maps_are_edited() {
     let run =
         portolan_with_code(0, &[&["edit", &path, "-o", &out, "--json", "--worst", "2"][..], &more].concat());
     let report = json(&run.stdout);
-    assert!((report["turned"].as_f64().unwrap().abs() - 1.6).abs() < 0.6, "{report}");
+    assert!((report["rotated_degrees"].as_f64().unwrap().abs() - 1.6).abs() < 0.6, "{report}");
     assert!(report["optimization"]["largest_move"].as_f64() > Some(0.0), "{report}");
     assert_eq!(report["worst_loops"].as_array().unwrap().len(), 2);
     portolan_with_code(0, &["check", &out]);

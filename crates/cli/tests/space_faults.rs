@@ -91,7 +91,7 @@ fn imus_that_contradict_the_lidar_are_named() {
     // The clouds are compared with the IMU: late stamps of the one are early stamps of the other.
     for (fault, direction) in [("clock:imu:0.05", "earlier"), ("clock:imu:-0.05", "later")] {
         let told = checked(&museum(&["--fault", fault]).0);
-        let is_told = |line: &&str| line.contains("as turns of both show");
+        let is_told = |line: &&str| line.contains("as the rotation of both shows");
         let line = told.lines().find(is_told).unwrap_or_else(|| panic!("{told}"));
         let found = line.split("about ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
         // Measured: 0.049 s, printed to the millisecond.

@@ -123,7 +123,7 @@ impl CloudChecks {
             }
             (true, Some(_)) => {}
             (true, None) => {
-                findings.add(&NO_TIME, topic, || "the time field of clouds tells nothing".to_owned())
+                findings.add(&NO_TIME, topic, || "the time field of clouds holds no usable times".to_owned())
             }
             (false, _) => findings.add(&NO_TIME, topic, || "clouds have no time for each point".to_owned()),
         }

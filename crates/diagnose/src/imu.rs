@@ -73,7 +73,7 @@ const LEANING: Kind = Kind {
 const AXES: Kind = Kind {
     name: "axes",
     severity: Severity::Error,
-    effect: "the IMU is left out where the frame of the robot shows it; elsewhere in 3D level is found from gravity, but turns are taken about the wrong axes where transforms connect it with the lidar",
+    effect: "the IMU is left out where the frame of the robot shows it; elsewhere in 3D level is found from gravity, but rotations are taken about the wrong axes where transforms connect it with the lidar",
     to_do: "give the mounting of the IMU in the transforms, or let the driver send x forward, y left, z up",
 };
 
@@ -162,7 +162,7 @@ impl ImuChecks {
         let usual = self.norms.median().unwrap_or(0.0);
         if self.lacks_gravity() {
             findings.add(&NO_GRAVITY, topic, || {
-                format!("half of the IMU linear accelerations are below {usual:.3} m/s^2: gravity was taken out of them")
+                format!("half of the IMU linear accelerations are below {usual:.3} m/s^2: gravity was removed from them")
             });
         } else if IN_G_RANGE.contains(&usual) {
             findings.add(&IN_G, topic, || {

@@ -209,15 +209,15 @@ pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findin
     if correlation < -0.6 {
         add(
             Severity::Error,
-            format!("the sensor turns the other way than {a} (correlation {correlation:.2})"),
-            "prediction and scans contradict each other; the map breaks in every turn",
+            format!("the sensor rotates opposite to {a} (correlation {correlation:.2})"),
+            "prediction and scans contradict each other; the map breaks whenever the robot turns",
             "a scanner or IMU is mounted upside down without saying so in the transforms, or odometry has a wrong sign",
         );
     } else if correlation < 0.3 {
         add(
             Severity::Warning,
-            format!("the sensor does not turn like {a} (correlation {correlation:.2})"),
-            "prediction is of little use; the map may break in turns",
+            format!("the rotation of the sensor does not agree with {a} (correlation {correlation:.2})"),
+            "prediction is of little use; the map may break when the robot turns",
             "see whether both are of the same robot and have sensible stamps; leave one out with --no-odom or --no-imu",
         );
     } else if correlation > 0.7 && !(0.75..=1.33).contains(&slope) {
@@ -228,8 +228,8 @@ pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findin
         };
         add(
             Severity::Warning,
-            format!("the sensor turns {slope:.2} times as far as {a}{degrees}"),
-            "prediction in turns is off; matching must make up for it",
+            format!("the sensor rotates {slope:.2} times as far as {a}{degrees}"),
+            "predicted rotation is off; matching must make up for it",
             "calibrate the wheel base or the gyroscope, or leave it out with --no-odom or --no-imu",
         );
     }
@@ -266,8 +266,8 @@ pub(super) fn offset_finding(first: &str, second: &str, lag: f64, warned: f64) -
     finding(
         second,
         if lag.abs() > warned { Severity::Warning } else { Severity::Info },
-        format!("stamps are about {size} s {direction} than those of {first}, as turns of both show"),
-        "turns are taken from the wrong time, so that scans are unwound and predicted wrongly; the map blurs",
+        format!("stamps are about {size} s {direction} than those of {first}, as the rotation of both shows"),
+        "rotation is taken from the wrong time, so that scans are de-skewed and predicted wrongly; the map blurs",
         &format!(
             "synchronise the two clocks (PTP), or let both drivers stamp the time of measurement, not that of arrival; \
              this recording: map --time-offset {second}={:.3}",
@@ -344,7 +344,7 @@ pub(super) mod tests {
             super::super::findings_to_text(&findings.finish())
         };
         assert_eq!(text(0.0, 1.0), "");
-        assert!(text(0.0, -1.0).contains("turns the other way"));
+        assert!(text(0.0, -1.0).contains("rotates opposite to"));
         assert!(text(0.0, 57.3).contains("degrees"));
         assert!(text(0.3, 1.0).contains("0.30 s later than those of /odom"));
         let early = text(-0.05, 1.0);

@@ -62,7 +62,7 @@ const INCREMENT: Kind = Kind {
 const TIME_INCREMENT: Kind = Kind {
     name: "time increment",
     severity: Severity::Warning,
-    effect: "all points count as measured at once; turning while scanning blurs the map",
+    effect: "all points count as measured at once; rotation while scanning blurs the map",
     to_do: "let the driver fill in time_increment (seconds between beams)",
 };
 const DEGREES: Kind = Kind {
@@ -119,7 +119,7 @@ impl RangeChecks {
         if view > 1.2 * std::f32::consts::TAU {
             findings.add(&DEGREES, topic, || {
                 format!(
-                    "{beams} beams of angle_increment {} make {:.1} turns",
+                    "{beams} beams of angle_increment {} make {:.1} revolutions",
                     scan.angle_increment,
                     view / std::f32::consts::TAU
                 )

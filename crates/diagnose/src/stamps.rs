@@ -31,7 +31,7 @@ const UNSET: Kind = Kind {
 const LATE: Kind = Kind {
     name: "late",
     severity: Severity::Warning,
-    effect: "measurements are put where the robot was that much earlier or later than they were made: turns blur the map, prediction and scans disagree",
+    effect: "measurements are put where the robot was that much earlier or later than they were made: rotation blurs the map, prediction and scans disagree",
     to_do: "see that the clocks of the sensors and of the computer agree (PTP, NTP); stamps should be the time of measurement",
 };
 const VERY_LATE: Kind =
@@ -288,7 +288,7 @@ fn lag(stamp: Time, end: Time, log_time: Time) -> f64 {
 const SEVERAL_TOPICS: Kind = Kind {
     name: "several topics",
     severity: Severity::Warning,
-    effect: "the same scans would count twice; only one of the topics is used unless told otherwise",
+    effect: "the same scans would count twice; only one of the topics is used unless another is named",
     to_do: "name the topic to use with --scan or --points",
 };
 

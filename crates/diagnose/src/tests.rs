@@ -174,7 +174,7 @@ fn faults_of_scans() {
     ] {
         find(&findings, part);
     }
-    assert_eq!(find(&findings, "make 28.6 turns").severity, Severity::Error);
+    assert_eq!(find(&findings, "make 28.6 revolutions").severity, Severity::Error);
 }
 
 #[test]
@@ -225,7 +225,7 @@ fn an_imu_without_gravity_is_told_as_that_alone() {
         messages.push(named("/imu", t, imu(t, [0.0, 0.3, step])));
     }
     let findings = checked(messages);
-    assert_eq!(find(&findings, "gravity was taken out").severity, Severity::Error);
+    assert_eq!(find(&findings, "gravity was removed").severity, Severity::Error);
     let text = findings_to_text(&findings);
     for wrong in ["in g", "axes are swapped", "leans"] {
         assert!(!text.contains(wrong), "{wrong}: {text}");
@@ -268,7 +268,7 @@ fn sweeps_recorded_at_their_end_are_not_late() {
     messages.insert(0, named("/tf_static", 0.0, Message::Tf(transforms)));
     let findings = checked(messages);
     let text = findings_to_text(&findings);
-    assert!(!text.contains("serialization time") && !text.contains("no transforms tell"), "{text}");
+    assert!(!text.contains("serialization time") && !text.contains("no transforms say"), "{text}");
     let told = find(&findings, "no frame of the recording is known as that of a robot");
     assert!(told.severity == Severity::Info && told.what_to_do.contains("imu_link"), "{text}");
 }

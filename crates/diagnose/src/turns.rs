@@ -10,9 +10,9 @@ use crate::imu::axis_of;
 use crate::rotation::{self, ENOUGH_TURNS, Turn, compare};
 
 const AXES: Kind = Kind {
-    name: "turns about another axis",
+    name: "rotates about another axis",
     severity: Severity::Error,
-    effect: "prediction and scans contradict each other; the map breaks in turns",
+    effect: "prediction and scans contradict each other; the map breaks when the robot turns",
     to_do: "the axes of the gyroscope are swapped or of the wrong sign against its accelerometer: mend the driver, or leave the IMU out with --no-imu",
 };
 
@@ -141,7 +141,7 @@ fn tell_axis(
     let (name, sign) = axis_of(&(axis * best));
     findings.add(&AXES, topic, || {
         format!(
-            "turns of {} about the vertical are seen by the gyroscope about {sign}{name} (correlation {:.2}), not about what gravity shows as up ({:.2})",
+            "rotation of {} about the vertical is seen by the gyroscope about {sign}{name} (correlation {:.2}), not about what gravity shows as up ({:.2})",
             reference.topic,
             best.abs(),
             agreement.correlation
@@ -174,7 +174,7 @@ mod tests {
         compare_all(vec![cloud, about_up], &[("/imu", &imu)], &[], &mut findings);
         let text = findings_to_text(&findings.finish());
         assert!(
-            text.contains("/imu: turns of /points about the vertical") && text.contains("about -y"),
+            text.contains("/imu: rotation of /points about the vertical") && text.contains("about -y"),
             "{text}"
         );
     }

@@ -211,7 +211,7 @@ impl fmt::Display for Drift {
         }
         write!(f, "  at the end  {:.3} m  {:.3} deg", self.end_translation, self.end_rotation_degrees)?;
         match self.end_drift_per_metre() {
-            Some(drift) => write!(f, "  ({:.3} % of the way)", 100.0 * drift),
+            Some(drift) => write!(f, "  ({:.3} % of the path)", 100.0 * drift),
             None => Ok(()),
         }
     }

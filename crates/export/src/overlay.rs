@@ -4,8 +4,8 @@ use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, PathBuilder, PixmapMu
 
 use crate::colour::{Rgb, palette, rgb};
 use crate::font::{draw_text, text_width};
+use crate::path::ColouredLine;
 use crate::raster::Frame;
-use crate::way::ColouredLine;
 
 /// Start and end of a trajectory.
 const START: Rgb = rgb(0x2ca02c);

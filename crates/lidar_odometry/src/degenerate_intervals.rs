@@ -24,14 +24,14 @@ impl DegenerateMotion {
     /// All of them, in the order in which they are reported.
     pub const ALL: [Self; 5] = [Self::Along, Self::Across, Self::Up, Self::Heading, Self::Tilt];
 
-    /// In words, after "did not tell".
+    /// In words, after "do not constrain".
     pub fn name(self) -> &'static str {
         match self {
-            Self::Along => "movement along the way",
-            Self::Across => "movement across the way",
-            Self::Up => "movement up and down",
+            Self::Along => "motion along the direction of travel",
+            Self::Across => "motion across the direction of travel",
+            Self::Up => "vertical motion",
             Self::Heading => "heading",
-            Self::Tilt => "tilt",
+            Self::Tilt => "roll and pitch",
         }
     }
 }
@@ -52,14 +52,14 @@ pub enum Substitute {
 }
 
 impl Substitute {
-    /// In words, after a number of seconds or before "was taken".
+    /// In words, before "was used".
     pub fn name(self) -> &'static str {
         match self {
             Self::Odometry => "odometry",
             Self::Gyroscope => "the gyroscope",
-            Self::Rest => "rest, as the IMU felt it,",
+            Self::Rest => "a zero-velocity update",
             Self::Accelerometer => "the accelerometer",
-            Self::Velocity => "the velocity before, which nothing measured,",
+            Self::Velocity => "constant velocity",
         }
     }
 }

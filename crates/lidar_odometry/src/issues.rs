@@ -32,15 +32,17 @@ impl Issue {
             Self::ImuSampleTooOld => "IMU sample older than the last matched scan",
             Self::ImuSampleNotFinite => "IMU sample that is not finite",
             Self::ImuAfterStart => {
-                "IMU sample that came after the start without an IMU; it tells rotation only"
+                "IMU sample after a start without an IMU; only its angular velocity is used"
             }
             Self::OdometryTooOld => "odometry pose older than the last matched scan",
             Self::EmptySweep => "scan without a single return",
             Self::SweepTooOld => "scan that ends before the last matched scan",
-            Self::GyroscopeOverruled => "sweep whose turn the gyroscope did not tell; scans told it",
-            Self::ContradictsMap => "scan that contradicts the map, not inserted",
+            Self::GyroscopeOverruled => {
+                "sweep whose rotation contradicts the gyroscope; the rotation found by matching was used"
+            }
+            Self::ContradictsMap => "scan that contradicts the map; not inserted",
             Self::NoPlaneFits => {
-                "scan that fits no surface; its pose is what wheels, IMU, the velocity before or grids tell"
+                "scan that fits no plane; its pose follows from odometry, IMU, constant velocity or matching to grids"
             }
         }
     }

@@ -9,7 +9,7 @@
 //! | `map.png` | the map from above, with the trajectory and the loop closures |
 //! | `map.pgm`, `map.yaml` | the map for ROS's map server, cells of 5 cm |
 //! | `map_xray_*.png`, `map_section.png` | maps in 3D from three sides, and a section |
-//! | `report.json` | sensors, options, counts, times, where scans did not tell everything, repairs |
+//! | `report.json` | sensors, options, counts, times, degenerate intervals, repairs |
 
 mod error;
 mod event;
@@ -40,6 +40,9 @@ use portolan_ingest::IngestOptions;
 use portolan_mapfile::MapSpace;
 use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
 use portolan_recording::Recording;
+
+/// Version of the keys of `report.json`, of every job.
+pub const REPORT_VERSION: u32 = 2;
 
 pub use error::JobError;
 pub use event::{Event, Observer, Remark};

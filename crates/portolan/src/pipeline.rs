@@ -39,7 +39,7 @@ pub enum PipelineError {
     #[error("{0}")]
     Setting(String),
     /// Nothing was mapped.
-    #[error("not a single scan could be used; `portolan check` tells what is wrong with the recording")]
+    #[error("not a single scan could be used; `portolan check` says what is wrong with the recording")]
     NoScans,
 }
 

@@ -125,7 +125,7 @@ fn files_do_not_depend_on_the_number_of_threads_and_have_six_dimensions() {
         let found = localize(&today, &request, &mut unobserved).unwrap();
         let folder = tempfile::tempdir().unwrap();
         write_localized(&found, folder.path(), 0.0, &mut unobserved).unwrap();
-        ["poses.tum", "poses.csv", "way.png", "report.json"]
+        ["poses.tum", "poses.csv", "path.png", "report.json"]
             .map(|name| std::fs::read(folder.path().join(name)).unwrap())
     });
     assert!(files[0] == files[1] && files[0] == files[2]);

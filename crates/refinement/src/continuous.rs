@@ -182,7 +182,7 @@ impl Run<'_, '_> {
         if map.surfels.is_empty() {
             return Err(RefineError::NoSurfaces(session.report.points));
         }
-        session.report.planar_share = Some(map.planar_share());
+        session.report.planar_fraction = Some(map.planar_share());
         Ok(map)
     }
 

@@ -44,7 +44,7 @@ fn a_wrong_place_and_clock_of_a_lidar_are_found() {
     assert!(rest.rotation.angle() < 0.002, "{} {mounting:?}", rest.rotation.angle());
     assert!((found.delay - 0.02).abs() < 0.002, "{mounting:?}");
     assert!(mounting.undetermined.is_empty(), "{mounting:?}");
-    let errors_in_deviations = shift.iter().zip(mounting.shift_deviation).map(|(e, d)| (e / d).abs());
+    let errors_in_deviations = shift.iter().zip(mounting.translation_deviation).map(|(e, d)| (e / d).abs());
     assert!(errors_in_deviations.fold(0.0, f64::max) < 8.0, "{shift} {mounting:?}");
     assert!((found.delay - 0.02).abs() < 8.0 * mounting.delay_deviation, "{mounting:?}");
     let after: Vec<_> =
@@ -60,9 +60,9 @@ fn what_the_motion_does_not_determine_is_named() {
     let options = ContinuousOptions { calibrate_lidars: true, ..ContinuousOptions::default() };
     let refined = refine_continuous(&points, &poses(straight, 8.0), &options, &mut |_| true).unwrap();
     let mounting = &refined.report.mountings[0];
-    assert!(mounting.undetermined.contains(&"shift along x"), "{mounting:?}");
+    assert!(mounting.undetermined.contains(&"translation along x"), "{mounting:?}");
     assert!(refined.report.warnings.iter().any(|w| w.contains("does not determine")));
-    assert!(mounting.shift[0].abs() < 0.05 && mounting.shift[1].abs() < 0.01, "{mounting:?}");
+    assert!(mounting.translation[0].abs() < 0.05 && mounting.translation[1].abs() < 0.01, "{mounting:?}");
 }
 
 /// An IMU that is turned against the tracking frame, sits elsewhere and is late.
@@ -103,9 +103,9 @@ fn turn_place_and_clock_of_the_imu_are_found() {
     let input = disturbed(&truth, 0.2, 0.005);
     let refined = refine_continuous_with(&points, &sensors, &input, &options, &mut |_| true).unwrap();
     let found = refined.report.imu.as_ref().unwrap();
-    assert!((Vector3::from(found.turn) - turn).norm() < 0.003, "{found:?}");
+    assert!((Vector3::from(found.rotation) - turn).norm() < 0.003, "{found:?}");
     assert!((found.delay - delay).abs() < 0.003, "{found:?}");
-    assert!((Vector3::from(found.shift) - lever).norm() < 0.04, "{found:?}");
+    assert!((Vector3::from(found.translation) - lever).norm() < 0.04, "{found:?}");
     assert!(
         refined.report.warnings.iter().any(|w| w.contains("IMU seems to be")),
         "{:?}",

@@ -140,5 +140,5 @@ fn a_map_that_is_only_inexact_raises_no_suspicion() {
     let options = ContinuousOptions::default();
     let refined = refine_continuous(&points, &poses(&input, f64::INFINITY), &options, &mut |_| true).unwrap();
     assert!(refined.report.warnings.is_empty(), "{:?}", refined.report.warnings);
-    assert!(refined.report.largest_shift > 0.1);
+    assert!(refined.report.largest_translation > 0.1);
 }

@@ -13,10 +13,10 @@ use crate::error::{CliError, Outcome};
 use crate::input::open_map;
 use crate::output::{counted, print, print_json};
 
-/// Tell what is wrong with recordings and maps, what follows from it, and what to do.
+/// Diagnose recordings and maps: what is wrong, what follows from it, and what to do.
 ///
 /// Of a recording: damage, stamps that jump or differ from the time of recording, gaps, scans that overlap or
-/// repeat, sensors that turn unlike the others or whose clocks are apart (from 10 ms on between a lidar and an IMU
+/// repeat, sensors that rotate unlike the others or whose clocks are apart (from 10 ms on between a lidar and an IMU
 /// in 3D), frames without transforms, implausible IMU and odometry. Of a map (.pbstream): damage, missing or
 /// doubled parts, impossible poses, constraints and grids, times out of order, and whether `portolan repair` helps.
 ///

@@ -18,7 +18,7 @@ use format::Format;
 /// Convert trajectories, pose graphs and maps into one another.
 ///
 /// Trajectories: TUM (.tum), KITTI poses (.kitti, times beside them), tables (.csv), GeoJSON (.geojson), and
-/// those of maps (.pbstream). Pose graphs: g2o (.g2o) and the constraints of maps. The content tells what the
+/// those of maps (.pbstream). Pose graphs: g2o (.g2o) and the constraints of maps. The content says what the
 /// input is, the ending of the output what to write.
 ///
 /// Into a map (`--into MAP -o NEW.pbstream`) go the poses of a trajectory, for example after a refinement, or

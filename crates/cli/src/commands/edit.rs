@@ -14,7 +14,7 @@ use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use values::{LoopToAdd, Rotation};
 
-/// Change a map (.pbstream): take parts out, merge, correct, move and optimise it.
+/// Change a map (.pbstream): remove parts, merge, correct, move and optimise it.
 ///
 /// Steps are made in the order of this page, whatever the order on the command line. Positions, times and
 /// numbers are those of the map before it is moved. Submaps and nodes are copied as they are, with whatever
@@ -56,25 +56,25 @@ struct PartArgs {
     /// one origin.
     #[arg(long, value_name = "X,Y,YAW", value_parser = argument::planar_pose, allow_hyphen_values = true)]
     place: Vec<Rigid3>,
-    /// Leave only this trajectory; may be given several times.
+    /// Keep only this trajectory; may be given several times.
     #[arg(long, value_name = "ID", conflicts_with = "delete")]
     keep: Vec<i32>,
-    /// Take this trajectory out; may be given several times.
+    /// Remove this trajectory; may be given several times.
     #[arg(long, value_name = "ID")]
     delete: Vec<i32>,
-    /// Give a trajectory another number; may be given several times.
+    /// Renumber a trajectory; may be given several times.
     #[arg(long, value_name = "OLD=NEW", value_parser = values::rename)]
     rename: Vec<(i32, i32)>,
-    /// Take out what was seen before: Unix seconds, or +SECONDS after the first node.
+    /// Remove what was seen before: Unix seconds, or +SECONDS after the first node.
     #[arg(long, value_name = "TIME")]
     after: Option<String>,
-    /// Take out what was seen later.
+    /// Remove what was seen later.
     #[arg(long, value_name = "TIME")]
     before: Option<String>,
-    /// Leave only submaps and nodes in this rectangle, metres.
+    /// Keep only submaps and nodes in this rectangle, metres.
     #[arg(long, value_name = "X1,Y1,X2,Y2", value_parser = argument::area, allow_hyphen_values = true)]
     inside: Option<MapArea>,
-    /// Take out submaps and nodes in this rectangle, and the cells there of the submaps that stay.
+    /// Remove submaps and nodes in this rectangle, and the cells there of the submaps that stay.
     #[arg(long, value_name = "X1,Y1,X2,Y2", value_parser = argument::area, allow_hyphen_values = true)]
     outside: Option<MapArea>,
 }
@@ -83,10 +83,10 @@ struct PartArgs {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Loop closures")]
 struct LoopArgs {
-    /// Take out the loop closure between a submap and a node; may be given several times.
+    /// Remove the loop closure between a submap and a node; may be given several times.
     #[arg(long, value_name = "SUBMAP:NODE", value_parser = values::pair)]
     drop_loop: Vec<(IdInFile, IdInFile)>,
-    /// Take out loop closures that are further than this from the poses of the map.
+    /// Remove loop closures that are further than this from the poses of the map.
     #[arg(long, value_name = "METRES")]
     drop_loops_beyond: Option<f64>,
     /// Put in a loop closure: `0,3:0,812` looks for node 812 in submap 3, `0,3:0,812=1.5,0.2,90` says
@@ -106,7 +106,7 @@ struct LoopArgs {
 
 /// Where the map lies.
 #[derive(clap::Args)]
-#[command(next_help_heading = "Place (first the origin is moved, then the map is turned, then moved)")]
+#[command(next_help_heading = "Place (first the origin is moved, then the map is rotated, then moved)")]
 struct PlaceArgs {
     /// Make this point of the map the origin.
     #[arg(long, value_name = "X,Y[,Z]", value_parser = values::point, allow_hyphen_values = true)]

@@ -19,7 +19,7 @@ use crate::output::{print, print_json};
 ///
 /// Of a recording: topics with types, counts, rates and frames, what the sensors are like, duration, the tree
 /// of transforms, and what mapping would use of it. Of a map (.pbstream): trajectories with nodes, submaps, path and duration, constraints, grids and extent. The
-/// content of a file tells what it is. Exit code 3 if parts of a file could not be read.
+/// content of a file says what it is. Exit code 3 if parts of a file could not be read.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan info walk.bag\n  portolan info old.pbstream --options\n  \
     portolan info *.mcap --json\n  portolan info old.pbstream --all | less")]

@@ -20,7 +20,7 @@ use crate::progress::Progress;
 /// Find a recording in a saved map, scan by scan: where it was, how sure that is, and when it was lost.
 ///
 /// The place is searched in the whole map; nothing of the map changes, and memory does not grow with time. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
-/// reason and covariance, `way.png` the way in the map coloured by state (green localised, orange uncertain, violet
+/// reason and covariance, `path.png` the path in the map coloured by state (green localised, orange uncertain, violet
 /// dots tentative), `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan localize house/map.pbstream today.bag -o today\n  \
@@ -119,9 +119,11 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
     let found = match (localized.found(), localized.found_after_seconds()) {
         (Found::Throughout, Some(after)) => format!("found after {after:.1} s and never lost"),
         (Found::InParts, Some(after)) => {
-            format!("found after {after:.1} s, but not known all the time since (see way.png and poses.csv)")
+            format!(
+                "found after {after:.1} s, but lost or uncertain at times since (see path.png and poses.csv)"
+            )
         }
-        _ => "NOT found in the map: nothing tells where in it the recording was taken. If you know the place, say \
+        _ => "NOT found in the map. If you know the place, say \
               --start X,Y,YAW; it is not believed unless scans fit there"
             .to_owned(),
     };
@@ -134,7 +136,7 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
     text += &format!("{} scans: {}\n", localized.estimates.len(), shares.join(", "));
     text += &format!("{all:.0} s of recording in {seconds:.1} s\n");
     if localized.start_agrees == Some(false) {
-        text += "the start that was told is WRONG: the recording starts elsewhere in the map\n";
+        text += "--start is WRONG: the recording starts elsewhere in the map\n";
     }
     let last = localized.estimates.last();
     if let Some(estimate) = last.filter(|e| e.state != State::Localised) {

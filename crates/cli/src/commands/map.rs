@@ -1,7 +1,7 @@
 //! `portolan map`: from a recording to a map.
 
 mod cloud;
-mod weak;
+mod degenerate;
 mod words;
 
 use std::ops::ControlFlow;
@@ -108,7 +108,7 @@ pub struct SensorArgs {
     #[arg(long, conflicts_with = "imu")]
     pub no_imu: bool,
     /// Use satellite fixes (sensor_msgs/NavSatFix), as `--set use_nav_sat=true` does. They help on long trajectories outdoors
-    /// that do not come back to where they were; indoors and between high houses fixes are wrong and harm.
+    /// that do not come back to where they were; indoors and between high buildings fixes are wrong and harm.
     #[arg(long)]
     pub gnss: bool,
     /// Frame whose motion is wanted: that of the IMU if one is used.
@@ -121,14 +121,14 @@ pub struct SensorArgs {
     #[arg(long, value_name = "FILE")]
     pub urdf: Option<PathBuf>,
     /// Where the times of the points of clouds come from. On its own: those that were recorded; without any, those of a
-    /// spinning lidar follow from the azimuth. Whether motion was taken out of the clouds already is found out.
+    /// spinning lidar follow from the azimuth. Whether the clouds are de-skewed already is found out.
     #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
     pub point_times: PointTimesArg,
     /// Raise all beams of the lidar: "auto" by the error of their calibration that motion shows, if it is clear; "off" not
     /// at all; or by so many degrees. Beams that point too low bend a straight drive.
     #[arg(long, value_name = "HOW", default_value = "auto", value_parser = beam_elevation, allow_hyphen_values = true)]
     pub beam_elevation: BeamElevation,
-    /// Move the stamps of a topic, and the times of its points, by seconds, `/points_rear=-0.05`; `check` tells how far
+    /// Move the stamps of a topic, and the times of its points, by seconds, `/points_rear=-0.05`; `check` says how far
     /// clocks are off. May be given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
     pub time_offset: Vec<(String, f64)>,
@@ -166,13 +166,13 @@ pub enum PointTimesArg {
     /// What fits the clouds.
     #[default]
     Auto,
-    /// The times that were recorded, even if motion seems to be taken out already.
+    /// The times that were recorded, even if the clouds seem to be de-skewed already.
     Recorded,
-    /// All points are measured at the stamp: motion was taken out.
+    /// All points are measured at the stamp: the clouds are de-skewed.
     Off,
     /// The azimuth: sweeps begin at the stamp.
     FromStamp,
-    /// The azimuth: the stamp is in the middle of the turn.
+    /// The azimuth: the stamp is in the middle of the sweep.
     AroundStamp,
     /// The azimuth: sweeps end at the stamp.
     UntilStamp,
@@ -214,7 +214,8 @@ impl From<EngineArg> for Engine {
 #[command(next_help_heading = "Settings (chosen automatically from the recording)")]
 pub struct ConfigArgs {
     /// Cartographer configuration in Lua, instead of settings chosen from the recording: its sensors, frames and
-    /// weights. 3D scans are matched to planes all the same; `--engine grids` is Cartographer's way.
+    /// weights. 3D scans are matched to planes all the same; `--engine grids` does as
+    /// Cartographer does.
     #[arg(long, value_name = "FILE.lua")]
     pub config: Option<PathBuf>,
     /// What 3D scans are matched to. On their own to planes; a Lua configuration gives sensors, frames and weights.

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print_json, print_summary};
 
-/// Bring a map (.pbstream) of format version 1 to version 2.
+/// Convert a map (.pbstream) of format version 1 to version 2.
 ///
 /// In 3D the submaps get the histograms that version 2 needs, made from those of their nodes. 2D maps are
 /// taken too; there the versions differ in the header only. A map of version 2 is copied.

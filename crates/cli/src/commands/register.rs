@@ -23,11 +23,11 @@ use input::{InputArgs, read_links, read_scans};
 use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
 use summary::{ADVICE, text};
 
-/// Bring scans together: where each scan lies in the frame of the first.
+/// Register scans: find the pose of each scan in the frame of the first.
 ///
 /// Scans are files of points (PLY, PCD, text, LAS, LAZ, E57, uos), metres, or a folder of uos scans with their first
 /// poses. Each scan is matched with the one before it (--metascan: with all before it), beginning where the correction
-/// of that one puts it; with --close-loops errors are shared out where the trajectory comes back, and with --global all
+/// of that one puts it; with --close-loops errors are distributed where the trajectory comes back, and with --global all
 /// scans are then matched at once (Lu and Milios in six degrees of freedom).
 ///
 /// Exit code 4, and no files without --force, if the scans do not overlap or matching did not come to rest; 3 if that is

@@ -1,4 +1,4 @@
-//! `portolan repair`: save what is whole of a damaged map.
+//! `portolan repair`: save the intact parts of a damaged map.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print_json, print_summary};
 
-/// Save what is whole of a damaged map (.pbstream).
+/// Save the intact parts of a damaged map (.pbstream).
 ///
 /// Finds whole records in any file, even where sizes or bytes between them are damaged, and writes a map in
 /// which every id is found, every pose is valid and every size is true. What is good is copied byte for
@@ -65,7 +65,7 @@ fn text(report: &RepairReport) -> String {
 
 fn in_words(repair: Repair) -> &'static str {
     match repair {
-        Repair::DamagedRecords => "stretch of the file that cannot be read",
+        Repair::DamagedRecords => "part of the file that cannot be read",
         Repair::HeaderMade => "the header was missing; a new one was made",
         Repair::PoseGraphMade => {
             "the pose graph; a new one was made of the local maps, without loop closures"

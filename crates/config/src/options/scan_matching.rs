@@ -11,7 +11,7 @@ options! {
         /// slow scanner); the cost grows with its square in 2D and its cube in 3D. Windows are cut where a
         /// search would take more than about two seconds for each scan.
         linear_search_window: f64 = 0.1, "m", Bounds::at_least(0.0);
-        /// Half width of the window in rotation. Raise it when turns are lost between two scans.
+        /// Half width of the window in rotation. Raise it when rotations are lost between two scans.
         angular_search_window: f64 = 20.0_f64.to_radians(), "rad", Bounds::at_least(0.0);
         /// How much a distance from the prediction lowers a score. Raise it to trust the predicted
         /// translation more (good odometry, long corridors).
@@ -41,7 +41,7 @@ options! {
 options! {
     /// Agreement of measured intensities with those of the submap, 3D only.
     IntensityCostFunctionOptions {
-        /// Weight of the agreement. Raise it where intensities tell more than shapes (tunnels, markings).
+        /// Weight of the agreement. Raise it where intensities constrain more than shapes (tunnels, markings).
         weight: f64 = 0.5, "weight", Bounds::at_least(0.0);
         /// Differences beyond this count linearly instead of squared. Raise it when intensities are
         /// reliable.
@@ -72,7 +72,7 @@ options! {
         /// Weight of staying at the initial rotation. Raise it when the IMU is good.
         rotation_weight: f64 = 4e2, "weight", Bounds::above(0.0);
         /// Change only the yaw and the position, and take roll and pitch from the prediction. Turn it on
-        /// when gravity is measured much better than scans can tell.
+        /// when gravity is measured much better than scans constrain it.
         only_optimize_yaw: bool = false, "", Bounds::ANY;
         /// Solver of the match.
         ceres_solver_options: SolverOptions = SolverOptions { max_num_iterations: 12, ..SolverOptions::default() };

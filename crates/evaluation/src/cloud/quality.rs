@@ -122,7 +122,7 @@ impl fmt::Display for CloudQuality {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.sharpness {
             Some(sharpness) => write!(f, "{sharpness}")?,
-            None => write!(f, "Too few points near each other to tell sharpness; try a larger radius")?,
+            None => write!(f, "Too few points near each other to measure sharpness; try a larger radius")?,
         }
         match &self.orthogonality {
             Some(orthogonality) => write!(f, "\n{orthogonality}")?,

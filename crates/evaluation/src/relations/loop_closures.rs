@@ -72,7 +72,7 @@ pub fn at_times_of(
 
 impl RelationReport {
     /// Fraction of the relations within metres and degrees, 0 to 1.
-    pub fn share_right(&self, (metres, degrees): (f64, f64)) -> f64 {
+    pub fn fraction_right(&self, (metres, degrees): (f64, f64)) -> f64 {
         let right = self.errors.iter().filter(|e| e.translation <= metres && e.rotation_degrees <= degrees);
         right.count() as f64 / self.errors.len().max(1) as f64
     }
@@ -108,7 +108,7 @@ mod tests {
         assert_eq!(relations.len(), 3);
         assert_eq!(relations[0].time1, Time::from_ticks(9));
         let report = relation_errors(&Trajectory::new(nodes).0, &relations).unwrap();
-        assert!((report.share_right(RIGHT_WITHIN) - 1.0 / 3.0).abs() < 1e-12);
+        assert!((report.fraction_right(RIGHT_WITHIN) - 1.0 / 3.0).abs() < 1e-12);
         assert!((report.errors[0].translation - 0.05).abs() < 1e-9);
         assert!((report.errors[2].rotation_degrees - 0.1f64.to_degrees()).abs() < 1e-6);
     }

@@ -106,7 +106,7 @@ impl PlannedSensor {
         let direction = if seconds < 0.0 { "earlier" } else { "later" };
         let what = format!(
             "stamps of {} are moved by {seconds:.3} s (sigma {sigma:.3} s): so much {direction} are those of scans, as \
-             turns of both show",
+             the rotation of both shows",
             self.topic
         );
         (what, format!("--time-offset {}=0", self.topic))

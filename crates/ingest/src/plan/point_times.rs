@@ -67,7 +67,7 @@ fn recorded_or_none(
         SkewState::Removed => {
             plan.note(
                 format!(
-                    "the points of {topic} have times, but their motion was taken out already ({}): the times are not \
+                    "the points of {topic} have times, but they are de-skewed already ({}): the times are not \
                      used",
                     told(skew)
                 ),
@@ -104,15 +104,13 @@ fn by_azimuth_or_none(
     let told = statistics
         .skew
         .filter(|_| state != SkewState::Unknown)
-        .map_or_else(|| "whether their motion was taken out cannot be told".to_owned(), told);
+        .map_or_else(|| "whether they are de-skewed is not known".to_owned(), told);
     let is_removed = state == SkewState::Removed
         || (state == SkewState::Partial && statistics.skew.is_some_and(|skew| !skew.is_mostly_raw()));
     if is_removed {
         let how_much = if state == SkewState::Removed { "already" } else { "in part" };
         plan.note(
-            format!(
-                "the points of {topic} have no times, and motion was taken out of them {how_much} ({told})"
-            ),
+            format!("the points of {topic} have no times, and they are de-skewed {how_much} ({told})"),
             CHANGE,
         );
         return PointTimes::OF_STAMP;
@@ -125,7 +123,7 @@ fn by_azimuth_or_none(
     });
     plan.note(
         format!(
-            "the points of {topic} have no times; they get them from their azimuth: turns {when}{how} \
+            "the points of {topic} have no times; they get them from their azimuth: sweeps {when}{how} \
              ({told})"
         ),
         CHANGE,

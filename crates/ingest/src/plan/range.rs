@@ -48,7 +48,7 @@ fn what_there_is(inventory: &Inventory) -> String {
     }
     let packets = inventory.topics.iter().any(|t| t.info.type_name.to_lowercase().contains("packet"));
     let advice = if packets {
-        "; raw packets must be turned into point clouds first, by the driver of the lidar"
+        "; raw packets must be converted to point clouds first, by the driver of the lidar"
     } else {
         ""
     };

@@ -214,7 +214,7 @@ pub(super) fn choose_frame(
         return Ok(primary.to_owned());
     }
     plan.warn(
-        format!("no transforms tell where \"{primary}\" is on the robot; its own motion is mapped"),
+        format!("no transforms say where \"{primary}\" is on the robot; its own motion is mapped"),
         "--urdf <robot description> or --tracking-frame",
     );
     Ok(primary.to_owned())
@@ -265,7 +265,7 @@ pub(super) fn connect_imu(
         inventory.tree.lookup_static(&tracking, &frame).map_or(0.0, |t| t.translation.vector.norm());
     if distance > SAME_PLACE {
         plan.note(
-            format!("the IMU is {distance:.3} m away from \"{tracking}\"; accelerations while turning are off by up to that times the square of the turn rate"),
+            format!("the IMU is {distance:.3} m away from \"{tracking}\"; accelerations during rotation are off by up to that times the square of the angular velocity"),
             format!("--tracking-frame {frame}"),
         );
     }

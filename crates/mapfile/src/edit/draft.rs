@@ -195,7 +195,7 @@ impl MapDraft {
             new_from_old.translation.z != 0.0 || (up - nalgebra::Vector3::z()).norm() > 1e-9
         };
         if out_of_plane && self.dimension != Some(Dimension::Three) {
-            return Err(EditError::Dimension("a 2D map can only be moved and turned in its plane"));
+            return Err(EditError::Dimension("a 2D map can only be moved and rotated in its plane"));
         }
         super::poses::transform_graph(&mut self.graph, new_from_old);
         for source in &mut self.sources {

@@ -29,7 +29,7 @@ pub enum JobError {
     #[error("planes are for mapping in 3D; scans in 2D are matched to grids")]
     PlanesInThePlane,
     /// Single trajectories to be frozen of several maps.
-    #[error("single trajectories to be frozen do not tell which of the known maps they are of")]
+    #[error("single trajectories to be frozen do not say which of the known maps they are of")]
     AmbiguousFrozen,
     /// A known map.
     #[error("{}: {reason}", path.display())]

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use portolan_export::{
-    ColouredLine, PictureError, PictureOptions, Rgb, draw_way, rgb, write_picture, write_tum,
+    ColouredLine, PictureError, PictureOptions, Rgb, draw_path, rgb, write_picture, write_tum,
 };
 use portolan_geometry::{Dimension, Rigid3, Time, roll_pitch_yaw, yaw};
 use portolan_ingest::SensorPlan;
@@ -13,6 +13,7 @@ use portolan_issue::IssueLog;
 use portolan_localization::{Estimate, Place, StartPose, State};
 use portolan_mapfile::PlacedTexture;
 
+use super::REPORT_VERSION;
 use super::error::{JobError, write_file};
 use super::event::{Observer, Remark, remark};
 
@@ -20,7 +21,7 @@ use super::event::{Observer, Remark, remark};
 pub struct LocalizedRecording {
     /// What was known after each scan, in order.
     pub estimates: Vec<Estimate>,
-    /// Whether it was looked for in the plane or in space.
+    /// Whether it was looked for in 2D or in 3D.
     pub dimension: Dimension,
     /// Which topics were used as which sensors.
     pub plan: SensorPlan,
@@ -118,7 +119,7 @@ impl LocalizedRecording {
     }
 }
 
-/// Writes `poses.tum`, `poses.csv`, `way.png` and `report.json`; their paths. It took `seconds`.
+/// Writes `poses.tum`, `poses.csv`, `path.png` and `report.json`; their paths. It took `seconds`.
 ///
 /// # Errors
 /// Fails if something cannot be written.
@@ -136,8 +137,8 @@ pub fn write_localized(
     };
     write_tum(&file("poses.tum"), &localized.poses())?;
     write_file(&file("poses.csv"), csv(localized).as_bytes())?;
-    match draw_way(&localized.textures, &way(&localized.estimates), &PictureOptions::default()) {
-        Ok(picture) => write_picture(&file("way.png"), &picture)?,
+    match draw_path(&localized.textures, &path(&localized.estimates), &PictureOptions::default()) {
+        Ok(picture) => write_picture(&file("path.png"), &picture)?,
         Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
         Err(error) => return Err(error.into()),
     }
@@ -167,7 +168,7 @@ fn csv(localized: &LocalizedRecording) -> String {
     text
 }
 
-/// Which axes of a pose are told, as indices of its covariance, with their names.
+/// Which axes of a pose are written, as indices of its covariance, with their names.
 struct Axes(&'static [(usize, &'static str)]);
 
 impl Axes {
@@ -221,8 +222,8 @@ fn colour(state: State) -> Rgb {
     }
 }
 
-/// The way in pieces of one state; what is tentative jumps, so that it is dots.
-fn way(estimates: &[Estimate]) -> Vec<ColouredLine> {
+/// The path in pieces of one state; what is tentative jumps, so that it is dots.
+fn path(estimates: &[Estimate]) -> Vec<ColouredLine> {
     let mut lines: Vec<ColouredLine> = Vec::new();
     let mut last: Option<State> = None;
     for estimate in estimates {
@@ -241,7 +242,7 @@ fn way(estimates: &[Estimate]) -> Vec<ColouredLine> {
     lines
 }
 
-/// What `report.json` tells.
+/// What is in `report.json`.
 fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
     let counts = localized.state_counts();
     let states = counts.map(|(state, count)| {
@@ -251,6 +252,7 @@ fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
     let sensors: Vec<String> =
         localized.plan.sensors().iter().map(|s| format!("{:?} {}", s.kind, s.id)).collect();
     serde_json::json!({
+        "version": REPORT_VERSION,
         "found": localized.found().name(),
         "found_after_seconds": localized.found_after_seconds(),
         "scans": localized.estimates.len(),

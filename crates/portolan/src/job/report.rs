@@ -1,8 +1,9 @@
-//! What `report.json` tells.
+//! What is in `report.json`.
 
 use portolan_geometry::Time;
-use portolan_mapping::{DegenerateInterval, DegenerateMotion, LatencyHistogram, Loss, Space};
+use portolan_mapping::{DegenerateInterval, DegenerateMotion, LatencyHistogram, Loss, Space, Substitute};
 
+use super::REPORT_VERSION;
 use super::localisation::Localisation;
 use super::memory::resident_and_peak_bytes;
 use crate::pipeline::MappedRecording;
@@ -21,32 +22,54 @@ fn scan_times(times: &LatencyHistogram) -> serde_json::Value {
     })
 }
 
-/// How long scans did not tell each kind of motion, by its name.
-fn weak_seconds(spans: &[DegenerateInterval]) -> serde_json::Value {
+/// The key of a component of motion.
+fn motion_key(motion: DegenerateMotion) -> &'static str {
+    match motion {
+        DegenerateMotion::Along => "along_travel",
+        DegenerateMotion::Across => "across_travel",
+        DegenerateMotion::Up => "vertical",
+        DegenerateMotion::Heading => "heading",
+        DegenerateMotion::Tilt => "roll_pitch",
+    }
+}
+
+/// The name of what was used instead.
+fn substitute_key(substitute: Substitute) -> &'static str {
+    match substitute {
+        Substitute::Odometry => "odometry",
+        Substitute::Gyroscope => "gyroscope",
+        Substitute::Rest => "zero_velocity",
+        Substitute::Accelerometer => "accelerometer",
+        Substitute::Velocity => "constant_velocity",
+    }
+}
+
+/// How long scans did not constrain each component of motion.
+fn degenerate_seconds(intervals: &[DegenerateInterval]) -> serde_json::Value {
     let seconds = |motion: DegenerateMotion| -> f64 {
-        spans.iter().filter(|s| s.motion == motion).map(|s| s.seconds).sum()
+        intervals.iter().filter(|i| i.motion == motion).map(|i| i.seconds).sum()
     };
-    let all = DegenerateMotion::ALL.map(|m| (m.name().to_owned(), (10.0 * seconds(m)).round() / 10.0));
+    let all = DegenerateMotion::ALL.map(|m| (motion_key(m).to_owned(), (10.0 * seconds(m)).round() / 10.0));
     all.into_iter()
         .map(|(name, seconds)| (name, serde_json::json!(seconds)))
         .collect::<serde_json::Map<_, _>>()
         .into()
 }
 
-/// Stretches of time in which scans left a direction open.
-fn weak_spans(spans: &[DegenerateInterval]) -> Vec<serde_json::Value> {
-    let span = |s: &DegenerateInterval| {
+/// Intervals in which scans did not constrain a component of motion.
+fn degenerate_intervals(intervals: &[DegenerateInterval]) -> Vec<serde_json::Value> {
+    let entry = |i: &DegenerateInterval| {
         serde_json::json!({
-            "from": s.start.unix_seconds(),
-            "to": s.end.unix_seconds(),
-            "scans": s.scans,
-            "seconds": (1e3 * s.seconds).round() / 1e3,
-            "not_told": s.motion.name(),
-            "taken_instead": s.taken.name(),
-            "direction_in_tracking_frame": s.direction_in_tracking.as_slice(),
+            "from": i.start.unix_seconds(),
+            "to": i.end.unix_seconds(),
+            "scans": i.scans,
+            "seconds": (1e3 * i.seconds).round() / 1e3,
+            "motion": motion_key(i.motion),
+            "substitute": substitute_key(i.taken),
+            "direction_in_tracking_frame": i.direction_in_tracking.as_slice(),
         })
     };
-    spans.iter().map(span).collect()
+    intervals.iter().map(entry).collect()
 }
 
 pub(super) fn report<S: Space>(
@@ -59,6 +82,7 @@ pub(super) fn report<S: Space>(
     let sensors: Vec<String> =
         mapped.plan.sensors().iter().map(|s| format!("{:?} {}", s.kind, s.id)).collect();
     serde_json::json!({
+        "version": REPORT_VERSION,
         "scans": mapped.scans,
         "nodes": state.nodes.len(),
         "submaps": state.submaps.len(),
@@ -80,8 +104,8 @@ pub(super) fn report<S: Space>(
             "peak": resident_and_peak_bytes().map(|(_, peak)| peak),
         },
         "lost": losses(mapped),
-        "weak_seconds": weak_seconds(&mapped.degenerate_intervals),
-        "weak_stretches": weak_spans(&mapped.degenerate_intervals),
+        "degenerate_seconds": degenerate_seconds(&mapped.degenerate_intervals),
+        "degenerate_intervals": degenerate_intervals(&mapped.degenerate_intervals),
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,
@@ -101,7 +125,7 @@ fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
             "from": recorded(loss.since),
             "to": recorded(loss.until),
             "trajectory": loss.piece.0,
-            "tied_to_the_rest": !mapped.is_apart(loss),
+            "is_connected": !mapped.is_apart(loss),
         })
     };
     mapped.losses.iter().map(entry).collect()

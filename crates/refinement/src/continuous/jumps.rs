@@ -20,9 +20,9 @@ pub struct Jump {
     /// Seconds since the first pose.
     pub seconds: f64,
     /// Metres.
-    pub shift: f64,
+    pub translation: f64,
     /// Radians.
-    pub turn: f64,
+    pub rotation: f64,
 }
 
 /// What joins the pieces of an input.
@@ -88,7 +88,7 @@ impl Joints {
             moved = moved * poses[i].1 * expected * poses[i + 1].1.inverse();
             joints.from.push((poses[i + 1].0, moved));
             let seconds = poses[i + 1].0.seconds_since(poses[0].0);
-            joints.jumps.push(Jump { seconds, shift: departures[i].0, turn: departures[i].1 });
+            joints.jumps.push(Jump { seconds, translation: departures[i].0, rotation: departures[i].1 });
         }
         joints
     }

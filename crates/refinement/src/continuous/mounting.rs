@@ -37,13 +37,13 @@ pub struct Mounting {
     /// What was compared.
     pub what: String,
     /// Metres, axes of the tracking frame.
-    pub shift: [f64; 3],
+    pub translation: [f64; 3],
     /// Its standard deviations.
-    pub shift_deviation: [f64; 3],
+    pub translation_deviation: [f64; 3],
     /// Rotation vector, radians, axes of the tracking frame.
-    pub turn: [f64; 3],
+    pub rotation: [f64; 3],
     /// Its standard deviations.
-    pub turn_deviation: [f64; 3],
+    pub rotation_deviation: [f64; 3],
     /// Seconds to be added to the stamps.
     pub delay: f64,
     /// Its standard deviation.
@@ -53,12 +53,12 @@ pub struct Mounting {
 }
 
 pub(crate) const NAMES: [&str; 7] = [
-    "shift along x",
-    "shift along y",
-    "shift along z",
-    "turn about x",
-    "turn about y",
-    "turn about z",
+    "translation along x",
+    "translation along y",
+    "translation along z",
+    "rotation about x",
+    "rotation about y",
+    "rotation about z",
     "delay",
 ];
 
@@ -67,10 +67,10 @@ impl Mounting {
         let three = |v: &[f64; 7], first: usize| [v[first], v[first + 1], v[first + 2]];
         Self {
             what: what.to_owned(),
-            shift: three(&value, 0),
-            shift_deviation: three(&deviation, 0),
-            turn: three(&value, 3),
-            turn_deviation: three(&deviation, 3),
+            translation: three(&value, 0),
+            translation_deviation: three(&deviation, 0),
+            rotation: three(&value, 3),
+            rotation_deviation: three(&deviation, 3),
             delay: value[6],
             delay_deviation: deviation[6],
             undetermined: (0..7)
@@ -80,26 +80,26 @@ impl Mounting {
         }
     }
 
-    /// Whether shift, turn and delay are significant and large enough to matter.
+    /// Whether translation, rotation and delay are significant and large enough to matter.
     pub(crate) fn significant(&self, times: f64) -> [bool; 3] {
         let beyond = |value: &[f64; 3], deviation: &[f64; 3], matters: f64| {
             let norm = value.iter().map(|v| v * v).sum::<f64>().sqrt();
             norm > matters && value.iter().zip(deviation).any(|(v, d)| v.abs() > times * d)
         };
         [
-            beyond(&self.shift, &self.shift_deviation, MATTERS[0]),
-            beyond(&self.turn, &self.turn_deviation, MATTERS[1]),
+            beyond(&self.translation, &self.translation_deviation, MATTERS[0]),
+            beyond(&self.rotation, &self.rotation_deviation, MATTERS[1]),
             self.delay.abs() > MATTERS[2].max(times * self.delay_deviation),
         ]
     }
 
     /// The significant parts in words.
     pub(crate) fn words(&self, significant: [bool; 3]) -> String {
-        let [x, y, z] = self.shift.map(|v| 100.0 * v);
-        let [a, b, c] = self.turn.map(f64::to_degrees);
+        let [x, y, z] = self.translation.map(|v| 100.0 * v);
+        let [a, b, c] = self.rotation.map(f64::to_degrees);
         let parts = [
-            format!("shifted by ({x:.1}, {y:.1}, {z:.1}) cm"),
-            format!("turned by ({a:.2}, {b:.2}, {c:.2}) deg"),
+            format!("translated by ({x:.1}, {y:.1}, {z:.1}) cm"),
+            format!("rotated by ({a:.2}, {b:.2}, {c:.2}) deg"),
             format!("delayed by {:.3} s", self.delay),
         ];
         let said: Vec<String> = parts.into_iter().zip(significant).filter(|p| p.1).map(|p| p.0).collect();

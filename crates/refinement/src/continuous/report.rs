@@ -62,7 +62,7 @@ pub struct Undetermined {
     pub from: f64,
     /// Seconds since the start of the trajectory.
     pub to: f64,
-    /// Whether it is a turn about the direction rather than a shift along it.
+    /// Whether it is a rotation about the direction rather than a translation along it.
     pub is_rotation: bool,
     /// Unit vector in the world.
     pub direction: [f64; 3],
@@ -96,7 +96,7 @@ pub struct RefineReport {
     /// Jumps of the trajectory that were taken out before it was refined.
     pub jumps: Vec<Jump>,
     /// Fraction of the points that lie on planar patches at the end, 0 to 1, if the method looks for patches.
-    pub planar_share: Option<f64>,
+    pub planar_fraction: Option<f64>,
     /// Sharpness with the input; none if there are too few points.
     pub sharpness_before: Option<Sharpness>,
     /// Sharpness with the result.
@@ -115,14 +115,14 @@ pub struct RefineReport {
     pub other_sensors: OtherSensorsFound,
     /// How wrong the motion of the input was found to be.
     pub odometry_found: OdometryNoise,
-    /// Largest shift of the result against the input, metres.
-    pub largest_shift: f64,
-    /// Largest turn of the result against the input, radians.
-    pub largest_turn: f64,
+    /// Largest translation of the result against the input, metres.
+    pub largest_translation: f64,
+    /// Largest rotation of the result against the input, radians.
+    pub largest_rotation: f64,
     /// What is not determined and was left as the input has it.
     pub undetermined: Vec<Undetermined>,
     /// For so many seconds no pass came back: there the input's motion over more than two seconds was kept, since
-    /// nothing tells how it would have to be changed.
+    /// nothing says how it would have to be changed.
     pub long_shape_held_seconds: f64,
     /// How well surfaces agree that were kept out of the fit; none if there are too few, or with another method.
     pub cross_validation: Option<CrossValidation>,

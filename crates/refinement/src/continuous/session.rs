@@ -64,7 +64,7 @@ impl<'a> Session<'a> {
             left_out: store.left_out(),
             gaps: coverage.gaps.clone(),
             jumps: trajectory.jumps().to_vec(),
-            planar_share: None,
+            planar_fraction: None,
             sharpness_before: measure(&points, &coverage, &trajectory, SharpnessOptions::default()),
             sharpness_after: None,
             sharpness_by_round: Vec::new(),
@@ -74,8 +74,8 @@ impl<'a> Session<'a> {
             imu: None,
             other_sensors: OtherSensorsFound::default(),
             odometry_found: odometry,
-            largest_shift: 0.0,
-            largest_turn: 0.0,
+            largest_translation: 0.0,
+            largest_rotation: 0.0,
             undetermined: Vec::new(),
             cross_validation: None,
             kept_input: false,
@@ -167,7 +167,7 @@ impl<'a> Session<'a> {
             }
         }
         let report = &mut self.report;
-        (report.largest_shift, report.largest_turn) = self.trajectory.largest_correction();
+        (report.largest_translation, report.largest_rotation) = self.trajectory.largest_correction();
         report.undetermined = information::undetermined(&self.information);
         for free in &mut report.undetermined {
             free.direction = (anchor.rotation * Vector3::from(free.direction)).into();

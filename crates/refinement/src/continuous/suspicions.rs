@@ -112,7 +112,7 @@ impl Session<'_> {
                     .to_owned(),
             );
         }
-        if let Some(share) = report.planar_share.filter(|share| *share < LEAST_PLANAR_SHARE) {
+        if let Some(share) = report.planar_fraction.filter(|share| *share < LEAST_PLANAR_SHARE) {
             said.push(format!(
                 "only {:.0} % of the points lie on surfaces: is it the trajectory of this recording, of the frame \
                  the points are in, and of the same clock?",

@@ -64,9 +64,9 @@ pub struct ClosedLoop {
     /// Its last scan.
     pub last: usize,
     /// How far the last scan was off, metres.
-    pub shift: f64,
+    pub translation: f64,
     /// By what angle, radians.
-    pub turn: f64,
+    pub rotation: f64,
 }
 
 /// What came out, scan by scan.
@@ -209,8 +209,8 @@ fn try_to_close(
     let costs = link_costs(scans, poses, &chain, options.icp.max_distance);
     close_loop(poses, &costs, link.from, link.to, &correction);
     let moved = found.model_from_data.translation.vector - world_from_last.translation.vector;
-    let turn = angle_axis_from_quaternion(&correction.rotation).norm();
-    Some(ClosedLoop { first: link.from, last: link.to, shift: moved.norm(), turn })
+    let rotation = angle_axis_from_quaternion(&correction.rotation).norm();
+    Some(ClosedLoop { first: link.from, last: link.to, translation: moved.norm(), rotation })
 }
 
 /// Scans that no link joins to the first one, ascending; they stay where they are in the global matching.

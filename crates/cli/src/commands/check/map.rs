@@ -51,7 +51,7 @@ fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
     const AGAIN: &str = "take an undamaged copy of the file if there is one, else `portolan repair`";
     match kind {
         FindingKind::Damage => ("what cannot be read is lost; other programs stop here", AGAIN),
-        FindingKind::Header => ("no program can tell how to read the file", AGAIN),
+        FindingKind::Header => ("no program knows how to read the file", AGAIN),
         FindingKind::Order => ("Cartographer refuses the map or ignores the message", "`portolan repair`"),
         FindingKind::UnknownMessage => (
             "the message is left out when the map is read",
@@ -67,7 +67,7 @@ fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
         FindingKind::MissingPart => {
             ("the part is missing in pictures, and cannot be matched against", "`portolan repair`")
         }
-        FindingKind::Pose => ("what hangs on the pose cannot be placed in the map", "`portolan repair`"),
+        FindingKind::Pose => ("what depends on the pose cannot be placed in the map", "`portolan repair`"),
         FindingKind::Constraint => (
             "optimisation leaves the constraint out, or pulls the map out of shape",
             "`portolan repair`, then `portolan optimize`",

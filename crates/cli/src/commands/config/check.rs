@@ -10,7 +10,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, print};
 use crate::progress::say;
 
-/// Tell everything that is wrong with a configuration file: unknown keys with the nearest known one, wrong
+/// Find everything that is wrong with a configuration file: unknown keys with the nearest known one, wrong
 /// types, values out of bounds, options that do not fit each other.
 ///
 /// Exit code 1 if there are errors; warnings alone give 0.

@@ -9,7 +9,7 @@ use crate::output::{print, print_json};
 /// Width of explanations, characters.
 const WIDTH: usize = 96;
 
-/// Tell what an option means: type, unit, bounds, default, what it does and when to raise it.
+/// Explain an option: type, unit, bounds, default, what it does and when to raise it.
 ///
 /// KEY may be shortened from the left and may be that of a table; all options that it fits are shown. Any other word is
 /// searched in names and explanations.

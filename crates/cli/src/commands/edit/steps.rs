@@ -24,8 +24,8 @@ struct Report {
     #[serde(flatten)]
     edit: EditReport,
     optimization: Option<MapOptimization>,
-    /// Degrees by which the map was turned.
-    turned: f64,
+    /// Degrees by which the map was rotated.
+    rotated_degrees: f64,
     worst_loops: Vec<LoopResidual>,
 }
 
@@ -54,10 +54,16 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     };
     let mut worst_loops = if args.loops.worst > 0 { draft.loop_residuals() } else { Vec::new() };
     worst_loops.truncate(args.loops.worst);
-    let turned = place(&mut draft, &args.place)?.to_degrees();
+    let rotated_degrees = place(&mut draft, &args.place)?.to_degrees();
     let edit = draft.write(&args.output)?;
-    let report =
-        Report { output: args.output.display().to_string(), merged, edit, optimization, turned, worst_loops };
+    let report = Report {
+        output: args.output.display().to_string(),
+        merged,
+        edit,
+        optimization,
+        rotated_degrees,
+        worst_loops,
+    };
     if args.json {
         print_json(&report)?;
     } else {
@@ -221,21 +227,21 @@ impl Report {
     fn text(&self) -> String {
         let edit = &self.edit;
         let counts = [
-            (edit.trajectories_removed, "trajectories taken out"),
-            (edit.submaps_removed, "submaps taken out"),
-            (edit.nodes_removed, "nodes taken out"),
-            (edit.constraints_removed, "constraints taken out"),
+            (edit.trajectories_removed, "trajectories removed"),
+            (edit.submaps_removed, "submaps removed"),
+            (edit.nodes_removed, "nodes removed"),
+            (edit.constraints_removed, "constraints removed"),
             (edit.constraints_added, "loop closures put in"),
             (edit.cells_cleared, "cells made unknown"),
-            (edit.sensor_messages_removed, "measurements taken out"),
+            (edit.sensor_messages_removed, "measurements removed"),
         ];
         let mut text: String =
             counts.into_iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}\n")).collect();
         if let Some(optimization) = &self.optimization {
             text += &(summary(optimization) + "\n");
         }
-        if self.turned != 0.0 {
-            text += &format!("turned by {:.3} degrees\n", self.turned);
+        if self.rotated_degrees != 0.0 {
+            text += &format!("rotated by {:.3} degrees\n", self.rotated_degrees);
         }
         text.extend(self.worst_loops.iter().map(loop_text));
         text + &format!("{} messages written\n{}", edit.messages, self.output)

@@ -51,7 +51,7 @@ pub struct CloudArgs {
     /// Radius of the neighbourhoods, metres.
     #[arg(long, value_name = "METRES", default_value_t = SharpnessOptions::default().radius)]
     radius: f64,
-    /// So many points are looked at, spread evenly. More make neighbourhoods denser.
+    /// Number of points that are examined, spread evenly. More make neighbourhoods denser.
     #[arg(long, value_name = "N", default_value_t = SharpnessOptions::default().max_points)]
     sample: usize,
     /// Seconds that lie at least between two passes of the same place.

@@ -29,13 +29,13 @@ pub struct GenerateArgs {
     /// File to write the relations to.
     #[arg(short, long, value_name = "RELATIONS")]
     output: PathBuf,
-    /// Metres of way between both ends of a relation.
+    /// Metres of path between both ends of a relation.
     #[arg(long, value_name = "METRES", default_value_t = 100.0)]
     min_covered_distance: f64,
     /// Loop closures further off the optimised map are left out.
     #[arg(long, value_name = "METRES", default_value_t = 0.15)]
     outlier_threshold_meters: f64,
-    /// Loop closures turned further off the optimised map are left out.
+    /// Loop closures rotated further off the optimised map are left out.
     #[arg(long, value_name = "RADIANS", default_value_t = 0.02)]
     outlier_threshold_radians: f64,
     /// Write text, `time1 time2 x y z roll pitch yaw`, instead of Cartographer's binary form.
@@ -60,7 +60,7 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     }
     if generated.relations.is_empty() {
         tracing::warn!(
-            "no loop closure of the map spans {} m of the way and agrees with it; a smaller \
+            "no loop closure of the map spans {} m of the path and agrees with it; a smaller \
              --min-covered-distance takes shorter ones",
             args.min_covered_distance
         );

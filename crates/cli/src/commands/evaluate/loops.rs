@@ -17,11 +17,11 @@ use crate::progress::say;
 /// A true pose further away in time, seconds, does not judge a loop closure.
 const LONGEST_WAY: f64 = 2.5;
 
-/// Tell how many loop closures of a map are right, by a true trajectory.
+/// Judge the loop closures of a map by a true trajectory: how many are right.
 ///
 /// A loop closure is right if the motion that it stands for, from the nearest node of its submap to the
 /// node that was found in it, is within 0.2 m and 3 degrees of the truth. It is compared between the true
-/// poses nearest in time; the short way to them is taken from the map.
+/// poses nearest in time; the short motion to them is taken from the map.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  portolan evaluate loops walk/map.pbstream walk.truth.tum --csv loops.csv"
@@ -66,15 +66,15 @@ pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     if let Some(notice) = notice.filter(|_| !global.quiet) {
         say(&notice.to_string());
     }
-    let share = report.share_right(RIGHT_WITHIN);
+    let fraction = report.fraction_right(RIGHT_WITHIN);
     if args.json {
-        print_json(&serde_json::json!({ "share_right": share, "errors": report }))?;
+        print_json(&serde_json::json!({ "fraction_right": fraction, "errors": report }))?;
     } else {
         print(&format!(
             "{} loop closures, {:.1} % right (within {} m and {} deg); median {:.3} m and {:.2} deg, \
              at most {:.3} m and {:.2} deg",
             report.count,
-            100.0 * share,
+            100.0 * fraction,
             RIGHT_WITHIN.0,
             RIGHT_WITHIN.1,
             report.translation.median,

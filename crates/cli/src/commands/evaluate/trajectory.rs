@@ -20,7 +20,7 @@ const FLAT: f64 = 1e-6;
 /// Compare a trajectory with the true one: absolute and relative errors.
 ///
 /// Both files may be a map (.pbstream), TUM (`time x y z qx qy qz qw`), KITTI poses (twelve numbers a line,
-/// with --times) or a table with a line of names; the content tells. Both must be of one clock.
+/// with --times) or a table with a line of names; the content says. Both must be of one clock.
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  portolan evaluate trajectory walk_map/trajectory.tum walk.truth.tum\n  \
@@ -32,7 +32,7 @@ pub struct TrajectoryArgs {
     estimate: PathBuf,
     /// The truth.
     truth: PathBuf,
-    /// How both maps are laid over each other before errors are taken: by least squares in 2D (se2)
+    /// How the trajectories are aligned before errors are computed: by least squares in 2D (se2)
     /// or in 3D (se3), by the first pose, or not at all. Default: se2 if the estimate never leaves its
     /// plane, else se3. In 2D heights, roll and pitch are not compared.
     #[arg(long, value_enum)]
@@ -47,7 +47,7 @@ pub struct TrajectoryArgs {
     /// Relative errors over so many seconds; may be given several times. Default: 1.
     #[arg(long, value_name = "SECONDS")]
     rpe: Vec<f64>,
-    /// Relative errors over so many metres of the true way; may be given several times.
+    /// Relative errors over so many metres of the true path; may be given several times.
     #[arg(long, value_name = "METRES")]
     rpe_distance: Vec<f64>,
     /// Also the drift over segments of 100 to 800 m, as the KITTI benchmark measures it.

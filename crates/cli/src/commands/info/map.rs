@@ -111,7 +111,7 @@ impl MapReport {
             text.push_str(&format!("{count} messages were left out; see `portolan check`\n"));
         }
         if let Some(damage) = &info.damage {
-            text.push_str(&format!("lost: {damage}; `portolan check` tells more\n"));
+            text.push_str(&format!("lost: {damage}; `portolan check` says more\n"));
         }
         text
     }

@@ -7,7 +7,7 @@ use portolan::pipeline::{MappedRecording, PipelineProgress};
 use portolan_issue::{Issue, Severity};
 use portolan_mapping::Space;
 
-use super::weak::weak_stretches;
+use super::degenerate::degenerate_intervals;
 use crate::known_map::sentence;
 use crate::output::counted;
 
@@ -76,10 +76,12 @@ pub fn summary<S: Space>(
     }
     let contradicted = mapped.map.graph.contradicted_loop_closures();
     if contradicted > 0 {
-        text += &format!("{contradicted} more loop closures were left out: the others contradict them\n");
+        text += &format!(
+            "{contradicted} more loop closures were rejected as outliers: the others contradict them\n"
+        );
     }
     text += &crate::lost::losses(mapped);
-    text += &weak_stretches(&mapped.degenerate_intervals, mapped.recording_seconds);
+    text += &degenerate_intervals(&mapped.degenerate_intervals, mapped.recording_seconds);
     text += &issues(mapped.issues.iter(), with_harmless);
     if mapped.interrupted {
         text += "interrupted: stopped before the end of the recording; what was mapped is saved\n";

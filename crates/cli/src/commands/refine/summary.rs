@@ -15,10 +15,10 @@ fn mounting_line(mounting: &Mounting) -> String {
     };
     let degrees = 1.0_f64.to_degrees();
     let mut text = format!(
-        "{}: shifted by ({}) cm, turned by ({}) deg, delayed by {:.4} ± {:.4} s",
+        "{}: translated by ({}) cm, rotated by ({}) deg, delayed by {:.4} ± {:.4} s",
         mounting.what,
-        numbers(&mounting.shift, &mounting.shift_deviation, 100.0, 2),
-        numbers(&mounting.turn, &mounting.turn_deviation, degrees, 3),
+        numbers(&mounting.translation, &mounting.translation_deviation, 100.0, 2),
+        numbers(&mounting.rotation, &mounting.rotation_deviation, degrees, 3),
         mounting.delay,
         mounting.delay_deviation
     );
@@ -50,12 +50,12 @@ pub fn summary(results: &RefineResults, files: &[PathBuf]) -> String {
         );
     }
     text += &format!(
-        "largest shift {:.3} m, largest turn {:.2} deg{}\n",
-        report.largest_shift,
-        report.largest_turn.to_degrees(),
-        report.planar_share.map_or_else(String::new, |share| format!(
+        "largest translation {:.3} m, largest rotation {:.2} deg{}\n",
+        report.largest_translation,
+        report.largest_rotation.to_degrees(),
+        report.planar_fraction.map_or_else(String::new, |fraction| format!(
             "; {:.0} % of the points lie on surfaces",
-            100.0 * share
+            100.0 * fraction
         ))
     );
     text += &report.cross_validation.as_ref().map_or_else(String::new, cross_validation_lines);
@@ -93,7 +93,7 @@ fn cross_validation_lines(found: &CrossValidation) -> String {
 fn notes(report: &RefineReport, without_results: bool) -> String {
     let mut text = String::new();
     for u in &report.undetermined {
-        let what = if u.is_rotation { "turn about" } else { "shift along" };
+        let what = if u.is_rotation { "rotation about" } else { "translation along" };
         let [x, y, z] = u.direction;
         text += &format!(
             "not determined from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); left as it was\n",
@@ -106,10 +106,10 @@ fn notes(report: &RefineReport, without_results: bool) -> String {
     report.imu.iter().for_each(|imu| text += &mounting_line(imu));
     for jump in &report.jumps {
         text += &format!(
-            "repaired: a jump of the trajectory at {:.2} s by {:.3} m and {:.2} deg was taken out\n",
+            "repaired: a jump of the trajectory at {:.2} s by {:.3} m and {:.2} deg was removed\n",
             jump.seconds,
-            jump.shift,
-            jump.turn.to_degrees()
+            jump.translation,
+            jump.rotation.to_degrees()
         );
     }
     if report.kept_input {

@@ -30,9 +30,9 @@ pub struct IcpArgs {
     #[arg(long)]
     pub reciprocal: bool,
     /// Fraction of the nearest pairs that is used, above 0 to 1 (trimming).
-    #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
+    #[arg(long, value_name = "FRACTION", default_value_t = 1.0)]
     pub keep: f64,
-    /// Only pairs whose surfaces are turned against each other by less than this, degrees.
+    /// Only pairs whose surfaces are rotated against each other by less than this, degrees.
     #[arg(long, value_name = "DEGREES")]
     normals_within: Option<f64>,
     /// Pairs lose weight beyond this distance, metres.
@@ -41,7 +41,7 @@ pub struct IcpArgs {
     /// How they lose it.
     #[arg(long, value_enum, default_value_t = Kernel::Cauchy, requires = "robust")]
     kernel: Kernel,
-    /// Only every so manieth point looks for a partner.
+    /// Only every N-th point looks for a partner.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub every: usize,
     /// Match each scan with all before it.
@@ -124,7 +124,7 @@ impl IcpArgs {
         positive("--epsilon", self.epsilon)?;
         positive("--keep", self.keep)?;
         if self.keep > 1.0 {
-            return Err(CliError::Usage(format!("--keep is a share, at most 1, but is {}", self.keep)));
+            return Err(CliError::Usage(format!("--keep is a fraction, at most 1, but is {}", self.keep)));
         }
         if self.every == 0 || self.metascan_last == Some(0) || self.iterations == 0 {
             return Err(CliError::Usage(
@@ -180,10 +180,10 @@ fn positive(name: &str, value: f64) -> Result<(), CliError> {
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Loops")]
 pub struct LoopArgs {
-    /// Where the trajectory comes back, match the scans of both ends and share out the error over the loop.
+    /// Where the trajectory comes back, match the scans of both ends and distribute the error over the loop.
     #[arg(long)]
     close_loops: bool,
-    /// The way comes back where two scans are nearer than this, metres.
+    /// The trajectory comes back where two scans are nearer than this, metres.
     #[arg(long, value_name = "METRES", default_value_t = LoopOptions::default().distance, requires = "close_loops")]
     loop_distance: f64,
     /// Scans that lie at least between them.

@@ -48,11 +48,11 @@ pub fn text(work: &Registration, registered: &[Registered], files: &[PathBuf]) -
     }
     for closed in &work.sequence.loops {
         text += &format!(
-            "loop closed from scan {} to scan {}: {:.3} m and {:.3} deg shared out\n",
+            "loop closed from scan {} to scan {}: {:.3} m and {:.3} deg distributed\n",
             closed.first,
             closed.last,
-            closed.shift,
-            closed.turn.to_degrees()
+            closed.translation,
+            closed.rotation.to_degrees()
         );
     }
     if let Some(global) = &work.global {

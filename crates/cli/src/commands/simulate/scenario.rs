@@ -33,7 +33,7 @@ pub enum AnyScenario {
 pub struct ScenarioArgs {
     /// Kind of surroundings: office, corridors, hall and warehouse are floors for a robot with a planar
     /// lidar; museum (storeys, stairs, garden), garage (decks and ramps), park, tunnel and field (where a lidar
-    /// cannot tell how far it went) are in 3D.
+    /// is degenerate along the path) are in 3D.
     #[arg(default_value = "office", value_name = "SCENARIO", value_parser = scene_parser())]
     scene: AnyScene,
     /// Building, walk, people and noise follow from it.
@@ -55,7 +55,7 @@ pub struct ScenarioArgs {
     #[arg(long, help_heading = "Building", value_name = "N")]
     people: Option<usize>,
     /// Fraction of doors that are closed, 0 to 1. Default 0.2. Planar scenarios only.
-    #[arg(long, help_heading = "Building", value_name = "SHARE")]
+    #[arg(long, help_heading = "Building", value_name = "FRACTION")]
     closed_doors: Option<f64>,
     /// Storeys or decks, 1 to 6. Default 3. 3D scenarios only.
     #[arg(long, help_heading = "Building", value_name = "N")]
@@ -64,7 +64,7 @@ pub struct ScenarioArgs {
     #[arg(long, help_heading = "Building", value_name = "FACTOR", default_value_t = 1.0)]
     clutter: f64,
     /// Fraction of larger rooms with a glass front, 0 to 1.
-    #[arg(long, help_heading = "Building", value_name = "SHARE", default_value_t = 0.35)]
+    #[arg(long, help_heading = "Building", value_name = "FRACTION", default_value_t = 0.35)]
     glass: f64,
     /// Speed, m/s. Default 0.8, in 3D 1.2.
     #[arg(long, help_heading = "Robot and sensors", value_name = "M/S")]

@@ -100,7 +100,7 @@ fn notes(page: &mut HtmlPage, results: &RefineResults) {
         page.warning("It was stopped before the end; this is what was reached.");
     }
     for u in &report.undetermined {
-        let what = if u.is_rotation { "turn about" } else { "shift along" };
+        let what = if u.is_rotation { "rotation about" } else { "translation along" };
         let [x, y, z] = u.direction;
         page.warning(&format!(
             "Not determined by what was seen from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); left as it was.",
@@ -185,7 +185,7 @@ fn vector_lines<'a>(
 }
 
 fn shift_plot(trajectory: &DenseTrajectory) -> String {
-    let labels = PlotLabels { title: "Change of position", x: "time, s", y: "shift, m" };
+    let labels = PlotLabels { title: "Change of position", x: "time, s", y: "translation, m" };
     line_plot(
         labels,
         &vector_lines(trajectory, ["x", "y", "z", "length"], |s| trajectory.correction(s).shift),
@@ -193,7 +193,7 @@ fn shift_plot(trajectory: &DenseTrajectory) -> String {
 }
 
 fn turn_plot(trajectory: &DenseTrajectory) -> String {
-    let labels = PlotLabels { title: "Change of orientation", x: "time, s", y: "turn, deg" };
+    let labels = PlotLabels { title: "Change of orientation", x: "time, s", y: "rotation, deg" };
     let turn = |s| angle_axis_from_quaternion(&trajectory.correction(s).turn).map(f64::to_degrees);
     line_plot(labels, &vector_lines(trajectory, ["x", "y", "z", "angle"], turn))
 }
@@ -218,5 +218,8 @@ fn steps(page: &mut HtmlPage, results: &RefineResults) {
             ]
         })
         .collect();
-    page.table(&["stage", "knots, s", "reach, m", "terms", "scatter before, mm", "largest shift, mm"], &rows);
+    page.table(
+        &["stage", "knots, s", "reach, m", "terms", "scatter before, mm", "largest translation, mm"],
+        &rows,
+    );
 }

@@ -15,7 +15,7 @@ use super::page::report_page;
 use super::pictures::pictures;
 use super::points::ReadPoints;
 use crate::job::error::write_file;
-use crate::job::{JobError, resident_and_peak_bytes};
+use crate::job::{JobError, REPORT_VERSION, resident_and_peak_bytes};
 
 /// Poses of the input farther apart than this do not show everything that was found, seconds.
 const SPARSE: f64 = 0.05;
@@ -111,6 +111,7 @@ fn report(results: &RefineResults, judgement: Option<&Judgement>) -> serde_json:
     let plan = &results.read.plan;
     let topics: Vec<&str> = plan.range.iter().map(|r| &*r.source.topic).collect();
     serde_json::json!({
+        "version": REPORT_VERSION,
         "tracking_frame": plan.tracking_frame,
         "range_topics": topics,
         "poses": results.input.len(),

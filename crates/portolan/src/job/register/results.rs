@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use super::scans::Scans;
 use super::trust::reason_for_distrust;
-use crate::job::JobError;
 use crate::job::error::write_file;
+use crate::job::{JobError, REPORT_VERSION};
 
 /// Longest edge of the pictures, pixels, and least metres per pixel.
 const EDGE: usize = 1600;
@@ -129,6 +129,7 @@ struct GlobalSummary {
 /// Everything for programs.
 #[derive(Serialize)]
 pub struct RegisterReport<'a> {
+    version: u32,
     scans: &'a [Registered],
     loops: &'a [ClosedLoop],
     global: Option<GlobalSummary>,
@@ -144,7 +145,7 @@ pub fn report<'a>(work: &'a Registration, registered: &'a [Registered]) -> Regis
         rms: g.rms,
         shift: g.shift,
     });
-    RegisterReport { scans: registered, loops: &work.sequence.loops, global }
+    RegisterReport { version: REPORT_VERSION, scans: registered, loops: &work.sequence.loops, global }
 }
 
 /// Writes poses, frames, the joined cloud, pictures and the report; returns their names.

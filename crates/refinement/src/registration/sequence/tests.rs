@@ -90,7 +90,7 @@ fn loops_are_closed_where_the_way_comes_back() {
     let before = worst(&poses, &truth).0;
     let report = register_sequence(&scans, &mut poses, &options, &mut |_| ());
     assert_eq!(report.loops.len(), 1, "{:?}", report.loops);
-    assert!(report.loops[0].shift > 0.3);
+    assert!(report.loops[0].translation > 0.3);
     let (shift, _) = worst(&poses, &truth);
     assert!(shift < 0.6 * before, "{shift} m of {before} m");
 }

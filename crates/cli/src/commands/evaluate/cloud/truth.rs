@@ -29,10 +29,10 @@ pub struct TruthArgs {
     /// counted and left out, metres. Default: all points count.
     #[arg(long, value_name = "METRES")]
     beyond: Option<f64>,
-    /// Lay each cloud onto the true surfaces first: rigidly, so that distances become least.
+    /// Align each cloud with the true surfaces first: rigidly, by least distances.
     #[arg(long, conflicts_with = "truth")]
     fit: bool,
-    /// The true trajectory, onto which each one is laid (rigidly, by least squares over its positions) before
+    /// The true trajectory, to which each one is aligned (rigidly, by least squares over its positions) before
     /// its points are compared with the surfaces. Without it, and without --fit, the frames must be the same.
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,

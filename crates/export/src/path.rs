@@ -1,4 +1,4 @@
-//! A way in a map, in colours that say what was known on it.
+//! A path in a map, in colours that say what was known on it.
 
 use portolan_mapfile::PlacedTexture;
 
@@ -7,7 +7,7 @@ use crate::overlay::{TrajectoryLine, draw_coloured};
 use crate::picture::{MapContent, Picture, PictureError, PictureOptions, compose, frame, suitable_colours};
 use crate::raster::raster;
 
-/// A part of a way in one colour.
+/// A part of a path in one colour.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ColouredLine {
     /// Of the line.
@@ -20,7 +20,7 @@ pub struct ColouredLine {
 ///
 /// # Errors
 /// If there is nothing to draw, or the picture would be too large.
-pub fn draw_way(
+pub fn draw_path(
     textures: &[PlacedTexture],
     lines: &[ColouredLine],
     options: &PictureOptions,

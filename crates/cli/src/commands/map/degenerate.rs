@@ -1,0 +1,61 @@
+//! Degenerate intervals, for people.
+
+use std::collections::BTreeMap;
+
+use portolan_mapping::{DegenerateInterval, DegenerateMotion, Substitute};
+
+/// Intervals that are shorter together, seconds, are left to the report.
+const SHORT: f64 = 2.0;
+
+/// A line for each kind of motion, with what was used instead.
+pub(super) fn degenerate_intervals(all: &[DegenerateInterval], recording_seconds: f64) -> String {
+    let line = |motion: DegenerateMotion| {
+        let mut by_taken: BTreeMap<Substitute, f64> = BTreeMap::new();
+        for interval in all.iter().filter(|i| i.motion == motion) {
+            *by_taken.entry(interval.taken).or_default() += interval.seconds;
+        }
+        let seconds: f64 = by_taken.values().sum();
+        if seconds < SHORT {
+            return String::new();
+        }
+        let most = by_taken.iter().max_by(|a, b| a.1.total_cmp(b.1)).map_or("", |(taken, _)| taken.name());
+        let mostly = if by_taken.len() > 1 { " mostly" } else { "" };
+        format!(
+            "degenerate: for {seconds:.0} s of {recording_seconds:.0} s scans do not constrain {};{mostly} {most} was used (see report.json)\n",
+            motion.name(),
+        )
+    };
+    DegenerateMotion::ALL.map(line).concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::{Time, Vector3};
+
+    #[test]
+    fn times_are_summed_up_and_short_ones_are_left_out() {
+        let time = Time::from_ticks(0);
+        let interval = |motion, taken, seconds| DegenerateInterval {
+            start: time,
+            end: time,
+            scans: 1,
+            seconds,
+            motion,
+            taken,
+            direction_in_tracking: Vector3::x(),
+        };
+        let text = degenerate_intervals(
+            &[
+                interval(DegenerateMotion::Along, Substitute::Odometry, 30.2),
+                interval(DegenerateMotion::Along, Substitute::Velocity, 11.0),
+                interval(DegenerateMotion::Heading, Substitute::Gyroscope, 0.4),
+            ],
+            60.0,
+        );
+        assert_eq!(
+            text,
+            "degenerate: for 41 s of 60 s scans do not constrain motion along the direction of travel; mostly odometry was used (see report.json)\n"
+        );
+    }
+}
