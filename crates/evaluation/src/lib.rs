@@ -1,8 +1,4 @@
-//! How good a trajectory is: absolute and relative errors against a truth, drift per metre, and
-//! agreement with relations; how sharp a cloud is ([`cloud`]).
-//!
-//! Positions are metres, times [`portolan_geometry::Time`]; a pose is the moving (tracking) frame in
-//! the map. Reports can be printed (`Display`) and serialised.
+#![doc = include_str!("../README.md")]
 
 mod absolute;
 mod alignment;

@@ -1,6 +1,4 @@
-//! Pictures, clouds and trajectories for other programs.
-//!
-//! All writers give a file its name only when it is complete.
+#![doc = include_str!("../README.md")]
 
 mod colour;
 mod font;

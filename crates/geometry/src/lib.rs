@@ -1,10 +1,4 @@
-//! Rigid transforms, time and interpolation.
-//!
-//! Conventions of the whole project live here:
-//! - `a_from_b` takes coordinates in frame b to coordinates in frame a, so that products read off:
-//!   `map_from_tracking = map_from_submap * submap_from_tracking`.
-//! - Metres, radians, seconds. Points and scans are `f32`, poses and optimisation are `f64`.
-//! - Time is a count of 100 ns ticks ([`Time`]).
+#![doc = include_str!("../README.md")]
 
 mod buffer;
 mod dimension;

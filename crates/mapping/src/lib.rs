@@ -1,8 +1,4 @@
-//! Local SLAM, submaps, constraints and the pose graph.
-//!
-//! One pose graph serves 2D and 3D ([`Space`]). The way of a scan: a local SLAM matches it against the
-//! newest submaps and inserts it; the [`PoseGraph`] relates it to submaps, finds it in older ones, and
-//! optimises; the [`Mapper`] wires both together on as many threads as there are.
+#![doc = include_str!("../README.md")]
 
 mod backend;
 mod collation;

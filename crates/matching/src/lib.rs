@@ -1,11 +1,4 @@
-//! Grids and scan matching: probability grids, TSDF, correlative and gradient matchers.
-//!
-//! - [`grid`]: what a submap is drawn on, how range data are drawn into it and how it looks.
-//! - [`correlative`]: matching by search, near a guess or over a whole submap.
-//! - [`gradient`]: matching by least squares, down to fractions of a cell.
-//!
-//! Everything here is a plain function of its arguments: no clocks, no randomness, no threads of its
-//! own, no interior mutability. Matchers are `Send + Sync` and may be shared by any number of threads.
+#![doc = include_str!("../README.md")]
 
 pub mod correlative;
 mod error;

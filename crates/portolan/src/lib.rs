@@ -1,5 +1,4 @@
-//! The public API of Portolan in one crate: every room by its name; what the program does with a recording ([`job`]);
-//! mapping alone as one function ([`pipeline::map_recording`]); the map as a cloud ([`unwind`]).
+#![doc = include_str!("../README.md")]
 
 pub mod automatic;
 pub mod clocks;

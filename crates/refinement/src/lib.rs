@@ -1,10 +1,4 @@
-//! Refinement of trajectories and registration of scans.
-//!
-//! - [`continuous`]: a trajectory bent until everything seen from it fits together; the method to use.
-//! - [`semi_rigid`]: the same as published, with sections of the trajectory.
-//! - [`registration`]: ICP, and all scans at once.
-//!
-//! Nothing here knows of files. Points are `f32` metres, poses `f64`.
+#![doc = include_str!("../README.md")]
 
 pub mod continuous;
 mod error;

@@ -1,7 +1,4 @@
-//! Measurements in the tracking frame: range data, IMU, odometry, fixed-frame poses, landmarks;
-//! point clouds and their filters; ordering of several sensors.
-//!
-//! Nothing here knows of files, topics or maps. Points are `f32` metres, poses `f64`.
+#![doc = include_str!("../README.md")]
 
 mod collator;
 mod compressed_point_cloud;

@@ -1,11 +1,4 @@
-//! Least squares: small dense problems and block-sparse pose problems, with robust losses.
-//!
-//! Both kinds of problem are minimised by one trust-region loop ([`SolverOptions`], [`Summary`]) with the
-//! Levenberg–Marquardt rules of Ceres, on which the results of lidar mapping configurations depend.
-//! - [`solve_dense`]: one to eight parameters, fixed-size matrices, no allocation. For scan matching.
-//! - [`Problem`]: many variables on manifolds, [`factors`] between a few of them each, sparse Cholesky
-//!   factorisation. For pose graphs.
-//! - [`g2o`]: pose graphs from files, with initial values, optimised and judged.
+#![doc = include_str!("../README.md")]
 
 mod dense;
 pub mod factors;
