@@ -3,6 +3,7 @@
 mod disk;
 #[cfg(feature = "faults")]
 pub mod faults;
+mod leftover;
 mod space;
 
 use std::fs::{self, File, OpenOptions};
@@ -13,6 +14,7 @@ use portolan_unfinished::Unfinished;
 use tempfile::NamedTempFile;
 
 use disk::{Disk, before_commit};
+pub use leftover::{Leftovers, remove_leftovers};
 pub use space::{NoRoom, free_bytes, require_room, require_room_for};
 
 /// A file could not be written.
@@ -122,17 +124,31 @@ fn open_target(path: &Path) -> io::Result<Target> {
         let text = format!("the folder \"{}\" does not exist", folder.display());
         return Err(io::Error::new(io::ErrorKind::NotFound, text));
     }
+    let (unfinished, file) = temporary_file(folder)?;
+    Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, Disk(file)), unfinished, destination))
+}
+
+/// How often a temporary file may be taken for a leftover between its creation and its lock.
+const ATTEMPTS: usize = 8;
+
+/// A new file that a signal removes, and that [`remove_leftovers`] of another process leaves alone.
+fn temporary_file(folder: &Path) -> io::Result<(Unfinished, NamedTempFile)> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".portolan-").suffix(".tmp");
+    builder.prefix(leftover::PREFIX).suffix(leftover::SUFFIX);
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
         // As for any new file; the system takes away what the user's mask forbids.
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
-    // A signal removes it.
-    let (unfinished, file) = Unfinished::create_named(|| builder.tempfile_in(folder), NamedTempFile::path)?;
-    Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, Disk(file)), unfinished, destination))
+    for _ in 0..ATTEMPTS {
+        let (unfinished, file) =
+            Unfinished::create_named(|| builder.tempfile_in(folder), NamedTempFile::path)?;
+        if leftover::claim(file.as_file(), file.path()) {
+            return Ok((unfinished, file));
+        }
+    }
+    Err(io::Error::new(io::ErrorKind::ResourceBusy, "another program removes temporary files there"))
 }
 
 /// Where a link leads, so that the link stays one.

@@ -27,8 +27,8 @@ pub struct KnownMapArgs {
         allow_hyphen_values = true)]
     pub start: Option<Rigid3>,
     /// Write the map although the recording was not found in the known one, or refutes --start: two buildings laid over
-    /// each other.
-    #[arg(long, requires = "from")]
+    /// each other; and write over files in the folder that no earlier `map` wrote.
+    #[arg(long)]
     pub force: bool,
 }
 

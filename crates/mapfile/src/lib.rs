@@ -36,6 +36,6 @@ pub use paint::{
     EvidenceMap, MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint, sum_evidence,
 };
 pub use repair::{Repair, RepairError, RepairReport, repair};
-pub use ros_map::{ImageName, ros_map_yaml, write_pgm, write_ros_map};
+pub use ros_map::{ImageName, is_ros_map_yaml_of, ros_map_yaml, write_pgm, write_ros_map};
 pub use texture::{MAX_TEXTURE_PIXELS, SubmapTexture, TextureError, texture_2d};
 pub use texture_3d::{texture_3d, xray_texture};

@@ -71,9 +71,30 @@ pub fn ros_map_yaml(image: &str, resolution: f64, lower_left: [f64; 2]) -> Strin
     )
 }
 
+/// Whether a text is what [`ros_map_yaml`] gives for an image of this name, in whichever folder: a description that
+/// was written with the image, and not by hand since.
+pub fn is_ros_map_yaml_of(text: &str, image: &Path) -> bool {
+    let lines: Vec<&str> = text.lines().collect();
+    let [name, resolution, origin, rest @ ..] = lines.as_slice() else { return false };
+    let name = name.strip_prefix("image: ").map(Path::new);
+    name.is_some_and(|name| name.file_name() == image.file_name())
+        && resolution.starts_with("resolution: ")
+        && origin.starts_with("origin: [")
+        && *rest == ["negate: 0", "occupied_thresh: 0.65", "free_thresh: 0.196"]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn descriptions_that_were_changed_are_known() {
+        let text = ros_map_yaml("maps/house.pgm", 0.05, [-1.0, 2.0]);
+        assert!(is_ros_map_yaml_of(&text, Path::new("elsewhere/house.pgm")));
+        assert!(!is_ros_map_yaml_of(&text, Path::new("hall.pgm")));
+        assert!(!is_ros_map_yaml_of(&text.replace("0.65", "0.7"), Path::new("house.pgm")));
+        assert!(!is_ros_map_yaml_of("", Path::new("house.pgm")));
+    }
 
     #[test]
     fn writes_the_exact_layout() {

@@ -10,6 +10,7 @@
 //! | `map.pgm`, `map.yaml` | the map for ROS's map server, cells of 5 cm |
 //! | `map_xray_*.png`, `map_section.png` | maps in 3D from three sides, and a section |
 //! | `report.json` | sensors, options, counts, times, degenerate intervals, repairs |
+//! | `portolan.json` | which files these are ([`OutputFolder`]): others are not overwritten |
 
 mod error;
 mod event;
@@ -20,6 +21,7 @@ mod localize;
 mod localized;
 mod map_cloud;
 mod memory;
+mod output_folder;
 mod pictures;
 mod read_cloud;
 pub mod refine;
@@ -51,9 +53,10 @@ use journal::{Identity, Journal, Resumed};
 pub use known_map::KnownMaps;
 pub use localisation::{Localisation, Place};
 pub use localize::{LocalizeRequest, localize};
-pub use localized::{Found, LocalizedRecording, StateCount, write_localized};
+pub use localized::{Found, LOCALIZED_FILES, LocalizedRecording, StateCount, write_localized};
 pub use map_cloud::{CloudRequest, CloudResults, write_clouds};
 pub use memory::resident_and_peak_bytes;
+pub use output_folder::{MANIFEST, OutputFolder, Stale};
 pub use read_cloud::{ReadCloud, read_cloud, read_cloud_from};
 pub use results::{ResultFiles, ResultSpace, add_to_report, write_results};
 
@@ -76,7 +79,8 @@ pub struct MapRequest {
     pub engine: Option<Engine>,
     /// Maps that the recording is added to.
     pub known: KnownMaps,
-    /// Whether map and clouds are written although the recording was not found in the known maps.
+    /// Whether map and clouds are written although the recording was not found in the known maps, and over files that no
+    /// earlier run wrote.
     pub force: bool,
     /// Clouds and pictures of them.
     pub cloud: CloudRequest,
@@ -148,16 +152,46 @@ pub struct Job<'a> {
     recording: &'a dyn Recording,
     request: MapRequest,
     preparation: Preparation,
+    folder: OutputFolder,
     journal: Option<Journal>,
 }
+
+/// The verb that leaves these results.
+const MAP: &str = "map";
+/// The files that a job may write, depending on the recording and on what is asked for; clouds have names of their own.
+const FILES: [&str; 11] = [
+    "map.pbstream",
+    "trajectory.tum",
+    "all_poses.tum",
+    "map.png",
+    "map.pgm",
+    "map.yaml",
+    "map_xray_top.png",
+    "map_xray_front.png",
+    "map_xray_side.png",
+    "map_section.png",
+    "report.json",
+];
 
 impl<'a> Job<'a> {
     /// Looks through a recording, tells what was chosen, and changes the options as asked. What the options say of the
     /// sensors has to be in `request.ingest` already ([`RequestedOptions::configure`]).
     ///
     /// # Errors
-    /// Fails if nothing in the recording can be mapped, or options are not possible.
+    /// Fails if the folder has files that would be lost, nothing in the recording can be mapped, or options are not
+    /// possible.
     pub fn prepare(
+        recording: &'a dyn Recording,
+        request: MapRequest,
+        observe: &mut Observer,
+    ) -> Result<Self, JobError> {
+        let folder = OutputFolder::begin(&request.folder, MAP, &FILES, request.force, observe)?;
+        Self::prepare_in(folder, recording, request, observe)
+    }
+
+    /// As [`Job::prepare`] for a folder that somebody else looks after.
+    fn prepare_in(
+        folder: OutputFolder,
         recording: &'a dyn Recording,
         request: MapRequest,
         observe: &mut Observer,
@@ -177,7 +211,7 @@ impl<'a> Job<'a> {
         change_options(&mut preparation, &request.requested.settings, observe)?;
         preparation.background_threads = request.requested.background_threads();
         request.cloud.keep_scans(&mut preparation, &request.folder);
-        Ok(Self { recording, request, preparation, journal: None })
+        Ok(Self { recording, request, preparation, folder, journal: None })
     }
 
     /// Keeps a journal in the folder of results while mapping, so that what was cut off can be resumed; resumes what was
@@ -204,9 +238,21 @@ impl<'a> Job<'a> {
         Ok(())
     }
 
-    /// Removes the journal once all results are there; that of a mapping that was stopped stays, so that the rest can be
-    /// mapped.
-    pub fn end_journal(&self, interrupted: bool, observe: &mut Observer) {
+    /// To be called once all results are there: what an earlier run left in the folder and this one did not write is
+    /// removed, or named if this one was stopped or has no map; the journal is removed, or stays if mapping was stopped,
+    /// so that the rest can be mapped.
+    ///
+    /// # Errors
+    /// The folder cannot be written to.
+    pub fn end<S: Space>(&self, mapped: &MappedRecording<S>, observe: &mut Observer) -> Result<(), JobError> {
+        let was_stopped = mapped.interrupted || observe(&Event::Drawing).is_break();
+        let stale = if was_stopped || !self.is_wanted(mapped) { Stale::Name } else { Stale::Remove };
+        self.folder.finish(stale, &self.request.known.files, observe)?;
+        self.end_journal(mapped.interrupted, observe);
+        Ok(())
+    }
+
+    fn end_journal(&self, interrupted: bool, observe: &mut Observer) {
         let Some(journal) = &self.journal else { return };
         match journal.close() {
             Err(error) => {
@@ -265,7 +311,7 @@ impl<'a> Job<'a> {
         observe: &mut Observer,
     ) -> Result<Vec<PathBuf>, JobError> {
         let what = ResultFiles { map: self.is_wanted(mapped), all_poses: self.request.all_poses };
-        write_results(mapped, &self.request.folder, seconds, what, observe)
+        write_results(mapped, &self.folder, seconds, what, observe)
     }
 
     /// Whether the result can be used, or is wanted all the same.
@@ -282,7 +328,7 @@ impl<'a> Job<'a> {
         mapped: &MappedRecording<S>,
         observe: &mut Observer,
     ) -> Result<Option<CloudResults>, JobError> {
-        let MapRequest { ingest, cloud, folder, .. } = &self.request;
+        let (MapRequest { ingest, cloud, .. }, folder) = (&self.request, &self.folder);
         if !self.is_wanted(mapped) {
             return Ok(None);
         }
@@ -301,7 +347,7 @@ impl<'a> Job<'a> {
         if !mapped.interrupted {
             files.extend(self.write_clouds(&mapped, observe)?.into_iter().flat_map(|clouds| clouds.files));
         }
-        self.end_journal(mapped.interrupted, observe);
+        self.end(&mapped, observe)?;
         let localisation = Localisation::of(&mapped);
         Ok(Finished { files, interrupted: mapped.interrupted, lost_data: mapped.lost_data(), localisation })
     }

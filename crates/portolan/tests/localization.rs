@@ -8,8 +8,8 @@ use portolan::RequestedOptions;
 use portolan::geometry::{Duration, Rigid3, Time, Vector3, rotation_angle};
 use portolan::ingest::IngestOptions;
 use portolan::job::{
-    Found, JobError, LocalizeRequest, LocalizedRecording, MapRequest, localize, map, unobserved,
-    write_localized,
+    Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder,
+    localize, map, unobserved, write_localized,
 };
 use portolan::localization::{KnownMapError, PlanarMap, Reason, StartPose, State};
 use portolan::mapping::{GraphState, Planar};
@@ -193,7 +193,8 @@ fn results_do_not_depend_on_the_number_of_threads() {
         let request = LocalizeRequest { threads, ..request(&known().map()) };
         let found = localize(&today, &request, &mut unobserved).unwrap();
         let folder = tempfile::tempdir().unwrap();
-        write_localized(&found, folder.path(), 0.0, &mut unobserved).unwrap();
+        let output = OutputFolder::begin(folder.path(), "localize", &LOCALIZED_FILES, false, &mut unobserved);
+        write_localized(&found, &output.unwrap(), 0.0, &mut unobserved).unwrap();
         ["poses.tum", "poses.csv", "path.png", "report.json"]
             .map(|name| std::fs::read(folder.path().join(name)).unwrap())
     });

@@ -7,7 +7,8 @@ use portolan::RequestedOptions;
 use portolan::geometry::{Rigid3, Vector3, rotation_angle};
 use portolan::ingest::IngestOptions;
 use portolan::job::{
-    Found, LocalizeRequest, LocalizedRecording, MapRequest, localize, map, unobserved, write_localized,
+    Found, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder, localize, map,
+    unobserved, write_localized,
 };
 use portolan::localization::{KnownMapError, SpatialMap, StartPose, State};
 use portolan::mapping::{GraphState, Spatial};
@@ -124,7 +125,8 @@ fn files_do_not_depend_on_the_number_of_threads_and_have_six_dimensions() {
         let request = LocalizeRequest { threads, ..known.request() };
         let found = localize(&today, &request, &mut unobserved).unwrap();
         let folder = tempfile::tempdir().unwrap();
-        write_localized(&found, folder.path(), 0.0, &mut unobserved).unwrap();
+        let output = OutputFolder::begin(folder.path(), "localize", &LOCALIZED_FILES, false, &mut unobserved);
+        write_localized(&found, &output.unwrap(), 0.0, &mut unobserved).unwrap();
         ["poses.tum", "poses.csv", "path.png", "report.json"]
             .map(|name| std::fs::read(folder.path().join(name)).unwrap())
     });

@@ -4,7 +4,10 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use portolan::job::{Event, Found, JobError, LocalizeRequest, LocalizedRecording, localize, write_localized};
+use portolan::job::{
+    Event, Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, localize,
+    write_localized,
+};
 use portolan_geometry::Rigid3;
 use portolan_localization::{StartPose, State};
 use portolan_recording::{Recording, open_all};
@@ -49,6 +52,10 @@ pub struct LocalizeArgs {
         default_value = "0.5,10", allow_hyphen_values = true)]
     pub start_sigma: (f64, f64),
 
+    /// Write over files in the folder that no earlier `localize` wrote.
+    #[arg(long)]
+    pub force: bool,
+
     #[command(flatten)]
     pub sensors: SensorArgs,
 
@@ -61,11 +68,14 @@ pub struct LocalizeArgs {
 
 pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let begin = Instant::now();
+    let output = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
+    let mut tell = remarks(global);
+    let folder = OutputFolder::begin(&output, "localize", &LOCALIZED_FILES, args.force, &mut tell)?;
     let recording = open_all(&args.recordings)?;
     let requested = requested_options(&args.sensors, &args.config)?;
     let request = LocalizeRequest {
         map: args.map.clone(),
-        folder: args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0])),
+        folder: output,
         ingest: ingest_options(&args.sensors, &args.cut, &requested)?,
         requested,
         start: args.start.map(|map_from_tracking| StartPose {
@@ -79,7 +89,7 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     let localized = localize_with_progress(recording.as_ref(), &request, global);
     let localized = localized.map_err(|error| nothing_left(error.into(), recording.as_ref(), &args.cut))?;
     let seconds = begin.elapsed().as_secs_f64();
-    let files = write_localized(&localized, &request.folder, seconds, &mut remarks(global))?;
+    let files = write_localized(&localized, &folder, seconds, &mut remarks(global))?;
     drop(saving);
     print_summary(&summary(&localized, &files, seconds));
     Ok(match localized.found() {

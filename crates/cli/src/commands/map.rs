@@ -290,7 +290,7 @@ pub fn run_job<S: ResultSpace>(
     if let Some(clouds) = clouds_with_progress(job, &mapped, recording, global)? {
         name_clouds(&clouds);
     }
-    job.end_journal(mapped.interrupted, &mut remarks(global));
+    job.end(&mapped, &mut remarks(global))?;
     Ok(mapped)
 }
 

@@ -6,7 +6,8 @@ mod summary;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use portolan::job::refine::{ReadPoints, RefineResults, write_refinement};
+use portolan::job::OutputFolder;
+use portolan::job::refine::{REFINED_FILES, ReadPoints, RefineResults, write_refinement};
 use portolan_atomic_file::require_room;
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_pointcloud::CloudFormat;
@@ -18,6 +19,7 @@ use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 
 use crate::GlobalArgs;
 use crate::commands::evaluate::input::TrajectorySource;
+use crate::commands::map::remarks;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::{self, Saving};
 use crate::output::print_summary;
@@ -64,7 +66,8 @@ pub struct RefineArgs {
     /// Folder for the results; created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Write the input as the result where the refinement made the cloud less sharp and was refused (exit code 4).
+    /// Write the input as the result where the refinement made the cloud less sharp and was refused (exit code 4), and
+    /// write over files in the folder that no earlier `refine` wrote.
     #[arg(long)]
     force: bool,
     #[command(flatten)]
@@ -287,6 +290,8 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     if args.output.exists() && !args.output.is_dir() {
         return Err(CliError::Usage(format!("-o {} is no folder", args.output.display())));
     }
+    let mut tell = remarks(global);
+    let output = OutputFolder::begin(&args.output, "refine", &REFINED_FILES, args.force, &mut tell)?;
     std::fs::create_dir_all(&args.output)
         .map_err(|source| CliError::File { path: args.output.clone(), source })?;
     // Trajectory, report and pictures.
@@ -316,7 +321,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         map: args.map.as_deref().map(|map| (map, args.trajectory_id)),
         without_results: refined.report.kept_input && !args.force,
     };
-    let files = pool.install(|| write_refinement(&results, &args.output))?;
+    let files = pool.install(|| write_refinement(&results, &output, &mut remarks(global)))?;
     print_summary(&summary(&results, &files));
     Ok(match refined.report.kept_input {
         true => Outcome::Untrusted,

@@ -6,8 +6,9 @@ mod summary;
 
 use std::path::PathBuf;
 
+use portolan::job::OutputFolder;
 use portolan::job::register::{
-    History, Registered, Registration, Scans, describe, report, write_registration,
+    History, Registered, Registration, Scans, describe, registered_files, report, write_registration,
 };
 use portolan_geometry::{Rigid3, nalgebra as na, rotation_from_roll_pitch_yaw};
 use portolan_refinement::registration::{
@@ -15,6 +16,7 @@ use portolan_refinement::registration::{
     register_globally_twice, register_sequence, unlinked_scans,
 };
 
+use super::map::remarks;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json};
@@ -55,7 +57,7 @@ pub struct RegisterArgs {
     /// Format of the joined cloud.
     #[arg(long, value_parser = ["ply", "pcd", "xyz", "las", "laz", "e57"], default_value = "ply", value_name = "FORMAT", requires = "output")]
     cloud: String,
-    /// Write results that cannot be trusted, too.
+    /// Write results that cannot be trusted, too, and over files in the folder that no earlier `register` wrote.
     #[arg(long)]
     force: bool,
     #[command(flatten)]
@@ -87,6 +89,7 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     if scans.clouds.len() < 2 {
         return Err(CliError::Usage(format!("{} holds one scan; two are needed", args.scans[0].display())));
     }
+    let folder = output_folder(args, scans.clouds.len(), global)?;
     let guesses = first_poses(args, &mut scans)?;
     let mut work = Registration {
         poses: guesses.clone(),
@@ -107,9 +110,12 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     }
     let registered: Vec<Registered> = describe(&scans, &work, &sequence.icp);
     let outcome = trusted(&work, &registered, global.quiet);
-    let files = match &args.output {
+    let files = match &folder {
         Some(_) if outcome == Outcome::Untrusted && !args.force => Vec::new(),
-        Some(folder) => write_registration(folder, &args.cloud, &scans, &work, &registered)?,
+        Some(folder) => {
+            let mut tell = remarks(global);
+            write_registration(folder, &args.cloud, &scans, &work, &registered, &mut tell)?
+        }
         None => Vec::new(),
     };
     if args.json {
@@ -118,6 +124,17 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
         print(&text(&work, &registered, &files))?;
     }
     Ok(if lost || scans.lost_data { outcome.max(Outcome::DataLost) } else { outcome })
+}
+
+/// Where results go, if they are wanted.
+fn output_folder(
+    args: &RegisterArgs,
+    scans: usize,
+    global: &GlobalArgs,
+) -> Result<Option<OutputFolder>, CliError> {
+    let Some(folder) = &args.output else { return Ok(None) };
+    let names = registered_files(scans, &args.cloud);
+    Ok(Some(OutputFolder::begin(folder, "register", &names, args.force, &mut remarks(global))?))
 }
 
 /// Whether the result can be trusted: all of it, or some scans. What speaks against it is said.

@@ -1,11 +1,14 @@
 //! `portolan render`: pictures of maps.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use portolan_export::{
     MapContent, PictureOptions, constraint_lines, draw_map, trajectory_lines, write_grey_map, write_picture,
 };
-use portolan_mapfile::{ImageName, MapArea, MapTextures, PaintOptions, load_textures, paint, write_ros_map};
+use portolan_mapfile::{
+    ImageName, MapArea, MapTextures, PaintOptions, is_ros_map_yaml_of, load_textures, paint, write_ros_map,
+};
 use portolan_pbstream::proto::mapping::PoseGraph;
 use portolan_pbstream::{IdInFile, MapReader};
 use serde::Serialize;
@@ -55,6 +58,9 @@ pub struct RenderArgs {
     /// Largest edge of a picture, pixels.
     #[arg(long, value_name = "PIXELS", default_value_t = 2400)]
     max_edge: usize,
+    /// Write over a .yaml beside the .pgm that was not written with it.
+    #[arg(long)]
+    force: bool,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -84,6 +90,9 @@ const ROS_RESOLUTION: f64 = 0.05;
 
 pub fn run(args: &RenderArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let kind = Kind::of(&args.output, args.grey)?;
+    if kind == Kind::Ros && !args.force {
+        refuse_foreign_description(&args.output)?;
+    }
     let failed = |error| CliError::in_file(&args.map, error);
     let mut reader = MapReader::open(&args.map).map_err(failed)?;
     let graph = reader.pose_graph().clone();
@@ -113,6 +122,23 @@ pub fn run(args: &RenderArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         ));
     }
     Ok(outcome)
+}
+
+/// The description of a map for ROS is not named by the user, so that one of something else must not be lost.
+fn refuse_foreign_description(image: &Path) -> Result<(), CliError> {
+    let path = image.with_extension("yaml");
+    let Ok(file) = std::fs::File::open(&path) else { return Ok(()) };
+    let mut text = Vec::new();
+    // Those of maps for ROS have a few lines.
+    let read = file.take(1 << 16).read_to_end(&mut text);
+    if read.is_ok() && is_ros_map_yaml_of(&String::from_utf8_lossy(&text), image) {
+        return Ok(());
+    }
+    Err(CliError::in_file(
+        &path,
+        "would be overwritten, and was not written with the image, or was changed since: take another name, or \
+         move it and say --force",
+    ))
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -58,6 +58,23 @@ pub enum JobError {
         /// Why.
         source: std::io::Error,
     },
+    /// Files in the folder of results that an earlier run did not write.
+    #[error(
+        "{}: would be overwritten, and {}: take another folder, or move what you want to keep and say --force",
+        named(folder, files),
+        match files.len() {
+            1 => format!("was not written by an earlier `portolan {verb}`, or was changed since"),
+            _ => format!("were not written by an earlier `portolan {verb}`, or were changed since"),
+        }
+    )]
+    ForeignFiles {
+        /// The folder.
+        folder: PathBuf,
+        /// Who wants to write them.
+        verb: &'static str,
+        /// Their names.
+        files: Vec<String>,
+    },
     /// The disk is too full.
     #[error(transparent)]
     NoRoom(#[from] NoRoom),
@@ -135,6 +152,17 @@ impl JobError {
     pub(super) fn file(path: &Path, source: std::io::Error) -> Self {
         Self::File { path: path.to_owned(), source }
     }
+}
+
+/// Files that are named one by one.
+const NAMED: usize = 5;
+
+/// Files of a folder, in words.
+pub(super) fn named(folder: &Path, files: &[String]) -> String {
+    let names = files.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", ");
+    let more = files.len().saturating_sub(NAMED);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{}: {names}{more}", folder.display())
 }
 
 /// Writes a file that appears under its name only when it is complete.

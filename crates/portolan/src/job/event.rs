@@ -10,7 +10,9 @@ use portolan_issue::Issue;
 use portolan_localization::State;
 use portolan_mapfile::PaintError;
 use portolan_mapping::TrajectoryId;
+use portolan_numeric::counted;
 
+use super::error::named;
 use crate::pipeline::PipelineProgress;
 
 /// Is told what happens, and stops the job with [`ControlFlow::Break`]: what is done by then is kept. Answers to remarks
@@ -117,6 +119,29 @@ pub enum Remark {
         /// Whether there is one of an earlier run in the folder.
         left: bool,
     },
+    /// Temporary files of a run that was killed were removed.
+    LeftoversRemoved {
+        /// Where.
+        folder: PathBuf,
+        /// How many.
+        count: usize,
+    },
+    /// A temporary file of which nobody knows whether it is being written.
+    LeftoverKept(PathBuf),
+    /// Results of an earlier run that this one did not write were removed.
+    EarlierRemoved {
+        /// Where.
+        folder: PathBuf,
+        /// Their names.
+        files: Vec<String>,
+    },
+    /// Results of an earlier run are still there.
+    EarlierLeft {
+        /// Where.
+        folder: PathBuf,
+        /// Their names.
+        files: Vec<String>,
+    },
     /// Stopped before the pictures of the map.
     StoppedBeforePictures,
     /// Stopped before the cloud.
@@ -178,6 +203,19 @@ impl fmt::Display for Remark {
             Self::NoMap { left } => {
                 let left = if *left { "; map.pbstream there is of an earlier run" } else { "" };
                 write!(f, "no map was written, because its parts would lie over each other anyhow{left}")
+            }
+            Self::LeftoversRemoved { folder, count } => {
+                let files = counted(*count as u64, "temporary file", "temporary files");
+                write!(f, "{}: {files} of a run that was killed removed", folder.display())
+            }
+            Self::LeftoverKept(path) => {
+                write!(f, "{}: if no program is writing this temporary file, remove it", path.display())
+            }
+            Self::EarlierRemoved { folder, files } => {
+                write!(f, "{}: of an earlier run, removed", named(folder, files))
+            }
+            Self::EarlierLeft { folder, files } => {
+                write!(f, "{}: of an earlier run, not of this one", named(folder, files))
             }
             Self::StoppedBeforePictures => {
                 f.write_str("stopped: no pictures (`portolan render` makes them of the map)")

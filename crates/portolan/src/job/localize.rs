@@ -18,7 +18,7 @@ use super::error::JobError;
 use super::event::{Event, Observer};
 use super::known_map::KnownMaps;
 use super::localized::LocalizedRecording;
-use super::{Job, MapRequest};
+use super::{Job, MapRequest, OutputFolder};
 use crate::RequestedOptions;
 use crate::pipeline::{KnownMap as LoadedGraph, PipelineError, Preparation};
 use crate::silence::Silences;
@@ -55,7 +55,9 @@ pub fn localize(
         requested: request.requested.clone(),
         ..MapRequest::new(&request.folder)
     };
-    let job = Job::prepare(recording, how, observe)?;
+    // Nothing is written here.
+    let folder = OutputFolder::begin::<&str>(&request.folder, "localize", &[], false, observe)?;
+    let job = Job::prepare_in(folder, recording, how, observe)?;
     match job.preparation().dimension {
         Dimension::Two => {
             let known = load::<Planar>(request, job.preparation(), observe)?;

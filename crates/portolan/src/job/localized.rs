@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use portolan_export::{
     ColouredLine, PictureError, PictureOptions, Rgb, draw_path, rgb, write_picture, write_tum,
@@ -16,6 +16,7 @@ use portolan_mapfile::PlacedTexture;
 use super::REPORT_VERSION;
 use super::error::{JobError, write_file};
 use super::event::{Observer, Remark, remark};
+use super::output_folder::{OutputFolder, Stale};
 
 /// A recording that was looked for in a map.
 pub struct LocalizedRecording {
@@ -119,31 +120,31 @@ impl LocalizedRecording {
     }
 }
 
-/// Writes `poses.tum`, `poses.csv`, `path.png` and `report.json`; their paths. It took `seconds`.
+/// The files of [`write_localized`].
+pub const LOCALIZED_FILES: [&str; 4] = ["poses.tum", "poses.csv", "path.png", "report.json"];
+
+/// Writes [`LOCALIZED_FILES`]; their paths. It took `seconds`.
 ///
 /// # Errors
 /// Fails if something cannot be written.
 pub fn write_localized(
     localized: &LocalizedRecording,
-    folder: &Path,
+    folder: &OutputFolder,
     seconds: f64,
     observe: &mut Observer,
 ) -> Result<Vec<PathBuf>, JobError> {
-    std::fs::create_dir_all(folder).map_err(|source| JobError::file(folder, source))?;
     let mut files = Vec::new();
-    let mut file = |name: &str| {
-        files.push(folder.join(name));
-        folder.join(name)
-    };
-    write_tum(&file("poses.tum"), &localized.poses())?;
-    write_file(&file("poses.csv"), csv(localized).as_bytes())?;
+    write_tum(&folder.add("poses.tum", &mut files)?, &localized.poses())?;
+    write_file(&folder.add("poses.csv", &mut files)?, csv(localized).as_bytes())?;
     match draw_path(&localized.textures, &path(&localized.estimates), &PictureOptions::default()) {
-        Ok(picture) => write_picture(&file("path.png"), &picture)?,
+        Ok(picture) => write_picture(&folder.add("path.png", &mut files)?, &picture)?,
         Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
         Err(error) => return Err(error.into()),
     }
     let report = serde_json::to_vec_pretty(&report(localized, seconds))?;
-    write_file(&file("report.json"), &report)?;
+    write_file(&folder.add("report.json", &mut files)?, &report)?;
+    let stale = if localized.interrupted { Stale::Name } else { Stale::Remove };
+    folder.finish(stale, &[], observe)?;
     Ok(files)
 }
 

@@ -14,6 +14,7 @@ use portolan_recording::Recording;
 
 use super::error::JobError;
 use super::event::{Event, Observer, Remark, remark};
+use super::output_folder::OutputFolder;
 use super::xray::{self, NotDrawn, Points};
 use crate::pipeline::{MappedRecording, PipelineError, Preparation};
 use crate::unwind::{KeptScans, MapPoint, SmoothMotion, UnwindOptions, Unwound, unwind};
@@ -106,7 +107,7 @@ impl CloudResults {
         &mut self,
         cloud: Option<(PathBuf, Option<f64>)>,
         to_draw: Option<&xray::Request>,
-        folder: &Path,
+        folder: &OutputFolder,
         observe: &mut Observer,
         unwind: &mut dyn FnMut(&mut Sink, &mut Observer) -> Result<Unwound, JobError>,
     ) -> Result<(), JobError> {
@@ -114,7 +115,7 @@ impl CloudResults {
         let mut cloud_sink = cloud_sink.transpose()?;
         let xray_sink = to_draw.map(|request| VoxelThinner::new(request.voxel_size));
         let xray_sink = xray_sink.transpose()?;
-        let mut xray_sink = xray_sink.map(|thinner| thinner.in_folder(folder));
+        let mut xray_sink = xray_sink.map(|thinner| thinner.in_folder(folder.path()));
         let mut sink = |points: &[MapPoint]| {
             if let Some(thinner) = &mut xray_sink {
                 points.iter().try_for_each(|p| thinner.add(p.position, p.intensity, p.time))?;
@@ -128,6 +129,9 @@ impl CloudResults {
         }
         self.report["unwound"] = serde_json::json!(unwound);
         if let Some((sink, (path, voxel))) = cloud_sink.zip(cloud) {
+            if let Some(name) = path.strip_prefix(folder.path()).ok().and_then(Path::to_str) {
+                folder.file(name)?;
+            }
             let points = sink.finish()?;
             self.cloud = Some((points, unwound));
             self.report["points_in_file"] = points.into();
@@ -217,11 +221,11 @@ pub fn write_clouds<S: Space>(
     preparation: &Preparation,
     mapped: &MappedRecording<S>,
     request: &CloudRequest,
-    folder: &Path,
+    folder: &OutputFolder,
     observe: &mut Observer,
 ) -> Result<Option<CloudResults>, JobError> {
     let with_xrays = request.draws_xrays(preparation);
-    let cloud = request.path(folder);
+    let cloud = request.path(folder.path());
     if cloud.is_none() && !with_xrays {
         return Ok(None);
     }
@@ -257,11 +261,11 @@ fn draw_kept(
     request: &xray::Request,
     scans: &KeptScans,
     poses: &[(Time, Rigid3)],
-    folder: &Path,
+    folder: &OutputFolder,
     observe: &mut Observer,
 ) -> Result<Option<Vec<PathBuf>>, JobError> {
     if let Some(error) = scans.failure() {
-        let (folder, reason) = (folder.to_owned(), error.to_string());
+        let (folder, reason) = (folder.path().to_owned(), error.to_string());
         remark(observe, Remark::ScansNotKept { folder, reason });
     }
     if !scans.is_complete() {

@@ -1,6 +1,6 @@
 //! The map from above: a picture for people and one for ROS.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use portolan_export::{MapContent, PictureError, PictureOptions, draw_map, write_picture};
 use portolan_mapfile::{
@@ -9,6 +9,7 @@ use portolan_mapfile::{
 
 use super::error::JobError;
 use super::event::{Observer, Remark, remark};
+use super::output_folder::OutputFolder;
 
 /// Cell size of the ROS map, metres, unless that makes it too large.
 const ROS_MAP_RESOLUTION: f64 = 0.05;
@@ -16,22 +17,24 @@ const ROS_MAP_RESOLUTION: f64 = 0.05;
 /// Writes `map.png`, and `map.pgm` with `map.yaml`; which of them, because there may be nothing to show.
 pub(super) fn write_pictures(
     content: &MapContent,
-    folder: &Path,
+    folder: &OutputFolder,
     observe: &mut Observer,
 ) -> Result<Vec<PathBuf>, JobError> {
     let mut files = Vec::new();
     match draw_map(content, &PictureOptions::default()) {
         Ok(picture) => {
-            files.push(folder.join("map.png"));
-            write_picture(&folder.join("map.png"), &picture)?;
+            files.push(folder.file("map.png")?);
+            write_picture(&folder.path().join("map.png"), &picture)?;
         }
         Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
         Err(error) => return Err(error.into()),
     }
     let options = PaintOptions { resolution: ROS_MAP_RESOLUTION, ..PaintOptions::default() };
     if let Some(painted) = paint_as_fits(content.textures, options, observe)? {
-        write_ros_map(&folder.join("map"), &painted, ImageName::Beside)?;
-        files.extend(["map.pgm", "map.yaml"].map(|name| folder.join(name)));
+        let names = ["map.pgm", "map.yaml"];
+        folder.files(&names)?;
+        write_ros_map(&folder.path().join("map"), &painted, ImageName::Beside)?;
+        files.extend(names.map(|name| folder.path().join(name)));
     }
     Ok(files)
 }
@@ -107,7 +110,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let content = MapContent { textures: &[], trajectories: &[], constraints: &[] };
         let mut remarks = Vec::new();
-        let files = write_pictures(&content, folder.path(), &mut |event| {
+        let output =
+            OutputFolder::begin(folder.path(), "map", &["map.png"], false, &mut crate::job::unobserved)
+                .unwrap();
+        let files = write_pictures(&content, &output, &mut |event| {
             remarks.extend(if let Event::Remark(remark) = event { Some(remark.to_string()) } else { None });
             ControlFlow::Continue(())
         });

@@ -12,4 +12,4 @@ mod results;
 
 pub use judgement::Judgement;
 pub use points::{MotionSensor, PointReading, ReadPoints, read_points};
-pub use results::{RefineResults, write_refinement};
+pub use results::{REFINED_FILES, RefineResults, write_refinement};

@@ -5,6 +5,8 @@ mod results;
 mod scans;
 mod trust;
 
-pub use results::{History, RegisterReport, Registered, Registration, describe, report, write_registration};
+pub use results::{
+    History, RegisterReport, Registered, Registration, describe, registered_files, report, write_registration,
+};
 pub use scans::{PointLimits, ScanSource, Scans};
 pub use trust::reason_for_distrust;

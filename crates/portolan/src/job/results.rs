@@ -1,6 +1,6 @@
 //! What mapping leaves in its folder.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use portolan_export::{ConstraintLine, MapContent, TrajectoryLine, write_tum};
 use portolan_mapfile::{MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d, write_map};
@@ -9,6 +9,7 @@ use portolan_mapping::{Map, Planar, Space, Spatial, TrajectoryId};
 use super::error::{JobError, write_file};
 use super::event::{Event, Observer, Remark, remark};
 use super::memory::resident_and_peak_bytes;
+use super::output_folder::OutputFolder;
 use super::pictures::write_pictures;
 use super::report::report;
 use crate::pipeline::MappedRecording;
@@ -46,7 +47,7 @@ pub struct ResultFiles {
 /// Fails if something cannot be written.
 pub fn write_results<S: ResultSpace>(
     mapped: &MappedRecording<S>,
-    folder: &Path,
+    folder: &OutputFolder,
     seconds: f64,
     what: ResultFiles,
     observe: &mut Observer,
@@ -54,23 +55,20 @@ pub fn write_results<S: ResultSpace>(
     let map = &mapped.map;
     let memory_while_mapping = resident_and_peak_bytes();
     let mut files = Vec::new();
-    let mut file = |name: &str| {
-        files.push(folder.join(name));
-        folder.join(name)
-    };
     // Trajectories that were known before are in the map; these files are of the recording. The trajectory comes
     // first: it is what took longest for its size, should there be no room for the rest.
     let id = mapped.trajectory_id;
-    write_tum(&folder.join("trajectory.tum"), &mapped.trajectory())?;
+    let trajectory = folder.file("trajectory.tum")?;
+    write_tum(&trajectory, &mapped.trajectory())?;
     if what.map {
-        write_map(map, file("map.pbstream"), true)?;
+        write_map(map, folder.add("map.pbstream", &mut files)?, true)?;
     }
-    file("trajectory.tum");
+    files.push(trajectory);
     if what.all_poses {
-        write_tum(&file("all_poses.tum"), &map.scan_poses(id))?;
+        write_tum(&folder.add("all_poses.tum", &mut files)?, &map.scan_poses(id))?;
     }
     if !what.map {
-        remark(observe, Remark::NoMap { left: folder.join("map.pbstream").exists() });
+        remark(observe, Remark::NoMap { left: folder.path().join("map.pbstream").exists() });
     } else if observe(&Event::Drawing).is_continue() {
         let textures = S::textures(map);
         let content = MapContent {
@@ -84,8 +82,7 @@ pub fn write_results<S: ResultSpace>(
         remark(observe, Remark::StoppedBeforePictures);
     }
     let report = serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping))?;
-    files.push(folder.join("report.json"));
-    write_file(&folder.join("report.json"), &report)?;
+    write_file(&folder.add("report.json", &mut files)?, &report)?;
     Ok(files)
 }
 
@@ -93,8 +90,8 @@ pub fn write_results<S: ResultSpace>(
 ///
 /// # Errors
 /// Fails if the report cannot be read or written.
-pub fn add_to_report(folder: &Path, name: &str, part: &serde_json::Value) -> Result<(), JobError> {
-    let path = folder.join("report.json");
+pub fn add_to_report(folder: &OutputFolder, name: &str, part: &serde_json::Value) -> Result<(), JobError> {
+    let path = folder.path().join("report.json");
     let failed = |reason| JobError::UnreadableReport { path: path.clone(), reason };
     let text = std::fs::read(&path).map_err(|source| JobError::file(&path, source))?;
     let mut report: serde_json::Value = serde_json::from_slice(&text).map_err(failed)?;
@@ -102,7 +99,7 @@ pub fn add_to_report(folder: &Path, name: &str, part: &serde_json::Value) -> Res
         fields.insert(name.to_owned(), part.clone());
     }
     let text = serde_json::to_vec_pretty(&report).map_err(failed)?;
-    write_file(&path, &text)
+    write_file(&folder.file("report.json")?, &text)
 }
 
 fn trajectory_ids<S: Space>(map: &Map<S>) -> impl Iterator<Item = TrajectoryId> + '_ {

@@ -1,6 +1,6 @@
 //! X-rays of a map in 3D from three sides, and a coloured section.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use portolan_export::{CloudSample, Extent, TrajectoryLine, XrayPicture, XrayView, write_picture};
 use portolan_geometry::{Rigid3, Time};
@@ -9,6 +9,7 @@ use portolan_pointcloud::{CloudError, OccupiedVoxels, ThinnedCloud};
 
 use super::error::JobError;
 use super::event::{Event, Observer};
+use super::output_folder::OutputFolder;
 use crate::pipeline::Preparation;
 use crate::unwind::{KeptScans, SmoothMotion};
 
@@ -114,7 +115,7 @@ impl Request {
     pub fn draw(
         &self,
         points: &mut Points,
-        folder: &Path,
+        folder: &OutputFolder,
         observe: &mut Observer,
     ) -> Result<Vec<PathBuf>, NotDrawn> {
         let sample = self.sample(points, observe)?;
@@ -231,12 +232,12 @@ fn write(
     picture: &XrayPicture,
     way: TrajectoryLine,
     title: &str,
-    folder: &Path,
+    folder: &OutputFolder,
     name: &str,
 ) -> Result<PathBuf, NotDrawn> {
     let picture = picture.finish(&[way], title);
     let picture = picture.map_err(|e| NotDrawn::Failed(e.into()))?;
-    let path = folder.join(name);
+    let path = folder.file(name).map_err(NotDrawn::Failed)?;
     write_picture(&path, &picture)
         .map_err(|e| NotDrawn::Failed(JobError::File { path: e.path, source: e.source }))?;
     Ok(path)

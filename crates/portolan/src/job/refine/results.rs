@@ -15,7 +15,7 @@ use super::page::report_page;
 use super::pictures::pictures;
 use super::points::ReadPoints;
 use crate::job::error::write_file;
-use crate::job::{JobError, REPORT_VERSION, resident_and_peak_bytes};
+use crate::job::{JobError, Observer, OutputFolder, REPORT_VERSION, Stale, resident_and_peak_bytes};
 
 /// Poses of the input farther apart than this do not show everything that was found, seconds.
 const SPARSE: f64 = 0.05;
@@ -44,48 +44,67 @@ pub struct RefineResults<'a> {
     pub map: Option<(&'a Path, i32)>,
 }
 
+/// The files that [`write_refinement`] writes, depending on what is asked for; clouds without a name of their own are
+/// called so, too.
+pub const REFINED_FILES: [&str; 11] = [
+    "refined.tum",
+    "refined_dense.tum",
+    "refined.pbstream",
+    "refined.ply",
+    "refined.pcd",
+    "refined.xyz",
+    "refined.las",
+    "refined.laz",
+    "refined.e57",
+    "report.html",
+    "report.json",
+];
+
 /// Writes trajectory, cloud and report; returns their names.
 ///
 /// # Errors
 /// Files that cannot be written, and a map whose trajectory cannot be replaced.
-pub fn write_refinement(results: &RefineResults, folder: &Path) -> Result<Vec<PathBuf>, JobError> {
+pub fn write_refinement(
+    results: &RefineResults,
+    folder: &OutputFolder,
+    observe: &mut Observer,
+) -> Result<Vec<PathBuf>, JobError> {
     let mut files = Vec::new();
-    let mut file = |name: &str| {
-        files.push(folder.join(name));
-        folder.join(name)
-    };
+    let mut file = |name: &str| folder.add(name, &mut files);
     let trajectory = &results.refined.trajectory;
     let corrected: Vec<(Time, Rigid3)> =
         results.input.iter().map(|(time, pose)| (*time, trajectory.corrected(*time, pose))).collect();
     // Where the input was kept it is the input.
-    write_tum(&file("refined.tum"), &corrected)?;
+    write_tum(&file("refined.tum")?, &corrected)?;
     let duration = trajectory.duration();
     if !results.without_results && duration > SPARSE * (results.input.len() - 1) as f64 {
         let dense: Vec<(Time, Rigid3)> = (0..=(duration / DENSE) as usize)
             .map(|i| i as f64 * DENSE)
             .map(|s| (trajectory.start() + Duration::from_seconds(s), trajectory.pose(s)))
             .collect();
-        write_tum(&file("refined_dense.tum"), &dense)?;
+        write_tum(&file("refined_dense.tum")?, &dense)?;
     }
     if let Some((map, id)) = results.map.filter(|_| !results.without_results) {
         let failed = |error| JobError::Edit { path: map.to_owned(), reason: Box::new(error) };
         let mut draft = MapDraft::open(map, ReadLimits::default()).map_err(failed)?;
         draft.replace_trajectory(id, &corrected).map_err(failed)?;
-        draft.write(file("refined.pbstream")).map_err(failed)?;
+        draft.write(file("refined.pbstream")?).map_err(failed)?;
     }
     let pair = CloudPair::new(&results.read.store, results.refined);
     let start = results.read.store.start().unix_seconds();
     for name in results.clouds.iter().filter(|_| !results.without_results) {
-        write_cloud(&pair, start, &file(name))?;
+        write_cloud(&pair, start, &file(name)?)?;
     }
     let judgement = results.command.map(|_| Judgement::of(&pair));
     if let (Some(judgement), Some(command)) = (&judgement, results.command) {
         let pictures = pictures(&pair, trajectory, &judgement.largest_changes);
         let page = report_page(results, judgement, &pictures, command)?;
-        write_file(&file("report.html"), page.as_bytes())?;
+        write_file(&file("report.html")?, page.as_bytes())?;
     }
     let report = serde_json::to_vec_pretty(&report(results, judgement.as_ref()))?;
-    write_file(&file("report.json"), &report)?;
+    write_file(&file("report.json")?, &report)?;
+    let stale = if results.without_results { Stale::Name } else { Stale::Remove };
+    folder.finish(stale, results.files, observe)?;
     Ok(files)
 }
 

@@ -13,11 +13,15 @@ use serde::Serialize;
 use super::scans::Scans;
 use super::trust::reason_for_distrust;
 use crate::job::error::write_file;
-use crate::job::{JobError, REPORT_VERSION};
+use crate::job::{JobError, Observer, OutputFolder, REPORT_VERSION, Stale};
 
 /// Longest edge of the pictures, pixels, and least metres per pixel.
 const EDGE: usize = 1600;
 const FINEST: f64 = 0.005;
+
+/// Names of the pictures.
+const BEFORE: &str = "before.png";
+const AFTER: &str = "after.png";
 
 /// What registration found.
 pub struct Registration {
@@ -148,27 +152,38 @@ pub fn report<'a>(work: &'a Registration, registered: &'a [Registered]) -> Regis
     RegisterReport { version: REPORT_VERSION, scans: registered, loops: &work.sequence.loops, global }
 }
 
+/// The files that [`write_registration`] writes for so many scans and a cloud of this format.
+pub fn registered_files(scans: usize, extension: &str) -> Vec<String> {
+    let fixed = ["poses.tum", BEFORE, AFTER, "report.json"].map(str::to_owned);
+    fixed.into_iter().chain([cloud_name(extension)]).chain(scan_files(scans)).collect()
+}
+
+fn cloud_name(extension: &str) -> String {
+    format!("registered.{extension}")
+}
+
+fn scan_files(scans: usize) -> Vec<String> {
+    (0..scans).flat_map(|i| [format!("scan{i:03}.pose"), format!("scan{i:03}.frames")]).collect()
+}
+
 /// Writes poses, frames, the joined cloud, pictures and the report; returns their names.
 ///
 /// # Errors
 /// Files that cannot be read or written.
 pub fn write_registration(
-    folder: &Path,
+    folder: &OutputFolder,
     extension: &str,
     scans: &Scans,
     work: &Registration,
     registered: &[Registered],
+    observe: &mut Observer,
 ) -> Result<Vec<PathBuf>, JobError> {
-    std::fs::create_dir_all(folder).map_err(|source| JobError::file(folder, source))?;
     let mut files = Vec::new();
-    let mut file = |name: &str| {
-        files.push(folder.join(name));
-        folder.join(name)
-    };
     let poses: Vec<Rigid3> = work.poses.iter().map(|pose| scans.of_file(pose)).collect();
     let timed: Vec<(Time, Rigid3)> =
         poses.iter().enumerate().map(|(i, pose)| (Time::from_unix_seconds(i as f64), *pose)).collect();
-    write_tum(&file("poses.tum"), &timed)?;
+    write_tum(&folder.add("poses.tum", &mut files)?, &timed)?;
+    folder.files(&scan_files(poses.len()))?;
     for (i, pose) in poses.iter().enumerate() {
         let states = work.history.0.iter();
         let frames: Vec<UosFrame> = states
@@ -176,20 +191,22 @@ pub fn write_registration(
             .collect();
         let texts = [("pose", uos_pose_text(pose)), ("frames", uos_frames_text(&frames))];
         for (extension, text) in texts {
-            let path = folder.join(format!("scan{i:03}.{extension}"));
+            let path = folder.path().join(format!("scan{i:03}.{extension}"));
             write_file(&path, text.as_bytes())?;
         }
     }
-    file("scan000.pose");
-    file("scan000.frames");
-    write_cloud(&file(&format!("registered.{extension}")), scans, &poses)?;
+    files.extend(["scan000.pose", "scan000.frames"].map(|name| folder.path().join(name)));
+    let cloud = folder.add(&cloud_name(extension), &mut files)?;
+    write_cloud(&cloud, scans, &poses)?;
     let start = &work.history.0[0].1;
     for (name, image, view) in pictures(scans, start, &work.poses) {
         let png = encode_grey(view.width, view.height, &image).map_err(JobError::Drawing)?;
-        write_file(&file(name), &png)?;
+        write_file(&folder.add(name, &mut files)?, &png)?;
     }
     let report = serde_json::to_vec_pretty(&report(work, registered))?;
-    write_file(&file("report.json"), &report)?;
+    write_file(&folder.add("report.json", &mut files)?, &report)?;
+    let inputs: Vec<PathBuf> = scans.sources.iter().map(|source| source.path().to_owned()).collect();
+    folder.finish(Stale::Remove, &inputs, observe)?;
     Ok(files)
 }
 
@@ -248,5 +265,5 @@ fn pictures(scans: &Scans, before: &[Rigid3], after: &[Rigid3]) -> Vec<(&'static
     });
     let strong = images.iter().map(PointImage::strong_count).max().unwrap_or(1);
     let [first, second] = images.map(|image| image.grey(strong));
-    vec![("before.png", first, view), ("after.png", second, view)]
+    vec![(BEFORE, first, view), (AFTER, second, view)]
 }

@@ -1,0 +1,115 @@
+//! Folders of results: what no earlier run wrote is not lost, and what an earlier run left does not look like a result of
+//! this one.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use common::{portolan, portolan_with_code, simulated, text};
+use portolan::job::MANIFEST;
+
+/// A folder with a recording of 12 s.
+struct Place {
+    folder: tempfile::TempDir,
+    recording: String,
+}
+
+impl Place {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let recording = simulated(folder.path(), "walk.mcap", &[]);
+        Self { folder, recording }
+    }
+
+    fn output(&self) -> PathBuf {
+        self.folder.path().join("results")
+    }
+
+    fn map(&self, code: i32, more: &[&str]) -> common::Run {
+        let output = text(&self.output());
+        portolan_with_code(code, &[&["map", &self.recording, "-o", &output][..], more].concat())
+    }
+}
+
+/// Puts a file in the way of a verb; it must refuse at once, leave everything as it was, and go on with --force.
+fn refuses(folder: &Path, name: &str, arguments: &[&str]) {
+    let path = folder.join(name);
+    fs::create_dir_all(folder).unwrap();
+    fs::write(&path, "holiday").unwrap();
+    let before = fs::read_dir(folder).unwrap().count();
+    let run = portolan_with_code(1, arguments);
+    assert!(run.stderr.contains(name) && run.stderr.contains("--force"), "{}", run.stderr);
+    assert_eq!(fs::read_to_string(&path).unwrap(), "holiday");
+    assert_eq!(fs::read_dir(folder).unwrap().count(), before, "{arguments:?}");
+    let run = portolan(&[arguments, &["--force"]].concat());
+    assert!(matches!(run.code, Some(0 | 3 | 4)), "{:?} {}", run.code, run.stderr);
+    assert_ne!(fs::read(&path).unwrap(), b"holiday");
+    // Now it is a result of an earlier run.
+    let run = portolan(arguments);
+    assert!(matches!(run.code, Some(0 | 3 | 4)), "{:?} {}", run.code, run.stderr);
+}
+
+#[test]
+fn mapping_localising_and_rendering_overwrite_nothing_foreign() {
+    let place = Place::new();
+    let output = text(&place.output());
+    refuses(&place.output(), "map.png", &["map", &place.recording, "-o", &output, "-q"]);
+    let map = text(&place.output().join("map.pbstream"));
+    let localized = place.folder.path().join("localized");
+    let arguments = ["localize", &map, &place.recording, "-o", &text(&localized), "-q"];
+    refuses(&localized, "poses.csv", &arguments);
+    let drawn = place.folder.path().join("drawn");
+    fs::create_dir(&drawn).unwrap();
+    fs::write(drawn.join("house.pgm"), "named by the user, who wants it replaced").unwrap();
+    refuses(&drawn, "house.yaml", &["render", &map, "-o", &text(&drawn.join("house.pgm"))]);
+    assert!(fs::read(drawn.join("house.pgm")).unwrap().starts_with(b"P5"));
+}
+
+#[test]
+fn refining_and_registering_overwrite_nothing_foreign() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| text(&folder.path().join(name));
+    let garage = ["garage", "--seconds", "3", "--seed", "5", "--beams", "300"];
+    let (recording, truth) = common::simulated_once(&garage);
+    let refine = [
+        "refine",
+        "--recording",
+        &recording,
+        "--trajectory",
+        &truth,
+        "-o",
+        &at("sharp"),
+        "--no-report",
+        "-q",
+    ];
+    refuses(&folder.path().join("sharp"), "refined.ply", &refine);
+    let scan = at("sharp/refined.ply");
+    let register = ["register", &scan, &scan, "--reduce", "0.2", "-o", &at("together"), "-q"];
+    refuses(&folder.path().join("together"), "scan001.pose", &register);
+}
+
+#[test]
+fn what_an_earlier_run_left_is_removed_and_said() {
+    let place = Place::new();
+    let at = |name: &str| place.output().join(name);
+    place.map(0, &["--cloud", "cloud.ply", "--all-poses"]);
+    fs::write(at("notes.txt"), "mine").unwrap();
+    fs::write(at(".portolan-killed.tmp"), "half").unwrap();
+    let run = place.map(0, &[]);
+    assert!(run.stderr.contains("all_poses.tum, cloud.ply: of an earlier run, removed"), "{}", run.stderr);
+    assert!(run.stderr.contains("1 temporary file of a run that was killed"), "{}", run.stderr);
+    let left = [at("cloud.ply"), at("all_poses.tum"), at(".portolan-killed.tmp")].map(|path| path.exists());
+    assert_eq!(left, [false; 3]);
+    assert!(at("notes.txt").exists() && at("map.png").exists() && at(MANIFEST).exists());
+    // What somebody drew on is no result any more.
+    fs::write(at("map.png"), "drawn on").unwrap();
+    let run = place.map(1, &[]);
+    assert!(run.stderr.contains("map.png") && !run.stderr.contains("map.pgm"), "{}", run.stderr);
+    // A cloud that is named is replaced, as any file that is named.
+    fs::remove_file(at("map.png")).unwrap();
+    fs::write(at("cloud.ply"), "old").unwrap();
+    place.map(0, &["--cloud", "cloud.ply"]);
+    assert!(fs::read(at("cloud.ply")).unwrap().starts_with(b"ply"));
+}

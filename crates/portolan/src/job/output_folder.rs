@@ -1,0 +1,187 @@
+//! The folder of results: which files in it an earlier run wrote, and which it did not and must not be lost.
+//!
+//! A small file there ([`MANIFEST`]) names what was written, by which verb, with size and checksum. A file that it does
+//! not name, or that was changed since, is not overwritten unless somebody asks for it.
+
+mod manifest;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use portolan_atomic_file::{Leftovers, remove_leftovers};
+
+use super::error::{JobError, write_file};
+use super::event::{Observer, Remark, remark};
+pub use manifest::MANIFEST;
+use manifest::{Content, Manifest, Record, is_plain};
+
+/// What becomes of files that an earlier run of the same verb left and this one does not write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stale {
+    /// They are removed, unless they were changed since.
+    Remove,
+    /// They are named: this run did not come to a result that takes their place.
+    Name,
+}
+
+/// A folder that results go to.
+#[derive(Debug)]
+pub struct OutputFolder {
+    path: PathBuf,
+    verb: &'static str,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    manifest: Manifest,
+    /// Files of this run.
+    written: BTreeSet<String>,
+    /// Files that are being written: their checksums are not known yet.
+    open: BTreeSet<String>,
+}
+
+impl OutputFolder {
+    /// Looks at a folder before a verb (`map`) begins its work: nothing is made or changed there, but temporary files that
+    /// a killed run left are removed. `names` are the files that will be written; with `force` whatever has such a name is
+    /// overwritten.
+    ///
+    /// # Errors
+    /// A file of such a name was not written by an earlier run of this verb, or was changed since.
+    pub fn begin<N: AsRef<str>>(
+        path: impl Into<PathBuf>,
+        verb: &'static str,
+        names: &[N],
+        force: bool,
+        observe: &mut Observer,
+    ) -> Result<Self, JobError> {
+        let path = path.into();
+        let Leftovers { removed, left } = remove_leftovers(&path);
+        if !removed.is_empty() {
+            remark(observe, Remark::LeftoversRemoved { folder: path.clone(), count: removed.len() });
+        }
+        left.into_iter().for_each(|file| remark(observe, Remark::LeftoverKept(file)));
+        let manifest = Manifest::read(&path);
+        let manifest_is_foreign = manifest.is_none();
+        let manifest = manifest.unwrap_or_default();
+        let is_foreign = |name: &&str| is_plain(name) && manifest.is_foreign(&path, name, verb);
+        let files = names.iter().map(AsRef::as_ref).filter(is_foreign);
+        let files: Vec<String> =
+            files.chain(manifest_is_foreign.then_some(MANIFEST)).map(str::to_owned).collect();
+        if !force && !files.is_empty() {
+            return Err(JobError::ForeignFiles { folder: path, verb, files });
+        }
+        let state = Mutex::new(State { manifest, ..State::default() });
+        Ok(Self { path, verb, state })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The path of a file that is written next; those that were named before are complete by then.
+    ///
+    /// # Errors
+    /// The folder cannot be made or written to.
+    pub fn file(&self, name: &str) -> Result<PathBuf, JobError> {
+        self.files(&[name])?;
+        Ok(self.path.join(name))
+    }
+
+    /// As [`OutputFolder::file`], and adds the path to a list.
+    ///
+    /// # Errors
+    /// As [`OutputFolder::file`].
+    pub fn add(&self, name: &str, files: &mut Vec<PathBuf>) -> Result<PathBuf, JobError> {
+        let path = self.file(name)?;
+        files.push(path.clone());
+        Ok(path)
+    }
+
+    /// Names several files that are written next. A name that leads out of the folder is somebody's own choice and not kept
+    /// in mind.
+    ///
+    /// # Errors
+    /// As [`OutputFolder::file`].
+    pub fn files<N: AsRef<str>>(&self, names: &[N]) -> Result<(), JobError> {
+        std::fs::create_dir_all(&self.path).map_err(|source| JobError::file(&self.path, source))?;
+        let mut state = self.lock();
+        self.close_files(&mut state);
+        for name in names.iter().map(AsRef::as_ref).filter(|name| is_plain(name)) {
+            let record = Record { by: self.verb.to_owned(), content: None };
+            state.manifest.files.insert(name.to_owned(), record);
+            state.open.insert(name.to_owned());
+            state.written.insert(name.to_owned());
+        }
+        self.save(&state)
+    }
+
+    /// Ends the writing: what an earlier run left of files that this one did not write is removed or named. `inputs` of
+    /// this run stay.
+    ///
+    /// # Errors
+    /// The folder cannot be written to.
+    pub fn finish(&self, stale: Stale, inputs: &[PathBuf], observe: &mut Observer) -> Result<(), JobError> {
+        let mut state = self.lock();
+        self.close_files(&mut state);
+        let is_stale = |(name, record): &(&String, &Record)| {
+            record.by == self.verb && !state.written.contains(*name) && is_plain(name)
+        };
+        let old: Vec<(String, Record)> =
+            state.manifest.files.iter().filter(is_stale).map(|(n, r)| (n.clone(), r.clone())).collect();
+        let (mut removed, mut left) = (Vec::new(), Vec::new());
+        for (name, record) in old {
+            let path = self.path.join(&name);
+            if !path.exists() {
+                state.manifest.files.remove(&name);
+                continue;
+            }
+            let is_input = inputs.iter().any(|input| is_same_file(input, &path));
+            let may_go = stale == Stale::Remove && !is_input && record.is_of(&path);
+            if may_go && std::fs::remove_file(&path).is_ok() {
+                state.manifest.files.remove(&name);
+                removed.push(name);
+            } else {
+                left.push(name);
+            }
+        }
+        if !removed.is_empty() {
+            remark(observe, Remark::EarlierRemoved { folder: self.path.clone(), files: removed });
+        }
+        if !left.is_empty() {
+            remark(observe, Remark::EarlierLeft { folder: self.path.clone(), files: left });
+        }
+        self.save(&state)
+    }
+
+    /// Notes size and checksum of what is complete. What is not there was not written after all.
+    fn close_files(&self, state: &mut State) {
+        for name in std::mem::take(&mut state.open) {
+            match Content::of(&self.path.join(&name)) {
+                Ok(content) => {
+                    let record = Record { by: self.verb.to_owned(), content: Some(content) };
+                    state.manifest.files.insert(name, record);
+                }
+                Err(_) => drop(state.manifest.files.remove(&name)),
+            }
+        }
+    }
+
+    fn save(&self, state: &State) -> Result<(), JobError> {
+        write_file(&self.path.join(MANIFEST), &serde_json::to_vec_pretty(&state.manifest)?)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    let [a, b] = [a, b].map(|path| path.canonicalize().ok());
+    a.is_some() && a == b
+}
+
+#[cfg(test)]
+mod tests;

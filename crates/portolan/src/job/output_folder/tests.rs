@@ -1,0 +1,126 @@
+use std::ops::ControlFlow;
+
+use super::*;
+use crate::job::Event;
+
+const NAMES: [&str; 2] = ["map.pbstream", "map.png"];
+
+/// Begins; what is said.
+fn begin(path: &Path, verb: &'static str, force: bool) -> (Result<OutputFolder, JobError>, Vec<String>) {
+    let mut said = Vec::new();
+    let begun = OutputFolder::begin(path, verb, &NAMES, force, &mut |event| collect(event, &mut said));
+    (begun, said)
+}
+
+fn collect(event: &Event, said: &mut Vec<String>) -> ControlFlow<()> {
+    said.extend(if let Event::Remark(remark) = event { Some(remark.to_string()) } else { None });
+    ControlFlow::Continue(())
+}
+
+fn write(folder: &OutputFolder, name: &str) {
+    write_file(&folder.file(name).unwrap(), name.as_bytes()).unwrap();
+}
+
+fn finish(folder: &OutputFolder, stale: Stale, inputs: &[PathBuf]) -> Vec<String> {
+    let mut said = Vec::new();
+    folder.finish(stale, inputs, &mut |event| collect(event, &mut said)).unwrap();
+    said
+}
+
+/// A folder with these files of a run.
+fn written(names: &[&str]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let run = begin(folder.path(), "map", false).0.unwrap();
+    names.iter().for_each(|name| write(&run, name));
+    assert!(finish(&run, Stale::Remove, &[]).is_empty());
+    folder
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn foreign_files_are_refused_and_named() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("map.png"), "holiday").unwrap();
+    std::fs::write(folder.path().join("notes.txt"), "mine").unwrap();
+    let error = begin(folder.path(), "map", false).0.unwrap_err().to_string();
+    assert!(error.contains("map.png") && error.contains("--force") && !error.contains("notes"), "{error}");
+    assert_eq!(names(folder.path()), ["map.png", "notes.txt"], "nothing was done");
+    let run = begin(folder.path(), "map", true).0.unwrap();
+    write(&run, "map.png");
+    finish(&run, Stale::Remove, &[]);
+    assert_eq!(std::fs::read_to_string(folder.path().join("map.png")).unwrap(), "map.png");
+    assert!(folder.path().join("notes.txt").exists());
+    begin(folder.path(), "map", false).0.unwrap();
+}
+
+#[test]
+fn files_of_an_earlier_run_are_overwritten_unless_they_were_changed() {
+    let folder = written(&NAMES);
+    begin(folder.path(), "map", false).0.unwrap();
+    std::fs::write(folder.path().join("map.png"), "MAP.PNG").unwrap();
+    let error = begin(folder.path(), "map", false).0.unwrap_err().to_string();
+    assert!(error.contains("map.png") && !error.contains("map.pbstream"), "{error}");
+}
+
+#[test]
+fn results_of_another_verb_are_foreign() {
+    let folder = written(&NAMES);
+    let error = begin(folder.path(), "refine", false).0.unwrap_err().to_string();
+    assert!(error.contains("portolan refine") && error.contains("map.pbstream"), "{error}");
+}
+
+#[test]
+fn what_an_earlier_run_left_is_removed() {
+    let folder = written(&["map.pbstream", "map.png", "cloud.ply", "changed.png", "input.tum"]);
+    let at = |name: &str| folder.path().join(name);
+    std::fs::write(at("changed.png"), "by hand").unwrap();
+    let run = begin(folder.path(), "map", false).0.unwrap();
+    write(&run, "map.pbstream");
+    let said = finish(&run, Stale::Name, &[]);
+    assert!(said.len() == 1 && said[0].contains("cloud.ply") && at("cloud.ply").exists(), "{said:?}");
+    let run = begin(folder.path(), "map", false).0.unwrap();
+    write(&run, "map.pbstream");
+    let said = finish(&run, Stale::Remove, &[folder.path().join(".").join("input.tum")]);
+    assert!(said.len() == 2 && said[0].contains("cloud.ply, map.png"), "{said:?}");
+    assert!(said[1].contains("changed.png, input.tum"), "{said:?}");
+    assert_eq!(names(folder.path()), ["changed.png", "input.tum", "map.pbstream", MANIFEST]);
+}
+
+#[test]
+fn a_run_that_was_killed_stands_in_no_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = begin(folder.path(), "map", false).0.unwrap();
+    write(&run, "map.pbstream");
+    // Killed before or after the file got its name.
+    run.file("map.png").unwrap();
+    drop(run);
+    begin(folder.path(), "map", false).0.unwrap();
+    std::fs::write(folder.path().join("map.png"), "whole").unwrap();
+    std::fs::write(folder.path().join(".portolan-half.tmp"), "half").unwrap();
+    let (run, said) = begin(folder.path(), "map", false);
+    assert!(run.is_ok() && said.len() == 1 && said[0].contains("1 temporary file"), "{said:?}");
+    assert_eq!(names(folder.path()), ["map.pbstream", "map.png", MANIFEST]);
+}
+
+#[test]
+fn damaged_lists_and_names_that_lead_elsewhere_harm_nobody() {
+    let folder = written(&NAMES);
+    let victim = tempfile::NamedTempFile::new().unwrap();
+    let content = serde_json::to_string(&Content::of(victim.path()).unwrap()).unwrap();
+    let name = serde_json::to_string(victim.path()).unwrap();
+    let text = format!("{{\"about\":\"\",\"files\":{{{name}:{{\"by\":\"map\",\"content\":{content}}}}}}}");
+    std::fs::write(folder.path().join(MANIFEST), text).unwrap();
+    let run = begin(folder.path(), "map", true).0.unwrap();
+    assert!(finish(&run, Stale::Remove, &[]).is_empty());
+    assert!(victim.path().exists());
+    std::fs::write(folder.path().join(MANIFEST), "{\"files\":").unwrap();
+    let error = begin(folder.path(), "map", false).0.unwrap_err().to_string();
+    assert!(error.contains(MANIFEST), "{error}");
+    assert!(["a/b", "../a", "/a", "..", ""].iter().all(|name| !is_plain(name)) && is_plain("a b.c"));
+}
