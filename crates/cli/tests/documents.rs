@@ -176,3 +176,134 @@ fn rows_of_tables_can_be_read() {
         assert!(long.is_none(), "{}: {}", path.display(), long.unwrap_or_default());
     }
 }
+
+/// Lines of the README that are not run: they build the program.
+const BUILDING: [&str; 2] = ["cargo test --workspace", "cargo install --path crates/cli"];
+/// Of lines that take minutes the beginning does.
+const SHORTER: [(&str, &[&str]); 2] =
+    [("demo", &["--seconds", "6"]), ("simulate office -o office.bag", &["--seconds", "5", "--beams", "90"])];
+/// Files of the user, made of others: what is run before the lines of the README.
+const STAND_INS: [&str; 15] = [
+    "simulate garage --seconds 20 --beams 200 --seed 5 -o walk.bag",
+    "simulate garage --seconds 20 --beams 200 --seed 6 --building-seed 5 -o day2.bag",
+    "map walk.bag -o made --cloud a.ply --cloud-voxel 0.05",
+    "simulate corridors --seconds 240 --beams 90 --seed 5 -o long.bag",
+    "map long.bag -o long",
+    "edit long/map.pbstream -o map.pbstream --rotate 0",
+    "edit long/map.pbstream -o old.pbstream --rotate 5",
+    "edit long/map.pbstream -o version1.pbstream --rotate 5",
+    "edit long/map.pbstream -o broken.pbstream --rotate 5",
+    "convert long/map.pbstream -o refined.tum",
+    "convert long/map.pbstream -o graph.g2o",
+    "simulate office --seconds 25 --beams 180 --people 0 -o office_east.bag",
+    "map office_east.bag -o east",
+    "edit east/map.pbstream -o east.pbstream --rotate 0",
+    "edit east/map.pbstream -o west.pbstream --rotate 30 --move=5,-3",
+];
+
+/// Times of two poses, and the second pose in the frame of the first.
+const RELATIONS: &str = "1700000002 1700000004 0.1 0 0 0 0 0\n1700000005 1700000012 1 0 0 0 0 0.1\n1700000003 1700000018 2 0 0 0 0 0\n";
+/// A configuration as Cartographer's users have them.
+const MY_ROBOT: &str = r#"include "map_builder.lua"
+include "trajectory_builder.lua"
+options = {
+  map_builder = MAP_BUILDER,
+  trajectory_builder = TRAJECTORY_BUILDER,
+  map_frame = "map",
+  tracking_frame = "base_link",
+  published_frame = "base_link",
+  odom_frame = "odom",
+  provide_odom_frame = true,
+  publish_frame_projected_to_2d = false,
+  use_odometry = false,
+  use_nav_sat = false,
+  use_landmarks = false,
+  num_laser_scans = 0,
+  num_multi_echo_laser_scans = 0,
+  num_subdivisions_per_laser_scan = 1,
+  num_point_clouds = 1,
+  lookup_transform_timeout_sec = 0.2,
+  submap_publish_period_sec = 0.3,
+  pose_publish_period_sec = 5e-3,
+  trajectory_publish_period_sec = 30e-3,
+  rangefinder_sampling_ratio = 1.,
+  odometry_sampling_ratio = 1.,
+  fixed_frame_pose_sampling_ratio = 1.,
+  imu_sampling_ratio = 1.,
+  landmarks_sampling_ratio = 1.,
+}
+MAP_BUILDER.use_trajectory_builder_3d = true
+return options
+"#;
+
+/// Runs a line in a folder; its exit code, and what it said.
+fn run_line(line: &str, folder: &Path) -> (Option<i32>, String) {
+    let home = folder.to_string_lossy();
+    let words: Vec<String> = line.split_whitespace().map(|word| word.replace('~', &home)).collect();
+    let more = SHORTER.iter().filter(|(whole, _)| line == *whole).flat_map(|(_, more)| *more);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_portolan"));
+    command.args(&words).args(more).current_dir(folder).stdin(std::process::Stdio::null());
+    let output = command.output().unwrap();
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+/// What a user would have in the folder before.
+fn make_stand_ins(folder: &Path) {
+    for line in STAND_INS {
+        let (code, stderr) = run_line(line, folder);
+        assert_eq!(code, Some(0), "{line}: {stderr}");
+    }
+    let copy = |from: &str, to: &str| {
+        std::fs::copy(folder.join(from), folder.join(to)).unwrap();
+    };
+    copy("made/a.ply", "before.ply");
+    ["a.ply", "b.ply", "c.ply", "after.ply"].iter().for_each(|name| copy("before.ply", name));
+    copy("walk.truth.tum", "truth.tum");
+    copy("made/trajectory.tum", "walk.tum");
+    std::fs::write(folder.join("my_robot.lua"), MY_ROBOT).unwrap();
+    std::fs::write(folder.join("walk.relations"), RELATIONS).unwrap();
+    let whole = std::fs::read(folder.join("broken.pbstream")).unwrap();
+    std::fs::write(folder.join("broken.pbstream"), &whole[..whole.len() * 4 / 5]).unwrap();
+    std::fs::create_dir(folder.join("bin")).unwrap();
+}
+
+/// Lines of shell blocks, without what is said of them.
+fn shell_lines(text: &str) -> Vec<String> {
+    let mut in_shell = false;
+    let mut lines = Vec::new();
+    for line in text.lines() {
+        if let Some(language) = line.trim_start().strip_prefix("```") {
+            in_shell = !in_shell && language == "sh";
+        } else if in_shell && !line.trim().is_empty() {
+            lines.push(line.split(" #").next().unwrap_or_default().trim().to_owned());
+        }
+    }
+    lines
+}
+
+#[test]
+fn lines_of_the_readme_run() {
+    if portolan_testing::is_fast() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    make_stand_ins(folder.path());
+    let lines = shell_lines(&std::fs::read_to_string(repository().join("README.md")).unwrap());
+    let (mut count, mut wrong) = (0, Vec::new());
+    for line in lines.iter().filter(|line| !BUILDING.contains(&line.as_str())) {
+        let words = line.strip_prefix("portolan ").or(line.strip_prefix("cargo run --release -- "));
+        let Some(words) = words else {
+            wrong.push(format!("{line}: is not run by this test"));
+            continue;
+        };
+        count += 1;
+        let (code, stderr) = run_line(words, folder.path());
+        // Of a damaged map something is missing.
+        let expected = if words.contains("broken") { Some(3) } else { Some(0) };
+        if code != expected {
+            wrong.push(format!("{line}: exit code {code:?}: {stderr}"));
+        }
+    }
+    assert!(count > 25, "{count}");
+    assert!(wrong.is_empty(), "lines that do not run:\n{}", wrong.join("\n"));
+}
