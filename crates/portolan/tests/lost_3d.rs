@@ -37,7 +37,7 @@ fn mapped(walks: [&Simulation3d; 2], folder: &Path) -> (serde_json::Value, Vec<(
     let finished = map(recording.as_ref(), MapRequest::new(folder), &mut unobserved).unwrap();
     let report = std::fs::read(folder.join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
-    assert_eq!(finished.lost_data, report["lost"][0]["tied_to_the_rest"] == false);
+    assert_eq!(finished.lost_data, report["lost"][0]["is_connected"] == false);
     let trajectory = std::fs::read_to_string(folder.join("trajectory.tum")).unwrap();
     let pose = |line: &str| {
         let n: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();
@@ -59,7 +59,7 @@ fn a_scanner_that_was_carried_elsewhere_is_found_again_by_loop_closures() {
     let second = walk(1, 2, Some(carried_at));
     let (report, trajectory) = mapped([&first, &second], folder.path());
     assert_eq!(report["lost"].as_array().unwrap().len(), 1, "{}", report["lost"]);
-    assert_eq!(report["lost"][0]["tied_to_the_rest"], true);
+    assert_eq!(report["lost"][0]["is_connected"], true);
     let since = report["lost"][0]["from"].as_f64().unwrap() - carried_at.unix_seconds();
     assert!((0.0..0.3).contains(&since), "{since}");
     // As seen from the first pose, the whole way is right.
@@ -83,6 +83,6 @@ fn what_was_seen_in_another_building_stays_a_piece_of_its_own() {
     let second = walk(2, 1, Some(first.start_time() + Duration::from_seconds(40.1)));
     let (report, trajectory) = mapped([&first, &second], folder.path());
     assert_eq!(report["lost"].as_array().unwrap().len(), 1, "{}", report["lost"]);
-    assert_eq!(report["lost"][0]["tied_to_the_rest"], false);
+    assert_eq!(report["lost"][0]["is_connected"], false);
     assert!(trajectory.len() > 780);
 }
