@@ -43,7 +43,7 @@ fn another_building_is_not_laid_over_the_known_one() {
     // A start in the middle of the known map says nothing better.
     let (run, _) = mapped(&elsewhere, folder.path(), &[&from[..], &["--start", "0,0,0"]].concat());
     assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
-    assert!(run.stdout.contains("looks otherwise where --start says"), "{}", run.stdout);
+    assert!(run.stdout.contains("scans do not fit it where --start says"), "{}", run.stdout);
     assert!(run.stderr.contains("map.pbstream there is of an earlier run"), "{}", run.stderr);
     // Far away nothing speaks against it.
     let (run, output) = mapped(&elsewhere, folder.path(), &[&from[..], &["--start", "500,0,0"]].concat());
