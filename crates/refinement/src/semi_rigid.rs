@@ -20,8 +20,8 @@ use portolan_solver::NormalBlocks;
 use rayon::prelude::*;
 
 use crate::continuous::{
-    Knots, Method, MotionBlocks, OdometryNoise, RefineProgress, RefineStep, Refined, Session, TIGHT,
-    conjugate_gradients, noise_found, odometry_terms,
+    DenseTrajectory, Knots, Method, MotionBlocks, OdometryNoise, RefineProgress, RefineStep, Refined,
+    Session, TIGHT, conjugate_gradients, noise_found, odometry_terms,
 };
 use crate::registration::{Link, LinkStatistics, RobustKernel};
 use crate::{PointStore, RefineError};
@@ -292,8 +292,35 @@ fn move_elements(
     options: &SemiRigidOptions,
     beliefs: &Beliefs,
 ) -> Result<RefineStep, RefineError> {
-    let poses = sections.poses(session);
     let elements = Knots::new(session.trajectory.duration(), options.element);
+    let mut pairs = element_pairs(session, sections, queries, &elements, options, beliefs);
+    let weights: f64 = pairs.iter().map(|p| f64::from(p.weight)).sum();
+    let squares: f64 = pairs.iter().map(|p| f64::from(p.weight) * f64::from(p.residual).powi(2)).sum();
+    let variance = (squares / weights.max(1e-12)).max(LEAST_DEVIATION * LEAST_DEVIATION);
+    pairs.iter_mut().for_each(|p| p.weight /= variance as f32);
+    let terms = pairs.len();
+    let increment = solve_elements(&session.trajectory, &elements, pairs, beliefs)?;
+    session.trajectory.apply(&elements, &increment);
+    Ok(RefineStep {
+        stage: "elements",
+        knot_spacing: elements.spacing(),
+        reach: options.max_distance,
+        terms,
+        rms: variance.sqrt(),
+        shift: largest_shift(&increment),
+    })
+}
+
+/// Pairs of points of all links, each point where its own element has it, linearised there.
+fn element_pairs(
+    session: &Session,
+    sections: &Sections,
+    queries: &mut [Vec<u32>],
+    elements: &Knots,
+    options: &SemiRigidOptions,
+    beliefs: &Beliefs,
+) -> Vec<ElementPair> {
+    let poses = sections.poses(session);
     let matrices = session.trajectory.matrices();
     let kernel = RobustKernel::Cauchy(beliefs.kernel);
     let of_link = |(link, queries): (&Link, &mut Vec<u32>)| -> Vec<ElementPair> {
@@ -310,7 +337,7 @@ fn move_elements(
             ElementPair {
                 normal: normal.map(|v| v as f32).into(),
                 ends: placed
-                    .map(|(seconds, place, from)| End::new(&elements, seconds, &place, &from, &normal)),
+                    .map(|(seconds, place, from)| End::new(elements, seconds, &place, &from, &normal)),
                 residual: residual as f32,
                 weight: kernel.weight(residual.abs()) as f32,
             }
@@ -321,14 +348,18 @@ fn move_elements(
         found.into_iter().map(linearised).collect()
     };
     let parts: Vec<Vec<ElementPair>> = sections.links.par_iter().zip(queries).map(of_link).collect();
-    let mut pairs = parts.concat();
-    let weights: f64 = pairs.iter().map(|p| f64::from(p.weight)).sum();
-    let squares: f64 = pairs.iter().map(|p| f64::from(p.weight) * f64::from(p.residual).powi(2)).sum();
-    let variance = (squares / weights.max(1e-12)).max(LEAST_DEVIATION * LEAST_DEVIATION);
-    pairs.iter_mut().for_each(|p| p.weight /= variance as f32);
-    let terms = pairs.len();
-    let equations = ElementEquations::new(pairs, &elements);
-    let motion = odometry_terms(&session.trajectory, &elements, beliefs.odometry);
+    parts.concat()
+}
+
+/// The increment of all elements that pairs and the motion of the input want together.
+fn solve_elements(
+    trajectory: &DenseTrajectory,
+    elements: &Knots,
+    pairs: Vec<ElementPair>,
+    beliefs: &Beliefs,
+) -> Result<Vec<f64>, RefineError> {
+    let equations = ElementEquations::new(pairs, elements);
+    let motion = odometry_terms(trajectory, elements, beliefs.odometry);
     let motion = MotionBlocks::new(&motion, &[], elements.count());
     let preconditioner = motion.preconditioner(|diagonal, below| equations.add_blocks(diagonal, below));
     let preconditioner = preconditioner.ok_or(FAILED)?;
@@ -340,16 +371,7 @@ fn move_elements(
     let mut right = motion.gradient.clone();
     equations.gradient(&mut right);
     right.iter_mut().for_each(|r| *r = -*r);
-    let increment = conjugate_gradients(&right, product, |x| preconditioner.solve(x), TIGHT);
-    session.trajectory.apply(&elements, &increment);
-    Ok(RefineStep {
-        stage: "elements",
-        knot_spacing: elements.spacing(),
-        reach: options.max_distance,
-        terms,
-        rms: variance.sqrt(),
-        shift: largest_shift(&increment),
-    })
+    Ok(conjugate_gradients(&right, product, |x| preconditioner.solve(x), TIGHT))
 }
 
 /// Metres.

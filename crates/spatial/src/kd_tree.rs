@@ -207,64 +207,73 @@ impl KdTree {
         first: usize,
         mut candidate: impl FnMut(Neighbour, &mut f32),
     ) {
-        // Node, its number of levels below, its range of points, and its distance per axis.
-        struct Pending {
-            node: usize,
-            level: u32,
-            start: usize,
-            end: usize,
-            offsets: [f32; 3],
-        }
-        const DEEPEST: usize = 40;
-        let mut stack: [Pending; DEEPEST] =
-            std::array::from_fn(|_| Pending { node: 0, level: 0, start: 0, end: 0, offsets: [0.0; 3] });
+        let mut stack = [Pending::default(); DEEPEST];
         stack[0].end = self.entries.len();
         let mut height = usize::from(!self.entries.is_empty());
         while height > 0 {
             height -= 1;
-            let Pending { mut node, mut level, mut start, mut end, offsets } = std::mem::replace(
-                &mut stack[height],
-                Pending { node: 0, level: 0, start: 0, end: 0, offsets: [0.0; 3] },
-            );
-            if squared_norm(offsets) > limit {
+            let mut part = stack[height];
+            if squared_norm(part.offsets) > limit {
                 continue;
             }
-            while level < self.depth {
-                let Node { split, axis } = self.nodes[node];
-                let middle = start + (end - start) / 2;
-                if axis & COINCIDENT != 0 && middle - start >= first {
-                    (node, level, end) = (2 * node + 1, level + 1, middle);
-                    continue;
-                }
-                let axis = axis & !COINCIDENT;
-                let difference = query[axis as usize] - split;
-                let mut far_offsets = offsets;
-                far_offsets[axis as usize] = difference;
-                level += 1;
-                let (near, far);
-                let (far_start, far_end);
-                if difference < 0.0 {
-                    (near, far) = (2 * node + 1, 2 * node + 2);
-                    (far_start, far_end) = (middle, end);
-                    end = middle;
-                } else {
-                    (near, far) = (2 * node + 2, 2 * node + 1);
-                    (far_start, far_end) = (start, middle);
-                    start = middle;
-                }
-                if squared_norm(far_offsets) <= limit && height < DEEPEST {
-                    stack[height] =
-                        Pending { node: far, level, start: far_start, end: far_end, offsets: far_offsets };
+            while part.level < self.depth {
+                let far = self.descend(&mut part, query, first);
+                if let Some(far) = far
+                    && squared_norm(far.offsets) <= limit
+                    && height < DEEPEST
+                {
+                    stack[height] = far;
                     height += 1;
                 }
-                node = near;
             }
-            for entry in &self.entries[start..end] {
+            for entry in &self.entries[part.start..part.end] {
                 let d: [f32; 3] = std::array::from_fn(|k| entry.position[k] - query[k]);
                 candidate(Neighbour { index: entry.index, squared_distance: squared_norm(d) }, &mut limit);
             }
         }
     }
+
+    /// Goes on to the half of a part that the query lies in; gives the other half, if it is to be searched, too. Of a
+    /// part whose points lie at one place half suffices as long as that has `first` points.
+    #[inline]
+    fn descend(&self, part: &mut Pending, query: [f32; 3], first: usize) -> Option<Pending> {
+        let Node { split, axis } = self.nodes[part.node];
+        let middle = part.start + (part.end - part.start) / 2;
+        let (left, right) = (2 * part.node + 1, 2 * part.node + 2);
+        part.level += 1;
+        if axis & COINCIDENT != 0 && middle - part.start >= first {
+            (part.node, part.end) = (left, middle);
+            return None;
+        }
+        let axis = (axis & !COINCIDENT) as usize;
+        let difference = query[axis] - split;
+        let mut far = *part;
+        far.offsets[axis] = difference;
+        if difference < 0.0 {
+            (part.node, part.end) = (left, middle);
+            (far.node, far.start) = (right, middle);
+        } else {
+            (part.node, part.start) = (right, middle);
+            (far.node, far.end) = (left, middle);
+        }
+        Some(far)
+    }
+}
+
+/// A tree of more levels than this would hold more points than there is memory for.
+const DEEPEST: usize = 40;
+
+/// A part of the tree that is still to be searched.
+#[derive(Clone, Copy, Default)]
+struct Pending {
+    node: usize,
+    /// Levels above it.
+    level: u32,
+    /// Its points.
+    start: usize,
+    end: usize,
+    /// Distance of the query from it along each axis, metres.
+    offsets: [f32; 3],
 }
 
 fn squared_norm(v: [f32; 3]) -> f32 {

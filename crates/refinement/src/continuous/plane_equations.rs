@@ -268,51 +268,88 @@ struct PlaneRows {
     weights: f64,
 }
 
+/// Where a plane lies to begin with: the mean of its surfels, weighted by their points.
+struct MeanPlane {
+    normal: Vector3,
+    /// Two directions in the plane.
+    along: [Vector3; 2],
+    centre: Vector3,
+    /// Of points across their surfels.
+    variance: f64,
+}
+
+impl MeanPlane {
+    fn of(state: &State, surfels: &[u32]) -> Self {
+        let State { map, placed, .. } = state;
+        let (mut normal, mut centre, mut variance, mut points) =
+            (Vector3::zeros(), Vector3::zeros(), 0.0, 0.0);
+        for surfel in surfels.iter().map(|s| *s as usize) {
+            let count = map.surfels[surfel].count;
+            normal += placed[surfel].normal * count;
+            centre += placed[surfel].mean * count;
+            variance += map.surfels[surfel].variance * count;
+            points += count;
+        }
+        let normal = normal.normalize();
+        centre /= points;
+        let variance = (variance / points).max(LEAST_DEVIATION * LEAST_DEVIATION);
+        let u = if normal.x.abs() < 0.7 { normal.cross(&Vector3::x()) } else { normal.cross(&Vector3::y()) };
+        let u = u.normalize();
+        Self { normal, along: [u, normal.cross(&u)], centre, variance }
+    }
+}
+
 /// Fits the plane to its clusters with robust weights, and linearises.
 fn plane_rows(state: &State, surfels: &[u32], columns: &[Option<usize>; MAX_SENSORS]) -> PlaneRows {
-    let State { map, placed, .. } = state;
-    let (mut normal, mut centre, mut variance, mut points) = (Vector3::zeros(), Vector3::zeros(), 0.0, 0.0);
-    for surfel in surfels.iter().map(|s| *s as usize) {
-        let count = map.surfels[surfel].count;
-        normal += placed[surfel].normal * count;
-        centre += placed[surfel].mean * count;
-        variance += map.surfels[surfel].variance * count;
-        points += count;
-    }
-    let normal = normal.normalize();
-    centre /= points;
-    let variance = (variance / points).max(LEAST_DEVIATION * LEAST_DEVIATION);
-    let u = if normal.x.abs() < 0.7 { normal.cross(&Vector3::x()) } else { normal.cross(&Vector3::y()) };
-    let u = u.normalize();
-    let v = normal.cross(&u);
+    let mean = MeanPlane::of(state, surfels);
+    let normal = mean.normal;
     let (mut rows, mut sensor_rows) = (Vec::new(), Vec::new());
-    // The variance of a row, kept where its weight will be.
     for surfel in surfels {
-        let surfel = &map.surfels[*surfel as usize];
+        let surfel = &state.map.surfels[*surfel as usize];
         let sensor = usize::from(surfel.sensor);
         let first = surfel.first_cluster as usize;
-        for cluster in &map.clusters[first..first + surfel.cluster_count as usize] {
+        for cluster in &state.map.clusters[first..first + surfel.cluster_count as usize] {
             let (seconds, in_tracking) =
                 state.corrections.place(sensor, cluster.seconds, cluster.in_tracking);
-            let pose = state.trajectory.pose(seconds);
-            let from_sensor = pose.rotation * Vector3::from(in_tracking.map(f64::from));
-            let from_centre = from_sensor + (pose.translation.vector - centre);
-            let lever = from_sensor.cross(&normal);
-            let (knot, fraction) = state.knots.place(seconds);
-            rows.push(Row {
-                lever: [lever.x as f32, lever.y as f32, lever.z as f32],
-                a: from_centre.dot(&u) as f32,
-                b: from_centre.dot(&v) as f32,
-                residual: from_centre.dot(&normal) as f32,
-                weight: (variance / f64::from(cluster.count) + UNEVENNESS * UNEVENNESS) as f32,
-                fraction: fraction as f32,
-                knot: knot as u32,
-            });
+            let variance = mean.variance / f64::from(cluster.count) + UNEVENNESS * UNEVENNESS;
+            rows.push(cluster_row(state, &mean, seconds, in_tracking, variance));
             if !state.sensors.is_empty() {
                 sensor_rows.push(sensor_row(state, columns[sensor], seconds, in_tracking, &normal));
             }
         }
     }
+    let (plane, inverse) = fit(&mut rows);
+    let (mut squares, mut weights) = (0.0, 0.0);
+    for row in &mut rows {
+        let e = f64::from(row.residual) - q(row).dot(&plane);
+        squares += f64::from(row.weight) * e * e;
+        weights += f64::from(row.weight);
+        row.residual = e as f32;
+    }
+    PlaneRows { rows, sensor_rows, normal, inverse, squares, weights }
+}
+
+/// The row of a cluster against the mean plane. Its variance stands where its weight will be.
+fn cluster_row(state: &State, plane: &MeanPlane, seconds: f64, in_tracking: [f32; 3], variance: f64) -> Row {
+    let pose = state.trajectory.pose(seconds);
+    let from_sensor = pose.rotation * Vector3::from(in_tracking.map(f64::from));
+    let from_centre = from_sensor + (pose.translation.vector - plane.centre);
+    let lever = from_sensor.cross(&plane.normal);
+    let (knot, fraction) = state.knots.place(seconds);
+    Row {
+        lever: [lever.x as f32, lever.y as f32, lever.z as f32],
+        a: from_centre.dot(&plane.along[0]) as f32,
+        b: from_centre.dot(&plane.along[1]) as f32,
+        residual: from_centre.dot(&plane.normal) as f32,
+        weight: variance as f32,
+        fraction: fraction as f32,
+        knot: knot as u32,
+    }
+}
+
+/// Fits offset and tilts of a plane by iteratively reweighted least squares, which turns the variances of the rows to
+/// weights. Gives them and the inverse of their normal matrix.
+fn fit(rows: &mut [Row]) -> (Vector3, Matrix3<f64>) {
     let variances: Vec<f64> = rows.iter().map(|r| f64::from(r.weight)).collect();
     let mut plane = Vector3::zeros();
     let mut inverse = Matrix3::identity();
@@ -332,14 +369,7 @@ fn plane_rows(state: &State, surfels: &[u32], columns: &[Option<usize>; MAX_SENS
         inverse = matrix.try_inverse().unwrap_or_else(Matrix3::zeros);
         plane = inverse * vector;
     }
-    let (mut squares, mut weights) = (0.0, 0.0);
-    for row in &mut rows {
-        let e = f64::from(row.residual) - q(row).dot(&plane);
-        squares += f64::from(row.weight) * e * e;
-        weights += f64::from(row.weight);
-        row.residual = e as f32;
-    }
-    PlaneRows { rows, sensor_rows, normal, inverse, squares, weights }
+    (plane, inverse)
 }
 
 /// The part of a row that belongs to its sensor.

@@ -135,6 +135,39 @@ pub struct RefineReport {
     pub warnings: Vec<String>,
 }
 
+impl RefineReport {
+    /// The report of a refinement that has done nothing yet.
+    pub(crate) fn new(method: Method, odometry: OdometryNoise) -> Self {
+        Self {
+            method,
+            steps: Vec::new(),
+            points: 0,
+            points_outside_trajectory: 0,
+            left_out: LeftOutPoints::default(),
+            gaps: Vec::new(),
+            jumps: Vec::new(),
+            planar_fraction: None,
+            sharpness_before: None,
+            sharpness_after: None,
+            sharpness_by_round: Vec::new(),
+            sensors: Vec::new(),
+            mountings: Vec::new(),
+            calibrated: false,
+            imu: None,
+            other_sensors: OtherSensorsFound::default(),
+            odometry_found: odometry,
+            largest_translation: 0.0,
+            largest_rotation: 0.0,
+            undetermined: Vec::new(),
+            long_shape_held_seconds: 0.0,
+            cross_validation: None,
+            kept_input: false,
+            stopped: false,
+            warnings: Vec::new(),
+        }
+    }
+}
+
 /// A refined trajectory.
 #[derive(Clone, Debug)]
 pub struct Refined {

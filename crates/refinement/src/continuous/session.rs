@@ -7,7 +7,7 @@ use super::correction::Corrections;
 use super::coverage::{Coverage, TimedPoints};
 use super::report::{Method, RefineReport, Refined, RoundSharpness};
 use super::time_base::{self, TimeBase};
-use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound, information};
+use super::{DenseTrajectory, OdometryNoise, information};
 use super::{held_out, long_shape};
 use crate::{MAX_SENSORS, PointStore, RefineError, StoredPoint};
 use portolan_spatial::{Sharpness, SharpnessOptions, sharpness, spread_sample};
@@ -57,31 +57,14 @@ impl<'a> Session<'a> {
             [store.points().first(), store.points().last()].map(|p| p.map_or(0.0, |p| points.seconds(p)));
         let uncovered_ends = [-ends[0], ends[1] - trajectory.duration()].map(|s| s.max(0.0));
         let report = RefineReport {
-            method,
-            steps: Vec::new(),
             points: covered,
             points_outside_trajectory: store.points().len() - covered,
             left_out: store.left_out(),
             gaps: coverage.gaps.clone(),
             jumps: trajectory.jumps().to_vec(),
-            planar_fraction: None,
             sharpness_before: measure(&points, &coverage, &trajectory, SharpnessOptions::default()),
-            sharpness_after: None,
-            sharpness_by_round: Vec::new(),
             sensors: store.sensors().to_vec(),
-            mountings: Vec::new(),
-            calibrated: false,
-            imu: None,
-            other_sensors: OtherSensorsFound::default(),
-            odometry_found: odometry,
-            largest_translation: 0.0,
-            largest_rotation: 0.0,
-            undetermined: Vec::new(),
-            cross_validation: None,
-            kept_input: false,
-            long_shape_held_seconds: 0.0,
-            stopped: false,
-            warnings: Vec::new(),
+            ..RefineReport::new(method, odometry)
         };
         let sensor_names = store.sensors().iter().map(|s| s.name.clone()).collect();
         let origins = store.sensors().iter().take(MAX_SENSORS).map(|s| Vector3::from(s.origin_in_tracking));
