@@ -2,72 +2,54 @@
 
 use std::fmt::Write;
 
+use portolan_numeric::HistogramBins;
+
 /// Characters of a full bar.
 const BAR: usize = 20;
 
 /// Values of which a histogram can be drawn. Those that are not finite are left out.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Histogram {
-    values: Vec<f64>,
-}
+pub struct Histogram(portolan_numeric::Histogram);
 
 impl Histogram {
     /// One more value.
     pub fn add(&mut self, value: f64) {
-        if value.is_finite() {
-            self.values.push(value);
-        }
+        self.0.add(value);
     }
 
     /// The histogram in `buckets` steps of equal width from the smallest to the largest value.
     pub fn to_text(&self, buckets: usize) -> String {
-        if self.values.is_empty() || buckets == 0 {
-            return "Count: 0".to_owned();
-        }
-        let (mut min, mut max) = (f64::INFINITY, f64::NEG_INFINITY);
-        for value in &self.values {
-            (min, max) = (min.min(*value), max.max(*value));
-        }
-        let count = self.values.len();
-        let mean = self.values.iter().sum::<f64>() / count as f64;
+        let Some(bins) = self.0.bins(buckets) else { return "Count: 0".to_owned() };
+        let HistogramBins { count, min, max, mean, .. } = bins;
         let mut text = format!("Count: {count}  Min: {min:.6}  Max: {max:.6}  Mean: {mean:.6}");
-        if min < max {
-            let mut counts = vec![0_usize; buckets];
-            let width = (max - min) / buckets as f64;
-            for value in &self.values {
-                let bucket = (((value - min) / width) as usize).min(buckets - 1);
-                counts[bucket] += 1;
-            }
-            self.write_buckets(&mut text, &counts, min, width);
-        }
+        write_buckets(&mut text, &bins);
         text
     }
+}
 
-    fn write_buckets(&self, text: &mut String, counts: &[usize], min: f64, width: f64) {
-        let total = self.values.len() as f64;
-        let mut cumulative = 0;
-        for (i, count) in counts.iter().enumerate() {
-            cumulative += count;
-            let share = *count as f64 / total;
-            let (low, high) = (min + width * i as f64, min + width * (i + 1) as f64);
-            let bracket = if i + 1 == counts.len() { ']' } else { ')' };
-            let bar = "#".repeat((share * BAR as f64).round() as usize);
-            // Writing to a string cannot fail.
-            let _ = write!(
-                text,
-                "\n[{low:.6}, {high:.6}{bracket}\t{bar:>BAR$}\tCount: {count} ({:.6}%)\tTotal: {cumulative} ({:.6}%)",
-                100.0 * share,
-                100.0 * cumulative as f64 / total,
-            );
-        }
+fn write_buckets(text: &mut String, bins: &HistogramBins) {
+    let HistogramBins { min, width, counts, .. } = bins;
+    let total = bins.count as f64;
+    let mut cumulative = 0;
+    for (i, count) in counts.iter().enumerate() {
+        cumulative += count;
+        let fraction = *count as f64 / total;
+        let (low, high) = (min + width * i as f64, min + width * (i + 1) as f64);
+        let bracket = if i + 1 == counts.len() { ']' } else { ')' };
+        let bar = "#".repeat((fraction * BAR as f64).round() as usize);
+        // Writing to a string cannot fail.
+        let _ = write!(
+            text,
+            "\n[{low:.6}, {high:.6}{bracket}\t{bar:>BAR$}\tCount: {count} ({:.6}%)\tTotal: {cumulative} ({:.6}%)",
+            100.0 * fraction,
+            100.0 * cumulative as f64 / total,
+        );
     }
 }
 
 impl FromIterator<f64> for Histogram {
     fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
-        let mut histogram = Self::default();
-        values.into_iter().for_each(|v| histogram.add(v));
-        histogram
+        Self(values.into_iter().collect())
     }
 }
 

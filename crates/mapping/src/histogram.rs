@@ -2,54 +2,30 @@
 
 use std::fmt;
 
+use portolan_numeric::HistogramBins;
+
 /// Rows of a histogram.
 const BUCKETS: usize = 10;
 
 /// Counts how numbers are distributed; written as count, smallest, largest, mean and one row per bucket.
 #[derive(Clone, Debug, Default)]
-pub struct Histogram {
-    values: Vec<f64>,
-}
-
-impl Histogram {
-    /// One more number; one that is not finite does not count.
-    pub fn add(&mut self, value: f64) {
-        if value.is_finite() {
-            self.values.push(value);
-        }
-    }
-}
+pub struct Histogram(portolan_numeric::Histogram);
 
 impl FromIterator<f64> for Histogram {
     fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
-        let mut histogram = Self::default();
-        values.into_iter().for_each(|value| histogram.add(value));
-        histogram
+        Self(values.into_iter().collect())
     }
 }
 
 impl fmt::Display for Histogram {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let count = self.values.len();
-        if count == 0 {
-            return f.write_str("count 0");
-        }
-        let min = self.values.iter().copied().fold(f64::INFINITY, f64::min);
-        let max = self.values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let mean = self.values.iter().sum::<f64>() / count as f64;
+        let Some(bins) = self.0.bins(BUCKETS) else { return f.write_str("count 0") };
+        let HistogramBins { count, min, max, mean, width, counts } = bins;
         write!(f, "count {count}, min {min:.6}, max {max:.6}, mean {mean:.6}")?;
-        let width = (max - min) / BUCKETS as f64;
-        if width <= 0.0 {
-            return Ok(());
-        }
-        let mut counts = [0_usize; BUCKETS];
-        for value in &self.values {
-            counts[(((value - min) / width) as usize).min(BUCKETS - 1)] += 1;
-        }
         for (bucket, in_bucket) in counts.iter().enumerate() {
             let start = min + bucket as f64 * width;
-            let share = 100.0 * *in_bucket as f64 / count as f64;
-            write!(f, "\n  [{start:.6}, {:.6}) {in_bucket:6} ({share:.1}%)", start + width)?;
+            let percent = 100.0 * *in_bucket as f64 / count as f64;
+            write!(f, "\n  [{start:.6}, {:.6}) {in_bucket:6} ({percent:.1}%)", start + width)?;
         }
         Ok(())
     }
