@@ -12,11 +12,12 @@ use portolan::job::{CloudResults, Event, Job, JobError, Localisation, MapRequest
 use portolan::pipeline::{KnownMap, MappedRecording};
 use portolan_config::{Engine, Loader, Options};
 use portolan_geometry::{Dimension, Duration};
-use portolan_ingest::{AzimuthTimes, BeamElevation, IngestOptions, StampPolicy, read_urdf};
+use portolan_ingest::IngestOptions;
 use portolan_mapping::{Planar, Space, Spatial};
 use portolan_recording::{Recording, open_all};
 
-use super::argument::{beam_elevation, seconds, shifts, time_offset};
+use super::argument::{seconds, shifts, time_offset};
+use super::handling::HandlingArgs;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::{self, Saving};
@@ -117,78 +118,12 @@ pub struct SensorArgs {
     /// Read another topic in place of a name, as in ROS: `--remap scan:=/front/scan`.
     #[arg(long, value_name = "NAME:=TOPIC")]
     pub remap: Vec<String>,
-    /// Robot description whose fixed joints say where the sensors are.
-    #[arg(long, value_name = "FILE")]
-    pub urdf: Option<PathBuf>,
-    /// Where the times of the points of clouds come from. On its own: those that were recorded; without any, those of a
-    /// spinning lidar follow from the azimuth. Whether the clouds are de-skewed already is found out.
-    #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
-    pub point_times: PointTimesArg,
-    /// Raise all beams of the lidar: "auto" by the error of their calibration that motion shows, if it is clear; "off" not
-    /// at all; or by so many degrees. Beams that point too low bend a straight drive.
-    #[arg(long, value_name = "HOW", default_value = "auto", value_parser = beam_elevation, allow_hyphen_values = true)]
-    pub beam_elevation: BeamElevation,
+    #[command(flatten)]
+    pub handling: HandlingArgs,
     /// Move the stamps of a topic, and the times of its points, by seconds, `/points_rear=-0.05`; `check` says how far
     /// clocks are off. May be given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
     pub time_offset: Vec<(String, f64)>,
-    /// How stamps are taken: a computer that is busy stamps several messages at once, and later than they were
-    /// measured.
-    #[arg(long, value_name = "HOW", default_value = "auto")]
-    pub stamps: StampsArg,
-}
-
-/// How stamps are taken.
-#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum StampsArg {
-    /// As they are, unless those of a sensor come in bursts or go back.
-    #[default]
-    Auto,
-    /// As they are.
-    AsIs,
-    /// From the order of arrival and the usual rate of each sensor.
-    Regular,
-}
-
-impl From<StampsArg> for StampPolicy {
-    fn from(how: StampsArg) -> Self {
-        match how {
-            StampsArg::Auto => Self::Auto,
-            StampsArg::AsIs => Self::AsIs,
-            StampsArg::Regular => Self::Regular,
-        }
-    }
-}
-
-/// Where the times of points come from.
-#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum PointTimesArg {
-    /// What fits the clouds.
-    #[default]
-    Auto,
-    /// The times that were recorded, even if the clouds seem to be de-skewed already.
-    Recorded,
-    /// All points are measured at the stamp: the clouds are de-skewed.
-    Off,
-    /// The azimuth: sweeps begin at the stamp.
-    FromStamp,
-    /// The azimuth: the stamp is in the middle of the sweep.
-    AroundStamp,
-    /// The azimuth: sweeps end at the stamp.
-    UntilStamp,
-}
-
-impl From<PointTimesArg> for AzimuthTimes {
-    fn from(how: PointTimesArg) -> Self {
-        match how {
-            PointTimesArg::Auto => Self::Auto,
-            PointTimesArg::Recorded => Self::Recorded,
-            PointTimesArg::Off => Self::Off,
-            PointTimesArg::FromStamp => Self::FromStamp,
-            PointTimesArg::AroundStamp => Self::AroundStamp,
-            PointTimesArg::UntilStamp => Self::UntilStamp,
-        }
-    }
 }
 
 /// What 3D scans are matched to.
@@ -338,9 +273,6 @@ pub fn ingest_options(
         odometry_topic: sensors.odom.clone(),
         imu_topic: sensors.imu.clone(),
         tracking_frame: sensors.tracking_frame.clone(),
-        azimuth_times: sensors.point_times.into(),
-        beam_elevation: sensors.beam_elevation,
-        stamps: sensors.stamps.into(),
         time_offsets: shifts(&sensors.time_offset),
         skip: Duration::from_seconds(cut.skip),
         length: cut.duration.map(Duration::from_seconds),
@@ -359,9 +291,7 @@ pub fn ingest_options(
         };
         ingest.remappings.push((from.to_owned(), to.to_owned()));
     }
-    if let Some(path) = &sensors.urdf {
-        ingest.description = Some(read_urdf(path)?);
-    }
+    sensors.handling.configure(&mut ingest)?;
     Ok(ingest)
 }
 

@@ -9,6 +9,7 @@ mod convert;
 mod demo;
 mod edit;
 mod evaluate;
+mod handling;
 mod info;
 mod localize;
 mod man;

@@ -1,14 +1,12 @@
 //! The raw points of a recording.
 
-use std::path::PathBuf;
-
 use portolan::job::refine::{MotionSensor, PointReading, ReadPoints};
-use portolan_ingest::{BeamElevation, IngestOptions, read_urdf};
+use portolan_ingest::IngestOptions;
 use portolan_recording::Recording;
 
 use crate::GlobalArgs;
-use crate::commands::argument::{beam_elevation, shifts, time_offset};
-use crate::commands::map::{PointTimesArg, StampsArg};
+use crate::commands::argument::{shifts, time_offset};
+use crate::commands::handling::HandlingArgs;
 use crate::error::CliError;
 use crate::progress::{Progress, say};
 
@@ -22,22 +20,12 @@ pub struct PointArgs {
     /// The frame whose poses the trajectory holds.
     #[arg(long, value_name = "FRAME")]
     pub tracking_frame: Option<String>,
-    /// Robot description whose fixed joints say where the sensors are.
-    #[arg(long, value_name = "FILE")]
-    pub urdf: Option<PathBuf>,
-    /// Where the times of the points of clouds come from, as in `map`.
-    #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
-    pub point_times: PointTimesArg,
-    /// Raise all beams of the lidar, as in `map`: "auto", "off", or degrees.
-    #[arg(long, value_name = "HOW", default_value = "auto", value_parser = beam_elevation, allow_hyphen_values = true)]
-    pub beam_elevation: BeamElevation,
+    #[command(flatten)]
+    pub handling: HandlingArgs,
     /// Move the stamps of a topic, and the times of its points, by seconds, as in `map`: `/points_rear=-0.05`. May be
     /// given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
     pub clock_offset: Vec<(String, f64)>,
-    /// How stamps are taken, as in `map`.
-    #[arg(long, value_name = "HOW", default_value = "auto")]
-    pub stamps: StampsArg,
     /// Points nearer to their sensor than this are left out, metres: the platform itself.
     #[arg(long, value_name = "METRES", default_value_t = 0.3)]
     pub min_range: f32,
@@ -80,17 +68,14 @@ pub fn read_points_and(
     others: &[OtherSensor],
     global: &GlobalArgs,
 ) -> Result<ReadPoints, CliError> {
-    let options = IngestOptions {
+    let mut options = IngestOptions {
         use_nav_sat: others.contains(&OtherSensor::Fixes).then_some(true),
         range_topics: args.points.clone(),
         tracking_frame: args.tracking_frame.clone(),
-        azimuth_times: args.point_times.into(),
-        beam_elevation: args.beam_elevation,
         time_offsets: shifts(&args.clock_offset),
-        stamps: args.stamps.into(),
-        description: args.urdf.as_deref().map(read_urdf).transpose()?,
         ..IngestOptions::default()
     };
+    args.handling.configure(&mut options)?;
     let mut progress = None;
     let mut observe = |state: PointReading<'_>| match state {
         PointReading::Planned(plan) => {
