@@ -146,6 +146,8 @@ pub enum Remark {
     StoppedBeforePictures,
     /// Stopped before the cloud.
     StoppedBeforeClouds,
+    /// Stopped before the refined cloud.
+    StoppedBeforeRefinedCloud,
     /// Stopped while X-rays were drawn.
     StoppedXrays,
     /// Stopped while the recording was read again.
@@ -218,9 +220,10 @@ impl fmt::Display for Remark {
                 write!(f, "{}: of an earlier run, not of this one", named(folder, files))
             }
             Self::StoppedBeforePictures => {
-                f.write_str("stopped: no pictures (`portolan render` makes them of the map)")
+                f.write_str("stopped: not all pictures (`portolan render` makes them of the map)")
             }
             Self::StoppedBeforeClouds => f.write_str("stopped: no cloud and no X-rays of it"),
+            Self::StoppedBeforeRefinedCloud => f.write_str("stopped: no cloud and no report.html"),
             Self::StoppedXrays => f.write_str("stopped: no X-rays of it"),
             Self::StoppedSecondPass => f.write_str("stopped: nothing was made of the second pass"),
         }

@@ -8,7 +8,7 @@ use portolan_mapfile::{
 };
 
 use super::error::JobError;
-use super::event::{Observer, Remark, remark};
+use super::event::{Event, Observer, Remark, remark};
 use super::output_folder::OutputFolder;
 
 /// Cell size of the ROS map, metres, unless that makes it too large.
@@ -23,11 +23,14 @@ pub(super) fn write_pictures(
     let mut files = Vec::new();
     match draw_map(content, &PictureOptions::default()) {
         Ok(picture) => {
-            files.push(folder.file("map.png")?);
-            write_picture(&folder.path().join("map.png"), &picture)?;
+            write_picture(&folder.add("map.png", &mut files)?, &picture)?;
         }
         Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
         Err(error) => return Err(error.into()),
+    }
+    if observe(&Event::Drawing).is_break() {
+        remark(observe, Remark::StoppedBeforePictures);
+        return Ok(files);
     }
     let options = PaintOptions { resolution: ROS_MAP_RESOLUTION, ..PaintOptions::default() };
     if let Some(painted) = paint_as_fits(content.textures, options, observe)? {
@@ -72,7 +75,6 @@ mod tests {
     use std::ops::ControlFlow;
 
     use super::*;
-    use crate::job::Event;
     use portolan_geometry::Rigid3;
     use portolan_mapfile::SubmapTexture;
 

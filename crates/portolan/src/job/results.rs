@@ -69,21 +69,32 @@ pub fn write_results<S: ResultSpace>(
     }
     if !what.map {
         remark(observe, Remark::NoMap { left: folder.path().join("map.pbstream").exists() });
-    } else if observe(&Event::Drawing).is_continue() {
-        let textures = S::textures(map);
-        let content = MapContent {
-            textures: &textures,
-            trajectories: &trajectory_lines(map),
-            constraints: &constraint_lines(map),
-        };
-        files.extend(write_pictures(&content, folder, observe)?);
     } else {
-        // They can be made of the map again.
-        remark(observe, Remark::StoppedBeforePictures);
+        files.extend(draw(map, folder, observe)?);
     }
     let report = serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping))?;
     write_file(&folder.add("report.json", &mut files)?, &report)?;
     Ok(files)
+}
+
+/// Draws the map, unless somebody wants to stop: pictures can be made of the map again.
+fn draw<S: ResultSpace>(
+    map: &Map<S>,
+    folder: &OutputFolder,
+    observe: &mut Observer,
+) -> Result<Vec<PathBuf>, JobError> {
+    let mut stops = || observe(&Event::Drawing).is_break();
+    let textures = if stops() { Vec::new() } else { S::textures(map) };
+    if stops() {
+        remark(observe, Remark::StoppedBeforePictures);
+        return Ok(Vec::new());
+    }
+    let content = MapContent {
+        textures: &textures,
+        trajectories: &trajectory_lines(map),
+        constraints: &constraint_lines(map),
+    };
+    write_pictures(&content, folder, observe)
 }
 
 /// Adds a part to the report that [`write_results`] left.

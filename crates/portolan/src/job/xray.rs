@@ -141,6 +141,9 @@ impl Request {
         })?;
         let mut files = Vec::new();
         for (name, title, view, picture) in &pictures {
+            if observe(&Event::Drawing).is_break() {
+                return Err(NotDrawn::Interrupted);
+            }
             let way = self.line(|p| Some(view.project(p)));
             files.push(write(picture, way, title, folder, name)?);
         }

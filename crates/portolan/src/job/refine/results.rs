@@ -15,6 +15,7 @@ use super::page::report_page;
 use super::pictures::pictures;
 use super::points::ReadPoints;
 use crate::job::error::write_file;
+use crate::job::event::{Event, Remark, remark};
 use crate::job::{JobError, Observer, OutputFolder, REPORT_VERSION, Stale, resident_and_peak_bytes};
 
 /// Poses of the input farther apart than this do not show everything that was found, seconds.
@@ -92,10 +93,15 @@ pub fn write_refinement(
     }
     let pair = CloudPair::new(&results.read.store, results.refined);
     let start = results.read.store.start().unix_seconds();
-    for name in results.clouds.iter().filter(|_| !results.without_results) {
+    // Whoever wants to stop has the trajectory, of which the rest can be made again.
+    let is_stopped = observe(&Event::Drawing).is_break();
+    if is_stopped {
+        remark(observe, Remark::StoppedBeforeRefinedCloud);
+    }
+    for name in results.clouds.iter().filter(|_| !is_stopped && !results.without_results) {
         write_cloud(&pair, start, &file(name)?)?;
     }
-    let judgement = results.command.map(|_| Judgement::of(&pair));
+    let judgement = results.command.filter(|_| !is_stopped).map(|_| Judgement::of(&pair));
     if let (Some(judgement), Some(command)) = (&judgement, results.command) {
         let pictures = pictures(&pair, trajectory, &judgement.largest_changes);
         let page = report_page(results, judgement, &pictures, command)?;
@@ -103,7 +109,7 @@ pub fn write_refinement(
     }
     let report = serde_json::to_vec_pretty(&report(results, judgement.as_ref()))?;
     write_file(&file("report.json")?, &report)?;
-    let stale = if results.without_results { Stale::Name } else { Stale::Remove };
+    let stale = if is_stopped || results.without_results { Stale::Name } else { Stale::Remove };
     folder.finish(stale, results.files, observe)?;
     Ok(files)
 }
