@@ -1,14 +1,4 @@
-//! Chunks of bzip2, unpacked twice with the same memory.
+//! See `portolan_fuzz_bodies::bzip2`.
 #![no_main]
 
-use libfuzzer_sys::fuzz_target;
-use portolan_bunzip2::Unpacker;
-
-const LIMIT: usize = 1 << 24;
-
-fuzz_target!(|packed: &[u8]| {
-    let (mut unpacker, mut first, mut second) = (Unpacker::default(), Vec::new(), Vec::new());
-    let _ = unpacker.unpack(packed, LIMIT, &mut first);
-    let _ = unpacker.unpack(packed, LIMIT, &mut second);
-    assert!(first == second && first.len() <= LIMIT);
-});
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| portolan_fuzz_bodies::bzip2(bytes));

@@ -1,13 +1,4 @@
-//! Robot descriptions, and the tree of their frames.
+//! See `portolan_fuzz_bodies::urdf`.
 #![no_main]
 
-use libfuzzer_sys::fuzz_target;
-use portolan_ingest::{TfTree, parse_urdf};
-
-fuzz_target!(|text: &str| {
-    if let Ok(robot) = parse_urdf(text, false) {
-        let mut tree = TfTree::new();
-        robot.insert_into(&mut tree);
-        tree.to_text();
-    }
-});
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| portolan_fuzz_bodies::urdf(bytes));

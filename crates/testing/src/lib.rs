@@ -4,12 +4,14 @@
 //! - [`is_fast`]: whether long tests are left out.
 //! - [`Program`]: the built program, and recordings simulated with it once for all tests.
 //! - [`Fingerprints`]: results byte for byte, in a table that is written anew on demand.
+//! - [`damage`]: damaged files.
 //! - [`clouds`]: random points, the same every time.
 //!
 //! It depends on `portolan-geometry` alone, so that every crate above may use it in its tests.
 #![allow(clippy::unwrap_used, clippy::panic)] // in tests this is how errors are shown
 
 pub mod clouds;
+pub mod damage;
 mod fingerprints;
 mod folders;
 mod left_out;

@@ -6,9 +6,9 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use portolan::job::JOURNAL;
+use portolan_testing::damage::Random;
 
 use crate::common::{portolan_with_code, text};
-use crate::random::Random;
 use crate::settings::Settings;
 
 /// Command lines; `OUT` is a folder.

@@ -18,9 +18,6 @@ mod common;
 
 mod execution;
 mod kills;
-mod mutation;
-mod random;
-mod records;
 mod resumes;
 mod samples;
 mod settings;
@@ -29,8 +26,9 @@ mod verbs;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use portolan_testing::damage::{Random, damaged};
+
 use execution::{Execution, Verdict};
-use random::Random;
 use samples::Sample;
 use settings::Settings;
 
@@ -38,7 +36,7 @@ use settings::Settings;
 fn run_case(number: u64, samples: &[Sample], settings: &Settings) -> Verdict {
     let mut random = Random::new(settings.seed, number);
     let sample = random.choose(samples);
-    let bytes = mutation::damaged(sample, &mut random);
+    let bytes = damaged(&sample.bytes, sample.layout, &mut random);
     let verb = random.choose(verbs::taking(sample.kind));
     Execution { number, sample, bytes: &bytes, verb }.judge(settings)
 }

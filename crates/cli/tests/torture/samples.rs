@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use portolan_testing::damage::Layout;
+
 use crate::common::{portolan, portolan_with_code, real, text};
-use crate::records::Layout;
 
 /// What a file is, which tells the verbs that take it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -25,7 +25,7 @@ pub enum Layout {
 
 /// The records of a file, and the fields in it that are lengths or counts.
 #[derive(Default)]
-pub struct Records {
+pub(super) struct Records {
     pub records: Vec<Range<usize>>,
     pub lengths: Vec<Range<usize>>,
 }
@@ -104,7 +104,7 @@ impl Records {
 }
 
 /// A little-endian number of so many bytes.
-pub fn number(bytes: &[u8], at: usize, size: usize) -> Option<usize> {
+pub(super) fn number(bytes: &[u8], at: usize, size: usize) -> Option<usize> {
     let mut value = [0; 8];
     value[..size].copy_from_slice(bytes.get(at..at.checked_add(size)?)?);
     usize::try_from(u64::from_le_bytes(value)).ok()

@@ -1,6 +1,7 @@
 //! Numbers that follow from a seed and the number of a case.
 
 /// A generator (splitmix64).
+#[derive(Clone, Debug)]
 pub struct Random(u64);
 
 impl Random {
@@ -13,6 +14,7 @@ impl Random {
     }
 
     /// Any number.
+    #[allow(clippy::should_implement_trait)] // it never ends
     pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -27,6 +29,10 @@ impl Random {
     }
 
     /// One of them.
+    ///
+    /// # Panics
+    ///
+    /// If there are none.
     pub fn choose<'a, T>(&mut self, of: &'a [T]) -> &'a T {
         &of[self.below(of.len())]
     }

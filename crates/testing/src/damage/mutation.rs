@@ -1,11 +1,10 @@
-//! Damage.
+//! The damage itself.
 
 use std::io::{Read, Write};
 use std::ops::Range;
 
-use crate::random::Random;
-use crate::records::{Layout, Records, number};
-use crate::samples::Sample;
+use super::random::Random;
+use super::records::{Layout, Records, number};
 
 /// Numbers that readers stumble over, as text.
 const WORDS: [&str; 14] = [
@@ -28,19 +27,19 @@ const WORDS: [&str; 14] = [
 const LENGTHS: [u64; 10] =
     [0, 1, 0x7f, 0xff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 0x7fff_ffff_ffff_ffff, u64::MAX];
 
-/// A damaged copy of a sample: one to four wounds.
-pub fn damaged(sample: &Sample, random: &mut Random) -> Vec<u8> {
-    let mut bytes = sample.bytes.clone();
+/// A damaged copy of a sound file: one to four wounds.
+pub fn damaged(sound: &[u8], layout: Layout, random: &mut Random) -> Vec<u8> {
+    let mut bytes = sound.to_vec();
     for _ in 0..=random.below(4) {
-        let records = Records::of(&bytes, sample.layout);
-        match sample.layout {
+        let records = Records::of(&bytes, layout);
+        match layout {
             Layout::Pbstream if random.once_in(2) => in_message(&mut bytes, &records, random),
             Layout::Lines | Layout::Tokens if random.once_in(2) => replace_word(&mut bytes, random),
             _ if random.once_in(3) => any_bytes(&mut bytes, random),
             _ => whole_records(&mut bytes, &records, random),
         }
     }
-    if sample.layout == Layout::E57 && !random.once_in(4) {
+    if layout == Layout::E57 && !random.once_in(4) {
         put_checksums_right(&mut bytes);
     }
     bytes

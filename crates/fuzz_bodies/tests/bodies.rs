@@ -1,0 +1,101 @@
+//! Every body over sound files and thousands of damaged ones: no panic, no endless loop.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+mod samples;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Once;
+use std::time::Instant;
+
+use portolan_fuzz_bodies::BODIES;
+use portolan_testing::damage::{Random, damaged};
+use portolan_testing::is_fast;
+
+use samples::{Sample, samples_of};
+
+/// Follows from nothing but the number of a case, so that it can be seen again.
+const SEED: u64 = 1;
+
+/// Damaged files for each body. Those that write files or optimise take longer, so that there are fewer of them.
+fn count(body: &str) -> u64 {
+    match body {
+        "pbstream" => 150,
+        "g2o" | "db3" => 1500,
+        "kitti" | "cloud" => 1500,
+        "config" => 3000,
+        _ => 10_000,
+    }
+}
+
+/// In the fast profile there are so many times fewer.
+const FAST: u64 = 25;
+
+/// Panics of libraries that readers catch are damage of a file.
+fn keep_caught_panics_quiet() {
+    static QUIET: Once = Once::new();
+    QUIET.call_once(|| {
+        let usual = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            if !portolan_pointcloud::is_panic_caught() {
+                usual(panic);
+            }
+        }));
+    });
+}
+
+fn input(sample: &Sample, bytes: &[u8]) -> Vec<u8> {
+    [&sample.prefix, bytes].concat()
+}
+
+fn run(name: &str) {
+    let (_, body) = BODIES.iter().find(|(known, _)| *known == name).unwrap();
+    let samples = samples_of(name);
+    assert!(!samples.is_empty(), "{name}: nothing to begin with");
+    keep_caught_panics_quiet();
+    let start = Instant::now();
+    samples.iter().for_each(|sample| body(&input(sample, &sample.bytes)));
+    body(&[]);
+    let cases = if std::env::var("PORTOLAN_TESTS").is_ok_and(|tests| tests == "fast") {
+        count(name) / FAST
+    } else {
+        count(name)
+    };
+    for number in 0..cases {
+        let mut random = Random::new(SEED, number);
+        let sample = random.choose(&samples);
+        let bytes = input(sample, &damaged(&sample.bytes, sample.layout, &mut random));
+        if catch_unwind(AssertUnwindSafe(|| body(&bytes))).is_err() {
+            let path = std::env::temp_dir().join(format!("portolan-{name}-{number}"));
+            std::fs::write(&path, &bytes).unwrap();
+            panic!("{name}: case {number} fails; its bytes are in {}", path.display());
+        }
+    }
+    eprintln!(
+        "{name}: {} sound files, {cases} damaged, {:.1} s",
+        samples.len(),
+        start.elapsed().as_secs_f64()
+    );
+}
+
+/// A test for each body.
+macro_rules! tests {
+    ($($name:ident)*) => {
+        $(#[test]
+        fn $name() {
+            run(stringify!($name));
+        })*
+
+        #[test]
+        fn every_body_has_a_test() {
+            let tested = [$(stringify!($name)),*];
+            assert_eq!(BODIES.map(|(name, _)| name), tested);
+            // Says in the fast profile that less was done.
+            is_fast();
+        }
+    };
+}
+
+tests! {
+    bzip2 carmen cdr cloud config coreslam db3 g2o kitti mcap packets pbstream pcap pointcloud2 relations ros1_bag
+    surfaces trajectory uos urdf
+}

@@ -1,0 +1,9 @@
+//! Files damaged with knowledge of their records, reproducible by seed: for tests of readers.
+
+mod mutation;
+mod random;
+mod records;
+
+pub use mutation::damaged;
+pub use random::Random;
+pub use records::Layout;

@@ -1,0 +1,4 @@
+//! See `portolan_fuzz_bodies::kitti`.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| portolan_fuzz_bodies::kitti(bytes));
