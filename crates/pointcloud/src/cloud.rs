@@ -61,7 +61,8 @@ impl PointCloud {
         match &mut self.positions {
             Positions::Double(positions) => positions.push(position),
             Positions::Single { offset, values } => {
-                values.push([0, 1, 2].map(|i| (position[i] - offset[i]) as f32));
+                let ([x, y, z], [a, b, c]) = (position, *offset);
+                values.push([x - a, y - b, z - c].map(|v| v as f32));
             }
         }
         if self.attributes.intensity {
@@ -117,18 +118,17 @@ impl PointCloud {
         self.attributes
     }
 
-    /// Position of a point, metres.
-    ///
-    /// # Panics
-    /// If there is no such point.
+    /// Position of a point, metres; not a number if there is no such point.
+    #[inline]
     pub fn position(&self, index: usize) -> [f64; 3] {
-        match &self.positions {
-            Positions::Double(positions) => positions[index],
-            Positions::Single { offset, values } => {
-                let value = values[index];
-                [0, 1, 2].map(|i| offset[i] + f64::from(value[i]))
+        let position = match &self.positions {
+            Positions::Double(positions) => positions.get(index).copied(),
+            Positions::Single { offset: [a, b, c], values } => {
+                let value = values.get(index).map(|value| value.map(f64::from));
+                value.map(|[x, y, z]| [a + x, b + y, c + z])
             }
-        }
+        };
+        position.unwrap_or([f64::NAN; 3])
     }
 
     /// All positions.

@@ -191,7 +191,7 @@ impl ScanLayout {
         if let Some(RecordValue::Integer(1..)) = self.invalid.and_then(|at| values.get(at)) {
             return false;
         }
-        let [a, b, c] = [0, 1, 2].map(|i| number(&self.position[i]));
+        let [a, b, c] = self.position.each_ref().map(number);
         let position = if self.is_spherical {
             let ((sa, ca), (se, ce)) = (b.sin_cos(), c.sin_cos());
             Vector3::new(a * ce * ca, a * ce * sa, a * se)
@@ -203,10 +203,9 @@ impl ScanLayout {
             return false;
         }
         let color = self.color.as_ref().map_or([0; 3], |columns| {
-            [0, 1, 2].map(|i| {
-                let column = &columns[i];
-                (share(number(column), &column.1) * 255.0).round().clamp(0.0, 255.0) as u8
-            })
+            columns
+                .each_ref()
+                .map(|column| (share(number(column), &column.1) * 255.0).round().clamp(0.0, 255.0) as u8)
         });
         let intensity = self.intensity.as_ref().map_or(0.0, number) as f32;
         out.push(position.into(), intensity, self.time.as_ref().map_or(0.0, number), color);

@@ -144,7 +144,7 @@ impl Columns {
 
     /// Adds a row, of which `value` gives the columns; whether its coordinates are numbers.
     pub fn push(&self, value: impl Fn(&Column) -> f64, out: &mut PointCloud) -> bool {
-        let position = [0, 1, 2].map(|i| value(&self.xyz[i]));
+        let position = self.xyz.each_ref().map(&value);
         if position.iter().any(|v| !v.is_finite()) {
             return false;
         }

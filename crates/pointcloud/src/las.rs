@@ -161,15 +161,19 @@ impl LasReader {
 fn stated_bounds(header: &las::Header) -> Option<[[f64; 3]; 2]> {
     let (low, high) = (header.bounds().min, header.bounds().max);
     let bounds = [[low.x, low.y, low.z], [high.x, high.y, high.z]];
+    let [least, greatest] = bounds;
     let is_stated =
-        (0..3).all(|k| bounds[0][k] <= bounds[1][k]) && bounds.as_flattened().iter().any(|v| *v != 0.0);
-    let room: [f64; 3] = std::array::from_fn(|k| ROOM * (bounds[1][k] - bounds[0][k]).max(1.0));
-    let with_room = |side: usize, sign: f64| std::array::from_fn(|k| bounds[side][k] + sign * room[k]);
-    is_stated.then(|| [with_room(0, -1.0), with_room(1, 1.0)])
+        least.iter().zip(&greatest).all(|(l, g)| l <= g) && bounds.as_flattened().iter().any(|v| *v != 0.0);
+    let with_room = |(low, high): (&f64, &f64)| {
+        let room = ROOM * (high - low).max(1.0);
+        (low - room, high + room)
+    };
+    let [x, y, z] = [(&low.x, &high.x), (&low.y, &high.y), (&low.z, &high.z)].map(with_room);
+    is_stated.then_some([[x.0, y.0, z.0], [x.1, y.1, z.1]])
 }
 
-fn is_outside(bounds: &[[f64; 3]; 2], point: [f64; 3]) -> bool {
-    (0..3).any(|k| point[k] < bounds[0][k] || point[k] > bounds[1][k])
+fn is_outside([low, high]: &[[f64; 3]; 2], point: [f64; 3]) -> bool {
+    low.iter().zip(high).zip(point).any(|((low, high), v)| v < *low || v > *high)
 }
 
 /// Writes points.
@@ -224,7 +228,7 @@ impl LasWriter {
     fn start(&mut self, first: [f64; 3]) -> Result<(), CloudError> {
         // Whole tens of metres, so that offsets look alike in maps of the same place.
         let origin = self.origin.unwrap_or(first.map(|v| (v / 10.0).floor() * 10.0));
-        let transform = |i: usize| Transform { scale: self.resolution, offset: origin[i] };
+        let [x, y, z] = origin.map(|offset| Transform { scale: self.resolution, offset });
         let mut format = Format::new(0).map_err(|e| self.unwritable(&e))?;
         format.has_gps_time = self.attributes.time;
         format.has_color = self.attributes.color;
@@ -233,7 +237,7 @@ impl LasWriter {
         builder.generating_software = "portolan".to_owned();
         builder.system_identifier = "portolan".to_owned();
         builder.point_format = format;
-        builder.transforms = Vector { x: transform(0), y: transform(1), z: transform(2) };
+        builder.transforms = Vector { x, y, z };
         builder.version = Version::new(1, 4);
         let header = builder.into_header().map_err(|e| self.unwritable(&e))?;
         let file = std::io::BufWriter::with_capacity(1 << 18, self.output.handle()?);

@@ -31,6 +31,7 @@
 //! # Ok(())
 //! # }
 //! ```
+#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 mod caught;
 mod cloud;

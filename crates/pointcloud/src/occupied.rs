@@ -58,12 +58,13 @@ impl OccupiedVoxels {
         let [x, y, z] = scaled.map(rounded_down);
         let key = [x >> BLOCK, y >> BLOCK, z >> BLOCK];
         let place = (key[0] ^ key[1] << 3 ^ key[2] << 5) as usize % RECENT;
-        let index = match self.recent[place] {
-            (recent, index) if recent == key && index != NONE => index,
+        let index = match self.recent.get(place) {
+            Some((recent, index)) if *recent == key && *index != NONE => *index,
             _ => self.block(key, place),
         } as usize;
         let within = |v: i32| (v & ((1 << BLOCK) - 1)) as usize;
-        let Some(layer) = self.bits.get_mut(index).map(|block| &mut block[within(z)]) else { return false };
+        let layer = self.bits.get_mut(index).and_then(|block| block.get_mut(within(z)));
+        let Some(layer) = layer else { return false };
         let bit = 1 << (within(y) << BLOCK | within(x));
         let is_first = *layer & bit == 0;
         *layer |= bit;
@@ -80,7 +81,9 @@ impl OccupiedVoxels {
             self.bits.push([0; 8]);
             (self.bits.len() - 1) as u32
         });
-        self.recent[place] = (key, index);
+        if let Some(recent) = self.recent.get_mut(place) {
+            *recent = (key, index);
+        }
         index
     }
 }

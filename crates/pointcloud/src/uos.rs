@@ -154,10 +154,9 @@ fn read_pose(path: &Path) -> Result<Option<Rigid3>, CloudError> {
 fn read_frames(path: &Path) -> Result<Vec<UosFrame>, CloudError> {
     let lines = all_numbers(path)?.unwrap_or_default();
     let frame = |v: &Vec<f64>| {
-        let matrix = v.get(..16)?;
+        let matrix = v.first_chunk::<16>()?;
         let kind = v.get(16).copied().unwrap_or(0.0).clamp(0.0, 1e6) as u32;
-        let column = |c: usize| Vector3::new(matrix[4 * c], matrix[4 * c + 1], matrix[4 * c + 2]);
-        let turn = na::Matrix3::from_columns(&[column(0), column(1), column(2)]);
+        let turn = na::Matrix4::from_column_slice(matrix).fixed_view::<3, 3>(0, 0).into_owned();
         let is_rotation = (turn * turn.transpose() - na::Matrix3::identity()).norm() < 1e-2;
         let place = point(matrix[12], matrix[13], matrix[14]);
         is_rotation
@@ -187,9 +186,10 @@ pub fn uos_pose_text(world_from_scan: &Rigid3) -> String {
 pub fn uos_frames_text(frames: &[UosFrame]) -> String {
     let line = |frame: &UosFrame| {
         let (m, t) = in_uos_axes(&frame.world_from_scan);
-        let column = |c: usize| format!("{:.12} {:.12} {:.12} 0", m[(0, c)], m[(1, c)], m[(2, c)]);
-        let columns = [column(0), column(1), column(2)].join(" ");
-        format!("{columns} {:.6} {:.6} {:.6} 1 {}\n", t.x, t.y, t.z, frame.kind)
+        // Column by column, each with a zero behind it.
+        let column = |c: &[f64]| c.iter().map(|v| format!("{v:.12} ")).collect::<String>() + "0 ";
+        let columns: String = m.as_slice().chunks_exact(3).map(column).collect();
+        format!("{columns}{:.6} {:.6} {:.6} 1 {}\n", t.x, t.y, t.z, frame.kind)
     };
     frames.iter().map(line).collect()
 }

@@ -11,20 +11,20 @@ const HASH_BITS: u32 = 14;
 pub(super) fn compress(block: &[u8], out: &mut Vec<u8>) {
     let mut table = vec![usize::MAX; 1 << HASH_BITS];
     let (mut at, mut literals) = (0, 0);
-    while at + 3 <= block.len() {
-        let word = (u32::from(block[at]) << 16) | (u32::from(block[at + 1]) << 8) | u32::from(block[at + 2]);
-        let slot = (word.wrapping_mul(0x9E37_79B1) >> (32 - HASH_BITS)) as usize;
-        let candidate = std::mem::replace(&mut table[slot], at);
-        let is_match = candidate != usize::MAX
-            && at - candidate <= WINDOW
-            && block[candidate..candidate + 3] == block[at..at + 3];
-        if !is_match {
+    while let Some((three, rest)) = block.get(at..).and_then(<[u8]>::split_first_chunk::<3>) {
+        let [a, b, c] = three.map(u32::from);
+        let word = a << 16 | b << 8 | c;
+        let slot = table.get_mut((word.wrapping_mul(0x9E37_79B1) >> (32 - HASH_BITS)) as usize);
+        let candidate = slot.map_or(usize::MAX, |slot| std::mem::replace(slot, at));
+        let earlier = block.get(candidate..).and_then(<[u8]>::split_first_chunk::<3>);
+        let Some((_, before)) = earlier.filter(|(earlier, _)| *earlier == three && at - candidate <= WINDOW)
+        else {
             at += 1;
             continue;
-        }
-        push_literals(&block[literals..at], out);
-        let most = LONGEST_COPY.min(block.len() - at);
-        let length = (3..most).find(|i| block[candidate + i] != block[at + i]).unwrap_or(most);
+        };
+        push_literals(block.get(literals..at).unwrap_or_default(), out);
+        let alike = rest.iter().zip(before).take(LONGEST_COPY - 3).take_while(|(a, b)| a == b);
+        let length = 3 + alike.count();
         let (back, coded) = (at - candidate - 1, length - 2);
         if coded < 7 {
             out.push((coded << 5) as u8 | (back >> 8) as u8);
@@ -36,7 +36,7 @@ pub(super) fn compress(block: &[u8], out: &mut Vec<u8>) {
         at += length;
         literals = at;
     }
-    push_literals(&block[literals..], out);
+    push_literals(block.get(literals..).unwrap_or_default(), out);
 }
 
 fn push_literals(bytes: &[u8], out: &mut Vec<u8>) {
@@ -105,7 +105,7 @@ impl<R: Read> Decompressor<R> {
         loop {
             match self.input.read(&mut byte) {
                 Ok(0) => return Ok(None),
-                Ok(_) => return Ok(Some(byte[0])),
+                Ok(_) => return Ok(byte.first().copied()),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(error),
             }

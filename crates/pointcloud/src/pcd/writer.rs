@@ -65,7 +65,9 @@ impl PcdWriter {
         fields.extend(self.attributes.intensity.then_some(["intensity", "4", "F"]));
         fields.extend(self.attributes.time.then_some(["time", "8", "F"]));
         fields.extend(self.attributes.color.then_some(["rgb", "4", "U"]));
-        let join = |part: usize| fields.iter().map(|field| field[part]).collect::<Vec<_>>().join(" ");
+        let join = |part: fn(&[&'static str; 3]) -> &'static str| {
+            fields.iter().map(part).collect::<Vec<_>>().join(" ")
+        };
         let data = match self.encoding {
             Encoding::Ascii => "ascii",
             Encoding::Binary => "binary",
@@ -76,9 +78,9 @@ impl PcdWriter {
         let body = format!(
             "VERSION 0.7\nFIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n\
              POINTS {count}\nDATA {data}\n",
-            join(0),
-            join(1),
-            join(2),
+            join(|[name, ..]| name),
+            join(|[_, size, _]| size),
+            join(|[.., kind]| kind),
             vec!["1"; fields.len()].join(" "),
         );
         let filler = HEADER_BYTES.saturating_sub(head.len() + body.len() + "# \n".len());

@@ -46,9 +46,9 @@ impl Cell {
 
     pub fn point(&self, key: Key, voxel_size: f64, first_time: f64) -> VoxelPoint {
         let count = self.count.max(1) as f64;
-        let corner = key.map(f64::from);
+        let ([x, y, z], [a, b, c]) = (key.map(f64::from), self.within);
         VoxelPoint {
-            position: std::array::from_fn(|i| (corner[i] + self.within[i] / count) * voxel_size),
+            position: [x + a / count, y + b / count, z + c / count].map(|v| v * voxel_size),
             intensity: (self.intensity / count) as f32,
             time: first_time + self.time / count,
             count: self.count,
@@ -166,7 +166,8 @@ impl Runs {
         }
         let mut current: Option<(Key, Cell)> = None;
         while let Some(Reverse((key, run))) = queue.pop() {
-            let cell = heads[run];
+            let (Some(reader), Some(head)) = (readers.get_mut(run), heads.get_mut(run)) else { continue };
+            let cell = *head;
             match &mut current {
                 Some((same, sum)) if *same == key => sum.join(&cell),
                 _ => {
@@ -175,8 +176,8 @@ impl Runs {
                     }
                 }
             }
-            if let Some((key, cell)) = readers[run].next(file, folder)? {
-                heads[run] = cell;
+            if let Some((key, cell)) = reader.next(file, folder)? {
+                *head = cell;
                 queue.push(Reverse((key, run)));
             }
         }

@@ -99,3 +99,23 @@ fn a_moment_leaves_no_file() {
     assert_eq!(journal.close().unwrap(), None);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }
+
+#[test]
+fn journals_damaged_in_any_way_are_cut_off_or_refused() {
+    use portolan_testing::damage::{Layout, Random, damaged};
+    let known = [1.5, -0.0, 7.25];
+    let folder = left(&known);
+    let path = folder.path().join(JOURNAL);
+    let whole = fs::read(&path).unwrap();
+    let cases = if std::env::var("PORTOLAN_TESTS").is_ok_and(|tests| tests == "fast") { 200 } else { 5000 };
+    for number in 0..cases {
+        let mut random = Random::new(1, number);
+        let layout = if random.once_in(2) { Layout::Pages(24) } else { Layout::HeaderThenRows };
+        fs::write(&path, damaged(&whole, layout, &mut random)).unwrap();
+        let Ok((journal, resumed)) = Journal::resume(folder.path(), &identity("usual")) else { continue };
+        // A record is whole or not there; it may be there twice.
+        let found = answers(&journal);
+        assert!(found.iter().all(|answer| known.contains(answer)), "case {number}: {found:?}");
+        assert!(resumed.answers <= known.len() + 1, "case {number}: {resumed:?}");
+    }
+}
