@@ -150,18 +150,17 @@ impl<M: KnownMap> Finder<M> {
     ) -> (Mode, State, Reason) {
         let mut places = places;
         places.all.iter_mut().for_each(|place| place.predict(&current.motion, current.seconds));
-        if let Offered::Kept { oldest_left } = current.offered {
+        let is_new = current.offered == Offered::Kept;
+        if is_new {
             self.searcher.look(&mut places.all, &current.scan);
-            places.all.iter_mut().for_each(|place| place.remember(oldest_left));
+            places.all.iter_mut().for_each(Hypothesis::remember);
         }
-        let is_new = current.offered != Offered::LeftOut;
         let is_due = places.is_search_due(current.time, is_new);
         if is_due {
             places.merge(self.propose(current, &places.all), current.time);
         }
         places.prune();
-        let decision =
-            places.decide(self.recent.motion(), self.told.as_ref(), &current.local_from_scan, is_due);
+        let decision = places.decide(self.recent.motion(), self.told.as_ref(), &current.local_from_scan);
         match decision {
             Decision::Believed(best) => {
                 let track = Track {
@@ -217,8 +216,8 @@ impl<M: KnownMap> Finder<M> {
             }
         }
         track.support.add(verdict, current.time);
-        if let Offered::Kept { oldest_left } = current.offered {
-            track.place.remember(oldest_left);
+        if current.offered == Offered::Kept {
+            track.place.remember();
         }
         track.way_since_check += current.motion.translation.vector.norm();
         if let Some(since) = track.support.contradicted_since() {

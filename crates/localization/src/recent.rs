@@ -7,7 +7,7 @@ use portolan_geometry::{Rigid3, Time};
 /// Scans are kept after this way, metres, or this turn, radians, so many of them.
 const KEY_WAY: f64 = 0.4;
 const KEY_TURN: f64 = 0.35;
-const KEPT: usize = 12;
+pub(crate) const KEPT: usize = 12;
 
 /// A scan that is kept for judging places.
 #[derive(Clone, Debug)]
@@ -34,8 +34,8 @@ impl<S> Default for RecentScans<S> {
 pub(crate) enum Offered {
     /// It is like the last one.
     LeftOut,
-    /// It is kept; whether the oldest one went for it.
-    Kept { oldest_left: bool },
+    /// It is kept.
+    Kept,
 }
 
 impl<S> RecentScans<S> {
@@ -48,11 +48,10 @@ impl<S> RecentScans<S> {
             }
         }
         self.scans.push_back(scan);
-        let oldest_left = self.scans.len() > KEPT;
-        if oldest_left {
+        if self.scans.len() > KEPT {
             self.scans.pop_front();
         }
-        Offered::Kept { oldest_left }
+        Offered::Kept
     }
 
     pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = &KeyScan<S>> + ExactSizeIterator {
