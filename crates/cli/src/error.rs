@@ -118,6 +118,15 @@ impl From<JobError> for CliError {
     }
 }
 
+impl From<portolan::job::LastPoseError> for CliError {
+    fn from(error: portolan::job::LastPoseError) -> Self {
+        match error {
+            portolan::job::LastPoseError::File { path, source } => Self::File { path, source },
+            other => Self::Failed(other.to_string()),
+        }
+    }
+}
+
 impl From<portolan_evaluation::EvaluationError> for CliError {
     fn from(error: portolan_evaluation::EvaluationError) -> Self {
         Self::Failed(error.to_string())

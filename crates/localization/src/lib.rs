@@ -5,6 +5,7 @@ mod evidence;
 mod finder;
 mod hypothesis;
 mod information;
+mod jumps;
 mod known_map;
 mod likelihood;
 mod localizer;
@@ -19,6 +20,7 @@ mod spatial_scan;
 mod state;
 
 pub use belief::{Freedom, Matrix6};
+pub use jumps::{Corrections, Jumps};
 pub use known_map::{KnownMap, KnownMapError, ScanMatch, Window};
 pub use localizer::{Localizer, LocalizerError, LocalizerSettings, StartPose};
 pub use planar_map::PlanarMap;

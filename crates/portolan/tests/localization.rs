@@ -72,6 +72,7 @@ fn request(map: &Path) -> LocalizeRequest {
         ingest: IngestOptions::default(),
         requested: RequestedOptions::default(),
         start: None,
+        jumps: None,
         threads: 1,
     }
 }

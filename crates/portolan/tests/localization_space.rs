@@ -61,6 +61,7 @@ impl Known {
             ingest: IngestOptions::default(),
             requested: RequestedOptions::default(),
             start: None,
+            jumps: None,
             threads: 2,
         }
     }

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use portolan::job::{
-    Event, Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, localize,
+    Event, Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, last_pose, localize,
     write_localized,
 };
 use portolan_geometry::Rigid3;
-use portolan_localization::{StartPose, State};
+use portolan_localization::{Jumps, StartPose, State};
 use portolan_recording::{Recording, open_all};
 
 use super::argument::{start_pose, start_sigma};
@@ -28,7 +28,8 @@ use crate::progress::Progress;
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan localize house/map.pbstream today.bag -o today\n  \
     portolan localize house/map.pbstream today.bag --start 3.5,-2,90\n  \
-    portolan localize house/map.pbstream today.bag --start 3.5,-2,90 --start-sigma 2,45")]
+    portolan localize house/map.pbstream today.bag --start 3.5,-2,90 --start-sigma 2,45\n  \
+    portolan localize house/map.pbstream today.bag --start-from yesterday/poses.csv")]
 pub struct LocalizeArgs {
     /// The map: a .pbstream of Portolan or Cartographer.
     #[arg(value_name = "MAP.pbstream")]
@@ -56,6 +57,15 @@ pub struct LocalizeArgs {
     #[arg(long)]
     pub force: bool,
 
+    /// Start where an earlier run was localised last: its poses.csv. A start like any other: a wrong one costs seconds.
+    #[arg(long, value_name = "POSES.csv", conflicts_with = "start")]
+    pub start_from: Option<PathBuf>,
+
+    /// Also write driver.tum, what a robot's driver reads: corrections of the place taken in little by little (smooth), at
+    /// once (immediate), or jumps to another place only when it was confirmed for 2 s (hold).
+    #[arg(long, value_name = "POLICY", value_enum)]
+    pub jumps: Option<JumpPolicy>,
+
     #[command(flatten)]
     pub sensors: SensorArgs,
 
@@ -64,6 +74,24 @@ pub struct LocalizeArgs {
 
     #[command(flatten)]
     pub cut: CutArgs,
+}
+
+/// What `--jumps` takes.
+#[derive(clap::ValueEnum, Clone, Copy, Debug)]
+pub enum JumpPolicy {
+    Smooth,
+    Immediate,
+    Hold,
+}
+
+impl From<JumpPolicy> for Jumps {
+    fn from(policy: JumpPolicy) -> Self {
+        match policy {
+            JumpPolicy::Smooth => Self::Smooth,
+            JumpPolicy::Immediate => Self::Immediate,
+            JumpPolicy::Hold => Self::Hold,
+        }
+    }
 }
 
 pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -78,11 +106,8 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         folder: output,
         ingest: ingest_options(&args.sensors, &args.cut, &requested)?,
         requested,
-        start: args.start.map(|map_from_tracking| StartPose {
-            map_from_tracking,
-            sigma_metres: args.start_sigma.0,
-            sigma_radians: args.start_sigma.1,
-        }),
+        start: start(args)?,
+        jumps: args.jumps.map(Jumps::from),
         threads: global.threads,
     };
     let saving = Saving::begin();
@@ -98,6 +123,15 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         Found::Throughout if localized.issues.lost_data() => Outcome::DataLost,
         Found::Throughout => Outcome::Done,
     })
+}
+
+/// The start that somebody told, or that of the run before.
+fn start(args: &LocalizeArgs) -> Result<Option<StartPose>, CliError> {
+    if let Some(path) = &args.start_from {
+        return Ok(Some(last_pose(path)?));
+    }
+    let (sigma_metres, sigma_radians) = args.start_sigma;
+    Ok(args.start.map(|map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians }))
 }
 
 fn localize_with_progress(

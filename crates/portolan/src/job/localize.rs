@@ -7,7 +7,8 @@ use portolan_geometry::Dimension;
 use portolan_ingest::{IngestOptions, Ingestion};
 use portolan_issue::IssueLog;
 use portolan_localization::{
-    Estimate, KnownMap, KnownMapError, Localizer, LocalizerSettings, PlanarMap, SpatialMap, StartPose, State,
+    Estimate, Jumps, KnownMap, KnownMapError, Localizer, LocalizerSettings, PlanarMap, SpatialMap, StartPose,
+    State,
 };
 use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d};
 use portolan_mapping::{Map, Planar, Space, Spatial};
@@ -36,6 +37,8 @@ pub struct LocalizeRequest {
     pub requested: RequestedOptions,
     /// Where the recording starts, as far as somebody knows.
     pub start: Option<StartPose>,
+    /// What a driver reads of corrections, if `driver.tum` is wanted.
+    pub jumps: Option<Jumps>,
     /// Threads; 0 for as many as there are cores. Results do not depend on it.
     pub threads: usize,
 }
@@ -116,6 +119,7 @@ fn localize_in<M: KnownMap>(
         dimension: preparation.dimension,
         plan: preparation.plan.clone(),
         start: request.start,
+        jumps: request.jumps,
         start_agrees: localizer.start_agrees(),
         issues,
         recorded_times: ingestion.recorded_times().clone(),

@@ -10,7 +10,7 @@ use portolan_export::{
 use portolan_geometry::{Dimension, Rigid3, Time, roll_pitch_yaw, yaw};
 use portolan_ingest::SensorPlan;
 use portolan_issue::IssueLog;
-use portolan_localization::{Estimate, Place, StartPose, State};
+use portolan_localization::{Corrections, Estimate, Jumps, Place, StartPose, State};
 use portolan_mapfile::PlacedTexture;
 
 use super::REPORT_VERSION;
@@ -28,6 +28,8 @@ pub struct LocalizedRecording {
     pub plan: SensorPlan,
     /// Where somebody said that it starts.
     pub start: Option<StartPose>,
+    /// What a driver reads of corrections; none if nobody asked.
+    pub jumps: Option<Jumps>,
     /// Whether that agrees with where it was found; none if nobody said it, or it is not known at the end.
     pub start_agrees: Option<bool>,
     /// What was repaired or left out.
@@ -115,15 +117,23 @@ impl LocalizedRecording {
         localised.filter_map(|e| Some((self.recorded(e.time), e.place?.map_from_tracking))).collect()
     }
 
+    /// What a driver would have read: poses of the tracking frame in the map with corrections taken in as the policy says, since
+    /// it was first localised, under the times of the recording.
+    pub fn driven(&self, jumps: Jumps) -> Vec<(Time, Rigid3)> {
+        let mut corrections = Corrections::new(jumps);
+        let mut driven = |e: &Estimate| Some((self.recorded(e.time), corrections.add(e)?));
+        self.estimates.iter().filter_map(&mut driven).collect()
+    }
+
     fn recorded(&self, time: Time) -> Time {
         self.recorded_times.get(&time).copied().unwrap_or(time)
     }
 }
 
 /// The files of [`write_localized`].
-pub const LOCALIZED_FILES: [&str; 4] = ["poses.tum", "poses.csv", "path.png", "report.json"];
+pub const LOCALIZED_FILES: [&str; 5] = ["poses.tum", "driver.tum", "poses.csv", "path.png", "report.json"];
 
-/// Writes [`LOCALIZED_FILES`]; their paths. It took `seconds`.
+/// Writes [`LOCALIZED_FILES`], `driver.tum` only if it is wanted; their paths. It took `seconds`.
 ///
 /// # Errors
 /// Fails if something cannot be written.
@@ -135,6 +145,9 @@ pub fn write_localized(
 ) -> Result<Vec<PathBuf>, JobError> {
     let mut files = Vec::new();
     write_tum(&folder.add("poses.tum", &mut files)?, &localized.poses())?;
+    if let Some(jumps) = localized.jumps {
+        write_tum(&folder.add("driver.tum", &mut files)?, &localized.driven(jumps))?;
+    }
     write_file(&folder.add("poses.csv", &mut files)?, csv(localized).as_bytes())?;
     match draw_path(&localized.textures, &path(&localized.estimates), &PictureOptions::default()) {
         Ok(picture) => write_picture(&folder.add("path.png", &mut files)?, &picture)?,

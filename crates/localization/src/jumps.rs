@@ -1,0 +1,198 @@
+//! What a driver of a robot reads: poses in the map that do not jump where they must not.
+//!
+//! Whoever drives follows poses in the local map, which are continuous, and needs the transform from there to the known
+//! map for goals and paths (REP 105 of ROS splits frames the same way). That transform changes whenever a scan corrects the
+//! place, and by metres when the place is found again.
+
+use portolan_geometry::{
+    Rigid3, Time, angle_axis_from_quaternion, quaternion_from_angle_axis, rotation_angle,
+};
+
+use crate::state::{Estimate, Reason, State};
+
+/// A correction is taken in over such a way and such a turn of the robot, metres for each metre and radian, radians for
+/// each metre and radian …
+const SHIFT_BY_WAY: f64 = 0.1;
+const SHIFT_BY_TURN: f64 = 0.05;
+const TURN_BY_WAY: f64 = 0.05;
+const TURN_BY_TURN: f64 = 0.1;
+/// … and at these rates in any case, metres and radians a second.
+const SHIFT_BY_TIME: f64 = 0.05;
+const TURN_BY_TIME: f64 = 0.02;
+/// A correction farther than this is another place and not a better pose, metres and radians; it is confirmed when the
+/// place was localised there for so long, seconds.
+const JUMP: (f64, f64) = (0.5, 0.2);
+const CONFIRMED_AFTER: f64 = 2.0;
+
+/// What to do with corrections.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Jumps {
+    /// Take them in little by little while the robot moves, however far they are.
+    Smooth,
+    /// Take them in at once.
+    #[default]
+    Immediate,
+    /// Small ones little by little; jumps to another place at once, but only when that place has been confirmed.
+    Hold,
+}
+
+impl Jumps {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Smooth, Self::Immediate, Self::Hold];
+
+    /// Its name as an argument.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Smooth => "smooth",
+            Self::Immediate => "immediate",
+            Self::Hold => "hold",
+        }
+    }
+}
+
+/// Turns estimates into what a driver reads.
+#[derive(Clone, Debug)]
+pub struct Corrections {
+    jumps: Jumps,
+    /// `map_from_local` as it is told.
+    told: Option<Rigid3>,
+    last: Option<(Time, Rigid3)>,
+    /// Since when the place is localised somewhere else.
+    elsewhere: Option<(Time, Rigid3)>,
+}
+
+impl Corrections {
+    /// None told yet.
+    pub fn new(jumps: Jumps) -> Self {
+        Self { jumps, told: None, last: None, elsewhere: None }
+    }
+
+    /// Takes the next estimate; pose of the tracking frame in the map for whoever drives. None until it was localised for
+    /// the first time, and after local SLAM lost its way until it is localised again. While nothing is localised, the pose goes on
+    /// as local SLAM says.
+    pub fn add(&mut self, estimate: &Estimate) -> Option<Rigid3> {
+        if estimate.reason == Reason::LocalMapLost && estimate.state == State::Lost {
+            *self = Self::new(self.jumps);
+        }
+        let local_from_tracking = estimate.local_from_tracking;
+        let before = self.last.replace((estimate.time, local_from_tracking));
+        if let (State::Localised, Some(place)) = (estimate.state, &estimate.place) {
+            let found = place.map_from_tracking * local_from_tracking.inverse();
+            let told = self.corrected(estimate, &found, before);
+            self.told = Some(told);
+        }
+        self.told.map(|map_from_local| map_from_local * local_from_tracking)
+    }
+
+    /// `map_from_local` as it was told last.
+    pub fn map_from_local(&self) -> Option<Rigid3> {
+        self.told
+    }
+
+    fn corrected(&mut self, estimate: &Estimate, found: &Rigid3, before: Option<(Time, Rigid3)>) -> Rigid3 {
+        let (Some(told), Some((time, from))) = (self.told, before) else { return *found };
+        let at = estimate.local_from_tracking;
+        // Compared where the robot is: a turn about the far origin of the local map is no shift.
+        let (now, wanted) = (told * at, *found * at);
+        let is_jump = (wanted.translation.vector - now.translation.vector).norm() > JUMP.0
+            || rotation_angle(&(now.inverse() * wanted)) > JUMP.1;
+        if self.jumps == Jumps::Immediate
+            || self.jumps == Jumps::Hold && self.is_confirmed(estimate, found, is_jump)
+        {
+            return *found;
+        }
+        if self.jumps == Jumps::Hold && is_jump {
+            return told;
+        }
+        let motion = from.inverse() * at;
+        let (way, turn) = (motion.translation.vector.norm(), rotation_angle(&motion));
+        let seconds = estimate.time.seconds_since(time).clamp(0.0, 1.0);
+        let most_shift = SHIFT_BY_WAY * way + SHIFT_BY_TURN * turn + SHIFT_BY_TIME * seconds;
+        let most_turn = TURN_BY_WAY * way + TURN_BY_TURN * turn + TURN_BY_TIME * seconds;
+        towards(&now, &wanted, most_shift, most_turn) * at.inverse()
+    }
+
+    /// Whether the place has been localised at another one for long enough.
+    fn is_confirmed(&mut self, estimate: &Estimate, found: &Rigid3, is_jump: bool) -> bool {
+        if !is_jump {
+            self.elsewhere = None;
+            return false;
+        }
+        let at = estimate.local_from_tracking;
+        let is_same = |other: &Rigid3| {
+            ((*other * at).translation.vector - (*found * at).translation.vector).norm() < JUMP.0
+        };
+        let since =
+            self.elsewhere.filter(|(_, other)| is_same(other)).map_or(estimate.time, |(since, _)| since);
+        self.elsewhere = Some((since, *found));
+        let is_confirmed = estimate.time.seconds_since(since) >= CONFIRMED_AFTER;
+        if is_confirmed {
+            self.elsewhere = None;
+        }
+        is_confirmed
+    }
+}
+
+/// From one pose towards another, by so many metres and radians at most.
+fn towards(from: &Rigid3, to: &Rigid3, most_shift: f64, most_turn: f64) -> Rigid3 {
+    let shift = to.translation.vector - from.translation.vector;
+    let turn = angle_axis_from_quaternion(&(to.rotation * from.rotation.inverse()));
+    let share = |most: f64, whole: f64| if whole > most { most / whole } else { 1.0 };
+    let shift = shift * share(most_shift, shift.norm());
+    let turn = turn * share(most_turn, turn.norm());
+    let rotation = quaternion_from_angle_axis(&turn) * from.rotation;
+    Rigid3::from_parts((from.translation.vector + shift).into(), rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::belief::Matrix6;
+    use crate::state::Place;
+    use portolan_geometry::Duration;
+
+    /// A robot that drives along x at 0.5 m/s and is localised `off` metres to the side.
+    fn estimate(index: i64, off: f64, state: State) -> Estimate {
+        let local_from_tracking = Rigid3::translation(0.05 * index as f64, 0.0, 0.0);
+        let map_from_tracking = Rigid3::translation(0.0, off, 0.0) * local_from_tracking;
+        let place =
+            Place { map_from_tracking, covariance: Matrix6::identity(), agreement: Default::default() };
+        let time = Time::from_ticks(0) + Duration::from_seconds(0.1 * index as f64);
+        Estimate { time, state, reason: Reason::ScansFit, local_from_tracking, place: Some(place) }
+    }
+
+    /// How far to the side the driver is told to be, scan by scan; the place jumps by `jump` metres after 2 s.
+    fn told(jumps: Jumps, jump: f64) -> Vec<f64> {
+        let mut corrections = Corrections::new(jumps);
+        let off = |i: i64| if i < 20 { 1.0 } else { 1.0 + jump };
+        (0..200)
+            .filter_map(|i| corrections.add(&estimate(i, off(i), State::Localised)))
+            .map(|pose| pose.translation.y)
+            .collect()
+    }
+
+    fn largest_step(told: &[f64]) -> f64 {
+        told.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn each_policy_does_as_it_says() {
+        assert!((largest_step(&told(Jumps::Immediate, 3.0)) - 3.0).abs() < 1e-9);
+        let smooth = told(Jumps::Smooth, 0.3);
+        assert!(largest_step(&smooth) < 0.011 && (smooth[199] - 1.3).abs() < 1e-9, "{smooth:?}");
+        let hold = told(Jumps::Hold, 3.0);
+        assert!((hold[39] - 1.0).abs() < 1e-9 && (hold[41] - 4.0).abs() < 1e-9, "{:?}", &hold[38..42]);
+        assert!(largest_step(&told(Jumps::Hold, 0.3)) < 0.011);
+    }
+
+    #[test]
+    fn poses_go_on_while_nothing_is_known_and_not_across_a_loss_of_the_local_map() {
+        let mut corrections = Corrections::new(Jumps::Hold);
+        assert!(corrections.add(&estimate(0, 1.0, State::Tentative)).is_none());
+        assert!(corrections.add(&estimate(1, 1.0, State::Localised)).is_some());
+        let uncertain = corrections.add(&Estimate { place: None, ..estimate(9, 0.0, State::Lost) });
+        assert!(uncertain.is_some_and(|pose| (pose.translation.x - 0.45).abs() < 1e-9));
+        let lost = Estimate { reason: Reason::LocalMapLost, ..estimate(10, 0.0, State::Lost) };
+        assert!(corrections.add(&lost).is_none() && corrections.map_from_local().is_none());
+    }
+}
