@@ -35,7 +35,7 @@ def glue(source, output, pieces, gap):
             offset = 0 if end is None else end + int(gap * 1e9) - begin
             for c, time, data in reader.messages():
                 if "tf_static" in c.topic:
-                    if end is None and begin_seconds == pieces[0][0] and time >= 0:
+                    if end is None:
                         writer.write(added[c.id], begin, data)
                 elif begin <= time < reader.start_time + int(end_seconds * 1e9):
                     writer.write(added[c.id], time + offset, moved(data, offset))

@@ -204,35 +204,9 @@ const STAND_INS: [&str; 15] = [
 /// Times of two poses, and the second pose in the frame of the first.
 const RELATIONS: &str = "1700000002 1700000004 0.1 0 0 0 0 0\n1700000005 1700000012 1 0 0 0 0 0.1\n1700000003 1700000018 2 0 0 0 0 0\n";
 /// A configuration as Cartographer's users have them.
-const MY_ROBOT: &str = r#"include "map_builder.lua"
-include "trajectory_builder.lua"
-options = {
-  map_builder = MAP_BUILDER,
-  trajectory_builder = TRAJECTORY_BUILDER,
-  map_frame = "map",
-  tracking_frame = "base_link",
-  published_frame = "base_link",
-  odom_frame = "odom",
-  provide_odom_frame = true,
-  publish_frame_projected_to_2d = false,
-  use_odometry = false,
-  use_nav_sat = false,
-  use_landmarks = false,
-  num_laser_scans = 0,
-  num_multi_echo_laser_scans = 0,
-  num_subdivisions_per_laser_scan = 1,
-  num_point_clouds = 1,
-  lookup_transform_timeout_sec = 0.2,
-  submap_publish_period_sec = 0.3,
-  pose_publish_period_sec = 5e-3,
-  trajectory_publish_period_sec = 30e-3,
-  rangefinder_sampling_ratio = 1.,
-  odometry_sampling_ratio = 1.,
-  fixed_frame_pose_sampling_ratio = 1.,
-  imu_sampling_ratio = 1.,
-  landmarks_sampling_ratio = 1.,
-}
-MAP_BUILDER.use_trajectory_builder_3d = true
+const MY_ROBOT: &str = r#"include "backpack_3d.lua"
+options.num_point_clouds = 1
+TRAJECTORY_BUILDER_3D.num_accumulated_range_data = 1
 return options
 "#;
 

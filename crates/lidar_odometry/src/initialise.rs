@@ -18,6 +18,9 @@ use crate::settings::{CoarseAlignmentSettings, OdometrySettings, RegistrationSet
 use crate::sweep::Sweep;
 use crate::vertical::vertical_from_planes;
 
+/// The rotation at a time, from the tracking frame to a gravity-aligned one.
+pub(crate) type RotationAt<'a> = dyn Fn(Time) -> Quaternion + 'a;
+
 /// How everything was moving, and which way was up, at the end of the first sweep.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Start {
@@ -34,7 +37,7 @@ pub(crate) struct Start {
 pub(crate) struct FirstSweeps<'a> {
     first: &'a Sweep,
     /// What a gyroscope says of the rotation (tracking in local), if there is one.
-    rotation_at: Option<&'a dyn Fn(Time) -> Quaternion>,
+    rotation_at: Option<&'a RotationAt<'a>>,
     settings: &'a OdometrySettings,
     start: Start,
 }
@@ -58,7 +61,7 @@ impl<'a> FirstSweeps<'a> {
     /// Moving as a hypothesis says.
     pub fn new(
         first: &'a Sweep,
-        rotation_at: Option<&'a dyn Fn(Time) -> Quaternion>,
+        rotation_at: Option<&'a RotationAt<'a>>,
         settings: &'a OdometrySettings,
         start: Start,
     ) -> Self {
@@ -71,7 +74,7 @@ impl<'a> FirstSweeps<'a> {
     pub fn hypotheses(
         first: &'a Sweep,
         second: Option<&Sweep>,
-        rotation_at: Option<&'a dyn Fn(Time) -> Quaternion>,
+        rotation_at: Option<&'a RotationAt<'a>>,
         settings: &'a OdometrySettings,
     ) -> Vec<Start> {
         let rotation = rotation_at.map_or_else(Quaternion::identity, |rotation| rotation(first.end));
@@ -204,7 +207,7 @@ impl<'a> FirstSweeps<'a> {
         // A single sparse sweep among trees shows few planes, but they constrain translation if not rotation, too.
         let constrains_translation = self.rotation_at.is_some() && found.degenerate.translations.is_empty();
         let is_enough = found.matched_fraction >= settings.min_matched_fraction || constrains_translation;
-        let fit = found.matched_fraction / (1.0 + (found.rms / self.settings.sweep.poor_rms).powi(2));
+        let fit = found.fit(self.settings.sweep.poor_rms);
         is_enough.then_some(Relative { motion: found.pose, fit })
     }
 }

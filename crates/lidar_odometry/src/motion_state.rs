@@ -245,6 +245,11 @@ impl MotionState {
         self.gravity.level_from_tracking(&local_from_tracking.rotation).unwrap_or(level)
     }
 
+    /// What an IMU says of the rotation (from the tracking frame to a gravity-aligned one) at a time; none without one.
+    pub fn measured_rotation(&self) -> Option<impl Fn(Time) -> Quaternion + '_> {
+        self.has_imu.then_some(|time| self.extrapolator.estimate_gravity_orientation(time))
+    }
+
     /// Whether there is a gyroscope that measures until `end`, relied on or not.
     pub fn has_gyroscope(&self, end: Time) -> bool {
         self.has_imu && self.extrapolator.has_gyroscope(end)

@@ -82,6 +82,13 @@ pub struct RegistrationResult {
     pub attenuation: na::Matrix3<f64>,
 }
 
+impl RegistrationResult {
+    /// How well it fits: the fraction of points on planes, halved where their root mean square distance is `poor_rms`.
+    pub(crate) fn fit(&self, poor_rms: f64) -> f64 {
+        self.matched_fraction / (1.0 + (self.rms / poor_rms).powi(2))
+    }
+}
+
 /// Registers scans and sweeps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Registration {

@@ -1,8 +1,6 @@
 //! The start of a trajectory: hypotheses of the first motion, judged by the sweeps that follow.
 
-use portolan_geometry::{Quaternion, Time};
-
-use crate::initialise::{FirstSweeps, Start};
+use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::Issues;
 use crate::motion_state::MotionState;
 use crate::settings::OdometrySettings;
@@ -30,10 +28,8 @@ impl FirstMotion {
             return None;
         }
         if self.hypotheses.is_empty() {
-            let extrapolator = &self.motion.extrapolator;
-            let measured = |time: Time| extrapolator.estimate_gravity_orientation(time);
-            let rotation_at: Option<&dyn Fn(Time) -> Quaternion> =
-                if self.motion.has_imu { Some(&measured) } else { None };
+            let measured = self.motion.measured_rotation();
+            let rotation_at = measured.as_ref().map(|measured| measured as &RotationAt);
             self.hypotheses = FirstSweeps::hypotheses(first, second, rotation_at, settings);
         }
         let judges = settings.initialisation.judged_sweeps;
@@ -45,13 +41,10 @@ impl FirstMotion {
         }
     }
 
-    /// The hypothesis that the sweeps fit best; one that fits the first two less well has to be clearly better.
+    /// The hypothesis that the sweeps fit best; of equal ones the one that the first two fit best.
     fn best(&self, settings: &OdometrySettings, sweeps: &[Sweep], all: &[Start]) -> Start {
         let fits = all.iter().map(|start| (*start, self.fit_of(settings, sweeps, *start)));
-        let best = fits.reduce(|best, other| {
-            let is_better = other.1 > settings.initialisation.clearly_better * best.1;
-            if is_better { other } else { best }
-        });
+        let best = fits.reduce(|best, other| if other.1 > best.1 { other } else { best });
         best.map_or(all[0], |(start, _)| start)
     }
 

@@ -153,15 +153,11 @@ impl SweepRegistration {
         RegisteredSegment {
             local_from_tracking,
             to_end: in_map.deskewing(&correction),
-            fit: found.as_ref().map_or(0.0, |f| self.fit(f)),
+            fit: found.as_ref().map_or(0.0, |f| f.fit(self.settings.poor_rms)),
             contradicts_rotation: found.is_some()
                 && error > self.contradiction_sigmas * prior.growth.rotation,
             found,
         }
-    }
-
-    fn fit(&self, found: &RegistrationResult) -> f64 {
-        found.matched_fraction / (1.0 + (found.rms / self.settings.poor_rms).powi(2))
     }
 
     /// How far off a predicted segment may be. Drifts grow with time, what is unmeasured with its square.

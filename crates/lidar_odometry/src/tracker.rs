@@ -8,7 +8,7 @@ use portolan_sensor::{PointCloud, RangeData};
 use crate::belief::{Belief, FitMonitor};
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
 use crate::deskew::deskewed;
-use crate::initialise::{FirstSweeps, Start};
+use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
@@ -101,18 +101,17 @@ impl Tracker {
         start: Start,
     ) -> (Self, RegisteredSweep) {
         // 1. Velocity, and without an IMU the vertical.
-        let extrapolator = &motion.extrapolator;
-        let measured = |time: Time| extrapolator.estimate_gravity_orientation(time);
-        let rotation_at: Option<&dyn Fn(Time) -> Quaternion> =
-            if motion.has_imu { Some(&measured) } else { None };
+        let measured = motion.measured_rotation();
+        let rotation_at = measured.as_ref().map(|measured| measured as &RotationAt);
         let sweeps = FirstSweeps::new(&first, rotation_at, settings, start);
         let (to_end, end) = (sweeps.deskewing(&first), sweeps.pose_at(first.end));
         // 2. An earlier pose, so that the extrapolator knows the velocity.
-        let earliest = extrapolator.last_pose_time().filter(|_| motion.has_imu).unwrap_or(Time::MIN);
+        let earliest = motion.extrapolator.last_pose_time().filter(|_| motion.has_imu).unwrap_or(Time::MIN);
         let interval = Duration::from_seconds(settings.initialisation.velocity_interval);
         let before = (first.end - interval).max(earliest);
         let pose_before = sweeps.pose_at(before);
-        let level = motion.has_imu.then(|| measured(first.end));
+        let level = measured.as_ref().map(|measured| measured(first.end));
+        drop(measured);
         if !motion.has_imu {
             motion.extrapolator = settings.extrapolator.extrapolator();
         }

@@ -277,7 +277,7 @@ impl<S: Space> Mapper<S> {
         let (since, ended_from_begun) = (lost.since, lost.ended_from_begun);
         self.backend.enqueue(move |graph| {
             graph.begin_piece(before, remaining, piece, &ended_from_begun);
-            graph.move_measurements(before, piece, since);
+            graph.copy_measurements(before, piece, since);
         })
     }
 

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use portolan::job::{
-    Event, Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, last_pose, localize,
-    write_localized,
+    Event, Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, last_pose,
+    localize, write_localized,
 };
 use portolan_geometry::Rigid3;
 use portolan_localization::{Jumps, StartPose, State};

@@ -57,8 +57,8 @@ impl<S: Space> PoseGraph<S> {
         self.pieces.insert(piece);
     }
 
-    /// Gives what was measured from a time on, and just before it, from one trajectory to another as well.
-    pub fn move_measurements(&mut self, from: TrajectoryId, to: TrajectoryId, since: Time) {
+    /// Copies what was measured from a time on, and just before it, from one trajectory to another.
+    pub fn copy_measurements(&mut self, from: TrajectoryId, to: TrajectoryId, since: Time) {
         let begin = since - BEFORE_PIECE;
         let Some(sensors) = self.problem.sensors.get(&from) else { return };
         let (imu, odometry, fixes) = (&sensors.imu, &sensors.odometry, &sensors.fixed_frame);
