@@ -41,10 +41,14 @@ impl FirstMotion {
         }
     }
 
-    /// The hypothesis that the sweeps fit best; of equal ones the one that the first two fit best.
+    /// The hypothesis that the sweeps fit best; one that fits the first two less well has to be clearly better, because along
+    /// a tunnel all fit alike.
     fn best(&self, settings: &OdometrySettings, sweeps: &[Sweep], all: &[Start]) -> Start {
         let fits = all.iter().map(|start| (*start, self.fit_of(settings, sweeps, *start)));
-        let best = fits.reduce(|best, other| if other.1 > best.1 { other } else { best });
+        let best = fits.reduce(|best, other| {
+            let is_better = other.1 > settings.initialisation.clearly_better * best.1;
+            if is_better { other } else { best }
+        });
         best.map_or(all[0], |(start, _)| start)
     }
 

@@ -138,15 +138,20 @@ fn fail_everywhere(write: impl Fn(&Path) -> Result<(), Failure>, faults: &[Fault
     operations
 }
 
+#[track_caller]
+fn assert_at_least(least: u64, operations: u64) {
+    assert!(operations >= least, "{operations} operations, expected at least {least}");
+}
+
 // One test, because the disk is that of the whole process.
 #[test]
 fn a_failing_disk_leaves_whole_files_or_none() {
     let content = Content::new(0.5);
     let faults = [Fault::Full, Fault::Broken, Fault::BrokenOnce];
-    assert!(fail_everywhere(|folder| content.trajectory_and_graph(folder), &faults) >= 6);
-    assert!(fail_everywhere(|folder| content.pictures(folder), &faults) >= 9);
-    assert!(fail_everywhere(|folder| content.clouds(folder), &faults) >= 18);
-    assert!(fail_everywhere(|folder| content.recordings(folder), &faults) >= 6);
+    assert_at_least(6, fail_everywhere(|folder| content.trajectory_and_graph(folder), &faults));
+    assert_at_least(9, fail_everywhere(|folder| content.pictures(folder), &faults));
+    assert_at_least(18, fail_everywhere(|folder| content.clouds(folder), &faults));
+    assert_at_least(6, fail_everywhere(|folder| content.recordings(folder), &faults));
     if is_fast() {
         return;
     }

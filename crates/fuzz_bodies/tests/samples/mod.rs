@@ -25,8 +25,7 @@ fn made(layout: Layout, bytes: impl Into<Vec<u8>>) -> Sample {
 const LARGEST: usize = 400_000;
 
 /// Files of the real data, by the bodies that take them.
-const REAL: [(&str, &str, Layout); 12] = [
-    ("ros1_bag", "hostile/D10_chunk.bag", Layout::Bag),
+const REAL: [(&str, &str, Layout); 11] = [
     ("ros1_bag", "ros_bags/evo_tf_example.bag", Layout::Bag),
     ("db3", "hostile/D2_min.db3", Layout::Pages(4096)),
     ("db3", "hostile/D2b_hang.db3", Layout::Pages(4096)),

@@ -63,6 +63,10 @@ settings! {
             "Hypotheses of the first motion are judged after so many sweeps",
             origin: "a second",
             larger: "later starts, surer ones";
+        clearly_better: f64 = 1.1, "1", 1.0..=10.0,
+            "A motion that fits the first two sweeps less well than another has to fit the next ones so many times better; along a tunnel all fit alike",
+            origin: "measured (docs/experiments/2026-11-starts.md)",
+            larger: "the first two sweeps decide";
         velocity_interval: f64 = 0.05, "s", 0.001..=1.0,
             "A pose so long before the end of the first sweep tells the extrapolator the first velocity",
             origin: "half a sweep",

@@ -3,8 +3,13 @@
 //! Scans that are searched in whole submaps are found in wrong places too: one corridor looks like the
 //! next. Each match says where the whole trajectory would lie; wrong ones say something different every
 //! time, right ones agree. So matches wait until enough of them do.
+//!
+//! The same holds for loop closures within a connected map that would bend it: one alone may be a corridor that looks
+//! like another one, and once it has bent the map, searches near it find nothing that contradicts. They wait until scans
+//! of several nodes agree how the map is to be bent, or until others have bent it so (pairwise consistency; Mangelson et
+//! al., ICRA 2018).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Rigid3, Vector3, rotation_angle};
 
@@ -21,6 +26,8 @@ const LEAD: f64 = 2.0;
 /// other.
 const SCORE_BY_CHANCE: f64 = 0.5;
 const MIN_WEIGHT: f64 = 0.01;
+/// So many loop closures wait at most for others to agree, the newest ones.
+const MOST_UNSUPPORTED: usize = 500;
 
 /// A match that waits for others to agree.
 #[derive(Clone, Debug)]
@@ -59,6 +66,8 @@ type Parts = (TrajectoryId, TrajectoryId);
 #[derive(Clone, Debug, Default)]
 pub(super) struct WaitingMatches {
     by_parts: BTreeMap<Parts, Vec<WaitingMatch>>,
+    /// Loop closures that would bend the map, in the order in which they were found.
+    unsupported: Vec<Constraint>,
 }
 
 impl<S: Space> PoseGraph<S> {
@@ -70,8 +79,10 @@ impl<S: Space> PoseGraph<S> {
         // Searched in a window, or anywhere: that depends on what was connected when it was searched.
         let was_connected: Vec<bool> = found.iter().map(|c| is_connected(self, c)).collect();
         for (constraint, was_connected) in found.into_iter().zip(was_connected) {
-            if was_connected || self.policy.min_agreeing <= 1 {
+            if self.policy.min_agreeing <= 1 {
                 self.take(constraint);
+            } else if was_connected {
+                self.waiting.unsupported.push(constraint);
             } else if is_connected(self, &constraint) {
                 // Its parts have just been put together: there is a place to agree with.
                 if self.fits(&constraint) {
@@ -81,6 +92,48 @@ impl<S: Space> PoseGraph<S> {
                 self.wait_for_agreement(constraint);
             }
         }
+        self.take_supported();
+    }
+
+    /// Takes loop closures that fit the map, or that others agree with; the rest goes on waiting. Returns how many it took.
+    pub(super) fn take_supported(&mut self) -> usize {
+        let waiting = std::mem::take(&mut self.waiting.unsupported);
+        let matches: Vec<Option<WaitingMatch>> = waiting.iter().map(|c| self.bending_match(c)).collect();
+        let needed = self.policy.min_agreeing;
+        let is_supported = |of: &WaitingMatch| {
+            let agreeing = matches.iter().flatten().filter(|m| agree(m, of));
+            agreeing.map(|m| m.constraint.node_id).collect::<BTreeSet<NodeId>>().len() >= needed
+        };
+        let supported: Vec<bool> = matches
+            .iter()
+            .map(|m| m.as_ref().is_some_and(|m| self.fits(&m.constraint) || is_supported(m)))
+            .collect();
+        for (constraint, is_supported) in waiting.into_iter().zip(&supported) {
+            if *is_supported {
+                self.take(constraint);
+            } else {
+                self.waiting.unsupported.push(constraint);
+            }
+        }
+        let superfluous = self.waiting.unsupported.len().saturating_sub(MOST_UNSUPPORTED);
+        self.waiting.unsupported.drain(..superfluous);
+        supported.iter().filter(|is_supported| **is_supported).count()
+    }
+
+    /// How a loop closure would bend the map: what was mapped later moves relative to what was mapped earlier.
+    fn bending_match(&self, constraint: &Constraint) -> Option<WaitingMatch> {
+        let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
+        let node = self.problem.nodes.get(&constraint.node_id)?;
+        let submap_time = self.state.time_of_last_node(self.state.submaps.get(&constraint.submap_id)?)?;
+        let found = map_from_submap * constraint.submap_from_node;
+        let submap_part_from_node_part = found * node.map_from_node.inverse();
+        let (earlier_from_later, place) = if submap_time < node.time {
+            (submap_part_from_node_part, node.map_from_node)
+        } else {
+            (submap_part_from_node_part.inverse(), found)
+        };
+        let place_in_later = place.translation.vector;
+        Some(WaitingMatch { constraint: constraint.clone(), earlier_from_later, place_in_later })
     }
 
     fn take(&mut self, constraint: Constraint) {

@@ -370,6 +370,9 @@ impl<S: Space> PoseGraph<S> {
         self.search_more();
         self.problem.max_iterations_override = u32::try_from(self.options.max_num_final_iterations).ok();
         self.optimize();
+        if self.take_supported() > 0 {
+            self.run_optimization();
+        }
         if self.policy.drops_contradicted && self.drop_contradicted_loop_closures() > 0 {
             self.run_optimization();
         }

@@ -3,6 +3,7 @@
 mod belief;
 mod degeneracy;
 mod odometry_scale;
+mod posterior;
 mod prediction_error;
 mod tracking;
 

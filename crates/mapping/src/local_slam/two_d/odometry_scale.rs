@@ -11,8 +11,8 @@ use portolan_geometry::Rigid2;
 const PRIOR: f64 = 0.05;
 /// What is known of it grows uncertain by this variance for each metre.
 const WALK_PER_METRE: f64 = 1e-5;
-/// Innovations beyond so many standard deviations are slips and stalls, which say nothing of the wheels.
-const LARGEST: f64 = 2.0;
+/// An innovation counts as at most so many standard deviations: a slip or a stall says little of the wheels (Huber 1964).
+const LARGEST: f64 = 1.0;
 /// Errors up to this share are expected of any odometry, and searches are wide enough for them.
 const USUAL: f64 = 0.05;
 /// A larger one is corrected if it is so many standard deviations.
@@ -50,9 +50,7 @@ impl OdometryScale {
         }
         self.variance += WALK_PER_METRE * metres;
         let innovation = moved.translation.dot(&measured.translation) / metres - self.factor * metres;
-        if innovation.abs() > LARGEST * sigma {
-            return;
-        }
+        let innovation = innovation.clamp(-LARGEST * sigma, LARGEST * sigma);
         let gain = self.variance * metres / (self.variance * metres.powi(2) + sigma.powi(2));
         self.factor += gain * innovation;
         self.variance *= 1.0 - gain * metres;

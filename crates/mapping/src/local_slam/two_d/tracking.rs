@@ -12,6 +12,7 @@ use portolan_sensor::PointCloud;
 use super::LocalSlamExtras;
 use super::degeneracy::WeakDirection;
 use super::odometry_scale::OdometryScale;
+use super::posterior::MotionPrior;
 use super::prediction_error::{PredictionError, UsualScore};
 use crate::SearchWindow;
 use crate::remembered::RememberedScans;
@@ -29,8 +30,8 @@ const LONGEST_MEASURED: f64 = 0.5;
 const LONGEST_UNMEASURED: f64 = 2.0;
 /// Standard deviation of the acceleration of a scanner, m/s²: what constant velocity neglects.
 const ACCELERATION: f64 = 1.0;
-/// A place far from the prediction has to explain so many more beams, and contradict so many fewer, as shares.
-const CLEARLY: f32 = 0.1;
+/// The same of the angular acceleration, rad/s².
+const ANGULAR_ACCELERATION: f64 = 2.0;
 /// No scan is searched farther than this, metres and radians.
 const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
 
@@ -43,6 +44,14 @@ pub(super) struct Motion {
     pub seconds: f64,
     /// Whether odometry or an IMU measured anything of it.
     pub is_measured: bool,
+}
+
+impl Motion {
+    /// From the last scan to a pose, turned by at most half a turn.
+    fn to(&self, pose: &Rigid2) -> Rigid2 {
+        let motion = self.last.inverse() * *pose;
+        Rigid2 { angle: motion.normalized_angle(), ..motion }
+    }
 }
 
 /// What a search needs: the scan and where it is looked for.
@@ -126,7 +135,7 @@ impl Tracker {
     pub fn find(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Found {
         // After so long nothing is left of a velocity.
         let is_unknown = !motion.is_measured && motion.seconds > LONGEST_UNMEASURED;
-        let measured = motion.last.inverse() * prediction;
+        let measured = motion.to(&prediction);
         let scaled = self.odometry_scale.corrected(&measured);
         let prediction = match motion.is_measured {
             true => motion.last * scaled,
@@ -136,15 +145,18 @@ impl Tracker {
         let weak = WeakDirection::of(scan.returns);
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
-        let window = self.window(&(motion.last.inverse() * prediction));
+        let window = self.window(&motion.to(&prediction));
         let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
         let (mut found, mut is_far) = (near.found, false);
         if near.is_at_edge(window) || found.score.is_some_and(|score| self.usual_score.is_low(score)) {
             let wide = self.search((&scan, cloud), near.around, wide_window(window, motion));
-            is_far = fits_clearly_better(&wide.pose, &found.pose, &scan);
-            found = if is_far { wide } else { found };
-            if motion.is_measured && explains_more(&near.around, &found.pose, &scan) {
-                (found.pose, is_far) = (near.around, false);
+            let prior = self.prior(near.around, motion);
+            // A prediction that nothing measured is no witness.
+            let predicted = motion.is_measured.then_some(near.around);
+            match most_likely(&prior, [predicted, Some(found.pose), Some(wide.pose)], &scan) {
+                Some(0) => found.pose = near.around,
+                Some(2) => (found, is_far) = (wide, true),
+                _ => {}
             }
         }
         if let Some(score) = found.score {
@@ -157,7 +169,7 @@ impl Tracker {
         // Where scans leave a direction open, they do not say how far it went.
         if motion.is_measured && !is_far && weak.is_none() {
             let sigma = self.prediction_error.sigmas(&measured).translation;
-            self.odometry_scale.add(&measured, &(motion.last.inverse() * found.pose), sigma);
+            self.odometry_scale.add(&measured, &motion.to(&found.pose), sigma);
         }
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud);
         Found { pose, is_far, agreement }
@@ -190,6 +202,17 @@ impl Tracker {
         self.remembered.answer((around, window), find)
     }
 
+    /// What the motion says of the pose of a scan.
+    fn prior(&self, prediction: Rigid2, motion: Motion) -> MotionPrior {
+        let mut sigmas = self.prediction_error.sigmas(&motion.to(&prediction));
+        if !motion.is_measured {
+            let square = motion.seconds.powi(2);
+            sigmas.translation = sigmas.translation.hypot(ACCELERATION * square);
+            sigmas.rotation = sigmas.rotation.hypot(ANGULAR_ACCELERATION * square);
+        }
+        MotionPrior { prediction, sigmas }
+    }
+
     /// Weighs the match with the prediction where the scan tells little, and learns from both how far predictions are
     /// off where it tells enough.
     fn weigh(
@@ -200,7 +223,7 @@ impl Tracker {
         scan: &Scan,
         weak: Option<&WeakDirection>,
     ) -> Rigid2 {
-        let predicted_motion = motion.last.inverse() * around;
+        let predicted_motion = motion.to(&around);
         let (mut pose, mut observed) = (found, found);
         if let Some(weak) = weak {
             let learned = self.prediction_error.sigmas(&predicted_motion).translation;
@@ -253,20 +276,16 @@ fn wide_window(usual: SearchWindow, motion: Motion) -> SearchWindow {
     }
 }
 
-/// Whether the map speaks for the first pose rather than for the second: what is unknown speaks for neither.
-fn explains_more(here: &Rigid2, there: &Rigid2, scan: &Scan) -> bool {
-    let [here, there] = [here, there].map(|pose| {
-        let agreement = scan_agreement(&scan.submap.grid, pose, scan.cloud).unwrap_or_default();
-        agreement.explained - agreement.contradicted()
-    });
-    here > there + CLEARLY
-}
-
-fn fits_clearly_better(there: &Rigid2, here: &Rigid2, scan: &Scan) -> bool {
-    if !there.is_finite() {
-        return false;
+/// Which pose is the most likely one, the first of equal ones; none where the grid does not tell.
+fn most_likely(prior: &MotionPrior, poses: [Option<Rigid2>; 3], scan: &Scan) -> Option<usize> {
+    let mut best: Option<(usize, f64)> = None;
+    for (i, pose) in poses.into_iter().enumerate() {
+        let Some(pose) = pose.filter(Rigid2::is_finite) else { continue };
+        let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
+        let likely = prior.log_posterior(&pose, &agreement);
+        if best.is_none_or(|(_, most)| likely > most) {
+            best = Some((i, likely));
+        }
     }
-    let judged = |pose: &Rigid2| scan_agreement(&scan.submap.grid, pose, scan.cloud).unwrap_or_default();
-    let (here, there) = (judged(here), judged(there));
-    there.contradiction() < here.contradiction() - CLEARLY && there.explained > here.explained + CLEARLY
+    best.map(|(i, _)| i)
 }

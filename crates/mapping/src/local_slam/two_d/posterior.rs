@@ -1,0 +1,81 @@
+//! Which of several poses a scan was taken at: what the map says of its beams, and what the motion says before it was
+//! taken (maximum a posteriori, Bayes).
+//!
+//! The prior is a mixture: the predicted motion with its learned errors, or, seldom, a slip, a stall, a push or a jump of
+//! the odometry, after which the scanner is anywhere it can have got to. So a pose far from the prediction needs much
+//! better evidence than one nearby, but not infinitely much. Beams are not independent: neighbours hit the same person
+//! or wall, and a scan says as much as [`WITNESSES`] beams that are.
+
+use std::f64::consts::{PI, TAU};
+
+use portolan_geometry::{Rigid2, normalize_angle};
+use portolan_matching::ScanAgreement;
+
+use super::prediction_error::PredictionSigmas;
+
+/// So many independent beams say as much as a scan: about one for every five degrees of half a turn.
+const WITNESSES: f64 = 36.0;
+/// What an explained beam says for a pose, and a contradicted one against it, in nats. At a right pose four of five beams
+/// are explained and one of twelve is contradicted, at a wrong one a quarter and a half.
+const EXPLAINED: f64 = 1.2;
+const CONTRADICTED: f64 = 1.8;
+/// Probability that the motion was none that its learned errors explain.
+const OUTLIER: f64 = 0.003;
+/// Where the scanner may be then: within so many metres to each side, at any heading.
+const OUTLIER_METRES: f64 = 3.0;
+
+/// What the motion says.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MotionPrior {
+    pub prediction: Rigid2,
+    pub sigmas: PredictionSigmas,
+}
+
+impl MotionPrior {
+    /// Logarithm of the density of a pose, 1/(m² rad).
+    fn log_density(&self, pose: &Rigid2) -> f64 {
+        let offset = self.prediction.inverse() * *pose;
+        let PredictionSigmas { translation, rotation } = self.sigmas;
+        let metres = offset.translation.norm() / translation;
+        let radians = normalize_angle(offset.angle) / rotation;
+        let peak = (1.0 - OUTLIER) / (TAU.powf(1.5) * translation.powi(2) * rotation);
+        let usual = peak * (-0.5 * (metres.powi(2) + radians.powi(2))).exp();
+        let anywhere = OUTLIER / ((2.0 * OUTLIER_METRES).powi(2) * 2.0 * PI);
+        (usual + anywhere).ln()
+    }
+
+    /// Logarithm of how likely a pose is where the map agrees with the scan like this, up to a constant.
+    pub fn log_posterior(&self, pose: &Rigid2, agreement: &ScanAgreement) -> f64 {
+        let (explained, contradicted) = (f64::from(agreement.explained), f64::from(agreement.contradicted()));
+        self.log_density(pose) + WITNESSES * (EXPLAINED * explained - CONTRADICTED * contradicted)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIGMAS: PredictionSigmas = PredictionSigmas { translation: 0.04, rotation: 0.03 };
+
+    fn log_posterior(metres: f64, degrees: f64, explained: f32, contradicted: f32) -> f64 {
+        let prior = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };
+        let agreement = ScanAgreement { explained, in_free_space: contradicted, through_solid: 0.0 };
+        prior.log_posterior(&Rigid2::new(metres, 0.0, degrees.to_radians()), &agreement)
+    }
+
+    #[test]
+    fn a_scan_that_fits_nowhere_stays_where_it_was_predicted() {
+        let predicted = log_posterior(0.0, 0.0, 0.02, 0.93);
+        // People all around: elsewhere a few more beams fit by chance.
+        assert!(predicted > log_posterior(2.7, 92.0, 0.12, 0.8));
+        assert!(predicted > log_posterior(0.2, 10.0, 0.15, 0.8));
+    }
+
+    #[test]
+    fn a_jump_of_the_odometry_is_followed() {
+        let predicted = log_posterior(0.0, 0.0, 0.3, 0.5);
+        for (metres, degrees) in [(0.3, 0.0), (0.5, 30.0), (3.0, 90.0)] {
+            assert!(log_posterior(metres, degrees, 0.87, 0.08) > predicted);
+        }
+    }
+}
