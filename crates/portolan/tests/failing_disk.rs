@@ -150,7 +150,7 @@ fn a_failing_disk_leaves_whole_files_or_none() {
     let faults = [Fault::Full, Fault::Broken, Fault::BrokenOnce];
     assert_at_least(6, fail_everywhere(|folder| content.trajectory_and_graph(folder), &faults));
     assert_at_least(9, fail_everywhere(|folder| content.pictures(folder), &faults));
-    assert_at_least(18, fail_everywhere(|folder| content.clouds(folder), &faults));
+    assert_at_least(17, fail_everywhere(|folder| content.clouds(folder), &faults));
     assert_at_least(6, fail_everywhere(|folder| content.recordings(folder), &faults));
     if is_fast() {
         return;
