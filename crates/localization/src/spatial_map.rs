@@ -163,9 +163,8 @@ impl SpatialMap {
         best.map_or(*guess, |best| best.1)
     }
 
-    /// Shares of what chance leaves open (as in Cohen, "A coefficient of agreement for nominal scales", 1960): explained 1
-    /// where all points are, 0 where the place may be any. Points in free space count among the same, so that a scan that
-    /// fits no better than by chance where the map knows the surroundings speaks against the place.
+    /// What is explained is the share beyond that which would be by chance (as in Cohen, "A coefficient of agreement for
+    /// nominal scales", 1960): 1 where all points are, 0 where the place may be any.
     fn agreement_of(&self, points: &[Point3f], pose: &Rigid3) -> ScanAgreement {
         let pose = to_f32(pose);
         let (mut explained, mut in_free) = (0_u32, 0_u32);
@@ -177,10 +176,8 @@ impl SpatialMap {
             }
         }
         let share = |count: u32| count as f32 / points.len().max(1) as f32;
-        let open = 1.0 - self.by_chance;
-        let explained = ((share(explained) - self.by_chance) / open).max(0.0);
-        let in_free_space = (share(in_free) / open).min(1.0 - explained);
-        ScanAgreement { explained, in_free_space, through_solid: 0.0 }
+        let beyond_chance = (share(explained) - self.by_chance) / (1.0 - self.by_chance);
+        ScanAgreement { explained: beyond_chance.max(0.0), in_free_space: share(in_free), through_solid: 0.0 }
     }
 
     fn is_on_plane(&self, point: &Point3f) -> bool {
