@@ -307,7 +307,6 @@ def main():
     parser.add_argument("--space", nargs="*", metavar="DRIVE", help="3D drives instead; all of them where none is named")
     parser.add_argument("--every", type=int, default=5, help="with --space: every so manieth odd sweep is a start")
     parser.add_argument("--pieces", type=int, default=40)
-    parser.add_argument("--step", type=int, default=1, help="only every so manieth of the pieces")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--kidnap", action="store_true")
     parser.add_argument("--workers", type=int, default=2)
@@ -327,7 +326,7 @@ def main():
         for name in arguments.logs:
             log = Log(arguments.program, name, cache)
             room = log.end - log.start - log.half - arguments.seconds
-            starts = [log.half + room * i / max(arguments.pieces - 1, 1) for i in range(0, arguments.pieces, arguments.step)]
+            starts = [log.half + room * i / max(arguments.pieces - 1, 1) for i in range(arguments.pieces)]
             with concurrent.futures.ThreadPoolExecutor(arguments.workers) as pool:
                 pieces = list(pool.map(lambda s: log.piece(s, arguments.seconds), starts))
             for piece in pieces if arguments.details else []:

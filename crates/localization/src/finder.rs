@@ -150,17 +150,18 @@ impl<M: KnownMap> Finder<M> {
     ) -> (Mode, State, Reason) {
         let mut places = places;
         places.all.iter_mut().for_each(|place| place.predict(&current.motion, current.seconds));
-        let is_new = current.offered == Offered::Kept;
-        if is_new {
+        if let Offered::Kept { oldest_left } = current.offered {
             self.searcher.look(&mut places.all, &current.scan);
-            places.all.iter_mut().for_each(Hypothesis::remember);
+            places.all.iter_mut().for_each(|place| place.remember(oldest_left));
         }
+        let is_new = current.offered != Offered::LeftOut;
         let is_due = places.is_search_due(current.time, is_new);
         if is_due {
             places.merge(self.propose(current, &places.all), current.time);
         }
         places.prune();
-        let decision = places.decide(self.recent.motion(), self.told.as_ref(), &current.local_from_scan);
+        let decision =
+            places.decide(self.recent.motion(), self.told.as_ref(), &current.local_from_scan, is_due);
         match decision {
             Decision::Believed(best) => {
                 let track = Track {
@@ -216,8 +217,8 @@ impl<M: KnownMap> Finder<M> {
             }
         }
         track.support.add(verdict, current.time);
-        if current.offered == Offered::Kept {
-            track.place.remember();
+        if let Offered::Kept { oldest_left } = current.offered {
+            track.place.remember(oldest_left);
         }
         track.way_since_check += current.motion.translation.vector.norm();
         if let Some(since) = track.support.contradicted_since() {

@@ -7,7 +7,7 @@ use portolan_matching::ScanAgreement;
 
 use crate::belief::Belief;
 use crate::known_map::{KnownMap, ScanMatch, Window};
-use crate::recent::{KEPT, RecentScans};
+use crate::recent::RecentScans;
 
 /// Scans are looked for within so many standard deviations of their prediction, and within these bounds, metres and
 /// radians.
@@ -23,9 +23,6 @@ const ON_THE_WAY: Window = Window { metres: 0.1, radians: 0.03 };
 /// Places nearer to each other, metres and radians, are the same.
 const SAME_PLACE: (f64, f64) = (0.6, 0.2);
 
-/// The way that is remembered, in kept scans: some 25 m.
-const PATH: usize = 64;
-
 /// How well what was seen fits a place: shares of beams explained less contradicted, the mean of recent scans.
 pub(crate) fn fit(agreement: &ScanAgreement) -> f64 {
     f64::from(agreement.explained - agreement.contradicted())
@@ -37,8 +34,8 @@ pub(crate) struct Hypothesis {
     pub belief: Belief,
     /// What the map says to the newest scan that was matched.
     pub agreement: ScanAgreement,
-    /// How well each scan that was kept fits, along the whole way since it was proposed, oldest first; at most [`PATH`].
-    fits: VecDeque<f64>,
+    /// What it says to the recent scans, oldest first.
+    fits: VecDeque<ScanAgreement>,
 }
 
 impl Hypothesis {
@@ -56,7 +53,7 @@ impl Hypothesis {
         for kept in recent.iter().rev() {
             let guess = place * (after.local_from_scan.inverse() * kept.local_from_scan);
             let here = map.find(&kept.scan, &guess, ON_THE_WAY);
-            fits.push_front(fit(&here.agreement));
+            fits.push_front(here.agreement);
             found.get_or_insert(here);
             (place, after) = (here.pose, kept);
         }
@@ -66,36 +63,16 @@ impl Hypothesis {
     }
 
     /// Remembers what the map says to a scan that is kept.
-    pub fn remember(&mut self) {
-        self.fits.push_back(fit(&self.agreement));
-        if self.fits.len() > PATH {
+    pub fn remember(&mut self, oldest_left: bool) {
+        self.fits.push_back(self.agreement);
+        if oldest_left {
             self.fits.pop_front();
         }
     }
 
-    /// How well the recent scans fit: their mean.
+    /// How well the recent scans fit.
     pub fn fit(&self) -> f64 {
-        let recent = self.fits.len().min(KEPT);
-        self.fits.iter().rev().take(KEPT).sum::<f64>() / recent.max(1) as f64
-    }
-
-    /// By how much the scans fit better here than at another place: the same scans at both, the recent ones or those of the
-    /// whole common way, whichever says more. Scans are kept after equal ways, so that their log likelihood ratios add up;
-    /// the sum is told in units of the recent ones: what leads a little all along leads as much as what leads clearly now.
-    pub fn lead_over(&self, other: &Self) -> f64 {
-        let pairs = self.fits.iter().rev().zip(other.fits.iter().rev());
-        let (count, sum) = pairs.fold((0, 0.0), |(n, sum), (own, others)| (n + 1, sum + own - others));
-        let recent = self.fit() - other.fit();
-        if count > KEPT { recent.max(sum / KEPT as f64) } else { recent }
-    }
-
-    /// Takes over the pose of a proposal that is the same place and fits better, without forgetting the way before.
-    pub fn renew(&mut self, proposal: Self) {
-        let before = self.fits.len().saturating_sub(proposal.fits.len());
-        let known = std::mem::replace(self, proposal);
-        for fit in known.fits.iter().take(before).rev() {
-            self.fits.push_front(*fit);
-        }
+        self.fits.iter().map(fit).sum::<f64>() / self.fits.len().max(1) as f64
     }
 
     /// Goes along with local SLAM, without looking.

@@ -7,7 +7,7 @@ use portolan_geometry::{Rigid3, Time};
 /// Scans are kept after this way, metres, or this turn, radians, so many of them.
 const KEY_WAY: f64 = 0.4;
 const KEY_TURN: f64 = 0.35;
-pub(crate) const KEPT: usize = 12;
+const KEPT: usize = 12;
 
 /// A scan that is kept for judging places.
 #[derive(Clone, Debug)]
@@ -34,8 +34,8 @@ impl<S> Default for RecentScans<S> {
 pub(crate) enum Offered {
     /// It is like the last one.
     LeftOut,
-    /// It is kept.
-    Kept,
+    /// It is kept; whether the oldest one went for it.
+    Kept { oldest_left: bool },
 }
 
 impl<S> RecentScans<S> {
@@ -48,10 +48,11 @@ impl<S> RecentScans<S> {
             }
         }
         self.scans.push_back(scan);
-        if self.scans.len() > KEPT {
+        let oldest_left = self.scans.len() > KEPT;
+        if oldest_left {
             self.scans.pop_front();
         }
-        Offered::Kept
+        Offered::Kept { oldest_left }
     }
 
     pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = &KeyScan<S>> + ExactSizeIterator {
