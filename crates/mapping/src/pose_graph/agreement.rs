@@ -122,15 +122,20 @@ impl<S: Space> PoseGraph<S> {
 
     /// How a loop closure would bend the map: what was mapped later moves relative to what was mapped earlier.
     fn bending_match(&self, constraint: &Constraint) -> Option<WaitingMatch> {
-        let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
-        let node = self.problem.nodes.get(&constraint.node_id)?;
         let submap_time = self.state.time_of_last_node(self.state.submaps.get(&constraint.submap_id)?)?;
+        let is_node_later = submap_time < self.problem.nodes.get(&constraint.node_id)?.time;
+        self.as_waiting(constraint, is_node_later)
+    }
+
+    /// Where a match says that the later of what it relates lies, the node or the submap.
+    fn as_waiting(&self, constraint: &Constraint, is_node_later: bool) -> Option<WaitingMatch> {
+        let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
+        let known = self.problem.nodes.get(&constraint.node_id)?.map_from_node;
         let found = map_from_submap * constraint.submap_from_node;
-        let submap_part_from_node_part = found * node.map_from_node.inverse();
-        let (earlier_from_later, place) = if submap_time < node.time {
-            (submap_part_from_node_part, node.map_from_node)
-        } else {
-            (submap_part_from_node_part.inverse(), found)
+        let found_from_known = found * known.inverse();
+        let (earlier_from_later, place) = match is_node_later {
+            true => (found_from_known, known),
+            false => (found_from_known.inverse(), found),
         };
         let place_in_later = place.translation.vector;
         Some(WaitingMatch { constraint: constraint.clone(), earlier_from_later, place_in_later })
@@ -147,7 +152,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     fn wait_for_agreement(&mut self, constraint: Constraint) {
-        let Some((parts, waiting)) = self.waiting_match(constraint) else { return };
+        let Some((parts, waiting)) = self.waiting_match(&constraint) else { return };
         waiting.log();
         let waiting_here = self.waiting.by_parts.entry(parts).or_default();
         waiting_here.push(waiting);
@@ -157,22 +162,12 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    fn waiting_match(&self, constraint: Constraint) -> Option<(Parts, WaitingMatch)> {
+    fn waiting_match(&self, constraint: &Constraint) -> Option<(Parts, WaitingMatch)> {
         let part = |id: TrajectoryId| self.state.connectivity.first_connected(id);
         let submap_part = part(constraint.submap_id.trajectory_id);
         let node_part = part(constraint.node_id.trajectory_id);
-        let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
-        let known = self.problem.nodes.get(&constraint.node_id)?.map_from_node;
-        let found = map_from_submap * constraint.submap_from_node;
-        let submap_part_from_node_part = found * known.inverse();
-        let (earlier_from_later, place) = if submap_part < node_part {
-            (submap_part_from_node_part, known)
-        } else {
-            (submap_part_from_node_part.inverse(), found)
-        };
         let parts = (submap_part.min(node_part), submap_part.max(node_part));
-        let place_in_later = place.translation.vector;
-        Some((parts, WaitingMatch { constraint, earlier_from_later, place_in_later }))
+        Some((parts, self.as_waiting(constraint, submap_part < node_part)?))
     }
 
     /// Puts one part where the matches say it lies in the other, and takes the matches over.

@@ -21,8 +21,8 @@ const EXPLAINED: f64 = 1.2;
 const CONTRADICTED: f64 = 1.8;
 /// Probability that the motion was none that its learned errors explain.
 const OUTLIER: f64 = 0.003;
-/// Where the scanner may be then: within so many metres to each side, at any heading.
-const OUTLIER_METRES: f64 = 3.0;
+/// Where the scanner may be then: as far to each side as is searched, at any heading.
+const OUTLIER_METRES: f64 = super::tracking::WIDEST.linear;
 
 /// What the motion says.
 #[derive(Clone, Copy, Debug)]

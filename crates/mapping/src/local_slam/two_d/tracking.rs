@@ -33,7 +33,7 @@ const ACCELERATION: f64 = 1.0;
 /// The same of the angular acceleration, rad/s².
 const ANGULAR_ACCELERATION: f64 = 2.0;
 /// No scan is searched farther than this, metres and radians.
-const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
+pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
 
 /// The motion since the last scan.
 #[derive(Clone, Copy, Debug)]
