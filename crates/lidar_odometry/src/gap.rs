@@ -62,8 +62,8 @@ pub(crate) fn next_sweep(
         return NextSweep::Waits;
     }
     let before = Velocities::at_start_of(&prediction.segment);
-    let motions = Velocities::after(tracker, settings, sweeps).into_iter();
-    let motions: Vec<GapMotion> = motions.map(|after| GapMotion { before, after }).collect();
+    let after = Velocities::after(tracker, settings, sweeps).into_iter();
+    let motions = after.chain([before]).map(|after| GapMotion { before, after }).collect();
     best(tracker, settings, &sweeps[..sweeps.len().min(judges)], motions)
 }
 
@@ -138,7 +138,8 @@ impl Velocities {
 }
 
 impl GapMotion {
-    /// A predicted segment, moved as this motion says; turned so, too, unless a gyroscope measured the rotation.
+    /// A predicted segment, moved as this motion says; turned so, too, unless a gyroscope measured the rotation. Only the
+    /// heading turns: a platform that rolls and pitches comes back.
     pub fn applied_to(&self, predicted: &TrajectorySegment) -> TrajectorySegment {
         let (start, whole) = (predicted.start(), predicted.seconds().max(1e-9));
         let (mut place, mut rotation): (Vector3, Quaternion) = (start.translation.vector, start.rotation);
@@ -149,7 +150,10 @@ impl GapMotion {
             let now = Velocities::between(&self.before, &self.after, 0.5 * (before + seconds) / whole);
             let next = match is_measured {
                 true => pose.rotation,
-                false => rotation * quaternion_from_angle_axis(&(now.angular * step)),
+                false => {
+                    let rate = (rotation * now.angular).z;
+                    quaternion_from_angle_axis(&(Vector3::z() * (rate * step))) * rotation
+                }
             };
             place += rotation.slerp(&next, 0.5) * now.linear * step;
             (rotation, before) = (next, seconds);
