@@ -8,8 +8,9 @@ use portolan_issue::IssueLog;
 use portolan_mapping::{LocalSlam, MapperError, MatchingResult, SensorCollation, Space, TrajectoryId};
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
+use crate::changes::Change;
 use crate::finder::{Finder, LocalScan};
-use crate::known_map::KnownMap;
+use crate::known_map::{KnownMap, KnownMapError};
 use crate::search::Searcher;
 use crate::state::Estimate;
 
@@ -46,6 +47,9 @@ pub enum LocalizerError {
     /// Local SLAM.
     #[error(transparent)]
     Mapper(#[from] MapperError),
+    /// What the map is compared with.
+    #[error(transparent)]
+    Map(#[from] KnownMapError),
     /// Threads could not be started.
     #[error("cannot start threads for searching: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
@@ -83,7 +87,7 @@ impl<M: KnownMap> Localizer<M> {
         Ok(Self {
             collation,
             local_slam: M::Space::new_local_slam(options, &ranges)?,
-            finder: Finder::new(searcher, start),
+            finder: Finder::new(searcher, start)?,
         })
     }
 
@@ -108,6 +112,11 @@ impl<M: KnownMap> Localizer<M> {
         let mut issues = self.local_slam.issues();
         issues.append(&self.collation.issues());
         issues
+    }
+
+    /// Where scans contradicted the map while it was localised (2D).
+    pub fn changes(&self) -> Vec<Change> {
+        self.finder.changes()
     }
 
     /// Whether the start that was told agrees with the place that is known; none while none is known, or none was told.
@@ -135,6 +144,7 @@ impl<M: KnownMap> Localizer<M> {
                 time: scan.time,
                 local_from_tracking: scan.local_from_tracking,
                 returns: &scan.range_data_in_local.returns,
+                origin: scan.range_data_in_local.origin,
                 begins_anew: scan.lost.is_some(),
             })
         };

@@ -1,16 +1,17 @@
 //! Matching a scan to a map of the plane, and what the match tells.
 
-use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d};
-use portolan_mapping::Planar;
+use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
+use portolan_mapping::{NodeData, Planar};
 use portolan_matching::{
-    GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, ScanAgreement, SeveralPlaces,
+    GradientMatcher2d, GradientMatcherOptions2d, Grid2d, MatcherOptionError, ScanAgreement, SeveralPlaces,
     scan_agreement,
 };
 use portolan_sensor::PointCloud;
 
 use crate::belief::Freedom;
+use crate::changes::ChangeGrid;
 use crate::information::{Contact, information};
-use crate::known_map::{KnownMap, ScanMatch, Window};
+use crate::known_map::{KnownMap, KnownMapError, ScanMatch, Window};
 use crate::planar_map::PlanarMap;
 use crate::planar_scan::{PlanarJoint, PlanarScan};
 use crate::recent::RecentScans;
@@ -75,6 +76,11 @@ impl KnownMap for PlanarMap {
         embed_3d(&project_2d(local_from_tracking))
     }
 
+    fn points_in_tracking(node: &NodeData) -> PointCloud {
+        let tracking_from_aligned = Rigid3::from_parts(Default::default(), node.gravity_alignment.inverse());
+        node.filtered_gravity_aligned_point_cloud.transformed(&to_f32(&tracking_from_aligned))
+    }
+
     fn scan(&self, returns: &PointCloud) -> PlanarScan {
         PlanarScan::new(returns)
     }
@@ -103,6 +109,11 @@ impl KnownMap for PlanarMap {
 
     fn agreement(&self, scan: &PlanarScan, pose: &Rigid3) -> ScanAgreement {
         scan_agreement(&self.grid, &project_2d(pose), &scan.cloud).unwrap_or_default()
+    }
+
+    fn change_grid(&self) -> Result<Option<ChangeGrid>, KnownMapError> {
+        let Grid2d::Probability(grid) = &self.grid else { return Ok(None) };
+        Ok(Some(ChangeGrid::new(grid, &self.field)?))
     }
 }
 

@@ -9,7 +9,7 @@ use portolan::geometry::{Duration, Rigid3, Time, Vector3, rotation_angle};
 use portolan::ingest::IngestOptions;
 use portolan::job::{
     Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder,
-    localize, map, unobserved, write_localized,
+    examine_map, localize, map, unobserved, write_localized,
 };
 use portolan::localization::{KnownMapError, PlanarMap, Reason, StartPose, State};
 use portolan::mapping::{GraphState, Planar};
@@ -223,4 +223,25 @@ fn why_it_is_not_known_is_said() {
     let reasons = [Reason::NoPlaceFits, Reason::SeveralPlacesFit, Reason::TooLittleSeen];
     assert!(found.estimates.iter().all(|e| reasons.contains(&e.reason)));
     assert!(found.estimates.iter().all(|e| e.place.is_some() == (e.state == State::Tentative)));
+}
+
+#[test]
+fn a_box_that_was_put_there_appears_and_nothing_changes_in_its_own_map() {
+    let first = drive(1, 2, 60.0);
+    let own = find(&first, None);
+    let area = |found: &LocalizedRecording| found.changes.iter().map(|c| c.area).sum::<f64>();
+    assert!(area(&own) < 0.3, "{:?}", own.changes);
+}
+
+#[test]
+fn places_are_the_same_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    map(&drive(1, 1, 30.0), MapRequest::new(folder.path()), &mut unobserved).unwrap();
+    let path = folder.path().join("map.pbstream");
+    let [one, three] = [1, 3].map(|threads| examine_map(&path, threads, &mut unobserved).unwrap());
+    assert!(one.places.len() > 3, "{}", one.places.len());
+    assert_eq!(one.places, three.places);
+    let of_way: f64 = one.counts().iter().map(|(_, count)| count.fraction_of_way).sum();
+    assert!((of_way - 1.0).abs() < 1e-9, "{of_way}");
+    assert!(examine_map(&folder.path().join("none"), 1, &mut unobserved).is_err());
 }

@@ -1,0 +1,160 @@
+//! Where in a map localisation would fail or take one place for another.
+
+use std::path::Path;
+
+use portolan_config::Options;
+use portolan_export::{ColouredLine, PictureOptions, Rgb, draw_path, rgb, write_picture};
+use portolan_geometry::Dimension;
+use portolan_input::regular_file;
+use portolan_localization::{
+    Distinctness, ExaminedPlace, Freedom, KnownMap, KnownMapError, LocalizerError, PlaceExaminer, PlanarMap,
+    SpatialMap,
+};
+use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d};
+use portolan_mapping::{GraphState, Map};
+use portolan_pbstream::MapReader;
+use portolan_pbstream::proto::mapping::serialized_data::Data;
+
+use super::error::JobError;
+use super::event::{Event, Observer};
+use super::known_map::KnownMaps;
+
+/// Places of a map, and how well they can be told apart.
+pub struct ExaminedMap {
+    /// Along the trajectories, in order.
+    pub places: Vec<ExaminedPlace>,
+    /// Whether it is a map in 2D or in 3D.
+    pub dimension: Dimension,
+    textures: Vec<PlacedTexture>,
+}
+
+/// How many places are of a kind, and how much of the way they stand for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PlaceCount {
+    /// Places.
+    pub places: usize,
+    /// Fraction of the way along which they lie.
+    pub fraction_of_way: f64,
+}
+
+impl ExaminedMap {
+    /// Places of each kind, in the order of [`Distinctness::ALL`].
+    pub fn counts(&self) -> [(Distinctness, PlaceCount); 4] {
+        let whole = self.way();
+        Distinctness::ALL.map(|kind| {
+            let of_kind = || self.places.iter().filter(|place| place.distinctness == kind);
+            let way: f64 = of_kind().map(|place| place.way).sum();
+            let fraction_of_way = if whole > 0.0 { way / whole } else { 0.0 };
+            (kind, PlaceCount { places: of_kind().count(), fraction_of_way })
+        })
+    }
+
+    /// Metres along the trajectories.
+    pub fn way(&self) -> f64 {
+        self.places.iter().map(|place| place.way).sum()
+    }
+
+    /// Draws the map with the way in colours: [`colour`].
+    ///
+    /// # Errors
+    /// If there is nothing to draw, or the picture cannot be written.
+    pub fn draw(&self, path: &Path) -> Result<(), JobError> {
+        let picture = draw_path(&self.textures, &lines(&self.places), &PictureOptions::default())?;
+        Ok(write_picture(path, &picture)?)
+    }
+}
+
+/// Examines the places of a map. `observe` is told how far it is and may stop it; the places examined by then remain.
+///
+/// # Errors
+/// A map that cannot be read, or in which nothing can be found.
+pub fn examine_map(path: &Path, threads: usize, observe: &mut Observer) -> Result<ExaminedMap, JobError> {
+    regular_file(path).map_err(|source| JobError::file(path, source))?;
+    match dimension(path)? {
+        Dimension::Two => examine_in::<PlanarMap>(path, threads, PlanarMap::new, submap_textures_2d, observe),
+        Dimension::Three => {
+            examine_in::<SpatialMap>(path, threads, SpatialMap::new, submap_textures_3d, observe)
+        }
+    }
+}
+
+/// By the first submap of the file.
+fn dimension(path: &Path) -> Result<Dimension, JobError> {
+    let failed = |error: portolan_pbstream::PbstreamError| JobError::KnownMap {
+        path: path.to_owned(),
+        reason: error.into(),
+    };
+    let mut reader = MapReader::open(path).map_err(failed)?;
+    while let Some(message) = reader.next_message().map_err(failed)? {
+        if let Data::Submap(submap) = message.data {
+            let is_spatial = submap.submap_3d.is_some() && submap.submap_2d.is_none();
+            return Ok(if is_spatial { Dimension::Three } else { Dimension::Two });
+        }
+    }
+    Ok(Dimension::Two)
+}
+
+fn examine_in<M: KnownMap>(
+    path: &Path,
+    threads: usize,
+    known_map: fn(&GraphState<M::Space>) -> Result<M, KnownMapError>,
+    textures: fn(&Map<M::Space>) -> Vec<PlacedTexture>,
+    observe: &mut Observer,
+) -> Result<ExaminedMap, JobError>
+where
+    M::Space: MapSpace,
+{
+    let options = Options::default();
+    let known = KnownMaps { files: vec![path.to_owned()], frozen: FrozenTrajectories::All, start: None };
+    // What had to be put right is for whoever checks the document to say.
+    let loaded = known.load::<M::Space>(&options, &mut super::unobserved)?;
+    let unusable = |reason| JobError::UnusableMap { path: path.to_owned(), reason };
+    let map = known_map(loaded.graph.state()).map_err(unusable)?;
+    let examiner = PlaceExaminer::new(map, loaded.graph.state(), threads).map_err(LocalizerError::from)?;
+    let places = examiner.examine(&mut |done, total| observe(&Event::Examining { done, total }));
+    drop(examiner);
+    let dimension = match M::FREEDOM {
+        Freedom::Plane => Dimension::Two,
+        Freedom::Space => Dimension::Three,
+    };
+    let textures = textures(&Map::new(options, loaded.graph, loaded.trajectories));
+    Ok(ExaminedMap { places, dimension, textures })
+}
+
+/// The colour of a place in pictures.
+fn colour(distinctness: Distinctness) -> Rgb {
+    match distinctness {
+        Distinctness::Distinct => rgb(0x2ca02c),
+        Distinctness::Degenerate => rgb(0x1f78b4),
+        Distinctness::Ambiguous => rgb(0xe08214),
+        Distinctness::Thin => rgb(0xd62728),
+    }
+}
+
+/// The way in pieces of one kind, the worst on top: each place from half the way before it to half the way after it.
+fn lines(places: &[ExaminedPlace]) -> Vec<ColouredLine> {
+    let at = |place: &ExaminedPlace| {
+        let at = place.map_from_tracking.translation;
+        [at.x, at.y]
+    };
+    let middle = |a: &ExaminedPlace, b: &ExaminedPlace| {
+        let (a, b) = (at(a), at(b));
+        [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])]
+    };
+    let is_joined =
+        |a: &&ExaminedPlace, b: &ExaminedPlace| a.node_id.trajectory_id == b.node_id.trajectory_id;
+    let piece = |(i, place): (usize, &ExaminedPlace)| {
+        let before = i.checked_sub(1).and_then(|i| places.get(i)).filter(|other| is_joined(other, place));
+        let after = places.get(i + 1).filter(|other| is_joined(other, place));
+        let points =
+            [before.map(|other| middle(other, place)), Some(at(place)), after.map(|o| middle(place, o))];
+        let line = ColouredLine {
+            colour: colour(place.distinctness),
+            points: points.into_iter().flatten().collect(),
+        };
+        (place.distinctness, line)
+    };
+    let mut pieces: Vec<(Distinctness, ColouredLine)> = places.iter().enumerate().map(piece).collect();
+    pieces.sort_by_key(|(distinctness, _)| *distinctness);
+    pieces.into_iter().map(|(_, line)| line).collect()
+}
