@@ -187,8 +187,9 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
         text += &format!("at the end it is {} ({})\n", estimate.state, estimate.reason.name());
     }
     if !localized.changes.is_empty() {
-        let area =
-            |kind| -> f64 { localized.changes.iter().filter(|c| c.kind == kind).map(|c| c.area).sum() };
+        let area = |kind| -> f64 {
+            localized.changes.iter().filter(|c| c.kind == kind).fold(0.0, |sum, c| sum + c.area)
+        };
         text += &format!(
             "{} where the map has changed (changes.geojson): {:.2} m² appeared, {:.2} m² gone\n",
             counted(localized.changes.len() as u64, "place", "places"),

@@ -43,7 +43,7 @@ impl ExaminedMap {
         let whole = self.way();
         Distinctness::ALL.map(|kind| {
             let of_kind = || self.places.iter().filter(|place| place.distinctness == kind);
-            let way: f64 = of_kind().map(|place| place.way).sum();
+            let way = of_kind().fold(0.0, |sum, place| sum + place.way);
             let fraction_of_way = if whole > 0.0 { way / whole } else { 0.0 };
             (kind, PlaceCount { places: of_kind().count(), fraction_of_way })
         })
