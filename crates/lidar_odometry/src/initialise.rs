@@ -32,6 +32,18 @@ pub(crate) struct Start {
     turn_rate: Vector3,
 }
 
+impl Start {
+    /// m/s in the tracking frame.
+    pub fn velocity_in_tracking(&self) -> Vector3 {
+        self.rotation.inverse() * self.velocity
+    }
+
+    /// In the tracking frame, rad/s; zero where a gyroscope measures.
+    pub fn turn_rate(&self) -> Vector3 {
+        self.turn_rate
+    }
+}
+
 /// The first sweep, and what is believed of the motion then.
 #[derive(Clone)]
 pub(crate) struct FirstSweeps<'a> {

@@ -4,6 +4,7 @@ mod belief;
 mod coarse_alignment;
 mod degenerate_intervals;
 mod deskew;
+mod gap;
 mod gravity;
 mod gravity_initialisation;
 mod gyroscope;

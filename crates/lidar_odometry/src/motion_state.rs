@@ -2,10 +2,11 @@
 //! inertial Kalman filter, fed by the same samples.
 
 use portolan_geometry::nalgebra::Matrix3;
-use portolan_geometry::{Quaternion, Rigid3, Time, Vector3};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3};
 use portolan_motion::PoseExtrapolator;
 use portolan_sensor::{ImuData, OdometryData};
 
+use crate::gap::{GapMotion, Velocities};
 use crate::gravity::GravityEstimator;
 use crate::gyroscope::{GyroscopeBias, SaturationDetector};
 use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PlaceMeasurement};
@@ -24,11 +25,16 @@ pub(crate) struct MotionState {
     saturation: SaturationDetector,
     /// When the gyroscope was last at the end of its range.
     saturated_at: Option<Time>,
+    last_sample: Option<Time>,
+    /// When samples last came again after a gap.
+    resumed_at: Option<Time>,
     zero_velocity: ZeroVelocityDetector,
     gravity: GravityEstimator,
     inertial: InertialFilter,
     hypotheses: HypothesisSettings,
     imu: ImuSettings,
+    /// Between the two poses that tell the extrapolator a velocity.
+    velocity_interval: Duration,
 }
 
 /// What the end of a sweep says of the motion.
@@ -40,6 +46,8 @@ pub(crate) struct SweepEnd<'a> {
     /// Covariance of attenuation, m² in the local map. None where the sweep fits nothing.
     pub attenuation: Option<Matrix3<f64>>,
     pub is_standing: bool,
+    /// Where it does not follow from the pose before: how the platform moves now.
+    pub velocities: Option<Velocities>,
 }
 
 impl MotionState {
@@ -55,11 +63,14 @@ impl MotionState {
             gyroscope_bias: GyroscopeBias::new(&settings.gyroscope),
             saturation: SaturationDetector::new(&settings.gyroscope),
             saturated_at: None,
+            last_sample: imu.first().map(|sample| sample.time),
+            resumed_at: None,
             zero_velocity: ZeroVelocityDetector::new(&settings.standstill),
             gravity: GravityEstimator::new(&settings.gravity, &settings.imu),
             inertial: InertialFilter::new(&settings.inertial, &settings.imu),
             hypotheses: settings.hypotheses.clone(),
             imu: settings.imu.clone(),
+            velocity_interval: Duration::from_seconds(settings.initialisation.velocity_interval),
         };
         if let Some(first) = imu.first() {
             // The extrapolator has it.
@@ -72,6 +83,11 @@ impl MotionState {
 
     /// Takes a sample, in order of time. Gives what is wrong with it.
     pub fn add_imu(&mut self, data: &ImuData) -> Option<Issue> {
+        let max_gap = Duration::from_seconds(self.hypotheses.long_gap);
+        if self.last_sample.is_some_and(|last| data.time - last > max_gap) {
+            self.resumed_at = Some(data.time);
+        }
+        self.last_sample = self.last_sample.max(Some(data.time));
         if self.saturation.is_saturated(&data.angular_velocity) {
             self.saturated_at = self.saturated_at.max(Some(data.time));
         }
@@ -118,7 +134,8 @@ impl MotionState {
             }
             _ => extrapolated.clone(),
         };
-        segment.rotation_is_measured = self.has_imu && self.extrapolator.has_gyroscope(end);
+        let is_complete = self.resumed_at.is_none_or(|resumed| start.is_some_and(|start| resumed <= start));
+        segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
         let level_from_tracking = self.has_imu.then(|| self.extrapolator.estimate_gravity_orientation(end));
         let is_saturated = self.saturated_at > start;
         let alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
@@ -131,6 +148,14 @@ impl MotionState {
             level_from_tracking,
             is_saturated,
         }
+    }
+
+    /// What is expected of the first sweep after a gap if the platform moved so meanwhile.
+    pub fn predict_after(&mut self, end: Time, motion: &GapMotion) -> Prediction {
+        let prediction = self.predict(end);
+        let segment = motion.applied_to(&prediction.segment);
+        let extrapolated = segment.clone();
+        Prediction { extrapolated, segment, inertial: None, alternatives: Vec::new(), ..prediction }
     }
 
     /// Other hypotheses than the first.
@@ -199,6 +224,11 @@ impl MotionState {
         if let Some(level_from_tracking) = &prediction.level_from_tracking {
             self.update_inertial(prediction, inertial, end, level_from_tracking);
         }
+        if let Some(velocities) = end.velocities {
+            let before = end.time - self.velocity_interval;
+            let earlier = velocities.earlier(end.local_from_tracking, self.velocity_interval.seconds());
+            self.extrapolator.add_pose(before, earlier);
+        }
         self.extrapolator.add_pose(end.time, *end.local_from_tracking);
         prediction.level_from_tracking.map(|level| self.leveled(end.time, end.local_from_tracking, level))
     }
@@ -227,7 +257,8 @@ impl MotionState {
         }
         let at_rest = self.zero_velocity.force_at_rest();
         let up = turn * (level_from_tracking.inverse() * Vector3::z());
-        let velocity = (place - extrapolated.start().translation.vector) / extrapolated.seconds().max(1e-3);
+        let mean = (place - extrapolated.start().translation.vector) / extrapolated.seconds().max(1e-3);
+        let velocity = end.velocities.map_or(mean, |velocities| turn * velocities.linear);
         // An IMU rests in smooth motion, too.
         let seems_to_stand = at_rest.is_some() && velocity.norm() < self.hypotheses.slow;
         let start = InertialStart {

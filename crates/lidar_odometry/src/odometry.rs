@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use crate::belief::Belief;
 use crate::degenerate_intervals::DegenerateInterval;
+use crate::gap::{self, NextSweep};
 use crate::gravity_initialisation::{Beginning, GravityInitialisation, WaitingSweeps};
 use crate::issues::{Issue, Issues};
 use crate::local_map::GrowingMap;
@@ -103,8 +104,14 @@ impl LidarOdometry {
                 State::FirstSweep(_) => self.register_first()?,
                 // 3. All others are registered to planes that those before them saw.
                 State::Tracking(tracker) => {
+                    let sweeps = self.waiting.make_contiguous();
+                    let gap = match gap::next_sweep(tracker, &self.settings, sweeps, self.is_ended) {
+                        NextSweep::Waits => break,
+                        NextSweep::AsPredicted => None,
+                        NextSweep::After(motion) => Some(motion),
+                    };
                     let Some(sweep) = self.waiting.pop_front() else { break };
-                    tracker.register(sweep, fallback.as_deref_mut(), &mut self.issues)
+                    tracker.register_after(gap, sweep, fallback.as_deref_mut(), &mut self.issues)
                 }
             };
             // 4. Hand it over, hold it back, or begin anew.

@@ -104,6 +104,12 @@ impl TrajectorySegment {
         self.poses.last().copied().unwrap_or_else(Rigid3::identity)
     }
 
+    /// From the first pose to the next, in the tracking frame, and the seconds that it takes.
+    pub fn first_motion(&self) -> (Rigid3, f64) {
+        let next = self.poses.get(1).copied().unwrap_or_else(|| self.start());
+        (self.start().inverse() * next, self.spacing)
+    }
+
     /// The rotation from the tracking frame at the end to that at the start.
     pub fn rotation(&self) -> Quaternion {
         self.start().rotation.inverse() * self.end().rotation

@@ -42,6 +42,7 @@ pub(crate) struct Target<'a> {
 }
 
 /// Registers sweeps.
+#[derive(Clone)]
 pub(crate) struct SweepRegistration {
     registration: Registration,
     settings: SweepSettings,

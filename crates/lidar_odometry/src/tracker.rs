@@ -8,6 +8,7 @@ use portolan_sensor::{PointCloud, RangeData};
 use crate::belief::{Belief, FitMonitor};
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
 use crate::deskew::deskewed;
+use crate::gap::GapMotion;
 use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
@@ -74,6 +75,7 @@ pub trait Fallback {
 }
 
 /// Follows sweep after sweep.
+#[derive(Clone)]
 pub(crate) struct Tracker {
     settings: OdometrySettings,
     motion: MotionState,
@@ -87,6 +89,8 @@ pub(crate) struct Tracker {
     last_fitting: Vec<Point3f>,
     /// When a sweep last fitted planes.
     fitted_at: Time,
+    /// Seconds between the last two sweeps.
+    last_interval: f64,
     memory: Memory,
     /// Of all sweeps so far, if anything is remembered.
     seen: Fingerprint,
@@ -140,11 +144,25 @@ impl Tracker {
             fits: FitMonitor::new(&settings.loss),
             last_fitting: Vec::new(),
             fitted_at: registered.sweep.end,
+            last_interval: f64::MAX,
             memory: Memory::default(),
             seen: Fingerprint::of("sweeps"),
             settings: settings.clone(),
         };
         (tracker, registered)
+    }
+
+    /// Another one that goes on from here, to try something out.
+    pub fn fork(&self) -> Self {
+        Self { memory: Memory::default(), ..self.clone() }
+    }
+
+    /// Whether sweeps are missing before one that ends at `end`.
+    pub fn is_after_gap(&self, end: Time) -> bool {
+        let last = self.motion.extrapolator.last_pose_time();
+        let seconds = last.map_or(0.0, |last| end.seconds_since(last));
+        let usual = self.settings.hypotheses.gap_intervals * self.last_interval;
+        seconds > self.settings.hypotheses.long_gap && seconds > usual
     }
 
     /// Registers a sweep to the planes around.
@@ -154,9 +172,24 @@ impl Tracker {
         fallback: Option<&mut (dyn Fallback + '_)>,
         issues: &mut Issues,
     ) -> RegisteredSweep {
+        self.register_after(None, sweep, fallback, issues)
+    }
+
+    /// Registers a sweep to the planes around; the first one after a gap may come after a motion that is assumed.
+    pub fn register_after(
+        &mut self,
+        gap: Option<GapMotion>,
+        sweep: Sweep,
+        fallback: Option<&mut (dyn Fallback + '_)>,
+        issues: &mut Issues,
+    ) -> RegisteredSweep {
         let is_warming_up = self.is_warming_up();
         // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
-        let prediction = self.motion.predict(sweep.end);
+        let prediction = match &gap {
+            Some(motion) => self.motion.predict_after(sweep.end, motion),
+            None => self.motion.predict(sweep.end),
+        };
+        self.last_interval = prediction.segment.seconds();
         // 2. Register the hypotheses to planes and poles; the one that fits best counts.
         let (mut best, mut poles) = self.best_hypothesis(&sweep, &prediction, issues);
         // 3. Does it fit as well as the sweeps before it? If not, it may have moved otherwise than predicted.
@@ -197,6 +230,7 @@ impl Tracker {
             degenerate: &observability.degenerate.translations,
             attenuation,
             is_standing: standing.is_some(),
+            velocities: gap.map(|motion| motion.after),
         };
         let inertial = prediction.inertial.as_ref().filter(|_| reason.is_none());
         let gravity = self.motion.update(&prediction, inertial, &end);

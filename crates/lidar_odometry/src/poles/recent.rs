@@ -11,11 +11,13 @@ use crate::settings::PoleSettings;
 use crate::sweep::Sweep;
 
 /// Points of vertical structures in the last sweeps.
+#[derive(Clone)]
 pub(crate) struct RecentPoles {
     settings: PoleSettings,
     sweeps: VecDeque<PolesOfSweep>,
 }
 
+#[derive(Clone)]
 struct PolesOfSweep {
     end: Time,
     local_from_tracking: Rigid3,
@@ -23,6 +25,7 @@ struct PolesOfSweep {
 }
 
 /// Points of vertical structures in a sweep, as seen from its end.
+#[derive(Clone)]
 pub(crate) enum SeenPoles {
     /// These.
     Known(Vec<Point3f>),
@@ -31,6 +34,7 @@ pub(crate) enum SeenPoles {
 }
 
 /// A sweep whose vertical structures have not been looked for yet.
+#[derive(Clone)]
 pub(crate) struct UnpickedPoles {
     pub sweep: Sweep,
     /// As it was predicted.

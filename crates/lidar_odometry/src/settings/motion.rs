@@ -263,6 +263,14 @@ settings! {
             "After so many seconds without a sweep it may have stopped, or a clock jumped: standing is tried, too",
             origin: "tuned",
             larger: "lost more often after gaps";
+        gap_intervals: f64 = 2.5, "intervals", 1.0..=1000.0,
+            "It is a gap only if it is so many times as long as the interval between the sweeps before: keyframes are always far apart",
+            origin: "derived: one missing sweep is no gap, two are",
+            larger: "sweeps are missing for longer before the motion meanwhile is doubted";
+        better_after_gap: f64 = 1.02, "1", 1.0..=10.0,
+            "Sweeps after a gap have to fit so many times better after another motion than after constant velocity",
+            origin: "measured: along a simulated tunnel fits differ by 0.5 %, where a car had braked by 2.6 % and more (docs/experiments/2026-11-gaps.md)",
+            larger: "constant velocity is kept more often";
         heading_step: f64 = 0.35, "rad", 0.01..=3.2,
             "A sweep that contradicts the map is looked for from headings this far apart, if nothing measured the rotation",
             origin: "derived: nearest points bring together what is turned by less than about half of it",

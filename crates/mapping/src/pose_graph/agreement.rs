@@ -68,6 +68,8 @@ pub(super) struct WaitingMatches {
     by_parts: BTreeMap<Parts, Vec<WaitingMatch>>,
     /// Loop closures that would bend the map, in the order in which they were found.
     unsupported: Vec<Constraint>,
+    /// How many of them had to go because too many waited.
+    forgotten: usize,
 }
 
 impl<S: Space> PoseGraph<S> {
@@ -95,6 +97,11 @@ impl<S: Space> PoseGraph<S> {
         self.take_supported();
     }
 
+    /// How many loop closures still wait for others to agree: at the end they are left out.
+    pub fn unsupported_loop_closures(&self) -> usize {
+        self.waiting.unsupported.len() + self.waiting.forgotten
+    }
+
     /// Takes loop closures that fit the map, or that others agree with; the rest goes on waiting. Returns how many it took.
     pub(super) fn take_supported(&mut self) -> usize {
         let waiting = std::mem::take(&mut self.waiting.unsupported);
@@ -117,6 +124,7 @@ impl<S: Space> PoseGraph<S> {
         }
         let superfluous = self.waiting.unsupported.len().saturating_sub(MOST_UNSUPPORTED);
         self.waiting.unsupported.drain(..superfluous);
+        self.waiting.forgotten += superfluous;
         supported.iter().filter(|is_supported| **is_supported).count()
     }
 

@@ -1,24 +1,81 @@
-//! Searching once more at the end of a short recording.
+//! Searching once more at the end.
 //!
 //! While mapping, a fraction of the pairs of nodes and submaps is tried (`sampling_ratio`), small enough for
 //! long recordings. A short one leaves only a handful of loop closures that way, and its walls stay
 //! double where its two or three rounds disagree.
+//!
+//! And a pair is tried where the map says that the node is when it is tried. Later loop closures move it: places that lie
+//! beside each other in the optimised map, with a long way between them, are tried again there.
 
+use portolan_geometry::Vector3;
 use portolan_sensor::FixedRatioSampler;
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::PoseGraph;
+use super::policy::Spacing;
+use super::travel::TravelGraph;
 use crate::{NodeId, Space, SubmapId};
+
+/// So often the optimised map is searched at most; each time because the time before found something.
+const MOST_ROUNDS: usize = 3;
+/// Each time at most this fraction of what was searched while mapping is searched.
+const SHARE_OF_SEARCHES: f64 = 0.1;
+/// Places are tried again only if the way between them is so many metres: over less, more loop closures tell little.
+const LONG_WAY: f64 = 50.0;
 
 impl<S: Space> PoseGraph<S> {
     /// Schedules further pairs, evenly over all that are near enough and have no loop closure yet, until
     /// as many as wanted have been tried.
     pub(super) fn search_more(&mut self) {
         let missing = self.policy.min_searches.saturating_sub(self.search.counts().window_searched);
-        if missing == 0 {
+        if missing > 0 {
+            self.schedule(self.untied_pairs(), missing as f64);
+        }
+    }
+
+    /// Searches the optimised map for loop closures that were missed while it was not yet what it is, and optimises it with
+    /// them, until no more are found.
+    pub(super) fn search_missed(&mut self) {
+        if self.policy.loops.drift == 0.0 {
             return;
         }
-        let pairs = self.untied_pairs();
-        let share = (missing as f64 / pairs.len().max(1) as f64).min(1.0);
+        let most = SHARE_OF_SEARCHES * self.search.counts().window_searched as f64;
+        for _ in 0..MOST_ROUNDS {
+            let travel = TravelGraph::new(&self.state);
+            self.schedule(self.distant_neighbours(&travel), most);
+            let before = self.state.constraints.len();
+            let found = self.search.run(&travel, &self.remembered);
+            self.add_found(found);
+            if self.state.constraints.len() == before {
+                return;
+            }
+            self.run_optimization();
+        }
+    }
+
+    /// Untied pairs that lie beside each other, with a long way between them; of each submap and trajectory one in
+    /// `spacing` metres of way.
+    fn distant_neighbours(&self, travel: &TravelGraph) -> Vec<(SubmapId, NodeId)> {
+        let (mut spacing, mut lengths) = (Spacing::default(), BTreeMap::new());
+        let mut of_submap: Option<SubmapId> = None;
+        let mut pairs = self.untied_pairs();
+        pairs.retain(|pair| {
+            let (submap_id, node_id) = *pair;
+            if of_submap.replace(submap_id) != Some(submap_id) {
+                (spacing, lengths) = (Spacing::default(), travel.lengths_from(submap_id));
+            }
+            let length = travel.submap_of(node_id).and_then(|of_node| lengths.get(&of_node));
+            let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
+            length.is_some_and(|length| *length >= LONG_WAY)
+                && spacing.is_due(*pair, way, self.policy.loops.spacing)
+        });
+        pairs
+    }
+
+    /// Schedules so many pairs, evenly.
+    fn schedule(&mut self, pairs: Vec<(SubmapId, NodeId)>, most: f64) {
+        let share = (most / pairs.len().max(1) as f64).min(1.0);
         let Ok(mut sampler) = FixedRatioSampler::new(share) else { return };
         for (submap_id, node_id) in pairs.into_iter().filter(|_| sampler.pulse()) {
             let (Some(entry), Some(node)) =
@@ -35,23 +92,25 @@ impl<S: Space> PoseGraph<S> {
 
     /// Pairs of connected trajectories, near each other, that no constraint relates.
     fn untied_pairs(&self) -> Vec<(SubmapId, NodeId)> {
-        let tied: std::collections::BTreeSet<(SubmapId, NodeId)> =
+        let tied: BTreeSet<(SubmapId, NodeId)> =
             self.state.constraints.iter().map(|c| (c.submap_id, c.node_id)).collect();
+        let farthest = self.options.constraint_builder.max_constraint_distance;
+        let nodes: Vec<(NodeId, Vector3)> = self
+            .problem
+            .nodes
+            .iter()
+            .map(|(id, node)| (*id, node.map_from_node.translation.vector))
+            .collect();
         let finished = self.state.submaps.iter().filter(|(_, s)| s.insertion_finished && s.submap.is_some());
-        let near = |submap_id: &SubmapId, node_id: &NodeId| {
-            let (Some(submap), Some(node)) =
-                (self.problem.submaps.get(submap_id), self.problem.nodes.get(node_id))
-            else {
-                return false;
-            };
-            let offset = submap.translation.vector - node.map_from_node.translation.vector;
-            offset.norm() <= self.options.constraint_builder.max_constraint_distance
-        };
-        finished
-            .flat_map(|(submap_id, _)| self.state.nodes.keys().map(move |node_id| (*submap_id, *node_id)))
-            .filter(|pair| !tied.contains(pair) && !self.both_frozen(pair.1, pair.0))
+        let near = finished.filter_map(|(id, _)| Some((*id, self.problem.submaps.get(id)?))).flat_map(
+            |(submap_id, map_from_submap)| {
+                let place = map_from_submap.translation.vector;
+                let near = nodes.iter().filter(move |(_, node)| (node - place).norm() <= farthest);
+                near.map(move |(node_id, _)| (submap_id, *node_id))
+            },
+        );
+        near.filter(|pair| !tied.contains(pair) && !self.both_frozen(pair.1, pair.0))
             .filter(|(s, n)| self.state.connectivity.are_connected(s.trajectory_id, n.trajectory_id))
-            .filter(|(s, n)| near(s, n))
             .collect()
     }
 }

@@ -363,8 +363,8 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Optimises once more, with as many iterations as the options allow at the end: after searching for pieces of map
-    /// that have no place yet, and more if too little was searched so far, and again after leaving out contradicted loop closures if that
-    /// is wanted.
+    /// that have no place yet, and more if too little was searched so far; again with loop closures that the optimised map
+    /// shows to have been missed; and again after leaving out contradicted ones if that is wanted.
     pub fn run_final_optimization(&mut self) {
         self.place_pieces();
         self.search_more();
@@ -373,6 +373,7 @@ impl<S: Space> PoseGraph<S> {
         if self.take_supported() > 0 {
             self.run_optimization();
         }
+        self.search_missed();
         if self.policy.drops_contradicted && self.drop_contradicted_loop_closures() > 0 {
             self.run_optimization();
         }

@@ -89,6 +89,7 @@ pub(super) fn report<S: Space>(
         "constraints": state.constraints.len(),
         "loop_closures": loops,
         "contradicted_loop_closures": mapped.map.graph.contradicted_loop_closures(),
+        "unsupported_loop_closures": mapped.map.graph.unsupported_loop_closures(),
         "known_map": Localisation::of(mapped).map(|l| serde_json::json!({
             "loop_closures": l.loop_closures,
             "first_found_after_seconds": l.first_found_after_seconds,

@@ -80,6 +80,12 @@ pub fn summary<S: Space>(
             "{contradicted} more loop closures were rejected as outliers: the others contradict them\n"
         );
     }
+    let unsupported = mapped.map.graph.unsupported_loop_closures();
+    if unsupported > 0 {
+        text += &format!(
+            "{unsupported} more loop closures would have bent the map and were left out: too few others agree\n"
+        );
+    }
     text += &crate::lost::losses(mapped);
     text += &degenerate_intervals(&mapped.degenerate_intervals, mapped.recording_seconds);
     text += &issues(mapped.issues.iter(), with_harmless);

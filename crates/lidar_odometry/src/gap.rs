@@ -1,0 +1,163 @@
+//! A gap: no sweeps came for a while, and nothing measured the motion meanwhile.
+//!
+//! Constant velocity says less the longer a gap is. As at the start of a trajectory, the first two sweeps after it tell how
+//! fast the platform moves then, with several hypotheses where that is not clear. Between the velocity before the gap and
+//! the one after it, velocity changed evenly, as likely as not. Each hypothesis is followed over the sweeps after the gap,
+//! and the one under which they fit the map best counts.
+
+use portolan_geometry::{
+    Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
+};
+
+use crate::initialise::{FirstSweeps, RotationAt, Start};
+use crate::issues::Issues;
+use crate::segment::{MotionSource, TrajectorySegment};
+use crate::settings::OdometrySettings;
+use crate::sweep::Sweep;
+use crate::tracker::Tracker;
+
+/// Velocities in the tracking frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Velocities {
+    /// m/s.
+    pub linear: Vector3,
+    /// rad/s.
+    pub angular: Vector3,
+}
+
+/// How the platform may have moved in a gap: its velocity changed evenly.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct GapMotion {
+    before: Velocities,
+    pub after: Velocities,
+}
+
+/// What is done with the next sweep.
+pub(crate) enum NextSweep {
+    /// It waits for the sweeps after it.
+    Waits,
+    /// It is registered where it is predicted.
+    AsPredicted,
+    /// It is registered where this motion leads.
+    After(GapMotion),
+}
+
+/// Decides what is done with the first of these sweeps. `is_ended`: no more will come.
+pub(crate) fn next_sweep(
+    tracker: &Tracker,
+    settings: &OdometrySettings,
+    sweeps: &[Sweep],
+    is_ended: bool,
+) -> NextSweep {
+    let Some(first) = sweeps.first() else { return NextSweep::Waits };
+    if !tracker.is_after_gap(first.end) {
+        return NextSweep::AsPredicted;
+    }
+    let prediction = tracker.motion().clone().predict(first.end);
+    if prediction.segment.source != MotionSource::ConstantVelocity {
+        return NextSweep::AsPredicted;
+    }
+    let judges = settings.initialisation.judged_sweeps;
+    if sweeps.len() < judges && !is_ended {
+        return NextSweep::Waits;
+    }
+    let before = Velocities::at_start_of(&prediction.segment);
+    let after = Velocities::after(tracker, settings, sweeps).into_iter();
+    let motions = after.chain([before]).map(|after| GapMotion { before, after }).collect();
+    best(tracker, settings, &sweeps[..sweeps.len().min(judges)], motions)
+}
+
+/// The motion under which the sweeps fit best; constant velocity unless another one is better by more than chance, because
+/// along a tunnel all fit alike.
+fn best(
+    tracker: &Tracker,
+    settings: &OdometrySettings,
+    sweeps: &[Sweep],
+    motions: Vec<GapMotion>,
+) -> NextSweep {
+    let fit_of = |motion: Option<GapMotion>| {
+        let mut tracker = tracker.fork();
+        let mut issues = Issues::default();
+        let mut motion = motion;
+        let fits = sweeps
+            .iter()
+            .map(|sweep| tracker.register_after(motion.take(), sweep.clone(), None, &mut issues).fit);
+        fits.sum::<f64>()
+    };
+    let mut best = (NextSweep::AsPredicted, fit_of(None) * settings.hypotheses.better_after_gap);
+    for motion in motions {
+        let fit = fit_of(Some(motion));
+        if fit > best.1 {
+            best = (NextSweep::After(motion), fit);
+        }
+    }
+    best.0
+}
+
+impl Velocities {
+    /// With which a segment begins.
+    fn at_start_of(segment: &TrajectorySegment) -> Self {
+        let (motion, seconds) = segment.first_motion();
+        let seconds = seconds.max(1e-9);
+        Self {
+            linear: motion.translation.vector / seconds,
+            angular: angle_axis_from_quaternion(&motion.rotation) / seconds,
+        }
+    }
+
+    /// What the first two sweeps after a gap say, the most likely first.
+    fn after(tracker: &Tracker, settings: &OdometrySettings, sweeps: &[Sweep]) -> Vec<Self> {
+        let Some(first) = sweeps.first() else { return Vec::new() };
+        let measured = tracker.motion().measured_rotation();
+        let rotation_at = measured.as_ref().map(|measured| measured as &RotationAt);
+        let starts = FirstSweeps::hypotheses(first, sweeps.get(1), rotation_at, settings);
+        let interval = settings.initialisation.velocity_interval;
+        starts.iter().map(|start| Self::of_start(start, first.end, interval, rotation_at)).collect()
+    }
+
+    fn of_start(start: &Start, end: Time, interval: f64, rotation_at: Option<&RotationAt>) -> Self {
+        let angular = rotation_at.map(|rotation_at| {
+            let turned = rotation_at(end).inverse() * rotation_at(end + Duration::from_seconds(interval));
+            angle_axis_from_quaternion(&turned) / interval
+        });
+        Self { linear: start.velocity_in_tracking(), angular: angular.unwrap_or(start.turn_rate()) }
+    }
+
+    fn between(before: &Self, after: &Self, fraction: f64) -> Self {
+        Self {
+            linear: before.linear.lerp(&after.linear, fraction),
+            angular: before.angular.lerp(&after.angular, fraction),
+        }
+    }
+
+    /// The pose so many seconds before another one.
+    pub fn earlier(&self, local_from_tracking: &Rigid3, seconds: f64) -> Rigid3 {
+        let back = quaternion_from_angle_axis(&(self.angular * -seconds));
+        local_from_tracking * Rigid3::from_parts((self.linear * -seconds).into(), back)
+    }
+}
+
+impl GapMotion {
+    /// A predicted segment, moved as this motion says; turned so, too, unless a gyroscope measured the rotation. Only the
+    /// heading turns: a platform that rolls and pitches comes back.
+    pub fn applied_to(&self, predicted: &TrajectorySegment) -> TrajectorySegment {
+        let (start, whole) = (predicted.start(), predicted.seconds().max(1e-9));
+        let (mut place, mut rotation): (Vector3, Quaternion) = (start.translation.vector, start.rotation);
+        let mut before = 0.0;
+        let is_measured = predicted.rotation_is_measured;
+        predicted.clone().changed(|seconds, pose| {
+            let step = seconds - before;
+            let now = Velocities::between(&self.before, &self.after, 0.5 * (before + seconds) / whole);
+            let next = match is_measured {
+                true => pose.rotation,
+                false => {
+                    let rate = (rotation * now.angular).z;
+                    quaternion_from_angle_axis(&(Vector3::z() * (rate * step))) * rotation
+                }
+            };
+            place += rotation.slerp(&next, 0.5) * now.linear * step;
+            (rotation, before) = (next, seconds);
+            *pose = Rigid3::from_parts(place.into(), rotation);
+        })
+    }
+}
