@@ -2,28 +2,18 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use portolan_geometry::{Point3f, Rigid2, Time, Vector2};
-use portolan_matching::{CellIndex, GridError, MapLimits, ProbabilityGrid};
+use portolan_geometry::{Time, Vector2};
 
 use crate::change_regions::{Region, regions};
-use crate::likelihood::LikelihoodField;
+use crate::known_cells::{Known, KnownCells};
+use crate::placed_scan::{PlacedScan, around};
 
-/// Edge of the cells in which contradictions are counted, metres.
-const CELL: f64 = 0.1;
-/// Cells of the map of these probabilities are solid and free, as for the agreement of scans.
-const SOLID: f32 = 0.6;
-const FREE: f32 = 0.4;
-/// So far, metres, what is new lies from all that was solid, and beams go on behind what is gone: scans, walls and their
-/// places in the map err together by a third of it ([`CERTAIN_PLACE`] and the 3.5 cm of the map).
-pub(crate) const CLEARANCE: f64 = 0.25;
 /// A scan counts if the standard deviation of its place is at most this, metres.
 pub(crate) const CERTAIN_PLACE: f64 = 0.08;
-/// Beams count to this range, metres: headings of maps and matches err by 0.008 rad, a third of the clearance there.
-const RANGE: f64 = 10.0;
 /// A cell has changed if so many scans say so, this fraction of those that say anything, from two places at least so far
 /// apart, metres: somebody who stands for a moment is seen from one place.
 const SCANS: u16 = 4;
-const FRACTION: f64 = 0.75;
+pub(crate) const FRACTION: f64 = 0.75;
 const VIEWPOINTS: f64 = 1.0;
 /// Smaller regions are left out, square metres: three cells in a row are an edge that moved with the map's own error.
 const LEAST_AREA: f64 = 0.035;
@@ -62,16 +52,6 @@ pub struct Change {
     pub scans: u32,
 }
 
-/// What the map says of a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Known {
-    Solid,
-    /// And nothing solid near.
-    Free,
-    /// It is not known, or too near to something solid.
-    Nothing,
-}
-
 /// What scans said of a cell.
 #[derive(Clone, Copy, Debug)]
 struct Witness {
@@ -81,20 +61,9 @@ struct Witness {
     is_seen_from_two: bool,
 }
 
-/// A scan whose place is known.
-pub(crate) struct PlacedScan<'a> {
-    pub time: Time,
-    /// Where its beams begin, in the map.
-    pub origin: Vector2,
-    pub map_from_local: Rigid2,
-    /// Returns in the local map, metres.
-    pub returns: &'a [Point3f],
-}
-
 /// Counts contradictions of scans whose places are known. Takes no more memory than the map.
 pub struct ChangeGrid {
-    limits: MapLimits,
-    known: Vec<Known>,
+    map: KnownCells,
     /// Scans with a point in or beside the cell, and scans with beams through it and no point there.
     hits: Vec<u16>,
     passes: Vec<u16>,
@@ -103,34 +72,29 @@ pub struct ChangeGrid {
 }
 
 impl ChangeGrid {
-    /// Of a map, and how near its cells are to something solid.
-    pub(crate) fn new(grid: &ProbabilityGrid, field: &LikelihoodField) -> Result<Self, GridError> {
-        let fine = grid.limits();
-        let factor = (CELL / fine.resolution()).round().max(1.0);
-        let resolution = fine.resolution() * factor;
-        let count = |cells: u32| cells.div_ceil(factor as u32);
-        let limits =
-            MapLimits::new(resolution, fine.max(), count(fine.num_x_cells()), count(fine.num_y_cells()))?;
-        let known = known(grid, field, &limits, factor as i32);
-        let cells = limits.num_cells();
-        Ok(Self { limits, known, hits: vec![0; cells], passes: vec![0; cells], witnesses: BTreeMap::new() })
+    /// Nothing has contradicted the map.
+    pub(crate) fn new(map: KnownCells) -> Self {
+        let cells = map.limits.num_cells();
+        Self { map, hits: vec![0; cells], passes: vec![0; cells], witnesses: BTreeMap::new() }
     }
 
     /// Takes a scan.
     pub(crate) fn add(&mut self, scan: &PlacedScan) {
-        let (hit, passed) = self.trace(scan);
-        let around: BTreeSet<usize> = hit.iter().flat_map(|cell| self.neighbours(*cell)).collect();
-        let free_and_hit = |cell: &&usize| self.known[**cell] == Known::Free;
+        let limits = &self.map.limits;
+        let hit = scan.ends(limits);
+        let passed: BTreeSet<usize> = scan.passed(limits).collect();
+        let around = around(limits, &hit);
+        let free_and_hit = |cell: &&usize| self.map.known[**cell] == Known::Free;
         let new: Vec<usize> = hit.iter().filter(free_and_hit).copied().collect();
         let gone: Vec<usize> =
-            passed.iter().filter(|cell| self.known[**cell] == Known::Solid).copied().collect();
+            passed.iter().filter(|cell| self.map.known[**cell] == Known::Solid).copied().collect();
         let gone: Vec<usize> = gone.into_iter().filter(|cell| !around.contains(cell)).collect();
         for cell in &hit {
             self.hits[*cell] = self.hits[*cell].saturating_add(1);
         }
         // A point beside a cell that was solid is of what was there.
         for cell in around.iter().filter(|cell| !hit.contains(cell)) {
-            if self.known[*cell] == Known::Solid {
+            if self.map.known[*cell] == Known::Solid {
                 self.hits[*cell] = self.hits[*cell].saturating_add(1);
             }
         }
@@ -147,44 +111,12 @@ impl ChangeGrid {
         let of_kind = |kind| {
             let changed = |cell: &usize| self.changed(*cell) == Some(kind);
             let cells: BTreeSet<usize> = self.witnesses.keys().copied().filter(changed).collect();
-            regions(&cells, self.limits.num_x_cells() as usize)
+            regions(&cells, self.map.limits.num_x_cells() as usize)
                 .into_iter()
                 .map(move |r| self.change(kind, &r))
         };
         let all = of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone));
         all.filter(|change| change.area >= LEAST_AREA).collect()
-    }
-
-    /// The cells in which beams end, and those through which they pass well before their ends.
-    fn trace(&self, scan: &PlacedScan) -> (BTreeSet<usize>, BTreeSet<usize>) {
-        let (mut hit, mut passed) = (BTreeSet::new(), BTreeSet::new());
-        let cell_at = |p: &Vector2| self.limits.flat_index(self.limits.cell_index(p.cast::<f32>()));
-        let step = 0.5 * self.limits.resolution();
-        for point in scan.returns {
-            let end =
-                scan.map_from_local.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
-            let beam = end - scan.origin;
-            let length = beam.norm();
-            if !length.is_finite() || length <= 0.0 {
-                continue;
-            }
-            if length <= RANGE {
-                hit.extend(cell_at(&end));
-            }
-            let steps = ((length - CLEARANCE).min(RANGE) / step).max(0.0) as u32;
-            passed.extend(
-                (1..steps).filter_map(|i| cell_at(&(scan.origin + beam * (f64::from(i) * step / length)))),
-            );
-        }
-        (hit, passed)
-    }
-
-    /// A cell and those around it.
-    fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> + use<'_> {
-        let columns = self.limits.num_x_cells() as usize;
-        let (x, y) = ((cell % columns) as i32, (cell / columns) as i32);
-        let around = (-1..=1).flat_map(move |j| (-1..=1).map(move |i| CellIndex::new(x + i, y + j)));
-        around.filter_map(|cell| self.limits.flat_index(cell))
     }
 
     fn witness(&mut self, cell: usize, scan: &PlacedScan) {
@@ -198,7 +130,7 @@ impl ChangeGrid {
     fn changed(&self, cell: usize) -> Option<ChangeKind> {
         let witness = self.witnesses.get(&cell)?;
         let (hits, passes) = (self.hits[cell], self.passes[cell]);
-        let (kind, for_it) = match self.known[cell] {
+        let (kind, for_it) = match self.map.known[cell] {
             Known::Free => (ChangeKind::Appeared, hits),
             Known::Solid => (ChangeKind::Gone, passes),
             Known::Nothing => return None,
@@ -209,8 +141,8 @@ impl ChangeGrid {
     }
 
     fn change(&self, kind: ChangeKind, region: &Region) -> Change {
-        let edge = self.limits.resolution();
-        let max = self.limits.max();
+        let edge = self.map.limits.resolution();
+        let max = self.map.limits.max();
         // Columns run against y, rows against x: a mirror image.
         let corner = |[x, y]: &[i64; 2]| [max.x - *y as f64 * edge, max.y - *x as f64 * edge];
         let rings = region.rings.iter().map(|ring| ring.iter().rev().map(corner).collect()).collect();
@@ -229,26 +161,4 @@ impl ChangeGrid {
             scans: u32::from(scans),
         }
     }
-}
-
-/// What the map says of larger cells.
-fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, factor: i32) -> Vec<Known> {
-    let nearest = LikelihoodField::at_distance(CLEARANCE);
-    let says = |cell: CellIndex| {
-        let inner = (0..factor).flat_map(|y| (0..factor).map(move |x| (x, y)));
-        let fine = inner.map(|(x, y)| CellIndex::new(factor * cell.x + x, factor * cell.y + y));
-        let known: Vec<CellIndex> = fine.clone().filter(|cell| grid.is_known(*cell)).collect();
-        let is_free = |cell: &CellIndex| {
-            grid.probability(*cell) < FREE && field.at(&grid.limits().cell_center(*cell)) < nearest
-        };
-        if known.iter().any(|cell| grid.probability(*cell) > SOLID) {
-            Known::Solid
-        } else if known.len() == (factor * factor) as usize && known.iter().all(is_free) {
-            Known::Free
-        } else {
-            Known::Nothing
-        }
-    };
-    let (columns, rows) = (limits.num_x_cells() as i32, limits.num_y_cells() as i32);
-    (0..rows).flat_map(|y| (0..columns).map(move |x| CellIndex::new(x, y))).map(says).collect()
 }

@@ -3,10 +3,11 @@
 use portolan_geometry::{Point3f, Rigid3, Time, project_2d, to_f32};
 use portolan_sensor::PointCloud;
 
-use crate::changes::{CERTAIN_PLACE, Change, ChangeGrid, PlacedScan};
+use crate::changes::{CERTAIN_PLACE, Change, ChangeGrid};
 use crate::evidence::{Support, Verdict};
 use crate::hypothesis::{Hypothesis, fit};
-use crate::known_map::{KnownMap, KnownMapError, Window};
+use crate::known_map::{KnownMap, Window};
+use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
 use crate::search::{Decision, Places, Searcher, ToldStart};
 use crate::state::{Estimate, Place, Reason, State};
@@ -90,13 +91,10 @@ pub(crate) struct Finder<M: KnownMap> {
 
 impl<M: KnownMap> Finder<M> {
     /// With the start that somebody told, and its standard deviations in metres and radians.
-    ///
-    /// # Errors
-    /// If changes cannot be counted in such a map.
-    pub fn new(searcher: Searcher<M>, start: Option<(Rigid3, (f64, f64))>) -> Result<Self, KnownMapError> {
+    pub fn new(searcher: Searcher<M>, start: Option<(Rigid3, (f64, f64))>) -> Self {
         let mode = Mode::Searching { places: Places::default(), lost: None };
-        let changes = searcher.map.change_grid()?;
-        Ok(Self { searcher, recent: RecentScans::default(), mode, last: None, start, told: None, changes })
+        let changes = searcher.map.change_grid();
+        Self { searcher, recent: RecentScans::default(), mode, last: None, start, told: None, changes }
     }
 
     /// Takes a scan.

@@ -83,8 +83,5 @@ pub trait KnownMap: Sized + Send + Sync {
     /// What the map says to a scan at a pose.
     fn agreement(&self, scan: &Self::Scan, pose: &Rigid3) -> ScanAgreement;
     /// Where scans are compared with the map cell by cell; none if that is not done in such maps.
-    ///
-    /// # Errors
-    /// If there is no such grid.
-    fn change_grid(&self) -> Result<Option<ChangeGrid>, KnownMapError>;
+    fn change_grid(&self) -> Option<ChangeGrid>;
 }

@@ -10,7 +10,7 @@ use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::changes::Change;
 use crate::finder::{Finder, LocalScan};
-use crate::known_map::{KnownMap, KnownMapError};
+use crate::known_map::KnownMap;
 use crate::search::Searcher;
 use crate::state::Estimate;
 
@@ -47,9 +47,6 @@ pub enum LocalizerError {
     /// Local SLAM.
     #[error(transparent)]
     Mapper(#[from] MapperError),
-    /// What the map is compared with.
-    #[error(transparent)]
-    Map(#[from] KnownMapError),
     /// Threads could not be started.
     #[error("cannot start threads for searching: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
@@ -87,7 +84,7 @@ impl<M: KnownMap> Localizer<M> {
         Ok(Self {
             collation,
             local_slam: M::Space::new_local_slam(options, &ranges)?,
-            finder: Finder::new(searcher, start)?,
+            finder: Finder::new(searcher, start),
         })
     }
 

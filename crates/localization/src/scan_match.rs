@@ -3,7 +3,7 @@
 use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
 use portolan_mapping::{NodeData, Planar};
 use portolan_matching::{
-    GradientMatcher2d, GradientMatcherOptions2d, Grid2d, MatcherOptionError, ScanAgreement, SeveralPlaces,
+    GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, ScanAgreement, SeveralPlaces,
     scan_agreement,
 };
 use portolan_sensor::PointCloud;
@@ -11,7 +11,7 @@ use portolan_sensor::PointCloud;
 use crate::belief::Freedom;
 use crate::changes::ChangeGrid;
 use crate::information::{Contact, information};
-use crate::known_map::{KnownMap, KnownMapError, ScanMatch, Window};
+use crate::known_map::{KnownMap, ScanMatch, Window};
 use crate::planar_map::PlanarMap;
 use crate::planar_scan::{PlanarJoint, PlanarScan};
 use crate::recent::RecentScans;
@@ -111,9 +111,8 @@ impl KnownMap for PlanarMap {
         scan_agreement(&self.grid, &project_2d(pose), &scan.cloud).unwrap_or_default()
     }
 
-    fn change_grid(&self) -> Result<Option<ChangeGrid>, KnownMapError> {
-        let Grid2d::Probability(grid) = &self.grid else { return Ok(None) };
-        Ok(Some(ChangeGrid::new(grid, &self.field)?))
+    fn change_grid(&self) -> Option<ChangeGrid> {
+        Some(ChangeGrid::new(self.cells.clone()))
     }
 }
 

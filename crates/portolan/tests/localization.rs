@@ -225,7 +225,7 @@ fn why_it_is_not_known_is_said() {
     assert!(found.estimates.iter().all(|e| e.place.is_some() == (e.state == State::Tentative)));
 }
 
-/// The drive of a day past something round that was put beside its way, and where that stands in the building.
+/// The drive of a day past something round that was put beside its path, and where that stands in the building.
 fn drive_past_a_barrel(day: u64, seconds: f64) -> (Simulation, Vector3) {
     let before = drive(1, day, seconds);
     let mut plan = before.plan().clone();
@@ -247,6 +247,12 @@ fn drive_past_a_barrel(day: u64, seconds: f64) -> (Simulation, Vector3) {
     (Simulation::in_plan(options, plan).unwrap(), centre)
 }
 
+/// Changes of a kind within 0.6 m of a point of the map.
+fn changes_near<'a>(found: &'a LocalizedRecording, kind: ChangeKind, at: &Vector3) -> Vec<&'a Change> {
+    let is_near = |p: &[f64; 2]| (p[0] - at.x).hypot(p[1] - at.y) < 0.6;
+    found.changes.iter().filter(|c| c.kind == kind && c.rings[0].iter().any(is_near)).collect()
+}
+
 #[test]
 fn what_was_put_into_the_building_appears_and_little_else() {
     let unchanged = find(&drive(1, 2, 60.0), None);
@@ -255,11 +261,23 @@ fn what_was_put_into_the_building_appears_and_little_else() {
     let found = find(&today, None);
     let map_from_world = known().world_from_map.inverse();
     let centre = map_from_world.translation.vector + map_from_world.rotation * centre;
-    let is_near = |p: &[f64; 2]| (p[0] - centre.x).hypot(p[1] - centre.y) < 0.6;
-    let near = |c: &&Change| c.rings[0].iter().any(is_near);
-    let barrel: Vec<&Change> = found.changes.iter().filter(near).collect();
-    assert!(barrel.iter().any(|c| c.kind == ChangeKind::Appeared && c.scans >= 4), "{:?}", found.changes);
+    let barrel = changes_near(&found, ChangeKind::Appeared, &centre);
+    assert!(barrel.iter().any(|c| c.scans >= 4), "{:?}", found.changes);
     assert!(area(&unchanged) < 0.3, "{:?}", unchanged.changes);
+}
+
+#[test]
+fn what_was_taken_out_of_the_building_is_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first_day, centre) = drive_past_a_barrel(2, 60.0);
+    map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
+    let map_from_world = first_day.truth_at(first_day.start_time()).unwrap().inverse();
+    let centre = map_from_world.translation.vector + map_from_world.rotation * centre;
+    let today = drive(1, 2, 60.0);
+    let found = localize(&today, &request(&folder.path().join("map.pbstream")), &mut unobserved).unwrap();
+    let barrel = changes_near(&found, ChangeKind::Gone, &centre);
+    assert!(barrel.iter().any(|c| c.scans >= 4), "{:?}", found.changes);
+    assert!(changes_near(&found, ChangeKind::Appeared, &centre).is_empty(), "{:?}", found.changes);
 }
 
 #[test]

@@ -21,15 +21,17 @@ use crate::output::{counted, print, print_json};
 /// Of a recording: damage, stamps that jump or differ from the time of recording, gaps, scans that overlap or
 /// repeat, sensors that rotate unlike the others or whose clocks are apart (from 10 ms on between a lidar and an IMU
 /// in 3D), frames without transforms, implausible IMU and odometry. Of a map (.pbstream): damage, missing or
-/// doubled parts, impossible poses, constraints and grids, times out of order, and whether `portolan repair` helps; and
-/// places where `portolan localize` has difficulties: about every 2 m what was seen on the last metres is searched in the
-/// whole map. Ambiguous is where it fits nearly as well elsewhere, degenerate where the scan leaves a direction open, as in
-/// a corridor, thin where the map does not explain even what was seen there.
+/// doubled parts, impossible poses, constraints and grids, times out of order, and whether `portolan repair` helps.
+///
+/// With --places (2D, about a second a place) also where in a map `portolan localize` would have difficulties: about
+/// every 2 m what was seen on the last metres is searched in the whole map. Ambiguous is where it fits nearly as well
+/// elsewhere, degenerate where the scan leaves a direction open, as in a corridor, thin where the map does not explain
+/// even what was seen there.
 ///
 /// Exit code 0 if there is no finding of severity error, 1 if there is.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan check walk.bag\n  portolan check maps/*.pbstream --json\n  \
-    portolan check house/map.pbstream --picture places.png\n  \
+    portolan check house/map.pbstream --places --picture places.png\n  \
     portolan check walk.bag && portolan map walk.bag")]
 pub struct CheckArgs {
     /// Recordings and maps.
@@ -38,8 +40,12 @@ pub struct CheckArgs {
     /// Also show how long the intervals between the messages of a recording are.
     #[arg(long, conflicts_with = "json")]
     histograms: bool,
-    /// Also draw the places of the one map: the way green where they are distinct, blue degenerate, orange ambiguous, red
-    /// thin.
+    /// Of maps in 2D also examine places along the trajectories: how well localisation can tell them apart. It takes
+    /// minutes in large maps.
+    #[arg(long)]
+    places: bool,
+    /// Draw the places of the one map, and examine them for it: the trajectory green where they are distinct, blue
+    /// degenerate, orange ambiguous, red thin.
     #[arg(long, value_name = "FILE.png")]
     picture: Option<PathBuf>,
     /// Print JSON: an array with one object for each path.
@@ -72,7 +78,7 @@ struct Report {
     errors: usize,
     warnings: usize,
     findings: Vec<Finding>,
-    /// Of maps: how well places can be told apart.
+    /// Of maps, if they are examined: how well places can be told apart.
     #[serde(skip_serializing_if = "Option::is_none")]
     places: Option<Places>,
     #[serde(skip)]
@@ -80,12 +86,17 @@ struct Report {
 }
 
 pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    if args.picture.is_some() && args.paths.len() > 1 {
-        return Err(CliError::Usage("--picture draws one map: name only that".to_owned()));
+    if let Some(picture) = &args.picture {
+        if args.paths.len() > 1 {
+            return Err(CliError::Usage("--picture draws one map: name only that".to_owned()));
+        }
+        if picture.extension().is_none_or(|ending| ending != "png") {
+            return Err(CliError::Usage(format!("{}: pictures of places are .png", picture.display())));
+        }
     }
     let mut reports = Vec::new();
     for path in &args.paths {
-        let report = check(path, args.picture.as_deref(), global)?;
+        let report = check(path, args, global)?;
         if !args.json {
             print(&report.text(args.histograms, global.verbose > 0))?;
         }
@@ -101,16 +112,18 @@ pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     }
 }
 
-fn check(path: &Path, picture: Option<&Path>, global: &GlobalArgs) -> Result<Report, CliError> {
+fn check(path: &Path, args: &CheckArgs, global: &GlobalArgs) -> Result<Report, CliError> {
     let map = open_map(path)?;
     let is_map = map.is_some();
+    let picture = args.picture.as_deref();
     if !is_map && picture.is_some() {
         return Err(CliError::Usage(format!("{}: --picture is of maps; this is none", path.display())));
     }
     let (mut findings, places, histograms) = match map {
         Some(input) => {
             let mut findings = map::check(path, input)?;
-            let places = places::check(path, picture, global, &mut findings)?;
+            let wanted = args.places || picture.is_some();
+            let places = if wanted { places::check(path, picture, global, &mut findings)? } else { None };
             (findings, places, Vec::new())
         }
         None => {
@@ -146,6 +159,9 @@ impl Report {
         let mut text = format!("{}: {}, {verdict}\n", self.path, self.kind);
         let is_shown = |finding: &&Finding| with_harmless || !finding.is_harmless();
         text.extend(self.findings.iter().filter(is_shown).map(Finding::text));
+        if let Some(places) = &self.places {
+            text += &places.text();
+        }
         let hidden = self.findings.iter().filter(|finding| !is_shown(finding)).count() as u64;
         if hidden > 0 {
             text +=

@@ -4,14 +4,10 @@ use std::path::Path;
 
 use portolan_config::Options;
 use portolan_export::{ColouredLine, PictureOptions, Rgb, draw_path, rgb, write_picture};
-use portolan_geometry::Dimension;
 use portolan_input::regular_file;
-use portolan_localization::{
-    Distinctness, ExaminedPlace, Freedom, KnownMap, KnownMapError, LocalizerError, PlaceExaminer, PlanarMap,
-    SpatialMap,
-};
-use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d};
-use portolan_mapping::{GraphState, Map};
+use portolan_localization::{Distinctness, ExaminedPlace, LocalizerError, PlaceExaminer, PlanarMap};
+use portolan_mapfile::{FrozenTrajectories, PlacedTexture, submap_textures_2d};
+use portolan_mapping::{Map, Planar};
 use portolan_pbstream::MapReader;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
 
@@ -23,8 +19,6 @@ use super::known_map::KnownMaps;
 pub struct ExaminedMap {
     /// Along the trajectories, in order.
     pub places: Vec<ExaminedPlace>,
-    /// Whether it is a map in 2D or in 3D.
-    pub dimension: Dimension,
     textures: Vec<PlacedTexture>,
 }
 
@@ -64,22 +58,32 @@ impl ExaminedMap {
     }
 }
 
-/// Examines the places of a map. `observe` is told how far it is and may stop it; the places examined by then remain.
+/// Examines the places of a map in 2D. `observe` is told how far it is and may stop it; the places examined by then
+/// remain. In 3D the weakest direction of a scan holds so much less than the strongest that every place would be called
+/// degenerate.
 ///
 /// # Errors
-/// A map that cannot be read, or in which nothing can be found.
+/// A map that cannot be read, in which nothing can be found, or that is in 3D.
 pub fn examine_map(path: &Path, threads: usize, observe: &mut Observer) -> Result<ExaminedMap, JobError> {
     regular_file(path).map_err(|source| JobError::file(path, source))?;
-    match dimension(path)? {
-        Dimension::Two => examine_in::<PlanarMap>(path, threads, PlanarMap::new, submap_textures_2d, observe),
-        Dimension::Three => {
-            examine_in::<SpatialMap>(path, threads, SpatialMap::new, submap_textures_3d, observe)
-        }
+    if is_in_space(path)? {
+        return Err(JobError::PlacesInSpace(path.to_owned()));
     }
+    let options = Options::default();
+    let known = KnownMaps { files: vec![path.to_owned()], frozen: FrozenTrajectories::All, start: None };
+    // What had to be put right is for whoever checks the document to say.
+    let loaded = known.load::<Planar>(&options, &mut super::unobserved)?;
+    let unusable = |reason| JobError::UnusableMap { path: path.to_owned(), reason };
+    let map = PlanarMap::new(loaded.graph.state()).map_err(unusable)?;
+    let examiner = PlaceExaminer::new(map, loaded.graph.state(), threads).map_err(LocalizerError::from)?;
+    let places = examiner.examine(&mut |done, total| observe(&Event::Examining { done, total }));
+    drop(examiner);
+    let textures = submap_textures_2d(&Map::new(options, loaded.graph, loaded.trajectories));
+    Ok(ExaminedMap { places, textures })
 }
 
 /// By the first submap of the file.
-fn dimension(path: &Path) -> Result<Dimension, JobError> {
+fn is_in_space(path: &Path) -> Result<bool, JobError> {
     let failed = |error: portolan_pbstream::PbstreamError| JobError::KnownMap {
         path: path.to_owned(),
         reason: error.into(),
@@ -87,38 +91,10 @@ fn dimension(path: &Path) -> Result<Dimension, JobError> {
     let mut reader = MapReader::open(path).map_err(failed)?;
     while let Some(message) = reader.next_message().map_err(failed)? {
         if let Data::Submap(submap) = message.data {
-            let is_spatial = submap.submap_3d.is_some() && submap.submap_2d.is_none();
-            return Ok(if is_spatial { Dimension::Three } else { Dimension::Two });
+            return Ok(submap.submap_3d.is_some() && submap.submap_2d.is_none());
         }
     }
-    Ok(Dimension::Two)
-}
-
-fn examine_in<M: KnownMap>(
-    path: &Path,
-    threads: usize,
-    known_map: fn(&GraphState<M::Space>) -> Result<M, KnownMapError>,
-    textures: fn(&Map<M::Space>) -> Vec<PlacedTexture>,
-    observe: &mut Observer,
-) -> Result<ExaminedMap, JobError>
-where
-    M::Space: MapSpace,
-{
-    let options = Options::default();
-    let known = KnownMaps { files: vec![path.to_owned()], frozen: FrozenTrajectories::All, start: None };
-    // What had to be put right is for whoever checks the document to say.
-    let loaded = known.load::<M::Space>(&options, &mut super::unobserved)?;
-    let unusable = |reason| JobError::UnusableMap { path: path.to_owned(), reason };
-    let map = known_map(loaded.graph.state()).map_err(unusable)?;
-    let examiner = PlaceExaminer::new(map, loaded.graph.state(), threads).map_err(LocalizerError::from)?;
-    let places = examiner.examine(&mut |done, total| observe(&Event::Examining { done, total }));
-    drop(examiner);
-    let dimension = match M::FREEDOM {
-        Freedom::Plane => Dimension::Two,
-        Freedom::Space => Dimension::Three,
-    };
-    let textures = textures(&Map::new(options, loaded.graph, loaded.trajectories));
-    Ok(ExaminedMap { places, dimension, textures })
+    Ok(false)
 }
 
 /// The colour of a place in pictures.

@@ -18,8 +18,8 @@ use crate::progress::Progress;
 /// How well the places of a map can be told apart.
 #[derive(Serialize)]
 pub struct Places {
-    /// Metres along the trajectories.
-    way_metres: f64,
+    /// Length of the trajectories.
+    trajectory_metres: f64,
     /// Places of each kind.
     kinds: Vec<Kind>,
     /// All of them along the trajectories.
@@ -30,7 +30,7 @@ pub struct Places {
 struct Kind {
     kind: &'static str,
     places: usize,
-    fraction_of_way: f64,
+    fraction_of_trajectory: f64,
 }
 
 /// A place: metres and radians in the map.
@@ -42,7 +42,7 @@ struct Place {
     pose: Pose,
     /// Fraction of the beams of the node's scan that the map explains.
     explained: f64,
-    /// Mean fraction that it explains less the fraction that it contradicts, of the scans on the way there.
+    /// Mean fraction that it explains less the fraction that it contradicts, of the scans before it.
     fit: f64,
     /// The best place elsewhere.
     other: Option<Pose>,
@@ -102,12 +102,12 @@ fn examine(path: &Path, global: &GlobalArgs) -> Result<ExaminedMap, JobError> {
 
 fn not_examined(error: &JobError) -> Finding {
     Finding {
-        severity: Severity::Info,
+        severity: Severity::Error,
         about: "places".to_owned(),
         what: format!("not examined: {error}"),
         count: 1,
         effect: "nothing is known of where `portolan localize` would have difficulties".to_owned(),
-        advice: String::new(),
+        advice: "check it without --places; `portolan localize` shows where it finds a recording".to_owned(),
         repair: None,
     }
 }
@@ -127,7 +127,7 @@ fn difficulties(examined: &ExaminedMap) -> Vec<Finding> {
             Finding {
                 severity: Severity::Info,
                 about: format!("{} places", kind.name()),
-                what: format!("{} of {places} along the way ({percent:.0} % of it): {what}", count.places),
+                what: format!("{} of {places} ({percent:.0} % of the trajectory): {what}", count.places),
                 count: 1,
                 effect: effect.to_owned(),
                 advice: advice.to_owned(),
@@ -160,14 +160,25 @@ fn words(kind: Distinctness) -> (&'static str, &'static str, &'static str) {
 }
 
 impl Places {
+    /// What was examined and how much of it is distinct, for people.
+    pub fn text(&self) -> String {
+        let distinct = self.kinds.iter().find(|kind| kind.kind == Distinctness::Distinct.name());
+        format!(
+            "  places: {} along {:.0} m were examined, {:.0} % of the trajectory is distinct\n",
+            self.places.len(),
+            self.trajectory_metres,
+            100.0 * distinct.map_or(0.0, |kind| kind.fraction_of_trajectory),
+        )
+    }
+
     pub fn of(examined: &ExaminedMap) -> Self {
         let kind = |(kind, count): (Distinctness, portolan::job::PlaceCount)| Kind {
             kind: kind.name(),
             places: count.places,
-            fraction_of_way: count.fraction_of_way,
+            fraction_of_trajectory: count.fraction_of_way,
         };
         Self {
-            way_metres: examined.way(),
+            trajectory_metres: examined.way(),
             kinds: examined.counts().into_iter().map(kind).collect(),
             places: examined.places.iter().map(Place::of).collect(),
         }
