@@ -46,10 +46,10 @@ pub(crate) fn is_alike(a: &Rigid3, b: &Rigid3) -> bool {
 
 impl<S> RecentScans<S> {
     pub(crate) fn offer(&mut self, scan: KeyScan<S>) -> Offered {
-        if let Some(last) = self.scans.back() {
-            if is_alike(&last.local_from_scan, &scan.local_from_scan) {
-                return Offered::LeftOut;
-            }
+        if let Some(last) = self.scans.back()
+            && is_alike(&last.local_from_scan, &scan.local_from_scan)
+        {
+            return Offered::LeftOut;
         }
         self.scans.push_back(scan);
         let oldest_left = self.scans.len() > KEPT;
