@@ -88,3 +88,64 @@ fn maps_are_checked() {
     let run = portolan_with_code(3, &["info", &damaged]);
     assert!(run.stdout.contains("lost: message 1") && run.stdout.contains(" at byte "), "{}", run.stdout);
 }
+
+/// A map of a short drive in 2D.
+fn small_map(folder: &std::path::Path) -> String {
+    let recording = simulated(folder, "drive.bag", &[]);
+    let output = common::text(&folder.join("map"));
+    portolan_with_code(0, &["map", &recording, "-o", &output, "-q", "--no-xray"]);
+    common::text(&folder.join("map/map.pbstream"))
+}
+
+#[test]
+fn places_of_a_map_are_examined_only_if_that_is_wanted() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = small_map(folder.path());
+    let json = |more: &[&str]| -> serde_json::Value {
+        let run = portolan_with_code(0, &[&["check", &map, "--json", "-q"], more].concat());
+        serde_json::from_str(&run.stdout).unwrap()
+    };
+    assert!(json(&[])[0].get("places").is_none());
+    let run = portolan_with_code(0, &["check", &map]);
+    assert!(!run.stdout.contains("places"), "{}", run.stdout);
+    let examined = &json(&["--places"])[0]["places"];
+    let places = examined["places"].as_array().unwrap();
+    assert!(places.len() > 2 && places[0]["pose"]["yaw"].is_f64(), "{examined}");
+    let sum = |key: &str| -> f64 {
+        examined["kinds"].as_array().unwrap().iter().map(|kind| kind[key].as_f64().unwrap()).sum()
+    };
+    assert!((sum("fraction_of_trajectory") - 1.0).abs() < 1e-9, "{examined}");
+    assert!((sum("places") - places.len() as f64).abs() < 1e-9, "{examined}");
+    let picture = common::text(&folder.path().join("places.png"));
+    let run = portolan_with_code(0, &["check", &map, "--picture", &picture]);
+    assert!(run.stdout.contains("were examined"), "{}", run.stdout);
+    assert!(std::fs::read(&picture).unwrap().starts_with(b"\x89PNG"));
+}
+
+#[test]
+fn pictures_of_places_are_of_one_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = simulated(folder.path(), "drive.bag", &[]);
+    let picture = common::text(&folder.path().join("places.png"));
+    let run = portolan_with_code(2, &["check", &recording, "--picture", &picture]);
+    assert!(run.stderr.contains("--picture is of maps"), "{}", run.stderr);
+    let run = portolan_with_code(2, &["check", "a.pbstream", "b.pbstream", "--picture", &picture]);
+    assert!(run.stderr.contains("--picture draws one map"), "{}", run.stderr);
+    let run = portolan_with_code(2, &["check", "a.pbstream", "--picture", "places.jpg"]);
+    assert!(run.stderr.contains("are .png"), "{}", run.stderr);
+    portolan_with_code(1, &["check", "none.pbstream", "--picture", &picture]);
+    portolan_with_code(0, &["check", &recording, "--places", "-q"]);
+    assert!(!std::path::Path::new(&picture).exists());
+}
+
+#[test]
+fn maps_whose_places_cannot_be_examined_say_so() {
+    let Some(space) = real("maps/reference/small_3d.pbstream") else { return };
+    portolan_with_code(0, &["check", &space]);
+    let folder = tempfile::tempdir().unwrap();
+    let picture = common::text(&folder.path().join("places.png"));
+    let run = portolan_with_code(1, &["check", &space, "--places"]);
+    assert!(run.stdout.contains("places are examined in 2D only"), "{}", run.stdout);
+    portolan_with_code(1, &["check", &space, "--picture", &picture]);
+    assert!(!std::path::Path::new(&picture).exists());
+}

@@ -40,7 +40,7 @@ pub enum Freedom {
 
 impl Freedom {
     /// Variances along the axes in which it can move, nothing along others.
-    fn variances(self, metres_squared: f64, radians_squared: f64) -> Vector6 {
+    pub(crate) fn variances(self, metres_squared: f64, radians_squared: f64) -> Vector6 {
         let (m, r) = (metres_squared, radians_squared);
         match self {
             Self::Plane => Vector6::new(m, m, 0.0, 0.0, 0.0, r),

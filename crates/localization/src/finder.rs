@@ -1,11 +1,13 @@
 //! From scans in the local map to places in the known one: searching, tracking, getting lost and being found.
 
-use portolan_geometry::{Rigid3, Time, to_f32};
+use portolan_geometry::{Point3f, Rigid3, Time, project_2d, to_f32};
 use portolan_sensor::PointCloud;
 
+use crate::changes::{CERTAIN_PLACE, Change, ChangeGrid};
 use crate::evidence::{Support, Verdict};
 use crate::hypothesis::{Hypothesis, fit};
 use crate::known_map::{KnownMap, Window};
+use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
 use crate::search::{Decision, Places, Searcher, ToldStart};
 use crate::state::{Estimate, Place, Reason, State};
@@ -33,6 +35,8 @@ pub(crate) struct LocalScan<'a> {
     pub local_from_tracking: Rigid3,
     /// In the local map.
     pub returns: &'a PointCloud,
+    /// Where its beams begin, in the local map.
+    pub origin: Point3f,
     /// Whether local SLAM lost its way before it.
     pub begins_anew: bool,
 }
@@ -82,13 +86,15 @@ pub(crate) struct Finder<M: KnownMap> {
     last: Option<Last>,
     start: Option<(Rigid3, (f64, f64))>,
     told: Option<ToldStart>,
+    changes: Option<ChangeGrid>,
 }
 
 impl<M: KnownMap> Finder<M> {
     /// With the start that somebody told, and its standard deviations in metres and radians.
     pub fn new(searcher: Searcher<M>, start: Option<(Rigid3, (f64, f64))>) -> Self {
         let mode = Mode::Searching { places: Places::default(), lost: None };
-        Self { searcher, recent: RecentScans::default(), mode, last: None, start, told: None }
+        let changes = searcher.map.change_grid();
+        Self { searcher, recent: RecentScans::default(), mode, last: None, start, told: None, changes }
     }
 
     /// Takes a scan.
@@ -110,7 +116,32 @@ impl<M: KnownMap> Finder<M> {
         };
         self.mode = mode;
         let place = self.place_of(state, &current, &scan.local_from_tracking);
+        if state == State::Localised && current.offered != Offered::LeftOut {
+            self.count_changes(scan, &current);
+        }
         Estimate { time: scan.time, state, reason, local_from_tracking: scan.local_from_tracking, place }
+    }
+
+    /// Where scans contradicted the map.
+    pub fn changes(&self) -> Vec<Change> {
+        self.changes.as_ref().map_or_else(Vec::new, ChangeGrid::changes)
+    }
+
+    /// Compares a scan whose place is known with the map.
+    fn count_changes(&mut self, scan: &LocalScan, current: &Current<M::Scan>) {
+        let (Some(changes), Mode::Tracking(track)) = (&mut self.changes, &self.mode) else { return };
+        let belief = &track.place.belief;
+        if belief.sigmas().0 > CERTAIN_PLACE {
+            return;
+        }
+        let map_from_local = belief.pose * current.local_from_scan.inverse();
+        let origin = map_from_local * scan.origin.cast::<f64>();
+        changes.add(&PlacedScan {
+            time: scan.time,
+            origin: origin.xy().coords,
+            map_from_local: project_2d(&map_from_local),
+            returns: &scan.returns.points,
+        });
     }
 
     /// Whether the start that was told is where the place that is known says; none as long as none is known.

@@ -6,7 +6,7 @@ use portolan_geometry::Rigid3;
 use portolan_matching::ScanAgreement;
 
 use crate::belief::Belief;
-use crate::known_map::{KnownMap, ScanMatch, Window};
+use crate::known_map::{KnownMap, ON_THE_WAY, ScanMatch, Window};
 use crate::recent::RecentScans;
 
 /// Scans are looked for within so many standard deviations of their prediction, and within these bounds, metres and
@@ -18,8 +18,6 @@ const WIDEST: Window = Window { metres: 1.5, radians: 0.6 };
 const GATE: f64 = 25.0;
 /// What is known of a place that was just proposed: standard deviations, metres and radians.
 const PROPOSED: (f64, f64) = (0.1, 0.02);
-/// Where earlier scans of the way are looked for.
-const ON_THE_WAY: Window = Window { metres: 0.1, radians: 0.03 };
 /// Places nearer to each other, metres and radians, are the same.
 const SAME_PLACE: (f64, f64) = (0.6, 0.2);
 

@@ -50,3 +50,47 @@ fn lever_scale(information: &Matrix6, freedom: Freedom) -> f64 {
     let (shifts, turns) = (sum(0) / axes, sum(3) / turning);
     if shifts > 0.0 { (turns / shifts).sqrt().max(0.1) } else { 1.0 }
 }
+
+/// Information in a direction below this fraction of the most is rounding.
+const NOTHING: f64 = 1e-9;
+
+/// The direction that a match leaves open, as a unit vector in the map, or of length 0 if that is a turn alone; none if
+/// all are held.
+pub(crate) fn open_direction(information: &Matrix6, freedom: Freedom) -> Option<Vector3> {
+    let lever = lever_scale(information, freedom);
+    let scale = Vector6::new(1.0, 1.0, 1.0, lever, lever, lever);
+    let mut scaled = information.component_mul(&(scale * scale.transpose()).map(|v: f64| 1.0 / v));
+    let most = scaled.trace();
+    let closed = Vector6::repeat(1.0) - freedom.variances(1.0, 1.0);
+    scaled += Matrix6::from_diagonal(&(closed * most));
+    let eigen = scaled.symmetric_eigen();
+    let (index, least) = eigen.eigenvalues.argmin();
+    let direction = eigen.eigenvectors.column(index).fixed_rows::<3>(0).into_owned();
+    let is_turn = direction.norm() < std::f64::consts::FRAC_1_SQRT_2;
+    let is_open = least <= NOTHING * most;
+    is_open.then(|| if is_turn { Vector3::zeros() } else { direction.normalize() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Walls with these normals, ten points each, seen from a distance.
+    fn walls(normals: &[[f64; 2]]) -> Matrix6 {
+        let contact = |normal: &[f64; 2], i: i32| {
+            let normal = Vector3::new(normal[0], normal[1], 0.0);
+            let along = Vector3::new(-normal.y, normal.x, 0.0);
+            Contact { lever: 2.0 * normal + 0.3 * f64::from(i) * along, normal }
+        };
+        let contacts = normals.iter().flat_map(|n| (-5..=5).map(move |i| contact(n, i)));
+        information(contacts, Freedom::Plane)
+    }
+
+    #[test]
+    fn a_corridor_is_open_along_its_walls_and_a_room_is_not() {
+        let corridor = walls(&[[0.6, 0.8], [-0.6, -0.8]]);
+        let open = open_direction(&corridor, Freedom::Plane).unwrap();
+        assert!(open.cross(&Vector3::new(-0.8, 0.6, 0.0)).norm() < 1e-6, "{open}");
+        assert_eq!(open_direction(&walls(&[[1.0, 0.0], [0.0, 1.0]]), Freedom::Plane), None);
+    }
+}

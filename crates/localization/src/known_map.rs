@@ -1,11 +1,12 @@
 //! What a saved map has to be able to for scans to be found in it: what differs between the plane and space.
 
 use portolan_geometry::Rigid3;
-use portolan_mapping::Space;
+use portolan_mapping::{NodeData, Space};
 use portolan_matching::{GridError, MatcherOptionError, ScanAgreement};
 use portolan_sensor::PointCloud;
 
 use crate::belief::{Freedom, Matrix6};
+use crate::changes::ChangeGrid;
 use crate::recent::RecentScans;
 
 /// Why a map cannot be localised in.
@@ -37,6 +38,9 @@ pub struct Window {
     pub radians: f64,
 }
 
+/// Where earlier scans of the way are looked for.
+pub(crate) const ON_THE_WAY: Window = Window { metres: 0.1, radians: 0.03 };
+
 /// A scan found in the map.
 #[derive(Clone, Copy, Debug)]
 pub struct ScanMatch {
@@ -64,6 +68,8 @@ pub trait KnownMap: Sized + Send + Sync {
 
     /// The frame of a scan in the local map.
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3;
+    /// The points that a node keeps, in the tracking frame.
+    fn points_in_tracking(node: &NodeData) -> PointCloud;
     /// The scan of these returns, which are in its frame in the order in which they were measured.
     fn scan(&self, returns: &PointCloud) -> Self::Scan;
     /// The recent scans as one.
@@ -76,4 +82,6 @@ pub trait KnownMap: Sized + Send + Sync {
     fn find(&self, scan: &Self::Scan, guess: &Rigid3, window: Window) -> ScanMatch;
     /// What the map says to a scan at a pose.
     fn agreement(&self, scan: &Self::Scan, pose: &Rigid3) -> ScanAgreement;
+    /// Where scans are compared with the map cell by cell; none if that is not done in such maps.
+    fn change_grid(&self) -> Option<ChangeGrid>;
 }

@@ -1,15 +1,20 @@
 #![doc = include_str!("../README.md")]
 
 mod belief;
+mod change_regions;
+mod changes;
+mod distinctness;
 mod evidence;
 mod finder;
 mod hypothesis;
 mod information;
 mod jumps;
+mod known_cells;
 mod known_map;
 mod likelihood;
 mod localizer;
 mod occupancy;
+mod placed_scan;
 mod planar_map;
 mod planar_scan;
 mod recent;
@@ -20,6 +25,8 @@ mod spatial_scan;
 mod state;
 
 pub use belief::{Freedom, Matrix6};
+pub use changes::{Change, ChangeKind};
+pub use distinctness::{Distinctness, ExaminedPlace, OtherPlace, PlaceExaminer};
 pub use jumps::{Corrections, Jumps};
 pub use known_map::{KnownMap, KnownMapError, ScanMatch, Window};
 pub use localizer::{Localizer, LocalizerError, LocalizerSettings, StartPose};

@@ -40,6 +40,11 @@ impl LikelihoodField {
         self.bytes.contains(&255)
     }
 
+    /// What [`LikelihoodField::at`] says at a distance from something solid, metres.
+    pub fn at_distance(metres: f64) -> f64 {
+        (-0.5 * (metres / SIGMA).powi(2)).exp()
+    }
+
     /// 1 at something solid, 0 far from everything.
     pub fn at(&self, point: &Vector2) -> f64 {
         f64::from(self.byte(point)) / 255.0

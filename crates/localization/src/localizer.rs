@@ -8,6 +8,7 @@ use portolan_issue::IssueLog;
 use portolan_mapping::{LocalSlam, MapperError, MatchingResult, SensorCollation, Space, TrajectoryId};
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
+use crate::changes::Change;
 use crate::finder::{Finder, LocalScan};
 use crate::known_map::KnownMap;
 use crate::search::Searcher;
@@ -110,6 +111,11 @@ impl<M: KnownMap> Localizer<M> {
         issues
     }
 
+    /// Where scans contradicted the map while it was localised (2D).
+    pub fn changes(&self) -> Vec<Change> {
+        self.finder.changes()
+    }
+
     /// Whether the start that was told agrees with the place that is known; none while none is known, or none was told.
     pub fn start_agrees(&self) -> Option<bool> {
         self.finder.start_agrees()
@@ -135,6 +141,7 @@ impl<M: KnownMap> Localizer<M> {
                 time: scan.time,
                 local_from_tracking: scan.local_from_tracking,
                 returns: &scan.range_data_in_local.returns,
+                origin: scan.range_data_in_local.origin,
                 begins_anew: scan.lost.is_some(),
             })
         };

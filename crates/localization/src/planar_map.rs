@@ -9,6 +9,7 @@ use portolan_matching::{
     ProbabilityGrid,
 };
 
+use crate::known_cells::KnownCells;
 use crate::known_map::KnownMapError;
 use crate::likelihood::LikelihoodField;
 use crate::scan_match::Matcher;
@@ -34,6 +35,8 @@ pub struct PlanarMap {
     pub(crate) places: FastCorrelativeMatcher2d,
     /// Finds scans near a guess.
     pub(crate) matcher: Matcher,
+    /// What scans may contradict.
+    pub(crate) cells: KnownCells,
     known_square_metres: f64,
 }
 
@@ -63,9 +66,11 @@ impl PlanarMap {
         let cell = grid.limits().resolution();
         let known = (0..grid.cells().len()).filter(|i| grid.cells()[*i] != 0).count();
         let known_square_metres = known as f64 * cell * cell;
+        let cells = KnownCells::new(&grid, &field, state)?;
         Ok(Self {
             grid: Grid2d::Probability(grid),
             field,
+            cells,
             places,
             matcher: Matcher::new()?,
             known_square_metres,

@@ -7,7 +7,7 @@ use portolan_geometry::{Rigid3, Time};
 /// Scans are kept after this way, metres, or this turn, radians, so many of them.
 const KEY_WAY: f64 = 0.4;
 const KEY_TURN: f64 = 0.35;
-const KEPT: usize = 12;
+pub(crate) const KEPT: usize = 12;
 
 /// A scan that is kept for judging places.
 #[derive(Clone, Debug)]
@@ -38,14 +38,18 @@ pub(crate) enum Offered {
     Kept { oldest_left: bool },
 }
 
+/// Whether the scanner hardly moved between two poses.
+pub(crate) fn is_alike(a: &Rigid3, b: &Rigid3) -> bool {
+    let motion = a.inverse() * b;
+    motion.translation.vector.norm() < KEY_WAY && motion.rotation.angle() < KEY_TURN
+}
+
 impl<S> RecentScans<S> {
     pub(crate) fn offer(&mut self, scan: KeyScan<S>) -> Offered {
-        if let Some(last) = self.scans.back() {
-            let motion = last.local_from_scan.inverse() * scan.local_from_scan;
-            let turn = motion.rotation.angle();
-            if motion.translation.vector.norm() < KEY_WAY && turn < KEY_TURN {
-                return Offered::LeftOut;
-            }
+        if let Some(last) = self.scans.back()
+            && is_alike(&last.local_from_scan, &scan.local_from_scan)
+        {
+            return Offered::LeftOut;
         }
         self.scans.push_back(scan);
         let oldest_left = self.scans.len() > KEPT;

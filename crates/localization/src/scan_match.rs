@@ -1,7 +1,7 @@
 //! Matching a scan to a map of the plane, and what the match tells.
 
-use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d};
-use portolan_mapping::Planar;
+use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
+use portolan_mapping::{NodeData, Planar};
 use portolan_matching::{
     GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, ScanAgreement, SeveralPlaces,
     scan_agreement,
@@ -9,6 +9,7 @@ use portolan_matching::{
 use portolan_sensor::PointCloud;
 
 use crate::belief::Freedom;
+use crate::changes::ChangeGrid;
 use crate::information::{Contact, information};
 use crate::known_map::{KnownMap, ScanMatch, Window};
 use crate::planar_map::PlanarMap;
@@ -75,6 +76,11 @@ impl KnownMap for PlanarMap {
         embed_3d(&project_2d(local_from_tracking))
     }
 
+    fn points_in_tracking(node: &NodeData) -> PointCloud {
+        let tracking_from_aligned = Rigid3::from_parts(Default::default(), node.gravity_alignment.inverse());
+        node.filtered_gravity_aligned_point_cloud.transformed(&to_f32(&tracking_from_aligned))
+    }
+
     fn scan(&self, returns: &PointCloud) -> PlanarScan {
         PlanarScan::new(returns)
     }
@@ -103,6 +109,10 @@ impl KnownMap for PlanarMap {
 
     fn agreement(&self, scan: &PlanarScan, pose: &Rigid3) -> ScanAgreement {
         scan_agreement(&self.grid, &project_2d(pose), &scan.cloud).unwrap_or_default()
+    }
+
+    fn change_grid(&self) -> Option<ChangeGrid> {
+        Some(ChangeGrid::new(self.cells.clone()))
     }
 }
 

@@ -105,6 +105,11 @@ impl<M: KnownMap> Searcher<M> {
 }
 
 impl Places {
+    /// All that fits anywhere, after as many searches as it takes.
+    pub fn of_complete_search(all: Vec<Hypothesis>) -> Self {
+        Self { all, last_search: None, searches: SEARCHES }
+    }
+
     /// Whether it is time to search the whole map once more.
     pub fn is_search_due(&self, time: Time, is_new: bool) -> bool {
         let waited = self.last_search.map_or(f64::INFINITY, |last| time.seconds_since(last));

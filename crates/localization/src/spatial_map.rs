@@ -5,7 +5,7 @@ use portolan_geometry::{
     Point3f, Rigid3, Vector2, Vector3, embed_3d, is_valid_pose, rotation_from_roll_pitch_yaw, to_f32, yaw,
 };
 use portolan_lidar_odometry::{PlaneMap, PosePrior, Registration, RegistrationSettings, Sigmas};
-use portolan_mapping::{GraphState, Spatial};
+use portolan_mapping::{GraphState, NodeData, Spatial};
 use portolan_matching::{
     FastCorrelativeMatcher2d, FastCorrelativeOptions2d, Grid2d, MapLimits, ProbabilityGrid, ScanAgreement,
     SeveralPlaces,
@@ -14,6 +14,7 @@ use portolan_sensor::PointCloud;
 use rayon::prelude::*;
 
 use crate::belief::Freedom;
+use crate::changes::ChangeGrid;
 use crate::information::{Contact, information};
 use crate::known_map::{KnownMap, KnownMapError, ScanMatch, Window};
 use crate::occupancy::Occupancy;
@@ -105,9 +106,8 @@ impl SpatialMap {
             let (node, other) = (nodes.get(here)?, nodes.get(there % nodes.len())?);
             let level = Self::local_from_scan(&node.map_from_tracking);
             let scan_from_tracking = to_f32(&(level.inverse() * node.map_from_tracking));
-            let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];
-            let points = clouds.into_iter().flat_map(|cloud| &cloud.points);
-            let scan = SpatialScan::new(&PointCloud::new(points.map(|p| scan_from_tracking * p).collect()));
+            let points = Self::points_in_tracking(&node.data);
+            let scan = SpatialScan::new(&points.transformed(&scan_from_tracking));
             let turn = rotation_from_roll_pitch_yaw(0.0, 0.0, 1.0 + GOLDEN_ANGLE * k as f64);
             let mut guess = Self::local_from_scan(&other.map_from_tracking);
             guess.rotation = turn * level.rotation;
@@ -262,6 +262,11 @@ impl KnownMap for SpatialMap {
         Rigid3::from_parts(local_from_tracking.translation, heading)
     }
 
+    fn points_in_tracking(node: &NodeData) -> PointCloud {
+        let clouds = [&node.high_resolution_point_cloud, &node.low_resolution_point_cloud];
+        PointCloud::new(clouds.into_iter().flat_map(|cloud| &cloud.points).copied().collect())
+    }
+
     fn scan(&self, returns: &PointCloud) -> SpatialScan {
         SpatialScan::new(returns)
     }
@@ -296,5 +301,9 @@ impl KnownMap for SpatialMap {
 
     fn agreement(&self, scan: &SpatialScan, pose: &Rigid3) -> ScanAgreement {
         self.agreement_of(&scan.judged, pose)
+    }
+
+    fn change_grid(&self) -> Option<ChangeGrid> {
+        None
     }
 }

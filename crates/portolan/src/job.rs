@@ -12,8 +12,10 @@
 //! | `report.json` | sensors, options, counts, times, degenerate intervals, repairs |
 //! | `portolan.json` | which files these are ([`OutputFolder`]): others are not overwritten |
 
+mod change_map;
 mod error;
 mod event;
+mod examine;
 mod journal;
 mod known_map;
 mod last_pose;
@@ -49,6 +51,7 @@ pub const REPORT_VERSION: u32 = 2;
 
 pub use error::JobError;
 pub use event::{Event, Observer, Remark};
+pub use examine::{ExaminedMap, PlaceCount, examine_map};
 pub use journal::JOURNAL;
 use journal::{Identity, Journal, Resumed};
 pub use known_map::KnownMaps;

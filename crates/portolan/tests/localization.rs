@@ -9,13 +9,13 @@ use portolan::geometry::{Duration, Rigid3, Time, Vector3, rotation_angle};
 use portolan::ingest::IngestOptions;
 use portolan::job::{
     Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder,
-    localize, map, unobserved, write_localized,
+    examine_map, localize, map, unobserved, write_localized,
 };
-use portolan::localization::{KnownMapError, PlanarMap, Reason, StartPose, State};
+use portolan::localization::{Change, ChangeKind, KnownMapError, PlanarMap, Reason, StartPose, State};
 use portolan::mapping::{GraphState, Planar};
 use portolan::recording::{Recording, create, open_all};
 use portolan::simulator::{ScenarioOptions, Simulation};
-use portolan::worlds::two_d::Scene;
+use portolan::worlds::two_d::{Material, Scene, Shape};
 
 /// A drive through an office; another day, another way through it.
 fn drive(building: u64, day: u64, seconds: f64) -> Simulation {
@@ -196,7 +196,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
         let folder = tempfile::tempdir().unwrap();
         let output = OutputFolder::begin(folder.path(), "localize", &LOCALIZED_FILES, false, &mut unobserved);
         write_localized(&found, &output.unwrap(), 0.0, &mut unobserved).unwrap();
-        ["poses.tum", "poses.csv", "path.png", "report.json"]
+        ["poses.tum", "poses.csv", "path.png", "report.json", "changes.geojson"]
             .map(|name| std::fs::read(folder.path().join(name)).unwrap())
     });
     assert!(files[0][1].len() > 5_000 && files[0] == files[1] && files[0] == files[2]);
@@ -223,4 +223,79 @@ fn why_it_is_not_known_is_said() {
     let reasons = [Reason::NoPlaceFits, Reason::SeveralPlacesFit, Reason::TooLittleSeen];
     assert!(found.estimates.iter().all(|e| reasons.contains(&e.reason)));
     assert!(found.estimates.iter().all(|e| e.place.is_some() == (e.state == State::Tentative)));
+}
+
+/// The drive of a day past something round that was put beside its path, and where that stands in the building.
+fn drive_past_a_barrel(day: u64, seconds: f64) -> (Simulation, Vector3) {
+    let before = drive(1, day, seconds);
+    let mut plan = before.plan().clone();
+    let beside = |second: u32, side: f64| {
+        let time = before.start_time() + Duration::from_seconds(f64::from(second));
+        let pose = before.truth_at(time).unwrap();
+        pose.translation.vector + pose.rotation * Vector3::new(0.0, side, 0.0)
+    };
+    let places = (10..seconds as u32 - 10).flat_map(|s| [1.0, -1.0].map(|side| beside(s, side)));
+    let is_open = |p: &Vector3| plan.shapes.iter().all(|shape| shape.distance(&p.xy()) > 0.7);
+    let centre = places.into_iter().find(is_open).unwrap();
+    plan.shapes.push(Shape::circle(centre.xy(), 0.3, Material::Furniture));
+    let options = ScenarioOptions {
+        building_seed: Some(1),
+        duration: Some(seconds),
+        people: Some(2),
+        ..ScenarioOptions::new(Scene::Office, day)
+    };
+    (Simulation::in_plan(options, plan).unwrap(), centre)
+}
+
+/// Changes of a kind within 0.6 m of a point of the map.
+fn changes_near<'a>(found: &'a LocalizedRecording, kind: ChangeKind, at: &Vector3) -> Vec<&'a Change> {
+    let is_near = |p: &[f64; 2]| (p[0] - at.x).hypot(p[1] - at.y) < 0.6;
+    found.changes.iter().filter(|c| c.kind == kind && c.rings[0].iter().any(is_near)).collect()
+}
+
+#[test]
+fn what_was_put_into_the_building_appears_and_little_else() {
+    let unchanged = find(&drive(1, 2, 60.0), None);
+    let area = |found: &LocalizedRecording| found.changes.iter().map(|c| c.area).sum::<f64>();
+    let (today, centre) = drive_past_a_barrel(2, 60.0);
+    let found = find(&today, None);
+    let map_from_world = known().world_from_map.inverse();
+    let centre = map_from_world.translation.vector + map_from_world.rotation * centre;
+    let barrel = changes_near(&found, ChangeKind::Appeared, &centre);
+    assert!(barrel.iter().any(|c| c.scans >= 4), "{:?}", found.changes);
+    assert!(area(&unchanged) < 0.3, "{:?}", unchanged.changes);
+}
+
+#[test]
+fn what_was_taken_out_of_the_building_is_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first_day, centre) = drive_past_a_barrel(2, 60.0);
+    map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
+    let map_from_world = first_day.truth_at(first_day.start_time()).unwrap().inverse();
+    let centre = map_from_world.translation.vector + map_from_world.rotation * centre;
+    let today = drive(1, 2, 60.0);
+    let found = localize(&today, &request(&folder.path().join("map.pbstream")), &mut unobserved).unwrap();
+    let barrel = changes_near(&found, ChangeKind::Gone, &centre);
+    assert!(barrel.iter().any(|c| c.scans >= 4), "{:?}", found.changes);
+    assert!(changes_near(&found, ChangeKind::Appeared, &centre).is_empty(), "{:?}", found.changes);
+}
+
+#[test]
+fn a_recording_changes_nothing_in_its_own_map() {
+    let own = find(&drive(1, 1, 120.0), None);
+    let area: f64 = own.changes.iter().map(|c| c.area).sum();
+    assert!(area < 0.05, "{:?}", own.changes);
+}
+
+#[test]
+fn places_are_the_same_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    map(&drive(1, 1, 30.0), MapRequest::new(folder.path()), &mut unobserved).unwrap();
+    let path = folder.path().join("map.pbstream");
+    let [one, three] = [1, 3].map(|threads| examine_map(&path, threads, &mut unobserved).unwrap());
+    assert!(one.places.len() > 3, "{}", one.places.len());
+    assert_eq!(one.places, three.places);
+    let of_way: f64 = one.counts().iter().map(|(_, count)| count.fraction_of_way).sum();
+    assert!((of_way - 1.0).abs() < 1e-9, "{of_way}");
+    assert!(examine_map(&folder.path().join("none"), 1, &mut unobserved).is_err());
 }

@@ -1,12 +1,15 @@
 //! `portolan check`: what is wrong with recordings and maps, what follows, and what to do.
 
 mod map;
+mod places;
 mod recording;
 
 use std::path::{Path, PathBuf};
 
 use portolan_diagnose::Severity;
 use serde::Serialize;
+
+use places::Places;
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
@@ -20,9 +23,15 @@ use crate::output::{counted, print, print_json};
 /// in 3D), frames without transforms, implausible IMU and odometry. Of a map (.pbstream): damage, missing or
 /// doubled parts, impossible poses, constraints and grids, times out of order, and whether `portolan repair` helps.
 ///
+/// With --places (2D, about a second a place) also where in a map `portolan localize` would have difficulties: about
+/// every 2 m what was seen on the last metres is searched in the whole map. Ambiguous is where it fits nearly as well
+/// elsewhere, degenerate where the scan leaves a direction open, as in a corridor, thin where the map does not explain
+/// even what was seen there.
+///
 /// Exit code 0 if there is no finding of severity error, 1 if there is.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan check walk.bag\n  portolan check maps/*.pbstream --json\n  \
+    portolan check house/map.pbstream --places --picture places.png\n  \
     portolan check walk.bag && portolan map walk.bag")]
 pub struct CheckArgs {
     /// Recordings and maps.
@@ -31,6 +40,14 @@ pub struct CheckArgs {
     /// Also show how long the intervals between the messages of a recording are.
     #[arg(long, conflicts_with = "json")]
     histograms: bool,
+    /// Of maps in 2D also examine places along the trajectories: how well localisation can tell them apart. It takes
+    /// minutes in large maps.
+    #[arg(long)]
+    places: bool,
+    /// Draw the places of the one map, and examine them for it: the trajectory green where they are distinct, blue
+    /// degenerate, orange ambiguous, red thin.
+    #[arg(long, value_name = "FILE.png")]
+    picture: Option<PathBuf>,
     /// Print JSON: an array with one object for each path.
     #[arg(long)]
     json: bool,
@@ -61,14 +78,25 @@ struct Report {
     errors: usize,
     warnings: usize,
     findings: Vec<Finding>,
+    /// Of maps, if they are examined: how well places can be told apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    places: Option<Places>,
     #[serde(skip)]
     histograms: Vec<String>,
 }
 
 pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    if let Some(picture) = &args.picture {
+        if args.paths.len() > 1 {
+            return Err(CliError::Usage("--picture draws one map: name only that".to_owned()));
+        }
+        if picture.extension().is_none_or(|ending| ending != "png") {
+            return Err(CliError::Usage(format!("{}: pictures of places are .png", picture.display())));
+        }
+    }
     let mut reports = Vec::new();
     for path in &args.paths {
-        let report = check(path, global.quiet)?;
+        let report = check(path, args, global)?;
         if !args.json {
             print(&report.text(args.histograms, global.verbose > 0))?;
         }
@@ -84,12 +112,24 @@ pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     }
 }
 
-fn check(path: &Path, quiet: bool) -> Result<Report, CliError> {
+fn check(path: &Path, args: &CheckArgs, global: &GlobalArgs) -> Result<Report, CliError> {
     let map = open_map(path)?;
     let is_map = map.is_some();
-    let (mut findings, histograms) = match map {
-        Some(input) => (map::check(path, input)?, Vec::new()),
-        None => recording::check(path, quiet)?,
+    let picture = args.picture.as_deref();
+    if !is_map && picture.is_some() {
+        return Err(CliError::Usage(format!("{}: --picture is of maps; this is none", path.display())));
+    }
+    let (mut findings, places, histograms) = match map {
+        Some(input) => {
+            let mut findings = map::check(path, input)?;
+            let wanted = args.places || picture.is_some();
+            let places = if wanted { places::check(path, picture, global, &mut findings)? } else { None };
+            (findings, places, Vec::new())
+        }
+        None => {
+            let (findings, histograms) = recording::check(path, global.quiet)?;
+            (findings, None, histograms)
+        }
     };
     // The worst first, otherwise as they were found.
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
@@ -100,6 +140,7 @@ fn check(path: &Path, quiet: bool) -> Result<Report, CliError> {
         errors: count(Severity::Error),
         warnings: count(Severity::Warning),
         findings,
+        places,
         histograms,
     })
 }
@@ -118,6 +159,9 @@ impl Report {
         let mut text = format!("{}: {}, {verdict}\n", self.path, self.kind);
         let is_shown = |finding: &&Finding| with_harmless || !finding.is_harmless();
         text.extend(self.findings.iter().filter(is_shown).map(Finding::text));
+        if let Some(places) = &self.places {
+            text += &places.text();
+        }
         let hidden = self.findings.iter().filter(|finding| !is_shown(finding)).count() as u64;
         if hidden > 0 {
             text +=

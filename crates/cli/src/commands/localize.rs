@@ -9,7 +9,7 @@ use portolan::job::{
     localize, write_localized,
 };
 use portolan_geometry::Rigid3;
-use portolan_localization::{Jumps, StartPose, State};
+use portolan_localization::{ChangeKind, Jumps, StartPose, State};
 use portolan_recording::{Recording, open_all};
 
 use super::argument::{start_pose, start_sigma};
@@ -17,14 +17,14 @@ use super::map::{ConfigArgs, CutArgs, SensorArgs, ingest_options, nothing_left, 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::Saving;
-use crate::output::print_summary;
+use crate::output::{counted, print_summary};
 use crate::progress::Progress;
 
 /// Find a recording in a saved map, scan by scan: where it was, how sure that is, and when it was lost.
 ///
 /// The place is searched in the whole map; nothing of the map changes, and memory does not grow with time. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
 /// reason and covariance, `path.png` the path in the map coloured by state (green localised, orange uncertain, violet
-/// dots tentative), `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
+/// dots tentative), `changes.geojson` in 2D the places that have changed since the map was made, `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan localize house/map.pbstream today.bag -o today\n  \
     portolan localize house/map.pbstream today.bag --start 3.5,-2,90\n  \
@@ -185,6 +185,17 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
     let last = localized.estimates.last();
     if let Some(estimate) = last.filter(|e| e.state != State::Localised) {
         text += &format!("at the end it is {} ({})\n", estimate.state, estimate.reason.name());
+    }
+    if !localized.changes.is_empty() {
+        let area = |kind| -> f64 {
+            localized.changes.iter().filter(|c| c.kind == kind).fold(0.0, |sum, c| sum + c.area)
+        };
+        text += &format!(
+            "{} where the map has changed (changes.geojson): {:.2} m² appeared, {:.2} m² gone\n",
+            counted(localized.changes.len() as u64, "place", "places"),
+            area(ChangeKind::Appeared),
+            area(ChangeKind::Gone),
+        );
     }
     for issue in localized.issues.iter() {
         let label = if issue.lost_data() { "lost" } else { "repaired" };

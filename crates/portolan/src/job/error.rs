@@ -47,6 +47,9 @@ pub enum JobError {
         /// Why.
         reason: KnownMapError,
     },
+    /// A map in 3D whose places were to be examined.
+    #[error("{}: this map is in 3D; places are examined in 2D only", .0.display())]
+    PlacesInSpace(PathBuf),
     /// Localisation could not begin.
     #[error(transparent)]
     Localizer(#[from] LocalizerError),

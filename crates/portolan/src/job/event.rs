@@ -33,6 +33,13 @@ pub enum Event<'a> {
         /// What is known of the place.
         state: State,
     },
+    /// Places of a map are examined, as far as this.
+    Examining {
+        /// Places that are done.
+        done: usize,
+        /// All of them.
+        total: usize,
+    },
     /// Pictures or clouds are about to be made, or are drawn of the scans that mapping kept.
     Drawing,
     /// The recording is read again, and its points are placed in the map.

@@ -121,6 +121,7 @@ fn localize_in<M: KnownMap>(
         start: request.start,
         jumps: request.jumps,
         start_agrees: localizer.start_agrees(),
+        changes: localizer.changes(),
         issues,
         recorded_times: ingestion.recorded_times().clone(),
         textures,

@@ -10,10 +10,11 @@ use portolan_export::{
 use portolan_geometry::{Dimension, Rigid3, Time, roll_pitch_yaw, yaw};
 use portolan_ingest::SensorPlan;
 use portolan_issue::IssueLog;
-use portolan_localization::{Corrections, Estimate, Jumps, Place, StartPose, State};
+use portolan_localization::{Change, Corrections, Estimate, Jumps, Place, StartPose, State};
 use portolan_mapfile::PlacedTexture;
 
 use super::REPORT_VERSION;
+use super::change_map::{geojson, outlines};
 use super::error::{JobError, write_file};
 use super::event::{Observer, Remark, remark};
 use super::output_folder::{OutputFolder, Stale};
@@ -32,6 +33,8 @@ pub struct LocalizedRecording {
     pub jumps: Option<Jumps>,
     /// Whether that agrees with where it was found; none if nobody said it, or it is not known at the end.
     pub start_agrees: Option<bool>,
+    /// Where it contradicts the map (2D).
+    pub changes: Vec<Change>,
     /// What was repaired or left out.
     pub issues: IssueLog,
     /// Scans whose stamps were changed: their times here, and the stamps as recorded.
@@ -131,9 +134,11 @@ impl LocalizedRecording {
 }
 
 /// The files of [`write_localized`].
-pub const LOCALIZED_FILES: [&str; 5] = ["poses.tum", "driver.tum", "poses.csv", "path.png", "report.json"];
+pub const LOCALIZED_FILES: [&str; 6] =
+    ["poses.tum", "driver.tum", "poses.csv", "changes.geojson", "path.png", "report.json"];
 
-/// Writes [`LOCALIZED_FILES`], `driver.tum` only if it is wanted; their paths. It took `seconds`.
+/// Writes [`LOCALIZED_FILES`], `driver.tum` only if it is wanted, `changes.geojson` only in 2D; their paths. It took
+/// `seconds`.
 ///
 /// # Errors
 /// Fails if something cannot be written.
@@ -149,7 +154,14 @@ pub fn write_localized(
         write_tum(&folder.add("driver.tum", &mut files)?, &localized.driven(jumps))?;
     }
     write_file(&folder.add("poses.csv", &mut files)?, csv(localized).as_bytes())?;
-    match draw_path(&localized.textures, &path(&localized.estimates), &PictureOptions::default()) {
+    if localized.dimension == Dimension::Two {
+        let changes = geojson(&localized.changes, |time| localized.recorded(time));
+        let changes = serde_json::to_vec_pretty(&changes)?;
+        write_file(&folder.add("changes.geojson", &mut files)?, &changes)?;
+    }
+    let mut lines = outlines(&localized.changes);
+    lines.extend(path(&localized.estimates));
+    match draw_path(&localized.textures, &lines, &PictureOptions::default()) {
         Ok(picture) => write_picture(&folder.add("path.png", &mut files)?, &picture)?,
         Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
         Err(error) => return Err(error.into()),

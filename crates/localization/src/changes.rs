@@ -1,0 +1,164 @@
+//! Where a recording contradicts the map: cells in which scans of known places end or pass otherwise than the map says.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use portolan_geometry::{Time, Vector2};
+
+use crate::change_regions::{Region, regions};
+use crate::known_cells::{Known, KnownCells};
+use crate::placed_scan::{PlacedScan, around};
+
+/// A scan counts if the standard deviation of its place is at most this, metres.
+pub(crate) const CERTAIN_PLACE: f64 = 0.08;
+/// A cell has changed if so many scans say so, this fraction of those that say anything, from two places at least so far
+/// apart, metres: somebody who stands for a moment is seen from one place.
+const SCANS: u16 = 4;
+pub(crate) const FRACTION: f64 = 0.75;
+const VIEWPOINTS: f64 = 1.0;
+/// Smaller regions are left out, square metres: three cells in a row are an edge that moved with the map's own error.
+const LEAST_AREA: f64 = 0.035;
+
+/// How a place has changed since the map was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ChangeKind {
+    /// Scans end where the map was free.
+    Appeared,
+    /// Beams pass through what was solid.
+    Gone,
+}
+
+impl ChangeKind {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Appeared => "appeared",
+            Self::Gone => "gone",
+        }
+    }
+}
+
+/// A region of the plane in which a recording contradicts the map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change {
+    /// What changed.
+    pub kind: ChangeKind,
+    /// Its outline in the map, metres, counter-clockwise, and then its holes, clockwise; the first point is not repeated.
+    pub rings: Vec<Vec<[f64; 2]>>,
+    /// Of the cells that changed, square metres.
+    pub area: f64,
+    /// Times of the first and the last scan that say so.
+    pub seen: (Time, Time),
+    /// So many scans say so of one of its cells.
+    pub scans: u32,
+}
+
+/// What scans said of a cell.
+#[derive(Clone, Copy, Debug)]
+struct Witness {
+    first: Time,
+    last: Time,
+    from: Vector2,
+    is_seen_from_two: bool,
+}
+
+/// Counts contradictions of scans whose places are known. Takes no more memory than the map.
+pub struct ChangeGrid {
+    map: KnownCells,
+    /// Scans with a point in or beside the cell, and scans with beams through it and no point there.
+    hits: Vec<u16>,
+    passes: Vec<u16>,
+    /// Of cells that were contradicted.
+    witnesses: BTreeMap<usize, Witness>,
+}
+
+impl ChangeGrid {
+    /// Nothing has contradicted the map.
+    pub(crate) fn new(map: KnownCells) -> Self {
+        let cells = map.limits.num_cells();
+        Self { map, hits: vec![0; cells], passes: vec![0; cells], witnesses: BTreeMap::new() }
+    }
+
+    /// Takes a scan.
+    pub(crate) fn add(&mut self, scan: &PlacedScan) {
+        let limits = &self.map.limits;
+        let hit = scan.ends(limits);
+        let passed: BTreeSet<usize> = scan.passed(limits).collect();
+        let around = around(limits, &hit);
+        let free_and_hit = |cell: &&usize| self.map.known[**cell] == Known::Free;
+        let new: Vec<usize> = hit.iter().filter(free_and_hit).copied().collect();
+        let gone: Vec<usize> =
+            passed.iter().filter(|cell| self.map.known[**cell] == Known::Solid).copied().collect();
+        let gone: Vec<usize> = gone.into_iter().filter(|cell| !around.contains(cell)).collect();
+        for cell in &hit {
+            self.hits[*cell] = self.hits[*cell].saturating_add(1);
+        }
+        // A point beside a cell that was solid is of what was there.
+        for cell in around.iter().filter(|cell| !hit.contains(cell)) {
+            if self.map.known[*cell] == Known::Solid {
+                self.hits[*cell] = self.hits[*cell].saturating_add(1);
+            }
+        }
+        for cell in passed.iter().filter(|cell| !around.contains(cell)) {
+            self.passes[*cell] = self.passes[*cell].saturating_add(1);
+        }
+        for cell in new.into_iter().chain(gone) {
+            self.witness(cell, scan);
+        }
+    }
+
+    /// Regions that have changed.
+    pub(crate) fn changes(&self) -> Vec<Change> {
+        let of_kind = |kind| {
+            let changed = |cell: &usize| self.changed(*cell) == Some(kind);
+            let cells: BTreeSet<usize> = self.witnesses.keys().copied().filter(changed).collect();
+            regions(&cells, self.map.limits.num_x_cells() as usize)
+                .into_iter()
+                .map(move |r| self.change(kind, &r))
+        };
+        let all = of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone));
+        all.filter(|change| change.area >= LEAST_AREA).collect()
+    }
+
+    fn witness(&mut self, cell: usize, scan: &PlacedScan) {
+        let new = Witness { first: scan.time, last: scan.time, from: scan.origin, is_seen_from_two: false };
+        let witness = self.witnesses.entry(cell).or_insert(new);
+        witness.last = scan.time;
+        witness.is_seen_from_two |= (scan.origin - witness.from).norm() >= VIEWPOINTS;
+    }
+
+    /// What has become of a cell.
+    fn changed(&self, cell: usize) -> Option<ChangeKind> {
+        let witness = self.witnesses.get(&cell)?;
+        let (hits, passes) = (self.hits[cell], self.passes[cell]);
+        let (kind, for_it) = match self.map.known[cell] {
+            Known::Free => (ChangeKind::Appeared, hits),
+            Known::Solid => (ChangeKind::Gone, passes),
+            Known::Nothing => return None,
+        };
+        let all = f64::from(hits) + f64::from(passes);
+        let is_clear = for_it >= SCANS && f64::from(for_it) >= FRACTION * all;
+        (is_clear && witness.is_seen_from_two).then_some(kind)
+    }
+
+    fn change(&self, kind: ChangeKind, region: &Region) -> Change {
+        let edge = self.map.limits.resolution();
+        let max = self.map.limits.max();
+        // Columns run against y, rows against x: a mirror image.
+        let corner = |[x, y]: &[i64; 2]| [max.x - *y as f64 * edge, max.y - *x as f64 * edge];
+        let rings = region.rings.iter().map(|ring| ring.iter().rev().map(corner).collect()).collect();
+        let seen = region.cells.iter().filter_map(|cell| self.witnesses.get(cell));
+        let (first, last) = (seen.clone().map(|w| w.first).min(), seen.map(|w| w.last).max());
+        let count = |cell: &usize| match kind {
+            ChangeKind::Appeared => self.hits[*cell],
+            ChangeKind::Gone => self.passes[*cell],
+        };
+        let scans = region.cells.iter().map(count).max().unwrap_or(0);
+        Change {
+            kind,
+            rings,
+            area: region.cells.len() as f64 * edge * edge,
+            seen: (first.unwrap_or_default(), last.unwrap_or_default()),
+            scans: u32::from(scans),
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! How well the places of a map can be told apart: the scans of its nodes, searched in all of it as localisation would.
+
+use std::ops::ControlFlow;
+
+use portolan_geometry::{Rigid3, Vector3, rotation_angle, to_f32};
+use portolan_mapping::{GraphState, Node, NodeId, of_trajectory};
+use rayon::prelude::*;
+
+use crate::evidence::Verdict;
+use crate::hypothesis::Hypothesis;
+use crate::information::open_direction;
+use crate::known_map::{KnownMap, ON_THE_WAY};
+use crate::recent::{KEPT, KeyScan, RecentScans, is_alike};
+use crate::search::{Decision, Places, Searcher};
+use crate::state::Reason;
+
+/// Places are examined so far apart along the way, metres, and no more of them: farther apart in larger maps.
+const SPACING: f64 = 2.0;
+const MOST_PLACES: f64 = 2000.0;
+/// Somewhere else is farther away than this, metres or radians. Who is told to be nearer than that finds the place by itself:
+/// scans that contradict are looked for a metre and 17° around.
+const ELSEWHERE: (f64, f64) = (1.0, 15.0 * std::f64::consts::PI / 180.0);
+/// Places that are examined at once; how many does not depend on the threads.
+const BATCH: usize = 8;
+
+/// How well a place can be told from the others of its map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Distinctness {
+    /// Localisation would believe it, and know it in all directions.
+    Distinct,
+    /// It would be believed, but the scan leaves a direction open.
+    Degenerate,
+    /// Somewhere else fits nearly as well, or better.
+    Ambiguous,
+    /// Not even at its true place the map explains enough of what was seen.
+    Thin,
+}
+
+impl Distinctness {
+    /// All of them, the best first.
+    pub const ALL: [Self; 4] = [Self::Distinct, Self::Degenerate, Self::Ambiguous, Self::Thin];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Distinct => "distinct",
+            Self::Degenerate => "degenerate",
+            Self::Ambiguous => "ambiguous",
+            Self::Thin => "thin",
+        }
+    }
+}
+
+/// Another place where a scan fits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OtherPlace {
+    /// Pose of the tracking frame in the map.
+    pub map_from_tracking: Rigid3,
+    /// Mean fraction of beams that the map explains there less the fraction that it contradicts.
+    pub fit: f64,
+}
+
+/// A place of a map that was examined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExaminedPlace {
+    /// The node whose scan was looked for.
+    pub node_id: NodeId,
+    /// Where it was taken: pose of the tracking frame in the map.
+    pub map_from_tracking: Rigid3,
+    /// Metres of the way that it stands for.
+    pub way: f64,
+    /// What came of it.
+    pub distinctness: Distinctness,
+    /// Mean fraction of beams that the map explains less the fraction that it contradicts, of the scans on the way there.
+    pub fit: f64,
+    /// Fraction of the beams of the node's scan that the map explains.
+    pub explained: f64,
+    /// The best place elsewhere, if anything fits there.
+    pub other: Option<OtherPlace>,
+    /// The direction in the map in which the scan may be shifted without anybody noticing; of length 0 if it may only be
+    /// turned.
+    pub open_direction: Option<Vector3>,
+}
+
+/// A node that is to be examined, and the way since the last one.
+struct Stop<'a> {
+    id: NodeId,
+    node: &'a Node,
+    way: f64,
+    /// Nodes on the way there, the newest first, as far as scans are kept.
+    before: Vec<&'a Node>,
+}
+
+/// Examines places of a map.
+pub struct PlaceExaminer<'a, M: KnownMap> {
+    searcher: Searcher<M>,
+    stops: Vec<Stop<'a>>,
+}
+
+impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
+    /// Of a map and the pose graph that it was made of; `threads` as in [`LocalizerSettings`](crate::LocalizerSettings).
+    ///
+    /// # Errors
+    /// If threads cannot be started.
+    pub fn new(
+        map: M,
+        state: &'a GraphState<M::Space>,
+        threads: usize,
+    ) -> Result<Self, rayon::ThreadPoolBuildError> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+        Ok(Self { searcher: Searcher { map, pool }, stops: stops::<M>(state) })
+    }
+
+    /// Examines places along all trajectories. `observe` is told how many of how many are done, and may stop it. The same
+    /// for any number of threads.
+    pub fn examine(&self, observe: &mut dyn FnMut(usize, usize) -> ControlFlow<()>) -> Vec<ExaminedPlace> {
+        let mut places = Vec::new();
+        for batch in self.stops.chunks(BATCH) {
+            if observe(places.len(), self.stops.len()).is_break() {
+                break;
+            }
+            let examined = || batch.par_iter().map(|stop| self.place(stop)).collect();
+            let examined: Vec<ExaminedPlace> = self.searcher.pool.install(examined);
+            places.extend(examined);
+        }
+        places
+    }
+
+    /// Looks in the whole map for what was seen on the way to a node, as localisation would.
+    fn place(&self, stop: &Stop) -> ExaminedPlace {
+        let map = &self.searcher.map;
+        let map_from_tracking = stop.node.map_from_tracking;
+        let truth = M::local_from_scan(&map_from_tracking);
+        let scan_from_tracking = truth.inverse() * map_from_tracking;
+        let mut recent = RecentScans::default();
+        for node in stop.before.iter().rev().copied().chain([stop.node]) {
+            recent.offer(self.scan_of(node));
+        }
+        let here = map.find(&self.scan_of(stop.node).scan, &truth, ON_THE_WAY);
+        let own = Hypothesis::along(map, &recent, &truth);
+        let mut others = self.searcher.propose(&recent, &|pose| !is_elsewhere(pose, &truth));
+        others.retain(|other| is_elsewhere(&other.belief.pose, &truth));
+        let other = others.first().map(|other| OtherPlace {
+            map_from_tracking: other.belief.pose * scan_from_tracking,
+            fit: other.fit(),
+        });
+        let open_direction = open_direction(&here.information, M::FREEDOM);
+        let fit = own.as_ref().map_or(0.0, Hypothesis::fit);
+        let judged = own.map(|own| judge(own, others, recent.motion()));
+        let distinctness = match judged {
+            _ if Verdict::of(&here.agreement) != Verdict::Supports => Distinctness::Thin,
+            None => Distinctness::Thin,
+            Some(Distinctness::Distinct) if open_direction.is_some() => Distinctness::Degenerate,
+            Some(judged) => judged,
+        };
+        let (node_id, way) = (stop.id, stop.way);
+        let explained = f64::from(here.agreement.explained);
+        ExaminedPlace { node_id, map_from_tracking, way, distinctness, fit, explained, other, open_direction }
+    }
+
+    /// The scan of a node where the map says that it was taken.
+    fn scan_of(&self, node: &Node) -> KeyScan<M::Scan> {
+        let map_from_scan = M::local_from_scan(&node.map_from_tracking);
+        let scan_from_tracking = to_f32(&(map_from_scan.inverse() * node.map_from_tracking));
+        let points = M::points_in_tracking(&node.data).transformed(&scan_from_tracking);
+        KeyScan {
+            time: node.data.time,
+            local_from_scan: map_from_scan,
+            scan: self.searcher.map.scan(&points),
+        }
+    }
+}
+
+/// Whether the true place would be believed among the others.
+fn judge(own: Hypothesis, others: Vec<Hypothesis>, way: (f64, f64)) -> Distinctness {
+    let places = Places::of_complete_search(std::iter::once(own).chain(others).collect());
+    match places.decide(way, None, &Rigid3::identity(), true) {
+        Decision::Believed(0) => Distinctness::Distinct,
+        Decision::Nothing | Decision::Tentative(0, Reason::TooLittleSeen) => Distinctness::Thin,
+        Decision::Believed(_) | Decision::Tentative(..) => Distinctness::Ambiguous,
+    }
+}
+
+fn is_elsewhere(pose: &Rigid3, truth: &Rigid3) -> bool {
+    let off = truth.inverse() * pose;
+    off.translation.vector.norm() > ELSEWHERE.0 || rotation_angle(&off) > ELSEWHERE.1
+}
+
+/// Nodes along all trajectories, evenly.
+fn stops<M: KnownMap>(state: &GraphState<M::Space>) -> Vec<Stop<'_>> {
+    let trajectories: Vec<Vec<(NodeId, &Node)>> =
+        state.trajectories.keys().map(|id| of_trajectory(&state.nodes, *id).collect()).collect();
+    let step = |a: &Node, b: &Node| {
+        (a.map_from_tracking.translation.vector - b.map_from_tracking.translation.vector).norm()
+    };
+    let way = |nodes: &Vec<(NodeId, &Node)>| nodes.windows(2).map(|w| step(w[0].1, w[1].1)).sum::<f64>();
+    let spacing = SPACING.max(trajectories.iter().map(way).sum::<f64>() / MOST_PLACES);
+    let mut stops = Vec::new();
+    for nodes in &trajectories {
+        let (mut way, mut next) = (0.0, 0.0);
+        for (i, (id, node)) in nodes.iter().enumerate() {
+            way += i.checked_sub(1).map_or(0.0, |last| step(nodes[last].1, node));
+            if way >= next {
+                let before = way_there::<M>(&nodes[..i], node);
+                stops.push(Stop { id: *id, node, way, before });
+                (way, next) = (0.0, spacing);
+            }
+        }
+    }
+    stops
+}
+
+/// The nodes on the way to a node that localisation would keep, the newest first.
+fn way_there<'a, M: KnownMap>(nodes: &[(NodeId, &'a Node)], node: &Node) -> Vec<&'a Node> {
+    let mut after = M::local_from_scan(&node.map_from_tracking);
+    let mut kept: Vec<&Node> = Vec::new();
+    for (_, node) in nodes.iter().rev() {
+        let here = M::local_from_scan(&node.map_from_tracking);
+        if !is_alike(&after, &here) {
+            kept.push(node);
+            after = here;
+        }
+        if kept.len() + 1 == KEPT {
+            break;
+        }
+    }
+    kept
+}

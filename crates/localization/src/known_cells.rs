@@ -1,0 +1,122 @@
+//! What a map says of the cells in which contradictions are counted.
+
+use std::collections::BTreeSet;
+
+use portolan_geometry::{Vector2, project_2d};
+use portolan_mapping::{GraphState, Planar};
+use portolan_matching::{CellIndex, GridError, MapLimits, ProbabilityGrid};
+
+use crate::changes::FRACTION;
+use crate::known_map::KnownMap;
+use crate::likelihood::LikelihoodField;
+use crate::placed_scan::{PlacedScan, around};
+use crate::planar_map::PlanarMap;
+
+/// Edge of the cells in which contradictions are counted, metres.
+const CELL: f64 = 0.1;
+/// Cells of the map of these probabilities are solid and free, as for the agreement of scans.
+const SOLID: f32 = 0.6;
+const FREE: f32 = 0.4;
+/// So far, metres, what is new lies from all that was solid, and beams go on behind what is gone: scans, walls and their
+/// places in the map err together by a third of it ([`CERTAIN_PLACE`](crate::changes::CERTAIN_PLACE) and the 3.5 cm of the map).
+pub(crate) const CLEARANCE: f64 = 0.25;
+
+/// What the map says of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Known {
+    Solid,
+    /// And nothing solid near.
+    Free,
+    /// It is not known, too near to something solid, or see-through.
+    Nothing,
+}
+
+/// A map in larger cells.
+#[derive(Clone, Debug)]
+pub(crate) struct KnownCells {
+    pub limits: MapLimits,
+    pub known: Vec<Known>,
+}
+
+impl KnownCells {
+    /// Of the grid of a map, how near its cells are to something solid, and the scans that the map keeps.
+    ///
+    /// # Errors
+    /// If there is no such grid.
+    pub(crate) fn new(
+        grid: &ProbabilityGrid,
+        field: &LikelihoodField,
+        state: &GraphState<Planar>,
+    ) -> Result<Self, GridError> {
+        let fine = grid.limits();
+        let factor = (CELL / fine.resolution()).round().max(1.0);
+        let resolution = fine.resolution() * factor;
+        let count = |cells: u32| cells.div_ceil(factor as u32);
+        let limits =
+            MapLimits::new(resolution, fine.max(), count(fine.num_x_cells()), count(fine.num_y_cells()))?;
+        let mut cells = Self { limits, known: known(grid, field, &limits, factor as i32) };
+        cells.leave_out_see_through(state);
+        Ok(cells)
+    }
+
+    /// Takes back that cells are free in which scans of the map itself end too often: glass and railings, which the grid
+    /// holds free because most beams pass. The lidar is taken to be at the origin of the tracking frame.
+    fn leave_out_see_through(&mut self, state: &GraphState<Planar>) {
+        let scan_ends = |scan: &PlacedScan| around(&self.limits, &scan.ends(&self.limits));
+        let mut hits = vec![0_u32; self.known.len()];
+        for_each_scan(state, |scan| {
+            for cell in scan_ends(scan).into_iter().filter(|cell| self.known[*cell] == Known::Free) {
+                hits[cell] += 1;
+            }
+        });
+        let mut passes = vec![0_u32; self.known.len()];
+        for_each_scan(state, |scan| {
+            let ends = scan_ends(scan);
+            let passed: BTreeSet<usize> =
+                scan.passed(&self.limits).filter(|cell| hits[*cell] > 0 && !ends.contains(cell)).collect();
+            for cell in passed {
+                passes[cell] += 1;
+            }
+        });
+        for (cell, known) in self.known.iter_mut().enumerate() {
+            if f64::from(hits[cell]) > (1.0 - FRACTION) * f64::from(hits[cell] + passes[cell]) {
+                *known = Known::Nothing;
+            }
+        }
+    }
+}
+
+/// The scans that the nodes of a map keep.
+fn for_each_scan(state: &GraphState<Planar>, mut visit: impl FnMut(&PlacedScan)) {
+    for (_, node) in state.nodes.iter() {
+        let map_from_tracking = node.map_from_tracking;
+        visit(&PlacedScan {
+            time: node.data.time,
+            origin: Vector2::new(map_from_tracking.translation.x, map_from_tracking.translation.y),
+            map_from_local: project_2d(&map_from_tracking),
+            returns: &PlanarMap::points_in_tracking(&node.data).points,
+        });
+    }
+}
+
+/// What the grid says of larger cells.
+fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, factor: i32) -> Vec<Known> {
+    let nearest = LikelihoodField::at_distance(CLEARANCE);
+    let says = |cell: CellIndex| {
+        let inner = (0..factor).flat_map(|y| (0..factor).map(move |x| (x, y)));
+        let fine = inner.map(|(x, y)| CellIndex::new(factor * cell.x + x, factor * cell.y + y));
+        let known: Vec<CellIndex> = fine.clone().filter(|cell| grid.is_known(*cell)).collect();
+        let is_free = |cell: &CellIndex| {
+            grid.probability(*cell) < FREE && field.at(&grid.limits().cell_center(*cell)) < nearest
+        };
+        if known.iter().any(|cell| grid.probability(*cell) > SOLID) {
+            Known::Solid
+        } else if known.len() == (factor * factor) as usize && known.iter().all(is_free) {
+            Known::Free
+        } else {
+            Known::Nothing
+        }
+    };
+    let (columns, rows) = (limits.num_x_cells() as i32, limits.num_y_cells() as i32);
+    (0..rows).flat_map(|y| (0..columns).map(move |x| CellIndex::new(x, y))).map(says).collect()
+}
