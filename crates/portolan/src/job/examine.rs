@@ -48,7 +48,7 @@ impl ExaminedMap {
         self.places.iter().map(|place| place.way).sum()
     }
 
-    /// Draws the map with the way in colours: [`colour`].
+    /// Draws the map with the way in colours: green distinct, blue degenerate, orange ambiguous, red thin.
     ///
     /// # Errors
     /// If there is nothing to draw, or the picture cannot be written.
