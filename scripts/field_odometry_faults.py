@@ -125,6 +125,8 @@ def main():
     arguments.add_argument("--logs", default="aces,fr079,intel,fr101-rawodo")
     arguments.add_argument("--faults", default=",".join(FAULTS))
     options = arguments.parse_args()
+    if unknown := set(options.faults.split(",")) - set(FAULTS):
+        arguments.error(f"no such fault: {', '.join(sorted(unknown))}; there are {', '.join(FAULTS)}")
     print("| log | odometry | translation, m | rotation, deg | CPU, s | exit code |\n|---|---|---|---|---|---|")
     for log in LOGS:
         if log[0] not in options.logs.split(","):
