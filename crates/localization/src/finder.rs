@@ -100,6 +100,7 @@ impl<M: KnownMap> Finder<M> {
     /// Takes a scan.
     pub fn add(&mut self, scan: &LocalScan) -> Estimate {
         let local_from_scan = M::local_from_scan(&scan.local_from_tracking);
+        let has_lost_its_way = scan.begins_anew && matches!(self.mode, Mode::Tracking(_));
         if scan.begins_anew {
             self.begin_anew();
         }
@@ -111,6 +112,7 @@ impl<M: KnownMap> Finder<M> {
         let mode =
             std::mem::replace(&mut self.mode, Mode::Searching { places: Places::default(), lost: None });
         let (mode, state, reason) = match mode {
+            searching if has_lost_its_way => (searching, State::Lost, Reason::LocalMapLost),
             Mode::Searching { places, lost } => self.search(places, lost, &current),
             Mode::Tracking(track) => self.track(track, &current),
         };
