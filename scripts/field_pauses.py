@@ -3,7 +3,7 @@
 
 Maps a ROS 1 bag of a 3D lidar with its sweeps left out for some seconds, at places spread over the recording, with the IMU
 going on and with everything paused. Prints for each the error of the trajectory (ate.py --se3 --interp) and whether the
-report says that the pose was lost. Needs rosbags, and the judge `ate.py` (../shared/tools, or PORTOLAN_TOOLS).
+exit code is 3 (!), as where the pose was lost. Needs rosbags, and the judge `ate.py` (../shared/tools, or PORTOLAN_TOOLS).
 """
 import argparse
 import json
@@ -13,22 +13,17 @@ import subprocess
 import sys
 import tempfile
 
+from bags import add_connections
 from rosbags.rosbag1 import Reader, Writer
-from rosbags.typesys import Stores, get_typestore
 
 TOOLS = pathlib.Path(os.environ.get("PORTOLAN_TOOLS", pathlib.Path(__file__).parent / "../../shared/tools"))
 LIDAR = "sensor_msgs/msg/PointCloud2"
 
 
 def pause(source, output, begin_seconds, gap, is_lidar_only):
-    """Writes a bag without what came in the gap. False if the recording has nothing but sweeps that could pause."""
-    store = get_typestore(Stores.ROS1_NOETIC)
+    """Writes a bag without what came in the gap, or without the sweeps in it."""
     with Reader(source) as reader, Writer(output) as writer:
-        added = {}
-        for c in reader.connections:
-            definition = c.msgdef if isinstance(c.msgdef, str) else c.msgdef.data
-            more = {"typestore": store} if c.msgtype in store.types else {"msgdef": definition, "md5sum": c.digest}
-            added[c.id] = writer.add_connection(c.topic, c.msgtype, **more)
+        added = add_connections(reader, writer)
         begin = reader.start_time + int(begin_seconds * 1e9)
         for c, time, data in reader.messages():
             is_paused = begin <= time < begin + int(gap * 1e9) and "tf_static" not in c.topic
@@ -36,7 +31,8 @@ def pause(source, output, begin_seconds, gap, is_lidar_only):
                 writer.write(added[c.id], time, data)
 
 
-def has_imu(source):
+def about(source):
+    """Whether it has an IMU, and its seconds."""
     with Reader(source) as reader:
         return any(c.msgtype == "sensor_msgs/msg/Imu" for c in reader.connections), reader.duration / 1e9
 
@@ -60,7 +56,7 @@ def main():
     parser.add_argument("--programs", nargs="*", default=[])
     a = parser.parse_args()
     lever = [f"--lever={a.lever}"] if a.lever else []
-    imu, duration = has_imu(a.recording)
+    imu, duration = about(a.recording)
     kinds = [("all", False, []), ("all, --no-imu", False, ["--no-imu"]), ("lidar", True, [])] if imu else [("all", False, [])]
     for i in range(a.places):
         at = duration * (i + 1) / (a.places + 1)

@@ -6,8 +6,8 @@ had been carried from the end of one to the beginning of the next. Stamps are mo
 """
 import argparse
 
+from bags import add_connections
 from rosbags.rosbag1 import Reader, Writer
-from rosbags.typesys import Stores, get_typestore
 
 STAMP_AT = 4  # A header begins with its sequence number; seconds and nanoseconds of the stamp follow.
 
@@ -22,13 +22,8 @@ def moved(data, offset):
 
 
 def glue(source, output, pieces, gap):
-    store = get_typestore(Stores.ROS1_NOETIC)
     with Reader(source) as reader, Writer(output) as writer:
-        added = {}
-        for c in reader.connections:
-            definition = c.msgdef if isinstance(c.msgdef, str) else c.msgdef.data
-            more = {"typestore": store} if c.msgtype in store.types else {"msgdef": definition, "md5sum": c.digest}
-            added[c.id] = writer.add_connection(c.topic, c.msgtype, **more)
+        added = add_connections(reader, writer)
         end = None
         for begin_seconds, end_seconds in pieces:
             begin = reader.start_time + int(begin_seconds * 1e9)

@@ -10,7 +10,6 @@ use portolan_geometry::{
 };
 
 use crate::initialise::{FirstSweeps, RotationAt, Start};
-use crate::issues::Issues;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
@@ -75,15 +74,7 @@ fn best(
     sweeps: &[Sweep],
     motions: Vec<GapMotion>,
 ) -> NextSweep {
-    let fit_of = |motion: Option<GapMotion>| {
-        let mut tracker = tracker.fork();
-        let mut issues = Issues::default();
-        let mut motion = motion;
-        let fits = sweeps
-            .iter()
-            .map(|sweep| tracker.register_after(motion.take(), sweep.clone(), None, &mut issues).fit);
-        fits.sum::<f64>()
-    };
+    let fit_of = |motion| tracker.fork().total_fit(motion, sweeps);
     let mut best = (NextSweep::AsPredicted, fit_of(None) * settings.hypotheses.better_after_gap);
     for motion in motions {
         let fit = fit_of(Some(motion));

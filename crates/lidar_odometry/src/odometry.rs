@@ -111,7 +111,7 @@ impl LidarOdometry {
                         NextSweep::After(motion) => Some(motion),
                     };
                     let Some(sweep) = self.waiting.pop_front() else { break };
-                    tracker.register_after(gap, sweep, fallback.as_deref_mut(), &mut self.issues)
+                    tracker.register(gap, sweep, fallback.as_deref_mut(), &mut self.issues)
                 }
             };
             // 4. Hand it over, hold it back, or begin anew.

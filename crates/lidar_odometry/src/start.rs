@@ -1,7 +1,6 @@
 //! The start of a trajectory: hypotheses of the first motion, judged by the sweeps that follow.
 
 use crate::initialise::{FirstSweeps, RotationAt, Start};
-use crate::issues::Issues;
 use crate::motion_state::MotionState;
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
@@ -55,8 +54,7 @@ impl FirstMotion {
     /// How well sweeps fit in all if they are tracked from this start.
     fn fit_of(&self, settings: &OdometrySettings, sweeps: &[Sweep], start: Start) -> f64 {
         let Some((first, others)) = sweeps.split_first() else { return 0.0 };
-        let (mut tracker, _) = Tracker::begin(settings, self.motion.clone(), first.clone(), start);
-        let mut issues = Issues::default();
-        others.iter().map(|sweep| tracker.register(sweep.clone(), None, &mut issues).fit).sum()
+        let (tracker, _) = Tracker::begin(settings, self.motion.clone(), first.clone(), start);
+        tracker.total_fit(None, others)
     }
 }

@@ -157,6 +157,14 @@ impl Tracker {
         Self { memory: Memory::default(), ..self.clone() }
     }
 
+    /// How well sweeps fit in all if they are followed from here, the first of them after a motion that is assumed if there
+    /// is one.
+    pub fn total_fit(mut self, mut gap: Option<GapMotion>, sweeps: &[Sweep]) -> f64 {
+        let mut issues = Issues::default();
+        let fits = sweeps.iter().map(|s| self.register(gap.take(), s.clone(), None, &mut issues).fit);
+        fits.sum()
+    }
+
     /// Whether sweeps are missing before one that ends at `end`.
     pub fn is_after_gap(&self, end: Time) -> bool {
         let last = self.motion.extrapolator.last_pose_time();
@@ -165,18 +173,8 @@ impl Tracker {
         seconds > self.settings.hypotheses.long_gap && seconds > usual
     }
 
-    /// Registers a sweep to the planes around.
-    pub fn register(
-        &mut self,
-        sweep: Sweep,
-        fallback: Option<&mut (dyn Fallback + '_)>,
-        issues: &mut Issues,
-    ) -> RegisteredSweep {
-        self.register_after(None, sweep, fallback, issues)
-    }
-
     /// Registers a sweep to the planes around; the first one after a gap may come after a motion that is assumed.
-    pub fn register_after(
+    pub fn register(
         &mut self,
         gap: Option<GapMotion>,
         sweep: Sweep,

@@ -260,7 +260,7 @@ settings! {
             origin: "tuned",
             larger: "the gyroscope is relied on longer";
         long_gap: f64 = 0.5, "s", 0.01..=60.0,
-            "After so many seconds without a sweep it may have stopped, or a clock jumped: standing is tried, too",
+            "After so many seconds without a sweep it may have stopped or changed its velocity, or a clock jumped: other motions are tried, too",
             origin: "tuned",
             larger: "lost more often after gaps";
         gap_intervals: f64 = 2.5, "intervals", 1.0..=1000.0,

@@ -7,10 +7,10 @@
 //! And a pair is tried where the map says that the node is when it is tried. Later loop closures move it: places that lie
 //! beside each other in the optimised map, with a long way between them, are tried again there.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use portolan_geometry::Vector3;
 use portolan_sensor::FixedRatioSampler;
-
-use std::collections::{BTreeMap, BTreeSet};
 
 use super::PoseGraph;
 use super::policy::Spacing;

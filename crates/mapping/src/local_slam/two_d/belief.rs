@@ -7,8 +7,8 @@ use portolan_matching::ScanAgreement;
 /// through without odometry only those after a cut reach 0.3, and they 0.48 to 0.58.
 const CONTRADICTED: f32 = 0.4;
 /// Where odometry measured the motion a scan fits nothing if the map contradicts this fraction of all beams, explains less
-/// than that, and so many pass through walls. People and things that moved hide walls, but nothing sees through them. Of
-/// 28,909 scans of seven logs with odometry none is such; of those after a robot was carried elsewhere nearly all (docs/experiments/2026-11-carried-2d.md).
+/// than that, and so many pass through walls. People and things that moved hide walls, but nothing sees through them
+/// (docs/experiments/2026-11-carried-2d.md).
 const CONTRADICTED_IN_SPITE_OF_ODOMETRY: f32 = 0.35;
 const EXPLAINED: f32 = 0.4;
 const THROUGH_WALLS: f32 = 0.05;
