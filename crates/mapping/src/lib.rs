@@ -13,6 +13,7 @@ mod node;
 mod open_directions;
 mod optimization;
 mod planar;
+mod planar_scan;
 mod plane_search;
 mod pose_graph;
 mod remembered;
@@ -39,6 +40,7 @@ pub use optimization::{
     TrajectorySensors, optimize_2d, optimize_3d,
 };
 pub use planar::Planar;
+pub use planar_scan::PlanarScan;
 pub use portolan_lidar_odometry::{DegenerateInterval, DegenerateMotion, Substitute, SweepPoint};
 pub use portolan_motion::{
     ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter, PoseExtrapolator, integrate_imu,

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use portolan_geometry::{Quaternion, Rigid3, Time};
 use portolan_sensor::PointCloud;
 
+use crate::PlanarScan;
+
 /// The unchanging part of a node. Files have the same fields in 2D and 3D; the dimension decides
 /// which clouds are filled.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +25,8 @@ pub struct NodeData {
     pub rotational_scan_matcher_histogram: Vec<f32>,
     /// Pose of the tracking frame in the local map.
     pub local_from_tracking: Rigid3,
+    /// 2D: the whole scan, gravity aligned, to draw submaps again; none if it came from a file.
+    pub scan: Option<PlanarScan>,
 }
 
 /// A node of the pose graph.

@@ -1,7 +1,7 @@
 //! The plane as a space to map in.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Quaternion, Rigid3, Vector2, embed_3d, project_2d};
+use portolan_geometry::{Quaternion, Rigid3, Vector2, embed_3d, project_2d, to_f32};
 use portolan_matching::{
     CellBox, FastCorrelativeMatcher2d, GradientMatcher2d, mean_of_solid_cells, scan_agreement,
 };
@@ -44,6 +44,7 @@ impl Space for Planar {
             wide_search_after_gap: options.portolan.wide_search_after_gap,
             adaptive_search: options.portolan.adaptive_search,
             submap_length: options.portolan.submap_length,
+            keep_scans: options.portolan.redraw_submaps,
         };
         LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)
     }
@@ -71,6 +72,15 @@ impl Space for Planar {
 
     fn matcher_bytes(matcher: &PlanarMatcher) -> usize {
         matcher.search.memory_bytes()
+    }
+
+    fn redrawn(submap: &Submap2d, nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>) -> Option<Submap2d> {
+        let scan = |(node, submap_from_node): (&NodeData, Rigid3)| {
+            let local_from_node = submap.local_from_submap * submap_from_node;
+            let scan = node.scan.as_ref()?;
+            Some((scan.range_data(&to_f32(&local_from_node)), scan.beam_spacing()))
+        };
+        submap.redrawn(nodes.map(scan).collect::<Option<Vec<_>>>()?)
     }
 
     fn find_node(

@@ -150,6 +150,15 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
         Nearby::Unknown
     }
 
+    /// The submap drawn again from the scans of all its nodes, each at its pose in the submap; none where that is not
+    /// possible: scans are not kept (3D), or came from a file.
+    fn redrawn(
+        _submap: &Self::Submap,
+        _nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>,
+    ) -> Option<Self::Submap> {
+        None
+    }
+
     /// Looks for the node in the submap and refines what is found.
     fn find_node(
         matcher: &Self::Matcher,

@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use portolan_config::{GridType2d, RangeDataInserterType2d, Submaps2dOptions};
-use portolan_geometry::{Point3f, Rigid3, Vector2};
+use portolan_geometry::{Point3f, Rigid3, Vector2, to_f32};
 use portolan_matching::grid::InserterOptionError;
 use portolan_matching::{
     Grid2d, GridError, InsertReport, MapLimits, NormalEstimationOptions, ProbabilityGrid,
-    ProbabilityInserter, ProbabilityInserterOptions, Tsdf2d, TsdfInserter, TsdfInserterOptions,
+    ProbabilityInserter, ProbabilityInserterOptions, SectorInserter, Tsdf2d, TsdfInserter,
+    TsdfInserterOptions,
 };
 use portolan_sensor::RangeData;
 
@@ -16,8 +17,8 @@ use crate::GrowingSubmap;
 /// Makes empty submaps and inserts scans into them, as the options say.
 #[derive(Debug)]
 pub enum Inserter2d {
-    /// Into grids of probabilities.
-    Probability(ProbabilityInserter),
+    /// Into grids of probabilities: scan by scan while mapping, and once more when the map is finished.
+    Probability(ProbabilityInserter, SectorInserter),
     /// Into grids of signed distances.
     Tsdf(TsdfInserter, TsdfInserterOptions),
 }
@@ -55,14 +56,14 @@ impl Inserter2d {
                     insert_free_space: o.insert_free_space,
                     ..ProbabilityInserterOptions::default()
                 };
-                Ok(Self::Probability(ProbabilityInserter::new(&options)?))
+                Ok(Self::Probability(ProbabilityInserter::new(&options)?, SectorInserter::new(&options)?))
             }
         }
     }
 
     fn empty_grid(&self, limits: MapLimits) -> Result<Grid2d, GridError> {
         Ok(match self {
-            Self::Probability(_) => Grid2d::Probability(ProbabilityGrid::new(limits)),
+            Self::Probability(..) => Grid2d::Probability(ProbabilityGrid::new(limits)),
             Self::Tsdf(_, options) => Grid2d::Tsdf(Tsdf2d::new(
                 limits,
                 options.truncation_distance as f32,
@@ -73,9 +74,24 @@ impl Inserter2d {
 
     fn insert(&self, scan: &RangeData, grid: &mut Grid2d) -> Result<InsertReport, GridError> {
         match (self, grid) {
-            (Self::Probability(inserter), Grid2d::Probability(grid)) => inserter.insert(scan, grid),
+            (Self::Probability(inserter, _), Grid2d::Probability(grid)) => inserter.insert(scan, grid),
             (Self::Tsdf(inserter, _), Grid2d::Tsdf(grid)) => inserter.insert(scan, grid),
             _ => Ok(InsertReport::default()),
+        }
+    }
+
+    /// Inserts a scan whose beams stand for sectors, `beam_spacing` radians wide. Signed distances know rays alone.
+    fn insert_sectors(
+        &self,
+        scan: &RangeData,
+        beam_spacing: f32,
+        grid: &mut Grid2d,
+    ) -> Result<InsertReport, GridError> {
+        match (self, grid) {
+            (Self::Probability(_, inserter), Grid2d::Probability(grid)) => {
+                inserter.insert(scan, beam_spacing, grid)
+            }
+            (_, grid) => self.insert(scan, grid),
         }
     }
 }
@@ -126,6 +142,22 @@ impl Submap2d {
             inserter: None,
         }
     }
+
+    /// The submap drawn again from all its scans in the local map, each with the spacing of its beams in radians; none if
+    /// it came from a file, scans are missing, or the grid would become too large.
+    pub(crate) fn redrawn(&self, scans: Vec<(RangeData, f32)>) -> Option<Self> {
+        let inserter = self.inserter.as_ref()?;
+        let origin = to_f32(&self.local_from_submap).translation.vector;
+        let mut redrawn = Self::new(origin.into(), self.grid.limits().resolution(), inserter).ok()?;
+        for (scan, beam_spacing) in &scans {
+            inserter.insert_sectors(scan, *beam_spacing, &mut redrawn.grid).ok()?;
+            redrawn.num_range_data += 1;
+        }
+        if self.insertion_finished {
+            redrawn.finish();
+        }
+        (redrawn.num_range_data == self.num_range_data).then_some(redrawn)
+    }
 }
 
 impl GrowingSubmap for Submap2d {
@@ -153,6 +185,49 @@ impl GrowingSubmap for Submap2d {
     fn finish(&mut self) {
         self.grid = self.grid.cropped();
         self.insertion_finished = true;
-        self.inserter = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_config::Options;
+    use portolan_geometry::Rigid3f;
+    use portolan_sensor::PointCloud;
+
+    /// What a scanner sees at x in a room of 4 m by 2 m.
+    fn scan(x: f32) -> RangeData {
+        let ray = |i: u16| {
+            let (sin, cos) = f32::from(i).to_radians().sin_cos();
+            let along = if cos > 0.0 { (4.0 - x) / cos } else { -x / cos };
+            let range = along.min(1.0 / sin.abs());
+            Point3f::new(x + range * cos, range * sin, 0.0)
+        };
+        let returns = PointCloud::new((0..360).map(ray).collect());
+        RangeData { origin: Point3f::new(x, 0.0, 0.0), returns, misses: PointCloud::default() }
+    }
+
+    fn submap(scans: &[RangeData]) -> Submap2d {
+        let options = &Options::default().trajectory_builder.trajectory_builder_2d.submaps;
+        let inserter = Arc::new(Inserter2d::new(options).unwrap());
+        let mut submap = Submap2d::new(Point3f::new(1.0, 0.0, 0.0), 0.05, &inserter).unwrap();
+        scans.iter().for_each(|scan| assert!(submap.insert(scan)));
+        submap.finish();
+        submap
+    }
+
+    #[test]
+    fn a_submap_is_drawn_again_where_its_scans_are_in_the_end() {
+        let right = [scan(1.0), scan(2.0)];
+        let wrong = [scan(1.0), scan(2.0).transformed(&Rigid3f::translation(0.3, 0.0, 0.0))];
+        let wrong = submap(&wrong);
+        let spaced = |scans: &[RangeData]| scans.iter().map(|s| (s.clone(), 0.0)).collect::<Vec<_>>();
+        let redrawn = wrong.redrawn(spaced(&right)).unwrap();
+        assert_ne!(wrong.grid, redrawn.grid);
+        assert_eq!(redrawn.grid, submap(&right).grid);
+        assert_eq!(redrawn.local_from_submap, wrong.local_from_submap);
+        assert!(wrong.redrawn(spaced(&right[..1])).is_none(), "a scan is missing");
+        let loaded = Submap2d::from_parts(Rigid3::identity(), 2, true, redrawn.grid);
+        assert!(loaded.redrawn(spaced(&right)).is_none(), "it came from a file");
     }
 }

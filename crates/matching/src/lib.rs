@@ -30,8 +30,8 @@ pub use grid::{
     CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, HybridGrid, HybridGridParts,
     HybridGridRepairs, HybridInserter, HybridInserterOptions, InsertReport, IntensityGrid, MapLimits,
     NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, ScanAgreement,
-    Texture, Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts, mean_of_solid_cells, scan_agreement,
-    score_difference,
+    SectorInserter, Texture, Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts, mean_of_solid_cells,
+    scan_agreement, score_difference,
 };
 pub use planar_transform::PlanarTransform;
 pub use surface::surface_tangents;

@@ -204,6 +204,7 @@ fn set_local_slam(options: &mut Options, sensors: &Sensors) {
     local.use_online_correlative_scan_matching = true;
     options.portolan.adaptive_search = true;
     options.portolan.submap_length = 10.0;
+    options.portolan.redraw_submaps = true;
     let moves_unseen = !sensors.has_odometry;
     options.portolan.search_penalty_limit = if moves_unseen { 1.0 } else { 0.15 };
     let search = &mut local.real_time_correlative_scan_matcher;

@@ -49,6 +49,10 @@ options! {
         /// In 2D: where scans are more than 0.25 m apart a submap is full after a path of this length, too, however few
         /// scans it has. Lower it when scans are metres apart and the map bends within submaps. 0 counts only scans (`submaps.num_range_data`), as Cartographer does.
         submap_length: f64 = 0.0, "m", Bounds::within(0.0, 1000.0);
+        /// In 2D: keep all scans in memory (four bytes a point), and draw the submaps again when the map is finished: each
+        /// scan where it is then, its beams as sectors, so that far ones do not wipe out walls that were seen from
+        /// nearby. Otherwise submaps stay as local SLAM drew them, as in Cartographer.
+        redraw_submaps: bool = false, "", Bounds::ANY;
         /// Scans that must be found in whole submaps, all saying the same place within 0.5 m and 5 degrees
         /// and at least twice as many as say any other, before a trajectory is connected with another part
         /// of the map. 1 takes the first that is found, as Cartographer does. Raise it where places

@@ -393,5 +393,6 @@ pub(crate) fn node_data(message: m::Node, node: IdInFile) -> Result<NodeData, Ma
         low_resolution_point_cloud: cloud(data.low_resolution_point_cloud)?,
         rotational_scan_matcher_histogram: data.rotational_scan_matcher_histogram,
         local_from_tracking: pose_in_file(data.local_pose.as_ref()).ok_or_else(no_pose)?,
+        scan: None,
     })
 }

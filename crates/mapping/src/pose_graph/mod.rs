@@ -14,6 +14,7 @@ mod joining;
 mod localisation;
 mod matcher_cache;
 mod policy;
+mod redrawing;
 mod sampling;
 mod search;
 mod state;
@@ -364,7 +365,8 @@ impl<S: Space> PoseGraph<S> {
 
     /// Optimises once more, with as many iterations as the options allow at the end: after searching for pieces of map
     /// that have no place yet, and more if too little was searched so far; again with loop closures that the optimised map
-    /// shows to have been missed; and again after leaving out contradicted ones if that is wanted.
+    /// shows to have been missed; and again after leaving out contradicted ones if that is wanted. Then submaps are drawn
+    /// again.
     pub fn run_final_optimization(&mut self) {
         self.place_pieces();
         self.search_more();
@@ -378,6 +380,7 @@ impl<S: Space> PoseGraph<S> {
             self.run_optimization();
         }
         self.problem.max_iterations_override = None;
+        self.redraw_submaps();
     }
 
     fn connect_by(&mut self, constraint: &Constraint) {

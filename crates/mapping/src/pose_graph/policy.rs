@@ -98,6 +98,8 @@ pub struct PoseGraphPolicy {
     pub min_searches: u64,
     /// Searches in a window.
     pub loops: LoopSearchPolicy,
+    /// Submaps are drawn again from their scans when the map is finished (in 2D).
+    pub redraws: bool,
 }
 
 impl Default for PoseGraphPolicy {
@@ -109,6 +111,7 @@ impl Default for PoseGraphPolicy {
             localises_while_recording: false,
             min_searches: 0,
             loops: LoopSearchPolicy::default(),
+            redraws: false,
         }
     }
 }
@@ -136,6 +139,7 @@ impl PoseGraphPolicy {
             min_agreeing: options.global_localization_min_matches,
             localises_while_recording: options.match_surfaces,
             min_searches: options.min_loop_closure_searches as u64,
+            redraws: options.redraw_submaps,
             loops: LoopSearchPolicy {
                 drift: options.loop_search_drift,
                 whole_submaps_per_metre: if options.loop_search_drift > 0.0 { WHOLE_SUBMAPS } else { 0.0 },

@@ -82,41 +82,58 @@ impl ProbabilityInserter {
         range_data: &RangeData,
         grid: &mut ProbabilityGrid,
     ) -> Result<InsertReport, GridError> {
-        let bounds = Bounds::of(range_data)?;
-        grid.grow_to_include(&bounds.padded(), self.max_cells)?;
-        let pixels = SubpixelIndex::new(grid);
-        let finite = |points: &[Point3f]| points.iter().filter(|p| is_finite(p)).count();
-        let (hits, misses) = (&range_data.returns.points, &range_data.misses.points);
-        let (num_hits, num_misses) = (finite(hits), finite(misses));
-        let mut ends = Vec::with_capacity(num_hits + num_misses);
-        ends.extend(hits.iter().chain(misses).filter(|p| is_finite(p)).map(|p| pixels.of(p.xy().coords)));
+        let free = self.insert_free_space.then_some(|_| &self.miss_table);
+        draw(range_data, grid, self.max_cells, |_| &self.hit_table, free)
+    }
+}
 
-        let num_x_cells = i64::from(grid.limits().num_x_cells());
-        let index = |x: i64, y: i64| (num_x_cells * y + x) as usize;
-        let cell = |end: &[i64; 2]| [end[0] / SUBPIXELS, end[1] / SUBPIXELS];
-        let cells = &mut grid.grid;
-        for end in &ends[..num_hits] {
+/// From the cell of the origin to another: columns and rows.
+pub(super) type Offset = [i64; 2];
+
+/// Draws one scan, as [`ProbabilityInserter::insert`] says. `hit` and `free` say how a cell so far from the origin changes;
+/// without `free` rays clear nothing.
+pub(super) fn draw<'a>(
+    range_data: &RangeData,
+    grid: &mut ProbabilityGrid,
+    max_cells: usize,
+    hit: impl Fn(Offset) -> &'a UpdateTable,
+    free: Option<impl Fn(Offset) -> &'a UpdateTable>,
+) -> Result<InsertReport, GridError> {
+    let bounds = Bounds::of(range_data)?;
+    grid.grow_to_include(&bounds.padded(), max_cells)?;
+    let pixels = SubpixelIndex::new(grid);
+    let finite = |points: &[Point3f]| points.iter().filter(|p| is_finite(p)).count();
+    let (hits, misses) = (&range_data.returns.points, &range_data.misses.points);
+    let (num_hits, num_misses) = (finite(hits), finite(misses));
+    let mut ends = Vec::with_capacity(num_hits + num_misses);
+    ends.extend(hits.iter().chain(misses).filter(|p| is_finite(p)).map(|p| pixels.of(p.xy().coords)));
+
+    let num_x_cells = i64::from(grid.limits().num_x_cells());
+    let index = |x: i64, y: i64| (num_x_cells * y + x) as usize;
+    let cell = |end: &[i64; 2]| [end[0] / SUBPIXELS, end[1] / SUBPIXELS];
+    let begin = pixels.of(range_data.origin.xy().coords);
+    let origin = cell(&begin);
+    let cells = &mut grid.grid;
+    for end in &ends[..num_hits] {
+        let [x, y] = cell(end);
+        cells.apply_at(index(x, y), hit([x - origin[0], y - origin[1]]));
+        cells.extend_known_box(CellIndex::new(x as i32, y as i32));
+    }
+    if let Some(free) = free.filter(|_| !ends.is_empty()) {
+        for end in &ends {
+            for_each_cell_on_ray(begin, *end, SUBPIXELS, |x, y| {
+                cells.apply_at(index(x, y), free([x - origin[0], y - origin[1]]));
+            });
+        }
+        // Every cell of a ray is known by now and lies in the box of its two ends.
+        for end in ends[num_hits..].iter().chain([&begin]) {
             let [x, y] = cell(end);
-            cells.apply_at(index(x, y), &self.hit_table);
             cells.extend_known_box(CellIndex::new(x as i32, y as i32));
         }
-        if self.insert_free_space && !ends.is_empty() {
-            let begin = pixels.of(range_data.origin.xy().coords);
-            for end in &ends {
-                for_each_cell_on_ray(begin, *end, SUBPIXELS, |x, y| {
-                    cells.apply_at(index(x, y), &self.miss_table);
-                });
-            }
-            // Every cell of a ray is known by now and lies in the box of its two ends.
-            for end in ends[num_hits..].iter().chain([&begin]) {
-                let [x, y] = cell(end);
-                cells.extend_known_box(CellIndex::new(x as i32, y as i32));
-            }
-        }
-        grid.finish_update();
-        let not_finite = hits.len() + misses.len() - num_hits - num_misses;
-        Ok(InsertReport { hits: num_hits, not_finite, outside: 0 })
     }
+    grid.finish_update();
+    let not_finite = hits.len() + misses.len() - num_hits - num_misses;
+    Ok(InsertReport { hits: num_hits, not_finite, outside: 0 })
 }
 
 /// Whether all coordinates are finite.

@@ -179,6 +179,10 @@ fn distances(run: &Run<Planar>) -> f64 {
     distances.iter().sum()
 }
 
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
 fn largest(values: &[f64]) -> f64 {
     values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
 }
@@ -294,6 +298,7 @@ fn sparse(options: &Options) -> Run<Planar> {
 fn submaps() -> Vec<Effect> {
     effects! {
         "portolan.submap_length", "0" => "1.2", Rises, |o| sparse(o).submaps();
+        "portolan.redraw_submaps", "false" => "true", Rises, |o| mean(&occupied(&one_scan(o)));
         "trajectory_builder_2d.submaps.num_range_data", "2" => "6", Falls, |o| circle(o).submaps();
         "trajectory_builder_2d.submaps.grid_options_2d.resolution", "0.05" => "0.2", Falls, |o| known(&one_scan(o));
         "grid_type", "PROBABILITY_GRID" => "TSDF", Rises, is_tsdf, ["range_data_inserter_type=TSDF_INSERTER_2D"];

@@ -70,6 +70,7 @@ impl KeyframeInsertion {
             low_resolution_point_cloud: low,
             rotational_scan_matcher_histogram: histogram,
             local_from_tracking,
+            scan: None,
         };
         let range_data_in_local = scan.transformed(&to_f32(&local_from_tracking));
         let submaps = self.insert_into_submaps(&range_data_in_local, &data, keyframe.completed_map);

@@ -31,7 +31,7 @@ use tracking::{Found, Motion, Scan, Tracker};
 
 use crate::scan_matching_2d::search_after_gap;
 use crate::submap_2d::{Inserter2d, Submap2d};
-use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
+use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar, PlanarScan};
 
 /// An odometry source that reported nothing for so long is not waited for.
 const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
@@ -52,6 +52,8 @@ pub struct LocalSlamExtras {
     pub adaptive_search: bool,
     /// A submap is full after this way, too, metres; 0 counts only scans.
     pub submap_length: f64,
+    /// Nodes keep their scans, so that submaps can be drawn again.
+    pub keep_scans: bool,
 }
 
 /// Local SLAM of one trajectory in 2D.
@@ -229,7 +231,7 @@ impl LocalSlam2d {
         } else {
             self.last_sure = pose;
             (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
-                self.insert(time, &range_data_in_local, matching_cloud, local_from_tracking, gravity)
+                self.insert(time, [scan, &range_data_in_local], matching_cloud, local_from_tracking, gravity)
             })
         };
         let measured = Vec::new();
@@ -294,7 +296,7 @@ impl LocalSlam2d {
     fn insert(
         &mut self,
         time: Time,
-        range_data_in_local: &RangeData,
+        [scan, range_data_in_local]: [&RangeData; 2],
         matching_cloud: PointCloud,
         local_from_tracking: Rigid3,
         gravity_alignment: Quaternion,
@@ -312,6 +314,7 @@ impl LocalSlam2d {
             low_resolution_point_cloud: PointCloud::default(),
             rotational_scan_matcher_histogram: Vec::new(),
             local_from_tracking,
+            scan: self.extras.keep_scans.then(|| PlanarScan::new(scan)),
         });
         InsertedNode { data, submaps, open: Default::default() }
     }

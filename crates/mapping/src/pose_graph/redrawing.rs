@@ -1,0 +1,39 @@
+//! Submaps drawn again when the map is finished.
+//!
+//! While mapping, a submap is drawn where local SLAM believes its scans to be, and every scan is believed alike at any
+//! distance. The optimisation moves the scans of a submap against each other, and what far beams wiped out along walls
+//! stays wiped out. What is looked at, and what others find themselves in, is drawn from the scans at their final poses.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::PoseGraph;
+use crate::{Space, SubmapId};
+
+impl<S: Space> PoseGraph<S> {
+    /// Draws all submaps of this job again, if that is wanted. Those of a known map stay as they are.
+    pub(super) fn redraw_submaps(&mut self) {
+        if !self.policy.redraws {
+            return;
+        }
+        let ids: Vec<SubmapId> = self.state.submaps.keys().copied().collect();
+        let redrawn: Vec<_> = ids.par_iter().filter_map(|id| Some((*id, self.redrawn(*id)?))).collect();
+        for (id, submap) in redrawn {
+            self.search.delete_matcher(id);
+            if let Some(entry) = self.state.submaps.get_mut(&id) {
+                entry.submap = Some(Arc::new(submap));
+            }
+        }
+    }
+
+    fn redrawn(&self, id: SubmapId) -> Option<S::Submap> {
+        let entry = self.state.submaps.get(&id)?;
+        let submap_from_map = self.problem.submaps.get(&id)?.inverse();
+        let mut nodes = entry.node_ids.iter().filter_map(|node_id| {
+            let map_from_node = self.problem.nodes.get(node_id)?.map_from_node;
+            Some((&*self.state.nodes.get(node_id)?.data, submap_from_map * map_from_node))
+        });
+        S::redrawn(entry.submap.as_ref()?, &mut nodes)
+    }
+}
