@@ -157,6 +157,24 @@ pub struct EvidenceMap {
     pub evidence: Vec<i16>,
 }
 
+impl EvidenceMap {
+    /// The map in grey, linear in log odds: 0 where the probability is 0.9 or more, 255 where it is 0.1 or less.
+    pub fn painted(&self) -> PaintedMap {
+        let pixel = |evidence: &i16| {
+            let value = if *evidence > 0 { evidence.saturating_mul(2) } else { *evidence };
+            let grey = 128 + value.clamp(-128, 127);
+            [grey as u8, if *evidence == 0 { 0 } else { 255 }]
+        };
+        PaintedMap {
+            width: self.width,
+            height: self.height,
+            resolution: self.resolution,
+            origin: self.origin,
+            pixels: self.evidence.iter().map(pixel).collect(),
+        }
+    }
+}
+
 /// Paints textures one over the other, in the order given, the same for any number of threads.
 ///
 /// Textures that are seen exactly from the side (a submap tilted by a quarter turn) have no area and
@@ -168,8 +186,8 @@ pub fn paint(textures: &[PlacedTexture], options: &PaintOptions) -> Result<Paint
 }
 
 /// Adds up what all submaps say about each place, in the manner of a Bayesian filter. Where submaps
-/// disagree a painted map shows the last one and no certainty; this shows what most of the evidence is
-/// for. For pictures; other programs expect [`paint`].
+/// disagree a painted map shows the last one and no certainty, and free space seen from afar by many wipes out walls that few saw
+/// from nearby; this shows what most of the evidence is for.
 pub fn sum_evidence(textures: &[PlacedTexture], options: &PaintOptions) -> Result<EvidenceMap, PaintError> {
     let (layout, evidence) = blend_all(textures, options, 0, add_evidence)?;
     let Layout { width, height, origin } = layout;

@@ -7,6 +7,7 @@ mod common;
 use portolan_geometry::Rigid3;
 use portolan_mapfile::{
     MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, SubmapTexture, load_textures, paint,
+    sum_evidence,
 };
 use portolan_pbstream::MapReader;
 use portolan_testing::{real_data, spec_data};
@@ -144,6 +145,31 @@ fn coarse_pictures_average_fine_ones() {
     }
     // Not zero: compositing and averaging do not commute.
     assert!(difference / 40000.0 < 4.0, "{}", difference / 40000.0);
+}
+
+#[test]
+fn a_wall_stays_one_however_many_submaps_see_free_space_there_faintly() {
+    let submap = |index, pixel| {
+        let texture = SubmapTexture {
+            pixels: vec![pixel; 64],
+            width: 8,
+            height: 8,
+            resolution: 0.05,
+            submap_from_slice: Rigid3::identity(),
+        };
+        PlacedTexture { id: (0, index), map_from_submap: Rigid3::identity(), texture: texture.into() }
+    };
+    let options = PaintOptions::default();
+    let centre = |map: PaintedMap| map.pixels[map.width * (map.height / 2) + map.width / 2][0];
+    let painted = |textures: &[PlacedTexture]| centre(paint(textures, &options).unwrap());
+    let summed = |textures: &[PlacedTexture]| centre(sum_evidence(textures, &options).unwrap().painted());
+    let (wall, faint) = ([0, 127], [20, 0]);
+    // Probabilities of 0.9, 0.65, 0.196 and 0.1: the ends, and the limits that ROS maps name.
+    for (pixel, grey) in [(wall, 1), ([0, 36], 92), ([81, 0], 208), ([127, 0], 254)] {
+        assert_eq!(summed(&[submap(0, pixel)]), grey, "{pixel:?}");
+    }
+    let all: Vec<_> = (0..7).map(|i| submap(i, if i == 0 { wall } else { faint })).collect();
+    assert!(painted(&all) > 89 && summed(&all) <= 89, "{} {}", painted(&all), summed(&all));
 }
 
 #[test]

@@ -7,7 +7,8 @@ use portolan_export::{
     MapContent, PictureOptions, constraint_lines, draw_map, trajectory_lines, write_grey_map, write_picture,
 };
 use portolan_mapfile::{
-    ImageName, MapArea, MapTextures, PaintOptions, is_ros_map_yaml_of, load_textures, paint, write_ros_map,
+    ImageName, MapArea, MapTextures, PaintOptions, is_ros_map_yaml_of, load_textures, sum_evidence,
+    write_ros_map,
 };
 use portolan_pbstream::proto::mapping::PoseGraph;
 use portolan_pbstream::{IdInFile, MapReader};
@@ -230,7 +231,9 @@ fn paint_map(args: &RenderArgs, loaded: &MapTextures, kind: Kind) -> Result<Repo
         crop: args.crop,
         ..PaintOptions::default()
     };
-    let painted = paint(&loaded.textures, &options).map_err(|error| CliError::in_file(&args.map, error))?;
+    let evidence =
+        sum_evidence(&loaded.textures, &options).map_err(|error| CliError::in_file(&args.map, error))?;
+    let painted = evidence.painted();
     let files = if kind == Kind::Grey {
         write_grey_map(&args.output, &painted)?;
         vec![args.output.clone()]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use portolan_export::{MapContent, PictureError, PictureOptions, draw_map, write_picture};
 use portolan_mapfile::{
-    ImageName, PaintError, PaintOptions, PaintedMap, PlacedTexture, paint, write_ros_map,
+    EvidenceMap, ImageName, PaintError, PaintOptions, PlacedTexture, sum_evidence, write_ros_map,
 };
 
 use super::error::JobError;
@@ -33,31 +33,31 @@ pub(super) fn write_pictures(
         return Ok(files);
     }
     let options = PaintOptions { resolution: ROS_MAP_RESOLUTION, ..PaintOptions::default() };
-    if let Some(painted) = paint_as_fits(content.textures, options, observe)? {
+    if let Some(map) = draw_as_fits(content.textures, options, observe)? {
         let names = ["map.pgm", "map.yaml"];
         folder.files(&names)?;
-        write_ros_map(&folder.path().join("map"), &painted, ImageName::Beside)?;
+        write_ros_map(&folder.path().join("map"), &map.painted(), ImageName::Beside)?;
         files.extend(names.map(|name| folder.path().join(name)));
     }
     Ok(files)
 }
 
-/// Paints with the resolution asked for, or that doubled until the picture is not too large; none where there is
-/// nothing to paint. Remarks say so.
-fn paint_as_fits(
+/// Draws with the resolution asked for, or that doubled until the picture is not too large; none where there is
+/// nothing to draw. Remarks say so.
+fn draw_as_fits(
     textures: &[PlacedTexture],
     mut options: PaintOptions,
     observe: &mut Observer,
-) -> Result<Option<PaintedMap>, JobError> {
+) -> Result<Option<EvidenceMap>, JobError> {
     let usual_metres = options.resolution;
     loop {
-        match paint(textures, &options) {
-            Ok(painted) => {
-                let resolution_metres = painted.resolution;
+        match sum_evidence(textures, &options) {
+            Ok(map) => {
+                let resolution_metres = map.resolution;
                 if resolution_metres > usual_metres {
                     remark(observe, Remark::CoarseRosMap { resolution_metres, usual_metres });
                 }
-                return Ok(Some(painted));
+                return Ok(Some(map));
             }
             // Doubling ends: a picture of a few pixels always fits.
             Err(PaintError::TooLarge { .. }) if options.resolution < 1e6 => options.resolution *= 2.0,
@@ -99,7 +99,7 @@ mod tests {
     fn pictures_that_would_be_too_large_become_coarser() {
         let options = PaintOptions { resolution: 0.05, max_pixels: 10_000, ..PaintOptions::default() };
         let resolution = |metres| {
-            paint_as_fits(&textures(metres), options, &mut |_| ControlFlow::Continue(()))
+            draw_as_fits(&textures(metres), options, &mut |_| ControlFlow::Continue(()))
                 .unwrap()
                 .unwrap()
                 .resolution
