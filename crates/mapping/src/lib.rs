@@ -47,8 +47,8 @@ pub use portolan_motion::{
 };
 pub use pose_graph::{
     GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, LoopSearchPolicy, PoseGraph,
-    PoseGraphPolicy, SearchCounts, SubmapEntry, TrajectoryConnectivity, TrajectoryEntry, TrajectoryState,
-    TrimmedNode, TrimmedTies, Trimmer,
+    PoseGraphPolicy, SearchCounts, SelfConsistency, SubmapEntry, TrajectoryConnectivity, TrajectoryEntry,
+    TrajectoryState, TrimmedNode, TrimmedTies, Trimmer,
 };
 pub use space::{MatchAcceptance, MatchedPose, Nearby, SearchRegion, SearchWindow, Space};
 pub use spatial::{Spatial, SpatialMatcher};

@@ -3,7 +3,7 @@
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Quaternion, Rigid3, Vector2, embed_3d, project_2d, to_f32};
 use portolan_matching::{
-    CellBox, FastCorrelativeMatcher2d, GradientMatcher2d, mean_of_solid_cells, scan_agreement,
+    CellBox, FastCorrelativeMatcher2d, GradientMatcher2d, ScanAgreement, mean_of_solid_cells, scan_agreement,
 };
 use portolan_sensor::SensorId;
 
@@ -81,6 +81,15 @@ impl Space for Planar {
             Some((scan.range_data(&to_f32(&local_from_node)), scan.beam_spacing()))
         };
         submap.redrawn(nodes.map(scan).collect::<Option<Vec<_>>>()?)
+    }
+
+    fn agreement(submap: &Submap2d, node: &NodeData, submap_from_node: &Rigid3) -> Option<ScanAgreement> {
+        let local_from_node = project_2d(&(submap.local_from_submap * submap_from_node));
+        let cell = submap.grid.limits().cell_index(local_from_node.translation.cast::<f32>());
+        if !submap.grid.is_known(cell) {
+            return None;
+        }
+        scan_agreement(&submap.grid, &local_from_node, &node.filtered_gravity_aligned_point_cloud)
     }
 
     fn find_node(

@@ -159,6 +159,15 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
         None
     }
 
+    /// How the submap agrees with the scan of a node at a pose in it; none where it knows nothing of the place, and in 3D.
+    fn agreement(
+        _submap: &Self::Submap,
+        _node: &NodeData,
+        _submap_from_node: &Rigid3,
+    ) -> Option<ScanAgreement> {
+        None
+    }
+
     /// Looks for the node in the submap and refines what is found.
     fn find_node(
         matcher: &Self::Matcher,

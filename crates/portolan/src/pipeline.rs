@@ -97,9 +97,12 @@ impl<S: Space> MappedRecording<S> {
         !before.into_iter().any(|id| connectivity.are_connected(id, loss.piece))
     }
 
-    /// Whether data were lost, of the recording, of known maps or while mapping, or something was mapped that nothing ties to the rest.
+    /// Whether data were lost, of the recording, of known maps or while mapping, something was mapped that nothing ties to
+    /// the rest, or parts of the map lie over each other.
     pub fn lost_data(&self) -> bool {
-        self.issues.lost_data() || self.losses.iter().any(|loss| self.is_apart(loss))
+        self.issues.lost_data()
+            || self.losses.iter().any(|loss| self.is_apart(loss))
+            || self.map.graph.self_consistency().is_contradictory()
     }
 
     /// Pose of the tracking frame in the map for every scan, each under the time of its message in the

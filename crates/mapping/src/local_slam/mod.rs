@@ -4,6 +4,8 @@ mod active_submaps;
 pub mod three_d;
 pub mod two_d;
 
+pub(crate) use two_d::refutes_place;
+
 pub use active_submaps::{ActiveSubmaps, GrowingSubmap};
 
 use std::collections::VecDeque;

@@ -17,6 +17,7 @@ mod policy;
 mod redrawing;
 mod sampling;
 mod search;
+mod self_consistency;
 mod state;
 mod travel;
 mod trimming;
@@ -29,6 +30,7 @@ use agreement::WaitingMatches;
 pub use connectivity::TrajectoryConnectivity;
 pub use policy::{LoopSearchPolicy, PoseGraphPolicy};
 pub use search::SearchCounts;
+pub use self_consistency::SelfConsistency;
 pub use state::{
     GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedNode,
     TrimmedTies,
@@ -95,6 +97,7 @@ pub struct PoseGraph<S: Space> {
     pieces: BTreeSet<TrajectoryId>,
     waiting: WaitingMatches,
     localisation: Localisation,
+    self_consistency: SelfConsistency,
     optimizations: u64,
     last_summary: OptimizationSummary,
     remembered: Remembered,
@@ -118,6 +121,7 @@ impl<S: Space> PoseGraph<S> {
             pieces: BTreeSet::new(),
             waiting: WaitingMatches::default(),
             localisation: Localisation::default(),
+            self_consistency: SelfConsistency::default(),
             optimizations: 0,
             last_summary: OptimizationSummary::default(),
             remembered: Remembered::default(),
@@ -366,7 +370,7 @@ impl<S: Space> PoseGraph<S> {
     /// Optimises once more, with as many iterations as the options allow at the end: after searching for pieces of map
     /// that have no place yet, and more if too little was searched so far; again with loop closures that the optimised map
     /// shows to have been missed; and again after leaving out contradicted ones if that is wanted. Then submaps are drawn
-    /// again.
+    /// again, and the map is compared with itself.
     pub fn run_final_optimization(&mut self) {
         self.place_pieces();
         self.search_more();
@@ -381,6 +385,7 @@ impl<S: Space> PoseGraph<S> {
         }
         self.problem.max_iterations_override = None;
         self.redraw_submaps();
+        self.self_consistency = self.judge_self_consistency();
     }
 
     fn connect_by(&mut self, constraint: &Constraint) {

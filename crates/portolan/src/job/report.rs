@@ -90,6 +90,11 @@ pub(super) fn report<S: Space>(
         "loop_closures": loops,
         "contradicted_loop_closures": mapped.map.graph.contradicted_loop_closures(),
         "unsupported_loop_closures": mapped.map.graph.unsupported_loop_closures(),
+        "self_consistency": {
+            "places": mapped.map.graph.self_consistency().places,
+            "contradicted": mapped.map.graph.self_consistency().contradicted,
+            "contradictory": mapped.map.graph.self_consistency().is_contradictory(),
+        },
         "known_map": Localisation::of(mapped).map(|l| serde_json::json!({
             "loop_closures": l.loop_closures,
             "first_found_after_seconds": l.first_found_after_seconds,

@@ -86,6 +86,13 @@ pub fn summary<S: Space>(
             "{unsupported} more loop closures would have bent the map and were left out: too few others agree\n"
         );
     }
+    let consistency = mapped.map.graph.self_consistency();
+    if consistency.is_contradictory() {
+        text += &format!(
+            "the map contradicts itself at {} of {} places that were passed again: parts of it lie over each other (see map.png)\n",
+            consistency.contradicted, consistency.places,
+        );
+    }
     text += &crate::lost::losses(mapped);
     text += &degenerate_intervals(&mapped.degenerate_intervals, mapped.recording_seconds);
     text += &issues(mapped.issues.iter(), with_harmless);

@@ -58,12 +58,20 @@ impl Belief {
         if !is_measured {
             return agreement.contradicted() >= CONTRADICTED;
         }
-        let sees_through_walls =
-            agreement.through_solid >= THROUGH_WALLS || matches!(self, Self::Doubtful { .. });
-        agreement.contradicted() >= CONTRADICTED_IN_SPITE_OF_ODOMETRY
-            && agreement.explained < EXPLAINED
-            && sees_through_walls
+        match self {
+            Self::Doubtful { .. } => fits_badly(agreement),
+            Self::Sure | Self::Lost { .. } => refutes_place(agreement),
+        }
     }
+}
+
+fn fits_badly(agreement: &ScanAgreement) -> bool {
+    agreement.contradicted() >= CONTRADICTED_IN_SPITE_OF_ODOMETRY && agreement.explained < EXPLAINED
+}
+
+/// Whether what the map knows of a place says that the scan was not taken there, whatever moved meanwhile.
+pub(crate) fn refutes_place(agreement: &ScanAgreement) -> bool {
+    fits_badly(agreement) && agreement.through_solid >= THROUGH_WALLS
 }
 
 #[cfg(test)]

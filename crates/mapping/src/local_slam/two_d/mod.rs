@@ -27,6 +27,7 @@ use super::{
     filtered, first_point_time, motion_filter, take_odometry,
 };
 use belief::Belief;
+pub(crate) use belief::refutes_place;
 use tracking::{Found, Motion, Scan, Tracker};
 
 use crate::scan_matching_2d::search_after_gap;

@@ -1,0 +1,98 @@
+//! Whether a finished map contradicts itself.
+//!
+//! A wrong motion or a loop closure that is missed lays parts of a map over each other. The scans taken in the one part
+//! then contradict what the other shows there: they end in free space and pass through walls.
+
+use rayon::prelude::*;
+
+use super::PoseGraph;
+use super::policy::Spacing;
+use crate::local_slam::refutes_place;
+use crate::{NodeId, Space, SubmapId};
+
+/// Places are this far apart along the way, metres.
+const SPACING: f64 = 1.0;
+/// A submap knows a place if it explains or contradicts this fraction of the beams of its scan.
+const KNOWN: f32 = 0.5;
+/// A map of which more places than this fraction are contradicted lies over itself. Seven real logs come to at most 0.08,
+/// maps that are torn to at least 0.27 (docs/experiments/2026-11-self-consistency.md).
+const CONTRADICTORY: f64 = 0.17;
+/// Fewer contradicted places are told by nobody: a gate that was moved, a crowd.
+const FEWEST: usize = 5;
+
+/// How a finished map agrees with itself (in 2D).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SelfConsistency {
+    /// Places, one in a metre of way, known to submaps that were drawn from other scans.
+    pub places: usize,
+    /// Those that at least half of these submaps contradict.
+    pub contradicted: usize,
+}
+
+impl SelfConsistency {
+    /// Whether parts of the map lie over each other.
+    pub fn is_contradictory(&self) -> bool {
+        self.contradicted >= FEWEST && self.contradicted as f64 > CONTRADICTORY * self.places as f64
+    }
+}
+
+impl<S: Space> PoseGraph<S> {
+    /// How the map agrees with itself; known after the final optimisation where submaps are drawn again.
+    pub fn self_consistency(&self) -> SelfConsistency {
+        self.self_consistency
+    }
+
+    pub(super) fn judge_self_consistency(&self) -> SelfConsistency {
+        if !self.policy.redraws {
+            return SelfConsistency::default();
+        }
+        let mut spacing = Spacing::default();
+        let mut nodes: Vec<NodeId> = self.state.nodes.keys().copied().collect();
+        nodes.retain(|id| {
+            let way = self.ways.get(id).copied().unwrap_or(0.0);
+            spacing.is_due((SubmapId::new(id.trajectory_id, 0), *id), way, SPACING)
+        });
+        let contradicted: Vec<bool> = nodes.par_iter().filter_map(|id| self.is_contradicted(*id)).collect();
+        SelfConsistency {
+            places: contradicted.len(),
+            contradicted: contradicted.iter().filter(|contradicted| **contradicted).count(),
+        }
+    }
+
+    /// Whether at least half of the submaps that know the place of a node, and were drawn without it, contradict its scan;
+    /// none if there is no such submap. Parts that nothing ties together are not compared.
+    fn is_contradicted(&self, id: NodeId) -> Option<bool> {
+        let (node, place) = (self.state.nodes.get(&id)?, self.problem.nodes.get(&id)?);
+        let others = self.state.submaps.iter().filter(|(submap_id, entry)| {
+            !entry.node_ids.contains(&id)
+                && self.state.connectivity.are_connected(submap_id.trajectory_id, id.trajectory_id)
+        });
+        let (mut known, mut contradicting) = (0, 0);
+        for (submap_id, entry) in others {
+            let (Some(submap), Some(map_from_submap)) = (&entry.submap, self.problem.submaps.get(submap_id))
+            else {
+                continue;
+            };
+            let submap_from_node = map_from_submap.inverse() * place.map_from_node;
+            let Some(agreement) = S::agreement(submap, &node.data, &submap_from_node) else { continue };
+            if agreement.explained + agreement.contradicted() >= KNOWN {
+                known += 1;
+                contradicting += u32::from(refutes_place(&agreement));
+            }
+        }
+        (known > 0).then_some(2 * contradicting >= known)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_few_contradicted_places_are_no_torn_map() {
+        let is_contradictory =
+            |places, contradicted| SelfConsistency { places, contradicted }.is_contradictory();
+        assert!(!is_contradictory(0, 0) && !is_contradictory(10, 4) && !is_contradictory(401, 26));
+        assert!(is_contradictory(328, 90) && is_contradictory(97, 42));
+    }
+}
