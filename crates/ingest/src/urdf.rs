@@ -68,8 +68,12 @@ pub fn parse_urdf(text: &str, is_xacro: bool) -> Result<RobotDescription, String
     let limits = XmlLimits { depth: MAX_DEPTH, ..XmlLimits::default() };
     check_xml(text.as_bytes(), limits).map_err(|problem| problem.to_string())?;
     let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
-    let document = Document::parse_with_options(text, options);
-    let document = document.map_err(|error| format!("it is no valid XML: {error}"))?;
+    let document = Document::parse_with_options(text, options).map_err(|error| match error {
+        roxmltree::Error::NodesLimitReached => {
+            format!("it has more than {MAX_NODES} elements and texts, which no robot description has")
+        }
+        error => format!("it is no valid XML: {error}"),
+    })?;
     let root = document.root_element();
     if root.tag_name().name() != "robot" {
         return Err(format!("it is no URDF: it begins with <{}>, not with <robot>", root.tag_name().name()));
@@ -165,6 +169,8 @@ mod tests {
         }
         let many: String = (0..1000).map(|i| format!(" a{i}='1'")).collect();
         assert!(parse_urdf(&format!("<robot name='r'{many}/>"), false).unwrap_err().contains("attributes"));
+        let countless = format!("<robot>{}</robot>", "<a/>".repeat(1_000_001));
+        assert!(parse_urdf(&countless, false).unwrap_err().contains("1000000 elements"));
     }
 
     #[test]
