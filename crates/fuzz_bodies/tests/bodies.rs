@@ -1,20 +1,23 @@
 //! Every body over sound files and thousands of damaged ones: no panic, no endless loop.
+//!
+//! For a time instead of a number of files, and how many there were then:
+//!
+//! ```sh
+//! PORTOLAN_BODIES=seconds=60,seed=7 cargo test --profile quick -p portolan-fuzz-bodies -- --nocapture --test-threads 1
+//! ```
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
 mod samples;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Once;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use portolan_fuzz_bodies::BODIES;
 use portolan_testing::damage::{Random, damaged};
 use portolan_testing::is_fast;
 
 use samples::{Sample, samples_of};
-
-/// Follows from nothing but the number of a case, so that it can be seen again.
-const SEED: u64 = 1;
 
 /// Damaged files for each body. Those that write files or optimise take longer, so that there are fewer of them.
 fn count(body: &str) -> u64 {
@@ -29,6 +32,35 @@ fn count(body: &str) -> u64 {
 
 /// In the fast profile there are so many times fewer.
 const FAST: u64 = 25;
+
+/// How much is done with each body. Damage follows from the seed and the number of a case alone, so that it can be seen
+/// again.
+struct Amount {
+    seed: u64,
+    cases: u64,
+    at_most: Duration,
+}
+
+impl Amount {
+    /// What `PORTOLAN_BODIES` and `PORTOLAN_TESTS` say.
+    fn of(body: &str) -> Self {
+        let mut amount = Self { seed: 1, cases: count(body), at_most: Duration::MAX };
+        if std::env::var("PORTOLAN_TESTS").is_ok_and(|tests| tests == "fast") {
+            amount.cases /= FAST;
+        }
+        let text = std::env::var("PORTOLAN_BODIES").unwrap_or_default();
+        for part in text.split(',').filter(|part| !part.is_empty()) {
+            match part.split_once('=') {
+                Some(("seed", value)) => amount.seed = value.parse().unwrap(),
+                Some(("seconds", value)) => {
+                    (amount.cases, amount.at_most) = (u64::MAX, Duration::from_secs(value.parse().unwrap()));
+                }
+                _ => panic!("PORTOLAN_BODIES knows seconds=NUMBER and seed=NUMBER, not {part}"),
+            }
+        }
+        amount
+    }
+}
 
 /// Panics of libraries that readers catch are damage of a file.
 fn keep_caught_panics_quiet() {
@@ -55,13 +87,10 @@ fn run(name: &str) {
     let start = Instant::now();
     samples.iter().for_each(|sample| body(&input(sample, &sample.bytes)));
     body(&[]);
-    let cases = if std::env::var("PORTOLAN_TESTS").is_ok_and(|tests| tests == "fast") {
-        count(name) / FAST
-    } else {
-        count(name)
-    };
-    for number in 0..cases {
-        let mut random = Random::new(SEED, number);
+    let (amount, mut cases) = (Amount::of(name), 0);
+    while cases < amount.cases && start.elapsed() < amount.at_most {
+        let number = cases;
+        let mut random = Random::new(amount.seed, number);
         let sample = random.choose(&samples);
         let bytes = input(sample, &damaged(&sample.bytes, sample.layout, &mut random));
         if catch_unwind(AssertUnwindSafe(|| body(&bytes))).is_err() {
@@ -69,6 +98,7 @@ fn run(name: &str) {
             std::fs::write(&path, &bytes).unwrap();
             panic!("{name}: case {number} fails; its bytes are in {}", path.display());
         }
+        cases += 1;
     }
     eprintln!(
         "{name}: {} sound files, {cases} damaged, {:.1} s",

@@ -82,7 +82,6 @@ struct Sensor {
     clock: SensorClock,
     even_stamps: EvenStamps,
     order: Ascending,
-    sampler: usize,
 }
 
 /// Odometry that comes as transforms.
@@ -94,11 +93,13 @@ struct TransformOdometry {
 }
 
 /// Samplers of the five kinds of sensors, as Cartographer has them.
-const RANGE: usize = 0;
-const ODOMETRY: usize = 1;
-const FIXED_FRAME_POSE: usize = 2;
-const IMU: usize = 3;
-const LANDMARKS: usize = 4;
+struct Samplers {
+    range: FixedRatioSampler,
+    odometry: FixedRatioSampler,
+    fixed_frame_pose: FixedRatioSampler,
+    imu: FixedRatioSampler,
+    landmarks: FixedRatioSampler,
+}
 
 /// Measurements of a recording, in the order of the recording.
 ///
@@ -109,7 +110,7 @@ pub struct Ingestion {
     source: ReadAhead,
     sensors: BTreeMap<Arc<str>, Vec<Sensor>>,
     transform_odometry: Option<TransformOdometry>,
-    samplers: [FixedRatioSampler; 5],
+    samplers: Samplers,
     fixes: LocalFixes,
     subdivisions: usize,
     with_intensities: bool,
@@ -143,7 +144,7 @@ impl Ingestion {
         plan: SensorPlan,
         options: &IngestOptions,
     ) -> Result<Self, IngestError> {
-        let samplers = setup::samplers(&options.sampling)?;
+        let samplers = Samplers::new(&options.sampling)?;
         let sensors = setup::sensors(&plan, options.stamps);
         let transform_odometry = match &plan.odometry {
             Some(PlannedOdometry::Transforms { sensor, parent, child }) => Some(TransformOdometry {

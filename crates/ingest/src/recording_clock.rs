@@ -7,7 +7,8 @@ use portolan_issue::{Issue, IssueKind};
 /// are put right once there is a network.
 const LONGEST_PAUSE: f64 = 86_400.0;
 /// Seconds of a year (Gregorian calendar) and of a day.
-const UNITS: [(f64, &str); 2] = [(31_556_952.0, "year"), (86_400.0, "day")];
+const YEAR: (f64, &str) = (31_556_952.0, "year");
+const DAY: (f64, &str) = (86_400.0, "day");
 
 /// Follows the times of recording of the messages of sensors.
 #[derive(Clone, Copy, Debug, Default)]
@@ -34,9 +35,9 @@ impl RecordingClock {
     }
 }
 
-/// A long time in its largest unit.
+/// A long time in years, a shorter one in days.
 fn in_words(seconds: f64) -> String {
-    let (length, name) = UNITS.into_iter().find(|(length, _)| seconds >= *length).unwrap_or(UNITS[1]);
+    let (length, name) = if seconds >= YEAR.0 { YEAR } else { DAY };
     let count = (seconds / length).round();
     format!("{count} {name}{}", if count == 1.0 { "" } else { "s" })
 }

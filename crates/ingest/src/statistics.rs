@@ -260,10 +260,12 @@ impl RangeSampler {
     /// 5° are the spaces between columns.
     fn view_of_clouds(&self) -> (f64, f64) {
         const SECTOR: f64 = std::f64::consts::TAU / 720.0;
-        let seen: Vec<usize> = (0..720).filter(|i| self.directions[*i]).collect();
+        let directions = self.directions.iter().enumerate();
+        let seen: Vec<usize> = directions.filter(|(_, is_seen)| **is_seen).map(|(i, _)| i).collect();
         let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return (0.0, 0.0) };
         let across = 720 - last + first - 1;
-        let largest = seen.windows(2).map(|w| w[1] - w[0] - 1).fold(across, usize::max);
+        let gaps = seen.iter().zip(seen.iter().skip(1)).map(|(before, after)| after - before - 1);
+        let largest = gaps.fold(across, usize::max);
         let view = if largest < 10 { std::f64::consts::TAU } else { (720 - largest) as f64 * SECTOR };
         (view, view / seen.len() as f64)
     }

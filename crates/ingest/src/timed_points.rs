@@ -44,10 +44,9 @@ impl TimedPoints {
             self.points.sort_by(|a, b| a.time.total_cmp(&b.time));
             return;
         }
-        let mut order: Vec<u32> = (0..self.points.len() as u32).collect();
-        order.sort_by(|a, b| self.points[*a as usize].time.total_cmp(&self.points[*b as usize].time));
-        self.points = order.iter().map(|i| self.points[*i as usize]).collect();
-        self.intensities = order.iter().map(|i| self.intensities[*i as usize]).collect();
+        let mut pairs: Vec<_> = self.points.iter().copied().zip(self.intensities.iter().copied()).collect();
+        pairs.sort_by(|(a, _), (b, _)| a.time.total_cmp(&b.time));
+        (self.points, self.intensities) = pairs.into_iter().unzip();
     }
 
     /// Splits the points into `count` pieces of about the same number; piece i has the points from
@@ -62,8 +61,8 @@ impl TimedPoints {
         let mut pieces = Vec::with_capacity(count);
         for i in 0..count {
             let range = total * i / count..total * (i + 1) / count;
-            let Some(last) = self.points[range.clone()].last().map(|p| p.time) else { continue };
-            let mut points = self.points[range.clone()].to_vec();
+            let Some(mut points) = self.points.get(range.clone()).map(<[_]>::to_vec) else { continue };
+            let Some(last) = points.last().map(|p| p.time) else { continue };
             for point in &mut points {
                 point.time -= last;
             }

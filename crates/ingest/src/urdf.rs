@@ -6,13 +6,18 @@ use portolan_geometry::{Quaternion, Rigid3, Vector3, rotation_from_roll_pitch_ya
 use portolan_input::{XmlLimits, check_xml, read_all};
 use portolan_issue::{Issue, Severity};
 use portolan_recording::RecordingError;
+use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::tf::{TfTree, frame_name};
 
 /// Descriptions larger than this are refused.
-const MAX_BYTES: u64 = 64 << 20;
+const MAX_BYTES: u64 = 16 << 20;
 /// XML nested deeper than this is refused.
 const MAX_DEPTH: usize = 200;
+/// So are more elements and texts than this: each takes some hundred bytes while the document is read.
+const MAX_NODES: u32 = 1_000_000;
+/// Types of joints that move (`urdf` of ROS).
+const MOVING: [&str; 6] = ["revolute", "continuous", "prismatic", "floating", "planar", "spherical"];
 
 /// One fixed joint.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,7 +44,7 @@ pub fn read_urdf(path: &Path) -> Result<RobotDescription, RecordingError> {
     let io_error = |source| RecordingError::Io { path: path.to_owned(), source };
     let bytes = read_all(path, MAX_BYTES).map_err(|error| match error.kind() {
         std::io::ErrorKind::FileTooLarge => {
-            described(path, "it is larger than 64 MiB, which no robot description is")
+            described(path, "it is larger than 16 MiB, which no robot description is")
         }
         _ => io_error(error),
     })?;
@@ -62,28 +67,63 @@ pub fn parse_urdf(text: &str, is_xacro: bool) -> Result<RobotDescription, String
     }
     let limits = XmlLimits { depth: MAX_DEPTH, ..XmlLimits::default() };
     check_xml(text.as_bytes(), limits).map_err(|problem| problem.to_string())?;
-    let robot = urdf_rs::read_from_string(text).map_err(|error| format!("it is no valid URDF: {error}"))?;
+    let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
+    let document = Document::parse_with_options(text, options).map_err(|error| match error {
+        roxmltree::Error::NodesLimitReached => {
+            format!("it has more than {MAX_NODES} elements and texts, which no robot description has")
+        }
+        error => format!("it is no valid XML: {error}"),
+    })?;
+    let root = document.root_element();
+    if root.tag_name().name() != "robot" {
+        return Err(format!("it is no URDF: it begins with <{}>, not with <robot>", root.tag_name().name()));
+    }
     let mut description = RobotDescription::default();
-    for joint in &robot.joints {
-        if joint.joint_type != urdf_rs::JointType::Fixed {
-            description.moving_joints.push(joint.name.clone());
-            continue;
-        }
-        let (xyz, rpy) = (joint.origin.xyz.0, joint.origin.rpy.0);
-        if !xyz.iter().chain(&rpy).all(|v| v.is_finite()) {
-            return Err(format!("the origin of joint \"{}\" is not a number", joint.name));
-        }
-        let rotation: Quaternion = rotation_from_roll_pitch_yaw(rpy[0], rpy[1], rpy[2]);
-        description.fixed_joints.push(FixedJoint {
-            parent: frame_name(&joint.parent.link).to_owned(),
-            child: frame_name(&joint.child.link).to_owned(),
-            parent_from_child: Rigid3::from_parts(Vector3::from(xyz).into(), rotation),
-        });
+    // Transmissions and extensions of simulators have elements of the same name inside, which are no joints.
+    for joint in root.children().filter(|node| node.has_tag_name("joint")) {
+        description.add(joint)?;
     }
     Ok(description)
 }
 
+/// The numbers of an attribute such as `xyz`; zeros if it is not there.
+fn three_numbers(element: Option<Node<'_, '_>>, attribute: &str) -> Option<[f64; 3]> {
+    let Some(text) = element.and_then(|element| element.attribute(attribute)) else { return Some([0.0; 3]) };
+    let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<Result<_, _>>().ok()?;
+    numbers.try_into().ok().filter(|numbers: &[f64; 3]| numbers.iter().all(|number| number.is_finite()))
+}
+
 impl RobotDescription {
+    /// Takes one joint.
+    fn add(&mut self, joint: Node<'_, '_>) -> Result<(), String> {
+        let name = joint.attribute("name").unwrap_or_default();
+        let kind = joint.attribute("type").ok_or_else(|| format!("joint \"{name}\" has no type"))?;
+        if MOVING.contains(&kind) {
+            self.moving_joints.push(name.to_owned());
+            return Ok(());
+        }
+        if kind != "fixed" {
+            return Err(format!("joint \"{name}\" has the type \"{kind}\", which URDF does not know"));
+        }
+        let part = |name: &str| joint.children().find(|node| node.has_tag_name(name));
+        let link = |end: &str| {
+            let link = part(end).and_then(|part| part.attribute("link"));
+            link.ok_or_else(|| format!("joint \"{name}\" has no {end} link"))
+        };
+        let (parent, child, origin) = (link("parent")?, link("child")?, part("origin"));
+        let numbers = three_numbers(origin, "xyz").zip(three_numbers(origin, "rpy"));
+        let Some((xyz, [roll, pitch, yaw])) = numbers else {
+            return Err(format!("the origin of joint \"{name}\" is not three numbers each for xyz and rpy"));
+        };
+        let rotation: Quaternion = rotation_from_roll_pitch_yaw(roll, pitch, yaw);
+        self.fixed_joints.push(FixedJoint {
+            parent: frame_name(parent).to_owned(),
+            child: frame_name(child).to_owned(),
+            parent_from_child: Rigid3::from_parts(Vector3::from(xyz).into(), rotation),
+        });
+        Ok(())
+    }
+
     /// Takes the fixed joints into a tree; what it gives are those that do not fit.
     pub fn insert_into(&self, tree: &mut TfTree) -> Vec<Issue> {
         self.fixed_joints
@@ -129,6 +169,41 @@ mod tests {
         }
         let many: String = (0..1000).map(|i| format!(" a{i}='1'")).collect();
         assert!(parse_urdf(&format!("<robot name='r'{many}/>"), false).unwrap_err().contains("attributes"));
+        let countless = format!("<robot>{}</robot>", "<a/>".repeat(1_000_001));
+        assert!(parse_urdf(&countless, false).unwrap_err().contains("1000000 elements"));
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_joint_is_said() {
+        let with = |joint: &str| {
+            parse_urdf(&format!("<robot name='r'><gazebo><joint/></gazebo>{joint}</robot>"), false)
+        };
+        let joint = |attributes: &str, inside: &str| with(&format!("<joint {attributes}>{inside}</joint>"));
+        let ends = "<parent link='/a'/><child link='b'/>";
+        let sound = joint("name='j' type='fixed'", ends).unwrap();
+        let expected =
+            FixedJoint { parent: "a".into(), child: "b".into(), parent_from_child: Rigid3::identity() };
+        assert_eq!(sound.fixed_joints, [expected]);
+        assert_eq!(
+            with("<transmission><joint name='j'/></transmission>").unwrap(),
+            RobotDescription::default()
+        );
+        for (attributes, inside, said) in [
+            ("name='j'", ends, "\"j\" has no type"),
+            ("name='j' type='welded'", ends, "\"j\" has the type \"welded\""),
+            ("name='j' type='fixed'", "<parent link='a'/>", "\"j\" has no child link"),
+            ("type='fixed'", "<parent/><child link='b'/>", "\"\" has no parent link"),
+        ] {
+            let error = joint(attributes, inside).unwrap_err();
+            assert!(error.contains(said), "{error}");
+        }
+        for origin in
+            ["xyz='1 2'", "xyz='1 2 3 4'", "xyz='1 2 x'", "rpy='0 0 nan'", "rpy='0 inf 0'", "rpy=''"]
+        {
+            let error = joint("name='j' type='fixed'", &format!("{ends}<origin {origin}/>")).unwrap_err();
+            assert!(error.contains("origin of joint \"j\""), "{error}");
+        }
+        assert!(parse_urdf("<sdf/>", false).unwrap_err().contains("begins with <sdf>"));
     }
 
     #[test]

@@ -9,9 +9,13 @@ use crate::samples::Sample;
 use crate::settings::Settings;
 use crate::verbs::Verb;
 
-/// Seconds of processor time; and of the clock, which says more of the machine than of the program.
+/// Seconds of processor time.
 const PROCESSOR_SECONDS: u64 = 40;
-const CLOCK: Duration = Duration::from_secs(300);
+/// A run of which no thread wants a processor for so long waits for what never comes. The clock alone would say more of
+/// the machine than of the program.
+const WAITING: Duration = Duration::from_secs(60);
+/// Whether it does is looked at so often.
+const LOOK: Duration = Duration::from_millis(500);
 /// Memory, KiB of address space: the stacks of threads count.
 const MEMORY_KIB: u64 = 4 << 20;
 
@@ -75,7 +79,7 @@ impl Execution<'_> {
         folder: &Path,
         temporary: &Path,
     ) -> Option<String> {
-        let Some(status) = status else { return Some(format!("not done after {} s", CLOCK.as_secs())) };
+        let Some(status) = status else { return Some(format!("waits for {} s and more", WAITING.as_secs())) };
         let Some(code) = status.code() else { return Some(format!("ended by {status}")) };
         if said.contains("panicked") {
             return Some("a panic".to_owned());
@@ -114,14 +118,31 @@ fn names(folder: &Path) -> Vec<String> {
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
+/// Whether a thread of a process runs, wants to, or waits for the disk; false where that cannot be seen.
+fn is_busy(process: u32) -> bool {
+    let threads = std::fs::read_dir(format!("/proc/{process}/task")).into_iter().flatten().flatten();
+    let mut states = threads.filter_map(|thread| {
+        let stat = std::fs::read_to_string(thread.path().join("stat")).ok()?;
+        // Behind the name, which is in parentheses and may contain some.
+        stat.rsplit_once(") ").and_then(|(_, behind)| behind.chars().next())
+    });
+    states.any(|state| matches!(state, 'R' | 'D'))
+}
+
 /// None if it had to be ended.
 fn wait(child: &mut Child) -> Option<ExitStatus> {
-    let start = Instant::now();
+    let (mut busy, mut looked) = (Instant::now(), Instant::now());
     loop {
         if let Some(status) = child.try_wait().unwrap() {
             return Some(status);
         }
-        if start.elapsed() > CLOCK {
+        if looked.elapsed() > LOOK {
+            looked = Instant::now();
+            if is_busy(child.id()) {
+                busy = looked;
+            }
+        }
+        if busy.elapsed() > WAITING {
             let _ = child.kill();
             let _ = child.wait();
             return None;

@@ -25,12 +25,16 @@ mod verbs;
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 use portolan_testing::damage::{Random, damaged};
 
 use execution::{Execution, Verdict};
 use samples::Sample;
 use settings::Settings;
+
+/// After so many cases a line says how many there were.
+const PROGRESS: u64 = 1000;
 
 /// One case: which sample, how damaged, and for which verb follows from seed and number alone.
 fn run_case(number: u64, samples: &[Sample], settings: &Settings) -> Verdict {
@@ -60,12 +64,17 @@ fn damaged_files_end_in_the_truth() {
     let settings = Settings::from_environment();
     let folder = tempfile::tempdir().unwrap();
     let samples = samples::make(folder.path());
-    let (next, found) = (AtomicU64::new(settings.first()), Mutex::new(Vec::new()));
+    let (next, found) = (AtomicU64::new(settings.from), Mutex::new(Vec::new()));
+    let start = Instant::now();
     let work = || {
         loop {
             let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= settings.end() {
+            let done = number - settings.from;
+            if done >= settings.cases {
                 return;
+            }
+            if done > 0 && done.is_multiple_of(PROGRESS) {
+                eprintln!("{done} cases, {:.0} s", start.elapsed().as_secs_f64());
             }
             if let Verdict::Wrong(what) = run_case(number, &samples, &settings) {
                 eprintln!("{what}\n");

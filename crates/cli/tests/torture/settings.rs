@@ -7,11 +7,13 @@ const SHORT: u64 = 300;
 const FEW_KILLS: u64 = 8;
 const FEW_RESUMES: u64 = 6;
 
-/// What `PORTOLAN_TORTURE` says: `cases=100000,kills=200,resumes=200,seed=7,keep=FOLDER,only=NUMBER,program=FILE`.
+/// What `PORTOLAN_TORTURE` says: `cases=100000,from=5000,kills=200,resumes=200,seed=7,keep=FOLDER,only=NUMBER,program=FILE`.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// How many.
     pub cases: u64,
+    /// The first, so that what was cut off goes on.
+    pub from: u64,
     /// How many runs are killed.
     pub kills: u64,
     /// How many are killed and resumed.
@@ -22,8 +24,6 @@ pub struct Settings {
     pub program: PathBuf,
     /// Folder for the files of cases that went wrong.
     pub keep: Option<PathBuf>,
-    /// Only this case.
-    only: Option<u64>,
 }
 
 impl Settings {
@@ -34,12 +34,12 @@ impl Settings {
     pub fn from_environment() -> Self {
         let mut settings = Self {
             cases: SHORT,
+            from: 0,
             kills: FEW_KILLS,
             resumes: FEW_RESUMES,
             seed: 1,
             program: env!("CARGO_BIN_EXE_portolan").into(),
             keep: None,
-            only: None,
         };
         let text = std::env::var("PORTOLAN_TORTURE").unwrap_or_default();
         for part in text.split(',').filter(|part| !part.is_empty()) {
@@ -49,26 +49,17 @@ impl Settings {
                 "kills" => settings.kills = value.parse().unwrap(),
                 "resumes" => settings.resumes = value.parse().unwrap(),
                 "seed" => settings.seed = value.parse().unwrap(),
-                "only" => settings.only = Some(value.parse().unwrap()),
+                "from" => settings.from = value.parse().unwrap(),
+                "only" => (settings.from, settings.cases) = (value.parse().unwrap(), 1),
                 "program" => settings.program = value.into(),
                 "keep" => settings.keep = Some(value.into()),
                 _ => {
                     panic!(
-                        "PORTOLAN_TORTURE knows cases, kills, resumes, seed, only, keep and program, not {key}"
+                        "PORTOLAN_TORTURE knows cases, from, kills, resumes, seed, only, keep and program, not {key}"
                     )
                 }
             }
         }
         settings
-    }
-
-    /// The first case.
-    pub fn first(&self) -> u64 {
-        self.only.unwrap_or(0)
-    }
-
-    /// The one behind the last.
-    pub fn end(&self) -> u64 {
-        self.only.map_or(self.cases, |only| only + 1)
     }
 }

@@ -9,7 +9,7 @@ use portolan_recording::{
 };
 use portolan_sensor::{FixedFramePoseData, Measurement};
 
-use super::{Coordinates, Ingestion, ODOMETRY, Role, Sensor, TimesByAzimuth};
+use super::{Coordinates, Ingestion, Role, Sensor, TimesByAzimuth};
 use crate::azimuth_time::{self, TimedTurn};
 use crate::clock::Stamp;
 use crate::convert::{self, Frames, ImuFault};
@@ -34,7 +34,7 @@ impl TimesByAzimuth {
 
 impl Ingestion {
     pub(super) fn take_message(&mut self, sensor: &mut Sensor, message: &RecordedMessage) {
-        if !self.samplers[sensor.sampler].pulse() {
+        if !self.samplers.of(&sensor.role).pulse() {
             return;
         }
         let Some(header) = message.message.header() else { return };
@@ -201,7 +201,7 @@ impl Ingestion {
         for transform in &transforms.transforms {
             let is_odometry = *transform.header.frame_id.trim_start_matches('/') == *odometry.parent
                 && *transform.child_frame_id.trim_start_matches('/') == *odometry.child;
-            if !is_odometry || transforms.is_static || !self.samplers[ODOMETRY].pulse() {
+            if !is_odometry || transforms.is_static || !self.samplers.odometry.pulse() {
                 continue;
             }
             let time = transform.header.stamp;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use portolan_sensor::FixedRatioSampler;
 
-use super::{Coordinates, FIXED_FRAME_POSE, IMU, LANDMARKS, ODOMETRY, RANGE, Role, Sensor, TimesByAzimuth};
+use super::{Coordinates, Role, Samplers, Sensor, TimesByAzimuth};
 use crate::azimuth_time::AzimuthTimes;
 use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, SensorClock};
@@ -15,22 +15,35 @@ use crate::plan::{PlanError, PlannedOdometry, PlannedSensor, SensorPlan};
 use crate::survey::Inventory;
 use crate::turn_clock::TurnClock;
 
-pub(super) fn samplers(ratios: &SamplingRatios) -> Result<[FixedRatioSampler; 5], PlanError> {
-    let sampler =
-        |ratio| FixedRatioSampler::new(ratio).map_err(|e| PlanError::Option { detail: e.to_string() });
-    Ok([
-        sampler(ratios.rangefinder)?,
-        sampler(ratios.odometry)?,
-        sampler(ratios.fixed_frame_pose)?,
-        sampler(ratios.imu)?,
-        sampler(ratios.landmarks)?,
-    ])
+impl Samplers {
+    pub(super) fn new(ratios: &SamplingRatios) -> Result<Self, PlanError> {
+        let sampler =
+            |ratio| FixedRatioSampler::new(ratio).map_err(|e| PlanError::Option { detail: e.to_string() });
+        Ok(Self {
+            range: sampler(ratios.rangefinder)?,
+            odometry: sampler(ratios.odometry)?,
+            fixed_frame_pose: sampler(ratios.fixed_frame_pose)?,
+            imu: sampler(ratios.imu)?,
+            landmarks: sampler(ratios.landmarks)?,
+        })
+    }
+
+    /// That of sensors which are used for this.
+    pub(super) fn of(&mut self, role: &Role) -> &mut FixedRatioSampler {
+        match role {
+            Role::Range { .. } => &mut self.range,
+            Role::Odometry => &mut self.odometry,
+            Role::NavSat | Role::FixedFramePose => &mut self.fixed_frame_pose,
+            Role::Imu { .. } => &mut self.imu,
+            Role::Landmarks => &mut self.landmarks,
+        }
+    }
 }
 
 /// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry.
 pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<str>, Vec<Sensor>> {
     let mut sensors: BTreeMap<Arc<str>, Vec<Sensor>> = BTreeMap::new();
-    let mut add = |source: &PlannedSensor, role: Role, sampler: usize| {
+    let mut add = |source: &PlannedSensor, role: Role| {
         // Fixes and landmarks have no steady rate.
         let is_steady = matches!(role, Role::Range { .. } | Role::Imu { .. } | Role::Odometry);
         sensors.entry(source.topic.clone()).or_default().push(Sensor {
@@ -40,7 +53,6 @@ pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<st
             role,
             clock: SensorClock::new(source.clock_shift, source.usual_lag),
             order: Ascending::default(),
-            sampler,
         });
     };
     for range in &plan.range {
@@ -63,23 +75,22 @@ pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<st
                 },
                 directions: Box::default(),
             },
-            RANGE,
         );
     }
     if let Some(imu) = &plan.imu {
-        add(&imu.source, Role::Imu { scale: imu.scale }, IMU);
+        add(&imu.source, Role::Imu { scale: imu.scale });
     }
     if let Some(PlannedOdometry::Topic(source)) = &plan.odometry {
-        add(source, Role::Odometry, ODOMETRY);
+        add(source, Role::Odometry);
     }
     if let Some(source) = &plan.nav_sat {
-        add(source, Role::NavSat, FIXED_FRAME_POSE);
+        add(source, Role::NavSat);
     }
     if let Some(source) = &plan.fixed_frame_pose {
-        add(source, Role::FixedFramePose, FIXED_FRAME_POSE);
+        add(source, Role::FixedFramePose);
     }
     if let Some(source) = &plan.landmarks {
-        add(source, Role::Landmarks, LANDMARKS);
+        add(source, Role::Landmarks);
     }
     sensors
 }

@@ -25,8 +25,8 @@ pub(super) fn elevation(
     times: Option<TurnTimes>,
 ) -> Option<ElevationOffset> {
     let first = step_of(followed)?;
-    let (mut last, mut step) = (0.0, first.factors[0]);
-    let mut sigma = INFLATION * first.sigmas[0];
+    let (mut last, mut step) = (0.0, first.factors.x);
+    let mut sigma = INFLATION * first.sigmas.x;
     if step.abs() < WORTHWHILE * sigma {
         return Some(ElevationOffset { radians: step / FOUND_AT_ONCE, sigma: sigma / FOUND_AT_ONCE });
     }
@@ -40,13 +40,13 @@ pub(super) fn elevation(
             })
             .collect();
         let there = step_of(&raised)?;
-        let slope = (step - there.factors[0]) / (next - last);
+        let slope = (step - there.factors.x) / (next - last);
         // What is taken out must no longer be found, or it is something else.
         if slope.is_nan() || slope < LEAST_SLOPE {
             return None;
         }
-        sigma = INFLATION * there.sigmas[0] / slope;
-        (last, step) = (next, there.factors[0]);
+        sigma = INFLATION * there.sigmas.x / slope;
+        (last, step) = (next, there.factors.x);
         next += step / slope;
     }
     Some(ElevationOffset { radians: next, sigma })

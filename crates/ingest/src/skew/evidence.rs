@@ -90,8 +90,7 @@ pub(super) fn beam_step(pairs: &[&Pair]) -> Option<Step> {
 
 /// Two unknowns that the residuals depend on by these slopes, poses being free.
 fn solve(pairs: &[&Pair], slopes_of: impl Fn(&Row) -> Vector2) -> Option<Step> {
-    let mut gradients = [Vector2::zeros(); SECTORS];
-    let mut informations = [Matrix2::zeros(); SECTORS];
+    let mut sectors = [(Vector2::zeros(), Matrix2::zeros()); SECTORS];
     for pair in pairs {
         let slopes: Vec<Vector2> = pair.rows.iter().map(&slopes_of).collect();
         let mut information = Matrix6::identity() * POSE_PRIOR;
@@ -107,16 +106,17 @@ fn solve(pairs: &[&Pair], slopes_of: impl Fn(&Row) -> Vector2) -> Option<Step> {
         for (row, slopes) in pair.rows.iter().zip(&slopes) {
             let slopes = slopes - of_slopes.tr_mul(&row.jacobian);
             let residual = row.residual - row.jacobian.dot(&of_residuals);
-            let sector = row.sector();
-            gradients[sector] -= slopes * (row.weight * residual);
-            informations[sector] += slopes * slopes.transpose() * row.weight;
+            if let Some((gradient, information)) = sectors.get_mut(row.sector()) {
+                *gradient -= slopes * (row.weight * residual);
+                *information += slopes * slopes.transpose() * row.weight;
+            }
         }
     }
-    let covariance = held(informations.iter().sum()).try_inverse()?;
-    let factors: Vector2 = covariance * gradients.iter().sum::<Vector2>();
+    let covariance = held(sectors.iter().map(|(_, information)| information).sum()).try_inverse()?;
+    let factors: Vector2 = covariance * sectors.iter().map(|(gradient, _)| gradient).sum::<Vector2>();
     // What single sectors say, beside what all say together.
-    let scatter: Matrix2<f64> = (gradients.iter().zip(&informations))
-        .map(|(g, i)| g - i * factors)
+    let scatter: Matrix2<f64> = (sectors.iter())
+        .map(|(gradient, information)| gradient - information * factors)
         .map(|rest| rest * rest.transpose())
         .sum();
     let sigmas = (covariance * scatter * covariance).diagonal().map(f64::sqrt);
@@ -154,8 +154,9 @@ pub(super) fn better_turn(pairs: &[&Pair], taken_out: TurnTimes) -> Option<TurnT
     let best = turns().filter(|t| *t != taken_out).max_by(|a, b| sure(a).total_cmp(&sure(b)))?;
     let step = step_toward(pairs, |phase| change(&best, phase))?;
     // A third of the way is what one step finds.
-    let is_better = |part: usize| step.factors[part] > (CLEARLY * step.sigmas[part]).max(0.2);
-    (is_better(0) || is_better(1)).then_some(best)
+    let is_better = |factor: f64, sigma: f64| factor > (CLEARLY * sigma).max(0.2);
+    let Step { factors, sigmas } = step;
+    (is_better(factors.x, sigmas.x) || is_better(factors.y, sigmas.y)).then_some(best)
 }
 
 /// The largest steps that are likely for any turn; how much formal standard deviations are to be scaled is known from
@@ -204,9 +205,13 @@ impl BinEquations {
                 for (bin, gain) in gains {
                     let mut column = cross.column_mut(bin);
                     column += weighted * gain;
-                    gradient[bin] -= row.weight * gain * row.residual;
+                    if let Some(gradient) = gradient.get_mut(bin) {
+                        *gradient -= row.weight * gain * row.residual;
+                    }
                     for (other, other_gain) in gains {
-                        information[(bin, other)] += row.weight * gain * other_gain;
+                        if let Some(information) = information.get_mut((bin, other)) {
+                            *information += row.weight * gain * other_gain;
+                        }
                     }
                 }
             }
@@ -253,13 +258,12 @@ impl FactorEquations {
     /// By how many standard deviations the factors exceed zero, up to a common scale. Negative ones are no evidence.
     fn sureness(&self) -> f64 {
         let factors = self.factors();
-        let alone = |part: usize| {
-            self.gradient[part].max(0.0) / self.information[(part, part)].max(f64::MIN_POSITIVE).sqrt()
-        };
+        let alone =
+            |gradient: f64, information: f64| gradient.max(0.0) / information.max(f64::MIN_POSITIVE).sqrt();
         if factors.min() >= 0.0 {
             factors.dot(&self.gradient).max(0.0).sqrt()
         } else {
-            alone(0).max(alone(1))
+            alone(self.gradient.x, self.information.m11).max(alone(self.gradient.y, self.information.m22))
         }
     }
 }

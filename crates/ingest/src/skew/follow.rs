@@ -101,26 +101,32 @@ impl Sample {
     /// One point for each voxel, whose edge is adapted from sweep to sweep.
     pub fn thinned(points: &[Point3f], phases: &[f32], edge: &mut f32) -> Self {
         let stride = points.len().div_ceil(MAX_POINTS).max(1);
-        let mut some: Vec<(f32, usize)> =
-            (0..points.len()).step_by(stride).map(|i| (points[i].coords.norm(), i)).collect();
-        some.retain(|(range, _)| range.is_finite() && *range > 0.0);
-        let mut ranges: Vec<f32> = some.iter().map(|(range, _)| *range).collect();
+        let mut some: Vec<(f32, &Point3f, f32)> = (points.iter().zip(phases).step_by(stride))
+            .map(|(point, phase)| (point.coords.norm(), point, *phase))
+            .collect();
+        some.retain(|(range, ..)| range.is_finite() && *range > 0.0);
+        let mut ranges: Vec<f32> = some.iter().map(|(range, ..)| *range).collect();
         ranges.sort_by(f32::total_cmp);
         let median_range = ranges.get(ranges.len() / 2).copied().unwrap_or(0.0);
         let nearest = NEAREST.max(NEAREST_SHARE * median_range);
-        some.retain(|(range, _)| (nearest..FARTHEST).contains(range));
-        let kept: Vec<[f32; 3]> = some.iter().map(|(_, i)| points[*i].coords.into()).collect();
+        some.retain(|(range, ..)| (nearest..FARTHEST).contains(range));
+        let kept: Vec<[f32; 3]> = some.iter().map(|(_, point, _)| point.coords.into()).collect();
         if *edge <= 0.0 {
             *edge = 0.02 * median_range;
         }
         let chosen = reduce_indices(&kept, *edge, 1);
         let correction = (chosen.len() as f32 / WANTED_SURFACE_POINTS).sqrt().clamp(0.5, 2.0);
         *edge = (*edge * correction).clamp(0.01, 1.0);
-        Self {
-            points: chosen.iter().map(|i| kept[*i as usize]).collect(),
-            phases: chosen.iter().filter_map(|i| phases.get(some[*i as usize].1).copied()).collect(),
-            median_range,
-        }
+        let chosen = chosen.iter().filter_map(|i| some.get(*i as usize));
+        let (points, phases) =
+            chosen.map(|(_, point, phase)| (<[f32; 3]>::from(point.coords), *phase)).unzip();
+        Self { points, phases, median_range }
+    }
+
+    /// One of its points, and the phase of this point.
+    fn point(&self, index: usize) -> Option<(Vector3, f32)> {
+        let point = Vector3::from(self.points.get(index)?.map(f64::from));
+        Some((point, *self.phases.get(index)?))
     }
 
     /// With all beams raised.
@@ -173,19 +179,18 @@ impl Target {
         Self { points, tree, surfaces }
     }
 
-    /// The surface at one of its points.
-    fn surface(&mut self, index: u32) -> Option<LocalSurface> {
-        let at = index as usize;
-        match self.surfaces[at] {
-            Surface::Some(surface) => Some(surface),
-            Surface::None => None,
-            Surface::NotComputed => {
-                let found =
-                    local_surface(&self.points, &self.tree, self.points[at], NEIGHBOURS, NEIGHBOURHOOD);
-                let found = found.filter(|s| s.thickness < MAX_THICKNESS && s.planarity > MIN_PLANARITY);
-                self.surfaces[at] = found.map_or(Surface::None, Surface::Some);
-                found
-            }
+    /// One of its points and the surface there.
+    fn surface(&mut self, index: u32) -> Option<(Vector3, LocalSurface)> {
+        let point = *self.points.get(index as usize)?;
+        let known = self.surfaces.get_mut(index as usize)?;
+        if let Surface::NotComputed = known {
+            let found = local_surface(&self.points, &self.tree, point, NEIGHBOURS, NEIGHBOURHOOD);
+            let found = found.filter(|s| s.thickness < MAX_THICKNESS && s.planarity > MIN_PLANARITY);
+            *known = found.map_or(Surface::None, Surface::Some);
+        }
+        match known {
+            Surface::Some(surface) => Some((Vector3::from(point.map(f64::from)), *surface)),
+            Surface::None | Surface::NotComputed => None,
         }
     }
 
@@ -194,9 +199,8 @@ impl Target {
         for (index, point) in source {
             let place = (pose * Point3::from(*point)).coords;
             let Some(nearest) = self.tree.nearest(place.cast::<f32>().into(), gate as f32) else { continue };
-            let Some(surface) = self.surface(nearest.index) else { continue };
+            let Some((on_surface, surface)) = self.surface(nearest.index) else { continue };
             let normal = Vector3::from(surface.normal.map(f64::from));
-            let on_surface = Vector3::from(self.points[nearest.index as usize].map(f64::from));
             let residual = normal.dot(&(place - on_surface));
             matches.push(Match { source: *index, target: nearest.index, place, normal, residual });
         }
@@ -268,7 +272,8 @@ fn weight(residual: f64, scale: f64) -> f64 {
 /// So many points, spread over the sweep.
 fn spread(points: &[[f32; 3]], wanted: usize) -> Vec<(usize, Vector3)> {
     let stride = points.len().div_ceil(wanted).max(1);
-    (0..points.len()).step_by(stride).map(|i| (i, Vector3::from(points[i].map(f64::from)))).collect()
+    let some = points.iter().enumerate().step_by(stride);
+    some.map(|(index, point)| (index, Vector3::from(point.map(f64::from)))).collect()
 }
 
 /// Whether nothing moved from the first of these sweeps to the last.
@@ -308,30 +313,31 @@ fn follow_straight(
     let mut poses = vec![Rigid3::identity()];
     let mut matched = Vec::new();
     let mut lag = before.map_or(1, |before| before.lag);
-    for (sweep, source) in sources.iter().enumerate().skip(1) {
+    for (sweep, (source, judged)) in sources.iter().zip(&judged).enumerate().skip(1) {
         let to = sweep.saturating_sub(lag);
-        let guess = match (before, sweep) {
-            (Some(before), _) => before.poses[sweep],
-            (None, 1) => first_pose(&mut targets[0], &sources)?,
-            (None, _) => poses[sweep - 1] * (poses[sweep - 2].inverse() * poses[sweep - 1]),
+        let guess = match (before, poses.as_slice()) {
+            (Some(before), _) => *before.poses.get(sweep)?,
+            (None, [.., last_but_one, last]) => last * (last_but_one.inverse() * last),
+            (None, _) => first_pose(targets.first_mut()?, &sources)?,
         };
         let gate = if before.is_some() { LAST_GATE } else { GATE };
-        let pose = targets[to].register(source, poses[to].inverse() * guess, gate)?;
-        poses.push(poses[to] * pose);
+        let (target, first_from_target) = (targets.get_mut(to)?, *poses.get(to)?);
+        let pose = target.register(source, first_from_target.inverse() * guess, gate)?;
+        poses.push(first_from_target * pose);
         // Sweeps that follow each other see surfaces under the same azimuth.
         if sweep == 1 && before.is_none() {
-            lag = lag_in_view(&pose, samples[0].median_range);
+            lag = lag_in_view(&pose, samples.first()?.median_range);
         }
         if sweep - to == lag {
-            matched.push((to, sweep, pose, targets[to].matches(&judged[sweep], &pose, JUDGED_GATE)));
+            matched.push((to, sweep, pose, target.matches(judged, &pose, JUDGED_GATE)));
         }
     }
     let surfaces = targets.into_iter().map(|target| target.surfaces).collect();
     let mut followed = Followed { surfaces, poses, lag, pairs: Vec::new() };
     let twists = followed.twists();
+    let side = |sweep: usize| Some((samples.get(sweep)?, twists.get(sweep)?));
     for (to, from, pose, matches) in &matched {
-        let sides = [(&samples[*from], &twists[*from]), (&samples[*to], &twists[*to])];
-        followed.pairs.push(pair(sides, pose, matches));
+        followed.pairs.push(pair([side(*from)?, side(*to)?], pose, matches));
     }
     Some(followed)
 }
@@ -379,25 +385,21 @@ fn first_pose(target: &mut Target, sources: &[Vec<(usize, Vector3)>]) -> Option<
 fn pair([from, to]: [(&Sample, &Twist); 2], pose: &Rigid3, matches: &[Match]) -> Pair {
     let scale = scale_of(matches);
     let row = |m: &Match| {
-        let at = |sample: &Sample, index: usize| Vector3::from(sample.points[index].map(f64::from));
+        let (source, source_phase) = from.0.point(m.source)?;
+        let (target, target_phase) = to.0.point(m.target as usize)?;
         let in_source = pose.rotation.inverse() * m.normal;
-        let target = m.target as usize;
-        Row {
+        Some(Row {
             jacobian: m.jacobian(),
             residual: m.residual,
             weight: weight(m.residual, scale),
-            phases: [from.0.phases[m.source], to.0.phases[target]],
-            gains: [
-                from.1.parts(&at(from.0, m.source), &in_source),
-                -to.1.parts(&at(to.0, target), &m.normal),
-            ],
-            by_elevation: in_source.dot(&by_elevation(&at(from.0, m.source)))
-                - m.normal.dot(&by_elevation(&at(to.0, target))),
+            phases: [source_phase, target_phase],
+            gains: [from.1.parts(&source, &in_source), -to.1.parts(&target, &m.normal)],
+            by_elevation: in_source.dot(&by_elevation(&source)) - m.normal.dot(&by_elevation(&target)),
             direction: m.place.y.atan2(m.place.x) as f32,
-        }
+        })
     };
     Pair {
-        rows: matches.iter().map(row).collect(),
+        rows: matches.iter().filter_map(row).collect(),
         explained: matches.iter().map(|m| weight(m.residual, 2.0 * LEAST_SCALE)).sum(),
     }
 }
@@ -410,16 +412,16 @@ impl Followed {
 
     /// The motion in each sweep, from the sweeps on both sides.
     fn twists(&self) -> Vec<Twist> {
-        let last = self.poses.len() - 1;
+        let last = self.poses.len().saturating_sub(1);
         let twist = |sweep: usize| {
             let (a, b) = (sweep.saturating_sub(1), (sweep + 1).min(last));
-            let motion = self.poses[a].inverse() * self.poses[b];
+            let motion = self.poses.get(a)?.inverse() * self.poses.get(b)?;
             let sweeps = (b - a).max(1) as f64;
-            Twist {
+            Some(Twist {
                 translation: motion.translation.vector / sweeps,
                 rotation: angle_axis_from_quaternion(&motion.rotation) / sweeps,
-            }
+            })
         };
-        (0..=last).map(twist).collect()
+        (0..=last).filter_map(twist).collect()
     }
 }

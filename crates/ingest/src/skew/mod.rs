@@ -294,23 +294,20 @@ impl Batch {
 
 /// Where the steps vanish, given those at a factor of 0 and of 1 and the largest that is likely at 0.
 fn skew(at_none: Step, at_all: Step, largest: Vector2, times: TurnTimes) -> Skew {
-    let part = |part: usize| {
-        let (none, all) = (at_none.factors[part], at_all.factors[part]);
-        let (of_none, of_all) = (INFLATION * at_none.sigmas[part], INFLATION * at_all.sigmas[part]);
+    let part = |part: fn(Vector2) -> f64| {
+        let (none, all) = (part(at_none.factors), part(at_all.factors));
+        let (of_none, of_all) = (INFLATION * part(at_none.sigmas), INFLATION * part(at_all.sigmas));
+        let largest = part(largest);
         let slope = none - all;
         let factor = none / slope;
         // Each of the two is uncertain, and shifts the zero by its share.
         let sigma = ((1.0 - factor) * of_none).hypot(factor * of_all) / slope.abs();
         let is_told = slope > 2.0 * of_none.hypot(of_all);
-        SkewFactor {
-            factor,
-            sigma: if is_told { sigma } else { f64::INFINITY },
-            at_most: largest[part] / slope,
-        }
+        SkewFactor { factor, sigma: if is_told { sigma } else { f64::INFINITY }, at_most: largest / slope }
     };
     Skew {
-        translation: part(0),
-        rotation: part(1),
+        translation: part(|both| both.x),
+        rotation: part(|both| both.y),
         begin_radians: times.begin * TAU - PI,
         is_clockwise: times.sense < 0.0,
         is_contradicted: false,

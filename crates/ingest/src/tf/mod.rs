@@ -181,8 +181,9 @@ impl TfTree {
         parent_from_child: Rigid3,
     ) -> Result<(), TfError> {
         let (parent, child) = self.edge_ends(parent, child)?;
-        if self.frames[child].edge.is_none() {
-            self.frames[child].edge = Some(Edge { parent, motion: Motion::Static(parent_from_child) });
+        if let Some(frame) = self.frames.get_mut(child) {
+            let motion = Motion::Static(parent_from_child);
+            frame.edge.get_or_insert(Edge { parent, motion });
         }
         Ok(())
     }
@@ -196,7 +197,8 @@ impl TfTree {
         parent_from_child: Rigid3,
     ) -> Result<(), TfError> {
         let (parent, child) = self.edge_ends(parent, child)?;
-        let edge = self.frames[child].edge.get_or_insert_with(|| {
+        let Some(frame) = self.frames.get_mut(child) else { return Ok(()) };
+        let edge = frame.edge.get_or_insert_with(|| {
             let buffer = TransformBuffer::with_size_limit(BUFFER_POSES);
             Edge { parent, motion: Motion::Moving(Moving { buffer, unchanged: None }) }
         });
@@ -208,20 +210,20 @@ impl TfTree {
 
     fn edge_ends(&mut self, parent: &str, child: &str) -> Result<(usize, usize), TfError> {
         let (parent, child) = (self.frame(parent)?, self.frame(child)?);
-        match &self.frames[child].edge {
+        match self.edge(child) {
             Some(edge) if edge.parent == parent => {}
             Some(edge) => {
                 return Err(TfError::SecondParent {
-                    child: self.name(child),
-                    parent: self.name(edge.parent),
-                    second: self.name(parent),
+                    child: self.name(child).to_owned(),
+                    parent: self.name(edge.parent).to_owned(),
+                    second: self.name(parent).to_owned(),
                 });
             }
             None => {
-                let path = self.path_to_root(parent);
+                let mut path = self.path_to_root(parent);
                 if let Some(position) = path.iter().position(|frame| *frame == child) {
-                    let mut names: Vec<String> =
-                        path[..=position].iter().rev().map(|f| self.name(*f)).collect();
+                    path.truncate(position + 1);
+                    let mut names: Vec<&str> = path.iter().rev().map(|f| self.name(*f)).collect();
                     names.push(self.name(child));
                     return Err(TfError::Loop { frames: names.join(" → ") });
                 }
@@ -243,14 +245,20 @@ impl TfTree {
         Ok(self.frames.len() - 1)
     }
 
-    fn name(&self, frame: usize) -> String {
-        self.frames[frame].name.to_string()
+    /// Empty if there is no such frame.
+    fn name(&self, frame: usize) -> &str {
+        self.frames.get(frame).map_or("", |frame| &frame.name)
+    }
+
+    /// What places a frame in its parent; none for a root.
+    fn edge(&self, frame: usize) -> Option<&Edge> {
+        self.frames.get(frame)?.edge.as_ref()
     }
 
     /// The frame itself, its parent and so on. Ends because insertion refuses loops.
     fn path_to_root(&self, mut frame: usize) -> Vec<usize> {
         let mut path = vec![frame];
-        while let Some(edge) = &self.frames[frame].edge {
+        while let Some(edge) = self.edge(frame) {
             frame = edge.parent;
             path.push(frame);
         }
@@ -277,8 +285,8 @@ impl TfTree {
             return Err(TfError::NotConnected {
                 target: target.to_owned(),
                 origin: source.to_owned(),
-                target_root: self.name(target_root),
-                origin_root: self.name(source_root),
+                target_root: self.name(target_root).to_owned(),
+                origin_root: self.name(source_root).to_owned(),
             });
         }
         while let (Some(a), Some(b)) = (up.last(), down.last())
@@ -309,12 +317,12 @@ impl TfTree {
     fn compose(&self, path: &[usize], time: Time) -> Result<Rigid3, TfError> {
         let mut result = Rigid3::identity();
         for frame in path {
-            let Some(edge) = &self.frames[*frame].edge else { continue };
+            let Some(edge) = self.edge(*frame) else { continue };
             let parent_from_frame = match &edge.motion {
                 Motion::Static(transform) => *transform,
                 Motion::Moving(moving) => moving.lookup(time).ok_or_else(|| TfError::NotAtThisTime {
-                    child: self.name(*frame),
-                    parent: self.name(edge.parent),
+                    child: self.name(*frame).to_owned(),
+                    parent: self.name(edge.parent).to_owned(),
                     time,
                     span: match (moving.buffer.earliest_time(), moving.buffer.latest_time()) {
                         (Some(first), Some(last)) => format!("from {first} to {last}"),
@@ -339,17 +347,15 @@ impl TfTree {
         }
         let (up, down) = self.paths(target, source).ok()?;
         let fixed = |path: &[usize]| {
-            path.iter().all(|f| !matches!(self.frames[*f].edge, Some(Edge { motion: Motion::Moving(_), .. })))
+            path.iter().all(|f| !matches!(self.edge(*f), Some(Edge { motion: Motion::Moving(_), .. })))
         };
         (fixed(&up) && fixed(&down)).then(|| self.lookup(target, source, Time::MIN).ok()).flatten()
     }
 
     /// Moving frames as (parent, child), in ascending order of the child.
     pub fn moving_frames(&self) -> Vec<(&str, &str)> {
-        let moving = |index: &usize| match &self.frames[*index].edge {
-            Some(Edge { parent, motion: Motion::Moving(_) }) => {
-                Some((&*self.frames[*parent].name, &*self.frames[*index].name))
-            }
+        let moving = |index: &usize| match self.edge(*index) {
+            Some(Edge { parent, motion: Motion::Moving(_) }) => Some((self.name(*parent), self.name(*index))),
             _ => None,
         };
         self.index.values().filter_map(moving).collect()
@@ -357,11 +363,8 @@ impl TfTree {
 
     /// Mean interval between the known poses of a moving frame, seconds.
     pub fn moving_interval(&self, child: &str) -> Option<f64> {
-        let Some(Edge { motion: Motion::Moving(Moving { buffer, .. }), .. }) =
-            &self.frames[*self.index.get(child)?].edge
-        else {
-            return None;
-        };
+        let edge = self.edge(*self.index.get(child)?);
+        let Some(Edge { motion: Motion::Moving(Moving { buffer, .. }), .. }) = edge else { return None };
         let span = buffer.latest_time()?.seconds_since(buffer.earliest_time()?);
         (span > 0.0).then(|| span / (buffer.len() - 1) as f64)
     }

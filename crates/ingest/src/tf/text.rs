@@ -11,8 +11,8 @@ impl TfTree {
     /// One line per frame, children below their parents, in ascending order.
     pub fn to_text(&self) -> String {
         let mut text = String::new();
-        for index in self.index.values().filter(|i| self.frames[**i].edge.is_none()) {
-            text.push_str(&self.frames[*index].name);
+        for index in self.index.values().filter(|i| self.edge(**i).is_none()) {
+            text.push_str(self.name(*index));
             text.push('\n');
             self.write_children(*index, "", 0, &mut text);
         }
@@ -20,7 +20,7 @@ impl TfTree {
     }
 
     fn write_children(&self, parent: usize, indent: &str, depth: usize, text: &mut String) {
-        let is_child = |i: &&usize| matches!(&self.frames[**i].edge, Some(edge) if edge.parent == parent);
+        let is_child = |i: &&usize| self.edge(**i).is_some_and(|edge| edge.parent == parent);
         let children: Vec<usize> = self.index.values().filter(is_child).copied().collect();
         if depth == MAX_DEPTH && !children.is_empty() {
             text.push_str(indent);
@@ -31,8 +31,8 @@ impl TfTree {
             let last = i + 1 == children.len();
             text.push_str(indent);
             text.push_str(if last { "└─ " } else { "├─ " });
-            text.push_str(&self.frames[*child].name);
-            if let Some(edge) = &self.frames[*child].edge {
+            text.push_str(self.name(*child));
+            if let Some(edge) = self.edge(*child) {
                 text.push_str(&describe(edge));
             }
             text.push('\n');

@@ -8,6 +8,7 @@ use portolan_geometry::Time;
 use super::geometry::{MINIMUM_RANGE, scan_geometry};
 use super::line::{LaserLine, Line, PlanarPose, parse_line};
 use super::reorder::Reorder;
+use super::survey::Survey;
 use super::{Layout, OdometrySource};
 use crate::text::{Lines, TextFile};
 use crate::{
@@ -21,13 +22,21 @@ const MAX_UNUSED_KINDS: usize = 50;
 /// Messages that wait for their place, with the index of their topic.
 type Waiting = (usize, Message);
 
+/// A topic that the log gives.
+struct Output {
+    topic: Arc<str>,
+    is_wanted: bool,
+    last_stamp: Option<Time>,
+}
+
+/// Place of odometry among the topics; the scanners follow.
+const ODOMETRY: usize = 0;
+
 pub(super) struct CarmenReader {
     lines: Lines,
     layout: Arc<Layout>,
-    /// Topics in the order in which messages of the same time stand: odometry, then the scanners.
-    topics: Vec<Arc<str>>,
-    wanted: Vec<bool>,
-    last_stamp: Vec<Option<Time>>,
+    /// In the order in which messages of the same time stand: odometry, then the scanners.
+    outputs: Vec<Output>,
     frames: Frames,
     static_transforms: Option<RecordedMessage>,
     reorder: Reorder<Waiting>,
@@ -50,18 +59,19 @@ impl CarmenReader {
     ) -> Result<Self, RecordingError> {
         let wanted_topics: BTreeSet<Arc<str>> =
             layout.topics().iter().filter(|t| wanted(t)).map(|t| t.topic.clone()).collect();
-        let mut topics: Vec<Arc<str>> = vec!["/odom".into()];
-        topics.extend(layout.scanners.iter().map(|s| s.topic.clone()));
+        let topics = std::iter::once("/odom".into()).chain(layout.scanners.iter().map(|s| s.topic.clone()));
+        let output = |topic: Arc<str>| {
+            let is_wanted = wanted_topics.contains(&topic);
+            Output { topic, is_wanted, last_stamp: None }
+        };
+        let outputs: Vec<Output> = topics.map(output).collect();
         let frames = Frames { odom: "odom".into(), base: "base_link".into() };
         let static_transforms =
             if wanted_topics.contains("/tf_static") { static_transforms(&layout, &frames) } else { None };
-        let wanted: Vec<bool> = topics.iter().map(|t| wanted_topics.contains(t)).collect();
         Ok(Self {
             lines: file.lines()?,
-            ended: !wanted.contains(&true),
-            last_stamp: vec![None; topics.len()],
-            topics,
-            wanted,
+            ended: !outputs.iter().any(|output| output.is_wanted),
+            outputs,
             frames,
             static_transforms,
             layout,
@@ -75,7 +85,7 @@ impl CarmenReader {
     /// Reads one line. False at the end.
     fn advance(&mut self) -> Result<bool, RecordingError> {
         // Taken apart, because the line borrows from `lines`.
-        let Self { lines, layout, wanted, frames, reorder, newest, unused, issues, .. } = self;
+        let Self { lines, layout, outputs, frames, reorder, newest, unused, issues, .. } = self;
         let Some(line) = lines.next_line()? else {
             if let Some(damage) = lines.damage() {
                 issues.add(Issue::new(IssueKind::DamagedCompressedText).with("error", damage));
@@ -83,6 +93,7 @@ impl CarmenReader {
             issues.count(IssueKind::OverlongLine, lines.overlong());
             return Ok(false);
         };
+        let wants = |topic: usize| outputs.get(topic).is_some_and(|output| output.is_wanted);
         let mut push = |topic: usize, stamp: Time, message: Message, bytes: usize, issues: &mut IssueLog| {
             *newest = stamp.max(*newest);
             let time = if layout.in_order_of_lines { *newest } else { stamp };
@@ -100,8 +111,8 @@ impl CarmenReader {
             }
             Line::Odometry { pose, times } => match layout.clock.stamp(times) {
                 None => issues.add(IssueKind::UnreadableLineTime),
-                Some(stamp) if wanted[0] && layout.odometry == Some(OdometrySource::OwnLines) => {
-                    push(0, stamp, odometry(stamp, pose, frames), 1024, issues);
+                Some(stamp) if wants(ODOMETRY) && layout.odometry == Some(OdometrySource::OwnLines) => {
+                    push(ODOMETRY, stamp, odometry(stamp, pose, frames), 1024, issues);
                 }
                 Some(_) => {}
             },
@@ -110,16 +121,23 @@ impl CarmenReader {
                     issues.add(IssueKind::UnreadableLineTime);
                     return Ok(true);
                 };
-                if let (Some((_, robot)), true) = (laser.poses, wanted[0])
+                if let (Some((_, robot)), true) = (laser.poses, wants(ODOMETRY))
                     && layout.odometry == Some(OdometrySource::Scans(laser.kind))
                 {
-                    push(0, stamp, odometry(stamp, robot, frames), 1024, issues);
+                    push(ODOMETRY, stamp, odometry(stamp, robot, frames), 1024, issues);
                 }
-                match layout.scanners.iter().position(|s| s.kind == laser.kind) {
+                match layout.scanners.iter().enumerate().find(|(_, s)| s.kind == laser.kind) {
                     None => issues.add(IssueKind::ScanInOtherFormat),
-                    Some(index) if wanted[index + 1] => {
+                    Some((index, scanner)) if wants(index + 1) => {
                         let bytes = 256 + 4 * (laser.ranges.len() + laser.remissions.len());
-                        push(index + 1, stamp, laser_scan(stamp, laser, layout, index), bytes, issues);
+                        let frame = scanner.frame.clone();
+                        push(
+                            index + 1,
+                            stamp,
+                            laser_scan(stamp, laser, &layout.survey, frame),
+                            bytes,
+                            issues,
+                        );
                     }
                     Some(_) => {}
                 }
@@ -134,13 +152,14 @@ impl CarmenReader {
             if too_late {
                 self.issues.add(IssueKind::LinesOutOfOrder);
             }
+            let Some(output) = self.outputs.get_mut(topic) else { continue };
             let stamp = message.header().map(|h| h.stamp);
-            if stamp == self.last_stamp[topic] {
+            if stamp == output.last_stamp {
                 self.issues.add(IssueKind::RepeatedMessage);
                 continue;
             }
-            self.last_stamp[topic] = stamp;
-            return Some(RecordedMessage { topic: self.topics[topic].clone(), log_time, message });
+            output.last_stamp = stamp;
+            return Some(RecordedMessage { topic: output.topic.clone(), log_time, message });
         }
     }
 }
@@ -206,10 +225,10 @@ fn odometry(stamp: Time, pose: PlanarPose, frames: &Frames) -> Message {
     })
 }
 
-fn laser_scan(stamp: Time, laser: LaserLine, layout: &Layout, scanner: usize) -> Message {
-    let geometry = scan_geometry(laser.kind, laser.config.as_ref(), laser.count, &layout.survey);
+fn laser_scan(stamp: Time, laser: LaserLine, survey: &Survey, frame_id: Arc<str>) -> Message {
+    let geometry = scan_geometry(laser.kind, laser.config.as_ref(), laser.count, survey);
     Message::LaserScan(LaserScan {
-        header: Header { stamp, frame_id: layout.scanners[scanner].frame.clone() },
+        header: Header { stamp, frame_id },
         angle_min: geometry.start as f32,
         angle_max: geometry.end(laser.count) as f32,
         angle_increment: geometry.increment as f32,

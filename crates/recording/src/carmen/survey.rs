@@ -82,10 +82,13 @@ impl Mounting {
     /// The mounting to a tenth of a millimetre, if it was the same all the time. In corrected logs it
     /// is not, because there the laser pose is the result of a mapping program.
     fn constant(&self) -> Option<PlanarPose> {
-        let mean = |i: usize| self.first[i] + self.sum[i] / self.count as f64;
+        let mean = |first: f64, sum: f64| first + sum / self.count as f64;
         let round = |v: f64, step: f64| (v / step).round() * step;
-        (self.constant && self.count > 0)
-            .then(|| [round(mean(0), 1e-4), round(mean(1), 1e-4), normalize_angle(round(mean(2), 1e-5))])
+        let ([x, y, heading], [dx, dy, turn]) = (self.first, self.sum);
+        (self.constant && self.count > 0).then(|| {
+            let heading = normalize_angle(round(mean(heading, turn), 1e-5));
+            [round(mean(x, dx), 1e-4), round(mean(y, dy), 1e-4), heading]
+        })
     }
 }
 
@@ -199,12 +202,18 @@ impl Survey {
     /// Whether the stamps of a scanner come in bursts or go back, so that the order of the lines is more to
     /// be believed than the stamps.
     pub fn has_disturbed_stamps(&self, clock: Clock) -> bool {
-        let column = usize::from(clock.column == TimeColumn::Logger);
         let is_disturbed = |stamps: &[f64]| {
             let stamps: Vec<Time> = stamps.iter().map(|s| Time::from_unix_seconds(*s)).collect();
             StampPattern::of(&stamps).is_some_and(|pattern| pattern.is_disturbed())
         };
-        self.lasers.values().any(|laser| laser.stamps[column].chunks(PIECE).any(is_disturbed))
+        self.lasers.values().any(|laser| {
+            let [ipc, logger] = &laser.stamps;
+            let stamps = match clock.column {
+                TimeColumn::Ipc => ipc,
+                TimeColumn::Logger => logger,
+            };
+            stamps.chunks(PIECE).any(is_disturbed)
+        })
     }
 
     /// First and last stamp.

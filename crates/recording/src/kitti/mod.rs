@@ -276,7 +276,7 @@ impl KittiPass {
             return;
         };
         let messages = [Message::NavSatFix(fix), Message::Imu(imu)];
-        for (topic, message) in self.topics[1..].iter().zip(messages) {
+        for (topic, message) in self.topics.iter().skip(1).zip(messages) {
             if let Some(topic) = topic.clone() {
                 self.ready.push_back(RecordedMessage { topic, log_time: reading.time, message });
             }

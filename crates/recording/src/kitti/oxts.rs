@@ -77,12 +77,13 @@ fn parse_calibration(text: &str) -> Option<Rigid3> {
         line.split_ascii_whitespace().map(|v| v.parse().ok()).collect()
     };
     let (r, t) = (numbers("R")?, numbers("T")?);
-    if r.len() != 9 || t.len() != 3 || r.iter().chain(&t).any(|v| !v.is_finite()) {
+    let t: [f64; 3] = t.try_into().ok()?;
+    if r.len() != 9 || r.iter().chain(&t).any(|v| !v.is_finite()) {
         return None;
     }
     let matrix = na::Matrix3::from_row_slice(&r);
     let is_rotation =
         (matrix * matrix.transpose() - na::Matrix3::identity()).norm() < 1e-2 && matrix.determinant() > 0.0;
     let rotation = na::UnitQuaternion::from_matrix(&matrix);
-    is_rotation.then(|| Rigid3::from_parts(Vector3::new(t[0], t[1], t[2]).into(), rotation))
+    is_rotation.then(|| Rigid3::from_parts(Vector3::from(t).into(), rotation))
 }

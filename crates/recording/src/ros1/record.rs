@@ -76,7 +76,7 @@ impl<'a> Iterator for Fields<'a> {
             let (field, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
             self.rest = rest;
             let equals = field.iter().position(|byte| *byte == b'=')?;
-            Some((&field[..equals], &field[equals + 1..]))
+            Some((field.get(..equals)?, field.get(equals + 1..)?))
         });
         if field.is_none() {
             self.rest = &[];

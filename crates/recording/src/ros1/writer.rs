@@ -226,10 +226,8 @@ fn stamp(time: Time) -> Result<Stamp, RecordingError> {
     let seconds = u32::try_from(seconds).map_err(|_| RecordingError::Unwritable {
         detail: "a log time is before 1970 or after 2106, which a ROS 1 bag cannot hold".to_owned(),
     })?;
-    let mut stamp = Stamp::default();
-    stamp[..4].copy_from_slice(&seconds.to_le_bytes());
-    stamp[4..].copy_from_slice(&nanoseconds.to_le_bytes());
-    Ok(stamp)
+    let mut bytes = seconds.to_le_bytes().into_iter().chain(nanoseconds.to_le_bytes());
+    Ok(std::array::from_fn(|_| bytes.next().unwrap_or_default()))
 }
 
 /// The LZ4 frame that ROS writes: independent blocks of up to 4 MB and a checksum of the content.

@@ -100,28 +100,31 @@ fn unquoted(text: &str) -> String {
 pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut a_rest, mut b_rest) = (a, b);
     loop {
-        let (Some(x), Some(y)) = (a_rest.chars().next(), b_rest.chars().next()) else {
+        let (mut a_chars, mut b_chars) = (a_rest.chars(), b_rest.chars());
+        let (Some(x), Some(y)) = (a_chars.next(), b_chars.next()) else {
             return a_rest.len().cmp(&b_rest.len()).then_with(|| a.cmp(b));
         };
         if x.is_ascii_digit() && y.is_ascii_digit() {
-            let (x, y) = (leading_digits(a_rest), leading_digits(b_rest));
+            let ((x, a_behind), (y, b_behind)) = (split_digits(a_rest), split_digits(b_rest));
             let (x_value, y_value) = (x.trim_start_matches('0'), y.trim_start_matches('0'));
             let order = x_value.len().cmp(&y_value.len()).then_with(|| x_value.cmp(y_value));
             if order != Ordering::Equal {
                 return order;
             }
-            (a_rest, b_rest) = (&a_rest[x.len()..], &b_rest[y.len()..]);
+            (a_rest, b_rest) = (a_behind, b_behind);
         } else {
             if x != y {
                 return x.cmp(&y);
             }
-            (a_rest, b_rest) = (&a_rest[x.len_utf8()..], &b_rest[y.len_utf8()..]);
+            (a_rest, b_rest) = (a_chars.as_str(), b_chars.as_str());
         }
     }
 }
 
-fn leading_digits(text: &str) -> &str {
-    &text[..text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())]
+/// The digits that a text begins with, and what follows them.
+fn split_digits(text: &str) -> (&str, &str) {
+    let digits = text.bytes().take_while(u8::is_ascii_digit).count();
+    text.split_at_checked(digits).unwrap_or((text, ""))
 }
 
 #[cfg(test)]

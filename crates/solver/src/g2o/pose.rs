@@ -72,6 +72,14 @@ pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Outp
     ) -> Result<(FactorId, bool), ProblemError>;
 }
 
+/// Larger coordinates and angles make up no pose: sums of them along chains of edges, and squares of these, stay finite.
+const LARGEST: f64 = 1e100;
+
+/// Whether the numbers of a vertex or a measurement may make up a pose.
+fn may_be_pose(numbers: &[f64]) -> bool {
+    numbers.iter().all(|number| number.abs() <= LARGEST)
+}
+
 /// A symmetric information matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InformationMatrix<const N: usize>(pub na::SMatrix<f64, N, N>);

@@ -64,11 +64,11 @@ pub struct G2oRepairs {
     pub ignored_tags: BTreeMap<String, usize>,
     /// Vertices given again; the first counts.
     pub duplicate_vertices: usize,
-    /// Vertices with a number that is not finite, or with a quaternion without direction.
+    /// Vertices with a number that is not finite or immense, or with a quaternion without direction.
     pub unusable_vertices: usize,
     /// Vertices that only edges (or unusable lines) name; their poses follow from measurements.
     pub created_vertices: usize,
-    /// Edges with a number that is not finite, or with a quaternion without direction; dropped.
+    /// Edges with a number that is not finite or immense, or with a quaternion without direction; dropped.
     pub unusable_edges: usize,
     /// Edges from a vertex to itself; dropped.
     pub self_edges: usize,

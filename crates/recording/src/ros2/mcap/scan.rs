@@ -297,9 +297,9 @@ impl Scan<'_> {
             let connections = self.summary.channels.connections.keys();
             let channels = connections.filter_map(|id| u16::try_from(*id).ok()).collect();
             let format = McapFormat { channels };
-            if let Some(found) =
-                (0..block.len()).find(|place| plausible(&block[*place..], left - *place as u64, &format))
-            {
+            let mut places = suffixes(&block).enumerate();
+            let found = places.find(|(place, bytes)| plausible(bytes, left - *place as u64, &format));
+            if let Some((found, _)) = found {
                 return Ok(Some(at + found as u64));
             }
             at += block_bytes - OVERLAP;
@@ -307,6 +307,11 @@ impl Scan<'_> {
         }
         Ok(None)
     }
+}
+
+/// The bytes from each place to their end.
+fn suffixes(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
+    (0..bytes.len()).filter_map(|place| bytes.get(place..))
 }
 
 /// Whether bytes outside of chunks look like the start of a record, given how much of the file is left.

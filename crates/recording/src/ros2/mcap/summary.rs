@@ -65,7 +65,7 @@ pub(crate) fn read(file: &mut FileBytes) -> Result<Summary, RecordingError> {
     };
     let end = file.peek(footer_offset, FOOTER_BYTES as usize + MAGIC.len())?.to_vec();
     let mut text = Text::new(&end);
-    let footer = text.take(RECORD_HEAD_BYTES).map(|head| head[0]);
+    let footer = text.take(RECORD_HEAD_BYTES).and_then(|head| head.first().copied());
     let (Some(FOOTER), Some(start), Some(_offsets), Some(crc), MAGIC) =
         (footer, text.u64(), text.u64(), text.u32(), text.rest())
     else {

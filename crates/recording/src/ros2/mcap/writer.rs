@@ -6,8 +6,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::record::{
-    CHANNEL, CHUNK, CHUNK_INDEX, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, MESSAGE_HEAD_BYTES, MESSAGE_INDEX,
-    RECORD_HEAD_BYTES, SCHEMA, STATISTICS, SUMMARY_OFFSET,
+    CHANNEL, CHUNK, CHUNK_INDEX, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, MESSAGE_INDEX, RECORD_HEAD_BYTES,
+    SCHEMA, STATISTICS, SUMMARY_OFFSET,
 };
 use crate::output_file::OutputFile;
 use crate::{McapCompression, RecordedMessage, RecordingError, RecordingWriter};
@@ -195,10 +195,8 @@ impl RecordingWriter for McapWriter {
             *count += 1;
             *count as u32
         });
-        let mut head = RecordBytes::new(MESSAGE).u16(channel).u32(sequence).u64(time).u64(time).bytes;
-        let length = (MESSAGE_HEAD_BYTES + bytes.len()) as u64;
-        head[1..RECORD_HEAD_BYTES].copy_from_slice(&length.to_le_bytes());
-        self.chunk.records.extend_from_slice(&head);
+        let head = RecordBytes::new(MESSAGE).u16(channel).u32(sequence).u64(time).u64(time);
+        self.chunk.records.extend_from_slice(&head.finish_before(bytes.len()));
         self.chunk.records.extend_from_slice(&bytes);
         self.buffer = bytes;
         self.chunk.entries.entry(channel).or_default().push((time, offset));
@@ -239,14 +237,21 @@ struct RecordBytes {
 impl RecordBytes {
     /// A record; its length is set in the end.
     fn new(op: u8) -> Self {
-        let mut bytes = vec![0; RECORD_HEAD_BYTES];
-        bytes[0] = op;
-        Self { bytes }
+        let mut head = [0; RECORD_HEAD_BYTES];
+        head[0] = op;
+        Self { bytes: head.to_vec() }
     }
 
-    fn finish(mut self) -> Vec<u8> {
-        let length = (self.bytes.len() - RECORD_HEAD_BYTES) as u64;
-        self.bytes[1..RECORD_HEAD_BYTES].copy_from_slice(&length.to_le_bytes());
+    fn finish(self) -> Vec<u8> {
+        self.finish_before(0)
+    }
+
+    /// Sets the length of a record of which so many more bytes follow.
+    fn finish_before(mut self, more: usize) -> Vec<u8> {
+        let length = (self.bytes.len() - RECORD_HEAD_BYTES + more) as u64;
+        for (byte, value) in self.bytes.iter_mut().skip(1).zip(length.to_le_bytes()) {
+            *byte = value;
+        }
         self.bytes
     }
 

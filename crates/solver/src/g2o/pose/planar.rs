@@ -3,7 +3,7 @@
 use nalgebra as na;
 use portolan_geometry::{Rigid2, normalize_angle};
 
-use super::{GraphPose, InformationMatrix, symmetric};
+use super::{GraphPose, InformationMatrix, may_be_pose, symmetric};
 use crate::factors::{Se2BetweenInformation, Se3ErrorConvention, square_root_information};
 use crate::{FactorId, Loss, Problem, ProblemError, VariableId};
 
@@ -29,8 +29,7 @@ impl GraphPose for Rigid2 {
 
     fn from_numbers(numbers: &[f64]) -> Option<(Self, bool)> {
         let &[x, y, angle] = numbers else { return None };
-        let pose = Rigid2::new(x, y, angle);
-        pose.is_finite().then_some((pose, false))
+        may_be_pose(numbers).then_some((Rigid2::new(x, y, angle), false))
     }
 
     fn to_numbers(&self) -> Vec<f64> {

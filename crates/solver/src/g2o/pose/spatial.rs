@@ -3,7 +3,7 @@
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3};
 
-use super::{GraphPose, InformationMatrix, symmetric};
+use super::{GraphPose, InformationMatrix, may_be_pose, symmetric};
 use crate::factors::{Se3BetweenInformation, Se3ErrorConvention, square_root_information};
 use crate::{FactorId, Loss, Problem, ProblemError, VariableId};
 
@@ -31,7 +31,7 @@ impl GraphPose for Rigid3 {
         let q = na::Quaternion::new(qw, qx, qy, qz);
         let norm = q.norm();
         let pose = Rigid3::from_parts(na::Translation3::new(x, y, z), Quaternion::new_normalize(q));
-        let good = norm.is_finite() && norm > 1e-9 && pose.is_finite();
+        let good = may_be_pose(numbers) && norm > 1e-9 && pose.is_finite();
         good.then_some((pose, (norm - 1.0).abs() > 1e-3))
     }
 
