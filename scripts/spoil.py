@@ -1,0 +1,49 @@
+#!/usr/bin/env python3
+"""spoil.py LOG.clf.bz2 OUT.clf HOW : a CARMEN log made worse, as recordings of other people are.
+
+    third   every third scan                          half    every second beam
+    near    readings beyond 8 m see nothing           drop    half of the readings, at random, see nothing
+    noise   3 cm of noise on every reading            burst   40 of every 160 scans are missing
+
+Odometry stays as it is. Needs Python 3 alone.
+"""
+import bz2
+import random
+import sys
+
+NOTHING = "81.83"
+
+
+def spoilt(ranges, how, chance):
+    if how == "half":
+        return ranges[::2]
+    if how == "near":
+        return [r if float(r) < 8.0 else NOTHING for r in ranges]
+    if how == "drop":
+        return [r if chance.random() > 0.5 else NOTHING for r in ranges]
+    if how == "noise":
+        noisy = lambda r: max(0.05, float(r) + chance.gauss(0.0, 0.03))
+        return [f"{noisy(r):.3f}" if float(r) < 60.0 else r for r in ranges]
+    return ranges
+
+
+def main():
+    log, output, how = sys.argv[1:]
+    chance, count = random.Random(7), 0
+    with bz2.open(log, "rt", errors="replace") as lines, open(output, "w") as out:
+        for line in lines:
+            if line.startswith("FLASER"):
+                count += 1
+                if how == "third" and count % 3 or how == "burst" and count // 40 % 4 == 3:
+                    continue
+                words = line.split()
+                n = int(words[1])
+                ranges = spoilt(words[2 : 2 + n], how, chance)
+                line = " ".join(["FLASER", str(len(ranges)), *ranges, *words[2 + n :]]) + "\n"
+            out.write(line)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 4:
+        sys.exit(__doc__)
+    main()
