@@ -7,11 +7,14 @@ mod histogram;
 mod id;
 mod latency;
 mod local_slam;
+#[cfg(test)]
+mod made_rooms;
 mod map;
 mod mapper;
 mod node;
 mod open_directions;
 mod optimization;
+mod place_finder_2d;
 mod planar;
 mod planar_scan;
 mod plane_search;
@@ -50,7 +53,7 @@ pub use pose_graph::{
     PoseGraphPolicy, SearchCounts, SelfConsistency, SubmapEntry, TrajectoryConnectivity, TrajectoryEntry,
     TrajectoryState, TrimmedNode, TrimmedTies, Trimmer,
 };
-pub use space::{MatchAcceptance, MatchedPose, Nearby, SearchRegion, SearchWindow, Space};
+pub use space::{MatchAcceptance, MatchedPose, Nearby, PlaceFinder, SearchRegion, SearchWindow, Space};
 pub use spatial::{Spatial, SpatialMatcher};
 pub use submap_2d::{Inserter2d, Submap2d};
 pub use submap_3d::{Inserter3d, Scan3d, Submap3d};

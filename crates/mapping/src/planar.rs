@@ -9,10 +9,12 @@ use portolan_sensor::SensorId;
 
 use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
 use crate::optimization::{OptimizationData, OptimizationSummary, optimize_2d};
+use crate::place_finder_2d::PlanarPlaces;
 use crate::scan_matching_2d::{fast_matcher_options, gradient_matcher};
 use crate::submap_2d::Submap2d;
 use crate::{
-    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, SearchRegion, SearchWindow, Space,
+    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, PlaceFinder, SearchRegion, SearchWindow,
+    Space,
 };
 
 /// 2D mapping: poses (x, y, θ), grids of probabilities or signed distances.
@@ -36,6 +38,7 @@ impl Space for Planar {
     type LocalSlam = LocalSlam2d;
 
     const OPTIMIZES_WITH_IMU: bool = false;
+    const SEARCHES_WHOLE_MAPS: bool = true;
 
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam2d, MapperError> {
         let extras = LocalSlamExtras {
@@ -114,12 +117,18 @@ impl Space for Planar {
                     None => matcher.search.match_local(&guess, cloud, min_score),
                 }
             }
-            SearchRegion::WholeSubmap { acceptance } => {
+            SearchRegion::WholeSubmap { acceptance, around_guess } => {
                 let mut min_score = options.global_localization_min_score as f32;
                 if acceptance != MatchAcceptance::default() {
                     min_score = min_score.min(LEAST_OF_SOLIDITY * matcher.solidity);
                 }
-                matcher.search.match_full(cloud, min_score)
+                match around_guess {
+                    Some(SearchWindow { linear, angular }) => {
+                        let guess = local_from_submap * project_2d(guess_submap_from_node);
+                        matcher.search.match_within(&guess, cloud, min_score, linear, angular)
+                    }
+                    None => matcher.search.match_full(cloud, min_score),
+                }
             }
             SearchRegion::NearNodes { .. } => {
                 matcher.search.match_full(cloud, options.global_localization_min_score as f32)
@@ -128,13 +137,17 @@ impl Space for Planar {
         let refined =
             matcher.refinement.match_scan(found.pose.translation, &found.pose, cloud, &submap.grid).pose;
         let pose = if refined.is_finite() { refined } else { found.pose };
-        if let SearchRegion::Window { acceptance, .. } | SearchRegion::WholeSubmap { acceptance } = region
+        if let SearchRegion::Window { acceptance, .. } | SearchRegion::WholeSubmap { acceptance, .. } = region
             && !acceptance.accepts(scan_agreement(&submap.grid, &pose, cloud))
         {
             return None;
         }
         let submap_from_node = embed_3d(&(local_from_submap.inverse() * pose));
         Some(MatchedPose { submap_from_node, score: found.score })
+    }
+
+    fn place_finder(submaps: &[(Rigid3, &Submap2d)]) -> Option<Box<dyn PlaceFinder>> {
+        PlanarPlaces::new(submaps).map(|places| Box::new(places) as Box<dyn PlaceFinder>)
     }
 
     fn optimize(

@@ -131,9 +131,10 @@ fn add_region(question: &mut Fingerprint, region: &SearchRegion) {
             question.add((*travelled, *window));
             question.add([acceptance.min_explained, acceptance.max_contradiction]);
         }
-        SearchRegion::WholeSubmap { acceptance } => {
+        SearchRegion::WholeSubmap { acceptance, around_guess } => {
             question.add(1u32);
             question.add([acceptance.min_explained, acceptance.max_contradiction]);
+            question.add(*around_guess);
         }
         SearchRegion::NearNodes { level_from_submap, half_size } => {
             question.add(2u32);

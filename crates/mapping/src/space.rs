@@ -23,10 +23,12 @@ pub enum SearchRegion {
         /// What a match has to be like to be believed.
         acceptance: MatchAcceptance,
     },
-    /// Anywhere in the submap.
+    /// Anywhere in the submap, or near a guess that was made without knowing where the node is.
     WholeSubmap {
         /// Which matches are believed (2D).
         acceptance: MatchAcceptance,
+        /// How far around the guess, if a search of the whole map proposed the place; none: anywhere (2D).
+        around_guess: Option<SearchWindow>,
     },
     /// At any heading in the box around the guess (in 3D).
     NearNodes {
@@ -92,6 +94,13 @@ pub enum Nearby {
     Absent,
 }
 
+/// Finds scans anywhere in a map at once.
+pub trait PlaceFinder: Send + Sync {
+    /// Poses in the map, in the frame that constraints use, where the first of some scans may have been taken, the most
+    /// likely first. Each scan comes with its pose in the frame of the first.
+    fn find(&self, scans: &[(Rigid3, &NodeData)]) -> Vec<Rigid3>;
+}
+
 /// A space to map in: the planar or the full one. Poses cross this interface as [`Rigid3`].
 pub trait Space: Copy + Debug + Send + Sync + 'static {
     /// A submap as local SLAM builds it.
@@ -104,6 +113,9 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
 
     /// Whether the optimisation uses IMU samples, so that they are kept.
     const OPTIMIZES_WITH_IMU: bool;
+
+    /// Whether [`Space::place_finder`] finds places.
+    const SEARCHES_WHOLE_MAPS: bool = false;
 
     /// Memory for matchers that are kept between searches, bytes. In 2D building one takes a millisecond
     /// or two, keeping one a few megabytes.
@@ -177,6 +189,12 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
         region: SearchRegion,
         options: &ConstraintBuilderOptions,
     ) -> Option<MatchedPose>;
+
+    /// What finds scans anywhere in many submaps at once, given with their poses in the map; none where there is no such
+    /// thing (3D), or nothing to find scans by.
+    fn place_finder(_submaps: &[(Rigid3, &Self::Submap)]) -> Option<Box<dyn PlaceFinder>> {
+        None
+    }
 
     /// Moves submaps, nodes, landmarks and fixed-frame origins to where the constraints and
     /// measurements agree best.

@@ -60,7 +60,8 @@ impl MapDraft {
         // In 3D the search wants to know which way is up: the poses of the map do.
         let guess = self.guess::<S>(submap, node, &scan);
         let search = |options: &ConstraintBuilderOptions| {
-            let region = SearchRegion::WholeSubmap { acceptance: MatchAcceptance::default() };
+            let acceptance = MatchAcceptance::default();
+            let region = SearchRegion::WholeSubmap { acceptance, around_guess: None };
             S::find_node(&matcher, &grid, &scan, &guess, region, options)
         };
         let needed = options.global_localization_min_score;

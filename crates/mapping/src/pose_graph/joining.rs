@@ -13,6 +13,11 @@ use crate::{NodeId, Space, SubmapId, TrajectoryId, of_trajectory};
 /// all.
 const NODES_A_ROUND: usize = 8;
 const MOST_NODES: usize = 64;
+/// Where whole maps are searched, a piece is given up when so many of its nodes, evenly spread, were found nowhere.
+/// Assumed: a piece is worth tying if a quarter of it or more lies in the rest, and a node there is found at least every
+/// second time. Then all of them miss by chance in 4 of 100 such pieces, (1 − 1/8)^24; in 1 of 1000 if half of the piece
+/// lies there.
+const HOPELESS_NODES: usize = 24;
 /// Pairs that are tried around their guess once a trajectory has its place.
 const MOST_PAIRS: usize = 3000;
 /// Nodes closer together than this along their way tell the same, metres.
@@ -38,11 +43,13 @@ impl<S: Space> PoseGraph<S> {
         lost
     }
 
-    /// Looks for pieces of map that have no place in the rest yet, with scans from all over each.
+    /// Looks for pieces of map, and recordings, that have no place in the rest yet, with scans from all over each.
     pub(super) fn place_pieces(&mut self) {
-        for id in self.pieces.clone() {
+        let mut looked_for = self.pieces.clone();
+        looked_for.extend(self.places.looked_for());
+        for id in looked_for.iter().copied() {
             let part = self.state.connectivity.members(id);
-            let is_placed = part.iter().any(|member| !self.pieces.contains(member));
+            let is_placed = part.iter().any(|member| !looked_for.contains(member));
             if !is_placed && of_trajectory(&self.state.nodes, id).next().is_some() {
                 self.place(id, &part.into_iter().collect());
             }
@@ -75,22 +82,31 @@ impl<S: Space> PoseGraph<S> {
             .filter(|i| seen.insert(*i))
             .filter_map(|i| nodes.get(i).copied());
         let spread: Vec<NodeId> = spread.collect();
-        for round in spread.chunks(NODES_A_ROUND) {
-            if self.is_joined(id, joining) {
+        let parts = self.searched_parts(joining);
+        let mut is_found = false;
+        for (i, round) in spread.chunks(NODES_A_ROUND).enumerate() {
+            let is_hopeless = S::SEARCHES_WHOLE_MAPS && !is_found && i * NODES_A_ROUND >= HOPELESS_NODES;
+            if self.is_joined(id, joining) || is_hopeless {
                 return;
             }
-            for (submap_id, node_id) in self.pairs(round, |id| !joining.contains(&id)) {
-                let (guess, region) = self.anywhere(node_id, submap_id);
-                let (Some(entry), Some(node)) =
-                    (self.state.submaps.get(&submap_id), self.state.nodes.get(&node_id))
-                else {
-                    continue;
-                };
-                let Some(submap) = &entry.submap else { continue };
-                self.search.add_global((submap_id, submap), (node_id, &node.data), guess, region);
+            if S::SEARCHES_WHOLE_MAPS {
+                self.add_proposed(round, &parts);
+            } else {
+                self.add_everywhere(round, joining);
             }
             let found = self.search.run_unplaced(&self.remembered);
+            is_found |= !found.is_empty();
             self.add_found(found);
+        }
+    }
+
+    /// Schedules the search for nodes in each submap of the rest.
+    fn add_everywhere(&mut self, node_ids: &[NodeId], joining: &BTreeSet<TrajectoryId>) {
+        for (submap_id, node_id) in self.pairs(node_ids, |id| !joining.contains(&id)) {
+            let (guess, region) = self.anywhere(node_id, submap_id);
+            if let Some((submap, node)) = self.state.pair(submap_id, node_id) {
+                self.search.add_global(submap, node, guess, region);
+            }
         }
     }
 
@@ -118,13 +134,9 @@ impl<S: Space> PoseGraph<S> {
         let share = (MOST_PAIRS as f64 / near.len().max(1) as f64).min(1.0);
         let Ok(mut sampler) = FixedRatioSampler::new(share) else { return };
         for (submap_id, node_id, guess) in near.into_iter().filter(|_| sampler.pulse()) {
-            let (Some(entry), Some(node)) =
-                (self.state.submaps.get(&submap_id), self.state.nodes.get(&node_id))
-            else {
-                continue;
-            };
-            let Some(submap) = &entry.submap else { continue };
-            self.search.add_unsampled((submap_id, submap), (node_id, &node.data), guess);
+            if let Some((submap, node)) = self.state.pair(submap_id, node_id) {
+                self.search.add_unsampled(submap, node, guess);
+            }
         }
         // Every pair tells something of how the two lie, however short the path over others is.
         self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.policy.loops });

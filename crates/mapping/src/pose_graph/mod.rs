@@ -13,6 +13,7 @@ mod final_search;
 mod joining;
 mod localisation;
 mod matcher_cache;
+mod places;
 mod policy;
 mod redrawing;
 mod sampling;
@@ -39,6 +40,7 @@ use travel::TravelGraph;
 pub use trimming::Trimmer;
 
 use localisation::Localisation;
+use places::PlaceSearches;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::{Rigid3, Time};
 use portolan_recall::Memory;
@@ -87,6 +89,7 @@ pub struct PoseGraph<S: Space> {
     problem: OptimizationData,
     search: ConstraintSearch<S>,
     whole_submaps: WholeSubmapTurns,
+    places: PlaceSearches,
     trimmers: Vec<Trimmer>,
     nodes_since_optimization: i64,
     policy: PoseGraphPolicy,
@@ -110,6 +113,7 @@ impl<S: Space> PoseGraph<S> {
         Self {
             search: ConstraintSearch::new(options.constraint_builder.clone()),
             whole_submaps: WholeSubmapTurns::new(options.global_sampling_ratio),
+            places: PlaceSearches::default(),
             options,
             state: GraphState::default(),
             problem: OptimizationData::default(),
@@ -186,6 +190,7 @@ impl<S: Space> PoseGraph<S> {
         for submap_id in self.searchable_submaps() {
             self.consider(node_id, submap_id);
         }
+        self.look_everywhere(node_id);
         if let (Some(oldest), Some(id)) = (inserted.submaps.first(), submap_ids.first())
             && let Some(submap) = &oldest.finished
         {
@@ -341,6 +346,9 @@ impl<S: Space> PoseGraph<S> {
             let map_from_node = self.problem.nodes[&node_id].map_from_node;
             let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
             self.search.add_local((submap_id, submap), (node_id, &node.data), guess, way);
+            return;
+        }
+        if self.searches_whole_maps() {
             return;
         }
         let before = node_id.index.checked_sub(1).map(|index| NodeId::new(a, index));

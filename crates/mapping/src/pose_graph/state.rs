@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time};
 
-use crate::{Constraint, Node, NodeId, Space, SubmapId, TrajectoryConnectivity, TrajectoryId};
+use crate::{Constraint, Node, NodeData, NodeId, Space, SubmapId, TrajectoryConnectivity, TrajectoryId};
 
 /// Life of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,6 +93,9 @@ impl Default for TrajectoryEntry {
     }
 }
 
+/// A submap and a node that are matched.
+type Pair<'a, S> = ((SubmapId, &'a Arc<<S as Space>::Submap>), (NodeId, &'a Arc<NodeData>));
+
 /// Nodes, submaps, constraints and trajectories.
 #[derive(Clone, Debug)]
 pub struct GraphState<S: Space> {
@@ -146,6 +149,12 @@ impl<S: Space> GraphState<S> {
     pub fn time_of_last_node(&self, submap: &SubmapEntry<S>) -> Option<Time> {
         let last = submap.node_ids.iter().next_back()?;
         self.nodes.get(last).map(|n| n.data.time)
+    }
+
+    /// A pair to be matched: a submap that is in memory, and a node; none if either is gone.
+    pub(super) fn pair(&self, submap_id: SubmapId, node_id: NodeId) -> Option<Pair<'_, S>> {
+        let submap = self.submaps.get(&submap_id)?.submap.as_ref()?;
+        Some(((submap_id, submap), (node_id, &self.nodes.get(&node_id)?.data)))
     }
 
     /// Transform from the local map of a trajectory to the global map: by its last optimised submap,

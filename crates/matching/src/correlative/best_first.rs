@@ -3,6 +3,8 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
+use super::bucket_queue::BucketQueue;
+
 /// Boxes of placements that can be bounded and split.
 pub(crate) trait Branching {
     /// One placement of a scan. The order decides among boxes that promise the same.
@@ -33,6 +35,8 @@ pub(crate) struct Best<P> {
     lookups_left: u64,
     /// Everything nearly as good as the best, where that is wanted.
     several: Option<Several<P>>,
+    /// Placements that were offered and wait for their turn, where they are wanted in order.
+    in_order: Option<Vec<Node<P>>>,
 }
 
 /// Placements that score at least a fraction of the best score.
@@ -88,7 +92,14 @@ impl<P: Copy + Ord> Best<P> {
             max_ties: MAX_TIES,
             lookups_left: MAX_LOOKUPS,
             several: None,
+            in_order: None,
         }
+    }
+
+    /// Nothing yet; wanted is what scores above `min_score`, placement by placement from the best one down. After so many
+    /// look-ups of cells the search ends with what it has.
+    pub fn in_order_above(min_score: f32, lookups: u64) -> Self {
+        Self { lookups_left: lookups, in_order: Some(Vec::new()), ..Self::above(min_score) }
     }
 
     /// Nothing yet; wanted is all that scores above `min_score` and above `share` of the best score. After
@@ -108,6 +119,9 @@ impl<P: Copy + Ord> Best<P> {
     pub fn is_promising(&self, bound: f32) -> bool {
         if let Some(several) = &self.several {
             return bound > several.floor && self.lookups_left > 0;
+        }
+        if self.in_order.is_some() {
+            return bound > self.score && self.lookups_left > 0;
         }
         let is_better = bound > self.score || (bound == self.score && self.collects_ties());
         is_better && self.lookups_left > 0
@@ -129,6 +143,9 @@ impl<P: Copy + Ord> Best<P> {
     pub fn offer(&mut self, placement: P, score: f32) {
         if let Some(several) = &mut self.several {
             several.offer(placement, score);
+        } else if let Some(waiting) = &mut self.in_order {
+            let wanted = score > self.score;
+            waiting.extend(wanted.then_some(Node { bound: score, exponent: 0, first: placement }));
         } else if score > self.score {
             self.score = score;
             self.placements.clear();
@@ -210,6 +227,50 @@ fn search_best_first<B: Branching>(boxes: &mut B, best: &mut Best<B::Placement>)
         && best.is_promising(node.bound)
     {
         split(boxes, &node, best, &mut waiting);
+    }
+}
+
+/// Who takes placements from the best one down.
+pub(crate) trait Taker<P> {
+    /// Whether nothing in this box is wanted, because of what was taken already.
+    fn is_needless(&self, node: &Node<P>) -> bool;
+
+    /// Takes the best placement that is left. From then on only larger scores than the one returned are wanted; none: it is
+    /// enough.
+    fn take(&mut self, score: f32, placement: P) -> Option<f32>;
+}
+
+/// Hands over placements from the best one down, without looking at more boxes than the last one needs; no score is above
+/// `highest`. Returns how many of the look-ups that [`Best::in_order_above`] allows are left; none if they were too few to
+/// look at all that was wanted.
+pub(crate) fn best_first_in_order<B: Branching>(
+    boxes: &mut B,
+    mut best: Best<B::Placement>,
+    highest: f32,
+    taker: &mut impl Taker<B::Placement>,
+) -> u64 {
+    let mut waiting = BucketQueue::new(best.score, highest);
+    boxes.roots(&mut best, &mut |node| waiting.push(node));
+    loop {
+        best.in_order.iter_mut().flat_map(|offered| offered.drain(..)).for_each(|node| waiting.push(node));
+        let Some(node) = waiting.pop() else { return best.lookups_left };
+        if node.bound <= best.score {
+            continue;
+        }
+        if taker.is_needless(&node) {
+            continue;
+        }
+        if node.exponent > 0 {
+            // Once the look-ups are used up only placements are left to be handed over.
+            if best.lookups_left > 0 {
+                boxes.split(&node, &mut best, &mut |part| waiting.push(part));
+            }
+            continue;
+        }
+        match taker.take(node.bound, node.first) {
+            Some(floor) => best.score = best.score.max(floor),
+            None => return best.lookups_left,
+        }
     }
 }
 
@@ -336,6 +397,38 @@ mod tests {
         };
         let all = best_first_several(&mut Line(score, 0), Best::several_above(0.1, 0.7, 1 << 20));
         assert_eq!(all, [(0.9, 700), (0.8, 20), (0.8, 300)]);
+    }
+
+    /// Takes so many, none within 10 of another.
+    struct Spaced(usize, Vec<(f32, u32)>);
+
+    impl Taker<u32> for Spaced {
+        fn is_needless(&self, node: &Node<u32>) -> bool {
+            let last = node.first + (1 << node.exponent) - 1;
+            self.1.iter().any(|(_, taken)| taken.abs_diff(node.first) < 10 && taken.abs_diff(last) < 10)
+        }
+
+        fn take(&mut self, score: f32, placement: u32) -> Option<f32> {
+            self.1.push((score, placement));
+            (self.1.len() < self.0).then_some(0.5 * self.1[0].0)
+        }
+    }
+
+    #[test]
+    fn placements_come_from_the_best_one_down_and_no_two_together() {
+        let score = |i: u32| match i {
+            700 => 0.9,
+            695..705 => 0.85,
+            20 | 300 => 0.8,
+            _ => 0.3,
+        };
+        let (mut line, mut taken) = (Line(score, 0), Spaced(9, Vec::new()));
+        assert!(best_first_in_order(&mut line, Best::in_order_above(0.1, 1 << 20), 1.0, &mut taken) > 0);
+        assert_eq!(taken.1, [(0.9, 700), (0.8, 20), (0.8, 300)], "the rest is below half of the best");
+        let (mut line, mut taken) = (Line(score, 0), Spaced(2, Vec::new()));
+        assert!(best_first_in_order(&mut line, Best::in_order_above(0.1, 1 << 20), 1.0, &mut taken) > 0);
+        assert_eq!(taken.1, [(0.9, 700), (0.8, 20)]);
+        assert!(line.1 < 120, "{} of 1024 were looked at", line.1);
     }
 
     #[test]

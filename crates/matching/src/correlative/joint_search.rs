@@ -2,7 +2,9 @@
 
 use std::ops::Range;
 
-use super::best_first::{self, Branching, Node, best_first, best_first_several};
+use super::best_first::{
+    self, Branching, Node, Taker, beam, best_first, best_first_in_order, best_first_several,
+};
 use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
 use super::search_window::SearchWindow;
@@ -26,6 +28,10 @@ pub(crate) struct Region {
 pub(crate) trait Objective {
     /// No placement of `region` scores more, if none has a larger sum than `byte_sum`.
     fn bound(&self, byte_sum: u32, region: &Region) -> f32;
+    /// Whether placements of `region` need to be looked at: cheaper than a bound.
+    fn is_open(&self, _region: &Region) -> bool {
+        true
+    }
     /// Offers the placements of `region`, all of the same scan, with their scores. If it is a single
     /// placement, `byte_sum` is its sum.
     fn score(&self, region: &Region, byte_sum: u32, scans: &mut RotatedScans, best: &mut Best);
@@ -50,6 +56,8 @@ pub(crate) enum ShiftBounds {
     Window,
     /// Those that put at least `min_inside` points inside a grid of this size in x and in y.
     Overlap { size: [i32; 2], min_inside: usize },
+    /// Those that put the scanner, which is in the cell with these indices when it is not shifted, inside such a grid.
+    OriginInside { size: [i32; 2], origin: [i32; 2] },
 }
 
 /// Points with the same uncertainty of place within a group of angles.
@@ -117,6 +125,18 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         best_first_several(self, Best::several_above(min_score, share, lookups))
     }
 
+    /// Hands over placements that score above `min_score`, none above 1, from the best one down. Returns how many of so many
+    /// look-ups of cells are left; none if they were too few.
+    pub fn run_in_order(&mut self, min_score: f32, lookups: u64, taker: &mut impl Taker<Placement>) -> u64 {
+        best_first_in_order(self, Best::in_order_above(min_score, lookups), 1.0, taker)
+    }
+
+    /// A good placement above `min_score`, not always the best one: of the boxes of each size only the `width` most
+    /// promising ones are split.
+    pub fn run_beam(&mut self, min_score: f32, width: usize) -> (f32, Vec<Placement>) {
+        beam(self, Best::single_above(min_score), width)
+    }
+
     /// Shifts along each axis in a box.
     fn num_shifts(&self, exponent: u32) -> i32 {
         1 << exponent.max(self.leaf_exponent)
@@ -133,22 +153,21 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         hand_on: &mut dyn FnMut(Node<Placement>),
     ) {
         let width = self.num_shifts(exponent);
-        if !best.charge(4 * self.scans.num_points()) {
+        let last_scan = (first.scan + (1i32 << exponent)).min(self.window.num_scans()) - 1;
+        let regions: [Option<Region>; 4] = std::array::from_fn(|i| {
+            let x = first.x + width * (i as i32 >> 1);
+            let y = first.y + width * (i as i32 & 1);
+            let last =
+                Placement { scan: last_scan, x: (x + width).min(end[0]) - 1, y: (y + width).min(end[1]) - 1 };
+            let region = Region { first: Placement { x, y, ..first }, last };
+            (x < end[0] && y < end[1] && self.objective.is_open(&region)).then_some(region)
+        });
+        if regions.iter().all(Option::is_none) || !best.charge(4 * self.scans.num_points()) {
             return;
         }
         let sums = self.group_sums(first, exponent);
-        for (i, sum) in sums.into_iter().enumerate() {
-            let x = first.x + width * (i as i32 >> 1);
-            let y = first.y + width * (i as i32 & 1);
-            if x >= end[0] || y >= end[1] {
-                continue;
-            }
-            let last = Placement {
-                scan: (first.scan + (1i32 << exponent)).min(self.window.num_scans()) - 1,
-                x: (x + width).min(end[0]) - 1,
-                y: (y + width).min(end[1]) - 1,
-            };
-            let region = Region { first: Placement { x, y, ..first }, last };
+        for (region, sum) in regions.into_iter().zip(sums) {
+            let Some(region) = region else { continue };
             let bound = self.objective.bound(sum, &region);
             if best.is_promising(bound) {
                 match exponent {
@@ -196,7 +215,13 @@ impl<'a, O: Objective> JointSearch<'a, O> {
     /// The shifts of all scans of a group, in x and y.
     fn shifts_of_group(&mut self, scan: i32, exponent: u32) -> [Range<i32>; 2] {
         let n = self.window.num_linear;
-        let ShiftBounds::Overlap { size, min_inside } = self.shifts else { return [-n..n + 1, -n..n + 1] };
+        let (size, min_inside) = match self.shifts {
+            ShiftBounds::Window => return [-n..n + 1, -n..n + 1],
+            ShiftBounds::OriginInside { size, origin } => {
+                return [0, 1].map(|axis| (-origin[axis]).max(-n)..(size[axis] - origin[axis]).min(n + 1));
+            }
+            ShiftBounds::Overlap { size, min_inside } => (size, min_inside),
+        };
         let middle = (scan + (1i32 << exponent) / 2).min(self.window.num_scans() - 1);
         let smear = self.segments[exponent as usize].iter().map(|s| s.smear).max().unwrap_or(0);
         overlap(self.scans.cells(middle), size, min_inside, smear, &mut self.scratch)

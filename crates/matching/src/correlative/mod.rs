@@ -6,6 +6,7 @@
 //! placement. Boxes are split eightfold as long as their bound is not below the best score found.
 
 mod best_first;
+mod bucket_queue;
 mod byte_score;
 mod joint_search;
 mod max_pyramid;
@@ -14,6 +15,8 @@ mod search_window;
 
 mod fast2d;
 mod fast3d;
+mod place_grid;
+mod place_index;
 mod real_time2d;
 mod real_time3d;
 mod rotational;
@@ -23,6 +26,7 @@ pub use fast3d::{
     FastCorrelativeMatcher3d, FastCorrelativeOptions3d, FastMatch3d, NodeToFind, SearchReach3d,
     SubmapToSearch, judge_placement_3d,
 };
+pub use place_index::{FoundPlaces2d, PlaceIndex2d, WantedPlaces};
 pub use real_time2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
 pub use real_time3d::RealTimeCorrelativeMatcher3d;
 pub use rotational::{histogram_similarity, rotate_histogram, rotational_histogram};

@@ -1,0 +1,103 @@
+//! Where in a planar map a stretch of way was seen: all submaps searched at once.
+
+use portolan_geometry::{Point3f, Rigid2, Rigid3, Vector2, embed_3d, project_2d};
+use portolan_matching::{PlaceIndex2d, WantedPlaces};
+use portolan_sensor::{PointCloud, voxel_filter_points};
+
+use crate::{NodeData, PlaceFinder, Submap2d};
+
+/// Edge of a cell of the index, metres: walls of rooms and corridors are apart by several of them.
+const CELL: f64 = 0.2;
+/// Points farther from the first scan than this, metres, are left out: they would ask for more headings, and the far end of
+/// a stretch of way is bent against its middle.
+const REACH: f32 = 25.0;
+/// What is proposed for a stretch of way, chosen in docs/experiments/2026-11-place-index.md.
+const WANTED: WantedPlaces = WantedPlaces {
+    min_score: 0.5,
+    share_of_best: 0.75,
+    separation: (0.8, 0.26),
+    most: 12,
+    most_points: 160,
+    lookups: 2_000_000_000,
+};
+
+/// Finds stretches of way in a planar map.
+pub(crate) struct PlanarPlaces {
+    index: PlaceIndex2d,
+}
+
+impl PlanarPlaces {
+    /// In submaps with these poses in the map; none if there is nothing to find scans by.
+    pub fn new(submaps: &[(Rigid3, &Submap2d)]) -> Option<Self> {
+        let grids: Vec<_> = submaps
+            .iter()
+            .map(|(map_from_submap, submap)| {
+                let grid_from_submap = project_2d(&submap.local_from_submap);
+                (&submap.grid, project_2d(map_from_submap) * grid_from_submap.inverse())
+            })
+            .collect();
+        let index = PlaceIndex2d::new(&grids, CELL).ok().flatten()?;
+        Some(Self { index })
+    }
+}
+
+impl PlaceFinder for PlanarPlaces {
+    fn find(&self, scans: &[(Rigid3, &NodeData)]) -> Vec<Rigid3> {
+        let found = self.index.find(&joint_cloud(scans), &WANTED);
+        found.places.iter().map(|place| embed_3d(&place.pose)).collect()
+    }
+}
+
+/// All scans in the frame of the first, one point in each cell.
+fn joint_cloud(scans: &[(Rigid3, &NodeData)]) -> PointCloud {
+    let mut points: Vec<Point3f> = Vec::new();
+    for (first_from_scan, node) in scans {
+        let first_from_scan: Rigid2 = project_2d(first_from_scan);
+        let cloud = &node.filtered_gravity_aligned_point_cloud.points;
+        let moved = cloud.iter().map(|p| {
+            first_from_scan.transform_point(&Vector2::new(f64::from(p.x), f64::from(p.y))).cast::<f32>()
+        });
+        points.extend(moved.filter(|p| p.norm() < REACH).map(|p| Point3f::new(p.x, p.y, 0.0)));
+    }
+    PointCloud::new(voxel_filter_points(&points, CELL as f32))
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::Vector3;
+
+    use super::*;
+    use crate::made_rooms::{node, submap};
+
+    #[test]
+    fn a_stretch_of_way_is_found_in_the_submap_that_saw_it() {
+        let (large, small) = ((9.0, 7.0), (6.0, 5.0));
+        let pose = Rigid3::new(Vector3::new(30.0, -5.0, 0.0), Vector3::z() * 2.0);
+        let submaps = [submap(large), submap(small), submap(large)];
+        let poses = [Rigid3::translation(-20.0, 0.0, 0.0), pose, Rigid3::translation(0.0, 25.0, 0.0)];
+        let placed: Vec<_> = poses.into_iter().zip(&submaps).collect();
+        let places = PlanarPlaces::new(&placed).unwrap();
+        let (here, there) = (node(small, (0.5, -0.8)), node(small, (-1.0, 0.2)));
+        let step = Rigid3::translation(-1.5, 1.0, 0.0);
+        let found = places.find(&[(Rigid3::identity(), &here), (step, &there)]);
+        let truth = pose * Rigid3::translation(0.5, -0.8, 0.0);
+        let off = truth.inverse() * found[0];
+        assert!(off.translation.vector.norm() < 0.3 && off.rotation.angle() < 0.06, "{off:?}");
+        assert!(PlanarPlaces::new(&[]).is_none());
+    }
+
+    #[test]
+    fn what_was_seen_in_two_places_alike_is_proposed_in_both() {
+        let size = (9.0, 7.0);
+        let submaps = [submap(size), submap(size)];
+        let poses = [Rigid3::identity(), Rigid3::translation(25.0, 3.0, 0.0)];
+        let placed: Vec<_> = poses.into_iter().zip(&submaps).collect();
+        let here = node(size, (1.0, 1.0));
+        let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)]);
+        for pose in poses {
+            let truth = pose * Rigid3::translation(1.0, 1.0, 0.0);
+            let off = |place: &Rigid3| (place.translation.vector - truth.translation.vector).norm();
+            assert!(found.iter().any(|place| off(place) < 0.3), "{pose:?}: {found:?}");
+        }
+    }
+}

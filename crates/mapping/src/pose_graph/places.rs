@@ -1,0 +1,197 @@
+//! Nodes of a piece of map looked for in all submaps of another one at once.
+//!
+//! A search of the whole map proposes places for the stretch of way around a node; the matcher of single submaps judges
+//! them, as it judges everything else, by the scan of that node alone. So what is believed does not depend on the index;
+//! it only spares searching submaps in which nothing is.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use portolan_geometry::{Rigid3, Vector3};
+use rayon::prelude::*;
+
+use super::PoseGraph;
+use crate::{
+    NodeData, NodeId, PlaceFinder, SearchRegion, SearchWindow, Space, SubmapId, TrajectoryId, of_trajectory,
+};
+
+/// Scans so far along the way to either side of a node, metres, show what is around it; no more than one in so many metres.
+const STRETCH: f64 = 4.0;
+const SCAN_SPACING: f64 = 0.5;
+/// A place is judged in so many submaps: those whose nodes came nearest to it.
+const SUBMAPS_A_PLACE: usize = 2;
+/// How far around a proposed place it is judged: half of a diagonal of its cells and headings, and as much as the submaps of
+/// a place disagree before the last optimisation.
+const AROUND_PROPOSAL: SearchWindow = SearchWindow { linear: 0.5, angular: 0.09 };
+
+/// Parts of the map are made ready again when they have grown by this fraction.
+const GROWTH: f64 = 0.1;
+
+/// A connected part of the map that nodes are looked for in.
+pub(super) struct SearchedPart {
+    finder: Box<dyn PlaceFinder>,
+    /// Submaps, their poses in the map, and where their nodes are.
+    submaps: Vec<(SubmapId, Rigid3, Vec<Vector3>)>,
+}
+
+impl SearchedPart {
+    /// The submaps whose nodes came nearest to a pose, the nearest first.
+    fn submaps_near(&self, pose: &Rigid3) -> impl Iterator<Item = (SubmapId, Rigid3)> {
+        let at = pose.translation.vector;
+        let distance =
+            |nodes: &[Vector3]| nodes.iter().map(|n| (n - at).norm()).fold(f64::INFINITY, f64::min);
+        let mut near: Vec<(f64, SubmapId, Rigid3)> =
+            self.submaps.iter().map(|(id, pose, nodes)| (distance(nodes), *id, *pose)).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.into_iter().take(SUBMAPS_A_PLACE).map(|(_, id, pose)| (id, pose))
+    }
+}
+
+/// What is searched for the nodes of trajectories without a place, while they are being recorded.
+#[derive(Default)]
+pub(super) struct PlaceSearches {
+    ready: Option<ReadyParts>,
+    /// How far along its trajectory the last node was that was looked for, metres.
+    last: BTreeMap<TrajectoryId, f64>,
+}
+
+impl PlaceSearches {
+    /// The trajectories whose nodes were looked for.
+    pub fn looked_for(&self) -> impl Iterator<Item = TrajectoryId> {
+        self.last.keys().copied()
+    }
+}
+
+/// Parts of the map, as they were when they were made ready.
+struct ReadyParts {
+    /// The trajectories without which they are.
+    without: BTreeSet<TrajectoryId>,
+    /// How many submaps were complete.
+    complete: usize,
+    parts: Vec<SearchedPart>,
+}
+
+impl<S: Space> PoseGraph<S> {
+    /// Whether trajectories without a place are looked for in whole maps at once.
+    pub(super) fn searches_whole_maps(&self) -> bool {
+        S::SEARCHES_WHOLE_MAPS && self.policy.loops.whole_submaps_per_metre > 0.0
+    }
+
+    /// Schedules the search for a new node in the parts of the map that its trajectory is not connected with, once in so many
+    /// metres of way as nodes are searched in a submap.
+    pub(super) fn look_everywhere(&mut self, node_id: NodeId) {
+        let id = node_id.trajectory_id;
+        if !self.searches_whole_maps() || self.state.connectivity.components().len() < 2 {
+            return;
+        }
+        let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
+        let last = self.places.last.entry(id).or_insert(way);
+        if way - *last < self.policy.loops.spacing.max(SCAN_SPACING) {
+            return;
+        }
+        *last = way;
+        let without: BTreeSet<TrajectoryId> = self.state.connectivity.members(id).into_iter().collect();
+        let ready = self.ready_parts(without);
+        self.add_proposed(&[node_id], &ready.parts);
+        self.places.ready = Some(ready);
+    }
+
+    /// The parts that are ready, or new ones where they are others by now, or have grown.
+    fn ready_parts(&mut self, without: BTreeSet<TrajectoryId>) -> ReadyParts {
+        let submaps = self.state.submaps.iter();
+        let complete = submaps
+            .filter(|(id, entry)| entry.insertion_finished && !without.contains(&id.trajectory_id))
+            .count();
+        let is_as_before = |ready: &ReadyParts| {
+            let most = ready.complete as f64 * (1.0 + GROWTH);
+            ready.without == without && (ready.complete..=most as usize).contains(&complete)
+        };
+        self.places.ready.take().filter(is_as_before).unwrap_or_else(|| {
+            let parts = self.searched_parts(&without);
+            ReadyParts { without, complete, parts }
+        })
+    }
+
+    /// The parts of the map without some trajectories, ready to be searched; none where whole maps cannot be searched.
+    pub(super) fn searched_parts(&self, without: &BTreeSet<TrajectoryId>) -> Vec<SearchedPart> {
+        let parts = self.state.connectivity.components().into_iter().map(|mut part| {
+            part.retain(|id| !without.contains(id));
+            part
+        });
+        parts.filter_map(|part| self.searched_part(&part)).collect()
+    }
+
+    fn searched_part(&self, part: &[TrajectoryId]) -> Option<SearchedPart> {
+        let complete = part.iter().flat_map(|id| of_trajectory(&self.state.submaps, *id));
+        let complete = complete.filter(|(_, entry)| entry.insertion_finished);
+        let (mut grids, mut submaps) = (Vec::new(), Vec::new());
+        for (id, entry) in complete {
+            let (Some(submap), Some(pose)) = (&entry.submap, self.problem.submaps.get(&id)) else { continue };
+            let nodes = entry.node_ids.iter().filter_map(|id| self.problem.nodes.get(id));
+            let mut places: Vec<Vector3> = nodes.map(|node| node.map_from_node.translation.vector).collect();
+            if places.is_empty() {
+                places.push(pose.translation.vector);
+            }
+            grids.push((*pose, &**submap));
+            submaps.push((id, *pose, places));
+        }
+        Some(SearchedPart { finder: S::place_finder(&grids)?, submaps })
+    }
+
+    /// Schedules the search for nodes where whole parts of the map propose them.
+    pub(super) fn add_proposed(&mut self, node_ids: &[NodeId], parts: &[SearchedPart]) {
+        let proposed: Vec<Vec<(NodeId, SubmapId, Rigid3)>> =
+            node_ids.par_iter().map(|node_id| self.proposals(*node_id, parts)).collect();
+        let region = SearchRegion::WholeSubmap {
+            acceptance: self.policy.loops.acceptance,
+            around_guess: Some(AROUND_PROPOSAL),
+        };
+        for (node_id, submap_id, guess) in proposed.into_iter().flatten() {
+            if let Some((submap, node)) = self.state.pair(submap_id, node_id) {
+                self.search.add_global(submap, node, guess, region);
+            }
+        }
+    }
+
+    /// Submaps in which a node may be, and where.
+    fn proposals(&self, node_id: NodeId, parts: &[SearchedPart]) -> Vec<(NodeId, SubmapId, Rigid3)> {
+        let scans = self.stretch_around(node_id);
+        let mut proposals = Vec::new();
+        for part in parts {
+            for map_from_node in part.finder.find(&scans) {
+                let near = part.submaps_near(&map_from_node);
+                proposals.extend(near.map(|(id, pose)| (node_id, id, pose.inverse() * map_from_node)));
+            }
+        }
+        proposals
+    }
+
+    /// The scan of a node and those around it along the way, with their poses in its frame.
+    fn stretch_around(&self, node_id: NodeId) -> Vec<(Rigid3, &NodeData)> {
+        let pose = |id: &NodeId| self.problem.nodes.get(id).map(|node| node.map_from_node);
+        let (Some(node), Some(map_from_node), Some(middle)) =
+            (self.state.nodes.get(&node_id), pose(&node_id), self.ways.get(&node_id).copied())
+        else {
+            return Vec::new();
+        };
+        let mut scans = vec![(Rigid3::identity(), &*node.data)];
+        let earlier = self.ways.range(..node_id).rev();
+        let later = self.ways.range(node_id..).skip(1);
+        for side in [&mut earlier.into_iter() as &mut dyn Iterator<Item = _>, &mut later.into_iter()] {
+            let mut last = middle;
+            for (id, way) in side {
+                if id.trajectory_id != node_id.trajectory_id || (way - middle).abs() > STRETCH {
+                    break;
+                }
+                if (way - last).abs() < SCAN_SPACING {
+                    continue;
+                }
+                last = *way;
+                let (Some(other), Some(map_from_other)) = (self.state.nodes.get(id), pose(id)) else {
+                    continue;
+                };
+                scans.push((map_from_node.inverse() * map_from_other, &*other.data));
+            }
+        }
+        scans
+    }
+}

@@ -1,0 +1,195 @@
+use portolan_geometry::Vector2;
+
+use super::*;
+use crate::grid::{CellIndex, ProbabilityGrid};
+use crate::testing::Lcg;
+
+const WANTED: WantedPlaces = WantedPlaces {
+    min_score: 0.3,
+    share_of_best: 0.8,
+    separation: (0.8, 0.26),
+    most: 8,
+    most_points: 200,
+    lookups: 1 << 40,
+};
+
+/// A room of 8 m by 6 m around its middle with boxes in it, which a seed decides.
+fn room(seed: u32) -> (ProbabilityGrid, PointCloud) {
+    let limits = MapLimits::new(0.05, Vector2::new(5.0, 4.0), 160, 200).unwrap();
+    let mut grid = ProbabilityGrid::new(limits);
+    let mut lcg = Lcg::new(seed);
+    let boxes: Vec<[f32; 4]> = (0..6)
+        .map(|_| {
+            let (x, y) = (7.0 * lcg.unit() - 3.5, 5.0 * lcg.unit() - 2.5);
+            [x, y, x + 0.3 + lcg.unit(), y + 0.3 + lcg.unit()]
+        })
+        .filter(|[x, y, to_x, to_y]| x.hypot(*y) > 2.0 || to_x.hypot(*to_y) > 2.0)
+        .collect();
+    let is_solid = |x: f32, y: f32| {
+        let in_box = boxes.iter().any(|b| (b[0]..b[2]).contains(&x) && (b[1]..b[3]).contains(&y));
+        in_box || x.abs() > 3.9 || y.abs() > 2.9
+    };
+    let mut points = Vec::new();
+    for beam in 0..360u16 {
+        let (sin, cos) = f32::from(beam).to_radians().sin_cos();
+        let end = (1..200).map(|i| 0.025 * f32::from(i as u16)).find(|r| is_solid(r * cos, r * sin));
+        let Some(range) = end else { continue };
+        points.push(Point3f::new(range * cos, range * sin, 0.0));
+        for i in 0..(range / 0.04) as u16 {
+            let at = 0.04 * f32::from(i);
+            grid.set_probability(limits.cell_index(nalgebra::Vector2::new(at * cos, at * sin)), 0.2);
+        }
+    }
+    for p in &points {
+        grid.set_probability(limits.cell_index(p.coords.xy()), 0.9);
+    }
+    (grid, PointCloud::new(points))
+}
+
+/// Rooms side by side, each turned, and where they lie.
+fn rooms(seeds: &[u32]) -> Vec<(Grid2d, Rigid2, PointCloud)> {
+    let columns = (seeds.len() as f64).sqrt().ceil() as usize;
+    let place =
+        |i: usize| Rigid2::new(11.0 * (i % columns) as f64, 11.0 * (i / columns) as f64, 0.7 * i as f64);
+    let lay = |(i, seed): (usize, &u32)| {
+        let (grid, cloud) = room(*seed);
+        (Grid2d::Probability(grid), place(i), cloud)
+    };
+    seeds.iter().enumerate().map(lay).collect()
+}
+
+fn index_of(rooms: &[(Grid2d, Rigid2, PointCloud)]) -> PlaceIndex2d {
+    let grids: Vec<_> = rooms.iter().map(|(grid, pose, _)| (grid, *pose)).collect();
+    PlaceIndex2d::new(&grids, 0.2).unwrap().unwrap()
+}
+
+fn is_at(found: &MatchResult<Rigid2>, pose: &Rigid2) -> bool {
+    (found.pose.translation - pose.translation).norm() < 0.4
+        && normalize_angle(found.pose.angle - pose.angle).abs() < 0.1
+}
+
+#[test]
+fn each_room_is_found_among_others() {
+    let rooms = rooms(&(0..16).collect::<Vec<_>>());
+    let index = index_of(&rooms);
+    for (_, pose, cloud) in &rooms {
+        let found = index.find(cloud, &WANTED);
+        assert!(found.is_complete && is_at(&found.places[0], pose), "{pose:?}: {found:?}");
+        assert!(found.places[0].score > 0.6, "{found:?}");
+    }
+}
+
+#[test]
+fn rooms_that_look_alike_are_all_told_and_no_place_twice() {
+    let rooms = rooms(&[1, 2, 1, 3, 1]);
+    let found = index_of(&rooms).find(&rooms[0].2, &WANTED);
+    for room in [0, 2, 4] {
+        assert_eq!(found.places.iter().filter(|p| is_at(p, &rooms[room].1)).count(), 1, "{room}: {found:?}");
+    }
+    for (i, a) in found.places.iter().enumerate() {
+        for b in &found.places[..i] {
+            let apart = (a.pose.translation - b.pose.translation).norm();
+            let turned = normalize_angle(a.pose.angle - b.pose.angle).abs();
+            assert!(apart >= WANTED.separation.0 || turned >= WANTED.separation.1, "{found:?}");
+            assert!(a.score <= b.score);
+        }
+    }
+}
+
+/// What a search through all placements finds.
+fn best_of_all(index: &PlaceIndex2d, cloud: &PointCloud) -> f32 {
+    let wanted = WantedPlaces { most_points: 60, ..WANTED };
+    let stride = cloud.points.len().div_ceil(wanted.most_points);
+    let points: Vec<Point3f> = cloud.points.iter().copied().step_by(stride).collect();
+    let window = SearchWindow::new(&points, 0.2, 0.0, std::f64::consts::PI);
+    let centre = Rigid2 { translation: index.limits.max(), angle: 0.0 };
+    let mut scans = RotatedScans::new(&points, &centre, window, index.limits, [0, 0]);
+    let origin = index.limits.cell_index(centre.translation.cast::<f32>());
+    let cells = CellIndex::new(index.limits.num_x_cells() as i32, index.limits.num_y_cells() as i32);
+    let mut best = f32::MIN;
+    for scan in 0..window.num_scans() {
+        let turned = scans.cells(scan).to_vec();
+        for (x, y) in (0..cells.x).flat_map(|x| (0..cells.y).map(move |y| (x, y))) {
+            if index.free.level(0).at(x, y) > 0 {
+                let sum = index.pyramid.level(0).sum(&turned, x - origin.x, y - origin.y);
+                best = best.max(index.score.of(sum, points.len()));
+            }
+        }
+    }
+    best
+}
+
+#[test]
+fn nothing_better_is_missed() {
+    let rooms = rooms(&[4, 5]);
+    let index = index_of(&rooms);
+    let wanted = WantedPlaces { most: 1, min_score: 0.0, most_points: 60, ..WANTED };
+    for seed in [4, 6, 7] {
+        let (_, cloud) = room(seed);
+        let found = index.find(&cloud, &wanted);
+        assert_eq!(found.places[0].score, best_of_all(&index, &cloud), "{seed}");
+    }
+}
+
+#[test]
+fn what_is_not_in_the_map_is_not_found() {
+    let index = index_of(&rooms(&[1, 2, 3]));
+    let strange = PointCloud::new((0..100).map(|i| Point3f::new(0.2 * i as f32, 1.0, 0.0)).collect());
+    let wanted = WantedPlaces { min_score: 0.5, ..WANTED };
+    assert_eq!(index.find(&strange, &wanted).places, []);
+    assert!(index.find(&PointCloud::default(), &WANTED).places.is_empty());
+    assert!(PlaceIndex2d::new(&[], 0.2).unwrap().is_none());
+}
+
+#[test]
+fn the_cost_of_a_search_grows_no_faster_than_the_map() {
+    let [small, large] = [20, 200].map(|count| {
+        let rooms = rooms(&(0..count).collect::<Vec<_>>());
+        let found = index_of(&rooms).find(&rooms[7].2, &WANTED);
+        assert!(is_at(&found.places[0], &rooms[7].1), "{found:?}");
+        found.lookups
+    });
+    assert!(large < 12 * small, "{small} and {large} look-ups");
+}
+
+/// Run by hand: `cargo test --release -p portolan-matching place_index -- --ignored --nocapture`.
+#[test]
+#[ignore = "takes long, and times are for people"]
+fn how_long_a_search_takes_in_large_maps() {
+    for count in [50, 500, 5000] {
+        let rooms = rooms(&(0..count).collect::<Vec<_>>());
+        let begin = std::time::Instant::now();
+        let index = index_of(&rooms);
+        let made = begin.elapsed();
+        let unknown = room(99_999).1;
+        for (name, cloud) in [("known", &rooms[7].2), ("unknown", &unknown)] {
+            for min_score in [0.3, 0.5] {
+                let begin = std::time::Instant::now();
+                let found = index.find(cloud, &WantedPlaces { min_score, ..WANTED });
+                let (took, scores) =
+                    (begin.elapsed(), found.places.iter().map(|p| p.score).collect::<Vec<_>>());
+                std::println!(
+                    "{count} rooms, cells {} m, made in {made:?}, {name} above {min_score}: {took:?}, {} look-ups, {scores:?}",
+                    index.resolution(),
+                    found.lookups
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn too_few_look_ups_are_told() {
+    let rooms = rooms(&[1, 2, 3]);
+    let found = index_of(&rooms).find(&rooms[0].2, &WantedPlaces { lookups: 10_000, ..WANTED });
+    assert!(!found.is_complete);
+}
+
+#[test]
+fn very_wide_maps_get_larger_cells() {
+    let rooms = rooms(&[1]);
+    let far = [(&rooms[0].0, Rigid2::identity()), (&rooms[0].0, Rigid2::new(5000.0, 100.0, 0.0))];
+    let narrow = PlaceIndex2d::new(&far[..1], 0.2).unwrap().unwrap();
+    let wide = PlaceIndex2d::new(&far, 0.01).unwrap().unwrap();
+    assert!(narrow.resolution() == 0.2 && wide.resolution() > 0.1 && wide.memory_bytes() < 1 << 30);
+}
