@@ -29,8 +29,18 @@ pub struct PlanarMatcher {
     refinement: GradientMatcher2d,
 }
 
-/// A scan that scores less than this fraction of the probability of solid cells explains too little.
-const LEAST_OF_SOLIDITY: f32 = 0.68;
+/// Beams that are not explained score so much of the probability of solid cells, all together: they end in cells that are
+/// not quite free.
+const SCORE_OF_OTHERS: f32 = 0.03;
+/// Nothing is searched that explains fewer beams than wrong places do.
+const LEAST_EXPLAINED: f32 = 0.25;
+
+impl PlanarMatcher {
+    /// A scan that scores less explains too little.
+    fn least_score(&self, acceptance: MatchAcceptance) -> f32 {
+        (acceptance.min_explained.max(LEAST_EXPLAINED) + SCORE_OF_OTHERS) * self.solidity
+    }
+}
 
 impl Space for Planar {
     type Submap = Submap2d;
@@ -106,12 +116,12 @@ impl Space for Planar {
         let local_from_submap = project_2d(&submap.local_from_submap);
         let cloud = &node.filtered_gravity_aligned_point_cloud;
         let found = match region {
-            SearchRegion::Window { window, .. } => {
+            SearchRegion::Window { window, acceptance, .. } => {
                 let guess = local_from_submap * project_2d(guess_submap_from_node);
                 let min_score = options.min_score as f32;
                 match window {
                     Some(SearchWindow { linear, angular }) => {
-                        let min_score = min_score.min(LEAST_OF_SOLIDITY * matcher.solidity);
+                        let min_score = min_score.min(matcher.least_score(acceptance));
                         matcher.search.match_within(&guess, cloud, min_score, linear, angular)
                     }
                     None => matcher.search.match_local(&guess, cloud, min_score),
@@ -120,7 +130,7 @@ impl Space for Planar {
             SearchRegion::WholeSubmap { acceptance, around_guess } => {
                 let mut min_score = options.global_localization_min_score as f32;
                 if acceptance != MatchAcceptance::default() {
-                    min_score = min_score.min(LEAST_OF_SOLIDITY * matcher.solidity);
+                    min_score = min_score.min(matcher.least_score(acceptance));
                 }
                 match around_guess {
                     Some(SearchWindow { linear, angular }) => {

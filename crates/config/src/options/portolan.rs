@@ -39,11 +39,11 @@ options! {
         /// that are. 0 takes `sampling_ratio` instead, as Cartographer does. Lower it when loops are missed.
         loop_search_spacing: f64 = 0.0, "m", Bounds::within(0.0, 1000.0);
         /// In 2D: fraction of the beams of a node that must end at something solid that the submap knows, for a
-        /// loop closure to be believed. 0 asks only for the score, as Cartographer does. Lower it when loops
+        /// loop closure to be believed; where scans explain less than 0.8 on the way, proportionally less. 0 asks only for the score, as Cartographer does. Lower it when loops
         /// are missed where scans overlap little.
         loop_min_explained: f64 = 0.0, "fraction", Bounds::UNIT;
         /// In 2D: fraction of the beams of a node that may contradict the submap, ending where it is free or
-        /// passing through what is solid, in all beams about which it knows something. 1 does not look, as
+        /// passing through what is solid, in all beams about which it knows something; more where more is contradicted on the way. 1 does not look, as
         /// Cartographer. Lower it when wrong loop closures are made, raise it where much has moved.
         loop_max_contradiction: f64 = 1.0, "fraction", Bounds::UNIT;
         /// In 2D: where scans are more than 0.25 m apart a submap is full after a path of this length, too, however few

@@ -139,9 +139,9 @@ impl<S: Space> PoseGraph<S> {
             }
         }
         // Every pair tells something of how the two lie, however short the path over others is.
-        self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.policy.loops });
+        self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.loop_search() });
         let found = self.search.run(&TravelGraph::new(&self.state), &self.remembered);
-        self.search.set_policy(self.policy.loops);
+        self.search.set_policy(self.loop_search());
         self.add_found(found);
     }
 

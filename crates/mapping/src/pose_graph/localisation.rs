@@ -65,7 +65,7 @@ impl<S: Space> PoseGraph<S> {
         let near_nodes = self.localisation.is_wanted.then(|| self.near_nodes(node_id, submap_id)).flatten();
         near_nodes.unwrap_or((
             Rigid3::identity(),
-            SearchRegion::WholeSubmap { acceptance: self.policy.loops.acceptance, around_guess: None },
+            SearchRegion::WholeSubmap { acceptance: self.loop_search().acceptance, around_guess: None },
         ))
     }
 

@@ -22,6 +22,7 @@ mod self_consistency;
 mod state;
 mod travel;
 mod trimming;
+mod usual_agreement;
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -38,11 +39,13 @@ pub use state::{
 };
 use travel::TravelGraph;
 pub use trimming::Trimmer;
+use usual_agreement::UsualAgreement;
 
 use localisation::Localisation;
 use places::PlaceSearches;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::{Rigid3, Time};
+use portolan_matching::ScanAgreement;
 use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
 use sampling::WholeSubmapTurns;
@@ -76,6 +79,8 @@ pub struct InsertedNode<S: Space> {
     pub submaps: Vec<InsertionSubmap<S>>,
     /// What its scan left open.
     pub open: OpenDirections,
+    /// How the map agreed with its scan before it was drawn (2D); none where there was nothing to compare with.
+    pub agreement: Option<ScanAgreement>,
 }
 
 /// Nodes this far apart at most, metres and radians, and at least so many seconds, were measured standing.
@@ -90,6 +95,7 @@ pub struct PoseGraph<S: Space> {
     search: ConstraintSearch<S>,
     whole_submaps: WholeSubmapTurns,
     places: PlaceSearches,
+    usual_agreement: UsualAgreement,
     trimmers: Vec<Trimmer>,
     nodes_since_optimization: i64,
     policy: PoseGraphPolicy,
@@ -114,6 +120,7 @@ impl<S: Space> PoseGraph<S> {
             search: ConstraintSearch::new(options.constraint_builder.clone()),
             whole_submaps: WholeSubmapTurns::new(options.global_sampling_ratio),
             places: PlaceSearches::default(),
+            usual_agreement: UsualAgreement::default(),
             options,
             state: GraphState::default(),
             problem: OptimizationData::default(),
@@ -184,6 +191,10 @@ impl<S: Space> PoseGraph<S> {
     /// optimises.
     pub fn add_node(&mut self, trajectory_id: TrajectoryId, inserted: InsertedNode<S>) -> NodeId {
         self.remembered.note_node(trajectory_id, &inserted);
+        if let Some(agreement) = &inserted.agreement {
+            self.usual_agreement.add(agreement);
+            self.search.set_policy(self.loop_search());
+        }
         let node_id = self.append_node(trajectory_id, &inserted.data);
         let submap_ids = self.register_submaps(trajectory_id, &inserted);
         self.place_node(node_id, &inserted, &submap_ids);
@@ -206,6 +217,12 @@ impl<S: Space> PoseGraph<S> {
             self.optimize();
         }
         node_id
+    }
+
+    /// How far and how often is searched, and which matches are believed after what was seen so far.
+    fn loop_search(&self) -> LoopSearchPolicy {
+        let loops = self.policy.loops;
+        LoopSearchPolicy { acceptance: self.usual_agreement.acceptance(loops.acceptance), ..loops }
     }
 
     fn append_node(&mut self, trajectory_id: TrajectoryId, data: &Arc<NodeData>) -> NodeId {

@@ -142,7 +142,7 @@ impl<S: Space> PoseGraph<S> {
         let proposed: Vec<Vec<(NodeId, SubmapId, Rigid3)>> =
             node_ids.par_iter().map(|node_id| self.proposals(*node_id, parts)).collect();
         let region = SearchRegion::WholeSubmap {
-            acceptance: self.policy.loops.acceptance,
+            acceptance: self.loop_search().acceptance,
             around_guess: Some(AROUND_PROPOSAL),
         };
         for (node_id, submap_id, guess) in proposed.into_iter().flatten() {

@@ -79,7 +79,7 @@ impl KeyframeInsertion {
             local_from_tracking,
             range_data_in_local,
             measured: Vec::new(),
-            inserted: Some(InsertedNode { data: Arc::new(data), submaps, open }),
+            inserted: Some(InsertedNode { data: Arc::new(data), submaps, open, agreement: None }),
             lost: None,
         }
     }

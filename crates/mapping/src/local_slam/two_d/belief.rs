@@ -65,8 +65,13 @@ impl Belief {
     }
 }
 
+/// Whether the map tells next to nothing of where a scan was taken that agrees with it like this.
+pub(super) fn is_hardly_explained(agreement: &ScanAgreement) -> bool {
+    agreement.explained < EXPLAINED
+}
+
 fn fits_badly(agreement: &ScanAgreement) -> bool {
-    agreement.contradicted() >= CONTRADICTED_IN_SPITE_OF_ODOMETRY && agreement.explained < EXPLAINED
+    agreement.contradicted() >= CONTRADICTED_IN_SPITE_OF_ODOMETRY && is_hardly_explained(agreement)
 }
 
 /// Whether what the map knows of a place says that the scan was not taken there, whatever moved meanwhile.

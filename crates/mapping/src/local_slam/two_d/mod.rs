@@ -232,7 +232,9 @@ impl LocalSlam2d {
         } else {
             self.last_sure = pose;
             (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
-                self.insert(time, [scan, &range_data_in_local], matching_cloud, local_from_tracking, gravity)
+                let scans = [scan, &range_data_in_local];
+                let inserted = self.insert(time, scans, matching_cloud, local_from_tracking, gravity);
+                InsertedNode { agreement: found.agreement, ..inserted }
             })
         };
         let measured = Vec::new();
@@ -317,7 +319,7 @@ impl LocalSlam2d {
             local_from_tracking,
             scan: self.extras.keep_scans.then(|| PlanarScan::new(scan)),
         });
-        InsertedNode { data, submaps, open: Default::default() }
+        InsertedNode { data, submaps, open: Default::default(), agreement: None }
     }
 }
 

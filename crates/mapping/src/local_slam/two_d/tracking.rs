@@ -10,6 +10,7 @@ use portolan_recall::Memory;
 use portolan_sensor::PointCloud;
 
 use super::LocalSlamExtras;
+use super::belief::is_hardly_explained;
 use super::degeneracy::WeakDirection;
 use super::odometry_scale::OdometryScale;
 use super::posterior::MotionPrior;
@@ -147,18 +148,7 @@ impl Tracker {
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion.to(&prediction));
         let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
-        let (mut found, mut is_far) = (near.found, false);
-        if near.is_at_edge(window) || found.score.is_some_and(|score| self.usual_score.is_low(score)) {
-            let wide = self.search((&scan, cloud), near.around, wide_window(window, motion));
-            let prior = self.prior(near.around, motion);
-            // A prediction that nothing measured is no witness.
-            let predicted = motion.is_measured.then_some(near.around);
-            match most_likely(&prior, [predicted, Some(found.pose), Some(wide.pose)], &scan) {
-                Some(0) => found.pose = near.around,
-                Some(2) => (found, is_far) = (wide, true),
-                _ => {}
-            }
-        }
+        let (found, is_far) = self.most_likely(&near, motion, (&scan, cloud), window);
         if let Some(score) = found.score {
             self.usual_score.add(score);
         }
@@ -173,6 +163,33 @@ impl Tracker {
         }
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud);
         Found { pose, is_far, agreement }
+    }
+
+    /// What was found near the prediction, or something likelier, and whether that is far: the prediction itself, or, where
+    /// a good match is expected elsewhere, what is found as far as the scanner can have moved.
+    fn most_likely(
+        &self,
+        near: &Hypothesis,
+        motion: Motion,
+        (scan, cloud): (&Scan, &PointCloud),
+        window: SearchWindow,
+    ) -> (ScanMatch2d, bool) {
+        let found = near.found;
+        let is_low = found.score.is_some_and(|score| self.usual_score.is_low(score));
+        let wide = (is_low || near.is_at_edge(window))
+            .then(|| self.search((scan, cloud), near.around, wide_window(window, motion)));
+        let agreement = || scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
+        if wide.is_none() && !agreement().is_some_and(|agreement| is_hardly_explained(&agreement)) {
+            return (found, false);
+        }
+        // A prediction that nothing measured is no witness.
+        let predicted = motion.is_measured.then_some(near.around);
+        let prior = self.prior(near.around, motion);
+        match (most_likely(&prior, [predicted, Some(found.pose), wide.map(|w| w.pose)], scan), wide) {
+            (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, false),
+            (Some(2), Some(wide)) => (wide, true),
+            _ => (found, false),
+        }
     }
 
     /// The best match around what may have happened: it went on as before, or, where nothing was measured for long,
