@@ -105,6 +105,13 @@ impl Field {
     }
 }
 
+/// Where singles that follow each other begin, if these are such.
+fn singles_at(fields: &[Field; 3]) -> Option<usize> {
+    let [x, y, z] = fields.map(|field| field.offset);
+    let are_singles = fields.iter().all(|field| field.field_type == FieldType::Float32);
+    (are_singles && y == x.checked_add(4)? && z == y.checked_add(4)?).then_some(x)
+}
+
 /// Where the values of a point are.
 #[derive(Clone, Debug)]
 pub struct CloudLayout {
@@ -113,6 +120,8 @@ pub struct CloudLayout {
     intensity: Option<Field>,
     step: usize,
     is_bigendian: bool,
+    /// Where the coordinates begin if they are little-endian singles one after the other, as they nearly always are.
+    singles_at: Option<usize>,
     /// Metres in one unit of the coordinates.
     length_unit: f32,
 }
@@ -135,12 +144,14 @@ impl CloudLayout {
                 intensity = find(name)?;
             }
         }
+        let xyz = [coordinate("x")?, coordinate("y")?, coordinate("z")?];
         Ok(Self {
-            xyz: [coordinate("x")?, coordinate("y")?, coordinate("z")?],
+            xyz,
             time,
             intensity,
             step,
             is_bigendian: cloud.is_bigendian,
+            singles_at: singles_at(&xyz).filter(|_| !cloud.is_bigendian),
             length_unit: 1.0,
         })
     }
@@ -156,7 +167,14 @@ impl CloudLayout {
         self.length_unit
     }
 
+    #[inline]
     fn position(&self, point: &[u8]) -> Point3f {
+        if let Some(begin) = self.singles_at
+            && let Some(bytes) = point.get(begin..begin + 12)
+            && let (&[x, y, z], []) = bytes.as_chunks::<4>()
+        {
+            return Point3f::from([x, y, z].map(|bytes| self.length_unit * f32::from_le_bytes(bytes)));
+        }
         let [x, y, z] = self.xyz.map(|field| self.length_unit * field.single(point, self.is_bigendian));
         Point3f::new(x, y, z)
     }

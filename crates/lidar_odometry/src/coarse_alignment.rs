@@ -10,40 +10,71 @@ use portolan_spatial::VoxelHash;
 
 use crate::settings::CoarseAlignmentSettings;
 
-/// The pose near `initial` at which the points of a scan lie nearest to those of a reference, given in the
-/// frame of the reference. None if they hardly overlap. Points on level ground should be left out:
-/// the rings in which beams meet it move with the scanner.
-pub(crate) fn coarse_alignment(
-    reference: &[Point3f],
-    scan: &[Point3f],
-    initial: &Rigid3,
-    settings: &CoarseAlignmentSettings,
-) -> Option<Rigid3> {
-    let stride = scan.len().div_ceil(settings.max_points.max(1)).max(1);
-    let scan: Vec<Point3f> = scan.iter().copied().step_by(stride).collect();
-    let mut pose = *initial;
-    for edge in settings.cells {
-        let cells = Cells::new(reference, edge, settings.points_per_cell);
-        for _ in 0..settings.iterations {
-            let step = step(&cells, &scan, &pose, settings.min_pairs)?;
-            let turn = quaternion_from_angle_axis(&step.fixed_rows::<3>(3).into_owned());
-            let translation: Vector3 = step.fixed_rows::<3>(0).into();
-            pose = Rigid3::from_parts(
-                (pose.translation.vector + translation).into(),
-                Quaternion::new_normalize((turn * pose.rotation).into_inner()),
-            );
-            if step.norm() < settings.converged {
-                break;
+/// What scans are aligned to.
+pub(crate) struct CoarseReference {
+    /// The same points in cells of each size.
+    sizes: [Cells; 3],
+}
+
+impl CoarseReference {
+    /// Of points in metres. Points on level ground should be left out: the rings in which beams meet it move with the
+    /// scanner.
+    pub fn new(points: &[Point3f], settings: &CoarseAlignmentSettings) -> Self {
+        Self { sizes: settings.cells.map(|edge| Cells::new(points, edge, settings.points_per_cell)) }
+    }
+
+    /// The pose near `initial` at which the points of a scan lie nearest to these, in their frame. None if they hardly
+    /// overlap. Points on level ground should be left out there, too.
+    pub fn align(
+        &self,
+        scan: &[Point3f],
+        initial: &Rigid3,
+        settings: &CoarseAlignmentSettings,
+    ) -> Option<Rigid3> {
+        let stride = scan.len().div_ceil(settings.max_points.max(1)).max(1);
+        let scan: Vec<Point3f> = scan.iter().copied().step_by(stride).collect();
+        let mut pose = *initial;
+        for cells in &self.sizes {
+            for _ in 0..settings.iterations {
+                let step = step(cells, &scan, &pose, settings.min_pairs)?;
+                let turn = quaternion_from_angle_axis(&step.fixed_rows::<3>(3).into_owned());
+                let translation: Vector3 = step.fixed_rows::<3>(0).into();
+                pose = Rigid3::from_parts(
+                    (pose.translation.vector + translation).into(),
+                    Quaternion::new_normalize((turn * pose.rotation).into_inner()),
+                );
+                if step.norm() < settings.converged {
+                    break;
+                }
             }
         }
+        Some(pose)
     }
-    Some(pose)
 }
 
 struct Cells {
     edge: f32,
     points: VoxelHash<Vec<Point3f>>,
 }
+
+/// A cell and its neighbours, those first that are likely to be near.
+const AROUND: [[i32; 3]; 27] = {
+    let mut around = [[0; 3]; 27];
+    let (mut filled, mut sides) = (0, 0);
+    while sides <= 3 {
+        let mut i = 0;
+        while i < 27 {
+            let cell = [i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1];
+            if cell[0] * cell[0] + cell[1] * cell[1] + cell[2] * cell[2] == sides {
+                around[filled] = cell;
+                filled += 1;
+            }
+            i += 1;
+        }
+        sides += 1;
+    }
+    around
+};
 
 impl Cells {
     fn new(reference: &[Point3f], edge: f32, points_per_cell: usize) -> Self {
@@ -61,14 +92,31 @@ impl Cells {
         [point.x, point.y, point.z].map(|v| (v / self.edge).floor() as i32)
     }
 
+    /// The nearest point in the cell around a place and in its neighbours. Cells that are farther than the nearest point so
+    /// far are passed by.
     fn nearest(&self, place: &Point3f) -> Option<Point3f> {
-        let [x, y, z] = self.cell(place);
-        let around = (x.saturating_sub(1)..=x.saturating_add(1)).flat_map(|x| {
-            (y.saturating_sub(1)..=y.saturating_add(1))
-                .flat_map(move |y| (z.saturating_sub(1)..=z.saturating_add(1)).map(move |z| [x, y, z]))
-        });
-        let candidates = around.filter_map(|cell| self.points.get(&cell)).flatten();
-        candidates.min_by(|a, b| (*a - place).norm_squared().total_cmp(&(*b - place).norm_squared())).copied()
+        let cell = self.cell(place);
+        // Squared distances from the cells before, at and after the place along each axis.
+        let mut off = [[0.0; 3]; 3];
+        for axis in 0..3 {
+            let inside = place[axis] - cell[axis] as f32 * self.edge;
+            off[axis] = [inside * inside, 0.0, (self.edge - inside) * (self.edge - inside)];
+        }
+        let (mut nearest, mut least) = (None, f32::INFINITY);
+        for side in AROUND {
+            let [x, y, z] = [0, 1, 2].map(|axis| off[axis][(side[axis] + 1) as usize]);
+            if x + y + z > least {
+                continue;
+            }
+            let key = [0, 1, 2].map(|axis| cell[axis].saturating_add(side[axis]));
+            for point in self.points.get(&key).into_iter().flatten() {
+                let squared = (point - place).norm_squared();
+                if squared < least {
+                    (nearest, least) = (Some(*point), squared);
+                }
+            }
+        }
+        nearest
     }
 }
 
@@ -113,7 +161,8 @@ mod tests {
         let expected = Rigid3::new(Vector3::new(1.6, 0.1, 0.0), Vector3::z() * 0.03);
         let scan: Vec<Point3f> = street.iter().map(|p| to_f32(&expected.inverse()) * p).collect();
         let align = |reference: &[Point3f], scan: &[Point3f]| {
-            coarse_alignment(reference, scan, &Rigid3::identity(), &CoarseAlignmentSettings::default())
+            let settings = CoarseAlignmentSettings::default();
+            CoarseReference::new(reference, &settings).align(scan, &Rigid3::identity(), &settings)
         };
         let found = align(&street, &scan).unwrap();
         assert!((found.inverse() * expected).translation.vector.norm() < 0.02, "{found}");

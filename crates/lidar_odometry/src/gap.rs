@@ -10,10 +10,11 @@ use portolan_geometry::{
 };
 
 use crate::initialise::{FirstSweeps, RotationAt, Start};
+use crate::issues::Issues;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
-use crate::tracker::Tracker;
+use crate::tracker::{RegisteredSweep, Tracker};
 
 /// Velocities in the tracking frame.
 #[derive(Clone, Copy, Debug)]
@@ -74,11 +75,13 @@ fn best(
     sweeps: &[Sweep],
     motions: Vec<GapMotion>,
 ) -> NextSweep {
-    let fit_of = |motion| tracker.fork().total_fit(motion, sweeps);
-    let mut best = (NextSweep::AsPredicted, fit_of(None) * settings.hypotheses.better_after_gap);
+    let fit_better = |least, motion| {
+        tracker.fork().fit_better(least, motion, sweeps, &mut Issues::default(), drop::<RegisteredSweep>)
+    };
+    let as_predicted = fit_better(f64::NEG_INFINITY, None).unwrap_or(0.0);
+    let mut best = (NextSweep::AsPredicted, as_predicted * settings.hypotheses.better_after_gap);
     for motion in motions {
-        let fit = fit_of(Some(motion));
-        if fit > best.1 {
+        if let Some(fit) = fit_better(best.1, Some(motion)) {
             best = (NextSweep::After(motion), fit);
         }
     }

@@ -9,7 +9,7 @@ use portolan_geometry::{
 };
 use portolan_sensor::voxel_filter_points;
 
-use crate::coarse_alignment::coarse_alignment;
+use crate::coarse_alignment::CoarseReference;
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::PlaneMap;
 use crate::registration::{PosePrior, Registration, Sigmas};
@@ -17,6 +17,10 @@ use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::{CoarseAlignmentSettings, OdometrySettings, RegistrationSettings};
 use crate::sweep::Sweep;
 use crate::vertical::vertical_from_planes;
+
+/// Motions that fit by less than this share of what hypotheses need, as sweeps came, are not followed: de-skewing changes
+/// how well sweeps fit by a fifth (docs/experiments/2026-11-cpu-time.md).
+const PROMISING: f64 = 0.75;
 
 /// The rotation at a time, from the tracking frame to a gravity-aligned one.
 pub(crate) type RotationAt<'a> = dyn Fn(Time) -> Quaternion + 'a;
@@ -94,18 +98,21 @@ impl<'a> FirstSweeps<'a> {
         let still = Self::new(first, rotation_at, settings, start);
         let reference = still.reference();
         let Some(second) = second.filter(|s| s.end > first.end) else {
-            return vec![still.leveled(&reference)];
+            return vec![still.leveled(&reference.planes)];
         };
         let seconds = second.end.seconds_since(first.end);
         let same_velocity = settings.initialisation.same_motion / seconds;
         let mut found: Vec<(Start, f64)> = Vec::new();
-        for coarse in still.coarse_motions(&reference, second) {
-            let (start, fit) = still.clone().followed(&reference, second, coarse);
+        for relative in still.first_looks(&reference, second) {
+            let (start, fit) = still.clone().followed(relative, second);
             let is_known =
                 |(other, _): &(Start, f64)| (other.velocity - start.velocity).norm() < same_velocity;
             if !found.iter().any(is_known) {
                 found.push((start, fit));
             }
+        }
+        if found.is_empty() {
+            return vec![still.leveled(&reference.planes)];
         }
         let best = found.iter().map(|(_, fit)| *fit).fold(0.0, f64::max);
         found.retain(|(_, fit)| *fit >= settings.initialisation.similar_fit * best);
@@ -113,14 +120,37 @@ impl<'a> FirstSweeps<'a> {
         found.into_iter().map(|(start, _)| start).take(settings.initialisation.max_hypotheses).collect()
     }
 
+    /// The second sweep registered to the first from wherever it may lie, both as they came: results that differ, and fit
+    /// well enough to be followed.
+    fn first_looks(&self, reference: &Reference, second: &Sweep) -> Vec<Relative> {
+        let deskewed = self.deskewed(second);
+        let points = voxel_filter_points(&deskewed, self.settings.initialisation.spacing);
+        let same_motion = self.settings.initialisation.same_motion;
+        let mut found: Vec<Relative> = Vec::new();
+        for coarse in self.coarse_motions(reference, &deskewed, second) {
+            let Some(relative) = self.motion(&reference.planes, &points, second, coarse) else { continue };
+            let place = relative.motion.translation.vector;
+            if found.iter().all(|other| (other.motion.translation.vector - place).norm() >= same_motion) {
+                found.push(relative);
+            }
+        }
+        let best = found.iter().map(|relative| relative.fit).fold(0.0, f64::max);
+        found.retain(|relative| relative.fit >= PROMISING * self.settings.initialisation.similar_fit * best);
+        found
+    }
+
     /// Where the second sweep may lie, coarsely: what is found from rest, and what is found from elsewhere and differs.
-    fn coarse_motions(&self, reference: &Reference, second: &Sweep) -> Vec<Option<Rigid3>> {
-        let own = Reference::new(&self.deskewed(second), self.settings);
+    fn coarse_motions(
+        &self,
+        reference: &Reference,
+        deskewed: &[Point3f],
+        second: &Sweep,
+    ) -> Vec<Option<Rigid3>> {
+        let own = Reference::new(deskewed, self.settings);
         let believed = self.believed(second);
         let settings = &self.settings.coarse_alignment;
-        let align = |initial: &Rigid3, settings| {
-            coarse_alignment(&reference.upright, &own.upright, initial, settings)
-        };
+        let reference = CoarseReference::new(&reference.upright, settings);
+        let align = |initial: &Rigid3, settings| reference.align(&own.upright, initial, settings);
         let mut found = vec![align(&believed, settings)];
         let few = CoarseAlignmentSettings { max_points: settings.max_points / 4, ..settings.clone() };
         let offsets = self.settings.initialisation.offsets;
@@ -140,28 +170,34 @@ impl<'a> FirstSweeps<'a> {
         found
     }
 
-    /// What follows from a coarse motion: the second sweep is registered, the velocity that this gives de-skews both, and so
-    /// on. With it, how well it fits in the end.
-    fn followed(mut self, still: &Reference, second: &Sweep, coarse: Option<Rigid3>) -> (Start, f64) {
+    /// What follows from a first look: the velocity that it gives de-skews both sweeps, the second is registered to the first
+    /// once more, and so on. With it, how well it fits in the end.
+    fn followed(mut self, mut relative: Relative, second: &Sweep) -> (Start, f64) {
         let seconds = second.end.seconds_since(self.first.end);
-        let (mut reference, mut fit) = (None, 0.0);
-        for iteration in 0..self.settings.initialisation.iterations {
-            let coarse = coarse.filter(|_| iteration == 0);
-            let Some(found) = self.motion(reference.as_ref().unwrap_or(still), second, coarse) else { break };
-            self.start.velocity = self.start.rotation * found.motion.translation.vector / seconds;
-            if self.rotation_at.is_none() {
-                self.start.turn_rate = angle_axis_from_quaternion(&found.motion.rotation) / seconds;
-            }
-            (reference, fit) = (Some(self.reference()), found.fit);
+        self.move_by(&relative.motion, seconds);
+        for _ in 1..self.settings.initialisation.iterations {
+            let points = voxel_filter_points(&self.deskewed(second), self.settings.initialisation.spacing);
+            let Some(next) = self.motion(&self.planes(), &points, second, None) else { break };
+            relative = next;
+            self.move_by(&relative.motion, seconds);
         }
-        (self.leveled(reference.as_ref().unwrap_or(still)), fit)
+        let start = if self.rotation_at.is_none() { self.leveled(&self.planes()) } else { self.start };
+        (start, relative.fit)
+    }
+
+    /// Takes over the velocity of a motion from sweep to sweep.
+    fn move_by(&mut self, motion: &Rigid3, seconds: f64) {
+        self.start.velocity = self.start.rotation * motion.translation.vector / seconds;
+        if self.rotation_at.is_none() {
+            self.start.turn_rate = angle_axis_from_quaternion(&motion.rotation) / seconds;
+        }
     }
 
     /// The start, upright as planes say where no IMU tells.
-    fn leveled(&self, reference: &Reference) -> Start {
+    fn leveled(&self, planes: &PlaneMap) -> Start {
         let mut start = self.start;
         if self.rotation_at.is_none() {
-            let up = vertical_from_planes(&reference.planes, &Vector3::z(), &self.settings.vertical);
+            let up = vertical_from_planes(planes, &Vector3::z(), &self.settings.vertical);
             start.rotation = rotation_between(&up.unwrap_or_else(Vector3::z), &Vector3::z());
             start.velocity = start.rotation * start.velocity;
         }
@@ -199,15 +235,26 @@ impl<'a> FirstSweeps<'a> {
         Reference::new(&self.deskewed(self.first), self.settings)
     }
 
-    /// The second sweep registered near a coarse motion if there is one, or else as it is believed.
-    fn motion(&self, reference: &Reference, second: &Sweep, coarse: Option<Rigid3>) -> Option<Relative> {
-        let points = voxel_filter_points(&self.deskewed(second), self.settings.initialisation.spacing);
+    /// Of the first sweep.
+    fn planes(&self) -> PlaneMap {
+        planes_of(&self.deskewed(self.first), self.settings)
+    }
+
+    /// The second sweep, of which these points are given, registered near a coarse motion if there is one, or else as it is
+    /// believed.
+    fn motion(
+        &self,
+        planes: &PlaneMap,
+        points: &[Point3f],
+        second: &Sweep,
+        coarse: Option<Rigid3>,
+    ) -> Option<Relative> {
         let mut initial = [coarse, Some(self.believed(second))].into_iter().flatten();
-        initial.find_map(|initial| self.register(reference, &points, &initial))
+        initial.find_map(|initial| self.register(planes, points, &initial))
     }
 
     /// The second pose in the first near another one, if the points constrain it.
-    fn register(&self, reference: &Reference, points: &[Point3f], initial: &Rigid3) -> Option<Relative> {
+    fn register(&self, planes: &PlaneMap, points: &[Point3f], initial: &Rigid3) -> Option<Relative> {
         let settings = &self.settings.initialisation;
         let sigmas = Sigmas { translation: settings.translation_sigma, rotation: settings.rotation_sigma };
         let prior = PosePrior { pose: *initial, sigmas };
@@ -215,7 +262,7 @@ impl<'a> FirstSweeps<'a> {
             final_scale: self.settings.sweep.final_scale_per_edge * self.settings.local_map.voxel_size,
             ..self.settings.registration.clone()
         });
-        let found = registration.register_scan(&reference.planes, points, initial, &prior, settings.scale)?;
+        let found = registration.register_scan(planes, points, initial, &prior, settings.scale)?;
         // A single sparse sweep among trees shows few planes, but they constrain translation if not rotation, too.
         let constrains_translation = self.rotation_at.is_some() && found.degenerate.translations.is_empty();
         let is_enough = found.matched_fraction >= settings.min_matched_fraction || constrains_translation;
@@ -227,9 +274,7 @@ impl<'a> FirstSweeps<'a> {
 impl Reference {
     /// Of points in a level frame.
     pub fn new(points: &[Point3f], settings: &OdometrySettings) -> Self {
-        let mut planes =
-            PlaneMap::with_settings(settings.local_map.voxel_size as f32, settings.plane_fit.clone());
-        points.iter().for_each(|p| planes.insert(p));
+        let planes = planes_of(points, settings);
         let ground_normal = settings.initialisation.ground_normal;
         let is_ground =
             |p: &Point3f| planes.plane_near(p).is_some_and(|plane| plane.normal.z.abs() > ground_normal);
@@ -239,4 +284,11 @@ impl Reference {
             .collect();
         Self { planes, upright }
     }
+}
+
+fn planes_of(points: &[Point3f], settings: &OdometrySettings) -> PlaneMap {
+    let mut planes =
+        PlaneMap::with_settings(settings.local_map.voxel_size as f32, settings.plane_fit.clone());
+    planes.insert_unseen(points);
+    planes
 }

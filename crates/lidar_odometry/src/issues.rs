@@ -60,6 +60,11 @@ impl Issues {
         *self.counts.entry(issue).or_default() += 1;
     }
 
+    /// Counts all of these, too.
+    pub fn add(&mut self, others: &Self) {
+        others.iter().for_each(|(issue, count)| *self.counts.entry(issue).or_default() += count);
+    }
+
     /// All issues that occurred, and how often.
     pub fn iter(&self) -> impl Iterator<Item = (Issue, u64)> + '_ {
         self.counts.iter().map(|(issue, count)| (*issue, *count))

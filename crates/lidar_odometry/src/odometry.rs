@@ -18,9 +18,9 @@ use crate::motion_state::MotionState;
 use crate::phase::{Phase, State};
 use crate::pieces::{Ended, PieceBegun, Recent};
 use crate::settings::OdometrySettings;
-use crate::start::FirstMotion;
+use crate::start::{Begun, FirstMotion};
 use crate::sweep::Sweep;
-use crate::tracker::{Fallback, RegisteredSweep, Tracker};
+use crate::tracker::{Fallback, RegisteredSweep};
 
 /// Why a sweep cannot be registered. It is also counted.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
@@ -111,11 +111,12 @@ impl LidarOdometry {
                         NextSweep::After(motion) => Some(motion),
                     };
                     let Some(sweep) = self.waiting.pop_front() else { break };
-                    tracker.register(gap, sweep, fallback.as_deref_mut(), &mut self.issues)
+                    let fallback = fallback.as_deref_mut();
+                    vec![tracker.register(gap, sweep, fallback, &mut self.issues)]
                 }
             };
             // 4. Hand it over, hold it back, or begin anew.
-            self.judge(registered);
+            registered.into_iter().for_each(|registered| self.judge(registered));
         }
         if self.is_ended && self.waiting.is_empty() {
             self.ready.extend(self.recent.release());
@@ -155,13 +156,14 @@ impl LidarOdometry {
         replay.odometry.iter().for_each(|pose| self.add_odometry(pose));
     }
 
-    fn register_first(&mut self) -> Option<RegisteredSweep> {
+    /// The first sweep, and those after it that told how it was moving.
+    fn register_first(&mut self) -> Option<Vec<RegisteredSweep>> {
         let State::FirstSweep(first) = &mut self.state else { return None };
-        let start = first.decide(&self.settings, self.waiting.make_contiguous(), self.is_ended)?;
-        let State::FirstSweep(first) = std::mem::take(&mut self.state) else { return None };
-        let sweep = self.waiting.pop_front()?;
-        let (mut tracker, registered) = Tracker::begin(&self.settings, first.motion, sweep, start);
-        tracker.remember_with(&self.memory);
+        let sweeps = self.waiting.make_contiguous();
+        let Begun { tracker, registered, issues } =
+            first.decide(&self.settings, &self.memory, sweeps, self.is_ended)?;
+        self.waiting.drain(..registered.len().min(self.waiting.len()));
+        self.issues.add(&issues);
         self.state = State::Tracking(Box::new(tracker));
         Some(registered)
     }

@@ -81,6 +81,18 @@ impl PlaneCell {
         }
     }
 
+    /// Whether no hit changes it any more.
+    #[inline]
+    pub fn is_full(&self) -> bool {
+        self.count >= MAX_COUNT
+    }
+
+    /// Whether it is known to be a plane, so that smaller voxels need not know more.
+    #[inline]
+    pub fn is_settled(&self, settings: &PlaneFitSettings) -> bool {
+        self.count > settings.settled_hits && self.is_plane
+    }
+
     /// Whether a hit seen from the direction `toward` (unit length) shows the other side of the plane.
     #[inline]
     pub fn shows_other_side(&self, toward: &na::Vector3<f32>, settings: &PlaneFitSettings) -> bool {
@@ -98,7 +110,7 @@ impl PlaneCell {
         settings: &PlaneFitSettings,
         fit: &mut PlaneFit,
     ) {
-        if self.count >= MAX_COUNT {
+        if self.is_full() {
             return;
         }
         self.count += 1;

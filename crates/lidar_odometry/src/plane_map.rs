@@ -121,6 +121,14 @@ impl PlaneMap {
         self.insert_hits(&[Hit::new(self, point, na::Vector3::zeros())]);
     }
 
+    /// Adds hits as [`Self::insert`] does.
+    pub fn insert_unseen(&mut self, points: &[Point3f]) {
+        for points in points.chunks(BATCH) {
+            let hits: Vec<Hit> = points.iter().map(|p| Hit::new(self, p, na::Vector3::zeros())).collect();
+            self.insert_hits(&hits);
+        }
+    }
+
     /// Adds a hit that was seen from `origin` (both metres, in the frame of the map).
     pub fn insert_seen_from(&mut self, point: &Point3f, origin: &Point3f) {
         self.insert_all(std::iter::once(*point), origin);
@@ -152,8 +160,8 @@ impl PlaneMap {
         place.coords * self.smallest_per_metre + na::Vector3::repeat(to_corner)
     }
 
-    /// Adds at most [`BATCH`] hits, size by size of voxels. All voxels of a size are looked up before the first of them
-    /// is changed, so that their reads overlap: the time goes into waiting for memory.
+    /// Adds at most [`BATCH`] hits, size by size of voxels. All voxels of a size are looked up, and all read, before the first
+    /// of them is changed, so that their reads overlap: the time goes into waiting for memory.
     fn insert_hits(&mut self, hits: &[Hit]) {
         let mut open = [0_u8; BATCH];
         let mut num_open = 0;
@@ -167,12 +175,19 @@ impl PlaneMap {
                 let key = hits[usize::from(*i)].smallest.and_then(|smallest| smallest.key(level));
                 *found = key.map_or((NO_KEY, None), |key| (key, self.index.get(key)));
             }
+            let mut known = [None; BATCH];
+            for (known, ((_, number), i)) in known.iter_mut().zip(found[..num_open].iter().zip(&open)) {
+                *known = number.and_then(|number| self.goes_past(number, &hits[usize::from(*i)]));
+            }
             let mut still_open = 0;
             for (k, (key, number)) in
                 found[..num_open].iter().enumerate().filter(|(_, (key, _))| *key != NO_KEY)
             {
-                let number = number.unwrap_or_else(|| self.number_of(*key));
-                if self.goes_on(number, level, &hits[usize::from(open[k])]) {
+                let goes_on = known[k].unwrap_or_else(|| {
+                    let number = number.unwrap_or_else(|| self.number_of(*key));
+                    self.goes_on(number, level, &hits[usize::from(open[k])])
+                });
+                if goes_on {
                     open[still_open] = open[k];
                     still_open += 1;
                 }
@@ -181,11 +196,19 @@ impl PlaneMap {
         }
     }
 
+    /// Of a voxel that no hit changes any more: whether smaller ones want this hit.
+    #[inline]
+    fn goes_past(&self, number: usize, hit: &Hit) -> Option<bool> {
+        let cell = &self.cells[number];
+        let shows_other_side = || cell.shows_other_side(&hit.toward, &self.settings);
+        cell.is_full().then(|| !cell.is_settled(&self.settings) || shows_other_side())
+    }
+
     /// Adds a hit to a voxel of a size; whether smaller ones want it, too.
     #[inline]
     fn goes_on(&mut self, number: usize, level: u32, hit: &Hit) -> bool {
         let cell = &mut self.cells[number];
-        let is_settled = cell.count > self.settings.settled_hits && cell.is_plane;
+        let is_settled = cell.is_settled(&self.settings);
         // The other side of a floor or of a wall is a surface of its own.
         if is_settled && cell.shows_other_side(&hit.toward, &self.settings) {
             return true;

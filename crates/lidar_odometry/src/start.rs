@@ -1,10 +1,16 @@
 //! The start of a trajectory: hypotheses of the first motion, judged by the sweeps that follow.
 
+use portolan_geometry::{Duration, to_f32};
+use portolan_recall::Memory;
+use portolan_sensor::RangeData;
+
+use crate::belief::Belief;
 use crate::initialise::{FirstSweeps, RotationAt, Start};
+use crate::issues::Issues;
 use crate::motion_state::MotionState;
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
-use crate::tracker::Tracker;
+use crate::tracker::{RegisteredSweep, Tracker};
 
 /// Waiting for the first sweeps.
 #[derive(Clone, Debug)]
@@ -14,14 +20,47 @@ pub(crate) struct FirstMotion {
     hypotheses: Vec<Start>,
 }
 
+/// A trajectory that has begun.
+pub(crate) struct Begun {
+    pub tracker: Tracker,
+    /// The first sweep, and those after it that are registered already.
+    pub registered: Vec<RegisteredSweep>,
+    /// What was wrong with these.
+    pub issues: Issues,
+}
+
+/// What hypotheses of the first motion are tried with.
+struct Trial<'a> {
+    settings: &'a OdometrySettings,
+    motion: &'a MotionState,
+    memory: &'a Memory,
+    first: &'a Sweep,
+    /// The sweeps that judge.
+    judges: &'a [Sweep],
+}
+
+/// A hypothesis with which sweeps were tracked.
+struct Judged {
+    start: Start,
+    begun: Begun,
+    /// How well they fit in all.
+    fit: f64,
+}
+
 impl FirstMotion {
     pub fn new(motion: MotionState) -> Self {
         Self { motion, hypotheses: Vec::new() }
     }
 
-    /// How everything was moving at the first of these sweeps; none if more sweeps have to come before that is clear.
+    /// Begins as everything was moving at the first of these sweeps; none if more sweeps have to come before that is clear.
     /// `is_ended`: no more will.
-    pub fn decide(&mut self, settings: &OdometrySettings, sweeps: &[Sweep], is_ended: bool) -> Option<Start> {
+    pub fn decide(
+        &mut self,
+        settings: &OdometrySettings,
+        memory: &Memory,
+        sweeps: &[Sweep],
+        is_ended: bool,
+    ) -> Option<Begun> {
         let (first, second) = (sweeps.first()?, sweeps.get(1));
         if second.is_none() && !is_ended {
             return None;
@@ -31,30 +70,63 @@ impl FirstMotion {
             let rotation_at = measured.as_ref().map(|measured| measured as &RotationAt);
             self.hypotheses = FirstSweeps::hypotheses(first, second, rotation_at, settings);
         }
-        let judges = settings.initialisation.judged_sweeps;
+        let judging = settings.initialisation.judged_sweeps.max(1);
+        let judges = &sweeps[1..sweeps.len().min(judging)];
+        let trial = Trial { settings, motion: &self.motion, memory, first, judges };
         match self.hypotheses.as_slice() {
             [] => None,
-            [only] => Some(*only),
-            _ if sweeps.len() < judges && !is_ended => None,
-            all => Some(self.best(settings, &sweeps[..sweeps.len().min(judges)], all)),
+            [only] => Some(trial.begin(*only)),
+            _ if sweeps.len() < judging && !is_ended => None,
+            [likeliest, others @ ..] => Some(trial.best(*likeliest, others)),
         }
     }
+}
 
-    /// The hypothesis that the sweeps fit best; one that fits the first two less well has to be clearly better, because along
-    /// a tunnel all fit alike.
-    fn best(&self, settings: &OdometrySettings, sweeps: &[Sweep], all: &[Start]) -> Start {
-        let fits = all.iter().map(|start| (*start, self.fit_of(settings, sweeps, *start)));
-        let best = fits.reduce(|best, other| {
-            let is_better = other.1 > settings.initialisation.clearly_better * best.1;
-            if is_better { other } else { best }
-        });
-        best.map_or(all[0], |(start, _)| start)
+impl Trial<'_> {
+    fn begin(&self, start: Start) -> Begun {
+        let (mut tracker, registered) =
+            Tracker::begin(self.settings, self.motion.clone(), self.first.clone(), start);
+        tracker.remember_with(self.memory);
+        Begun { tracker, registered: vec![registered], issues: Issues::default() }
     }
 
-    /// How well sweeps fit in all if they are tracked from this start.
-    fn fit_of(&self, settings: &OdometrySettings, sweeps: &[Sweep], start: Start) -> f64 {
-        let Some((first, others)) = sweeps.split_first() else { return 0.0 };
-        let (tracker, _) = Tracker::begin(settings, self.motion.clone(), first.clone(), start);
-        tracker.total_fit(None, others)
+    /// Begins with the hypothesis that the sweeps fit best; one that fits the first two less well has to be clearly better,
+    /// because along a tunnel all fit alike.
+    fn best(&self, likeliest: Start, others: &[Start]) -> Begun {
+        let Some(mut best) = self.judged(likeliest, f64::NEG_INFINITY) else { return self.begin(likeliest) };
+        for start in others {
+            let least = self.settings.initialisation.clearly_better * best.fit;
+            best = self.judged(*start, least).unwrap_or(best);
+        }
+        if self.is_final(&best.begun) { self.with_clouds(best.begun) } else { self.begin(best.start) }
+    }
+
+    /// Tracks the sweeps from a start; none if they do not fit better than `least`. Of their clouds only those are kept that
+    /// cannot be made again.
+    fn judged(&self, start: Start, least: f64) -> Option<Judged> {
+        let Begun { mut tracker, mut registered, mut issues } = self.begin(start);
+        let fit = tracker.fit_better(least, None, self.judges, &mut issues, |mut judge| {
+            (judge.sweep.points, judge.in_local) = (Vec::new(), RangeData::default());
+            registered.push(judge);
+        })?;
+        Some(Judged { start, begun: Begun { tracker, registered, issues }, fit })
+    }
+
+    fn with_clouds(&self, mut begun: Begun) -> Begun {
+        for (registered, judge) in begun.registered.iter_mut().skip(1).zip(self.judges) {
+            registered.sweep.points.clone_from(&judge.points);
+            registered.in_local = registered.deskewed.transformed(&to_f32(&registered.local_from_tracking));
+        }
+        begun
+    }
+
+    /// Whether the sweeps would be found in the same places if they were registered one by one, with another map to ask: they
+    /// would where each of them fits, and none comes after a gap.
+    fn is_final(&self, begun: &Begun) -> bool {
+        let fits = |sweep: &RegisteredSweep| sweep.belief == Belief::Sure && sweep.fit > 0.0;
+        let gap = Duration::from_seconds(self.settings.hypotheses.long_gap);
+        let ends = begun.registered.iter().map(|registered| registered.sweep.end);
+        let follow_closely = ends.clone().zip(ends.skip(1)).all(|(before, end)| end - before <= gap);
+        follow_closely && begun.registered.iter().skip(1).all(fits)
     }
 }

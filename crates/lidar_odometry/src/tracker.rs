@@ -158,11 +158,26 @@ impl Tracker {
     }
 
     /// How well sweeps fit in all if they are followed from here, the first of them after a motion that is assumed if there
-    /// is one.
-    pub fn total_fit(mut self, mut gap: Option<GapMotion>, sweeps: &[Sweep]) -> f64 {
-        let mut issues = Issues::default();
-        let fits = sweeps.iter().map(|s| self.register(gap.take(), s.clone(), None, &mut issues).fit);
-        fits.sum()
+    /// is one; none, as soon as that is certain, if they do not fit better than `least`. Hands on each sweep.
+    pub fn fit_better(
+        &mut self,
+        least: f64,
+        mut gap: Option<GapMotion>,
+        sweeps: &[Sweep],
+        issues: &mut Issues,
+        mut each: impl FnMut(RegisteredSweep),
+    ) -> Option<f64> {
+        let mut fit = 0.0;
+        for (i, sweep) in sweeps.iter().enumerate() {
+            // No sweep fits better than by 1, and sums are rounded.
+            if fit + (sweeps.len() - i) as f64 + 1e-9 < least {
+                return None;
+            }
+            let registered = self.register(gap.take(), sweep.clone(), None, issues);
+            fit += registered.fit;
+            each(registered);
+        }
+        (fit > least).then_some(fit)
     }
 
     /// Whether sweeps are missing before one that ends at `end`.

@@ -7,7 +7,7 @@
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
 
 use crate::belief::FitMonitor;
-use crate::coarse_alignment::coarse_alignment;
+use crate::coarse_alignment::CoarseReference;
 use crate::initialise::Reference;
 use crate::predict::{Prediction, Reason, Registered};
 use crate::segment::SegmentCorrection;
@@ -37,12 +37,13 @@ impl WideSearch<'_> {
             sweep.points.iter().map(|p| level * to_end.moved(&p.position, p.time)).collect();
         let (before, now) =
             (Reference::new(self.before, self.settings), Reference::new(&level_points, self.settings));
+        let coarse = &self.settings.coarse_alignment;
+        let before = CoarseReference::new(&before.upright, coarse);
         let sample = self.registration.sample(sweep);
         self.headings(segment.rotation_is_measured).find_map(|heading| {
             let turn = quaternion_from_angle_axis(&(Vector3::z() * heading));
             let initial = Rigid3::from_parts(end.translation, turn);
-            let coarse = &self.settings.coarse_alignment;
-            let found = coarse_alignment(&before.upright, &now.upright, &initial, coarse)?;
+            let found = before.align(&now.upright, &initial, coarse)?;
             let end = Rigid3::from_parts(found.translation, found.rotation * end.rotation);
             let segment = segment.ending_at(&end);
             let registered = self.registration.register_widely(&sample, &segment, self.target);

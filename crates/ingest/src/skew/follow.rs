@@ -1,5 +1,6 @@
 //! A few sweeps registered to each other, point to plane.
 
+use std::cell::OnceCell;
 use std::ops::RangeInclusive;
 
 use portolan_geometry::nalgebra::{Matrix6, Point3, Vector6};
@@ -149,7 +150,8 @@ impl Sample {
 /// A sweep that others are registered to.
 struct Target {
     points: Vec<[f32; 3]>,
-    tree: KdTree,
+    /// Of its points; the last sweeps of a batch need none, because no sweep is registered to them.
+    tree: OnceCell<KdTree>,
     /// At its points; those that were not asked for are not computed.
     surfaces: Vec<Surface>,
 }
@@ -174,9 +176,12 @@ struct Match {
 
 impl Target {
     fn new(points: Vec<[f32; 3]>, surfaces: Option<&Vec<Surface>>) -> Self {
-        let tree = KdTree::new(&points);
         let surfaces = surfaces.cloned().unwrap_or_else(|| vec![Surface::NotComputed; points.len()]);
-        Self { points, tree, surfaces }
+        Self { points, tree: OnceCell::new(), surfaces }
+    }
+
+    fn tree(&self) -> &KdTree {
+        self.tree.get_or_init(|| KdTree::new(&self.points))
     }
 
     /// One of its points and the surface there.
@@ -184,7 +189,8 @@ impl Target {
         let point = *self.points.get(index as usize)?;
         let known = self.surfaces.get_mut(index as usize)?;
         if let Surface::NotComputed = known {
-            let found = local_surface(&self.points, &self.tree, point, NEIGHBOURS, NEIGHBOURHOOD);
+            let tree = self.tree.get_or_init(|| KdTree::new(&self.points));
+            let found = local_surface(&self.points, tree, point, NEIGHBOURS, NEIGHBOURHOOD);
             let found = found.filter(|s| s.thickness < MAX_THICKNESS && s.planarity > MIN_PLANARITY);
             *known = found.map_or(Surface::None, Surface::Some);
         }
@@ -198,7 +204,9 @@ impl Target {
         let mut matches = Vec::with_capacity(source.len());
         for (index, point) in source {
             let place = (pose * Point3::from(*point)).coords;
-            let Some(nearest) = self.tree.nearest(place.cast::<f32>().into(), gate as f32) else { continue };
+            let Some(nearest) = self.tree().nearest(place.cast::<f32>().into(), gate as f32) else {
+                continue;
+            };
             let Some((on_surface, surface)) = self.surface(nearest.index) else { continue };
             let normal = Vector3::from(surface.normal.map(f64::from));
             let residual = normal.dot(&(place - on_surface));

@@ -8,6 +8,14 @@ pub(super) fn key_of(cell: [i32; 3]) -> u64 {
     cell.iter().fold(0, |key, index| key << 12 | (*index as u64 & 0xfff))
 }
 
+/// The largest whole number that is not larger; the nearest there is for one that is out of range. Without a call of a
+/// function, which `floor` is on some targets.
+#[inline]
+fn whole(value: f32) -> i32 {
+    let toward_zero = value as i32;
+    toward_zero.saturating_sub(i32::from(toward_zero as f32 > value))
+}
+
 /// Values of cubic cells.
 #[derive(Clone, Debug)]
 pub(super) struct Cells<T> {
@@ -25,13 +33,12 @@ impl<T: Clone> Cells<T> {
 
     /// Indices of the cell around a point.
     pub fn around(&self, place: &Point3f) -> [i32; 3] {
-        [place.x, place.y, place.z].map(|v| (v / self.edge).floor() as i32)
+        [place.x, place.y, place.z].map(|v| whole(v / self.edge))
     }
 
     /// The key of the column around a point.
     pub fn column(&self, place: &Point3f) -> u64 {
-        let [x, y, _] = self.around(place);
-        key_of([x, y, 0])
+        key_of([whole(place.x / self.edge), whole(place.y / self.edge), 0])
     }
 
     /// The number of a cell, which is made if it is missing.
@@ -62,5 +69,17 @@ impl<T: Clone> Cells<T> {
     pub fn at_mut(&mut self, key: u64) -> &mut T {
         let number = self.number_of(key);
         self.value_mut(number)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_numbered_downward() {
+        let values =
+            [0.0, -0.0, 0.5, -0.5, -1.0, 2.0, -7.25, 1e9, -1e9, 1e30, -1e30, f32::NAN, f32::INFINITY];
+        assert_eq!(values.map(whole), values.map(|v| v.floor() as i32));
     }
 }
