@@ -7,19 +7,10 @@ wheels turning. Needs Python 3 alone.
 """
 import argparse
 import bz2
-import math
+
+from field_odometry_faults import compose, inverse
 
 GAP = 0.3
-
-
-def compose(a, b):
-    cos, sin = math.cos(a[2]), math.sin(a[2])
-    return (a[0] + cos * b[0] - sin * b[1], a[1] + sin * b[0] + cos * b[1], a[2] + b[2])
-
-
-def inverse(a):
-    cos, sin = math.cos(a[2]), math.sin(a[2])
-    return (-cos * a[0] - sin * a[1], sin * a[0] - cos * a[1], -a[2])
 
 
 def odometry(words):

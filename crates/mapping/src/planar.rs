@@ -10,6 +10,7 @@ use portolan_sensor::SensorId;
 use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
 use crate::optimization::{OptimizationData, OptimizationSummary, optimize_2d};
 use crate::place_finder_2d::PlanarPlaces;
+use crate::pose_graph::AT_WRONG_PLACES;
 use crate::scan_matching_2d::{fast_matcher_options, gradient_matcher};
 use crate::submap_2d::Submap2d;
 use crate::{
@@ -32,13 +33,11 @@ pub struct PlanarMatcher {
 /// Beams that are not explained score so much of the probability of solid cells, all together: they end in cells that are
 /// not quite free.
 const SCORE_OF_OTHERS: f32 = 0.03;
-/// Nothing is searched that explains fewer beams than wrong places do.
-const LEAST_EXPLAINED: f32 = 0.25;
 
 impl PlanarMatcher {
-    /// A scan that scores less explains too little.
+    /// A scan that scores less explains too little: less than wanted, or than wrong places do.
     fn least_score(&self, acceptance: MatchAcceptance) -> f32 {
-        (acceptance.min_explained.max(LEAST_EXPLAINED) + SCORE_OF_OTHERS) * self.solidity
+        (acceptance.min_explained.max(AT_WRONG_PLACES.explained) + SCORE_OF_OTHERS) * self.solidity
     }
 }
 

@@ -78,15 +78,10 @@ impl<S: Space> PoseGraph<S> {
         let share = (most / pairs.len().max(1) as f64).min(1.0);
         let Ok(mut sampler) = FixedRatioSampler::new(share) else { return };
         for (submap_id, node_id) in pairs.into_iter().filter(|_| sampler.pulse()) {
-            let (Some(entry), Some(node)) =
-                (self.state.submaps.get(&submap_id), self.state.nodes.get(&node_id))
-            else {
-                continue;
-            };
-            let Some(submap) = &entry.submap else { continue };
+            let Some((submap, node)) = self.state.pair(submap_id, node_id) else { continue };
             let guess =
                 self.problem.submaps[&submap_id].inverse() * self.problem.nodes[&node_id].map_from_node;
-            self.search.add_unsampled((submap_id, submap), (node_id, &node.data), guess);
+            self.search.add_unsampled(submap, node, guess);
         }
     }
 

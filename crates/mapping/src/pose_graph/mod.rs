@@ -39,6 +39,7 @@ pub use state::{
 };
 use travel::TravelGraph;
 pub use trimming::Trimmer;
+pub(crate) use usual_agreement::AT_WRONG_PLACES;
 use usual_agreement::UsualAgreement;
 
 use localisation::Localisation;
@@ -79,7 +80,7 @@ pub struct InsertedNode<S: Space> {
     pub submaps: Vec<InsertionSubmap<S>>,
     /// What its scan left open.
     pub open: OpenDirections,
-    /// How the map agreed with its scan before it was drawn (2D); none where there was nothing to compare with.
+    /// How the map without its scan agrees with the scan (2D); none where there is nothing to compare with.
     pub agreement: Option<ScanAgreement>,
 }
 

@@ -8,7 +8,7 @@ use portolan_matching::ScanAgreement;
 use crate::MatchAcceptance;
 
 /// At a wrong place this share of the beams is explained, and this share of what is known is contradicted …
-const AT_WRONG_PLACES: Shares = Shares { explained: 0.25, contradiction: 0.5 };
+pub(crate) const AT_WRONG_PLACES: Shares = Shares { explained: 0.25, contradiction: 0.5 };
 /// … and at a right one, in recordings that the limits were chosen for.
 const AT_RIGHT_PLACES: Shares = Shares { explained: 0.8, contradiction: 1.0 / 12.0 };
 /// What was measured counts as much as what is expected after so many scans.
@@ -16,13 +16,16 @@ const EXPECTED_SCANS: f32 = 10.0;
 /// A scan says something if the map knows this share of its beams.
 const KNOWN: f32 = 0.5;
 
+/// How a map agrees with a scan.
 #[derive(Clone, Copy, Debug)]
-struct Shares {
-    explained: f32,
-    contradiction: f32,
+pub(crate) struct Shares {
+    /// Of all beams.
+    pub explained: f32,
+    /// Of the beams about which the map knows something.
+    pub contradiction: f32,
 }
 
-/// Means over the scans of a recording, each before it was drawn.
+/// Means over the scans of a recording, each compared with the map without it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UsualAgreement {
     scans: f32,

@@ -148,7 +148,7 @@ impl Tracker {
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion.to(&prediction));
         let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
-        let (found, is_far) = self.most_likely(&near, motion, (&scan, cloud), window);
+        let (found, is_far) = self.judged(&near, motion, (&scan, cloud), window);
         if let Some(score) = found.score {
             self.usual_score.add(score);
         }
@@ -167,7 +167,7 @@ impl Tracker {
 
     /// What was found near the prediction, or something likelier, and whether that is far: the prediction itself, or, where
     /// a good match is expected elsewhere, what is found as far as the scanner can have moved.
-    fn most_likely(
+    fn judged(
         &self,
         near: &Hypothesis,
         motion: Motion,
