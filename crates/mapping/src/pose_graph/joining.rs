@@ -62,7 +62,7 @@ impl<S: Space> PoseGraph<S> {
         let mut before: Option<portolan_geometry::Rigid3> = None;
         for (node_id, node) in of_trajectory(&self.state.nodes, id) {
             let pose = node.data.local_from_tracking;
-            way += before.map_or(0.0, |b| super::step_length(&(b.inverse() * pose)));
+            way += before.map_or(0.0, |b| super::insertion::step_length(&(b.inverse() * pose)));
             self.ways.insert(node_id, way);
             before = Some(pose);
         }

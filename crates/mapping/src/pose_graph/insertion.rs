@@ -1,0 +1,155 @@
+//! What local SLAM hands to the pose graph, and how it enters: nodes and submaps get their identity and a first pose, and
+//! are tied to each other (`slam2d.md` §14.3).
+
+use std::sync::Arc;
+
+use portolan_geometry::{Rigid3, Time};
+use portolan_matching::ScanAgreement;
+
+use super::{PoseGraph, SubmapEntry};
+use crate::optimization::OptimizationNode;
+use crate::{
+    Constraint, ConstraintTag, Node, NodeData, NodeId, OpenDirections, Space, SubmapId, TrajectoryId,
+    of_trajectory,
+};
+
+/// A submap into which local SLAM inserted a scan.
+#[derive(Clone, Debug)]
+pub struct InsertionSubmap<S: Space> {
+    /// Counted from zero within the trajectory.
+    pub index: u32,
+    /// Pose in the local map.
+    pub local_from_submap: Rigid3,
+    /// The grid, when this scan was the last one for it.
+    pub finished: Option<Arc<S::Submap>>,
+}
+
+/// A scan that local SLAM inserted.
+#[derive(Clone, Debug)]
+pub struct InsertedNode<S: Space> {
+    /// The node.
+    pub data: Arc<NodeData>,
+    /// The submaps that it was inserted into, oldest first.
+    pub submaps: Vec<InsertionSubmap<S>>,
+    /// What its scan left open.
+    pub open: OpenDirections,
+    /// How the map without its scan agrees with the scan (2D); none where there is nothing to compare with.
+    pub agreement: Option<ScanAgreement>,
+}
+
+/// Nodes this far apart at most, metres and radians, and at least so many seconds, were measured standing.
+const STANDING: (f64, f64) = (0.005, 0.003);
+const LONG_REST: f64 = 1.5;
+
+impl<S: Space> PoseGraph<S> {
+    pub(super) fn append_node(&mut self, trajectory_id: TrajectoryId, data: &Arc<NodeData>) -> NodeId {
+        let map_from_tracking = self.state.map_from_local(trajectory_id) * data.local_from_tracking;
+        let trajectory = self.state.trajectory_mut(trajectory_id);
+        let node_id = NodeId::new(trajectory_id, trajectory.next_node_index);
+        trajectory.next_node_index += 1;
+        let way = self.way_to(node_id, &data.local_from_tracking);
+        self.ways.insert(node_id, way);
+        self.state.nodes.insert(node_id, Node { data: Arc::clone(data), map_from_tracking });
+        node_id
+    }
+
+    /// How far a new node is along its trajectory.
+    fn way_to(&self, node_id: NodeId, local_from_tracking: &Rigid3) -> f64 {
+        let Some((before_id, before)) = of_trajectory(&self.state.nodes, node_id.trajectory_id).next_back()
+        else {
+            return 0.0;
+        };
+        let motion = before.data.local_from_tracking.inverse() * local_from_tracking;
+        self.ways.get(&before_id).copied().unwrap_or(0.0) + step_length(&motion)
+    }
+
+    /// Gives new submaps their identity and first global pose (`slam2d.md` §14.3, 1).
+    pub(super) fn register_submaps(
+        &mut self,
+        trajectory_id: TrajectoryId,
+        inserted: &InsertedNode<S>,
+    ) -> Vec<SubmapId> {
+        let ids: Vec<SubmapId> =
+            inserted.submaps.iter().map(|s| SubmapId::new(trajectory_id, s.index)).collect();
+        for (id, submap) in ids.iter().zip(&inserted.submaps) {
+            self.state.submaps.entry(*id).or_insert_with(|| SubmapEntry {
+                submap: None,
+                local_from_submap: submap.local_from_submap,
+                searchable: false,
+                insertion_finished: false,
+                node_ids: Default::default(),
+            });
+            if self.problem.submaps.contains_key(id) {
+                continue;
+            }
+            let previous = of_trajectory(&self.problem.submaps, trajectory_id).next_back();
+            let map_from_submap = match previous {
+                Some((previous_id, map_from_previous)) => {
+                    let local_from_previous = self.state.submaps[&previous_id].local_from_submap;
+                    map_from_previous * local_from_previous.inverse() * submap.local_from_submap
+                }
+                None => self.state.map_from_local(trajectory_id) * submap.local_from_submap,
+            };
+            self.problem.submaps.insert(*id, map_from_submap);
+        }
+        ids
+    }
+
+    /// Puts the node where its oldest submap says, and constrains it to each of its submaps.
+    pub(super) fn place_node(
+        &mut self,
+        node_id: NodeId,
+        inserted: &InsertedNode<S>,
+        submap_ids: &[SubmapId],
+    ) {
+        let gravity_alignment = inserted.data.gravity_alignment;
+        let local_from_node = S::graph_pose(&inserted.data.local_from_tracking, &gravity_alignment);
+        let map_from_node = match (submap_ids.first(), inserted.submaps.first()) {
+            (Some(id), Some(submap)) => {
+                self.problem.submaps[id] * submap.local_from_submap.inverse() * local_from_node
+            }
+            _ => self.state.map_from_local(node_id.trajectory_id) * local_from_node,
+        };
+        self.thin_out_rest(node_id, inserted.data.time, &local_from_node);
+        if !inserted.open.is_empty() {
+            self.problem.open.insert(node_id, inserted.open.clone());
+        }
+        self.problem.nodes.insert(
+            node_id,
+            OptimizationNode { time: inserted.data.time, local_from_node, map_from_node, gravity_alignment },
+        );
+        for (id, submap) in submap_ids.iter().zip(&inserted.submaps) {
+            if let Some(entry) = self.state.submaps.get_mut(id) {
+                entry.node_ids.insert(node_id);
+            }
+            self.state.constraints.push(Constraint {
+                submap_id: *id,
+                node_id,
+                submap_from_node: submap.local_from_submap.inverse() * local_from_node,
+                translation_weight: self.options.matcher_translation_weight,
+                rotation_weight: self.options.matcher_rotation_weight,
+                tag: ConstraintTag::IntraSubmap,
+                score: None,
+            });
+        }
+    }
+
+    /// Averages what the IMU measured since the node before if it stood all the time.
+    fn thin_out_rest(&mut self, node_id: NodeId, time: Time, local_from_node: &Rigid3) {
+        let Some((_, before)) = of_trajectory(&self.problem.nodes, node_id.trajectory_id).next_back() else {
+            return;
+        };
+        let motion = before.local_from_node.inverse() * local_from_node;
+        let stood = motion.translation.vector.norm() < STANDING.0 && motion.rotation.angle() < STANDING.1;
+        let start = before.time;
+        if stood && time.seconds_since(start) >= LONG_REST {
+            self.problem.sensors_mut(node_id.trajectory_id).thin_out_rest(start, time);
+        }
+    }
+}
+
+/// What a motion from one node to the next counts, metres. Turning shows new sides of a place as moving does.
+pub(super) fn step_length(motion: &Rigid3) -> f64 {
+    const METRES_PER_RADIAN: f64 = 1.0;
+    motion.translation.vector.norm() + METRES_PER_RADIAN * motion.rotation.angle()
+}
