@@ -2,6 +2,7 @@
 
 mod belief;
 mod degeneracy;
+mod odometry_failure;
 mod odometry_scale;
 mod posterior;
 mod prediction_error;

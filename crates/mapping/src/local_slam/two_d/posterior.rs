@@ -6,7 +6,7 @@
 //! better evidence than one nearby, but not infinitely much. Beams are not independent: neighbours hit the same person
 //! or wall, and a scan says as much as [`WITNESSES`] beams that are.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use portolan_geometry::{Rigid2, normalize_angle};
 use portolan_matching::ScanAgreement;
@@ -34,14 +34,8 @@ pub(super) struct MotionPrior {
 impl MotionPrior {
     /// Logarithm of the density of a pose, 1/(m² rad).
     fn log_density(&self, pose: &Rigid2) -> f64 {
-        let offset = self.prediction.inverse() * *pose;
-        let PredictionSigmas { translation, rotation } = self.sigmas;
-        let metres = offset.translation.norm() / translation;
-        let radians = normalize_angle(offset.angle) / rotation;
-        let peak = (1.0 - OUTLIER) / (TAU.powf(1.5) * translation.powi(2) * rotation);
-        let usual = peak * (-0.5 * (metres.powi(2) + radians.powi(2))).exp();
-        let anywhere = OUTLIER / ((2.0 * OUTLIER_METRES).powi(2) * 2.0 * PI);
-        (usual + anywhere).ln()
+        let usual = normal_density(&(self.prediction.inverse() * *pose), self.sigmas);
+        ((1.0 - OUTLIER) * usual + OUTLIER * anywhere_density()).ln()
     }
 
     /// Logarithm of how likely a pose is where the map agrees with the scan like this, up to a constant.
@@ -49,6 +43,19 @@ impl MotionPrior {
         let (explained, contradicted) = (f64::from(agreement.explained), f64::from(agreement.contradicted()));
         self.log_density(pose) + WITNESSES * (EXPLAINED * explained - CONTRADICTED * contradicted)
     }
+}
+
+/// Density of an offset with these standard deviations, 1/(m² rad).
+pub(super) fn normal_density(offset: &Rigid2, sigmas: PredictionSigmas) -> f64 {
+    let PredictionSigmas { translation, rotation } = sigmas;
+    let metres = offset.translation.norm() / translation;
+    let radians = normalize_angle(offset.angle) / rotation;
+    (-0.5 * (metres.powi(2) + radians.powi(2))).exp() / (TAU.powf(1.5) * translation.powi(2) * rotation)
+}
+
+/// Density of a motion of which nothing is known, 1/(m² rad).
+pub(super) fn anywhere_density() -> f64 {
+    1.0 / ((2.0 * OUTLIER_METRES).powi(2) * TAU)
 }
 
 #[cfg(test)]

@@ -12,9 +12,10 @@ use portolan_sensor::PointCloud;
 use super::LocalSlamExtras;
 use super::belief::is_hardly_explained;
 use super::degeneracy::WeakDirection;
+use super::odometry_failure::OdometryFailure;
 use super::odometry_scale::OdometryScale;
 use super::posterior::MotionPrior;
-use super::prediction_error::{PredictionError, UsualScore};
+use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
 use crate::SearchWindow;
 use crate::remembered::RememberedScans;
 use crate::scan_matching_2d::{ScanMatch2d, ScanMatcher2d};
@@ -27,12 +28,12 @@ const AT_EDGE: f64 = 0.85;
 /// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
 const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
 /// … for so many seconds, where the motion was measured and where it was not.
-const LONGEST_MEASURED: f64 = 0.5;
+pub(super) const LONGEST_MEASURED: f64 = 0.5;
 const LONGEST_UNMEASURED: f64 = 2.0;
 /// Standard deviation of the acceleration of a scanner, m/s²: what constant velocity neglects.
-const ACCELERATION: f64 = 1.0;
+pub(super) const ACCELERATION: f64 = 1.0;
 /// The same of the angular acceleration, rad/s².
-const ANGULAR_ACCELERATION: f64 = 2.0;
+pub(super) const ANGULAR_ACCELERATION: f64 = 2.0;
 /// No scan is searched farther than this, metres and radians.
 pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
 
@@ -85,6 +86,7 @@ pub(super) struct Tracker {
     gap: f64,
     odometry_scale: OdometryScale,
     prediction_error: PredictionError,
+    odometry_failure: OdometryFailure,
     usual_score: UsualScore,
     remembered: RememberedScans,
 }
@@ -104,6 +106,7 @@ impl Tracker {
             },
             odometry_scale: OdometryScale::default(),
             prediction_error: PredictionError::default(),
+            odometry_failure: OdometryFailure::default(),
             usual_score: UsualScore::default(),
             remembered: RememberedScans::default(),
         })
@@ -148,6 +151,8 @@ impl Tracker {
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion.to(&prediction));
         let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
+        let is_failing = motion.is_measured && !near.is_measured;
+        let motion = Motion { is_measured: near.is_measured, ..motion };
         let (found, is_far) = self.judged(&near, motion, (&scan, cloud), window);
         if let Some(score) = found.score {
             self.usual_score.add(score);
@@ -155,7 +160,8 @@ impl Tracker {
         if !found.pose.is_finite() {
             return Found { pose: prediction, is_far: false, agreement: None };
         }
-        let pose = self.weigh(found.pose, near.around, motion, &scan, weak.as_ref());
+        let pose = self.weigh(found.pose, near.around, motion, &scan, weak.as_ref(), is_failing);
+        self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds);
         // Where scans leave a direction open, they do not say how far it went.
         if motion.is_measured && !is_far && weak.is_none() {
             let sigma = self.prediction_error.sigmas(&measured).translation;
@@ -193,20 +199,42 @@ impl Tracker {
     }
 
     /// The best match around what may have happened: it went on as before, or, where nothing was measured for long,
-    /// it stopped.
+    /// it stopped; where odometry measured the motion that, or, where it fails, it went on as before.
     fn search_hypotheses(
-        &self,
+        &mut self,
         prediction: Rigid2,
         motion: Motion,
         scan: (&Scan, &PointCloud),
         window: SearchWindow,
     ) -> Hypothesis {
-        let went_on = Hypothesis { around: prediction, found: self.search(scan, prediction, window) };
-        if motion.is_measured || motion.seconds <= self.gap {
-            return went_on;
+        let around = |around, window| Hypothesis {
+            around,
+            found: self.search(scan, around, window),
+            is_measured: motion.is_measured,
+        };
+        let predicted = around(prediction, window);
+        if !motion.is_measured {
+            if motion.seconds <= self.gap {
+                return predicted;
+            }
+            let stopped = around(motion.last, window);
+            return if stopped.found.score > predicted.found.score { stopped } else { predicted };
         }
-        let stopped = Hypothesis { around: motion.last, found: self.search(scan, motion.last, window) };
-        if stopped.found.score > went_on.found.score { stopped } else { went_on }
+        let prior = self.prior(prediction, motion);
+        let Some((went_on, log_odds)) = self.odometry_failure.add_measured(motion, &prior) else {
+            return predicted;
+        };
+        let found = self.search(scan, went_on.prediction, self.window_of(&went_on.sigmas));
+        let other = Hypothesis { around: went_on.prediction, found, is_measured: false };
+        let likely = |prior: &MotionPrior, hypothesis: &Hypothesis| {
+            let pose = hypothesis.found.pose;
+            let agreement = scan_agreement(&scan.0.submap.grid, &pose, scan.0.cloud)?;
+            Some(prior.log_posterior(&pose, &agreement))
+        };
+        let (Some(works), Some(fails)) = (likely(&prior, &predicted), likely(&went_on, &other)) else {
+            return predicted;
+        };
+        if self.odometry_failure.fails(log_odds + fails - works) { other } else { predicted }
     }
 
     fn search(
@@ -239,6 +267,7 @@ impl Tracker {
         motion: Motion,
         scan: &Scan,
         weak: Option<&WeakDirection>,
+        is_failing: bool,
     ) -> Rigid2 {
         let predicted_motion = motion.to(&around);
         let (mut pose, mut observed) = (found, found);
@@ -250,7 +279,7 @@ impl Tracker {
             pose = weak.with_share(&around, &found, gain);
             observed = weak.with_share(&around, &found, 0.0);
         }
-        if motion.seconds <= self.gap {
+        if motion.seconds <= self.gap && !is_failing {
             self.prediction_error.add(&predicted_motion, &(around.inverse() * observed));
         }
         pose
@@ -258,8 +287,12 @@ impl Tracker {
 
     /// As far as predictions of this motion were wrong lately.
     fn window(&self, motion: &Rigid2) -> SearchWindow {
+        self.window_of(&self.prediction_error.sigmas(motion))
+    }
+
+    /// As far as predictions with these errors can be off.
+    fn window_of(&self, sigmas: &PredictionSigmas) -> SearchWindow {
         let usual = self.matcher.usual_window().unwrap_or(SearchWindow { linear: 0.0, angular: 0.0 });
-        let sigmas = self.prediction_error.sigmas(motion);
         SearchWindow {
             linear: usual.linear.max(WITHIN_SIGMAS * sigmas.translation).min(WIDEST.linear),
             angular: usual.angular.max(WITHIN_SIGMAS * sigmas.rotation).min(WIDEST.angular),
@@ -271,6 +304,8 @@ impl Tracker {
 struct Hypothesis {
     around: Rigid2,
     found: ScanMatch2d,
+    /// Odometry or an IMU say that it is there.
+    is_measured: bool,
 }
 
 impl Hypothesis {

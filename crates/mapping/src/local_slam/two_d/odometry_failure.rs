@@ -1,0 +1,145 @@
+//! Odometry that fails for a while: wheels that stall, slip or are lifted, readings that stand still.
+//!
+//! Two models of the motion since the last scan: odometry measured it, or odometry fails and the scanner went on as
+//! before. Where failing is not improbable both are followed to where the scan fits, and motion and map together say which
+//! one holds. The probability of failing is carried from scan to scan, since failures last (switching models: Blom,
+//! Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients", IEEE
+//! Transactions on Automatic Control 33, 1988).
+
+use portolan_geometry::Rigid2;
+
+use super::posterior::{MotionPrior, anywhere_density, normal_density};
+use super::prediction_error::PredictionSigmas;
+use super::tracking::{ACCELERATION, ANGULAR_ACCELERATION, LONGEST_MEASURED, Motion};
+
+/// Probability that odometry begins to fail between two scans …
+const BEGINS: f64 = 0.003;
+/// … that a failure lasts until the next one …
+const LASTS: f64 = 0.95;
+/// … and that the velocity changes at once.
+const CHANGES: f64 = 0.003;
+/// Odometry that fails stands still with this probability, else it reads anything.
+const STANDS: f64 = 0.5;
+/// A failure less probable than this is not followed.
+const IMPROBABLE: f64 = 0.03;
+/// Standard deviations of the motion between two matched scans, metres and radians.
+const OF_MATCHES: PredictionSigmas = PredictionSigmas { translation: 0.02, rotation: 0.01 };
+
+/// Whether odometry fails, and how the scanner moved.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OdometryFailure {
+    /// Probability that it fails, before the next reading is looked at.
+    failing: f64,
+    /// The last motion as scans were matched, and the seconds that it took.
+    last: Option<(Rigid2, f64)>,
+}
+
+impl Default for OdometryFailure {
+    fn default() -> Self {
+        Self { failing: BEGINS, last: None }
+    }
+}
+
+impl OdometryFailure {
+    /// Takes how the scanner moved.
+    pub fn add_motion(&mut self, moved: &Rigid2, seconds: f64) {
+        self.last = (seconds > 0.0 && seconds <= LONGEST_MEASURED).then_some((*moved, seconds));
+    }
+
+    /// Takes what odometry measured. Where the scanner is if odometry fails, and the logarithm of the odds of that; none
+    /// where it is improbable or nothing is known of the velocity.
+    pub fn add_measured(&mut self, motion: Motion, measured: &MotionPrior) -> Option<(MotionPrior, f64)> {
+        let (moved, seconds) = self.last?;
+        if !motion.is_measured || motion.seconds > LONGEST_MEASURED {
+            return None;
+        }
+        let share = motion.seconds / seconds;
+        let translation = moved.translation * share;
+        let prediction = motion.last * Rigid2 { translation, angle: moved.angle * share };
+        let square = motion.seconds.powi(2);
+        let sigmas = PredictionSigmas {
+            translation: (OF_MATCHES.translation * (1.0 + share)).hypot(ACCELERATION * square),
+            rotation: (OF_MATCHES.rotation * (1.0 + share)).hypot(ANGULAR_ACCELERATION * square),
+        };
+        let both = PredictionSigmas {
+            translation: sigmas.translation.hypot(measured.sigmas.translation),
+            rotation: sigmas.rotation.hypot(measured.sigmas.rotation),
+        };
+        let beside = |pose: Rigid2| normal_density(&(pose.inverse() * measured.prediction), both);
+        let anything = STANDS * beside(motion.last) + (1.0 - STANDS) * anywhere_density();
+        let works = (1.0 - CHANGES) * beside(prediction) + CHANGES * anything;
+        let log_odds = (self.failing / (1.0 - self.failing)).ln() + (anything / works).ln();
+        self.failing = after(log_odds);
+        (probability(log_odds) > IMPROBABLE).then_some((MotionPrior { prediction, sigmas }, log_odds))
+    }
+
+    /// Whether odometry fails, with the logarithm of the odds of that before the scan was looked at, and after.
+    pub fn fails(&mut self, log_odds: f64) -> bool {
+        self.failing = after(log_odds);
+        log_odds > 0.0
+    }
+}
+
+fn probability(log_odds: f64) -> f64 {
+    1.0 / (1.0 + (-log_odds).exp())
+}
+
+/// Probability that odometry fails at the next scan.
+fn after(log_odds: f64) -> f64 {
+    let fails = probability(log_odds);
+    LASTS * fails + BEGINS * (1.0 - fails)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECONDS: f64 = 0.2;
+    const SIGMAS: PredictionSigmas = PredictionSigmas { translation: 0.02, rotation: 0.01 };
+
+    /// What one scan says of odometry that measured so many metres while the scanner moved so far the scan before.
+    fn measured(failure: &mut OdometryFailure, moved: f64, metres: f64) -> Option<(MotionPrior, f64)> {
+        failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS);
+        let motion = Motion { last: Rigid2::identity(), seconds: SECONDS, is_measured: true };
+        failure
+            .add_measured(motion, &MotionPrior { prediction: Rigid2::new(metres, 0.0, 0.0), sigmas: SIGMAS })
+    }
+
+    #[test]
+    fn wheels_that_stall_may_fail_and_go_on_failing_if_the_scan_says_so() {
+        let mut failure = OdometryFailure::default();
+        let (went_on, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is doubted");
+        assert!((went_on.prediction.translation.x - 0.25).abs() < 1e-12);
+        assert!(log_odds.abs() < 2.0, "{log_odds}");
+        assert!(failure.fails(log_odds + 5.0));
+        // The scanner slows down: both models are followed although they agree nearly.
+        let (_, log_odds) = measured(&mut failure, 0.05, 0.0).expect("failures last");
+        assert!(log_odds > 1.0, "{log_odds}");
+    }
+
+    #[test]
+    fn odometry_that_moves_as_scans_do_works() {
+        let mut failure = OdometryFailure::default();
+        let (_, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is doubted");
+        assert!(failure.fails(log_odds + 5.0));
+        assert!(measured(&mut failure, 0.25, 0.26).is_none());
+        assert!(measured(&mut failure, 0.25, 0.24).is_none());
+    }
+
+    #[test]
+    fn standing_and_gentle_braking_are_no_failure() {
+        let mut failure = OdometryFailure::default();
+        for metres in [0.25, 0.22, 0.18, 0.14, 0.1, 0.06, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0] {
+            assert!(measured(&mut failure, metres, metres).is_none(), "{metres}");
+        }
+    }
+
+    #[test]
+    fn a_velocity_of_long_ago_says_nothing() {
+        let mut failure = OdometryFailure::default();
+        failure.add_motion(&Rigid2::new(1.0, 0.0, 0.0), 2.0);
+        let motion = Motion { last: Rigid2::identity(), seconds: SECONDS, is_measured: true };
+        let standing = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };
+        assert!(failure.add_measured(motion, &standing).is_none());
+    }
+}
