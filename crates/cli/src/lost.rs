@@ -12,7 +12,9 @@ pub fn losses<S: Space>(mapped: &MappedRecording<S>) -> String {
     let Some(start) = mapped.trajectory().first().map(|(time, _)| *time) else { return String::new() };
     let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time);
     let lines = mapped.losses.iter().take(NAMED).map(|loss| {
-        let outcome = if mapped.is_apart(loss) {
+        let outcome = if mapped.map.graph.is_tied_by_odometry(loss.piece) {
+            "the trajectory after it lies where odometry says, and no scan confirms it"
+        } else if mapped.is_apart(loss) {
             "the trajectory after it is not connected to the rest of the map, which overlaps it wrongly"
         } else {
             "the trajectory after it was found again in the map"
@@ -22,7 +24,11 @@ pub fn losses<S: Space>(mapped: &MappedRecording<S>) -> String {
             true => format!("at {since:.1} s"),
             false => format!("from {since:.1} to {until:.1} s"),
         };
-        format!("lost {when}: scans did not fit the map any more; {outcome}\n")
+        let what = match loss.is_bridged {
+            true => format!("no scans {when}"),
+            false => format!("lost {when}: scans did not fit the map any more"),
+        };
+        format!("{what}; {outcome}\n")
     });
     let mut text: String = lines.collect();
     if mapped.losses.len() > NAMED {

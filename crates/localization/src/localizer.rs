@@ -142,7 +142,7 @@ impl<M: KnownMap> Localizer<M> {
                 local_from_tracking: scan.local_from_tracking,
                 returns: &scan.range_data_in_local.returns,
                 origin: scan.range_data_in_local.origin,
-                begins_anew: scan.lost.is_some(),
+                begins_anew: scan.lost.is_some_and(|lost| lost.bridge.is_none()),
             })
         };
         matched.into_iter().map(find).collect()

@@ -64,6 +64,8 @@ pub struct Loss {
     pub until: Time,
     /// The trajectory that the new piece is in the map.
     pub piece: TrajectoryId,
+    /// It is a gap without scans in which odometry measured the motion.
+    pub is_bridged: bool,
 }
 
 /// Builds a map of any number of trajectories.
@@ -264,7 +266,8 @@ impl<S: Space> Mapper<S> {
         let piece = TrajectoryId(self.next_trajectory);
         let Some(trajectory) = self.active.get_mut(&id) else { return Ok(()) };
         self.next_trajectory += 1;
-        self.losses.push(Loss { since: lost.since, until: time, piece });
+        let is_bridged = lost.bridge.is_some();
+        self.losses.push(Loss { since: lost.since, until: time, piece, is_bridged });
         let before = std::mem::replace(&mut trajectory.piece, piece);
         let ended = EndedTrajectory {
             options: trajectory.options.clone(),
@@ -274,9 +277,9 @@ impl<S: Space> Mapper<S> {
         (trajectory.last_node, trajectory.next_node) = (None, 0);
         self.ended.insert(before, ended);
         let remaining = lost.remaining.clone();
-        let (since, ended_from_begun) = (lost.since, lost.ended_from_begun);
+        let (since, ended_from_begun, bridge) = (lost.since, lost.ended_from_begun, lost.bridge);
         self.backend.enqueue(move |graph| {
-            graph.begin_piece(before, remaining, piece, &ended_from_begun);
+            graph.begin_piece(before, remaining, piece, &ended_from_begun, bridge);
             graph.copy_measurements(before, piece, since);
         })
     }

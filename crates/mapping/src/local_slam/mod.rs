@@ -41,7 +41,16 @@ pub struct MatchingResult<S: Space> {
     pub lost: Option<Lost<S>>,
 }
 
-/// The end of a piece of map, after which nothing constrained the pose of the scanner.
+/// How well odometry alone tells a motion: standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OdometryBridge {
+    /// Along each axis, metres.
+    pub translation: f64,
+    /// Radians.
+    pub rotation: f64,
+}
+
+/// The end of a piece of map, after which nothing, or odometry alone, constrained the pose of the scanner.
 #[derive(Clone, Debug)]
 pub struct Lost<S: Space> {
     /// Time of the first scan that did not fit any more.
@@ -51,6 +60,9 @@ pub struct Lost<S: Space> {
     /// From the local map of the new piece to that of the one that ended, as if the scanner had stayed where it was last
     /// found.
     pub ended_from_begun: Rigid3,
+    /// Odometry measured the motion from the last scan of the old piece to the first one of the new piece, which both are
+    /// drawn in one local map; none where nothing did.
+    pub bridge: Option<OdometryBridge>,
 }
 
 /// A scan is matched when so many points are gathered, however many messages it was to have.

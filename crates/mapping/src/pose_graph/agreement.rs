@@ -149,7 +149,7 @@ impl<S: Space> PoseGraph<S> {
         Some(WaitingMatch { constraint: constraint.clone(), earlier_from_later, place_in_later })
     }
 
-    fn take(&mut self, constraint: Constraint) {
+    pub(super) fn take(&mut self, constraint: Constraint) {
         self.connect_by(&constraint);
         self.state.constraints.push(constraint);
     }

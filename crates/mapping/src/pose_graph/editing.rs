@@ -6,7 +6,8 @@ use std::sync::Arc;
 use portolan_config::Options;
 use portolan_geometry::{Duration, Rigid3, Time};
 
-use super::{InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
+use super::{Gap, InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
+use crate::local_slam::OdometryBridge;
 use crate::optimization::{ImuState, OptimizationNode};
 use crate::{
     Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId,
@@ -50,10 +51,15 @@ impl<S: Space> PoseGraph<S> {
         remaining: Vec<InsertionSubmap<S>>,
         piece: TrajectoryId,
         ended_from_begun: &Rigid3,
+        bridge: Option<OdometryBridge>,
     ) {
         self.complete(ended, remaining);
         let map_from_local = self.state.map_from_local(ended) * ended_from_begun;
-        self.state.trajectory_mut(piece).map_from_local_before_optimization = Some(map_from_local);
+        let drift = self.policy.loops.drift;
+        let gap = bridge.map(|bridge| Gap { before: ended, bridge, way: bridge.translation / drift });
+        let entry = self.state.trajectory_mut(piece);
+        entry.map_from_local_before_optimization = Some(map_from_local);
+        entry.after_gap = gap;
         self.pieces.insert(piece);
     }
 

@@ -10,6 +10,7 @@ mod connectivity;
 mod contradictions;
 mod editing;
 mod final_search;
+mod gaps;
 mod insertion;
 mod joining;
 mod localisation;
@@ -36,7 +37,7 @@ pub use policy::{LoopSearchPolicy, PoseGraphPolicy};
 pub use search::SearchCounts;
 pub use self_consistency::SelfConsistency;
 pub use state::{
-    GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedNode,
+    Gap, GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedNode,
     TrimmedTies,
 };
 use travel::TravelGraph;
@@ -75,6 +76,7 @@ pub struct PoseGraph<S: Space> {
     contradicted: u64,
     /// Trajectories that began where a scanner was lost, without a place in the rest.
     pieces: BTreeSet<TrajectoryId>,
+    tied_by_odometry: BTreeSet<TrajectoryId>,
     waiting: WaitingMatches,
     localisation: Localisation,
     self_consistency: SelfConsistency,
@@ -101,6 +103,7 @@ impl<S: Space> PoseGraph<S> {
             ways: BTreeMap::new(),
             contradicted: 0,
             pieces: BTreeSet::new(),
+            tied_by_odometry: BTreeSet::new(),
             waiting: WaitingMatches::default(),
             localisation: Localisation::default(),
             self_consistency: SelfConsistency::default(),
@@ -234,7 +237,8 @@ impl<S: Space> PoseGraph<S> {
             portolan_geometry::Duration::from_seconds(self.options.global_constraint_search_after_n_seconds);
         let connectivity = &self.state.connectivity;
         let was_connected = || time < connectivity.last_connection_time(a, b) + recently;
-        if a == b || (connectivity.are_connected(a, b) && was_connected()) {
+        let is_near = a == b || (connectivity.are_connected(a, b) && was_connected());
+        if is_near || self.is_beyond_gap(a, b) {
             let map_from_node = self.problem.nodes[&node_id].map_from_node;
             let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
             self.search.add_local((submap_id, submap), (node_id, &node.data), guess, way);
@@ -273,6 +277,7 @@ impl<S: Space> PoseGraph<S> {
     /// again, and the map is compared with itself.
     pub fn run_final_optimization(&mut self) {
         self.place_pieces();
+        self.tie_over_gaps();
         self.search_more();
         self.problem.max_iterations_override = u32::try_from(self.options.max_num_final_iterations).ok();
         self.optimize();

@@ -77,7 +77,8 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Schedules the search for a new node in the parts of the map that its trajectory is not connected with, once in so many
-    /// metres of way as nodes are searched in a submap.
+    /// metres of way as nodes are searched in a submap. Parts before and after a gap are looked for in each other around
+    /// where odometry says that they lie, and everywhere only at the end.
     pub(super) fn look_everywhere(&mut self, node_id: NodeId) {
         let id = node_id.trajectory_id;
         if !self.searches_whole_maps() || self.state.connectivity.components().len() < 2 {
@@ -89,7 +90,10 @@ impl<S: Space> PoseGraph<S> {
             return;
         }
         *last = way;
-        let without: BTreeSet<TrajectoryId> = self.state.connectivity.members(id).into_iter().collect();
+        let without = self.parts_beyond_gaps(id);
+        if self.state.trajectories.keys().all(|id| without.contains(id)) {
+            return;
+        }
         let ready = self.ready_parts(without);
         self.add_proposed(&[node_id], &ready.parts);
         self.places.ready = Some(ready);

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time};
 
+use crate::local_slam::OdometryBridge;
 use crate::{Constraint, Node, NodeData, NodeId, Space, SubmapId, TrajectoryConnectivity, TrajectoryId};
 
 /// Life of a trajectory.
@@ -66,6 +67,17 @@ pub struct TrimmedTies {
     pub first: Time,
 }
 
+/// A gap between two trajectories that share their local map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gap {
+    /// The trajectory before it.
+    pub before: TrajectoryId,
+    /// How well odometry tells the motion in it.
+    pub bridge: OdometryBridge,
+    /// The way that makes as uncertain as the gap, metres.
+    pub way: f64,
+}
+
 /// Everything known of one trajectory besides its nodes and submaps.
 #[derive(Clone, Debug)]
 pub struct TrajectoryEntry {
@@ -75,6 +87,8 @@ pub struct TrajectoryEntry {
     pub initial_pose: Option<InitialTrajectoryPose>,
     /// Where its local map is drawn as long as nothing else says where it lies.
     pub map_from_local_before_optimization: Option<Rigid3>,
+    /// The trajectory that it goes on after a gap, which odometry alone bridges.
+    pub after_gap: Option<Gap>,
     /// Index that the next node gets.
     pub next_node_index: u32,
     /// Deletion was asked for and waits for the next optimisation.
@@ -87,6 +101,7 @@ impl Default for TrajectoryEntry {
             state: TrajectoryState::Active,
             initial_pose: None,
             map_from_local_before_optimization: None,
+            after_gap: None,
             next_node_index: 0,
             delete_requested: false,
         }

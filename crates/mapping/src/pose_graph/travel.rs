@@ -7,7 +7,7 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
 
-use crate::{NodeId, Space, SubmapId};
+use crate::{NodeId, Space, SubmapId, of_trajectory};
 
 use super::state::GraphState;
 
@@ -37,6 +37,14 @@ impl TravelGraph {
                 graph.connect(before, *id, (to - from).norm());
             }
             previous = Some((*id, entry));
+        }
+        for (id, trajectory) in &state.trajectories {
+            let Some(gap) = &trajectory.after_gap else { continue };
+            let last = of_trajectory(&state.submaps, gap.before).next_back();
+            let first = of_trajectory(&state.submaps, *id).next();
+            if let (Some((last, _)), Some((first, _))) = (last, first) {
+                graph.connect(last, first, gap.way);
+            }
         }
         for constraint in state.constraints.iter().filter(|c| c.is_loop_closure()) {
             if let Some(of_node) = graph.submap_of_node.get(&constraint.node_id) {

@@ -136,6 +136,7 @@ impl PlaneEngine {
             since: begun.since,
             remaining: insertion.begin_anew(begun.maps.into_iter()),
             ended_from_begun: begun.ended_from_begun,
+            bridge: None,
         });
         let RegisteredSweep { sweep, local_from_tracking, gravity_from_tracking, deskewed, .. } = registered;
         let result = match registered.keyframe {

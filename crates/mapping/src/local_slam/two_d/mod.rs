@@ -24,8 +24,8 @@ use portolan_sensor::{
 };
 
 use super::{
-    ActiveSubmaps, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, count_collated, count_extrapolated,
-    filtered, first_point_time, motion_filter, take_odometry,
+    ActiveSubmaps, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, OdometryBridge, count_collated,
+    count_extrapolated, filtered, first_point_time, motion_filter, take_odometry,
 };
 use belief::Belief;
 pub(crate) use belief::refutes_place;
@@ -219,10 +219,16 @@ impl LocalSlam2d {
             self.count(IssueKind::ScanWithoutPose, time);
             return None;
         }
-        self.belief = self.belief.after(time, found.agreement, motion_was_measured);
-        let (pose, lost) = match self.belief {
-            Belief::Lost { since } => (self.last_sure, Some(self.begin_anew(since, time))),
-            Belief::Sure | Belief::Doubtful { .. } => (pose, None),
+        let bridge = motion.and_then(|motion| self.tracker.bridge(motion, &prediction, found.agreement));
+        self.belief = if bridge.is_some() {
+            Belief::Sure
+        } else {
+            self.belief.after(time, found.agreement, motion_was_measured)
+        };
+        let (pose, lost) = match (bridge, self.belief) {
+            (Some(bridge), _) => (prediction, Some(self.begin_after_gap(time, motion, bridge))),
+            (None, Belief::Lost { since }) => (self.last_sure, Some(self.begin_anew(since, time))),
+            (None, Belief::Sure | Belief::Doubtful { .. }) => (pose, None),
         };
         let local_from_tracking = embed_3d(&pose) * gravity;
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
@@ -252,7 +258,20 @@ impl LocalSlam2d {
             self.extrapolator = None;
             self.start_extrapolator(time);
         }
-        Lost { since, remaining, ended_from_begun: Rigid3::identity() }
+        Lost { since, remaining, ended_from_begun: Rigid3::identity(), bridge: None }
+    }
+
+    /// Ends the piece of map that odometry alone ties to what comes: new submaps are drawn from where it says that the
+    /// scanner is.
+    fn begin_after_gap(
+        &mut self,
+        time: Time,
+        motion: Option<Motion>,
+        bridge: OdometryBridge,
+    ) -> Lost<Planar> {
+        let seconds = motion.map_or(0.0, |motion| motion.seconds);
+        let since = time - Duration::from_seconds(seconds);
+        Lost { bridge: Some(bridge), ..self.begin_anew(since, time) }
     }
 
     /// The pose of the scan in the local map.

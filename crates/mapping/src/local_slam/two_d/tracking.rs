@@ -10,6 +10,7 @@ use portolan_recall::Memory;
 use portolan_sensor::PointCloud;
 
 use super::LocalSlamExtras;
+use super::OdometryBridge;
 use super::belief::is_hardly_explained;
 use super::degeneracy::WeakDirection;
 use super::odometry_failure::OdometryFailure;
@@ -34,6 +35,11 @@ const LONGEST_UNMEASURED: f64 = 2.0;
 pub(super) const ACCELERATION: f64 = 1.0;
 /// The same of the angular acceleration, rad/s².
 pub(super) const ANGULAR_ACCELERATION: f64 = 2.0;
+/// So many times the usual time from scan to scan, and so many seconds, are a gap.
+const INTERVALS_OF_A_GAP: f64 = 5.0;
+const LEAST_GAP: f64 = 2.0;
+/// About so many intervals tell what is usual.
+const INTERVALS_REMEMBERED: f64 = 20.0;
 /// No scan is searched farther than this, metres and radians.
 pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
 
@@ -88,6 +94,8 @@ pub(super) struct Tracker {
     prediction_error: PredictionError,
     odometry_failure: OdometryFailure,
     usual_score: UsualScore,
+    /// Mean seconds from scan to scan, but for gaps.
+    interval: Option<f64>,
     remembered: RememberedScans,
 }
 
@@ -108,6 +116,7 @@ impl Tracker {
             prediction_error: PredictionError::default(),
             odometry_failure: OdometryFailure::default(),
             usual_score: UsualScore::default(),
+            interval: None,
             remembered: RememberedScans::default(),
         })
     }
@@ -125,6 +134,26 @@ impl Tracker {
     /// Whether scans are searched as far as predictions were wrong lately.
     pub fn is_adaptive(&self) -> bool {
         self.is_adaptive && self.matcher.usual_window().is_some()
+    }
+
+    /// How well odometry tells the motion to the next scan if it alone does: after a gap, where the map does not know what
+    /// is seen.
+    pub fn bridge(
+        &mut self,
+        motion: Motion,
+        prediction: &Rigid2,
+        agreement: Option<ScanAgreement>,
+    ) -> Option<OdometryBridge> {
+        let interval = *self.interval.get_or_insert(motion.seconds);
+        if motion.seconds < LEAST_GAP.max(INTERVALS_OF_A_GAP * interval) {
+            self.interval = Some(interval + (motion.seconds - interval) / INTERVALS_REMEMBERED);
+            return None;
+        }
+        if !self.is_adaptive() || !motion.is_measured || !agreement.is_none_or(|a| is_hardly_explained(&a)) {
+            return None;
+        }
+        let sigmas = self.prediction_error.sigmas(&motion.to(prediction));
+        Some(OdometryBridge { translation: sigmas.translation, rotation: sigmas.rotation })
     }
 
     /// Finds the scan as the options say, without judging it.

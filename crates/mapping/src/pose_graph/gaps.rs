@@ -1,0 +1,109 @@
+//! Trajectories that go on after a gap without scans, over which odometry alone measured the motion.
+//!
+//! It may have failed then, and nothing shows it: so the parts before and after a gap are apart until scans agree how they
+//! lie. Where none do, odometry ties them at the end, as loosely as it is known to measure.
+
+use std::collections::BTreeSet;
+
+use super::PoseGraph;
+use crate::{Constraint, ConstraintTag, Space, TrajectoryId, of_trajectory};
+
+impl<S: Space> PoseGraph<S> {
+    /// Whether nothing but odometry tells how a part of the map lies that goes on after a gap.
+    pub fn is_tied_by_odometry(&self, id: TrajectoryId) -> bool {
+        self.tied_by_odometry.contains(&id)
+    }
+
+    /// Whether two trajectories are parts of one, with gaps between.
+    pub(super) fn is_beyond_gap(&self, a: TrajectoryId, b: TrajectoryId) -> bool {
+        self.first_before_gaps(a) == self.first_before_gaps(b)
+    }
+
+    /// The trajectories that one is connected with, and that those go on with after gaps.
+    pub(super) fn parts_beyond_gaps(&self, id: TrajectoryId) -> BTreeSet<TrajectoryId> {
+        let beyond = self.state.trajectories.keys().filter(|other| self.is_beyond_gap(id, **other));
+        let connected = self.state.connectivity.members(id);
+        beyond.chain(&connected).flat_map(|id| self.state.connectivity.members(*id)).collect()
+    }
+
+    fn first_before_gaps(&self, mut id: TrajectoryId) -> TrajectoryId {
+        while let Some(gap) = self.state.trajectories.get(&id).and_then(|entry| entry.after_gap) {
+            id = gap.before;
+        }
+        id
+    }
+
+    /// Ties trajectories to those before their gaps that nothing else ties to them.
+    pub(super) fn tie_over_gaps(&mut self) {
+        let ids: BTreeSet<TrajectoryId> = self.state.trajectories.keys().copied().collect();
+        for id in ids {
+            let Some(constraint) = self.tie_over_gap(id) else { continue };
+            self.take(constraint);
+            self.tied_by_odometry.insert(id);
+        }
+    }
+
+    /// What odometry says of the first node after a gap; none where something else ties it.
+    fn tie_over_gap(&self, id: TrajectoryId) -> Option<Constraint> {
+        let gap = self.state.trajectories.get(&id)?.after_gap?;
+        if self.state.connectivity.are_connected(id, gap.before) {
+            return None;
+        }
+        let (submap_id, submap) = of_trajectory(&self.state.submaps, gap.before).next_back()?;
+        let (node_id, node) = of_trajectory(&self.problem.nodes, id).next()?;
+        Some(Constraint {
+            submap_id,
+            node_id,
+            submap_from_node: submap.local_from_submap.inverse() * node.local_from_node,
+            translation_weight: 1.0 / gap.bridge.translation,
+            rotation_weight: 1.0 / gap.bridge.rotation,
+            tag: ConstraintTag::InterSubmap,
+            score: None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use portolan_config::Options;
+    use portolan_geometry::{Rigid3, Time};
+
+    use super::*;
+    use crate::local_slam::OdometryBridge;
+    use crate::made_rooms::{node, submap};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar};
+
+    /// A scan of a room of this size at `x` metres in the local map, and the submap that it completes.
+    fn inserted(room: (f32, f32), seconds: f64, x: f64) -> InsertedNode<Planar> {
+        let local = Rigid3::translation(x, 0.0, 0.0);
+        let data = NodeData {
+            time: Time::from_unix_seconds(seconds),
+            local_from_tracking: local,
+            ..node(room, (0.0, 0.0))
+        };
+        let finished = Some(Arc::new(submap(room)));
+        let submaps = vec![InsertionSubmap { index: 0, local_from_submap: local, finished }];
+        InsertedNode { data: Arc::new(data), submaps, open: Default::default(), agreement: None }
+    }
+
+    #[test]
+    fn what_no_scan_ties_lies_where_odometry_says() {
+        let options = Options::for_2d().map_builder.pose_graph;
+        let mut graph = PoseGraph::<Planar>::new(options);
+        let [before, after] = [0, 1].map(TrajectoryId);
+        graph.add_trajectory(before, None);
+        let first = graph.add_node(before, inserted((9.0, 7.0), 0.0, 0.0));
+        let bridge = OdometryBridge { translation: 0.5, rotation: 0.1 };
+        graph.begin_piece(before, Vec::new(), after, &Rigid3::identity(), Some(bridge));
+        assert!(graph.is_beyond_gap(before, after) && !graph.is_beyond_gap(before, TrajectoryId(2)));
+        let second = graph.add_node(after, inserted((6.0, 5.0), 10.0, 200.0));
+        assert!(!graph.state().connectivity.are_connected(before, after));
+        graph.run_final_optimization();
+        assert!(graph.is_tied_by_odometry(after) && !graph.is_tied_by_odometry(before));
+        assert!(graph.state().connectivity.are_connected(before, after));
+        let at = |id| graph.state().nodes.get(&id).unwrap().map_from_tracking.translation.vector;
+        assert!(((at(second) - at(first)).x - 200.0).abs() < 1e-6, "{} {}", at(first), at(second));
+    }
+}
