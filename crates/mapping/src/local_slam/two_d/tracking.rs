@@ -35,9 +35,10 @@ const LONGEST_UNMEASURED: f64 = 2.0;
 pub(super) const ACCELERATION: f64 = 1.0;
 /// The same of the angular acceleration, rad/s².
 pub(super) const ANGULAR_ACCELERATION: f64 = 2.0;
-/// So many times the usual time from scan to scan, and so many seconds, are a gap.
-const INTERVALS_OF_A_GAP: f64 = 5.0;
-const LEAST_GAP: f64 = 2.0;
+/// So many times the usual time from scan to scan are a gap …
+const INTERVALS_OF_A_GAP: f64 = 10.0;
+/// … if they are so many seconds: in less a robot goes no farther than scans are searched, whatever odometry says.
+const LEAST_GAP: f64 = 3.0;
 /// About so many intervals tell what is usual.
 const INTERVALS_REMEMBERED: f64 = 20.0;
 /// No scan is searched farther than this, metres and radians.
