@@ -194,3 +194,22 @@ impl Places {
         Decision::Believed(best)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Duration;
+
+    #[test]
+    fn the_map_is_searched_again_only_for_something_new() {
+        let at = |seconds: f64| Time::from_ticks(0) + Duration::from_seconds(seconds);
+        let mut places = Places::default();
+        assert_eq!(places.due(at(0.0), true, 1.0), Due::Search);
+        places.merge(Vec::new(), at(0.0));
+        assert_eq!(places.due(at(0.3), true, 1.0), Due::Nothing, "searches are some time apart");
+        assert_eq!(places.due(at(0.7), false, 1.0), Due::Search, "for the scan that was kept since");
+        places.merge(Vec::new(), at(0.7));
+        assert_eq!(places.due(at(3.0), false, 1.0), Due::Nothing);
+        assert_eq!(places.due(at(3.8), false, 1.0), Due::Repetition, "a scanner that stands");
+    }
+}
