@@ -9,7 +9,7 @@ use crate::hypothesis::{Hypothesis, fit};
 use crate::known_map::{KnownMap, Window};
 use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
-use crate::search::{Decision, Places, Searcher, ToldStart};
+use crate::search::{Decision, Due, Places, Searcher, ToldStart};
 use crate::state::{Estimate, Place, Reason, State};
 
 /// A scan that contradicts the map where it is believed to be is looked for so far around, metres and radians, and
@@ -188,13 +188,19 @@ impl<M: KnownMap> Finder<M> {
             places.all.iter_mut().for_each(|place| place.remember(oldest_left));
         }
         let is_new = current.offered != Offered::LeftOut;
-        let is_due = places.is_search_due(current.time, is_new);
-        if is_due {
-            places.merge(self.propose(current, &places.all), current.time);
+        let due = places.due(current.time, is_new, M::LONGEST_PAUSE);
+        match due {
+            Due::Search => places.merge(self.propose(current, &places.all), current.time),
+            Due::Repetition => places.merge(Vec::new(), current.time),
+            Due::Nothing => {}
         }
         places.prune();
-        let decision =
-            places.decide(self.recent.motion(), self.told.as_ref(), &current.local_from_scan, is_due);
+        let decision = places.decide(
+            self.recent.motion(),
+            self.told.as_ref(),
+            &current.local_from_scan,
+            due != Due::Nothing,
+        );
         match decision {
             Decision::Believed(best) => {
                 let track = Track {

@@ -25,10 +25,11 @@ const METRES_PER_RADIAN: f64 = 0.5;
 /// And after so many searches that proposed nothing better.
 const SEARCHES: u32 = 2;
 /// The map is searched again when something new was seen after this pause, seconds, which grows by this factor with each
-/// search up to a bound, after which it is searched in any case.
+/// search up to what searches of the map cost.
 const FIRST_PAUSE: f64 = 0.5;
 const LONGER: f64 = 1.25;
-const LONGEST_PAUSE: f64 = 3.0;
+/// A scanner that stands is taken to have been looked for once more after so many seconds in which scans went on fitting.
+const STANDING_PAUSE: f64 = 3.0;
 /// A place is told as tentative from this fit on.
 const TENTATIVE: f64 = 0.35;
 /// By so much a place is preferred that lies where the start was told to be.
@@ -74,6 +75,17 @@ pub(crate) struct Places {
     pub all: Vec<Hypothesis>,
     pub last_search: Option<Time>,
     searches: u32,
+    /// Whether a scan was kept since the last search.
+    is_new: bool,
+}
+
+/// What is to be done at a scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Due {
+    Nothing,
+    /// The map would be searched once more for what it was searched for before: that finds the same.
+    Repetition,
+    Search,
 }
 
 /// A map with threads to search in it.
@@ -107,19 +119,25 @@ impl<M: KnownMap> Searcher<M> {
 impl Places {
     /// All that fits anywhere, after as many searches as it takes.
     pub fn of_complete_search(all: Vec<Hypothesis>) -> Self {
-        Self { all, last_search: None, searches: SEARCHES }
+        Self { all, searches: SEARCHES, ..Self::default() }
     }
 
-    /// Whether it is time to search the whole map once more.
-    pub fn is_search_due(&self, time: Time, is_new: bool) -> bool {
-        let waited = self.last_search.map_or(f64::INFINITY, |last| time.seconds_since(last));
-        let pause = FIRST_PAUSE * LONGER.powi(self.searches.min(20) as i32);
-        waited >= LONGEST_PAUSE || is_new && waited >= pause.min(LONGEST_PAUSE)
+    /// Whether it is time to search the whole map once more, where searches are at most so many seconds apart.
+    pub fn due(&mut self, time: Time, is_new: bool, longest_pause: f64) -> Due {
+        self.is_new |= is_new;
+        let Some(last) = self.last_search else { return Due::Search };
+        let (waited, pause) =
+            (time.seconds_since(last), FIRST_PAUSE * LONGER.powi(self.searches.min(20) as i32));
+        match self.is_new {
+            true if waited >= pause.min(longest_pause) => Due::Search,
+            false if waited >= STANDING_PAUSE => Due::Repetition,
+            _ => Due::Nothing,
+        }
     }
 
     /// Takes in what a search proposed.
     pub fn merge(&mut self, proposed: Vec<Hypothesis>, time: Time) {
-        self.last_search = Some(time);
+        (self.last_search, self.is_new) = (Some(time), false);
         self.searches += 1;
         for place in proposed {
             match self.all.iter_mut().find(|known| known.is_same_place(&place)) {
@@ -174,5 +192,24 @@ impl Places {
             return Decision::Tentative(best, Reason::TooLittleSeen);
         }
         Decision::Believed(best)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Duration;
+
+    #[test]
+    fn the_map_is_searched_again_only_for_something_new() {
+        let at = |seconds: f64| Time::from_ticks(0) + Duration::from_seconds(seconds);
+        let mut places = Places::default();
+        assert_eq!(places.due(at(0.0), true, 1.0), Due::Search);
+        places.merge(Vec::new(), at(0.0));
+        assert_eq!(places.due(at(0.3), true, 1.0), Due::Nothing, "searches are some time apart");
+        assert_eq!(places.due(at(0.7), false, 1.0), Due::Search, "for the scan that was kept since");
+        places.merge(Vec::new(), at(0.7));
+        assert_eq!(places.due(at(3.0), false, 1.0), Due::Nothing);
+        assert_eq!(places.due(at(3.8), false, 1.0), Due::Repetition, "a scanner that stands");
     }
 }
