@@ -7,7 +7,7 @@ use portolan_matching::ScanAgreement;
 
 use crate::belief::Belief;
 use crate::known_map::{KnownMap, ON_THE_WAY, ScanMatch, Window};
-use crate::recent::RecentScans;
+use crate::recent::{KEPT, RecentScans};
 
 /// Scans are looked for within so many standard deviations of their prediction, and within these bounds, metres and
 /// radians.
@@ -71,6 +71,37 @@ impl Hypothesis {
     /// How well the recent scans fit.
     pub fn fit(&self) -> f64 {
         self.fits.iter().map(fit).sum::<f64>() / self.fits.len().max(1) as f64
+    }
+
+    /// By how much it fits better than another place: over the recent scans, and over the newest half and quarter of them,
+    /// whichever is least. A place into which the scanner has just come does not fit what was seen before.
+    pub fn lead(&self, other: &Self) -> f64 {
+        self.lead_of_newest(other, usize::MAX)
+    }
+
+    /// The same, of the newest so many scans.
+    pub fn lead_of_newest(&self, other: &Self, scans: usize) -> f64 {
+        let differences = self.fits.iter().rev().zip(other.fits.iter().rev()).take(scans);
+        let differences: Vec<f64> = differences.map(|(own, other)| fit(own) - fit(other)).collect();
+        let mean = |scans: usize| {
+            let newest = &differences[..scans.min(differences.len())];
+            newest.iter().sum::<f64>() / newest.len().max(1) as f64
+        };
+        [KEPT / 4, KEPT / 2, KEPT].into_iter().map(mean).fold(f64::INFINITY, f64::min)
+    }
+
+    /// How well the newest so many scans fit.
+    pub fn fit_of_newest(&self, scans: usize) -> f64 {
+        let scans = scans.min(self.fits.len());
+        self.fits.iter().rev().take(scans).map(fit).sum::<f64>() / scans.max(1) as f64
+    }
+
+    /// How well scans fit over the recent ones, the newest half and the newest quarter of them, whichever is least.
+    pub fn fit_lately(&self) -> f64 {
+        [KEPT / 4, KEPT / 2, KEPT]
+            .map(|scans| self.fit_of_newest(scans))
+            .into_iter()
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// Goes along with local SLAM, without looking.

@@ -10,12 +10,12 @@ use crate::state::Reason;
 
 /// Places that are kept, and by how much they may fit worse than the best.
 const MOST_PLACES: usize = 32;
-const REFUTED_BY: f64 = 0.3;
+pub(crate) const REFUTED_BY: f64 = 0.3;
 /// A place is believed if it fits so well and better than any other by so much, and both together are so much. Of 550
 /// searches on the ways of aces, fr079, intel and mit-csail, half of which the map does not know, wrong places led by up
 /// to 0.18, or by up to 0.4 where they and their lead were 0.81 together; of the right ones three in four pass.
-const FIT: f64 = 0.45;
-const LEAD: f64 = 0.2;
+pub(crate) const FIT: f64 = 0.45;
+pub(crate) const LEAD: f64 = 0.2;
 const FIT_AND_LEAD: f64 = 0.85;
 /// Each of them is higher by so much for a scanner that stands, because one view says little; after this way, metres, where a radian of turning counts as
 /// so many metres, no more.
@@ -111,8 +111,9 @@ impl<M: KnownMap> Searcher<M> {
     }
 
     /// Looks for a scan at all places.
-    pub fn look(&self, places: &mut [Hypothesis], scan: &M::Scan) {
-        self.pool.install(|| places.par_iter_mut().for_each(|place| place.look(&self.map, scan)));
+    pub fn look<'a>(&self, places: impl Iterator<Item = &'a mut Hypothesis>, scan: &M::Scan) {
+        let places: Vec<&mut Hypothesis> = places.collect();
+        self.pool.install(|| places.into_par_iter().for_each(|place| place.look(&self.map, scan)));
     }
 }
 
@@ -151,10 +152,9 @@ impl Places {
     /// Drops places that have become one, and those that are refuted by the best.
     pub fn prune(&mut self) {
         self.all.sort_by(|a, b| b.fit().total_cmp(&a.fit()));
-        let best = self.all.first().map_or(0.0, Hypothesis::fit);
         let mut kept: Vec<Hypothesis> = Vec::new();
         for place in std::mem::take(&mut self.all) {
-            let is_refuted = place.fit() < best - REFUTED_BY;
+            let is_refuted = kept.first().is_some_and(|best| best.lead(&place) > REFUTED_BY);
             if kept.len() < MOST_PLACES && !is_refuted && !kept.iter().any(|k| k.is_same_place(&place)) {
                 kept.push(place);
             }
@@ -178,12 +178,12 @@ impl Places {
         if place.fit() < TENTATIVE {
             return Decision::Nothing;
         }
-        let others = (0..ratings.len()).filter(|i| !self.all[*i].is_same_place(place));
-        let second = others.map(|i| ratings[i]).fold(0.0, f64::max);
+        let others = self.all.iter().filter(|other| !other.is_same_place(place));
+        let leads = others.map(|other| place.lead(other) + bonus(place) - bonus(other));
+        let lead = leads.fold(place.fit_lately() + bonus(place), f64::min);
         let (way, turn) = way;
         let moved = ((way + METRES_PER_RADIAN * turn) / MOVED).min(1.0);
         let more = STANDING * (1.0 - moved);
-        let lead = ratings[best] - second;
         if lead < LEAD + more {
             return Decision::Tentative(best, Reason::SeveralPlacesFit);
         }
