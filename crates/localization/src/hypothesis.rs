@@ -145,3 +145,35 @@ impl Hypothesis {
             && a.rotation.angle_to(&b.rotation) < SAME_PLACE.1
     }
 }
+
+/// A place along x that scans fit so well, the oldest first.
+#[cfg(test)]
+pub(crate) fn test_place(x: f64, fits: &[f32]) -> Hypothesis {
+    let agreement = |fit: &f32| ScanAgreement { explained: *fit, ..ScanAgreement::default() };
+    let belief = Belief::new(Rigid3::translation(x, 0.0, 0.0), crate::belief::Freedom::Plane, 0.1, 0.02);
+    Hypothesis {
+        belief,
+        agreement: fits.last().map(agreement).unwrap_or_default(),
+        fits: fits.iter().map(agreement).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lead_counts_only_if_it_lasts() {
+        let steady = test_place(0.0, &[0.8; 12]);
+        let behind = test_place(5.0, &[0.5; 12]);
+        assert!((steady.lead(&behind) - 0.3).abs() < 1e-6 && (behind.lead(&steady) + 0.3).abs() < 1e-6);
+        // Behind by 0.45 over all scans, and by nothing over the newest quarter.
+        let mut fits = [0.2; 12];
+        fits[9..].fill(0.8);
+        let entered = test_place(5.0, &fits);
+        assert!(steady.lead(&entered).abs() < 1e-6);
+        assert!(entered.fit() < 0.4 && (entered.fit_of_newest(3) - 0.8).abs() < 1e-6);
+        assert!((entered.fit_lately() - entered.fit()).abs() < 1e-6);
+        assert!((entered.lead_of_newest(&steady, 2)).abs() < 1e-6);
+    }
+}

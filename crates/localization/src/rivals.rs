@@ -95,3 +95,34 @@ impl Rivals {
         is_beaten.then(|| self.0.iter().map(|rival| rival.place.clone()).collect())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hypothesis::test_place;
+
+    /// A place along x that the scans fit so well, oldest first.
+    #[test]
+    fn a_place_that_was_left_is_a_rival_until_the_other_one_fits_and_leads() {
+        let mut rivals = Rivals::default();
+        let left = test_place(0.0, &[0.9, 0.9, 0.9, 0.2, 0.2, 0.2]);
+        rivals.0.push(Rival { place: left.clone(), since: Some(3) });
+        let poor = test_place(1.2, &[0.9, 0.9, 0.9, 0.4, 0.4, 0.4]);
+        assert!(rivals.raise_doubt(&poor) && !rivals.0[0].is_refuted(&poor), "it leads, but does not fit");
+        let good = test_place(1.2, &[0.9, 0.9, 0.9, 0.8, 0.8, 0.8]);
+        assert!(rivals.0[0].is_refuted(&good));
+        let just_now = Rival { place: left, since: Some(2) };
+        assert!(!just_now.is_refuted(&good), "two scans are too few");
+    }
+
+    #[test]
+    fn a_rival_that_fits_better_lately_raises_doubt_and_takes_over_once_it_does_in_all() {
+        let believed = test_place(0.0, &[0.8, 0.8, 0.8, 0.8, 0.5, 0.5, 0.5]);
+        let entering = test_place(9.0, &[0.0, 0.0, 0.0, 0.2, 0.8, 0.8, 0.8]);
+        let rivals = Rivals::of(vec![entering]);
+        assert!(rivals.raise_doubt(&believed) && rivals.take_over(&believed).is_none());
+        let worse = test_place(0.0, &[0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.2]);
+        let rivals = Rivals::of(vec![test_place(9.0, &[0.7; 7])]);
+        assert_eq!(rivals.take_over(&worse).map(|places| places.len()), Some(1));
+    }
+}

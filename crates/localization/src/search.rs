@@ -198,6 +198,7 @@ impl Places {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hypothesis::test_place;
     use portolan_geometry::Duration;
 
     #[test]
@@ -211,5 +212,20 @@ mod tests {
         places.merge(Vec::new(), at(0.7));
         assert_eq!(places.due(at(3.0), false, 1.0), Due::Nothing);
         assert_eq!(places.due(at(3.8), false, 1.0), Due::Repetition, "a scanner that stands");
+    }
+
+    #[test]
+    fn a_place_is_not_believed_while_another_one_explains_the_newest_scans_as_well() {
+        let decide = |other: &[f32]| {
+            let all = vec![test_place(0.0, &[0.8; 12]), test_place(9.0, other)];
+            let mut places = Places::of_complete_search(all);
+            places.prune();
+            (places.all.len(), places.decide((4.0, 0.0), None, &Rigid3::identity(), true))
+        };
+        assert_eq!(decide(&[0.2; 12]), (1, Decision::Believed(0)));
+        let mut entered = [0.2; 12];
+        entered[9..].fill(0.75);
+        let doubtful = Decision::Tentative(0, Reason::SeveralPlacesFit);
+        assert_eq!(decide(&entered), (2, doubtful), "into which the scanner has just come");
     }
 }
