@@ -7,8 +7,9 @@
     scripts/field_localize.py --space                  odd sweeps of real 3D drives in maps of the even ones
 
 The truth is the map of the whole log. The map of the first half alone is bent against it where loops close later, by more
-than a metre in aces: so the whole is put over the half place by place, by the common poses nearest to it. A piece counts
-as one whose place the map contains if a pose of the map's part lies within 3 m of its way. Needs Python 3 alone. The data folder
+than a metre in aces: so the whole is put over the half place by place, by the common poses nearest to it. A piece is known
+if a pose of the map's part lies within 3 m of its way; many such only begin at the end of the map's way, or touch it. Its
+place is contained in the map if it stays within 2 m of the map's way for 10 s. Needs Python 3 alone. The data folder
 is $PORTOLAN_DATA, or ../shared/data.
 """
 import argparse
@@ -37,6 +38,9 @@ WRONG = (0.5, 10.0)
 LASTING = 2.0
 # A piece is in the map if it comes so near to the map's way, metres.
 NEAR = 3.0
+# And its place is contained in the map if it stays so near, metres, for so many seconds.
+STAYS_NEAR = 2.0
+STAYS = 10.0
 # Poses this near to a place, metres, tell how the map of the first half is bent there.
 LOCAL = 6.0
 
@@ -195,6 +199,18 @@ class Log:
     def contains(self, first, last):
         return self.reached(first, last) is not None
 
+    def contained_since(self, first, last):
+        """From when on the way stays near that of the map; None if it never does for long enough."""
+        since = None
+        for p in self.truth.between(first, last)[::5]:
+            if not any(math.hypot(p[1] - q[1], p[2] - q[2]) < STAYS_NEAR for q in self.known[::5]):
+                since = None
+                continue
+            since = p[0] if since is None else since
+            if p[0] - since >= STAYS:
+                return since
+        return None
+
     def localize(self, recording, folder, options):
         code, cpu = run([self.program, "localize", self.map, recording, "-o", folder, "-q", "--threads", 1, *options])
         return code, cpu
@@ -207,6 +223,7 @@ class Log:
             code, cpu = self.localize(self.recording, folder, ["--skip", skip, "--duration", seconds])
             reached = self.reached(first, first + seconds)
             figures = {"skip": skip, "code": code, "cpu": cpu, "known": reached is not None, "reached": reached}
+            figures["contained"] = self.contained_since(first, first + seconds)
             if not (folder / "poses.csv").exists():
                 return figures | {"rows": [], "changes": []}
             report = json.loads((folder / "report.json").read_text())
@@ -216,7 +233,7 @@ class Log:
 def summary(log, pieces):
     known = [p for p in pieces if p["known"]]
     outside = [p for p in pieces if not p["known"]]
-    right, times, inside, wrong = 0, [], [], []
+    right, times, inside, wrong, contained = 0, [], [], [], []
     for piece in pieces:
         localised = [row for row in piece["rows"] if row[1] == "localised"]
         false = longest_false(piece["rows"])
@@ -227,12 +244,17 @@ def summary(log, pieces):
             right += 1
             times.append(first[0] - piece["rows"][0][0])
             inside.append(max(first[0] - piece["reached"], 0.0))
+            if piece["contained"]:
+                contained.append(max(first[0] - piece["contained"], 0.0))
     late = [p for p in known if p["rows"] and p["reached"] - p["rows"][0][0] > 30]
     rows = [row for piece in pieces for row in piece["rows"] if row[1] == "localised" and row[2] is not None]
     good = [row for row in rows if not is_wrong(row)]
     middle = lambda values: statistics.median(values) if values else float("nan")
     share = lambda part, whole: 100 * part / whole if whole else float("nan")
     all_rows = [row for piece in known for row in piece["rows"]]
+    of = sum(piece["contained"] is not None for piece in pieces)
+    print(f"{log.name:10} contained: found {len(contained)}/{of} ({share(len(contained), of):.0f} %), "
+          f"{middle(contained):.1f} s after it was near (90 %: {sorted(contained)[int(0.9 * len(contained))] if contained else float('nan'):.1f} s)")
     print(f"{log.name:10} found {right}/{len(known)} ({share(right, len(known)):.0f} %), after {middle(times):.1f} s "
           f"(90 %: {sorted(times)[int(0.9 * len(times))] if times else float('nan'):.1f} s), "
           f"{middle(inside):.1f} s after it came near the map's way, "
@@ -331,7 +353,7 @@ def main():
                 pieces = list(pool.map(lambda s: log.piece(s, arguments.seconds), starts))
             for piece in pieces if arguments.details else []:
                 changes = [f"{c['time'] - piece['rows'][0][0]:.1f} {c['state']} {c['reason']}" for c in piece["changes"]]
-                print(f"  {piece['skip']:.0f} known {piece['known']} exit {piece['code']} {'; '.join(changes)}")
+                print(f"  {piece['skip']:.0f} known {piece['known']} contained {piece['contained'] is not None} exit {piece['code']} {'; '.join(changes)}")
             summary(log, pieces)
             if arguments.kidnap:
                 kidnaps(log, 20, arguments.workers)

@@ -9,7 +9,8 @@ use crate::hypothesis::{Hypothesis, fit};
 use crate::known_map::{KnownMap, Window};
 use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
-use crate::search::{Decision, Places, Searcher, ToldStart};
+use crate::rivals::{BETTER_BY, BETTER_FIT, Rivals};
+use crate::search::{Decision, Due, Places, Searcher, ToldStart};
 use crate::state::{Estimate, Place, Reason, State};
 
 /// A scan that contradicts the map where it is believed to be is looked for so far around, metres and radians, and
@@ -22,9 +23,7 @@ const SLIPPED_SIGMAS: (f64, f64) = (0.15, 0.03);
 const CHECK_UNCERTAIN: f64 = 2.0;
 const CHECK_SURE: f64 = 10.0;
 const CHECK_WAY: f64 = 3.0;
-/// Another place is better if it fits so well, and so much better, in so many searches.
-const BETTER_FIT: f64 = 0.45;
-const BETTER_BY: f64 = 0.12;
+/// Another place is better if it is in so many searches.
 const BETTER_SEARCHES: u32 = 2;
 /// Outside of the map the place is lost when its standard deviation reaches this, metres.
 const WIDEST: f64 = 2.0;
@@ -54,6 +53,7 @@ enum Mode {
 /// A place that is believed.
 struct Track {
     place: Hypothesis,
+    rivals: Rivals,
     support: Support,
     last_check: Time,
     way_since_check: f64,
@@ -184,21 +184,28 @@ impl<M: KnownMap> Finder<M> {
         let mut places = places;
         places.all.iter_mut().for_each(|place| place.predict(&current.motion, current.seconds));
         if let Offered::Kept { oldest_left } = current.offered {
-            self.searcher.look(&mut places.all, &current.scan);
+            self.searcher.look(places.all.iter_mut(), &current.scan);
             places.all.iter_mut().for_each(|place| place.remember(oldest_left));
         }
         let is_new = current.offered != Offered::LeftOut;
-        let is_due = places.is_search_due(current.time, is_new);
-        if is_due {
-            places.merge(self.propose(current, &places.all), current.time);
+        let due = places.due(current.time, is_new, M::LONGEST_PAUSE);
+        match due {
+            Due::Search => places.merge(self.propose(current, &places.all), current.time),
+            Due::Repetition => places.merge(Vec::new(), current.time),
+            Due::Nothing => {}
         }
         places.prune();
-        let decision =
-            places.decide(self.recent.motion(), self.told.as_ref(), &current.local_from_scan, is_due);
+        let decision = places.decide(
+            self.recent.motion(),
+            self.told.as_ref(),
+            &current.local_from_scan,
+            due != Due::Nothing,
+        );
         match decision {
             Decision::Believed(best) => {
                 let track = Track {
                     place: places.all.swap_remove(best),
+                    rivals: Rivals::of(places.all),
                     support: Support::full(),
                     last_check: current.time,
                     way_since_check: 0.0,
@@ -239,12 +246,14 @@ impl<M: KnownMap> Finder<M> {
         let mut track = track;
         let map = &self.searcher.map;
         track.place.predict(&current.motion, current.seconds);
+        track.rivals.predict(&current.motion, current.seconds);
         track.place.look(map, &current.scan);
         let verdict = Verdict::of(&track.place.agreement);
         if verdict == Verdict::Contradicts {
             let wide = map.find(&current.scan, &track.place.belief.pose, SLIPPED);
             let is_better = fit(&wide.agreement) > fit(&track.place.agreement) + SLIPPED_FIT;
             if is_better && Verdict::of(&wide.agreement) == Verdict::Supports {
+                track.rivals.add_left(track.place.clone());
                 track.place.slip::<M>(&wide, SLIPPED_SIGMAS);
                 track.support.doubt();
             }
@@ -252,6 +261,7 @@ impl<M: KnownMap> Finder<M> {
         track.support.add(verdict, current.time);
         if let Offered::Kept { oldest_left } = current.offered {
             track.place.remember(oldest_left);
+            track.rivals.look(&self.searcher, &current.scan, oldest_left, &track.place);
         }
         track.way_since_check += current.motion.translation.vector.norm();
         if let Some(since) = track.support.contradicted_since() {
@@ -266,19 +276,21 @@ impl<M: KnownMap> Finder<M> {
             Verdict::Contradicts => track.doubt = Reason::ScansContradict,
             _ => {}
         }
+        if let Some(rivals) = track.rivals.take_over(&track.place) {
+            return outdone(&track.place, rivals, current.time);
+        }
         if track.is_check_due(current.time) {
             let rivals = self.propose(current, std::slice::from_ref(&track.place));
-            if let Some(places) = track.check(rivals, current.time) {
-                let reason = Reason::AnotherPlaceFitsBetter;
-                return (Mode::Searching { places, lost: Some(reason) }, State::Lost, reason);
+            if track.is_beaten(&rivals, current.time) {
+                return outdone(&track.place, rivals, current.time);
             }
         }
-        if track.support.is_sure() {
-            (Mode::Tracking(track), State::Localised, Reason::ScansFit)
-        } else {
-            let reason = track.doubt;
-            (Mode::Tracking(track), State::Uncertain, reason)
-        }
+        let (state, reason) = match track.support.is_sure() {
+            true if track.rivals.raise_doubt(&track.place) => (State::Uncertain, Reason::SeveralPlacesFit),
+            true => (State::Localised, Reason::ScansFit),
+            false => (State::Uncertain, track.doubt),
+        };
+        (Mode::Tracking(track), state, reason)
     }
 
     fn place_of(
@@ -305,6 +317,15 @@ fn lost(reason: Reason) -> (Mode, State, Reason) {
     (Mode::Searching { places: Places::default(), lost: Some(reason) }, State::Lost, reason)
 }
 
+/// Another place is better than the one that was believed: both are looked at once more.
+fn outdone(believed: &Hypothesis, better: Vec<Hypothesis>, time: Time) -> (Mode, State, Reason) {
+    let mut places = Places::default();
+    places.merge(better, time);
+    places.merge(vec![believed.clone()], time);
+    let reason = Reason::AnotherPlaceFitsBetter;
+    (Mode::Searching { places, lost: Some(reason) }, State::Lost, reason)
+}
+
 impl Track {
     fn is_check_due(&self, time: Time) -> bool {
         let waited = time.seconds_since(self.last_check);
@@ -315,8 +336,8 @@ impl Track {
         }
     }
 
-    /// Compares the place with others that a search proposed; all of them if it is given up.
-    fn check(&mut self, rivals: Vec<Hypothesis>, time: Time) -> Option<Places> {
+    /// Compares the place with others that a search proposed; whether it is given up.
+    fn is_beaten(&mut self, rivals: &[Hypothesis], time: Time) -> bool {
         (self.last_check, self.way_since_check) = (time, 0.0);
         let own = self.place.fit();
         let is_better = |rival: &Hypothesis| {
@@ -324,17 +345,11 @@ impl Track {
         };
         if !rivals.iter().any(is_better) {
             self.beaten = 0;
-            return None;
+            return false;
         }
         self.beaten += 1;
         self.support.doubt();
         self.doubt = Reason::AnotherPlaceFitsBetter;
-        if self.beaten < BETTER_SEARCHES {
-            return None;
-        }
-        let mut places = Places::default();
-        places.merge(rivals, time);
-        places.merge(vec![self.place.clone()], time);
-        Some(places)
+        self.beaten >= BETTER_SEARCHES
     }
 }

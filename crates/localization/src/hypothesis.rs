@@ -7,7 +7,7 @@ use portolan_matching::ScanAgreement;
 
 use crate::belief::Belief;
 use crate::known_map::{KnownMap, ON_THE_WAY, ScanMatch, Window};
-use crate::recent::RecentScans;
+use crate::recent::{KEPT, RecentScans};
 
 /// Scans are looked for within so many standard deviations of their prediction, and within these bounds, metres and
 /// radians.
@@ -73,6 +73,37 @@ impl Hypothesis {
         self.fits.iter().map(fit).sum::<f64>() / self.fits.len().max(1) as f64
     }
 
+    /// By how much it fits better than another place: over the recent scans, and over the newest half and quarter of them,
+    /// whichever is least. A place into which the scanner has just come does not fit what was seen before.
+    pub fn lead(&self, other: &Self) -> f64 {
+        self.lead_of_newest(other, usize::MAX)
+    }
+
+    /// The same, of the newest so many scans.
+    pub fn lead_of_newest(&self, other: &Self, scans: usize) -> f64 {
+        let differences = self.fits.iter().rev().zip(other.fits.iter().rev()).take(scans);
+        let differences: Vec<f64> = differences.map(|(own, other)| fit(own) - fit(other)).collect();
+        let mean = |scans: usize| {
+            let newest = &differences[..scans.min(differences.len())];
+            newest.iter().sum::<f64>() / newest.len().max(1) as f64
+        };
+        [KEPT / 4, KEPT / 2, KEPT].into_iter().map(mean).fold(f64::INFINITY, f64::min)
+    }
+
+    /// How well the newest so many scans fit.
+    pub fn fit_of_newest(&self, scans: usize) -> f64 {
+        let scans = scans.min(self.fits.len());
+        self.fits.iter().rev().take(scans).map(fit).sum::<f64>() / scans.max(1) as f64
+    }
+
+    /// How well scans fit over the recent ones, the newest half and the newest quarter of them, whichever is least.
+    pub fn fit_lately(&self) -> f64 {
+        [KEPT / 4, KEPT / 2, KEPT]
+            .map(|scans| self.fit_of_newest(scans))
+            .into_iter()
+            .fold(f64::INFINITY, f64::min)
+    }
+
     /// Goes along with local SLAM, without looking.
     pub fn predict(&mut self, motion: &Rigid3, seconds: f64) {
         self.belief.predict(motion, seconds);
@@ -112,5 +143,37 @@ impl Hypothesis {
         let a = &self.belief.pose;
         (a.translation.vector - b.translation.vector).norm() < SAME_PLACE.0
             && a.rotation.angle_to(&b.rotation) < SAME_PLACE.1
+    }
+}
+
+/// A place along x that scans fit so well, the oldest first.
+#[cfg(test)]
+pub(crate) fn test_place(x: f64, fits: &[f32]) -> Hypothesis {
+    let agreement = |fit: &f32| ScanAgreement { explained: *fit, ..ScanAgreement::default() };
+    let belief = Belief::new(Rigid3::translation(x, 0.0, 0.0), crate::belief::Freedom::Plane, 0.1, 0.02);
+    Hypothesis {
+        belief,
+        agreement: fits.last().map(agreement).unwrap_or_default(),
+        fits: fits.iter().map(agreement).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lead_counts_only_if_it_lasts() {
+        let steady = test_place(0.0, &[0.8; 12]);
+        let behind = test_place(5.0, &[0.5; 12]);
+        assert!((steady.lead(&behind) - 0.3).abs() < 1e-6 && (behind.lead(&steady) + 0.3).abs() < 1e-6);
+        // Behind by 0.45 over all scans, and by nothing over the newest quarter.
+        let mut fits = [0.2; 12];
+        fits[9..].fill(0.8);
+        let entered = test_place(5.0, &fits);
+        assert!(steady.lead(&entered).abs() < 1e-6);
+        assert!(entered.fit() < 0.4 && (entered.fit_of_newest(3) - 0.8).abs() < 1e-6);
+        assert!((entered.fit_lately() - entered.fit()).abs() < 1e-6);
+        assert!((entered.lead_of_newest(&steady, 2)).abs() < 1e-6);
     }
 }

@@ -65,6 +65,9 @@ pub trait KnownMap: Sized + Send + Sync {
     type Joint: Send + Sync;
     /// How the scanner moves.
     const FREEDOM: Freedom;
+    /// While no place is known, the whole map is searched at least so often where something new was seen, seconds: as long as
+    /// a search costs, so that a recording is localised no slower than it was made.
+    const LONGEST_PAUSE: f64;
 
     /// The frame of a scan in the local map.
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3;

@@ -18,6 +18,7 @@ mod placed_scan;
 mod planar_map;
 mod planar_scan;
 mod recent;
+mod rivals;
 mod scan_match;
 mod search;
 mod spatial_map;

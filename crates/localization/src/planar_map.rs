@@ -4,10 +4,7 @@ use std::collections::BTreeMap;
 
 use portolan_geometry::{Rigid2, Vector2, project_2d};
 use portolan_mapping::{GraphState, Planar, SubmapEntry};
-use portolan_matching::{
-    CellIndex, FastCorrelativeMatcher2d, FastCorrelativeOptions2d, Grid2d, GridError, MapLimits,
-    ProbabilityGrid,
-};
+use portolan_matching::{CellIndex, Grid2d, GridError, MapLimits, PlaceIndex2d, ProbabilityGrid};
 
 use crate::known_cells::KnownCells;
 use crate::known_map::KnownMapError;
@@ -32,7 +29,7 @@ pub struct PlanarMap {
     /// How near each cell is to something solid.
     pub(crate) field: LikelihoodField,
     /// Finds places in coarse cells.
-    pub(crate) places: FastCorrelativeMatcher2d,
+    pub(crate) places: PlaceIndex2d,
     /// Finds scans near a guess.
     pub(crate) matcher: Matcher,
     /// What scans may contradict.
@@ -61,8 +58,8 @@ impl PlanarMap {
         if !field.has_walls() {
             return Err(KnownMapError::NoWalls);
         }
-        let coarse = Grid2d::Probability(coarsened(&grid)?);
-        let places = FastCorrelativeMatcher2d::new(&coarse, &FastCorrelativeOptions2d::default())?;
+        let grids: Vec<(&Grid2d, Rigid2)> = placed.iter().map(|p| (p.grid, p.map_from_grid)).collect();
+        let places = PlaceIndex2d::new(&grids, COARSE)?.ok_or(KnownMapError::NoWalls)?;
         let cell = grid.limits().resolution();
         let known = (0..grid.cells().len()).filter(|i| grid.cells()[*i] != 0).count();
         let known_square_metres = known as f64 * cell * cell;
@@ -226,33 +223,6 @@ fn cells_around(submap: &Placed, limits: &MapLimits) -> impl Iterator<Item = Cel
     };
     let (x, y) = (range(|c| c.x, limits.num_x_cells()), range(|c| c.y, limits.num_y_cells()));
     y.flat_map(move |y| x.clone().map(move |x| CellIndex::new(x, y)))
-}
-
-/// The most that any cell says, in larger cells.
-fn coarsened(grid: &ProbabilityGrid) -> Result<ProbabilityGrid, GridError> {
-    let fine = grid.limits();
-    let factor = ((COARSE / fine.resolution()).round() as u32).max(1);
-    let count = |cells: u32| cells.div_ceil(factor);
-    let resolution = fine.resolution() * f64::from(factor);
-    let limits =
-        MapLimits::new(resolution, fine.max(), count(fine.num_x_cells()), count(fine.num_y_cells()))?;
-    let mut largest = vec![0.0_f32; limits.num_cells()];
-    let coarse_cell = |cell: CellIndex| CellIndex::new(cell.x / factor as i32, cell.y / factor as i32);
-    for cell in all_cells(fine) {
-        if let (true, Some(index)) = (grid.is_known(cell), limits.flat_index(coarse_cell(cell))) {
-            largest[index] = largest[index].max(grid.probability(cell));
-        }
-    }
-    let mut coarse = ProbabilityGrid::new(limits);
-    for cell in all_cells(&limits) {
-        match limits.flat_index(cell).map(|i| largest[i]) {
-            Some(probability) if probability > 0.0 => {
-                coarse.set_probability(cell, probability);
-            }
-            _ => {}
-        }
-    }
-    Ok(coarse)
 }
 
 #[cfg(test)]

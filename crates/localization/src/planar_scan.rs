@@ -1,7 +1,7 @@
 //! A scan of the plane as it is found in the map, and the joint cloud of several.
 
 use portolan_geometry::{Point3f, Vector2, project_2d};
-use portolan_matching::surface_tangents;
+use portolan_matching::{joint_cloud_2d, surface_tangents};
 use portolan_sensor::{PointCloud, voxel_filter_indices, voxel_filter_points};
 
 use crate::recent::RecentScans;
@@ -9,9 +9,8 @@ use crate::recent::RecentScans;
 /// Points of a scan are thinned to voxels of this edge, metres, and to this number.
 const VOXEL: f32 = 0.1;
 const MOST_POINTS: usize = 180;
-/// The cloud of all kept scans: reach, metres, voxels, metres, and points.
-const REACH: f32 = 25.0;
-const JOINT_VOXEL: f32 = 0.2;
+/// The cloud of all kept scans: cells, metres, and points.
+const JOINT_CELL: f64 = 0.2;
 const MOST_JOINT_POINTS: usize = 320;
 
 /// A scan in its own level frame.
@@ -55,20 +54,20 @@ pub struct PlanarJoint {
 impl PlanarJoint {
     /// Of all kept scans.
     pub fn of(recent: &RecentScans<PlanarScan>) -> Self {
-        let mut points: Vec<Point3f> = Vec::new();
-        for (newest_from_scan, scan) in recent.seen_from_newest() {
-            let newest_from_scan = project_2d(&newest_from_scan);
-            let moved = scan.points.iter().map(|p| newest_from_scan.transform_point(p).cast::<f32>());
-            points.extend(moved.filter(|p| p.norm() < REACH).map(|p| Point3f::new(p.x, p.y, 0.0)));
-        }
-        Self::thinned(&points)
+        let scans = recent.seen_from_newest();
+        let clouds = scans.map(|(newest_from_scan, scan)| (project_2d(&newest_from_scan), &scan.cloud));
+        Self::of_cells(joint_cloud_2d(clouds, JOINT_CELL))
     }
 
     /// Of points at height 0, metres, in the frame of the newest scan: thinned.
     pub fn thinned(points: &[Point3f]) -> Self {
-        let thinned = voxel_filter_points(points, JOINT_VOXEL);
-        let stride = thinned.len().div_ceil(MOST_JOINT_POINTS).max(1);
-        let cloud = PointCloud::new(thinned.into_iter().step_by(stride).collect());
+        Self::of_cells(PointCloud::new(voxel_filter_points(points, JOINT_CELL as f32)))
+    }
+
+    /// Of points of different cells.
+    fn of_cells(cells: PointCloud) -> Self {
+        let stride = cells.points.len().div_ceil(MOST_JOINT_POINTS).max(1);
+        let cloud = PointCloud::new(cells.points.into_iter().step_by(stride).collect());
         let points = cloud.points.iter().map(plane).collect();
         Self { cloud, points }
     }

@@ -3,7 +3,7 @@
 use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
 use portolan_mapping::{NodeData, Planar};
 use portolan_matching::{
-    GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, ScanAgreement, SeveralPlaces,
+    GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, ScanAgreement, WantedPlaces,
     scan_agreement,
 };
 use portolan_sensor::PointCloud;
@@ -19,13 +19,17 @@ use crate::recent::RecentScans;
 /// Descent that leaves the place which the search found is not believed beyond this, metres and radians.
 const FARTHEST_DESCENT: f64 = 0.25;
 const WIDEST_DESCENT: f64 = 0.1;
-/// What a search of the whole map proposes: what scores at least this in coarse cells, and this share of the best.
-const PROPOSALS: SeveralPlaces = SeveralPlaces {
+/// What a search of the whole map proposes: what scores at least this in coarse cells, and this share of the best. The
+/// greedy search alone, so wide that it finds the best place, and most others, where corridors look alike
+/// (docs/experiments/2026-11-localise.md).
+const PROPOSALS: WantedPlaces = WantedPlaces {
     min_score: 0.35,
     share_of_best: 0.75,
     separation: (0.8, 0.26),
     most: 24,
-    lookups: 150_000_000,
+    most_points: 160,
+    beam: 8192,
+    lookups: 0,
 };
 /// Around a place where it is proposed, coarsely.
 const AROUND_PROPOSAL: Window = Window { metres: 0.3, radians: 0.06 };
@@ -71,6 +75,7 @@ impl KnownMap for PlanarMap {
     type Scan = PlanarScan;
     type Joint = PlanarJoint;
     const FREEDOM: Freedom = Freedom::Plane;
+    const LONGEST_PAUSE: f64 = 1.0;
 
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
         embed_3d(&project_2d(local_from_tracking))
@@ -90,8 +95,8 @@ impl KnownMap for PlanarMap {
     }
 
     fn propose(&self, joint: &PlanarJoint, is_known: &(dyn Fn(&Rigid3) -> bool + Sync)) -> Vec<Rigid3> {
-        let found = self.places.match_several(&joint.cloud, &PROPOSALS);
-        let poses = found.iter().map(|place| embed_3d(&place.pose)).filter(|pose| !is_known(pose));
+        let found = self.places.find(&joint.cloud, &PROPOSALS);
+        let poses = found.places.iter().map(|place| embed_3d(&place.pose)).filter(|pose| !is_known(pose));
         poses.map(|pose| self.settle(joint, &pose, AROUND_PROPOSAL)).collect()
     }
 

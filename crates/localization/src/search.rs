@@ -10,12 +10,12 @@ use crate::state::Reason;
 
 /// Places that are kept, and by how much they may fit worse than the best.
 const MOST_PLACES: usize = 32;
-const REFUTED_BY: f64 = 0.3;
+pub(crate) const REFUTED_BY: f64 = 0.3;
 /// A place is believed if it fits so well and better than any other by so much, and both together are so much. Of 550
 /// searches on the ways of aces, fr079, intel and mit-csail, half of which the map does not know, wrong places led by up
 /// to 0.18, or by up to 0.4 where they and their lead were 0.81 together; of the right ones three in four pass.
-const FIT: f64 = 0.45;
-const LEAD: f64 = 0.2;
+pub(crate) const FIT: f64 = 0.45;
+pub(crate) const LEAD: f64 = 0.2;
 const FIT_AND_LEAD: f64 = 0.85;
 /// Each of them is higher by so much for a scanner that stands, because one view says little; after this way, metres, where a radian of turning counts as
 /// so many metres, no more.
@@ -25,10 +25,11 @@ const METRES_PER_RADIAN: f64 = 0.5;
 /// And after so many searches that proposed nothing better.
 const SEARCHES: u32 = 2;
 /// The map is searched again when something new was seen after this pause, seconds, which grows by this factor with each
-/// search up to a bound, after which it is searched in any case.
+/// search up to what searches of the map cost.
 const FIRST_PAUSE: f64 = 0.5;
 const LONGER: f64 = 1.25;
-const LONGEST_PAUSE: f64 = 3.0;
+/// A scanner that stands is taken to have been looked for once more after so many seconds in which scans went on fitting.
+const STANDING_PAUSE: f64 = 3.0;
 /// A place is told as tentative from this fit on.
 const TENTATIVE: f64 = 0.35;
 /// By so much a place is preferred that lies where the start was told to be.
@@ -74,6 +75,17 @@ pub(crate) struct Places {
     pub all: Vec<Hypothesis>,
     pub last_search: Option<Time>,
     searches: u32,
+    /// Whether a scan was kept since the last search.
+    is_new: bool,
+}
+
+/// What is to be done at a scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Due {
+    Nothing,
+    /// The map would be searched once more for what it was searched for before: that finds the same.
+    Repetition,
+    Search,
 }
 
 /// A map with threads to search in it.
@@ -99,27 +111,34 @@ impl<M: KnownMap> Searcher<M> {
     }
 
     /// Looks for a scan at all places.
-    pub fn look(&self, places: &mut [Hypothesis], scan: &M::Scan) {
-        self.pool.install(|| places.par_iter_mut().for_each(|place| place.look(&self.map, scan)));
+    pub fn look<'a>(&self, places: impl Iterator<Item = &'a mut Hypothesis>, scan: &M::Scan) {
+        let places: Vec<&mut Hypothesis> = places.collect();
+        self.pool.install(|| places.into_par_iter().for_each(|place| place.look(&self.map, scan)));
     }
 }
 
 impl Places {
     /// All that fits anywhere, after as many searches as it takes.
     pub fn of_complete_search(all: Vec<Hypothesis>) -> Self {
-        Self { all, last_search: None, searches: SEARCHES }
+        Self { all, searches: SEARCHES, ..Self::default() }
     }
 
-    /// Whether it is time to search the whole map once more.
-    pub fn is_search_due(&self, time: Time, is_new: bool) -> bool {
-        let waited = self.last_search.map_or(f64::INFINITY, |last| time.seconds_since(last));
-        let pause = FIRST_PAUSE * LONGER.powi(self.searches.min(20) as i32);
-        waited >= LONGEST_PAUSE || is_new && waited >= pause.min(LONGEST_PAUSE)
+    /// Whether it is time to search the whole map once more, where searches are at most so many seconds apart.
+    pub fn due(&mut self, time: Time, is_new: bool, longest_pause: f64) -> Due {
+        self.is_new |= is_new;
+        let Some(last) = self.last_search else { return Due::Search };
+        let (waited, pause) =
+            (time.seconds_since(last), FIRST_PAUSE * LONGER.powi(self.searches.min(20) as i32));
+        match self.is_new {
+            true if waited >= pause.min(longest_pause) => Due::Search,
+            false if waited >= STANDING_PAUSE => Due::Repetition,
+            _ => Due::Nothing,
+        }
     }
 
     /// Takes in what a search proposed.
     pub fn merge(&mut self, proposed: Vec<Hypothesis>, time: Time) {
-        self.last_search = Some(time);
+        (self.last_search, self.is_new) = (Some(time), false);
         self.searches += 1;
         for place in proposed {
             match self.all.iter_mut().find(|known| known.is_same_place(&place)) {
@@ -133,10 +152,9 @@ impl Places {
     /// Drops places that have become one, and those that are refuted by the best.
     pub fn prune(&mut self) {
         self.all.sort_by(|a, b| b.fit().total_cmp(&a.fit()));
-        let best = self.all.first().map_or(0.0, Hypothesis::fit);
         let mut kept: Vec<Hypothesis> = Vec::new();
         for place in std::mem::take(&mut self.all) {
-            let is_refuted = place.fit() < best - REFUTED_BY;
+            let is_refuted = kept.first().is_some_and(|best| best.lead(&place) > REFUTED_BY);
             if kept.len() < MOST_PLACES && !is_refuted && !kept.iter().any(|k| k.is_same_place(&place)) {
                 kept.push(place);
             }
@@ -160,12 +178,12 @@ impl Places {
         if place.fit() < TENTATIVE {
             return Decision::Nothing;
         }
-        let others = (0..ratings.len()).filter(|i| !self.all[*i].is_same_place(place));
-        let second = others.map(|i| ratings[i]).fold(0.0, f64::max);
+        let others = self.all.iter().filter(|other| !other.is_same_place(place));
+        let leads = others.map(|other| place.lead(other) + bonus(place) - bonus(other));
+        let lead = leads.fold(place.fit_lately() + bonus(place), f64::min);
         let (way, turn) = way;
         let moved = ((way + METRES_PER_RADIAN * turn) / MOVED).min(1.0);
         let more = STANDING * (1.0 - moved);
-        let lead = ratings[best] - second;
         if lead < LEAD + more {
             return Decision::Tentative(best, Reason::SeveralPlacesFit);
         }
@@ -174,5 +192,40 @@ impl Places {
             return Decision::Tentative(best, Reason::TooLittleSeen);
         }
         Decision::Believed(best)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hypothesis::test_place;
+    use portolan_geometry::Duration;
+
+    #[test]
+    fn the_map_is_searched_again_only_for_something_new() {
+        let at = |seconds: f64| Time::from_ticks(0) + Duration::from_seconds(seconds);
+        let mut places = Places::default();
+        assert_eq!(places.due(at(0.0), true, 1.0), Due::Search);
+        places.merge(Vec::new(), at(0.0));
+        assert_eq!(places.due(at(0.3), true, 1.0), Due::Nothing, "searches are some time apart");
+        assert_eq!(places.due(at(0.7), false, 1.0), Due::Search, "for the scan that was kept since");
+        places.merge(Vec::new(), at(0.7));
+        assert_eq!(places.due(at(3.0), false, 1.0), Due::Nothing);
+        assert_eq!(places.due(at(3.8), false, 1.0), Due::Repetition, "a scanner that stands");
+    }
+
+    #[test]
+    fn a_place_is_not_believed_while_another_one_explains_the_newest_scans_as_well() {
+        let decide = |other: &[f32]| {
+            let all = vec![test_place(0.0, &[0.8; 12]), test_place(9.0, other)];
+            let mut places = Places::of_complete_search(all);
+            places.prune();
+            (places.all.len(), places.decide((4.0, 0.0), None, &Rigid3::identity(), true))
+        };
+        assert_eq!(decide(&[0.2; 12]), (1, Decision::Believed(0)));
+        let mut entered = [0.2; 12];
+        entered[9..].fill(0.75);
+        let doubtful = Decision::Tentative(0, Reason::SeveralPlacesFit);
+        assert_eq!(decide(&entered), (2, doubtful), "into which the scanner has just come");
     }
 }

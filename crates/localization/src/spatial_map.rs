@@ -256,6 +256,7 @@ impl KnownMap for SpatialMap {
     type Scan = SpatialScan;
     type Joint = SpatialJoint;
     const FREEDOM: Freedom = Freedom::Space;
+    const LONGEST_PAUSE: f64 = 3.0;
 
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
         let heading = rotation_from_roll_pitch_yaw(0.0, 0.0, yaw(&local_from_tracking.rotation));

@@ -1,16 +1,12 @@
 //! Where in a planar map a stretch of way was seen: all submaps searched at once.
 
-use portolan_geometry::{Point3f, Rigid2, Rigid3, Vector2, embed_3d, project_2d};
-use portolan_matching::{PlaceIndex2d, WantedPlaces};
-use portolan_sensor::{PointCloud, voxel_filter_points};
+use portolan_geometry::{Rigid3, embed_3d, project_2d};
+use portolan_matching::{PlaceIndex2d, WantedPlaces, joint_cloud_2d};
 
 use crate::{NodeData, PlaceFinder, Submap2d};
 
 /// Edge of a cell of the index, metres: walls of rooms and corridors are apart by several of them.
 const CELL: f64 = 0.2;
-/// Points farther from the first scan than this, metres, are left out: they would ask for more headings, and the far end of
-/// a stretch of way is bent against its middle.
-const REACH: f32 = 25.0;
 /// What is proposed for a stretch of way, chosen in docs/experiments/2026-11-place-index.md.
 const WANTED: WantedPlaces = WantedPlaces {
     min_score: 0.5,
@@ -18,6 +14,7 @@ const WANTED: WantedPlaces = WantedPlaces {
     separation: (0.8, 0.26),
     most: 12,
     most_points: 160,
+    beam: 128,
     lookups: 2_000_000_000,
 };
 
@@ -43,23 +40,12 @@ impl PlanarPlaces {
 
 impl PlaceFinder for PlanarPlaces {
     fn find(&self, scans: &[(Rigid3, &NodeData)]) -> Vec<Rigid3> {
-        let found = self.index.find(&joint_cloud(scans), &WANTED);
+        let clouds = scans.iter().map(|(first_from_scan, node)| {
+            (project_2d(first_from_scan), &node.filtered_gravity_aligned_point_cloud)
+        });
+        let found = self.index.find(&joint_cloud_2d(clouds, CELL), &WANTED);
         found.places.iter().map(|place| embed_3d(&place.pose)).collect()
     }
-}
-
-/// All scans in the frame of the first, one point in each cell.
-fn joint_cloud(scans: &[(Rigid3, &NodeData)]) -> PointCloud {
-    let mut points: Vec<Point3f> = Vec::new();
-    for (first_from_scan, node) in scans {
-        let first_from_scan: Rigid2 = project_2d(first_from_scan);
-        let cloud = &node.filtered_gravity_aligned_point_cloud.points;
-        let moved = cloud.iter().map(|p| {
-            first_from_scan.transform_point(&Vector2::new(f64::from(p.x), f64::from(p.y))).cast::<f32>()
-        });
-        points.extend(moved.filter(|p| p.norm() < REACH).map(|p| Point3f::new(p.x, p.y, 0.0)));
-    }
-    PointCloud::new(voxel_filter_points(&points, CELL as f32))
 }
 
 #[cfg(test)]

@@ -19,7 +19,8 @@ pub use correlative::{
     FastCorrelativeMatcher2d, FastCorrelativeMatcher3d, FastCorrelativeOptions2d, FastCorrelativeOptions3d,
     FastMatch3d, FoundPlaces2d, MatchResult, NodeToFind, PlaceIndex2d, RealTimeCorrelativeMatcher2d,
     RealTimeCorrelativeMatcher3d, RealTimeCorrelativeOptions, SearchReach3d, SeveralPlaces, SubmapToSearch,
-    WantedPlaces, histogram_similarity, judge_placement_3d, rotate_histogram, rotational_histogram,
+    WantedPlaces, histogram_similarity, joint_cloud_2d, judge_placement_3d, rotate_histogram,
+    rotational_histogram,
 };
 pub use error::MatcherOptionError;
 pub use gradient::{

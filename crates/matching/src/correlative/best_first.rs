@@ -240,16 +240,18 @@ pub(crate) trait Taker<P> {
     fn take(&mut self, score: f32, placement: P) -> Option<f32>;
 }
 
-/// Hands over placements from the best one down, without looking at more boxes than the last one needs; no score is above
-/// `highest`. Returns how many of the look-ups that [`Best::in_order_above`] allows are left; none if they were too few to
-/// look at all that was wanted.
+/// Hands over placements from the best one down, without looking at more boxes than the last one needs; no score is above 1.
+/// Those that were `found` before wait for their turn from the beginning, so that they are handed over even if the look-ups
+/// that [`Best::in_order_above`] allows are too few to look at all that is wanted. Returns how many of these are left; none
+/// if they were too few.
 pub(crate) fn best_first_in_order<B: Branching>(
     boxes: &mut B,
     mut best: Best<B::Placement>,
-    highest: f32,
+    found: Vec<Node<B::Placement>>,
     taker: &mut impl Taker<B::Placement>,
 ) -> u64 {
-    let mut waiting = BucketQueue::new(best.score, highest);
+    let mut waiting = BucketQueue::new(best.score, 1.0);
+    found.into_iter().for_each(|node| waiting.push(node));
     boxes.roots(&mut best, &mut |node| waiting.push(node));
     loop {
         best.in_order.iter_mut().flat_map(|offered| offered.drain(..)).for_each(|node| waiting.push(node));
@@ -281,8 +283,23 @@ pub(crate) fn beam<B: Branching>(
     mut best: Best<B::Placement>,
     width: usize,
 ) -> (f32, Vec<B::Placement>) {
+    search_beam(boxes, &mut best, width);
+    best.finish()
+}
+
+/// As [`beam`] with what [`Best::in_order_above`] started: all placements that it came upon, in no order.
+pub(crate) fn beam_several<B: Branching>(
+    boxes: &mut B,
+    mut best: Best<B::Placement>,
+    width: usize,
+) -> Vec<Node<B::Placement>> {
+    search_beam(boxes, &mut best, width);
+    best.in_order.unwrap_or_default()
+}
+
+fn search_beam<B: Branching>(boxes: &mut B, best: &mut Best<B::Placement>, width: usize) {
     let mut waiting: Vec<Node<B::Placement>> = Vec::new();
-    boxes.roots(&mut best, &mut |node| waiting.push(node));
+    boxes.roots(best, &mut |node| waiting.push(node));
     while !waiting.is_empty() {
         if waiting.len() > width {
             waiting.select_nth_unstable_by(width, |a, b| b.cmp(a));
@@ -293,12 +310,11 @@ pub(crate) fn beam<B: Branching>(
         let mut parts = Vec::new();
         for node in waiting.iter().filter(|node| node.exponent > 0) {
             if best.is_promising(node.bound) {
-                boxes.split(node, &mut best, &mut |part| parts.push(part));
+                boxes.split(node, best, &mut |part| parts.push(part));
             }
         }
         waiting = parts;
     }
-    best.finish()
 }
 
 /// Splits a box. Its parts wait, too, unless very many do: then they are split at once, which finds the
@@ -423,10 +439,10 @@ mod tests {
             _ => 0.3,
         };
         let (mut line, mut taken) = (Line(score, 0), Spaced(9, Vec::new()));
-        assert!(best_first_in_order(&mut line, Best::in_order_above(0.1, 1 << 20), 1.0, &mut taken) > 0);
+        assert!(best_first_in_order(&mut line, Best::in_order_above(0.1, 1 << 20), vec![], &mut taken) > 0);
         assert_eq!(taken.1, [(0.9, 700), (0.8, 20), (0.8, 300)], "the rest is below half of the best");
         let (mut line, mut taken) = (Line(score, 0), Spaced(2, Vec::new()));
-        assert!(best_first_in_order(&mut line, Best::in_order_above(0.1, 1 << 20), 1.0, &mut taken) > 0);
+        assert!(best_first_in_order(&mut line, Best::in_order_above(0.1, 1 << 20), vec![], &mut taken) > 0);
         assert_eq!(taken.1, [(0.9, 700), (0.8, 20)]);
         assert!(line.1 < 120, "{} of 1024 were looked at", line.1);
     }

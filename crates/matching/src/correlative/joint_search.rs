@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::best_first::{
-    self, Branching, Node, Taker, beam, best_first, best_first_in_order, best_first_several,
+    self, Branching, Node, Taker, beam_several, best_first, best_first_in_order, best_first_several,
 };
 use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
@@ -125,16 +125,22 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         best_first_several(self, Best::several_above(min_score, share, lookups))
     }
 
-    /// Hands over placements that score above `min_score`, none above 1, from the best one down. Returns how many of so many
-    /// look-ups of cells are left; none if they were too few.
-    pub fn run_in_order(&mut self, min_score: f32, lookups: u64, taker: &mut impl Taker<Placement>) -> u64 {
-        best_first_in_order(self, Best::in_order_above(min_score, lookups), 1.0, taker)
+    /// Hands over placements that score above `min_score`, none above 1, from the best one down, those that were `found`
+    /// before in any case. Returns how many of so many look-ups of cells are left; none if they were too few.
+    pub fn run_in_order(
+        &mut self,
+        min_score: f32,
+        lookups: u64,
+        found: Vec<Node<Placement>>,
+        taker: &mut impl Taker<Placement>,
+    ) -> u64 {
+        best_first_in_order(self, Best::in_order_above(min_score, lookups), found, taker)
     }
 
-    /// A good placement above `min_score`, not always the best one: of the boxes of each size only the `width` most
+    /// Good placements above `min_score`, not always the best ones: of the boxes of each size only the `width` most
     /// promising ones are split.
-    pub fn run_beam(&mut self, min_score: f32, width: usize) -> (f32, Vec<Placement>) {
-        beam(self, Best::single_above(min_score), width)
+    pub fn run_beam(&mut self, min_score: f32, width: usize) -> Vec<Node<Placement>> {
+        beam_several(self, Best::in_order_above(min_score, u64::MAX), width)
     }
 
     /// Shifts along each axis in a box.

@@ -15,6 +15,7 @@ mod search_window;
 
 mod fast2d;
 mod fast3d;
+mod joint_cloud;
 mod place_grid;
 mod place_index;
 mod real_time2d;
@@ -26,6 +27,7 @@ pub use fast3d::{
     FastCorrelativeMatcher3d, FastCorrelativeOptions3d, FastMatch3d, NodeToFind, SearchReach3d,
     SubmapToSearch, judge_placement_3d,
 };
+pub use joint_cloud::joint_cloud_2d;
 pub use place_index::{FoundPlaces2d, PlaceIndex2d, WantedPlaces};
 pub use real_time2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
 pub use real_time3d::RealTimeCorrelativeMatcher3d;

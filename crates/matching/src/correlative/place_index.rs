@@ -5,6 +5,10 @@
 //! until the best places are known; everything that promises less is never looked at. Two things make bounds tight enough
 //! for that: a point that ends in free space counts against a place, so that windows without walls promise less than
 //! nothing; and a scanner stands where the map knows free space, so that boxes without any are not looked at.
+//!
+//! A greedy search goes first. Where the bounds tell good places from others, it finds them all, at a cost that hardly depends
+//! on the map; how many it finds depends on its width. The complete search proves that nothing is missed, at a cost that
+//! grows with the map.
 
 use portolan_geometry::{Point3f, Rigid2, normalize_angle};
 use portolan_sensor::PointCloud;
@@ -27,8 +31,6 @@ const FREE: f32 = -0.5;
 /// The search starts with boxes of 2^5 cells and as many angles. Windows of points in them are up to twice as wide and a
 /// little more: of 2^7 cells.
 const MAX_EXPONENT: u32 = 5;
-/// A first, greedy search splits so many boxes of each size: what it finds bounds the best score from below.
-const BEAM: usize = 128;
 
 /// Which places are wanted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +45,11 @@ pub struct WantedPlaces {
     pub most: usize,
     /// A cloud is thinned to so many points.
     pub most_points: usize,
-    /// The search ends after so many look-ups of cells with what it has; a thousand million take about a second.
+    /// A first, greedy search splits so many boxes of each size: what it finds bounds the best score from below. It costs the
+    /// same in any map, but for boxes of the first size.
+    pub beam: usize,
+    /// The complete search after it ends after so many look-ups of cells, with what the two have found; none where it is not
+    /// wanted. A thousand million take about a second.
     pub lookups: u64,
 }
 
@@ -55,7 +61,7 @@ pub struct FoundPlaces2d {
     pub places: Vec<MatchResult<Rigid2>>,
     /// Whether these are the best ones of all; false if the look-ups were too few to know.
     pub is_complete: bool,
-    /// How many cells were looked up after the first, greedy search: what it cost, on any machine.
+    /// How many cells were looked up by the complete search: what it cost, on any machine.
     pub lookups: u64,
 }
 
@@ -123,10 +129,12 @@ impl PlaceIndex2d {
         let window = SearchWindow::new(&points, self.limits.resolution(), everywhere, std::f64::consts::PI);
         let mut search = self.search(&points, &centre, window);
         let min_score = wanted.min_score.max(NOTHING);
-        let (good, _) = search.run_beam(min_score, BEAM);
-        let floor = min_score.max(wanted.share_of_best * good);
+        let mut good = search.run_beam(min_score, wanted.beam);
+        let best = good.iter().map(|node| node.bound).fold(0.0, f32::max);
+        let floor = min_score.max(wanted.share_of_best * best);
+        good.retain(|node| node.bound > floor);
         let mut taken = Taken { wanted, window, centre, places: Vec::new() };
-        let left = search.run_in_order(floor, wanted.lookups, &mut taken);
+        let left = search.run_in_order(floor, wanted.lookups, good, &mut taken);
         let places = taken.places.into_iter().map(|(score, pose)| MatchResult { score, pose }).collect();
         FoundPlaces2d { places, is_complete: left > 0, lookups: wanted.lookups - left }
     }

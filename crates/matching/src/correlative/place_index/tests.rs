@@ -10,6 +10,7 @@ const WANTED: WantedPlaces = WantedPlaces {
     separation: (0.8, 0.26),
     most: 8,
     most_points: 200,
+    beam: 128,
     lookups: 1 << 40,
 };
 
@@ -183,6 +184,16 @@ fn too_few_look_ups_are_told() {
     let rooms = rooms(&[1, 2, 3]);
     let found = index_of(&rooms).find(&rooms[0].2, &WantedPlaces { lookups: 10_000, ..WANTED });
     assert!(!found.is_complete);
+}
+
+#[test]
+fn what_the_greedy_search_finds_is_told_even_without_a_complete_one() {
+    let rooms = rooms(&[1, 2, 1, 3, 1]);
+    let found = index_of(&rooms).find(&rooms[0].2, &WantedPlaces { beam: 4096, lookups: 0, ..WANTED });
+    assert!(!found.is_complete);
+    for room in [0, 2, 4] {
+        assert_eq!(found.places.iter().filter(|p| is_at(p, &rooms[room].1)).count(), 1, "{room}: {found:?}");
+    }
 }
 
 #[test]

@@ -1,0 +1,128 @@
+//! Places that the one that is believed has to go on beating.
+
+use portolan_geometry::Rigid3;
+
+use crate::hypothesis::Hypothesis;
+use crate::known_map::KnownMap;
+use crate::search::{FIT, LEAD, REFUTED_BY, Searcher};
+
+/// A place that was left for another one nearby is given up once that fits and leads over so many scans, as it has to be to
+/// be believed at all.
+const SCANS: usize = 3;
+/// Another place is better if it fits so well, and so much better.
+pub(crate) const BETTER_FIT: f64 = 0.45;
+pub(crate) const BETTER_BY: f64 = 0.12;
+
+/// A place where the scanner may be instead of where it is believed to be.
+#[derive(Clone, Debug)]
+struct Rival {
+    place: Hypothesis,
+    /// Where both were one place until a while ago: scans that were kept since.
+    since: Option<usize>,
+}
+
+impl Rival {
+    /// By how much the believed place is better.
+    fn behind(&self, believed: &Hypothesis) -> f64 {
+        believed.lead_of_newest(&self.place, self.since.unwrap_or(usize::MAX))
+    }
+
+    fn is_refuted(&self, believed: &Hypothesis) -> bool {
+        match self.since {
+            Some(scans) => {
+                scans >= SCANS && believed.fit_of_newest(scans) >= FIT && self.behind(believed) >= LEAD
+            }
+            None => self.behind(believed) >= REFUTED_BY,
+        }
+    }
+
+    fn raises_doubt(&self, believed: &Hypothesis) -> bool {
+        self.since.is_some() || self.behind(believed) < 0.0
+    }
+
+    fn is_better(&self, believed: &Hypothesis) -> bool {
+        let scans = self.since.unwrap_or(usize::MAX);
+        scans >= SCANS
+            && self.place.fit() > BETTER_FIT
+            && self.place.lead_of_newest(believed, scans) > BETTER_BY
+    }
+}
+
+/// Hypotheses that were not refuted when another one was believed. They go along and are judged by the same scans.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rivals(Vec<Rival>);
+
+impl Rivals {
+    /// What a search left beside the place that is believed.
+    pub fn of(places: Vec<Hypothesis>) -> Self {
+        Self(places.into_iter().map(|place| Rival { place, since: None }).collect())
+    }
+
+    /// Where the scanner would be, had it not jumped.
+    pub fn add_left(&mut self, place: Hypothesis) {
+        self.0.push(Rival { place, since: Some(0) });
+    }
+
+    /// Goes along with local SLAM.
+    pub fn predict(&mut self, motion: &Rigid3, seconds: f64) {
+        self.0.iter_mut().for_each(|rival| rival.place.predict(motion, seconds));
+    }
+
+    /// Looks for a scan that is kept, and drops what it refutes.
+    pub fn look<M: KnownMap>(
+        &mut self,
+        searcher: &Searcher<M>,
+        scan: &M::Scan,
+        oldest_left: bool,
+        believed: &Hypothesis,
+    ) {
+        searcher.look(self.0.iter_mut().map(|rival| &mut rival.place), scan);
+        for rival in &mut self.0 {
+            rival.place.remember(oldest_left);
+            rival.since = rival.since.map(|scans| scans + 1);
+        }
+        self.0.retain(|rival| !rival.place.is_same_place(believed) && !rival.is_refuted(believed));
+    }
+
+    /// Whether one of them says that the place is not known.
+    pub fn raise_doubt(&self, believed: &Hypothesis) -> bool {
+        self.0.iter().any(|rival| rival.raises_doubt(believed))
+    }
+
+    /// All of them, if one is better than what is believed.
+    pub fn take_over(&self, believed: &Hypothesis) -> Option<Vec<Hypothesis>> {
+        let is_beaten = self.0.iter().any(|rival| rival.is_better(believed));
+        is_beaten.then(|| self.0.iter().map(|rival| rival.place.clone()).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hypothesis::test_place;
+
+    /// A place along x that the scans fit so well, oldest first.
+    #[test]
+    fn a_place_that_was_left_is_a_rival_until_the_other_one_fits_and_leads() {
+        let mut rivals = Rivals::default();
+        let left = test_place(0.0, &[0.9, 0.9, 0.9, 0.2, 0.2, 0.2]);
+        rivals.0.push(Rival { place: left.clone(), since: Some(3) });
+        let poor = test_place(1.2, &[0.9, 0.9, 0.9, 0.4, 0.4, 0.4]);
+        assert!(rivals.raise_doubt(&poor) && !rivals.0[0].is_refuted(&poor), "it leads, but does not fit");
+        let good = test_place(1.2, &[0.9, 0.9, 0.9, 0.8, 0.8, 0.8]);
+        assert!(rivals.0[0].is_refuted(&good));
+        let just_now = Rival { place: left, since: Some(2) };
+        assert!(!just_now.is_refuted(&good), "two scans are too few");
+    }
+
+    #[test]
+    fn a_rival_that_fits_better_lately_raises_doubt_and_takes_over_once_it_does_in_all() {
+        let believed = test_place(0.0, &[0.8, 0.8, 0.8, 0.8, 0.5, 0.5, 0.5]);
+        let entering = test_place(9.0, &[0.0, 0.0, 0.0, 0.2, 0.8, 0.8, 0.8]);
+        let rivals = Rivals::of(vec![entering]);
+        assert!(rivals.raise_doubt(&believed) && rivals.take_over(&believed).is_none());
+        let worse = test_place(0.0, &[0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.2]);
+        let rivals = Rivals::of(vec![test_place(9.0, &[0.7; 7])]);
+        assert_eq!(rivals.take_over(&worse).map(|places| places.len()), Some(1));
+    }
+}
