@@ -4,7 +4,6 @@
 //! takes the last sample to hold over any gap. Where nothing was measured, maps get samples that agree with the
 //! poses and with gravity: all residuals of the IMU are zero where the nodes stand. They are marked
 //! (`derived_from_poses`) and not read again.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::VecDeque;
 

@@ -127,11 +127,12 @@ impl Extent {
             return extent;
         }
         let p = [point.x, point.y, point.z];
-        let old = extent.unwrap_or(Self { min: p, max: p });
-        Some(Self {
-            min: [0, 1, 2].map(|i| old.min[i].min(p[i])),
-            max: [0, 1, 2].map(|i| old.max[i].max(p[i])),
-        })
+        let mut extent = extent.unwrap_or(Self { min: p, max: p });
+        for ((min, max), v) in extent.min.iter_mut().zip(&mut extent.max).zip(p) {
+            *min = min.min(v);
+            *max = max.max(v);
+        }
+        Some(extent)
     }
 }
 
@@ -322,27 +323,23 @@ impl MapInfo {
         self.grids.hybrid_grids += 1;
         self.grids.cells += grid.values.len() as u64;
         self.add_resolution(f64::from(grid.resolution));
-        let (Some((min, max)), Some(pose)) = (index_box(grid), map_from_submap) else { return };
+        let (Some(index_box), Some(pose)) = (index_box(grid), map_from_submap) else { return };
         let resolution = f64::from(grid.resolution);
-        for corner in 0..8 {
-            let pick = |i: usize| {
-                let index =
-                    if corner >> i & 1 == 0 { f64::from(min[i]) - 0.5 } else { f64::from(max[i]) + 0.5 };
-                index * resolution
-            };
-            let corner = pose * Point3::new(pick(0), pick(1), pick(2));
-            self.mapped_extent = Extent::with(self.mapped_extent, &corner.coords);
+        let edges = |[min, max]: [i32; 2]| [f64::from(min) - 0.5, f64::from(max) + 0.5];
+        let [xs, ys, zs] = index_box.map(|range| edges(range).map(|index| index * resolution));
+        for z in zs {
+            for y in ys {
+                for x in xs {
+                    let corner = pose * Point3::new(x, y, z);
+                    self.mapped_extent = Extent::with(self.mapped_extent, &corner.coords);
+                }
+            }
         }
     }
 }
 
-/// Smallest and largest indices of the stored cells.
-fn index_box(grid: &HybridGrid) -> Option<([i32; 3], [i32; 3])> {
-    let axes = [&grid.x_indices, &grid.y_indices, &grid.z_indices];
-    let mut result = ([0; 3], [0; 3]);
-    for (i, axis) in axes.into_iter().enumerate() {
-        result.0[i] = *axis.iter().min()?;
-        result.1[i] = *axis.iter().max()?;
-    }
-    Some(result)
+/// Smallest and largest index of the stored cells along each axis.
+fn index_box(grid: &HybridGrid) -> Option<[[i32; 2]; 3]> {
+    let range = |indices: &[i32]| Some([*indices.iter().min()?, *indices.iter().max()?]);
+    Some([range(&grid.x_indices)?, range(&grid.y_indices)?, range(&grid.z_indices)?])
 }

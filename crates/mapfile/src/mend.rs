@@ -1,5 +1,4 @@
 //! Repairs of single messages.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 

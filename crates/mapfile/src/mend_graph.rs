@@ -1,5 +1,4 @@
 //! Repairs of the pose graph: what remains of it must be whole.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -7,7 +7,7 @@ use portolan_geometry::Rigid3;
 use rayon::prelude::*;
 
 use crate::packed_texture::PackedTexture;
-use crate::resample::{Sample, Sampler, add_evidence, over};
+use crate::resample::{Affine, Sample, Sampler, add_evidence, apply, over};
 use portolan_pbstream::IdInFile;
 
 /// Free margin around the submaps, pixels.
@@ -265,7 +265,7 @@ fn blend_group<P: Copy + Send>(
 struct Slice<'a> {
     texture: &'a PackedTexture,
     /// Columns: per texture column, per texture row, offset.
-    picture_from_texture: [[f64; 2]; 3],
+    picture_from_texture: Affine,
 }
 
 impl<'a> Slice<'a> {
@@ -274,13 +274,11 @@ impl<'a> Slice<'a> {
         if texture.width.checked_mul(texture.height) != Some(texture.pixel_count()) {
             return Err(PaintError::Texture(placed.id));
         }
-        let h = (placed.map_from_submap * texture.submap_from_slice).to_homogeneous();
+        let map_from_slice = placed.map_from_submap * texture.submap_from_slice;
+        let columns: [[f64; 4]; 4] = map_from_slice.to_homogeneous().into();
+        let [[xx, yx, ..], [xy, yy, ..], _, [x, y, ..]] = columns;
         let (r, s) = (texture.resolution / resolution, 1.0 / resolution);
-        let picture_from_texture = [
-            [r * h[(1, 0)], r * h[(0, 0)]],
-            [-r * h[(1, 1)], -r * h[(0, 1)]],
-            [s * h[(0, 3)], -s * h[(1, 3)]],
-        ];
+        let picture_from_texture = [[r * yx, r * xx], [-r * yy, -r * xy], [s * x, -s * y]];
         if !picture_from_texture.as_flattened().iter().all(|v| v.is_finite()) {
             return Err(PaintError::Pose(placed.id));
         }
@@ -289,28 +287,28 @@ impl<'a> Slice<'a> {
 
     fn corners(&self) -> [[f32; 2]; 4] {
         let (w, h) = (self.texture.width as f64, self.texture.height as f64);
-        let [a, b, c] = self.picture_from_texture;
         [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)]
-            .map(|(x, y)| [0, 1].map(|i| (a[i] * x + b[i] * y + c[i]) as f32))
+            .map(|(x, y)| apply(self.picture_from_texture, x, y).map(|v| v as f32))
     }
 
     /// Whether it can leave anything in a picture of this size: the filter reaches less than a texture pixel
     /// beyond the corners.
     fn reaches(&self, size: [f64; 2], origin: [f64; 2]) -> bool {
-        let [a, b, _] = self.picture_from_texture;
+        let [[ax, ay], [bx, by], _] = self.picture_from_texture;
         let corners = self.corners();
-        [0, 1].into_iter().all(|i| {
-            let margin = 2.0 * (a[i].abs() + b[i].abs()) + 2.0;
-            let positions = || corners.iter().map(|c| f64::from(c[i]) + origin[i]);
-            positions().any(|p| p >= -margin) && positions().any(|p| p <= size[i] + margin)
+        let xs = corners.map(|[x, _]| f64::from(x) + origin[0]);
+        let ys = corners.map(|[_, y]| f64::from(y) + origin[1]);
+        [(xs, size[0], ax, bx), (ys, size[1], ay, by)].iter().all(|(positions, size, a, b)| {
+            let margin = 2.0 * (a.abs() + b.abs()) + 2.0;
+            positions.iter().any(|p| *p >= -margin) && positions.iter().any(|p| *p <= size + margin)
         })
     }
 
     /// `pixels` are those of its texture.
     fn sampler<'p>(&self, pixels: &'p [[u8; 2]], origin: [f64; 2]) -> Option<Sampler<'p>> {
-        let [a, b, c] = self.picture_from_texture;
+        let [a, b, [x, y]] = self.picture_from_texture;
         let (width, height) = (self.texture.width, self.texture.height);
-        Sampler::new(pixels, width, height, [a, b, [0, 1].map(|i| c[i] + origin[i])])
+        Sampler::new(pixels, width, height, [a, b, [x + origin[0], y + origin[1]]])
     }
 }
 
@@ -323,8 +321,9 @@ fn bounds(slices: &[Slice]) -> Option<SizeAndOrigin> {
     let (min, max) = corners.fold((first, first), |(lo, hi), c| {
         ([lo[0].min(c[0]), lo[1].min(c[1])], [hi[0].max(c[0]), hi[1].max(c[1])])
     });
-    let size = [0, 1].map(|i| f64::from((max[i] - min[i]).ceil()) + 2.0 * f64::from(PADDING));
-    Some((size, [0, 1].map(|i| f64::from(PADDING - min[i]))))
+    let extent = [max[0] - min[0], max[1] - min[1]];
+    let size = extent.map(|e| f64::from(e.ceil()) + 2.0 * f64::from(PADDING));
+    Some((size, min.map(|m| f64::from(PADDING - m))))
 }
 
 fn cropped(area: &MapArea, resolution: f64) -> Result<SizeAndOrigin, PaintError> {

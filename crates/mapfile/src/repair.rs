@@ -1,5 +1,4 @@
 //! Saving what is whole of a damaged map.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;

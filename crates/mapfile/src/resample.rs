@@ -17,13 +17,22 @@ const MAX_EDGE: usize = 1 << 29;
 /// A colour with 8 bits for each part, premultiplied: grey, known, alpha.
 pub type Sample = [u32; 3];
 
+/// An affine map of the plane: columns for x, y, offset.
+pub type Affine = [[f64; 2]; 3];
+
+/// Where an affine map takes a point.
+#[inline]
+pub fn apply([[ax, ay], [bx, by], [cx, cy]]: Affine, x: f64, y: f64) -> [f64; 2] {
+    [ax * x + bx * y + cx, ay * x + by * y + cy]
+}
+
 /// Paints one texture into rows of a picture.
 pub struct Sampler<'a> {
     pixels: &'a [[u8; 2]],
     width: usize,
     height: usize,
-    /// Texture position (column, row) of picture position (x, y): columns for x, y, offset.
-    texture_from_picture: [[f64; 2]; 3],
+    /// Texture position (column, row) of picture position (x, y).
+    texture_from_picture: Affine,
     /// Picture rows and columns that the texture can reach: `[first, end)`.
     rows: [f64; 2],
     /// Samples along each edge of a pixel.
@@ -37,14 +46,14 @@ impl<'a> Sampler<'a> {
         pixels: &'a [[u8; 2]],
         width: usize,
         height: usize,
-        picture_from_texture: [[f64; 2]; 3],
+        picture_from_texture: Affine,
     ) -> Option<Self> {
         let [a, b, c] = picture_from_texture;
         let determinant = a[0] * b[1] - b[0] * a[1];
         let texture_from_picture = {
             let x = [b[1] / determinant, -a[1] / determinant];
             let y = [-b[0] / determinant, a[0] / determinant];
-            [x, y, [0, 1].map(|i| -(x[i] * c[0] + y[i] * c[1]))]
+            [x, y, [-(x[0] * c[0] + y[0] * c[1]), -(x[1] * c[0] + y[1] * c[1])]]
         };
         let finite = texture_from_picture.as_flattened().iter().all(|v| v.is_finite());
         if !finite || width == 0 || height == 0 || width.max(height) > MAX_EDGE {
@@ -93,22 +102,22 @@ impl<'a> Sampler<'a> {
 
     /// The picture columns of row `y` that the texture can reach: `[first, end)`.
     fn columns(&self, y: f64, length: usize) -> Option<(usize, usize)> {
-        let [u, v, o] = self.texture_from_picture;
-        let sizes = [self.width as f64, self.height as f64];
+        let [[ux, uy], [vx, vy], [ox, oy]] = self.texture_from_picture;
+        let (width, height) = (self.width as f64, self.height as f64);
         let (mut low, mut high) = (0.0_f64, length as f64);
-        for i in [0, 1] {
+        for (u, v, o, size) in [(ux, vx, ox, width), (uy, vy, oy, height)] {
             // All y within the row; -1 and size + 1 bound what the filter reaches.
-            let at = [v[i] * y + o[i], v[i] * (y + 1.0) + o[i]];
+            let at = [v * y + o, v * (y + 1.0) + o];
             let (least, most) = (at[0].min(at[1]), at[0].max(at[1]));
-            if u[i].abs() * length as f64 <= 1e-6 {
-                if most < -1.5 || least > sizes[i] + 1.5 {
+            if u.abs() * length as f64 <= 1e-6 {
+                if most < -1.5 || least > size + 1.5 {
                     return None;
                 }
                 continue;
             }
-            let mut ends = [(-1.0 - most) / u[i], (sizes[i] + 1.0 - least) / u[i]];
-            if u[i] < 0.0 {
-                ends = [(sizes[i] + 1.0 - least) / u[i], (-1.0 - most) / u[i]];
+            let mut ends = [(-1.0 - most) / u, (size + 1.0 - least) / u];
+            if u < 0.0 {
+                ends = [(size + 1.0 - least) / u, (-1.0 - most) / u];
             }
             low = low.max(ends[0] - 1.0);
             high = high.min(ends[1] + 1.0);
@@ -119,8 +128,7 @@ impl<'a> Sampler<'a> {
     /// Fixed-point texture position of a picture position, moved by half a pixel to where the four
     /// neighbours are the whole numbers around it.
     fn position(&self, x: f64, y: f64) -> [i64; 2] {
-        let [u, v, o] = self.texture_from_picture;
-        [0, 1].map(|i| fixed(u[i] * x + v[i] * y + o[i] - 0.5))
+        apply(self.texture_from_picture, x, y).map(|v| fixed(v - 0.5))
     }
 
     fn step(&self, dx: f64) -> [i64; 2] {
@@ -136,7 +144,9 @@ impl<'a> Sampler<'a> {
             let mut position = self.position(x + 0.5 * distance, y + (j as f64 + 0.5) * distance);
             for _ in 0..n {
                 let sample = self.bilinear(position, &mut cell);
-                sum = [0, 1, 2].map(|i| sum[i] + sample[i]);
+                for (total, part) in sum.iter_mut().zip(&sample) {
+                    *total += part;
+                }
                 position = advance(position, step);
             }
         }
@@ -166,7 +176,9 @@ impl<'a> Sampler<'a> {
         for (weight, [value, alpha]) in weights.into_iter().zip(neighbours) {
             let known = if value == 0 && alpha == 0 { 0 } else { 255 };
             let colour = [u32::from(value), known, u32::from(alpha)];
-            sum = [0, 1, 2].map(|k| sum[k] + weight * colour[k]);
+            for (total, part) in sum.iter_mut().zip(&colour) {
+                *total += weight * part;
+            }
         }
         sum.map(|s| s >> 16)
     }

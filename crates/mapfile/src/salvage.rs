@@ -1,5 +1,4 @@
 //! Finding whole records in a damaged file.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};

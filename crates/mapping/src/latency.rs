@@ -26,7 +26,9 @@ impl LatencyHistogram {
     pub fn add(&mut self, time: Duration) {
         let doublings = (time.as_secs_f64() * 1e6).max(1.0).log2();
         let bin = (doublings * BINS_PER_DOUBLING).ceil() as usize;
-        self.counts[bin.min(BINS - 1)] += 1;
+        if let Some(count) = self.counts.get_mut(bin.min(BINS - 1)) {
+            *count += 1;
+        }
         self.total += time;
         self.longest = self.longest.max(time);
     }

@@ -22,7 +22,7 @@ pub fn densely_sampled(
     cells.sort_unstable();
     let count = |cell: (i32, i32)| {
         let start = cells.partition_point(|c| *c < cell);
-        cells[start..].iter().take(MIN_RETURNS).take_while(|c| **c == cell).count()
+        cells.iter().skip(start).take(MIN_RETURNS).take_while(|c| **c == cell).count()
     };
     let dense = cloud.points.iter().filter(|p| {
         let (x, y) = key(p.x, p.y);

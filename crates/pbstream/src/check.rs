@@ -1,5 +1,4 @@
 //! Whether a map file is what other programs expect of it.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,5 +1,4 @@
 //! Checks of submaps, nodes and sensor data.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use crate::check::{Check, FindingKind};
 use crate::grid_check::{GridReport, check_grid_2d, check_hybrid_grid};

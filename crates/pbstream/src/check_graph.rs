@@ -1,5 +1,4 @@
 //! Checks of the pose graph.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use crate::check::{Check, FindingKind, GraphIds};
 use crate::pose::{node_id, submap_id};

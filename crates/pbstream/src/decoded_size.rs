@@ -2,7 +2,6 @@
 //!
 //! Two bytes of a file can stand for an empty message within a message, which takes hundreds of bytes in
 //! memory; packed, such bytes cost nearly nothing. So a file of some kilobytes could ask for many gigabytes.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::mem::size_of;
 

@@ -1,6 +1,5 @@
 //! The container: a magic number, then records of a size and that many compressed bytes
 //! (`formats.md §2`).
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::fmt::Write as _;
 use std::io::{self, Read};

@@ -1,5 +1,4 @@
 //! One gzip stream (RFC 1952) for one record, with bounds and without allocating codec states anew.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::cell::RefCell;
 use std::io;

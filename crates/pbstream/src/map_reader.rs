@@ -1,5 +1,4 @@
 //! Reading a map: the header, the pose graph and the options at once, everything else one by one.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::io::Read;
 use std::path::Path;

@@ -1,5 +1,4 @@
 //! One message of a map: its bytes, its kind, its content.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use prost::Message as _;
 

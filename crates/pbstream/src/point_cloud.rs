@@ -1,5 +1,4 @@
 //! Point clouds on a millimetre grid, as nodes store them (`formats.md §4.3`).
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 

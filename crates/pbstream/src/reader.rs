@@ -1,5 +1,4 @@
 //! Reading a pbstream message by message, unpacking ahead on all cores.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::VecDeque;
 use std::io::Read;

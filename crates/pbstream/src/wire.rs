@@ -1,5 +1,4 @@
 //! Protobuf fields without a schema: to name the kind of a message and to print unknown fields.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 /// The content of one field as it stands on the wire.
 #[derive(Clone, Copy, Debug, PartialEq)]

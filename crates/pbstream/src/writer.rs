@@ -189,7 +189,7 @@ fn pack(batch: Batch) -> io::Result<Vec<u8>> {
     for item in batch.items {
         match item {
             Item::Short(size) => {
-                let (message, rest) = short.split_at(size);
+                let (message, rest) = short.split_at_checked(size).ok_or_else(incomplete)?;
                 short = rest;
                 push_record(message, &mut records)?;
             }
@@ -200,12 +200,18 @@ fn pack(batch: Batch) -> io::Result<Vec<u8>> {
     Ok(records)
 }
 
+/// The error where bytes are missing that were put there before: rather no map than one with a gap.
+fn incomplete() -> io::Error {
+    io::Error::other("a message was lost before it was written; please report it")
+}
+
 /// Appends a message packed, behind the length of that.
 fn push_record(message: &[u8], records: &mut Vec<u8>) -> io::Result<()> {
     let length_at = records.len();
     records.extend_from_slice(&[0; 8]);
     gzip_into(message, records)?;
-    let length = (records.len() - length_at - 8) as u64;
-    records[length_at..length_at + 8].copy_from_slice(&length.to_le_bytes());
+    let record = records.get_mut(length_at..).and_then(<[u8]>::split_first_chunk_mut);
+    let (length, packed) = record.ok_or_else(incomplete)?;
+    *length = (packed.len() as u64).to_le_bytes();
     Ok(())
 }

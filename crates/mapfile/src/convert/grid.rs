@@ -1,5 +1,4 @@
 //! Submaps and their grids (`formats.md` §4.4, §4.5).
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use portolan_geometry::Vector2;
 use portolan_issue::{IssueKind, IssueLog};

@@ -1,5 +1,4 @@
 //! Submaps in 3D and their grids (`formats.md` §4.6).
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{Spatial, Submap3d};

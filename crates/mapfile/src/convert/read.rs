@@ -1,5 +1,4 @@
 //! Reading a map into a pose graph (`formats.md` §2.2).
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,5 +1,4 @@
 //! Measurements, as files hold them one by one (`formats.md` §2, order of messages ≥ 3).
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 

@@ -1,5 +1,4 @@
 //! Options and sensors of a trajectory as the third message of a file holds them.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeSet;
 

@@ -1,5 +1,4 @@
 //! Ids, poses and point clouds, as they stand in files and in memory.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, is_valid_pose};

@@ -1,5 +1,4 @@
 //! Cells of grids made unknown by area.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 

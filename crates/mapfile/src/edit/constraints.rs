@@ -1,5 +1,4 @@
 //! Loop closures judged, dropped and added.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::BTreeMap;
 

@@ -1,5 +1,4 @@
 //! Submaps, nodes and measurements copied from their files, as far as the draft has them.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,5 +1,4 @@
 //! Trajectories removed and renamed; maps cut by time.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,6 +1,5 @@
 //! What pose graph and options of a file hold besides what is edited: kept as bytes, so that fields of other
 //! programs survive.
-#![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 use std::path::Path;
 

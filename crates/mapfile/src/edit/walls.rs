@@ -143,7 +143,7 @@ fn stripes(points: &[[f64; 2]], project: impl Fn([f64; 2]) -> f64) -> f64 {
 }
 
 fn best(angles: &[f64], scores: &[f64]) -> Option<(f64, usize)> {
-    let index = (0..scores.len()).max_by(|a, b| scores[*a].total_cmp(&scores[*b]))?;
+    let (index, _) = scores.iter().enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b))?;
     Some((*angles.get(index)?, index))
 }
 

@@ -137,10 +137,13 @@ where
             .collect();
         // The next one has to be half full, so that it can be matched against.
         let oldest_is_full = self.submaps.len() > 1 || self.way_per_half.is_infinite();
-        if oldest_is_full && self.submaps.first().is_some_and(|oldest| self.has_halves(oldest, 2)) {
+        if oldest_is_full
+            && self.submaps.first().is_some_and(|oldest| self.has_halves(oldest, 2))
+            && let Some(inserted_into_oldest) = inserted.first_mut()
+        {
             let mut full = self.submaps.remove(0).submap;
             full.finish();
-            inserted[0].finished = Some(Arc::new(full));
+            inserted_into_oldest.finished = Some(Arc::new(full));
         }
         inserted
     }

@@ -120,6 +120,12 @@ impl OptimizationData {
         self.sensors.entry(trajectory_id).or_default()
     }
 
+    /// Pose of a node in a submap by their global poses; `None` where either has none.
+    pub fn submap_from_node(&self, submap_id: SubmapId, node_id: NodeId) -> Option<Rigid3> {
+        let map_from_submap = self.submaps.get(&submap_id)?;
+        Some(map_from_submap.inverse() * self.nodes.get(&node_id)?.map_from_node)
+    }
+
     /// Holds the first submap of every part of the map that neither a landmark nor a frozen trajectory holds.
     pub fn set_anchors(&mut self, connectivity: &TrajectoryConnectivity) {
         let sightings = self.landmarks.values().flat_map(|l| &l.sightings);

@@ -74,7 +74,7 @@ pub(super) type Weights = (f64, f64);
 /// Poses of a map as variables of a problem.
 pub(super) struct GraphProblem<'a, S> {
     pub problem: Problem,
-    pub nodes: BTreeMap<NodeId, VariableId>,
+    nodes: BTreeMap<NodeId, VariableId>,
     submaps: BTreeMap<SubmapId, VariableId>,
     landmarks: BTreeMap<String, VariableId>,
     fixed_frames: BTreeMap<TrajectoryId, VariableId>,
@@ -112,6 +112,21 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
     /// accelerometer alone runs away.
     pub fn is_held(&self, id: TrajectoryId) -> bool {
         self.held.contains(&id)
+    }
+
+    /// The variable of a node. Every node of the data has one: what is asked of another is reported, and left out
+    /// by the caller.
+    pub fn node(&self, id: NodeId) -> Option<VariableId> {
+        let variable = self.nodes.get(&id).copied();
+        if variable.is_none() {
+            tracing::error!("Node {id} is not part of the optimisation; a measurement of it is left out.");
+        }
+        variable
+    }
+
+    /// The variables of two nodes, as [`Self::node`] finds them.
+    pub fn node_pair(&self, a: NodeId, b: NodeId) -> Option<[VariableId; 2]> {
+        Some([self.node(a)?, self.node(b)?])
     }
 
     /// Errors are impossible: the variables are this problem's own and different.
@@ -196,7 +211,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         (id_a, a): (NodeId, &OptimizationNode),
         (id_b, b): (NodeId, &OptimizationNode),
     ) {
-        let variables = [self.nodes[&id_a], self.nodes[&id_b]];
+        let Some(variables) = self.node_pair(id_a, id_b) else { return };
         let o = self.options;
         let odometry = data.sensors.get(&id_a.trajectory_id).map(|sensors| &sensors.odometry);
         let at = |node: &OptimizationNode| odometry_at(odometry?, node.time);
@@ -218,6 +233,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             let translation = fixes::translation_weight(data, *trajectory_id, o);
             for (node_id, node) in of_trajectory(&data.nodes, *trajectory_id) {
                 let Some(measured) = fixed_frame_at(&sensors.fixed_frame, node.time) else { continue };
+                let Some(variable) = self.node(node_id) else { continue };
                 let origin = *self.fixed_frames.entry(*trajectory_id).or_insert_with(|| {
                     let known = data.fixed_frame_origins.get(trajectory_id).copied().flatten();
                     let origin = known.unwrap_or_else(|| node.map_from_node * measured.inverse());
@@ -228,7 +244,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
                 let rotation =
                     o.fixed_frame_pose_rotation_weight * if is_fix { HEADING_OF_A_FIX } else { 1.0 };
                 let weights = (translation, rotation);
-                self.add_between([origin, self.nodes[&node_id]], &measured, weights, loss);
+                self.add_between([origin, variable], &measured, weights, loss);
             }
         }
     }

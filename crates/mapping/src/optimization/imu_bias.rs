@@ -92,10 +92,9 @@ impl ImuBias {
                 contradicted.insert(last.start);
             }
             let end = last.start + Duration::from_seconds(last.seconds);
-            while end.seconds_since(steps[from].start) > CONTRADICTION_WINDOW && from < to {
-                from += 1;
-            }
-            let within = &steps[from..=to];
+            let is_before = |s: &&Step| end.seconds_since(s.start) > CONTRADICTION_WINDOW;
+            from += steps.iter().take(to).skip(from).take_while(is_before).count();
+            let within = steps.get(from..=to).unwrap_or_default();
             let unexplained = |s: &Step| s.rotation * (s.difference - self.gyroscope(s.start) * s.seconds);
             let error = within.iter().map(unexplained).sum::<Vector3>().norm();
             let turn: f64 = within.iter().map(|s| s.turn).sum();
@@ -163,9 +162,8 @@ fn accelerometer_bias(
 ) -> Vector3 {
     let mut hessian = na::Matrix6::<f64>::identity() * 1e-6;
     let mut gradient = na::Vector6::<f64>::zeros();
-    for i in 0..3 {
-        hessian[(i, i)] += 1.0 / (ACCELEROMETER_SIGMA * ACCELEROMETER_SIGMA);
-    }
+    let mut of_bias = hessian.fixed_view_mut::<3, 3>(0, 0);
+    of_bias += na::Matrix3::identity() * (1.0 / (ACCELEROMETER_SIGMA * ACCELEROMETER_SIGMA));
     for triple in nodes.windows(3) {
         let &[a, b, c] = triple else { continue };
         let (first, second) = (b.time.seconds_since(a.time), c.time.seconds_since(b.time));

@@ -8,7 +8,9 @@ use portolan_geometry::{Duration, Quaternion, Rigid3, Time, rotation_from_roll_p
 use portolan_motion::{integrate_imu, velocity_change};
 use portolan_solver::{Loss, Problem, RotationFreedom, TranslationFreedom, VariableId, factors};
 
-use super::data::{ImuState, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
+use super::data::{
+    ImuState, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary, TrajectorySensors,
+};
 use super::fixes::translation_weight;
 use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNodes, Weights, follows};
 use super::imu_bias::ImuBias;
@@ -104,20 +106,19 @@ impl<'a> SpatialProblem<'a> {
         };
         let measured = a.local_from_node.inverse() * b.local_from_node;
         let root = open.only_open_shifts(&measured, b.time.seconds_since(a.time));
-        let variables = [self.graph.nodes[&id_a], self.graph.nodes[&id_b]];
+        let Some(variables) = self.graph.node_pair(id_a, id_b) else { return };
         InSpace::add_open_between(&mut self.graph.problem, variables, &measured, &root);
     }
 
     /// Where fixes, but no IMU, tell which way is up: the start is about level.
     fn hold_level_at_start(&mut self, data: &OptimizationData) {
-        let tilts = |id: &TrajectoryId| {
-            let sensors = data.sensors.get(id).filter(|_| !data.frozen.contains(id));
-            sensors.is_some_and(|s| s.imu.is_empty() && !s.fixed_frame.is_empty())
+        let tilts = |id: &TrajectoryId, sensors: &TrajectorySensors| {
+            !data.frozen.contains(id) && sensors.imu.is_empty() && !sensors.fixed_frame.is_empty()
         };
-        let trajectories: Vec<TrajectoryId> = data.sensors.keys().copied().filter(tilts).collect();
-        for id in trajectories.into_iter().filter(|_| data.doubts_sensors) {
+        for (&id, sensors) in data.sensors.iter().filter(|(id, s)| data.doubts_sensors && tilts(id, s)) {
             let Some((node_id, node)) = of_trajectory(&data.nodes, id).next() else { continue };
-            let fixes = of_trajectory(&data.nodes, id).count().min(data.sensors[&id].fixed_frame.len());
+            let Some(variable) = self.graph.node(node_id) else { continue };
+            let fixes = of_trajectory(&data.nodes, id).count().min(sensors.fixed_frame.len());
             // All fixes together count as one whose height is off by that.
             let of_fixes = translation_weight(data, id, self.options) * (fixes as f64).sqrt();
             let weight = of_fixes * COMMON_HEIGHT_ERROR / START_LEVEL_SIGMA;
@@ -126,7 +127,7 @@ impl<'a> SpatialProblem<'a> {
             let level = rotation_from_roll_pitch_yaw(0.0, 0.0, heading) * node.local_from_node.rotation;
             let map = self.graph.problem.add_se3(&Rigid3::identity());
             self.graph.problem.set_constant(map);
-            let variables = [map, self.graph.nodes[&node_id]];
+            let variables = [map, variable];
             let measured = Rigid3::from_parts(node.map_from_node.translation, level);
             let factor = InSpace::between(variables, &measured, (0.0, weight));
             self.graph.add_factor(factor, Loss::None);
@@ -188,9 +189,10 @@ impl<'a> SpatialProblem<'a> {
             Some(bias) => bias.corrected(&motion, middle, duration),
             None => motion,
         };
+        let Some([first, second]) = self.graph.node_pair(id_a, id_b) else { return false };
         let calibration = self.imu(data, id_a.trajectory_id).calibration;
         let factor = factors::ImuRotation {
-            variables: [self.graph.nodes[&id_a], self.graph.nodes[&id_b], calibration],
+            variables: [first, second, calibration],
             first_from_second: motion.delta_rotation,
             weight: self.options.rotation_weight / duration,
         };
@@ -209,8 +211,9 @@ impl<'a> SpatialProblem<'a> {
         }
         let Some(measured) = velocity_change(imu_data, times) else { return };
         let by_bias = self.imu_biases.get(&id).map_or_else(Default::default, ImuBias::accelerometer);
+        let [a, b, c] = nodes.map(|(id, _)| self.graph.node(id));
+        let (Some(a), Some(b), Some(c)) = (a, b, c) else { return };
         let ImuVariables { gravity, calibration } = self.imu(data, id);
-        let [a, b, c] = nodes.map(|(id, _)| self.graph.nodes[&id]);
         let factor = factors::ImuAcceleration {
             variables: [a, b, c, gravity, calibration],
             delta_velocity_in_second: measured - by_bias * (0.5 * (first + second)),

@@ -40,7 +40,7 @@ impl TrajectoryConnectivity {
                 self.last_connection_time.insert(ordered(*m, *n), time);
             }
         }
-        let root = self.component[&a];
+        let root = self.component.get(&a).copied().unwrap_or(a);
         for m in members_b {
             self.component.insert(m, root);
         }

@@ -79,8 +79,7 @@ impl<S: Space> PoseGraph<S> {
         let Ok(mut sampler) = FixedRatioSampler::new(share) else { return };
         for (submap_id, node_id) in pairs.into_iter().filter(|_| sampler.pulse()) {
             let Some((submap, node)) = self.state.pair(submap_id, node_id) else { continue };
-            let guess =
-                self.problem.submaps[&submap_id].inverse() * self.problem.nodes[&node_id].map_from_node;
+            let Some(guess) = self.problem.submap_from_node(submap_id, node_id) else { continue };
             self.search.add_unsampled(submap, node, guess);
         }
     }

@@ -83,10 +83,10 @@ impl<S: Space> PoseGraph<S> {
                 continue;
             }
             let previous = of_trajectory(&self.problem.submaps, trajectory_id).next_back();
+            let previous = previous.and_then(|(id, pose)| Some((pose, self.state.submaps.get(&id)?)));
             let map_from_submap = match previous {
-                Some((previous_id, map_from_previous)) => {
-                    let local_from_previous = self.state.submaps[&previous_id].local_from_submap;
-                    map_from_previous * local_from_previous.inverse() * submap.local_from_submap
+                Some((map_from_previous, entry)) => {
+                    map_from_previous * entry.local_from_submap.inverse() * submap.local_from_submap
                 }
                 None => self.state.map_from_local(trajectory_id) * submap.local_from_submap,
             };
@@ -104,9 +104,10 @@ impl<S: Space> PoseGraph<S> {
     ) {
         let gravity_alignment = inserted.data.gravity_alignment;
         let local_from_node = S::graph_pose(&inserted.data.local_from_tracking, &gravity_alignment);
-        let map_from_node = match (submap_ids.first(), inserted.submaps.first()) {
-            (Some(id), Some(submap)) => {
-                self.problem.submaps[id] * submap.local_from_submap.inverse() * local_from_node
+        let map_from_oldest = submap_ids.first().and_then(|id| self.problem.submaps.get(id));
+        let map_from_node = match (map_from_oldest, inserted.submaps.first()) {
+            (Some(map_from_submap), Some(submap)) => {
+                map_from_submap * submap.local_from_submap.inverse() * local_from_node
             }
             _ => self.state.map_from_local(node_id.trajectory_id) * local_from_node,
         };

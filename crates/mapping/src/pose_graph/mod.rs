@@ -239,8 +239,7 @@ impl<S: Space> PoseGraph<S> {
         let was_connected = || time < connectivity.last_connection_time(a, b) + recently;
         let is_near = a == b || (connectivity.are_connected(a, b) && was_connected());
         if is_near || self.is_beyond_gap(a, b) {
-            let map_from_node = self.problem.nodes[&node_id].map_from_node;
-            let guess = self.problem.submaps[&submap_id].inverse() * map_from_node;
+            let Some(guess) = self.problem.submap_from_node(submap_id, node_id) else { return };
             self.search.add_local((submap_id, submap), (node_id, &node.data), guess, way);
             return;
         }
@@ -340,7 +339,7 @@ impl<S: Space> PoseGraph<S> {
             trajectories.iter().map(|id| (*id, self.state.map_from_local(*id))).collect();
         self.state.optimized_submaps.clone_from(&self.problem.submaps);
         let moved: BTreeMap<_, _> =
-            trajectories.iter().map(|id| (*id, self.state.map_from_local(*id) * old[id].inverse())).collect();
+            old.iter().map(|(id, old)| (*id, self.state.map_from_local(*id) * old.inverse())).collect();
         for (id, node) in &mut self.state.nodes {
             if let Some(optimized) = self.problem.nodes.get(id) {
                 node.map_from_tracking =

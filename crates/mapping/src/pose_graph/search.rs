@@ -200,21 +200,28 @@ impl<S: Space> ConstraintSearch<S> {
         let groups: Vec<(SubmapId, Vec<usize>)> = by_submap.into_iter().collect();
         for (submap_id, members) in &groups {
             let lengths = travel.lengths_from(*submap_id);
-            members.iter().for_each(|i| tasks[*i].set_travelled(travel, &lengths, self.policy));
+            for i in members {
+                if let Some(task) = tasks.get_mut(*i) {
+                    task.set_travelled(travel, &lengths, self.policy);
+                }
+            }
         }
         let skipped = self.skip_needless(&tasks);
         let mut found: Vec<(usize, Option<Constraint>)> = groups
             .par_iter()
             .with_max_len(1)
             .flat_map_iter(|(submap_id, members)| {
+                let wanted = members.iter().filter(|i| skipped.get(**i) == Some(&false));
                 let wanted: Vec<(usize, &SearchTask<S>)> =
-                    members.iter().filter(|i| !skipped[**i]).map(|i| (*i, &tasks[*i])).collect();
+                    wanted.filter_map(|i| Some((*i, tasks.get(*i)?))).collect();
                 self.search_submap(*submap_id, &wanted, remembered)
             })
             .collect();
         found.sort_unstable_by_key(|(index, _)| *index);
         for (index, result) in &found {
-            self.count(tasks[*index].region, result.is_some());
+            if let Some(task) = tasks.get(*index) {
+                self.count(task.region, result.is_some());
+            }
         }
         self.matchers.shrink();
         if self.options.log_matches && !found.is_empty() {

@@ -106,9 +106,8 @@ impl<S: Space> PoseGraph<S> {
         freshness: &BTreeMap<SubmapId, Option<Time>>,
         options: &OverlappingSubmapsTrimmer2dOptions,
     ) -> Vec<SubmapId> {
-        let Some(cell_size) =
-            freshness.keys().find_map(|id| self.state.submaps[id].submap.as_ref().map(|s| S::cell_size(s)))
-        else {
+        let cell_size_of = |id| self.state.submaps.get(id)?.submap.as_ref().map(|s| S::cell_size(s));
+        let Some(cell_size) = freshness.keys().find_map(cell_size_of) else {
             return Vec::new();
         };
         let mut coverage: HashMap<(i64, i64), Vec<(Time, SubmapId)>> = HashMap::new();
@@ -139,9 +138,8 @@ impl<S: Space> PoseGraph<S> {
 
     /// Cells of the global map that the submap knows; `None` in spaces without such cells.
     fn covered_cells(&self, id: SubmapId, cell_size: f64) -> Option<BTreeSet<(i64, i64)>> {
-        let (Some(submap), Some(map_from_submap)) =
-            (&self.state.submaps[&id].submap, self.state.optimized_submaps.get(&id))
-        else {
+        let submap = self.state.submaps.get(&id).and_then(|entry| entry.submap.as_ref());
+        let (Some(submap), Some(map_from_submap)) = (submap, self.state.optimized_submaps.get(&id)) else {
             return Some(BTreeSet::new());
         };
         let map_from_submap = project_2d(&embed_3d(&project_2d(map_from_submap)));

@@ -365,7 +365,9 @@ fn unwarp(
             let time = ranges.time + Duration::from_seconds(f64::from(pose_time));
             pose = to_f32(&extrapolator.extrapolate_pose(time));
         }
-        let origin = pose * ranges.origins[p.origin_index];
+        // Without an origin there is no range, as where it is NaN. The collator gives every point one.
+        let Some(origin_in_tracking) = ranges.origins.get(p.origin_index) else { continue };
+        let origin = pose * origin_in_tracking;
         let hit = pose * p.point.position;
         let delta = hit - origin;
         let range = delta.norm();
