@@ -6,6 +6,7 @@
 mod ahead;
 mod promises;
 mod remembering;
+mod shallow;
 
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -21,6 +22,7 @@ use crate::error::CloudError;
 use crate::format::{CloudReader, CloudWriter, WriteOptions, Written};
 use crate::output::Output;
 use remembering::{Failure, Remembering};
+use shallow::Shallow;
 
 /// Fraction of the extent by which stated bounds may be off.
 const ROOM: f64 = 0.01;
@@ -55,7 +57,7 @@ fn open_here(path: &Path) -> Result<LasReader, CloudError> {
     }
     let reader = unpanicked(|| {
         std::io::Seek::rewind(&mut file)?;
-        Reader::new(file)
+        Reader::new(Shallow::new(file, ahead::DEEPEST))
     });
     let reader = reader.map_err(damaged)?;
     let header = reader.header();

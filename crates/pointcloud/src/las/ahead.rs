@@ -1,6 +1,5 @@
 //! Reading on a thread with much stack: on damaged times of points the decompressor of the library calls itself once for
-//! every few bits of the file, and a stack that overflows ends the process. Damage can be such that no stack is enough:
-//! only the library can bound that.
+//! every few bits of the file, and a stack that overflows ends the process. So reading fails well before that.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -11,13 +10,12 @@ use crate::cloud::{Attributes, PointCloud};
 use crate::error::CloudError;
 use crate::format::CloudReader;
 
-use super::open_here;
+use super::{open_here, shallow};
 
 /// Only what is used of it is ever taken.
-#[cfg(target_pointer_width = "64")]
-const STACK: usize = 1 << 30;
-#[cfg(not(target_pointer_width = "64"))]
 const STACK: usize = 64 << 20;
+/// Reading fails when so much of it is used. Between two bytes of the file the decompressor takes far less than the rest.
+pub(super) const DEEPEST: usize = 24 << 20;
 
 /// What the thread tells.
 enum Told {
@@ -44,6 +42,7 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     let read = {
         let path = path.clone();
         move || {
+            shallow::begin();
             let _ = read(&path, &sender);
         }
     };
