@@ -146,8 +146,10 @@ impl Tracker {
         agreement: Option<ScanAgreement>,
     ) -> Option<OdometryBridge> {
         let interval = *self.interval.get_or_insert(motion.seconds);
-        if motion.seconds < LEAST_GAP.max(INTERVALS_OF_A_GAP * interval) {
-            self.interval = Some(interval + (motion.seconds - interval) / INTERVALS_REMEMBERED);
+        let least = LEAST_GAP.max(INTERVALS_OF_A_GAP * interval);
+        // A gap says little of what is usual, but a sensor that has become slower for good is not all gaps.
+        self.interval = Some(interval + (motion.seconds.min(least) - interval) / INTERVALS_REMEMBERED);
+        if motion.seconds < least {
             return None;
         }
         if !self.is_adaptive() || !motion.is_measured || !agreement.is_none_or(|a| is_hardly_explained(&a)) {
@@ -370,4 +372,29 @@ fn most_likely(prior: &MotionPrior, poses: [Option<Rigid2>; 3], scan: &Scan) -> 
         }
     }
     best.map(|(i, _)| i)
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_config::Options;
+
+    use super::*;
+
+    #[test]
+    fn a_sensor_that_becomes_slower_is_not_all_gaps() {
+        let mut options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
+        options.use_online_correlative_scan_matching = true;
+        let extras = LocalSlamExtras { adaptive_search: true, ..LocalSlamExtras::default() };
+        let mut tracker = Tracker::new(&options, &extras).unwrap();
+        let mut is_gap = |seconds| {
+            let motion = Motion { last: Rigid2::identity(), seconds, is_measured: true };
+            tracker.bridge(motion, &Rigid2::new(1.0, 0.0, 0.0), None).is_some()
+        };
+        assert!((0..50).all(|_| !is_gap(0.1)));
+        assert!(!is_gap(2.5) && is_gap(5.0));
+        assert!((0..50).all(|_| !is_gap(0.1)));
+        assert!((0..5).any(|_| is_gap(5.0)));
+        assert!((0..50).filter(|_| is_gap(5.0)).count() < 10);
+        assert!(!is_gap(5.0) && is_gap(60.0));
+    }
 }
