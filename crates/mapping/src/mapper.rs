@@ -58,7 +58,7 @@ struct ActiveTrajectory<S: Space> {
 /// ties it to the rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Loss {
-    /// Time of the first scan that did not fit any more.
+    /// Time of the first scan that did not fit any more, or of the last one before a gap.
     pub since: Time,
     /// Time of the first scan of the new piece.
     pub until: Time,

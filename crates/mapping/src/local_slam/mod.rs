@@ -53,7 +53,7 @@ pub struct OdometryBridge {
 /// The end of a piece of map, after which nothing, or odometry alone, constrained the pose of the scanner.
 #[derive(Clone, Debug)]
 pub struct Lost<S: Space> {
-    /// Time of the first scan that did not fit any more.
+    /// Time of the first scan that did not fit any more, or of the last one before a gap.
     pub since: Time,
     /// The submaps that were being filled then.
     pub remaining: Vec<InsertionSubmap<S>>,

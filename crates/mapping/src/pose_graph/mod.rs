@@ -76,6 +76,7 @@ pub struct PoseGraph<S: Space> {
     contradicted: u64,
     /// Trajectories that began where a scanner was lost, without a place in the rest.
     pieces: BTreeSet<TrajectoryId>,
+    /// Those of them that only odometry ties to the trajectory before a gap.
     tied_by_odometry: BTreeSet<TrajectoryId>,
     waiting: WaitingMatches,
     localisation: Localisation,

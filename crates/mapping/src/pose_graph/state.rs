@@ -74,7 +74,7 @@ pub struct Gap {
     pub before: TrajectoryId,
     /// How well odometry tells the motion in it.
     pub bridge: OdometryBridge,
-    /// The way that makes as uncertain as the gap, metres.
+    /// The way over which poses drift as far as odometry may be off in the gap, metres; windows of loop searches follow it.
     pub way: f64,
 }
 

@@ -219,14 +219,15 @@ impl LocalSlam2d {
             self.count(IssueKind::ScanWithoutPose, time);
             return None;
         }
-        let bridge = motion.and_then(|motion| self.tracker.bridge(motion, &prediction, found.agreement));
-        self.belief = if bridge.is_some() {
-            Belief::Sure
-        } else {
-            self.belief.after(time, found.agreement, motion_was_measured)
+        let gap = motion.and_then(|motion| {
+            Some((motion.seconds, self.tracker.bridge(motion, &prediction, found.agreement)?))
+        });
+        self.belief = match gap {
+            Some(_) => Belief::Sure,
+            None => self.belief.after(time, found.agreement, motion_was_measured),
         };
-        let (pose, lost) = match (bridge, self.belief) {
-            (Some(bridge), _) => (prediction, Some(self.begin_after_gap(time, motion, bridge))),
+        let (pose, lost) = match (gap, self.belief) {
+            (Some((seconds, bridge)), _) => (prediction, Some(self.begin_after_gap(time, seconds, bridge))),
             (None, Belief::Lost { since }) => (self.last_sure, Some(self.begin_anew(since, time))),
             (None, Belief::Sure | Belief::Doubtful { .. }) => (pose, None),
         };
@@ -263,13 +264,7 @@ impl LocalSlam2d {
 
     /// Ends the piece of map that odometry alone ties to what comes: new submaps are drawn from where it says that the
     /// scanner is.
-    fn begin_after_gap(
-        &mut self,
-        time: Time,
-        motion: Option<Motion>,
-        bridge: OdometryBridge,
-    ) -> Lost<Planar> {
-        let seconds = motion.map_or(0.0, |motion| motion.seconds);
+    fn begin_after_gap(&mut self, time: Time, seconds: f64, bridge: OdometryBridge) -> Lost<Planar> {
         let since = time - Duration::from_seconds(seconds);
         Lost { bridge: Some(bridge), ..self.begin_anew(since, time) }
     }
