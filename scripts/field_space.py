@@ -3,6 +3,7 @@
 
     scripts/field_space.py                          map
     scripts/field_space.py --starts                 the first ten steps, begun at 0, 0.2, ... 2 s
+    scripts/field_space.py --spoilt lines lines+front ...   made worse by spoil_space.py
     scripts/field_space.py --refine                 refinement of own trajectories and of those in the data folder
     scripts/field_space.py --programs old/portolan target/release/portolan      in turns, side by side
 
@@ -108,6 +109,21 @@ def starts(program, bags):
                 print(f"{recording.name:14} from {start:.1f} s  {steps[-1] if steps else 'no steps'}", flush=True)
 
 
+def spoilt(programs, hows, bags):
+    """Drives made worse, as recordings of other sensors are; of the street against KISS-ICP's trajectory."""
+    for recording in [r for r in RECORDINGS if r.truth and r.name != "corridor_imu"]:
+        for how in hows:
+            worse = pathlib.Path(bags) / f"{recording.name}.{how}.bag"
+            script = REPOSITORY / "scripts/spoil_space.py"
+            subprocess.run([sys.executable, script, recording.bag(bags), worse, how], check=True)
+            for program in programs:
+                with tempfile.TemporaryDirectory() as results:
+                    trajectory, cost = map_recording(program, recording, worse, results)
+                    position = json.loads(python("ate.py", recording.truth, trajectory, "--se3", "--interp", *recording.lever))
+                    print(f"{recording.name:14} {how:14} {cost}  {position['ate_rmse']:.4f} m  [{program}]", flush=True)
+            worse.unlink()
+
+
 def refine(program, bags):
     for recording in [r for r in RECORDINGS if r.given]:
         bag = recording.bag(bags)
@@ -127,12 +143,15 @@ def main():
     parser.add_argument("--programs", nargs="+", default=[str(REPOSITORY / "target/release/portolan")])
     parser.add_argument("--starts", action="store_true")
     parser.add_argument("--refine", action="store_true")
+    parser.add_argument("--spoilt", nargs="+", metavar="HOW")
     arguments = parser.parse_args()
     if not SPACE.exists() or not TOOLS.exists():
         sys.exit(f"{SPACE} or {TOOLS} is missing: set PORTOLAN_DATA to the folder of the recordings")
     with tempfile.TemporaryDirectory() as bags:
         if arguments.starts:
             starts(arguments.programs[0], bags)
+        elif arguments.spoilt:
+            spoilt(arguments.programs, arguments.spoilt, bags)
         elif arguments.refine:
             refine(arguments.programs[0], bags)
         else:

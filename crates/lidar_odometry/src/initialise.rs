@@ -1,7 +1,7 @@
 //! The first two sweeps: how fast everything was already moving, and which way is up without an IMU.
 //!
-//! The first sweep is a reference; the second is aligned to it coarsely, then registered to its planes. The velocity that
-//! this gives de-skews both, and so on, a few times.
+//! The first sweep is a reference; the second is correlated with it, then registered to its planes. The velocity that this
+//! gives de-skews both, and so on, a few times.
 
 use portolan_geometry::{
     Point3f, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
@@ -9,12 +9,12 @@ use portolan_geometry::{
 };
 use portolan_sensor::voxel_filter_points;
 
-use crate::coarse_alignment::CoarseReference;
+use crate::correlation::{UprightReference, Window};
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::PlaneMap;
 use crate::registration::{PosePrior, Registration, Sigmas};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
-use crate::settings::{CoarseAlignmentSettings, OdometrySettings, RegistrationSettings};
+use crate::settings::{OdometrySettings, RegistrationSettings};
 use crate::sweep::Sweep;
 use crate::vertical::vertical_from_planes;
 
@@ -58,13 +58,6 @@ pub(crate) struct FirstSweeps<'a> {
     start: Start,
 }
 
-/// A sweep as a place to be in.
-pub(crate) struct Reference {
-    planes: PlaneMap,
-    /// Points that are not on the ground.
-    pub upright: Vec<Point3f>,
-}
-
 /// A sweep registered to another one.
 struct Relative {
     /// The second pose in the first.
@@ -85,8 +78,7 @@ impl<'a> FirstSweeps<'a> {
     }
 
     /// How everything may have been moving, the most likely motion first. At speed a street looks alike after one step and
-    /// after two: the second sweep is aligned coarsely from several places, and each that it fits about as well is a
-    /// hypothesis.
+    /// after two: each place in the first sweep that the second one fits about as well is a hypothesis.
     pub fn hypotheses(
         first: &'a Sweep,
         second: Option<&Sweep>,
@@ -96,14 +88,15 @@ impl<'a> FirstSweeps<'a> {
         let rotation = rotation_at.map_or_else(Quaternion::identity, |rotation| rotation(first.end));
         let start = Start { rotation, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() };
         let still = Self::new(first, rotation_at, settings, start);
-        let reference = still.reference();
+        let reference = still.deskewed(first);
+        let planes = planes_of(&reference, settings);
         let Some(second) = second.filter(|s| s.end > first.end) else {
-            return vec![still.leveled(&reference.planes)];
+            return vec![still.leveled(&planes)];
         };
         let seconds = second.end.seconds_since(first.end);
         let same_velocity = settings.initialisation.same_motion / seconds;
         let mut found: Vec<(Start, f64)> = Vec::new();
-        for relative in still.first_looks(&reference, second) {
+        for relative in still.first_looks((&reference, &planes), second) {
             let (start, fit) = still.clone().followed(relative, second);
             let is_known =
                 |(other, _): &(Start, f64)| (other.velocity - start.velocity).norm() < same_velocity;
@@ -112,7 +105,7 @@ impl<'a> FirstSweeps<'a> {
             }
         }
         if found.is_empty() {
-            return vec![still.leveled(&reference.planes)];
+            return vec![still.leveled(&planes)];
         }
         let best = found.iter().map(|(_, fit)| *fit).fold(0.0, f64::max);
         found.retain(|(_, fit)| *fit >= settings.initialisation.similar_fit * best);
@@ -122,52 +115,37 @@ impl<'a> FirstSweeps<'a> {
 
     /// The second sweep registered to the first from wherever it may lie, both as they came: results that differ, and fit
     /// well enough to be followed.
-    fn first_looks(&self, reference: &Reference, second: &Sweep) -> Vec<Relative> {
+    fn first_looks(&self, (reference, planes): (&[Point3f], &PlaneMap), second: &Sweep) -> Vec<Relative> {
         let deskewed = self.deskewed(second);
         let points = voxel_filter_points(&deskewed, self.settings.initialisation.spacing);
         let same_motion = self.settings.initialisation.same_motion;
+        let peaks = self.coarse_motions(reference, &deskewed, second);
+        let as_believed = [self.believed(second)];
         let mut found: Vec<Relative> = Vec::new();
-        for coarse in self.coarse_motions(reference, &deskewed, second) {
-            let Some(relative) = self.motion(&reference.planes, &points, second, coarse) else { continue };
+        for initial in if peaks.is_empty() { &as_believed[..] } else { &peaks } {
+            let Some(relative) = self.register(planes, &points, initial) else { continue };
             let place = relative.motion.translation.vector;
             if found.iter().all(|other| (other.motion.translation.vector - place).norm() >= same_motion) {
                 found.push(relative);
             }
+        }
+        if found.is_empty() {
+            // Single sparse sweeps may show no planes.
+            found.extend(peaks.first().map(|motion| Relative { motion: *motion, fit: 0.0 }));
         }
         let best = found.iter().map(|relative| relative.fit).fold(0.0, f64::max);
         found.retain(|relative| relative.fit >= PROMISING * self.settings.initialisation.similar_fit * best);
         found
     }
 
-    /// Where the second sweep may lie, coarsely: what is found from rest, and what is found from elsewhere and differs.
-    fn coarse_motions(
-        &self,
-        reference: &Reference,
-        deskewed: &[Point3f],
-        second: &Sweep,
-    ) -> Vec<Option<Rigid3>> {
-        let own = Reference::new(deskewed, self.settings);
-        let believed = self.believed(second);
-        let settings = &self.settings.coarse_alignment;
-        let reference = CoarseReference::new(&reference.upright, settings);
-        let align = |initial: &Rigid3, settings| reference.align(&own.upright, initial, settings);
-        let mut found = vec![align(&believed, settings)];
-        let few = CoarseAlignmentSettings { max_points: settings.max_points / 4, ..settings.clone() };
-        let offsets = self.settings.initialisation.offsets;
-        let axes = [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y()];
-        for offset in offsets.into_iter().flat_map(|metres| axes.map(|axis| axis * metres)) {
-            let initial =
-                Rigid3::from_parts((believed.translation.vector + offset).into(), believed.rotation);
-            let Some(motion) = align(&initial, &few) else { continue };
-            let differs = |other: &Rigid3| {
-                (other.translation.vector - motion.translation.vector).norm()
-                    > self.settings.initialisation.same_motion
-            };
-            if found.iter().flatten().all(differs) {
-                found.push(Some(motion));
-            }
-        }
-        found
+    /// Where the second sweep may lie, coarsely, the likeliest place first; none where nothing tells.
+    fn coarse_motions(&self, reference: &[Point3f], deskewed: &[Point3f], second: &Sweep) -> Vec<Rigid3> {
+        let settings = &self.settings.correlation;
+        let seconds = second.end.seconds_since(self.first.end);
+        let window = Window::after(seconds, self.rotation_at.is_some(), settings);
+        let reference = UprightReference::new(reference, settings);
+        let peaks = reference.peaks(deskewed, &self.believed(second), window);
+        peaks.into_iter().map(|peak| peak.pose).collect()
     }
 
     /// What follows from a first look: the velocity that it gives de-skews both sweeps, the second is registered to the first
@@ -177,7 +155,7 @@ impl<'a> FirstSweeps<'a> {
         self.move_by(&relative.motion, seconds);
         for _ in 1..self.settings.initialisation.iterations {
             let points = voxel_filter_points(&self.deskewed(second), self.settings.initialisation.spacing);
-            let Some(next) = self.motion(&self.planes(), &points, second, None) else { break };
+            let Some(next) = self.register(&self.planes(), &points, &self.believed(second)) else { break };
             relative = next;
             self.move_by(&relative.motion, seconds);
         }
@@ -231,26 +209,9 @@ impl<'a> FirstSweeps<'a> {
         sweep.points.iter().map(|p| to_end.moved(&p.position, p.time)).collect()
     }
 
-    fn reference(&self) -> Reference {
-        Reference::new(&self.deskewed(self.first), self.settings)
-    }
-
     /// Of the first sweep.
     fn planes(&self) -> PlaneMap {
         planes_of(&self.deskewed(self.first), self.settings)
-    }
-
-    /// The second sweep, of which these points are given, registered near a coarse motion if there is one, or else as it is
-    /// believed.
-    fn motion(
-        &self,
-        planes: &PlaneMap,
-        points: &[Point3f],
-        second: &Sweep,
-        coarse: Option<Rigid3>,
-    ) -> Option<Relative> {
-        let mut initial = [coarse, Some(self.believed(second))].into_iter().flatten();
-        initial.find_map(|initial| self.register(planes, points, &initial))
     }
 
     /// The second pose in the first near another one, if the points constrain it.
@@ -266,29 +227,14 @@ impl<'a> FirstSweeps<'a> {
         // A single sparse sweep among trees shows few planes, but they constrain translation if not rotation, too.
         let constrains_translation = self.rotation_at.is_some() && found.degenerate.translations.is_empty();
         let is_enough = found.matched_fraction >= settings.min_matched_fraction || constrains_translation;
-        let fit = found.fit(self.settings.sweep.poor_rms);
+        let fit = found.evidence(self.settings.sweep.poor_rms);
         is_enough.then_some(Relative { motion: found.pose, fit })
-    }
-}
-
-impl Reference {
-    /// Of points in a level frame.
-    pub fn new(points: &[Point3f], settings: &OdometrySettings) -> Self {
-        let planes = planes_of(points, settings);
-        let ground_normal = settings.initialisation.ground_normal;
-        let is_ground =
-            |p: &Point3f| planes.plane_near(p).is_some_and(|plane| plane.normal.z.abs() > ground_normal);
-        let upright = voxel_filter_points(points, settings.initialisation.spacing)
-            .into_iter()
-            .filter(|p| !is_ground(p))
-            .collect();
-        Self { planes, upright }
     }
 }
 
 fn planes_of(points: &[Point3f], settings: &OdometrySettings) -> PlaneMap {
     let mut planes =
         PlaneMap::with_settings(settings.local_map.voxel_size as f32, settings.plane_fit.clone());
-    planes.insert_unseen(points);
+    planes.insert_all(points.iter().copied(), &Point3f::origin());
     planes
 }

@@ -1,7 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod belief;
-mod coarse_alignment;
+mod correlation;
 mod degenerate_intervals;
 mod deskew;
 mod gap;

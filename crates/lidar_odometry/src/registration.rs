@@ -13,7 +13,7 @@ use crate::poles::{PoleMap, PolePoint, PoleResiduals};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::RegistrationSettings;
 use attenuation::Attenuation;
-use normal_equations::{Accumulator, NormalEquations, Pairs};
+use normal_equations::{Accumulator, Matched, NormalEquations, Pairs};
 use solve::solve;
 
 mod attenuation;
@@ -70,7 +70,10 @@ pub struct RegistrationResult {
     pub correction: SegmentCorrection,
     /// Fraction of the points that lie on a plane.
     pub matched_fraction: f64,
-    /// Root mean square distance of those from their planes, metres.
+    /// Fraction of the points that lie on planes that are not [unreliable](crate::Unreliable): a plane made of single beams moves
+    /// with the scanner, and fits whatever its motion.
+    pub reliable_fraction: f64,
+    /// Root mean square distance of those on a plane from it, metres.
     pub rms: f64,
     /// `JᵀWJ` of the points alone, by a translation and a rotation vector about the scanner, in the frame of the
     /// planes: 1/m², 1/(m rad), 1/rad².
@@ -86,6 +89,11 @@ impl RegistrationResult {
     /// How well it fits: the fraction of points on planes, halved where their root mean square distance is `poor_rms`.
     pub(crate) fn fit(&self, poor_rms: f64) -> f64 {
         self.matched_fraction / (1.0 + (self.rms / poor_rms).powi(2))
+    }
+
+    /// How well what tells of the motion fits: as [`Self::fit`], of points on reliable planes alone.
+    pub(crate) fn evidence(&self, poor_rms: f64) -> f64 {
+        self.reliable_fraction / (1.0 + (self.rms / poor_rms).powi(2))
     }
 }
 
@@ -200,12 +208,14 @@ impl Registration {
                 .for_each(|(unreliable, poles)| *unreliable += poles);
             degenerate = DegenerateDirections::of(&equations);
         }
+        let Matched { points, reliable, squares } = equations.matched;
         let pose = segment.corrected_end(&correction);
         pose.translation.vector.iter().all(|v| v.is_finite()).then(|| RegistrationResult {
             pose,
             correction,
-            matched_fraction: equations.matched as f64 / scene.points.len().max(1) as f64,
-            rms: (equations.squares / equations.matched.max(1) as f64).sqrt(),
+            matched_fraction: points as f64 / scene.points.len().max(1) as f64,
+            reliable_fraction: reliable as f64 / scene.points.len().max(1) as f64,
+            rms: (squares / points.max(1) as f64).sqrt(),
             information: equations.hessian,
             degenerate,
             attenuation: attenuation.map_or_else(na::Matrix3::zeros, |a| a.covariance()),
@@ -225,13 +235,13 @@ impl Registration {
         // 1. Residuals: points to planes, and to poles where there are some.
         let trajectory = segment.corrected(correction);
         let mut all = Accumulator::new(settings.points_per_independent_one);
-        let (matched, squares) = self.add_planes(&mut all, scene, &trajectory, scale);
+        let matched = self.add_planes(&mut all, scene, &trajectory, scale);
         let by_poles = scene.poles.as_mut().map(|poles| poles.add_to(&mut all, &trajectory, scale));
-        let equations = NormalEquations { matched, squares, ..all.finish() };
+        let equations = NormalEquations { matched, ..all.finish() };
         // 2. Is it any use?
-        let fraction = matched as f64 / scene.points.len() as f64;
+        let fraction = matched.points as f64 / scene.points.len() as f64;
         let is_hopeless = fraction < settings.hopeless_fraction * settings.min_matched_fraction;
-        if matched < settings.min_pairs || scale <= settings.final_scale && is_hopeless {
+        if matched.points < settings.min_pairs || scale <= settings.final_scale && is_hopeless {
             return None;
         }
         // 3. What the points leave open, and what errors of normals hide.
@@ -244,15 +254,14 @@ impl Registration {
         Some(Iteration { equations, degenerate, attenuation, by_poles, step: step.end() })
     }
 
-    /// Pairs points with planes where they moved, and adds what all of them say on a trajectory. How many did, and the
-    /// sum of their squared distances.
+    /// Pairs points with planes where they moved, and adds what all of them say on a trajectory.
     fn add_planes(
         &self,
         all: &mut Accumulator,
         scene: &mut Scene<'_>,
         trajectory: &PiecewiseLinearTrajectory,
         scale: f64,
-    ) -> (usize, f64) {
+    ) -> Matched {
         let settings = &self.settings;
         let range_variance = (settings.range_noise * settings.range_noise) as f32;
         let squared_scale = (scale * scale) as f32;

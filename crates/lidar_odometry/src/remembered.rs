@@ -71,7 +71,7 @@ impl Answer for RegistrationResult {
     fn write(&self, words: &mut impl Sink) {
         self.pose.write(words);
         [self.correction.start, self.correction.growth].write(words);
-        [self.matched_fraction, self.rms].write(words);
+        [self.matched_fraction, self.reliable_fraction, self.rms].write(words);
         self.information.write(words);
         self.degenerate.translations.write(words);
         self.degenerate.rotations.write(words);
@@ -81,11 +81,12 @@ impl Answer for RegistrationResult {
     fn read(words: &mut Words<'_>) -> Option<Self> {
         let pose = Answer::read(words)?;
         let [start, growth] = Answer::read(words)?;
-        let [matched_fraction, rms] = Answer::read(words)?;
+        let [matched_fraction, reliable_fraction, rms] = Answer::read(words)?;
         Some(Self {
             pose,
             correction: SegmentCorrection { start, growth },
             matched_fraction,
+            reliable_fraction,
             rms,
             information: Answer::read(words)?,
             degenerate: DegenerateDirections {

@@ -72,7 +72,7 @@ pub use motion::{
     MotionPriorSettings, StandstillSettings,
 };
 pub use registration::{DegeneracySettings, LossSettings, RegistrationSettings, SweepSettings};
-pub use start::{CoarseAlignmentSettings, InitialisationSettings, VerticalSettings};
+pub use start::{CorrelationSettings, InitialisationSettings, VerticalSettings};
 
 /// One setting: what it is called, what it is, and what it does.
 #[derive(Clone, Debug, PartialEq)]
@@ -191,8 +191,8 @@ pub struct OdometrySettings {
     pub keyframes: KeyframeSettings,
     /// The first sweeps.
     pub initialisation: InitialisationSettings,
-    /// Coarse alignment of the first two sweeps.
-    pub coarse_alignment: CoarseAlignmentSettings,
+    /// Correlation of two sweeps.
+    pub correlation: CorrelationSettings,
     /// The vertical from planes.
     pub vertical: VerticalSettings,
 }
@@ -217,7 +217,7 @@ impl OdometrySettings {
         self.local_map.entries_into(&mut all);
         self.keyframes.entries_into(&mut all);
         self.initialisation.entries_into(&mut all);
-        self.coarse_alignment.entries_into(&mut all);
+        self.correlation.entries_into(&mut all);
         self.vertical.entries_into(&mut all);
         all
     }

@@ -23,6 +23,8 @@ pub(crate) struct RegisteredSegment {
     pub found: Option<RegistrationResult>,
     /// How well it fits: the fraction of points on planes, less if they lie far off.
     pub fit: f64,
+    /// As much of it as tells how it moved.
+    pub evidence: f64,
     /// Whether the sweep fits only far from the rotation that was predicted.
     pub contradicts_rotation: bool,
 }
@@ -155,6 +157,7 @@ impl SweepRegistration {
             local_from_tracking,
             to_end: in_map.deskewing(&correction),
             fit: found.as_ref().map_or(0.0, |f| f.fit(self.settings.poor_rms)),
+            evidence: found.as_ref().map_or(0.0, |f| f.evidence(self.settings.poor_rms)),
             contradicts_rotation: found.is_some()
                 && error > self.contradiction_sigmas * prior.growth.rotation,
             found,

@@ -48,6 +48,8 @@ pub struct RegisteredSweep {
     pub(crate) belief: Belief,
     /// How well it fits.
     pub(crate) fit: f64,
+    /// As much of it as tells how it moved.
+    pub(crate) evidence: f64,
 }
 
 /// What makes a key frame.
@@ -157,8 +159,8 @@ impl Tracker {
         Self { memory: Memory::default(), ..self.clone() }
     }
 
-    /// How well sweeps fit in all if they are followed from here, the first of them after a motion that is assumed if there
-    /// is one; none, as soon as that is certain, if they do not fit better than `least`. Hands on each sweep.
+    /// How well sweeps fit in all what tells of the motion, if they are followed from here, the first of them after a motion that
+    /// is assumed if there is one; none, as soon as that is certain, if they do not fit better than `least`. Hands on each sweep.
     pub fn fit_better(
         &mut self,
         least: f64,
@@ -174,7 +176,7 @@ impl Tracker {
                 return None;
             }
             let registered = self.register(gap.take(), sweep.clone(), None, issues);
-            fit += registered.fit;
+            fit += registered.evidence;
             each(registered);
         }
         (fit > least).then_some(fit)
@@ -220,7 +222,7 @@ impl Tracker {
         // 5. Report directions that the sweep does not constrain.
         let observability = self.observability(sweep.end, &best, prediction.standing.is_some(), issues);
         // 6. De-skew with the registered motion.
-        let fit = best.registered.fit;
+        let (fit, evidence) = (best.registered.fit, best.registered.evidence);
         let Registered { segment, registered, reason } = best;
         let deskewed = deskewed(&sweep.points, &registered.to_end, self.settings.keeps_intensities);
         let mut pose = registered.local_from_tracking;
@@ -255,6 +257,7 @@ impl Tracker {
             observability,
             belief,
             fit,
+            evidence,
             ..RegisteredSweep::new(sweep, pose, gravity, deskewed)
         };
         if belief == Belief::Sure {
@@ -473,6 +476,7 @@ impl RegisteredSweep {
             begun: None,
             belief: Belief::Sure,
             fit: 0.0,
+            evidence: 0.0,
         }
     }
 

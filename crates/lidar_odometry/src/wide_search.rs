@@ -1,16 +1,15 @@
 //! Another look at a sweep that contradicts the map: the platform may have moved otherwise than predicted, because it
 //! braked, was pushed, or because sweeps are far apart in time.
 //!
-//! As at the start of a trajectory the sweep is aligned coarsely to the one before it, with nothing known of the motion,
-//! and then registered to the map; where nothing measured the rotation, from several headings.
+//! As at the start of a trajectory the sweep is correlated with the one before it, with nothing known of the motion, and
+//! then registered to the map; where nothing measured the rotation, from several headings.
 
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
 
 use crate::belief::FitMonitor;
-use crate::coarse_alignment::CoarseReference;
-use crate::initialise::Reference;
+use crate::correlation::{Peak, UprightReference, Window};
 use crate::predict::{Prediction, Reason, Registered};
-use crate::segment::SegmentCorrection;
+use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
 use crate::sweep_registration::{SweepRegistration, Target};
@@ -26,36 +25,58 @@ pub(crate) struct WideSearch<'a> {
 }
 
 impl WideSearch<'_> {
-    /// The first hypothesis under which the sweep fits about as well as others do, and at least as well as `least_fit` says.
+    /// The hypothesis under which the sweep fits best, if about as well as others do, and at least as well as `least_fit` says.
     pub fn find(&self, sweep: &Sweep, prediction: &Prediction, least_fit: f64) -> Option<Registered> {
-        let segment = &prediction.segment;
+        let (segment, settings) = (&prediction.segment, &self.settings.correlation);
         let end = segment.end();
         let to_end = segment.deskewing(&SegmentCorrection::default());
-        // Level, so that the ground is recognised.
-        let level = to_f32(&Rigid3::from_parts(Default::default(), end.rotation));
-        let level_points: Vec<Point3f> =
+        // Both at the scanner, and level.
+        let (level, here) =
+            (to_f32(&Rigid3::from_parts(Default::default(), end.rotation)), end.translation.vector.cast());
+        let before: Vec<Point3f> = self.before.iter().map(|p| p - here).collect();
+        let now: Vec<Point3f> =
             sweep.points.iter().map(|p| level * to_end.moved(&p.position, p.time)).collect();
-        let (before, now) =
-            (Reference::new(self.before, self.settings), Reference::new(&level_points, self.settings));
-        let coarse = &self.settings.coarse_alignment;
-        let before = CoarseReference::new(&before.upright, coarse);
+        let before = UprightReference::new(&before, settings);
         let sample = self.registration.sample(sweep);
-        self.headings(segment.rotation_is_measured).find_map(|heading| {
-            let turn = quaternion_from_angle_axis(&(Vector3::z() * heading));
-            let initial = Rigid3::from_parts(end.translation, turn);
-            let found = before.align(&now.upright, &initial, coarse)?;
-            let end = Rigid3::from_parts(found.translation, found.rotation * end.rotation);
+        let mut peaks = self.peaks(&before, &now, segment);
+        peaks.truncate(settings.max_peaks);
+        let registered = peaks.into_iter().map(|peak| {
+            let place = end.translation.vector + peak.pose.translation.vector;
+            let end = Rigid3::from_parts(place.into(), peak.pose.rotation * end.rotation);
             let segment = segment.ending_at(&end);
             let registered = self.registration.register_widely(&sample, &segment, self.target);
-            let fits = registered.fit >= least_fit && !self.fits.is_poor(&registered.sweep_fit());
-            fits.then_some(Registered { segment, registered, reason: Some(Reason::OtherMotion) })
-        })
+            Registered { segment, registered, reason: Some(Reason::OtherMotion) }
+        });
+        let fit = |found: &Registered| found.registered.fit;
+        let fits =
+            |found: &Registered| fit(found) >= least_fit && !self.fits.is_poor(&found.registered.sweep_fit());
+        registered.filter(fits).reduce(|best, other| if fit(&other) > fit(&best) { other } else { best })
+    }
+
+    /// Where the sweep may be, relative to where it is predicted, the likeliest first.
+    fn peaks(
+        &self,
+        before: &UprightReference<'_>,
+        now: &[Point3f],
+        segment: &TrajectorySegment,
+    ) -> Vec<Peak> {
+        let settings = &self.settings.correlation;
+        let is_measured = segment.rotation_is_measured;
+        let linear = Window::after(segment.seconds(), is_measured, settings).linear;
+        let window = Window { linear, angular: if is_measured { 0.0 } else { settings.widest } };
+        let peaks = self.headings(is_measured).flat_map(|heading| {
+            let turn = quaternion_from_angle_axis(&(Vector3::z() * heading));
+            before.peaks(now, &Rigid3::from_parts(Default::default(), turn), window)
+        });
+        let mut peaks: Vec<Peak> = peaks.collect();
+        peaks.sort_by(|a, b| b.share.total_cmp(&a.share));
+        peaks
     }
 
     /// Headings to begin with, relative to the predicted one, radians: small ones first.
     fn headings(&self, is_measured: bool) -> impl Iterator<Item = f64> {
-        let settings = &self.settings.hypotheses;
-        let (step, each) = (settings.heading_step, if is_measured { 0 } else { settings.headings_each_side });
+        let step = 2.0 * self.settings.correlation.widest;
+        let each = if is_measured { 0 } else { self.settings.hypotheses.headings_each_side };
         let each = i32::try_from(each).unwrap_or(0);
         let sides = (1..=each).flat_map(|i| [i, -i]);
         std::iter::once(0).chain(sides).map(move |i| step * f64::from(i))

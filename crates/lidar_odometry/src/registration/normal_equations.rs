@@ -54,8 +54,17 @@ pub(crate) struct NormalEquations {
     /// What unreliable planes say of translations and rotations: the part of the Hessian that does not count where
     /// degenerate directions are looked for.
     pub unreliable: [na::Matrix3<f64>; 2],
-    /// Points that lie on a plane, and the sum of their squared distances, m².
-    pub matched: usize,
+    /// Points that lie on planes.
+    pub matched: Matched,
+}
+
+/// The points of a scan that lie on planes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Matched {
+    pub points: usize,
+    /// How many of their planes are reliable.
+    pub reliable: usize,
+    /// The sum of their squared distances, m².
     pub squares: f64,
 }
 
@@ -70,6 +79,7 @@ pub(crate) struct Accumulator {
     moments: na::Matrix3<f64>,
     unreliable: [na::Matrix3<f64>; 2],
     matched: usize,
+    matched_unreliable: usize,
     sums: NormalEquations,
     /// Neighbouring points share their error, so that so many count as one.
     points_per_independent_one: f64,
@@ -114,6 +124,7 @@ impl Accumulator {
             let direction: na::Vector3<f64> = direction.cast();
             *sum += direction * direction.transpose() * f64::from(weight);
         }
+        self.matched_unreliable += 1;
     }
 
     fn end_block(&mut self) {
@@ -143,9 +154,10 @@ impl Accumulator {
         self.sums.growth_gradient += fraction * gradient;
     }
 
-    /// How many rows were added until the last end of a part, and the sum of their squared residuals.
-    pub fn matched(&self) -> (usize, f64) {
-        (self.matched, self.weights[1])
+    /// What was added until the last end of a part.
+    pub fn matched(&self) -> Matched {
+        let reliable = self.matched - self.matched_unreliable;
+        Matched { points: self.matched, reliable, squares: self.weights[1] }
     }
 
     pub fn finish(self) -> NormalEquations {
@@ -154,8 +166,7 @@ impl Accumulator {
             spurious_rotation: (na::Matrix3::from_diagonal_element(self.moments.trace()) - self.moments)
                 / self.points_per_independent_one,
             unreliable: self.unreliable.map(|sum| sum / self.points_per_independent_one),
-            matched: self.matched,
-            squares: self.weights[1],
+            matched: self.matched(),
             ..self.sums
         }
     }
@@ -185,7 +196,7 @@ mod tests {
         let sums = all.finish();
         assert!((sums.hessian - hessian).norm() < 1e-5 * hessian.norm());
         assert!((sums.gradient - gradient).norm() < 1e-5 * hessian.norm());
-        assert_eq!(sums.matched, 1000);
+        assert_eq!(sums.matched.points, 1000);
         let entry = |i: usize, j: usize| {
             (sums.hessian[(i, j)], sums.cross_hessian[(i, j)], sums.growth_hessian[(i, j)])
         };

@@ -271,12 +271,8 @@ settings! {
             "Sweeps after a gap have to fit so many times better after another motion than after constant velocity",
             origin: "measured: along a simulated tunnel fits differ by 0.5 %, where a car had braked by 2.6 % and more (docs/experiments/2026-11-gaps.md)",
             larger: "constant velocity is kept more often";
-        heading_step: f64 = 0.35, "rad", 0.01..=3.2,
-            "A sweep that contradicts the map is looked for from headings this far apart, if nothing measured the rotation",
-            origin: "derived: nearest points bring together what is turned by less than about half of it",
-            larger: "fewer headings are tried, or fast turns lost";
-        headings_each_side: usize = 3, "headings", 0.0..=100.0,
-            "So many headings to either side of the predicted one",
+        headings_each_side: usize = 2, "windows", 0.0..=100.0,
+            "A sweep that contradicts the map is looked for in so many windows of headings to either side of the predicted one, if nothing measured the rotation",
             origin: "derived: a carried lidar turns by 60° between key frames at 2 Hz",
             larger: "slower where sweeps contradict the map";
         slow: f64 = 1.0, "m/s", 0.0..=100.0,

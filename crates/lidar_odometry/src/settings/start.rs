@@ -31,10 +31,6 @@ settings! {
             "Spacing of the points that are registered",
             origin: "tuned",
             larger: "faster, less exact";
-        ground_normal: f32 = 0.8, "1", 0.0..=1.0,
-            "A plane whose normal has a larger vertical component is ground, which is left out of coarse alignment",
-            origin: "37° from level",
-            larger: "slopes take part";
         translation_sigma: f64 = 1.0, "m", 0.01..=100.0,
             "Standard deviation of the coarse translation",
             origin: "hardly a prior",
@@ -43,10 +39,6 @@ settings! {
             "Standard deviation of the coarse rotation",
             origin: "hardly a prior",
             larger: "no change";
-        offsets: [f64; 2] = [2.5, 5.0], "m", 0.1..=100.0,
-            "The second sweep is aligned coarsely from rest, and from so far ahead, behind and to the sides",
-            origin: "derived: up to 50 m/s at ten sweeps a second, in steps that nearest points bring together",
-            larger: "faster starts are found, slower ones are not";
         same_motion: f64 = 0.4, "m", 0.01..=10.0,
             "Motions between the first two sweeps that differ by less are one hypothesis",
             origin: "derived: registration brings them together",
@@ -75,32 +67,56 @@ settings! {
 }
 
 settings! {
-    /// Coarse alignment of the first two sweeps.
-    CoarseAlignmentSettings {
-        cells: [f32; 3] = [3.0, 1.5, 0.75], "m", 0.05..=50.0,
-            "Edges of the cells in whose neighbourhood a nearest point is looked for, coarse to fine",
-            origin: "derived: a car goes 3 m between sweeps",
-            larger: "larger basin of attraction, slower";
-        max_points: usize = 2000, "points", 20.0..=1e6,
-            "So many points of the scan are paired at most, evenly in order",
-            origin: "derived: hundreds of points for each of six unknowns; what follows is exact",
+    /// Correlation of two sweeps when nothing is known of the motion.
+    CorrelationSettings {
+        cell: f32 = 0.5, "m", 0.05..=5.0,
+            "Edge of columns of voxels; shifts are tried in steps of half of it",
+            origin: "derived: registration brings together what is off by less",
+            larger: "faster, coarser";
+        layer: f32 = 0.25, "m", 0.05..=2.0,
+            "Height of voxels. What stands upright has points in its column that are two to four voxels higher or lower",
+            origin: "derived: less than a car is high, more than slopes rise in a column",
+            larger: "low things are left out";
+        range: f32 = 60.0, "m", 1.0..=200.0,
+            "Points farther to a side are left out",
+            origin: "derived: beams of a spinning lidar are as far apart as cars there",
             larger: "slower";
-        iterations: u32 = 40, "iterations", 1.0..=1000.0,
-            "Iterations at most with each",
-            origin: "tuned",
+        fastest: f64 = 40.0, "m/s", 0.1..=200.0,
+            "Shifts are tried up to what this speed covers from one sweep to the next",
+            origin: "cars on motorways",
             larger: "slower";
-        points_per_cell: usize = 20, "points", 1.0..=1e4,
-            "A cell keeps so many points",
-            origin: "KISS-ICP",
+        fastest_turn: f64 = 2.0, "rad/s", 0.0..=20.0,
+            "Headings are tried up to what this rate covers, where no gyroscope measured the rotation",
+            origin: "a hand that turns quickly",
             larger: "slower";
-        min_pairs: usize = 30, "pairs", 6.0..=1e6,
-            "Fewer pairs constrain nothing",
+        farthest: f64 = 10.0, "m", 0.5..=50.0,
+            "No shift is tried that is longer, however long it is from sweep to sweep",
+            origin: "time",
+            larger: "slower";
+        widest: f64 = 0.3, "rad", 0.0..=3.2,
+            "No heading is tried that is farther off",
+            origin: "time",
+            larger: "slower";
+        max_columns: usize = 500, "columns", 10.0..=1e6,
+            "So many columns of a sweep are compared at most, evenly in order",
+            origin: "time",
+            larger: "slower";
+        min_voxels: u32 = 30, "voxels", 1.0..=1e6,
+            "Fewer that stand upright tell nothing",
             origin: "tuned",
             larger: "gives up in open country";
-        converged: f64 = 1e-3, "m and rad", 1e-9..=1.0,
-            "A step smaller than this is the last",
-            origin: "tuned",
-            larger: "faster, coarser";
+        nearly_as_good: f64 = 0.8, "1", 0.0..=1.0,
+            "Local maxima of the correlation that reach this fraction of the highest are followed",
+            origin: "measured (docs/experiments/2026-11-starts.md)",
+            larger: "fewer hypotheses";
+        as_good: f64 = 0.9, "1", 0.0..=1.0,
+            "Where no motion, or the expected one, reaches this fraction of the highest, it is followed, too: along a tunnel all do",
+            origin: "measured (docs/experiments/2026-11-starts.md)",
+            larger: "fewer hypotheses";
+        max_peaks: usize = 6, "places", 1.0..=100.0,
+            "So many are followed at most",
+            origin: "time",
+            larger: "slower";
     }
 }
 

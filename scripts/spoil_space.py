@@ -1,0 +1,93 @@
+#!/usr/bin/env python3
+"""spoil_space.py BAG OUT.bag HOW : a ROS 1 bag of a 3D lidar made worse, as recordings of other sensors and people are.
+
+    lines    about 16 lines instead of 64     front    points ahead alone, 100 degrees
+    near     points up to 25 m alone          few      one point in eight, at random
+    slow     every second sweep               noise    4 cm of noise along every beam
+    packets  30 % of sectors of 10 degrees missing, others in every sweep
+    rain     5 % of points end at random nearer than they do
+    behind   nothing behind: 120 degrees are hidden
+    late     stamps of sweeps jitter by 10 ms
+    one+two  both
+
+Other messages stay as they are. Needs rosbags and numpy. The seed is fixed: the same bag in every run.
+"""
+import sys
+
+import numpy as np
+from bags import add_connections
+from rosbags.rosbag1 import Reader, Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS1_NOETIC)
+LIDAR = "sensor_msgs/msg/PointCloud2"
+
+
+def kept(points, how, chance):
+    """Which points of a sweep remain."""
+    x, y, z = points.T
+    bearing, distance = np.degrees(np.arctan2(y, x)), np.linalg.norm(points, axis=1)
+    if how == "lines":
+        return np.round(np.degrees(np.arcsin(z / np.maximum(distance, 1e-6))) / 0.42).astype(int) % 4 == 0
+    if how == "front":
+        return np.abs(bearing) < 50
+    if how == "behind":
+        return np.abs(bearing) < 120
+    if how == "near":
+        return distance < 25
+    if how == "few":
+        return chance.random(len(points)) < 0.125
+    if how == "packets":
+        return (chance.random(36) > 0.3)[np.floor((bearing + 180) / 10).astype(int) % 36]
+    return np.ones(len(points), bool)
+
+
+def scaled(points, how, chance):
+    """By what factor each beam is longer than it was."""
+    distance = np.maximum(np.linalg.norm(points, axis=1), 0.1)
+    if how == "noise":
+        return 1 + chance.normal(0, 0.04, len(points)) / distance
+    if how == "rain":
+        return np.where(chance.random(len(points)) < 0.05, chance.random(len(points)), 1)
+    return np.ones(len(points))
+
+
+def spoilt(cloud, how, chance):
+    """The sweep made worse; its fields stay as they are."""
+    raw = np.frombuffer(bytes(cloud.data), np.uint8).reshape(-1, cloud.point_step).copy()
+    at = next(f.offset for f in cloud.fields if f.name == "x")
+    points = np.frombuffer(raw[:, at : at + 12].tobytes(), np.float32).reshape(-1, 3).astype(float)
+    moved = (points * scaled(points, how, chance)[:, None]).astype(np.float32)
+    raw[:, at : at + 12] = np.frombuffer(moved.tobytes(), np.uint8).reshape(-1, 12)
+    raw = raw[kept(points, how, chance)]
+    cloud.height, cloud.width, cloud.row_step = 1, len(raw), raw.size
+    cloud.data = raw.reshape(-1)
+    if how == "late":
+        stamp = cloud.header.stamp
+        moved = stamp.sec * 10**9 + stamp.nanosec + int(chance.normal(0, 1e7))
+        stamp.sec, stamp.nanosec = divmod(moved, 10**9)
+    return cloud
+
+
+def main():
+    source, output = sys.argv[1:3]
+    hows = sys.argv[3].split("+")
+    chance, sweeps = np.random.default_rng(7), 0
+    with Reader(source) as reader, Writer(output) as writer:
+        added = add_connections(reader, writer)
+        for c, time, data in reader.messages():
+            if c.msgtype == LIDAR:
+                sweeps += 1
+                if "slow" in hows and sweeps % 2 == 0:
+                    continue
+                cloud = STORE.deserialize_ros1(data, c.msgtype)
+                for how in hows:
+                    cloud = spoilt(cloud, how, chance)
+                data = STORE.serialize_ros1(cloud, c.msgtype)
+            writer.write(added[c.id], time, data)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 4:
+        sys.exit(__doc__)
+    main()
