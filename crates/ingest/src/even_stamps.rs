@@ -15,7 +15,7 @@ use portolan_recording::{RecordedMessage, StampPattern};
 /// How stamps of scanners and odometry are taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum StampPolicy {
-    /// As they are, unless they come in bursts or go back.
+    /// As they are, unless they come in bursts, go back or make sweeps of a lidar overlap.
     #[default]
     Auto,
     /// As they are.

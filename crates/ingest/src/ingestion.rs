@@ -23,6 +23,7 @@ use crate::point_time::PointTime;
 use crate::read_ahead::ReadAhead;
 use crate::recording_clock::RecordingClock;
 use crate::survey::{Inventory, is_tf};
+use crate::sweep_stamps::SweepStamps;
 use crate::tf::{TfError, TfInput};
 use crate::turn_clock::TurnClock;
 
@@ -43,6 +44,8 @@ enum Role {
     Range {
         point_time: Option<PointTime>,
         by_azimuth: Option<TimesByAzimuth>,
+        /// Where points have times of their own that count from the stamp.
+        sweep_stamps: Option<SweepStamps>,
         coordinates: Coordinates,
         directions: Box<BeamDirections>,
     },

@@ -17,6 +17,7 @@ mod recording_clock;
 mod skew;
 mod statistics;
 mod survey;
+mod sweep_stamps;
 #[cfg(test)]
 mod test_messages;
 mod tf;

@@ -149,6 +149,15 @@ impl Ingestion {
         if let (None, Some(turn)) = (point_time, turn) {
             azimuth_time::assign(&mut points, &turn);
         }
+        if let (Role::Range { sweep_stamps: Some(stamps), .. }, Some(first)) =
+            (&mut sensor.role, points.points.first())
+        {
+            let begin = points.time + Duration::from_seconds(f64::from(first.time));
+            if let Some(correction) = stamps.correction(stamp, begin, points.time) {
+                points.time += correction;
+                self.count(&sensor.topic, stamp, IssueKind::StampsEvened, 1);
+            }
+        }
         if let Some(raise) = coordinates.raise {
             points.points.iter_mut().for_each(|point| point.position = raise.point(&point.position));
         }

@@ -11,8 +11,10 @@ use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, SensorClock};
 use crate::even_stamps::{EvenStamps, StampPolicy};
 use crate::options::SamplingRatios;
-use crate::plan::{PlanError, PlannedOdometry, PlannedSensor, SensorPlan};
+use crate::plan::{PlanError, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan};
+use crate::point_time::PointTimeOrigin;
 use crate::survey::Inventory;
+use crate::sweep_stamps::SweepStamps;
 use crate::turn_clock::TurnClock;
 
 impl Samplers {
@@ -38,6 +40,14 @@ impl Samplers {
             Role::Landmarks => &mut self.landmarks,
         }
     }
+}
+
+/// Stamps of sweeps are looked at where points count from them, and nobody says that they are right.
+fn sweep_stamps(range: &PlannedRange, policy: StampPolicy) -> Option<SweepStamps> {
+    let rate = range.statistics.rate;
+    let counts_from_stamp = range.point_time.is_some_and(|t| t.origin != PointTimeOrigin::Epoch);
+    let is_steady = range.statistics.is_spinning() && rate > 0.0 && rate.is_finite();
+    (policy != StampPolicy::AsIs && counts_from_stamp && is_steady).then(|| SweepStamps::new(1.0 / rate))
 }
 
 /// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry.
@@ -69,6 +79,7 @@ pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<st
             Role::Range {
                 point_time: range.point_time,
                 by_azimuth,
+                sweep_stamps: sweep_stamps(range, stamps),
                 coordinates: Coordinates {
                     length_unit: range.length_unit,
                     raise: (range.beam_elevation != 0.0).then(|| Raise::new(range.beam_elevation)),
