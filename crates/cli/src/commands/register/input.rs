@@ -6,7 +6,7 @@ use portolan::job::register::{PointLimits, ScanSource, Scans};
 use portolan_evaluation::Trajectory;
 use portolan_geometry::{Quaternion, Rigid3};
 use portolan_pointcloud::{CloudError, UosFolder, UosScan};
-use portolan_refinement::registration::{Link, ScanCloud};
+use portolan_registration::{Link, ScanCloud};
 use portolan_spatial::{VoxelRepresentative, reduce};
 
 use super::options::SurfacesOf;

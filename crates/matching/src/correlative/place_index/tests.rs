@@ -1,7 +1,7 @@
 use portolan_geometry::Vector2;
+use portolan_grids::{CellIndex, ProbabilityGrid};
 
 use super::*;
-use crate::grid::{CellIndex, ProbabilityGrid};
 use crate::testing::Lcg;
 
 const WANTED: WantedPlaces = WantedPlaces {

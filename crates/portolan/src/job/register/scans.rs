@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use portolan_geometry::{Quaternion, Rigid3, Vector3};
 use portolan_pointcloud::{CloudError, CloudReader, UosScan};
-use portolan_refinement::registration::ScanCloud;
+use portolan_registration::ScanCloud;
 
 /// Which points of a scan are used, and in which unit they are.
 #[derive(Clone, Copy, Debug)]
