@@ -1,11 +1,14 @@
 #![doc = include_str!("../README.md")]
 
+pub mod assets;
 pub mod automatic;
 pub mod clocks;
 pub mod job;
+mod losses;
 pub mod pipeline;
 mod requested;
 mod silence;
+pub mod trajectory_file;
 pub mod unwind;
 
 pub use automatic::{Lidar, Sensors, settings_for};

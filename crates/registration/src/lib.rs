@@ -6,6 +6,7 @@ mod graph;
 mod icp;
 mod linearized;
 mod link;
+mod link_file;
 mod loop_closing;
 mod model;
 mod sequence;
@@ -15,6 +16,7 @@ pub use global::{GlobalError, GlobalMethod, GlobalOptions, GlobalReport, registe
 pub use graph::{Link, links_by_distance, links_by_overlap};
 pub use icp::{IcpError, IcpMethod, IcpOptions, IcpResult, RobustKernel, icp};
 pub use link::LinkStatistics;
+pub use link_file::{BadLinkLine, links_of_text};
 pub use loop_closing::{LinkCost, balance, close_loop, link_costs};
 pub use model::{Metascan, Model, ModelHit, ModelPoint};
 pub use sequence::{

@@ -1,6 +1,8 @@
 //! Scenes of the golden vectors, drawn on grids: what tests of this crate and of `portolan-matching` share. They are made
 //! of grids and therefore cannot be in `portolan-testing`.
 
+pub mod rooms;
+
 use portolan_geometry::{Point3f, Vector2};
 use portolan_sensor::{PointCloud, RangeData};
 use portolan_testing::clouds;
