@@ -3,8 +3,10 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
+use portolan::assets::AssetsError;
 use portolan::job::JobError;
 use portolan::pipeline::PipelineError;
+use portolan::trajectory_file::TrajectoryFileError;
 
 use crate::exit::ExitStatus;
 use crate::interrupt;
@@ -122,6 +124,24 @@ impl From<portolan::job::LastPoseError> for CliError {
     fn from(error: portolan::job::LastPoseError) -> Self {
         match error {
             portolan::job::LastPoseError::File { path, source } => Self::File { path, source },
+            other => Self::Failed(other.to_string()),
+        }
+    }
+}
+
+impl From<AssetsError> for CliError {
+    fn from(error: AssetsError) -> Self {
+        match error {
+            AssetsError::Recording(error) => error.into(),
+            other => Self::Failed(other.to_string()),
+        }
+    }
+}
+
+impl From<TrajectoryFileError> for CliError {
+    fn from(error: TrajectoryFileError) -> Self {
+        match error {
+            TrajectoryFileError::File { path, source } => Self::File { path, source },
             other => Self::Failed(other.to_string()),
         }
     }

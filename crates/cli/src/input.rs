@@ -4,11 +4,10 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use portolan_input::{Forward, kind_of, named, read_all, regular_file};
+use portolan_pbstream::MAGIC;
 
 use crate::error::CliError;
 
-/// The first bytes of every map.
-const MAP_MAGIC: [u8; 8] = [0xdb, 0x01, 0xf5, 0x5b, 0x7b, 0x1f, 0x1d, 0x7b];
 /// Files that are read whole are not larger, bytes.
 const WHOLE_FILE: u64 = 1 << 30;
 
@@ -24,7 +23,7 @@ pub fn peek<'a>(input: &'a mut Forward, path: &Path, count: usize) -> Result<&'a
 
 /// Whether an input is a map, by its content.
 pub fn is_map(input: &mut Forward, path: &Path) -> Result<bool, CliError> {
-    Ok(peek(input, path, MAP_MAGIC.len())? == MAP_MAGIC)
+    Ok(peek(input, path, MAGIC.len())? == MAGIC)
 }
 
 /// The input if it is a map; none of recordings, which are files or folders.

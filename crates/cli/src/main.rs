@@ -7,7 +7,6 @@ mod exit;
 mod input;
 mod interrupt;
 mod known_map;
-mod lost;
 mod output;
 mod progress;
 mod suggest;

@@ -28,6 +28,7 @@ pub use engine::Engine;
 pub use error::{ConfigError, ConfigWarning, Place};
 pub use fingerprint::fingerprint_of;
 pub use load::{LoadedConfig, Loader};
+pub use nearest::edit_distance;
 pub use options::*;
 pub use read::Strictness;
 pub use reference::reference;

@@ -1,6 +1,7 @@
 //! A trajectory: poses in order of time.
 
 use portolan_geometry::{Duration, Rigid3, Time, interpolate, is_valid_pose};
+use portolan_numeric::counted;
 use serde::Serialize;
 
 /// A pose at a time.
@@ -29,6 +30,20 @@ pub struct TrajectoryRepairs {
     pub invalid_poses: usize,
     /// Quaternions whose length was off by more than 0.001; they were normalised.
     pub renormalized_quaternions: usize,
+}
+
+impl TrajectoryRepairs {
+    /// What was put right, in words.
+    pub fn notes(&self) -> Vec<String> {
+        let repaired = [
+            (self.unsorted, "came after a later one: put in order"),
+            (self.duplicate_stamps, "at the time of another: the first was kept"),
+            (self.invalid_poses, "with values that are no pose: left out"),
+            (self.renormalized_quaternions, "with a quaternion of a length other than one: normalised"),
+        ];
+        let repaired = repaired.into_iter().filter(|(count, _)| *count > 0);
+        repaired.map(|(count, what)| format!("{} {what}", counted(count as u64, "pose", "poses"))).collect()
+    }
 }
 
 impl Trajectory {

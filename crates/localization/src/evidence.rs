@@ -1,7 +1,7 @@
 //! Whether scans go on saying that the place is right: what they say, with hysteresis and bounds of time.
 
 use portolan_geometry::Time;
-use portolan_matching::ScanAgreement;
+use portolan_grids::ScanAgreement;
 
 /// A scan supports the place if the map explains at least this share of its beams and contradicts at most that share of
 /// what it knows …

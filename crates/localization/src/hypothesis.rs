@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use portolan_geometry::Rigid3;
-use portolan_matching::ScanAgreement;
+use portolan_grids::ScanAgreement;
 
 use crate::belief::Belief;
 use crate::known_map::{KnownMap, ON_THE_WAY, ScanMatch, Window};

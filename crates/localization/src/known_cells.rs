@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use portolan_geometry::{Vector2, project_2d};
+use portolan_grids::{CellIndex, GridError, MapLimits, ProbabilityGrid};
 use portolan_mapping::{GraphState, Planar};
-use portolan_matching::{CellIndex, GridError, MapLimits, ProbabilityGrid};
 
 use crate::changes::FRACTION;
 use crate::known_map::KnownMap;

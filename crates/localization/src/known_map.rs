@@ -1,8 +1,9 @@
 //! What a saved map has to be able to for scans to be found in it: what differs between the plane and space.
 
 use portolan_geometry::Rigid3;
+use portolan_grids::{GridError, ScanAgreement};
 use portolan_mapping::{NodeData, Space};
-use portolan_matching::{GridError, MatcherOptionError, ScanAgreement};
+use portolan_matching::MatcherOptionError;
 use portolan_sensor::PointCloud;
 
 use crate::belief::{Freedom, Matrix6};

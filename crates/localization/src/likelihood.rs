@@ -4,7 +4,7 @@
 //! that a search may take steps of several cells.
 
 use portolan_geometry::{Rigid2, Vector2};
-use portolan_matching::{CellIndex, MapLimits, ProbabilityGrid};
+use portolan_grids::{CellIndex, MapLimits, ProbabilityGrid};
 
 use crate::known_map::Window;
 

@@ -1,8 +1,8 @@
 //! What of space is solid and what is free, over a whole map.
 
 use portolan_geometry::{Point3f, to_f32};
+use portolan_grids::{GridError, HybridGrid};
 use portolan_mapping::{GraphState, Spatial};
-use portolan_matching::{GridError, HybridGrid};
 
 /// Edge of a cell, metres.
 const CELL: f32 = 0.2;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use portolan_geometry::{Point3f, Rigid2, Time, Vector2};
-use portolan_matching::{CellIndex, MapLimits};
+use portolan_grids::{CellIndex, MapLimits};
 
 use crate::known_cells::CLEARANCE;
 

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Rigid2, Vector2, project_2d};
+use portolan_grids::{CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid};
 use portolan_mapping::{GraphState, Planar, SubmapEntry};
-use portolan_matching::{CellIndex, Grid2d, GridError, MapLimits, PlaceIndex2d, ProbabilityGrid};
+use portolan_matching::PlaceIndex2d;
 
 use crate::known_cells::KnownCells;
 use crate::known_map::KnownMapError;
@@ -229,7 +230,8 @@ fn cells_around(submap: &Placed, limits: &MapLimits) -> impl Iterator<Item = Cel
 mod tests {
     use super::*;
     use portolan_geometry::Rigid3;
-    use portolan_mapping::{Submap2d, SubmapId, TrajectoryId};
+    use portolan_mapping::{SubmapId, TrajectoryId};
+    use portolan_submaps::Submap2d;
     use std::sync::Arc;
 
     /// A submap with a wall of 2 m along y at x = 1 m in its own frame, free on one side.

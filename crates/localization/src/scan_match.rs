@@ -1,11 +1,9 @@
 //! Matching a scan to a map of the plane, and what the match tells.
 
 use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
+use portolan_grids::{ScanAgreement, scan_agreement};
 use portolan_mapping::{NodeData, Planar};
-use portolan_matching::{
-    GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, ScanAgreement, WantedPlaces,
-    scan_agreement,
-};
+use portolan_matching::{GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, WantedPlaces};
 use portolan_sensor::PointCloud;
 
 use crate::belief::Freedom;

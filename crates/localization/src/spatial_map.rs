@@ -4,12 +4,10 @@ use nalgebra as na;
 use portolan_geometry::{
     Point3f, Rigid3, Vector2, Vector3, embed_3d, is_valid_pose, rotation_from_roll_pitch_yaw, to_f32, yaw,
 };
+use portolan_grids::{Grid2d, MapLimits, ProbabilityGrid, ScanAgreement};
 use portolan_lidar_odometry::{PlaneMap, PosePrior, Registration, RegistrationSettings, Sigmas};
 use portolan_mapping::{GraphState, NodeData, Spatial};
-use portolan_matching::{
-    FastCorrelativeMatcher2d, FastCorrelativeOptions2d, Grid2d, MapLimits, ProbabilityGrid, ScanAgreement,
-    SeveralPlaces,
-};
+use portolan_matching::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d, SeveralPlaces};
 use portolan_sensor::PointCloud;
 use rayon::prelude::*;
 

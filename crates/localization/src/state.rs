@@ -4,7 +4,7 @@ use std::fmt;
 
 use nalgebra::Matrix3;
 use portolan_geometry::{Rigid3, Time};
-use portolan_matching::ScanAgreement;
+use portolan_grids::ScanAgreement;
 
 use crate::belief::Matrix6;
 

@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
 };
-use portolan_mapping::ImuState;
+use portolan_optimization::ImuState;
 
 use portolan_pbstream::pose_from_proto;
 use portolan_pbstream::proto::mapping as m;

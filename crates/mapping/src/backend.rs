@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Sender, bounded, unbounded};
 use rayon::ThreadPool;
 
-use crate::{OptimizationSummary, PoseGraph, SearchCounts, Space};
+use portolan_optimization::OptimizationSummary;
+
+use crate::{PoseGraph, SearchCounts, Space};
 
 /// Why mapping cannot go on.
 #[derive(Debug, thiserror::Error)]

@@ -1,10 +1,11 @@
 //! Rooms and what a scanner sees of them, for tests.
 
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Time, Vector2};
-use portolan_matching::{Grid2d, MapLimits, ProbabilityGrid};
+use portolan_grids::{Grid2d, MapLimits, ProbabilityGrid};
 use portolan_sensor::PointCloud;
+use portolan_submaps::Submap2d;
 
-use crate::{NodeData, Submap2d};
+use crate::NodeData;
 
 /// What a scanner at (x, y) sees of a room of this size, metres, around the origin, one of whose corners is cut off by
 /// a box of 2 m.

@@ -11,12 +11,12 @@ use portolan_config::{Options, TrajectoryBuilderOptions};
 use portolan_geometry::Time;
 use portolan_issue::IssueLog;
 use portolan_motion::MotionFilter;
+use portolan_numeric::LatencyHistogram;
 use portolan_recall::Memory;
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
-use crate::latency::LatencyHistogram;
 use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, Lost, MatchingResult};
 use crate::map::{Map, ScanPose};

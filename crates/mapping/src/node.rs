@@ -5,7 +5,7 @@ use std::sync::Arc;
 use portolan_geometry::{Quaternion, Rigid3, Time};
 use portolan_sensor::PointCloud;
 
-use crate::PlanarScan;
+use portolan_submaps::PlanarScan;
 
 /// The unchanging part of a node. Files have the same fields in 2D and 3D; the dimension decides
 /// which clouds are filled.

@@ -2,8 +2,9 @@
 
 use portolan_geometry::{Rigid3, embed_3d, project_2d};
 use portolan_matching::{PlaceIndex2d, WantedPlaces, joint_cloud_2d};
+use portolan_submaps::Submap2d;
 
-use crate::{NodeData, PlaceFinder, Submap2d};
+use crate::{NodeData, PlaceFinder};
 
 /// Edge of a cell of the index, metres: walls of rooms and corridors are apart by several of them.
 const CELL: f64 = 0.2;

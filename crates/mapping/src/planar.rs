@@ -2,20 +2,17 @@
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Quaternion, Rigid3, Vector2, embed_3d, project_2d, to_f32};
-use portolan_matching::{
-    CellBox, FastCorrelativeMatcher2d, GradientMatcher2d, ScanAgreement, mean_of_solid_cells, scan_agreement,
-};
+use portolan_grids::{CellBox, ScanAgreement, mean_of_solid_cells, scan_agreement};
+use portolan_matching::{FastCorrelativeMatcher2d, GradientMatcher2d};
+use portolan_optimization::{OptimizationData, OptimizationSummary, optimize_2d};
 use portolan_sensor::SensorId;
+use portolan_submaps::{SearchWindow, Submap2d, fast_matcher_options, gradient_matcher};
 
 use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
-use crate::optimization::{OptimizationData, OptimizationSummary, optimize_2d};
 use crate::place_finder_2d::PlanarPlaces;
 use crate::pose_graph::AT_WRONG_PLACES;
-use crate::scan_matching_2d::{fast_matcher_options, gradient_matcher};
-use crate::submap_2d::Submap2d;
 use crate::{
-    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, PlaceFinder, SearchRegion, SearchWindow,
-    Space,
+    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, PlaceFinder, SearchRegion, Space,
 };
 
 /// 2D mapping: poses (x, y, θ), grids of probabilities or signed distances.

@@ -3,13 +3,14 @@
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::{Point3f, Rigid3, Vector3, is_valid_pose, to_f32};
+use portolan_grids::HybridGrid;
 use portolan_lidar_odometry::{
     PlaneMap, PosePrior, Registration, RegistrationResult, RegistrationSettings, Sigmas,
 };
-use portolan_matching::{HybridGrid, NodeToFind, SearchReach3d, SubmapToSearch, judge_placement_3d};
+use portolan_matching::{NodeToFind, SearchReach3d, SubmapToSearch, judge_placement_3d};
 use portolan_sensor::PointCloud;
+use portolan_submaps::Submap3d;
 
-use crate::submap_3d::Submap3d;
 use crate::{MatchedPose, Nearby, NodeData};
 
 /// A believed or a found pose may be off by this.
@@ -237,12 +238,12 @@ mod tests {
         let options = portolan_config::Options::for_3d();
         let local = &options.trajectory_builder.trajectory_builder_3d;
         let constraints = &options.map_builder.pose_graph.constraint_builder;
-        let inserter = crate::submap_3d::Inserter3d::new(&local.submaps, 120, false).unwrap().drawing_late();
+        let inserter = portolan_submaps::Inserter3d::new(&local.submaps, 120, false).unwrap().drawing_late();
         let cloud = PointCloud::new(room());
         let histogram = portolan_matching::rotational_histogram(&cloud, 120);
         let level = portolan_geometry::Quaternion::identity();
         let mut submap = Submap3d::new(Point3f::origin(), level, &inserter.into()).unwrap();
-        let scan = crate::submap_3d::Scan3d {
+        let scan = portolan_submaps::Scan3d {
             range_data_in_local: portolan_sensor::RangeData {
                 origin: Point3f::origin(),
                 returns: cloud.clone(),
@@ -251,7 +252,7 @@ mod tests {
             rotational_histogram: histogram.clone(),
             local_from_gravity_aligned: level,
         };
-        use crate::GrowingSubmap;
+        use portolan_submaps::GrowingSubmap;
         (0..12).for_each(|_| assert!(submap.insert(&scan)));
         submap.finish();
         let sparse = PointCloud::new(cloud.points.iter().step_by(37).copied().collect());

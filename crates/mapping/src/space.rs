@@ -4,11 +4,12 @@ use std::fmt::Debug;
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Quaternion, Rigid3, Vector2, Vector3};
-use portolan_matching::ScanAgreement;
+use portolan_grids::ScanAgreement;
+use portolan_optimization::{OptimizationData, OptimizationSummary};
 use portolan_sensor::SensorId;
+use portolan_submaps::SearchWindow;
 
 use crate::local_slam::LocalSlam;
-use crate::optimization::{OptimizationData, OptimizationSummary};
 use crate::{Constraint, MapperError, NodeData};
 
 /// How far a node may be from where it is believed to be.
@@ -37,15 +38,6 @@ pub enum SearchRegion {
         /// Half of the size of the box along the axes of the submap, metres.
         half_size: Vector3,
     },
-}
-
-/// Metres and radians to either side of a guess.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SearchWindow {
-    /// Along each axis, metres.
-    pub linear: f64,
-    /// Radians.
-    pub angular: f64,
 }
 
 /// What a match in a submap has to be like to be believed, besides its score. A mean probability depends on how

@@ -5,13 +5,12 @@ use portolan_geometry::{Quaternion, Rigid3, Vector2, is_valid_pose};
 use portolan_matching::{
     FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SearchReach3d, SubmapToSearch,
 };
+use portolan_optimization::{OptimizationData, OptimizationSummary, optimize_3d};
 use portolan_sensor::SensorId;
+use portolan_submaps::{Submap3d, clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 
 use crate::local_slam::three_d::{LocalSlam3d, LocalSlam3dSettings};
-use crate::optimization::{OptimizationData, OptimizationSummary, optimize_3d};
 use crate::plane_search::{confirmed, find_nearby, planes_of_loaded, reach_after, refined_by_planes};
-use crate::scan_matching_3d::{clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
-use crate::submap_3d::Submap3d;
 use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion, Space};
 
 /// 3D mapping: poses in 3D, hybrid grids.

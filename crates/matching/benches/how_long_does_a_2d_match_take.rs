@@ -4,15 +4,15 @@
 #[path = "../tests/common/mod.rs"]
 #[allow(dead_code)]
 mod common;
-#[path = "../tests/common/recording.rs"]
+#[path = "../../grids/tests/common/recording.rs"]
 #[allow(dead_code)]
 mod recording;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use portolan_geometry::Rigid2;
+use portolan_grids::{Grid2d, Tsdf2d, TsdfInserter, TsdfInserterOptions};
 use portolan_matching::{
-    GradientMatcher2d, GradientMatcherOptions2d, Grid2d, RealTimeCorrelativeMatcher2d,
-    RealTimeCorrelativeOptions, Tsdf2d, TsdfInserter, TsdfInserterOptions,
+    GradientMatcher2d, GradientMatcherOptions2d, RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions,
 };
 use portolan_sensor::PointCloud;
 

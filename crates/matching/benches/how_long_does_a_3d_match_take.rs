@@ -5,7 +5,7 @@
 #[path = "../tests/common/mod.rs"]
 #[allow(dead_code)]
 mod common;
-#[path = "../tests/common/hall.rs"]
+#[path = "../../grids/tests/common/hall.rs"]
 #[allow(dead_code)]
 mod hall;
 

@@ -6,7 +6,7 @@
 #[path = "../tests/common/mod.rs"]
 #[allow(dead_code)]
 mod common;
-#[path = "../tests/common/recording.rs"]
+#[path = "../../grids/tests/common/recording.rs"]
 #[allow(dead_code)]
 mod recording;
 

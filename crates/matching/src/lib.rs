@@ -3,10 +3,8 @@
 pub mod correlative;
 mod error;
 pub mod gradient;
-pub mod grid;
 mod planar_transform;
 mod surface;
-mod voxel_order;
 
 #[cfg(test)]
 extern crate self as portolan_matching;
@@ -26,13 +24,6 @@ pub use error::MatcherOptionError;
 pub use gradient::{
     CloudInGrid, GradientMatch2d, GradientMatch3d, GradientMatcher2d, GradientMatcher3d,
     GradientMatcherOptions2d, GradientMatcherOptions3d, IntensityCostOptions,
-};
-pub use grid::{
-    CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, HybridGrid, HybridGridParts,
-    HybridGridRepairs, HybridInserter, HybridInserterOptions, InsertReport, IntensityGrid, MapLimits,
-    NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, ScanAgreement,
-    SectorInserter, Texture, Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts, mean_of_solid_cells,
-    scan_agreement, score_difference,
 };
 pub use planar_transform::PlanarTransform;
 pub use surface::surface_tangents;

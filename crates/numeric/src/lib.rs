@@ -1,11 +1,13 @@
 #![doc = include_str!("../README.md")]
 
 mod histogram;
+mod latency;
 mod print;
 mod random;
 mod statistics;
 
 pub use histogram::{Histogram, HistogramBins};
+pub use latency::LatencyHistogram;
 pub use print::{counted, format_general};
 pub use random::{Lcg64, SplitMix64, scramble, splitmix64};
 pub use statistics::{mean, median, percentile, quantile, rms};

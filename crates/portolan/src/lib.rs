@@ -1,11 +1,14 @@
 #![doc = include_str!("../README.md")]
 
+pub mod assets;
 pub mod automatic;
 pub mod clocks;
 pub mod job;
+mod losses;
 pub mod pipeline;
 mod requested;
 mod silence;
+pub mod trajectory_file;
 pub mod unwind;
 
 pub use automatic::{Lidar, Sensors, settings_for};
@@ -18,6 +21,7 @@ pub use portolan_diagnose as diagnose;
 pub use portolan_evaluation as evaluation;
 pub use portolan_export as export;
 pub use portolan_geometry as geometry;
+pub use portolan_grids as grids;
 pub use portolan_ingest as ingest;
 pub use portolan_issue as issue;
 pub use portolan_lidar_odometry as lidar_odometry;
@@ -28,12 +32,15 @@ pub use portolan_mapping as mapping;
 pub use portolan_matching as matching;
 pub use portolan_motion as motion;
 pub use portolan_numeric as numeric;
+pub use portolan_optimization as optimization;
 pub use portolan_pbstream as pbstream;
 pub use portolan_pointcloud as pointcloud;
 pub use portolan_recording as recording;
 pub use portolan_refinement as refinement;
+pub use portolan_registration as registration;
 pub use portolan_ros_messages as ros_messages;
 pub use portolan_sensor as sensor;
 pub use portolan_simulator as simulator;
 pub use portolan_solver as solver;
+pub use portolan_submaps as submaps;
 pub use portolan_worlds as worlds;

@@ -9,9 +9,10 @@ use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
-    BackendProgress, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, LatencyHistogram, Loss, Map,
-    Mapper, MapperError, MapperSettings, MatchingResult, PoseGraph, Space, TrajectoryId, of_trajectory,
+    BackendProgress, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, Loss, Map, Mapper,
+    MapperError, MapperSettings, MatchingResult, PoseGraph, Space, TrajectoryId, of_trajectory,
 };
+use portolan_numeric::LatencyHistogram;
 use portolan_recall::Memory;
 use portolan_recording::{Recording, RecordingError};
 use portolan_sensor::SensorId;

@@ -4,7 +4,6 @@ pub mod continuous;
 mod error;
 mod motion_sensors;
 mod point_store;
-pub mod registration;
 pub mod semi_rigid;
 
 pub use error::RefineError;

@@ -16,6 +16,7 @@ mod sections;
 
 use nalgebra::{Matrix3, Matrix6};
 use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_registration::{Link, LinkStatistics, RobustKernel};
 use portolan_solver::NormalBlocks;
 use rayon::prelude::*;
 
@@ -23,7 +24,6 @@ use crate::continuous::{
     DenseTrajectory, Knots, Method, MotionBlocks, OdometryNoise, RefineProgress, RefineStep, Refined,
     Session, TIGHT, conjugate_gradients, noise_found, odometry_terms,
 };
-use crate::registration::{Link, LinkStatistics, RobustKernel};
 use crate::{PointStore, RefineError};
 use elements::{ElementEquations, ElementPair, End};
 use sections::{PointPair, Sections};

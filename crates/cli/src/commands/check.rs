@@ -6,10 +6,9 @@ mod recording;
 
 use std::path::{Path, PathBuf};
 
+use portolan::job::Places;
 use portolan_diagnose::Severity;
 use serde::Serialize;
-
-use places::Places;
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};

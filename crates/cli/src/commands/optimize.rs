@@ -3,7 +3,6 @@
 mod graph;
 mod map;
 
-pub use graph::notes;
 pub use map::{loop_text, optimize_draft, options, summary};
 
 use std::path::PathBuf;

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use portolan::job::OutputFolder;
 use portolan::job::refine::{REFINED_FILES, ReadPoints, RefineResults, write_refinement};
+use portolan::trajectory_file::TrajectoryFile;
 use portolan_atomic_file::require_room;
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_pointcloud::CloudFormat;
@@ -18,7 +19,7 @@ use portolan_refinement::continuous::{
 use portolan_refinement::semi_rigid::{SemiRigidOptions, refine_semi_rigid};
 
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::TrajectorySource;
+use crate::commands::evaluate::input::read_trajectory;
 use crate::commands::map::remarks;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::{self, Saving};
@@ -367,12 +368,13 @@ fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid
         ));
     };
     let times = args.times.as_deref();
-    let source = TrajectorySource { path, trajectory_id: args.trajectory_id, times, quiet: global.quiet };
+    let file = TrajectoryFile { path, trajectory_id: args.trajectory_id, times };
     if !args.time_offset.is_finite() {
         return Err(CliError::Usage("--time-offset must be a number of seconds".to_owned()));
     }
     let offset = Duration::from_seconds(args.time_offset);
-    Ok(source.read()?.poses().iter().map(|pose| (pose.time + offset, pose.map_from_tracking)).collect())
+    let trajectory = read_trajectory(file, global.quiet)?;
+    Ok(trajectory.poses().iter().map(|pose| (pose.time + offset, pose.map_from_tracking)).collect())
 }
 
 fn refine_with_progress(

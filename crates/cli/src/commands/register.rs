@@ -11,7 +11,7 @@ use portolan::job::register::{
     History, Registered, Registration, Scans, describe, registered_files, report, write_registration,
 };
 use portolan_geometry::{Rigid3, nalgebra as na, rotation_from_roll_pitch_yaw};
-use portolan_refinement::registration::{
+use portolan_registration::{
     GlobalReport, Link, ScanCloud, SequenceReport, links_by_distance, links_by_overlap,
     register_globally_twice, register_sequence, unlinked_scans,
 };

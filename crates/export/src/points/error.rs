@@ -2,8 +2,7 @@
 
 use portolan_atomic_file::WriteError;
 use portolan_config::ConfigError;
-use portolan_matching::GridError;
-use portolan_matching::grid::InserterOptionError;
+use portolan_grids::{GridError, InserterOptionError};
 
 /// Why a pipeline cannot be made or fails.
 #[derive(Debug, thiserror::Error)]

@@ -3,7 +3,7 @@
 use portolan_config::Value;
 use portolan_config::lua::Dictionary;
 use portolan_geometry::{Quaternion, Rigid3, rotation_from_roll_pitch_yaw};
-use portolan_matching::{
+use portolan_grids::{
     HybridInserter, HybridInserterOptions, ProbabilityInserter, ProbabilityInserterOptions,
 };
 

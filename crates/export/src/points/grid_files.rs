@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use portolan_atomic_file::{AtomicFile, write_atomically};
 use portolan_geometry::{Point3f, Rigid3, Time};
-use portolan_mapfile::{ImageName, PaintedMap, encode_grid_2d, encode_hybrid_grid, write_ros_map};
-use portolan_matching::{
+use portolan_grids::{
     CellIndex, Grid2d, HybridGrid, HybridInserter, MapLimits, ProbabilityGrid, ProbabilityInserter,
 };
+use portolan_mapfile::{ImageName, PaintedMap, encode_grid_2d, encode_hybrid_grid, write_ros_map};
 use portolan_sensor::{PointCloud, RangeData};
 use tiny_skia::{IntSize, Pixmap};
 

@@ -1,6 +1,6 @@
 //! What can go wrong between files and maps.
 
-use portolan_matching::GridError;
+use portolan_grids::GridError;
 use portolan_sensor::CompressedPointCloudError;
 
 use portolan_pbstream::IdInFile;

@@ -1,11 +1,10 @@
 //! Submaps and their grids (`formats.md` §4.4, §4.5).
 
 use portolan_geometry::Vector2;
+use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, MapLimits, TsdfParts};
 use portolan_issue::{IssueKind, IssueLog};
-use portolan_mapping::{Planar, Space, Submap2d};
-use portolan_matching::{
-    CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, MapLimits, TsdfParts,
-};
+use portolan_mapping::{Planar, Space};
+use portolan_submaps::Submap2d;
 use prost::Message as _;
 
 use super::MapConversionError;

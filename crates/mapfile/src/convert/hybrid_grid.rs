@@ -1,8 +1,9 @@
 //! Submaps in 3D and their grids (`formats.md` §4.6).
 
+use portolan_grids::{HybridGrid, HybridGridParts, HybridGridRepairs};
 use portolan_issue::{IssueKind, IssueLog};
-use portolan_mapping::{Spatial, Submap3d};
-use portolan_matching::{HybridGrid, HybridGridParts, HybridGridRepairs};
+use portolan_mapping::Spatial;
+use portolan_submaps::Submap3d;
 use prost::Message as _;
 
 use super::values::pose_in_file;

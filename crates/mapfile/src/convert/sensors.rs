@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use portolan_geometry::{Quaternion, Time};
 use portolan_issue::{IssueKind, IssueLog};
-use portolan_mapping::{ImuState, PoseGraph, Space, TrajectoryId, of_trajectory};
+use portolan_mapping::{PoseGraph, Space, TrajectoryId, of_trajectory};
+use portolan_optimization::ImuState;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, OdometryData};
 
 use super::values::{id_to_proto, pose_in_file};

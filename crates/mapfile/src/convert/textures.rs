@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use portolan_geometry::Rigid3;
+use portolan_grids::Texture;
 use portolan_mapping::{Map, Planar, Space, Spatial, SubmapId};
-use portolan_matching::Texture;
 use rayon::prelude::*;
 
 use super::hybrid_grid::hybrid_grid_to_proto;

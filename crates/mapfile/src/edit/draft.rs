@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use portolan_config::{ConfigError, Options};
 use portolan_geometry::{Dimension, Rigid3};
-use portolan_mapping::ImuState;
+use portolan_optimization::ImuState;
 use prost::Message as _;
 use serde::Serialize;
 

@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 
 use portolan_config::Options;
 use portolan_geometry::{Dimension, Rigid3, Time};
-use portolan_mapping::{
-    Constraint, ConstraintTag, NodeId, OptimizationData, OptimizationNode, OptimizationSummary, Planar,
-    Space, Spatial, SubmapId, TrajectoryConnectivity, TrajectoryId,
+use portolan_mapping::{Constraint, ConstraintTag, NodeId, Planar, Space, Spatial, SubmapId, TrajectoryId};
+use portolan_optimization::{
+    OptimizationData, OptimizationNode, OptimizationSummary, TrajectoryConnectivity,
 };
 use serde::Serialize;
 

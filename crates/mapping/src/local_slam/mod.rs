@@ -6,7 +6,7 @@ pub mod two_d;
 
 pub(crate) use two_d::refutes_place;
 
-pub use active_submaps::{ActiveSubmaps, GrowingSubmap};
+pub use active_submaps::ActiveSubmaps;
 
 use std::collections::VecDeque;
 

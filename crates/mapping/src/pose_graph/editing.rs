@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use portolan_config::Options;
 use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_optimization::{ImuState, OptimizationNode};
 
 use super::{Gap, InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
 use crate::local_slam::OdometryBridge;
-use crate::optimization::{ImuState, OptimizationNode};
 use crate::{
     Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId,
 };
@@ -132,7 +132,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     pub(super) fn submaps_of(&self, id: TrajectoryId) -> Vec<SubmapId> {
-        crate::id::of_trajectory(&self.state.submaps, id).map(|(id, _)| id).collect()
+        crate::of_trajectory(&self.state.submaps, id).map(|(id, _)| id).collect()
     }
 
     /// Starts keeping only the newest `keep` submaps of a trajectory.

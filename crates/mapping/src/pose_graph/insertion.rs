@@ -4,10 +4,10 @@
 use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time};
-use portolan_matching::ScanAgreement;
+use portolan_grids::ScanAgreement;
+use portolan_optimization::OptimizationNode;
 
 use super::{PoseGraph, SubmapEntry};
-use crate::optimization::OptimizationNode;
 use crate::{
     Constraint, ConstraintTag, Node, NodeData, NodeId, OpenDirections, Space, SubmapId, TrajectoryId,
     of_trajectory,

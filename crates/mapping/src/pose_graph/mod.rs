@@ -6,7 +6,6 @@
 //! optimisation is due.
 
 mod agreement;
-mod connectivity;
 mod contradictions;
 mod editing;
 mod final_search;
@@ -31,7 +30,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use agreement::WaitingMatches;
-pub use connectivity::TrajectoryConnectivity;
 pub use insertion::{InsertedNode, InsertionSubmap};
 pub use policy::{LoopSearchPolicy, PoseGraphPolicy};
 pub use search::SearchCounts;
@@ -49,13 +47,13 @@ use localisation::Localisation;
 use places::PlaceSearches;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::Time;
+use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary};
 use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
 use sampling::WholeSubmapTurns;
 use search::ConstraintSearch;
 
 use crate::histogram::Histogram;
-use crate::optimization::{LandmarkSighting, OptimizationData, OptimizationSummary};
 use crate::remembered::Remembered;
 use crate::{Constraint, ConstraintTag, NodeId, Space, SubmapId, TrajectoryId};
 

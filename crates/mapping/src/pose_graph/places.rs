@@ -7,12 +7,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Rigid3, Vector3};
+use portolan_submaps::SearchWindow;
 use rayon::prelude::*;
 
 use super::PoseGraph;
-use crate::{
-    NodeData, NodeId, PlaceFinder, SearchRegion, SearchWindow, Space, SubmapId, TrajectoryId, of_trajectory,
-};
+use crate::{NodeData, NodeId, PlaceFinder, SearchRegion, Space, SubmapId, TrajectoryId, of_trajectory};
 
 /// Scans so far along the way to either side of a node, metres, show what is around it; no more than one in so many metres.
 const STRETCH: f64 = 4.0;

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use portolan_config::PortolanOptions;
+use portolan_submaps::SearchWindow;
 
-use crate::{MatchAcceptance, NodeId, SearchWindow, SubmapId, TrajectoryId};
+use crate::{MatchAcceptance, NodeId, SubmapId, TrajectoryId};
 
 /// How far and how often nodes are searched in submaps that they are connected with.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -4,9 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time};
+use portolan_optimization::TrajectoryConnectivity;
 
 use crate::local_slam::OdometryBridge;
-use crate::{Constraint, Node, NodeData, NodeId, Space, SubmapId, TrajectoryConnectivity, TrajectoryId};
+use crate::{Constraint, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
 
 /// Life of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -175,7 +176,7 @@ impl<S: Space> GraphState<S> {
     /// Transform from the local map of a trajectory to the global map: by its last optimised submap,
     /// else by its initial pose, else the identity (`slam2d.md` §14.4).
     pub fn map_from_local(&self, trajectory_id: TrajectoryId) -> Rigid3 {
-        let optimized = crate::id::of_trajectory(&self.optimized_submaps, trajectory_id).next_back();
+        let optimized = crate::of_trajectory(&self.optimized_submaps, trajectory_id).next_back();
         if let Some((id, map_from_submap)) = optimized
             && let Some(entry) = self.submaps.get(&id)
         {
@@ -190,7 +191,7 @@ impl<S: Space> GraphState<S> {
     fn initial_map_from_local(&self, trajectory_id: TrajectoryId) -> Option<Rigid3> {
         let initial = self.trajectories.get(&trajectory_id)?.initial_pose.as_ref()?;
         let reference: portolan_geometry::TransformBuffer =
-            crate::id::of_trajectory(&self.nodes, initial.to_trajectory_id)
+            crate::of_trajectory(&self.nodes, initial.to_trajectory_id)
                 .map(|(_, node)| (node.data.time, node.map_from_tracking))
                 .collect();
         Some(reference.lookup_clamped(initial.time)? * initial.relative_pose)

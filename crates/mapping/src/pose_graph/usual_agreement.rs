@@ -3,7 +3,7 @@
 //! Scans that are metres apart, noisy ones and those in which readings are missing draw thin walls, of which even a scan in
 //! its right place explains less. Loop closures are measured by what local SLAM reaches on the way.
 
-use portolan_matching::ScanAgreement;
+use portolan_grids::ScanAgreement;
 
 use crate::MatchAcceptance;
 

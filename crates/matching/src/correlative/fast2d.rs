@@ -1,6 +1,7 @@
 //! Matching anywhere in a finished submap.
 
 use portolan_geometry::{Point3f, Rigid2, normalize_angle};
+use portolan_grids::{Grid2d, MapLimits, is_finite, value::CODE_COUNT};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
@@ -10,8 +11,6 @@ use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
 use super::search_window::{MAX_LINEAR_STEPS, SearchWindow};
 use crate::MatcherOptionError;
-use crate::grid::value::CODE_COUNT;
-use crate::grid::{Grid2d, MapLimits, is_finite};
 
 mod order;
 

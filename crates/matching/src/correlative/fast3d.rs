@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Rigid3f, to_f32, to_f64, yaw};
+use portolan_grids::value::{MAX_PROBABILITY, MIN_PROBABILITY};
+use portolan_grids::{HybridGrid, MAX_VOXEL_INDEX, VoxelLattice, is_finite};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
@@ -11,8 +13,6 @@ use super::byte_score::ByteScore;
 use super::rotational::{histogram_similarity, rotate_histogram};
 use super::search_window::angular_steps_in_space;
 use crate::MatcherOptionError;
-use crate::grid::value::{MAX_PROBABILITY, MIN_PROBABILITY};
-use crate::grid::{HybridGrid, MAX_VOXEL_INDEX, VoxelLattice, is_finite};
 use pyramid::MaxPyramid3d;
 use scans::{MAX_SHIFT, Scans};
 use search::{Placement3d, Search3d};

@@ -2,7 +2,7 @@
 
 use portolan_geometry::{Rigid2, Vector2};
 
-use crate::grid::{CellBox, CellIndex, Grid2d, GridError, MapLimits};
+use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, MapLimits};
 
 /// Cells are solid, or free, beyond these probabilities.
 const SOLID: f32 = 0.6;

@@ -11,6 +11,7 @@
 //! grows with the map.
 
 use portolan_geometry::{Point3f, Rigid2, normalize_angle};
+use portolan_grids::{Grid2d, GridError, MapLimits, is_finite};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
@@ -21,7 +22,6 @@ use super::max_pyramid::MaxPyramid;
 use super::place_grid::{Known, PlaceGrid};
 use super::rotated_scans::RotatedScans;
 use super::search_window::{MAX_LINEAR_STEPS, SearchWindow};
-use crate::grid::{Grid2d, GridError, MapLimits, is_finite};
 
 /// What a point counts that ends at something solid, beside it, where nothing is known, and where it is free.
 const SOLID: f32 = 1.0;

@@ -1,6 +1,7 @@
 //! Matching near a guess while the grid is still being drawn.
 
 use portolan_geometry::{Point3f, Rigid2};
+use portolan_grids::{CellBox, CellIndex, Grid2d, MapLimits, is_finite};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
@@ -9,7 +10,6 @@ use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
 use super::search_window::SearchWindow;
 use crate::MatcherOptionError;
-use crate::grid::{CellBox, CellIndex, Grid2d, MapLimits, is_finite};
 
 mod exhaustive;
 mod probability;

@@ -2,14 +2,14 @@
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Rigid3f, to_f32, to_f64};
+use portolan_grids::value::{MAX_PROBABILITY, MIN_PROBABILITY};
+use portolan_grids::{HybridGrid, VoxelLattice, is_finite};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
 use super::real_time2d::RealTimeCorrelativeOptions;
 use super::search_window::angular_steps_in_space;
 use crate::MatcherOptionError;
-use crate::grid::value::{MAX_PROBABILITY, MIN_PROBABILITY};
-use crate::grid::{HybridGrid, VoxelLattice, is_finite};
 use surroundings::Surroundings;
 
 mod surroundings;

@@ -1,10 +1,10 @@
 //! A scan turned by every angle of a search window, as cells; computed when asked for.
 
 use portolan_geometry::{Point3f, Rigid2, Vector2f};
+use portolan_grids::MapLimits;
 
 use super::search_window::SearchWindow;
 use crate::PlanarTransform;
-use crate::grid::MapLimits;
 
 /// Cells are clamped to this so that sums with shifts cannot overflow.
 const FAR: i64 = 1 << 24;

@@ -11,7 +11,7 @@ use nalgebra as na;
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::{PointCloud, lround};
 
-use crate::grid::is_finite;
+use portolan_grids::is_finite;
 
 /// Height of a slice, metres.
 const SLICE_HEIGHT: f32 = 0.2;

@@ -1,8 +1,8 @@
 //! Bicubic interpolation of correspondence costs: cubic Hermite splines with central differences as
 //! slopes (Catmull–Rom), first along the columns, then along the rows.
 
-use crate::grid::ProbabilityGrid;
-use crate::grid::value::{MAX_CORRESPONDENCE_COST, ValueCode};
+use portolan_grids::ProbabilityGrid;
+use portolan_grids::value::{MAX_CORRESPONDENCE_COST, ValueCode};
 
 /// A value with its derivatives along rows and columns, per cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -118,7 +118,7 @@ mod tests {
         let grid = grid_g();
         let smooth = BicubicGrid::new(&grid);
         for (row, column) in [(30.0, 40.0), (0.0, 0.0), (199.0, 159.0)] {
-            let cell = crate::grid::CellIndex::new(column as i32, row as i32);
+            let cell = portolan_grids::CellIndex::new(column as i32, row as i32);
             let value = smooth.evaluate(row, column).value;
             assert!((value - f64::from(grid.correspondence_cost(cell))).abs() < 1e-15);
         }

@@ -2,13 +2,13 @@
 
 use nalgebra as na;
 use portolan_geometry::{Rigid2, Vector2};
+use portolan_grids::Grid2d;
 use portolan_sensor::PointCloud;
 use portolan_solver::{DenseProblem, NormalEquations, SolverOptions, Summary, solve_dense};
 
 use super::occupied_space2d::OccupiedSpace;
 use super::signed_distance2d::SignedDistance;
 use crate::MatcherOptionError;
-use crate::grid::Grid2d;
 
 /// Weights of the three kinds of residuals, and when to stop.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,12 +2,12 @@
 
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, Vector3};
+use portolan_grids::{HybridGrid, IntensityGrid};
 use portolan_sensor::PointCloud;
 use portolan_solver::{DenseProblem, NormalEquations, SolverOptions, Summary, solve_dense};
 
 use super::scan_residuals3d::{IntensityResiduals, OccupiedSpace3d};
 use crate::MatcherOptionError;
-use crate::grid::{HybridGrid, IntensityGrid};
 
 /// How intensities count.
 #[derive(Clone, Debug, PartialEq)]

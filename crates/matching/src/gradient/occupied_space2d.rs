@@ -2,10 +2,10 @@
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid2, Vector2};
+use portolan_grids::ProbabilityGrid;
 use portolan_solver::NormalEquations;
 
 use super::bicubic::BicubicGrid;
-use crate::grid::ProbabilityGrid;
 
 /// One residual per point: the interpolated correspondence cost where the pose puts it, times the
 /// scaling.

@@ -2,11 +2,11 @@
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3};
+use portolan_grids::{Average, HybridGrid, IntensityGrid, is_finite};
 use portolan_sensor::PointCloud;
 use portolan_solver::{Loss, NormalEquations};
 
 use super::smooth_grid3d::{SmoothGrid3d, wide};
-use crate::grid::{Average, HybridGrid, IntensityGrid, is_finite};
 
 /// One residual per point: `scaling · (1 − P)` with the interpolated probability P where the pose puts it.
 pub(crate) struct OccupiedSpace3d<'a> {

@@ -4,7 +4,7 @@ use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid2};
 use portolan_solver::NormalEquations;
 
-use crate::grid::{CellIndex, Tsdf2d};
+use portolan_grids::{CellIndex, Tsdf2d};
 
 /// Distance and weight at a place, with derivatives by x and y (per metre).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,8 +102,8 @@ impl<'a> SignedDistance<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::{MapLimits, TsdfInserter, TsdfInserterOptions};
     use portolan_geometry::Vector2;
+    use portolan_grids::{MapLimits, TsdfInserter, TsdfInserterOptions};
     use portolan_sensor::{PointCloud, RangeData};
 
     fn field(cells: &[(i32, i32, f32, f32)]) -> Tsdf2d {

@@ -3,8 +3,8 @@
 
 use portolan_geometry::{Point3f, Vector3};
 
-use crate::grid::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL};
-use crate::grid::{Average, HybridGrid, IntensityGrid, MAX_VOXEL_INDEX, VoxelLattice, VoxelMap};
+use portolan_grids::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL};
+use portolan_grids::{Average, HybridGrid, IntensityGrid, MAX_VOXEL_INDEX, VoxelLattice, VoxelMap};
 
 /// What cells of a grid in 3D mean.
 pub(crate) trait CellValue: Copy + Default {

@@ -1,7 +1,8 @@
 //! What is in `report.json`.
 
 use portolan_geometry::Time;
-use portolan_mapping::{DegenerateInterval, DegenerateMotion, LatencyHistogram, Loss, Space, Substitute};
+use portolan_mapping::{DegenerateInterval, DegenerateMotion, Loss, Space, Substitute};
+use portolan_numeric::LatencyHistogram;
 
 use super::REPORT_VERSION;
 use super::localisation::Localisation;

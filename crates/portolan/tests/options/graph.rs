@@ -8,10 +8,10 @@ use portolan::config::Options;
 use portolan::geometry::{Rigid3, Vector3, rotation_angle};
 use portolan::mapping::{
     Constraint, ConstraintTag, InitialTrajectoryPose, Map, Mapper, MapperSettings, MatchedPose, NodeData,
-    NodeId, Planar, PoseGraph, PoseGraphPolicy, SearchCounts, SearchRegion, Space, Submap2d, SubmapId,
-    TrajectoryId,
+    NodeId, Planar, PoseGraph, PoseGraphPolicy, SearchCounts, SearchRegion, Space, SubmapId, TrajectoryId,
 };
 use portolan::sensor::{Measurement, PointCloud, SensorKind};
+use portolan::submaps::Submap2d;
 
 use crate::effect::{Effect, check, effects};
 use crate::run::{Run, mapper, run, sensor, trajectory};

@@ -6,9 +6,9 @@
 
 use portolan::config::{OptimizationProblemOptions, Options};
 use portolan::geometry::{Quaternion, Rigid3, Vector3, rotation_angle, rotation_from_roll_pitch_yaw, yaw};
-use portolan::mapping::{
-    Constraint, ConstraintTag, NodeId, OptimizationData, OptimizationNode, OptimizationSummary, SubmapId,
-    TrajectoryId, optimize_2d, optimize_3d,
+use portolan::mapping::{Constraint, ConstraintTag, NodeId, SubmapId, TrajectoryId};
+use portolan::optimization::{
+    OptimizationData, OptimizationNode, OptimizationSummary, optimize_2d, optimize_3d,
 };
 use portolan::sensor::{FixedFramePoseData, ImuData, OdometryData};
 

@@ -2,9 +2,10 @@
 
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, roll_pitch_yaw, rotation_angle};
-use portolan::mapping::{Planar, Submap2d};
-use portolan::matching::{CellBox, CellIndex, Grid2d};
+use portolan::grids::{CellBox, CellIndex, Grid2d};
+use portolan::mapping::Planar;
 use portolan::sensor::Measurement;
+use portolan::submaps::Submap2d;
 
 use crate::effect::{Effect, check, effects};
 use crate::run::{Run, run};

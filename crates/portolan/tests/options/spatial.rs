@@ -2,10 +2,11 @@
 
 use portolan::config::Options;
 use portolan::geometry::{Quaternion, Rigid3, Vector3, roll_pitch_yaw, rotation_from_roll_pitch_yaw};
-use portolan::mapping::{LocalSlam, Space, Spatial, Submap3d};
-use portolan::matching::HybridGrid;
-use portolan::matching::grid::value::PROBABILITY_CODE;
+use portolan::grids::HybridGrid;
+use portolan::grids::value::PROBABILITY_CODE;
+use portolan::mapping::{LocalSlam, Space, Spatial};
 use portolan::sensor::{Measurement, SensorKind, TimedPointCloudData};
+use portolan::submaps::Submap3d;
 
 use crate::effect::{Effect, check, effects};
 use crate::run::{Run, run, sensor};

@@ -4,7 +4,8 @@ use std::sync::OnceLock;
 
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, Vector3, rotation_angle, rotation_from_roll_pitch_yaw};
-use portolan::mapping::{MatchedPose, NodeData, SearchRegion, Space, Spatial, Submap3d};
+use portolan::mapping::{MatchedPose, NodeData, SearchRegion, Space, Spatial};
+use portolan::submaps::Submap3d;
 
 use crate::effect::{Effect, check, effects};
 use crate::spatial::{base, first_submap, leaning, scans};

@@ -1,11 +1,11 @@
 //! Sections of a trajectory, and which of their points belong together.
 
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
+use portolan_registration::{Link, ScanCloud, links_by_overlap};
 use rayon::prelude::*;
 
 use super::SemiRigidOptions;
 use crate::continuous::Session;
-use crate::registration::{Link, ScanCloud, links_by_overlap};
 use portolan_spatial::reduce_indices;
 
 /// Neighbours of a point that tell its normal, and how far they may be in edges of a voxel.

@@ -5,6 +5,7 @@ use std::io::{self, BufRead};
 
 use portolan_geometry::{Rigid2, Rigid3};
 use portolan_input::{Line, read_line};
+use portolan_numeric::counted;
 
 use super::connectivity::Adjacency;
 use super::graph::{Edge, Graph, PoseGraph, Vertex};
@@ -85,6 +86,28 @@ impl G2oRepairs {
     /// Whether everything in the file was used as it is.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// What was not as it should be, in words.
+    pub fn notes(&self) -> Vec<String> {
+        let mut notes: Vec<String> = self
+            .ignored_tags
+            .iter()
+            .map(|(tag, n)| {
+                format!("{} with the unknown tag {tag}: left out", counted(*n as u64, "line", "lines"))
+            })
+            .collect();
+        let counts = [
+            (self.duplicate_vertices, "vertices given again: the first counts"),
+            (self.unusable_vertices, "vertices with numbers that are no pose"),
+            (self.created_vertices, "vertices that only edges name: placed by following measurements"),
+            (self.unusable_edges, "edges with numbers that are no measurement: left out"),
+            (self.self_edges, "edges from a vertex to itself: left out"),
+            (self.normalized_quaternions, "quaternions normalised"),
+            (self.unknown_fixed, "FIX lines for vertices that do not exist"),
+        ];
+        notes.extend(counts.into_iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")));
+        notes
     }
 
     fn ignore(&mut self, tag: &str) {

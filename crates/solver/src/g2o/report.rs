@@ -1,6 +1,8 @@
 //! What an optimisation of a graph found.
 
-use super::Initialization;
+use portolan_numeric::counted;
+
+use super::{Graph, Initialization};
 use crate::Termination;
 
 /// How badly an edge fits.
@@ -53,6 +55,41 @@ pub struct Report {
 }
 
 impl Report {
+    /// The graph and what was found, for people.
+    pub fn text(&self, graph: &Graph) -> String {
+        let dimension = if matches!(graph, Graph::Planar(_)) { "in 2D" } else { "in 3D" };
+        let mut text = format!(
+            "{} poses {dimension}, {} edges, {}\n",
+            graph.vertex_count(),
+            graph.edge_count(),
+            counted(self.components as u64, "part", "parts")
+        );
+        text += &format!("chi2 of the file     {:.6}\n", self.chi2_before);
+        text += &format!("chi2 at the start    {:.6} ({:?})\n", self.chi2_initialized, self.initialization);
+        text += &format!("chi2 after           {:.6} (redundancy {})\n", self.chi2_after, self.redundancy());
+        text += &format!("{} iterations, {:?}\n", self.iterations, self.termination);
+        if self.repaired_information > 0 {
+            text += &format!(
+                "{} information matrices were indefinite: negative eigenvalues taken as zero\n",
+                self.repaired_information
+            );
+        }
+        if let Some(condition) = self.condition {
+            text += &format!("condition            {condition:.3e}\n");
+        }
+        if self.components > 1 {
+            let held: Vec<String> = self.anchored.iter().take(10).map(ToString::to_string).collect();
+            text += &format!("the graph is not connected; held in its parts: {}\n", held.join(", "));
+        }
+        if !self.worst_edges.is_empty() {
+            text += "edges that fit worst\n";
+        }
+        for edge in &self.worst_edges {
+            text += &format!("  {} -> {}  chi2 {:.6}\n", edge.from, edge.to, edge.chi2);
+        }
+        text
+    }
+
     /// Residuals minus unknowns: what chi2 should be near when the information matrices are right.
     pub fn redundancy(&self) -> usize {
         self.residuals.saturating_sub(self.unknowns)

@@ -110,8 +110,9 @@ impl BlockSystem {
         result.is_ok()
     }
 
-    /// Smallest ratio of a squared pivot of the last factor to the undamped diagonal: the share of an unknown's
-    /// information that is left when the unknowns eliminated before it are given. Rounding alone leaves about 1e-16.
+    /// How well the worst determined unknown is determined, from 0 to 1: the smallest ratio of a squared pivot of the last
+    /// factor to the diagonal entry without damping. It is the share of the information about an unknown that remains
+    /// when the unknowns eliminated before it may move as well. Of a singular matrix rounding leaves about 1e-16.
     pub fn smallest_pivot_ratio(&self) -> f64 {
         let factor = supernodal::SupernodalLltRef::new(&self.symbolic, &self.factor);
         let mut smallest = f64::INFINITY;

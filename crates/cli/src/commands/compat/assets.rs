@@ -1,25 +1,19 @@
 //! `cartographer_assets_writer`: the points of recordings, placed by a map, through a pipeline of stages.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
+use portolan::assets::{AssetsError, PlacedRecording};
+use portolan::trajectory_file::{nodes, read_pose_graph};
 use portolan_config::lua::{Limits, evaluate_file};
 use portolan_evaluation::Trajectory;
-use portolan_export::points::{Flush, Pipeline, PipelineContext, PointsBatch, pipeline_from_lua, table_of};
-use portolan_geometry::{Duration, Point3f, to_f32};
-use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan, read_urdf};
-use portolan_recording::{Recording, open};
-use portolan_sensor::{Measurement, TimedPointCloudData};
+use portolan_export::points::{Flush, Pipeline, PipelineContext, pipeline_from_lua, table_of};
+use portolan_ingest::{IngestOptions, read_urdf};
 
 use super::Flags;
 use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::{nodes, read_pose_graph};
 use crate::error::{CliError, Outcome};
-
-/// Messages between two lines of the log.
-const LOG_EVERY: u64 = 10_000;
 
 const KNOWN: Known = Known {
     values: &[
@@ -63,12 +57,12 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let options = ingest_options(&flags, tracking_frame)?;
     let mut bags = bags
         .into_iter()
-        .map(|bag| Bag::open(PathBuf::from(bag), &options))
-        .collect::<Result<Vec<_>, CliError>>()?;
+        .map(|bag| PlacedRecording::open(PathBuf::from(bag), &options))
+        .collect::<Result<Vec<_>, AssetsError>>()?;
     let dropped = loop {
         let mut dropped = 0;
         for (id, (bag, trajectory)) in bags.iter_mut().zip(&trajectories).enumerate() {
-            dropped += bag.send(id, trajectory, &options, &mut pipeline)?;
+            dropped += bag.send(id, trajectory, &options, &mut pipeline, &mut log::info)?;
         }
         if pipeline.flush(&mut log::info).map_err(failed)? == Flush::Finished {
             break dropped;
@@ -113,91 +107,4 @@ fn ingest_options(flags: &Flags, tracking_frame: String) -> Result<IngestOptions
         use_odometry: Some(false),
         ..IngestOptions::default()
     })
-}
-
-/// A recording that is read once for each pass.
-struct Bag {
-    path: PathBuf,
-    recording: Box<dyn Recording>,
-    inventory: Inventory,
-    plan: SensorPlan,
-}
-
-impl Bag {
-    fn open(path: PathBuf, options: &IngestOptions) -> Result<Self, CliError> {
-        let recording = open(&path)?;
-        let failed = |error: IngestError| CliError::in_file(&path, error);
-        let inventory = Inventory::of(recording.as_ref(), options)?;
-        let plan = plan(&inventory, options).map_err(|error| failed(error.into()))?;
-        Ok(Self { path, recording, inventory, plan })
-    }
-
-    /// Sends all points through the pipeline; how many were left out.
-    fn send(
-        &mut self,
-        id: usize,
-        trajectory: &Trajectory,
-        options: &IngestOptions,
-        pipeline: &mut Pipeline,
-    ) -> Result<u64, CliError> {
-        log::info(&format!("Processing {}...", self.path.display()));
-        let ingestion =
-            Ingestion::with_plan(self.recording.as_ref(), &self.inventory, self.plan.clone(), options);
-        let mut ingestion = ingestion.map_err(failed)?;
-        let total = trajectory.span().map_or(0.0, |(first, last)| last.seconds_since(first));
-        let (mut messages, mut dropped) = (0_u64, 0);
-        while let Some((sensor, measurement)) = ingestion.next_measurement()? {
-            let Measurement::Range(sweep) = measurement else { continue };
-            let frame = self.plan.range.iter().find(|r| r.source.sensor == sensor).map(|r| &r.source.frame);
-            let frame: Arc<str> = frame.cloned().unwrap_or_default();
-            if let Some(batch) = place(&sweep, trajectory, frame, id, &mut dropped) {
-                pipeline.process(batch).map_err(failed)?;
-            }
-            messages += 1;
-            if messages.is_multiple_of(LOG_EVERY) {
-                let done = trajectory.span().map_or(0.0, |(first, _)| sweep.time.seconds_since(first));
-                log::info(&format!("Processed {done:.1} of {total:.1} bag time seconds..."));
-            }
-        }
-        Ok(dropped)
-    }
-}
-
-/// Puts each point where the tracking frame was at its time; none if all are outside of the trajectory.
-fn place(
-    sweep: &TimedPointCloudData,
-    trajectory: &Trajectory,
-    frame_id: Arc<str>,
-    trajectory_id: usize,
-    dropped: &mut u64,
-) -> Option<PointsBatch> {
-    let mut batch = PointsBatch {
-        start_time: sweep.time,
-        origin: Point3f::origin(),
-        frame_id,
-        trajectory_id,
-        points: Vec::with_capacity(sweep.points_in_tracking.len()),
-        intensities: Vec::with_capacity(sweep.intensities.len()),
-        colors: Vec::new(),
-    };
-    // Beams of one shot have the same time.
-    let mut known: Option<(f32, Option<portolan_geometry::Rigid3f>)> = None;
-    for (i, point) in sweep.points_in_tracking.iter().enumerate() {
-        let map_from_tracking = match known {
-            Some((time, pose)) if time.to_bits() == point.time.to_bits() => pose,
-            _ => {
-                let time = sweep.time + Duration::from_seconds(f64::from(point.time));
-                trajectory.lookup(time).map(|pose| to_f32(&pose))
-            }
-        };
-        known = Some((point.time, map_from_tracking));
-        let Some(map_from_tracking) = map_from_tracking else {
-            *dropped += 1;
-            continue;
-        };
-        batch.points.push(map_from_tracking * point.position);
-        batch.intensities.extend(sweep.intensities.get(i));
-        batch.origin = map_from_tracking * sweep.origin_in_tracking;
-    }
-    (!batch.points.is_empty()).then_some(batch)
 }

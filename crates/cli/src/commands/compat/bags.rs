@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use portolan::trajectory_file::{nodes, read_pose_graph};
 use portolan_diagnose::{Severity, check, findings_to_text};
 use portolan_geometry::{Rigid3, Time, rotation_angle};
 use portolan_ingest::{IngestOptions, TfInput, TfTree};
@@ -13,7 +14,6 @@ use super::Flags;
 use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::{nodes, read_pose_graph};
 use crate::error::{CliError, Outcome};
 use crate::output::{print, write_file};
 

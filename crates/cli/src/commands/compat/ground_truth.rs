@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use portolan::trajectory_file::{nodes, read_pose_graph};
 use portolan_evaluation::{
     GenerateOptions, Trajectory, generate_relations, read_binary_relations, read_text_relations,
     relation_errors, write_binary_relations,
@@ -12,7 +13,6 @@ use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
 use crate::commands::evaluate::generate::read_map_graph;
-use crate::commands::evaluate::input::{nodes, read_pose_graph};
 use crate::error::{CliError, Outcome};
 use crate::input::read_bytes;
 use crate::output::write_file;

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use portolan::trajectory_file::{nodes, read_pose_graph};
 use portolan_geometry::Rigid3;
 use portolan_recording::{
     BagCompression, Header, Message, Pose, RecordedMessage, RecordingFormat, TfMessage, TransformStamped,
@@ -12,7 +13,6 @@ use super::Flags;
 use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::{nodes, read_pose_graph};
 use crate::error::{CliError, Outcome};
 
 /// Writes each node twice: on a topic of its trajectory, and on `/tf`.

@@ -9,7 +9,6 @@ use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex, read_g2o, 
 use super::ConvertArgs;
 use super::trajectories::read_one;
 use crate::GlobalArgs;
-use crate::commands::optimize::notes;
 use crate::error::{CliError, Outcome};
 use crate::output::{print_json, print_summary, write_file};
 use crate::progress::say;
@@ -60,7 +59,7 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
     };
     let (graph, repairs) = read_g2o(input).map_err(|error| CliError::in_file(&args.input, error))?;
     if !global.quiet {
-        notes(&repairs).iter().for_each(|note| say(&format!("{}: {note}", args.input.display())));
+        repairs.notes().iter().for_each(|note| say(&format!("{}: {note}", args.input.display())));
     }
     let mut draft = MapDraft::open(map, ReadLimits::default())?;
     draft.take_graph_poses(&graph)?;

@@ -2,6 +2,7 @@
 
 use std::io::{BufWriter, Write};
 
+use portolan::trajectory_file::{TrajectoryFile, nodes, whole_pose_graph_from};
 use portolan_evaluation::{
     Trajectory, read_geojson, write_csv, write_csv_all, write_geojson, write_kitti, write_tum,
 };
@@ -13,7 +14,7 @@ use portolan_pbstream::ReadLimits;
 use super::ConvertArgs;
 use super::format::Format;
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::{TrajectorySource, nodes, tell_repairs, whole_pose_graph_from};
+use crate::commands::evaluate::input::{read_trajectory_from, tell};
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print_json, print_summary, write_file};
 use crate::progress::say;
@@ -130,14 +131,17 @@ fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<R
             let (all, repairs) =
                 read_geojson(input, frame.as_ref()).map_err(|error| CliError::in_file(path, error))?;
             if !global.quiet {
-                tell_repairs(path, &repairs);
+                tell(path, &repairs.notes());
             }
             all
         }
         _ => {
             let times = args.times.as_deref();
-            let source = TrajectorySource { path, trajectory_id: 0, times, quiet: global.quiet };
-            return Ok((vec![(args.trajectory.unwrap_or(0), source.read_from(input)?)], false));
+            let file = TrajectoryFile { path, trajectory_id: 0, times };
+            return Ok((
+                vec![(args.trajectory.unwrap_or(0), read_trajectory_from(input, file, global.quiet)?)],
+                false,
+            ));
         }
     };
     if let Some(wanted) = args.trajectory

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan::trajectory_file::{nodes, read_pose_graph, trajectory_of};
 use portolan_evaluation::{
     GenerateOptions, MapConstraint, MapGraph, generate_relations, write_binary_relations,
     write_text_relations,
@@ -9,7 +10,6 @@ use portolan_evaluation::{
 use portolan_pbstream::proto::mapping::pose_graph::{Constraint, constraint::Tag};
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
 
-use super::input::{nodes, read_pose_graph, trajectory_of};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print_json, print_summary, write_file};

@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
+use portolan::trajectory_file::TrajectoryFile;
 use portolan_evaluation::{
     RIGHT_WITHIN, Trajectory, at_times_of, in_time_base, loop_closure_relations, relation_errors,
 };
 use portolan_geometry::Duration;
 
 use super::generate::read_map_graph;
-use super::input::TrajectorySource;
+use super::input::read_trajectory;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json, write_file};
@@ -40,8 +41,8 @@ pub struct LoopsArgs {
 }
 
 pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let source = TrajectorySource { path: &args.truth, trajectory_id: 0, times: None, quiet: global.quiet };
-    let truth = source.read()?;
+    let truth = TrajectoryFile { path: &args.truth, trajectory_id: 0, times: None };
+    let truth = read_trajectory(truth, global.quiet)?;
     let map = read_map_graph(&args.map)?;
     let loops = loop_closure_relations(&map).map_err(|error| CliError::in_file(&args.map, error))?;
     if loops.len() < 2 {

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan::trajectory_file::TrajectoryFile;
 use portolan_evaluation::{RelationError, RelationReport, TimeBaseNotice, in_time_base, relation_errors};
 use portolan_export::{HistogramPanel, draw_histograms, write_picture};
 use serde::Serialize;
 
-use super::input::{TrajectorySource, read_relations_file};
+use super::input::{read_relations_file, read_trajectory};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json, write_file};
@@ -59,13 +60,9 @@ struct Report<'a> {
 }
 
 pub fn run(args: &RelationsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let source = TrajectorySource {
-        path: &args.estimate,
-        trajectory_id: args.trajectory,
-        times: args.times.as_deref(),
-        quiet: global.quiet,
-    };
-    let trajectory = source.read()?;
+    let estimate =
+        TrajectoryFile { path: &args.estimate, trajectory_id: args.trajectory, times: args.times.as_deref() };
+    let trajectory = read_trajectory(estimate, global.quiet)?;
     let relations = read_relations_file(&args.relations)?;
     let (relations, notice) = in_time_base(&trajectory, &relations)?;
     let report = relation_errors(&trajectory, &relations)?;

@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
+use portolan::trajectory_file::TrajectoryFile;
 use portolan_evaluation::{
     AbsoluteErrors, Alignment, Association, Drift, KITTI_LENGTHS, KITTI_STRIDE, RelativeErrors, Step,
     Trajectory, absolute_errors, drift, relative_errors,
 };
 use serde::Serialize;
 
-use super::input::{TrajectorySource, positive_seconds};
+use super::input::{positive_seconds, read_trajectory};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json};
@@ -86,7 +87,7 @@ struct Report {
 pub fn run(args: &TrajectoryArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let read = |path| {
         let times = args.times.as_deref();
-        TrajectorySource { path, trajectory_id: args.trajectory, times, quiet: global.quiet }.read()
+        read_trajectory(TrajectoryFile { path, trajectory_id: args.trajectory, times }, global.quiet)
     };
     let (estimate, truth) = (read(&args.estimate)?, read(&args.truth)?);
     let association = association(args)?;

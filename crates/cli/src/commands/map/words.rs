@@ -93,7 +93,7 @@ pub fn summary<S: Space>(
             consistency.contradicted, consistency.places,
         );
     }
-    text += &crate::lost::losses(mapped);
+    text += &mapped.losses_in_words();
     text += &degenerate_intervals(&mapped.degenerate_intervals, mapped.recording_seconds);
     text += &issues(mapped.issues.iter(), with_harmless);
     if mapped.interrupted {

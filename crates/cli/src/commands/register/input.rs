@@ -3,15 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use portolan::job::register::{PointLimits, ScanSource, Scans};
-use portolan_evaluation::Trajectory;
+use portolan::trajectory_file::TrajectoryFile;
 use portolan_geometry::{Quaternion, Rigid3};
-use portolan_pointcloud::{CloudError, UosFolder, UosScan};
-use portolan_refinement::registration::{Link, ScanCloud};
+use portolan_pointcloud::CloudError;
+use portolan_registration::{Link, ScanCloud, links_of_text};
 use portolan_spatial::{VoxelRepresentative, reduce};
 
 use super::options::SurfacesOf;
 use crate::clouds::read_cloud_from;
-use crate::commands::evaluate::input::TrajectorySource;
+use crate::commands::evaluate::input::read_trajectory;
 use crate::error::CliError;
 use crate::input::read_bytes;
 use crate::output::counted;
@@ -23,11 +23,6 @@ const NORMAL_NEIGHBOURS: usize = 12;
 const SINGLE_PRECISION_REACH: f64 = 8192.0;
 /// Points of a scan that are kept in memory at most.
 const MOST_POINTS: usize = 50_000_000;
-/// Scans wider or narrower than this are hardly in metres, and no two of one job differ by this factor.
-const WIDEST: f64 = 5000.0;
-const NARROWEST: f64 = 0.02;
-const UNLIKE: f64 = 50.0;
-
 /// How points are read.
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Points")]
@@ -95,7 +90,7 @@ pub fn read_scans(
     quiet: bool,
 ) -> Result<Scans, CliError> {
     input.check()?;
-    let sources = sources(paths)?;
+    let sources = ScanSource::all_of(paths).map_err(failed)?;
     let mut scans = Scans {
         names: sources.iter().map(|s| s.path().display().to_string()).collect(),
         guesses: sources
@@ -126,24 +121,9 @@ pub fn read_scans(
     }
     scans.from_origin = Rigid3::from_parts(origin.unwrap_or([0.0; 3]).into(), Quaternion::identity());
     if !quiet {
-        suspect_units(&scans).into_iter().for_each(|line| say(&line));
+        scans.suspect_units().into_iter().for_each(|line| say(&line));
     }
     Ok(scans)
-}
-
-/// Folders of uos scans become their scans.
-fn sources(paths: &[PathBuf]) -> Result<Vec<ScanSource>, CliError> {
-    let mut sources = Vec::new();
-    for path in paths {
-        if path.is_dir() {
-            sources.extend(UosFolder::open(path).map_err(failed)?.scans.into_iter().map(ScanSource::Uos));
-        } else if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("3d")) {
-            sources.push(ScanSource::Uos(UosScan::open(path).map_err(failed)?));
-        } else {
-            sources.push(ScanSource::File(path.clone()));
-        }
-    }
-    Ok(sources)
 }
 
 /// Points relative to the first point of the first scan where coordinates are too large for single precision; whether
@@ -193,42 +173,9 @@ fn read_scan(
     Ok((cloud, read.lost_data()))
 }
 
-/// What sounds like wrong units.
-fn suspect_units(scans: &Scans) -> Vec<String> {
-    let width = |cloud: &ScanCloud| {
-        let [low, high] = cloud.bounds();
-        (0..3).map(|k| f64::from(high[k] - low[k])).fold(0.0, f64::max)
-    };
-    let widths: Vec<f64> = scans.clouds.iter().map(width).collect();
-    let mut lines = Vec::new();
-    for (name, width) in scans.names.iter().zip(&widths) {
-        if *width > WIDEST {
-            lines.push(format!(
-                "{name}: the scan is {width:.0} m wide; if its coordinates are millimetres, give --scale 0.001"
-            ));
-        } else if *width < NARROWEST {
-            lines.push(format!(
-                "{name}: the scan is {width:.4} m wide; are its coordinates metres? (--scale multiplies them)"
-            ));
-        }
-    }
-    let by_width = |i: &usize, k: &usize| widths[*i].total_cmp(&widths[*k]);
-    let ends = [(0..widths.len()).min_by(by_width), (0..widths.len()).max_by(by_width)];
-    if let [Some(least), Some(most)] = ends
-        && widths[most] > UNLIKE * widths[least]
-    {
-        lines.push(format!(
-            "{} is {:.2} m wide and {} {:.2} m: are both of one unit?",
-            scans.names[least], widths[least], scans.names[most], widths[most]
-        ));
-    }
-    lines
-}
-
 /// Poses in the order of the scans.
 pub fn read_poses(path: &Path, count: usize) -> Result<Vec<Rigid3>, CliError> {
-    let source = TrajectorySource { path, trajectory_id: 0, times: None, quiet: false };
-    let trajectory: Trajectory = source.read()?;
+    let trajectory = read_trajectory(TrajectoryFile { path, trajectory_id: 0, times: None }, false)?;
     if trajectory.len() != count {
         return Err(CliError::in_file(
             path,
@@ -238,49 +185,8 @@ pub fn read_poses(path: &Path, count: usize) -> Result<Vec<Rigid3>, CliError> {
     Ok(trajectory.poses().iter().map(|p| p.map_from_tracking).collect())
 }
 
-/// Links: number of scans, number of links, then two scans a line, counted from 0.
+/// Links from a file.
 pub fn read_links(path: &Path, count: usize) -> Result<Vec<Link>, CliError> {
-    let bytes = read_bytes(path)?;
-    let text = String::from_utf8_lossy(&bytes);
-    let bad = |line: usize, reason: &str| CliError::in_file(path, format!("line {}: {reason}", line + 1));
-    let mut links = Vec::new();
-    for (number, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
-        let values: Option<Vec<usize>> = line.split_ascii_whitespace().map(|w| w.parse().ok()).collect();
-        match values.as_deref() {
-            // The two counts are not needed.
-            Some([_]) if links.is_empty() => {}
-            Some([from, to, ..]) if from != to && *from < count && *to < count => {
-                let link = Link { from: *from.min(to), to: *from.max(to) };
-                if !links.contains(&link) {
-                    links.push(link);
-                }
-            }
-            Some([_, _, ..]) => {
-                return Err(bad(number, &format!("a link joins two of the scans 0 to {}", count - 1)));
-            }
-            _ => return Err(bad(number, "expected the numbers of two scans")),
-        }
-    }
-    Ok(links)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn links_are_read_and_bad_ones_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("links.net");
-        let read = |text: &str| {
-            std::fs::write(&path, text).unwrap();
-            read_links(&path, 4)
-        };
-        let links = read("4\n3\n0 1\n2 1\n1 2\n").unwrap();
-        assert_eq!(links, [Link { from: 0, to: 1 }, Link { from: 1, to: 2 }]);
-        for bad in ["4\n1\n0 4\n", "4\n1\n1 1\n", "0 x\n", "0 1\n5\n"] {
-            let error = read(bad).unwrap_err().to_string();
-            assert!(error.contains("line"), "{error}");
-        }
-    }
+    links_of_text(&String::from_utf8_lossy(&read_bytes(path)?), count)
+        .map_err(|error| CliError::in_file(path, error))
 }

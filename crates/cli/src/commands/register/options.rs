@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use portolan_refinement::registration::{
+use portolan_registration::{
     GlobalMethod, GlobalOptions, IcpMethod, IcpOptions, LoopOptions, ModelScans, RobustKernel,
     SequenceOptions,
 };

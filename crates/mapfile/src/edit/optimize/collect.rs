@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Quaternion, Rigid3, Time};
-use portolan_mapping::{LandmarkNode, LandmarkSighting, TrajectoryId, TrajectorySensors};
+use portolan_mapping::TrajectoryId;
+use portolan_optimization::{LandmarkNode, LandmarkSighting, TrajectorySensors};
 use portolan_sensor::{FixedFramePoseData, LandmarkObservation, OdometryData};
 
 use super::trajectory_in_memory;

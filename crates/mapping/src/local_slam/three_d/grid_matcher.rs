@@ -1,9 +1,9 @@
 //! Matching to grids, with weights for trajectories with and without an IMU.
 
 use portolan_config::TrajectoryBuilder3dOptions;
+use portolan_submaps::ScanMatcher3d;
 
 use crate::MapperError;
-use crate::scan_matching_3d::ScanMatcher3d;
 
 /// Where no gyroscope makes predictions that are worth much, the weights of staying at the predicted pose are this
 /// fraction: on a walk of 87 m round a corridor without an IMU, in grids of 10 cm, the map is 13 m off with the weights as

@@ -8,9 +8,9 @@ use portolan_issue::IssueLog;
 use portolan_lidar_odometry::{PlaneMap, both};
 use portolan_matching::rotational_histogram;
 use portolan_sensor::{PointCloud, RangeData};
+use portolan_submaps::{Inserter3d, Scan3d, Submap3d};
 
 use crate::local_slam::{ActiveSubmaps, filtered};
-use crate::submap_3d::{Inserter3d, Scan3d, Submap3d};
 use crate::{InsertedNode, InsertionSubmap, MatchingResult, NodeData, OpenDirections, Spatial};
 
 /// A sweep that was registered and is a key frame.

@@ -14,9 +14,9 @@ use portolan_recall::Memory;
 use portolan_sensor::{
     ImuData, OdometryData, RangeDataCollator, SensorId, SynchronizedRanges, TimedPointCloudData,
 };
+use portolan_submaps::{Inserter3d, Submap3d};
 
 use super::{LocalSlam, MatchingResult, count_collated, count_extrapolated, first_point_time};
-use crate::submap_3d::{Inserter3d, Submap3d};
 use crate::{InsertionSubmap, MapperError, Spatial};
 
 mod deskew;

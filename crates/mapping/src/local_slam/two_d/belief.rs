@@ -1,7 +1,7 @@
 //! Knowing that it is lost: scans that contradict the map for longer than people and doors explain.
 
 use portolan_geometry::Time;
-use portolan_matching::ScanAgreement;
+use portolan_grids::ScanAgreement;
 
 /// A scan of which the map contradicts this fraction of all beams fits nothing there. Of 6,566 scans of a building walked
 /// through without odometry only those after a cut reach 0.3, and they 0.48 to 0.58.

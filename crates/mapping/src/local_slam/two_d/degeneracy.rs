@@ -5,7 +5,8 @@
 //! weighed with the prediction, as a Kalman filter would: by what the surfaces that face that direction tell.
 
 use portolan_geometry::{Rigid2, Vector2};
-use portolan_matching::{Grid2d, score_difference, surface_tangents};
+use portolan_grids::{Grid2d, score_difference};
+use portolan_matching::surface_tangents;
 use portolan_sensor::PointCloud;
 
 /// Where the weakest direction has less than this fraction of all information, the prediction is weighed there.

@@ -31,9 +31,8 @@ use belief::Belief;
 pub(crate) use belief::refutes_place;
 use tracking::{Found, Motion, Scan, Tracker};
 
-use crate::scan_matching_2d::search_after_gap;
-use crate::submap_2d::{Inserter2d, Submap2d};
-use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar, PlanarScan};
+use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
+use portolan_submaps::{Inserter2d, PlanarScan, Submap2d, search_after_gap};
 
 /// An odometry source that reported nothing for so long is not waited for.
 const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);

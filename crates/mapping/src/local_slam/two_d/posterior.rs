@@ -9,7 +9,7 @@
 use std::f64::consts::TAU;
 
 use portolan_geometry::{Rigid2, normalize_angle};
-use portolan_matching::ScanAgreement;
+use portolan_grids::ScanAgreement;
 
 use super::prediction_error::PredictionSigmas;
 

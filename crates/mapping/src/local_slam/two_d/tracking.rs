@@ -5,9 +5,11 @@ use std::f64::consts::PI;
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Rigid2, Time, embed_3d};
-use portolan_matching::{MatcherOptionError, ScanAgreement, scan_agreement};
+use portolan_grids::{ScanAgreement, scan_agreement};
+use portolan_matching::MatcherOptionError;
 use portolan_recall::Memory;
 use portolan_sensor::PointCloud;
+use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow, Submap2d};
 
 use super::LocalSlamExtras;
 use super::OdometryBridge;
@@ -17,10 +19,7 @@ use super::odometry_failure::OdometryFailure;
 use super::odometry_scale::OdometryScale;
 use super::posterior::MotionPrior;
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
-use crate::SearchWindow;
 use crate::remembered::RememberedScans;
-use crate::scan_matching_2d::{ScanMatch2d, ScanMatcher2d};
-use crate::submap_2d::Submap2d;
 
 /// Scans are searched within so many standard deviations of their prediction.
 const WITHIN_SIGMAS: f64 = 3.5;

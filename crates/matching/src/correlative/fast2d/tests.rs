@@ -1,8 +1,8 @@
 use super::*;
 use crate::correlative::joint_search::Placement;
-use crate::grid::{CellIndex, ProbabilityGrid};
 use crate::testing::{Lcg, golden_scan, grid_g, random_room};
 use portolan_geometry::Vector2;
+use portolan_grids::{CellIndex, ProbabilityGrid};
 
 /// Branch and bound as defined, over shifts only, with stable sorting.
 struct Definition<'a> {
@@ -179,12 +179,12 @@ fn a_moved_scan_is_found_back() {
                 portolan_sensor::RangeData { origin: Point3f::new(x, y, 0.0), returns, ..Default::default() };
             let limits = MapLimits::new(0.05, Vector2::new(5.0, 5.0), 200, 200).unwrap();
             let mut grid = ProbabilityGrid::new(limits);
-            let inserter = crate::ProbabilityInserterOptions {
+            let inserter = portolan_grids::ProbabilityInserterOptions {
                 hit_probability: 0.7,
                 miss_probability: 0.4,
                 ..Default::default()
             };
-            crate::ProbabilityInserter::new(&inserter).unwrap().insert(&data, &mut grid).unwrap();
+            portolan_grids::ProbabilityInserter::new(&inserter).unwrap().insert(&data, &mut grid).unwrap();
             let options = FastCorrelativeOptions2d {
                 linear_search_window: 3.0,
                 angular_search_window: 1.0,

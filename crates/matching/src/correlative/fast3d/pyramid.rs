@@ -1,10 +1,11 @@
 //! The largest byte in every cube of cells, for cubes of 1, 2, 3, 4, 6, 8, 12, … cells.
 
+use portolan_grids::HybridGrid;
+use portolan_grids::value::{CODE_COUNT, MIN_PROBABILITY, PROBABILITY_CODE};
+
 use super::tiles::{Tile, Tiles};
 use crate::correlative::byte_score::ByteScore;
 use crate::correlative::max_pyramid::MaxPyramid;
-use crate::grid::HybridGrid;
-use crate::grid::value::{CODE_COUNT, MIN_PROBABILITY, PROBABILITY_CODE};
 
 /// Tiles along each edge of a node, cells along each edge.
 const NODE_BITS: u32 = 3;

@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use portolan_geometry::{Point3f, Rigid3f};
+use portolan_grids::VoxelLattice;
 
 use super::pyramid::MaxPyramid3d;
-use crate::grid::VoxelLattice;
 
 /// Cells are clamped to this. With shifts up to [`MAX_SHIFT`] they stay outside of any grid.
 const FAR: i32 = 16_000;

@@ -1,9 +1,9 @@
 use portolan_geometry::{Vector3, rotation_from_roll_pitch_yaw};
+use portolan_grids::{HybridInserter, HybridInserterOptions};
 use portolan_sensor::RangeData;
 
 use super::*;
 use crate::correlative::rotational_histogram;
-use crate::grid::{HybridInserter, HybridInserterOptions};
 use crate::testing::{Lcg, cloud_b, drawn_cloud_b, golden_scan_3d};
 
 fn pose(x: f64, y: f64, z: f64, yaw: f64) -> Rigid3 {

@@ -1,9 +1,10 @@
 //! Mean probability of the cells that a scan meets.
 
+use portolan_grids::ProbabilityGrid;
+use portolan_grids::value::{MIN_PROBABILITY, UNKNOWN_CELL, UPDATE_MARKER, ValueCode};
+
 use super::tile::Tile;
 use super::*;
-use crate::grid::ProbabilityGrid;
-use crate::grid::value::{MIN_PROBABILITY, UNKNOWN_CELL, UPDATE_MARKER, ValueCode};
 
 /// A byte stands for this many codes of a cell (a little more than 32767/255).
 const CODES_PER_BYTE: f32 = 128.5;

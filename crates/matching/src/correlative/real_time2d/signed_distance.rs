@@ -1,8 +1,9 @@
 //! How near a scan lies to the surface of a distance field.
 
+use portolan_grids::Tsdf2d;
+
 use super::tile::{LANES, ROWS, Tile};
 use super::*;
-use crate::grid::Tsdf2d;
 
 /// The first placement with the largest score Σ w·q / Σ w, where q falls from 1 on the surface to 0 at
 /// the truncation distance.

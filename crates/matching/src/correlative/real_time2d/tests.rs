@@ -1,10 +1,10 @@
 use super::*;
-use crate::grid::{
+use crate::testing::{Lcg, golden_initial, golden_scan, grid_g, random_room, room_limits, room1, room2};
+use portolan_geometry::{Vector2, Vector2f};
+use portolan_grids::{
     NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, Tsdf2d,
     TsdfInserter, TsdfInserterOptions,
 };
-use crate::testing::{Lcg, golden_initial, golden_scan, grid_g, random_room, room_limits, room1, room2};
-use portolan_geometry::{Vector2, Vector2f};
 use portolan_sensor::RangeData;
 
 fn golden_options() -> RealTimeCorrelativeOptions {

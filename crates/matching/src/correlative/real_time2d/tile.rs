@@ -2,7 +2,7 @@
 
 use wide::f32x8;
 
-use crate::grid::{CellBox, CellIndex};
+use portolan_grids::{CellBox, CellIndex};
 
 /// Shifts that are summed side by side, along x.
 pub(super) const LANES: usize = 8;

@@ -1,10 +1,9 @@
 //! The part of a grid around each point that any placement of a window can put it in.
 
 use portolan_geometry::{Point3f, Rigid3f};
+use portolan_grids::{HybridGrid, VoxelIndex, value::PROBABILITY_CODE};
 
 use super::UNKNOWN;
-use crate::grid::value::PROBABILITY_CODE;
-use crate::grid::{HybridGrid, VoxelIndex};
 
 /// More cells than this are not copied: 128 MB.
 const MAX_COPIED_CELLS: usize = 1 << 25;

@@ -1,7 +1,7 @@
 use portolan_geometry::{Vector3, quaternion_from_angle_axis};
+use portolan_grids::{HybridInserter, HybridInserterOptions};
 
 use super::*;
-use crate::grid::{HybridInserter, HybridInserterOptions};
 use crate::testing::{Lcg, drawn_cloud_b, golden_initial_3d, golden_scan_3d};
 use portolan_sensor::RangeData;
 

@@ -1,8 +1,9 @@
 use super::*;
-use crate::grid::value::MAX_CORRESPONDENCE_COST;
-use crate::grid::{MapLimits, ProbabilityGrid, Tsdf2d, TsdfInserter, TsdfInserterOptions};
 use crate::testing::{golden_initial, golden_scan, grid_g, room_limits, room1, room2};
 use portolan_geometry::{Point3f, Vector2f};
+use portolan_grids::{
+    MapLimits, ProbabilityGrid, Tsdf2d, TsdfInserter, TsdfInserterOptions, value::MAX_CORRESPONDENCE_COST,
+};
 use portolan_solver::Termination;
 
 fn golden_matcher(occupied_space_weight: f64) -> GradientMatcher2d {

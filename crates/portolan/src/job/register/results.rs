@@ -7,7 +7,7 @@ use portolan_geometry::{Rigid3, Time, nalgebra as na};
 use portolan_pointcloud::{
     Attributes, PointCloud, UosFrame, WriteOptions, create, uos_frames_text, uos_pose_text,
 };
-use portolan_refinement::registration::{ClosedLoop, GlobalReport, IcpOptions, SequenceReport};
+use portolan_registration::{ClosedLoop, GlobalReport, IcpOptions, SequenceReport};
 use serde::Serialize;
 
 use super::scans::Scans;

@@ -3,8 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use portolan_geometry::{Quaternion, Rigid3, Vector3};
-use portolan_pointcloud::{CloudError, CloudReader, UosScan};
-use portolan_refinement::registration::ScanCloud;
+use portolan_pointcloud::{CloudError, CloudReader, UosFolder, UosScan};
+use portolan_registration::ScanCloud;
+
+/// Scans wider or narrower than this are hardly in metres, and no two of one job differ by this factor.
+const WIDEST: f64 = 5000.0;
+const NARROWEST: f64 = 0.02;
+const UNLIKE: f64 = 50.0;
 
 /// Which points of a scan are used, and in which unit they are.
 #[derive(Clone, Copy, Debug)]
@@ -36,6 +41,24 @@ pub enum ScanSource {
 }
 
 impl ScanSource {
+    /// The scans in files and folders; folders of uos scans become their scans.
+    ///
+    /// # Errors
+    /// A folder without uos scans, or one that cannot be read.
+    pub fn all_of(paths: &[PathBuf]) -> Result<Vec<Self>, CloudError> {
+        let mut sources = Vec::new();
+        for path in paths {
+            if path.is_dir() {
+                sources.extend(UosFolder::open(path)?.scans.into_iter().map(Self::Uos));
+            } else if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("3d")) {
+                sources.push(Self::Uos(UosScan::open(path)?));
+            } else {
+                sources.push(Self::File(path.clone()));
+            }
+        }
+        Ok(sources)
+    }
+
     /// The file with its points.
     pub fn path(&self) -> &Path {
         match self {
@@ -77,6 +100,38 @@ pub struct Scans {
 }
 
 impl Scans {
+    /// What sounds like wrong units, in words.
+    pub fn suspect_units(&self) -> Vec<String> {
+        let width = |cloud: &ScanCloud| {
+            let [low, high] = cloud.bounds();
+            (0..3).map(|k| f64::from(high[k] - low[k])).fold(0.0, f64::max)
+        };
+        let widths: Vec<f64> = self.clouds.iter().map(width).collect();
+        let mut lines = Vec::new();
+        for (name, width) in self.names.iter().zip(&widths) {
+            if *width > WIDEST {
+                lines.push(format!(
+                    "{name}: the scan is {width:.0} m wide; if its coordinates are millimetres, give --scale 0.001"
+                ));
+            } else if *width < NARROWEST {
+                lines.push(format!(
+                    "{name}: the scan is {width:.4} m wide; are its coordinates metres? (--scale multiplies them)"
+                ));
+            }
+        }
+        let by_width = |i: &usize, k: &usize| widths[*i].total_cmp(&widths[*k]);
+        let ends = [(0..widths.len()).min_by(by_width), (0..widths.len()).max_by(by_width)];
+        if let [Some(least), Some(most)] = ends
+            && widths[most] > UNLIKE * widths[least]
+        {
+            lines.push(format!(
+                "{} is {:.2} m wide and {} {:.2} m: are both of one unit?",
+                self.names[least], widths[least], self.names[most], widths[most]
+            ));
+        }
+        lines
+    }
+
     /// Makes poses in memory count from the place of the first of these.
     pub fn count_from(&mut self, first: &Rigid3) {
         self.from_first = Rigid3::from_parts(first.translation, Quaternion::identity());

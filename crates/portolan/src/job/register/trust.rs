@@ -1,6 +1,6 @@
 //! Whether a registration can be trusted: scans that do not overlap come to rest somewhere, too.
 
-use portolan_refinement::registration::{IcpOptions, IcpResult};
+use portolan_registration::{IcpOptions, IcpResult};
 
 /// Least fraction of the points of a scan that have a partner.
 const LEAST_SHARE: f64 = 0.2;

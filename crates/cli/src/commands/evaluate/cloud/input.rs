@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan::trajectory_file::TrajectoryFile;
 use portolan_evaluation::cloud::spread_sample;
 use portolan_evaluation::{Alignment, Association, Trajectory, absolute_errors};
 use portolan_geometry::{Quaternion, Rigid3, nalgebra as na};
@@ -11,7 +12,7 @@ use portolan_refinement::continuous::DenseTrajectory;
 
 use crate::GlobalArgs;
 use crate::clouds::read_cloud;
-use crate::commands::evaluate::input::TrajectorySource;
+use crate::commands::evaluate::input::read_trajectory;
 use crate::commands::refine::points::{PointArgs, read_points};
 use crate::error::CliError;
 
@@ -131,7 +132,7 @@ fn of_recording(
 }
 
 fn trajectory_of(path: &Path, global: &GlobalArgs) -> Result<Trajectory, CliError> {
-    TrajectorySource { path, trajectory_id: 0, times: None, quiet: global.quiet }.read()
+    read_trajectory(TrajectoryFile { path, trajectory_id: 0, times: None }, global.quiet)
 }
 
 fn dense(trajectory: &Trajectory) -> Result<DenseTrajectory, CliError> {

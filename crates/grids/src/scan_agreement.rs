@@ -1,0 +1,146 @@
+//! What a grid says to a scan at a pose: which beams it explains, and which it contradicts.
+
+use nalgebra::Vector2;
+use portolan_geometry::Rigid2;
+use portolan_sensor::PointCloud;
+
+use super::{CellIndex, Grid2d};
+
+/// A cell counts as solid, or as free, beyond these probabilities.
+const SOLID: f32 = 0.6;
+const FREE: f32 = 0.4;
+/// A beam passes what is solid only if it goes on for so many cells behind it: walls are thick and rough.
+const BEHIND: f64 = 4.0;
+/// And only if so many of its cells are solid: a beam along a wall touches some.
+const MIN_SOLID_CELLS: u32 = 2;
+
+/// How the beams of a scan agree with a grid. Shares of all beams; what is missing to 1 is not known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ScanAgreement {
+    /// Beams that end at something solid.
+    pub explained: f32,
+    /// Beams that end where it is known to be free.
+    pub in_free_space: f32,
+    /// Beams that pass through something solid.
+    pub through_solid: f32,
+}
+
+impl ScanAgreement {
+    /// Beams that the grid contradicts.
+    pub fn contradicted(&self) -> f32 {
+        self.in_free_space + self.through_solid
+    }
+
+    /// Fraction of what is contradicted in all that the grid knows.
+    pub fn contradiction(&self) -> f32 {
+        let contradicted = self.contradicted();
+        let known = self.explained + contradicted;
+        if known > 0.0 { contradicted / known } else { 0.0 }
+    }
+}
+
+/// Compares a scan with a grid of probabilities. `points` are metres in the frame of the scanner, whose pose in
+/// the frame of the grid is `grid_from_scan`. None for distance fields and without points.
+pub fn scan_agreement(grid: &Grid2d, grid_from_scan: &Rigid2, points: &PointCloud) -> Option<ScanAgreement> {
+    let Grid2d::Probability(grid) = grid else { return None };
+    let resolution = grid.limits().resolution();
+    let cell_at = |p: &Vector2<f64>| grid.limits().cell_index(p.cast::<f32>());
+    let known = |cell: CellIndex| grid.is_known(cell).then(|| grid.probability(cell));
+    let is_solid = |cell: CellIndex| known(cell).is_some_and(|p| p > SOLID);
+    let origin = grid_from_scan.translation;
+    let [mut explained, mut in_free, mut through, mut total] = [0u32; 4];
+    for point in &points.points {
+        let end = grid_from_scan.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
+        let beam = end - origin;
+        let length = beam.norm();
+        if !length.is_finite() || length <= 0.0 {
+            continue;
+        }
+        total += 1;
+        let cell = cell_at(&end);
+        let around = (-1..=1).flat_map(|x| (-1..=1).map(move |y| CellIndex::new(cell.x + x, cell.y + y)));
+        if around.into_iter().any(is_solid) {
+            explained += 1;
+            continue;
+        }
+        let steps = (length / resolution - BEHIND).max(0.0) as u32;
+        let passed = (1..steps)
+            .filter(|i| is_solid(cell_at(&(origin + beam * (f64::from(*i) * resolution / length)))));
+        if passed.take(MIN_SOLID_CELLS as usize).count() >= MIN_SOLID_CELLS as usize {
+            through += 1;
+        } else if known(cell).is_some_and(|p| p < FREE) {
+            in_free += 1;
+        }
+    }
+    let share = |count: u32| count as f32 / total as f32;
+    (total > 0).then(|| ScanAgreement {
+        explained: share(explained),
+        in_free_space: share(in_free),
+        through_solid: share(through),
+    })
+}
+
+/// By how many standard errors the cells that a scan meets are more probable at the first of two poses than at the
+/// second: differences are paired, point by point, and weighed. None for distance fields and without points.
+pub fn score_difference(
+    grid: &Grid2d,
+    grid_from_scan: [&Rigid2; 2],
+    points: &PointCloud,
+    weights: &[f32],
+) -> Option<f64> {
+    let Grid2d::Probability(grid) = grid else { return None };
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for (point, weight) in points.points.iter().zip(weights) {
+        let [first, second] = grid_from_scan.map(|pose| {
+            let end = pose.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
+            grid.probability(grid.limits().cell_index(end.cast::<f32>()))
+        });
+        let difference = f64::from(weight * (first - second));
+        sum += difference;
+        squares += difference * difference;
+    }
+    (!points.points.is_empty()).then(|| if squares > 0.0 { sum / squares.sqrt() } else { 0.0 })
+}
+
+/// Mean probability of the solid cells of a grid of probabilities; 1 for distance fields and without any.
+pub fn mean_of_solid_cells(grid: &Grid2d) -> f32 {
+    let Grid2d::Probability(grid) = grid else { return 1.0 };
+    let of_code = |code: &u16| 1.0 - grid.code().decode(*code, grid.code().upper());
+    let solid = grid.cells().iter().filter(|code| **code != 0).map(of_code).filter(|p| *p > SOLID);
+    let (sum, count) = solid.fold((0.0f64, 0u64), |(sum, n), p| (sum + f64::from(p), n + 1));
+    if count > 0 { (sum / count as f64) as f32 } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{MapLimits, ProbabilityGrid};
+    use portolan_geometry::Point3f;
+
+    #[test]
+    fn beams_are_explained_contradicted_or_unknown() {
+        let limits = MapLimits::new(0.1, Vector2::new(10.0, 10.0), 200, 200).unwrap();
+        let mut grid = ProbabilityGrid::new(limits);
+        let mut set = |x: f32, y: f32, p: f32| {
+            let cell = grid.limits().cell_index(nalgebra::Vector2::new(x, y));
+            // Some cells are met twice: the first value counts.
+            grid.set_probability(cell, p);
+        };
+        for i in 0..40 {
+            for j in 1..30 {
+                set(0.05 + 0.1 * j as f32, -1.95 + 0.1 * i as f32, 0.2);
+            }
+            set(3.05, -1.95 + 0.1 * i as f32, 0.8);
+            set(3.15, -1.95 + 0.1 * i as f32, 0.8);
+        }
+        let agreement = |x: f32, y: f32| {
+            let cloud = PointCloud::new(vec![Point3f::new(x, y, 0.0)]);
+            scan_agreement(&Grid2d::Probability(grid.clone()), &Rigid2::identity(), &cloud).unwrap()
+        };
+        assert_eq!(agreement(3.05, 0.55).explained, 1.0);
+        assert_eq!(agreement(1.5, 0.55).in_free_space, 1.0);
+        assert_eq!(agreement(5.0, 0.55).through_solid, 1.0);
+        assert_eq!(agreement(-5.0, 0.55), ScanAgreement::default());
+        assert_eq!(agreement(1.5, 0.55).contradiction(), 1.0);
+    }
+}

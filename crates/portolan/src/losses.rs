@@ -1,0 +1,45 @@
+//! When nothing constrained the pose of the scanner, for people.
+
+use portolan_geometry::Time;
+use portolan_mapping::Space;
+
+use crate::pipeline::MappedRecording;
+
+/// Losses that are named one by one.
+const NAMED: usize = 5;
+
+impl<S: Space> MappedRecording<S> {
+    /// What to say of the times at which the scanner was lost; nothing if it never was.
+    pub fn losses_in_words(&self) -> String {
+        let Some(start) = self.trajectory().first().map(|(time, _)| *time) else { return String::new() };
+        let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
+        let lines = self.losses.iter().take(NAMED).map(|loss| {
+            let outcome = if self.map.graph.is_tied_by_odometry(loss.piece) {
+                "the trajectory after it lies where odometry says, and no scan confirms it"
+            } else if self.is_apart(loss) {
+                "the trajectory after it is not connected to the rest of the map, which overlaps it wrongly"
+            } else {
+                "the trajectory after it was found again in the map"
+            };
+            let [since, until] = [loss.since, loss.until].map(|t| recorded(t).seconds_since(start));
+            let when = match until - since < 0.05 {
+                true => format!("at {since:.1} s"),
+                false => format!("from {since:.1} to {until:.1} s"),
+            };
+            let what = match loss.is_bridged {
+                true => format!("no scans {when}"),
+                false => format!("lost {when}: scans did not fit the map any more"),
+            };
+            format!("{what}; {outcome}\n")
+        });
+        let mut text: String = lines.collect();
+        if self.losses.len() > NAMED {
+            let apart = self.losses.iter().filter(|loss| self.is_apart(loss)).count();
+            text += &format!(
+                "lost {} times in all, {apart} of them for good (see report.json)\n",
+                self.losses.len()
+            );
+        }
+        text
+    }
+}
