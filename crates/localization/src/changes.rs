@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Time, Vector2};
+use portolan_matching::MapLimits;
 
 use crate::change_regions::{Region, regions};
 use crate::known_cells::{Known, KnownCells};
@@ -108,15 +109,26 @@ impl ChangeGrid {
 
     /// Regions that have changed.
     pub(crate) fn changes(&self) -> Vec<Change> {
-        let of_kind = |kind| {
-            let changed = |cell: &usize| self.changed(*cell) == Some(kind);
-            let cells: BTreeSet<usize> = self.witnesses.keys().copied().filter(changed).collect();
-            regions(&cells, self.map.limits.num_x_cells() as usize)
-                .into_iter()
-                .map(move |r| self.change(kind, &r))
-        };
+        let of_kind = |kind| self.changed_regions(kind).into_iter().map(move |r| self.change(kind, &r));
+        of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone)).collect()
+    }
+
+    /// All cells of these regions.
+    pub(crate) fn changed_cells(&self) -> ChangedCells {
+        let of_kind = |kind| self.changed_regions(kind).into_iter().map(move |region| (kind, region));
         let all = of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone));
-        all.filter(|change| change.area >= LEAST_AREA).collect()
+        let cells = all.flat_map(|(kind, region)| region.cells.into_iter().map(move |cell| (cell, kind)));
+        ChangedCells { limits: self.map.limits, kinds: cells.collect() }
+    }
+
+    /// Regions that are large enough to be told.
+    fn changed_regions(&self, kind: ChangeKind) -> Vec<Region> {
+        let changed = |cell: &usize| self.changed(*cell) == Some(kind);
+        let cells: BTreeSet<usize> = self.witnesses.keys().copied().filter(changed).collect();
+        let edge = self.map.limits.resolution();
+        let mut regions = regions(&cells, self.map.limits.num_x_cells() as usize);
+        regions.retain(|region| region.cells.len() as f64 * edge * edge >= LEAST_AREA);
+        regions
     }
 
     fn witness(&mut self, cell: usize, scan: &PlacedScan) {
@@ -160,5 +172,26 @@ impl ChangeGrid {
             seen: (first.unwrap_or_default(), last.unwrap_or_default()),
             scans: u32::from(scans),
         }
+    }
+}
+
+/// Cells of the map that have changed.
+#[derive(Clone, Debug)]
+pub(crate) struct ChangedCells {
+    limits: MapLimits,
+    kinds: BTreeMap<usize, ChangeKind>,
+}
+
+impl ChangedCells {
+    /// The changed cell at a point of the map.
+    pub(crate) fn at(&self, point: &Vector2) -> Option<usize> {
+        let cell = self.limits.flat_index(self.limits.cell_index(point.cast::<f32>()))?;
+        self.kinds.contains_key(&cell).then_some(cell)
+    }
+
+    /// Square metres of some of these cells that changed so.
+    pub(crate) fn area<'a>(&self, cells: impl Iterator<Item = &'a usize>, kind: ChangeKind) -> f64 {
+        let edge = self.limits.resolution();
+        cells.filter(|cell| self.kinds.get(cell) == Some(&kind)).count() as f64 * edge * edge
     }
 }

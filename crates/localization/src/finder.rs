@@ -129,6 +129,11 @@ impl<M: KnownMap> Finder<M> {
         self.changes.as_ref().map_or_else(Vec::new, ChangeGrid::changes)
     }
 
+    /// What the map is searched with.
+    pub fn searcher(&self) -> &Searcher<M> {
+        &self.searcher
+    }
+
     /// Compares a scan whose place is known with the map.
     fn count_changes(&mut self, scan: &LocalScan, current: &Current<M::Scan>) {
         let (Some(changes), Mode::Tracking(track)) = (&mut self.changes, &self.mode) else { return };

@@ -8,6 +8,7 @@ mod histogram;
 mod id;
 mod latency;
 mod local_slam;
+mod local_track;
 #[cfg(test)]
 mod made_rooms;
 mod map;
@@ -35,6 +36,7 @@ pub use constraint::{Constraint, ConstraintTag};
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
 pub use latency::LatencyHistogram;
 pub use local_slam::{ActiveSubmaps, GrowingSubmap, LocalSlam, Lost, MatchingResult};
+pub use local_track::{LocalTrack, Placement, TrackedNode};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings};
 pub use node::{Node, NodeData};
@@ -50,7 +52,7 @@ pub use portolan_motion::{
     ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter, PoseExtrapolator, integrate_imu,
 };
 pub use pose_graph::{
-    GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, LoopSearchPolicy, PoseGraph,
+    Extension, GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, LoopSearchPolicy, PoseGraph,
     PoseGraphPolicy, SearchCounts, SelfConsistency, SubmapEntry, TrajectoryConnectivity, TrajectoryEntry,
     TrajectoryState, TrimmedNode, TrimmedTies, Trimmer,
 };

@@ -87,12 +87,19 @@ impl Space for Planar {
     }
 
     fn redrawn(submap: &Submap2d, nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>) -> Option<Submap2d> {
+        Self::drawn_from(submap, nodes).filter(|redrawn| redrawn.num_range_data == submap.num_range_data)
+    }
+
+    fn drawn_from(
+        submap: &Submap2d,
+        nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>,
+    ) -> Option<Submap2d> {
         let scan = |(node, submap_from_node): (&NodeData, Rigid3)| {
             let local_from_node = submap.local_from_submap * submap_from_node;
             let scan = node.scan.as_ref()?;
             Some((scan.range_data(&to_f32(&local_from_node)), scan.beam_spacing()))
         };
-        submap.redrawn(nodes.map(scan).collect::<Option<Vec<_>>>()?)
+        submap.drawn_from(nodes.map(scan).collect::<Option<Vec<_>>>()?)
     }
 
     fn agreement(submap: &Submap2d, node: &NodeData, submap_from_node: &Rigid3) -> Option<ScanAgreement> {
@@ -176,6 +183,12 @@ impl Space for Planar {
                 .map(|cell| submap_from_local.transform_point(&submap.grid.limits().cell_center(cell)))
                 .collect(),
         )
+    }
+
+    fn forget_cells(submap: &mut Submap2d, is_forgotten: &dyn Fn(&Vector2) -> bool) -> usize {
+        let submap_from_local = project_2d(&submap.local_from_submap).inverse();
+        let limits = *submap.grid.limits();
+        submap.grid.forget(|cell| is_forgotten(&submap_from_local.transform_point(&limits.cell_center(cell))))
     }
 
     fn cell_size(submap: &Submap2d) -> f64 {

@@ -171,6 +171,15 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
         None
     }
 
+    /// A submap at the place of this one, drawn from the scans of some of its nodes, each at its pose in the submap; none where
+    /// [`Space::redrawn`] gives none.
+    fn drawn_from(
+        _submap: &Self::Submap,
+        _nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>,
+    ) -> Option<Self::Submap> {
+        None
+    }
+
     /// How the submap agrees with the scan of a node at a pose in it; none where it knows nothing of the place, and in 3D.
     fn agreement(
         _submap: &Self::Submap,
@@ -207,6 +216,12 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
     /// Centres of the known cells of the submap in the submap's own frame, metres; `None` where
     /// coverage is not defined (3D).
     fn known_cell_centers(submap: &Self::Submap) -> Option<Vec<Vector2>>;
+
+    /// Makes the known cells unknown that are to be forgotten, asked for by their centres in the submap's own frame, metres;
+    /// how many. None where [`Space::known_cell_centers`] gives none.
+    fn forget_cells(_submap: &mut Self::Submap, _is_forgotten: &dyn Fn(&Vector2) -> bool) -> usize {
+        0
+    }
 
     /// Edge length of the cells that [`Space::known_cell_centers`] lists, metres.
     fn cell_size(submap: &Self::Submap) -> f64;

@@ -32,6 +32,7 @@ pub mod register;
 mod report;
 mod results;
 mod room;
+mod saved_map;
 mod xray;
 
 use std::ops::ControlFlow;
@@ -64,6 +65,7 @@ pub use memory::resident_and_peak_bytes;
 pub use output_folder::{MANIFEST, OutputFolder, Stale};
 pub use read_cloud::{ReadCloud, read_cloud, read_cloud_from};
 pub use results::{ResultFiles, ResultSpace, add_to_report, write_results};
+pub use saved_map::{SaveMap, SavedMap, is_same_file};
 
 use crate::RequestedOptions;
 use crate::automatic::search_in_known_map;

@@ -62,6 +62,7 @@ impl Known {
             requested: RequestedOptions::default(),
             start: None,
             jumps: None,
+            save_map: None,
             threads: 2,
         }
     }

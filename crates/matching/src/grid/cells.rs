@@ -88,6 +88,27 @@ impl CellGrid {
         }
     }
 
+    /// Makes known cells unknown, and the same ones of a further list of cells; how many.
+    pub fn forget(
+        &mut self,
+        is_forgotten: impl Fn(CellIndex) -> bool,
+        mut companion: Option<&mut Vec<u16>>,
+    ) -> usize {
+        self.finish_update();
+        let known: Vec<CellIndex> =
+            self.known_box.map(CellBox::cells).into_iter().flatten().filter(|c| self.is_known(*c)).collect();
+        let (forgotten, left): (Vec<CellIndex>, Vec<CellIndex>) =
+            known.into_iter().partition(|cell| is_forgotten(*cell));
+        for index in forgotten.iter().filter_map(|cell| self.limits.flat_index(*cell)) {
+            for cells in std::iter::once(&mut self.cells).chain(companion.as_deref_mut()) {
+                cells.get_mut(index).into_iter().for_each(|cell| *cell = UNKNOWN_CELL);
+            }
+        }
+        self.known_box = None;
+        left.into_iter().for_each(|cell| self.extend_known_box(cell));
+        forgotten.len()
+    }
+
     /// Ends the scan: the next one may change every cell again.
     pub fn finish_update(&mut self) {
         for index in self.marked.drain(..) {

@@ -54,6 +54,14 @@ impl Grid2d {
         }
     }
 
+    /// Makes known cells unknown; how many. Where nothing stays known, the grid is as good as new.
+    pub fn forget(&mut self, is_forgotten: impl Fn(CellIndex) -> bool) -> usize {
+        match self {
+            Self::Probability(g) => g.grid.forget(is_forgotten, None),
+            Self::Tsdf(g) => g.grid.forget(is_forgotten, Some(&mut g.weights)),
+        }
+    }
+
     /// Whether a scan is half inserted; such a grid must not be written to a file.
     pub fn has_pending_update(&self) -> bool {
         self.grid().has_pending_update()

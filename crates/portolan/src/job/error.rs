@@ -6,7 +6,7 @@ use portolan_atomic_file::{AtomicFile, NoRoom, WriteError};
 use portolan_config::ConfigError;
 use portolan_export::PictureError;
 use portolan_ingest::IngestError;
-use portolan_localization::{KnownMapError, LocalizerError};
+use portolan_localization::{GrowthError, KnownMapError, LocalizerError};
 use portolan_mapfile::{EditError, MapConversionError, PaintError};
 use portolan_pointcloud::CloudError;
 use portolan_recording::RecordingError;
@@ -46,6 +46,14 @@ pub enum JobError {
         path: PathBuf,
         /// Why.
         reason: KnownMapError,
+    },
+    /// A map that cannot become what is wanted.
+    #[error("{}: {reason}", path.display())]
+    Growth {
+        /// The file that was to be written.
+        path: PathBuf,
+        /// Why.
+        reason: GrowthError,
     },
     /// A map in 3D whose places were to be examined.
     #[error("{}: this map is in 3D; places are examined in 2D only", .0.display())]

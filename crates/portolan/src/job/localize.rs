@@ -1,4 +1,4 @@
-//! Finding a recording in a saved map, scan by scan; nothing of the map changes.
+//! Finding a recording in a saved map, scan by scan, and adding it to the map if that is wanted.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ use portolan_localization::{
     State,
 };
 use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d};
-use portolan_mapping::{Map, Planar, Space, Spatial};
+use portolan_mapping::{Map, Planar, Spatial};
 use portolan_recording::Recording;
 use portolan_sensor::SensorId;
 
@@ -19,6 +19,7 @@ use super::error::JobError;
 use super::event::{Event, Observer};
 use super::known_map::KnownMaps;
 use super::localized::LocalizedRecording;
+use super::saved_map::{SaveMap, SavedMap};
 use super::{Job, MapRequest, OutputFolder};
 use crate::RequestedOptions;
 use crate::pipeline::{KnownMap as LoadedGraph, PipelineError, Preparation};
@@ -39,6 +40,8 @@ pub struct LocalizeRequest {
     pub start: Option<StartPose>,
     /// What a driver reads of corrections, if `driver.tum` is wanted.
     pub jumps: Option<Jumps>,
+    /// The known map with this recording, if it is wanted as a file.
+    pub save_map: Option<SaveMap>,
     /// Threads; 0 for as many as there are cores. Results do not depend on it.
     pub threads: usize,
 }
@@ -47,7 +50,7 @@ pub struct LocalizeRequest {
 ///
 /// # Errors
 /// A map that is damaged, empty or of the other dimension; a recording that cannot be read or has not a single scan that
-/// can be used; options that are not possible.
+/// can be used; options that are not possible; a map that cannot be renewed or written.
 pub fn localize(
     recording: &dyn Recording,
     request: &LocalizeRequest,
@@ -63,12 +66,14 @@ pub fn localize(
     let job = Job::prepare_in(folder, recording, how, observe)?;
     match job.preparation().dimension {
         Dimension::Two => {
+            check_save::<PlanarMap>(request)?;
             let known = load::<Planar>(request, job.preparation(), observe)?;
             let map = PlanarMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
             let map = textured(map, known, submap_textures_2d, job.preparation());
             localize_in(map, recording, request, job.preparation(), observe)
         }
         Dimension::Three => {
+            check_save::<SpatialMap>(request)?;
             let known = load::<Spatial>(request, job.preparation(), observe)?;
             let map = SpatialMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
             let map = textured(map, known, submap_textures_3d, job.preparation());
@@ -78,19 +83,23 @@ pub fn localize(
 }
 
 /// Finds a recording in a map that is loaded.
-fn localize_in<M: KnownMap>(
+fn localize_in<M: KnownMap<Space: MapSpace>>(
     loaded: LoadedMap<M>,
     recording: &dyn Recording,
     request: &LocalizeRequest,
     preparation: &Preparation,
     observe: &mut Observer,
 ) -> Result<LocalizedRecording, JobError> {
-    let LoadedMap { map, textures, mut issues } = loaded;
+    let LoadedMap { map, graph, textures, mut issues } = loaded;
     let mut ingestion =
         Ingestion::with_plan(recording, preparation.inventory(), preparation.plan.clone(), &request.ingest)
             .map_err(PipelineError::from)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
-    let settings = LocalizerSettings { start: request.start, threads: request.threads };
+    let settings = LocalizerSettings {
+        start: request.start,
+        threads: request.threads,
+        keeps_track: request.save_map.is_some(),
+    };
     let mut localizer = Localizer::new(map, &preparation.options, &sensors, &settings)?;
     let mut estimates: Vec<Estimate> = Vec::new();
     let mut silences = Silences::default();
@@ -109,6 +118,11 @@ fn localize_in<M: KnownMap>(
     if estimates.is_empty() {
         return Err(PipelineError::NoScans.into());
     }
+    let saved_map = match &request.save_map {
+        Some(_) if interrupted => Some(SavedMap::Interrupted),
+        Some(wanted) => Some(wanted.save(&mut localizer, graph, ingestion.sensors(), &estimates)?),
+        None => None,
+    };
     issues.merge(&ingestion.issues());
     if !interrupted {
         issues.merge(&silences.issues());
@@ -125,13 +139,16 @@ fn localize_in<M: KnownMap>(
         issues,
         recorded_times: ingestion.recorded_times().clone(),
         textures,
+        saved_map,
         interrupted,
     })
 }
 
 /// A map as the localizer wants it, what it looks like, and what was wrong with its file.
-struct LoadedMap<M> {
+struct LoadedMap<M: KnownMap> {
     map: M,
+    /// As it was loaded.
+    graph: Map<M::Space>,
     textures: Vec<PlacedTexture>,
     issues: IssueLog,
 }
@@ -149,12 +166,16 @@ fn unusable(request: &LocalizeRequest, reason: KnownMapError) -> JobError {
     JobError::UnusableMap { path: request.map.clone(), reason }
 }
 
-fn textured<S: Space, M>(
+fn check_save<M: KnownMap>(request: &LocalizeRequest) -> Result<(), JobError> {
+    request.save_map.as_ref().map_or(Ok(()), SaveMap::check::<M>)
+}
+
+fn textured<M: KnownMap>(
     map: M,
-    known: LoadedGraph<S>,
-    textures: fn(&Map<S>) -> Vec<PlacedTexture>,
+    known: LoadedGraph<M::Space>,
+    textures: fn(&Map<M::Space>) -> Vec<PlacedTexture>,
     preparation: &Preparation,
 ) -> LoadedMap<M> {
-    let textures = textures(&Map::new(preparation.options.clone(), known.graph, known.trajectories));
-    LoadedMap { map, textures, issues: known.issues }
+    let graph = Map::new(preparation.options.clone(), known.graph, known.trajectories);
+    LoadedMap { map, textures: textures(&graph), graph, issues: known.issues }
 }

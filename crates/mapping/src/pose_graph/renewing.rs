@@ -1,0 +1,168 @@
+//! Taking out of a map what newer scans show otherwise, so that it does not grow with time.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use portolan_geometry::{Rigid3, Vector2, project_2d};
+
+use super::PoseGraph;
+use crate::{NodeId, Space, SubmapId, TrajectoryId};
+
+/// What the pose graph is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    Submap(SubmapId),
+    Node(NodeId),
+}
+
+/// A place that a part of the graph hangs at.
+type Place<I> = (I, Rigid3);
+
+impl<S: Space> PoseGraph<S> {
+    /// Removes submaps, the nodes that belong to no other one, and trajectories of which nothing is left. Where this tears
+    /// apart what constraints tied together, the pieces are tied again as they lie now: what was removed had measured that.
+    pub fn remove_submaps(&mut self, ids: &BTreeSet<SubmapId>) {
+        if ids.is_empty() {
+            return;
+        }
+        let whole = self.tied_parts();
+        ids.iter().for_each(|id| self.trim_submap(*id));
+        self.tie_torn(&whole);
+        let of_removed: BTreeSet<TrajectoryId> = ids.iter().map(|id| id.trajectory_id).collect();
+        for id in of_removed {
+            if self.submaps_of(id).is_empty() && !self.state.nodes.keys().any(|node| node.trajectory_id == id)
+            {
+                self.mark_deleted(id);
+            }
+        }
+    }
+
+    /// Makes cells of submaps unknown, asked for by the centres of the cells in the map (2D); how many.
+    pub fn forget_cells(&mut self, is_forgotten: &dyn Fn(SubmapId, &Vector2) -> bool) -> usize {
+        let ids: Vec<SubmapId> = self.state.submaps.keys().copied().collect();
+        let mut forgotten = 0;
+        for id in ids {
+            let Some(map_from_submap) = self.state.map_from_submap(id).map(|pose| project_2d(&pose)) else {
+                continue;
+            };
+            let Some(submap) = self.state.submaps.get_mut(&id).and_then(|entry| entry.submap.as_mut()) else {
+                continue;
+            };
+            let goes = |point: &Vector2| is_forgotten(id, &map_from_submap.transform_point(point));
+            let is_known = |centers: Vec<Vector2>| centers.iter().any(goes);
+            if S::known_cell_centers(submap).is_some_and(is_known) {
+                forgotten += S::forget_cells(Arc::make_mut(submap), &goes);
+                self.search.delete_matcher(id);
+            }
+        }
+        forgotten
+    }
+
+    /// Older submaps of which a trajectory leaves too little to be seen: each cell of the map is seen in the newest `newest`
+    /// submaps that know it, where trajectories are as old as their numbers say; less than `least` square metres are too
+    /// little. Submaps from which the trajectory takes nothing are not among them, nor any in 3D.
+    pub fn covered_by(&self, new: TrajectoryId, newest: usize, least: f64) -> BTreeSet<SubmapId> {
+        let newest_first = self.state.submaps.keys().rev().copied();
+        let older = newest_first.clone().filter(|id| id.trajectory_id != new);
+        let (Some(with), Some(without)) =
+            (self.areas_seen(newest_first, newest), self.areas_seen(older.clone(), newest))
+        else {
+            return BTreeSet::new();
+        };
+        older.filter(|id| with.cells.get(id) < without.cells.get(id) && with.too_little(id, least)).collect()
+    }
+
+    /// Which parts of the graph hang together: each with the first one of its piece.
+    fn tied_parts(&self) -> BTreeMap<Part, Part> {
+        let mut pieces = Pieces::default();
+        self.state.submaps.keys().for_each(|id| pieces.add(Part::Submap(*id)));
+        self.state.nodes.keys().for_each(|id| pieces.add(Part::Node(*id)));
+        for c in &self.state.constraints {
+            pieces.join(Part::Submap(c.submap_id), Part::Node(c.node_id));
+        }
+        for (a, b) in self.state.nodes.keys().zip(self.state.nodes.keys().skip(1)) {
+            if a.trajectory_id == b.trajectory_id && a.index + 1 == b.index {
+                pieces.join(Part::Node(*a), Part::Node(*b));
+            }
+        }
+        pieces.roots()
+    }
+
+    /// Ties pieces together that were one piece before.
+    fn tie_torn(&mut self, before: &BTreeMap<Part, Part>) {
+        let mut torn: BTreeMap<Part, BTreeMap<Part, Vec<Part>>> = BTreeMap::new();
+        for (part, root) in self.tied_parts() {
+            let Some(whole) = before.get(&part) else { continue };
+            torn.entry(*whole).or_default().entry(root).or_default().push(part);
+        }
+        for pieces in torn.into_values() {
+            let mut pieces: Vec<Vec<Part>> = pieces.into_values().collect();
+            pieces.sort_by_key(|piece| (std::cmp::Reverse(piece.len()), piece.first().copied()));
+            let mut pieces = pieces.into_iter();
+            let mut tied: Vec<Place<NodeId>> = pieces.next().map(|p| self.nodes_in(&p)).unwrap_or_default();
+            for piece in pieces {
+                self.tie_piece(&piece, &tied);
+                tied.extend(self.nodes_in(&piece));
+            }
+        }
+    }
+
+    /// Ties the submap of a piece to a node of others, the two that lie nearest together.
+    fn tie_piece(&mut self, piece: &[Part], others: &[Place<NodeId>]) {
+        let submaps = piece.iter().filter_map(|part| match part {
+            Part::Submap(id) => Some((*id, *self.problem.submaps.get(id)?)),
+            Part::Node(_) => None,
+        });
+        let pairs = submaps.flat_map(|submap| others.iter().map(move |node| (submap, node)));
+        let distance = |a: &Rigid3, b: &Rigid3| (a.translation.vector - b.translation.vector).norm_squared();
+        let nearest =
+            pairs.min_by(|((_, a), (_, b)), ((_, c), (_, d))| distance(a, b).total_cmp(&distance(c, d)));
+        if let Some(((submap_id, map_from_submap), (node_id, map_from_node))) = nearest {
+            let submap_from_node = map_from_submap.inverse() * map_from_node;
+            let tie = self.loop_closure(submap_id, *node_id, submap_from_node);
+            self.load_constraint(tie);
+        }
+    }
+
+    fn nodes_in(&self, piece: &[Part]) -> Vec<Place<NodeId>> {
+        let place = |part: &Part| match part {
+            Part::Node(id) => Some((*id, self.problem.nodes.get(id)?.map_from_node)),
+            Part::Submap(_) => None,
+        };
+        piece.iter().filter_map(place).collect()
+    }
+}
+
+/// Sets of parts that are joined one by one (union by the smaller first part, with path halving).
+#[derive(Default)]
+struct Pieces(BTreeMap<Part, Part>);
+
+impl Pieces {
+    fn add(&mut self, part: Part) {
+        self.0.insert(part, part);
+    }
+
+    fn root(&mut self, part: Part) -> Option<Part> {
+        let mut at = part;
+        loop {
+            let above = *self.0.get(&at)?;
+            if above == at {
+                return Some(at);
+            }
+            let next = *self.0.get(&above)?;
+            self.0.insert(at, next);
+            at = next;
+        }
+    }
+
+    fn join(&mut self, a: Part, b: Part) {
+        if let (Some(a), Some(b)) = (self.root(a), self.root(b)) {
+            self.0.insert(a.max(b), a.min(b));
+        }
+    }
+
+    fn roots(mut self) -> BTreeMap<Part, Part> {
+        let parts: Vec<Part> = self.0.keys().copied().collect();
+        parts.into_iter().filter_map(|part| Some((part, self.root(part)?))).collect()
+    }
+}
