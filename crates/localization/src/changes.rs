@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Time, Vector2};
-use portolan_matching::MapLimits;
+use portolan_matching::{CellIndex, MapLimits};
 
 use crate::change_regions::{Region, regions};
 use crate::known_cells::{Known, KnownCells};
@@ -189,9 +189,24 @@ impl ChangedCells {
         self.kinds.contains_key(&cell).then_some(cell)
     }
 
-    /// Square metres of some of these cells that changed so.
-    pub(crate) fn area<'a>(&self, cells: impl Iterator<Item = &'a usize>, kind: ChangeKind) -> f64 {
+    /// Whether nothing has changed.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.kinds.is_empty()
+    }
+
+    /// Whether something of a kind has changed within so many metres of a point along each axis.
+    pub(crate) fn is_near(&self, point: &Vector2, metres: f64, is_kind: &dyn Fn(ChangeKind) -> bool) -> bool {
+        let cells = (metres / self.limits.resolution()).round() as i32;
+        let centre = self.limits.cell_index(point.cast::<f32>());
+        let around = (-cells..=cells).flat_map(|y| (-cells..=cells).map(move |x| (x, y)));
+        let mut around = around.map(|(x, y)| CellIndex::new(centre.x + x, centre.y + y));
+        let kind = |cell| self.kinds.get(&self.limits.flat_index(cell)?).copied();
+        around.any(|cell| kind(cell).is_some_and(is_kind))
+    }
+
+    /// Square metres that changed so.
+    pub(crate) fn area(&self, kind: ChangeKind) -> f64 {
         let edge = self.limits.resolution();
-        cells.filter(|cell| self.kinds.get(cell) == Some(&kind)).count() as f64 * edge * edge
+        self.kinds.values().filter(|of_cell| **of_cell == kind).count() as f64 * edge * edge
     }
 }

@@ -1,16 +1,18 @@
 //! A map of the plane renewed by a recording that was localised in it: what is gone fades, what is new appears, and the rest
 //! stays as it was.
 //!
-//! The recording is a trajectory of the map already. Of its submaps those stay that show what has changed, or what the map
-//! did not know; changed cells become unknown in all older submaps; and older submaps of which newer ones leave nothing to
-//! be seen are removed. So a map grows with the area that was seen, not with time (Johannsson, Kaess, Fallon and Leonard,
+//! The recording is a trajectory of the map already. Of its submaps those stay that show what the map did not know, or that
+//! replace older ones in which something has changed. What has changed in other submaps is drawn into these, cell by cell.
+//! So nodes, submaps and constraints grow with the area that was seen, not with time (Johannsson, Kaess, Fallon and Leonard,
 //! "Temporally scalable visual SLAM using a reduced pose graph", ICRA 2013, bound pose graphs by space in this sense).
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Rigid3, Rigid3f, Vector2, project_2d};
-use portolan_mapping::{Planar, PoseGraph, Space, SubmapEntry, SubmapId, TrajectoryId, of_trajectory};
+use portolan_mapping::{
+    CellFate, Planar, PoseGraph, Replacement, Space, SubmapEntry, SubmapId, TrajectoryId, of_trajectory,
+};
 
 use crate::changes::{ChangeGrid, ChangeKind, ChangedCells};
 use crate::placed_scan::PlacedScan;
@@ -19,11 +21,20 @@ use crate::recent::is_alike;
 
 /// A submap that shows less than this of what the map does not know is not worth its size, square metres.
 const LEAST_NEW_AREA: f64 = 4.0;
-/// Each place is seen by so many of the newest submaps; those of which less than this is seen, square metres, are removed.
-const NEWEST: usize = 2;
-const LEAST_SEEN: f64 = 2.0;
+/// What only a submap that is removed knows, at most, square metres.
+const MOST_ALONE: f64 = 0.1;
+/// Two submaps show each place, as local SLAM draws them.
+const REPLACEMENT: Replacement = Replacement { newest: 2, least_seen: 2.0, most_alone: MOST_ALONE };
 /// Edge of the cells in which areas are counted, metres.
 const CELL: f64 = 0.1;
+
+/// A submap replaces an older one of which it knows at least this fraction, if other submaps know the rest.
+const REPLACED: f64 = 0.5;
+/// What has changed is drawn into older submaps with what they do not know so far around, metres: what stood somewhere hid
+/// what is inside of it.
+const AROUND: f64 = 0.5;
+/// Points of older scans lie beside cells that are gone, metres.
+const BESIDE: f64 = 0.1;
 
 /// What a recording changed in a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -61,25 +72,43 @@ struct Shown {
 pub(crate) fn renew(graph: &mut PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMap) -> Renewal {
     let changes = changed_cells(graph, new, before);
     let all = shown(graph, new, before, &changes);
-    let chosen = chosen(&all);
-    let (mut changed, mut discovered) = (BTreeSet::new(), BTreeSet::new());
-    for shown in chosen.iter().filter_map(|id| all.get(id)) {
-        changed.extend(shown.changed.iter().copied());
-        discovered.extend(shown.unknown.iter().copied());
-    }
-    graph.remove_submaps(&all.keys().filter(|id| !chosen.contains(id)).copied().collect());
-    graph.forget_cells(&|id, point| {
-        id.trajectory_id != new && changes.at(point).is_some_and(|cell| changed.contains(&cell))
-    });
-    let removed = graph.covered_by(new, NEWEST, LEAST_SEEN);
-    graph.remove_submaps(&removed);
+    let mut kept = discovering(&all);
+    let discovered: BTreeSet<Cell> =
+        kept.iter().filter_map(|id| all.get(id)).flat_map(|shown| shown.unknown.iter().copied()).collect();
+    let mut removed = replace(graph, new, &all, &changes, &mut kept);
+    draw_changes(graph, new, before, &changes);
+    let superfluous = all.keys().filter(|id| !kept.contains(id)).copied();
+    graph.remove_submaps(&superfluous.chain(removed.iter().copied()).collect());
+    let hidden = graph.covered_by(new, REPLACEMENT);
+    graph.remove_submaps(&hidden);
+    removed.extend(hidden);
     Renewal {
-        added_submaps: chosen.len(),
+        added_submaps: kept.len(),
         removed_submaps: removed.len(),
-        appeared: changes.area(changed.iter(), ChangeKind::Appeared),
-        gone: changes.area(changed.iter(), ChangeKind::Gone),
+        appeared: changes.area(ChangeKind::Appeared),
+        gone: changes.area(ChangeKind::Gone),
         discovered: discovered.len() as f64 * CELL * CELL,
     }
+}
+
+/// Draws what has changed into older submaps, and takes what is gone out of older scans.
+fn draw_changes(
+    graph: &mut PoseGraph<Planar>,
+    new: TrajectoryId,
+    before: &PlanarMap,
+    changes: &ChangedCells,
+) {
+    if changes.is_empty() {
+        return;
+    }
+    let changed = |_: ChangeKind| true;
+    graph.patch(new, &|point| match changes.at(point) {
+        Some(_) => CellFate::Replaced,
+        None if !before.knows(point) && changes.is_near(point, AROUND, &changed) => CellFate::Filled,
+        None => CellFate::Stays,
+    });
+    let gone = |kind| kind == ChangeKind::Gone;
+    graph.forget_points(new, &|point| changes.is_near(point, BESIDE, &gone));
 }
 
 /// Cells of the map that nodes of the trajectory contradict, from places some way apart.
@@ -128,21 +157,66 @@ fn shown(
     of_trajectory(&state.submaps, new).filter_map(of_submap).collect()
 }
 
-/// The submaps that are worth keeping: one after the other the one that shows most of what no chosen one shows yet.
-fn chosen(all: &BTreeMap<SubmapId, Shown>) -> BTreeSet<SubmapId> {
-    let (mut changed, mut unknown) = (BTreeSet::new(), BTreeSet::new());
+/// The submaps that show enough of what the map does not know: one after the other the one that shows most of what no other
+/// shows yet.
+fn discovering(all: &BTreeMap<SubmapId, Shown>) -> BTreeSet<SubmapId> {
+    let mut unknown = BTreeSet::new();
     let mut chosen = BTreeSet::new();
     loop {
         let rest = all.iter().filter(|(id, _)| !chosen.contains(*id));
-        let worth = rest.map(|(id, shown)| {
-            let new_changes = shown.changed.difference(&changed).count();
-            (new_changes, shown.unknown.difference(&unknown).count(), Reverse(*id))
-        });
-        let Some((new_changes, new_area, Reverse(best))) = worth.max() else { return chosen };
-        let is_worth_it = new_changes > 0 || new_area as f64 * CELL * CELL >= LEAST_NEW_AREA;
+        let worth = rest.map(|(id, shown)| (shown.unknown.difference(&unknown).count(), Reverse(*id)));
+        let Some((cells, Reverse(best))) = worth.max() else { return chosen };
+        let is_worth_it = cells as f64 * CELL * CELL >= LEAST_NEW_AREA;
         let Some(shown) = all.get(&best).filter(|_| is_worth_it) else { return chosen };
-        changed.extend(shown.changed.iter().copied());
         unknown.extend(shown.unknown.iter().copied());
         chosen.insert(best);
     }
+}
+
+/// Keeps submaps of the recording, too, that replace older ones in which something has changed: at least one each, so that
+/// there are not more in the end. The older ones are returned.
+fn replace(
+    graph: &PoseGraph<Planar>,
+    new: TrajectoryId,
+    all: &BTreeMap<SubmapId, Shown>,
+    changes: &ChangedCells,
+    kept: &mut BTreeSet<SubmapId>,
+) -> BTreeSet<SubmapId> {
+    let has_changed = |id: &SubmapId| {
+        let centers = graph
+            .state()
+            .submaps
+            .get(id)
+            .and_then(|entry| Planar::known_cell_centers(entry.submap.as_ref()?));
+        let map_from_submap = graph.state().map_from_submap(*id).map(|pose| project_2d(&pose));
+        centers.zip(map_from_submap).is_some_and(|(centers, pose)| {
+            centers.iter().any(|center| changes.at(&pose.transform_point(center)).is_some())
+        })
+    };
+    let older = graph.state().submaps.keys().filter(|id| id.trajectory_id != new);
+    let mut known = graph.coverage(older.clone().copied());
+    let of_new = graph.coverage(all.keys().copied());
+    kept.iter().for_each(|id| known.take(*id, &of_new));
+    let mut outdated: BTreeSet<SubmapId> = older.filter(|id| has_changed(id)).copied().collect();
+    let mut candidates: Vec<(usize, Reverse<SubmapId>)> =
+        all.iter().map(|(id, shown)| (shown.changed.len(), Reverse(*id))).collect();
+    candidates.sort_unstable_by(|a, b| b.cmp(a));
+    let mut removed = BTreeSet::new();
+    for (_, Reverse(id)) in candidates.into_iter().filter(|(changed, _)| *changed > 0) {
+        let mut with = known.clone();
+        if !kept.contains(&id) {
+            with.take(id, &of_new);
+        }
+        let is_covered = |old: &SubmapId| with.fraction_known_by(*old, id, &of_new) >= REPLACED;
+        let covered: Vec<SubmapId> = outdated.iter().copied().filter(is_covered).collect();
+        let gone: Vec<SubmapId> =
+            covered.into_iter().filter(|old| with.remove_unless_alone(*old, MOST_ALONE)).collect();
+        if !gone.is_empty() {
+            outdated.retain(|old| !gone.contains(old));
+            removed.extend(gone);
+            kept.insert(id);
+            known = with;
+        }
+    }
+    removed
 }

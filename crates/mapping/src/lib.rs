@@ -52,9 +52,9 @@ pub use portolan_motion::{
     ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter, PoseExtrapolator, integrate_imu,
 };
 pub use pose_graph::{
-    Extension, GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, LoopSearchPolicy, PoseGraph,
-    PoseGraphPolicy, SearchCounts, SelfConsistency, SubmapEntry, TrajectoryConnectivity, TrajectoryEntry,
-    TrajectoryState, TrimmedNode, TrimmedTies, Trimmer,
+    CellFate, Coverage, Extension, GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap,
+    LoopSearchPolicy, PoseGraph, PoseGraphPolicy, Replacement, SearchCounts, SelfConsistency, SubmapEntry,
+    TrajectoryConnectivity, TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedTies, Trimmer,
 };
 pub use space::{MatchAcceptance, MatchedPose, Nearby, PlaceFinder, SearchRegion, SearchWindow, Space};
 pub use spatial::{Spatial, SpatialMatcher};

@@ -185,12 +185,6 @@ impl Space for Planar {
         )
     }
 
-    fn forget_cells(submap: &mut Submap2d, is_forgotten: &dyn Fn(&Vector2) -> bool) -> usize {
-        let submap_from_local = project_2d(&submap.local_from_submap).inverse();
-        let limits = *submap.grid.limits();
-        submap.grid.forget(|cell| is_forgotten(&submap_from_local.transform_point(&limits.cell_center(cell))))
-    }
-
     fn cell_size(submap: &Submap2d) -> f64 {
         submap.grid.limits().resolution()
     }

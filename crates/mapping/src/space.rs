@@ -217,12 +217,6 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
     /// coverage is not defined (3D).
     fn known_cell_centers(submap: &Self::Submap) -> Option<Vec<Vector2>>;
 
-    /// Makes the known cells unknown that are to be forgotten, asked for by their centres in the submap's own frame, metres;
-    /// how many. None where [`Space::known_cell_centers`] gives none.
-    fn forget_cells(_submap: &mut Self::Submap, _is_forgotten: &dyn Fn(&Vector2) -> bool) -> usize {
-        0
-    }
-
     /// Edge length of the cells that [`Space::known_cell_centers`] lists, metres.
     fn cell_size(submap: &Self::Submap) -> f64;
 }

@@ -28,7 +28,7 @@ pub use gradient::{
     GradientMatcherOptions2d, GradientMatcherOptions3d, IntensityCostOptions,
 };
 pub use grid::{
-    CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, HybridGrid, HybridGridParts,
+    CellBox, CellIndex, CellValue, Grid2d, GridError, GridParts, GridRepairs, HybridGrid, HybridGridParts,
     HybridGridRepairs, HybridInserter, HybridInserterOptions, InsertReport, IntensityGrid, MapLimits,
     NormalEstimationOptions, ProbabilityGrid, ProbabilityInserter, ProbabilityInserterOptions, ScanAgreement,
     SectorInserter, Texture, Tsdf2d, TsdfInserter, TsdfInserterOptions, TsdfParts, mean_of_solid_cells,

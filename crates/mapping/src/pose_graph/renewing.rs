@@ -1,12 +1,63 @@
 //! Taking out of a map what newer scans show otherwise, so that it does not grow with time.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use portolan_geometry::{Rigid3, Vector2, project_2d};
+use portolan_geometry::Rigid3;
 
 use super::PoseGraph;
 use crate::{NodeId, Space, SubmapId, TrajectoryId};
+
+/// Which submaps newer ones replace.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Replacement {
+    /// So many of the newest submaps are seen of each cell.
+    pub newest: usize,
+    /// A submap of which less than this is seen is replaced, square metres …
+    pub least_seen: f64,
+    /// … unless it alone knows more than this, square metres.
+    pub most_alone: f64,
+}
+
+/// The cells of the map that submaps know, and how many of these know each.
+#[derive(Clone, Debug)]
+pub struct Coverage {
+    cells: BTreeMap<SubmapId, BTreeSet<(i64, i64)>>,
+    known: HashMap<(i64, i64), usize>,
+    /// Edge of a cell, metres.
+    cell_size: f64,
+}
+
+impl Coverage {
+    fn add(&mut self, id: SubmapId, cells: BTreeSet<(i64, i64)>) {
+        cells.iter().for_each(|cell| *self.known.entry(*cell).or_default() += 1);
+        self.cells.insert(id, cells);
+    }
+
+    /// Takes a submap over from another one.
+    pub fn take(&mut self, id: SubmapId, from: &Self) {
+        self.add(id, from.cells.get(&id).cloned().unwrap_or_default());
+    }
+
+    /// Takes a submap out, unless it alone knows more than so many square metres; whether it went.
+    pub fn remove_unless_alone(&mut self, id: SubmapId, most_alone: f64) -> bool {
+        let Some(own) = self.cells.get(&id) else { return false };
+        let alone = own.iter().filter(|cell| self.known.get(*cell) == Some(&1)).count();
+        if alone as f64 * self.cell_size * self.cell_size > most_alone {
+            return false;
+        }
+        for cell in own {
+            self.known.entry(*cell).and_modify(|count| *count = count.saturating_sub(1));
+        }
+        self.cells.remove(&id);
+        true
+    }
+
+    /// What fraction of a submap a submap of another coverage knows, too.
+    pub fn fraction_known_by(&self, id: SubmapId, other: SubmapId, of: &Self) -> f64 {
+        let (Some(own), Some(others)) = (self.cells.get(&id), of.cells.get(&other)) else { return 0.0 };
+        own.intersection(others).count() as f64 / own.len().max(1) as f64
+    }
+}
 
 /// What the pose graph is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -37,39 +88,41 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Makes cells of submaps unknown, asked for by the centres of the cells in the map (2D); how many.
-    pub fn forget_cells(&mut self, is_forgotten: &dyn Fn(SubmapId, &Vector2) -> bool) -> usize {
-        let ids: Vec<SubmapId> = self.state.submaps.keys().copied().collect();
-        let mut forgotten = 0;
-        for id in ids {
-            let Some(map_from_submap) = self.state.map_from_submap(id).map(|pose| project_2d(&pose)) else {
-                continue;
-            };
-            let Some(submap) = self.state.submaps.get_mut(&id).and_then(|entry| entry.submap.as_mut()) else {
-                continue;
-            };
-            let goes = |point: &Vector2| is_forgotten(id, &map_from_submap.transform_point(point));
-            let is_known = |centers: Vec<Vector2>| centers.iter().any(goes);
-            if S::known_cell_centers(submap).is_some_and(is_known) {
-                forgotten += S::forget_cells(Arc::make_mut(submap), &goes);
-                self.search.delete_matcher(id);
-            }
-        }
-        forgotten
-    }
-
-    /// Older submaps of which a trajectory leaves too little to be seen: each cell of the map is seen in the newest `newest`
-    /// submaps that know it, where trajectories are as old as their numbers say; less than `least` square metres are too
-    /// little. Submaps from which the trajectory takes nothing are not among them, nor any in 3D.
-    pub fn covered_by(&self, new: TrajectoryId, newest: usize, least: f64) -> BTreeSet<SubmapId> {
+    /// Older submaps of which a trajectory leaves too little to be seen: each cell of the map is seen in the newest
+    /// `replacement.newest` submaps that know it, where trajectories are as old as their numbers say. Submaps from which the
+    /// trajectory takes nothing are not among them, nor those that alone know a place, nor any in 3D.
+    pub fn covered_by(&self, new: TrajectoryId, replacement: Replacement) -> BTreeSet<SubmapId> {
         let newest_first = self.state.submaps.keys().rev().copied();
         let older = newest_first.clone().filter(|id| id.trajectory_id != new);
-        let (Some(with), Some(without)) =
-            (self.areas_seen(newest_first, newest), self.areas_seen(older.clone(), newest))
-        else {
+        let (Some(with), Some(without)) = (
+            self.areas_seen(newest_first, replacement.newest),
+            self.areas_seen(older.clone(), replacement.newest),
+        ) else {
             return BTreeSet::new();
         };
-        older.filter(|id| with.cells.get(id) < without.cells.get(id) && with.too_little(id, least)).collect()
+        let is_hidden = |id: &SubmapId| {
+            with.cells.get(id) < without.cells.get(id) && with.too_little(id, replacement.least_seen)
+        };
+        let mut known = self.coverage(self.state.submaps.keys().copied());
+        let mut hidden: Vec<SubmapId> = older.filter(is_hidden).collect();
+        hidden.reverse();
+        hidden.into_iter().filter(|id| known.remove_unless_alone(*id, replacement.most_alone)).collect()
+    }
+
+    /// The cells of the map that some submaps know (2D).
+    pub fn coverage(&self, submaps: impl Iterator<Item = SubmapId>) -> Coverage {
+        let mut coverage = Coverage { cells: BTreeMap::new(), known: HashMap::new(), cell_size: 1.0 };
+        for id in submaps {
+            let Some(submap) = self.state.submaps.get(&id).and_then(|entry| entry.submap.as_ref()) else {
+                continue;
+            };
+            if coverage.cells.is_empty() {
+                coverage.cell_size = S::cell_size(submap);
+            }
+            let cells = self.covered_cells(id, coverage.cell_size).unwrap_or_default();
+            coverage.add(id, cells);
+        }
+        coverage
     }
 
     /// Which parts of the graph hang together: each with the first one of its piece.

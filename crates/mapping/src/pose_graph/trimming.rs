@@ -43,7 +43,7 @@ impl Trimmer {
 pub(super) struct SeenAreas {
     pub cells: BTreeMap<SubmapId, u64>,
     /// Edge of a cell, metres.
-    cell_size: f64,
+    pub cell_size: f64,
 }
 
 impl SeenAreas {
@@ -156,7 +156,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Cells of the global map that the submap knows; `None` in spaces without such cells.
-    fn covered_cells(&self, id: SubmapId, cell_size: f64) -> Option<BTreeSet<(i64, i64)>> {
+    pub(super) fn covered_cells(&self, id: SubmapId, cell_size: f64) -> Option<BTreeSet<(i64, i64)>> {
         let submap = self.state.submaps.get(&id).and_then(|entry| entry.submap.as_ref());
         let (Some(submap), Some(map_from_submap)) = (submap, self.state.optimized_submaps.get(&id)) else {
             return Some(BTreeSet::new());

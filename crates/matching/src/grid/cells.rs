@@ -88,25 +88,18 @@ impl CellGrid {
         }
     }
 
-    /// Makes known cells unknown, and the same ones of a further list of cells; how many.
-    pub fn forget(
-        &mut self,
-        is_forgotten: impl Fn(CellIndex) -> bool,
-        mut companion: Option<&mut Vec<u16>>,
-    ) -> usize {
-        self.finish_update();
-        let known: Vec<CellIndex> =
-            self.known_box.map(CellBox::cells).into_iter().flatten().filter(|c| self.is_known(*c)).collect();
-        let (forgotten, left): (Vec<CellIndex>, Vec<CellIndex>) =
-            known.into_iter().partition(|cell| is_forgotten(*cell));
-        for index in forgotten.iter().filter_map(|cell| self.limits.flat_index(*cell)) {
-            for cells in std::iter::once(&mut self.cells).chain(companion.as_deref_mut()) {
-                cells.get_mut(index).into_iter().for_each(|cell| *cell = UNKNOWN_CELL);
-            }
-        }
-        self.known_box = None;
-        left.into_iter().for_each(|cell| self.extend_known_box(cell));
-        forgotten.len()
+    /// Makes a cell unknown; the known box is left to the caller.
+    pub fn forget_cell(&mut self, cell: CellIndex) {
+        let cell = self.limits.flat_index(cell).and_then(|index| self.cells.get_mut(index));
+        cell.into_iter().for_each(|cell| *cell = UNKNOWN_CELL);
+    }
+
+    /// Makes the known box the smallest one.
+    pub fn find_known_box(&mut self) {
+        let known = full_box(&self.limits).cells().filter(|cell| self.is_known(*cell));
+        self.known_box = known.fold(None, |known: Option<CellBox>, cell| {
+            Some(known.map_or(CellBox::of(cell), |b| b.extended(cell)))
+        });
     }
 
     /// Ends the scan: the next one may change every cell again.

@@ -12,6 +12,22 @@ pub enum Grid2d {
     Tsdf(Tsdf2d),
 }
 
+/// What a cell of a planar grid says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CellValue {
+    /// Nothing.
+    Unknown,
+    /// How likely it is occupied.
+    Probability(f32),
+    /// How far the nearest surface is, and how well that is known.
+    Distance {
+        /// Signed, metres.
+        metres: f32,
+        /// Weight.
+        weight: f32,
+    },
+}
+
 impl Grid2d {
     fn grid(&self) -> &super::CellGrid {
         match self {
@@ -54,12 +70,45 @@ impl Grid2d {
         }
     }
 
-    /// Makes known cells unknown; how many. Where nothing stays known, the grid is as good as new.
-    pub fn forget(&mut self, is_forgotten: impl Fn(CellIndex) -> bool) -> usize {
+    /// What a cell says.
+    pub fn value(&self, cell: CellIndex) -> CellValue {
         match self {
-            Self::Probability(g) => g.grid.forget(is_forgotten, None),
-            Self::Tsdf(g) => g.grid.forget(is_forgotten, Some(&mut g.weights)),
+            _ if !self.is_known(cell) => CellValue::Unknown,
+            Self::Probability(g) => CellValue::Probability(g.probability(cell)),
+            Self::Tsdf(g) => CellValue::Distance { metres: g.signed_distance(cell), weight: g.weight(cell) },
         }
+    }
+
+    /// Gives cells other values; those for which there is none keep theirs. Values of the other kind of grid count as
+    /// unknown. How many cells got one.
+    pub fn rewrite(&mut self, new_value: impl Fn(CellIndex) -> Option<CellValue>) -> usize {
+        let limits = *self.limits();
+        let all = super::cells::full_box(&limits).cells();
+        let values: Vec<(CellIndex, CellValue)> =
+            all.filter_map(|cell| Some((cell, new_value(cell)?))).collect();
+        for (cell, value) in &values {
+            match self {
+                Self::Probability(g) => g.grid.forget_cell(*cell),
+                Self::Tsdf(g) => g.forget_cell(*cell),
+            }
+            match (&mut *self, value) {
+                (Self::Probability(g), CellValue::Probability(probability)) => {
+                    g.set_probability(*cell, *probability);
+                }
+                (Self::Tsdf(g), CellValue::Distance { metres, weight }) => {
+                    g.set(*cell, *metres, *weight);
+                    g.finish_update();
+                }
+                _ => {}
+            }
+        }
+        if !values.is_empty() {
+            match self {
+                Self::Probability(g) => g.grid.find_known_box(),
+                Self::Tsdf(g) => g.grid.find_known_box(),
+            }
+        }
+        values.len()
     }
 
     /// Whether a scan is half inserted; such a grid must not be written to a file.
