@@ -194,19 +194,39 @@ impl ChangedCells {
         self.kinds.is_empty()
     }
 
-    /// Whether something of a kind has changed within so many metres of a point along each axis.
-    pub(crate) fn is_near(&self, point: &Vector2, metres: f64, is_kind: &dyn Fn(ChangeKind) -> bool) -> bool {
-        let cells = (metres / self.limits.resolution()).round() as i32;
-        let centre = self.limits.cell_index(point.cast::<f32>());
-        let around = (-cells..=cells).flat_map(|y| (-cells..=cells).map(move |x| (x, y)));
-        let mut around = around.map(|(x, y)| CellIndex::new(centre.x + x, centre.y + y));
-        let kind = |cell| self.kinds.get(&self.limits.flat_index(cell)?).copied();
-        around.any(|cell| kind(cell).is_some_and(is_kind))
+    /// The cells within so many metres along each axis of those that changed so.
+    pub(crate) fn around(&self, metres: f64, is_kind: impl Fn(ChangeKind) -> bool) -> CellSet {
+        let reach = (metres / self.limits.resolution()).round() as i32;
+        let columns = (self.limits.num_x_cells() as usize).max(1);
+        let mut is_in = vec![false; self.limits.num_cells()];
+        for (cell, _) in self.kinds.iter().filter(|(_, kind)| is_kind(**kind)) {
+            let (x, y) = ((cell % columns) as i32, (cell / columns) as i32);
+            let around = (-reach..=reach).flat_map(|j| (-reach..=reach).map(move |i| (x + i, y + j)));
+            for index in around.filter_map(|(x, y)| self.limits.flat_index(CellIndex::new(x, y))) {
+                is_in[index] = true;
+            }
+        }
+        CellSet { limits: self.limits, is_in }
     }
 
     /// Square metres that changed so.
     pub(crate) fn area(&self, kind: ChangeKind) -> f64 {
         let edge = self.limits.resolution();
         self.kinds.values().filter(|of_cell| **of_cell == kind).count() as f64 * edge * edge
+    }
+}
+
+/// A set of cells.
+#[derive(Clone, Debug)]
+pub(crate) struct CellSet {
+    limits: MapLimits,
+    is_in: Vec<bool>,
+}
+
+impl CellSet {
+    /// Whether the cell at a point of the map is in it.
+    pub(crate) fn contains(&self, point: &Vector2) -> bool {
+        let cell = self.limits.flat_index(self.limits.cell_index(point.cast::<f32>()));
+        cell.is_some_and(|cell| self.is_in[cell])
     }
 }

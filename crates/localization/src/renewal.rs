@@ -101,14 +101,14 @@ fn draw_changes(
     if changes.is_empty() {
         return;
     }
-    let changed = |_: ChangeKind| true;
+    let around = changes.around(AROUND, |_| true);
     graph.patch(new, &|point| match changes.at(point) {
         Some(_) => CellFate::Replaced,
-        None if !before.knows(point) && changes.is_near(point, AROUND, &changed) => CellFate::Filled,
+        None if around.contains(point) && !before.knows(point) => CellFate::Filled,
         None => CellFate::Stays,
     });
-    let gone = |kind| kind == ChangeKind::Gone;
-    graph.forget_points(new, &|point| changes.is_near(point, BESIDE, &gone));
+    let beside_gone = changes.around(BESIDE, |kind| kind == ChangeKind::Gone);
+    graph.forget_points(new, &|point| beside_gone.contains(point));
 }
 
 /// Cells of the map that nodes of the trajectory contradict, from places some way apart.
@@ -203,20 +203,23 @@ fn replace(
     candidates.sort_unstable_by(|a, b| b.cmp(a));
     let mut removed = BTreeSet::new();
     for (_, Reverse(id)) in candidates.into_iter().filter(|(changed, _)| *changed > 0) {
-        let mut with = known.clone();
-        if !kept.contains(&id) {
-            with.take(id, &of_new);
+        let is_added = !kept.contains(&id);
+        if is_added {
+            known.take(id, &of_new);
         }
-        let is_covered = |old: &SubmapId| with.fraction_known_by(*old, id, &of_new) >= REPLACED;
+        let is_covered = |old: &SubmapId| known.fraction_known_by(*old, id, &of_new) >= REPLACED;
         let covered: Vec<SubmapId> = outdated.iter().copied().filter(is_covered).collect();
         let gone: Vec<SubmapId> =
-            covered.into_iter().filter(|old| with.remove_unless_alone(*old, MOST_ALONE)).collect();
-        if !gone.is_empty() {
-            outdated.retain(|old| !gone.contains(old));
-            removed.extend(gone);
-            kept.insert(id);
-            known = with;
+            covered.into_iter().filter(|old| known.remove_unless_alone(*old, MOST_ALONE)).collect();
+        if gone.is_empty() {
+            if is_added {
+                known.remove_unless_alone(id, f64::INFINITY);
+            }
+            continue;
         }
+        outdated.retain(|old| !gone.contains(old));
+        removed.extend(gone);
+        kept.insert(id);
     }
     removed
 }

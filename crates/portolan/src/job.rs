@@ -58,7 +58,7 @@ use journal::{Identity, Journal, Resumed};
 pub use known_map::KnownMaps;
 pub use last_pose::{LastPoseError, last_pose};
 pub use localisation::{Localisation, Place};
-pub use localize::{LocalizeRequest, localize};
+pub use localize::{LocalizeRequest, Start, localize};
 pub use localized::{Found, LOCALIZED_FILES, LocalizedRecording, StateCount, write_localized};
 pub use map_cloud::{CloudRequest, CloudResults, write_clouds};
 pub use memory::resident_and_peak_bytes;

@@ -193,8 +193,8 @@ fn ten_updates_do_not_let_a_map_grow() {
     std::fs::copy(known().map(), &path).unwrap();
     let mut sizes = Vec::new();
     let mut error = 0.0;
-    for day in 2..12 {
-        let today = drive(day, day as usize % 3, 60.0);
+    for update in 0..10 {
+        let today = drive(2 + update % 5, update as usize % 3, 60.0);
         let found = find(&today, &path, Some((&path, Growth::Renew)), 1);
         error = known().error(&today, &found);
         let map = info(&mut MapReader::open(&path).unwrap()).unwrap();

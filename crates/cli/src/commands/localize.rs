@@ -1,12 +1,13 @@
 //! `portolan localize`: where a recording was taken in a saved map.
 
+use std::f64::consts::PI;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use portolan::job::{
     Event, Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, SaveMap,
-    SavedMap, is_same_file, last_pose, localize, write_localized,
+    SavedMap, Start, is_same_file, last_pose, localize, write_localized,
 };
 use portolan_geometry::Rigid3;
 use portolan_localization::{ChangeKind, Growth, Jumps, StartPose, State};
@@ -49,10 +50,15 @@ pub struct LocalizeArgs {
     #[arg(long, value_name = "X,Y,YAW", value_parser = start_pose, allow_hyphen_values = true)]
     pub start: Option<Rigid3>,
 
-    /// How well the start is known: standard deviations in metres and degrees.
-    #[arg(long, value_name = "METRES[,DEGREES]", requires = "start", value_parser = start_sigma,
-        default_value = "0.5,10", allow_hyphen_values = true)]
-    pub start_sigma: (f64, f64),
+    /// Start at a landmark of the map, by its name (a wrong one lists them), heading anywhere. A start like any other.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["start", "start_from"])]
+    pub start_landmark: Option<String>,
+
+    /// How well the start is known: standard deviations in metres and degrees. Default: 0.5,10; at a landmark 2,180. With fewer
+    /// degrees it heads as the landmark does.
+    #[arg(long, value_name = "METRES[,DEGREES]", value_parser = start_sigma, allow_hyphen_values = true,
+        conflicts_with = "start_from")]
+    pub start_sigma: Option<(f64, f64)>,
 
     /// Write over files in the folder that no earlier `localize` wrote.
     #[arg(long)]
@@ -184,13 +190,27 @@ fn saved_map(saved: &SavedMap) -> String {
     format!("{nodes}; {what}\n{}\n", path.display())
 }
 
+/// Standard deviations of starts of which nothing more is said, metres and radians.
+const SIGMAS_AT_POSE: (f64, f64) = (0.5, 10.0 * PI / 180.0);
+const SIGMAS_AT_LANDMARK: (f64, f64) = (2.0, PI);
+
 /// The start that somebody told, or that of the run before.
-fn start(args: &LocalizeArgs) -> Result<Option<StartPose>, CliError> {
+fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
     if let Some(path) = &args.start_from {
-        return Ok(Some(last_pose(path)?));
+        return Ok(Some(Start::At(last_pose(path)?)));
     }
-    let (sigma_metres, sigma_radians) = args.start_sigma;
-    Ok(args.start.map(|map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians }))
+    if let Some(name) = &args.start_landmark {
+        let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_LANDMARK);
+        return Ok(Some(Start::Landmark { name: name.clone(), sigma_metres, sigma_radians }));
+    }
+    if args.start_sigma.is_some() && args.start.is_none() {
+        return Err(CliError::Usage(
+            "--start-sigma is of --start or --start-landmark: say one of them".to_owned(),
+        ));
+    }
+    let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_POSE);
+    let pose = |map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians };
+    Ok(args.start.map(|map_from_tracking| Start::At(pose(map_from_tracking))))
 }
 
 fn localize_with_progress(

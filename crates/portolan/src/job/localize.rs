@@ -1,6 +1,6 @@
 //! Finding a recording in a saved map, scan by scan, and adding it to the map if that is wanted.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use portolan_geometry::Dimension;
@@ -11,7 +11,7 @@ use portolan_localization::{
     State,
 };
 use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d};
-use portolan_mapping::{Map, Planar, Spatial};
+use portolan_mapping::{LandmarkNode, Map, Planar, Space, Spatial};
 use portolan_recording::Recording;
 use portolan_sensor::SensorId;
 
@@ -25,6 +25,37 @@ use crate::RequestedOptions;
 use crate::pipeline::{KnownMap as LoadedGraph, PipelineError, Preparation};
 use crate::silence::Silences;
 
+/// Where a recording starts.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Start {
+    /// At this place.
+    At(StartPose),
+    /// At a landmark of the map.
+    Landmark {
+        /// Its name.
+        name: String,
+        /// Standard deviation of the position along each axis, metres.
+        sigma_metres: f64,
+        /// Standard deviation of the heading from that of the landmark, radians; π where it tells nothing.
+        sigma_radians: f64,
+    },
+}
+
+impl Start {
+    /// The place, in a map with these landmarks; the names of all of them if it is not among them.
+    fn in_map(&self, landmarks: &BTreeMap<String, LandmarkNode>) -> Result<StartPose, Vec<String>> {
+        match self {
+            Self::At(pose) => Ok(*pose),
+            Self::Landmark { name, sigma_metres, sigma_radians } => {
+                let (sigma_metres, sigma_radians) = (*sigma_metres, *sigma_radians);
+                let pose = landmarks.get(name).and_then(|landmark| landmark.map_from_landmark);
+                pose.map(|map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians })
+                    .ok_or_else(|| landmarks.keys().cloned().collect())
+            }
+        }
+    }
+}
+
 /// What is to be found where.
 #[derive(Clone, Debug)]
 pub struct LocalizeRequest {
@@ -37,7 +68,7 @@ pub struct LocalizeRequest {
     /// Options that are asked for; the rest is chosen from the recording.
     pub requested: RequestedOptions,
     /// Where the recording starts, as far as somebody knows.
-    pub start: Option<StartPose>,
+    pub start: Option<Start>,
     /// What a driver reads of corrections, if `driver.tum` is wanted.
     pub jumps: Option<Jumps>,
     /// The known map with this recording, if it is wanted as a file.
@@ -49,7 +80,7 @@ pub struct LocalizeRequest {
 /// Finds a recording in a map. `observe` is told how far it is and may stop it.
 ///
 /// # Errors
-/// A map that is damaged, empty or of the other dimension; a recording that cannot be read or has not a single scan that
+/// A map that is damaged, empty or of the other dimension, or has no landmark of the name that was told; a recording that cannot be read or has not a single scan that
 /// can be used; options that are not possible; a map that cannot be renewed or written.
 pub fn localize(
     recording: &dyn Recording,
@@ -91,15 +122,13 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     observe: &mut Observer,
 ) -> Result<LocalizedRecording, JobError> {
     let LoadedMap { map, graph, textures, mut issues } = loaded;
+    let start = start(request, &graph)?;
     let mut ingestion =
         Ingestion::with_plan(recording, preparation.inventory(), preparation.plan.clone(), &request.ingest)
             .map_err(PipelineError::from)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
-    let settings = LocalizerSettings {
-        start: request.start,
-        threads: request.threads,
-        keeps_track: request.save_map.is_some(),
-    };
+    let settings =
+        LocalizerSettings { start, threads: request.threads, keeps_track: request.save_map.is_some() };
     let mut localizer = Localizer::new(map, &preparation.options, &sensors, &settings)?;
     let mut estimates: Vec<Estimate> = Vec::new();
     let mut silences = Silences::default();
@@ -132,7 +161,7 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
         estimates,
         dimension: preparation.dimension,
         plan: preparation.plan.clone(),
-        start: request.start,
+        start,
         jumps: request.jumps,
         start_agrees: localizer.start_agrees(),
         changes: localizer.changes(),
@@ -164,6 +193,12 @@ fn load<S: MapSpace>(
 
 fn unusable(request: &LocalizeRequest, reason: KnownMapError) -> JobError {
     JobError::UnusableMap { path: request.map.clone(), reason }
+}
+
+fn start<S: Space>(request: &LocalizeRequest, map: &Map<S>) -> Result<Option<StartPose>, JobError> {
+    let Some(start) = &request.start else { return Ok(None) };
+    let no_such = |landmarks| JobError::NoSuchLandmark { path: request.map.clone(), landmarks };
+    start.in_map(&map.graph.problem().landmarks).map(Some).map_err(no_such)
 }
 
 fn check_save<M: KnownMap>(request: &LocalizeRequest) -> Result<(), JobError> {
