@@ -219,3 +219,80 @@ impl Pieces {
         parts.into_iter().filter_map(|part| Some((part, self.root(part)?))).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use portolan_config::Options;
+
+    use super::*;
+    use crate::made_rooms::{node, submap};
+    use crate::{Constraint, ConstraintTag, Planar};
+
+    const ROOM: (f32, f32) = (9.0, 7.0);
+
+    fn submap_id(index: u32) -> SubmapId {
+        SubmapId::new(TrajectoryId(0), index)
+    }
+
+    /// Three submaps of a room on a line, half a metre apart; nodes 0, 1, 2, … with a gap after each, each in a submap and
+    /// in the next one.
+    fn chain() -> PoseGraph<Planar> {
+        let mut graph = PoseGraph::new(Options::default().map_builder.pose_graph);
+        graph.load_trajectory(TrajectoryId(0), None);
+        for index in 0..3 {
+            let map_from_submap = Rigid3::translation(0.5 * f64::from(index), 0.0, 0.0);
+            graph.load_submap(submap_id(index), Arc::new(submap(ROOM)), true, map_from_submap);
+        }
+        for (index, submaps) in [(0, vec![0]), (2, vec![0, 1]), (4, vec![1, 2]), (6, vec![2])] {
+            let node_id = NodeId::new(TrajectoryId(0), index);
+            let pose = Rigid3::translation(0.2 * f64::from(index), 0.0, 0.0);
+            graph.load_node(node_id, Arc::new(node(ROOM, (0.0, 0.0))), pose);
+            for submap in submaps {
+                let loaded = graph.load_constraint(Constraint {
+                    submap_id: submap_id(submap),
+                    node_id,
+                    submap_from_node: pose,
+                    translation_weight: 1.0,
+                    rotation_weight: 1.0,
+                    tag: ConstraintTag::IntraSubmap,
+                    score: None,
+                });
+                assert!(loaded);
+            }
+        }
+        graph
+    }
+
+    #[test]
+    fn what_a_removed_submap_held_together_is_tied_as_it_lies() {
+        let mut graph = chain();
+        graph.remove_submaps(&[submap_id(1)].into());
+        let ties: Vec<&Constraint> =
+            graph.state().constraints.iter().filter(|c| c.is_loop_closure()).collect();
+        let [tie] = ties.as_slice() else { panic!("{ties:?}") };
+        assert_eq!((tie.submap_id, tie.node_id.index), (submap_id(2), 2));
+        let offset = tie.submap_from_node.translation.x;
+        assert!((offset - (0.4 - 1.0)).abs() < 1e-12, "{offset}");
+        graph.remove_submaps(&[submap_id(0), submap_id(2)].into());
+        assert!(graph.state().nodes.is_empty() && graph.state().constraints.is_empty());
+    }
+
+    #[test]
+    fn only_what_newer_submaps_show_is_replaced() {
+        let mut graph = chain();
+        let replacement = Replacement { newest: 2, least_seen: 2.0, most_alone: 0.1 };
+        let newer = TrajectoryId(1);
+        graph.load_trajectory(newer, None);
+        let far = Rigid3::translation(100.0, 0.0, 0.0);
+        graph.load_submap(SubmapId::new(newer, 0), Arc::new(submap(ROOM)), true, far);
+        assert!(graph.covered_by(newer, replacement).is_empty(), "it lies elsewhere");
+        for (index, x) in [(1, 0.0), (2, 0.5)] {
+            let pose = Rigid3::translation(x, 0.0, 0.0);
+            graph.load_submap(SubmapId::new(newer, index), Arc::new(submap(ROOM)), true, pose);
+        }
+        // Of the first and the third more than 2 m² at the ends are in the newest two that know them.
+        assert_eq!(graph.covered_by(newer, replacement), [submap_id(1)].into());
+    }
+}

@@ -136,3 +136,41 @@ impl From<Tsdf2d> for Grid2d {
         Self::Tsdf(grid)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::Vector2;
+
+    use super::*;
+
+    #[test]
+    fn cells_get_other_values_or_none() {
+        let limits = MapLimits::new(0.05, Vector2::new(1.0, 1.0), 20, 20).unwrap();
+        let [a, b, c] = [3, 4, 9].map(|x| CellIndex::new(x, 5));
+        let mut probability = ProbabilityGrid::new(limits);
+        [a, b].into_iter().for_each(|cell| assert!(probability.set_probability(cell, 0.8)));
+        let mut tsdf = Tsdf2d::new(limits, 0.3, 10.0).unwrap();
+        [a, b].into_iter().for_each(|cell| tsdf.set(cell, 0.1, 2.0));
+        tsdf.finish_update();
+        let distance = CellValue::Distance { metres: -0.1, weight: 4.0 };
+        let grids = [(Grid2d::from(probability), CellValue::Probability(0.3)), (tsdf.into(), distance)];
+        for (mut grid, value) in grids {
+            let kept = grid.value(b);
+            let new_value = |cell| match cell {
+                _ if cell == a => Some(CellValue::Unknown),
+                _ if cell == c => Some(value),
+                _ => None,
+            };
+            assert_eq!(grid.rewrite(new_value), 2);
+            assert_eq!((grid.value(a), grid.value(b)), (CellValue::Unknown, kept));
+            let near = |x: f32, y: f32| (x - y).abs() < 1e-3;
+            assert!(match (grid.value(c), value) {
+                (CellValue::Probability(x), CellValue::Probability(y)) => near(x, y),
+                (CellValue::Distance { metres, weight }, _) => near(metres, -0.1) && near(weight, 4.0),
+                _ => false,
+            });
+            assert_eq!(grid.known_cells_box(), Some(CellBox { min: b, max: c }));
+            assert!(!grid.has_pending_update());
+        }
+    }
+}
