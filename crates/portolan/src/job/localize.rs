@@ -149,7 +149,9 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     }
     let saved_map = match &request.save_map {
         Some(_) if interrupted => Some(SavedMap::Interrupted),
-        Some(wanted) => Some(wanted.save(&mut localizer, graph, ingestion.sensors(), &estimates)?),
+        Some(wanted) => {
+            Some(wanted.save(&request.map, &mut localizer, graph, ingestion.sensors(), &estimates)?)
+        }
         None => None,
     };
     issues.merge(&ingestion.issues());

@@ -3,9 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use portolan_atomic_file::AtomicFile;
+use portolan_config::Options;
 use portolan_localization::{Estimate, Grown, Growth, GrowthError, KnownMap, Localizer};
 use portolan_mapfile::{MapSpace, write_map};
 use portolan_mapping::{EndedTrajectory, Map, TrajectoryState};
+use portolan_pbstream::MapReader;
 use portolan_sensor::SensorId;
 
 use super::error::JobError;
@@ -76,9 +78,10 @@ impl SaveMap {
         JobError::Growth { path: self.path.clone(), reason }
     }
 
-    /// Lets the map grow, and writes it.
+    /// Lets the map of the file `known` grow, and writes it.
     pub(super) fn save<M: KnownMap<Space: MapSpace>>(
         &self,
+        known: &Path,
         localizer: &mut Localizer<M>,
         map: Map<M::Space>,
         sensors: Vec<SensorId>,
@@ -94,9 +97,21 @@ impl SaveMap {
         map.trajectories.insert(grown.trajectory_id, added);
         let state = map.graph.state();
         map.trajectories.retain(|id, _| state.trajectory_state(*id) != TrajectoryState::Deleted);
+        if let Some(options) = configuration(known) {
+            map.options = options;
+        }
         write_map(&map, &self.path, true)?;
         Ok(SavedMap::Written { path: self.path.clone(), grown })
     }
+}
+
+/// The configuration that a map was made with, if its file has one: it is kept, so that the map is optimised as before.
+fn configuration(known: &Path) -> Option<Options> {
+    let reader = MapReader::open(known).ok()?;
+    Some(reader.configuration())
+        .filter(|text| !text.is_empty())
+        .and_then(|text| Options::from_json(text).ok())
+        .map(|loaded| loaded.options)
 }
 
 /// Whether two names are of one file.
