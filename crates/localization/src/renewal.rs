@@ -51,6 +51,13 @@ pub struct Renewal {
     pub discovered: f64,
 }
 
+impl Renewal {
+    /// Whether the map stays as it was.
+    pub fn is_nothing(&self) -> bool {
+        self.added_submaps == 0 && self.removed_submaps == 0 && self.appeared == 0.0 && self.gone == 0.0
+    }
+}
+
 /// A cell of the plane, counted from the origin of the map.
 type Cell = (i64, i64);
 

@@ -175,7 +175,7 @@ fn saved_map(saved: &SavedMap) -> String {
             counted(grown.extension.submaps as u64, "submap", "submaps"),
             counted(grown.extension.ties as u64, "constraint", "constraints"),
         ),
-        Some(renewal) if renewal.added_submaps == 0 => {
+        Some(renewal) if renewal.is_nothing() => {
             "nothing has changed, so that the map stays as it was".to_owned()
         }
         Some(renewal) => format!(
