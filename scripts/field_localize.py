@@ -178,15 +178,16 @@ class Truth:
 
 
 class Log:
-    """A log, the map of its first half, and its truth."""
+    """A log, the map of its first half, or another share of it, and its truth."""
 
-    def __init__(self, program, name, cache):
+    def __init__(self, program, name, cache, share=0.5):
         self.program, self.name = program, name
         self.recording = data_folder() / "lidar2d" / LOGS[name]
         whole = read_tum(mapped(program, self.recording, cache / f"{name}_whole", []) / "trajectory.tum")
         self.start, self.end = whole[0][0], whole[-1][0]
-        self.half = (self.end - self.start) / 2
-        folder = mapped(program, self.recording, cache / f"{name}_half", ["--duration", self.half])
+        self.half = share * (self.end - self.start)
+        of_share = f"{name}_half" if share == 0.5 else f"{name}_{share}"
+        folder = mapped(program, self.recording, cache / of_share, ["--duration", self.half])
         self.map = folder / "map.pbstream"
         self.known = read_tum(folder / "trajectory.tum")
         self.truth = Truth(whole, self.known)

@@ -88,6 +88,20 @@ impl CellGrid {
         }
     }
 
+    /// Makes a cell unknown; the known box is left to the caller.
+    pub fn forget_cell(&mut self, cell: CellIndex) {
+        let cell = self.limits.flat_index(cell).and_then(|index| self.cells.get_mut(index));
+        cell.into_iter().for_each(|cell| *cell = UNKNOWN_CELL);
+    }
+
+    /// Makes the known box the smallest one.
+    pub fn find_known_box(&mut self) {
+        let known = full_box(&self.limits).cells().filter(|cell| self.is_known(*cell));
+        self.known_box = known.fold(None, |known: Option<CellBox>, cell| {
+            Some(known.map_or(CellBox::of(cell), |b| b.extended(cell)))
+        });
+    }
+
     /// Ends the scan: the next one may change every cell again.
     pub fn finish_update(&mut self) {
         for index in self.marked.drain(..) {

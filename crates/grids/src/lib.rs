@@ -40,7 +40,7 @@ pub use intensity::{Average, IntensityGrid};
 pub use limits::{CellBox, CellIndex, MapLimits, lround};
 pub use normals::{NormalEstimationOptions, estimate_normals, sort_by_direction};
 pub use parts::{GridParts, GridRepairs, TsdfParts};
-pub use planar::Grid2d;
+pub use planar::{CellValue, Grid2d};
 pub use probability::ProbabilityGrid;
 pub use ray::for_each_cell_on_ray;
 pub use scan_agreement::{ScanAgreement, mean_of_solid_cells, scan_agreement, score_difference};

@@ -91,6 +91,13 @@ impl Tsdf2d {
         }
     }
 
+    /// Makes a cell unknown; the known box is left to the caller.
+    pub(crate) fn forget_cell(&mut self, cell: CellIndex) {
+        self.grid.forget_cell(cell);
+        let weight = self.grid.limits.flat_index(cell).and_then(|index| self.weights.get_mut(index));
+        weight.into_iter().for_each(|weight| *weight = 0);
+    }
+
     /// Whether the current scan has changed the cell.
     pub fn is_updated(&self, cell: CellIndex) -> bool {
         self.grid.cell(cell) & UPDATE_MARKER != 0

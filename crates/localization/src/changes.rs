@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Time, Vector2};
+use portolan_grids::{CellIndex, MapLimits};
 
 use crate::change_regions::{Region, regions};
 use crate::known_cells::{Known, KnownCells};
@@ -108,15 +109,26 @@ impl ChangeGrid {
 
     /// Regions that have changed.
     pub(crate) fn changes(&self) -> Vec<Change> {
-        let of_kind = |kind| {
-            let changed = |cell: &usize| self.changed(*cell) == Some(kind);
-            let cells: BTreeSet<usize> = self.witnesses.keys().copied().filter(changed).collect();
-            regions(&cells, self.map.limits.num_x_cells() as usize)
-                .into_iter()
-                .map(move |r| self.change(kind, &r))
-        };
+        let of_kind = |kind| self.changed_regions(kind).into_iter().map(move |r| self.change(kind, &r));
+        of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone)).collect()
+    }
+
+    /// All cells of these regions.
+    pub(crate) fn changed_cells(&self) -> ChangedCells {
+        let of_kind = |kind| self.changed_regions(kind).into_iter().map(move |region| (kind, region));
         let all = of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone));
-        all.filter(|change| change.area >= LEAST_AREA).collect()
+        let cells = all.flat_map(|(kind, region)| region.cells.into_iter().map(move |cell| (cell, kind)));
+        ChangedCells { limits: self.map.limits, kinds: cells.collect() }
+    }
+
+    /// Regions that are large enough to be told.
+    fn changed_regions(&self, kind: ChangeKind) -> Vec<Region> {
+        let changed = |cell: &usize| self.changed(*cell) == Some(kind);
+        let cells: BTreeSet<usize> = self.witnesses.keys().copied().filter(changed).collect();
+        let edge = self.map.limits.resolution();
+        let mut regions = regions(&cells, self.map.limits.num_x_cells() as usize);
+        regions.retain(|region| region.cells.len() as f64 * edge * edge >= LEAST_AREA);
+        regions
     }
 
     fn witness(&mut self, cell: usize, scan: &PlacedScan) {
@@ -160,5 +172,61 @@ impl ChangeGrid {
             seen: (first.unwrap_or_default(), last.unwrap_or_default()),
             scans: u32::from(scans),
         }
+    }
+}
+
+/// Cells of the map that have changed.
+#[derive(Clone, Debug)]
+pub(crate) struct ChangedCells {
+    limits: MapLimits,
+    kinds: BTreeMap<usize, ChangeKind>,
+}
+
+impl ChangedCells {
+    /// The changed cell at a point of the map.
+    pub(crate) fn at(&self, point: &Vector2) -> Option<usize> {
+        let cell = self.limits.flat_index(self.limits.cell_index(point.cast::<f32>()))?;
+        self.kinds.contains_key(&cell).then_some(cell)
+    }
+
+    /// Whether nothing has changed.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.kinds.is_empty()
+    }
+
+    /// The cells within so many metres along each axis of those that changed so.
+    pub(crate) fn around(&self, metres: f64, is_kind: impl Fn(ChangeKind) -> bool) -> CellSet {
+        let reach = (metres / self.limits.resolution()).round() as i32;
+        let columns = (self.limits.num_x_cells() as usize).max(1);
+        let mut is_in = vec![false; self.limits.num_cells()];
+        for (cell, _) in self.kinds.iter().filter(|(_, kind)| is_kind(**kind)) {
+            let (x, y) = ((cell % columns) as i32, (cell / columns) as i32);
+            let around = (-reach..=reach).flat_map(|j| (-reach..=reach).map(move |i| (x + i, y + j)));
+            for index in around.filter_map(|(x, y)| self.limits.flat_index(CellIndex::new(x, y))) {
+                is_in[index] = true;
+            }
+        }
+        CellSet { limits: self.limits, is_in }
+    }
+
+    /// Square metres that changed so.
+    pub(crate) fn area(&self, kind: ChangeKind) -> f64 {
+        let edge = self.limits.resolution();
+        self.kinds.values().filter(|of_cell| **of_cell == kind).count() as f64 * edge * edge
+    }
+}
+
+/// A set of cells.
+#[derive(Clone, Debug)]
+pub(crate) struct CellSet {
+    limits: MapLimits,
+    is_in: Vec<bool>,
+}
+
+impl CellSet {
+    /// Whether the cell at a point of the map is in it.
+    pub(crate) fn contains(&self, point: &Vector2) -> bool {
+        let cell = self.limits.flat_index(self.limits.cell_index(point.cast::<f32>()));
+        cell.is_some_and(|cell| self.is_in[cell])
     }
 }

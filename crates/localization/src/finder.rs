@@ -25,6 +25,8 @@ const CHECK_SURE: f64 = 10.0;
 const CHECK_WAY: f64 = 3.0;
 /// Another place is better if it is in so many searches.
 const BETTER_SEARCHES: u32 = 2;
+/// A start is looked around at if its heading is known to this standard deviation, radians.
+const WIDEST_START: f64 = 1.0;
 /// Outside of the map the place is lost when its standard deviation reaches this, metres.
 const WIDEST: f64 = 2.0;
 
@@ -129,6 +131,11 @@ impl<M: KnownMap> Finder<M> {
         self.changes.as_ref().map_or_else(Vec::new, ChangeGrid::changes)
     }
 
+    /// What the map is searched with.
+    pub fn searcher(&self) -> &Searcher<M> {
+        &self.searcher
+    }
+
     /// Compares a scan whose place is known with the map.
     fn count_changes(&mut self, scan: &LocalScan, current: &Current<M::Scan>) {
         let (Some(changes), Mode::Tracking(track)) = (&mut self.changes, &self.mode) else { return };
@@ -231,7 +238,8 @@ impl<M: KnownMap> Finder<M> {
         let motion = newest.local_from_scan.inverse() * current.local_from_scan;
         let is_known = |pose: &Rigid3| known.iter().any(|place| place.is_at(&(*pose * motion)));
         let mut found = self.searcher.propose(&self.recent, &is_known);
-        if let Some(told) = &self.told {
+        // Where it may head anywhere, the search of the whole map has looked there as well.
+        if let Some(told) = self.told.as_ref().filter(|told| told.sigmas.1 <= WIDEST_START) {
             let near = told.map_from_scan * told.local_from_scan.inverse() * newest.local_from_scan;
             let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
             let map = &self.searcher.map;

@@ -2,13 +2,14 @@
 
 use portolan_geometry::Rigid3;
 use portolan_grids::{GridError, ScanAgreement};
-use portolan_mapping::{NodeData, Space};
+use portolan_mapping::{NodeData, PoseGraph, Space, TrajectoryId};
 use portolan_matching::MatcherOptionError;
 use portolan_sensor::PointCloud;
 
 use crate::belief::{Freedom, Matrix6};
 use crate::changes::ChangeGrid;
 use crate::recent::RecentScans;
+use crate::renewal::Renewal;
 
 /// Why a map cannot be localised in.
 #[derive(Debug, thiserror::Error)]
@@ -70,6 +71,9 @@ pub trait KnownMap: Sized + Send + Sync {
     /// a search costs, so that a recording is localised no slower than it was made.
     const LONGEST_PAUSE: f64;
 
+    /// Whether such maps can be renewed.
+    const RENEWS: bool;
+
     /// The frame of a scan in the local map.
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3;
     /// The points that a node keeps, in the tracking frame.
@@ -86,6 +90,11 @@ pub trait KnownMap: Sized + Send + Sync {
     fn find(&self, scan: &Self::Scan, guess: &Rigid3, window: Window) -> ScanMatch;
     /// What the map says to a scan at a pose.
     fn agreement(&self, scan: &Self::Scan, pose: &Rigid3) -> ScanAgreement;
+    /// Renews the pose graph that holds this map by a trajectory that was localised in it and added to it; none if that is
+    /// not done in such maps.
+    fn renew(&self, _graph: &mut PoseGraph<Self::Space>, _new: TrajectoryId) -> Option<Renewal> {
+        None
+    }
     /// Where scans are compared with the map cell by cell; none if that is not done in such maps.
     fn change_grid(&self) -> Option<ChangeGrid>;
 }

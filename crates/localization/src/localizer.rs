@@ -5,11 +5,14 @@ use std::collections::BTreeSet;
 use portolan_config::Options;
 use portolan_geometry::Rigid3;
 use portolan_issue::IssueLog;
-use portolan_mapping::{LocalSlam, MapperError, MatchingResult, SensorCollation, Space, TrajectoryId};
+use portolan_mapping::{
+    LocalSlam, LocalTrack, MapperError, MatchingResult, PoseGraph, SensorCollation, Space, TrajectoryId,
+};
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
 use crate::changes::Change;
 use crate::finder::{Finder, LocalScan};
+use crate::growth::{Grown, Growth, GrowthError, grow};
 use crate::known_map::KnownMap;
 use crate::search::Searcher;
 use crate::state::Estimate;
@@ -39,6 +42,8 @@ pub struct LocalizerSettings {
     pub start: Option<StartPose>,
     /// Threads for searching; 0 for as many as there are cores. What is found does not depend on it.
     pub threads: usize,
+    /// Whether what local SLAM makes of the recording is kept, to be added to the map; memory then grows with time.
+    pub keeps_track: bool,
 }
 
 /// Why localisation cannot begin, or go on.
@@ -59,6 +64,7 @@ pub struct Localizer<M: KnownMap> {
     collation: SensorCollation,
     local_slam: <M::Space as Space>::LocalSlam,
     finder: Finder<M>,
+    track: Option<LocalTrack<M::Space>>,
 }
 
 /// The one trajectory.
@@ -85,6 +91,7 @@ impl<M: KnownMap> Localizer<M> {
             collation,
             local_slam: M::Space::new_local_slam(options, &ranges)?,
             finder: Finder::new(searcher, start),
+            track: settings.keeps_track.then(LocalTrack::default),
         })
     }
 
@@ -101,7 +108,26 @@ impl<M: KnownMap> Localizer<M> {
             ready.into_iter().flat_map(|(_, id, measurement)| self.dispatch(&id, measurement)).collect();
         let late = self.local_slam.flush();
         estimates.extend(self.find(late));
+        if let Some(track) = &mut self.track {
+            track.finish(&self.local_slam.finish());
+        }
         estimates
+    }
+
+    /// Adds what was localised to the pose graph that holds the map, as one more trajectory; after [`Localizer::finish`], if
+    /// the track was to be kept. `estimates` are all that it gave. Nothing of the graph changes if that is not possible.
+    ///
+    /// # Errors
+    /// If nothing was localised surely enough to be added, or the map cannot be renewed.
+    pub fn grow(
+        &mut self,
+        graph: &mut PoseGraph<M::Space>,
+        estimates: &[Estimate],
+        growth: Growth,
+    ) -> Result<Grown, GrowthError> {
+        let track = self.track.take().unwrap_or_default();
+        let searcher = self.finder.searcher();
+        searcher.pool.install(|| grow(&searcher.map, graph, track, estimates, growth))
     }
 
     /// What was dropped or repaired so far.
@@ -127,6 +153,9 @@ impl<M: KnownMap> Localizer<M> {
             Measurement::Odometry(data) => self.local_slam.add_odometry_data(&data),
             Measurement::Imu(data) => {
                 self.local_slam.add_imu_data(&data);
+                if let Some(track) = &mut self.track {
+                    track.add_imu(&data);
+                }
                 Vec::new()
             }
             Measurement::FixedFramePose(_) | Measurement::Landmark(_) => Vec::new(),
@@ -135,15 +164,19 @@ impl<M: KnownMap> Localizer<M> {
     }
 
     fn find(&mut self, matched: Vec<MatchingResult<M::Space>>) -> Vec<Estimate> {
-        let finder = &mut self.finder;
+        let (finder, track) = (&mut self.finder, &mut self.track);
         let find = |scan: MatchingResult<M::Space>| {
-            finder.add(&LocalScan {
+            let estimate = finder.add(&LocalScan {
                 time: scan.time,
                 local_from_tracking: scan.local_from_tracking,
                 returns: &scan.range_data_in_local.returns,
                 origin: scan.range_data_in_local.origin,
-                begins_anew: scan.lost.is_some_and(|lost| lost.bridge.is_none()),
-            })
+                begins_anew: scan.lost.as_ref().is_some_and(|lost| lost.bridge.is_none()),
+            });
+            if let Some(track) = track {
+                track.add(&scan, estimate.placement());
+            }
+            estimate
         };
         matched.into_iter().map(find).collect()
     }

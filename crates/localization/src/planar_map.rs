@@ -80,6 +80,11 @@ impl PlanarMap {
         self.grid.limits().resolution()
     }
 
+    /// Whether it knows anything at a point.
+    pub(crate) fn knows(&self, point: &Vector2) -> bool {
+        self.grid.is_known(self.grid.limits().cell_index(point.cast::<f32>()))
+    }
+
     /// How much of the plane the map knows.
     pub fn known_square_metres(&self) -> f64 {
         self.known_square_metres

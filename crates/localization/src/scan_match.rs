@@ -3,6 +3,7 @@
 use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
 use portolan_grids::{ScanAgreement, scan_agreement};
 use portolan_mapping::{NodeData, Planar};
+use portolan_mapping::{PoseGraph, TrajectoryId};
 use portolan_matching::{GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, WantedPlaces};
 use portolan_sensor::PointCloud;
 
@@ -13,6 +14,7 @@ use crate::known_map::{KnownMap, ScanMatch, Window};
 use crate::planar_map::PlanarMap;
 use crate::planar_scan::{PlanarJoint, PlanarScan};
 use crate::recent::RecentScans;
+use crate::renewal::{Renewal, renew};
 
 /// Descent that leaves the place which the search found is not believed beyond this, metres and radians.
 const FARTHEST_DESCENT: f64 = 0.25;
@@ -73,6 +75,7 @@ impl KnownMap for PlanarMap {
     type Scan = PlanarScan;
     type Joint = PlanarJoint;
     const FREEDOM: Freedom = Freedom::Plane;
+    const RENEWS: bool = true;
     const LONGEST_PAUSE: f64 = 1.0;
 
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
@@ -112,6 +115,10 @@ impl KnownMap for PlanarMap {
 
     fn agreement(&self, scan: &PlanarScan, pose: &Rigid3) -> ScanAgreement {
         scan_agreement(&self.grid, &project_2d(pose), &scan.cloud).unwrap_or_default()
+    }
+
+    fn renew(&self, graph: &mut PoseGraph<Planar>, new: TrajectoryId) -> Option<Renewal> {
+        Some(renew(graph, new, self))
     }
 
     fn change_grid(&self) -> Option<ChangeGrid> {

@@ -254,6 +254,7 @@ impl KnownMap for SpatialMap {
     type Scan = SpatialScan;
     type Joint = SpatialJoint;
     const FREEDOM: Freedom = Freedom::Space;
+    const RENEWS: bool = false;
     const LONGEST_PAUSE: f64 = 3.0;
 
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {

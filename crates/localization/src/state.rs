@@ -5,8 +5,10 @@ use std::fmt;
 use nalgebra::Matrix3;
 use portolan_geometry::{Rigid3, Time};
 use portolan_grids::ScanAgreement;
+use portolan_mapping::Placement;
 
 use crate::belief::Matrix6;
+use crate::changes::CERTAIN_PLACE;
 
 /// What is known of the place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -116,4 +118,18 @@ pub struct Estimate {
     pub local_from_tracking: Rigid3,
     /// The place; the most likely one where the state is tentative, none while there is none.
     pub place: Option<Place>,
+}
+
+impl Estimate {
+    /// What a node of this scan is worth for the map.
+    pub(crate) fn placement(&self) -> Placement {
+        let Some(place) = self.place.filter(|_| self.state == State::Localised) else {
+            return Placement::Unknown;
+        };
+        let worst = place.covariance.fixed_view::<3, 3>(0, 0).symmetric_eigenvalues().max();
+        match worst.max(0.0).sqrt() <= CERTAIN_PLACE {
+            true => Placement::Found(place.map_from_tracking),
+            false => Placement::Carried(place.map_from_tracking),
+        }
+    }
 }

@@ -5,6 +5,7 @@ mod backend;
 mod collation;
 mod histogram;
 mod local_slam;
+mod local_track;
 #[cfg(test)]
 mod made_rooms;
 mod map;
@@ -21,6 +22,7 @@ mod spatial;
 pub use backend::{BackendProgress, MapperError};
 pub use collation::{Ready, SensorCollation};
 pub use local_slam::{ActiveSubmaps, LocalSlam, Lost, MatchingResult};
+pub use local_track::{LocalTrack, Placement, TrackedNode};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings};
 pub use node::{Node, NodeData};
@@ -34,9 +36,9 @@ pub use portolan_optimization::{
     Constraint, ConstraintTag, IndexedId, NodeId, OpenDirections, SubmapId, TrajectoryId, of_trajectory,
 };
 pub use pose_graph::{
-    GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap, LoopSearchPolicy, PoseGraph,
-    PoseGraphPolicy, SearchCounts, SelfConsistency, SubmapEntry, TrajectoryEntry, TrajectoryState,
-    TrimmedNode, TrimmedTies, Trimmer,
+    CellFate, Coverage, Extension, GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap,
+    LoopSearchPolicy, PoseGraph, PoseGraphPolicy, Replacement, SearchCounts, SelfConsistency, SubmapEntry,
+    TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedTies, Trimmer,
 };
 pub use space::{MatchAcceptance, MatchedPose, Nearby, PlaceFinder, SearchRegion, Space};
 pub use spatial::{Spatial, SpatialMatcher};

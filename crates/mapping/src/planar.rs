@@ -84,12 +84,19 @@ impl Space for Planar {
     }
 
     fn redrawn(submap: &Submap2d, nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>) -> Option<Submap2d> {
+        Self::drawn_from(submap, nodes).filter(|redrawn| redrawn.num_range_data == submap.num_range_data)
+    }
+
+    fn drawn_from(
+        submap: &Submap2d,
+        nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>,
+    ) -> Option<Submap2d> {
         let scan = |(node, submap_from_node): (&NodeData, Rigid3)| {
             let local_from_node = submap.local_from_submap * submap_from_node;
             let scan = node.scan.as_ref()?;
             Some((scan.range_data(&to_f32(&local_from_node)), scan.beam_spacing()))
         };
-        submap.redrawn(nodes.map(scan).collect::<Option<Vec<_>>>()?)
+        submap.drawn_from(nodes.map(scan).collect::<Option<Vec<_>>>()?)
     }
 
     fn agreement(submap: &Submap2d, node: &NodeData, submap_from_node: &Rigid3) -> Option<ScanAgreement> {

@@ -163,6 +163,15 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
         None
     }
 
+    /// A submap at the place of this one, drawn from the scans of some of its nodes, each at its pose in the submap; none where
+    /// [`Space::redrawn`] gives none.
+    fn drawn_from(
+        _submap: &Self::Submap,
+        _nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>,
+    ) -> Option<Self::Submap> {
+        None
+    }
+
     /// How the submap agrees with the scan of a node at a pose in it; none where it knows nothing of the place, and in 3D.
     fn agreement(
         _submap: &Self::Submap,

@@ -55,6 +55,7 @@ fn request(map: &Path) -> LocalizeRequest {
         requested: RequestedOptions::default(),
         start: None,
         jumps: None,
+        save_map: None,
         threads: 1,
     }
 }

@@ -33,6 +33,7 @@ pub mod register;
 mod report;
 mod results;
 mod room;
+mod saved_map;
 mod xray;
 
 use std::ops::ControlFlow;
@@ -59,13 +60,14 @@ use journal::{Identity, Journal, Resumed};
 pub use known_map::KnownMaps;
 pub use last_pose::{LastPoseError, last_pose};
 pub use localisation::{Localisation, Place};
-pub use localize::{LocalizeRequest, localize};
+pub use localize::{LocalizeRequest, Start, localize};
 pub use localized::{Found, LOCALIZED_FILES, LocalizedRecording, StateCount, write_localized};
 pub use map_cloud::{CloudRequest, CloudResults, write_clouds};
 pub use memory::resident_and_peak_bytes;
 pub use output_folder::{MANIFEST, OutputFolder, Stale};
 pub use read_cloud::{ReadCloud, read_cloud, read_cloud_from};
 pub use results::{ResultFiles, ResultSpace, add_to_report, write_results};
+pub use saved_map::{SaveMap, SavedMap, is_same_file};
 
 use crate::RequestedOptions;
 use crate::automatic::search_in_known_map;

@@ -5,13 +5,15 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use portolan::RequestedOptions;
+use portolan::config::Options;
 use portolan::geometry::{Duration, Rigid3, Time, Vector3, rotation_angle};
 use portolan::ingest::IngestOptions;
 use portolan::job::{
-    Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder,
+    Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder, Start,
     examine_map, localize, map, unobserved, write_localized,
 };
 use portolan::localization::{Change, ChangeKind, KnownMapError, PlanarMap, Reason, StartPose, State};
+use portolan::mapfile::{MapLoadSettings, read_map_2d, write_map_2d};
 use portolan::mapping::{GraphState, Planar};
 use portolan::recording::{Recording, create, open_all};
 use portolan::simulator::{ScenarioOptions, Simulation};
@@ -73,12 +75,13 @@ fn request(map: &Path) -> LocalizeRequest {
         requested: RequestedOptions::default(),
         start: None,
         jumps: None,
+        save_map: None,
         threads: 1,
     }
 }
 
 fn find(recording: &dyn Recording, start: Option<StartPose>) -> LocalizedRecording {
-    let request = LocalizeRequest { start, ..request(&known().map()) };
+    let request = LocalizeRequest { start: start.map(Start::At), ..request(&known().map()) };
     localize(recording, &request, &mut unobserved).unwrap()
 }
 
@@ -129,6 +132,29 @@ fn a_wrong_start_costs_seconds() {
     assert!(corrected.found_after_seconds().unwrap() < 10.0, "{:?}", corrected.found_after_seconds());
     let errors = known().errors(&today, &corrected);
     assert!(errors.iter().all(|e| e.1 < 0.2 && e.2 < 0.1), "{errors:?}");
+}
+
+#[test]
+fn a_landmark_of_the_map_is_a_start_like_any_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.pbstream");
+    let today = drive(1, 2, 20.0);
+    let at_start = known().truth(&today, today.start_time());
+    let mut loaded = read_map_2d(known().map(), &MapLoadSettings::default()).unwrap();
+    let turned = Rigid3::new(Vector3::new(0.5, 0.5, 0.0), Vector3::z() * 2.0);
+    loaded.graph.set_landmark_pose("dock", at_start * turned, true);
+    loaded.graph.set_landmark_pose("gate", Rigid3::translation(40.0, 0.0, 0.0) * at_start, true);
+    write_map_2d(&loaded.into_map(Options::default()), &path, true).unwrap();
+    let start = |name: &str| {
+        let name = name.to_owned();
+        let start = Some(Start::Landmark { name, sigma_metres: 2.0, sigma_radians: std::f64::consts::PI });
+        localize(&today, &LocalizeRequest { start, ..request(&path) }, &mut unobserved)
+    };
+    let found = start("dock").unwrap();
+    assert_eq!((found.found(), found.start_agrees), (Found::Throughout, Some(true)));
+    assert_eq!(start("gate").unwrap().start_agrees, Some(false));
+    let error = start("door").err().unwrap().to_string();
+    assert!(error.contains("no such landmark; it has dock, gate"), "{error}");
 }
 
 #[test]

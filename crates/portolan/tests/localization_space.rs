@@ -7,10 +7,11 @@ use portolan::RequestedOptions;
 use portolan::geometry::{Rigid3, Vector3, rotation_angle};
 use portolan::ingest::IngestOptions;
 use portolan::job::{
-    Found, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder, localize, map,
-    unobserved, write_localized,
+    Found, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder, SaveMap, SavedMap,
+    Start, localize, map, unobserved, write_localized,
 };
-use portolan::localization::{KnownMapError, SpatialMap, StartPose, State};
+use portolan::localization::{Growth, KnownMapError, SpatialMap, StartPose, State};
+use portolan::mapfile::{MapLoadSettings, read_map};
 use portolan::mapping::{GraphState, Spatial};
 use portolan::simulator::{Scenario3dOptions, Simulation3d};
 use portolan::worlds::three_d::Scene3d;
@@ -62,12 +63,14 @@ impl Known {
             requested: RequestedOptions::default(),
             start: None,
             jumps: None,
+            save_map: None,
             threads: 2,
         }
     }
 
     fn find(&self, walk: &Simulation3d, start: Option<StartPose>) -> LocalizedRecording {
-        localize(walk, &LocalizeRequest { start, ..self.request() }, &mut unobserved).unwrap()
+        localize(walk, &LocalizeRequest { start: start.map(Start::At), ..self.request() }, &mut unobserved)
+            .unwrap()
     }
 
     /// Metres and radians by which localised poses are off.
@@ -107,6 +110,30 @@ fn walks_are_found_without_a_start() {
         let elsewhere = known.find(&elsewhere, None);
         assert_eq!(elsewhere.found(), Found::Never, "{scene:?}: {:?}", elsewhere.state_counts());
     }
+}
+
+#[test]
+fn a_walk_becomes_a_trajectory_of_the_map_which_cannot_be_renewed() {
+    let known = Known::new(Scene3d::Museum, 40.0);
+    let today = walk(Scene3d::Museum, 1, 2, 25.0);
+    let folder = tempfile::tempdir().unwrap();
+    let request = |growth| {
+        let save_map = Some(SaveMap { path: folder.path().join("both.pbstream"), growth });
+        LocalizeRequest { save_map, ..known.request() }
+    };
+    let error = localize(&today, &request(Growth::Renew), &mut unobserved).err().unwrap();
+    assert!(error.to_string().contains("maps in 3D cannot be renewed"), "{error}");
+    let found = localize(&today, &request(Growth::Extend), &mut unobserved).unwrap();
+    let Some(SavedMap::Written { path, grown }) = found.saved_map else { panic!("{:?}", found.saved_map) };
+    assert!(grown.extension.ties > 5 && grown.extension.median_correction < 0.1, "{grown:?}");
+    let both = read_map::<Spatial>(path, &MapLoadSettings::default()).unwrap();
+    let new = both.graph.state().nodes.iter().filter(|(id, _)| id.trajectory_id == grown.trajectory_id);
+    let errors = new.map(|(_, node)| {
+        let truth = known.world_from_map.inverse() * today.truth_at(node.data.time).unwrap();
+        (truth.inverse() * node.map_from_tracking).translation.vector.norm()
+    });
+    let errors: Vec<f64> = errors.collect();
+    assert!(errors.len() > 10 && errors.iter().all(|e| *e < 0.3), "{errors:?}");
 }
 
 #[test]

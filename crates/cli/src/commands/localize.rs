@@ -1,15 +1,16 @@
 //! `portolan localize`: where a recording was taken in a saved map.
 
+use std::f64::consts::PI;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use portolan::job::{
-    Event, Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, last_pose,
-    localize, write_localized,
+    Event, Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, SaveMap,
+    SavedMap, Start, is_same_file, last_pose, localize, write_localized,
 };
 use portolan_geometry::Rigid3;
-use portolan_localization::{ChangeKind, Jumps, StartPose, State};
+use portolan_localization::{ChangeKind, Growth, Jumps, StartPose, State};
 use portolan_recording::{Recording, open_all};
 
 use super::argument::{start_pose, start_sigma};
@@ -22,14 +23,15 @@ use crate::progress::Progress;
 
 /// Find a recording in a saved map, scan by scan: where it was, how sure that is, and when it was lost.
 ///
-/// The place is searched in the whole map; nothing of the map changes, and memory does not grow with time. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
+/// The place is searched in the whole map; the map's file stays as it is, and memory does not grow with time. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
 /// reason and covariance, `path.png` the path in the map coloured by state (green localised, orange uncertain, violet
 /// dots tentative), `changes.geojson` in 2D the places that have changed since the map was made, `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan localize house/map.pbstream today.bag -o today\n  \
     portolan localize house/map.pbstream today.bag --start 3.5,-2,90\n  \
     portolan localize house/map.pbstream today.bag --start 3.5,-2,90 --start-sigma 2,45\n  \
-    portolan localize house/map.pbstream today.bag --start-from yesterday/poses.csv")]
+    portolan localize house/map.pbstream today.bag --start-from yesterday/poses.csv\n  \
+    portolan localize house/map.pbstream today.bag --update house/map_today.pbstream")]
 pub struct LocalizeArgs {
     /// The map: a .pbstream of Portolan or Cartographer.
     #[arg(value_name = "MAP.pbstream")]
@@ -48,10 +50,15 @@ pub struct LocalizeArgs {
     #[arg(long, value_name = "X,Y,YAW", value_parser = start_pose, allow_hyphen_values = true)]
     pub start: Option<Rigid3>,
 
-    /// How well the start is known: standard deviations in metres and degrees.
-    #[arg(long, value_name = "METRES[,DEGREES]", requires = "start", value_parser = start_sigma,
-        default_value = "0.5,10", allow_hyphen_values = true)]
-    pub start_sigma: (f64, f64),
+    /// Start at a landmark of the map, by its name (a wrong one lists them), heading anywhere. A start like any other.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["start", "start_from"])]
+    pub start_landmark: Option<String>,
+
+    /// How well the start is known: standard deviations in metres and degrees. Default: 0.5,10; at a landmark 2,180. With fewer
+    /// degrees it heads as the landmark does.
+    #[arg(long, value_name = "METRES[,DEGREES]", value_parser = start_sigma, allow_hyphen_values = true,
+        conflicts_with = "start_from")]
+    pub start_sigma: Option<(f64, f64)>,
 
     /// Write over files in the folder that no earlier `localize` wrote.
     #[arg(long)]
@@ -65,6 +72,16 @@ pub struct LocalizeArgs {
     /// once (immediate), or jumps to another place only when it was confirmed for 2 s (hold).
     #[arg(long, value_name = "POLICY", value_enum)]
     pub jumps: Option<JumpPolicy>,
+
+    /// Also write the map with this recording as one more trajectory, where it was localised without a doubt. The rest of the
+    /// map stays as it is. No file where it was not localised so (exit code 4).
+    #[arg(long, value_name = "FILE.pbstream")]
+    pub save_map: Option<PathBuf>,
+
+    /// Also write the map brought up to date: what this recording shows to be gone has faded, what is new has appeared, and
+    /// submaps that it covers are replaced, so that the file grows with the area and not with time (2D). May be the map itself.
+    #[arg(long, value_name = "FILE.pbstream", conflicts_with = "save_map")]
+    pub update: Option<PathBuf>,
 
     #[command(flatten)]
     pub sensors: SensorArgs,
@@ -108,6 +125,7 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         requested,
         start: start(args)?,
         jumps: args.jumps.map(Jumps::from),
+        save_map: save_map(args)?,
         threads: global.threads,
     };
     let saving = Saving::begin();
@@ -117,7 +135,9 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     let files = write_localized(&localized, &folder, seconds, &mut remarks(global))?;
     drop(saving);
     print_summary(&summary(&localized, &files, seconds));
+    let is_refused = matches!(localized.saved_map, Some(SavedMap::Refused(_)));
     Ok(match localized.found() {
+        _ if is_refused => Outcome::Untrusted,
         Found::Never => Outcome::Untrusted,
         Found::InParts => Outcome::DataLost,
         Found::Throughout if localized.issues.lost_data() => Outcome::DataLost,
@@ -125,13 +145,72 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     })
 }
 
-/// The start that somebody told, or that of the run before.
-fn start(args: &LocalizeArgs) -> Result<Option<StartPose>, CliError> {
-    if let Some(path) = &args.start_from {
-        return Ok(Some(last_pose(path)?));
+/// The map that is wanted.
+fn save_map(args: &LocalizeArgs) -> Result<Option<SaveMap>, CliError> {
+    let (path, growth) = match (&args.save_map, &args.update) {
+        (Some(path), _) => (path, Growth::Extend),
+        (None, Some(path)) => (path, Growth::Renew),
+        (None, None) => return Ok(None),
+    };
+    if args.recordings.iter().any(|recording| is_same_file(recording, path)) {
+        return Err(CliError::Usage(format!(
+            "{}: this is a recording, which the map would replace: name another file",
+            path.display()
+        )));
     }
-    let (sigma_metres, sigma_radians) = args.start_sigma;
-    Ok(args.start.map(|map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians }))
+    Ok(Some(SaveMap { path: path.clone(), growth }))
+}
+
+/// What became of the map that was wanted, for people.
+fn saved_map(saved: &SavedMap) -> String {
+    let (path, grown) = match saved {
+        SavedMap::Refused(reason) => return format!("NO map was written: {reason}\n"),
+        SavedMap::Interrupted => return "NO map was written: interrupted\n".to_owned(),
+        SavedMap::Written { path, grown } => (path, grown),
+    };
+    let nodes = format!("{} of {} nodes were localised without a doubt", grown.trusted_nodes, grown.nodes);
+    let what = match &grown.renewal {
+        None => format!(
+            "{} added, tied to the map by {}",
+            counted(grown.extension.submaps as u64, "submap", "submaps"),
+            counted(grown.extension.ties as u64, "constraint", "constraints"),
+        ),
+        Some(renewal) if renewal.is_nothing() => {
+            "nothing has changed, so that the map stays as it was".to_owned()
+        }
+        Some(renewal) => format!(
+            "{:.2} m² appeared, {:.2} m² gone, {:.0} m² new: {} added, {} removed",
+            renewal.appeared,
+            renewal.gone,
+            renewal.discovered,
+            counted(renewal.added_submaps as u64, "submap", "submaps"),
+            renewal.removed_submaps,
+        ),
+    };
+    format!("{nodes}; {what}\n{}\n", path.display())
+}
+
+/// Standard deviations of starts of which nothing more is said, metres and radians.
+const SIGMAS_AT_POSE: (f64, f64) = (0.5, 10.0 * PI / 180.0);
+const SIGMAS_AT_LANDMARK: (f64, f64) = (2.0, PI);
+
+/// The start that somebody told, or that of the run before.
+fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
+    if let Some(path) = &args.start_from {
+        return Ok(Some(Start::At(last_pose(path)?)));
+    }
+    if let Some(name) = &args.start_landmark {
+        let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_LANDMARK);
+        return Ok(Some(Start::Landmark { name: name.clone(), sigma_metres, sigma_radians }));
+    }
+    if args.start_sigma.is_some() && args.start.is_none() {
+        return Err(CliError::Usage(
+            "--start-sigma is of --start or --start-landmark: say one of them".to_owned(),
+        ));
+    }
+    let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_POSE);
+    let pose = |map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians };
+    Ok(args.start.map(|map_from_tracking| Start::At(pose(map_from_tracking))))
 }
 
 fn localize_with_progress(
@@ -203,6 +282,9 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
     }
     if localized.interrupted {
         text += "interrupted: stopped before the end of the recording; what was found is saved\n";
+    }
+    if let Some(saved) = &localized.saved_map {
+        text += &saved_map(saved);
     }
     for file in files {
         text += &format!("{}\n", file.display());

@@ -8,15 +8,18 @@
 mod agreement;
 mod contradictions;
 mod editing;
+mod extension;
 mod final_search;
 mod gaps;
 mod insertion;
 mod joining;
 mod localisation;
 mod matcher_cache;
+mod patching;
 mod places;
 mod policy;
 mod redrawing;
+mod renewing;
 mod sampling;
 mod search;
 mod self_consistency;
@@ -30,8 +33,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use agreement::WaitingMatches;
+pub use extension::Extension;
 pub use insertion::{InsertedNode, InsertionSubmap};
+pub use patching::CellFate;
 pub use policy::{LoopSearchPolicy, PoseGraphPolicy};
+pub use renewing::{Coverage, Replacement};
 pub use search::SearchCounts;
 pub use self_consistency::SelfConsistency;
 pub use state::{
@@ -339,7 +345,9 @@ impl<S: Space> PoseGraph<S> {
         self.state.optimized_submaps.clone_from(&self.problem.submaps);
         let moved: BTreeMap<_, _> =
             old.iter().map(|(id, old)| (*id, self.state.map_from_local(*id) * old.inverse())).collect();
-        for (id, node) in &mut self.state.nodes {
+        // Frozen ones did not move; turning their poses back and forth would change the last bits.
+        let frozen = &self.problem.frozen;
+        for (id, node) in self.state.nodes.iter_mut().filter(|(id, _)| !frozen.contains(&id.trajectory_id)) {
             if let Some(optimized) = self.problem.nodes.get(id) {
                 node.map_from_tracking =
                     S::tracking_pose(&optimized.map_from_node, &optimized.gravity_alignment);

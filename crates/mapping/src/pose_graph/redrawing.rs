@@ -27,7 +27,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    fn redrawn(&self, id: SubmapId) -> Option<S::Submap> {
+    pub(super) fn redrawn(&self, id: SubmapId) -> Option<S::Submap> {
         let entry = self.state.submaps.get(&id)?;
         let submap_from_map = self.problem.submaps.get(&id)?.inverse();
         let mut nodes = entry.node_ids.iter().filter_map(|node_id| {

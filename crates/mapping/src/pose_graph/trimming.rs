@@ -39,6 +39,21 @@ impl Trimmer {
     }
 }
 
+/// How many cells of each submap are seen.
+pub(super) struct SeenAreas {
+    pub cells: BTreeMap<SubmapId, u64>,
+    /// Edge of a cell, metres.
+    pub cell_size: f64,
+}
+
+impl SeenAreas {
+    /// Whether less than an area of a submap is seen, square metres.
+    pub fn too_little(&self, id: &SubmapId, area: f64) -> bool {
+        let needed = (area / (self.cell_size * self.cell_size)).floor().max(1.0);
+        (self.cells.get(id).copied().unwrap_or(0) as f64) < needed
+    }
+}
+
 impl<S: Space> PoseGraph<S> {
     pub(super) fn run_trimmers(&mut self) {
         let trimmers = std::mem::take(&mut self.trimmers);
@@ -106,38 +121,42 @@ impl<S: Space> PoseGraph<S> {
         freshness: &BTreeMap<SubmapId, Option<Time>>,
         options: &OverlappingSubmapsTrimmer2dOptions,
     ) -> Vec<SubmapId> {
-        let cell_size_of = |id| self.state.submaps.get(id)?.submap.as_ref().map(|s| S::cell_size(s));
-        let Some(cell_size) = freshness.keys().find_map(cell_size_of) else {
+        let mut freshest_first: Vec<(Time, SubmapId)> =
+            freshness.iter().filter_map(|(id, time)| Some(((*time)?, *id))).collect();
+        freshest_first.sort_unstable_by(|a, b| b.cmp(a));
+        let freshest_first = freshest_first.into_iter().map(|(_, id)| id);
+        let Some(seen) = self.areas_seen(freshest_first, options.fresh_submaps_count) else {
             return Vec::new();
         };
-        let mut coverage: HashMap<(i64, i64), Vec<(Time, SubmapId)>> = HashMap::new();
-        for (id, time) in freshness {
-            let Some(time) = time else { continue };
-            // Where coverage is not defined nothing is covered.
-            let Some(cells) = self.covered_cells(*id, cell_size) else { return Vec::new() };
-            for cell in cells {
-                coverage.entry(cell).or_default().push((*time, *id));
+        let is_hidden = |id: &&SubmapId| seen.too_little(id, options.min_covered_area);
+        freshness.keys().filter(is_hidden).copied().collect()
+    }
+
+    /// How much of each submap is seen if every cell of the map counts for the first so many that know it; none where
+    /// coverage is not defined.
+    pub(super) fn areas_seen(
+        &self,
+        freshest_first: impl Iterator<Item = SubmapId> + Clone,
+        counted: usize,
+    ) -> Option<SeenAreas> {
+        let cell_size_of = |id| self.state.submaps.get(&id)?.submap.as_ref().map(|s| S::cell_size(s));
+        let cell_size = freshest_first.clone().find_map(cell_size_of)?;
+        let mut taken: HashMap<(i64, i64), usize> = HashMap::new();
+        let mut cells: BTreeMap<SubmapId, u64> = BTreeMap::new();
+        for id in freshest_first {
+            let mut seen = 0;
+            for cell in self.covered_cells(id, cell_size)? {
+                let taken = taken.entry(cell).or_default();
+                seen += u64::from(*taken < counted);
+                *taken += 1;
             }
+            cells.insert(id, seen);
         }
-        let counted = options.fresh_submaps_count;
-        let mut cells_of: BTreeMap<SubmapId, u64> = BTreeMap::new();
-        // The order of cells does not matter: only their number per submap does.
-        for submaps in coverage.values_mut() {
-            submaps.sort_unstable_by(|a, b| b.cmp(a));
-            for (_, id) in submaps.iter().take(counted) {
-                *cells_of.entry(*id).or_default() += 1;
-            }
-        }
-        let needed = options.min_covered_area / (cell_size * cell_size);
-        freshness
-            .keys()
-            .filter(|id| (cells_of.get(id).copied().unwrap_or(0) as f64) < needed.floor().max(1.0))
-            .copied()
-            .collect()
+        Some(SeenAreas { cells, cell_size })
     }
 
     /// Cells of the global map that the submap knows; `None` in spaces without such cells.
-    fn covered_cells(&self, id: SubmapId, cell_size: f64) -> Option<BTreeSet<(i64, i64)>> {
+    pub(super) fn covered_cells(&self, id: SubmapId, cell_size: f64) -> Option<BTreeSet<(i64, i64)>> {
         let submap = self.state.submaps.get(&id).and_then(|entry| entry.submap.as_ref());
         let (Some(submap), Some(map_from_submap)) = (submap, self.state.optimized_submaps.get(&id)) else {
             return Some(BTreeSet::new());

@@ -6,7 +6,7 @@ use portolan_atomic_file::{AtomicFile, NoRoom, WriteError};
 use portolan_config::ConfigError;
 use portolan_export::PictureError;
 use portolan_ingest::IngestError;
-use portolan_localization::{KnownMapError, LocalizerError};
+use portolan_localization::{GrowthError, KnownMapError, LocalizerError};
 use portolan_mapfile::{EditError, MapConversionError, PaintError};
 use portolan_pointcloud::CloudError;
 use portolan_recording::RecordingError;
@@ -46,6 +46,22 @@ pub enum JobError {
         path: PathBuf,
         /// Why.
         reason: KnownMapError,
+    },
+    /// A landmark that a map does not have.
+    #[error("{}: the map has no such landmark; it has {}", path.display(), names(landmarks))]
+    NoSuchLandmark {
+        /// The map.
+        path: PathBuf,
+        /// Those that it has.
+        landmarks: Vec<String>,
+    },
+    /// A map that cannot become what is wanted.
+    #[error("{}: {reason}", path.display())]
+    Growth {
+        /// The file that was to be written.
+        path: PathBuf,
+        /// Why.
+        reason: GrowthError,
     },
     /// A map in 3D whose places were to be examined.
     #[error("{}: this map is in 3D; places are examined in 2D only", .0.display())]
@@ -157,15 +173,21 @@ impl JobError {
     }
 }
 
+/// The first of some names.
+fn names(all: &[String]) -> String {
+    if all.is_empty() {
+        return "none".to_owned();
+    }
+    let more = if all.len() > NAMED { format!(" and {} more", all.len() - NAMED) } else { String::new() };
+    format!("{}{more}", all.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", "))
+}
+
 /// Files that are named one by one.
 const NAMED: usize = 5;
 
 /// Files of a folder, in words.
 pub(super) fn named(folder: &Path, files: &[String]) -> String {
-    let names = files.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", ");
-    let more = files.len().saturating_sub(NAMED);
-    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    format!("{}: {names}{more}", folder.display())
+    format!("{}: {}", folder.display(), names(files))
 }
 
 /// Writes a file that appears under its name only when it is complete.

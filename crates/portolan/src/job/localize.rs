@@ -1,6 +1,6 @@
-//! Finding a recording in a saved map, scan by scan; nothing of the map changes.
+//! Finding a recording in a saved map, scan by scan, and adding it to the map if that is wanted.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use portolan_geometry::Dimension;
@@ -12,6 +12,7 @@ use portolan_localization::{
 };
 use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d};
 use portolan_mapping::{Map, Planar, Space, Spatial};
+use portolan_optimization::LandmarkNode;
 use portolan_recording::Recording;
 use portolan_sensor::SensorId;
 
@@ -19,10 +20,42 @@ use super::error::JobError;
 use super::event::{Event, Observer};
 use super::known_map::KnownMaps;
 use super::localized::LocalizedRecording;
+use super::saved_map::{SaveMap, SavedMap};
 use super::{Job, MapRequest, OutputFolder};
 use crate::RequestedOptions;
 use crate::pipeline::{KnownMap as LoadedGraph, PipelineError, Preparation};
 use crate::silence::Silences;
+
+/// Where a recording starts.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Start {
+    /// At this place.
+    At(StartPose),
+    /// At a landmark of the map.
+    Landmark {
+        /// Its name.
+        name: String,
+        /// Standard deviation of the position along each axis, metres.
+        sigma_metres: f64,
+        /// Standard deviation of the heading from that of the landmark, radians; π where it tells nothing.
+        sigma_radians: f64,
+    },
+}
+
+impl Start {
+    /// The place, in a map with these landmarks; the names of all of them if it is not among them.
+    fn in_map(&self, landmarks: &BTreeMap<String, LandmarkNode>) -> Result<StartPose, Vec<String>> {
+        match self {
+            Self::At(pose) => Ok(*pose),
+            Self::Landmark { name, sigma_metres, sigma_radians } => {
+                let (sigma_metres, sigma_radians) = (*sigma_metres, *sigma_radians);
+                let pose = landmarks.get(name).and_then(|landmark| landmark.map_from_landmark);
+                pose.map(|map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians })
+                    .ok_or_else(|| landmarks.keys().cloned().collect())
+            }
+        }
+    }
+}
 
 /// What is to be found where.
 #[derive(Clone, Debug)]
@@ -36,9 +69,11 @@ pub struct LocalizeRequest {
     /// Options that are asked for; the rest is chosen from the recording.
     pub requested: RequestedOptions,
     /// Where the recording starts, as far as somebody knows.
-    pub start: Option<StartPose>,
+    pub start: Option<Start>,
     /// What a driver reads of corrections, if `driver.tum` is wanted.
     pub jumps: Option<Jumps>,
+    /// The known map with this recording, if it is wanted as a file.
+    pub save_map: Option<SaveMap>,
     /// Threads; 0 for as many as there are cores. Results do not depend on it.
     pub threads: usize,
 }
@@ -46,8 +81,8 @@ pub struct LocalizeRequest {
 /// Finds a recording in a map. `observe` is told how far it is and may stop it.
 ///
 /// # Errors
-/// A map that is damaged, empty or of the other dimension; a recording that cannot be read or has not a single scan that
-/// can be used; options that are not possible.
+/// A map that is damaged, empty or of the other dimension, or has no landmark of the name that was told; a recording that cannot be read or has not a single scan that
+/// can be used; options that are not possible; a map that cannot be renewed or written.
 pub fn localize(
     recording: &dyn Recording,
     request: &LocalizeRequest,
@@ -63,12 +98,14 @@ pub fn localize(
     let job = Job::prepare_in(folder, recording, how, observe)?;
     match job.preparation().dimension {
         Dimension::Two => {
+            check_save::<PlanarMap>(request)?;
             let known = load::<Planar>(request, job.preparation(), observe)?;
             let map = PlanarMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
             let map = textured(map, known, submap_textures_2d, job.preparation());
             localize_in(map, recording, request, job.preparation(), observe)
         }
         Dimension::Three => {
+            check_save::<SpatialMap>(request)?;
             let known = load::<Spatial>(request, job.preparation(), observe)?;
             let map = SpatialMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
             let map = textured(map, known, submap_textures_3d, job.preparation());
@@ -78,19 +115,21 @@ pub fn localize(
 }
 
 /// Finds a recording in a map that is loaded.
-fn localize_in<M: KnownMap>(
+fn localize_in<M: KnownMap<Space: MapSpace>>(
     loaded: LoadedMap<M>,
     recording: &dyn Recording,
     request: &LocalizeRequest,
     preparation: &Preparation,
     observe: &mut Observer,
 ) -> Result<LocalizedRecording, JobError> {
-    let LoadedMap { map, textures, mut issues } = loaded;
+    let LoadedMap { map, graph, textures, mut issues } = loaded;
+    let start = start(request, &graph)?;
     let mut ingestion =
         Ingestion::with_plan(recording, preparation.inventory(), preparation.plan.clone(), &request.ingest)
             .map_err(PipelineError::from)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
-    let settings = LocalizerSettings { start: request.start, threads: request.threads };
+    let settings =
+        LocalizerSettings { start, threads: request.threads, keeps_track: request.save_map.is_some() };
     let mut localizer = Localizer::new(map, &preparation.options, &sensors, &settings)?;
     let mut estimates: Vec<Estimate> = Vec::new();
     let mut silences = Silences::default();
@@ -109,6 +148,13 @@ fn localize_in<M: KnownMap>(
     if estimates.is_empty() {
         return Err(PipelineError::NoScans.into());
     }
+    let saved_map = match &request.save_map {
+        Some(_) if interrupted => Some(SavedMap::Interrupted),
+        Some(wanted) => {
+            Some(wanted.save(&request.map, &mut localizer, graph, ingestion.sensors(), &estimates)?)
+        }
+        None => None,
+    };
     issues.merge(&ingestion.issues());
     if !interrupted {
         issues.merge(&silences.issues());
@@ -118,20 +164,23 @@ fn localize_in<M: KnownMap>(
         estimates,
         dimension: preparation.dimension,
         plan: preparation.plan.clone(),
-        start: request.start,
+        start,
         jumps: request.jumps,
         start_agrees: localizer.start_agrees(),
         changes: localizer.changes(),
         issues,
         recorded_times: ingestion.recorded_times().clone(),
         textures,
+        saved_map,
         interrupted,
     })
 }
 
 /// A map as the localizer wants it, what it looks like, and what was wrong with its file.
-struct LoadedMap<M> {
+struct LoadedMap<M: KnownMap> {
     map: M,
+    /// As it was loaded.
+    graph: Map<M::Space>,
     textures: Vec<PlacedTexture>,
     issues: IssueLog,
 }
@@ -149,12 +198,22 @@ fn unusable(request: &LocalizeRequest, reason: KnownMapError) -> JobError {
     JobError::UnusableMap { path: request.map.clone(), reason }
 }
 
-fn textured<S: Space, M>(
+fn start<S: Space>(request: &LocalizeRequest, map: &Map<S>) -> Result<Option<StartPose>, JobError> {
+    let Some(start) = &request.start else { return Ok(None) };
+    let no_such = |landmarks| JobError::NoSuchLandmark { path: request.map.clone(), landmarks };
+    start.in_map(&map.graph.problem().landmarks).map(Some).map_err(no_such)
+}
+
+fn check_save<M: KnownMap>(request: &LocalizeRequest) -> Result<(), JobError> {
+    request.save_map.as_ref().map_or(Ok(()), SaveMap::check::<M>)
+}
+
+fn textured<M: KnownMap>(
     map: M,
-    known: LoadedGraph<S>,
-    textures: fn(&Map<S>) -> Vec<PlacedTexture>,
+    known: LoadedGraph<M::Space>,
+    textures: fn(&Map<M::Space>) -> Vec<PlacedTexture>,
     preparation: &Preparation,
 ) -> LoadedMap<M> {
-    let textures = textures(&Map::new(preparation.options.clone(), known.graph, known.trajectories));
-    LoadedMap { map, textures, issues: known.issues }
+    let graph = Map::new(preparation.options.clone(), known.graph, known.trajectories);
+    LoadedMap { map, textures: textures(&graph), graph, issues: known.issues }
 }

@@ -18,6 +18,7 @@ use super::change_map::{geojson, outlines};
 use super::error::{JobError, write_file};
 use super::event::{Observer, Remark, remark};
 use super::output_folder::{OutputFolder, Stale};
+use super::saved_map::SavedMap;
 
 /// A recording that was looked for in a map.
 pub struct LocalizedRecording {
@@ -41,6 +42,8 @@ pub struct LocalizedRecording {
     pub recorded_times: BTreeMap<Time, Time>,
     /// What the map looks like.
     pub textures: Vec<PlacedTexture>,
+    /// What became of the map that was to be written; none if none was.
+    pub saved_map: Option<SavedMap>,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
 }
@@ -292,6 +295,7 @@ fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
             "sigma_radians": start.sigma_radians,
             "agrees_with_the_place_at_the_end": localized.start_agrees,
         })),
+        "saved_map": localized.saved_map.as_ref().map(SavedMap::report),
         "wall_seconds": seconds,
         "interrupted": localized.interrupted,
         "tracking_frame": localized.plan.tracking_frame,

@@ -1,0 +1,90 @@
+//! A map that grows by a recording that was localised in it.
+
+use portolan_mapping::{Extension, LocalTrack, Placement, PoseGraph, TrackedNode, TrajectoryId};
+
+use crate::known_map::KnownMap;
+use crate::renewal::Renewal;
+use crate::state::{Estimate, State};
+use crate::trust::trusted_spans;
+
+/// What becomes of a map that a recording was localised in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Growth {
+    /// All that was localised is added; the rest stays as it is.
+    Extend,
+    /// What shows a change, or something new, is added; what it replaces is removed.
+    Renew,
+}
+
+/// What became of a map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grown {
+    /// The trajectory that was added; where a map was renewed and nothing had changed, it is gone again.
+    pub trajectory_id: TrajectoryId,
+    /// Nodes that were localised surely enough.
+    pub trusted_nodes: usize,
+    /// All of them.
+    pub nodes: usize,
+    /// What was added at first.
+    pub extension: Extension,
+    /// What of it stayed and what it replaced, if the map was renewed.
+    pub renewal: Option<Renewal>,
+}
+
+/// Why a map does not grow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum GrowthError {
+    /// No scan was localised.
+    #[error("it was never localised in the map")]
+    NeverLocalised,
+    /// Not long enough, or never without doubts.
+    #[error(
+        "it was localised, but nowhere on 5 m of way or more without a doubt soon after, so that nothing of it is \
+         believed; record a longer way through what the map knows"
+    )]
+    NothingTrusted,
+    /// Maps in 3D.
+    #[error("maps in 3D cannot be renewed yet, only extended (--save-map)")]
+    CannotRenew,
+}
+
+/// Adds a recording to the pose graph of the map that it was localised in.
+pub(crate) fn grow<M: KnownMap>(
+    map: &M,
+    graph: &mut PoseGraph<M::Space>,
+    track: LocalTrack<M::Space>,
+    estimates: &[Estimate],
+    growth: Growth,
+) -> Result<Grown, GrowthError> {
+    if !estimates.iter().any(|e| e.state == State::Localised) {
+        return Err(GrowthError::NeverLocalised);
+    }
+    if growth == Growth::Renew && !M::RENEWS {
+        return Err(GrowthError::CannotRenew);
+    }
+    let mut track = track;
+    let spans = trusted_spans(estimates);
+    track.judge(|node: &TrackedNode<M::Space>| {
+        let is_trusted = spans.iter().any(|(first, last)| (*first..=*last).contains(&node.time()));
+        match node.placement {
+            _ if !is_trusted => Placement::Unknown,
+            Placement::Carried(_) if growth == Growth::Renew => Placement::Unknown,
+            placement => placement,
+        }
+    });
+    let last = graph.state().trajectories.keys().next_back();
+    let trajectory_id = TrajectoryId(last.map_or(0, |id| id.0.saturating_add(1)));
+    let extension = graph.extend(trajectory_id, &track).ok_or(GrowthError::NothingTrusted)?;
+    let renewal = match growth {
+        Growth::Extend => None,
+        Growth::Renew => map.renew(graph, trajectory_id),
+    };
+    let trusted = track.nodes().iter().filter(|node| node.placement != Placement::Unknown);
+    Ok(Grown {
+        trajectory_id,
+        trusted_nodes: trusted.count(),
+        nodes: track.nodes().len(),
+        extension,
+        renewal,
+    })
+}

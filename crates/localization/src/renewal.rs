@@ -1,0 +1,232 @@
+//! A map of the plane renewed by a recording that was localised in it: what is gone fades, what is new appears, and the rest
+//! stays as it was.
+//!
+//! The recording is a trajectory of the map already. Of its submaps those stay that show what the map did not know, or that
+//! replace older ones in which something has changed. What has changed in other submaps is drawn into these, cell by cell.
+//! So nodes, submaps and constraints grow with the area that was seen, not with time (Johannsson, Kaess, Fallon and Leonard,
+//! "Temporally scalable visual SLAM using a reduced pose graph", ICRA 2013, bound pose graphs by space in this sense).
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+
+use portolan_geometry::{Rigid3, Rigid3f, Vector2, project_2d};
+use portolan_mapping::{
+    CellFate, Planar, PoseGraph, Replacement, Space, SubmapEntry, SubmapId, TrajectoryId, of_trajectory,
+};
+
+use crate::changes::{ChangeGrid, ChangeKind, ChangedCells};
+use crate::placed_scan::PlacedScan;
+use crate::planar_map::PlanarMap;
+use crate::recent::is_alike;
+
+/// A submap that shows less than this of what the map does not know is not worth its size, square metres.
+const LEAST_NEW_AREA: f64 = 4.0;
+/// What only a submap that is removed knows, at most, square metres.
+const MOST_ALONE: f64 = 0.1;
+/// Two submaps show each place, as local SLAM draws them.
+const REPLACEMENT: Replacement = Replacement { newest: 2, least_seen: 2.0, most_alone: MOST_ALONE };
+/// Edge of the cells in which areas are counted, metres.
+const CELL: f64 = 0.1;
+
+/// A submap replaces an older one of which it knows at least this fraction, if other submaps know the rest.
+const REPLACED: f64 = 0.5;
+/// What has changed is drawn into older submaps with what they do not know so far around, metres: what stood somewhere hid
+/// what is inside of it.
+const AROUND: f64 = 0.5;
+/// Points of older scans lie beside cells that are gone, metres.
+const BESIDE: f64 = 0.1;
+
+/// What a recording changed in a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Renewal {
+    /// Submaps of the recording that stay.
+    pub added_submaps: usize,
+    /// Older submaps that were removed.
+    pub removed_submaps: usize,
+    /// Square metres in which something has appeared.
+    pub appeared: f64,
+    /// Square metres in which something is gone.
+    pub gone: f64,
+    /// Square metres that the map did not know.
+    pub discovered: f64,
+}
+
+impl Renewal {
+    /// Whether the map stays as it was.
+    pub fn is_nothing(&self) -> bool {
+        self.added_submaps == 0 && self.removed_submaps == 0 && self.appeared == 0.0 && self.gone == 0.0
+    }
+}
+
+/// A cell of the plane, counted from the origin of the map.
+type Cell = (i64, i64);
+
+fn cell_at(point: &Vector2) -> Cell {
+    let index = |v: f64| (v / CELL).floor() as i64;
+    (index(point.x), index(point.y))
+}
+
+/// What a submap of the recording shows.
+#[derive(Default)]
+struct Shown {
+    /// Cells that have changed.
+    changed: BTreeSet<usize>,
+    /// Cells that the map does not know.
+    unknown: BTreeSet<Cell>,
+}
+
+/// Renews a map by a trajectory of it; `before` is the map without this trajectory.
+pub(crate) fn renew(graph: &mut PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMap) -> Renewal {
+    let changes = changed_cells(graph, new, before);
+    let all = shown(graph, new, before, &changes);
+    let mut kept = discovering(&all);
+    let discovered: BTreeSet<Cell> =
+        kept.iter().filter_map(|id| all.get(id)).flat_map(|shown| shown.unknown.iter().copied()).collect();
+    let mut removed = replace(graph, new, &all, &changes, &mut kept);
+    draw_changes(graph, new, before, &changes);
+    let superfluous = all.keys().filter(|id| !kept.contains(id)).copied();
+    graph.remove_submaps(&superfluous.chain(removed.iter().copied()).collect());
+    let hidden = graph.covered_by(new, REPLACEMENT);
+    graph.remove_submaps(&hidden);
+    removed.extend(hidden);
+    Renewal {
+        added_submaps: kept.len(),
+        removed_submaps: removed.len(),
+        appeared: changes.area(ChangeKind::Appeared),
+        gone: changes.area(ChangeKind::Gone),
+        discovered: discovered.len() as f64 * CELL * CELL,
+    }
+}
+
+/// Draws what has changed into older submaps, and takes what is gone out of older scans.
+fn draw_changes(
+    graph: &mut PoseGraph<Planar>,
+    new: TrajectoryId,
+    before: &PlanarMap,
+    changes: &ChangedCells,
+) {
+    if changes.is_empty() {
+        return;
+    }
+    let around = changes.around(AROUND, |_| true);
+    graph.patch(new, &|point| match changes.at(point) {
+        Some(_) => CellFate::Replaced,
+        None if around.contains(point) && !before.knows(point) => CellFate::Filled,
+        None => CellFate::Stays,
+    });
+    let beside_gone = changes.around(BESIDE, |kind| kind == ChangeKind::Gone);
+    graph.forget_points(new, &|point| beside_gone.contains(point));
+}
+
+/// Cells of the map that nodes of the trajectory contradict, from places some way apart.
+fn changed_cells(graph: &PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMap) -> ChangedCells {
+    let mut grid = ChangeGrid::new(before.cells.clone());
+    let mut last: Option<Rigid3> = None;
+    for (_, node) in of_trajectory(&graph.state().nodes, new) {
+        let map_from_tracking = node.map_from_tracking;
+        if last.is_some_and(|last| is_alike(&last, &map_from_tracking)) {
+            continue;
+        }
+        last = Some(map_from_tracking);
+        let map_from_node = Planar::graph_pose(&map_from_tracking, &node.data.gravity_alignment);
+        let whole = node.data.scan.as_ref().map(|scan| scan.range_data(&Rigid3f::identity()).returns);
+        let returns = whole.as_ref().unwrap_or(&node.data.filtered_gravity_aligned_point_cloud);
+        grid.add(&PlacedScan {
+            time: node.data.time,
+            origin: map_from_node.translation.vector.xy(),
+            map_from_local: project_2d(&map_from_node),
+            returns: &returns.points,
+        });
+    }
+    grid.changed_cells()
+}
+
+/// What each submap of the trajectory shows.
+fn shown(
+    graph: &PoseGraph<Planar>,
+    new: TrajectoryId,
+    before: &PlanarMap,
+    changes: &ChangedCells,
+) -> BTreeMap<SubmapId, Shown> {
+    let state = graph.state();
+    let of_submap = |(id, entry): (SubmapId, &SubmapEntry<Planar>)| {
+        let map_from_submap = project_2d(&state.map_from_submap(id)?);
+        let centers = Planar::known_cell_centers(entry.submap.as_ref()?)?;
+        let mut shown = Shown::default();
+        for point in centers.iter().map(|center| map_from_submap.transform_point(center)) {
+            shown.changed.extend(changes.at(&point));
+            if !before.knows(&point) {
+                shown.unknown.insert(cell_at(&point));
+            }
+        }
+        Some((id, shown))
+    };
+    of_trajectory(&state.submaps, new).filter_map(of_submap).collect()
+}
+
+/// The submaps that show enough of what the map does not know: one after the other the one that shows most of what no other
+/// shows yet.
+fn discovering(all: &BTreeMap<SubmapId, Shown>) -> BTreeSet<SubmapId> {
+    let mut unknown = BTreeSet::new();
+    let mut chosen = BTreeSet::new();
+    loop {
+        let rest = all.iter().filter(|(id, _)| !chosen.contains(*id));
+        let worth = rest.map(|(id, shown)| (shown.unknown.difference(&unknown).count(), Reverse(*id)));
+        let Some((cells, Reverse(best))) = worth.max() else { return chosen };
+        let is_worth_it = cells as f64 * CELL * CELL >= LEAST_NEW_AREA;
+        let Some(shown) = all.get(&best).filter(|_| is_worth_it) else { return chosen };
+        unknown.extend(shown.unknown.iter().copied());
+        chosen.insert(best);
+    }
+}
+
+/// Keeps submaps of the recording, too, that replace older ones in which something has changed: at least one each, so that
+/// there are not more in the end. The older ones are returned.
+fn replace(
+    graph: &PoseGraph<Planar>,
+    new: TrajectoryId,
+    all: &BTreeMap<SubmapId, Shown>,
+    changes: &ChangedCells,
+    kept: &mut BTreeSet<SubmapId>,
+) -> BTreeSet<SubmapId> {
+    let has_changed = |id: &SubmapId| {
+        let centers = graph
+            .state()
+            .submaps
+            .get(id)
+            .and_then(|entry| Planar::known_cell_centers(entry.submap.as_ref()?));
+        let map_from_submap = graph.state().map_from_submap(*id).map(|pose| project_2d(&pose));
+        centers.zip(map_from_submap).is_some_and(|(centers, pose)| {
+            centers.iter().any(|center| changes.at(&pose.transform_point(center)).is_some())
+        })
+    };
+    let older = graph.state().submaps.keys().filter(|id| id.trajectory_id != new);
+    let mut known = graph.coverage(older.clone().copied());
+    let of_new = graph.coverage(all.keys().copied());
+    kept.iter().for_each(|id| known.take(*id, &of_new));
+    let mut outdated: BTreeSet<SubmapId> = older.filter(|id| has_changed(id)).copied().collect();
+    let mut candidates: Vec<(usize, Reverse<SubmapId>)> =
+        all.iter().map(|(id, shown)| (shown.changed.len(), Reverse(*id))).collect();
+    candidates.sort_unstable_by(|a, b| b.cmp(a));
+    let mut removed = BTreeSet::new();
+    for (_, Reverse(id)) in candidates.into_iter().filter(|(changed, _)| *changed > 0) {
+        let is_added = !kept.contains(&id);
+        if is_added {
+            known.take(id, &of_new);
+        }
+        let is_covered = |old: &SubmapId| known.fraction_known_by(*old, id, &of_new) >= REPLACED;
+        let covered: Vec<SubmapId> = outdated.iter().copied().filter(is_covered).collect();
+        let gone: Vec<SubmapId> =
+            covered.into_iter().filter(|old| known.remove_unless_alone(*old, MOST_ALONE)).collect();
+        if gone.is_empty() {
+            if is_added {
+                known.remove_unless_alone(id, f64::INFINITY);
+            }
+            continue;
+        }
+        outdated.retain(|old| !gone.contains(old));
+        removed.extend(gone);
+        kept.insert(id);
+    }
+    removed
+}

@@ -1,0 +1,140 @@
+//! Which scans of a recording are believed to have been where they were localised, once all of it is known: what is added to
+//! a map stays there.
+
+use portolan_geometry::{Duration, Time};
+
+use crate::state::{Estimate, Reason, State};
+
+/// What a recording that was localised for less way than this, metres, says of the map is not believed.
+const LEAST_WAY: f64 = 5.0;
+/// Where the place came to be in doubt, scans this long before are doubted, seconds: it takes about a second of
+/// contradictions to notice …
+const BEFORE_DOUBT: f64 = 2.0;
+/// … and up to two searches of the whole map until a place is given up, which are ten seconds apart.
+const BEFORE_LOSS: f64 = 20.0;
+/// A place that goes another way than local SLAM from one scan to the next by more than this, metres, was wrong before.
+const JUMP: f64 = 0.25;
+/// Scans of a place that contradict more than this share of what the map knows there, in the mean, are not believed: single
+/// ones may contradict 0.35 and still support a place.
+const MOST_CONTRADICTION: f64 = 0.25;
+
+/// Why a run of localised scans ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum End {
+    /// Nothing spoke against it.
+    Undisputed,
+    /// Scans from this long before its end are doubted, seconds.
+    Doubted(f64),
+    /// All of it is.
+    Refuted,
+}
+
+/// Times between which scans were localised without a doubt that came up soon after, in order.
+pub(crate) fn trusted_spans(estimates: &[Estimate]) -> Vec<(Time, Time)> {
+    let is_localised = |e: &Estimate| e.state == State::Localised;
+    let mut spans: Vec<(Time, Time)> = Vec::new();
+    let mut rest = estimates;
+    while let Some(first) = rest.iter().position(is_localised) {
+        rest = rest.get(first..).unwrap_or_default();
+        let steps = rest.iter().zip(rest.iter().skip(1));
+        let length = 1 + steps.take_while(|(a, b)| is_localised(b) && !is_jump(a, b)).count();
+        let (run, after) = rest.split_at(length.min(rest.len()));
+        spans.extend(trusted(run, end_of(after)));
+        rest = after;
+    }
+    spans
+}
+
+fn is_jump(a: &Estimate, b: &Estimate) -> bool {
+    let (Some(before), Some(here)) = (a.place, b.place) else { return true };
+    let in_map = before.map_from_tracking.inverse() * here.map_from_tracking;
+    let in_local = a.local_from_tracking.inverse() * b.local_from_tracking;
+    (in_map.translation.vector - in_local.translation.vector).norm() > JUMP
+}
+
+/// Why a run ended that these scans came after.
+fn end_of(after: &[Estimate]) -> End {
+    let Some(doubt) = after.first() else { return End::Undisputed };
+    let next = after.iter().find(|e| e.state != State::Uncertain).unwrap_or(doubt);
+    match (next.state, next.reason) {
+        (State::Lost, Reason::AnotherPlaceFitsBetter) => End::Refuted,
+        (State::Lost, Reason::OutsideTheMap) => End::Undisputed,
+        (State::Lost, _) => End::Doubted(BEFORE_LOSS),
+        // It jumped.
+        _ if doubt.state == State::Localised => End::Doubted(BEFORE_LOSS),
+        _ if doubt.reason == Reason::OutsideTheMap => End::Undisputed,
+        _ => End::Doubted(BEFORE_DOUBT),
+    }
+}
+
+/// The believed part of a run of localised scans.
+fn trusted(run: &[Estimate], end: End) -> Option<(Time, Time)> {
+    let last = run.last()?.time;
+    let kept: &[Estimate] = match end {
+        End::Undisputed => run,
+        End::Doubted(seconds) => {
+            let until = last - Duration::from_seconds(seconds);
+            run.get(..run.partition_point(|e| e.time < until)).unwrap_or_default()
+        }
+        End::Refuted => &[],
+    };
+    let places = || kept.iter().filter_map(|e| e.place.as_ref());
+    let positions = || places().map(|place| place.map_from_tracking.translation.vector);
+    let way: f64 = positions().zip(positions().skip(1)).map(|(a, b)| (b - a).norm()).sum();
+    let contradiction = places().map(|place| f64::from(place.agreement.contradiction())).sum::<f64>();
+    let is_trusted = way >= LEAST_WAY && contradiction <= MOST_CONTRADICTION * places().count() as f64;
+    is_trusted.then_some((kept.first()?.time, kept.last()?.time))
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::Rigid3;
+    use portolan_grids::ScanAgreement;
+
+    use super::*;
+    use crate::belief::Matrix6;
+    use crate::state::Place;
+
+    /// A second for each letter, half a metre a second: l localised, u uncertain, x lost, b lost to a better place, j localised
+    /// two metres farther.
+    fn estimates(states: &str) -> Vec<Estimate> {
+        let mut shift = 0.0;
+        let estimate = |(i, letter): (usize, char)| {
+            let (state, reason) = match letter {
+                'u' => (State::Uncertain, Reason::ScansContradict),
+                'o' => (State::Uncertain, Reason::OutsideTheMap),
+                'x' => (State::Lost, Reason::ScansContradict),
+                'b' => (State::Lost, Reason::AnotherPlaceFitsBetter),
+                _ => (State::Localised, Reason::ScansFit),
+            };
+            shift += if letter == 'j' { 2.0 } else { 0.0 };
+            let local_from_tracking = Rigid3::translation(0.5 * i as f64, 0.0, 0.0);
+            let place = Place {
+                map_from_tracking: Rigid3::translation(0.5 * i as f64 + shift, 0.0, 0.0),
+                covariance: Matrix6::zeros(),
+                agreement: ScanAgreement { explained: 0.8, in_free_space: 0.05, through_solid: 0.05 },
+            };
+            let time = Time::from_ticks(0) + Duration::from_seconds(i as f64);
+            Estimate { time, state, reason, local_from_tracking, place: Some(place) }
+        };
+        states.chars().enumerate().map(estimate).collect()
+    }
+
+    fn spans(states: &str) -> Vec<(f64, f64)> {
+        let start = Time::from_ticks(0);
+        let seconds = |(a, b): (Time, Time)| (a.seconds_since(start), b.seconds_since(start));
+        trusted_spans(&estimates(states)).into_iter().map(seconds).collect()
+    }
+
+    #[test]
+    fn what_was_doubted_soon_after_is_not_believed() {
+        let run = "l".repeat(30);
+        assert_eq!(spans(&run), [(0.0, 29.0)]);
+        assert_eq!(spans(&format!("uu{run}o")), [(2.0, 31.0)]);
+        assert_eq!(spans(&format!("{run}uu{run}")), [(0.0, 26.0), (32.0, 61.0)]);
+        assert_eq!(spans(&format!("{run}{run}ux")), [(0.0, 38.0)]);
+        assert_eq!(spans(&format!("{run}{run}b{run}")), [(61.0, 90.0)]);
+        assert_eq!(spans(&format!("{run}j{run}")), [(30.0, 60.0)]);
+        assert!(spans("llllllll").is_empty(), "too little way");
+    }
+}

@@ -1,0 +1,298 @@
+//! Taking out of a map what newer scans show otherwise, so that it does not grow with time.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use portolan_geometry::Rigid3;
+
+use super::PoseGraph;
+use crate::{NodeId, Space, SubmapId, TrajectoryId};
+
+/// Which submaps newer ones replace.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Replacement {
+    /// So many of the newest submaps are seen of each cell.
+    pub newest: usize,
+    /// A submap of which less than this is seen is replaced, square metres …
+    pub least_seen: f64,
+    /// … unless it alone knows more than this, square metres.
+    pub most_alone: f64,
+}
+
+/// The cells of the map that submaps know, and how many of these know each.
+#[derive(Clone, Debug)]
+pub struct Coverage {
+    cells: BTreeMap<SubmapId, BTreeSet<(i64, i64)>>,
+    known: HashMap<(i64, i64), usize>,
+    /// Edge of a cell, metres.
+    cell_size: f64,
+}
+
+impl Coverage {
+    fn add(&mut self, id: SubmapId, cells: BTreeSet<(i64, i64)>) {
+        cells.iter().for_each(|cell| *self.known.entry(*cell).or_default() += 1);
+        self.cells.insert(id, cells);
+    }
+
+    /// Takes a submap over from another one.
+    pub fn take(&mut self, id: SubmapId, from: &Self) {
+        self.add(id, from.cells.get(&id).cloned().unwrap_or_default());
+    }
+
+    /// Takes a submap out, unless it alone knows more than so many square metres; whether it went.
+    pub fn remove_unless_alone(&mut self, id: SubmapId, most_alone: f64) -> bool {
+        let Some(own) = self.cells.get(&id) else { return false };
+        let alone = own.iter().filter(|cell| self.known.get(*cell) == Some(&1)).count();
+        if alone as f64 * self.cell_size * self.cell_size > most_alone {
+            return false;
+        }
+        for cell in own {
+            self.known.entry(*cell).and_modify(|count| *count = count.saturating_sub(1));
+        }
+        self.cells.remove(&id);
+        true
+    }
+
+    /// What fraction of a submap a submap of another coverage knows, too.
+    pub fn fraction_known_by(&self, id: SubmapId, other: SubmapId, of: &Self) -> f64 {
+        let (Some(own), Some(others)) = (self.cells.get(&id), of.cells.get(&other)) else { return 0.0 };
+        own.intersection(others).count() as f64 / own.len().max(1) as f64
+    }
+}
+
+/// What the pose graph is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    Submap(SubmapId),
+    Node(NodeId),
+}
+
+/// A place that a part of the graph hangs at.
+type Place<I> = (I, Rigid3);
+
+impl<S: Space> PoseGraph<S> {
+    /// Removes submaps, the nodes that belong to no other one, and trajectories of which nothing is left. Where this tears
+    /// apart what constraints tied together, the pieces are tied again as they lie now: what was removed had measured that.
+    pub fn remove_submaps(&mut self, ids: &BTreeSet<SubmapId>) {
+        if ids.is_empty() {
+            return;
+        }
+        let whole = self.tied_parts();
+        ids.iter().for_each(|id| self.trim_submap(*id));
+        self.tie_torn(&whole);
+        let of_removed: BTreeSet<TrajectoryId> = ids.iter().map(|id| id.trajectory_id).collect();
+        for id in of_removed {
+            if self.submaps_of(id).is_empty() && !self.state.nodes.keys().any(|node| node.trajectory_id == id)
+            {
+                self.mark_deleted(id);
+            }
+        }
+    }
+
+    /// Older submaps of which a trajectory leaves too little to be seen: each cell of the map is seen in the newest
+    /// `replacement.newest` submaps that know it, where trajectories are as old as their numbers say. Submaps from which the
+    /// trajectory takes nothing are not among them, nor those that alone know a place, nor any in 3D.
+    pub fn covered_by(&self, new: TrajectoryId, replacement: Replacement) -> BTreeSet<SubmapId> {
+        let newest_first = self.state.submaps.keys().rev().copied();
+        let older = newest_first.clone().filter(|id| id.trajectory_id != new);
+        let (Some(with), Some(without)) = (
+            self.areas_seen(newest_first, replacement.newest),
+            self.areas_seen(older.clone(), replacement.newest),
+        ) else {
+            return BTreeSet::new();
+        };
+        let is_hidden = |id: &SubmapId| {
+            with.cells.get(id) < without.cells.get(id) && with.too_little(id, replacement.least_seen)
+        };
+        let mut known = self.coverage(self.state.submaps.keys().copied());
+        let mut hidden: Vec<SubmapId> = older.filter(is_hidden).collect();
+        hidden.reverse();
+        hidden.into_iter().filter(|id| known.remove_unless_alone(*id, replacement.most_alone)).collect()
+    }
+
+    /// The cells of the map that some submaps know (2D).
+    pub fn coverage(&self, submaps: impl Iterator<Item = SubmapId>) -> Coverage {
+        let mut coverage = Coverage { cells: BTreeMap::new(), known: HashMap::new(), cell_size: 1.0 };
+        for id in submaps {
+            let Some(submap) = self.state.submaps.get(&id).and_then(|entry| entry.submap.as_ref()) else {
+                continue;
+            };
+            if coverage.cells.is_empty() {
+                coverage.cell_size = S::cell_size(submap);
+            }
+            let cells = self.covered_cells(id, coverage.cell_size).unwrap_or_default();
+            coverage.add(id, cells);
+        }
+        coverage
+    }
+
+    /// Which parts of the graph hang together: each with the first one of its piece.
+    fn tied_parts(&self) -> BTreeMap<Part, Part> {
+        let mut pieces = Pieces::default();
+        self.state.submaps.keys().for_each(|id| pieces.add(Part::Submap(*id)));
+        self.state.nodes.keys().for_each(|id| pieces.add(Part::Node(*id)));
+        for c in &self.state.constraints {
+            pieces.join(Part::Submap(c.submap_id), Part::Node(c.node_id));
+        }
+        for (a, b) in self.state.nodes.keys().zip(self.state.nodes.keys().skip(1)) {
+            if a.trajectory_id == b.trajectory_id && a.index + 1 == b.index {
+                pieces.join(Part::Node(*a), Part::Node(*b));
+            }
+        }
+        pieces.roots()
+    }
+
+    /// Ties pieces together that were one piece before.
+    fn tie_torn(&mut self, before: &BTreeMap<Part, Part>) {
+        let mut torn: BTreeMap<Part, BTreeMap<Part, Vec<Part>>> = BTreeMap::new();
+        for (part, root) in self.tied_parts() {
+            let Some(whole) = before.get(&part) else { continue };
+            torn.entry(*whole).or_default().entry(root).or_default().push(part);
+        }
+        for pieces in torn.into_values() {
+            let mut pieces: Vec<Vec<Part>> = pieces.into_values().collect();
+            pieces.sort_by_key(|piece| (std::cmp::Reverse(piece.len()), piece.first().copied()));
+            let mut pieces = pieces.into_iter();
+            let mut tied: Vec<Place<NodeId>> = pieces.next().map(|p| self.nodes_in(&p)).unwrap_or_default();
+            for piece in pieces {
+                self.tie_piece(&piece, &tied);
+                tied.extend(self.nodes_in(&piece));
+            }
+        }
+    }
+
+    /// Ties the submap of a piece to a node of others, the two that lie nearest together.
+    fn tie_piece(&mut self, piece: &[Part], others: &[Place<NodeId>]) {
+        let submaps = piece.iter().filter_map(|part| match part {
+            Part::Submap(id) => Some((*id, *self.problem.submaps.get(id)?)),
+            Part::Node(_) => None,
+        });
+        let pairs = submaps.flat_map(|submap| others.iter().map(move |node| (submap, node)));
+        let distance = |a: &Rigid3, b: &Rigid3| (a.translation.vector - b.translation.vector).norm_squared();
+        let nearest =
+            pairs.min_by(|((_, a), (_, b)), ((_, c), (_, d))| distance(a, b).total_cmp(&distance(c, d)));
+        if let Some(((submap_id, map_from_submap), (node_id, map_from_node))) = nearest {
+            let submap_from_node = map_from_submap.inverse() * map_from_node;
+            let tie = self.loop_closure(submap_id, *node_id, submap_from_node);
+            self.load_constraint(tie);
+        }
+    }
+
+    fn nodes_in(&self, piece: &[Part]) -> Vec<Place<NodeId>> {
+        let place = |part: &Part| match part {
+            Part::Node(id) => Some((*id, self.problem.nodes.get(id)?.map_from_node)),
+            Part::Submap(_) => None,
+        };
+        piece.iter().filter_map(place).collect()
+    }
+}
+
+/// Sets of parts that are joined one by one (union by the smaller first part, with path halving).
+#[derive(Default)]
+struct Pieces(BTreeMap<Part, Part>);
+
+impl Pieces {
+    fn add(&mut self, part: Part) {
+        self.0.insert(part, part);
+    }
+
+    fn root(&mut self, part: Part) -> Option<Part> {
+        let mut at = part;
+        loop {
+            let above = *self.0.get(&at)?;
+            if above == at {
+                return Some(at);
+            }
+            let next = *self.0.get(&above)?;
+            self.0.insert(at, next);
+            at = next;
+        }
+    }
+
+    fn join(&mut self, a: Part, b: Part) {
+        if let (Some(a), Some(b)) = (self.root(a), self.root(b)) {
+            self.0.insert(a.max(b), a.min(b));
+        }
+    }
+
+    fn roots(mut self) -> BTreeMap<Part, Part> {
+        let parts: Vec<Part> = self.0.keys().copied().collect();
+        parts.into_iter().filter_map(|part| Some((part, self.root(part)?))).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use portolan_config::Options;
+
+    use super::*;
+    use crate::made_rooms::{node, submap};
+    use crate::{Constraint, ConstraintTag, Planar};
+
+    const ROOM: (f32, f32) = (9.0, 7.0);
+
+    fn submap_id(index: u32) -> SubmapId {
+        SubmapId::new(TrajectoryId(0), index)
+    }
+
+    /// Three submaps of a room on a line, half a metre apart; nodes 0, 1, 2, … with a gap after each, each in a submap and
+    /// in the next one.
+    fn chain() -> PoseGraph<Planar> {
+        let mut graph = PoseGraph::new(Options::default().map_builder.pose_graph);
+        graph.load_trajectory(TrajectoryId(0), None);
+        for index in 0..3 {
+            let map_from_submap = Rigid3::translation(0.5 * f64::from(index), 0.0, 0.0);
+            graph.load_submap(submap_id(index), Arc::new(submap(ROOM)), true, map_from_submap);
+        }
+        for (index, submaps) in [(0, vec![0]), (2, vec![0, 1]), (4, vec![1, 2]), (6, vec![2])] {
+            let node_id = NodeId::new(TrajectoryId(0), index);
+            let pose = Rigid3::translation(0.2 * f64::from(index), 0.0, 0.0);
+            graph.load_node(node_id, Arc::new(node(ROOM, (0.0, 0.0))), pose);
+            for submap in submaps {
+                let loaded = graph.load_constraint(Constraint {
+                    submap_id: submap_id(submap),
+                    node_id,
+                    submap_from_node: pose,
+                    translation_weight: 1.0,
+                    rotation_weight: 1.0,
+                    tag: ConstraintTag::IntraSubmap,
+                    score: None,
+                });
+                assert!(loaded);
+            }
+        }
+        graph
+    }
+
+    #[test]
+    fn what_a_removed_submap_held_together_is_tied_as_it_lies() {
+        let mut graph = chain();
+        graph.remove_submaps(&[submap_id(1)].into());
+        let ties: Vec<&Constraint> =
+            graph.state().constraints.iter().filter(|c| c.is_loop_closure()).collect();
+        let [tie] = ties.as_slice() else { panic!("{ties:?}") };
+        assert_eq!((tie.submap_id, tie.node_id.index), (submap_id(2), 2));
+        let offset = tie.submap_from_node.translation.x;
+        assert!((offset - (0.4 - 1.0)).abs() < 1e-12, "{offset}");
+        graph.remove_submaps(&[submap_id(0), submap_id(2)].into());
+        assert!(graph.state().nodes.is_empty() && graph.state().constraints.is_empty());
+    }
+
+    #[test]
+    fn only_what_newer_submaps_show_is_replaced() {
+        let mut graph = chain();
+        let replacement = Replacement { newest: 2, least_seen: 2.0, most_alone: 0.1 };
+        let newer = TrajectoryId(1);
+        graph.load_trajectory(newer, None);
+        let far = Rigid3::translation(100.0, 0.0, 0.0);
+        graph.load_submap(SubmapId::new(newer, 0), Arc::new(submap(ROOM)), true, far);
+        assert!(graph.covered_by(newer, replacement).is_empty(), "it lies elsewhere");
+        for (index, x) in [(1, 0.0), (2, 0.5)] {
+            let pose = Rigid3::translation(x, 0.0, 0.0);
+            graph.load_submap(SubmapId::new(newer, index), Arc::new(submap(ROOM)), true, pose);
+        }
+        // Of the first and the third more than 2 m² at the ends are in the newest two that know them.
+        assert_eq!(graph.covered_by(newer, replacement), [submap_id(1)].into());
+    }
+}

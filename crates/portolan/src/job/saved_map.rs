@@ -1,0 +1,120 @@
+//! The known map with what was localised in it, as a file.
+
+use std::path::{Path, PathBuf};
+
+use portolan_atomic_file::AtomicFile;
+use portolan_config::Options;
+use portolan_localization::{Estimate, Grown, Growth, GrowthError, KnownMap, Localizer};
+use portolan_mapfile::{MapSpace, write_map};
+use portolan_mapping::{EndedTrajectory, Map, TrajectoryState};
+use portolan_pbstream::MapReader;
+use portolan_sensor::SensorId;
+
+use super::error::JobError;
+
+/// The map that is wanted of a recording that is localised.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SaveMap {
+    /// Its file; may be that of the known map.
+    pub path: PathBuf,
+    /// What becomes of the known map.
+    pub growth: Growth,
+}
+
+/// What became of the map that was wanted.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SavedMap {
+    /// It was written.
+    Written {
+        /// The file.
+        path: PathBuf,
+        /// What was added, and what it replaced.
+        grown: Grown,
+    },
+    /// There is nothing to add; no file was written.
+    Refused(GrowthError),
+    /// It was stopped before the end of the recording; no file was written.
+    Interrupted,
+}
+
+impl SavedMap {
+    /// As in `report.json`.
+    pub(super) fn report(&self) -> serde_json::Value {
+        match self {
+            Self::Refused(reason) => serde_json::json!({ "refused": reason.to_string() }),
+            Self::Interrupted => serde_json::json!({ "refused": "interrupted" }),
+            Self::Written { path, grown } => serde_json::json!({
+                "file": path,
+                "trusted_nodes": grown.trusted_nodes,
+                "nodes": grown.nodes,
+                "submaps": grown.extension.submaps,
+                "ties": grown.extension.ties,
+                "median_correction": grown.extension.median_correction,
+                "renewal": grown.renewal.map(|renewal| serde_json::json!({
+                    "added_submaps": renewal.added_submaps,
+                    "removed_submaps": renewal.removed_submaps,
+                    "appeared_m2": renewal.appeared,
+                    "gone_m2": renewal.gone,
+                    "discovered_m2": renewal.discovered,
+                })),
+            }),
+        }
+    }
+}
+
+impl SaveMap {
+    /// Says early what would go wrong late.
+    ///
+    /// # Errors
+    /// If such maps cannot become what is wanted, or the file cannot be written.
+    pub(super) fn check<M: KnownMap>(&self) -> Result<(), JobError> {
+        if self.growth == Growth::Renew && !M::RENEWS {
+            return Err(self.refused(GrowthError::CannotRenew));
+        }
+        AtomicFile::create(&self.path).map(drop).map_err(|error| JobError::file(&self.path, error.source))
+    }
+
+    fn refused(&self, reason: GrowthError) -> JobError {
+        JobError::Growth { path: self.path.clone(), reason }
+    }
+
+    /// Lets the map of the file `known` grow, and writes it.
+    pub(super) fn save<M: KnownMap<Space: MapSpace>>(
+        &self,
+        known: &Path,
+        localizer: &mut Localizer<M>,
+        map: Map<M::Space>,
+        sensors: Vec<SensorId>,
+        estimates: &[Estimate],
+    ) -> Result<SavedMap, JobError> {
+        let mut map = map;
+        let grown = match localizer.grow(&mut map.graph, estimates, self.growth) {
+            Ok(grown) => grown,
+            Err(reason) => return Ok(SavedMap::Refused(reason)),
+        };
+        let options = map.options.trajectory_builder.clone();
+        let added = EndedTrajectory { options, sensors: sensors.into_iter().collect(), scans: Vec::new() };
+        map.trajectories.insert(grown.trajectory_id, added);
+        let state = map.graph.state();
+        map.trajectories.retain(|id, _| state.trajectory_state(*id) != TrajectoryState::Deleted);
+        if let Some(options) = configuration(known) {
+            map.options = options;
+        }
+        write_map(&map, &self.path, true)?;
+        Ok(SavedMap::Written { path: self.path.clone(), grown })
+    }
+}
+
+/// The configuration that a map was made with, if its file has one: it is kept, so that the map is optimised as before.
+fn configuration(known: &Path) -> Option<Options> {
+    let reader = MapReader::open(known).ok()?;
+    Some(reader.configuration())
+        .filter(|text| !text.is_empty())
+        .and_then(|text| Options::from_json(text).ok())
+        .map(|loaded| loaded.options)
+}
+
+/// Whether two names are of one file.
+pub fn is_same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
