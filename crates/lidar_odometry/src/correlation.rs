@@ -6,7 +6,6 @@
 //! with the scanner, and hold it where it was. What reaches some way up does not.
 
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
-
 use portolan_numeric::median;
 
 use crate::settings::CorrelationSettings;

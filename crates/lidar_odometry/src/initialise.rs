@@ -62,7 +62,7 @@ pub(crate) struct FirstSweeps<'a> {
 struct Relative {
     /// The second pose in the first.
     motion: Rigid3,
-    /// How well it fits there.
+    /// How well what tells of the motion fits there.
     fit: f64,
 }
 

@@ -112,7 +112,7 @@ impl BlockSystem {
 
     /// How well the worst determined unknown is determined, from 0 to 1: the smallest ratio of a squared pivot of the last
     /// factor to the diagonal entry without damping. It is the share of the information about an unknown that remains
-    /// when the unknowns eliminated before it may move as well. Of a singular matrix rounding leaves about 1e-16.
+    /// while those that come earlier in the elimination may move as well. Of a singular matrix rounding leaves about 1e-16.
     pub fn smallest_pivot_ratio(&self) -> f64 {
         let factor = supernodal::SupernodalLltRef::new(&self.symbolic, &self.factor);
         let mut smallest = f64::INFINITY;
