@@ -56,13 +56,14 @@ mod tests {
         Time::from_unix_seconds(1e9) + Duration::from_seconds(seconds)
     }
 
-    /// Corrected stamps of sweeps that last 0.0995 s, off by up to `jitter` seconds.
-    fn corrected(jitter: f64) -> Vec<(f64, bool)> {
+    /// By how much corrected stamps of sweeps that last so many seconds are off, and whether they were corrected; they came off
+    /// by up to `jitter` seconds.
+    fn corrected(seconds: f64, jitter: f64) -> Vec<(f64, bool)> {
         let mut stamps = SweepStamps::new(0.1);
         let off = |k: u32| jitter * (f64::from(k * 7919 % 101) / 50.0 - 1.0);
         let next = |k: u32| {
             let stamp = 0.1 * f64::from(k) + off(k);
-            let correction = stamps.correction(at(stamp), at(stamp), at(stamp + 0.0995));
+            let correction = stamps.correction(at(stamp), at(stamp), at(stamp + seconds));
             (stamp + correction.map_or(0.0, |c| c.seconds()) - 0.1 * f64::from(k), correction.is_some())
         };
         (0..200).map(next).collect()
@@ -70,7 +71,7 @@ mod tests {
 
     #[test]
     fn sweeps_that_overlap_are_put_where_the_head_turns_steadily() {
-        let corrected = corrected(0.015);
+        let corrected = corrected(0.0995, 0.015);
         assert!(corrected.iter().skip(20).all(|(_, is_corrected)| *is_corrected));
         let worst = corrected.iter().skip(40).map(|(error, _)| error.abs()).fold(0.0, f64::max);
         assert!(worst < 0.005, "{worst}");
@@ -78,6 +79,11 @@ mod tests {
 
     #[test]
     fn stamps_of_sweeps_that_follow_each_other_are_believed() {
-        assert!(corrected(0.0005).iter().all(|(_, is_corrected)| !is_corrected));
+        assert!(corrected(0.0995, 0.0005).iter().all(|(_, is_corrected)| !is_corrected));
+    }
+
+    #[test]
+    fn a_driver_that_cuts_sweeps_longer_than_a_turn_changes_no_times() {
+        assert!(corrected(0.11, 0.0).iter().all(|(error, _)| error.abs() < 1e-6));
     }
 }
