@@ -1,21 +1,56 @@
-//! Where the beams of a spinning lidar point, and when they are fired.
+//! Where the beams of a lidar point, and when they are fired.
 
 use std::str::FromStr;
 
 use crate::SimulatorError;
 
-/// The beams of one firing of a spinning lidar, and how it spins.
+/// How a lidar turns its beams.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ScanPattern {
+    /// One revolution about z in a sweep: every sweep is like the one before.
+    Spinning,
+    /// Two wedge prisms that turn at different rates (Hz) deflect the beams from x, each by so many radians: a rosette
+    /// within a cone, in every sweep another one (as in lidars of Livox that look ahead).
+    Rosette { deflection: f64, rates: [f64; 2] },
+    /// Beams go up and down between two elevations (radians) so many times a second while the head revolves at
+    /// another rate, Hz: in every sweep another pattern (as in Livox' Mid-360).
+    Wave { elevations: [f64; 2], waves: f64, revolutions: f64 },
+}
+
+impl ScanPattern {
+    /// Azimuth (positive counter-clockwise for a head that spins so) and elevation of the beams' axis, radians: `share`
+    /// of a sweep after its begin, and so many seconds after the first sweep's.
+    pub(crate) fn axis(self, share: f64, seconds: f64) -> [f64; 2] {
+        let tau = std::f64::consts::TAU;
+        match self {
+            Self::Spinning => [tau * share, 0.0],
+            Self::Rosette { deflection, rates } => {
+                let [first, second] = rates.map(|rate| libm::sincos(tau * (rate * seconds).fract()));
+                [deflection * (first.1 + second.1), deflection * (first.0 + second.0)]
+            }
+            Self::Wave { elevations: [low, high], waves, revolutions } => {
+                let wave = (waves * seconds).fract();
+                let up = 1.0 - (2.0 * wave - 1.0).abs();
+                [tau * (revolutions * seconds).fract(), low + up * (high - low)]
+            }
+        }
+    }
+}
+
+/// The beams of one firing of a lidar, and how it turns them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BeamTable {
     /// Name of the model, for messages.
     pub name: String,
+    /// How the beams are turned.
+    pub pattern: ScanPattern,
     /// Angle above the plane of rotation of each beam, radians.
     pub elevations: Vec<f64>,
     /// Angle ahead of the head's azimuth of each beam, radians; one per beam.
     pub azimuth_offsets: Vec<f64>,
     /// Seconds from the start of a firing to each beam; one per beam.
     pub delays: Vec<f64>,
-    /// Firings per revolution.
+    /// Firings per revolution, or per sweep of a lidar that does not revolve once in it.
     pub columns: usize,
     /// Metres.
     pub range_max: f64,
@@ -23,7 +58,8 @@ pub struct BeamTable {
 
 impl BeamTable {
     /// Names of the models that are known.
-    pub const NAMES: [&str; 7] = ["vlp16", "vlp32", "hdl64", "os1-16", "os1-64", "os0-128", "xt32"];
+    pub const NAMES: [&str; 9] =
+        ["vlp16", "vlp32", "hdl64", "os1-16", "os1-64", "os0-128", "xt32", "avia", "mid360"];
 
     /// Beams from the lowest to the highest elevation (degrees) at equal angles.
     pub fn even(name: &str, low: f64, high: f64, beams: usize, columns: usize, range_max: f64) -> Self {
@@ -31,7 +67,8 @@ impl BeamTable {
         let elevations = (0..beams).map(|i| (low + step * i as f64).to_radians()).collect();
         let zeros = vec![0.0; beams];
         let name = name.to_owned();
-        Self { name, elevations, azimuth_offsets: zeros.clone(), delays: zeros, columns, range_max }
+        let pattern = ScanPattern::Spinning;
+        Self { name, pattern, elevations, azimuth_offsets: zeros.clone(), delays: zeros, columns, range_max }
     }
 
     /// 16 beams of ±15°, fired 2.304 µs apart (Velodyne, VLP-16 user manual); 1875 firings a revolution are
@@ -57,6 +94,19 @@ impl BeamTable {
             "os1-64" => ouster(name, 22.5, 64, 120.0),
             "os0-128" => ouster(name, 45.0, 128, 50.0),
             "xt32" => Self { delays: delays(32, 1.5e-6), ..Self::even(name, -16.0, 15.0, 32, 2000, 120.0) },
+            // 240,000 points a second within 77°, from prisms as those of the Mid-40, 7294 and -4664 turns a minute.
+            "avia" => {
+                let deflection = 19.3_f64.to_radians();
+                let pattern = ScanPattern::Rosette { deflection, rates: [7294.0 / 60.0, -4664.0 / 60.0] };
+                Self { pattern, ..Self::even(name, -0.8, 0.8, 6, 4000, 190.0) }
+            }
+            // 200,000 points a second from -7° to 52° all around. Only the field of view and the number of points are
+            // the device's; the rates are such that sweeps do not repeat.
+            "mid360" => {
+                let elevations = [-6.5_f64, 51.5].map(f64::to_radians);
+                let pattern = ScanPattern::Wave { elevations, waves: 187.3, revolutions: 10.7 };
+                Self { pattern, ..Self::even(name, -0.5, 0.5, 4, 5000, 70.0) }
+            }
             _ => return None,
         })
     }

@@ -1,11 +1,11 @@
-//! A spinning lidar with many beams: each is fired from where the moving lidar is at that time.
+//! A lidar with many beams that spins, or turns them otherwise: each is fired from where the moving lidar is at that time.
 
 use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time, Vector3};
 use portolan_recording::{FieldType, Header, PointCloud2, PointField};
 
-use super::beam_table::BeamTable;
+use super::beam_table::{BeamTable, ScanPattern};
 use crate::motion::{Motion, MotionState};
 use portolan_worlds::Random;
 use portolan_worlds::three_d::{Echo, Ray3, SolidWorld};
@@ -141,7 +141,10 @@ impl SpinningLidar {
 
     /// rad/s, positive counter-clockwise.
     fn spin(options: &SpinningLidarOptions) -> f64 {
-        let turn = std::f64::consts::TAU * options.rate;
+        let turn = match options.beams.pattern {
+            ScanPattern::Spinning => std::f64::consts::TAU * options.rate,
+            ScanPattern::Rosette { .. } | ScanPattern::Wave { .. } => 0.0,
+        };
         if options.clockwise { -turn } else { turn }
     }
 
@@ -191,9 +194,12 @@ impl SpinningLidar {
             let fired = if o.motion_distortion { start + since_stamp } else { start };
             let firing = self.firing(motion, fired);
             let rotation = firing.map_from_lidar.rotation.to_rotation_matrix();
-            let (sine, cosine) = libm::sincos(direction_of_turn * std::f64::consts::TAU * share);
+            let [azimuth, elevation] = o.beams.pattern.axis(share, start + since_stamp - o.phase);
+            let (sine, cosine) = libm::sincos(direction_of_turn * azimuth);
+            let (up, ahead) = libm::sincos(elevation);
             for beam in &self.beams {
                 let d = beam.direction;
+                let d = Vector3::new(ahead * d.x - up * d.z, d.y, up * d.x + ahead * d.z);
                 let in_lidar = Vector3::new(cosine * d.x - sine * d.y, sine * d.x + cosine * d.y, d.z);
                 // Between the beams of a firing the lidar goes on as it goes: 55 µs of an acceleration of
                 // 10 m/s² are 15 nm.

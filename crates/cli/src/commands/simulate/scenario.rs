@@ -85,7 +85,8 @@ pub struct ScenarioArgs {
     /// 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "N")]
     lidars: Option<usize>,
-    /// Kind of spinning lidar: vlp16, vlp32, hdl64, os1-16, os1-64, os0-128, xt32, or
+    /// Kind of lidar: vlp16, vlp32, hdl64, os1-16, os1-64, os0-128, xt32, or avia, mid360, whose sweeps never repeat
+    /// their pattern; or
     /// `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]`, or the elevation of each beam, `-15,-7,-3,0,3[:COLUMNS[:RANGE]]`, angles
     /// in degrees. Default vlp16. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "MODEL", allow_hyphen_values = true)]
