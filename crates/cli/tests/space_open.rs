@@ -150,3 +150,16 @@ fn among_cars_nothing_is_open_and_a_short_stay_is_level() {
     let tilt = 2.0 * numbers[4].hypot(numbers[5]).to_degrees();
     assert!(tilt < 2.0, "{tilt}: {first}");
 }
+
+#[test]
+fn lidars_whose_sweeps_never_repeat_are_followed_without_an_imu() {
+    if is_fast() {
+        return;
+    }
+    // Two such sweeps hardly show the same things; taken at their word, these drives began at 30 m/s.
+    let settings = ["--no-imu", "--no-odometry"];
+    for (scene, beams, measured) in [("garage", "2500", 0.0472), ("park", "5000", 0.0713)] {
+        let scene = [scene, "--seconds", "8", "--lidar", "mid360", "--beams", beams];
+        assert_as_measured(&mapped_of(&scene, &settings), measured);
+    }
+}

@@ -1,4 +1,5 @@
-//! Knowing that it is lost: sweeps that fit the map far worse than those before them did.
+//! Knowing that it is lost: sweeps that fit the map far worse than those before them did, or that fit nothing while no sensor
+//! tells how it moved.
 //!
 //! What a sweep should look like at its place is told by the sweeps before it: places change slowly from one to the next. A
 //! sweep of another place lies on planes by chance alone: fewer points do, and those that do lie all over the width of the
@@ -40,27 +41,48 @@ pub(crate) struct SweepFit {
     pub rms: Option<f64>,
 }
 
+/// What the pose at the end of a sweep is based on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Support {
+    pub fit: SweepFit,
+    /// Whether odometry, an accelerometer, a zero-velocity update or another map tells how it moved.
+    pub is_measured: bool,
+}
+
+impl Support {
+    /// Whether nothing tells where it is: it is assumed to have gone on as before.
+    fn is_guess(&self) -> bool {
+        self.fit.rms.is_none() && !self.is_measured
+    }
+}
+
 /// Compares each sweep with those before it.
 #[derive(Clone, Debug)]
 pub(crate) struct FitMonitor {
     settings: LossSettings,
     /// Of the last sweeps that fitted.
     recent: VecDeque<SweepFit>,
+    /// Which of the last sweeps were guesses.
+    guesses: VecDeque<bool>,
     belief: Belief,
 }
 
 impl FitMonitor {
     pub fn new(settings: &LossSettings) -> Self {
-        Self { settings: settings.clone(), recent: VecDeque::new(), belief: Belief::Sure }
+        let (recent, guesses) = (VecDeque::new(), VecDeque::new());
+        Self { settings: settings.clone(), recent, guesses, belief: Belief::Sure }
     }
 
     /// What is believed after one more sweep. A map that is warming up fits whatever it was made of: nothing is usual yet.
-    pub fn after(&mut self, end: Time, fit: SweepFit, is_warming_up: bool) -> Belief {
-        if is_warming_up {
-            return Belief::Sure;
+    pub fn after(&mut self, end: Time, support: Support, is_warming_up: bool) -> Belief {
+        let is_chance = self.is_chance(&support);
+        if is_warming_up && !is_chance {
+            self.belief = Belief::Sure;
+            return self.belief;
         }
         let settings = &self.settings;
-        self.belief = match (self.contradicts(&fit), self.belief) {
+        let contradicts = is_chance || self.contradicts(&support.fit);
+        self.belief = match (contradicts, self.belief) {
             (false, _) => Belief::Sure,
             (true, Belief::Doubtful { since, sweeps })
                 if sweeps + 1 >= settings.sweeps && end.seconds_since(since) >= settings.seconds =>
@@ -71,12 +93,23 @@ impl FitMonitor {
             (true, _) => Belief::Doubtful { since: end, sweeps: 1 },
         };
         if self.belief == Belief::Sure {
-            self.recent.push_back(fit);
+            self.recent.push_back(support.fit);
             if self.recent.len() > settings.remembered {
                 self.recent.pop_front();
             }
         }
         self.belief
+    }
+
+    /// Whether so many of the last sweeps were guesses that one that fits is chance. A few are none: sparse sweeps have to be
+    /// added up before there are planes.
+    fn is_chance(&mut self, support: &Support) -> bool {
+        self.guesses.push_back(support.is_guess());
+        if self.guesses.len() > self.settings.guesses_among {
+            self.guesses.pop_front();
+        }
+        let guesses = self.guesses.iter().filter(|guess| **guess).count();
+        2 * guesses > self.settings.guesses_among
     }
 
     /// Whether a sweep fits so much worse than those before it that it may have moved otherwise than predicted.
@@ -114,7 +147,8 @@ mod tests {
         let mut monitor = FitMonitor::new(&LossSettings::default());
         let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
         let fit = |&(fit, rms): &(f64, f64)| SweepFit { fit, rms: (rms > 0.0).then_some(rms) };
-        fits.iter().enumerate().map(|(i, f)| monitor.after(at(i), fit(f), false)).collect()
+        let support = |f| Support { fit: fit(f), is_measured: true };
+        fits.iter().enumerate().map(|(i, f)| monitor.after(at(i), support(f), false)).collect()
     }
 
     #[test]
@@ -141,5 +175,27 @@ mod tests {
         let beliefs = believed(&[&[(0.4, 0.065); 20][..], &[(0.05, 0.13); 9], &[(0.4, 0.065); 2]].concat());
         assert!(beliefs.iter().all(|b| !matches!(b, Belief::Lost { .. })));
         assert_eq!(beliefs[29..], [Belief::Sure; 2]);
+    }
+
+    #[test]
+    fn where_nothing_tells_the_motion_for_a_second_it_is_lost() {
+        let beliefs = |is_measured: bool, is_warming_up: bool, fits_at: fn(usize) -> bool| -> Vec<Belief> {
+            let mut monitor = FitMonitor::new(&LossSettings::default());
+            let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
+            let support = |i| {
+                let fits = fits_at(i);
+                let fit = SweepFit { fit: if fits { 0.1 } else { 0.0 }, rms: fits.then_some(0.1) };
+                Support { fit, is_measured }
+            };
+            (0..60).map(|i| monitor.after(at(i), support(i), is_warming_up)).collect()
+        };
+        let is_lost = |beliefs: &[Belief]| beliefs.iter().any(|b| matches!(b, Belief::Lost { .. }));
+        for is_warming_up in [false, true] {
+            assert!(is_lost(&beliefs(false, is_warming_up, |_| false)));
+            // Now and then one fits, by chance.
+            assert!(is_lost(&beliefs(false, is_warming_up, |i| i % 3 == 0)));
+            assert!(!is_lost(&beliefs(false, is_warming_up, |i| i % 8 != 0)));
+            assert!(!is_lost(&beliefs(true, is_warming_up, |_| false)));
+        }
     }
 }

@@ -9,7 +9,7 @@ use portolan_geometry::{
 };
 use portolan_sensor::voxel_filter_points;
 
-use crate::correlation::{UprightReference, Window};
+use crate::correlation::{Peak, UprightReference, Window};
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::PlaneMap;
 use crate::registration::{PosePrior, Registration, Sigmas};
@@ -66,6 +66,14 @@ struct Relative {
     fit: f64,
 }
 
+/// What the first two sweeps say of the motion.
+enum FirstLooks {
+    /// That it is one of these, which differ and fit well enough to be followed.
+    Told(Vec<Relative>),
+    /// Nothing, because they do not show the same things: the sweeps that follow have to tell which of these it is.
+    Open(Vec<Rigid3>),
+}
+
 impl<'a> FirstSweeps<'a> {
     /// Moving as a hypothesis says.
     pub fn new(
@@ -93,45 +101,77 @@ impl<'a> FirstSweeps<'a> {
         let Some(second) = second.filter(|s| s.end > first.end) else {
             return vec![still.leveled(&planes)];
         };
-        let seconds = second.end.seconds_since(first.end);
-        let same_velocity = settings.initialisation.same_motion / seconds;
+        let mut starts = match still.first_looks((&reference, &planes), second) {
+            FirstLooks::Told(found) => still.all_followed(found, second),
+            FirstLooks::Open(motions) => {
+                let seconds = second.end.seconds_since(first.end);
+                motions
+                    .iter()
+                    .map(|motion| still.clone().moving_by(motion, seconds).leveled(&planes))
+                    .collect()
+            }
+        };
+        if starts.is_empty() {
+            starts.push(still.leveled(&planes));
+        }
+        starts.truncate(settings.initialisation.max_hypotheses);
+        starts
+    }
+
+    /// What follows from first looks, the best first.
+    fn all_followed(&self, looks: Vec<Relative>, second: &Sweep) -> Vec<Start> {
+        let settings = &self.settings.initialisation;
+        let same_velocity = settings.same_motion / second.end.seconds_since(self.first.end);
         let mut found: Vec<(Start, f64)> = Vec::new();
-        for relative in still.first_looks((&reference, &planes), second) {
-            let (start, fit) = still.clone().followed(relative, second);
+        for relative in looks {
+            let (start, fit) = self.clone().followed(relative, second);
             let is_known =
                 |(other, _): &(Start, f64)| (other.velocity - start.velocity).norm() < same_velocity;
             if !found.iter().any(is_known) {
                 found.push((start, fit));
             }
         }
-        if found.is_empty() {
-            return vec![still.leveled(&planes)];
-        }
         let best = found.iter().map(|(_, fit)| *fit).fold(0.0, f64::max);
-        found.retain(|(_, fit)| *fit >= settings.initialisation.similar_fit * best);
+        found.retain(|(_, fit)| *fit >= settings.similar_fit * best);
         found.sort_by(|a, b| b.1.total_cmp(&a.1));
-        found.into_iter().map(|(start, _)| start).take(settings.initialisation.max_hypotheses).collect()
+        found.into_iter().map(|(start, _)| start).collect()
     }
 
-    /// The second sweep registered to the first from wherever it may lie, both as they came: results that differ, and fit
-    /// well enough to be followed.
-    fn first_looks(&self, (reference, planes): (&[Point3f], &PlaneMap), second: &Sweep) -> Vec<Relative> {
+    /// The second sweep registered to the first from wherever it may lie, both as they came.
+    fn first_looks(&self, (reference, planes): (&[Point3f], &PlaneMap), second: &Sweep) -> FirstLooks {
         let deskewed = self.deskewed(second);
-        let points = voxel_filter_points(&deskewed, self.settings.initialisation.spacing);
-        let same_motion = self.settings.initialisation.same_motion;
         let peaks = self.coarse_motions(reference, &deskewed, second);
-        let as_believed = [self.believed(second)];
+        let as_believed = self.believed(second);
+        let share = peaks.first().map(|peak| peak.share);
+        let places: Vec<Rigid3> = peaks.into_iter().map(|peak| peak.pose).collect();
+        match share {
+            None => FirstLooks::Told(self.registered(planes, &deskewed, &[as_believed])),
+            Some(share) if share < self.settings.correlation.min_share => {
+                FirstLooks::Open(std::iter::once(as_believed).chain(places).collect())
+            }
+            Some(_) => {
+                let mut found = self.registered(planes, &deskewed, &places);
+                if found.is_empty() {
+                    // Single sparse sweeps may show no planes.
+                    found.extend(places.first().map(|motion| Relative { motion: *motion, fit: 0.0 }));
+                }
+                FirstLooks::Told(found)
+            }
+        }
+    }
+
+    /// The second sweep (de-skewed) registered to the first from each of these places: results that differ, and fit well
+    /// enough to be followed.
+    fn registered(&self, planes: &PlaneMap, deskewed: &[Point3f], places: &[Rigid3]) -> Vec<Relative> {
+        let points = voxel_filter_points(deskewed, self.settings.initialisation.spacing);
+        let same_motion = self.settings.initialisation.same_motion;
         let mut found: Vec<Relative> = Vec::new();
-        for initial in if peaks.is_empty() { &as_believed[..] } else { &peaks } {
+        for initial in places {
             let Some(relative) = self.register(planes, &points, initial) else { continue };
             let place = relative.motion.translation.vector;
             if found.iter().all(|other| (other.motion.translation.vector - place).norm() >= same_motion) {
                 found.push(relative);
             }
-        }
-        if found.is_empty() {
-            // Single sparse sweeps may show no planes.
-            found.extend(peaks.first().map(|motion| Relative { motion: *motion, fit: 0.0 }));
         }
         let best = found.iter().map(|relative| relative.fit).fold(0.0, f64::max);
         found.retain(|relative| relative.fit >= PROMISING * self.settings.initialisation.similar_fit * best);
@@ -139,13 +179,12 @@ impl<'a> FirstSweeps<'a> {
     }
 
     /// Where the second sweep may lie, coarsely, the likeliest place first; none where nothing tells.
-    fn coarse_motions(&self, reference: &[Point3f], deskewed: &[Point3f], second: &Sweep) -> Vec<Rigid3> {
+    fn coarse_motions(&self, reference: &[Point3f], deskewed: &[Point3f], second: &Sweep) -> Vec<Peak> {
         let settings = &self.settings.correlation;
         let seconds = second.end.seconds_since(self.first.end);
         let window = Window::after(seconds, self.rotation_at.is_some(), settings);
         let reference = UprightReference::new(reference, settings);
-        let peaks = reference.peaks(deskewed, &self.believed(second), window);
-        peaks.into_iter().map(|peak| peak.pose).collect()
+        reference.peaks(deskewed, &self.believed(second), window)
     }
 
     /// What follows from a first look: the velocity that it gives de-skews both sweeps, the second is registered to the first
@@ -161,6 +200,11 @@ impl<'a> FirstSweeps<'a> {
         }
         let start = if self.rotation_at.is_none() { self.leveled(&self.planes()) } else { self.start };
         (start, relative.fit)
+    }
+
+    fn moving_by(mut self, motion: &Rigid3, seconds: f64) -> Self {
+        self.move_by(motion, seconds);
+        self
     }
 
     /// Takes over the velocity of a motion from sweep to sweep.

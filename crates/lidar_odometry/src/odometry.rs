@@ -16,7 +16,7 @@ use crate::issues::{Issue, Issues};
 use crate::local_map::GrowingMap;
 use crate::motion_state::MotionState;
 use crate::phase::{Phase, State};
-use crate::pieces::{Ended, PieceBegun, Recent};
+use crate::pieces::{Attempts, Ended, PieceBegun, Recent};
 use crate::settings::OdometrySettings;
 use crate::start::{Begun, FirstMotion};
 use crate::sweep::Sweep;
@@ -46,6 +46,7 @@ pub struct LidarOdometry {
     /// The beginning of a piece of map whose first sweep is not registered yet.
     begun: Option<PieceBegun>,
     ended: Ended,
+    attempts: Attempts,
     /// Whether no more sweeps will come.
     is_ended: bool,
     issues: Issues,
@@ -63,6 +64,7 @@ impl LidarOdometry {
             recent: Recent::default(),
             begun: None,
             ended: Ended::default(),
+            attempts: Attempts::default(),
             is_ended: false,
             issues: Issues::default(),
             memory: Memory::default(),
@@ -134,19 +136,27 @@ impl LidarOdometry {
             }
             Belief::Doubtful { .. } => self.recent.hold(registered),
             Belief::Lost { since } => {
+                let end = registered.sweep.end;
                 self.recent.hold(registered);
-                self.begin_anew(since);
+                if self.attempts.is_time_for_another(end, &self.settings.loss) {
+                    self.begin_anew(since);
+                }
             }
         }
     }
 
     /// Ends the piece of map that sweeps do not fit any more, and registers everything since then once more, to a map that
-    /// knows nothing yet.
+    /// knows nothing yet. If that piece had hardly begun, it begins with the newest sweeps: those before them may not tell how
+    /// it moved.
     fn begin_anew(&mut self, since: Time) {
         let initialisation =
             State::WaitingForGravity(GravityInitialisation::new(&self.settings.initialisation));
         let State::Tracking(tracker) = std::mem::replace(&mut self.state, initialisation) else { return };
         self.ended.add(&tracker);
+        self.attempts.ended(!tracker.is_warming_up());
+        if tracker.is_warming_up() {
+            self.ready.extend(self.recent.give_up_all_but(self.settings.initialisation.judged_sweeps));
+        }
         let maps = tracker.local_map().all().map(|map| map.planes.compacted()).collect();
         self.begun = Some(PieceBegun { since, ended_from_begun: self.recent.ended_from_begun(), maps });
         let replay = self.recent.replay();
@@ -162,6 +172,7 @@ impl LidarOdometry {
         let sweeps = self.waiting.make_contiguous();
         let Begun { tracker, registered, issues } =
             first.decide(&self.settings, &self.memory, sweeps, self.is_ended)?;
+        self.attempts.begun(registered.first().map(|first| first.sweep.end));
         self.waiting.drain(..registered.len().min(self.waiting.len()));
         self.issues.add(&issues);
         self.state = State::Tracking(Box::new(tracker));

@@ -9,6 +9,7 @@ use portolan_sensor::{ImuData, OdometryData};
 
 use crate::degenerate_intervals::DegenerateInterval;
 use crate::plane_map::PlaneMap;
+use crate::settings::LossSettings;
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
 
@@ -75,6 +76,15 @@ impl Recent {
         std::mem::take(&mut self.held)
     }
 
+    /// Sweeps that were held back, but for so many of the newest: where the last one was that fitted, since nothing tells how
+    /// it moved since.
+    pub fn give_up_all_but(&mut self, newest: usize) -> Vec<RegisteredSweep> {
+        let kept = self.held.split_off(self.held.len().saturating_sub(newest));
+        let mut given_up = std::mem::replace(&mut self.held, kept);
+        given_up.iter_mut().for_each(|sweep| sweep.place_at(&self.last_sure));
+        given_up
+    }
+
     /// From a local map that begins at the last sweep that fitted to the one that ended: both are level.
     pub fn ended_from_begun(&self) -> Rigid3 {
         let heading = quaternion_from_angle_axis(&(Vector3::z() * yaw(&self.last_sure.rotation)));
@@ -92,6 +102,35 @@ fn keep<T>(samples: &mut VecDeque<T>, sample: T) {
     samples.push_back(sample);
     if samples.len() > MOST_SAMPLES {
         samples.pop_front();
+    }
+}
+
+/// Attempts to begin a piece of map. Where they fail one after the other, the next comes after twice the time, so that their
+/// number is bounded.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Attempts {
+    /// Of those since a piece last went beyond its first sweeps.
+    failed: u32,
+    /// End of the first sweep of this piece.
+    begun_at: Option<Time>,
+}
+
+impl Attempts {
+    /// A piece has begun with a sweep that ended then.
+    pub fn begun(&mut self, end: Option<Time>) {
+        self.begun_at = end;
+    }
+
+    /// A piece has ended, after more than its first sweeps or not.
+    pub fn ended(&mut self, has_succeeded: bool) {
+        self.failed = if has_succeeded { 0 } else { self.failed.saturating_add(1) };
+    }
+
+    /// Whether the piece has lasted long enough.
+    pub fn is_time_for_another(&self, end: Time, settings: &LossSettings) -> bool {
+        let wait = settings.seconds * f64::from(self.failed.min(32)).exp2();
+        let age = self.begun_at.map_or(f64::MAX, |begun| end.seconds_since(begun));
+        age >= wait.min(settings.longest_wait)
     }
 }
 

@@ -68,6 +68,11 @@ pub(crate) struct Registered {
 }
 
 impl Prediction {
+    /// Whether an IMU tells the translation: by an accelerometer that is relied on, or because it is at rest.
+    pub fn is_felt(&self) -> bool {
+        self.standing.is_some() || matches!(self.segment.source, MotionSource::Inertial { .. })
+    }
+
     /// Registers the first hypothesis, then those others that are worth trying; each has to beat the best before.
     pub fn best(&self, register: impl Fn(&TrajectorySegment) -> RegisteredSegment) -> Registered {
         let (segment, registered) = (self.segment.clone(), register(&self.segment));

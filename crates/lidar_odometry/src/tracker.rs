@@ -5,7 +5,7 @@ use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to
 use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
-use crate::belief::{Belief, FitMonitor};
+use crate::belief::{Belief, FitMonitor, Support};
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
 use crate::deskew::deskewed;
 use crate::gap::GapMotion;
@@ -207,14 +207,18 @@ impl Tracker {
         self.last_interval = prediction.segment.seconds();
         // 2. Register the hypotheses to planes and poles; the one that fits best counts.
         let (mut best, mut poles) = self.best_hypothesis(&sweep, &prediction, issues);
-        // 3. Does it fit as well as the sweeps before it? If not, it may have moved otherwise than predicted.
-        if self.fits.is_poor(&best.registered.sweep_fit())
+        // 3. Does it fit as well as the sweeps before it? If not, it may have moved otherwise than predicted, unless an IMU
+        // felt nothing of it: then something else stands in front.
+        if !prediction.is_felt()
+            && self.fits.is_poor(&best.registered.sweep_fit())
             && let Some(other) = self.search_widely(&sweep, &prediction, best.registered.fit)
         {
             // Poles were seen from where it was predicted.
             (best, poles) = (other, None);
         }
-        let belief = self.fits.after(sweep.end, best.registered.sweep_fit(), is_warming_up);
+        let is_measured = best.segment.source != MotionSource::ConstantVelocity;
+        let support = Support { fit: best.registered.sweep_fit(), is_measured };
+        let belief = self.fits.after(sweep.end, support, is_warming_up);
         // 4. Learn the bias of the gyroscope.
         if belief == Belief::Sure {
             self.motion.learn_gyroscope_bias(&prediction, &best, is_warming_up);
@@ -478,6 +482,12 @@ impl RegisteredSweep {
             fit: 0.0,
             evidence: 0.0,
         }
+    }
+
+    /// Puts it elsewhere in the local map.
+    pub fn place_at(&mut self, local_from_tracking: &Rigid3) {
+        self.local_from_tracking = *local_from_tracking;
+        self.in_local = self.deskewed.transformed(&to_f32(local_from_tracking));
     }
 
     /// From the gravity-aligned frame to the local map.

@@ -201,5 +201,13 @@ settings! {
             "And only over this time",
             origin: "as in 2D: people pass faster",
             larger: "lost later";
+        longest_wait: f64 = 8.0, "s", 0.0..=1e4,
+            "Where pieces of map that begin are lost at once, the next begins after twice the time, this at most",
+            origin: "bounds pieces, and sweeps in memory",
+            larger: "found again later";
+        guesses_among: usize = 10, "sweeps", 1.0..=1e4,
+            "Where more than half of so many sweeps fit nothing, and no sensor tells the motion, a sweep that fits is chance",
+            origin: "measured (docs/experiments/2026-11-other-lidars.md): 40 to 90 % of the sweeps fit nothing where starts failed, 0 to 2 % elsewhere",
+            larger: "lost later";
     }
 }
