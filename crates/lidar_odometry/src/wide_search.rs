@@ -48,8 +48,14 @@ impl WideSearch<'_> {
             Registered { segment, registered, reason: Some(Reason::OtherMotion) }
         });
         let fit = |found: &Registered| found.registered.fit;
-        let fits =
-            |found: &Registered| fit(found) >= least_fit && !self.fits.is_poor(&found.registered.sweep_fit());
+        let farthest = 0.5 * self.settings.hypotheses.hardest_push * segment.seconds().powi(2);
+        let fits = |found: &Registered| {
+            let from_predicted =
+                found.registered.local_from_tracking.translation.vector - end.translation.vector;
+            from_predicted.norm() <= farthest
+                && fit(found) >= least_fit
+                && !self.fits.is_poor(&found.registered.sweep_fit())
+        };
         registered.filter(fits).reduce(|best, other| if fit(&other) > fit(&best) { other } else { best })
     }
 
