@@ -18,7 +18,7 @@ import statistics
 import sys
 import tempfile
 
-from field_localize import LASTING, LOGS, REPOSITORY, Log, data_folder, errors, is_wrong, longest_false, run
+from field_localize_log import LASTING, LOGS, REPOSITORY, Log, data_folder, errors, is_wrong, longest_false, run
 
 # Shares of a log that are mapped, and until where pieces bring the map up to date.
 MAPPED, UPDATED = 0.4, 0.7
