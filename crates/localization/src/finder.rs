@@ -7,6 +7,7 @@ use crate::changes::{CERTAIN_PLACE, Change, ChangeGrid};
 use crate::evidence::{Support, Verdict};
 use crate::hypothesis::{Hypothesis, fit};
 use crate::known_map::{KnownMap, Window};
+use crate::pace::Pace;
 use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
 use crate::rivals::{BETTER_BY, BETTER_FIT, Rivals};
@@ -86,6 +87,7 @@ pub(crate) struct Finder<M: KnownMap> {
     recent: RecentScans<M::Scan>,
     mode: Mode,
     last: Option<Last>,
+    pace: Pace,
     start: Option<(Rigid3, (f64, f64))>,
     told: Option<ToldStart>,
     changes: Option<ChangeGrid>,
@@ -96,14 +98,24 @@ impl<M: KnownMap> Finder<M> {
     pub fn new(searcher: Searcher<M>, start: Option<(Rigid3, (f64, f64))>) -> Self {
         let mode = Mode::Searching { places: Places::default(), lost: None };
         let changes = searcher.map.change_grid();
-        Self { searcher, recent: RecentScans::default(), mode, last: None, start, told: None, changes }
+        Self {
+            searcher,
+            recent: RecentScans::default(),
+            mode,
+            last: None,
+            pace: Pace::default(),
+            start,
+            told: None,
+            changes,
+        }
     }
 
     /// Takes a scan.
     pub fn add(&mut self, scan: &LocalScan) -> Estimate {
         let local_from_scan = M::local_from_scan(&scan.local_from_tracking);
-        let has_lost_its_way = scan.begins_anew && matches!(self.mode, Mode::Tracking(_));
-        if scan.begins_anew {
+        let begins_anew = self.pace.is_jump(scan.time, &local_from_scan) || scan.begins_anew;
+        let has_lost_its_way = begins_anew && matches!(self.mode, Mode::Tracking(_));
+        if begins_anew {
             self.begin_anew();
         }
         if let Some((pose, sigmas)) = self.start.take() {

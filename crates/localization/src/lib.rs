@@ -15,6 +15,7 @@ mod known_map;
 mod likelihood;
 mod localizer;
 mod occupancy;
+mod pace;
 mod placed_scan;
 mod planar_map;
 mod planar_scan;
