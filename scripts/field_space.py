@@ -99,8 +99,9 @@ def table(programs, bags):
 
 
 def starts(program, bags):
-    """The first ten steps from several starts: the ratio of their sum to the truth's, and the worst of them."""
-    for recording in [r for r in RECORDINGS if r.truth]:
+    """The first ten steps from several starts: the ratio of their sum to the truth's, and the worst of them. Of corridor_imu,
+    which begins at rest, a ratio would say nothing."""
+    for recording in [r for r in RECORDINGS if r.truth and r.name != "corridor_imu"]:
         for start in [0.2 * i for i in range(11)]:
             with tempfile.TemporaryDirectory() as results:
                 more = ["--skip", f"{start:.1f}", "--duration", "2.5"]
