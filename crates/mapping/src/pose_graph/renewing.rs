@@ -73,12 +73,7 @@ impl<S: Space> PoseGraph<S> {
     /// Removes submaps, the nodes that belong to no other one, and trajectories of which nothing is left. Where this tears
     /// apart what constraints tied together, the pieces are tied again as they lie now: what was removed had measured that.
     pub fn remove_submaps(&mut self, ids: &BTreeSet<SubmapId>) {
-        if ids.is_empty() {
-            return;
-        }
-        let whole = self.tied_parts();
-        ids.iter().for_each(|id| self.trim_submap(*id));
-        self.tie_torn(&whole);
+        self.trim_submaps(ids);
         let of_removed: BTreeSet<TrajectoryId> = ids.iter().map(|id| id.trajectory_id).collect();
         for id in of_removed {
             if self.submaps_of(id).is_empty() && !self.state.nodes.keys().any(|node| node.trajectory_id == id)
@@ -86,6 +81,16 @@ impl<S: Space> PoseGraph<S> {
                 self.mark_deleted(id);
             }
         }
+    }
+
+    /// As [`Self::remove_submaps`], but trajectories stay.
+    pub(super) fn trim_submaps(&mut self, ids: &BTreeSet<SubmapId>) {
+        if ids.is_empty() {
+            return;
+        }
+        let whole = self.tied_parts();
+        ids.iter().for_each(|id| self.trim_submap(*id));
+        self.tie_torn(&whole);
     }
 
     /// Older submaps of which a trajectory leaves too little to be seen: each cell of the map is seen in the newest

@@ -1,6 +1,7 @@
 //! Removing submaps that are not needed any more (`slam2d.md` §14.7).
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::Path;
 
 use portolan_config::OverlappingSubmapsTrimmer2dOptions;
 use portolan_geometry::{Time, embed_3d, project_2d};
@@ -55,6 +56,16 @@ impl SeenAreas {
 }
 
 impl<S: Space> PoseGraph<S> {
+    /// Adds what removes superfluous submaps after each optimisation.
+    pub fn add_trimmer(&mut self, trimmer: Trimmer) {
+        self.trimmers.push(trimmer);
+    }
+
+    /// Lets what stays of removed nodes wait in a file in this folder instead of memory. To be set before anything is added.
+    pub fn spool_in(&mut self, folder: &Path) {
+        self.state.trimmed_nodes.keep_in(folder);
+    }
+
     pub(super) fn run_trimmers(&mut self) {
         let trimmers = std::mem::take(&mut self.trimmers);
         for trimmer in trimmers {
@@ -201,8 +212,9 @@ impl<S: Space> PoseGraph<S> {
             if let Some(Node { data, map_from_tracking }) = self.state.nodes.remove(&id) {
                 let (time, local_from_tracking) = (data.time, data.local_from_tracking);
                 let trimmed = TrimmedNode { time, local_from_tracking, map_from_tracking };
-                self.state.trimmed_nodes.insert(id, trimmed);
+                self.state.trimmed_nodes.add(id, trimmed);
             }
+            self.ways.remove(&id);
             self.problem.trim_node(id);
         }
     }
