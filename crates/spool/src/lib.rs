@@ -134,9 +134,12 @@ impl<T: Answer + Clone> Spool<T> {
 
     fn read_block(&self, block: Block) -> Option<Vec<T>> {
         let mut file = self.file.as_ref()?;
-        file.seek(SeekFrom::Start(block.begin)).ok()?;
         let mut bytes = vec![0; usize::try_from(bytes_of(block.words)).ok()?];
-        file.read_exact(&mut bytes).ok()?;
+        let read = file.seek(SeekFrom::Start(block.begin)).and_then(|_| file.read_exact(&mut bytes));
+        if let Err(error) = read {
+            tracing::error!("what waited in a nameless file cannot be read again, and is missing: {error}");
+            return None;
+        }
         let words: Vec<u64> = bytes.as_chunks::<8>().0.iter().map(|word| u64::from_le_bytes(*word)).collect();
         let mut words = Words::new(&words);
         Some(std::iter::from_fn(|| T::read(&mut words)).collect())

@@ -7,6 +7,7 @@
 
 mod drive;
 mod rows;
+mod summary;
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -72,7 +73,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         Work::Map(keep) => mapped(&drive, keep, &folder, &mut rows)?,
         Work::Localize => localised(&drive, dimension, &folder, &mut rows)?,
     };
-    let verdict = rows.end()?;
+    let verdict = rows.end();
     println!("{verdict}");
     println!("{}", drive.errors(&poses)?);
     Ok(())

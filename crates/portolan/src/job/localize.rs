@@ -1,7 +1,7 @@
 //! Finding a recording in a saved map, scan by scan, and adding it to the map if that is wanted.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use portolan_geometry::Dimension;
 use portolan_ingest::{IngestOptions, Ingestion};
@@ -132,7 +132,7 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     let settings =
         LocalizerSettings { start, threads: request.threads, keeps_track: request.save_map.is_some() };
     let mut localizer = Localizer::new(map, &preparation.options, &sensors, &settings)?;
-    let mut estimates: Spool<Estimate> = Spool::in_folder(&request.folder);
+    let mut estimates: Spool<Estimate> = Spool::in_folder(existing(&request.folder));
     let mut silences = Silences::default();
     let mut interrupted = false;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement().map_err(PipelineError::from)? {
@@ -176,6 +176,11 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
         saved_map,
         interrupted,
     })
+}
+
+/// A folder, or, where it is not there yet, the nearest one in which it will be.
+fn existing(folder: &Path) -> &Path {
+    folder.ancestors().find(|folder| folder.is_dir()).unwrap_or(Path::new("."))
 }
 
 /// A map as the localizer wants it, what it looks like, and what was wrong with its file.
