@@ -72,7 +72,7 @@ impl<S: Space> Map<S> {
     /// The nodes of a trajectory as they are, or as they were when they were trimmed.
     fn nodes_as_last(&self, id: TrajectoryId) -> BTreeMap<NodeId, TrimmedNode> {
         let state = self.graph.state();
-        let mut nodes = state.trimmed_nodes.of(id);
+        let mut nodes = state.trimmed_nodes.of(id, &state.nodes);
         nodes.extend(of_trajectory(&state.nodes, id).map(|(id, node)| {
             let (time, local_from_tracking) = (node.data.time, node.data.local_from_tracking);
             (id, TrimmedNode { time, local_from_tracking, map_from_tracking: node.map_from_tracking })

@@ -2,8 +2,8 @@
 //!
 //! Of each place the first submap that knew it stays, which holds the map where it is, and so many of the newest, which show
 //! it as it is now. Submaps of which little is left then go, with the nodes that belong to no other one, their constraints
-//! and what was measured between them. Where that tears the graph it is tied again as it lies. Where the nodes were is kept
-//! ([`TrimmedNodes`](super::TrimmedNodes)).
+//! and what was measured between them. What they had measured of those that stay is summarised (`summary_ties.rs`). Where the nodes were is
+//! kept relative to nodes that stay ([`TrimmedNodes`](super::TrimmedNodes)).
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::f64::consts::FRAC_PI_2;
@@ -11,6 +11,7 @@ use std::f64::consts::FRAC_PI_2;
 use portolan_geometry::{Time, project_2d, yaw};
 use rayon::prelude::*;
 
+use super::trimming::Remains;
 use super::{PoseGraph, TrajectoryState};
 use crate::{Space, SubmapId, TrajectoryId};
 
@@ -53,14 +54,22 @@ impl<S: Space> PoseGraph<S> {
         if newest == 0 || self.complete_submaps() < self.complete_after_dropping + AT_ONCE {
             return;
         }
-        let covered: BTreeSet<SubmapId> = self
+        let covered: Vec<SubmapId> = self
             .state
             .connectivity
             .components()
             .iter()
             .flat_map(|part| self.covered_in(part, newest))
             .collect();
-        self.trim_submaps(&covered);
+        if !covered.is_empty() {
+            let whole = self.tied_parts();
+            for id in covered {
+                self.summarise(id);
+                self.trim(id, Remains::Anchored);
+                self.forget_summaries();
+            }
+            self.tie_torn(&whole);
+        }
         self.forget_lonely_sightings();
         self.complete_after_dropping = self.complete_submaps();
     }

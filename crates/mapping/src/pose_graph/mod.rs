@@ -25,6 +25,7 @@ mod sampling;
 mod search;
 mod self_consistency;
 mod state;
+mod summary_ties;
 mod travel;
 mod trimmed_nodes;
 mod trimming;
@@ -45,6 +46,7 @@ pub use self_consistency::SelfConsistency;
 pub use state::{
     Gap, GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedTies,
 };
+use summary_ties::SummaryTies;
 use travel::TravelGraph;
 pub use trimmed_nodes::{TrimmedNode, TrimmedNodes};
 pub use trimming::Trimmer;
@@ -77,6 +79,7 @@ pub struct PoseGraph<S: Space> {
     trimmers: Vec<Trimmer>,
     /// How many submaps were complete when covered ones were dropped.
     complete_after_dropping: usize,
+    summaries: SummaryTies,
     nodes_since_optimization: i64,
     policy: PoseGraphPolicy,
     /// How far nodes are along their trajectories, metres.
@@ -108,6 +111,7 @@ impl<S: Space> PoseGraph<S> {
             problem: OptimizationData::default(),
             trimmers,
             complete_after_dropping: 0,
+            summaries: SummaryTies::default(),
             nodes_since_optimization: 0,
             policy: PoseGraphPolicy::default(),
             ways: BTreeMap::new(),

@@ -61,7 +61,7 @@ impl Coverage {
 
 /// What the pose graph is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Part {
+pub(super) enum Part {
     Submap(SubmapId),
     Node(NodeId),
 }
@@ -73,7 +73,12 @@ impl<S: Space> PoseGraph<S> {
     /// Removes submaps, the nodes that belong to no other one, and trajectories of which nothing is left. Where this tears
     /// apart what constraints tied together, the pieces are tied again as they lie now: what was removed had measured that.
     pub fn remove_submaps(&mut self, ids: &BTreeSet<SubmapId>) {
-        self.trim_submaps(ids);
+        if ids.is_empty() {
+            return;
+        }
+        let whole = self.tied_parts();
+        ids.iter().for_each(|id| self.trim_submap(*id));
+        self.tie_torn(&whole);
         let of_removed: BTreeSet<TrajectoryId> = ids.iter().map(|id| id.trajectory_id).collect();
         for id in of_removed {
             if self.submaps_of(id).is_empty() && !self.state.nodes.keys().any(|node| node.trajectory_id == id)
@@ -81,16 +86,6 @@ impl<S: Space> PoseGraph<S> {
                 self.mark_deleted(id);
             }
         }
-    }
-
-    /// As [`Self::remove_submaps`], but trajectories stay.
-    pub(super) fn trim_submaps(&mut self, ids: &BTreeSet<SubmapId>) {
-        if ids.is_empty() {
-            return;
-        }
-        let whole = self.tied_parts();
-        ids.iter().for_each(|id| self.trim_submap(*id));
-        self.tie_torn(&whole);
     }
 
     /// Older submaps of which a trajectory leaves too little to be seen: each cell of the map is seen in the newest
@@ -131,7 +126,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Which parts of the graph hang together: each with the first one of its piece.
-    fn tied_parts(&self) -> BTreeMap<Part, Part> {
+    pub(super) fn tied_parts(&self) -> BTreeMap<Part, Part> {
         let mut pieces = Pieces::default();
         self.state.submaps.keys().for_each(|id| pieces.add(Part::Submap(*id)));
         self.state.nodes.keys().for_each(|id| pieces.add(Part::Node(*id)));
@@ -147,7 +142,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Ties pieces together that were one piece before.
-    fn tie_torn(&mut self, before: &BTreeMap<Part, Part>) {
+    pub(super) fn tie_torn(&mut self, before: &BTreeMap<Part, Part>) {
         let mut torn: BTreeMap<Part, BTreeMap<Part, Vec<Part>>> = BTreeMap::new();
         for (part, root) in self.tied_parts() {
             let Some(whole) = before.get(&part) else { continue };

@@ -7,7 +7,7 @@ use portolan_geometry::{Rigid3, Time};
 use portolan_recall::{Answer, Sink, Words};
 use portolan_spool::Spool;
 
-use crate::{NodeId, TrajectoryId};
+use crate::{Node, NodeId, TrajectoryId};
 
 /// What is left of a node that a trimmer removed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +28,15 @@ pub struct TrimmedNodes {
     moves: Vec<(usize, TrajectoryId, Option<Rigid3>)>,
 }
 
+/// What a removed node moves with.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Anchor {
+    /// A node that was there when it was removed.
+    pub node: NodeId,
+    /// Pose of the tracking frame in that of the other node.
+    pub anchor_from_tracking: Rigid3,
+}
+
 impl TrimmedNodes {
     /// Lets nodes wait in a file in this folder from now on. To be called before there are any.
     pub fn keep_in(&mut self, folder: &Path) {
@@ -46,12 +55,22 @@ impl TrimmedNodes {
         self.nodes.is_empty()
     }
 
-    /// The nodes of a trajectory.
-    pub fn of(&self, id: TrajectoryId) -> BTreeMap<NodeId, TrimmedNode> {
-        let of_trajectory = self.nodes.iter().enumerate().filter(|(_, record)| record.0.trajectory_id == id);
-        of_trajectory
-            .filter_map(|(index, Record(id, node))| Some((id, self.moved(index, id, node)?)))
-            .collect()
+    /// The nodes of a trajectory as they lie by now, where other nodes lie as `kept` says.
+    pub fn of(&self, id: TrajectoryId, kept: &BTreeMap<NodeId, Node>) -> BTreeMap<NodeId, TrimmedNode> {
+        // What a node moves with went later or is there still.
+        let mut lie: BTreeMap<NodeId, TrimmedNode> = BTreeMap::new();
+        let records: Vec<Record> = self.nodes.iter().collect();
+        for (index, Record(id, node, anchor)) in records.into_iter().enumerate().rev() {
+            let with_anchor = anchor.and_then(|anchor| {
+                let known = kept.get(&anchor.node).map(|node| node.map_from_tracking);
+                let gone = || lie.get(&anchor.node).map(|node| node.map_from_tracking);
+                Some(known.or_else(gone)? * anchor.anchor_from_tracking)
+            });
+            let by_anchor = with_anchor.map(|map_from_tracking| TrimmedNode { map_from_tracking, ..node });
+            lie.extend(self.moved(index, id, node).map(|moved| (id, by_anchor.unwrap_or(moved))));
+        }
+        lie.retain(|of, _| of.trajectory_id == id);
+        lie
     }
 
     /// A node as it lies by now.
@@ -62,8 +81,8 @@ impl TrimmedNodes {
         })
     }
 
-    pub(super) fn add(&mut self, id: NodeId, node: TrimmedNode) {
-        self.nodes.push(Record(id, node));
+    pub(super) fn add(&mut self, id: NodeId, node: TrimmedNode, anchor: Option<Anchor>) {
+        self.nodes.push(Record(id, node, anchor));
     }
 
     /// Moves the nodes of a trajectory.
@@ -84,19 +103,24 @@ impl TrimmedNodes {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Record(NodeId, TrimmedNode);
+struct Record(NodeId, TrimmedNode, Option<Anchor>);
 
 impl Answer for Record {
     fn write(&self, words: &mut impl Sink) {
-        let Self(id, node) = self;
+        let Self(id, node, anchor) = self;
         [id.trajectory_id.0, id.index].write(words);
         (node.time, [node.local_from_tracking, node.map_from_tracking]).write(words);
+        anchor.map(|a| ([a.node.trajectory_id.0, a.node.index], a.anchor_from_tracking)).write(words);
     }
 
     fn read(words: &mut Words<'_>) -> Option<Self> {
-        let ([trajectory, index], (time, [local_from_tracking, map_from_tracking])) = Answer::read(words)?;
+        let id = |[trajectory, index]: [u32; 2]| NodeId::new(TrajectoryId(trajectory), index);
+        let (of_node, (time, [local_from_tracking, map_from_tracking])) = Answer::read(words)?;
         let node = TrimmedNode { time, local_from_tracking, map_from_tracking };
-        Some(Self(NodeId::new(TrajectoryId(trajectory), index), node))
+        let anchor = <Option<([u32; 2], Rigid3)>>::read(words)?;
+        let anchor =
+            anchor.map(|(of_node, anchor_from_tracking)| Anchor { node: id(of_node), anchor_from_tracking });
+        Some(Self(id(of_node), node, anchor))
     }
 }
 
@@ -113,15 +137,40 @@ mod tests {
             local_from_tracking: Rigid3::identity(),
             map_from_tracking: Rigid3::translation(x, 0.0, 0.0),
         };
-        trimmed.add(NodeId::new(a, 5), at(1.0));
-        trimmed.add(NodeId::new(b, 2), at(2.0));
+        trimmed.add(NodeId::new(a, 5), at(1.0), None);
+        trimmed.add(NodeId::new(b, 2), at(2.0), None);
         trimmed.shift(a, &Rigid3::translation(10.0, 0.0, 0.0));
         trimmed.forget(b);
-        trimmed.add(NodeId::new(a, 3), at(3.0));
-        trimmed.add(NodeId::new(b, 4), at(4.0));
-        let of = |id| trimmed.of(id).into_iter().map(|(id, n)| (id.index, n.map_from_tracking.translation.x));
+        trimmed.add(NodeId::new(a, 3), at(3.0), None);
+        trimmed.add(NodeId::new(b, 4), at(4.0), None);
+        let kept = BTreeMap::new();
+        let of = |id| {
+            trimmed.of(id, &kept).into_iter().map(|(id, n)| (id.index, n.map_from_tracking.translation.x))
+        };
         assert_eq!(of(a).collect::<Vec<_>>(), [(3, 3.0), (5, 11.0)]);
         assert_eq!(of(b).collect::<Vec<_>>(), [(4, 4.0)]);
         assert_eq!(trimmed.len(), 4);
+    }
+
+    #[test]
+    fn removed_nodes_follow_what_they_are_anchored_at() {
+        let mut trimmed = TrimmedNodes::default();
+        let id = |index| NodeId::new(TrajectoryId(0), index);
+        let at = |x| TrimmedNode {
+            time: Time::from_ticks(7),
+            local_from_tracking: Rigid3::identity(),
+            map_from_tracking: Rigid3::translation(x, 0.0, 0.0),
+        };
+        let anchor = |index, x| {
+            Some(Anchor { node: id(index), anchor_from_tracking: Rigid3::translation(x, 0.0, 0.0) })
+        };
+        trimmed.add(id(0), at(1.0), anchor(1, 0.5));
+        trimmed.add(id(1), at(0.5), anchor(2, -1.0));
+        let node = crate::made_rooms::node((9.0, 7.0), (0.0, 0.0));
+        let map_from_tracking = Rigid3::translation(20.0, 0.0, 0.0);
+        let kept = [(id(2), Node { data: std::sync::Arc::new(node), map_from_tracking })].into();
+        let lie = trimmed.of(TrajectoryId(0), &kept);
+        let x: Vec<f64> = lie.values().map(|node| node.map_from_tracking.translation.x).collect();
+        assert_eq!(x, [19.5, 19.0]);
     }
 }

@@ -20,7 +20,7 @@ const COLUMNS: usize = 300;
 pub enum Drive {
     /// Through an office, with lidar and wheels, and people in the way.
     Planar(Simulation),
-    /// Through a museum, with a backpack that has a lidar and an IMU.
+    /// Through a storey of a museum, with a backpack that has a lidar and an IMU.
     Spatial(Simulation3d),
 }
 
@@ -43,6 +43,9 @@ impl Drive {
                     seed: day,
                     building_seed: Some(1),
                     duration: seconds,
+                    size: Some([22.0, 19.0]),
+                    storeys: Some(1),
+                    people: Some(2),
                     ..Scenario3dOptions::default()
                 };
                 for lidar in &mut options.lidars {
