@@ -2,7 +2,7 @@
 //! latency over time.
 //!
 //! `cargo run --release -p portolan --example soak -- map 2d 24 FOLDER`; `localize` for the other half, `3d` for the other
-//! space, `keep-all` behind the folder to map without dropping what is covered. In FOLDER it leaves `soak.csv`, `soak.svg`
+//! space, a number behind the folder for other than the usual two newest submaps of a place, 0 to keep all. In FOLDER it leaves `soak.csv`, `soak.svg`
 //! and the results of the job. A mapping that was cut off goes on from its journal when it is started again.
 
 mod drive;
@@ -22,18 +22,10 @@ use portolan::{LIFELONG, RequestedOptions};
 use drive::Drive;
 use rows::{Rows, observer};
 
-/// What is kept while mapping.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Keep {
-    /// What the area needs.
-    Area,
-    /// Everything.
-    All,
-}
-
 /// What is done with the drive.
 enum Work {
-    Map(Keep),
+    /// It is mapped with this setting.
+    Map(String),
     Localize,
 }
 
@@ -44,14 +36,16 @@ struct Command {
     folder: PathBuf,
 }
 
-const USAGE: &str = "soak map|localize 2d|3d HOURS FOLDER [keep-all]";
+const USAGE: &str = "soak map|localize 2d|3d HOURS FOLDER [SUBMAPS_PER_PLACE]";
 
 fn command() -> Option<Command> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let (work, dimension, hours, folder) = match words[..] {
-        ["map", dimension, hours, folder] => (Work::Map(Keep::Area), dimension, hours, folder),
-        ["map", dimension, hours, folder, "keep-all"] => (Work::Map(Keep::All), dimension, hours, folder),
+        ["map", dimension, hours, folder] => (Work::Map(LIFELONG.to_owned()), dimension, hours, folder),
+        ["map", dimension, hours, folder, count] => {
+            (Work::Map(format!("portolan.submaps_per_place={count}")), dimension, hours, folder)
+        }
         ["localize", dimension, hours, folder] => (Work::Localize, dimension, hours, folder),
         _ => return None,
     };
@@ -70,7 +64,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let drive = Drive::new(dimension, 2, Some(3600.0 * hours))?;
     let mut rows = Rows::begin(&folder, hours)?;
     let poses = match work {
-        Work::Map(keep) => mapped(&drive, keep, &folder, &mut rows)?,
+        Work::Map(setting) => mapped(&drive, setting, &folder, &mut rows)?,
         Work::Localize => localised(&drive, dimension, &folder, &mut rows)?,
     };
     let verdict = rows.end();
@@ -79,13 +73,16 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn mapped(drive: &Drive, keep: Keep, folder: &Path, rows: &mut Rows) -> Result<Trajectory, Box<dyn Error>> {
+fn mapped(
+    drive: &Drive,
+    setting: String,
+    folder: &Path,
+    rows: &mut Rows,
+) -> Result<Trajectory, Box<dyn Error>> {
     let results = folder.join("mapped");
     let mut request = MapRequest { threads: 1, force: true, ..MapRequest::new(&results) };
     request.resume = results.join(JOURNAL).is_file();
-    if keep == Keep::Area {
-        request.requested.settings.push(LIFELONG.to_owned());
-    }
+    request.requested.settings.push(setting);
     request.cloud.with_xrays = false;
     map(drive.recording(), request, &mut observer(rows))?;
     let path = results.join("trajectory.tum");
