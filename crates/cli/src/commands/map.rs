@@ -70,7 +70,7 @@ pub struct MapArgs {
     #[arg(long)]
     pub resume: bool,
 
-    /// Map for as long as you like in one place: of each place the first submap and the newest two stay, the others go with
+    /// Map for as long as you like in one place: of each place the first submap and the newest four stay, the others go with
     /// their scans, so that memory and time follow the area and not the hours. The trajectory stays whole.
     #[arg(long)]
     pub lifelong: bool,

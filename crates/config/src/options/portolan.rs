@@ -55,7 +55,7 @@ options! {
         redraw_submaps: bool = false, "", Bounds::ANY;
         /// Keep of each place the submap that saw it first and so many of the newest, and drop the others with their nodes, so
         /// that memory and time follow the area that is mapped and not how long it takes. 0 keeps everything.
-        /// `map --lifelong` sets 2. Raise it when loops are missed in long recordings.
+        /// `map --lifelong` sets 4. Raise it when loops are missed in long recordings.
         submaps_per_place: usize = 0, "submaps", Bounds::ANY;
         /// Scans that must be found in whole submaps, all saying the same place within 0.5 m and 5 degrees
         /// and at least twice as many as say any other, before a trajectory is connected with another part

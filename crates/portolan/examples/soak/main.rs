@@ -2,7 +2,7 @@
 //! latency over time.
 //!
 //! `cargo run --release -p portolan --example soak -- map 2d 24 FOLDER`; `localize` for the other half, `3d` for the other
-//! space, a number behind the folder for other than the usual two newest submaps of a place, 0 to keep all. In FOLDER it leaves `soak.csv`, `soak.svg`
+//! space, a number behind the folder for other than the usual four newest submaps of a place, 0 to keep all. In FOLDER it leaves `soak.csv`, `soak.svg`
 //! and the results of the job. A mapping that was cut off goes on from its journal when it is started again.
 
 mod drive;

@@ -17,11 +17,7 @@ const PLOTS: [(&str, &str, &[Line]); 3] = [
     (
         "Processor time from one measurement to the next",
         "ms",
-        &[
-            ("median", "#2ca02c", |row| row.cpu_latency[0]),
-            ("99 %", "#9467bd", |row| row.cpu_latency[1]),
-            ("99 % by the clock", "#bbbbbb", |row| row.latency[1]),
-        ],
+        &[("median", "#2ca02c", |row| row.cpu_latency[0]), ("99 %", "#9467bd", |row| row.cpu_latency[1])],
     ),
     (
         "Pose graph",
