@@ -40,8 +40,13 @@ pub fn plots(rows: &[Row]) -> String {
         line_plot(PlotLabels { title, x: "recording, h", y }, &lines)
     };
     let points = |value: fn(&Row) -> f64| rows.iter().map(|row| [row.hours, value(row)]).collect();
+    // Localisation has no graph.
+    let shows = |(_, _, lines): &&(&str, &str, &[Line])| {
+        lines.iter().any(|(.., value)| rows.iter().any(|row| value(row) > 0.0))
+    };
     let mut all: Vec<String> = PLOTS
         .iter()
+        .filter(shows)
         .map(|(title, y, lines)| {
             let lines = lines.iter().map(|(name, colour, value)| (*name, *colour, points(*value)));
             draw(title, y, &lines.collect::<Vec<_>>())
