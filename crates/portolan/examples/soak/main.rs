@@ -10,6 +10,7 @@ mod rows;
 mod summary;
 
 use std::error::Error;
+use std::io::{Write, stdout};
 use std::path::{Path, PathBuf};
 
 use portolan::evaluation::{TimedPose, Trajectory};
@@ -68,8 +69,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         Work::Localize => localised(&drive, dimension, &folder, &mut rows)?,
     };
     let verdict = rows.end();
-    println!("{verdict}");
-    println!("{}", drive.errors(&poses)?);
+    writeln!(stdout(), "{verdict}\n{}", drive.errors(&poses)?)?;
     Ok(())
 }
 
@@ -113,7 +113,7 @@ fn localised(
         threads: 1,
     };
     let found = localize(drive.recording(), &request, &mut observer(rows))?;
-    println!("found {}: {:?}", found.found().name(), found.state_counts());
+    writeln!(stdout(), "found {}: {:?}", found.found().name(), found.state_counts())?;
     let poses = found.poses().into_iter();
     Ok(Trajectory::new(poses.map(|(time, map_from_tracking)| TimedPose { time, map_from_tracking })).0)
 }

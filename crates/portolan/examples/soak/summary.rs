@@ -9,7 +9,7 @@ use crate::rows::{ROWS_AN_HOUR, Row, at};
 /// It is flat if the end is at most so many times the first hour.
 const FLAT: f64 = 1.05;
 
-/// A value of a row, with its name and colour.
+/// A value of a row, with two words on it: its name and colour, or its name and unit.
 type Line<'a> = (&'a str, &'a str, fn(&Row) -> f64);
 
 const PLOTS: [(&str, &str, &[Line]); 3] = [
@@ -82,7 +82,7 @@ pub fn verdict(rows: &[Row]) -> String {
         at(&values, 0.5)
     };
     let mut text = String::new();
-    let values: [(&str, &str, fn(&Row) -> f64); 3] = [
+    let values: [Line; 3] = [
         ("memory", "MB", |row| row.memory),
         ("processor time of a measurement, 99 %", "ms", |row| row.cpu_latency[1]),
         ("latency by the clock, 99 %", "ms", |row| row.latency[1]),
