@@ -20,6 +20,7 @@ mod placed_scan;
 mod planar_map;
 mod planar_scan;
 mod recent;
+mod record;
 mod renewal;
 mod rivals;
 mod scan_match;

@@ -70,6 +70,18 @@ pub enum Reason {
 }
 
 impl Reason {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::NoPlaceFits,
+        Self::SeveralPlacesFit,
+        Self::TooLittleSeen,
+        Self::ScansFit,
+        Self::ScansContradict,
+        Self::OutsideTheMap,
+        Self::AnotherPlaceFitsBetter,
+        Self::LocalMapLost,
+    ];
+
     /// Its name in files.
     pub fn name(self) -> &'static str {
         match self {

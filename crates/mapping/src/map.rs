@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use portolan_config::Options;
 use portolan_geometry::{Rigid3, Time, interpolate};
+use portolan_recall::{Answer, Sink, Words};
 
 use crate::mapper::EndedTrajectory;
 use crate::{NodeId, PoseGraph, Space, TrajectoryId, TrimmedNode, of_trajectory};
@@ -18,6 +19,21 @@ pub struct ScanPose {
     /// Index of the last node at this time.
     pub last_node_index: Option<u32>,
 }
+
+impl Answer for ScanPose {
+    fn write(&self, words: &mut impl Sink) {
+        (self.time, (self.local_from_tracking, self.last_node_index.map_or(NO_NODE, u64::from))).write(words);
+    }
+
+    fn read(words: &mut Words<'_>) -> Option<Self> {
+        let (time, (local_from_tracking, index)) = <(_, (_, u64))>::read(words)?;
+        let last_node_index = if index == NO_NODE { None } else { Some(u32::try_from(index).ok()?) };
+        Some(Self { time, local_from_tracking, last_node_index })
+    }
+}
+
+/// In files, before there is a node.
+const NO_NODE: u64 = u64::MAX;
 
 /// A map: the pose graph with all that came along.
 pub struct Map<S: Space> {
@@ -41,42 +57,40 @@ impl<S: Space> Map<S> {
 
     /// Time and global pose of every node of a trajectory, and of those that were trimmed.
     pub fn node_poses(&self, id: TrajectoryId) -> Vec<(Time, Rigid3)> {
-        let state = self.graph.state();
-        let kept = of_trajectory(&state.nodes, id).map(|(id, n)| (id, (n.data.time, n.map_from_tracking)));
-        let trimmed = of_trajectory(&state.trimmed_nodes, id);
-        let trimmed = trimmed.map(|(id, n)| (id, (n.time, n.map_from_tracking)));
-        let all: BTreeMap<NodeId, (Time, Rigid3)> = kept.chain(trimmed).collect();
-        all.into_values().collect()
+        self.nodes_as_last(id).into_values().map(|node| (node.time, node.map_from_tracking)).collect()
     }
 
     /// Time and global pose of every scan of a trajectory, inserted or not: what local SLAM found,
     /// corrected as the nodes before and after it were.
     pub fn scan_poses(&self, id: TrajectoryId) -> Vec<(Time, Rigid3)> {
         let Some(trajectory) = self.trajectories.get(&id) else { return self.node_poses(id) };
-        trajectory.scans.iter().filter_map(|scan| Some((scan.time, self.scan_pose(id, scan)?))).collect()
+        let nodes = self.nodes_as_last(id);
+        let pose = |scan: ScanPose| Some((scan.time, scan_pose(id, &scan, &nodes)?));
+        trajectory.scans.iter().filter_map(pose).collect()
     }
 
-    fn scan_pose(&self, id: TrajectoryId, scan: &ScanPose) -> Option<Rigid3> {
-        let before = self.node_as_last(NodeId::new(id, scan.last_node_index?))?;
-        let by = |node: &TrimmedNode| {
-            node.map_from_tracking * node.local_from_tracking.inverse() * scan.local_from_tracking
-        };
-        match self.node_as_last(NodeId::new(id, scan.last_node_index? + 1)) {
-            Some(after) if scan.time > before.time => {
-                Some(interpolate(before.time, &by(&before), after.time, &by(&after), scan.time))
-            }
-            _ => Some(by(&before)),
-        }
-    }
-
-    /// A node as it is, or as it was when it was trimmed.
-    fn node_as_last(&self, id: NodeId) -> Option<TrimmedNode> {
+    /// The nodes of a trajectory as they are, or as they were when they were trimmed.
+    fn nodes_as_last(&self, id: TrajectoryId) -> BTreeMap<NodeId, TrimmedNode> {
         let state = self.graph.state();
-        let kept = state.nodes.get(&id).map(|node| TrimmedNode {
-            time: node.data.time,
-            local_from_tracking: node.data.local_from_tracking,
-            map_from_tracking: node.map_from_tracking,
-        });
-        kept.or_else(|| state.trimmed_nodes.get(&id).copied())
+        let mut nodes = state.trimmed_nodes.of(id, &state.nodes);
+        nodes.extend(of_trajectory(&state.nodes, id).map(|(id, node)| {
+            let (time, local_from_tracking) = (node.data.time, node.data.local_from_tracking);
+            (id, TrimmedNode { time, local_from_tracking, map_from_tracking: node.map_from_tracking })
+        }));
+        nodes
+    }
+}
+
+/// Where a scan was taken, by the nodes before and after it.
+fn scan_pose(id: TrajectoryId, scan: &ScanPose, nodes: &BTreeMap<NodeId, TrimmedNode>) -> Option<Rigid3> {
+    let before = nodes.get(&NodeId::new(id, scan.last_node_index?))?;
+    let by = |node: &TrimmedNode| {
+        node.map_from_tracking * node.local_from_tracking.inverse() * scan.local_from_tracking
+    };
+    match nodes.get(&NodeId::new(id, scan.last_node_index? + 1)) {
+        Some(after) if scan.time > before.time => {
+            Some(interpolate(before.time, &by(before), after.time, &by(after), scan.time))
+        }
+        _ => Some(by(before)),
     }
 }

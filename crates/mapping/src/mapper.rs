@@ -5,6 +5,7 @@
 //! pose graph takes its work in the order in which local SLAM made it.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use portolan_config::{Options, TrajectoryBuilderOptions};
@@ -14,6 +15,7 @@ use portolan_motion::MotionFilter;
 use portolan_numeric::LatencyHistogram;
 use portolan_recall::Memory;
 use portolan_sensor::{Measurement, SensorId, SensorKind};
+use portolan_spool::Spool;
 
 use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
@@ -47,7 +49,7 @@ struct ActiveTrajectory<S: Space> {
     sensors: BTreeSet<SensorId>,
     local_slam: S::LocalSlam,
     odometry_filter: Option<MotionFilter>,
-    scans: Vec<ScanPose>,
+    scans: Spool<ScanPose>,
     last_node: Option<u32>,
     next_node: u32,
     /// What it is in the pose graph now: a trajectory of its own for each piece of map.
@@ -82,6 +84,8 @@ pub struct Mapper<S: Space> {
     degenerate_intervals: Vec<DegenerateInterval>,
     losses: Vec<Loss>,
     memory: Memory,
+    /// Where what grows with time waits; in memory if there is no such folder.
+    spool_folder: Option<PathBuf>,
 }
 
 /// What stays of a trajectory for the map.
@@ -92,7 +96,7 @@ pub struct EndedTrajectory {
     /// Its sensors.
     pub sensors: BTreeSet<SensorId>,
     /// Every scan.
-    pub scans: Vec<ScanPose>,
+    pub scans: Spool<ScanPose>,
 }
 
 impl<S: Space> Mapper<S> {
@@ -126,6 +130,7 @@ impl<S: Space> Mapper<S> {
             degenerate_intervals: Vec::new(),
             losses: Vec::new(),
             memory: Memory::default(),
+            spool_folder: None,
         })
     }
 
@@ -134,6 +139,18 @@ impl<S: Space> Mapper<S> {
         self.memory = memory.clone();
         let memory = memory.clone();
         self.backend.enqueue(move |graph| graph.remember_with(memory))
+    }
+
+    /// Lets the poses of scans, and what stays of removed nodes, wait in nameless files in this folder instead of memory. To be
+    /// called before anything is added.
+    pub fn spool_in(&mut self, folder: &Path) -> Result<(), MapperError> {
+        self.spool_folder = Some(folder.to_owned());
+        let folder = folder.to_owned();
+        self.backend.enqueue(move |graph| graph.spool_in(&folder))
+    }
+
+    fn scan_poses(&self) -> Spool<ScanPose> {
+        self.spool_folder.as_deref().map_or_else(Spool::default, Spool::in_folder)
     }
 
     /// Starts a trajectory with these sensors.
@@ -153,7 +170,7 @@ impl<S: Space> Mapper<S> {
             local_slam,
             odometry_filter: options.pose_graph_odometry_motion_filter.as_ref().map(motion_filter),
             sensors: sensors.clone(),
-            scans: Vec::new(),
+            scans: self.scan_poses(),
             last_node: None,
             next_node: 0,
             piece: id,
@@ -264,6 +281,7 @@ impl<S: Space> Mapper<S> {
     /// Ends the piece of map that was being drawn, and begins another one, which has no place in the rest yet.
     fn begin_piece(&mut self, id: TrajectoryId, lost: &Lost<S>, time: Time) -> Result<(), MapperError> {
         let piece = TrajectoryId(self.next_trajectory);
+        let begun = self.scan_poses();
         let Some(trajectory) = self.active.get_mut(&id) else { return Ok(()) };
         self.next_trajectory += 1;
         let is_bridged = lost.bridge.is_some();
@@ -272,7 +290,7 @@ impl<S: Space> Mapper<S> {
         let ended = EndedTrajectory {
             options: trajectory.options.clone(),
             sensors: trajectory.sensors.clone(),
-            scans: std::mem::take(&mut trajectory.scans),
+            scans: std::mem::replace(&mut trajectory.scans, begun),
         };
         (trajectory.last_node, trajectory.next_node) = (None, 0);
         self.ended.insert(before, ended);

@@ -6,7 +6,8 @@ use portolan_numeric::quantile;
 use portolan_solver::Loss;
 
 use super::data::{OptimizationData, OptimizationNode};
-use crate::{TrajectoryId, of_trajectory};
+use super::graph_problem::follows;
+use crate::{NodeId, TrajectoryId, of_trajectory};
 
 /// Fewer fixes have no scatter.
 const MIN_FIXES: usize = 20;
@@ -44,9 +45,12 @@ pub(super) fn loss(data: &OptimizationData, options: &OptimizationProblemOptions
 fn scatter(data: &OptimizationData, id: TrajectoryId) -> Option<f64> {
     let map_from_fixed = data.fixed_frame_origins.get(&id).copied().flatten()?;
     let fixes = &data.sensors.get(&id)?.fixed_frame;
-    let nodes: Vec<&OptimizationNode> = of_trajectory(&data.nodes, id).map(|(_, node)| node).collect();
+    let nodes: Vec<(NodeId, &OptimizationNode)> = of_trajectory(&data.nodes, id).collect();
     let between = nodes.windows(2).filter_map(|pair| {
-        let [a, b] = pair else { return None };
+        let [(id_a, a), (id_b, b)] = pair else { return None };
+        if !follows(id_a, id_b) {
+            return None;
+        }
         let seconds = b.time.seconds_since(a.time);
         (seconds > 0.0).then_some((*a, *b, seconds))
     });
@@ -76,7 +80,6 @@ mod tests {
     use portolan_sensor::FixedFramePoseData;
 
     use super::*;
-    use crate::NodeId;
 
     const ID: TrajectoryId = TrajectoryId(0);
 

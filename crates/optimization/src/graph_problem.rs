@@ -324,7 +324,7 @@ pub(super) struct SightingBetweenNodes<'a> {
 }
 
 impl<'a> SightingBetweenNodes<'a> {
-    /// None before the first node of the trajectory or after its last.
+    /// None before the first node of the trajectory, after its last, and where nodes between were removed.
     pub fn find(sighting: &LandmarkSighting, data: &'a OptimizationData) -> Option<Self> {
         let mut nodes = of_trajectory(&data.nodes, sighting.trajectory_id);
         let mut previous = nodes.next()?;
@@ -339,6 +339,9 @@ impl<'a> SightingBetweenNodes<'a> {
             }
             found
         })?;
+        if !follows(&previous.0, &next.0) {
+            return None;
+        }
         let span = next.1.time.seconds_since(previous.1.time);
         let factor = if span > 0.0 { sighting.time.seconds_since(previous.1.time) / span } else { 0.0 };
         Some(Self { previous, next, factor })

@@ -12,7 +12,8 @@ use portolan_motion::{ImuMotion, integrate_imu, velocity_change};
 use portolan_sensor::ImuData;
 
 use super::data::{OptimizationData, OptimizationNode};
-use crate::{TrajectoryId, of_trajectory};
+use super::graph_problem::follows;
+use crate::{NodeId, TrajectoryId, of_trajectory};
 
 /// The bias of a gyroscope is the mean of this long around a time, seconds.
 const WINDOW: f64 = 60.0;
@@ -55,7 +56,7 @@ struct Step {
 impl ImuBias {
     /// Estimates both from the nodes of a trajectory.
     pub fn estimate(data: &OptimizationData, id: TrajectoryId, options: &OptimizationProblemOptions) -> Self {
-        let nodes: Vec<&OptimizationNode> = of_trajectory(&data.nodes, id).map(|(_, node)| node).collect();
+        let nodes: Vec<(NodeId, &OptimizationNode)> = of_trajectory(&data.nodes, id).collect();
         let Some(sensors) = data.sensors.get(&id) else { return Self::default() };
         let mut range = SaturationDetector::new(&GyroscopeSettings::default());
         let saturated: BTreeSet<Time> = sensors
@@ -139,11 +140,14 @@ impl ImuBias {
 }
 
 fn step(
-    pair: &[&OptimizationNode],
+    pair: &[(NodeId, &OptimizationNode)],
     imu: &std::collections::BTreeMap<Time, ImuData>,
     saturated: &BTreeSet<Time>,
 ) -> Option<Step> {
-    let &[a, b] = pair else { return None };
+    let &[(id_a, a), (id_b, b)] = pair else { return None };
+    if !follows(&id_a, &id_b) {
+        return None;
+    }
     let seconds = b.time.seconds_since(a.time);
     let motion = integrate_imu(imu, a.time, b.time).filter(|_| seconds > 0.0)?;
     let found = a.local_from_node.rotation.inverse() * b.local_from_node.rotation;
@@ -157,7 +161,7 @@ fn step(
 /// those of consecutive nodes: `R₂ (Δv − b T) − g T = Δv_local`, linear least squares with b believed to be
 /// small. Where the frame never turns b cannot be distinguished from a tilt of g, and stays small.
 fn accelerometer_bias(
-    nodes: &[&OptimizationNode],
+    nodes: &[(NodeId, &OptimizationNode)],
     imu: &std::collections::BTreeMap<Time, portolan_sensor::ImuData>,
 ) -> Vector3 {
     let mut hessian = na::Matrix6::<f64>::identity() * 1e-6;
@@ -165,7 +169,10 @@ fn accelerometer_bias(
     let mut of_bias = hessian.fixed_view_mut::<3, 3>(0, 0);
     of_bias += na::Matrix3::identity() * (1.0 / (ACCELEROMETER_SIGMA * ACCELEROMETER_SIGMA));
     for triple in nodes.windows(3) {
-        let &[a, b, c] = triple else { continue };
+        let &[(id_a, a), (id_b, b), (id_c, c)] = triple else { continue };
+        if !(follows(&id_a, &id_b) && follows(&id_b, &id_c)) {
+            continue;
+        }
         let (first, second) = (b.time.seconds_since(a.time), c.time.seconds_since(b.time));
         if !(first > 0.0 && second > 0.0) {
             continue;

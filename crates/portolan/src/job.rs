@@ -220,6 +220,7 @@ impl<'a> Job<'a> {
         change_options(&mut preparation, &request.requested.settings, observe)?;
         preparation.background_threads = request.requested.background_threads();
         request.cloud.keep_scans(&mut preparation, &request.folder);
+        preparation.spool_in = Some(request.folder.clone());
         Ok(Self { recording, request, preparation, folder, journal: None })
     }
 

@@ -12,7 +12,7 @@ pub mod trajectory_file;
 pub mod unwind;
 
 pub use automatic::{Lidar, Sensors, settings_for};
-pub use requested::RequestedOptions;
+pub use requested::{LIFELONG, RequestedOptions};
 
 pub use portolan_atomic_file as atomic_file;
 pub use portolan_bunzip2 as bunzip2;

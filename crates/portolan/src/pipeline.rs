@@ -132,6 +132,8 @@ pub struct Preparation {
     pub background_threads: Option<usize>,
     /// Scans are kept for pictures in a nameless file in this folder; not at all unless it is set.
     pub keep_scans_in: Option<PathBuf>,
+    /// What grows with the length of the recording waits in nameless files in this folder; in memory unless it is set.
+    pub spool_in: Option<PathBuf>,
     /// What is remembered of an earlier run, and for a later one.
     pub memory: Memory,
 }
@@ -175,6 +177,7 @@ pub fn prepare(
         dimension,
         background_threads: None,
         keep_scans_in: None,
+        spool_in: None,
         memory: Memory::default(),
     })
 }
@@ -222,12 +225,13 @@ pub fn map_recording<S: Space>(
     settings: MapperSettings,
     observe: &mut dyn FnMut(&PipelineProgress) -> bool,
 ) -> Result<MappedRecording<S>, PipelineError> {
-    let Preparation { inventory, plan, options, keep_scans_in, memory, .. } = preparation;
+    let Preparation { inventory, plan, options, keep_scans_in, spool_in, memory, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
     let known_issues = known.issues;
     let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
     mapper.remember_with(&memory)?;
+    spool_in.map_or(Ok(()), |folder| mapper.spool_in(&folder))?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let trajectory_id = mapper.add_trajectory(&sensors, initial_pose)?;
     let mut silences = Silences::default();

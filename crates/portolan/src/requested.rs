@@ -5,6 +5,9 @@ use std::collections::BTreeSet;
 use portolan_config::{ConfigError, Options, explain};
 use portolan_ingest::{ConfiguredSensors, IngestOptions, SamplingRatios};
 
+/// The setting with which memory and time follow the area that is mapped, not how long it takes.
+pub const LIFELONG: &str = "portolan.submaps_per_place=4";
+
 /// A whole configuration, single settings on top of it or of what is chosen automatically, or nothing.
 #[derive(Clone, Debug, Default)]
 pub struct RequestedOptions {

@@ -7,9 +7,9 @@ mod words;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use portolan::RequestedOptions;
 use portolan::job::{CloudResults, Event, Job, JobError, Localisation, MapRequest, Remark, ResultSpace};
 use portolan::pipeline::{KnownMap, MappedRecording};
+use portolan::{LIFELONG, RequestedOptions};
 use portolan_config::{Engine, Loader, Options};
 use portolan_geometry::{Dimension, Duration};
 use portolan_ingest::IngestOptions;
@@ -69,6 +69,11 @@ pub struct MapArgs {
     /// the folder holds is not computed again; the results are the same as without the cut.
     #[arg(long)]
     pub resume: bool,
+
+    /// Map for as long as you like in one place: of each place the first submap and the newest four stay, the others go with
+    /// their scans, so that memory and time follow the area and not the hours. The trajectory stays whole.
+    #[arg(long)]
+    pub lifelong: bool,
 
     #[command(flatten)]
     pub cut: CutArgs,
@@ -171,7 +176,10 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;
-    let requested = requested_options(&args.sensors, &args.config)?;
+    let mut requested = requested_options(&args.sensors, &args.config)?;
+    if args.lifelong {
+        requested.settings.insert(0, LIFELONG.to_owned());
+    }
     let ingest = ingest_options(&args.sensors, &args.cut, &requested)?;
     let request = MapRequest {
         folder,

@@ -53,6 +53,10 @@ options! {
         /// scan where it is then, its beams as sectors, so that far ones do not wipe out walls that were seen from
         /// nearby. Otherwise submaps stay as local SLAM drew them, as in Cartographer.
         redraw_submaps: bool = false, "", Bounds::ANY;
+        /// Keep of each place the submap that saw it first and so many of the newest, and drop the others with their nodes, so
+        /// that memory and time follow the area that is mapped and not how long it takes. 0 keeps everything.
+        /// `map --lifelong` sets 4. Raise it when loops are missed in long recordings.
+        submaps_per_place: usize = 0, "submaps", Bounds::ANY;
         /// Scans that must be found in whole submaps, all saying the same place within 0.5 m and 5 degrees
         /// and at least twice as many as say any other, before a trajectory is connected with another part
         /// of the map. 1 takes the first that is found, as Cartographer does. Raise it where places

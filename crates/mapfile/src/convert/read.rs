@@ -198,7 +198,9 @@ impl<'a, S: MapSpace> Loading<'a, S> {
                 return Err(MapConversionError::DuplicateTrajectory(trajectory.trajectory_id));
             }
             let (options, sensors) = trajectory_options_from_proto(options, &mut self.result.issues);
-            self.result.trajectories.insert(id, EndedTrajectory { options, sensors, scans: Vec::new() });
+            self.result
+                .trajectories
+                .insert(id, EndedTrajectory { options, sensors, scans: Default::default() });
             self.graph.load_trajectory(id, None);
         }
         if let FrozenTrajectories::Only(ids) = self.frozen

@@ -205,9 +205,7 @@ impl<S: Space> PoseGraph<S> {
             if self.problem.frozen.contains(&id) {
                 continue;
             }
-            for (_, node) in self.state.trimmed_nodes.iter_mut().filter(|(n, _)| n.trajectory_id == id) {
-                node.map_from_tracking = by * node.map_from_tracking;
-            }
+            self.state.trimmed_nodes.shift(id, by);
             for (_, pose) in self.problem.submaps.iter_mut().filter(|(s, _)| s.trajectory_id == id) {
                 *pose = by * *pose;
             }

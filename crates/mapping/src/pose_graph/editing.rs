@@ -117,7 +117,7 @@ impl<S: Space> PoseGraph<S> {
             for submap_id in self.submaps_of(id) {
                 self.trim_submap(submap_id);
             }
-            self.state.trimmed_nodes.retain(|node_id, _| node_id.trajectory_id != id);
+            self.state.trimmed_nodes.forget(id);
             self.mark_deleted(id);
         }
     }

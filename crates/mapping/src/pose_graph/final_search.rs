@@ -42,7 +42,7 @@ impl<S: Space> PoseGraph<S> {
         }
         let most = SHARE_OF_SEARCHES * self.search.counts().window_searched as f64;
         for _ in 0..MOST_ROUNDS {
-            let travel = TravelGraph::new(&self.state);
+            let travel = TravelGraph::new(&self.state, &self.ways);
             self.schedule(self.distant_neighbours(&travel), most);
             let before = self.state.constraints.len();
             let found = self.search.run(&travel, &self.remembered);

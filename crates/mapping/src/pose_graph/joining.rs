@@ -140,7 +140,7 @@ impl<S: Space> PoseGraph<S> {
         }
         // Every pair tells something of how the two lie, however short the path over others is.
         self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.loop_search() });
-        let found = self.search.run(&TravelGraph::new(&self.state), &self.remembered);
+        let found = self.search.run(&TravelGraph::new(&self.state, &self.ways), &self.remembered);
         self.search.set_policy(self.loop_search());
         self.add_found(found);
     }

@@ -13,6 +13,7 @@ mod final_search;
 mod gaps;
 mod insertion;
 mod joining;
+mod lifelong;
 mod localisation;
 mod matcher_cache;
 mod patching;
@@ -24,7 +25,9 @@ mod sampling;
 mod search;
 mod self_consistency;
 mod state;
+mod summary_ties;
 mod travel;
+mod trimmed_nodes;
 mod trimming;
 mod usual_agreement;
 
@@ -41,10 +44,11 @@ pub use renewing::{Coverage, Replacement};
 pub use search::SearchCounts;
 pub use self_consistency::SelfConsistency;
 pub use state::{
-    Gap, GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedNode,
-    TrimmedTies,
+    Gap, GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedTies,
 };
+use summary_ties::SummaryTies;
 use travel::TravelGraph;
+pub use trimmed_nodes::{TrimmedNode, TrimmedNodes};
 pub use trimming::Trimmer;
 pub(crate) use usual_agreement::AT_WRONG_PLACES;
 use usual_agreement::UsualAgreement;
@@ -73,6 +77,9 @@ pub struct PoseGraph<S: Space> {
     places: PlaceSearches,
     usual_agreement: UsualAgreement,
     trimmers: Vec<Trimmer>,
+    /// How many submaps were complete when covered ones were dropped.
+    complete_after_dropping: usize,
+    summaries: SummaryTies,
     nodes_since_optimization: i64,
     policy: PoseGraphPolicy,
     /// How far nodes are along their trajectories, metres.
@@ -103,6 +110,8 @@ impl<S: Space> PoseGraph<S> {
             state: GraphState::default(),
             problem: OptimizationData::default(),
             trimmers,
+            complete_after_dropping: 0,
+            summaries: SummaryTies::default(),
             nodes_since_optimization: 0,
             policy: PoseGraphPolicy::default(),
             ways: BTreeMap::new(),
@@ -150,11 +159,6 @@ impl<S: Space> PoseGraph<S> {
     /// Remembers what searches and optimisations find with this. To be set before anything is added.
     pub fn remember_with(&mut self, memory: Memory) {
         self.remembered = Remembered::new(memory);
-    }
-
-    /// Adds what removes superfluous submaps after each optimisation.
-    pub fn add_trimmer(&mut self, trimmer: Trimmer) {
-        self.trimmers.push(trimmer);
     }
 
     /// Makes a trajectory known, and where it starts if that is known.
@@ -267,11 +271,12 @@ impl<S: Space> PoseGraph<S> {
 
     /// Tries the pairs that wait, adds what was found, optimises, and trims.
     pub fn optimize(&mut self) {
-        let found = self.search.run(&TravelGraph::new(&self.state), &self.remembered);
+        let found = self.search.run(&TravelGraph::new(&self.state, &self.ways), &self.remembered);
         self.add_found(found);
         self.run_optimization();
         self.delete_requested_trajectories();
         self.run_trimmers();
+        self.drop_covered();
         self.nodes_since_optimization = 0;
     }
 

@@ -99,6 +99,8 @@ pub struct PoseGraphPolicy {
     pub min_searches: u64,
     /// Searches in a window.
     pub loops: LoopSearchPolicy,
+    /// So many of the newest submaps of each place stay, and the first; 0: all.
+    pub submaps_per_place: usize,
     /// Submaps are drawn again from their scans when the map is finished (in 2D).
     pub redraws: bool,
 }
@@ -112,6 +114,7 @@ impl Default for PoseGraphPolicy {
             localises_while_recording: false,
             min_searches: 0,
             loops: LoopSearchPolicy::default(),
+            submaps_per_place: 0,
             redraws: false,
         }
     }
@@ -140,6 +143,7 @@ impl PoseGraphPolicy {
             min_agreeing: options.global_localization_min_matches,
             localises_while_recording: options.match_surfaces,
             min_searches: options.min_loop_closure_searches as u64,
+            submaps_per_place: options.submaps_per_place,
             redraws: options.redraw_submaps,
             loops: LoopSearchPolicy {
                 drift: options.loop_search_drift,

@@ -61,7 +61,7 @@ impl Coverage {
 
 /// What the pose graph is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Part {
+pub(super) enum Part {
     Submap(SubmapId),
     Node(NodeId),
 }
@@ -126,7 +126,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Which parts of the graph hang together: each with the first one of its piece.
-    fn tied_parts(&self) -> BTreeMap<Part, Part> {
+    pub(super) fn tied_parts(&self) -> BTreeMap<Part, Part> {
         let mut pieces = Pieces::default();
         self.state.submaps.keys().for_each(|id| pieces.add(Part::Submap(*id)));
         self.state.nodes.keys().for_each(|id| pieces.add(Part::Node(*id)));
@@ -142,7 +142,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Ties pieces together that were one piece before.
-    fn tie_torn(&mut self, before: &BTreeMap<Part, Part>) {
+    pub(super) fn tie_torn(&mut self, before: &BTreeMap<Part, Part>) {
         let mut torn: BTreeMap<Part, BTreeMap<Part, Vec<Part>>> = BTreeMap::new();
         for (part, root) in self.tied_parts() {
             let Some(whole) = before.get(&part) else { continue };

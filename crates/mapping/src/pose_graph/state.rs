@@ -6,6 +6,7 @@ use std::sync::Arc;
 use portolan_geometry::{Rigid3, Time};
 use portolan_optimization::TrajectoryConnectivity;
 
+use super::TrimmedNodes;
 use crate::local_slam::OdometryBridge;
 use crate::{Constraint, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
 
@@ -46,17 +47,6 @@ pub struct SubmapEntry<S: Space> {
     pub insertion_finished: bool,
     /// Nodes inserted into it.
     pub node_ids: BTreeSet<NodeId>,
-}
-
-/// What is left of a node that a trimmer removed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrimmedNode {
-    /// Time of its scan.
-    pub time: Time,
-    /// Pose of the tracking frame in the local map.
-    pub local_from_tracking: Rigid3,
-    /// Global pose of the tracking frame when it was removed.
-    pub map_from_tracking: Rigid3,
 }
 
 /// Loop closures of a trajectory with others that went with trimmed nodes and submaps.
@@ -127,9 +117,8 @@ pub struct GraphState<S: Space> {
     pub connectivity: TrajectoryConnectivity,
     /// Submap poses as the last optimisation left them; those not in it follow their trajectory.
     pub optimized_submaps: BTreeMap<SubmapId, Rigid3>,
-    /// Where the nodes were that trimmers removed: the trajectory of a recording is not lost with them.
-    /// Files do not keep them.
-    pub trimmed_nodes: BTreeMap<NodeId, TrimmedNode>,
+    /// Where the nodes were that trimmers removed. Files do not keep them.
+    pub trimmed_nodes: TrimmedNodes,
     /// By trajectory.
     pub trimmed_ties: BTreeMap<TrajectoryId, TrimmedTies>,
 }
@@ -143,7 +132,7 @@ impl<S: Space> Default for GraphState<S> {
             constraints: Vec::new(),
             connectivity: TrajectoryConnectivity::default(),
             optimized_submaps: BTreeMap::new(),
-            trimmed_nodes: BTreeMap::new(),
+            trimmed_nodes: TrimmedNodes::default(),
             trimmed_ties: BTreeMap::new(),
         }
     }

@@ -24,8 +24,10 @@ pub(super) struct TravelGraph {
 
 impl TravelGraph {
     /// The ways in a map as it is: from each submap to the next of its trajectory, and where loop closures
-    /// lead.
-    pub fn new<S: Space>(state: &GraphState<S>) -> Self {
+    /// lead. `ways` are how far nodes are along their trajectories, metres: where submaps between were dropped, the way there
+    /// was longer than the straight line.
+    pub fn new<S: Space>(state: &GraphState<S>, ways: &BTreeMap<NodeId, f64>) -> Self {
+        let way = |entry: &crate::SubmapEntry<S>| ways.get(entry.node_ids.first()?).copied();
         let mut graph = Self::default();
         let mut previous: Option<(SubmapId, &crate::SubmapEntry<S>)> = None;
         for (id, entry) in &state.submaps {
@@ -34,7 +36,9 @@ impl TravelGraph {
             }
             if let Some((before, known)) = previous.filter(|(b, _)| b.trajectory_id == id.trajectory_id) {
                 let [from, to] = [known, entry].map(|e| e.local_from_submap.translation.vector);
-                graph.connect(before, *id, (to - from).norm());
+                let line = (to - from).norm();
+                let between = way(entry).zip(way(known)).filter(|_| before.index + 1 < id.index);
+                graph.connect(before, *id, between.map_or(line, |(to, from)| line.max(to - from)));
             }
             previous = Some((*id, entry));
         }

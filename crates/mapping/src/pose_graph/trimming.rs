@@ -1,12 +1,23 @@
 //! Removing submaps that are not needed any more (`slam2d.md` §14.7).
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::Path;
 
 use portolan_config::OverlappingSubmapsTrimmer2dOptions;
-use portolan_geometry::{Time, embed_3d, project_2d};
+use portolan_geometry::{Rigid3, Time, embed_3d, project_2d};
 
+use super::trimmed_nodes::Anchor;
 use super::{GraphState, PoseGraph, TrajectoryState, TrimmedNode, TrimmedTies};
 use crate::{Constraint, ConstraintTag, Node, NodeId, Space, SubmapId, TrajectoryId};
+
+/// How the places of removed nodes are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Remains {
+    /// As they are in the map.
+    Fixed,
+    /// Relative to a node that stays.
+    Anchored,
+}
 
 /// Decides after each optimisation what to remove.
 #[derive(Clone, Debug)]
@@ -55,6 +66,16 @@ impl SeenAreas {
 }
 
 impl<S: Space> PoseGraph<S> {
+    /// Adds what removes superfluous submaps after each optimisation.
+    pub fn add_trimmer(&mut self, trimmer: Trimmer) {
+        self.trimmers.push(trimmer);
+    }
+
+    /// Lets what stays of removed nodes wait in a file in this folder instead of memory. To be set before anything is added.
+    pub fn spool_in(&mut self, folder: &Path) {
+        self.state.trimmed_nodes.keep_in(folder);
+    }
+
     pub(super) fn run_trimmers(&mut self) {
         let trimmers = std::mem::take(&mut self.trimmers);
         for trimmer in trimmers {
@@ -171,6 +192,11 @@ impl<S: Space> PoseGraph<S> {
 
     /// Removes a submap, the nodes that belong to no other submap, and every constraint of either.
     pub(super) fn trim_submap(&mut self, id: SubmapId) {
+        self.trim(id, Remains::Fixed);
+    }
+
+    /// As [`Self::trim_submap`].
+    pub(super) fn trim(&mut self, id: SubmapId, remains: Remains) {
         let Some(entry) = self.state.submaps.remove(&id) else { return };
         let orphans: BTreeSet<NodeId> = entry
             .node_ids
@@ -197,14 +223,31 @@ impl<S: Space> PoseGraph<S> {
         self.search.forget_tasks(|submap, node| submap == id || orphans.contains(&node));
         self.problem.submaps.remove(&id);
         self.state.optimized_submaps.remove(&id);
-        for id in orphans {
-            if let Some(Node { data, map_from_tracking }) = self.state.nodes.remove(&id) {
-                let (time, local_from_tracking) = (data.time, data.local_from_tracking);
-                let trimmed = TrimmedNode { time, local_from_tracking, map_from_tracking };
-                self.state.trimmed_nodes.insert(id, trimmed);
-            }
+        let removed: Vec<(NodeId, Node)> =
+            orphans.into_iter().filter_map(|id| self.state.nodes.remove_entry(&id)).collect();
+        for (id, Node { data, map_from_tracking }) in removed {
+            let (time, local_from_tracking) = (data.time, data.local_from_tracking);
+            let trimmed = TrimmedNode { time, local_from_tracking, map_from_tracking };
+            let anchor = match remains {
+                Remains::Fixed => None,
+                Remains::Anchored => self.anchor(&map_from_tracking),
+            };
+            self.state.trimmed_nodes.add(id, trimmed, anchor);
+            self.ways.remove(&id);
             self.problem.trim_node(id);
         }
+    }
+
+    /// The node that lies nearest to a place, and the place in its frame.
+    fn anchor(&self, map_from_tracking: &Rigid3) -> Option<Anchor> {
+        let distance = |node: &Node| {
+            (node.map_from_tracking.translation.vector - map_from_tracking.translation.vector).norm_squared()
+        };
+        let nearest = self.state.nodes.iter().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+        nearest.map(|(id, node)| Anchor {
+            node: *id,
+            anchor_from_tracking: node.map_from_tracking.inverse() * map_from_tracking,
+        })
     }
 
     /// Counts the loop closures between trajectories that go with a submap of these nodes.

@@ -1,7 +1,7 @@
 //! Finding a recording in a saved map, scan by scan, and adding it to the map if that is wanted.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use portolan_geometry::Dimension;
 use portolan_ingest::{IngestOptions, Ingestion};
@@ -15,6 +15,7 @@ use portolan_mapping::{Map, Planar, Space, Spatial};
 use portolan_optimization::LandmarkNode;
 use portolan_recording::Recording;
 use portolan_sensor::SensorId;
+use portolan_spool::Spool;
 
 use super::error::JobError;
 use super::event::{Event, Observer};
@@ -131,12 +132,12 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     let settings =
         LocalizerSettings { start, threads: request.threads, keeps_track: request.save_map.is_some() };
     let mut localizer = Localizer::new(map, &preparation.options, &sensors, &settings)?;
-    let mut estimates: Vec<Estimate> = Vec::new();
+    let mut estimates: Spool<Estimate> = Spool::in_folder(existing(&request.folder));
     let mut silences = Silences::default();
     let mut interrupted = false;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement().map_err(PipelineError::from)? {
         silences.add(&sensor_id, measurement.time());
-        estimates.extend(localizer.add(&sensor_id, measurement));
+        localizer.add(&sensor_id, measurement).into_iter().for_each(|estimate| estimates.push(estimate));
         let (position_bytes, total_bytes) = ingestion.progress();
         let state = estimates.last().map_or(State::Searching, |e| e.state);
         if observe(&Event::Localizing { position_bytes, total_bytes, state }).is_break() {
@@ -144,13 +145,14 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
             break;
         }
     }
-    estimates.extend(localizer.finish());
+    localizer.finish().into_iter().for_each(|estimate| estimates.push(estimate));
     if estimates.is_empty() {
         return Err(PipelineError::NoScans.into());
     }
     let saved_map = match &request.save_map {
         Some(_) if interrupted => Some(SavedMap::Interrupted),
         Some(wanted) => {
+            let estimates: Vec<Estimate> = estimates.iter().collect();
             Some(wanted.save(&request.map, &mut localizer, graph, ingestion.sensors(), &estimates)?)
         }
         None => None,
@@ -174,6 +176,11 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
         saved_map,
         interrupted,
     })
+}
+
+/// A folder, or, where it is not there yet, the nearest one in which it will be.
+fn existing(folder: &Path) -> &Path {
+    folder.ancestors().find(|folder| folder.is_dir()).unwrap_or(Path::new("."))
 }
 
 /// A map as the localizer wants it, what it looks like, and what was wrong with its file.

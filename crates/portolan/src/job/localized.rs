@@ -1,9 +1,11 @@
 //! What localisation leaves in its folder.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
-use std::path::PathBuf;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 
+use portolan_atomic_file::AtomicFile;
 use portolan_export::{
     ColouredLine, PictureError, PictureOptions, Rgb, draw_path, rgb, write_picture, write_tum,
 };
@@ -12,6 +14,7 @@ use portolan_ingest::SensorPlan;
 use portolan_issue::IssueLog;
 use portolan_localization::{Change, Corrections, Estimate, Jumps, Place, StartPose, State};
 use portolan_mapfile::PlacedTexture;
+use portolan_spool::Spool;
 
 use super::REPORT_VERSION;
 use super::change_map::{geojson, outlines};
@@ -23,7 +26,7 @@ use super::saved_map::SavedMap;
 /// A recording that was looked for in a map.
 pub struct LocalizedRecording {
     /// What was known after each scan, in order.
-    pub estimates: Vec<Estimate>,
+    pub estimates: Spool<Estimate>,
     /// Whether it was looked for in 2D or in 3D.
     pub dimension: Dimension,
     /// Which topics were used as which sensors.
@@ -85,13 +88,17 @@ const THROUGHOUT: f64 = 0.95;
 impl LocalizedRecording {
     /// Whether it was found.
     pub fn found(&self) -> Found {
-        let Some(first) = self.estimates.iter().position(|e| e.state == State::Localised) else {
+        let states = self.estimates.iter().map(|e| e.state);
+        let (mut all, mut localised, mut was_lost) = (0, 0, false);
+        for state in states.skip_while(|state| *state != State::Localised) {
+            all += 1;
+            localised += usize::from(state == State::Localised);
+            was_lost |= state == State::Lost;
+        }
+        if all == 0 {
             return Found::Never;
-        };
-        let since = &self.estimates[first..];
-        let localised = since.iter().filter(|e| e.state == State::Localised).count();
-        let was_lost = since.iter().any(|e| e.state == State::Lost);
-        if was_lost || (localised as f64) < THROUGHOUT * since.len() as f64 {
+        }
+        if was_lost || f64::from(localised as u32) < THROUGHOUT * f64::from(all) {
             return Found::InParts;
         }
         Found::Throughout
@@ -99,22 +106,22 @@ impl LocalizedRecording {
 
     /// Seconds of the recording until it was first localised.
     pub fn found_after_seconds(&self) -> Option<f64> {
-        let first = self.estimates.first()?;
+        let first = self.estimates.iter().next()?;
         let found = self.estimates.iter().find(|e| e.state == State::Localised)?;
         Some(found.time.seconds_since(first.time))
     }
 
     /// How often and how long each state was, in the order of [`State::ALL`].
     pub fn state_counts(&self) -> [(State, StateCount); 5] {
-        State::ALL.map(|state| {
-            let mut count = StateCount::default();
-            for (i, estimate) in self.estimates.iter().enumerate().filter(|(_, e)| e.state == state) {
+        let mut counts = State::ALL.map(|state| (state, StateCount::default()));
+        let mut estimates = self.estimates.iter().peekable();
+        while let Some(estimate) = estimates.next() {
+            for (_, count) in counts.iter_mut().filter(|(state, _)| *state == estimate.state) {
                 count.scans += 1;
-                let next = self.estimates.get(i + 1);
-                count.seconds += next.map_or(0.0, |next| next.time.seconds_since(estimate.time));
+                count.seconds += estimates.peek().map_or(0.0, |next| next.time.seconds_since(estimate.time));
             }
-            (state, count)
-        })
+        }
+        counts
     }
 
     /// Poses of the tracking frame in the map where it was localised, under the times of the recording.
@@ -127,7 +134,7 @@ impl LocalizedRecording {
     /// it was first localised, under the times of the recording.
     pub fn driven(&self, jumps: Jumps) -> Vec<(Time, Rigid3)> {
         let mut corrections = Corrections::new(jumps);
-        let mut driven = |e: &Estimate| Some((self.recorded(e.time), corrections.add(e)?));
+        let mut driven = |e: Estimate| Some((self.recorded(e.time), corrections.add(&e)?));
         self.estimates.iter().filter_map(&mut driven).collect()
     }
 
@@ -156,7 +163,7 @@ pub fn write_localized(
     if let Some(jumps) = localized.jumps {
         write_tum(&folder.add("driver.tum", &mut files)?, &localized.driven(jumps))?;
     }
-    write_file(&folder.add("poses.csv", &mut files)?, csv(localized).as_bytes())?;
+    write_csv(localized, &folder.add("poses.csv", &mut files)?)?;
     if localized.dimension == Dimension::Two {
         let changes = geojson(&localized.changes, |time| localized.recorded(time));
         let changes = serde_json::to_vec_pretty(&changes)?;
@@ -177,24 +184,17 @@ pub fn write_localized(
 }
 
 /// One line a scan. Numbers are missing where no place is known.
-fn csv(localized: &LocalizedRecording) -> String {
+fn write_csv(localized: &LocalizedRecording, path: &Path) -> Result<(), JobError> {
     let axes = Axes::of(localized.dimension);
-    let mut text = format!("time,state,reason,{},explained,in_free_space,through_solid\n", axes.header());
-    for estimate in &localized.estimates {
-        let time = localized.recorded(estimate.time).unix_decimal();
-        let _ = write!(text, "{time},{},{}", estimate.state, estimate.reason.name());
-        match &estimate.place {
-            Some(place) => {
-                axes.write(&mut text, place);
-                let a = &place.agreement;
-                let _ = writeln!(text, ",{:.3},{:.3},{:.3}", a.explained, a.in_free_space, a.through_solid);
-            }
-            None => {
-                let _ = writeln!(text, "{}", ",".repeat(axes.columns() + 3));
-            }
+    let mut file = AtomicFile::create(path)?;
+    let header = format!("time,state,reason,{},explained,in_free_space,through_solid\n", axes.header());
+    let lines = localized.estimates.iter().map(|e| axes.line(localized.recorded(e.time), &e));
+    for line in std::iter::once(header).chain(lines) {
+        if let Err(source) = file.write_all(line.as_bytes()) {
+            return Err(file.error(source).into());
         }
     }
-    text
+    Ok(file.commit()?)
 }
 
 /// Which axes of a pose are written, as indices of its covariance, with their names.
@@ -225,6 +225,22 @@ impl Axes {
         axes.chain(pairs).collect::<Vec<_>>().join(",")
     }
 
+    /// The line of an estimate.
+    fn line(&self, time: Time, estimate: &Estimate) -> String {
+        let mut text = format!("{},{},{}", time.unix_decimal(), estimate.state, estimate.reason.name());
+        match &estimate.place {
+            Some(place) => {
+                self.write(&mut text, place);
+                let a = &place.agreement;
+                let _ = writeln!(text, ",{:.3},{:.3},{:.3}", a.explained, a.in_free_space, a.through_solid);
+            }
+            None => {
+                let _ = writeln!(text, "{}", ",".repeat(self.columns() + 3));
+            }
+        }
+        text
+    }
+
     fn write(&self, text: &mut String, place: &Place) {
         let Place { map_from_tracking: pose, covariance, .. } = place;
         let (at, turn) = (pose.translation, roll_pitch_yaw(&pose.rotation));
@@ -252,10 +268,10 @@ fn colour(state: State) -> Rgb {
 }
 
 /// The path in pieces of one state; what is tentative jumps, so that it is dots.
-fn path(estimates: &[Estimate]) -> Vec<ColouredLine> {
+fn path(estimates: &Spool<Estimate>) -> Vec<ColouredLine> {
     let mut lines: Vec<ColouredLine> = Vec::new();
     let mut last: Option<State> = None;
-    for estimate in estimates {
+    for estimate in estimates.iter() {
         let Some(place) = &estimate.place else {
             last = None;
             continue;
@@ -309,7 +325,7 @@ fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
 fn changes(localized: &LocalizedRecording) -> Vec<serde_json::Value> {
     let mut last = None;
     let changed = localized.estimates.iter().filter(|e| last.replace(e.state) != Some(e.state));
-    let entry = |e: &Estimate| {
+    let entry = |e: Estimate| {
         let time = localized.recorded(e.time).unix_seconds();
         serde_json::json!({ "time": time, "state": e.state.name(), "reason": e.reason.name() })
     };

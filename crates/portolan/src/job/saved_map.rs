@@ -93,7 +93,8 @@ impl SaveMap {
             Err(reason) => return Ok(SavedMap::Refused(reason)),
         };
         let options = map.options.trajectory_builder.clone();
-        let added = EndedTrajectory { options, sensors: sensors.into_iter().collect(), scans: Vec::new() };
+        let added =
+            EndedTrajectory { options, sensors: sensors.into_iter().collect(), scans: Default::default() };
         map.trajectories.insert(grown.trajectory_id, added);
         let state = map.graph.state();
         map.trajectories.retain(|id, _| state.trajectory_state(*id) != TrajectoryState::Deleted);

@@ -17,7 +17,7 @@ use crate::effect::{Effect, check, effects};
 use crate::run::{Run, mapper, run, sensor, trajectory};
 use crate::world::{at, distance, odometry, on_circle, planar_scan, pose};
 
-fn base() -> Options {
+pub fn base() -> Options {
     let mut options = Options::for_2d();
     let local = &mut options.trajectory_builder.trajectory_builder_2d;
     local.use_imu_data = false;
@@ -31,7 +31,7 @@ fn base() -> Options {
 }
 
 /// What a robot measures that drives round a circle for so many steps of 0.6 s. Odometry drifts.
-fn laps(steps: u32) -> Vec<Measurement> {
+pub fn laps(steps: u32) -> Vec<Measurement> {
     let mut measurements = Vec::new();
     for step in 0..steps {
         let seconds = 0.6 * f64::from(step);
@@ -264,6 +264,7 @@ fn pose_graph() -> Vec<Effect> {
             ["overlapping_submaps_trimmer_2d.min_added_submaps_count=0"];
         "overlapping_submaps_trimmer_2d.min_added_submaps_count", "0" => "100", Rises, |o| lap(o).submaps(),
             ["overlapping_submaps_trimmer_2d.min_covered_area=1000"];
+        "portolan.submaps_per_place", "1" => "0", Rises, |o| lap(o).submaps();
         "portolan.drop_contradicted_loop_closures", "false" => "true", Falls, loops_after_final_optimization;
         "map_builder.num_background_threads", "1" => "3", Rises, background_threads;
         "collate_by_trajectory", "false" => "true", Rises, |o| mapped_meanwhile(o, SensorKind::Odometry, true);

@@ -8,6 +8,7 @@ mod absurd;
 mod effect;
 mod graph;
 mod in_worlds;
+mod lifelong;
 mod optimization;
 mod planar;
 mod prediction;

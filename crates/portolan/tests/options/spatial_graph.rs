@@ -13,7 +13,7 @@ use crate::effect::{Effect, check, effects};
 use crate::run::{Run, mapper, run, sensor, trajectory};
 use crate::world::{at, imu, on_circle, spatial_scan};
 
-fn base() -> Options {
+pub fn base() -> Options {
     let mut options = crate::spatial::base();
     options.trajectory_builder.trajectory_builder_3d.submaps.num_range_data = 2;
     options.trajectory_builder.trajectory_builder_3d.submaps.high_resolution = 0.3;
@@ -28,7 +28,7 @@ fn base() -> Options {
 }
 
 /// So many steps of half a second round a circle, with an IMU in between.
-fn laps(steps: u32) -> Vec<Measurement> {
+pub fn laps(steps: u32) -> Vec<Measurement> {
     let mut measurements = vec![Measurement::Imu(imu(-0.01, 0.0, 0.4))];
     for tick in 0..5 * steps {
         let seconds = 0.1 * f64::from(tick);

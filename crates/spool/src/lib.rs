@@ -1,0 +1,196 @@
+#![doc = include_str!("../README.md")]
+
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use portolan_recall::{Answer, Words};
+
+/// Words that are written, and read, at a time: 256 kB.
+const BLOCK: usize = 1 << 15;
+
+/// A list that only grows, of which all but the newest records wait in a file.
+pub struct Spool<T> {
+    /// Blocks of words before the newest; none where everything is in memory.
+    file: Option<File>,
+    /// What each block in the file holds, in order.
+    blocks: Vec<Block>,
+    newest: Vec<T>,
+    words: Vec<u64>,
+    len: usize,
+    last: Option<T>,
+    failure: Option<io::Error>,
+}
+
+/// Records that were written at once.
+#[derive(Clone, Copy, Debug)]
+struct Block {
+    /// Where it begins in the file, bytes.
+    begin: u64,
+    words: usize,
+}
+
+impl<T> Default for Spool<T> {
+    /// An empty list that stays in memory.
+    fn default() -> Self {
+        Self {
+            file: None,
+            blocks: Vec::new(),
+            newest: Vec::new(),
+            words: Vec::new(),
+            len: 0,
+            last: None,
+            failure: None,
+        }
+    }
+}
+
+impl<T> fmt::Debug for Spool<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Spool").field("len", &self.len).field("blocks", &self.blocks.len()).finish()
+    }
+}
+
+impl<T: Answer + Clone> Clone for Spool<T> {
+    /// A copy in memory.
+    fn clone(&self) -> Self {
+        self.iter().collect()
+    }
+}
+
+impl<T: Answer + Clone> FromIterator<T> for Spool<T> {
+    fn from_iter<I: IntoIterator<Item = T>>(records: I) -> Self {
+        let mut spool = Self::default();
+        records.into_iter().for_each(|record| spool.push(record));
+        spool
+    }
+}
+
+impl<T> Spool<T> {
+    /// How many records.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The newest record.
+    pub fn last(&self) -> Option<&T> {
+        self.last.as_ref()
+    }
+
+    /// Why records are in memory that were to wait in a file.
+    pub fn failure(&self) -> Option<&io::Error> {
+        self.failure.as_ref()
+    }
+}
+
+impl<T: Answer + Clone> Spool<T> {
+    /// An empty list whose records wait in a file in this folder.
+    pub fn in_folder(folder: &Path) -> Self {
+        match tempfile::tempfile_in(folder) {
+            Ok(file) => Self { file: Some(file), ..Self::default() },
+            Err(error) => Self { failure: Some(error), ..Self::default() },
+        }
+    }
+
+    /// Adds a record.
+    pub fn push(&mut self, record: T) {
+        if self.file.is_some() && self.failure.is_none() {
+            record.write(&mut self.words);
+        }
+        self.len += 1;
+        self.last = Some(record.clone());
+        self.newest.push(record);
+        if self.words.len() >= BLOCK {
+            self.write_block();
+        }
+    }
+
+    /// All records, in order. A file that cannot be read any more ends them.
+    pub fn iter(&self) -> impl Iterator<Item = T> + '_ {
+        let earlier = self.blocks.iter().map_while(|block| self.read_block(*block));
+        earlier.flatten().chain(self.newest.iter().cloned())
+    }
+
+    /// Puts the newest records into the file. If that fails they stay in memory, as all later ones do.
+    fn write_block(&mut self) {
+        let Some(file) = &mut self.file else { return };
+        let begin = self.blocks.last().map_or(0, |block| block.begin + bytes_of(block.words));
+        let bytes: Vec<u8> = self.words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        match file.seek(SeekFrom::Start(begin)).and_then(|_| file.write_all(&bytes)) {
+            Ok(()) => {
+                self.blocks.push(Block { begin, words: self.words.len() });
+                self.newest.clear();
+            }
+            Err(error) => self.failure = Some(error),
+        }
+        self.words.clear();
+    }
+
+    fn read_block(&self, block: Block) -> Option<Vec<T>> {
+        let mut file = self.file.as_ref()?;
+        let mut bytes = vec![0; usize::try_from(bytes_of(block.words)).ok()?];
+        let read = file.seek(SeekFrom::Start(block.begin)).and_then(|_| file.read_exact(&mut bytes));
+        if let Err(error) = read {
+            tracing::error!("what waited in a nameless file cannot be read again, and is missing: {error}");
+            return None;
+        }
+        let words: Vec<u64> = bytes.as_chunks::<8>().0.iter().map(|word| u64::from_le_bytes(*word)).collect();
+        let mut words = Words::new(&words);
+        Some(std::iter::from_fn(|| T::read(&mut words)).collect())
+    }
+}
+
+fn bytes_of(words: usize) -> u64 {
+    words as u64 * 8
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use portolan_geometry::{Rigid3, Time};
+
+    use super::*;
+
+    type Pose = (Time, Rigid3);
+
+    fn pose(index: i64) -> Pose {
+        (Time::from_ticks(index), Rigid3::translation(0.1 * index as f64, 1.0, -2.0))
+    }
+
+    #[test]
+    fn what_waits_in_a_file_comes_back_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::<Pose>::in_folder(folder.path());
+        let count = 3 * BLOCK as i64 / 8 + 7;
+        for index in 0..count {
+            spool.push(pose(index));
+            if index % 5000 == 0 {
+                assert_eq!(spool.iter().last(), Some(pose(index)));
+            }
+        }
+        assert!(spool.blocks.len() == 3 && spool.newest.len() < 10, "{spool:?}");
+        assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "the file has a name");
+        let all: Vec<Pose> = (0..count).map(pose).collect();
+        assert_eq!(spool.iter().collect::<Vec<_>>(), all);
+        assert_eq!(spool.clone().iter().collect::<Vec<_>>(), all);
+        assert_eq!((spool.len(), spool.last()), (all.len(), all.last()));
+    }
+
+    #[test]
+    fn what_cannot_be_written_stays_in_memory() {
+        let mut spool = Spool::<Pose>::in_folder(Path::new("/no such folder"));
+        assert!(spool.failure().is_some() && spool.is_empty() && spool.last().is_none());
+        spool.push(pose(1));
+        assert_eq!(spool.iter().collect::<Vec<_>>(), [pose(1)]);
+        let Ok(full) = File::options().read(true).write(true).open("/dev/full") else { return };
+        let mut spool = Spool { file: Some(full), ..Spool::default() };
+        (0..20_000).for_each(|index| spool.push(pose(index)));
+        assert!(spool.failure().is_some() && spool.iter().eq((0..20_000).map(pose)));
+    }
+}
