@@ -490,8 +490,10 @@ impl RegisteredSweep {
         self.in_local = self.deskewed.transformed(&to_f32(local_from_tracking));
     }
 
-    /// From the gravity-aligned frame to the local map.
+    /// From the gravity-aligned frame to the local map. Maps begin with it, and the next poses follow from them: a length other
+    /// than one would double with each map.
     pub fn local_from_gravity(&self) -> Quaternion {
-        self.local_from_tracking.rotation * self.gravity_from_tracking.inverse()
+        let rotation = self.local_from_tracking.rotation * self.gravity_from_tracking.inverse();
+        Quaternion::new_normalize(rotation.into_inner())
     }
 }

@@ -72,6 +72,20 @@ fn follow(odometry: &mut LidarOdometry, with_imu: bool) -> (Vec<RegisteredSweep>
 }
 
 #[test]
+fn rotations_stay_of_length_one_over_many_maps() {
+    let mut settings = OdometrySettings::default();
+    // A map with every other sweep: as many as in a quarter of an hour.
+    settings.local_map.keyframes_per_half = 1;
+    settings.local_map.warm_up_keyframes = 1;
+    let mut odometry = LidarOdometry::new(settings);
+    let (registered, ..) = follow(&mut odometry, true);
+    let last = registered.last().unwrap();
+    let lengths = [last.local_from_tracking.rotation, last.gravity_from_tracking, last.local_from_gravity()]
+        .map(|rotation| rotation.quaternion().norm());
+    assert!(lengths.iter().all(|length| (length - 1.0).abs() < 1e-13), "{lengths:?}");
+}
+
+#[test]
 fn a_curve_is_followed_with_and_without_an_imu() {
     for with_imu in [true, false] {
         let mut odometry = LidarOdometry::new(OdometrySettings::default());

@@ -90,7 +90,9 @@ impl KeyframeInsertion {
         data: &NodeData,
         completed_map: Option<PlaneMap>,
     ) -> Vec<InsertionSubmap<Spatial>> {
-        let local_from_gravity_aligned = data.local_from_tracking.rotation * data.gravity_alignment.inverse();
+        // Of length one: with grids the next poses follow from that of the submap, and an error would double with each.
+        let rotation = data.local_from_tracking.rotation * data.gravity_alignment.inverse();
+        let local_from_gravity_aligned = Quaternion::new_normalize(rotation.into_inner());
         let scan = Scan3d {
             range_data_in_local: range_data_in_local.clone(),
             rotational_histogram: data.rotational_scan_matcher_histogram.clone(),
