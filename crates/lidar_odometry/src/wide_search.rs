@@ -48,7 +48,8 @@ impl WideSearch<'_> {
             Registered { segment, registered, reason: Some(Reason::OtherMotion) }
         });
         let fit = |found: &Registered| found.registered.fit;
-        let farthest = 0.5 * self.settings.hypotheses.hardest_push * segment.seconds().powi(2);
+        // A push right after the last sweep.
+        let farthest = self.settings.hypotheses.hardest_push * segment.seconds().powi(2);
         let fits = |found: &Registered| {
             let from_predicted =
                 found.registered.local_from_tracking.translation.vector - end.translation.vector;

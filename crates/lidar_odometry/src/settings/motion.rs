@@ -271,9 +271,9 @@ settings! {
             "Sweeps after a gap have to fit so many times better after another motion than after constant velocity",
             origin: "measured: along a simulated tunnel fits differ by 0.5 %, where a car had braked by 2.6 % and more (docs/experiments/2026-11-gaps.md)",
             larger: "constant velocity is kept more often";
-        hardest_push: f64 = 30.0, "m/s²", 0.1..=1e4,
+        hardest_push: f64 = 20.0, "m/s²", 0.1..=1e4,
             "No sweep is looked for farther from where it is predicted than such an acceleration takes it",
-            origin: "three times that of hard braking; key frames at 2 Hz needed 1.2 to 1.6 (docs/experiments/2026-11-other-lidars.md)",
+            origin: "twice that of hard braking; key frames at 2 Hz needed 1.2 to 1.6 (docs/experiments/2026-11-other-lidars.md)",
             larger: "sweeps of sparse lidars are found where they are not";
         headings_each_side: usize = 2, "windows", 0.0..=100.0,
             "A sweep that contradicts the map is looked for in so many windows of headings to either side of the predicted one, if nothing measured the rotation",
