@@ -18,8 +18,11 @@ const BEGINS: f64 = 0.003;
 const LASTS: f64 = 0.95;
 /// … and that the velocity changes at once.
 const CHANGES: f64 = 0.003;
-/// Odometry that fails stands still with this probability, else it reads anything.
+/// Odometry that fails stands still with this probability, slips with this one, else it reads anything.
 const STANDS: f64 = 0.5;
+const SLIPS: f64 = 0.25;
+/// Standard deviations of what wheels that slip measure, metres and radians.
+const OF_SLIPS: PredictionSigmas = PredictionSigmas { translation: 0.3, rotation: 0.3 };
 /// A failure less probable than this is not followed.
 const IMPROBABLE: f64 = 0.03;
 /// Standard deviations of the motion between two matched scans, metres and radians.
@@ -32,15 +35,34 @@ pub(super) struct OdometryFailure {
     failing: f64,
     /// The last motion as scans were matched, and the seconds that it took.
     last: Option<(Rigid2, f64)>,
+    /// Where the next scan is expected by either model, if failing is too improbable for it to be looked for there.
+    unfollowed: Option<Expected>,
+}
+
+/// What either model says of the pose of the next scan.
+#[derive(Clone, Copy, Debug)]
+struct Expected {
+    works: MotionPrior,
+    fails: MotionPrior,
+    log_odds: f64,
 }
 
 impl Default for OdometryFailure {
     fn default() -> Self {
-        Self { failing: BEGINS, last: None }
+        Self { failing: BEGINS, last: None, unfollowed: None }
     }
 }
 
 impl OdometryFailure {
+    /// Takes where a scan was found that tells it well: odometry that is many standard deviations off there fails, although
+    /// what it measured was nothing unusual.
+    pub fn add_pose(&mut self, pose: &Rigid2) {
+        if let Some(expected) = self.unfollowed.take() {
+            let odds = expected.fails.log_density(pose) - expected.works.log_density(pose);
+            self.failing = after(expected.log_odds + odds);
+        }
+    }
+
     /// Takes how the scanner moved.
     pub fn add_motion(&mut self, moved: &Rigid2, seconds: f64) {
         self.last = (seconds > 0.0 && seconds <= LONGEST_MEASURED).then_some((*moved, seconds));
@@ -49,6 +71,7 @@ impl OdometryFailure {
     /// Takes what odometry measured. Where the scanner is if odometry fails, and the logarithm of the odds of that; none
     /// where it is improbable or nothing is known of the velocity.
     pub fn add_measured(&mut self, motion: Motion, measured: &MotionPrior) -> Option<(MotionPrior, f64)> {
+        self.unfollowed = None;
         let (moved, seconds) = self.last?;
         if !motion.is_measured || motion.seconds > LONGEST_MEASURED {
             return None;
@@ -66,11 +89,22 @@ impl OdometryFailure {
             rotation: sigmas.rotation.hypot(measured.sigmas.rotation),
         };
         let beside = |pose: Rigid2| normal_density(&(pose.inverse() * measured.prediction), both);
-        let anything = STANDS * beside(motion.last) + (1.0 - STANDS) * anywhere_density();
+        let slip = PredictionSigmas {
+            translation: both.translation.hypot(OF_SLIPS.translation),
+            rotation: both.rotation.hypot(OF_SLIPS.rotation),
+        };
+        let slips = normal_density(&(prediction.inverse() * measured.prediction), slip);
+        let anything =
+            STANDS * beside(motion.last) + SLIPS * slips + (1.0 - STANDS - SLIPS) * anywhere_density();
         let works = (1.0 - CHANGES) * beside(prediction) + CHANGES * anything;
         let log_odds = (self.failing / (1.0 - self.failing)).ln() + (anything / works).ln();
         self.failing = after(log_odds);
-        (probability(log_odds) > IMPROBABLE).then_some((MotionPrior { prediction, sigmas }, log_odds))
+        let fails = MotionPrior { prediction, sigmas };
+        if probability(log_odds) > IMPROBABLE {
+            return Some((fails, log_odds));
+        }
+        self.unfollowed = Some(Expected { works: *measured, fails, log_odds });
+        None
     }
 
     /// Whether odometry fails, with the logarithm of the odds of that before the scan was looked at, and after.
@@ -122,8 +156,20 @@ mod tests {
         let mut failure = OdometryFailure::default();
         let (_, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is doubted");
         assert!(failure.fails(log_odds + 5.0));
-        assert!(measured(&mut failure, 0.25, 0.26).is_none());
+        let doubted = measured(&mut failure, 0.25, 0.26);
+        assert!(doubted.is_none_or(|(_, log_odds)| log_odds < -3.0), "{doubted:?}");
         assert!(measured(&mut failure, 0.25, 0.24).is_none());
+    }
+
+    #[test]
+    fn wheels_that_slip_are_told_from_where_the_scan_was_found() {
+        let mut failure = OdometryFailure::default();
+        // What they measured might have been: a push.
+        assert!(measured(&mut failure, 0.26, 0.48).is_none());
+        assert!(failure.failing < 0.1, "{failure:?}");
+        failure.add_pose(&Rigid2::new(0.26, 0.0, 0.0));
+        assert!(failure.failing > 0.9, "{failure:?}");
+        assert!(measured(&mut failure, 0.26, 0.1).is_some());
     }
 
     #[test]

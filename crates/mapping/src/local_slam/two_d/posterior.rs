@@ -19,6 +19,12 @@ const WITNESSES: f64 = 36.0;
 /// are explained and one of twelve is contradicted, at a wrong one a quarter and a half.
 const EXPLAINED: f64 = 1.2;
 const CONTRADICTED: f64 = 1.8;
+/// The same share of beams that end in free space, at right poses and at wrong ones.
+const IN_FREE_SPACE: (f64, f64) = (1.0 / 12.0, 0.5);
+/// A scan tells how beams agree with the map if the map knows this share of them.
+const KNOWN: f32 = 0.5;
+/// About so many scans tell how many people there are.
+const SCANS: f64 = 5.0;
 /// Probability that the motion was none that its learned errors explain.
 const OUTLIER: f64 = 0.003;
 /// Where the scanner may be then: as far to each side as is searched, at any heading.
@@ -33,15 +39,47 @@ pub(super) struct MotionPrior {
 
 impl MotionPrior {
     /// Logarithm of the density of a pose, 1/(m² rad).
-    fn log_density(&self, pose: &Rigid2) -> f64 {
+    pub fn log_density(&self, pose: &Rigid2) -> f64 {
         let usual = normal_density(&(self.prediction.inverse() * *pose), self.sigmas);
         ((1.0 - OUTLIER) * usual + OUTLIER * anywhere_density()).ln()
     }
 
     /// Logarithm of how likely a pose is where the map agrees with the scan like this, up to a constant.
-    pub fn log_posterior(&self, pose: &Rigid2, agreement: &ScanAgreement) -> f64 {
-        let (explained, contradicted) = (f64::from(agreement.explained), f64::from(agreement.contradicted()));
-        self.log_density(pose) + WITNESSES * (EXPLAINED * explained - CONTRADICTED * contradicted)
+    pub fn log_posterior(&self, pose: &Rigid2, agreement: &ScanAgreement, evidence: &BeamEvidence) -> f64 {
+        self.log_density(pose) + evidence.log_likelihood(agreement)
+    }
+}
+
+/// What beams say of a pose. Where people walk about beams end in what was free space at the right pose, too, and such
+/// beams say little against it; how many do is learned from where scans were found lately. Nothing sees through walls.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BeamEvidence {
+    in_free_space: f64,
+}
+
+impl Default for BeamEvidence {
+    fn default() -> Self {
+        Self { in_free_space: IN_FREE_SPACE.0 }
+    }
+}
+
+impl BeamEvidence {
+    /// Takes how the map agreed with one more scan.
+    pub fn add(&mut self, agreement: &ScanAgreement) {
+        if agreement.explained + agreement.contradicted() >= KNOWN {
+            self.in_free_space += (f64::from(agreement.in_free_space) - self.in_free_space) / SCANS;
+        }
+    }
+
+    /// Logarithm of the likelihood ratio of a right pose and a wrong one. Beams of which the map knows nothing say nothing.
+    fn log_likelihood(&self, agreement: &ScanAgreement) -> f64 {
+        let (right, wrong) = IN_FREE_SPACE;
+        let in_free_space = (wrong / self.in_free_space.clamp(right, wrong)).ln();
+        let share = f64::from;
+        let nats = EXPLAINED * share(agreement.explained)
+            - in_free_space * share(agreement.in_free_space)
+            - CONTRADICTED * share(agreement.through_solid);
+        WITNESSES * nats
     }
 }
 
@@ -65,9 +103,16 @@ mod tests {
     const SIGMAS: PredictionSigmas = PredictionSigmas { translation: 0.04, rotation: 0.03 };
 
     fn log_posterior(metres: f64, degrees: f64, explained: f32, contradicted: f32) -> f64 {
+        after(&BeamEvidence::default(), metres, degrees, (explained, contradicted))
+    }
+
+    fn agreement((explained, in_free_space): (f32, f32)) -> ScanAgreement {
+        ScanAgreement { explained, in_free_space, through_solid: 0.0 }
+    }
+
+    fn after(evidence: &BeamEvidence, metres: f64, degrees: f64, shares: (f32, f32)) -> f64 {
         let prior = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };
-        let agreement = ScanAgreement { explained, in_free_space: contradicted, through_solid: 0.0 };
-        prior.log_posterior(&Rigid2::new(metres, 0.0, degrees.to_radians()), &agreement)
+        prior.log_posterior(&Rigid2::new(metres, 0.0, degrees.to_radians()), &agreement(shares), evidence)
     }
 
     #[test]
@@ -84,5 +129,22 @@ mod tests {
         for (metres, degrees) in [(0.3, 0.0), (0.5, 30.0), (3.0, 90.0)] {
             assert!(log_posterior(metres, degrees, 0.87, 0.08) > predicted);
         }
+    }
+
+    #[test]
+    fn among_people_a_far_pose_needs_more_than_fewer_contradictions() {
+        let (predicted, far) = ((0.28, 0.64), (0.51, 0.36));
+        let mut evidence = BeamEvidence::default();
+        let is_followed = |evidence: &BeamEvidence| {
+            after(evidence, 0.65, -53.0, far) > after(evidence, 0.0, 0.0, predicted)
+        };
+        assert!(is_followed(&evidence));
+        // Scans of new surroundings say nothing of people.
+        (0..20).for_each(|_| evidence.add(&agreement((0.1, 0.1))));
+        assert!(is_followed(&evidence));
+        (0..4).for_each(|_| evidence.add(&agreement((0.43, 0.45))));
+        assert!(!is_followed(&evidence));
+        (0..40).for_each(|_| evidence.add(&agreement((0.9, 0.05))));
+        assert!(is_followed(&evidence));
     }
 }

@@ -17,7 +17,7 @@ use super::belief::is_hardly_explained;
 use super::degeneracy::WeakDirection;
 use super::odometry_failure::OdometryFailure;
 use super::odometry_scale::OdometryScale;
-use super::posterior::MotionPrior;
+use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
 use crate::remembered::RememberedScans;
 
@@ -94,6 +94,7 @@ pub(super) struct Tracker {
     prediction_error: PredictionError,
     odometry_failure: OdometryFailure,
     usual_score: UsualScore,
+    beam_evidence: BeamEvidence,
     /// Mean seconds from scan to scan, but for gaps.
     interval: Option<f64>,
     remembered: RememberedScans,
@@ -116,6 +117,7 @@ impl Tracker {
             prediction_error: PredictionError::default(),
             odometry_failure: OdometryFailure::default(),
             usual_score: UsualScore::default(),
+            beam_evidence: BeamEvidence::default(),
             interval: None,
             remembered: RememberedScans::default(),
         })
@@ -191,7 +193,12 @@ impl Tracker {
         if !found.pose.is_finite() {
             return Found { pose: prediction, is_far: false, agreement: None };
         }
-        let pose = self.weigh(found.pose, near.around, motion, &scan, weak.as_ref(), is_failing);
+        if weak.is_none() {
+            self.odometry_failure.add_pose(&found.pose);
+        }
+        // Found far off, the prediction was judged to be none.
+        let weighed = weak.as_ref().filter(|_| !is_far);
+        let pose = self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far);
         self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds);
         // Where scans leave a direction open, they do not say how far it went.
         if motion.is_measured && !is_far && weak.is_none() {
@@ -199,6 +206,9 @@ impl Tracker {
             self.odometry_scale.add(&measured, &motion.to(&found.pose), sigma);
         }
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud);
+        if let Some(agreement) = &agreement {
+            self.beam_evidence.add(agreement);
+        }
         Found { pose, is_far, agreement }
     }
 
@@ -222,11 +232,25 @@ impl Tracker {
         // A prediction that nothing measured is no witness.
         let predicted = motion.is_measured.then_some(near.around);
         let prior = self.prior(near.around, motion);
-        match (most_likely(&prior, [predicted, Some(found.pose), wide.map(|w| w.pose)], scan), wide) {
+        match (self.most_likely(&prior, [predicted, Some(found.pose), wide.map(|w| w.pose)], scan), wide) {
             (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, false),
             (Some(2), Some(wide)) => (wide, true),
             _ => (found, false),
         }
+    }
+
+    /// Which pose is the most likely one, the first of equal ones; none where the grid does not tell.
+    fn most_likely(&self, prior: &MotionPrior, poses: [Option<Rigid2>; 3], scan: &Scan) -> Option<usize> {
+        let mut best: Option<(usize, f64)> = None;
+        for (i, pose) in poses.into_iter().enumerate() {
+            let Some(pose) = pose.filter(Rigid2::is_finite) else { continue };
+            let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
+            let likely = prior.log_posterior(&pose, &agreement, &self.beam_evidence);
+            if best.is_none_or(|(_, most)| likely > most) {
+                best = Some((i, likely));
+            }
+        }
+        best.map(|(i, _)| i)
     }
 
     /// The best match around what may have happened: it went on as before, or, where nothing was measured for long,
@@ -260,7 +284,7 @@ impl Tracker {
         let likely = |prior: &MotionPrior, hypothesis: &Hypothesis| {
             let pose = hypothesis.found.pose;
             let agreement = scan_agreement(&scan.0.submap.grid, &pose, scan.0.cloud)?;
-            Some(prior.log_posterior(&pose, &agreement))
+            Some(prior.log_posterior(&pose, &agreement, &self.beam_evidence))
         };
         let (Some(works), Some(fails)) = (likely(&prior, &predicted), likely(&went_on, &other)) else {
             return predicted;
@@ -357,20 +381,6 @@ fn wide_window(usual: SearchWindow, motion: Motion) -> SearchWindow {
         linear: (2.0 * usual.linear).max(FASTEST.linear * seconds).min(WIDEST.linear),
         angular: (2.0 * usual.angular).max(FASTEST.angular * seconds).min(widest_angle),
     }
-}
-
-/// Which pose is the most likely one, the first of equal ones; none where the grid does not tell.
-fn most_likely(prior: &MotionPrior, poses: [Option<Rigid2>; 3], scan: &Scan) -> Option<usize> {
-    let mut best: Option<(usize, f64)> = None;
-    for (i, pose) in poses.into_iter().enumerate() {
-        let Some(pose) = pose.filter(Rigid2::is_finite) else { continue };
-        let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
-        let likely = prior.log_posterior(&pose, &agreement);
-        if best.is_none_or(|(_, most)| likely > most) {
-            best = Some((i, likely));
-        }
-    }
-    best.map(|(i, _)| i)
 }
 
 #[cfg(test)]

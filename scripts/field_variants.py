@@ -1,0 +1,73 @@
+#!/usr/bin/env python3
+"""Maps real planar logs as nobody recorded them and prints one table: driven backwards, begun later, spoilt.
+
+    scripts/field_variants.py [--programs target/release/portolan ...] [--logs aces,fhw] [--variants backwards,from-40]
+
+Variants: backwards (reverse.py), from-20, from-40, from-60 (the first so many per cent of the scans are missing), those of
+spoil.py, and several of them joined by +, as in backwards+half. Judged by the relations between scans that are left.
+Needs Python 3 alone. The data folder is $PORTOLAN_DATA, or ../shared/data.
+"""
+import argparse
+import bz2
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+from field import LOGS, REPOSITORY, data_folder, map_log, row
+
+SCRIPTS = pathlib.Path(__file__).resolve().parent
+VARIANTS = "backwards,from-20,from-40,from-60,third,half,near,drop,noise,burst"
+
+
+def script(name, *arguments):
+    subprocess.run([sys.executable, SCRIPTS / name, *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def begun_later(log, output, percent):
+    lines = bz2.open(log, "rt", errors="replace").readlines()
+    is_scan = [line.startswith("FLASER") for line in lines]
+    left_out = sum(is_scan) * percent // 100
+    with open(output, "w") as out:
+        for line, scan in zip(lines, is_scan):
+            left_out -= scan
+            if left_out < 0 or line.startswith("PARAM"):
+                out.write(line)
+
+
+def changed(log, relations, variant, folder):
+    """Log and relations after the changes that a variant names."""
+    for number, change in enumerate(variant.split("+")):
+        plain = folder / f"{number}.clf"
+        if change == "backwards":
+            script("reverse.py", log, relations, plain, folder / f"{number}.relations")
+            relations = folder / f"{number}.relations"
+        elif change.startswith("from-"):
+            begun_later(log, plain, int(change.removeprefix("from-")))
+        else:
+            script("spoil.py", log, plain, change)
+        log = plain.with_suffix(".clf.bz2")
+        log.write_bytes(bz2.compress(plain.read_bytes(), 1))
+    left = folder / "left.relations"
+    script("relations_of_scans.py", plain, relations, left)
+    return plain, left
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    arguments.add_argument("--programs", nargs="+", default=[REPOSITORY / "target/release/portolan"], type=pathlib.Path)
+    arguments.add_argument("--logs", default="aces,fr079,mit-csail,fr101-rawodo,orebro,fhw,intel")
+    arguments.add_argument("--variants", default=VARIANTS)
+    options = arguments.parse_args()
+    for name, log, relations, _, more in [log for log in LOGS if log[0] in options.logs.split(",")]:
+        paths = [data_folder() / "lidar2d" / path for path in (log, relations)]
+        for variant in options.variants.split(","):
+            with tempfile.TemporaryDirectory() as folder:
+                recording, left = changed(*paths, variant, pathlib.Path(folder))
+                for program in options.programs:
+                    figures = map_log(program.resolve(), (name, recording, left, True, more), [])
+                    print(row(f"{name} {variant}", figures), flush=True)
+
+
+if __name__ == "__main__":
+    main()
