@@ -11,6 +11,7 @@ mod gyroscope;
 mod imu_buffer;
 mod inertial;
 mod initialise;
+mod innovations;
 mod issues;
 mod keyframes;
 mod local_map;

@@ -6,6 +6,7 @@ use portolan_sensor::{TimedPoint, voxel_filter_indices};
 
 use crate::belief::SweepFit;
 use crate::deskew::PiecewiseLinearTrajectory;
+use crate::innovations::Innovations;
 use crate::plane_map::PlaneMap;
 use crate::poles::PolesToRegister;
 use crate::registration::{MotionPrior, Registration, RegistrationResult, Sigmas};
@@ -55,6 +56,8 @@ pub(crate) struct SweepRegistration {
     coarse_scale: f64,
     /// Edge of the voxels of which one point each is registered, adapted from sweep to sweep.
     spacing: f32,
+    /// How far off predictions were of which nothing was measured.
+    innovations: Innovations,
 }
 
 impl SweepRegistration {
@@ -75,6 +78,7 @@ impl SweepRegistration {
             },
             coarse_scale: settings.initialisation.scale,
             spacing: settings.sweep.first_spacing_per_edge * voxel_size as f32,
+            innovations: Innovations::default(),
         }
     }
 
@@ -98,6 +102,18 @@ impl SweepRegistration {
         self.spacing = adapted.clamp(settings.least_spacing, settings.largest_spacing);
     }
 
+    /// Learns how far off a segment was predicted that was registered.
+    pub fn learn(&mut self, segment: &TrajectorySegment, registered: &RegisteredSegment) {
+        let Some(found) = &registered.found else { return };
+        let prior = self.usual_growth(segment);
+        if segment.source == MotionSource::ConstantVelocity && found.degenerate.translations.is_empty() {
+            self.innovations.add_translation(&found.correction, prior.translation);
+        }
+        if !segment.rotation_is_measured && found.degenerate.rotations.is_empty() {
+            self.innovations.add_rotation(&found.correction, prior.rotation);
+        }
+    }
+
     /// Registers a sample near a predicted segment.
     pub fn register(
         &self,
@@ -106,7 +122,7 @@ impl SweepRegistration {
         target: &Target<'_>,
     ) -> RegisteredSegment {
         let prior = self.motion_prior(segment);
-        let by_sigma = self.settings.scale_per_sigma * prior.growth.translation;
+        let by_sigma = self.settings.scale_per_sigma * self.usual_growth(segment).translation;
         self.register_with(sample, segment, target, &prior, by_sigma.min(self.settings.max_scale))
     }
 
@@ -164,10 +180,10 @@ impl SweepRegistration {
         }
     }
 
-    /// How far off a predicted segment may be. Drifts grow with time, what is unmeasured with its square.
-    fn motion_prior(&self, segment: &TrajectorySegment) -> MotionPrior {
+    /// What may be added to a predicted segment until its end. Drifts grow with time, what is unmeasured with its square.
+    fn usual_growth(&self, segment: &TrajectorySegment) -> Sigmas {
         let (prior, seconds) = (&self.prior, segment.seconds());
-        let growth = Sigmas {
+        Sigmas {
             translation: match segment.source {
                 MotionSource::Measured => prior.least_odometry_error + prior.odometry_drift * seconds,
                 MotionSource::Inertial { velocity_sigma } => {
@@ -181,7 +197,19 @@ impl SweepRegistration {
                 true => prior.least_gyroscope_error + prior.gyroscope_drift * seconds,
                 false => prior.least_rotation_error + 0.5 * prior.rotational_acceleration * seconds * seconds,
             },
-        };
+        }
+    }
+
+    /// How far off a predicted segment may be: as usual, less where constant velocity was less off lately.
+    fn motion_prior(&self, segment: &TrajectorySegment) -> MotionPrior {
+        let (prior, learned) = (&self.prior, self.innovations.fractions());
+        let mut growth = self.usual_growth(segment);
+        if segment.source == MotionSource::ConstantVelocity {
+            growth.translation *= learned.translation;
+        }
+        if !segment.rotation_is_measured {
+            growth.rotation *= learned.rotation;
+        }
         let start = Sigmas {
             translation: prior.start_translation,
             rotation: match segment.rotation_is_measured {

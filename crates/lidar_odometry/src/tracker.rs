@@ -308,6 +308,7 @@ impl Tracker {
         let segment = prediction.segment_of(reason).clone();
         let registered = registration.registered(&segment, &map.local_from_map, found);
         self.registration.adapt(sampled);
+        self.registration.learn(&segment, &registered);
         if reason == Some(Reason::GyroscopeFails) {
             issues.count(Issue::GyroscopeOverruled);
         }
