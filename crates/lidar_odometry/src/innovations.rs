@@ -1,11 +1,10 @@
-//! How far constant velocity is off, learned from how sweeps were registered.
+//! How far constant rotation is off, learned from how sweeps were registered.
 //!
 //! The prior of a segment is wide enough for a lidar that is swung about. On a vehicle it is too wide: errors of the
 //! sensor that repeat in every turn are then taken for motion during the sweep, and bend the trajectory by what of them is
 //! carried on from sweep to sweep. Innovations (what registration adds to predictions) have the covariance of the
 //! prediction (covariance matching; Mehra 1970).
 
-use crate::registration::Sigmas;
 use crate::segment::SegmentCorrection;
 
 /// About so many sweeps are remembered.
@@ -17,41 +16,31 @@ const MARGIN: f64 = 2.0;
 /// What was learned counts for no less than this fraction of the prior.
 const LEAST: f64 = 0.03;
 
-/// Mean squares of innovations along or about one axis, in units of the variance of the prior.
+/// Mean square of the innovations of rotation about one axis, in units of the variance of the prior.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Innovations {
-    translation: f64,
     rotation: f64,
 }
 
 impl Default for Innovations {
     fn default() -> Self {
-        Self { translation: 1.0, rotation: 1.0 }
+        Self { rotation: 1.0 }
     }
 }
 
 impl Innovations {
-    /// By what fraction the standard deviations of the prior are to be multiplied.
-    pub fn fractions(&self) -> Sigmas {
-        let fraction = |mean_square: f64| (MARGIN * mean_square.sqrt()).clamp(LEAST, 1.0);
-        Sigmas { translation: fraction(self.translation), rotation: fraction(self.rotation) }
+    /// By what fraction the standard deviation of the prior is to be multiplied.
+    pub fn fraction(&self) -> f64 {
+        (MARGIN * self.rotation.sqrt()).clamp(LEAST, 1.0)
     }
 
-    /// Takes what registration added to a translation of which nothing was measured, with the prior's standard deviation.
-    pub fn add_translation(&mut self, correction: &SegmentCorrection, sigma: f64) {
-        learn(&mut self.translation, correction.end().fixed_rows::<3>(0).norm() / sigma);
+    /// Takes what registration added to a rotation that nothing measured, with the prior's standard deviation, radians.
+    pub fn add(&mut self, correction: &SegmentCorrection, sigma: f64) {
+        let sigmas = correction.end().fixed_rows::<3>(3).norm() / sigma;
+        // Three axes share the length.
+        let square = (sigmas.powi(2) / 3.0).min(LARGEST.powi(2) * self.rotation);
+        self.rotation += (square - self.rotation) / MEMORY;
     }
-
-    /// The same of a rotation.
-    pub fn add_rotation(&mut self, correction: &SegmentCorrection, sigma: f64) {
-        learn(&mut self.rotation, correction.end().fixed_rows::<3>(3).norm() / sigma);
-    }
-}
-
-fn learn(mean_square: &mut f64, sigmas: f64) {
-    // Three axes share the length.
-    let square = (sigmas.powi(2) / 3.0).min(LARGEST.powi(2) * *mean_square);
-    *mean_square += (square - *mean_square) / MEMORY;
 }
 
 #[cfg(test)]
@@ -60,24 +49,21 @@ mod tests {
 
     use super::*;
 
-    fn correction(metres: f64, radians: f64) -> SegmentCorrection {
-        let growth = na::Vector6::new(metres, 0.0, 0.0, 0.0, 0.0, radians);
+    fn correction(radians: f64) -> SegmentCorrection {
+        let growth = na::Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, radians);
         SegmentCorrection { growth, ..SegmentCorrection::default() }
     }
 
     #[test]
     fn a_smooth_drive_narrows_the_prior_and_a_jolt_opens_it() {
         let mut innovations = Innovations::default();
-        assert_eq!(innovations.fractions(), Sigmas { translation: 1.0, rotation: 1.0 });
-        for _ in 0..200 {
-            innovations.add_rotation(&correction(0.0, 0.002), 0.05);
-        }
-        let smooth = innovations.fractions();
-        assert_eq!(smooth.translation, 1.0);
-        assert!((smooth.rotation - MARGIN * 0.002 / 0.05 / 3f64.sqrt()).abs() < 0.002, "{smooth:?}");
+        assert_eq!(innovations.fraction(), 1.0);
+        (0..200).for_each(|_| innovations.add(&correction(0.002), 0.05));
+        let smooth = innovations.fraction();
+        assert!((smooth - MARGIN * 0.002 / 0.05 / 3f64.sqrt()).abs() < 0.002, "{smooth}");
         let sweeps = (0..40).take_while(|_| {
-            innovations.add_rotation(&correction(0.0, 0.05), 0.05);
-            innovations.fractions().rotation < 0.5
+            innovations.add(&correction(0.05), 0.05);
+            innovations.fraction() < 0.5
         });
         assert!(sweeps.count() < 10);
     }
@@ -85,10 +71,10 @@ mod tests {
     #[test]
     fn what_repeats_within_sweeps_and_not_from_sweep_to_sweep_is_no_innovation() {
         let mut innovations = Innovations::default();
-        let SegmentCorrection { growth, .. } = correction(0.01, 0.01);
+        let SegmentCorrection { growth, .. } = correction(0.01);
         (0..200).for_each(|_| {
-            innovations.add_rotation(&SegmentCorrection { start: -growth, growth }, 0.05);
+            innovations.add(&SegmentCorrection { start: -growth, growth }, 0.05);
         });
-        assert_eq!(innovations.fractions().rotation, LEAST);
+        assert_eq!(innovations.fraction(), LEAST);
     }
 }

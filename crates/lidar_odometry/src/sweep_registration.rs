@@ -56,7 +56,7 @@ pub(crate) struct SweepRegistration {
     coarse_scale: f64,
     /// Edge of the voxels of which one point each is registered, adapted from sweep to sweep.
     spacing: f32,
-    /// How far off predictions were of which nothing was measured.
+    /// How far off predicted rotations were that nothing measured.
     innovations: Innovations,
 }
 
@@ -105,12 +105,8 @@ impl SweepRegistration {
     /// Learns how far off a segment was predicted that was registered.
     pub fn learn(&mut self, segment: &TrajectorySegment, registered: &RegisteredSegment) {
         let Some(found) = &registered.found else { return };
-        let prior = self.usual_growth(segment);
-        if segment.source == MotionSource::ConstantVelocity && found.degenerate.translations.is_empty() {
-            self.innovations.add_translation(&found.correction, prior.translation);
-        }
         if !segment.rotation_is_measured && found.degenerate.rotations.is_empty() {
-            self.innovations.add_rotation(&found.correction, prior.rotation);
+            self.innovations.add(&found.correction, self.usual_growth(segment).rotation);
         }
     }
 
@@ -122,7 +118,7 @@ impl SweepRegistration {
         target: &Target<'_>,
     ) -> RegisteredSegment {
         let prior = self.motion_prior(segment);
-        let by_sigma = self.settings.scale_per_sigma * self.usual_growth(segment).translation;
+        let by_sigma = self.settings.scale_per_sigma * prior.growth.translation;
         self.register_with(sample, segment, target, &prior, by_sigma.min(self.settings.max_scale))
     }
 
@@ -200,15 +196,11 @@ impl SweepRegistration {
         }
     }
 
-    /// How far off a predicted segment may be: as usual, less where constant velocity was less off lately.
+    /// How far off a predicted segment may be: as usual, less where constant rotation was less off lately.
     fn motion_prior(&self, segment: &TrajectorySegment) -> MotionPrior {
-        let (prior, learned) = (&self.prior, self.innovations.fractions());
-        let mut growth = self.usual_growth(segment);
-        if segment.source == MotionSource::ConstantVelocity {
-            growth.translation *= learned.translation;
-        }
+        let (prior, mut growth) = (&self.prior, self.usual_growth(segment));
         if !segment.rotation_is_measured {
-            growth.rotation *= learned.rotation;
+            growth.rotation *= self.innovations.fraction();
         }
         let start = Sigmas {
             translation: prior.start_translation,
