@@ -75,6 +75,8 @@ pub(crate) struct InertialFilter {
     gyroscope: GyroscopeSettings,
     imu: ImuSettings,
     contradiction_sigmas: f64,
+    /// Standard deviation of the velocity of a platform whose poses do not drift, m/s.
+    standing_velocity: f64,
     samples: ImuBuffer,
     last: Option<Time>,
     estimate: Option<Estimate>,
@@ -89,6 +91,7 @@ impl InertialFilter {
             gyroscope: settings.gyroscope.clone(),
             imu: settings.imu.clone(),
             contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
+            standing_velocity: settings.inertial.place_error / settings.standstill.memory,
             samples: ImuBuffer::default(),
             last: None,
             estimate: None,
@@ -143,7 +146,7 @@ impl InertialFilter {
     /// Whether velocity and force at rest are known well enough for the accelerometer to be relied on.
     pub fn is_reliable(&self) -> bool {
         let settings = &self.settings;
-        let is_sure = |estimate: &Estimate| estimate.force_sigma() < settings.sure_force;
+        let is_sure = |estimate: &Estimate| estimate.force_sigma() < settings.accelerometer_bias;
         self.velocity_sigma() < settings.sure_velocity && self.estimate.as_ref().is_some_and(is_sure)
     }
 
@@ -193,7 +196,7 @@ impl InertialFilter {
         self.correct_place(&mut estimate, measured);
         if measured.is_standing {
             let innovation = -estimate.velocity;
-            estimate.correct(VELOCITY, &innovation, &square(self.settings.standing_velocity));
+            estimate.correct(VELOCITY, &innovation, &square(self.standing_velocity));
         }
         self.estimate = Some(estimate);
         self.last = Some(end);

@@ -64,7 +64,7 @@ impl MotionState {
             saturated_at: None,
             last_sample: imu.first().map(|sample| sample.time),
             resumed_at: None,
-            zero_velocity: ZeroVelocityDetector::new(&settings.standstill),
+            zero_velocity: ZeroVelocityDetector::new(settings),
             inertial: InertialFilter::new(settings),
             hypotheses: settings.hypotheses.clone(),
             velocity_interval: Duration::from_seconds(settings.initialisation.velocity_interval),

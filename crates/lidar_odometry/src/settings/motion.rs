@@ -63,34 +63,10 @@ settings! {
             "The IMU has to be at rest for so many of these",
             origin: "one second",
             larger: "standing is found later";
-        max_acceleration_spread: f64 = 0.08, "m/s²", 0.001..=5.0,
+        acceleration_error: f64 = 0.08, "m/s²", 0.001..=5.0,
             "Standard deviation of averaged accelerations at rest, at most",
             origin: "tuned: platforms with running motors",
             larger: "slow motion passes for rest";
-        max_turn_rate_spread: f64 = 0.01, "rad/s", 0.0001..=1.0,
-            "Standard deviation of averaged turn rates at rest, at most",
-            origin: "tuned",
-            larger: "slow motion passes for rest";
-        max_turn_rate: f64 = 0.02, "rad/s", 0.0001..=1.0,
-            "Mean turn rate at rest, at most",
-            origin: "the bias that is not learned yet",
-            larger: "slow rotation passes for rest";
-        max_translation: f64 = 0.06, "m", 0.001..=5.0,
-            "Most poses lie this near to their median at rest",
-            origin: "tuned: people walk by",
-            larger: "slow motion passes for rest";
-        max_rotation: f64 = 0.015, "rad", 0.0001..=1.0,
-            "Most poses are rotated from their median by less at rest",
-            origin: "tuned",
-            larger: "slow rotation passes for rest";
-        max_drift: f64 = 0.02, "m", 0.001..=5.0,
-            "The median of the newest poses lies this near to that of all at rest; odometry drifts no farther",
-            origin: "tuned: the noise of ranges",
-            larger: "slow motion is noticed later";
-        max_rotational_drift: f64 = 0.005, "rad", 0.0001..=1.0,
-            "The median of the newest poses is rotated from that of all by less at rest",
-            origin: "tuned",
-            larger: "slow rotation is noticed later";
         max_odometry_speed: f64 = 0.02, "m/s", 0.0..=5.0,
             "Wheels at rest report less speed",
             origin: "noise of encoders",
@@ -149,17 +125,9 @@ settings! {
             "How fast gravity changes in the local map, because that drifts, and the bias of the accelerometer with it",
             origin: "tuned",
             larger: "gravity is followed faster, with more noise";
-        standing_velocity: f64 = 0.01, "m/s", 0.0001..=1.0,
-            "Standard deviation of velocity in zero-velocity updates",
-            origin: "usual for such updates",
-            larger: "updates count less";
         sure_velocity: f64 = 0.5, "m/s", 0.01..=100.0,
             "Accelerations are not relied on before velocity is known so well",
             origin: "tuned: about ten seconds of sweeps on the way, at once at rest",
-            larger: "relied on earlier";
-        sure_force: f64 = 0.1, "m/s²", 0.001..=10.0,
-            "Nor before the force at rest is known so well",
-            origin: "tuned: 0.5 m/s² loses walks among trees",
             larger: "relied on earlier";
     }
 }
