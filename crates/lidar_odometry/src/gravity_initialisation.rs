@@ -12,6 +12,9 @@ use crate::settings::InitialisationSettings;
 /// The odometry poses that are kept before the first sweep, which wants to know how the platform was moving.
 const ODOMETRY_POSES: usize = 2;
 
+/// So many samples are averaged at most, which bounds memory.
+const MAX_SAMPLES: usize = 4000;
+
 /// Sweeps that wait for the beginning of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaitingSweeps {
@@ -37,7 +40,6 @@ pub struct Beginning {
 pub struct GravityInitialisation {
     imu_wait: Duration,
     leveling_time: Duration,
-    max_samples: usize,
     imu: Vec<ImuData>,
     odometry: VecDeque<OdometryData>,
 }
@@ -48,7 +50,6 @@ impl GravityInitialisation {
         Self {
             imu_wait: Duration::from_seconds(settings.imu_wait),
             leveling_time: Duration::from_seconds(settings.leveling_time),
-            max_samples: settings.max_leveling_samples,
             imu: Vec::new(),
             odometry: VecDeque::new(),
         }
@@ -86,7 +87,7 @@ impl GravityInitialisation {
             0 => waited >= self.imu_wait,
             count => {
                 averaged >= self.leveling_time
-                    || count >= self.max_samples
+                    || count >= MAX_SAMPLES
                     || waited >= self.imu_wait + self.leveling_time
             }
         }

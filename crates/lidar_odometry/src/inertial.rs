@@ -28,6 +28,8 @@ use estimate::{Estimate, PLACE, Preintegrated, ROTATION, VELOCITY, worst_sigma};
 
 /// Standard deviation of what nothing measures: metres along degenerate directions, radians about them.
 const UNKNOWN: f64 = 30.0;
+/// An acceleration beyond this, m/s², is more than platforms do, and than most accelerometers measure: it is wrong.
+const MAX_ACCELERATION: f64 = 200.0;
 /// The noise of accelerations is learned from about so many sweeps.
 const COMPARED_SWEEPS: f64 = 20.0;
 /// Beyond this an accelerometer tells nothing.
@@ -77,6 +79,8 @@ pub(crate) struct InertialFilter {
     contradiction_sigmas: f64,
     /// Standard deviation of the velocity of a platform whose poses do not drift, m/s.
     standing_velocity: f64,
+    /// Standard deviation of the force that an IMU at rest measures, m/s².
+    resting_error: f64,
     samples: ImuBuffer,
     last: Option<Time>,
     estimate: Option<Estimate>,
@@ -92,6 +96,7 @@ impl InertialFilter {
             imu: settings.imu.clone(),
             contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
             standing_velocity: settings.inertial.place_error / settings.standstill.memory,
+            resting_error: settings.standstill.acceleration_error,
             samples: ImuBuffer::default(),
             last: None,
             estimate: None,
@@ -101,7 +106,7 @@ impl InertialFilter {
 
     /// Takes a sample as it was measured, in order of time.
     pub fn add_imu(&mut self, data: &ImuData) {
-        self.samples.push(data, self.imu.max_samples);
+        self.samples.push(data);
     }
 
     /// A sample without the bias of the gyroscope.
@@ -114,22 +119,28 @@ impl InertialFilter {
     pub fn begin(&mut self, time: Time, start: &InertialStart, up: &Vector3) {
         let settings = &self.settings;
         let force = match start.force_at_rest {
-            Some(strength) => (up * strength, settings.first_force_at_rest),
-            None => (up * self.imu.gravity, settings.first_force_moving),
+            Some(strength) => (up * strength, self.resting_error),
+            None => (up * self.imu.gravity, settings.first_force),
         };
+        if !self.measures_gravity() {
+            self.noise_scale = MAX_NOISE_SCALE;
+        }
         let rotation = start.local_from_tracking.rotation;
         self.estimate = Some(Estimate::first(rotation, force, self.imu.gravity, settings, &self.gyroscope));
         self.begin_anew(time, start);
     }
 
+    /// Whether the accelerometer measures about gravity in the mean. Its units are others if it does not.
+    fn measures_gravity(&self) -> bool {
+        let samples = self.samples.all();
+        let sum: f64 = samples.iter().map(|sample| sample.linear_acceleration.norm()).sum();
+        (sum / samples.len().max(1) as f64 - self.imu.gravity).abs() < 0.5 * self.imu.gravity
+    }
+
     /// Begins anew at the end of a sweep, after what it did not follow. Biases and gravity remain.
     pub fn begin_anew(&mut self, time: Time, start: &InertialStart) {
         let settings = &self.settings;
-        let velocity_sigma = match start.force_at_rest {
-            Some(_) => settings.first_velocity_at_rest,
-            None => settings.first_velocity_moving,
-        };
-        let sigmas = [settings.place_error, settings.rotation_error, velocity_sigma];
+        let sigmas = [settings.place_error, settings.rotation_error, settings.first_velocity];
         if let Some(estimate) = &mut self.estimate {
             estimate.moved_to(&start.local_from_tracking, start.velocity, sigmas);
         }
@@ -139,7 +150,7 @@ impl InertialFilter {
 
     /// Standard deviation of the velocity in its worst direction, m/s.
     pub fn velocity_sigma(&self) -> f64 {
-        let most = self.settings.first_velocity_moving;
+        let most = self.settings.first_velocity;
         self.estimate.as_ref().map_or(most, |e| worst_sigma(&e.covariance_of(VELOCITY)).min(most))
     }
 
@@ -176,8 +187,7 @@ impl InertialFilter {
             }
             let sample = &samples[next - 1];
             is_known &= seconds - sample.time.seconds_since(start) <= self.imu.max_gap;
-            is_known &=
-                estimate.acceleration(&estimate.rotation, sample).norm() <= self.settings.max_acceleration;
+            is_known &= estimate.acceleration(&estimate.rotation, sample).norm() <= MAX_ACCELERATION;
             let middle = 0.5 * (last + seconds) - sample.time.seconds_since(start);
             let sample = between(sample, samples.get(next), middle);
             estimate.advance(&sample, seconds - last, &mut measured);

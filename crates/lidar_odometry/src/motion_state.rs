@@ -9,6 +9,7 @@ use portolan_sensor::{ImuData, OdometryData};
 use crate::gap::{GapMotion, Velocities};
 use crate::gyroscope::SaturationDetector;
 use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PoseMeasurement};
+use crate::initialise::VELOCITY_INTERVAL;
 use crate::issues::Issue;
 use crate::predict::{self, Alternative, Prediction, Reason};
 use crate::registration::DegenerateDirections;
@@ -30,8 +31,6 @@ pub(crate) struct MotionState {
     zero_velocity: ZeroVelocityDetector,
     inertial: InertialFilter,
     hypotheses: HypothesisSettings,
-    /// Between the two poses that tell the extrapolator a velocity.
-    velocity_interval: Duration,
 }
 
 /// What the end of a sweep says of the motion.
@@ -67,7 +66,6 @@ impl MotionState {
             zero_velocity: ZeroVelocityDetector::new(settings),
             inertial: InertialFilter::new(settings),
             hypotheses: settings.hypotheses.clone(),
-            velocity_interval: Duration::from_seconds(settings.initialisation.velocity_interval),
         };
         if let Some(first) = imu.first() {
             // The extrapolator has it.
@@ -116,10 +114,6 @@ impl MotionState {
         let standing = self.zero_velocity.pose();
         let inertial =
             start.filter(|_| self.has_imu).and_then(|start| self.inertial.predict(start, &extrapolated));
-        let extrapolated = match &inertial {
-            Some(inertial) => extrapolated.turning_as(&inertial.segment),
-            None => extrapolated,
-        };
         let mut segment = match (&standing, &inertial) {
             (Some(pose), _) => {
                 let mut segment = predict::standing(&self.extrapolator, end, pose);
@@ -209,8 +203,8 @@ impl MotionState {
             self.update_inertial(prediction, inertial, end);
         }
         if let Some(velocities) = end.velocities {
-            let before = end.time - self.velocity_interval;
-            let earlier = velocities.earlier(end.local_from_tracking, self.velocity_interval.seconds());
+            let before = end.time - Duration::from_seconds(VELOCITY_INTERVAL);
+            let earlier = velocities.earlier(end.local_from_tracking, VELOCITY_INTERVAL);
             self.extrapolator.add_pose(before, earlier);
         }
         self.extrapolator.add_pose(end.time, *end.local_from_tracking);

@@ -94,14 +94,6 @@ impl TrajectorySegment {
         self.clone().changed(|_, pose| *pose = other_from_map * *pose)
     }
 
-    /// The segment with the rotations of another one over the same times.
-    #[must_use]
-    pub(crate) fn turning_as(mut self, other: &Self) -> Self {
-        let rotations = other.poses.iter().map(|pose| pose.rotation);
-        self.poses.iter_mut().zip(rotations).for_each(|(pose, rotation)| pose.rotation = rotation);
-        self
-    }
-
     /// The first pose.
     pub fn start(&self) -> Rigid3 {
         self.poses.first().copied().unwrap_or_else(Rigid3::identity)

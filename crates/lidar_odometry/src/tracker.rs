@@ -9,7 +9,7 @@ use crate::belief::{Belief, FitMonitor, Support};
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
 use crate::deskew::deskewed;
 use crate::gap::GapMotion;
-use crate::initialise::{FirstSweeps, RotationAt, Start};
+use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
 use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
@@ -113,7 +113,7 @@ impl Tracker {
         let (to_end, end) = (sweeps.deskewing(&first), sweeps.pose_at(first.end));
         // 2. An earlier pose, so that the extrapolator knows the velocity.
         let earliest = motion.extrapolator.last_pose_time().filter(|_| motion.has_imu).unwrap_or(Time::MIN);
-        let interval = Duration::from_seconds(settings.initialisation.velocity_interval);
+        let interval = Duration::from_seconds(VELOCITY_INTERVAL);
         let before = (first.end - interval).max(earliest);
         let pose_before = sweeps.pose_at(before);
         let level = measured.as_ref().map(|measured| measured(first.end));

@@ -11,10 +11,6 @@ settings! {
             "Longer than this without a sample, the motion in between is not known",
             origin: "ten samples of a slow IMU",
             larger: "gaps are bridged with the last sample";
-        max_samples: usize = 20_000, "samples", 100.0..=1e9,
-            "So many samples between two sweeps are kept",
-            origin: "memory: 100 s at 200 Hz",
-            larger: "more memory while no sweep comes";
     }
 }
 
@@ -85,25 +81,13 @@ settings! {
 settings! {
     /// The inertial filter.
     InertialSettings {
-        max_acceleration: f64 = 200.0, "m/s²", 20.0..=1e5,
-            "A sample beyond this is wrong",
-            origin: "more than platforms do, and than most accelerometers measure",
-            larger: "spikes throw the prediction away";
-        first_velocity_moving: f64 = 1.0, "m/s", 0.01..=100.0,
-            "Standard deviation of the first velocity on the way",
+        first_velocity: f64 = 1.0, "m/s", 0.01..=100.0,
+            "Standard deviation of the first velocity",
             origin: "what two sweeps say",
             larger: "relied on later";
-        first_velocity_at_rest: f64 = 0.3, "m/s", 0.01..=100.0,
-            "Standard deviation of the first velocity at rest",
-            origin: "smooth motion seems to rest, too",
-            larger: "relied on later";
-        first_force_moving: f64 = 3.0, "m/s²", 0.001..=10.0,
+        first_force: f64 = 3.0, "m/s²", 0.001..=10.0,
             "Standard deviation of the first force at rest on the way",
             origin: "a car that speeds up while accelerations are averaged leans by 0.8 m/s² (docs/experiments/2026-11-motion-state.md)",
-            larger: "relied on later";
-        first_force_at_rest: f64 = 0.03, "m/s²", 0.001..=10.0,
-            "Standard deviation of the first force at rest at rest",
-            origin: "a second of averaged noise",
             larger: "relied on later";
         accelerometer_bias: f64 = 0.1, "m/s²", 0.0..=10.0,
             "Standard deviation of biases before anything is known",
@@ -155,30 +139,14 @@ settings! {
             "What odometry may be off by, per second",
             origin: "slipping wheels",
             larger: "odometry counts less";
-        gyroscope_drift: f64 = 0.02, "rad/s", 0.0001..=1.0,
-            "What a gyroscope may be off by, per second",
-            origin: "bias before it is learned",
-            larger: "the gyroscope counts less";
-        least_odometry_error: f64 = 0.01, "m", 0.0..=1.0,
-            "What odometry may be off by at least",
+        least_translation_error: f64 = 0.01, "m", 0.0..=1.0,
+            "What any prediction of a translation may be off by at least",
             origin: "jitter of stamps",
-            larger: "odometry counts less";
-        least_inertial_error: f64 = 0.005, "m", 0.0..=1.0,
-            "What the accelerometer may be off by at least",
-            origin: "tuned",
-            larger: "the accelerometer counts less";
-        least_velocity_error: f64 = 0.01, "m", 0.0..=1.0,
-            "What constant velocity may be off by at least",
+            larger: "predictions count less";
+        least_rotation_error: f64 = 0.002, "rad", 0.0..=1.0,
+            "What any prediction of a rotation may be off by at least",
             origin: "jitter of stamps",
-            larger: "constant velocity counts less";
-        least_gyroscope_error: f64 = 0.002, "rad", 0.0..=1.0,
-            "What a gyroscope may be off by at least",
-            origin: "jitter of stamps",
-            larger: "the gyroscope counts less";
-        least_rotation_error: f64 = 0.005, "rad", 0.0..=1.0,
-            "What constant rotation may be off by at least",
-            origin: "jitter of stamps",
-            larger: "constant rotation counts less";
+            larger: "predictions count less";
     }
 }
 
