@@ -5,6 +5,9 @@ use portolan_geometry::{Duration, Time, Vector3};
 
 use crate::settings::DegeneracySettings;
 
+/// More intervals are counted with the last one, which bounds memory.
+const MAX_INTERVALS: usize = 10_000;
+
 /// A component of motion that scans do not constrain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum DegenerateMotion {
@@ -162,7 +165,7 @@ impl DegenerateIntervals {
     fn add(&mut self, scan: &DegenerateScan, motion: DegenerateMotion, direction: &Vector3) {
         let DegenerateScan { time, seconds, taken } = *scan;
         // More are counted with the last one, so that memory is bounded.
-        let full = self.intervals.len() >= self.settings.max_intervals;
+        let full = self.intervals.len() >= MAX_INTERVALS;
         let gap = Duration::from_seconds(self.settings.max_gap);
         let last = self.intervals.iter_mut().rev().find(|s| s.motion == motion && s.taken == taken);
         match last.filter(|interval| full || time - interval.end <= gap) {
@@ -224,7 +227,7 @@ mod tests {
             [(DegenerateMotion::Along, 30), (DegenerateMotion::Tilt, 1), (DegenerateMotion::Along, 1)]
         );
         assert!((found.all()[0].seconds - 3.0).abs() < 1e-9);
-        let most = DegeneracySettings::default().max_intervals;
+        let most = MAX_INTERVALS;
         for i in 0..3 * most {
             found.add_rotations(&scan(100.0 + 10.0 * i as f64), &[Vector3::z()], &Vector3::z());
         }

@@ -9,7 +9,7 @@ use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
 };
 
-use crate::initialise::{FirstSweeps, RotationAt, Start};
+use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
 use crate::issues::Issues;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
@@ -105,14 +105,14 @@ impl Velocities {
         let measured = tracker.motion().measured_rotation();
         let rotation_at = measured.as_ref().map(|measured| measured as &RotationAt);
         let starts = FirstSweeps::hypotheses(first, sweeps.get(1), rotation_at, settings);
-        let interval = settings.initialisation.velocity_interval;
-        starts.iter().map(|start| Self::of_start(start, first.end, interval, rotation_at)).collect()
+        starts.iter().map(|start| Self::of_start(start, first.end, rotation_at)).collect()
     }
 
-    fn of_start(start: &Start, end: Time, interval: f64, rotation_at: Option<&RotationAt>) -> Self {
+    fn of_start(start: &Start, end: Time, rotation_at: Option<&RotationAt>) -> Self {
         let angular = rotation_at.map(|rotation_at| {
-            let turned = rotation_at(end).inverse() * rotation_at(end + Duration::from_seconds(interval));
-            angle_axis_from_quaternion(&turned) / interval
+            let turned =
+                rotation_at(end).inverse() * rotation_at(end + Duration::from_seconds(VELOCITY_INTERVAL));
+            angle_axis_from_quaternion(&turned) / VELOCITY_INTERVAL
         });
         Self { linear: start.velocity_in_tracking(), angular: angular.unwrap_or(start.turn_rate()) }
     }

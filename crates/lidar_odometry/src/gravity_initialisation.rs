@@ -2,16 +2,18 @@
 
 use std::collections::VecDeque;
 
-use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, quaternion_from_angle_axis};
 use portolan_motion::PoseExtrapolator;
 use portolan_sensor::{ImuData, OdometryData};
 
-use crate::gravity::mean_acceleration;
 use crate::issues::Issue;
 use crate::settings::InitialisationSettings;
 
 /// The odometry poses that are kept before the first sweep, which wants to know how the platform was moving.
 const ODOMETRY_POSES: usize = 2;
+
+/// So many samples are averaged at most, which bounds memory.
+const MAX_SAMPLES: usize = 4000;
 
 /// Sweeps that wait for the beginning of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,7 +40,6 @@ pub struct Beginning {
 pub struct GravityInitialisation {
     imu_wait: Duration,
     leveling_time: Duration,
-    max_samples: usize,
     imu: Vec<ImuData>,
     odometry: VecDeque<OdometryData>,
 }
@@ -49,7 +50,6 @@ impl GravityInitialisation {
         Self {
             imu_wait: Duration::from_seconds(settings.imu_wait),
             leveling_time: Duration::from_seconds(settings.leveling_time),
-            max_samples: settings.max_leveling_samples,
             imu: Vec::new(),
             odometry: VecDeque::new(),
         }
@@ -87,7 +87,7 @@ impl GravityInitialisation {
             0 => waited >= self.imu_wait,
             count => {
                 averaged >= self.leveling_time
-                    || count >= self.max_samples
+                    || count >= MAX_SAMPLES
                     || waited >= self.imu_wait + self.leveling_time
             }
         }
@@ -119,10 +119,21 @@ impl GravityInitialisation {
     }
 }
 
+/// The mean of accelerations (m/s²) as seen from the tracking frame at the first sample, turned there by the gyroscope.
+/// None without a sample.
+fn mean_acceleration(samples: &[ImuData]) -> Option<Vector3> {
+    let mut turned = Quaternion::identity();
+    let mut sum = samples.first()?.linear_acceleration;
+    for pair in samples.windows(2) {
+        let seconds = pair[1].time.seconds_since(pair[0].time);
+        turned *= quaternion_from_angle_axis(&(pair[0].angular_velocity * seconds));
+        sum += turned * pair[1].linear_acceleration;
+    }
+    Some(sum / samples.len() as f64)
+}
+
 #[cfg(test)]
 mod tests {
-    use portolan_geometry::Vector3;
-
     use super::*;
 
     fn sample(seconds: f64, acceleration: f64) -> ImuData {
@@ -169,5 +180,24 @@ mod tests {
     fn without_anything_nothing_begins() {
         let mut initialisation = GravityInitialisation::new(&InitialisationSettings::default());
         assert!(initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).is_none());
+    }
+
+    #[test]
+    fn the_mean_over_steps_and_turns_points_up() {
+        // It turns about x and y by turns, and shakes.
+        let rate = |t: f64| Vector3::new(0.5 * (6.0 * t).cos(), -0.4 * (5.0 * t).sin(), 0.4);
+        let mut turned = Quaternion::identity();
+        let mut samples = Vec::new();
+        for i in 0..200 {
+            let t = 0.005 * f64::from(i);
+            let force = Vector3::new(2.0 * (12.0 * t).sin(), 0.0, 9.81 + 3.0 * (11.0 * t).cos());
+            let linear_acceleration = turned.inverse() * force;
+            samples.push(ImuData { linear_acceleration, angular_velocity: rate(t), ..sample(t, 0.0) });
+            turned *= quaternion_from_angle_axis(&(rate(t) * 0.005));
+        }
+        let up = mean_acceleration(&samples).unwrap();
+        let worst = samples.iter().map(|s| s.linear_acceleration.angle(&Vector3::z())).fold(0.0, f64::max);
+        assert!(up.angle(&Vector3::z()) < 0.02 && worst > 0.15, "{} {worst}", up.angle(&Vector3::z()));
+        assert!(mean_acceleration(&[]).is_none());
     }
 }

@@ -1,58 +1,19 @@
-//! What is wrong with a gyroscope: its bias, learned while mapping, and the end of its range.
+//! What is wrong with a gyroscope: errors that grow with the turn rate, and the end of its range.
 
-use portolan_geometry::{Quaternion, Vector3, angle_axis_from_quaternion};
-use portolan_sensor::ImuData;
+use portolan_geometry::Vector3;
 
 use crate::settings::GyroscopeSettings;
 
 impl GyroscopeSettings {
-    /// How much a difference of turn rates says of the bias while the platform turns this fast, rad/s: errors of scale
-    /// and alignment grow with the turn rate.
+    /// How much a difference of turn rates says of the bias while the platform turns this fast, rad/s, beside one at rest.
     pub fn weight_at(&self, turn_rate: f64) -> f64 {
-        1.0 / (1.0 + (turn_rate / self.fast).powi(2))
-    }
-}
-
-/// The bias of a gyroscope, as the mean difference between the rotations that it measured and those at which sweeps were
-/// registered.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct GyroscopeBias {
-    settings: GyroscopeSettings,
-    /// rad/s in the tracking frame, to be subtracted.
-    bias: Vector3,
-    /// Seconds of evidence.
-    evidence: f64,
-}
-
-impl GyroscopeBias {
-    pub fn new(settings: &GyroscopeSettings) -> Self {
-        Self { bias: Vector3::zeros(), evidence: settings.initial_evidence, settings: settings.clone() }
+        let noise = self.noise * self.noise;
+        noise / (noise + (self.scale_error * turn_rate).powi(2))
     }
 
-    /// The sample without the bias.
-    pub fn corrected(&self, data: &ImuData) -> ImuData {
-        ImuData { angular_velocity: data.angular_velocity - self.bias, ..*data }
-    }
-
-    /// The bias, rad/s in the tracking frame.
-    #[cfg(test)]
-    pub fn bias(&self) -> Vector3 {
-        self.bias
-    }
-
-    /// Learns from a rotation over `seconds` that was predicted with corrected samples and then registered (both from the
-    /// tracking frame at its end to that at its beginning).
-    pub fn observe(&mut self, predicted: &Quaternion, registered: &Quaternion, seconds: f64) {
-        if seconds <= 0.0 {
-            return;
-        }
-        let error = angle_axis_from_quaternion(&(registered.inverse() * predicted)) / seconds;
-        if !error.iter().all(|v| v.is_finite()) || error.norm() > self.settings.max_bias {
-            return;
-        }
-        let evidence = seconds * self.settings.weight_at(registered.angle() / seconds);
-        self.evidence = (self.evidence + evidence).min(self.settings.memory);
-        self.bias += error * (evidence / self.evidence).min(1.0);
+    /// A difference of turn rates beyond this, rad/s, is no bias but a poor registration or a saturated gyroscope.
+    pub fn max_bias(&self) -> f64 {
+        10.0 * self.bias
     }
 }
 
@@ -96,39 +57,6 @@ impl SaturationDetector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_geometry::{Time, quaternion_from_angle_axis};
-
-    fn learner() -> GyroscopeBias {
-        GyroscopeBias::new(&GyroscopeSettings::default())
-    }
-
-    #[test]
-    fn a_constant_bias_is_learned_within_seconds() {
-        let truth = Vector3::new(0.02, -0.01, 0.03);
-        let mut learned = learner();
-        for i in 0..100 {
-            // Matching is noisier than the bias turns in a tenth of a second.
-            let noise = Vector3::new(0.0, 0.003, -0.003) * if i % 2 == 0 { 1.0 } else { -1.0 };
-            let predicted = quaternion_from_angle_axis(&((truth - learned.bias()) * 0.1));
-            learned.observe(&predicted, &quaternion_from_angle_axis(&noise), 0.1);
-        }
-        assert!((learned.bias() - truth).norm() < 0.005, "{learned:?}");
-        let data = ImuData {
-            time: Time::from_ticks(0),
-            linear_acceleration: Vector3::z(),
-            angular_velocity: learned.bias(),
-        };
-        assert_eq!(learned.corrected(&data).angular_velocity, Vector3::zeros());
-    }
-
-    #[test]
-    fn what_is_no_bias_is_not_learned() {
-        let mut learned = learner();
-        let turned = quaternion_from_angle_axis(&(Vector3::z() * 0.5));
-        learned.observe(&turned, &Quaternion::identity(), 0.1);
-        learned.observe(&turned, &Quaternion::identity(), 0.0);
-        assert_eq!(learned, learner());
-    }
 
     #[test]
     fn only_repeated_largest_values_are_the_end() {

@@ -3,6 +3,9 @@
 use portolan_geometry::Time;
 use portolan_sensor::ImuData;
 
+/// So many samples are kept while no sweep comes: 100 s at 200 Hz.
+const MAX_SAMPLES: usize = 20_000;
+
 /// Samples since the last sweep, and the last one before.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ImuBuffer {
@@ -10,10 +13,10 @@ pub(crate) struct ImuBuffer {
 }
 
 impl ImuBuffer {
-    /// Takes a sample, in order of time. Without sweeps nothing is integrated; then `max_samples` bound memory, and the
-    /// gap is noticed.
-    pub fn push(&mut self, data: &ImuData, max_samples: usize) {
-        if self.samples.len() >= max_samples {
+    /// Takes a sample, in order of time. Without sweeps nothing is integrated; then samples are forgotten, and the gap is
+    /// noticed.
+    pub fn push(&mut self, data: &ImuData) {
+        if self.samples.len() >= MAX_SAMPLES {
             self.samples.clear();
         }
         self.samples.push(*data);

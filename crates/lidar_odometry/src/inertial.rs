@@ -1,57 +1,71 @@
-//! The inertial Kalman filter: position, velocity and specific force at rest (gravity and accelerometer bias), all in the
-//! local map.
+//! The inertial filter: an error-state Kalman filter over pose, velocity, the biases of gyroscope and accelerometer, and
+//! gravity, all in the local map (Solà 2017, "Quaternion kinematics for the error-state Kalman filter"; with sweeps of a
+//! lidar: Xu and Zhang 2021, "FAST-LIO").
 //!
-//! From one sweep to the next the accelerometer changes the velocity,
+//! From one sweep to the next the IMU moves the state on,
 //!
 //! ```text
-//! a = R f − f₀,   v ← v + ∫ a dt,   p ← p + ∫ v dt
+//! a = R (f − b_a) − g,   p ← p + ∫ v dt,   v ← v + ∫ a dt,   R ← R Exp(∫ (ω − b_ω) dt)
 //! ```
 //!
-//! with the specific force f, its value at rest f₀ and the orientation R from the prediction; then the registered pose
-//! corrects all three (Kalman 1960), but not along degenerate directions. A platform that starts to move among trees is
-//! followed by the accelerometer long before planes that its own beams drew while it stood let go of it.
+//! with specific force f, turn rate ω and the force at rest g. Then the pose at which the sweep was registered corrects
+//! all of it, but not along degenerate directions. A platform that starts to move among trees is followed by the
+//! accelerometer long before planes that its own beams drew while it stood let go of it.
+
+mod estimate;
+#[cfg(test)]
+mod tests;
 
 use portolan_geometry::nalgebra as na;
-use portolan_geometry::{Time, Vector3};
+use portolan_geometry::{Quaternion, Rigid3, Time, Vector3, rotation_between};
 use portolan_sensor::ImuData;
 
 use crate::imu_buffer::ImuBuffer;
+use crate::registration::DegenerateDirections;
 use crate::segment::TrajectorySegment;
-use crate::settings::{ImuSettings, InertialSettings};
+use crate::settings::{GyroscopeSettings, ImuSettings, InertialSettings, OdometrySettings};
+use estimate::{Estimate, PLACE, Preintegrated, ROTATION, VELOCITY, worst_sigma};
 
-type Covariance = na::SMatrix<f64, 9, 9>;
-const PLACE: usize = 0;
-const VELOCITY: usize = 3;
-const FORCE: usize = 6;
+/// Standard deviation of what nothing measures: metres along degenerate directions, radians about them.
+const UNKNOWN: f64 = 30.0;
+/// An acceleration beyond this, m/s², is more than platforms do, and than most accelerometers measure: it is wrong.
+const MAX_ACCELERATION: f64 = 200.0;
+/// The noise of accelerations is learned from about so many sweeps.
+const COMPARED_SWEEPS: f64 = 20.0;
+/// Beyond this an accelerometer tells nothing.
+const MAX_NOISE_SCALE: f64 = 1e6;
 
-/// A trajectory segment whose translation the accelerometer predicts.
+/// A trajectory segment that the IMU predicts.
 #[derive(Clone, Debug)]
 pub(crate) struct InertialPrediction {
     pub segment: TrajectorySegment,
-    /// At its end, m/s in the local map.
-    velocity: Vector3,
+    /// At its end.
+    estimate: Estimate,
+    measured: Preintegrated,
 }
 
-/// What the filter begins with.
+/// Where the filter begins, or begins anew after what it did not follow.
 pub(crate) struct InertialStart {
-    /// Metres, in the local map.
-    pub place: Vector3,
+    /// Tracking in local.
+    pub local_from_tracking: Rigid3,
     /// m/s, in the local map.
     pub velocity: Vector3,
-    /// m/s², in the local map.
-    pub force_at_rest: Vector3,
-    /// Whether the IMU is at rest, or moves.
-    pub is_at_rest: bool,
+    /// The strength of what the accelerometer measures, m/s², if it is at rest.
+    pub force_at_rest: Option<f64>,
 }
 
-/// What a registered sweep says of the place of its end.
-pub(crate) struct PlaceMeasurement<'a> {
-    /// Metres, in the local map.
-    pub place: Vector3,
-    /// Unit vectors along which it says nothing, in the local map.
-    pub degenerate: &'a [Vector3],
-    /// Covariance of what attenuation may keep it off by, m². None where the sweep fits nothing.
+/// What a registered sweep says of the pose at its end.
+pub(crate) struct PoseMeasurement<'a> {
+    /// Tracking in local.
+    pub local_from_tracking: &'a Rigid3,
+    /// Along and about which it says nothing, in the local map.
+    pub degenerate: &'a DegenerateDirections,
+    /// Covariance of what attenuation may keep the place off by, m². None where the sweep fits nothing.
     pub attenuation: Option<na::Matrix3<f64>>,
+    /// Whether the rotation tells something that the gyroscope does not know.
+    pub tells_rotation: bool,
+    /// Whether the gyroscope measured the rotation from the last sweep on.
+    pub gyroscope_holds: bool,
     /// Whether the platform stands.
     pub is_standing: bool,
 }
@@ -60,303 +74,207 @@ pub(crate) struct PlaceMeasurement<'a> {
 #[derive(Clone, Debug)]
 pub(crate) struct InertialFilter {
     settings: InertialSettings,
+    gyroscope: GyroscopeSettings,
     imu: ImuSettings,
+    contradiction_sigmas: f64,
+    /// Standard deviation of the velocity of a platform whose poses do not drift, m/s.
+    standing_velocity: f64,
+    /// Standard deviation of the force that an IMU at rest measures, m/s².
+    resting_error: f64,
     samples: ImuBuffer,
     last: Option<Time>,
-    state: na::SVector<f64, 9>,
-    covariance: Covariance,
-    /// Mean square errors of places that the accelerometer and constant velocity predicted, m².
-    errors: [f64; 2],
+    estimate: Option<Estimate>,
+    /// How many times the variance of accelerations is what it is said to be.
+    noise_scale: f64,
 }
 
 impl InertialFilter {
-    pub fn new(settings: &InertialSettings, imu: &ImuSettings) -> Self {
+    pub fn new(settings: &OdometrySettings) -> Self {
         Self {
-            settings: settings.clone(),
-            imu: imu.clone(),
+            settings: settings.inertial.clone(),
+            gyroscope: settings.gyroscope.clone(),
+            imu: settings.imu.clone(),
+            contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
+            standing_velocity: settings.inertial.place_error / settings.standstill.memory,
+            resting_error: settings.standstill.acceleration_error,
             samples: ImuBuffer::default(),
             last: None,
-            state: na::SVector::zeros(),
-            covariance: Covariance::zeros(),
-            errors: [0.0; 2],
+            estimate: None,
+            noise_scale: 1.0,
         }
     }
 
-    /// Takes a sample, in order of time.
+    /// Takes a sample as it was measured, in order of time.
     pub fn add_imu(&mut self, data: &ImuData) {
-        self.samples.push(data, self.imu.max_samples);
+        self.samples.push(data);
     }
 
-    /// Begins at the end of a sweep.
-    pub fn begin(&mut self, time: Time, start: &InertialStart) {
+    /// A sample without the bias of the gyroscope.
+    pub fn corrected(&self, data: &ImuData) -> ImuData {
+        let bias = self.estimate.as_ref().map_or_else(Vector3::zeros, |estimate| estimate.gyroscope_bias);
+        ImuData { angular_velocity: data.angular_velocity - bias, ..*data }
+    }
+
+    /// Begins at the end of the first sweep, where accelerations point up along a unit vector in the local map.
+    pub fn begin(&mut self, time: Time, start: &InertialStart, up: &Vector3) {
         let settings = &self.settings;
-        self.last = Some(time);
-        self.state.fixed_rows_mut::<3>(PLACE).copy_from(&start.place);
-        self.state.fixed_rows_mut::<3>(VELOCITY).copy_from(&start.velocity);
-        self.state.fixed_rows_mut::<3>(FORCE).copy_from(&start.force_at_rest);
-        let (first_velocity, first_force) = match start.is_at_rest {
-            true => (settings.first_velocity_at_rest, settings.first_force_at_rest),
-            false => (settings.first_velocity_moving, settings.first_force_moving),
+        let force = match start.force_at_rest {
+            Some(strength) => (up * strength, self.resting_error),
+            None => (up * self.imu.gravity, settings.first_force),
         };
-        let match_error = settings.match_error;
-        self.covariance = Covariance::from_fn(|i, j| match (i == j, i) {
-            (false, _) => 0.0,
-            (true, PLACE..VELOCITY) => match_error * match_error,
-            (true, VELOCITY..FORCE) => first_velocity * first_velocity,
-            (true, _) => first_force * first_force,
-        });
-        self.samples.forget_until(time);
+        if !self.measures_gravity() {
+            self.noise_scale = MAX_NOISE_SCALE;
+        }
+        let rotation = start.local_from_tracking.rotation;
+        self.estimate = Some(Estimate::first(rotation, force, self.imu.gravity, settings, &self.gyroscope));
+        self.begin_anew(time, start);
     }
 
-    fn part(&self, first: usize) -> Vector3 {
-        self.state.fixed_rows::<3>(first).into()
+    /// Whether the accelerometer measures about gravity in the mean. Its units are others if it does not.
+    fn measures_gravity(&self) -> bool {
+        let samples = self.samples.all();
+        let sum: f64 = samples.iter().map(|sample| sample.linear_acceleration.norm()).sum();
+        (sum / samples.len().max(1) as f64 - self.imu.gravity).abs() < 0.5 * self.imu.gravity
+    }
+
+    /// Begins anew at the end of a sweep, after what it did not follow. Biases and gravity remain.
+    pub fn begin_anew(&mut self, time: Time, start: &InertialStart) {
+        let settings = &self.settings;
+        let sigmas = [settings.place_error, settings.rotation_error, settings.first_velocity];
+        if let Some(estimate) = &mut self.estimate {
+            estimate.moved_to(&start.local_from_tracking, start.velocity, sigmas);
+        }
+        self.last = Some(time);
+        self.samples.forget_until(time);
     }
 
     /// Standard deviation of the velocity in its worst direction, m/s.
     pub fn velocity_sigma(&self) -> f64 {
-        (VELOCITY..FORCE)
-            .map(|i| self.covariance[(i, i)])
-            .fold(0.0, f64::max)
-            .sqrt()
-            .min(self.settings.first_velocity_moving)
+        let most = self.settings.first_velocity;
+        self.estimate.as_ref().map_or(most, |e| worst_sigma(&e.covariance_of(VELOCITY)).min(most))
     }
 
-    /// Whether velocity and force at rest are known, and the accelerometer predicts about as well as constant velocity.
+    /// Whether velocity and force at rest are known well enough for the accelerometer to be relied on.
     pub fn is_reliable(&self) -> bool {
         let settings = &self.settings;
-        let [inertial, constant_velocity] = self.errors;
-        let force_sigma = (FORCE..9).map(|i| self.covariance[(i, i)]).fold(0.0, f64::max).sqrt();
-        inertial <= settings.clearly_worse * constant_velocity + settings.small_error
-            && self.velocity_sigma() < settings.sure_velocity
-            && force_sigma < settings.sure_force
+        let is_sure = |estimate: &Estimate| estimate.force_sigma() < settings.accelerometer_bias;
+        self.velocity_sigma() < settings.sure_velocity && self.estimate.as_ref().is_some_and(is_sure)
     }
 
-    /// A segment that begins where the last sweep ended, with the rotations of `predicted`, and with the translation that
-    /// accelerations give. None where these are not known.
+    /// From the tracking frame, which lies in the local map as given, to a gravity-aligned one of the same heading; none
+    /// before the filter began.
+    pub fn level_from_tracking(&self, local_from_tracking: &Quaternion) -> Option<Quaternion> {
+        let up = self.estimate.as_ref()?.force_at_rest;
+        Some(rotation_between(&up, &Vector3::z()) * local_from_tracking)
+    }
+
+    /// A segment over the times of `predicted` that begins where the last sweep ended, and moves as the IMU says. None where
+    /// that is not known.
     pub fn predict(&self, start: Time, predicted: &TrajectorySegment) -> Option<InertialPrediction> {
         let mut next = self.samples.count_until(start);
         if self.last != Some(start) || next == 0 || predicted.seconds() <= 0.0 {
             return None;
         }
         let samples = self.samples.all();
-        let (at_rest, mut velocity) = (self.part(FORCE), self.part(VELOCITY));
-        let mut place = predicted.start().translation.vector;
-        let (mut before, mut last, mut is_known) = (0.0, None, true);
+        let before = self.estimate.as_ref()?;
+        let (mut estimate, mut measured) = (before.clone(), Preintegrated::default());
+        let begin = predicted.start();
+        let (to_begin, mut last, mut is_known) = (before.rotation.inverse(), 0.0, true);
         let segment = predicted.clone().changed(|seconds, pose| {
             let is_past = |s: &ImuData| s.time.seconds_since(start) <= seconds;
             while samples.get(next).is_some_and(is_past) {
                 next += 1;
             }
             let sample = &samples[next - 1];
-            let acceleration = pose.rotation * sample.linear_acceleration - at_rest;
             is_known &= seconds - sample.time.seconds_since(start) <= self.imu.max_gap;
-            is_known &= acceleration.norm() <= self.settings.max_acceleration;
-            let (mean, step) = (0.5 * (last.unwrap_or(acceleration) + acceleration), seconds - before);
-            place += velocity * step + mean * (0.5 * step * step);
-            velocity += mean * step;
-            pose.translation.vector = place;
-            (before, last) = (seconds, Some(acceleration));
+            is_known &= estimate.acceleration(&estimate.rotation, sample).norm() <= MAX_ACCELERATION;
+            let middle = 0.5 * (last + seconds) - sample.time.seconds_since(start);
+            let sample = between(sample, samples.get(next), middle);
+            estimate.advance(&sample, seconds - last, &mut measured);
+            let place = begin.translation.vector + estimate.place - before.place;
+            *pose = Rigid3::from_parts(place.into(), begin.rotation * (to_begin * estimate.rotation));
+            last = seconds;
         });
-        is_known.then_some(InertialPrediction { segment, velocity })
+        is_known.then_some(InertialPrediction { segment, estimate, measured })
     }
 
-    /// Goes on to the end of a sweep, which constant velocity predicted to end at `by_constant_velocity`: prediction,
-    /// correction by the registered place, correction by what velocities are like.
-    pub fn update(
-        &mut self,
-        end: Time,
-        prediction: &InertialPrediction,
-        by_constant_velocity: &Vector3,
-        measured: &PlaceMeasurement<'_>,
-    ) {
-        let seconds = prediction.segment.seconds();
-        if measured.attenuation.is_some() {
-            let predicted = prediction.segment.end().translation.vector;
-            self.compare(&predicted, by_constant_velocity, measured);
+    /// Goes on to the end of a sweep: prediction, correction by the registered pose, correction by a zero velocity.
+    pub fn update(&mut self, end: Time, prediction: &InertialPrediction, measured: &PoseMeasurement<'_>) {
+        let mut estimate = prediction.estimate.clone();
+        estimate.propagate(&prediction.measured, self.noise_scale, &self.settings, &self.gyroscope);
+        self.correct_rotation(&mut estimate, measured);
+        self.correct_place(&mut estimate, measured);
+        if measured.is_standing {
+            let innovation = -estimate.velocity;
+            estimate.correct(VELOCITY, &innovation, &square(self.standing_velocity));
         }
-        let place = self.part(PLACE) + prediction.segment.translation();
-        self.state.fixed_rows_mut::<3>(PLACE).copy_from(&place);
-        self.state.fixed_rows_mut::<3>(VELOCITY).copy_from(&prediction.velocity);
-        self.propagate_covariance(seconds);
-        let settings = &self.settings;
-        let variance = match measured.is_standing {
-            true => settings.standing_velocity * settings.standing_velocity,
-            false => settings.usual_speed * settings.usual_speed / seconds,
-        };
-        let (match_error, unknown) = (settings.match_error, settings.degenerate_error);
-        if let Some(attenuation) = measured.attenuation {
-            let known = na::Matrix3::from_diagonal_element(match_error * match_error) + attenuation;
-            let error = measured
-                .degenerate
-                .iter()
-                .fold(known, |sum, d| sum + d * d.transpose() * (unknown * unknown));
-            self.correct(PLACE, &measured.place, &error);
-        }
-        self.correct(VELOCITY, &Vector3::zeros(), &na::Matrix3::from_diagonal_element(variance));
+        self.estimate = Some(estimate);
         self.last = Some(end);
         self.samples.forget_until(end);
     }
 
-    /// Averages how far off both predictions were in the directions that the sweep constrains.
-    fn compare(&mut self, inertial: &Vector3, constant_velocity: &Vector3, measured: &PlaceMeasurement<'_>) {
-        for (error, predicted) in self.errors.iter_mut().zip([inertial, constant_velocity]) {
-            let all = measured.place - predicted;
-            let constrained = measured.degenerate.iter().fold(all, |rest, d| rest - d * d.dot(&rest));
-            *error += (constrained.norm_squared() - *error) / self.settings.compared_sweeps;
+    /// The registered rotation tells the bias of the gyroscope, unless that measured something else altogether.
+    fn correct_rotation(&self, estimate: &mut Estimate, measured: &PoseMeasurement<'_>) {
+        let innovation = estimate.rotation_to(&measured.local_from_tracking.rotation);
+        let error = with_unknown(square(self.settings.rotation_error), &measured.degenerate.rotations);
+        let expected = estimate.covariance_of(ROTATION) + error;
+        let is_possible = squared_mahalanobis(&innovation, &expected) < self.contradiction_sigmas.powi(2);
+        if !measured.gyroscope_holds || !is_possible {
+            estimate.forget(ROTATION, UNKNOWN);
+        } else if !measured.tells_rotation {
+            return;
         }
+        estimate.correct(ROTATION, &innovation, &error);
     }
 
-    /// The covariance after so many more seconds: white noise of acceleration, and a random walk of the force at rest.
-    fn propagate_covariance(&mut self, seconds: f64) {
-        let mut transition = Covariance::identity();
-        let mut noise = Covariance::zeros();
-        let variance = self.settings.acceleration_noise * self.settings.acceleration_noise;
-        let force_walk = self.settings.force_walk;
-        for i in 0..3 {
-            let (place, velocity, force) = (PLACE + i, VELOCITY + i, FORCE + i);
-            transition[(place, velocity)] = seconds;
-            transition[(place, force)] = -0.5 * seconds * seconds;
-            transition[(velocity, force)] = -seconds;
-            noise[(place, place)] = variance * seconds.powi(3) / 3.0;
-            noise[(place, velocity)] = variance * seconds.powi(2) / 2.0;
-            noise[(velocity, place)] = noise[(place, velocity)];
-            noise[(velocity, velocity)] = variance * seconds;
-            noise[(force, force)] = force_walk * force_walk * seconds;
-        }
-        self.covariance = transition * self.covariance * transition.transpose() + noise;
+    fn correct_place(&mut self, estimate: &mut Estimate, measured: &PoseMeasurement<'_>) {
+        let Some(attenuation) = measured.attenuation else { return };
+        let innovation = measured.local_from_tracking.translation.vector - estimate.place;
+        let known = square(self.settings.place_error) + attenuation;
+        let error = with_unknown(known, &measured.degenerate.translations);
+        self.adapt_noise(&innovation, &(estimate.covariance_of(PLACE) + error), measured);
+        estimate.correct(PLACE, &innovation, &error);
     }
 
-    /// Three entries from `first` on were measured with this covariance.
-    fn correct(&mut self, first: usize, measured: &Vector3, error: &na::Matrix3<f64>) {
-        let innovation = measured - self.part(first);
-        let predicted = self.covariance.fixed_view::<3, 3>(first, first) + error;
-        let Some(inverse) = predicted.try_inverse() else { return };
-        let gain = self.covariance.fixed_view::<9, 3>(0, first) * inverse;
-        self.state += gain * innovation;
-        self.covariance -= gain * self.covariance.fixed_view::<3, 9>(first, 0).into_owned();
-        self.covariance = 0.5 * (self.covariance + self.covariance.transpose());
+    /// Innovations are as large as their covariance says, or else the accelerometer is worse than it is said to be: its
+    /// clock, axes or units may be wrong (covariance matching, Mehra 1972).
+    fn adapt_noise(
+        &mut self,
+        innovation: &Vector3,
+        expected: &na::Matrix3<f64>,
+        measured: &PoseMeasurement<'_>,
+    ) {
+        let constrained = 3_usize.saturating_sub(measured.degenerate.translations.len());
+        if constrained == 0 {
+            return;
+        }
+        let most = self.contradiction_sigmas.powi(2);
+        let ratio = (squared_mahalanobis(innovation, expected) / constrained as f64).min(most);
+        let factor = 1.0 + (ratio - 1.0) / COMPARED_SWEEPS;
+        self.noise_scale = (self.noise_scale * factor).clamp(1.0, MAX_NOISE_SCALE);
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use portolan_geometry::{Duration, Quaternion, Rigid3, quaternion_from_angle_axis};
-
-    const GRAVITY: Vector3 = Vector3::new(0.0, 0.0, 9.81);
-
-    fn time(seconds: f64) -> Time {
-        Time::from_ticks(0) + Duration::from_seconds(seconds)
+/// What an IMU measures so many seconds after a sample, if the next one is known; else the sample holds.
+fn between(sample: &ImuData, next: Option<&ImuData>, seconds: f64) -> ImuData {
+    let Some(next) = next else { return *sample };
+    let fraction = (seconds / next.time.seconds_since(sample.time).max(1e-9)).clamp(0.0, 1.0);
+    ImuData {
+        time: sample.time,
+        linear_acceleration: sample.linear_acceleration.lerp(&next.linear_acceleration, fraction),
+        angular_velocity: sample.angular_velocity.lerp(&next.angular_velocity, fraction),
     }
+}
 
-    /// It stands for a second, then speeds up to 1.5 m/s within another one, and walks on with gait, turning.
-    fn place(t: f64) -> Vector3 {
-        let since = (t - 1.0).max(0.0);
-        let way = if since < 1.0 { 0.75 * since * since } else { 0.75 + 1.5 * (since - 1.0) };
-        Vector3::new(way, 0.0, 0.02 * (1.0 - (11.0 * since).cos()))
-    }
+fn square(sigma: f64) -> na::Matrix3<f64> {
+    na::Matrix3::from_diagonal_element(sigma * sigma)
+}
 
-    fn turn(t: f64) -> Quaternion {
-        quaternion_from_angle_axis(&Vector3::new(0.05 * (6.0 * t).sin(), 0.0, 0.2 * t))
-    }
+/// What was measured with a covariance, but not along some directions.
+fn with_unknown(known: na::Matrix3<f64>, degenerate: &[Vector3]) -> na::Matrix3<f64> {
+    degenerate.iter().fold(known, |sum, d| sum + d * d.transpose() * (UNKNOWN * UNKNOWN))
+}
 
-    fn sample(t: f64, bias: &Vector3) -> ImuData {
-        let h = 1e-4;
-        let acceleration = (place(t + h) - 2.0 * place(t) + place(t - h)) / (h * h);
-        ImuData {
-            time: time(t),
-            linear_acceleration: turn(t).inverse() * (acceleration + GRAVITY) + bias,
-            angular_velocity: Vector3::zeros(),
-        }
-    }
-
-    fn at_rest(place: Vector3) -> InertialStart {
-        InertialStart { place, velocity: Vector3::zeros(), force_at_rest: GRAVITY, is_at_rest: true }
-    }
-
-    /// How far off the filter is (metres, and m/s) after so many seconds, of which the sweeps from `blind` on leave the
-    /// plane open.
-    fn errors_after(seconds: f64, blind: f64, bias: &Vector3, scale: f64) -> (f64, f64, bool) {
-        let mut inertial = InertialFilter::new(&InertialSettings::default(), &ImuSettings::default());
-        let (mut now, mut before, mut start) = (Vector3::zeros(), Vector3::zeros(), time(0.0));
-        for i in 0..(200.0 * seconds) as i32 {
-            let t = 0.005 * f64::from(i);
-            let data = sample(t, bias);
-            inertial.add_imu(&ImuData { linear_acceleration: scale * data.linear_acceleration, ..data });
-            if i % 20 != 0 {
-                continue;
-            }
-            let end = time(t);
-            let segment = TrajectorySegment::new(start, end, |at| {
-                Rigid3::from_parts(now.into(), turn(at.seconds_since(time(0.0))))
-            });
-            let Some(prediction) = inertial.predict(start, &segment) else {
-                inertial.begin(end, &at_rest(place(t)));
-                continue;
-            };
-            let (mut arrived, mut degenerate) = (place(t), Vec::new());
-            if t >= blind {
-                degenerate = vec![Vector3::x(), Vector3::y()];
-                let predicted = prediction.segment.end().translation.vector;
-                arrived = Vector3::new(predicted.x, predicted.y, arrived.z);
-            }
-            let measured = PlaceMeasurement {
-                place: arrived,
-                degenerate: &degenerate,
-                attenuation: Some(na::Matrix3::zeros()),
-                is_standing: false,
-            };
-            inertial.update(end, &prediction, &(2.0 * now - before), &measured);
-            (before, now, start) = (now, arrived, end);
-        }
-        let last = start.seconds_since(time(0.0));
-        let velocity = (place(last + 1e-4) - place(last - 1e-4)) / 2e-4;
-        let error = (now - place(last)).norm();
-        (error, (inertial.part(VELOCITY) - velocity).norm(), inertial.is_reliable())
-    }
-
-    #[test]
-    fn who_starts_to_walk_where_scans_tell_nothing_is_followed() {
-        // Told until it walks for a tenth of a second only.
-        let after = |seconds: f64| errors_after(seconds, 1.1, &Vector3::new(0.02, -0.01, 0.0), 1.0);
-        let (place, velocity, is_reliable) = after(3.0);
-        assert!(place < 0.35 && velocity < 0.25 && is_reliable, "{place} m, {velocity} m/s");
-        // But not for ever.
-        assert!(!after(8.0).2);
-    }
-
-    #[test]
-    fn what_sweeps_tell_is_known_better() {
-        let (place, velocity, is_reliable) = errors_after(8.0, 99.0, &Vector3::new(0.05, 0.0, 0.05), 1.0);
-        assert!(place < 1e-9 && velocity < 0.06 && is_reliable, "{place} m, {velocity} m/s");
-    }
-
-    #[test]
-    fn an_accelerometer_in_other_units_is_not_followed() {
-        let (_, _, is_reliable) = errors_after(2.0, 99.0, &Vector3::zeros(), 0.102);
-        assert!(!is_reliable);
-    }
-
-    /// Whether 0.3 s at rest are predicted if a sample is wrong by so much, m/s²; with and without samples after the first.
-    fn predicts(wrong: f64, has_samples: bool) -> bool {
-        let mut inertial = InertialFilter::new(&InertialSettings::default(), &ImuSettings::default());
-        inertial.add_imu(&sample(0.0, &Vector3::zeros()));
-        let segment = TrajectorySegment::new(time(0.0), time(0.3), |_| Rigid3::identity());
-        assert!(inertial.predict(time(0.0), &segment).is_none(), "not begun");
-        inertial.begin(time(0.0), &at_rest(Vector3::zeros()));
-        for i in 1..=60 {
-            let mut sample = sample(0.005 * f64::from(i), &Vector3::zeros());
-            sample.linear_acceleration.x += if i == 30 { wrong } else { 0.0 };
-            if has_samples {
-                inertial.add_imu(&sample);
-            }
-        }
-        inertial.predict(time(0.0), &segment).is_some()
-    }
-
-    #[test]
-    fn nothing_is_predicted_over_a_gap_or_a_wrong_sample() {
-        assert!(predicts(0.0, true));
-        assert!(!predicts(0.0, false) && !predicts(1e6, true));
-    }
+fn squared_mahalanobis(error: &Vector3, covariance: &na::Matrix3<f64>) -> f64 {
+    covariance.try_inverse().map_or(f64::INFINITY, |inverse| error.dot(&(inverse * error)))
 }

@@ -22,6 +22,15 @@ use crate::vertical::vertical_from_planes;
 /// how well sweeps fit by a fifth (docs/experiments/2026-11-cpu-time.md).
 const PROMISING: f64 = 0.75;
 
+/// The first velocity, and the sweeps that it de-skews, are found in so many iterations; more change nothing.
+const ITERATIONS: u32 = 4;
+
+/// How far off what was found coarsely may be: hardly a prior.
+pub(crate) const COARSE: Sigmas = Sigmas { translation: 1.0, rotation: 0.1 };
+
+/// Seconds between the two poses that tell an extrapolator the first velocity: less than a sweep.
+pub(crate) const VELOCITY_INTERVAL: f64 = 0.05;
+
 /// The rotation at a time, from the tracking frame to a gravity-aligned one.
 pub(crate) type RotationAt<'a> = dyn Fn(Time) -> Quaternion + 'a;
 
@@ -192,7 +201,7 @@ impl<'a> FirstSweeps<'a> {
     fn followed(mut self, mut relative: Relative, second: &Sweep) -> (Start, f64) {
         let seconds = second.end.seconds_since(self.first.end);
         self.move_by(&relative.motion, seconds);
-        for _ in 1..self.settings.initialisation.iterations {
+        for _ in 1..ITERATIONS {
             let points = voxel_filter_points(&self.deskewed(second), self.settings.initialisation.spacing);
             let Some(next) = self.register(&self.planes(), &points, &self.believed(second)) else { break };
             relative = next;
@@ -261,8 +270,7 @@ impl<'a> FirstSweeps<'a> {
     /// The second pose in the first near another one, if the points constrain it.
     fn register(&self, planes: &PlaneMap, points: &[Point3f], initial: &Rigid3) -> Option<Relative> {
         let settings = &self.settings.initialisation;
-        let sigmas = Sigmas { translation: settings.translation_sigma, rotation: settings.rotation_sigma };
-        let prior = PosePrior { pose: *initial, sigmas };
+        let prior = PosePrior { pose: *initial, sigmas: COARSE };
         let registration = Registration::new(RegistrationSettings {
             final_scale: self.settings.sweep.final_scale_per_edge * self.settings.local_map.voxel_size,
             ..self.settings.registration.clone()

@@ -5,7 +5,6 @@ mod correlation;
 mod degenerate_intervals;
 mod deskew;
 mod gap;
-mod gravity;
 mod gravity_initialisation;
 mod gyroscope;
 mod imu_buffer;

@@ -1,5 +1,5 @@
-//! What is known of the motion between sweeps: extrapolator, gyroscope, zero-velocity detector, gravity estimator and
-//! inertial Kalman filter, fed by the same samples.
+//! What is known of the motion between sweeps: the inertial filter if there is an IMU, an extrapolator of poses and odometry,
+//! and what is noticed of their sensors: rest, and the end of the range of the gyroscope.
 
 use portolan_geometry::nalgebra::Matrix3;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3};
@@ -7,13 +7,14 @@ use portolan_motion::PoseExtrapolator;
 use portolan_sensor::{ImuData, OdometryData};
 
 use crate::gap::{GapMotion, Velocities};
-use crate::gravity::GravityEstimator;
-use crate::gyroscope::{GyroscopeBias, SaturationDetector};
-use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PlaceMeasurement};
+use crate::gyroscope::SaturationDetector;
+use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PoseMeasurement};
+use crate::initialise::VELOCITY_INTERVAL;
 use crate::issues::Issue;
-use crate::predict::{self, Alternative, Prediction, Reason, Registered};
+use crate::predict::{self, Alternative, Prediction, Reason};
+use crate::registration::DegenerateDirections;
 use crate::segment::{MotionSource, TrajectorySegment};
-use crate::settings::{HypothesisSettings, ImuSettings, OdometrySettings};
+use crate::settings::{HypothesisSettings, OdometrySettings};
 use crate::standstill::ZeroVelocityDetector;
 
 /// Follows the motion.
@@ -21,7 +22,6 @@ use crate::standstill::ZeroVelocityDetector;
 pub(crate) struct MotionState {
     pub extrapolator: PoseExtrapolator,
     pub has_imu: bool,
-    gyroscope_bias: GyroscopeBias,
     saturation: SaturationDetector,
     /// When the gyroscope was last at the end of its range.
     saturated_at: Option<Time>,
@@ -29,23 +29,22 @@ pub(crate) struct MotionState {
     /// When samples last came again after a gap.
     resumed_at: Option<Time>,
     zero_velocity: ZeroVelocityDetector,
-    gravity: GravityEstimator,
     inertial: InertialFilter,
     hypotheses: HypothesisSettings,
-    imu: ImuSettings,
-    /// Between the two poses that tell the extrapolator a velocity.
-    velocity_interval: Duration,
 }
 
 /// What the end of a sweep says of the motion.
 pub(crate) struct SweepEnd<'a> {
     pub time: Time,
     pub local_from_tracking: &'a Rigid3,
-    /// Directions of translation that the sweep leaves unconstrained, in the tracking frame.
-    pub degenerate: &'a [Vector3],
+    /// What the sweep leaves unconstrained, in the tracking frame.
+    pub degenerate: &'a DegenerateDirections,
     /// Covariance of attenuation, m² in the local map. None where the sweep fits nothing.
     pub attenuation: Option<Matrix3<f64>>,
     pub is_standing: bool,
+    /// Whether the rotation tells something of the gyroscope. Before the map is warmed up it does not: what the first sweeps
+    /// got wrong fits the map that was made of them.
+    pub tells_rotation: bool,
     /// Where it does not follow from the pose before: how the platform moves now.
     pub velocities: Option<Velocities>,
 }
@@ -60,21 +59,16 @@ impl MotionState {
         let mut state = Self {
             extrapolator,
             has_imu: !imu.is_empty(),
-            gyroscope_bias: GyroscopeBias::new(&settings.gyroscope),
             saturation: SaturationDetector::new(&settings.gyroscope),
             saturated_at: None,
             last_sample: imu.first().map(|sample| sample.time),
             resumed_at: None,
-            zero_velocity: ZeroVelocityDetector::new(&settings.standstill),
-            gravity: GravityEstimator::new(&settings.gravity, &settings.imu),
-            inertial: InertialFilter::new(&settings.inertial, &settings.imu),
+            zero_velocity: ZeroVelocityDetector::new(settings),
+            inertial: InertialFilter::new(settings),
             hypotheses: settings.hypotheses.clone(),
-            imu: settings.imu.clone(),
-            velocity_interval: Duration::from_seconds(settings.initialisation.velocity_interval),
         };
         if let Some(first) = imu.first() {
             // The extrapolator has it.
-            state.gravity.add_imu(first);
             state.inertial.add_imu(first);
         }
         let issues = imu.iter().skip(1).filter_map(|data| state.add_imu(data)).collect();
@@ -91,13 +85,12 @@ impl MotionState {
         if self.saturation.is_saturated(&data.angular_velocity) {
             self.saturated_at = self.saturated_at.max(Some(data.time));
         }
-        let corrected = self.gyroscope_bias.corrected(data);
+        let corrected = self.inertial.corrected(data);
         if self.extrapolator.add_imu(&corrected).is_err() {
             return Some(Issue::ImuSampleTooOld);
         }
         self.zero_velocity.add_imu(&corrected);
-        self.gravity.add_imu(&corrected);
-        self.inertial.add_imu(&corrected);
+        self.inertial.add_imu(data);
         (!self.has_imu).then_some(Issue::ImuAfterStart)
     }
 
@@ -136,18 +129,9 @@ impl MotionState {
         };
         let is_complete = self.resumed_at.is_none_or(|resumed| start.is_some_and(|start| resumed <= start));
         segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
-        let level_from_tracking = self.has_imu.then(|| self.extrapolator.estimate_gravity_orientation(end));
         let is_saturated = self.saturated_at > start;
         let alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
-        Prediction {
-            extrapolated,
-            inertial,
-            standing,
-            segment,
-            alternatives,
-            level_from_tracking,
-            is_saturated,
-        }
+        Prediction { extrapolated, inertial, standing, segment, alternatives, is_saturated }
     }
 
     /// What is expected of the first sweep after a gap if the platform moved so meanwhile.
@@ -188,30 +172,24 @@ impl MotionState {
         alternatives
     }
 
-    /// Learns the bias of the gyroscope: at rest from the rotation that it measured, else from the rotation that was
-    /// registered. Before the map is warmed up the latter says nothing: what the first sweeps got wrong fits the map that
-    /// was made of them.
-    pub fn learn_gyroscope_bias(&mut self, prediction: &Prediction, best: &Registered, is_warming_up: bool) {
-        let segment = &best.segment;
-        if prediction.standing.is_some() {
-            let predicted = prediction.extrapolated.rotation();
-            self.gyroscope_bias.observe(&predicted, &Quaternion::identity(), segment.seconds());
-            return;
-        }
-        let constrains_rotation =
-            best.registered.found.as_ref().is_some_and(|f| f.degenerate.rotations.is_empty());
-        let is_measured = segment.rotation_is_measured && !prediction.is_saturated;
-        if is_measured && constrains_rotation && !is_warming_up {
-            let registered =
-                segment.start().rotation.inverse() * best.registered.local_from_tracking.rotation;
-            self.gyroscope_bias.observe(&segment.rotation(), &registered, segment.seconds());
-        }
-    }
-
     /// Zero-velocity update: where the platform stands after a sweep was registered at this pose, if it stands.
     pub fn zero_velocity_update(&mut self, end: Time, local_from_tracking: &Rigid3) -> Option<Rigid3> {
         self.zero_velocity.add_pose(end, local_from_tracking);
         self.zero_velocity.pose()
+    }
+
+    /// Begins at the end of the first sweep, moving so fast (m/s in the local map). `level_from_tracking` is what the IMU alone
+    /// says of the tracking frame there. Gives a gravity-aligned frame.
+    pub fn begin(
+        &mut self,
+        end: Time,
+        local_from_tracking: &Rigid3,
+        velocity: Vector3,
+        level_from_tracking: &Quaternion,
+    ) -> Quaternion {
+        let up = local_from_tracking.rotation * (level_from_tracking.inverse() * Vector3::z());
+        self.inertial.begin(end, &self.inertial_start(local_from_tracking, velocity), &up);
+        self.inertial.level_from_tracking(&local_from_tracking.rotation).unwrap_or(*level_from_tracking)
     }
 
     /// Corrects what is known by the pose of a sweep. Gives the gravity-aligned frame of the tracking frame there.
@@ -221,16 +199,16 @@ impl MotionState {
         inertial: Option<&InertialPrediction>,
         end: &SweepEnd<'_>,
     ) -> Option<Quaternion> {
-        if let Some(level_from_tracking) = &prediction.level_from_tracking {
-            self.update_inertial(prediction, inertial, end, level_from_tracking);
+        if self.has_imu {
+            self.update_inertial(prediction, inertial, end);
         }
         if let Some(velocities) = end.velocities {
-            let before = end.time - self.velocity_interval;
-            let earlier = velocities.earlier(end.local_from_tracking, self.velocity_interval.seconds());
+            let before = end.time - Duration::from_seconds(VELOCITY_INTERVAL);
+            let earlier = velocities.earlier(end.local_from_tracking, VELOCITY_INTERVAL);
             self.extrapolator.add_pose(before, earlier);
         }
         self.extrapolator.add_pose(end.time, *end.local_from_tracking);
-        prediction.level_from_tracking.map(|level| self.leveled(end.time, end.local_from_tracking, level))
+        self.inertial.level_from_tracking(&end.local_from_tracking.rotation)
     }
 
     /// Corrects the inertial filter, or begins it anew.
@@ -239,41 +217,40 @@ impl MotionState {
         prediction: &Prediction,
         inertial: Option<&InertialPrediction>,
         end: &SweepEnd<'_>,
-        level_from_tracking: &Quaternion,
     ) {
-        let (place, turn) = (end.local_from_tracking.translation.vector, end.local_from_tracking.rotation);
-        let extrapolated = &prediction.extrapolated;
+        let turn = end.local_from_tracking.rotation;
         if let Some(inertial) = inertial {
-            let degenerate: Vec<Vector3> = end.degenerate.iter().map(|d| turn * d).collect();
-            let measured = PlaceMeasurement {
-                place,
+            let in_local = |directions: &[Vector3]| directions.iter().map(|d| turn * d).collect();
+            let degenerate = DegenerateDirections {
+                translations: in_local(&end.degenerate.translations),
+                rotations: in_local(&end.degenerate.rotations),
+            };
+            let measured = PoseMeasurement {
+                local_from_tracking: end.local_from_tracking,
                 degenerate: &degenerate,
                 attenuation: end.attenuation,
+                tells_rotation: end.tells_rotation,
+                gyroscope_holds: prediction.segment.rotation_is_measured && !prediction.is_saturated,
                 is_standing: end.is_standing,
             };
-            let by_constant_velocity = extrapolated.end().translation.vector;
-            self.inertial.update(end.time, inertial, &by_constant_velocity, &measured);
+            self.inertial.update(end.time, inertial, &measured);
             return;
         }
-        let at_rest = self.zero_velocity.force_at_rest();
-        let up = turn * (level_from_tracking.inverse() * Vector3::z());
-        let mean = (place - extrapolated.start().translation.vector) / extrapolated.seconds().max(1e-3);
+        let extrapolated = &prediction.extrapolated;
+        let translation =
+            end.local_from_tracking.translation.vector - extrapolated.start().translation.vector;
+        let mean = translation / extrapolated.seconds().max(1e-3);
         let velocity = end.velocities.map_or(mean, |velocities| turn * velocities.linear);
-        // An IMU rests in smooth motion, too.
-        let seems_to_stand = at_rest.is_some() && velocity.norm() < self.hypotheses.slow;
-        let start = InertialStart {
-            place,
-            velocity: if seems_to_stand { Vector3::zeros() } else { velocity },
-            force_at_rest: up * at_rest.unwrap_or(self.imu.gravity),
-            is_at_rest: at_rest.is_some(),
-        };
-        self.inertial.begin(end.time, &start);
+        self.inertial.begin_anew(end.time, &self.inertial_start(end.local_from_tracking, velocity));
     }
 
-    /// From the tracking frame to a gravity-aligned one, where a sweep was registered and the IMU alone says `level`.
-    pub fn leveled(&mut self, end: Time, local_from_tracking: &Rigid3, level: Quaternion) -> Quaternion {
-        self.gravity.add_sweep(end, local_from_tracking, &level);
-        self.gravity.level_from_tracking(&local_from_tracking.rotation).unwrap_or(level)
+    /// What the inertial filter begins with, moving so fast (m/s in the local map).
+    fn inertial_start(&self, local_from_tracking: &Rigid3, velocity: Vector3) -> InertialStart {
+        let force_at_rest = self.zero_velocity.force_at_rest();
+        // An IMU rests in smooth motion, too.
+        let seems_to_stand = force_at_rest.is_some() && velocity.norm() < self.hypotheses.slow;
+        let velocity = if seems_to_stand { Vector3::zeros() } else { velocity };
+        InertialStart { local_from_tracking: *local_from_tracking, velocity, force_at_rest }
     }
 
     /// What an IMU says of the rotation (from the tracking frame to a gravity-aligned one) at a time; none without one.

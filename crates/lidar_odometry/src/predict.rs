@@ -1,6 +1,6 @@
 //! Hypotheses of the motion during a sweep: the one that is most likely, and others where it may be wrong.
 
-use portolan_geometry::{Quaternion, Rigid3, Time, quaternion_from_angle_axis};
+use portolan_geometry::{Rigid3, Time, quaternion_from_angle_axis};
 use portolan_motion::PoseExtrapolator;
 
 use crate::inertial::InertialPrediction;
@@ -19,8 +19,6 @@ pub(crate) struct Prediction {
     pub segment: TrajectorySegment,
     /// Other hypotheses, in the order in which they are tried.
     pub alternatives: Vec<Alternative>,
-    /// From the tracking frame to a gravity-aligned one at the end, as the IMU alone says.
-    pub level_from_tracking: Option<Quaternion>,
     /// Whether the gyroscope was at the end of its range.
     pub is_saturated: bool,
 }

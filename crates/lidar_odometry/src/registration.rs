@@ -29,6 +29,8 @@ pub use degeneracy::DegenerateDirections;
 const PARTS: f64 = 8.0;
 /// Every so many points tell how far points are from the scanner.
 const ARM_SAMPLE: usize = 4;
+/// With this part of the least fraction of matched points there is no hope, once the loss has its final scale.
+const HOPELESS: f64 = 0.6;
 /// A scan that took no time has no growing correction.
 const RIGID: Sigmas = Sigmas { translation: 1e-6, rotation: 1e-6 };
 
@@ -240,7 +242,7 @@ impl Registration {
         let equations = NormalEquations { matched, ..all.finish() };
         // 2. Is it any use?
         let fraction = matched.points as f64 / scene.points.len() as f64;
-        let is_hopeless = fraction < settings.hopeless_fraction * settings.min_matched_fraction;
+        let is_hopeless = fraction < HOPELESS * settings.min_matched_fraction;
         if matched.points < settings.min_pairs || scale <= settings.final_scale && is_hopeless {
             return None;
         }
@@ -248,7 +250,7 @@ impl Registration {
         let degenerate = DegenerateDirections::of(&equations);
         let attenuation = prior.compensates_attenuation.then(|| Attenuation::of(&equations, settings));
         // 4. The step of points and prior together.
-        let step = solve(&equations, correction, prior, &degenerate, attenuation.as_ref(), settings)?;
+        let step = solve(&equations, correction, prior, &degenerate, attenuation.as_ref())?;
         correction.start += step.start;
         correction.growth += step.growth;
         Some(Iteration { equations, degenerate, attenuation, by_poles, step: step.end() })

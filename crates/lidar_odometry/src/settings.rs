@@ -68,8 +68,8 @@ mod start;
 
 pub use map::{KeyframeSettings, LocalMapSettings, PlaneFitSettings, PoleSettings};
 pub use motion::{
-    GravitySettings, GyroscopeSettings, HypothesisSettings, ImuSettings, InertialSettings,
-    MotionPriorSettings, StandstillSettings,
+    GyroscopeSettings, HypothesisSettings, ImuSettings, InertialSettings, MotionPriorSettings,
+    StandstillSettings,
 };
 pub use registration::{DegeneracySettings, LossSettings, RegistrationSettings, SweepSettings};
 pub use start::{CorrelationSettings, InitialisationSettings, VerticalSettings};
@@ -161,13 +161,11 @@ pub struct OdometrySettings {
     pub extrapolator: ExtrapolatorSettings,
     /// Samples of the IMU.
     pub imu: ImuSettings,
-    /// Bias and range of the gyroscope.
+    /// Errors of the gyroscope, and its range.
     pub gyroscope: GyroscopeSettings,
     /// Zero-velocity updates.
     pub standstill: StandstillSettings,
-    /// The gravity estimator.
-    pub gravity: GravitySettings,
-    /// The inertial Kalman filter.
+    /// The inertial filter.
     pub inertial: InertialSettings,
     /// How far predictions may be off.
     pub motion_prior: MotionPriorSettings,
@@ -204,7 +202,6 @@ impl OdometrySettings {
         self.imu.entries_into(&mut all);
         self.gyroscope.entries_into(&mut all);
         self.standstill.entries_into(&mut all);
-        self.gravity.entries_into(&mut all);
         self.inertial.entries_into(&mut all);
         self.motion_prior.entries_into(&mut all);
         self.hypotheses.entries_into(&mut all);

@@ -10,7 +10,10 @@ use std::collections::VecDeque;
 use portolan_geometry::{Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis};
 use portolan_sensor::ImuData;
 
-use crate::settings::StandstillSettings;
+use crate::settings::{OdometrySettings, StandstillSettings};
+
+/// Poses of a platform that stands lie within so many standard deviations of their median, but for outliers.
+const OUTLIER: f64 = 3.0;
 
 /// The mean of the samples of a short time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -23,6 +26,11 @@ struct Bin {
 #[derive(Clone, Debug)]
 pub(crate) struct ZeroVelocityDetector {
     settings: StandstillSettings,
+    /// Standard deviations of registered poses: metres, and radians.
+    place_error: f64,
+    rotation_error: f64,
+    /// Of turn rates, whose bias may not be known yet, rad/s.
+    turn_rate_error: f64,
     bins: VecDeque<Bin>,
     /// The bin that is being filled: since when, samples, and their sum.
     filling: Option<(Time, u32, Bin)>,
@@ -33,9 +41,12 @@ pub(crate) struct ZeroVelocityDetector {
 }
 
 impl ZeroVelocityDetector {
-    pub fn new(settings: &StandstillSettings) -> Self {
+    pub fn new(settings: &OdometrySettings) -> Self {
         Self {
-            settings: settings.clone(),
+            settings: settings.standstill.clone(),
+            place_error: settings.inertial.place_error,
+            rotation_error: settings.inertial.rotation_error,
+            turn_rate_error: settings.gyroscope.bias,
             bins: VecDeque::new(),
             filling: None,
             poses: VecDeque::new(),
@@ -84,7 +95,7 @@ impl ZeroVelocityDetector {
             return;
         }
         self.drift += translation;
-        if self.drift.norm() > self.settings.max_drift {
+        if self.drift.norm() > self.place_error {
             self.poses.clear();
             self.drift = Vector3::zeros();
         }
@@ -104,11 +115,11 @@ impl ZeroVelocityDetector {
         let most_are_near = |poses: &[Rigid3]| {
             let near = |p: &&Rigid3| {
                 let (shift, turn) = distance(&stands, p);
-                shift < settings.max_translation && turn < settings.max_rotation
+                shift < OUTLIER * self.place_error && turn < OUTLIER * self.rotation_error
             };
             2 * poses.iter().filter(near).count() > poses.len()
         };
-        let is_steady = shift < settings.max_drift && turn < settings.max_rotational_drift;
+        let is_steady = shift < self.place_error && turn < self.rotation_error;
         (is_steady && most_are_near(older)).then_some(stands)
     }
 
@@ -119,18 +130,17 @@ impl ZeroVelocityDetector {
         is_resting.then(|| sum.norm() / self.bins.len() as f64)
     }
 
+    /// The generalised likelihood ratio of an IMU at rest (Skog et al. 2010): accelerations are what they are in the mean, and
+    /// turn rates are zero, both but for their noise.
     fn imu_rests(&self) -> bool {
-        let spread = |value: fn(&Bin) -> Vector3| {
-            let count = self.bins.len() as f64;
-            let mean = self.bins.iter().map(value).sum::<Vector3>() / count;
-            let squares = self.bins.iter().map(|bin| (value(bin) - mean).norm_squared()).sum::<f64>();
-            (mean, (squares / count).sqrt())
+        let count = self.bins.len() as f64;
+        let mean = self.bins.iter().map(|bin| bin.acceleration).sum::<Vector3>() / count;
+        let (acceleration_error, turn_rate_error) = (self.settings.acceleration_error, self.turn_rate_error);
+        let ratio = |bin: &Bin| {
+            let acceleration = (bin.acceleration - mean) / acceleration_error;
+            acceleration.norm_squared() + (bin.turn_rate / turn_rate_error).norm_squared()
         };
-        let (_, by_acceleration) = spread(|bin| bin.acceleration);
-        let (turn_rate, by_turn_rate) = spread(|bin| bin.turn_rate);
-        by_acceleration < self.settings.max_acceleration_spread
-            && by_turn_rate < self.settings.max_turn_rate_spread
-            && turn_rate.norm() < self.settings.max_turn_rate
+        self.bins.iter().map(ratio).sum::<f64>() < count
     }
 }
 
@@ -162,7 +172,7 @@ mod tests {
     use portolan_geometry::Duration;
 
     fn detector() -> ZeroVelocityDetector {
-        ZeroVelocityDetector::new(&StandstillSettings::default())
+        ZeroVelocityDetector::new(&OdometrySettings::default())
     }
 
     fn time(seconds: f64) -> Time {

@@ -6,6 +6,7 @@ use portolan_sensor::{TimedPoint, voxel_filter_indices};
 
 use crate::belief::SweepFit;
 use crate::deskew::PiecewiseLinearTrajectory;
+use crate::initialise::COARSE;
 use crate::innovations::Innovations;
 use crate::plane_map::PlaneMap;
 use crate::poles::PolesToRegister;
@@ -51,8 +52,9 @@ pub(crate) struct SweepRegistration {
     settings: SweepSettings,
     prior: MotionPriorSettings,
     contradiction_sigmas: f64,
-    /// How far off a coarse alignment may be, and how far points may be then, metres.
-    coarse: Sigmas,
+    /// How far off rotations are after a second, whose bias may not be known yet, rad/s.
+    gyroscope_drift: f64,
+    /// How far off points may be after a coarse alignment, metres.
     coarse_scale: f64,
     /// Edge of the voxels of which one point each is registered, adapted from sweep to sweep.
     spacing: f32,
@@ -72,10 +74,7 @@ impl SweepRegistration {
             settings: settings.sweep.clone(),
             prior: settings.motion_prior.clone(),
             contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
-            coarse: Sigmas {
-                translation: settings.initialisation.translation_sigma,
-                rotation: settings.initialisation.rotation_sigma,
-            },
+            gyroscope_drift: settings.gyroscope.bias,
             coarse_scale: settings.initialisation.scale,
             spacing: settings.sweep.first_spacing_per_edge * voxel_size as f32,
             innovations: Innovations::default(),
@@ -129,10 +128,8 @@ impl SweepRegistration {
         segment: &TrajectorySegment,
         target: &Target<'_>,
     ) -> RegisteredSegment {
-        let Sigmas { translation, rotation } = self.coarse;
         let start = self.motion_prior(segment).start;
-        let growth = Sigmas { translation, rotation };
-        let prior = MotionPrior { start, growth, compensates_attenuation: false };
+        let prior = MotionPrior { start, growth: COARSE, compensates_attenuation: false };
         self.register_with(sample, segment, target, &prior, self.coarse_scale)
     }
 
@@ -179,18 +176,15 @@ impl SweepRegistration {
     /// What may be added to a predicted segment until its end. Drifts grow with time, what is unmeasured with its square.
     fn usual_growth(&self, segment: &TrajectorySegment) -> Sigmas {
         let (prior, seconds) = (&self.prior, segment.seconds());
+        let least = prior.least_translation_error;
         Sigmas {
             translation: match segment.source {
-                MotionSource::Measured => prior.least_odometry_error + prior.odometry_drift * seconds,
-                MotionSource::Inertial { velocity_sigma } => {
-                    prior.least_inertial_error + velocity_sigma * seconds
-                }
-                MotionSource::ConstantVelocity => {
-                    prior.least_velocity_error + 0.5 * prior.acceleration * seconds * seconds
-                }
+                MotionSource::Measured => least + prior.odometry_drift * seconds,
+                MotionSource::Inertial { velocity_sigma } => least + velocity_sigma * seconds,
+                MotionSource::ConstantVelocity => least + 0.5 * prior.acceleration * seconds * seconds,
             },
             rotation: match segment.rotation_is_measured {
-                true => prior.least_gyroscope_error + prior.gyroscope_drift * seconds,
+                true => prior.least_rotation_error + self.gyroscope_drift * seconds,
                 false => prior.least_rotation_error + 0.5 * prior.rotational_acceleration * seconds * seconds,
             },
         }

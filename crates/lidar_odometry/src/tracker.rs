@@ -9,7 +9,7 @@ use crate::belief::{Belief, FitMonitor, Support};
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
 use crate::deskew::deskewed;
 use crate::gap::GapMotion;
-use crate::initialise::{FirstSweeps, RotationAt, Start};
+use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
 use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
@@ -113,7 +113,7 @@ impl Tracker {
         let (to_end, end) = (sweeps.deskewing(&first), sweeps.pose_at(first.end));
         // 2. An earlier pose, so that the extrapolator knows the velocity.
         let earliest = motion.extrapolator.last_pose_time().filter(|_| motion.has_imu).unwrap_or(Time::MIN);
-        let interval = Duration::from_seconds(settings.initialisation.velocity_interval);
+        let interval = Duration::from_seconds(VELOCITY_INTERVAL);
         let before = (first.end - interval).max(earliest);
         let pose_before = sweeps.pose_at(before);
         let level = measured.as_ref().map(|measured| measured(first.end));
@@ -124,7 +124,8 @@ impl Tracker {
         motion.extrapolator.add_pose(before, pose_before);
         motion.extrapolator.add_pose(first.end, end);
         // 3. The first key frame.
-        let gravity = level.map(|level| motion.leveled(first.end, &end, level));
+        let velocity = end.rotation * start.velocity_in_tracking();
+        let gravity = level.map(|level| motion.begin(first.end, &end, velocity, &level));
         let mut keyframes = KeyframePolicy::new(&settings.keyframes);
         keyframes.decide(&Candidate {
             time: first.end,
@@ -219,36 +220,34 @@ impl Tracker {
         let is_measured = best.segment.source != MotionSource::ConstantVelocity;
         let support = Support { fit: best.registered.sweep_fit(), is_measured };
         let belief = self.fits.after(sweep.end, support, is_warming_up);
-        // 4. Learn the bias of the gyroscope.
-        if belief == Belief::Sure {
-            self.motion.learn_gyroscope_bias(&prediction, &best, is_warming_up);
-        }
-        // 5. Report directions that the sweep does not constrain.
+        // 4. Report directions that the sweep does not constrain.
         let observability = self.observability(sweep.end, &best, prediction.standing.is_some(), issues);
-        // 6. De-skew with the registered motion.
+        // 5. De-skew with the registered motion.
         let (fit, evidence) = (best.registered.fit, best.registered.evidence);
         let Registered { segment, registered, reason } = best;
         let deskewed = deskewed(&sweep.points, &registered.to_end, self.settings.keeps_intensities);
         let mut pose = registered.local_from_tracking;
+        let found_planes = registered.found.is_some();
         let mut attenuation = self.attenuation_in_local(&registered);
-        // 7. Where no plane fits, another map may know.
-        if self.asks_fallback(sweep.end, &segment, registered.found.is_some())
+        // 6. Where no plane fits, another map may know.
+        if self.asks_fallback(sweep.end, &segment, found_planes)
             && let Some(fallback) = fallback
         {
             let error = self.settings.sweep.fallback_error;
             attenuation = Some(Matrix3::from_diagonal_element(error * error));
             pose = fallback.locate(&deskewed.returns, &pose).unwrap_or(pose);
         }
-        // 8. Zero-velocity update: a platform at rest stands where the median of its last poses is.
+        // 7. Zero-velocity update: a platform at rest stands where the median of its last poses is.
         let standing = self.motion.zero_velocity_update(sweep.end, &pose);
         pose = standing.unwrap_or(pose);
-        // 9. Correct the inertial filter, the extrapolator and gravity.
+        // 8. Correct the inertial filter and the extrapolator.
         let end = SweepEnd {
             time: sweep.end,
             local_from_tracking: &pose,
-            degenerate: &observability.degenerate.translations,
+            degenerate: &observability.degenerate,
             attenuation,
             is_standing: standing.is_some(),
+            tells_rotation: standing.is_some() || found_planes && belief == Belief::Sure && !is_warming_up,
             velocities: gap.map(|motion| motion.after),
         };
         let inertial = prediction.inertial.as_ref().filter(|_| reason.is_none());
@@ -256,7 +255,7 @@ impl Tracker {
         if let Some(poles) = poles.filter(|_| belief == Belief::Sure) {
             self.poles.add(sweep.end, pose, poles);
         }
-        // 10. Show the map what the sweep saw, as a key frame or not; nothing if it contradicts the map.
+        // 9. Show the map what the sweep saw, as a key frame or not; nothing if it contradicts the map.
         let mut result = RegisteredSweep {
             observability,
             belief,

@@ -6,6 +6,9 @@ use portolan_geometry::Vector3;
 use crate::plane_map::PlaneMap;
 use crate::settings::VerticalSettings;
 
+/// About so many normals are tried.
+const CANDIDATES: usize = 200;
+
 /// The direction in the frame of the planes that floors and ceilings face and walls do not, near
 /// `believed` (unit vectors). None if they do not tell.
 ///
@@ -64,7 +67,7 @@ fn best_start(planes: &[(Vector3, f64)], believed: &Vector3, settings: &Vertical
         planes.iter().map(part).sum()
     };
     let mut best = (agreement(&believed), believed);
-    let stride = planes.len().div_ceil(settings.candidates).max(1);
+    let stride = planes.len().div_ceil(CANDIDATES).max(1);
     for (normal, _) in planes.iter().step_by(stride) {
         let candidate = normal * normal.dot(&believed).signum();
         if candidate.dot(&believed) > settings.max_tilt.cos() {

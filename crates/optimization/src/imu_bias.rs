@@ -70,7 +70,7 @@ impl ImuBias {
         let mut bias = Self::default();
         let (mut seconds, mut turn) = (0.0, Vector3::zeros());
         let settings = GyroscopeSettings::default();
-        let may_be_bias = |s: &&Step| !s.saturated && s.difference.norm() <= settings.max_bias * s.seconds;
+        let may_be_bias = |s: &&Step| !s.saturated && s.difference.norm() <= settings.max_bias() * s.seconds;
         for step in steps.iter().filter(may_be_bias) {
             let told = settings.weight_at(step.turn / step.seconds);
             (seconds, turn) = (seconds + told * step.seconds, turn + step.difference * told);

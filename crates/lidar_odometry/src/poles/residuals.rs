@@ -47,12 +47,14 @@ impl<'a> PoleResiduals<'a> {
         let settings = self.map.settings();
         let mut information = [na::Matrix3::<f32>::zeros(); 2];
         let squared_scale = scale.max(settings.final_scale).powi(2) as f32;
+        // Points that moved farther are paired anew.
+        let slack = settings.noise / 5.0;
         for part in &self.parts {
             for i in part.points.clone() {
                 let (PolePoint { point, wall_direction }, pair) = (&self.points[i], &mut self.pairs[i]);
                 let (turned, from) = trajectory.ray(&point.position, point.time);
                 let place = turned + from;
-                if (place - pair.looked_up_at).norm_squared() > settings.slack * settings.slack {
+                if (place - pair.looked_up_at).norm_squared() > slack * slack {
                     *pair = Pair { looked_up_at: place, nearest: self.map.nearest(&place) };
                 }
                 let Some(nearest) = pair.nearest else { continue };

@@ -6,7 +6,9 @@ use super::attenuation::Attenuation;
 use super::normal_equations::NormalEquations;
 use super::{DegenerateDirections, MotionPrior, Sigmas};
 use crate::segment::SegmentCorrection;
-use crate::settings::RegistrationSettings;
+
+/// In degenerate directions the prior decides: it counts so many times more than the points.
+const PRIOR_FACTOR: f64 = 30.0;
 
 /// The step of start and growth together, twelve unknowns:
 ///
@@ -22,7 +24,6 @@ pub(super) fn solve(
     prior: &MotionPrior,
     degenerate: &DegenerateDirections,
     attenuation: Option<&Attenuation>,
-    settings: &RegistrationSettings,
 ) -> Option<SegmentCorrection> {
     let stiffness = |sigmas: &Sigmas| {
         let mut stiffness = na::Matrix6::zeros();
@@ -36,8 +37,7 @@ pub(super) fn solve(
                 None => {
                     for direction in directions {
                         let known = direction.dot(&(information * direction)).abs();
-                        block +=
-                            direction * direction.transpose() * (settings.degenerate_prior_factor * known);
+                        block += direction * direction.transpose() * (PRIOR_FACTOR * known);
                     }
                 }
             }

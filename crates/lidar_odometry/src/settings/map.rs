@@ -137,10 +137,6 @@ settings! {
             "Standard deviation of a pair",
             origin: "derived: as the scale",
             larger: "poles count less beside planes";
-        slack: f32 = 0.02, "m", 0.0..=0.5,
-            "Points that moved farther are paired anew",
-            origin: "a fifth of the noise",
-            larger: "faster";
         memory: f64 = 2.0, "s", 0.1..=60.0,
             "Points of sweeps of so many seconds are kept",
             origin: "tuned: 1 s and 3 s lost one of twelve walks among trees",

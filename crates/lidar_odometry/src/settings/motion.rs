@@ -11,32 +11,28 @@ settings! {
             "Longer than this without a sample, the motion in between is not known",
             origin: "ten samples of a slow IMU",
             larger: "gaps are bridged with the last sample";
-        max_samples: usize = 20_000, "samples", 100.0..=1e9,
-            "So many samples between two sweeps are kept",
-            origin: "memory: 100 s at 200 Hz",
-            larger: "more memory while no sweep comes";
     }
 }
 
 settings! {
-    /// Bias and range of the gyroscope.
+    /// Errors of the gyroscope, and its range.
     GyroscopeSettings {
-        initial_evidence: f64 = 1.0, "s", 0.0..=1e6,
-            "How much zero bias is believed at the beginning, as seconds of evidence",
-            origin: "tuned",
-            larger: "the bias is learned more slowly at first";
-        memory: f64 = 20.0, "s", 0.1..=1e6,
-            "Biases wander: evidence older than about this is forgotten",
-            origin: "tuned",
-            larger: "smoother, slower";
-        max_bias: f64 = 0.2, "rad/s", 0.001..=10.0,
-            "A difference beyond this is no bias but a poor registration or a saturated gyroscope",
-            origin: "ten times the bias of a cheap sensor",
-            larger: "poor registrations are learned";
-        fast: f64 = 0.3, "rad/s", 0.001..=100.0,
-            "Rotating this fast halves what a difference says of the bias: errors of scale and alignment grow with the rate",
-            origin: "tuned",
-            larger: "errors of scale are learned as bias";
+        noise: f64 = 0.001, "rad in a second", 1e-6..=1.0,
+            "Noise of turn rates: how far rotations drift within a second beside the bias",
+            origin: "jitter of stamps; data sheets of the sensors alone say a tenth",
+            larger: "the bias is learned more slowly";
+        scale_error: f64 = 0.0033, "1", 0.0..=1.0,
+            "Errors of scale and alignment, which grow with the turn rate",
+            origin: "tuned: at 0.3 rad/s as large as the noise",
+            larger: "rotation says less of the bias";
+        bias: f64 = 0.02, "rad/s", 1e-5..=1.0,
+            "Standard deviation of biases before anything is known; ten times as much is no bias but a poor registration",
+            origin: "cheap sensors",
+            larger: "the bias is learned faster at first";
+        bias_walk: f64 = 5e-5, "rad/s in a second", 0.0..=1.0,
+            "How fast biases wander",
+            origin: "what is older than about 20 s is forgotten with this noise",
+            larger: "the bias is followed faster, with more noise";
         equal_in_a_row: u32 = 5, "samples", 2.0..=1e6,
             "So many equal values in a row are the end of the range",
             origin: "tuned: noise repeats fewer",
@@ -63,34 +59,10 @@ settings! {
             "The IMU has to be at rest for so many of these",
             origin: "one second",
             larger: "standing is found later";
-        max_acceleration_spread: f64 = 0.08, "m/s²", 0.001..=5.0,
+        acceleration_error: f64 = 0.08, "m/s²", 0.001..=5.0,
             "Standard deviation of averaged accelerations at rest, at most",
             origin: "tuned: platforms with running motors",
             larger: "slow motion passes for rest";
-        max_turn_rate_spread: f64 = 0.01, "rad/s", 0.0001..=1.0,
-            "Standard deviation of averaged turn rates at rest, at most",
-            origin: "tuned",
-            larger: "slow motion passes for rest";
-        max_turn_rate: f64 = 0.02, "rad/s", 0.0001..=1.0,
-            "Mean turn rate at rest, at most",
-            origin: "the bias that is not learned yet",
-            larger: "slow rotation passes for rest";
-        max_translation: f64 = 0.06, "m", 0.001..=5.0,
-            "Most poses lie this near to their median at rest",
-            origin: "tuned: people walk by",
-            larger: "slow motion passes for rest";
-        max_rotation: f64 = 0.015, "rad", 0.0001..=1.0,
-            "Most poses are rotated from their median by less at rest",
-            origin: "tuned",
-            larger: "slow rotation passes for rest";
-        max_drift: f64 = 0.02, "m", 0.001..=5.0,
-            "The median of the newest poses lies this near to that of all at rest; odometry drifts no farther",
-            origin: "tuned: the noise of ranges",
-            larger: "slow motion is noticed later";
-        max_rotational_drift: f64 = 0.005, "rad", 0.0001..=1.0,
-            "The median of the newest poses is rotated from that of all by less at rest",
-            origin: "tuned",
-            larger: "slow rotation is noticed later";
         max_odometry_speed: f64 = 0.02, "m/s", 0.0..=5.0,
             "Wheels at rest report less speed",
             origin: "noise of encoders",
@@ -107,93 +79,39 @@ settings! {
 }
 
 settings! {
-    /// The gravity estimator.
-    GravitySettings {
-        memory: f64 = 10.0, "s", 1.0..=300.0,
-            "Sweeps of so many seconds are fitted",
-            origin: "over two seconds poses that are off by 5 cm leave 0.5°; over ten the drift still does not count",
-            larger: "less noise, more drift";
-        match_error: f64 = 0.05, "m", 0.001..=5.0,
-            "Standard deviation of registered places: the first ones, of which the map is made, are worst",
-            origin: "tuned",
-            larger: "the average of accelerations counts longer";
-        average_error: f64 = 0.5, "m/s²", 0.01..=10.0,
-            "Standard deviation of the average of accelerations before anything was registered (3°)",
-            origin: "walkers that start on the way",
-            larger: "the fit counts earlier";
-        max_difference: f64 = 1.0, "m/s²", 0.01..=10.0,
-            "A fit that differs by more from gravity is not believed",
-            origin: "tuned",
-            larger: "poor fits are believed";
-    }
-}
-
-settings! {
-    /// The inertial Kalman filter.
+    /// The inertial filter.
     InertialSettings {
-        max_acceleration: f64 = 200.0, "m/s²", 20.0..=1e5,
-            "A sample beyond this is wrong",
-            origin: "more than platforms do, and than most accelerometers measure",
-            larger: "spikes throw the prediction away";
-        first_velocity_moving: f64 = 1.0, "m/s", 0.01..=100.0,
-            "Standard deviation of the first velocity on the way",
+        first_velocity: f64 = 1.0, "m/s", 0.01..=100.0,
+            "Standard deviation of the first velocity",
             origin: "what two sweeps say",
             larger: "relied on later";
-        first_velocity_at_rest: f64 = 0.3, "m/s", 0.01..=100.0,
-            "Standard deviation of the first velocity at rest",
-            origin: "smooth motion seems to rest, too",
-            larger: "relied on later";
-        first_force_moving: f64 = 0.3, "m/s²", 0.001..=10.0,
+        first_force: f64 = 3.0, "m/s²", 0.001..=10.0,
             "Standard deviation of the first force at rest on the way",
-            origin: "the first second of accelerations",
+            origin: "a car that speeds up while accelerations are averaged leans by 0.8 m/s² (docs/experiments/2026-11-motion-state.md)",
             larger: "relied on later";
-        first_force_at_rest: f64 = 0.03, "m/s²", 0.001..=10.0,
-            "Standard deviation of the first force at rest at rest",
-            origin: "a second of averaged noise",
-            larger: "relied on later";
-        match_error: f64 = 0.02, "m", 0.001..=5.0,
+        accelerometer_bias: f64 = 0.1, "m/s²", 0.0..=10.0,
+            "Standard deviation of biases before anything is known",
+            origin: "10 mg, as data sheets say",
+            larger: "gravity is learned more slowly, while the platform does not turn";
+        place_error: f64 = 0.02, "m", 0.001..=5.0,
             "Standard deviation of registered places",
             origin: "noise of ranges",
             larger: "accelerations count more";
-        degenerate_error: f64 = 30.0, "m", 1.0..=1e6,
-            "Standard deviation of registered places along degenerate directions",
-            origin: "unknown",
-            larger: "no change";
-        acceleration_noise: f64 = 0.3, "m/s² averaged over a second", 0.001..=10.0,
+        rotation_error: f64 = 0.005, "rad", 1e-5..=1.0,
+            "Standard deviation of registered rotations",
+            origin: "tuned",
+            larger: "turn rates count more";
+        acceleration_noise: f64 = 0.05, "m/s² averaged over a second", 0.001..=10.0,
             "Noise of accelerations",
-            origin: "tuned: 0.2 to 0.5 come out alike",
-            larger: "registered places count more";
-        force_walk: f64 = 0.02, "m/s² in a second", 0.0..=10.0,
-            "How fast the force at rest changes: a bias rotates with its platform",
+            origin: "measured on kitti_0059: 0.02 to 0.1 come out alike (docs/experiments/2026-11-motion-state.md); more where innovations say so",
+            larger: "registered places count more, gravity is learned more slowly";
+        gravity_walk: f64 = 0.02, "m/s² in a second", 0.0..=10.0,
+            "How fast gravity changes in the local map, because that drifts, and the bias of the accelerometer with it",
             origin: "tuned",
-            larger: "the force at rest is followed faster, with more noise";
-        usual_speed: f64 = 1.5, "m/s", 0.1..=100.0,
-            "A velocity that nothing constrains is believed to be about this within a second, so that it ends some time",
-            origin: "walkers",
-            larger: "unconstrained velocities live longer";
-        standing_velocity: f64 = 0.01, "m/s", 0.0001..=1.0,
-            "Standard deviation of velocity in zero-velocity updates",
-            origin: "usual for such updates",
-            larger: "updates count less";
-        compared_sweeps: f64 = 20.0, "sweeps", 1.0..=1e4,
-            "Errors of predictions are averaged over about so many sweeps",
-            origin: "two seconds",
-            larger: "a wrong accelerometer is noticed later";
-        clearly_worse: f64 = 2.0, "1", 1.0..=100.0,
-            "Accelerations are not relied on while their mean square error is so many times that of constant velocity: clocks, axes or units may be wrong",
-            origin: "tuned",
-            larger: "wrong accelerometers are relied on";
-        small_error: f64 = 1e-4, "m²", 0.0..=1.0,
-            "A mean square error that does not matter",
-            origin: "1 cm",
-            larger: "wrong accelerometers are relied on";
+            larger: "gravity is followed faster, with more noise";
         sure_velocity: f64 = 0.5, "m/s", 0.01..=100.0,
             "Accelerations are not relied on before velocity is known so well",
             origin: "tuned: about ten seconds of sweeps on the way, at once at rest",
-            larger: "relied on earlier";
-        sure_force: f64 = 0.1, "m/s²", 0.001..=10.0,
-            "Nor before the force at rest is known so well",
-            origin: "tuned: 0.5 m/s² loses walks among trees",
             larger: "relied on earlier";
     }
 }
@@ -221,30 +139,14 @@ settings! {
             "What odometry may be off by, per second",
             origin: "slipping wheels",
             larger: "odometry counts less";
-        gyroscope_drift: f64 = 0.02, "rad/s", 0.0001..=1.0,
-            "What a gyroscope may be off by, per second",
-            origin: "bias before it is learned",
-            larger: "the gyroscope counts less";
-        least_odometry_error: f64 = 0.01, "m", 0.0..=1.0,
-            "What odometry may be off by at least",
+        least_translation_error: f64 = 0.01, "m", 0.0..=1.0,
+            "What any prediction of a translation may be off by at least",
             origin: "jitter of stamps",
-            larger: "odometry counts less";
-        least_inertial_error: f64 = 0.005, "m", 0.0..=1.0,
-            "What the accelerometer may be off by at least",
-            origin: "tuned",
-            larger: "the accelerometer counts less";
-        least_velocity_error: f64 = 0.01, "m", 0.0..=1.0,
-            "What constant velocity may be off by at least",
+            larger: "predictions count less";
+        least_rotation_error: f64 = 0.002, "rad", 0.0..=1.0,
+            "What any prediction of a rotation may be off by at least",
             origin: "jitter of stamps",
-            larger: "constant velocity counts less";
-        least_gyroscope_error: f64 = 0.002, "rad", 0.0..=1.0,
-            "What a gyroscope may be off by at least",
-            origin: "jitter of stamps",
-            larger: "the gyroscope counts less";
-        least_rotation_error: f64 = 0.005, "rad", 0.0..=1.0,
-            "What constant rotation may be off by at least",
-            origin: "jitter of stamps",
-            larger: "constant rotation counts less";
+            larger: "predictions count less";
     }
 }
 

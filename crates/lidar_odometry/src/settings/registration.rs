@@ -19,10 +19,6 @@ settings! {
             "A result that puts a smaller fraction of the points on planes is of no use, and may be given up early",
             origin: "none wanted",
             larger: "faster where nothing fits";
-        hopeless_fraction: f64 = 0.6, "1", 0.0..=1.0,
-            "With this part of that fraction there is no hope, once the loss has its final scale",
-            origin: "tuned",
-            larger: "gives up earlier";
         normal_noise: f64 = 0.03, "rad", 0.0..=0.5,
             "How far normals are off at least (standard deviation): surfaces are not flat. The noise of hits comes on top",
             origin: "tuned: floors and facades",
@@ -71,10 +67,6 @@ settings! {
             "A point is paired anew when it has moved by this fraction of the edge of the largest voxels",
             origin: "tuned: time",
             larger: "faster, less exact";
-        degenerate_prior_factor: f64 = 30.0, "1", 0.0..=1e6,
-            "In degenerate directions the prior counts so many times more than the points",
-            origin: "tuned: the prior decides",
-            larger: "no change; smaller: spurious information drags";
         attenuation_distance: f64 = 0.03, "m", 0.0..=1.0,
             "Where normals are all that constrains a translation, planes hold the scanner so far from where it is: it goes so far until other planes are seen",
             origin: "tuned: 0.01 to 0.1 come out alike; without it errors in parks triple",
@@ -151,10 +143,6 @@ settings! {
             "Scans farther apart than this belong to different intervals",
             origin: "chosen for reading",
             larger: "fewer, longer intervals";
-        max_intervals: usize = 10_000, "intervals", 1.0..=1e9,
-            "More intervals are counted with the last one, so that memory is bounded",
-            origin: "chosen",
-            larger: "more memory in the worst case";
         slow: f64 = 0.1, "m/s", 0.0..=10.0,
             "Below this speed the direction of motion is not known anew",
             origin: "drift of poses within a second",

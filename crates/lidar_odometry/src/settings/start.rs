@@ -11,14 +11,6 @@ settings! {
             "Accelerations are averaged over this before the first sweep: about two steps of a walker",
             origin: "derived",
             larger: "better level, later start";
-        max_leveling_samples: usize = 4000, "samples", 1.0..=1e9,
-            "So many samples are averaged at most",
-            origin: "memory",
-            larger: "more memory with fast IMUs";
-        iterations: u32 = 4, "iterations", 1.0..=100.0,
-            "The first velocity, and the sweeps that it de-skews, are found in so many iterations",
-            origin: "tuned",
-            larger: "slower, no change";
         min_matched_fraction: f64 = 0.3, "1", 0.0..=1.0,
             "A result with a smaller fraction of points on planes does not count, unless a gyroscope measures rotation and all translations are constrained",
             origin: "tuned",
@@ -31,14 +23,6 @@ settings! {
             "Spacing of the points that are registered",
             origin: "tuned",
             larger: "faster, less exact";
-        translation_sigma: f64 = 1.0, "m", 0.01..=100.0,
-            "Standard deviation of the coarse translation",
-            origin: "hardly a prior",
-            larger: "no change";
-        rotation_sigma: f64 = 0.1, "rad", 0.001..=10.0,
-            "Standard deviation of the coarse rotation",
-            origin: "hardly a prior",
-            larger: "no change";
         same_motion: f64 = 0.4, "m", 0.01..=10.0,
             "Motions between the first two sweeps that differ by less are one hypothesis",
             origin: "derived: registration brings them together",
@@ -59,10 +43,6 @@ settings! {
             "A motion that fits the first two sweeps less well than another has to fit the next ones so many times better; along a tunnel all fit alike",
             origin: "measured (docs/experiments/2026-11-starts.md)",
             larger: "the first two sweeps decide";
-        velocity_interval: f64 = 0.05, "s", 0.001..=1.0,
-            "A pose so long before the end of the first sweep tells the extrapolator the first velocity",
-            origin: "half a sweep",
-            larger: "no change";
     }
 }
 
@@ -159,9 +139,5 @@ settings! {
             "Planes whose normals lie this near to right angles with a candidate support it as walls",
             origin: "9°",
             larger: "more walls count";
-        candidates: usize = 200, "planes", 1.0..=1e6,
-            "About so many normals are tried as candidates",
-            origin: "time",
-            larger: "slower";
     }
 }
