@@ -215,6 +215,9 @@ kinds! {
     GridTooLarge Error "scan left out of a submap, whose grid would have become too large (coarser cells help)"
     NoSubmapPossible Error "scan for which no submap could be made with these options"
     ScansNotKept Info "scans could not be kept on disk for pictures; the recording is read again for them"
+    PoseNotFinite Error "poses of the result are not finite, no rotations, or earlier than those before them; they were left out of the trajectory"
+    GraphUnsound Error "the map cannot be trusted: {finding}"
+    GraphOutOfOrder Error "nodes of the map are out of order: {finding}"
 
     // Maps in files.
     UpdateMarker Info "update marker removed from a cell"
