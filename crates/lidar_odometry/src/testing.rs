@@ -1,5 +1,7 @@
 //! What tests share.
 
+use portolan_geometry::{Point3f, Rigid3, to_f32};
+
 /// A linear congruential generator: the same numbers on every machine.
 pub(crate) struct Lcg(u32);
 
@@ -21,7 +23,7 @@ impl Lcg {
 }
 
 /// Posts and cars along a street, and rings on the ground that move with the scanner.
-pub fn street(seen_from: &Rigid3) -> Vec<Point3f> {
+pub(crate) fn street(seen_from: &Rigid3) -> Vec<Point3f> {
     let mut points = Vec::new();
     let here = to_f32(&seen_from.inverse());
     for i in 0..12 {
