@@ -27,7 +27,7 @@ impl ExitStatus {
     pub const TABLE: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done with loss (data of the input, ties \
         between pieces of a map, or places of a recording in a known map are missing); 4 ran to its end, but nothing of the result can be trusted \
         (clouds that do not overlap, a known map that was not found, a start that is refuted, a refinement that was \
-        refused); 130 interrupted; 141 nobody read the output.";
+        refused, a map that is not finite); 130 interrupted; 141 nobody read the output.";
 }
 
 impl From<ExitStatus> for ExitCode {

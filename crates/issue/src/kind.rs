@@ -206,6 +206,7 @@ kinds! {
     ScanAfterGapFound Info "scan after a gap in all sensors, relocalised by a wide search"
     ScanAfterGapNotFound Warning "scan after a gap in all sensors, not relocalised; its pose is a guess"
     ScanFitsNoPlane Warning "scan that fits no plane; its pose follows from odometry, IMU, constant velocity or matching to grids"
+    TravelGuessed Error "scan before which nothing told for seconds how far it went; constant velocity was assumed"
     GyroscopeOverruled Warning "sweep whose rotation contradicts the gyroscope; the rotation found by matching was used"
     ImuSampleTooOld Warning "IMU sample older than the last matched scan"
     ImuSampleNotFinite Error "IMU sample that is not finite"
@@ -215,6 +216,9 @@ kinds! {
     GridTooLarge Error "scan left out of a submap, whose grid would have become too large (coarser cells help)"
     NoSubmapPossible Error "scan for which no submap could be made with these options"
     ScansNotKept Info "scans could not be kept on disk for pictures; the recording is read again for them"
+    PoseNotFinite Error "poses of the result are not finite, no rotations, or earlier than those before them; they were left out of the trajectory"
+    GraphUnsound Error "the map cannot be trusted: {finding}"
+    GraphOutOfOrder Error "nodes of the map are out of order: {finding}"
 
     // Maps in files.
     UpdateMarker Info "update marker removed from a cell"

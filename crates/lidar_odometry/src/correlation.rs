@@ -19,6 +19,8 @@ pub(crate) struct Peak {
     pub pose: Rigid3,
     /// Fraction of the voxels of the second sweep.
     pub share: f64,
+    /// From the pose to where the maximum lies between the shifts that were tried.
+    pub between: Vector3,
 }
 
 /// Where places are looked for: all shifts up to `linear` metres along x and y, all headings up to `angular` radians.
@@ -48,9 +50,14 @@ pub(crate) struct UprightReference<'a> {
 impl<'a> UprightReference<'a> {
     /// Of points (metres) in a frame at the scanner that is about level.
     pub fn new(points: &[Point3f], settings: &'a CorrelationSettings) -> Self {
+        Self::of_upright(&upright(points, settings), settings)
+    }
+
+    /// Of points that stand upright.
+    pub fn of_upright(upright: &[Point3f], settings: &'a CorrelationSettings) -> Self {
         // Beyond the edge there is nothing, however a sweep is shifted.
         let range = settings.range + settings.farthest as f32 + settings.cell;
-        let mut columns = Columns::of(&upright(points, settings), settings.cell, range, [0.0; 2], settings);
+        let mut columns = Columns::of(upright, settings.cell, range, [0.0; 2], settings);
         // A platform rises and sinks a little between sweeps.
         columns.masks.iter_mut().for_each(|mask| *mask |= *mask << 1 | *mask >> 1);
         Self { settings, columns }
@@ -60,8 +67,12 @@ impl<'a> UprightReference<'a> {
     /// local maxima that are nearly as good, and the initial pose itself where nothing is clearly better. None where hardly
     /// anything stands upright.
     pub fn peaks(&self, points: &[Point3f], initial: &Rigid3, window: Window) -> Vec<Peak> {
+        self.peaks_of_upright(&upright(points, self.settings), initial, window)
+    }
+
+    /// As [`Self::peaks`] of points that stand upright.
+    pub fn peaks_of_upright(&self, upright: &[Point3f], initial: &Rigid3, window: Window) -> Vec<Peak> {
         let settings = self.settings;
-        let upright = upright(points, settings);
         let mut scores = Scores::new(window.linear, settings.cell);
         // By so much half of the points move by less than a cell.
         let mut distances: Vec<f64> = upright.iter().map(|p| f64::from(p.x.hypot(p.y))).collect();
@@ -87,7 +98,7 @@ fn turned(initial: &Rigid3, heading: f64) -> portolan_geometry::Quaternion {
 
 /// The points above or below which there are others a little way off: walls, trunks, cars, but neither the ground nor a
 /// ceiling. Far points are left out.
-fn upright(points: &[Point3f], settings: &CorrelationSettings) -> Vec<Point3f> {
+pub(crate) fn upright(points: &[Point3f], settings: &CorrelationSettings) -> Vec<Point3f> {
     let edge = 2.0 * settings.cell;
     let mut columns = Columns::of(points, edge, settings.range, [0.0; 2], settings);
     for mask in &mut columns.masks {
@@ -233,6 +244,13 @@ impl Scores {
         })
     }
 
+    /// Where the parabola through a maximum and its neighbours along an axis is highest, shifts from the maximum.
+    fn vertex(&self, [x, y]: [i32; 2], [dx, dy]: [i32; 2]) -> f64 {
+        let [before, here, after] = [-1, 0, 1].map(|i| self.share(x + i * dx, y + i * dy));
+        let curvature = before - 2.0 * here + after;
+        if curvature < 0.0 { (0.5 * (before - after) / curvature).clamp(-0.5, 0.5) } else { 0.0 }
+    }
+
     fn peaks(&self, settings: &CorrelationSettings, initial: &Rigid3) -> Vec<Peak> {
         let highest = self.best.iter().map(|best| best.0).fold(0.0, f64::max);
         if highest == 0.0 {
@@ -248,7 +266,9 @@ impl Scores {
             let (share, heading) = self.best.get(self.index(x, y)?).copied()?;
             let shift = Vector3::new(f64::from(x), f64::from(y), 0.0) * self.step;
             let place = initial.translation.vector + shift;
-            Some(Peak { pose: Rigid3::from_parts(place.into(), turned(initial, heading)), share })
+            let between =
+                Vector3::new(self.vertex([x, y], [1, 0]), self.vertex([x, y], [0, 1]), 0.0) * self.step;
+            Some(Peak { pose: Rigid3::from_parts(place.into(), turned(initial, heading)), share, between })
         };
         let mut peaks: Vec<Peak> = all.filter(is_peak).filter_map(peak).collect();
         peaks.sort_by(|a, b| b.share.total_cmp(&a.share));
@@ -260,25 +280,7 @@ impl Scores {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Posts and cars along a street, and rings on the ground that move with the scanner.
-    fn street(seen_from: &Rigid3) -> Vec<Point3f> {
-        let mut points = Vec::new();
-        let here = to_f32(&seen_from.inverse());
-        for i in 0..12 {
-            let x = 5.3 * i as f32 + (i * i % 5) as f32 - 30.0;
-            for k in 0..12 {
-                let z = 0.25 * k as f32 - 1.7;
-                points.push(here * Point3f::new(x, 6.0 + (i % 3) as f32, z));
-                points.push(here * Point3f::new(x + 1.7, -5.0 - (i % 2) as f32, z));
-            }
-        }
-        for ring in [4.0_f32, 6.0, 9.0, 14.0] {
-            let at = |degree: i32| (degree as f32).to_radians();
-            points.extend((0..360).map(|d| Point3f::new(ring * at(d).cos(), ring * at(d).sin(), -1.7)));
-        }
-        points
-    }
+    use crate::testing::street;
 
     #[test]
     fn posts_and_walls_show_how_far_a_car_went() {

@@ -50,6 +50,8 @@ pub enum Substitute {
     Rest,
     /// The velocity before, changed as an accelerometer measured.
     Accelerometer,
+    /// What correlation of what stands upright tells against sweeps about a second before.
+    Correlation,
     /// That it moves on as it did before: nothing measured it.
     Velocity,
 }
@@ -62,6 +64,7 @@ impl Substitute {
             Self::Gyroscope => "the gyroscope",
             Self::Rest => "a zero-velocity update",
             Self::Accelerometer => "the accelerometer",
+            Self::Correlation => "correlation of what stands upright",
             Self::Velocity => "constant velocity",
         }
     }

@@ -90,7 +90,7 @@ fn best(
 
 impl Velocities {
     /// With which a segment begins.
-    fn at_start_of(segment: &TrajectorySegment) -> Self {
+    pub fn at_start_of(segment: &TrajectorySegment) -> Self {
         let (motion, seconds) = segment.first_motion();
         let seconds = seconds.max(1e-9);
         Self {

@@ -23,6 +23,8 @@ pub enum Issue {
     NoPlaneFits,
     /// A sweep that contradicts the map; the map is not shown it.
     ContradictsMap,
+    /// A sweep before which nothing had told for seconds how far it went: constant velocity was assumed.
+    TravelGuessed,
 }
 
 impl Issue {
@@ -41,6 +43,9 @@ impl Issue {
                 "sweep whose rotation contradicts the gyroscope; the rotation found by matching was used"
             }
             Self::ContradictsMap => "scan that contradicts the map; not inserted",
+            Self::TravelGuessed => {
+                "scan before which nothing told for seconds how far it went; constant velocity was assumed"
+            }
             Self::NoPlaneFits => {
                 "scan that fits no plane; its pose follows from odometry, IMU, constant velocity or matching to grids"
             }

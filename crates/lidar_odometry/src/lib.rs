@@ -36,6 +36,7 @@ mod tracker;
 mod two_threads;
 mod vertical;
 mod wide_search;
+mod witness;
 
 pub use degenerate_intervals::{DegenerateInterval, DegenerateMotion, Substitute};
 pub use deskew::PiecewiseLinearTrajectory;

@@ -3,9 +3,11 @@
 use portolan_geometry::{Rigid3, Time, quaternion_from_angle_axis};
 use portolan_motion::PoseExtrapolator;
 
+use crate::gap::Velocities;
 use crate::inertial::InertialPrediction;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::sweep_registration::RegisteredSegment;
+use crate::witness::Discrepancy;
 
 /// What is expected of a sweep.
 pub(crate) struct Prediction {
@@ -86,6 +88,14 @@ impl Prediction {
             }
         }
         best
+    }
+
+    /// As a second witness corrects it, and how it moves then.
+    pub fn corrected(self, discrepancy: &Discrepancy) -> (Self, Option<Velocities>) {
+        let segment = discrepancy.applied_to(&self.segment);
+        let extrapolated = discrepancy.applied_to(&self.extrapolated);
+        let velocities = Velocities::at_start_of(&segment);
+        (Self { segment, extrapolated, inertial: None, alternatives: Vec::new(), ..self }, Some(velocities))
     }
 
     /// The segment of the first hypothesis, or of that which is tried for a reason.

@@ -72,7 +72,7 @@ pub use motion::{
     StandstillSettings,
 };
 pub use registration::{DegeneracySettings, LossSettings, RegistrationSettings, SweepSettings};
-pub use start::{CorrelationSettings, InitialisationSettings, VerticalSettings};
+pub use start::{CorrelationSettings, InitialisationSettings, VerticalSettings, WitnessSettings};
 
 /// One setting: what it is called, what it is, and what it does.
 #[derive(Clone, Debug, PartialEq)]
@@ -191,6 +191,8 @@ pub struct OdometrySettings {
     pub initialisation: InitialisationSettings,
     /// Correlation of two sweeps.
     pub correlation: CorrelationSettings,
+    /// The second witness of the way travelled.
+    pub witness: WitnessSettings,
     /// The vertical from planes.
     pub vertical: VerticalSettings,
 }
@@ -215,6 +217,7 @@ impl OdometrySettings {
         self.keyframes.entries_into(&mut all);
         self.initialisation.entries_into(&mut all);
         self.correlation.entries_into(&mut all);
+        self.witness.entries_into(&mut all);
         self.vertical.entries_into(&mut all);
         all
     }

@@ -1,7 +1,7 @@
 //! Registration of one sweep with one hypothesis of its motion: which points, how far off the prediction may be, and how
 //! well the result fits.
 
-use portolan_geometry::Rigid3;
+use portolan_geometry::{Rigid3, Vector3};
 use portolan_sensor::{TimedPoint, voxel_filter_indices};
 
 use crate::belief::SweepFit;
@@ -35,6 +35,13 @@ impl RegisteredSegment {
     /// To be compared with other sweeps.
     pub fn sweep_fit(&self) -> SweepFit {
         SweepFit { fit: self.fit, rms: self.found.as_ref().map(|found| found.rms) }
+    }
+
+    /// Translations that planes leave open, orthonormal, in the local map: all where it fits nothing.
+    pub fn open_translations(&self) -> Vec<Vector3> {
+        let Some(found) = &self.found else { return vec![Vector3::x(), Vector3::y(), Vector3::z()] };
+        let local_from_map = self.local_from_tracking.rotation * found.pose.rotation.inverse();
+        found.degenerate.translations.iter().map(|open| local_from_map * open).collect()
     }
 }
 

@@ -1,12 +1,14 @@
 //! Tracking: what is done with every sweep once there is a map.
 
+mod observability;
+
 use portolan_geometry::nalgebra::Matrix3;
-use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, Vector3, to_f32};
+use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, to_f32};
 use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
 use crate::belief::{Belief, FitMonitor, Support};
-use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals, DegenerateScan, Substitute};
+use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals};
 use crate::deskew::deskewed;
 use crate::gap::GapMotion;
 use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
@@ -18,13 +20,15 @@ use crate::pieces::PieceBegun;
 use crate::plane_map::PlaneMap;
 use crate::poles::{RecentPoles, SeenPoles};
 use crate::predict::{Prediction, Reason, Registered};
-use crate::registration::DegenerateDirections;
 use crate::remembered::{self, Finding};
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
 use crate::sweep_registration::{RegisteredSegment, SweepRegistration, Target};
 use crate::wide_search::WideSearch;
+use crate::witness::Witness;
+
+pub use observability::Observability;
 
 /// A sweep that was registered.
 #[derive(Clone, Debug)]
@@ -59,17 +63,6 @@ pub struct Keyframe {
     pub completed_map: Option<PlaneMap>,
 }
 
-/// Which motion a sweep constrains, and what is known of the rest.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Observability {
-    /// Directions that it does not constrain, in the tracking frame at its end.
-    pub degenerate: DegenerateDirections,
-    /// Whether odometry or a zero-velocity update measured the translation.
-    pub translation_is_measured: bool,
-    /// Whether a gyroscope measured the rotation.
-    pub rotation_is_measured: bool,
-}
-
 /// Another map than that of planes, which is asked where a sweep fits no plane.
 pub trait Fallback {
     /// Where de-skewed points (in the tracking frame) lie, near a predicted pose. None if it does not know either.
@@ -84,6 +77,7 @@ pub(crate) struct Tracker {
     registration: SweepRegistration,
     local_map: LocalMap,
     poles: RecentPoles,
+    witness: Witness,
     keyframes: KeyframePolicy,
     intervals: DegenerateIntervals,
     fits: FitMonitor,
@@ -142,6 +136,7 @@ impl Tracker {
             registration: SweepRegistration::new(settings),
             local_map: LocalMap::new(settings, &registered.in_local, registered.local_from_gravity()),
             poles: RecentPoles::new(&settings.poles),
+            witness: Witness::new(&settings.witness, &settings.correlation),
             keyframes,
             intervals: DegenerateIntervals::new(&settings.degeneracy),
             fits: FitMonitor::new(&settings.loss),
@@ -206,6 +201,10 @@ impl Tracker {
             None => self.motion.predict(sweep.end),
         };
         self.last_interval = prediction.segment.seconds();
+        let (prediction, velocities) = match self.witness.hear(&sweep, &prediction.segment) {
+            Some(discrepancy) => prediction.corrected(&discrepancy),
+            None => (prediction, gap.map(|motion| motion.after)),
+        };
         // 2. Register the hypotheses to planes and poles; the one that fits best counts.
         let (mut best, mut poles) = self.best_hypothesis(&sweep, &prediction, issues);
         // 3. Does it fit as well as the sweeps before it? If not, it may have moved otherwise than predicted, unless an IMU
@@ -248,7 +247,7 @@ impl Tracker {
             attenuation,
             is_standing: standing.is_some(),
             tells_rotation: standing.is_some() || found_planes && belief == Belief::Sure && !is_warming_up,
-            velocities: gap.map(|motion| motion.after),
+            velocities,
         };
         let inertial = prediction.inertial.as_ref().filter(|_| reason.is_none());
         let gravity = self.motion.update(&prediction, inertial, &end);
@@ -268,6 +267,8 @@ impl Tracker {
             let is_wanted = segment.rotation_is_measured && is_warming_up;
             self.insert(&mut result, standing.is_some(), is_wanted);
             self.last_fitting.clone_from(&result.in_local.returns.points);
+            let place = &result.local_from_tracking.translation.vector;
+            self.witness.add(result.sweep.end, &result.in_local.returns.points, place);
         } else {
             issues.count(Issue::ContradictsMap);
         }
@@ -351,67 +352,6 @@ impl Tracker {
         !fits_planes
             && segment.source == MotionSource::ConstantVelocity
             && (!segment.rotation_is_measured || is_long)
-    }
-
-    /// Which motion a sweep constrains, in the tracking frame; joins what it does not to intervals.
-    fn observability(
-        &mut self,
-        end: Time,
-        best: &Registered,
-        was_standing: bool,
-        issues: &mut Issues,
-    ) -> Observability {
-        let Registered { segment, registered, .. } = best;
-        let tracking_from_local = registered.local_from_tracking.rotation.inverse();
-        let (up, seconds) = (tracking_from_local * Vector3::z(), segment.seconds());
-        // Where nothing measures the motion, its direction is not known either.
-        let translation_is_measured = segment.source == MotionSource::Measured;
-        let found = registered.found.as_ref();
-        if translation_is_measured || found.is_some_and(|f| f.degenerate.translations.is_empty()) {
-            let translation =
-                registered.local_from_tracking.translation.vector - segment.start().translation.vector;
-            self.intervals.moved(&(tracking_from_local * translation), seconds, &up);
-        }
-        let Some(found) = found else {
-            issues.count(Issue::NoPlaneFits);
-            return Observability::default();
-        };
-        let tracking_from_map = found.pose.rotation.inverse();
-        let seen = |directions: &[Vector3]| directions.iter().map(|d| tracking_from_map * d).collect();
-        let degenerate = DegenerateDirections {
-            translations: seen(&found.degenerate.translations),
-            rotations: seen(&found.degenerate.rotations),
-        };
-        let (by_translation, by_rotation) = self.substitutes(end, segment, was_standing);
-        let scan = |taken| DegenerateScan { time: end, seconds, taken };
-        self.intervals.add_translations(&scan(by_translation), &degenerate.translations, &up);
-        self.intervals.add_rotations(&scan(by_rotation), &degenerate.rotations, &up);
-        let rotation_is_measured = segment.rotation_is_measured;
-        Observability { degenerate, translation_is_measured, rotation_is_measured }
-    }
-
-    /// What is taken for translation and rotation along degenerate directions.
-    fn substitutes(
-        &self,
-        end: Time,
-        segment: &TrajectorySegment,
-        was_standing: bool,
-    ) -> (Substitute, Substitute) {
-        let translation = match segment.source {
-            _ if was_standing => Substitute::Rest,
-            MotionSource::Measured => Substitute::Odometry,
-            MotionSource::Inertial { .. } => Substitute::Accelerometer,
-            MotionSource::ConstantVelocity => Substitute::Velocity,
-        };
-        // Where a gyroscope is overruled, the rotation goes on as before, and not as odometry says.
-        let is_overruled = self.motion.has_gyroscope(end);
-        let rotation = match (segment.rotation_is_measured, translation) {
-            (true, _) => Substitute::Gyroscope,
-            (false, Substitute::Odometry) if is_overruled => Substitute::Velocity,
-            (false, Substitute::Accelerometer) => Substitute::Velocity,
-            (false, other) => other,
-        };
-        (translation, rotation)
     }
 
     /// Shows the map what a sweep saw, as a key frame if it is one.

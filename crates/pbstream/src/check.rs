@@ -133,6 +133,14 @@ pub fn validate(reader: &mut PbstreamReader) -> Vec<Finding> {
     check.finish()
 }
 
+/// Tells what is wrong with a pose graph that is about to be written, as [`validate`] does of one in a file: poses, times,
+/// identities and constraints.
+pub fn validate_pose_graph(graph: &PoseGraph) -> Vec<Finding> {
+    let mut check = Check::default();
+    check.pose_graph(graph);
+    check.counted()
+}
+
 /// What has been seen of a map so far.
 #[derive(Default)]
 pub(crate) struct Check {
@@ -294,6 +302,11 @@ impl Check {
             None => self.error(FindingKind::Order, "there is no pose graph"),
             Some(graph) => self.whole_map(&graph),
         }
+        self.counted()
+    }
+
+    /// All findings; of each kind those beyond the first twenty as one.
+    fn counted(mut self) -> Vec<Finding> {
         for ((kind, severity), count) in std::mem::take(&mut self.counts) {
             if let Some(more) = count.checked_sub(MAX_FINDINGS_OF_A_KIND).filter(|m| *m > 0) {
                 let text = format!("{more} more findings of this kind ({kind:?})");

@@ -22,7 +22,7 @@ mod text_format;
 pub mod wire;
 mod writer;
 
-pub use check::{Finding, FindingKind, Severity, bad_starts, start_of, validate};
+pub use check::{Finding, FindingKind, Severity, bad_starts, start_of, validate, validate_pose_graph};
 pub use codes::{
     CodeRange, MAX_CODE, MAX_CORRESPONDENCE_COST, MAX_PROBABILITY, MIN_CORRESPONDENCE_COST, MIN_PROBABILITY,
     correspondence_cost_bounds, log_odds_byte,

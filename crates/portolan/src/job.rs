@@ -88,8 +88,8 @@ pub struct MapRequest {
     pub engine: Option<Engine>,
     /// Maps that the recording is added to.
     pub known: KnownMaps,
-    /// Whether map and clouds are written although the recording was not found in the known maps, and over files that no
-    /// earlier run wrote.
+    /// Whether map and clouds are written although the recording was not found in the known maps or the map is not sound, and
+    /// over files that no earlier run wrote.
     pub force: bool,
     /// Clouds and pictures of them.
     pub cloud: CloudRequest,
@@ -131,6 +131,8 @@ pub struct Finished {
     /// How well the recording was found in known maps; none without any. Unless that is to be trusted
     /// ([`Localisation::is_trusted`]) there is no map among the files, or it was forced.
     pub localisation: Option<Localisation>,
+    /// Whether the map is fit to be written; else there is none among the files, or it was forced.
+    pub is_sound: bool,
 }
 
 /// Maps a recording and leaves the results in the folder of the request. `observe` is told what happens.
@@ -289,11 +291,11 @@ impl<'a> Job<'a> {
         self.request.known.load(&self.preparation.options, observe)
     }
 
-    /// Maps the recording.
+    /// Maps the recording, and judges the result.
     ///
     /// # Errors
     /// Fails if the recording cannot be read or holds not a single scan that can be used.
-    pub fn map<S: Space>(
+    pub fn map<S: MapSpace>(
         &self,
         known: KnownMap<S>,
         observe: &mut Observer,
@@ -307,7 +309,9 @@ impl<'a> Job<'a> {
             // Nothing would be there to go on with.
             self.end_journal(false, observe);
         }
-        Ok(mapped?)
+        let mut mapped = mapped?;
+        mapped.judge()?;
+        Ok(mapped)
     }
 
     /// Writes everything but clouds and pictures of them; the files. Loading and mapping took `seconds`.
@@ -326,7 +330,8 @@ impl<'a> Job<'a> {
 
     /// Whether the result can be used, or is wanted all the same.
     fn is_wanted<S: Space>(&self, mapped: &MappedRecording<S>) -> bool {
-        self.request.force || Localisation::of(mapped).is_none_or(|found| found.is_trusted())
+        let is_found = Localisation::of(mapped).is_none_or(|found| found.is_trusted());
+        self.request.force || is_found && mapped.is_sound()
     }
 
     /// Writes clouds and pictures of them as asked for, and adds to the report that [`Job::write_results`] left.
@@ -358,8 +363,13 @@ impl<'a> Job<'a> {
             files.extend(self.write_clouds(&mapped, observe)?.into_iter().flat_map(|clouds| clouds.files));
         }
         self.end(&mapped, observe)?;
-        let localisation = Localisation::of(&mapped);
-        Ok(Finished { files, interrupted: mapped.interrupted, lost_data: mapped.lost_data(), localisation })
+        Ok(Finished {
+            files,
+            interrupted: mapped.interrupted,
+            lost_data: mapped.lost_data(),
+            localisation: Localisation::of(&mapped),
+            is_sound: mapped.is_sound(),
+        })
     }
 }
 

@@ -8,6 +8,7 @@ mod losses;
 pub mod pipeline;
 mod requested;
 mod silence;
+mod soundness;
 pub mod trajectory_file;
 pub mod unwind;
 

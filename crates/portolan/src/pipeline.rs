@@ -18,6 +18,7 @@ use portolan_recording::{Recording, RecordingError};
 use portolan_sensor::SensorId;
 
 use crate::silence::Silences;
+use crate::soundness::sound_poses;
 use crate::unwind::KeptScans;
 use crate::{automatic, clocks};
 
@@ -106,11 +107,16 @@ impl<S: Space> MappedRecording<S> {
             || self.map.graph.self_consistency().is_contradictory()
     }
 
+    /// Whether the map is fit to be written: poses and constraints are finite, rotations are rotations.
+    pub fn is_sound(&self) -> bool {
+        self.issues.count_of(IssueKind::GraphUnsound) == 0
+    }
+
     /// Pose of the tracking frame in the map for every scan, each under the time of its message in the
-    /// recording, in order of that.
+    /// recording, in order of that. Poses that are none are left out.
     pub fn trajectory(&self) -> Vec<(Time, Rigid3)> {
         let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
-        let poses = self.pieces().into_iter().flat_map(|id| self.map.scan_poses(id));
+        let poses = self.pieces().into_iter().flat_map(|id| sound_poses(self.map.scan_poses(id)));
         let mut poses: Vec<_> = poses.map(|(time, pose)| (recorded(time), pose)).collect();
         poses.sort_by_key(|(time, _)| *time);
         poses

@@ -135,7 +135,7 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     let files = write_localized(&localized, &folder, seconds, &mut remarks(global))?;
     drop(saving);
     print_summary(&summary(&localized, &files, seconds));
-    let is_refused = matches!(localized.saved_map, Some(SavedMap::Refused(_)));
+    let is_refused = matches!(localized.saved_map, Some(SavedMap::Refused(_) | SavedMap::Unsound(_)));
     Ok(match localized.found() {
         _ if is_refused => Outcome::Untrusted,
         Found::Never => Outcome::Untrusted,
@@ -165,6 +165,10 @@ fn save_map(args: &LocalizeArgs) -> Result<Option<SaveMap>, CliError> {
 fn saved_map(saved: &SavedMap) -> String {
     let (path, grown) = match saved {
         SavedMap::Refused(reason) => return format!("NO map was written: {reason}\n"),
+        SavedMap::Unsound(issues) => {
+            let issues: Vec<String> = issues.iter().map(|issue| issue.to_string()).collect();
+            return format!("NO map was written: {}\n", issues.join("; "));
+        }
         SavedMap::Interrupted => return "NO map was written: interrupted\n".to_owned(),
         SavedMap::Written { path, grown } => (path, grown),
     };

@@ -211,6 +211,7 @@ fn finish<S: ResultSpace>(
     let mapped = mapped.map_err(|error| nothing_left(error, recording, &args.cut))?;
     Ok(match Localisation::of(&mapped) {
         Some(found) if !found.is_trusted() => Outcome::Untrusted,
+        _ if !mapped.is_sound() => Outcome::Untrusted,
         _ if mapped.lost_data() => Outcome::DataLost,
         _ => Outcome::Done,
     })
@@ -319,7 +320,7 @@ pub fn nothing_left(error: CliError, recording: &dyn Recording, cut: &CutArgs) -
 }
 
 /// Maps with a bar that tells how far it is.
-fn map_with_progress<S: Space>(
+fn map_with_progress<S: ResultSpace>(
     job: &Job,
     recording: &dyn Recording,
     known: KnownMap<S>,

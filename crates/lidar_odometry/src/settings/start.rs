@@ -105,6 +105,44 @@ settings! {
 }
 
 settings! {
+    /// The second witness of the way travelled.
+    WitnessSettings {
+        span: f64 = 1.0, "s", 0.1..=10.0,
+            "Sweeps are compared with those so long before",
+            origin: "derived: a velocity that is wrong by 0.5 m/s shows as a cell of the correlation",
+            larger: "smaller errors are seen, later; less is seen from both places";
+        group: f64 = 0.5, "s", 0.0..=10.0,
+            "Sweeps of so many seconds are put together",
+            origin: "derived: several thousand points where sweeps have 1,400",
+            larger: "sparser sweeps tell something, changes of velocity blur it";
+        interval: f64 = 0.15, "s", 0.0..=60.0,
+            "Where planes leave translations open it is asked again after so many seconds",
+            origin: "derived: a car that brakes hard is 5 cm off by then",
+            larger: "faster; changes of velocity are seen later";
+        acceleration: f64 = 4.0, "m/s²", 0.1..=100.0,
+            "What is believed goes wrong by no more than such an acceleration since the witness last agreed",
+            origin: "walkers, braking cars",
+            larger: "cars ahead are taken for what stands";
+        farthest: f64 = 5.0, "m", 0.5..=50.0,
+            "And by no more than this",
+            origin: "derived: what a cell of the correlation from one sweep to the next is worth in a second",
+            larger: "slower; cars ahead are taken for what stands";
+        least_share: f64 = 0.15, "1", 0.0..=1.0,
+            "Where less of the newest sweeps is met again, it is chance",
+            origin: "measured (docs/experiments/2026-11-few-points.md)",
+            larger: "says less";
+        guess: f64 = 1.5, "s", 0.0..=1e4,
+            "Where neither planes nor the witness tell the way for so long, and nothing measures it, it is a guess",
+            origin: "derived: half as long again as the span",
+            larger: "long guesses are not told";
+        max_points: usize = 6000, "points", 10.0..=1e6,
+            "So many points of a sweep are looked at, at most, evenly in order",
+            origin: "time",
+            larger: "slower";
+    }
+}
+
+settings! {
     /// The vertical from planes.
     VerticalSettings {
         max_tilt: f64 = 0.8, "rad", 0.01..=1.6,

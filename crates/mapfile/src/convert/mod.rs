@@ -30,4 +30,4 @@ pub use trajectory_options::{
     builder_options_from_proto, builder_options_to_proto, trajectory_options_from_proto,
     trajectory_options_to_proto,
 };
-pub use write::{WriteReport, write_graph, write_map, write_map_2d};
+pub use write::{WriteReport, check_graph, write_graph, write_map, write_map_2d};

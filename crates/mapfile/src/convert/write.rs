@@ -18,7 +18,7 @@ use super::values::{cloud_to_proto, id_for_errors, node_id_to_proto, rotation_to
 use portolan_pbstream::pose_to_proto;
 use portolan_pbstream::proto::mapping as m;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
-use portolan_pbstream::{FORMAT_VERSION, PbstreamWriter};
+use portolan_pbstream::{FORMAT_VERSION, Finding, PbstreamWriter, validate_pose_graph};
 
 /// Submaps and nodes that are turned into messages together, on all cores.
 const SUBMAP_BATCH: usize = 8;
@@ -111,6 +111,15 @@ fn all_options_to_proto<S: MapSpace>(
     };
     let options_with_sensor_ids = selection.trajectories.iter().map(entry).collect::<Result<_, _>>()?;
     Ok(m::AllTrajectoryBuilderOptions { options_with_sensor_ids, portolan_configuration: options.to_json() })
+}
+
+/// What would be wrong with the file of this pose graph, as [`validate_pose_graph`] says.
+///
+/// # Errors
+/// If a number does not fit the format.
+pub fn check_graph<S: MapSpace>(graph: &PoseGraph<S>) -> Result<Vec<Finding>, MapConversionError> {
+    let selection = Selection::new(graph.state(), true);
+    Ok(validate_pose_graph(&pose_graph_to_proto(graph, &selection, &mut WriteReport::default())?))
 }
 
 fn write_submaps<S: MapSpace>(

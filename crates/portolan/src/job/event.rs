@@ -121,7 +121,7 @@ pub enum Remark {
     },
     /// X-rays need the recording again, because scans that were kept cannot be read.
     KeptScansUnreadable(std::io::Error),
-    /// No map was written, because its parts are laid over each other wrongly.
+    /// No map was written, because its parts would lie over each other wrongly, or it is not sound.
     NoMap {
         /// Whether there is one of an earlier run in the folder.
         left: bool,
@@ -211,7 +211,7 @@ impl fmt::Display for Remark {
             }
             Self::NoMap { left } => {
                 let left = if *left { "; map.pbstream there is of an earlier run" } else { "" };
-                write!(f, "no map was written, because its parts would lie over each other anyhow{left}")
+                write!(f, "no map was written, because it could not be trusted{left}")
             }
             Self::LeftoversRemoved { folder, count } => {
                 let files = counted(*count as u64, "temporary file", "temporary files");

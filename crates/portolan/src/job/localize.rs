@@ -162,6 +162,9 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
         issues.merge(&silences.issues());
     }
     issues.append(&localizer.issues());
+    if let Some(SavedMap::Unsound(found)) = &saved_map {
+        issues.append(found);
+    }
     Ok(LocalizedRecording {
         estimates,
         dimension: preparation.dimension,

@@ -41,6 +41,7 @@ fn substitute_key(substitute: Substitute) -> &'static str {
         Substitute::Gyroscope => "gyroscope",
         Substitute::Rest => "zero_velocity",
         Substitute::Accelerometer => "accelerometer",
+        Substitute::Correlation => "correlation",
         Substitute::Velocity => "constant_velocity",
     }
 }

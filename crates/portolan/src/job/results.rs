@@ -13,6 +13,7 @@ use super::output_folder::OutputFolder;
 use super::pictures::write_pictures;
 use super::report::report;
 use crate::pipeline::MappedRecording;
+use crate::soundness::sound_poses;
 
 /// A space whose maps can be shown from above.
 pub trait ResultSpace: MapSpace {
@@ -65,7 +66,7 @@ pub fn write_results<S: ResultSpace>(
     }
     files.push(trajectory);
     if what.all_poses {
-        write_tum(&folder.add("all_poses.tum", &mut files)?, &map.scan_poses(id))?;
+        write_tum(&folder.add("all_poses.tum", &mut files)?, &sound_poses(map.scan_poses(id)))?;
     }
     if !what.map {
         remark(observe, Remark::NoMap { left: folder.path().join("map.pbstream").exists() });

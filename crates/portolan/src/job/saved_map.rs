@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use portolan_atomic_file::AtomicFile;
 use portolan_config::Options;
+use portolan_issue::IssueLog;
 use portolan_localization::{Estimate, Grown, Growth, GrowthError, KnownMap, Localizer};
 use portolan_mapfile::{MapSpace, write_map};
 use portolan_mapping::{EndedTrajectory, Map, TrajectoryState};
@@ -11,6 +12,7 @@ use portolan_pbstream::MapReader;
 use portolan_sensor::SensorId;
 
 use super::error::JobError;
+use crate::soundness::unsoundness;
 
 /// The map that is wanted of a recording that is localised.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,6 +35,8 @@ pub enum SavedMap {
     },
     /// There is nothing to add; no file was written.
     Refused(GrowthError),
+    /// What came of it is not fit to be written; no file was written.
+    Unsound(IssueLog),
     /// It was stopped before the end of the recording; no file was written.
     Interrupted,
 }
@@ -42,6 +46,7 @@ impl SavedMap {
     pub(super) fn report(&self) -> serde_json::Value {
         match self {
             Self::Refused(reason) => serde_json::json!({ "refused": reason.to_string() }),
+            Self::Unsound(issues) => serde_json::json!({ "refused": issues }),
             Self::Interrupted => serde_json::json!({ "refused": "interrupted" }),
             Self::Written { path, grown } => serde_json::json!({
                 "file": path,
@@ -92,6 +97,10 @@ impl SaveMap {
             Ok(grown) => grown,
             Err(reason) => return Ok(SavedMap::Refused(reason)),
         };
+        let issues = unsoundness(&map.graph)?;
+        if !issues.is_empty() {
+            return Ok(SavedMap::Unsound(issues));
+        }
         let options = map.options.trajectory_builder.clone();
         let added =
             EndedTrajectory { options, sensors: sensors.into_iter().collect(), scans: Default::default() };

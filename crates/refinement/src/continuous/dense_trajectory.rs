@@ -5,8 +5,8 @@
 //! without approximation, and whatever the input holds between knots (steps, vibration) is kept.
 
 use portolan_geometry::{
-    Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, interpolate, nalgebra as na,
-    quaternion_from_angle_axis,
+    Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, interpolate, is_valid_pose,
+    nalgebra as na, quaternion_from_angle_axis,
 };
 
 use super::Knots;
@@ -188,6 +188,11 @@ impl DenseTrajectory {
         }
     }
 
+    /// Whether all current poses are finite, and their rotations are rotations.
+    pub fn is_valid(&self) -> bool {
+        self.current.iter().all(is_valid_pose)
+    }
+
     /// Takes back everything.
     pub fn reset(&mut self) {
         self.current.clone_from(&self.input);
@@ -302,6 +307,16 @@ mod tests {
             assert!((Vector3::from(p) - expected.coords).norm() < 1e-5);
         }
         assert!(DenseTrajectory::new(&poses()[..1]).is_err());
+    }
+
+    #[test]
+    fn what_is_not_finite_is_no_trajectory() {
+        let mut trajectory = DenseTrajectory::new(&poses()).unwrap();
+        assert!(trajectory.is_valid());
+        trajectory.move_whole(&Rigid3::translation(0.0, f64::NAN, 0.0));
+        assert!(!trajectory.is_valid());
+        trajectory.reset();
+        assert!(trajectory.is_valid());
     }
 
     #[test]

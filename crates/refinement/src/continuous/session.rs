@@ -140,6 +140,9 @@ impl<'a> Session<'a> {
         if let Some(validation) = self.report.cross_validation.as_ref().filter(|v| !v.is_refused) {
             held_out::keep_input(&mut self.trajectory, &validation.refused);
         }
+        if !self.trajectory.is_valid() {
+            self.keep_input("the refinement ended with poses that are not finite, so the input was kept");
+        }
         let anchor = self.trajectory.anchor_first_pose();
         self.report.sharpness_after =
             measure(&self.points, &self.coverage, &self.trajectory, SharpnessOptions::default());

@@ -197,6 +197,7 @@ pub(super) fn kind_of(issue: OdometryIssue) -> IssueKind {
         OdometryIssue::GyroscopeOverruled => IssueKind::GyroscopeOverruled,
         OdometryIssue::NoPlaneFits => IssueKind::ScanFitsNoPlane,
         OdometryIssue::ContradictsMap => IssueKind::ScanContradictsMap,
+        OdometryIssue::TravelGuessed => IssueKind::TravelGuessed,
     }
 }
 

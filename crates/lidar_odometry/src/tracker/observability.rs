@@ -1,0 +1,90 @@
+//! Which motion a sweep constrains, and what is taken for the rest.
+
+use portolan_geometry::{Time, Vector3};
+
+use super::Tracker;
+use crate::degenerate_intervals::{DegenerateScan, Substitute};
+use crate::issues::{Issue, Issues};
+use crate::predict::Registered;
+use crate::registration::DegenerateDirections;
+use crate::segment::{MotionSource, TrajectorySegment};
+
+/// Which motion a sweep constrains, and what is known of the rest.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Observability {
+    /// Directions that it does not constrain, in the tracking frame at its end.
+    pub degenerate: DegenerateDirections,
+    /// Whether odometry or a zero-velocity update measured the translation.
+    pub translation_is_measured: bool,
+    /// Whether a gyroscope measured the rotation.
+    pub rotation_is_measured: bool,
+}
+
+impl Tracker {
+    /// Which motion a sweep constrains, in the tracking frame; joins what it does not to intervals.
+    pub(super) fn observability(
+        &mut self,
+        end: Time,
+        best: &Registered,
+        was_standing: bool,
+        issues: &mut Issues,
+    ) -> Observability {
+        let Registered { segment, registered, .. } = best;
+        let tracking_from_local = registered.local_from_tracking.rotation.inverse();
+        self.witness.leaves_open(end, registered.open_translations());
+        let (up, seconds) = (tracking_from_local * Vector3::z(), segment.seconds());
+        // Where nothing measures the motion, its direction is not known either.
+        let translation_is_measured = segment.source == MotionSource::Measured;
+        let found = registered.found.as_ref();
+        if translation_is_measured || found.is_some_and(|f| f.degenerate.translations.is_empty()) {
+            let translation =
+                registered.local_from_tracking.translation.vector - segment.start().translation.vector;
+            self.intervals.moved(&(tracking_from_local * translation), seconds, &up);
+        }
+        let is_assumed = segment.source == MotionSource::ConstantVelocity && !was_standing;
+        if is_assumed && self.witness.is_guess(end) {
+            issues.count(Issue::TravelGuessed);
+        }
+        let Some(found) = found else {
+            issues.count(Issue::NoPlaneFits);
+            return Observability::default();
+        };
+        let tracking_from_map = found.pose.rotation.inverse();
+        let seen = |directions: &[Vector3]| directions.iter().map(|d| tracking_from_map * d).collect();
+        let degenerate = DegenerateDirections {
+            translations: seen(&found.degenerate.translations),
+            rotations: seen(&found.degenerate.rotations),
+        };
+        let (by_translation, by_rotation) = self.substitutes(end, segment, was_standing);
+        let scan = |taken| DegenerateScan { time: end, seconds, taken };
+        self.intervals.add_translations(&scan(by_translation), &degenerate.translations, &up);
+        self.intervals.add_rotations(&scan(by_rotation), &degenerate.rotations, &up);
+        let rotation_is_measured = segment.rotation_is_measured;
+        Observability { degenerate, translation_is_measured, rotation_is_measured }
+    }
+
+    /// What is taken for translation and rotation along degenerate directions.
+    fn substitutes(
+        &self,
+        end: Time,
+        segment: &TrajectorySegment,
+        was_standing: bool,
+    ) -> (Substitute, Substitute) {
+        let translation = match segment.source {
+            _ if was_standing => Substitute::Rest,
+            MotionSource::Measured => Substitute::Odometry,
+            MotionSource::Inertial { .. } => Substitute::Accelerometer,
+            MotionSource::ConstantVelocity if self.witness.has_told(end) => Substitute::Correlation,
+            MotionSource::ConstantVelocity => Substitute::Velocity,
+        };
+        // Where a gyroscope is overruled, the rotation goes on as before, and not as odometry says.
+        let is_overruled = self.motion.has_gyroscope(end);
+        let rotation = match (segment.rotation_is_measured, translation) {
+            (true, _) => Substitute::Gyroscope,
+            (false, Substitute::Odometry) if is_overruled => Substitute::Velocity,
+            (false, Substitute::Accelerometer | Substitute::Correlation) => Substitute::Velocity,
+            (false, other) => other,
+        };
+        (translation, rotation)
+    }
+}
