@@ -3,7 +3,7 @@
 
     scripts/field_variants.py [--programs target/release/portolan ...] [--logs aces,fhw] [--variants backwards,from-40]
 
-Variants: backwards (reverse.py), from-20, from-40, from-60 (the first so many per cent of the scans are missing), those of
+Variants: backwards (reverse.py), return (there and all the way back), mirrored (left is right), from-20, from-40, from-60 (the first so many per cent of the scans are missing), those of
 spoil.py, and several of them joined by +, as in backwards+half. Judged by the relations between scans that are left.
 Needs Python 3 alone. The data folder is $PORTOLAN_DATA, or ../shared/data.
 """
@@ -35,13 +35,42 @@ def begun_later(log, output, percent):
                 out.write(line)
 
 
+def negated(word):
+    return word.removeprefix("-") if word.startswith("-") else "-" + word
+
+
+def mirrored(log, source, output, relations):
+    """Left and right change places: beams, lateral motion and turns."""
+    with bz2.open(log, "rt", errors="replace") as lines, open(output, "w") as out:
+        for words in map(str.split, lines):
+            if words and words[0] == "FLASER":
+                n = int(words[1])
+                words[2 : 2 + n] = words[2 : 2 + n][::-1]
+                for at in (n + 3, n + 4, n + 6, n + 7):
+                    words[at] = negated(words[at])
+            elif words and words[0] == "ODOM":
+                for at in (2, 3, 5):
+                    words[at] = negated(words[at])
+            out.write(" ".join(words) + "\n")
+    with open(source) as lines, open(relations, "w") as out:
+        for words in map(str.split, lines):
+            for at in (3, 5, 7):
+                words[at] = negated(words[at])
+            out.write(" ".join(words) + "\n")
+
+
 def changed(log, relations, variant, folder):
     """Log and relations after the changes that a variant names."""
     for number, change in enumerate(variant.split("+")):
         plain = folder / f"{number}.clf"
-        if change == "backwards":
-            script("reverse.py", log, relations, plain, folder / f"{number}.relations")
-            relations = folder / f"{number}.relations"
+        if change in ("backwards", "return", "mirrored"):
+            of_change = folder / f"{number}.relations"
+            if change == "mirrored":
+                mirrored(log, relations, plain, of_change)
+            else:
+                more = ["--there-first"] if change == "return" else []
+                script("reverse.py", log, relations, plain, of_change, *more)
+            relations = of_change
         elif change.startswith("from-"):
             begun_later(log, plain, int(change.removeprefix("from-")))
         else:

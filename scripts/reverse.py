@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""reverse.py LOG.clf.bz2 IN.relations OUT.clf OUT.relations : a CARMEN log driven backwards, with its relations.
+"""reverse.py LOG.clf.bz2 IN.relations OUT.clf OUT.relations [--there-first] : a CARMEN log driven backwards.
 
 Scans and odometry come in the opposite order, as of a robot that reverses along its whole way: places are met for the
 first time where they were left for the last. Stamps are mirrored, so that pauses, stalls and bursts stay what they are.
-Needs Python 3 alone.
+With --there-first the log as it was stands before it: the robot drives its whole way and all of it back. Relations then
+also say that every scan of the way back was taken where its twin was. Needs Python 3 alone.
 """
 import bz2
 import sys
@@ -28,21 +29,37 @@ def reversed_line(words, mirror):
     return " ".join(changed) + "\n"
 
 
+def mirrored(relation, mirror):
+    first, second, *rest = relation.split()
+    return " ".join([f"{mirror - float(first):.6f}", f"{mirror - float(second):.6f}", *rest]) + "\n"
+
+
+def twins(data, mirror):
+    """Relations of no motion between every tenth scan and its twin on the way back."""
+    times = [float(words[stamp_field(words)]) for words in data if words[0] == "FLASER"]
+    return [f"{time:.6f} {mirror - time:.6f} 0 0 0 0 0 0\n" for time in times[::10]]
+
+
 def main():
-    log, source, output, relations = sys.argv[1:]
+    log, source, output, relations = sys.argv[1:5]
+    there_first = sys.argv[5:] == ["--there-first"]
     with bz2.open(log, "rt", errors="replace") as lines:
         data = [words for words in map(str.split, lines) if stamp_field(words)]
     times = [float(words[stamp_field(words)]) for words in data]
-    mirror = min(times) + max(times)
+    # On the way back the first scan comes a tenth of a second after the last one of the way there.
+    mirror = 2.0 * max(times) + 0.1 if there_first else min(times) + max(times)
     with open(output, "w") as out:
+        if there_first:
+            out.writelines(" ".join(words) + "\n" for words in data)
         out.writelines(reversed_line(words, mirror) for words in reversed(data))
     with open(source) as lines, open(relations, "w") as out:
-        for line in lines:
-            first, second, *rest = line.split()
-            out.write(" ".join([f"{mirror - float(first):.6f}", f"{mirror - float(second):.6f}", *rest]) + "\n")
+        known = list(lines)
+        if there_first:
+            out.writelines(known + twins(data, mirror))
+        out.writelines(mirrored(relation, mirror) for relation in known)
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 5:
+    if len(sys.argv) not in (5, 6):
         sys.exit(__doc__)
     main()

@@ -4,6 +4,10 @@
     third   every third scan                          half    every second beam
     near    readings beyond 8 m see nothing           drop    half of the readings, at random, see nothing
     noise   3 cm of noise on every reading            burst   40 of every 160 scans are missing
+    short   readings beyond 4 m see nothing, noise of 1 % of the range, as of the smallest scanners
+    coarse  readings are rounded to 0.1 m             sides   only the third of the beams that look ahead sees anything
+    post    a post of the robot itself hides a fifteenth of the beams, to the left of ahead, at 0.4 m
+    glass   one reading in five goes on through glass: it is 0.5 to 3 m too long, in runs of four beams
 
 Odometry stays as it is. Needs Python 3 alone.
 """
@@ -21,6 +25,19 @@ def spoilt(ranges, how, chance):
         return [r if float(r) < 8.0 else NOTHING for r in ranges]
     if how == "drop":
         return [r if chance.random() > 0.5 else NOTHING for r in ranges]
+    if how == "short":
+        return [f"{float(r) * chance.gauss(1.0, 0.01):.3f}" if float(r) < 4.0 else NOTHING for r in ranges]
+    if how == "coarse":
+        return [f"{max(0.1, round(float(r), 1)):.2f}" for r in ranges]
+    if how == "sides":
+        third = len(ranges) // 3
+        return [r if third <= i < len(ranges) - third else NOTHING for i, r in enumerate(ranges)]
+    if how == "post":
+        first, count = len(ranges) * 11 // 20, len(ranges) // 15
+        return [f"{chance.gauss(0.4, 0.005):.3f}" if first <= i < first + count else r for i, r in enumerate(ranges)]
+    if how == "glass":
+        longer = [chance.uniform(0.5, 3.0) if chance.random() < 0.2 else 0.0 for _ in ranges[::4]]
+        return [f"{float(r) + longer[i // 4]:.3f}" if float(r) < 60.0 else r for i, r in enumerate(ranges)]
     if how == "noise":
         noisy = lambda r: max(0.05, float(r) + chance.gauss(0.0, 0.03))
         return [f"{noisy(r):.3f}" if float(r) < 60.0 else r for r in ranges]

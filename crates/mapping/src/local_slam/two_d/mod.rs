@@ -6,7 +6,9 @@ mod odometry_failure;
 mod odometry_scale;
 mod posterior;
 mod prediction_error;
+mod scan;
 mod tracking;
+mod witnesses;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -29,7 +31,8 @@ use super::{
 };
 use belief::Belief;
 pub(crate) use belief::refutes_place;
-use tracking::{Found, Motion, Scan, Tracker};
+use scan::Scan;
+use tracking::{Found, Motion, Tracker};
 
 use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
 use portolan_submaps::{Inserter2d, PlanarScan, Submap2d, search_after_gap};
@@ -279,7 +282,7 @@ impl LocalSlam2d {
     ) -> Found {
         self.tracker.note(time, &prediction, [cloud, returns]);
         let submap = self.active_submaps.matching_submap();
-        let scan = submap.map(|submap| Scan { cloud, returns, submap });
+        let scan = submap.map(|submap| Scan::new(cloud, returns, submap));
         if let (true, Some(motion), Some(scan)) = (self.tracker.is_adaptive(), motion, scan) {
             let found = self.tracker.find(prediction, motion, scan);
             if found.is_far {
@@ -291,7 +294,7 @@ impl LocalSlam2d {
         let prediction =
             unseen.and_then(|motion| self.found_after_gap(time, motion, cloud)).unwrap_or(prediction);
         let submap = self.active_submaps.matching_submap();
-        let scan = submap.map(|submap| Scan { cloud, returns, submap });
+        let scan = submap.map(|submap| Scan::new(cloud, returns, submap));
         Found { pose: self.tracker.match_scan(prediction, scan, cloud), is_far: false, agreement: None }
     }
 

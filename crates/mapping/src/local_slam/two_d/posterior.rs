@@ -4,7 +4,7 @@
 //! The prior is a mixture: the predicted motion with its learned errors, or, seldom, a slip, a stall, a push or a jump of
 //! the odometry, after which the scanner is anywhere it can have got to. So a pose far from the prediction needs much
 //! better evidence than one nearby, but not infinitely much. Beams are not independent: neighbours hit the same person
-//! or wall, and a scan says as much as [`WITNESSES`] beams that are.
+//! or wall, and a scan says as much as its [`Witnesses`].
 
 use std::f64::consts::TAU;
 
@@ -12,9 +12,8 @@ use portolan_geometry::{Rigid2, normalize_angle};
 use portolan_grids::ScanAgreement;
 
 use super::prediction_error::PredictionSigmas;
+use super::witnesses::Witnesses;
 
-/// So many independent beams say as much as a scan: about one for every five degrees of half a turn.
-const WITNESSES: f64 = 36.0;
 /// What an explained beam says for a pose, and a contradicted one against it, in nats. At a right pose four of five beams
 /// are explained and one of twelve is contradicted, at a wrong one a quarter and a half.
 const EXPLAINED: f64 = 1.2;
@@ -45,8 +44,20 @@ impl MotionPrior {
     }
 
     /// Logarithm of how likely a pose is where the map agrees with the scan like this, up to a constant.
-    pub fn log_posterior(&self, pose: &Rigid2, agreement: &ScanAgreement, evidence: &BeamEvidence) -> f64 {
-        self.log_density(pose) + evidence.log_likelihood(agreement)
+    pub fn log_posterior(
+        &self,
+        pose: &Rigid2,
+        agreement: &ScanAgreement,
+        (evidence, witnesses): (&BeamEvidence, Witnesses),
+    ) -> f64 {
+        self.log_density(pose) + evidence.log_likelihood(agreement, witnesses)
+    }
+
+    /// By how many standard deviations a pose is off the prediction.
+    pub fn deviation(&self, pose: &Rigid2) -> f64 {
+        let offset = self.prediction.inverse() * *pose;
+        (offset.translation.norm() / self.sigmas.translation)
+            .hypot(normalize_angle(offset.angle) / self.sigmas.rotation)
     }
 }
 
@@ -72,14 +83,14 @@ impl BeamEvidence {
     }
 
     /// Logarithm of the likelihood ratio of a right pose and a wrong one. Beams of which the map knows nothing say nothing.
-    fn log_likelihood(&self, agreement: &ScanAgreement) -> f64 {
+    fn log_likelihood(&self, agreement: &ScanAgreement, witnesses: Witnesses) -> f64 {
         let (right, wrong) = IN_FREE_SPACE;
         let in_free_space = (wrong / self.in_free_space.clamp(right, wrong)).ln();
         let share = f64::from;
         let nats = EXPLAINED * share(agreement.explained)
             - in_free_space * share(agreement.in_free_space)
             - CONTRADICTED * share(agreement.through_solid);
-        WITNESSES * nats
+        witnesses.count() * nats
     }
 }
 
@@ -112,7 +123,12 @@ mod tests {
 
     fn after(evidence: &BeamEvidence, metres: f64, degrees: f64, shares: (f32, f32)) -> f64 {
         let prior = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };
-        prior.log_posterior(&Rigid2::new(metres, 0.0, degrees.to_radians()), &agreement(shares), evidence)
+        let witnesses = Witnesses::default();
+        prior.log_posterior(
+            &Rigid2::new(metres, 0.0, degrees.to_radians()),
+            &agreement(shares),
+            (evidence, witnesses),
+        )
     }
 
     #[test]

@@ -9,7 +9,7 @@ use portolan_grids::{ScanAgreement, scan_agreement};
 use portolan_matching::MatcherOptionError;
 use portolan_recall::Memory;
 use portolan_sensor::PointCloud;
-use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow, Submap2d};
+use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow};
 
 use super::LocalSlamExtras;
 use super::OdometryBridge;
@@ -19,6 +19,7 @@ use super::odometry_failure::OdometryFailure;
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
+use super::scan::{Scan, with_share};
 use crate::remembered::RememberedScans;
 
 /// Scans are searched within so many standard deviations of their prediction.
@@ -40,6 +41,11 @@ const INTERVALS_OF_A_GAP: f64 = 10.0;
 const LEAST_GAP: f64 = 3.0;
 /// About so many intervals tell what is usual.
 const INTERVALS_REMEMBERED: f64 = 20.0;
+/// What few beams find so far from its prediction, metres and radians, is doubted: which beams the map explains tells nearer
+/// poses not apart.
+const ELSEWHERE: SearchWindow = SearchWindow { linear: 0.15, angular: 0.1 };
+/// Where scans tell this share of their poses they tell how far predictions are off, too.
+const MOSTLY: f64 = 0.67;
 /// No scan is searched farther than this, metres and radians.
 pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
 
@@ -60,17 +66,6 @@ impl Motion {
         let motion = self.last.inverse() * *pose;
         Rigid2 { angle: motion.normalized_angle(), ..motion }
     }
-}
-
-/// What a search needs: the scan and where it is looked for.
-#[derive(Clone, Copy)]
-pub(super) struct Scan<'a> {
-    /// The points to match, metres, gravity-aligned.
-    pub cloud: &'a PointCloud,
-    /// All returns, of which `cloud` was picked.
-    pub returns: &'a PointCloud,
-    /// What to match against.
-    pub submap: &'a Submap2d,
 }
 
 /// Where a scan was found.
@@ -186,22 +181,28 @@ impl Tracker {
         let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
         let is_failing = motion.is_measured && !near.is_measured;
         let motion = Motion { is_measured: near.is_measured, ..motion };
-        let (found, is_far) = self.judged(&near, motion, (&scan, cloud), window);
+        let (found, judgement) = self.judged(&near, motion, (&scan, cloud), window);
+        let is_far = judgement == Judgement::Far;
         if let Some(score) = found.score {
             self.usual_score.add(score);
         }
         if !found.pose.is_finite() {
             return Found { pose: prediction, is_far: false, agreement: None };
         }
-        if weak.is_none() {
+        let is_told = !scan.witnesses.are_few();
+        if weak.is_none() && is_told {
             self.odometry_failure.add_pose(&found.pose);
         }
         // Found far off, the prediction was judged to be none.
         let weighed = weak.as_ref().filter(|_| !is_far);
-        let pose = self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far);
+        let pose = match judgement {
+            // So few beams do not confirm a prediction that they were not believed against.
+            Judgement::Predicted if scan.witnesses.are_few() => found.pose,
+            _ => self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far),
+        };
         self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds);
         // Where scans leave a direction open, they do not say how far it went.
-        if motion.is_measured && !is_far && weak.is_none() {
+        if motion.is_measured && !is_far && weak.is_none() && is_told {
             let sigma = self.prediction_error.sigmas(&measured).translation;
             self.odometry_scale.add(&measured, &motion.to(&found.pose), sigma);
         }
@@ -212,30 +213,34 @@ impl Tracker {
         Found { pose, is_far, agreement }
     }
 
-    /// What was found near the prediction, or something likelier, and whether that is far: the prediction itself, or, where
-    /// a good match is expected elsewhere, what is found as far as the scanner can have moved.
+    /// What was found near the prediction, or something likelier: the prediction itself, or, where a good match is expected
+    /// elsewhere, what is found as far as the scanner can have moved.
     fn judged(
         &self,
         near: &Hypothesis,
         motion: Motion,
         (scan, cloud): (&Scan, &PointCloud),
         window: SearchWindow,
-    ) -> (ScanMatch2d, bool) {
+    ) -> (ScanMatch2d, Judgement) {
         let found = near.found;
         let is_low = found.score.is_some_and(|score| self.usual_score.is_low(score));
         let wide = (is_low || near.is_at_edge(window))
             .then(|| self.search((scan, cloud), near.around, wide_window(window, motion)));
         let agreement = || scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
-        if wide.is_none() && !agreement().is_some_and(|agreement| is_hardly_explained(&agreement)) {
-            return (found, false);
+        let prior = self.prior(near.around, motion);
+        let is_doubted = || {
+            scan.witnesses.are_few() && is_elsewhere(&(near.around.inverse() * found.pose))
+                || agreement().is_some_and(|agreement| is_hardly_explained(&agreement))
+        };
+        if wide.is_none() && !is_doubted() {
+            return (found, Judgement::Near);
         }
         // A prediction that nothing measured is no witness.
         let predicted = motion.is_measured.then_some(near.around);
-        let prior = self.prior(near.around, motion);
         match (self.most_likely(&prior, [predicted, Some(found.pose), wide.map(|w| w.pose)], scan), wide) {
-            (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, false),
-            (Some(2), Some(wide)) => (wide, true),
-            _ => (found, false),
+            (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, Judgement::Predicted),
+            (Some(2), Some(wide)) => (wide, Judgement::Far),
+            _ => (found, Judgement::Near),
         }
     }
 
@@ -245,7 +250,7 @@ impl Tracker {
         for (i, pose) in poses.into_iter().enumerate() {
             let Some(pose) = pose.filter(Rigid2::is_finite) else { continue };
             let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
-            let likely = prior.log_posterior(&pose, &agreement, &self.beam_evidence);
+            let likely = prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.witnesses));
             if best.is_none_or(|(_, most)| likely > most) {
                 best = Some((i, likely));
             }
@@ -284,7 +289,7 @@ impl Tracker {
         let likely = |prior: &MotionPrior, hypothesis: &Hypothesis| {
             let pose = hypothesis.found.pose;
             let agreement = scan_agreement(&scan.0.submap.grid, &pose, scan.0.cloud)?;
-            Some(prior.log_posterior(&pose, &agreement, &self.beam_evidence))
+            Some(prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.0.witnesses)))
         };
         let (Some(works), Some(fails)) = (likely(&prior, &predicted), likely(&went_on, &other)) else {
             return predicted;
@@ -325,6 +330,9 @@ impl Tracker {
         is_failing: bool,
     ) -> Rigid2 {
         let predicted_motion = motion.to(&around);
+        if scan.witnesses.are_next_to_none() && !is_failing {
+            return self.weigh_few(found, around, motion, scan);
+        }
         let (mut pose, mut observed) = (found, found);
         if let Some(weak) = weak {
             let learned = self.prediction_error.sigmas(&predicted_motion).translation;
@@ -338,6 +346,15 @@ impl Tracker {
             self.prediction_error.add(&predicted_motion, &(around.inverse() * observed));
         }
         pose
+    }
+
+    /// Weighs a match of hardly any beams with the prediction. It tells how far predictions are off where most comes from it.
+    fn weigh_few(&mut self, found: Rigid2, around: Rigid2, motion: Motion, scan: &Scan) -> Rigid2 {
+        let share = scan.match_share(&self.prior(around, motion), &found);
+        if motion.seconds <= self.gap && share > MOSTLY {
+            self.prediction_error.add(&motion.to(&around), &(around.inverse() * found));
+        }
+        with_share(&around, &found, share)
     }
 
     /// As far as predictions of this motion were wrong lately.
@@ -355,6 +372,17 @@ impl Tracker {
     }
 }
 
+/// Which of the places that a scan may have been taken at is believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Judgement {
+    /// Where it was found near its prediction.
+    Near,
+    /// Where it was found far from it.
+    Far,
+    /// The prediction: what was found is not likely.
+    Predicted,
+}
+
 /// Where a scan was looked for, and what was found there.
 struct Hypothesis {
     around: Rigid2,
@@ -368,6 +396,10 @@ impl Hypothesis {
         let offset = self.around.inverse() * self.found.pose;
         offset.translation.amax() > AT_EDGE * window.linear || offset.angle.abs() > AT_EDGE * window.angular
     }
+}
+
+fn is_elsewhere(offset: &Rigid2) -> bool {
+    offset.translation.norm() > ELSEWHERE.linear || offset.normalized_angle().abs() > ELSEWHERE.angular
 }
 
 /// As far as the scanner can have moved.

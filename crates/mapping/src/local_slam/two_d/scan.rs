@@ -1,0 +1,60 @@
+//! A scan that is looked for, and how much its match is to be believed.
+
+use portolan_geometry::Rigid2;
+use portolan_grids::score_difference;
+use portolan_sensor::PointCloud;
+use portolan_submaps::Submap2d;
+
+use super::posterior::MotionPrior;
+use super::witnesses::Witnesses;
+
+/// What a search needs: the scan and where it is looked for.
+#[derive(Clone, Copy)]
+pub(super) struct Scan<'a> {
+    /// The points to match, metres, gravity-aligned.
+    pub cloud: &'a PointCloud,
+    /// All returns, of which `cloud` was picked.
+    pub returns: &'a PointCloud,
+    /// What to match against.
+    pub submap: &'a Submap2d,
+    /// Independent witnesses among the returns.
+    pub witnesses: Witnesses,
+}
+
+impl<'a> Scan<'a> {
+    pub fn new(cloud: &'a PointCloud, returns: &'a PointCloud, submap: &'a Submap2d) -> Self {
+        Self { cloud, returns, submap, witnesses: Witnesses::of(returns) }
+    }
+
+    /// Which share of the way from the prediction to where the scan was found to believe. Both measure the pose: the
+    /// prediction with its standard deviations, the scan by how significantly the map fits better where it was found.
+    pub fn match_share(&self, prior: &MotionPrior, found: &Rigid2) -> f64 {
+        let poses = [found, &prior.prediction];
+        let weights = vec![1.0; self.returns.points.len()];
+        let Some(significance) = score_difference(&self.submap.grid, poses, self.returns, &weights) else {
+            return 1.0;
+        };
+        let (of_match, of_motion) = (significance.max(0.0).powi(2), prior.deviation(found).powi(2));
+        if of_motion > 0.0 { of_match / (of_match + of_motion) } else { 1.0 }
+    }
+}
+
+/// A pose on the way from one to another, at this share of it.
+pub(super) fn with_share(from: &Rigid2, to: &Rigid2, share: f64) -> Rigid2 {
+    let offset = from.inverse() * *to;
+    *from * Rigid2 { translation: offset.translation * share, angle: offset.normalized_angle() * share }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_share_goes_from_the_prediction_to_the_match() {
+        let (predicted, found) = (Rigid2::new(1.0, 2.0, 3.0), Rigid2::new(1.5, 1.0, -3.0));
+        for (share, pose) in [(0.0, predicted), (1.0, found)] {
+            let off = with_share(&predicted, &found, share).inverse() * pose;
+            assert!(off.translation.norm() < 1e-9 && off.normalized_angle().abs() < 1e-9);
+        }
+    }
+}
