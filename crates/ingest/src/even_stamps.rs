@@ -7,10 +7,13 @@
 //! next messages came without delay (the lower envelope of Moon, Skelly and Towsley 1999 for clocks of
 //! networks, with the order of arrival as the device's own clock).
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use portolan_geometry::{Duration, Time};
-use portolan_recording::{RecordedMessage, StampPattern};
+use portolan_recording::{RecordedMessage, Recording, RecordingError, StampPattern};
+
+use crate::repeats::read_without_repeats;
 
 /// How stamps of scanners and odometry are taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -32,6 +35,33 @@ const LOOK_AHEAD: f64 = 1.5;
 const MOST_AHEAD: usize = 64;
 /// Times are taken to be this much closer than the mean interval, since some messages are lost.
 const FASTER_THAN_MEAN: f64 = 0.97;
+
+/// Seconds between messages for those of these topics whose first stamps, from a time of recording on, do not tell when it was
+/// measured: without a look ahead they would be believed until they are seen to be wrong.
+pub(crate) fn doubtful_beginnings(
+    recording: &dyn Recording,
+    topics: &[Arc<str>],
+    start: Time,
+) -> Result<BTreeMap<Arc<str>, f64>, RecordingError> {
+    let mut stamps: BTreeMap<Arc<str>, Vec<Time>> = BTreeMap::new();
+    if topics.is_empty() {
+        return Ok(BTreeMap::new());
+    }
+    let mut reader = read_without_repeats(recording, &|topic| topics.contains(&topic.topic))?;
+    while let Some(message) = reader.next_message()? {
+        let Some(header) = message.message.header().filter(|_| message.log_time >= start) else { continue };
+        let seen = stamps.entry(message.topic).or_default();
+        seen.push(header.stamp);
+        if seen.len() >= WINDOW {
+            break;
+        }
+    }
+    let in_doubt = |stamps: &Vec<Time>| StampPattern::of(stamps).filter(StampPattern::is_disturbed);
+    Ok(stamps
+        .into_iter()
+        .filter_map(|(topic, stamps)| in_doubt(&stamps).map(|pattern| (topic, pattern.period)))
+        .collect())
+}
 
 /// Follows the stamps of one sensor and, while they do not tell when it was measured, makes them even.
 #[derive(Debug)]
@@ -56,6 +86,14 @@ impl EvenStamps {
             waiting: VecDeque::new(),
             last: None,
         }
+    }
+
+    /// With stamps that are not believed from the beginning, if a period, seconds, is given.
+    pub fn in_doubt(mut self, period: Option<f64>) -> Self {
+        if self.policy != StampPolicy::AsIs {
+            self.period = period.map(|period| FASTER_THAN_MEAN * period);
+        }
+        self
     }
 
     /// Takes the stamp of a message. False if it can be used as it is at once; else the message waits.
@@ -95,7 +133,10 @@ impl EvenStamps {
     pub fn pop(&mut self, at_end: bool) -> Option<(RecordedMessage, Time, Time)> {
         let period = self.period?;
         let ahead = MOST_AHEAD.min((LOOK_AHEAD / period) as usize + 1);
-        if self.waiting.is_empty() || (self.waiting.len() < ahead && !at_end) {
+        let ((first, _), (newest, _)) = (self.waiting.front()?, self.waiting.back()?);
+        // Messages behind a gap tell nothing of those before it.
+        let is_old = newest.seconds_since(*first) > LOOK_AHEAD;
+        if self.waiting.len() < ahead && !is_old && !at_end {
             return None;
         }
         let latest = (0u32..)

@@ -15,13 +15,14 @@ use crate::azimuth_time::{AzimuthTimes, Turn};
 use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, Order, SensorClock};
 use crate::convert::{Frames, LocalFixes};
-use crate::even_stamps::EvenStamps;
+use crate::even_stamps::{EvenStamps, StampPolicy, doubtful_beginnings};
 use crate::laser::BeamDirections;
 use crate::options::IngestOptions;
 use crate::plan::{ImuScale, PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};
 use crate::point_time::PointTime;
 use crate::read_ahead::ReadAhead;
 use crate::recording_clock::RecordingClock;
+use crate::repeats::read_without_repeats;
 use crate::survey::{Inventory, is_tf};
 use crate::sweep_stamps::SweepStamps;
 use crate::tf::{TfError, TfInput};
@@ -148,7 +149,12 @@ impl Ingestion {
         options: &IngestOptions,
     ) -> Result<Self, IngestError> {
         let samplers = Samplers::new(&options.sampling)?;
-        let sensors = setup::sensors(&plan, options.stamps);
+        let start = inventory.first_time.map_or(Time::MIN, |first| first + options.skip);
+        let in_doubt = match options.stamps {
+            StampPolicy::AsIs => BTreeMap::new(),
+            _ => doubtful_beginnings(recording, &setup::topics_of_scans(inventory, &plan), start)?,
+        };
+        let sensors = setup::sensors(&plan, options.stamps, &in_doubt);
         let transform_odometry = match &plan.odometry {
             Some(PlannedOdometry::Transforms { sensor, parent, child }) => Some(TransformOdometry {
                 id: sensor.clone(),
@@ -161,9 +167,8 @@ impl Ingestion {
         let needs_tf = options.use_recorded_transforms
             && (transform_odometry.is_some() || setup::moves(inventory, &plan));
         let wanted = |t: &TopicInfo| sensors.contains_key(&t.topic) || (needs_tf && is_tf(&t.type_name));
-        let reader = recording.read(&wanted)?;
+        let reader = read_without_repeats(recording, &wanted)?;
         let tf = TfInput::new(&options.map_frame);
-        let start = inventory.first_time.map_or(Time::MIN, |first| first + options.skip);
         let mut issues = IssueLog::default();
         issues.merge(&inventory.issues);
         if !needs_tf {

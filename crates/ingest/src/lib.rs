@@ -14,6 +14,7 @@ mod point_cloud2;
 mod point_time;
 mod read_ahead;
 mod recording_clock;
+mod repeats;
 mod skew;
 mod statistics;
 mod survey;

@@ -10,6 +10,7 @@ use portolan_recording::{Message, Recording, RecordingError, TopicInfo};
 
 use crate::options::IngestOptions;
 use crate::point_time::PointTime;
+use crate::repeats::read_without_repeats;
 use crate::statistics::{ImuSampler, ImuStatistics, RangeSampler, RangeStatistics};
 use crate::tf::{TfInput, TfTree, frame_name};
 
@@ -124,7 +125,7 @@ impl Inventory {
         let mut survey = Look::new(recording);
         let use_tf = options.use_recorded_transforms;
         let wanted = |t: &TopicInfo| is_understood(&t.type_name) && (use_tf || !is_tf(&t.type_name));
-        let mut reader = recording.read(&wanted)?;
+        let mut reader = read_without_repeats(recording, &wanted)?;
         while let Some(message) = reader.next_message()? {
             if let Message::Tf(transforms) = &message.message
                 && !transforms.is_static
@@ -222,7 +223,7 @@ impl Look {
         if !self.topics.iter().any(|t| is_late(t, &self.looks)) {
             return Ok(());
         }
-        let mut reader = recording.read(&|t| is_late(t, &self.looks))?;
+        let mut reader = read_without_repeats(recording, &|t| is_late(t, &self.looks))?;
         for _ in 0..MAX_LATE_MESSAGES {
             let Some(message) = reader.next_message()? else { break };
             self.add(&message.topic, message.log_time, &message.message);

@@ -90,7 +90,7 @@ kinds! {
     LineNotLater Error "lines whose time is not later than that of the line before were left out"
     LinesReordered Info "lines out of order were put in order of time"
     LinesOutOfOrder Info "lines more than 10 s out of order were kept in the order of the file"
-    RepeatedMessage Info "second messages of a topic with the same time were left out"
+    RepeatedMessage Info "messages that repeat the one before were left out"
     ScanInOtherFormat Info "scans that the log also has in a better format were left out"
     UnusedLines Info "lines of kind {kind} hold nothing that mapping uses"
     CutSweep Error "sweeps whose last point is cut off were read without it"

@@ -27,7 +27,7 @@ const MAX_UNKNOWN_SENSORS: usize = 256;
 /// sends within that delay takes its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaitLimit {
-    /// Largest span from the oldest to the newest waiting datum of one sensor; default 2 s. Raise it
+    /// Largest span from the oldest to the newest waiting datum of one sensor; default 3 s. Raise it
     /// for sensors that report with a longer delay.
     pub data_time: Duration,
     /// Largest number of waiting data of one sensor, for those whose stamps stand still; default 4000.
@@ -36,7 +36,7 @@ pub struct WaitLimit {
 
 impl Default for WaitLimit {
     fn default() -> Self {
-        Self { data_time: Duration::from_ticks(20_000_000), queued_items: 4000 }
+        Self { data_time: Duration::from_ticks(30_000_000), queued_items: 4000 }
     }
 }
 

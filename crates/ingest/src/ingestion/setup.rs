@@ -50,14 +50,34 @@ fn sweep_stamps(range: &PlannedRange, policy: StampPolicy) -> Option<SweepStamps
     (policy != StampPolicy::AsIs && counts_from_stamp && is_steady).then(|| SweepStamps::new(1.0 / rate))
 }
 
+/// The topics whose first stamps are looked at: those of laser scanners, and of odometry beside them.
+pub(super) fn topics_of_scans(inventory: &Inventory, plan: &SensorPlan) -> Vec<Arc<str>> {
+    let is_scan = |topic: &Arc<str>| {
+        let survey = inventory.topics.iter().find(|survey| survey.info.topic == *topic);
+        survey.is_some_and(|survey| &*survey.info.type_name != "sensor_msgs/PointCloud2")
+    };
+    let mut topics: Vec<Arc<str>> =
+        plan.range.iter().map(|range| range.source.topic.clone()).filter(is_scan).collect();
+    if let (false, Some(PlannedOdometry::Topic(source))) = (topics.is_empty(), &plan.odometry) {
+        topics.push(source.topic.clone());
+    }
+    topics
+}
+
 /// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry.
-pub(super) fn sensors(plan: &SensorPlan, stamps: StampPolicy) -> BTreeMap<Arc<str>, Vec<Sensor>> {
+/// `in_doubt`: seconds between the messages of topics whose stamps are not believed from the beginning.
+pub(super) fn sensors(
+    plan: &SensorPlan,
+    stamps: StampPolicy,
+    in_doubt: &BTreeMap<Arc<str>, f64>,
+) -> BTreeMap<Arc<str>, Vec<Sensor>> {
     let mut sensors: BTreeMap<Arc<str>, Vec<Sensor>> = BTreeMap::new();
     let mut add = |source: &PlannedSensor, role: Role| {
         // Fixes and landmarks have no steady rate.
         let is_steady = matches!(role, Role::Range { .. } | Role::Imu { .. } | Role::Odometry);
         sensors.entry(source.topic.clone()).or_default().push(Sensor {
-            even_stamps: EvenStamps::new(if is_steady { stamps } else { StampPolicy::AsIs }),
+            even_stamps: EvenStamps::new(if is_steady { stamps } else { StampPolicy::AsIs })
+                .in_doubt(in_doubt.get(&source.topic).copied()),
             id: source.sensor.clone(),
             topic: source.topic.clone(),
             role,
