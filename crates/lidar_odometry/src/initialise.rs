@@ -5,7 +5,7 @@
 
 use portolan_geometry::{
     Point3f, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
-    rotation_between,
+    rotation_between, to_f32,
 };
 use portolan_sensor::voxel_filter_points;
 
@@ -104,9 +104,11 @@ impl<'a> FirstSweeps<'a> {
     ) -> Vec<Start> {
         let rotation = rotation_at.map_or_else(Quaternion::identity, |rotation| rotation(first.end));
         let start = Start { rotation, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() };
-        let still = Self::new(first, rotation_at, settings, start);
-        let reference = still.deskewed(first);
+        let as_mounted = Self::new(first, rotation_at, settings, start);
+        let reference = as_mounted.deskewed(first);
         let planes = planes_of(&reference, settings);
+        // What stands upright is told only where up is.
+        let still = Self { start: as_mounted.leveled(&planes), ..as_mounted };
         let Some(second) = second.filter(|s| s.end > first.end) else {
             return vec![still.leveled(&planes)];
         };
@@ -151,8 +153,8 @@ impl<'a> FirstSweeps<'a> {
         let deskewed = self.deskewed(second);
         let peaks = self.coarse_motions(reference, &deskewed, second);
         let as_believed = self.believed(second);
-        let share = peaks.first().map(|peak| peak.share);
-        let places: Vec<Rigid3> = peaks.into_iter().map(|peak| peak.pose).collect();
+        let share = peaks.first().map(|(_, share)| *share);
+        let places: Vec<Rigid3> = peaks.into_iter().map(|(motion, _)| motion).collect();
         match share {
             None => FirstLooks::Told(self.registered(planes, &deskewed, &[as_believed])),
             Some(share) if share < self.settings.correlation.min_share => {
@@ -187,13 +189,30 @@ impl<'a> FirstSweeps<'a> {
         found
     }
 
-    /// Where the second sweep may lie, coarsely, the likeliest place first; none where nothing tells.
-    fn coarse_motions(&self, reference: &[Point3f], deskewed: &[Point3f], second: &Sweep) -> Vec<Peak> {
+    /// Where the second sweep may lie in the first, coarsely, the likeliest place first, each with the share of what stands
+    /// upright that is met again; none where nothing tells.
+    fn coarse_motions(
+        &self,
+        reference: &[Point3f],
+        deskewed: &[Point3f],
+        second: &Sweep,
+    ) -> Vec<(Rigid3, f64)> {
         let settings = &self.settings.correlation;
         let seconds = second.end.seconds_since(self.first.end);
         let window = Window::after(seconds, self.rotation_at.is_some(), settings);
-        let reference = UprightReference::new(reference, settings);
-        reference.peaks(deskewed, &self.believed(second), window)
+        // Both at the scanner, and level, however it is mounted.
+        let local_from_first = Rigid3::from_parts(Default::default(), self.pose_at(self.first.end).rotation);
+        let believed = self.pose_at(second.end);
+        let local_from_second = Rigid3::from_parts(Default::default(), believed.rotation);
+        let level = |points: &[Point3f], rotation: &Rigid3| -> Vec<Point3f> {
+            let rotation = to_f32(rotation);
+            points.iter().map(|p| rotation * p).collect()
+        };
+        let reference = UprightReference::new(&level(reference, &local_from_first), settings);
+        let initial = Rigid3::from_parts(believed.translation, Quaternion::identity());
+        let peaks = reference.peaks(&level(deskewed, &local_from_second), &initial, window);
+        let first_from_second = |peak: Peak| local_from_first.inverse() * peak.pose * local_from_second;
+        peaks.into_iter().map(|peak| (first_from_second(peak), peak.share)).collect()
     }
 
     /// What follows from a first look: the velocity that it gives de-skews both sweeps, the second is registered to the first
@@ -230,7 +249,7 @@ impl<'a> FirstSweeps<'a> {
         if self.rotation_at.is_none() {
             let up = vertical_from_planes(planes, &Vector3::z(), &self.settings.vertical);
             start.rotation = rotation_between(&up.unwrap_or_else(Vector3::z), &Vector3::z());
-            start.velocity = start.rotation * start.velocity;
+            start.velocity = start.rotation * self.start.velocity_in_tracking();
         }
         start
     }
