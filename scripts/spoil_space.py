@@ -8,6 +8,12 @@
     rain     5 % of points end at random nearer than they do
     behind   nothing behind: 120 degrees are hidden
     late     stamps of sweeps jitter by 10 ms
+    tilted   the lidar is mounted 30 degrees down, upside upside down, onside on its side; nobody says so
+    carrier  who carries it hides 40 degrees behind, 0.6 m away, and sways by 5 cm
+    hull     and 300 points of the vehicle, up to 1.5 m away, are in every sweep
+    gone     one sweep in five is missing, at random
+    doubled  every sweep comes twice
+    swapped  every tenth sweep comes behind the one after it
     one+two  both
 
 Other messages stay as they are. Needs rosbags and numpy. The seed is fixed: the same bag in every run.
@@ -52,12 +58,48 @@ def scaled(points, how, chance):
     return np.ones(len(points))
 
 
+def mounted(points, how):
+    """The points as a lidar sees them that is mounted otherwise."""
+    axis, degrees = {"tilted": (1, -30), "upside": (0, 180), "onside": (0, 90)}[how]
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    turned = points.copy()
+    turned[:, first] = cosine * points[:, first] - sine * points[:, second]
+    turned[:, second] = sine * points[:, first] + cosine * points[:, second]
+    return turned
+
+
+def hidden(points, how, chance):
+    """What the carrier or the vehicle itself hides ends there."""
+    seen, distance = points.copy(), np.maximum(np.linalg.norm(points, axis=1), 0.1)
+    if how == "carrier":
+        bearing = np.degrees(np.arctan2(points[:, 1], -points[:, 0]))
+        behind = np.abs(bearing + chance.normal(0, 3)) < 20
+        nearer = 0.6 + chance.normal(0, 0.05) + 0.05 * np.cos(np.radians(4 * bearing[behind]))
+        seen[behind] *= (nearer / distance[behind])[:, None]
+    else:
+        # A box of 1.4 m by 0.9 m below the lidar, its upper edges as steady as a hull is.
+        hit = chance.choice(len(points), min(300, len(points)), replace=False)
+        edges = np.random.default_rng(3).uniform([-0.7, -0.45, -0.5], [0.7, 0.45, -0.45], (300, 3))
+        seen[hit] = edges[: len(hit)] + chance.normal(0, 0.01, (len(hit), 3))
+    return seen
+
+
+def changed(points, how, chance):
+    """The same points, elsewhere."""
+    if how in ("tilted", "upside", "onside"):
+        return mounted(points, how)
+    if how in ("carrier", "hull"):
+        return hidden(points, how, chance)
+    return points * scaled(points, how, chance)[:, None]
+
+
 def spoilt(cloud, how, chance):
     """The sweep made worse; its fields stay as they are."""
     raw = np.frombuffer(bytes(cloud.data), np.uint8).reshape(-1, cloud.point_step).copy()
     at = next(f.offset for f in cloud.fields if f.name == "x")
     points = np.frombuffer(raw[:, at : at + 12].tobytes(), np.float32).reshape(-1, 3).astype(float)
-    moved = (points * scaled(points, how, chance)[:, None]).astype(np.float32)
+    moved = changed(points, how, chance).astype(np.float32)
     raw[:, at : at + 12] = np.frombuffer(moved.tobytes(), np.uint8).reshape(-1, 12)
     raw = raw[kept(points, how, chance)]
     cloud.height, cloud.width, cloud.row_step = 1, len(raw), raw.size
@@ -72,19 +114,28 @@ def spoilt(cloud, how, chance):
 def main():
     source, output = sys.argv[1:3]
     hows = sys.argv[3].split("+")
-    chance, sweeps = np.random.default_rng(7), 0
+    chance, sweeps, waiting = np.random.default_rng(7), 0, None
     with Reader(source) as reader, Writer(output) as writer:
         added = add_connections(reader, writer)
         for c, time, data in reader.messages():
-            if c.msgtype == LIDAR:
-                sweeps += 1
-                if "slow" in hows and sweeps % 2 == 0:
-                    continue
-                cloud = STORE.deserialize_ros1(data, c.msgtype)
-                for how in hows:
-                    cloud = spoilt(cloud, how, chance)
-                data = STORE.serialize_ros1(cloud, c.msgtype)
-            writer.write(added[c.id], time, data)
+            if c.msgtype != LIDAR:
+                writer.write(added[c.id], time, data)
+                continue
+            sweeps += 1
+            if "slow" in hows and sweeps % 2 == 0 or "gone" in hows and chance.random() < 0.2:
+                continue
+            cloud = STORE.deserialize_ros1(data, c.msgtype)
+            for how in hows:
+                cloud = spoilt(cloud, how, chance)
+            data = STORE.serialize_ros1(cloud, c.msgtype)
+            if "swapped" in hows and sweeps % 10 == 0:
+                waiting = data
+                continue
+            for _ in range(2 if "doubled" in hows else 1):
+                writer.write(added[c.id], time, data)
+            if waiting:
+                writer.write(added[c.id], time, waiting)
+                waiting = None
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ use std::path::Path;
 use common::{portolan, portolan_with_code, real, text, trajectory_errors};
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors, read_tum};
 use portolan_geometry::{Rigid3, Vector3};
+use portolan_recording::{Message, RecordedMessage};
 use portolan_testing::is_fast;
 
 /// Maps into a folder. Reading may lose data: clouds or scans that are damaged or out of order in the recording.
@@ -190,14 +191,96 @@ fn real_drives_are_followed() {
     assert!(error <= 1.3 * 0.115 && shape <= 1.3 * 0.021, "{error} m, shape {shape} m");
 }
 
-/// Those sweeps of a recording whose numbers are wanted.
-fn sweeps(recording: &str, are_wanted: impl Fn(usize) -> bool, output: &Path) {
+/// A recording with each message, and its number, changed into others.
+fn rewritten(
+    recording: &str,
+    output: &Path,
+    change: impl Fn(usize, RecordedMessage) -> Vec<RecordedMessage>,
+) {
     let recording = portolan_recording::open(recording).unwrap();
     let mut reader = recording.read(&|_| true).unwrap();
     let mut writer = portolan_recording::create(output, None).unwrap();
     let messages = std::iter::from_fn(|| reader.next_message().unwrap()).enumerate();
-    messages.filter(|(i, _)| are_wanted(*i)).for_each(|(_, message)| writer.write(&message).unwrap());
+    messages.flat_map(|(i, message)| change(i, message)).for_each(|m| writer.write(&m).unwrap());
     writer.finish().unwrap();
+}
+
+/// Those sweeps of a recording whose numbers are wanted.
+fn sweeps(recording: &str, are_wanted: impl Fn(usize) -> bool, output: &Path) {
+    rewritten(recording, output, |i, message| if are_wanted(i) { vec![message] } else { Vec::new() });
+}
+
+/// Where a scanner reaches 4 m, half of the scans of this log have fewer returns than a turn has corners.
+#[test]
+fn scans_of_a_few_beams_are_weighed_with_odometry() {
+    let Some(recording) = real("lidar2d/fr101-rawodo/fr101-rawodo.clf.bz2") else { return };
+    let relations = real("lidar2d/fr101-rawodo/fr101-rawodo.relations").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let short = folder.path().join("short.bag");
+    rewritten(&recording, &short, |_, mut message| {
+        if let Message::LaserScan(scan) = &mut message.message {
+            scan.ranges.iter_mut().filter(|range| **range > 4.0).for_each(|range| *range = 81.83);
+        }
+        vec![message]
+    });
+    map(&text(&short), folder.path(), &[]);
+    let (metres, _) = relation_errors(folder.path(), &relations);
+    assert!(metres <= 1.3 * 0.189, "{metres} m");
+}
+
+/// Stamps come in bursts from the first second on.
+#[test]
+fn a_log_whose_stamps_come_in_bursts_loses_nothing_at_its_beginning() {
+    let Some(recording) = real("lidar2d/intel/intel.clf.bz2") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for more in [&["--duration", "90"][..], &["--duration", "90", "--no-odometry"]] {
+        let out = text(&folder.path().join(more.len().to_string()));
+        portolan_with_code(0, &[&["map", &recording, "-o", &out, "-q", "--no-xray"], more].concat());
+    }
+}
+
+/// The cloud as a lidar sees it that looks down by so many degrees.
+fn looking_down(mut message: RecordedMessage, degrees: f32) -> RecordedMessage {
+    let Message::PointCloud2(cloud) = &mut message.message else { return message };
+    let at = |name: &str| cloud.fields.iter().find(|field| field.name == name).unwrap().offset as usize;
+    let (x, z, step) = (at("x"), at("z"), cloud.point_step as usize);
+    let (sine, cosine) = degrees.to_radians().sin_cos();
+    for point in cloud.data.chunks_exact_mut(step) {
+        let read = |at: usize| f32::from_le_bytes(point[at..at + 4].try_into().unwrap());
+        let (ahead, up) = (cosine * read(x) - sine * read(z), sine * read(x) + cosine * read(z));
+        point[x..x + 4].copy_from_slice(&ahead.to_le_bytes());
+        point[z..z + 4].copy_from_slice(&up.to_le_bytes());
+    }
+    message
+}
+
+/// What stands upright tells the first motion, and which way is up is not known from the mounting of a lidar.
+#[test]
+fn a_start_at_speed_is_found_by_a_lidar_that_looks_down() {
+    let Some(recording) = real("lidar3d/kitti_0001.bag") else { return };
+    let truth = read(&real("lidar3d/kitti_0001.truth.tum").unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let tilted = folder.path().join("tilted.bag");
+    rewritten(&recording, &tilted, |_, message| vec![looking_down(message, 30.0)]);
+    map(&text(&tilted), folder.path(), &[]);
+    let estimate = read(&text(&folder.path().join("trajectory.tum")));
+    let errors = absolute_errors(&truth, &estimate, Association::default(), Alignment::Se3).unwrap();
+    let error = errors.translation.rmse;
+    assert!(errors.count >= 58 && error <= 1.3 * 0.0302, "{} poses, {error} m", errors.count);
+}
+
+/// Recordings put together may have every message twice.
+#[test]
+fn sweeps_that_come_twice_change_nothing() {
+    let Some(recording) = real("lidar3d/kitti_0001.bag") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (twice, of_once, of_twice) =
+        (folder.path().join("twice.bag"), folder.path().join("once"), folder.path().join("twice"));
+    rewritten(&recording, &twice, |_, message| vec![message.clone(), message]);
+    map(&recording, &of_once, &["--duration", "2"]);
+    map(&text(&twice), &of_twice, &["--duration", "2"]);
+    let trajectory = |folder: &Path| std::fs::read(folder.join("trajectory.tum")).unwrap();
+    assert!(trajectory(&of_once) == trajectory(&of_twice));
 }
 
 /// At 13 m/s, with 3.9 m from sweep to sweep, the first two sweeps fit about as well where the car hardly moved.
