@@ -396,3 +396,27 @@ fn maps_in_space_and_their_pictures_do_not_depend_on_threads() {
     let one = start("1");
     assert!(one == start("2") && one == start("4"), "the map depends on the number of threads");
 }
+
+/// The recording is simulated: no real one of the folder has an IMU in a container that is read here.
+#[test]
+fn an_imu_that_turns_the_wrong_way_is_left_out() {
+    let Some(recording) = real("lidar3d/corridor_imu.bag") else { return };
+    let truth = read(&real("lidar3d/corridor_imu.truth.tum").unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let mirrored = folder.path().join("mirrored.bag");
+    rewritten(&recording, &mirrored, |_, mut message| {
+        if let Message::Imu(imu) = &mut message.message {
+            imu.angular_velocity.iter_mut().for_each(|rate| *rate = -*rate);
+        }
+        vec![message]
+    });
+    let out = text(&folder.path().join("out"));
+    let run = portolan_with_code(0, &["map", &text(&mirrored), "-o", &out, "--no-xray"]);
+    assert!(run.stderr.contains("turns the other way than the lidar"), "{}", run.stderr);
+    let estimate = read(&text(&Path::new(&out).join("trajectory.tum")));
+    let errors = absolute_errors(&truth, &estimate, Association::default(), Alignment::Se3).unwrap();
+    let error = errors.translation.rmse;
+    assert!(error <= 1.3 * 0.009, "{error} m");
+    let check = portolan_with_code(1, &["check", &text(&mirrored)]);
+    assert!(check.stdout.contains("turns the other way than the lidar"), "{}", check.stdout);
+}

@@ -13,7 +13,7 @@ use portolan_recording::{
     Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording, RecordingError,
 };
 
-use crate::clock_offset::ClockOffset;
+use crate::clock_offset::{ClockOffset, ImuComparison};
 use crate::clouds::CloudChecks;
 use crate::coverage::Coverage;
 use crate::finding::{Finding, Findings, Kind};
@@ -79,15 +79,15 @@ pub fn check(
     progress: &mut dyn FnMut(u64),
 ) -> Result<CheckReport, RecordingError> {
     let inventory = Inventory::of(recording, options)?;
-    check_with_clocks(recording, &inventory, options, &[], progress)
+    check_with_clocks(recording, &inventory, options, &ImuComparison::default(), progress)
 }
 
-/// The same where offsets of clocks were measured before: those sensors are not compared once more.
+/// The same where lidars were compared with the IMU before: those sensors are not compared once more.
 pub fn check_with_clocks(
     recording: &dyn Recording,
     inventory: &Inventory,
     options: &IngestOptions,
-    offsets: &[ClockOffset],
+    compared: &ImuComparison,
     progress: &mut dyn FnMut(u64),
 ) -> Result<CheckReport, RecordingError> {
     let plan = plan(inventory, options);
@@ -105,7 +105,7 @@ pub fn check_with_clocks(
         Ok(plan) => check.add_plan(plan),
         Err(error) => check.findings.add(&NO_PLAN, "", || error.to_string()),
     }
-    Ok(check.finish(plan.as_ref().ok(), offsets, &reader.issues()))
+    Ok(check.finish(plan.as_ref().ok(), compared, &reader.issues()))
 }
 
 /// What is checked of one topic.
@@ -222,7 +222,12 @@ impl<'a> Check<'a> {
         }
     }
 
-    fn finish(mut self, plan: Option<&SensorPlan>, offsets: &[ClockOffset], issues: &[Issue]) -> CheckReport {
+    fn finish(
+        mut self,
+        plan: Option<&SensorPlan>,
+        compared: &ImuComparison,
+        issues: &[Issue],
+    ) -> CheckReport {
         let common_lag = self.common_lag();
         for (topic, stamps) in &self.stamps {
             stamps.finish(topic, common_lag, &mut self.findings);
@@ -232,8 +237,8 @@ impl<'a> Check<'a> {
             self.coverage.finish(plan, &mut self.findings);
         }
         check_frames(self.stamps.iter().map(|(topic, stamps)| (&**topic, stamps)), &mut self.findings);
-        self.compare_turns(plan, offsets);
-        offsets.iter().for_each(|offset| offset.tell(&mut self.findings));
+        self.compare_turns(plan, &compared.offsets);
+        compared.tell(&mut self.findings);
         for (topic, checks) in std::mem::take(&mut self.topics) {
             self.finish_topic(&topic, checks, plan);
         }

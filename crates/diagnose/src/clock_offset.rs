@@ -1,9 +1,9 @@
-//! Offsets of clocks that were measured by matching sweeps of a lidar, and what is said of them.
+//! What was measured of an IMU by matching sweeps of a lidar, the offset of its clock and how it turns, and what is said of it.
 
 use std::sync::Arc;
 
 use crate::finding::Findings;
-use crate::rotation::offset_finding;
+use crate::rotation::{mounting_finding, offset_finding};
 
 /// The offset between the clocks of a lidar and an IMU.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,6 +42,53 @@ impl ClockOffset {
         if self.is_told() {
             let [_, warned] = self.limits();
             findings.push(offset_finding(&self.imu, &self.lidar, self.seconds, warned));
+        }
+    }
+}
+
+/// What the turns of lidars in 3D tell of the IMU.
+#[derive(Clone, Debug, Default)]
+pub struct ImuComparison {
+    /// The offset of the clock of each lidar against that of the IMU; of those for which the recording tells it.
+    pub offsets: Vec<ClockOffset>,
+    /// How the IMU turns, where all lidars tell that it does not turn as they do.
+    pub mounting: Option<ImuMounting>,
+}
+
+impl ImuComparison {
+    pub(super) fn tell(&self, findings: &mut Findings) {
+        self.offsets.iter().for_each(|offset| offset.tell(findings));
+        if let Some(mounting) = &self.mounting {
+            findings.push(mounting_finding(&mounting.imu, mounting));
+        }
+    }
+}
+
+/// How an IMU turns that does not turn as the lidar does: its transform, its axes or its units are others than said.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImuMounting {
+    /// Its topic.
+    pub imu: Arc<str>,
+    /// Angle between its axes and those that the transforms say, radians.
+    pub turned: f64,
+    /// How many times as fast as the lidar it turns; negative if the other way round.
+    pub factor: f64,
+}
+
+impl std::fmt::Display for ImuMounting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { turned, factor, .. } = *self;
+        if turned > 0.0 {
+            write!(f, "turns as the lidar does only if its axes are turned by {:.0}°", turned.to_degrees())?;
+            return if (factor - 1.0).abs() > 0.1 {
+                write!(f, " and its rates divided by {factor:.2}")
+            } else {
+                Ok(())
+            };
+        }
+        match factor < 0.0 {
+            true => write!(f, "turns the other way than the lidar, {:.2} times as fast", -factor),
+            false => write!(f, "turns {factor:.2} times as fast as the lidar"),
         }
     }
 }

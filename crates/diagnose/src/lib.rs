@@ -19,7 +19,7 @@ mod stamps;
 mod turns;
 
 pub use check::{CheckReport, check, check_with_clocks};
-pub use clock_offset::ClockOffset;
+pub use clock_offset::{ClockOffset, ImuComparison, ImuMounting};
 pub use finding::{Finding, findings_to_text};
 pub use histogram::Histogram;
 pub use info::{PlanDescription, RecordingInfo, TopicDescription, info};

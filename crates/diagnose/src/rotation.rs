@@ -9,6 +9,7 @@
 use portolan_geometry::Time;
 use portolan_issue::Severity;
 
+use crate::clock_offset::ImuMounting;
 use crate::finding::{Finding, Findings};
 use crate::offset::{Offset, clock_offset};
 
@@ -273,6 +274,17 @@ pub(super) fn offset_finding(first: &str, second: &str, lag: f64, warned: f64) -
              this recording: map --time-offset {second}={:.3}",
             -lag
         ),
+    )
+}
+
+/// What is said of an IMU that does not turn as a lidar does.
+pub(super) fn mounting_finding(imu: &str, mounting: &ImuMounting) -> Finding {
+    finding(
+        imu,
+        Severity::Error,
+        format!("it {mounting}"),
+        "turns are predicted and sweeps de-skewed wrongly, and level may be wrong: map leaves the IMU out",
+        "look at the transform from the lidar to the IMU, the signs of its axes and its units (rad/s)",
     )
 }
 

@@ -1,4 +1,4 @@
-//! Offsets between the clocks of lidars and IMU, from turns that both tell.
+//! Offsets between the clocks of lidars and IMU, and whether the IMU is mounted as it is said to be, from turns that both tell.
 //!
 //! A range profile tells turns in rooms, and about one axis. Here sweeps are matched to the surfaces that the last
 //! seconds showed, as local SLAM does it, which tells turns about all axes to a hundredth of a degree: every step
@@ -8,12 +8,13 @@
 
 mod gyroscope;
 mod lag;
+mod mounting;
 mod sweeps;
 mod tracker;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use portolan_diagnose::ClockOffset;
+use portolan_diagnose::{ClockOffset, ImuComparison, ImuMounting};
 use portolan_geometry::Duration;
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, PlannedRange, SensorPlan, plan};
 use portolan_recording::Recording;
@@ -37,15 +38,14 @@ const MAX_WAITING: usize = 20;
 /// Clouds that are flatter are those of scanners in 2D, radians.
 const FLAT: f64 = 0.05;
 
-/// The offset of the clock of each lidar in 3D against that of the IMU; of those for which the recording tells
-/// it. Ends when enough was read. What cannot be read tells nothing: [`portolan_diagnose::check`] says why.
+/// Compares the turns of lidars in 3D with those of the IMU. Ends when enough was read. What cannot be read tells nothing: [`portolan_diagnose::check`] says why.
 /// `progress` is told the bytes read so far.
 pub fn measure(
     recording: &dyn Recording,
     inventory: &Inventory,
     options: &IngestOptions,
     progress: &mut dyn FnMut(u64),
-) -> Vec<ClockOffset> {
+) -> ImuComparison {
     match Clocks::new(recording, inventory, options) {
         Ok(Some((mut clocks, mut ingestion))) => {
             // An error ends the reading, and what was read before it counts.
@@ -58,7 +58,7 @@ pub fn measure(
             }
             clocks.finish(ingestion.plan())
         }
-        Ok(None) | Err(_) => Vec::new(),
+        Ok(None) | Err(_) => ImuComparison::default(),
     }
 }
 
@@ -138,22 +138,27 @@ impl Clocks {
         most >= MAX_SWEEPS || self.lidars.values().all(is_sure)
     }
 
-    fn finish(mut self, plan: &SensorPlan) -> Vec<ClockOffset> {
-        let Some(imu) = &plan.imu else { return Vec::new() };
-        let mut offset = |range: &PlannedRange| {
-            let lidar = self.lidars.get_mut(&range.source.sensor)?;
+    fn finish(mut self, plan: &SensorPlan) -> ImuComparison {
+        let Some(imu) = &plan.imu else { return ImuComparison::default() };
+        let (mut offsets, mut mountings) = (Vec::new(), Vec::new());
+        for range in &plan.range {
+            let Some(lidar) = self.lidars.get_mut(&range.source.sensor) else { continue };
             lidar.track(&self.gyroscope, 0);
-            let found = lag::find_lag(&lidar.tracked, &self.gyroscope)?;
-            Some(ClockOffset {
+            mountings.push(mounting::find_mounting(&lag::turns(&lidar.tracked), &self.gyroscope));
+            let Some(found) = lag::find_lag(&lidar.tracked, &self.gyroscope) else { continue };
+            offsets.push(ClockOffset {
                 lidar: range.source.topic.clone(),
                 imu: imu.source.topic.clone(),
                 // What is late of the one is early of the other.
                 seconds: -found.seconds,
                 sigma: found.sigma,
                 has_point_times: range.point_time.is_some(),
-            })
-        };
-        plan.range.iter().filter_map(&mut offset).collect()
+            });
+        }
+        let mounting = mountings.into_iter().reduce(|all, one| all.and(one)).flatten();
+        let mounting =
+            mounting.map(|(turned, factor)| ImuMounting { imu: imu.source.topic.clone(), turned, factor });
+        ImuComparison { offsets, mounting }
     }
 }
 

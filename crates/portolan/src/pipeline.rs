@@ -164,12 +164,8 @@ pub fn prepare(
     if is_free && let Some(delay) = odometry_delay(recording, &plan)? {
         plan.delay_odometry(delay.seconds, delay.sigma);
     }
-    let is_free = options.is_none() && plan.dimension == Dimension::Three && ingest.time_offsets.is_empty();
-    if is_free
-        && let Some(offset) =
-            clocks::common_offset(&clocks::measure(recording, &inventory, ingest, &mut |_| {}))
-    {
-        plan.delay_imu(offset.seconds, offset.sigma);
+    if options.is_none() && plan.dimension == Dimension::Three {
+        plan = doubt_imu(recording, &inventory, ingest, plan)?;
     }
     let options = options.unwrap_or_else(|| match plan.dimension {
         Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),
@@ -186,6 +182,35 @@ pub fn prepare(
         spool_in: None,
         memory: Memory::default(),
     })
+}
+
+/// A plan in which the clock of the IMU is put right, or that leaves the IMU out, where turns of a lidar tell so. What somebody
+/// said of them stands.
+fn doubt_imu(
+    recording: &dyn Recording,
+    inventory: &Inventory,
+    ingest: &IngestOptions,
+    mut plan: SensorPlan,
+) -> Result<SensorPlan, PipelineError> {
+    let Some(imu) = plan.imu.as_ref().map(|imu| imu.source.topic.clone()) else { return Ok(plan) };
+    let is_wanted = ingest.imu_topic.is_some() || ingest.use_imu == Some(true);
+    if is_wanted && !ingest.time_offsets.is_empty() {
+        return Ok(plan);
+    }
+    let compared = clocks::measure(recording, inventory, ingest, &mut |_| {});
+    if let Some(mounting) = compared.mounting {
+        if !is_wanted {
+            let tracking_frame = Some(plan.tracking_frame.to_string());
+            let without = IngestOptions { use_imu: Some(false), tracking_frame, ..ingest.clone() };
+            plan = portolan_ingest::plan(inventory, &without).map_err(IngestError::from)?;
+        }
+        plan.doubt_imu(&imu, &mounting.to_string(), is_wanted);
+    } else if let Some(offset) =
+        clocks::common_offset(&compared.offsets).filter(|_| ingest.time_offsets.is_empty())
+    {
+        plan.delay_imu(offset.seconds, offset.sigma);
+    }
+    Ok(plan)
 }
 
 /// A map that a recording is added to.

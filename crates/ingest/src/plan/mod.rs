@@ -250,6 +250,13 @@ impl SensorPlan {
         self.note(what, change);
     }
 
+    /// Says that an IMU does not turn as the lidar does (`how`), and whether it is used all the same.
+    pub fn doubt_imu(&mut self, topic: &str, how: &str, is_used: bool) {
+        let so = if is_used { "it is used all the same" } else { "it is left out" };
+        let change = if is_used { "--no-imu" } else { "right transforms, or --imu to use it" };
+        self.warn(format!("the IMU {topic} {how}: {so}"), change);
+    }
+
     fn note(&mut self, what: impl Into<String>, change: impl Into<String>) {
         self.push_notice(Severity::Info, what.into(), change.into());
     }

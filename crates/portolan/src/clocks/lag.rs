@@ -23,7 +23,7 @@ const STEP: f64 = 0.01;
 /// turn a tenth as far as corners, and what is matched at rest a thousandth.
 const SMALL_SHARE: f64 = 0.02;
 /// So many turns are needed.
-const ENOUGH_TURNS: usize = 60;
+pub(super) const ENOUGH_TURNS: usize = 60;
 /// Parts of the recording of which each is left out once.
 pub(super) const BLOCKS: usize = 20;
 /// Least squares are repeated so often with new weights.
@@ -52,11 +52,11 @@ pub(super) struct Lag {
 }
 
 /// A turn that sweeps tell.
-struct SweepTurn {
+pub(super) struct SweepTurn {
     from: Time,
     to: Time,
     /// Rotation vector in the tracking frame.
-    turn: Vector3,
+    pub turn: Vector3,
     /// What makes its errors alike about all axes and of unit size.
     whiten: Matrix3<f64>,
 }
@@ -75,7 +75,7 @@ impl SweepTurn {
     }
 
     /// What the gyroscope shows if it is stamped too late by `lag`.
-    fn shown(&self, gyroscope: &Gyroscope, lag: f64) -> Option<Vector3> {
+    pub fn shown(&self, gyroscope: &Gyroscope, lag: f64) -> Option<Vector3> {
         let lag = Duration::from_seconds(lag);
         Some(vector(&gyroscope.turn(self.from + lag, self.to + lag)?))
     }
@@ -139,7 +139,7 @@ fn share_left(equations: &[Equations], unknowns: &Unknowns, limit: f64) -> f64 {
 
 /// Turns from each sweep on to the first one that is long enough after it. Not those while it rests: they tell
 /// no lag, and matches are so good then that the others would pass for wrong ones.
-fn turns(sweeps: &[TrackedSweep]) -> Vec<SweepTurn> {
+pub(super) fn turns(sweeps: &[TrackedSweep]) -> Vec<SweepTurn> {
     let from = |i: usize| {
         let a = &sweeps[i];
         let seconds = |b: &TrackedSweep| b.time.seconds_since(a.time);

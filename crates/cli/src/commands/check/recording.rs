@@ -22,8 +22,8 @@ pub fn check(path: &Path, quiet: bool) -> Result<(Vec<Finding>, Vec<String>), Cl
     };
     let options = IngestOptions::default();
     let inventory = Inventory::of(recording.as_ref(), &options)?;
-    let offsets = portolan::clocks::measure(recording.as_ref(), &inventory, &options, &mut show);
-    let report = check_with_clocks(recording.as_ref(), &inventory, &options, &offsets, &mut show)?;
+    let compared = portolan::clocks::measure(recording.as_ref(), &inventory, &options, &mut show);
+    let report = check_with_clocks(recording.as_ref(), &inventory, &options, &compared, &mut show)?;
     progress.finish();
     let finding = |found: portolan_diagnose::Finding| Finding {
         severity: found.severity,

@@ -1,3 +1,4 @@
+use super::super::mounting::find_mounting;
 use super::*;
 use portolan_geometry::quaternion_from_angle_axis;
 use portolan_sensor::ImuData;
@@ -16,6 +17,11 @@ fn at(seconds: f64) -> Time {
 
 /// A gyroscope that is stamped `late`, biased, and mounted a degree off.
 fn gyroscope(late: f64) -> Gyroscope {
+    gyroscope_that(late, |rate| rate)
+}
+
+/// The same where it measures something else of each rate.
+fn gyroscope_that(late: f64, measured: impl Fn(Vector3) -> Vector3) -> Gyroscope {
     let mut gyroscope = Gyroscope::default();
     let mounting = quaternion_from_angle_axis(&Vector3::new(0.01, -0.01, 0.015));
     for i in 0..8000 {
@@ -23,7 +29,7 @@ fn gyroscope(late: f64) -> Gyroscope {
         gyroscope.add(&ImuData {
             time: at(t + late),
             linear_acceleration: Vector3::z(),
-            angular_velocity: mounting * rate(t) + Vector3::new(0.005, -0.004, 0.002),
+            angular_velocity: mounting * measured(rate(t)) + Vector3::new(0.005, -0.004, 0.002),
         });
     }
     gyroscope
@@ -77,4 +83,23 @@ fn poor_turns_are_unsure_and_others_than_those_of_the_gyroscope_tell_nothing() {
     assert_eq!(find_lag(&sweeps(5e-4), &other), None);
     assert_eq!(find_lag(&[], &gyroscope(0.0)), None);
     assert_eq!(find_lag(&sweeps(5e-4), &Gyroscope::default()), None);
+}
+
+#[test]
+fn other_axes_signs_and_units_are_told_from_those_that_were_said() {
+    let turns = turns(&sweeps(5e-4));
+    let found = |late: f64, measured: &dyn Fn(Vector3) -> Vector3| {
+        find_mounting(&turns, &gyroscope_that(late, measured))
+    };
+    assert_eq!(found(0.0, &|rate| rate), None);
+    assert_eq!(found(0.2, &|rate| 0.7 * rate), None);
+    let (turned, factor) = found(0.1, &|rate| -rate).unwrap();
+    assert!(turned == 0.0 && (factor + 1.0).abs() < 0.05, "{turned} {factor}");
+    // Turns so large do not add up as vectors.
+    let (turned, factor) = found(0.0, &|rate| 57.3 * rate).unwrap();
+    assert!(turned < 0.3 && (factor / 57.3 - 1.0).abs() < 0.05, "{turned} {factor}");
+    let (turned, factor) = found(-0.1, &|rate| Vector3::new(-rate.y, rate.x, rate.z)).unwrap();
+    assert!((turned.to_degrees() - 90.0).abs() < 5.0 && (factor - 1.0).abs() < 0.05, "{turned} {factor}");
+    // Something else that turns.
+    assert_eq!(found(0.0, &|rate| Vector3::new(0.3 * (90.0 * rate.x).sin(), rate.x * rate.y, 0.1)), None);
 }

@@ -1,0 +1,112 @@
+//! Whether the gyroscope turns as sweeps of a lidar do, or only if its axes are turned or its rates scaled.
+//!
+//! The turn and the factor that lay the turns of the one over those of the other in the sense of least squares follow in
+//! closed form (Kabsch 1976, "A solution for the best rotation to relate two sets of vectors").
+
+use portolan_geometry::Vector3;
+use portolan_geometry::nalgebra::Matrix3;
+
+use super::gyroscope::Gyroscope;
+use super::lag::{ENOUGH_TURNS, SweepTurn};
+
+/// Lags that are tried, seconds: of so many steps to each side.
+const STEP: f64 = 0.05;
+const STEPS: i32 = 10;
+/// The two do not turn alike if such a share of the turns of sweeps (of root mean squares) is left …
+const LEFT: f64 = 0.5;
+/// … and less than this is left with other axes, or another factor.
+const LEFT_OTHERWISE: f64 = 0.3;
+/// A factor alone that leaves no more than so many times as much as a turn of the axes explains it more simply.
+const AS_GOOD: f64 = 1.2;
+/// The share of turns that counts.
+const KEPT: f64 = 0.8;
+
+/// By which angle, radians, the axes of the gyroscope are others than said, and how many times as fast it turns, where it does
+/// not turn as sweeps do and that explains it; none where it does, and where nothing explains it.
+pub(super) fn find_mounting(turns: &[SweepTurn], gyroscope: &Gyroscope) -> Option<(f64, f64)> {
+    let lags = (0..=STEPS).flat_map(|i| [STEP * f64::from(i), -STEP * f64::from(i)]);
+    let fits = lags.filter_map(|lag| Fit::of(turns, gyroscope, lag));
+    let best = fits.reduce(|best, fit| if fit.turned.left < best.turned.left { fit } else { best })?;
+    let simple = best.simple();
+    let explains = best.as_said > LEFT && simple.left < LEFT_OTHERWISE;
+    explains.then_some((simple.turned, simple.factor))
+}
+
+/// One way to lay the turns of the gyroscope over those of sweeps.
+#[derive(Clone, Copy)]
+struct Way {
+    /// Angle between the axes of the IMU and those that the transforms say, radians.
+    turned: f64,
+    /// How many times as fast as sweeps it turns.
+    factor: f64,
+    /// The share of the turns of sweeps that is left.
+    left: f64,
+}
+
+/// Turns at one lag.
+struct Fit {
+    /// Share that is left with the axes and units that it is said to have.
+    as_said: f64,
+    scaled: Way,
+    turned: Way,
+}
+
+/// Turns that sweeps tell, and what the gyroscope shows meanwhile.
+type Pair = (Vector3, Vector3);
+
+impl Fit {
+    /// Without the pairs that fit worst: some sweeps are matched wrongly.
+    fn of(turns: &[SweepTurn], gyroscope: &Gyroscope, lag: f64) -> Option<Self> {
+        let shown = |turn: &SweepTurn| Some((turn.turn, turn.shown(gyroscope, lag)?));
+        let mut pairs: Vec<Pair> = turns.iter().filter_map(shown).collect();
+        if pairs.len() < ENOUGH_TURNS {
+            return None;
+        }
+        let (_, matrix) = Self::least_squares(&pairs)?;
+        let left = |pair: &Pair| (pair.0 - matrix * pair.1).norm();
+        pairs.sort_by(|a, b| left(a).total_cmp(&left(b)));
+        pairs.truncate((KEPT * pairs.len() as f64) as usize);
+        Some(Self::least_squares(&pairs)?.0)
+    }
+
+    /// With it, the matrix that makes turns of the gyroscope those of sweeps. The means, which hold the bias of the gyroscope,
+    /// are taken out.
+    fn least_squares(pairs: &[Pair]) -> Option<(Self, Matrix3<f64>)> {
+        let count = pairs.len() as f64;
+        let sum = pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |s, p| (s.0 + p.0, s.1 + p.1));
+        let (mut of_sweeps, mut of_gyroscope, mut product) = (0.0, 0.0, Matrix3::zeros());
+        for (sweep, gyro) in pairs.iter().map(|p| (p.0 - sum.0 / count, p.1 - sum.1 / count)) {
+            of_sweeps += sweep.norm_squared();
+            of_gyroscope += gyro.norm_squared();
+            product += sweep * gyro.transpose();
+        }
+        if of_sweeps <= 0.0 || of_gyroscope <= 0.0 {
+            return None;
+        }
+        let share = |squares: f64| (squares.max(0.0) / of_sweeps).sqrt();
+        // Least squares of s·b against a leave |a|² − common²/|b|², at s = common/|b|².
+        let way = |turned: f64, common: f64| Way {
+            turned,
+            factor: of_gyroscope / common,
+            left: share(of_sweeps - common * common / of_gyroscope),
+        };
+        let svd = product.svd(true, true);
+        let (u, v_t) = (svd.u?, svd.v_t?);
+        let proper = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+        let rotation = u * proper * v_t;
+        let angle = (0.5 * (rotation.trace() - 1.0)).clamp(-1.0, 1.0).acos();
+        let fit = Self {
+            as_said: share(of_sweeps + of_gyroscope - 2.0 * product.trace()),
+            scaled: way(0.0, product.trace()),
+            turned: way(angle, (proper * Matrix3::from_diagonal(&svd.singular_values)).trace()),
+        };
+        let simple = fit.simple();
+        let axes = if simple.turned > 0.0 { rotation } else { Matrix3::identity() };
+        Some((fit, axes / simple.factor))
+    }
+
+    /// The simplest explanation.
+    fn simple(&self) -> Way {
+        if self.scaled.left <= AS_GOOD * self.turned.left { self.scaled } else { self.turned }
+    }
+}
