@@ -52,7 +52,7 @@ pub struct PlaneMap {
 
 /// No voxel has this number.
 const NO_VOXEL: usize = usize::MAX;
-/// So many hits are inserted at once.
+/// So many hits are inserted at once. (Numbers of new voxels, and with them the order of planes, follow from it.)
 const BATCH: usize = 32;
 
 /// A hit to be inserted.
