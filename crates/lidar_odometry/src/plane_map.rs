@@ -1,6 +1,6 @@
 //! The planar voxel map: voxels of three sizes, of which the largest flat one counts.
 //!
-//! An octree of three levels without its tree (Yuan et al. 2022, section III): every hit is counted in the voxel of each
+//! Octrees of three levels (Yuan et al. 2022, section III): every hit is counted in the voxel of each
 //! size around it, until a voxel has settled to be a plane.
 
 use nalgebra as na;
@@ -90,17 +90,13 @@ impl PlaneMap {
     /// An empty map with other settings of the fit than the defaults.
     pub fn with_settings(edge: f32, settings: PlaneFitSettings) -> Self {
         let edge = if edge.is_finite() { edge.max(1e-3) } else { 1.0 };
-        Self::with_capacity(edge, settings, 0)
-    }
-
-    fn with_capacity(edge: f32, settings: PlaneFitSettings, planes: usize) -> Self {
         Self {
             edge,
             settings,
             smallest_per_metre: SMALLEST_IN_LARGEST / edge,
-            voxels: VoxelTree::with_capacity(planes),
-            cells: Vec::with_capacity(planes),
-            fits: Vec::with_capacity(planes),
+            voxels: VoxelTree::with_capacity(0),
+            cells: Vec::new(),
+            fits: Vec::new(),
         }
     }
 
