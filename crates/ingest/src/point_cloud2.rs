@@ -71,6 +71,7 @@ impl Field {
         Ok(Some(Self { offset, field_type }))
     }
 
+    #[inline]
     fn bytes<const N: usize>(&self, point: &[u8], is_bigendian: bool) -> [u8; N] {
         let mut bytes = [0; N];
         if let Some(source) = point.get(self.offset..self.offset + N) {
@@ -83,6 +84,7 @@ impl Field {
     }
 
     /// The value as a double; integers of 32 bits fit without loss.
+    #[inline]
     fn value(&self, point: &[u8], big: bool) -> f64 {
         match self.field_type {
             FieldType::Int8 => f64::from(i8::from_le_bytes(self.bytes(point, big))),
@@ -97,6 +99,7 @@ impl Field {
     }
 
     /// The value as a single.
+    #[inline]
     fn single(&self, point: &[u8], big: bool) -> f32 {
         match self.field_type {
             FieldType::Float32 => f32::from_le_bytes(self.bytes(point, big)),
@@ -173,7 +176,8 @@ impl CloudLayout {
             && let Some(bytes) = point.get(begin..begin + 12)
             && let (&[x, y, z], []) = bytes.as_chunks::<4>()
         {
-            return Point3f::from([x, y, z].map(|bytes| self.length_unit * f32::from_le_bytes(bytes)));
+            let scaled = |bytes| self.length_unit * f32::from_le_bytes(bytes);
+            return Point3f::new(scaled(x), scaled(y), scaled(z));
         }
         let [x, y, z] = self.xyz.map(|field| self.length_unit * field.single(point, self.is_bigendian));
         Point3f::new(x, y, z)
@@ -265,7 +269,8 @@ impl CloudLayout {
     /// The time value of a point that is there.
     fn time_value(&self, point: &[u8], field: Field, big: bool) -> Option<f64> {
         let value = field.value(point, big);
-        let [x, y, z] = self.xyz.map(|field| field.single(point, big));
+        let [x, y, z] = &self.xyz;
+        let (x, y, z) = (x.single(point, big), y.single(point, big), z.single(point, big));
         let is_point = (x + y + z).is_finite() && (x != 0.0 || y != 0.0 || z != 0.0);
         (is_point && value.is_finite()).then_some(value)
     }

@@ -35,6 +35,7 @@ mod testing;
 mod tracker;
 mod two_threads;
 mod vertical;
+mod voxel_tree;
 mod wide_search;
 mod witness;
 

@@ -33,9 +33,12 @@ impl GrowingMap {
     fn insert(&mut self, sweep_in_local: &RangeData) {
         let map_from_local = to_f32(&self.local_from_map.inverse());
         let origin = map_from_local * sweep_in_local.origin;
-        // A matrix turns many points sooner than a quaternion.
-        let (turn, shift) = (map_from_local.rotation.to_rotation_matrix(), map_from_local.translation);
-        let points = sweep_in_local.returns.points.iter().map(|point| shift * (turn * point));
+        // A matrix turns many points sooner than a quaternion, and sums written out sooner than products of matrices.
+        let (turn, shift) = (map_from_local.rotation.to_rotation_matrix(), map_from_local.translation.vector);
+        let [x, y, z] = turn.matrix().data.0;
+        let along = |axis: usize, p: &Point3f| x[axis] * p.x + y[axis] * p.y + z[axis] * p.z + shift[axis];
+        let points = sweep_in_local.returns.points.iter();
+        let points = points.map(|p| Point3f::new(along(0, p), along(1, p), along(2, p)));
         self.planes.insert_all(points, &origin);
     }
 }

@@ -13,7 +13,7 @@ use crate::settings::PlaneFitSettings;
 /// Fewer hits make no plane. (The table of counts at which planes are fitted is made at compile time.)
 const MIN_COUNT: u16 = 6;
 /// More hits change nothing: what a place looks like is known by then.
-const MAX_COUNT: u16 = 400;
+pub(super) const MAX_COUNT: u16 = 400;
 
 /// Moments of the hits in a voxel and the normal of their plane: all that most hits need, in one line of the cache.
 #[derive(Clone, Copy, Debug)]
@@ -118,10 +118,14 @@ impl PlaneCell {
         let before = point.coords - self.mean;
         self.mean += before * (1.0 / f32::from(self.count));
         let after = point.coords - self.mean;
-        let pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
-        for (sum, (i, j)) in self.scatter.iter_mut().zip(pairs) {
-            *sum += before[i] * after[j];
-        }
+        // One by one, because a loop over pairs of axes is not always unrolled.
+        let [xx, xy, xz, yy, yz, zz] = &mut self.scatter;
+        *xx += before.x * after.x;
+        *xy += before.x * after.y;
+        *xz += before.x * after.z;
+        *yy += before.y * after.y;
+        *yz += before.y * after.z;
+        *zz += before.z * after.z;
         if IS_FITTED[usize::from(self.count)] {
             *fit = self.fitted(edge, settings);
         }
@@ -129,10 +133,16 @@ impl PlaneCell {
 
     fn fitted(&mut self, edge: f32, settings: &PlaneFitSettings) -> PlaneFit {
         let count = f32::from(self.count);
-        let [xx, xy, xz, yy, yz, zz] = self.scatter.map(|s| f64::from(s) / f64::from(self.count));
+        let mean = |sum: f32| f64::from(sum) / f64::from(self.count);
+        let [xx, xy, xz, yy, yz, zz] = self.scatter;
+        let (xx, xy, xz, yy, yz, zz) = (mean(xx), mean(xy), mean(xz), mean(yy), mean(yz), mean(zz));
         let covariance = na::Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
-        let (values, normal) = smallest_direction(&covariance);
         let thickness = settings.max_thickness + settings.max_thickness_per_edge * edge;
+        if is_thicker(&covariance, f64::from(thickness)) {
+            self.is_plane = false;
+            return PlaneFit::default();
+        }
+        let (values, normal) = smallest_direction(&covariance);
         let [across, along] = [values[0].max(0.0) as f32, values[1] as f32];
         let (ratio, spread) = (settings.min_spread_ratio, settings.min_spread_per_edge * edge);
         self.is_plane =
@@ -156,6 +166,20 @@ impl PlaneCell {
     }
 }
 
+/// Whether the smallest eigenvalue of a covariance (m²) is clearly larger than the square of a thickness, metres: what remains
+/// without it has positive principal minors (Sylvester's criterion). Sooner told than the eigenvalue.
+fn is_thicker(covariance: &na::Matrix3<f64>, thickness: f64) -> bool {
+    const CLEARLY: f64 = 1.0 + 1e-6;
+    let least = CLEARLY * thickness * thickness;
+    let (xx, yy, zz) = (covariance.m11 - least, covariance.m22 - least, covariance.m33 - least);
+    let (xy, xz, yz) = (covariance.m12, covariance.m13, covariance.m23);
+    let minor = xx * yy - xy * xy;
+    let determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+    // Rounding may be as large as this.
+    let smallest = 1e-9 * covariance.trace().powi(2);
+    xx > 0.0 && minor > smallest && determinant > smallest * covariance.trace()
+}
+
 /// Eigenvalues of a symmetric matrix in ascending order, and the eigenvector of the first (Smith,
 /// "Eigenvalues of a symmetric 3 × 3 matrix", 1961).
 pub(super) fn smallest_direction(m: &na::Matrix3<f64>) -> ([f64; 3], na::Vector3<f64>) {
@@ -171,8 +195,9 @@ pub(super) fn smallest_direction(m: &na::Matrix3<f64>) -> ([f64; 3], na::Vector3
     let values = [smallest, 3.0 * third - largest - smallest, largest];
     // Rows of m − λ are at right angles to the eigenvector: the longest of their products is the best.
     let shifted = m - na::Matrix3::from_diagonal_element(smallest);
-    let rows = [0, 1, 2].map(|i| shifted.row(i).transpose());
-    let candidates = [rows[0].cross(&rows[1]), rows[1].cross(&rows[2]), rows[2].cross(&rows[0])];
+    let row = |i: usize| shifted.row(i).transpose();
+    let (x, y, z) = (row(0), row(1), row(2));
+    let candidates = [x.cross(&y), y.cross(&z), z.cross(&x)];
     let mut best = candidates[0];
     for candidate in &candidates[1..] {
         if candidate.norm_squared() > best.norm_squared() {
@@ -196,6 +221,12 @@ mod tests {
             let (values, vector) = smallest_direction(&m);
             prop_assert!(values[0] <= values[1] + 1e-9 && values[1] <= values[2] + 1e-9);
             prop_assert!((values.iter().sum::<f64>() - m.trace()).abs() < 1e-9);
+            for thickness in [0.01, 0.1, 0.5, 1.0] {
+                let clearly = 1e-4 * m.trace();
+                let is_thicker = is_thicker(&m, thickness);
+                prop_assert!(!is_thicker || values[0] > thickness * thickness);
+                prop_assert!(is_thicker || values[0] < thickness * thickness + clearly.max(1e-3));
+            }
             if values[1] - values[0] > 1e-2 {
                 prop_assert!((m * vector - vector * values[0]).norm() < 1e-6);
             }

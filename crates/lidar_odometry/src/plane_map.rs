@@ -1,24 +1,15 @@
 //! The planar voxel map: voxels of three sizes, of which the largest flat one counts.
 //!
-//! An octree of three levels without its tree (Yuan et al. 2022, section III): every hit is counted in the voxel of each
+//! Octrees of three levels (Yuan et al. 2022, section III): every hit is counted in the voxel of each
 //! size around it, until a voxel has settled to be a plane.
 
 use nalgebra as na;
 use portolan_geometry::Point3f;
-use portolan_spatial::DenseIndex;
 
-use crate::plane_fit::{PlaneCell, PlaneFit};
+use crate::plane_fit::{MAX_COUNT, PlaneCell, PlaneFit};
 use crate::settings::PlaneFitSettings;
+use crate::voxel_tree::{LEVELS, SMALLEST_IN_ALL, SMALLEST_IN_LARGEST, Smallest, VoxelTree};
 
-/// Sizes of voxels, each half of the one before.
-const LEVELS: u32 = 3;
-/// Voxels of each size reach this far from the origin along each axis.
-const MAX_INDEX: u32 = 1 << INDEX_BITS >> 1;
-const INDEX_BITS: u32 = 11;
-/// Smallest voxels along the edge of a largest one, and along the edge of all largest ones.
-const SMALLEST_IN_LARGEST: f32 = (1 << (LEVELS - 1)) as f32;
-const SMALLEST_IN_ALL: f32 = (1 << SMALLEST_BITS) as f32;
-const SMALLEST_BITS: u32 = INDEX_BITS + LEVELS - 1;
 /// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
 const OFFSET: f32 = 0.37;
 
@@ -53,15 +44,15 @@ pub struct PlaneMap {
     edge: f32,
     smallest_per_metre: f32,
     settings: PlaneFitSettings,
-    index: DenseIndex,
+    voxels: VoxelTree,
     cells: Vec<PlaneCell>,
     /// Of each cell.
     fits: Vec<PlaneFit>,
 }
 
-/// No voxel has this key.
-const NO_KEY: u64 = u64::MAX;
-/// So many hits are inserted at once.
+/// No voxel has this number.
+const NO_VOXEL: usize = usize::MAX;
+/// So many hits are inserted at once. (Numbers of new voxels, and with them the order of planes, follow from it.)
 const BATCH: usize = 32;
 
 /// A hit to be inserted.
@@ -71,6 +62,16 @@ struct Hit {
     toward: na::Vector3<f32>,
     /// None for one that is not finite or too far away.
     smallest: Option<Smallest>,
+}
+
+/// A hit that voxels of the next size want.
+#[derive(Clone, Copy, Default)]
+struct Open {
+    /// Its place among the hits.
+    hit: u8,
+    smallest: Smallest,
+    /// The number of the voxel around it of the size before.
+    larger: u32,
 }
 
 impl Hit {
@@ -89,17 +90,13 @@ impl PlaneMap {
     /// An empty map with other settings of the fit than the defaults.
     pub fn with_settings(edge: f32, settings: PlaneFitSettings) -> Self {
         let edge = if edge.is_finite() { edge.max(1e-3) } else { 1.0 };
-        Self::with_capacity(edge, settings, 0)
-    }
-
-    fn with_capacity(edge: f32, settings: PlaneFitSettings, planes: usize) -> Self {
         Self {
             edge,
             settings,
             smallest_per_metre: SMALLEST_IN_LARGEST / edge,
-            index: DenseIndex::with_capacity(planes),
-            cells: Vec::with_capacity(planes),
-            fits: Vec::with_capacity(planes),
+            voxels: VoxelTree::with_capacity(0),
+            cells: Vec::new(),
+            fits: Vec::new(),
         }
     }
 
@@ -110,7 +107,7 @@ impl PlaneMap {
 
     /// Memory taken, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.index.memory_bytes()
+        self.voxels.memory_bytes()
             + self.cells.capacity() * size_of::<PlaneCell>()
             + self.fits.capacity() * size_of::<PlaneFit>()
     }
@@ -163,32 +160,36 @@ impl PlaneMap {
     /// Adds at most [`BATCH`] hits, size by size of voxels. All voxels of a size are looked up, and all read, before the first
     /// of them is changed, so that their reads overlap: the time goes into waiting for memory.
     fn insert_hits(&mut self, hits: &[Hit]) {
-        let mut open = [0_u8; BATCH];
+        let mut open = [Open::default(); BATCH];
         let mut num_open = 0;
-        for i in (0..hits.len().min(BATCH)).filter(|i| hits[*i].smallest.is_some()) {
-            open[num_open] = i as u8;
+        for (i, smallest) in hits.iter().take(BATCH).enumerate().filter_map(|(i, h)| Some((i, h.smallest?))) {
+            open[num_open] = Open { hit: i as u8, smallest, larger: 0 };
             num_open += 1;
         }
         for level in 0..LEVELS {
-            let mut found = [(0_u64, None); BATCH];
-            for (found, i) in found.iter_mut().zip(&open[..num_open]) {
-                let key = hits[usize::from(*i)].smallest.and_then(|smallest| smallest.key(level));
-                *found = key.map_or((NO_KEY, None), |key| (key, self.index.get(key)));
+            let mut numbers = [NO_VOXEL; BATCH];
+            for (number, open) in numbers.iter_mut().zip(&open[..num_open]) {
+                *number = self.number_of(open, level).unwrap_or(NO_VOXEL);
+            }
+            // A loop without decisions, so that all these reads are under way at once.
+            let mut counts = [0; BATCH];
+            for (count, number) in counts.iter_mut().zip(&numbers[..num_open]) {
+                *count = self.cells.get(*number).map_or(0, |cell| cell.count);
             }
             let mut known = [None; BATCH];
-            for (known, ((_, number), i)) in known.iter_mut().zip(found[..num_open].iter().zip(&open)) {
-                *known = number.and_then(|number| self.goes_past(number, &hits[usize::from(*i)]));
+            for k in (0..num_open).filter(|k| counts[*k] >= MAX_COUNT) {
+                known[k] = Some(self.goes_past(numbers[k], &hits[usize::from(open[k].hit)]));
             }
             let mut still_open = 0;
-            for (k, (key, number)) in
-                found[..num_open].iter().enumerate().filter(|(_, (key, _))| *key != NO_KEY)
-            {
-                let goes_on = known[k].unwrap_or_else(|| {
-                    let number = number.unwrap_or_else(|| self.number_of(*key));
-                    self.goes_on(number, level, &hits[usize::from(open[k])])
-                });
-                if goes_on {
-                    open[still_open] = open[k];
+            for k in 0..num_open {
+                let number = match numbers[k] {
+                    NO_VOXEL => self.number_or_new(&open[k], level),
+                    number => number,
+                };
+                let hit = &hits[usize::from(open[k].hit)];
+                let goes_on = known[k].unwrap_or_else(|| self.goes_on(number, level, hit));
+                if goes_on && level + 1 < LEVELS && open[k].smallest.is_in_reach(level + 1) {
+                    open[still_open] = Open { larger: number as u32, ..open[k] };
                     still_open += 1;
                 }
             }
@@ -198,10 +199,9 @@ impl PlaneMap {
 
     /// Of a voxel that no hit changes any more: whether smaller ones want this hit.
     #[inline]
-    fn goes_past(&self, number: usize, hit: &Hit) -> Option<bool> {
+    fn goes_past(&self, number: usize, hit: &Hit) -> bool {
         let cell = &self.cells[number];
-        let shows_other_side = || cell.shows_other_side(&hit.toward, &self.settings);
-        cell.is_full().then(|| !cell.is_settled(&self.settings) || shows_other_side())
+        !cell.is_settled(&self.settings) || cell.shows_other_side(&hit.toward, &self.settings)
     }
 
     /// Adds a hit to a voxel of a size; whether smaller ones want it, too.
@@ -218,13 +218,24 @@ impl PlaneMap {
         !is_settled
     }
 
-    /// The number of a voxel, which is made if it is not there yet.
-    fn number_of(&mut self, key: u64) -> usize {
-        self.index.get(key).unwrap_or_else(|| {
-            self.index.insert(key, self.cells.len());
+    /// The number of the voxel of a size around a hit, if it is there.
+    #[inline]
+    fn number_of(&self, open: &Open, level: u32) -> Option<usize> {
+        match level {
+            0 => self.voxels.largest(open.smallest),
+            _ => self.voxels.child(open.larger as usize, open.smallest, level),
+        }
+    }
+
+    /// The same; it is made if it is not there yet.
+    fn number_or_new(&mut self, open: &Open, level: u32) -> usize {
+        self.number_of(open, level).unwrap_or_else(|| {
             self.cells.push(PlaneCell::new());
             self.fits.push(PlaneFit::default());
-            self.cells.len() - 1
+            match level {
+                0 => self.voxels.add_largest(open.smallest),
+                _ => self.voxels.add_child(open.larger as usize, open.smallest, level),
+            }
         })
     }
 
@@ -248,12 +259,30 @@ impl PlaneMap {
         })
     }
 
+    /// Reads the largest voxels around places, so that these reads overlap and [`Self::plane_seen`] finds them in the cache.
+    pub(crate) fn read_ahead(&self, places: &[Point3f]) {
+        for places in places.chunks(BATCH) {
+            let mut numbers = [NO_VOXEL; BATCH];
+            for (number, place) in numbers.iter_mut().zip(places) {
+                let smallest = Smallest::around(&self.scaled(place));
+                *number = smallest.and_then(|s| self.voxels.largest(s)).unwrap_or(NO_VOXEL);
+            }
+            let known =
+                numbers.iter().filter_map(|number| self.cells.get(*number).zip(self.fits.get(*number)));
+            std::hint::black_box(known.map(|(cell, fit)| cell.normal.x + fit.variance).sum::<f32>());
+        }
+    }
+
     /// The place is as [`Self::scaled`] gives it.
     #[inline]
     fn plane_around(&self, scaled: &na::Vector3<f32>, toward: &na::Vector3<f32>) -> Option<Plane> {
         let smallest = Smallest::around(scaled)?;
+        let mut number = self.voxels.largest(smallest)?;
         for level in 0..LEVELS {
-            let number = self.index.get(smallest.key(level)?)?;
+            if level > 0 {
+                number =
+                    self.voxels.child(number, smallest, level).filter(|_| smallest.is_in_reach(level))?;
+            }
             let cell = &self.cells[number];
             if cell.is_plane && !cell.shows_other_side(toward, &self.settings) {
                 return Some(cell.plane(&self.fits[number]));
@@ -262,19 +291,17 @@ impl PlaneMap {
         None
     }
 
-    /// The map with nothing but its planes, to which no more is added.
+    /// The map with nothing but its planes, to which no more is added. Those in larger voxels that are none are left out.
     #[must_use]
     pub fn compacted(&self) -> Self {
-        let number_of = |(key, number): (u64, usize)| self.cells[number].is_plane.then_some((number, key));
-        let mut kept: Vec<(usize, u64)> = self.index.iter().filter_map(number_of).collect();
-        kept.sort_unstable();
-        let mut compacted = Self::with_capacity(self.edge, self.settings.clone(), kept.len());
-        for (number, key) in kept {
-            compacted.index.insert(key, compacted.cells.len());
-            compacted.cells.push(self.cells[number]);
-            compacted.fits.push(self.fits[number]);
+        let (voxels, kept) = self.voxels.filtered(|number| self.cells[number].is_plane);
+        Self {
+            settings: self.settings.clone(),
+            cells: kept.iter().map(|number| self.cells[*number]).collect(),
+            fits: kept.iter().map(|number| self.fits[*number]).collect(),
+            voxels,
+            ..*self
         }
-        compacted
     }
 
     /// All planes that count with their number of hits, in the order in which their places were first
@@ -282,38 +309,6 @@ impl PlaneMap {
     pub fn planes(&self) -> impl Iterator<Item = (Plane, u32)> + '_ {
         let planes = self.cells.iter().zip(&self.fits).filter(|(cell, _)| cell.is_plane);
         planes.map(|(cell, fit)| (cell.plane(fit), u32::from(cell.count)))
-    }
-}
-
-/// Indices of a smallest voxel from the corner of all of them. A larger one has those without their last bits.
-#[derive(Clone, Copy)]
-struct Smallest([u32; 3]);
-
-impl Smallest {
-    /// The voxel around a place in smallest voxels from the corner, if it is one of all.
-    #[inline]
-    fn around(scaled: &na::Vector3<f32>) -> Option<Self> {
-        // Numbers from here to twice that share their exponent, and what they are more stands in the bits below it.
-        const EXPONENT: u32 = SMALLEST_IN_ALL.to_bits();
-        let bits = |v: f32| (v + SMALLEST_IN_ALL).to_bits() ^ EXPONENT;
-        let [x, y, z] = [bits(scaled.x), bits(scaled.y), bits(scaled.z)];
-        if (x | y | z) >> (f32::MANTISSA_DIGITS - 1) != 0 {
-            return None;
-        }
-        let whole = |bits: u32| bits >> (f32::MANTISSA_DIGITS - 1 - SMALLEST_BITS);
-        Some(Self([whole(x), whole(y), whole(z)]))
-    }
-
-    /// The key of the voxel of a size around it: 11 bits per axis and two for the size.
-    #[inline]
-    fn key(self, level: u32) -> Option<u64> {
-        let first = (MAX_INDEX << level) - MAX_INDEX;
-        let [x, y, z] = self.0.map(|index| (index >> (LEVELS - 1 - level)).wrapping_sub(first));
-        if (x | y | z) >> INDEX_BITS != 0 {
-            return None;
-        }
-        let [x, y, z, level] = [x, y, z, level].map(u64::from);
-        Some((x | (level & 1) << 11) | (y | (level >> 1) << 11) << 12 | z << 24)
     }
 }
 

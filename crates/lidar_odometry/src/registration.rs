@@ -13,12 +13,14 @@ use crate::poles::{PoleMap, PolePoint, PoleResiduals};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::RegistrationSettings;
 use attenuation::Attenuation;
-use normal_equations::{Accumulator, Matched, NormalEquations, Pairs};
+use normal_equations::{Accumulator, Matched, NormalEquations};
+use pairs::{AT_ONCE, Pairs, Ray};
 use solve::solve;
 
 mod attenuation;
 mod degeneracy;
 pub(crate) mod normal_equations;
+mod pairs;
 mod solve;
 #[cfg(test)]
 mod tests;
@@ -270,16 +272,15 @@ impl Registration {
         let squared_cutoff = settings.cutoff * settings.cutoff * squared_scale;
         let least_variance = (settings.normal_noise * settings.normal_noise) as f32;
         let (uneven, noise) = (settings.uneven_factor, settings.noise_factor);
+        let mut rays = [Ray::default(); AT_ONCE];
         for part in &scene.parts {
+            let mut paired = 0..0;
             for i in part.points.clone() {
-                let (point, pair) = (&scene.points[i], &mut scene.pairs.pairs[i]);
-                let (turned, from) = trajectory.ray(&point.position, point.time);
-                let place = turned + from;
-                if (place - pair.looked_up_at).norm_squared() > scene.pairs.squared_slack {
-                    pair.looked_up_at = place;
-                    let toward = turned.try_normalize(1e-6).map_or_else(na::Vector3::zeros, |v| -v);
-                    pair.plane = scene.planes.plane_seen(&place.into(), &toward);
+                if i >= paired.end {
+                    paired = i..(i + AT_ONCE).min(part.points.end);
+                    scene.pairs.renew(paired.clone(), scene.points, scene.planes, trajectory, &mut rays);
                 }
+                let (Ray { turned, place }, pair) = (rays[i - paired.start], &scene.pairs.pairs[i]);
                 let Some(plane) = &pair.plane else { continue };
                 let residual = plane.normal.dot(&(place - plane.point));
                 let squared = residual * residual;

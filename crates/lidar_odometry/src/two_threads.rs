@@ -3,11 +3,20 @@
 /// Fewer points are done with before a second thread has woken.
 const WORTHWHILE_POINTS: usize = 20_000;
 
-/// Does both, on two threads if they are about many points. What comes out does not depend on it.
-pub fn both<A: Send, B: Send>(
+/// Does both, on two threads if they are about many points. What comes out does not depend on it. The first is done here: a
+/// thread outside of the pool would hand both over and wait.
+pub fn both<A, B: Default + Send>(
     points: usize,
-    first: impl FnOnce() -> A + Send,
+    first: impl FnOnce() -> A,
     second: impl FnOnce() -> B + Send,
 ) -> (A, B) {
-    if points < WORTHWHILE_POINTS { (first(), second()) } else { rayon::join(first, second) }
+    if points < WORTHWHILE_POINTS {
+        return (first(), second());
+    }
+    let mut of_second = B::default();
+    let of_first = rayon::in_place_scope(|scope| {
+        scope.spawn(|_| of_second = second());
+        first()
+    });
+    (of_first, of_second)
 }

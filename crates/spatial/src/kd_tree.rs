@@ -43,6 +43,15 @@ pub struct KdTree {
     depth: u32,
 }
 
+impl Neighbour {
+    /// One of the points of a tree: `index` and `position` of it, as seen from a query.
+    pub fn of(query: [f32; 3], index: u32, position: [f32; 3]) -> Self {
+        let [x, y, z] = position;
+        let squared_distance = squared_norm([x - query[0], y - query[1], z - query[2]]);
+        Self { index, squared_distance }
+    }
+}
+
 impl KdTree {
     /// Builds a tree; large ones on all threads of the current pool. The result does not depend on
     /// the number of threads.
@@ -78,6 +87,22 @@ impl KdTree {
     /// The nearest point within `max_distance` (metres); of several equally near that of the lowest index.
     pub fn nearest(&self, query: [f32; 3], max_distance: f32) -> Option<Neighbour> {
         self.nearest_of(query, max_distance, 1, |_| true)
+    }
+
+    /// As [`Self::nearest`]; sooner, if `near` is one of the points, and near the query.
+    pub fn nearest_from(&self, query: [f32; 3], max_distance: f32, near: Neighbour) -> Option<Neighbour> {
+        let limit = max_distance * max_distance;
+        if near.squared_distance.is_nan() || near.squared_distance > limit {
+            return self.nearest(query, max_distance);
+        }
+        let mut best = near;
+        self.visit(query, near.squared_distance, 1, |candidate, limit| {
+            if (candidate.squared_distance, candidate.index) < (best.squared_distance, best.index) {
+                best = candidate;
+                *limit = candidate.squared_distance;
+            }
+        });
+        Some(best)
     }
 
     /// The nearest point within `max_distance` of those that `accept` takes (by index).
@@ -227,7 +252,8 @@ impl KdTree {
                 }
             }
             for entry in &self.entries[part.start..part.end] {
-                let d: [f32; 3] = std::array::from_fn(|k| entry.position[k] - query[k]);
+                let [x, y, z] = entry.position;
+                let d = [x - query[0], y - query[1], z - query[2]];
                 candidate(Neighbour { index: entry.index, squared_distance: squared_norm(d) }, &mut limit);
             }
         }
@@ -276,6 +302,7 @@ struct Pending {
     offsets: [f32; 3],
 }
 
+#[inline]
 fn squared_norm(v: [f32; 3]) -> f32 {
     v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }

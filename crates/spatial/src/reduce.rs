@@ -67,7 +67,8 @@ pub fn reduce_indices(points: &[[f32; 3]], edge: f32, count: usize) -> Vec<u32> 
 /// Voxels and indices of the finite points, voxel by voxel.
 fn by_voxel(points: &[[f32; 3]], edge: f32) -> Vec<([i64; 3], u32)> {
     let inverse = 1.0 / f64::from(edge);
-    let voxel = |p: &[f32; 3]| p.map(|v| (f64::from(v) * inverse).floor() as i64);
+    let index = |v: f32| whole(f64::from(v) * inverse);
+    let voxel = |[x, y, z]: &[f32; 3]| [index(*x), index(*y), index(*z)];
     let finite = || points.iter().enumerate().filter(|(_, p)| p.iter().all(|v| v.is_finite()));
     let (mut low, mut high) = ([i64::MAX; 3], [i64::MIN; 3]);
     for (_, p) in finite() {
@@ -90,6 +91,14 @@ fn by_voxel(points: &[[f32; 3]], edge: f32) -> Vec<([i64; 3], u32)> {
     let part =
         |packed: u128, k: u32| ((packed >> (32 + PACKED_BITS * (2 - k))) & ((1 << PACKED_BITS) - 1)) as i64;
     packed.into_iter().map(|p| (std::array::from_fn(|k| low[k] + part(p, k as u32)), p as u32)).collect()
+}
+
+/// The largest whole number that is not larger; the nearest there is for one that is out of range. Without a call of a
+/// function, which `floor` is on some targets.
+#[inline]
+fn whole(value: f64) -> i64 {
+    let toward_zero = value as i64;
+    toward_zero.saturating_sub(i64::from(toward_zero as f64 > value))
 }
 
 /// Some points of a voxel.
@@ -119,6 +128,12 @@ mod tests {
         let kept = reduce_indices(&points, 0.1, 1);
         let places: Vec<[f32; 3]> = kept.iter().map(|i| points[*i as usize]).collect();
         assert_eq!(places, reduce(&points, 0.1, VoxelRepresentative::Random(1)));
+    }
+
+    #[test]
+    fn voxels_are_numbered_downward() {
+        let values = [0.0, -0.0, 0.5, -0.5, -1.0, 2.0, -7.25, 1e18, -1e18, 1e30, -1e30, f64::INFINITY];
+        assert_eq!(values.map(whole), values.map(|v| v.floor() as i64));
     }
 
     #[test]

@@ -1,15 +1,12 @@
-//! A few sweeps registered to each other, point to plane.
+//! A few sweeps registered to each other.
 
-use std::cell::OnceCell;
 use std::ops::RangeInclusive;
 
-use portolan_geometry::nalgebra::{Matrix6, Point3, Vector6};
-use portolan_geometry::{
-    Point3f, Rigid3, Vector2, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
-};
-use portolan_spatial::{KdTree, LocalSurface, local_surface, reduce_indices};
+use portolan_geometry::{Point3f, Rigid3, Vector2, Vector3, angle_axis_from_quaternion};
+use portolan_spatial::reduce_indices;
 
 use super::evidence::{Pair, Row, TurnTimes};
+use super::target::{FEWER, LAST_GATE, LEAST_SCALE, Match, Surface, Target, scale_of, weight};
 use crate::beam_elevation::{Raise, by_elevation};
 
 /// So many points of a sweep are surfaces; so many of these are matched, and so many judged then.
@@ -27,26 +24,11 @@ const FARTHEST: f32 = 80.0;
 /// it is for so much of the median range.
 const LAGS: RangeInclusive<usize> = 2..=6;
 const IN_VIEW: f64 = 0.5;
-/// Neighbours that make a surface, metres; how thick it may be, and how planar it must be.
-const NEIGHBOURS: usize = 10;
-const NEIGHBOURHOOD: f32 = 1.5;
-const MAX_THICKNESS: f32 = 0.05;
-const MIN_PLANARITY: f32 = 0.05;
-/// Nearest points are paired within this first, metres, then nearer and nearer down to the second.
+/// Nearest points are paired within this first, metres.
 const FIRST_GATE: f64 = 2.0;
 const GATE: f64 = 1.0;
-const LAST_GATE: f64 = 0.3;
 /// Points may be so far from where they are expected, as motion displaced them, metres.
 const JUDGED_GATE: f64 = 0.5;
-const GATE_SHRINKS: f64 = 0.7;
-const ITERATIONS: usize = 9;
-const CONVERGED: f64 = 1e-3;
-/// While points are paired from afar one in so many suffices.
-const FEWER: usize = 3;
-/// The least scale of the robust loss, metres.
-const LEAST_SCALE: f64 = 0.03;
-/// Fewer matched points tell nothing.
-const MIN_MATCHED: usize = 30;
 /// Ways of the first sweep that are tried, metres, and those nearer together are the same.
 const FIRST_WAYS: [f64; 4] = [0.7, 1.4, 2.1, 2.8];
 const SAME_WAY: f64 = 0.2;
@@ -107,8 +89,11 @@ impl Sample {
             .collect();
         some.retain(|(range, ..)| range.is_finite() && *range > 0.0);
         let mut ranges: Vec<f32> = some.iter().map(|(range, ..)| *range).collect();
-        ranges.sort_by(f32::total_cmp);
-        let median_range = ranges.get(ranges.len() / 2).copied().unwrap_or(0.0);
+        let middle = ranges.len() / 2;
+        let median_range = match ranges.is_empty() {
+            true => 0.0,
+            false => *ranges.select_nth_unstable_by(middle, f32::total_cmp).1,
+        };
         let nearest = NEAREST.max(NEAREST_SHARE * median_range);
         some.retain(|(range, ..)| (nearest..FARTHEST).contains(range));
         let kept: Vec<[f32; 3]> = some.iter().map(|(_, point, _)| point.coords.into()).collect();
@@ -145,136 +130,6 @@ impl Sample {
         };
         self.points.iter().zip(&self.phases).map(moved).collect()
     }
-}
-
-/// A sweep that others are registered to.
-struct Target {
-    points: Vec<[f32; 3]>,
-    /// Of its points; the last sweeps of a batch need none, because no sweep is registered to them.
-    tree: OnceCell<KdTree>,
-    /// At its points; those that were not asked for are not computed.
-    surfaces: Vec<Surface>,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Surface {
-    NotComputed,
-    None,
-    Some(LocalSurface),
-}
-
-/// A point of one sweep on a surface of another.
-struct Match {
-    /// Indices of the points in their samples.
-    source: usize,
-    target: u32,
-    /// Where the source point is in the frame of the target.
-    place: Vector3,
-    normal: Vector3,
-    residual: f64,
-}
-
-impl Target {
-    fn new(points: Vec<[f32; 3]>, surfaces: Option<&Vec<Surface>>) -> Self {
-        let surfaces = surfaces.cloned().unwrap_or_else(|| vec![Surface::NotComputed; points.len()]);
-        Self { points, tree: OnceCell::new(), surfaces }
-    }
-
-    fn tree(&self) -> &KdTree {
-        self.tree.get_or_init(|| KdTree::new(&self.points))
-    }
-
-    /// One of its points and the surface there.
-    fn surface(&mut self, index: u32) -> Option<(Vector3, LocalSurface)> {
-        let point = *self.points.get(index as usize)?;
-        let known = self.surfaces.get_mut(index as usize)?;
-        if let Surface::NotComputed = known {
-            let tree = self.tree.get_or_init(|| KdTree::new(&self.points));
-            let found = local_surface(&self.points, tree, point, NEIGHBOURS, NEIGHBOURHOOD);
-            let found = found.filter(|s| s.thickness < MAX_THICKNESS && s.planarity > MIN_PLANARITY);
-            *known = found.map_or(Surface::None, Surface::Some);
-        }
-        match known {
-            Surface::Some(surface) => Some((Vector3::from(point.map(f64::from)), *surface)),
-            Surface::None | Surface::NotComputed => None,
-        }
-    }
-
-    fn matches(&mut self, source: &[(usize, Vector3)], pose: &Rigid3, gate: f64) -> Vec<Match> {
-        let mut matches = Vec::with_capacity(source.len());
-        for (index, point) in source {
-            let place = (pose * Point3::from(*point)).coords;
-            let Some(nearest) = self.tree().nearest(place.cast::<f32>().into(), gate as f32) else {
-                continue;
-            };
-            let Some((on_surface, surface)) = self.surface(nearest.index) else { continue };
-            let normal = Vector3::from(surface.normal.map(f64::from));
-            let residual = normal.dot(&(place - on_surface));
-            matches.push(Match { source: *index, target: nearest.index, place, normal, residual });
-        }
-        matches
-    }
-
-    /// The pose of a sweep in the frame of this one; none if hardly anything fits.
-    fn register(&mut self, source: &[(usize, Vector3)], guess: Rigid3, gate: f64) -> Option<Rigid3> {
-        let (mut pose, mut gate) = (guess, gate);
-        let few: Vec<(usize, Vector3)> = source.iter().step_by(FEWER).copied().collect();
-        for _ in 0..ITERATIONS {
-            let is_near = gate <= LAST_GATE;
-            let matches = self.matches(if is_near { source } else { &few }, &pose, gate);
-            if matches.len() < MIN_MATCHED {
-                return None;
-            }
-            let scale = scale_of(&matches);
-            let (mut information, mut gradient) = (Matrix6::identity() * 1e-6, Vector6::zeros());
-            for m in &matches {
-                let (row, weight) = (m.jacobian(), weight(m.residual, scale));
-                information += row * row.transpose() * weight;
-                gradient += row * (m.residual * weight);
-            }
-            let change = -information.cholesky()?.solve(&gradient);
-            let turn = quaternion_from_angle_axis(&change.fixed_rows::<3>(3).into_owned());
-            pose = Rigid3::from_parts(change.fixed_rows::<3>(0).into_owned().into(), turn) * pose;
-            gate = (gate * GATE_SHRINKS).max(LAST_GATE);
-            if is_near && change.norm() < CONVERGED {
-                break;
-            }
-        }
-        Some(pose)
-    }
-}
-
-impl Target {
-    /// The pose of a sweep in the frame of this one, and how many points fit.
-    fn registered(&mut self, source: &[(usize, Vector3)], guess: Rigid3, gate: f64) -> Option<(f64, Rigid3)> {
-        let pose = self.register(source, guess, gate)?;
-        let matches = self.matches(source, &pose, LAST_GATE);
-        Some((matches.iter().map(|m| weight(m.residual, 2.0 * LEAST_SCALE)).sum(), pose))
-    }
-}
-
-impl Match {
-    /// Of the residual by a small translation and rotation of the source in the frame of the target.
-    fn jacobian(&self) -> Vector6<f64> {
-        let turn = self.place.cross(&self.normal);
-        Vector6::new(self.normal.x, self.normal.y, self.normal.z, turn.x, turn.y, turn.z)
-    }
-}
-
-/// The scale of the robust loss: one and a half times the median of the residuals, metres.
-fn scale_of(matches: &[Match]) -> f64 {
-    let mut sizes: Vec<f64> = matches.iter().map(|m| m.residual.abs()).collect();
-    let middle = sizes.len() / 2;
-    if sizes.is_empty() {
-        return LEAST_SCALE;
-    }
-    let (_, median, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
-    (1.5 * *median).max(LEAST_SCALE)
-}
-
-/// Weight of a residual (Geman and McClure).
-fn weight(residual: f64, scale: f64) -> f64 {
-    (1.0 + (residual / scale).powi(2)).powi(-2)
 }
 
 /// So many points, spread over the sweep.
@@ -337,7 +192,7 @@ fn follow_straight(
             lag = lag_in_view(&pose, samples.first()?.median_range);
         }
         if sweep - to == lag {
-            matched.push((to, sweep, pose, target.matches(judged, &pose, JUDGED_GATE)));
+            matched.push((to, sweep, pose, target.matches(judged, &pose, JUDGED_GATE, &[])));
         }
     }
     let surfaces = targets.into_iter().map(|target| target.surfaces).collect();

@@ -18,6 +18,7 @@ mod beams;
 mod evidence;
 mod fit;
 mod follow;
+mod target;
 #[cfg(test)]
 mod tests;
 

@@ -4,8 +4,10 @@ use portolan_geometry::Point3f;
 use portolan_spatial::DenseIndex;
 
 /// The key of a cell by twelve bits of each index: cells kilometres apart may share one.
-pub(super) fn key_of(cell: [i32; 3]) -> u64 {
-    cell.iter().fold(0, |key, index| key << 12 | (*index as u64 & 0xfff))
+#[inline]
+pub(super) fn key_of([x, y, z]: [i32; 3]) -> u64 {
+    let bits = |index: i32| index as u64 & 0xfff;
+    bits(x) << 24 | bits(y) << 12 | bits(z)
 }
 
 /// The largest whole number that is not larger; the nearest there is for one that is out of range. Without a call of a
@@ -37,11 +39,13 @@ impl<T: Clone> Cells<T> {
     }
 
     /// The key of the column around a point.
+    #[inline]
     pub fn column(&self, place: &Point3f) -> u64 {
         key_of([whole(place.x / self.edge), whole(place.y / self.edge), 0])
     }
 
     /// The number of a cell, which is made if it is missing.
+    #[inline]
     pub fn number_of(&mut self, key: u64) -> usize {
         self.index.get(key).unwrap_or_else(|| {
             self.index.insert(key, self.values.len());

@@ -1,39 +1,15 @@
-//! The normal equations of a scan: what all points say together, and which planes they are paired with.
+//! The normal equations of a scan: what all points say together.
 //!
 //! Rows are summed in blocks of single precision, blocks in double precision: the inner loop is a few vector instructions
 //! a point.
 
 use nalgebra as na;
 
-use crate::plane_map::Plane;
-
 /// So many points are summed in single precision before the sum is added to that of all.
 const BLOCK: u32 = 64;
 /// Entries of a row: three of the translation, three of the rotation, the residual, and one to spare.
 const ROW: usize = 8;
 const RESIDUAL: usize = 6;
-
-/// The plane that a point was paired with, and where the point was then.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Pair {
-    pub looked_up_at: na::Vector3<f32>,
-    pub plane: Option<Plane>,
-}
-
-/// The pairs of all points, kept from one iteration to the next.
-pub(super) struct Pairs {
-    pub pairs: Vec<Pair>,
-    /// Points that moved farther are paired anew, m².
-    pub squared_slack: f32,
-}
-
-impl Pairs {
-    /// Nothing paired yet; points that move by `slack` metres are paired anew.
-    pub fn new(num_points: usize, slack: f32) -> Self {
-        let nowhere = Pair { looked_up_at: na::Vector3::repeat(f32::INFINITY), plane: None };
-        Self { pairs: vec![nowhere; num_points], squared_slack: slack.powi(2) }
-    }
-}
 
 /// Sums over the points of a trajectory segment.
 #[derive(Default)]

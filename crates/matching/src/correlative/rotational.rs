@@ -15,6 +15,8 @@ use portolan_grids::is_finite;
 
 /// Height of a slice, metres.
 const SLICE_HEIGHT: f32 = 0.2;
+/// Slices so near to the height of the origin need not be searched for.
+const NEAR_SLICES: i64 = 512;
 /// Points nearer to each other or to the centroid than this have no direction worth counting, metres.
 const MIN_DISTANCE: f32 = 0.2;
 /// Points farther from each other than this are not on the same wall, metres.
@@ -27,14 +29,26 @@ pub fn rotational_histogram(cloud: &PointCloud, num_buckets: usize) -> Vec<f32> 
     if num_buckets == 0 {
         return histogram;
     }
-    let mut slices: BTreeMap<i64, Vec<Point3f>> = BTreeMap::new();
-    for point in cloud.points.iter().filter(|p| is_finite(p)) {
-        slices.entry(lround(point.z / SLICE_HEIGHT)).or_default().push(*point);
-    }
-    for slice in slices.into_values() {
+    for slice in slices_of(cloud) {
         add_slice(&sorted_by_angle(slice), &mut histogram);
     }
     histogram
+}
+
+/// The finite points in slices of equal height, from the lowest to the highest; some slices are empty.
+fn slices_of(cloud: &PointCloud) -> impl Iterator<Item = Vec<Point3f>> {
+    let mut near = vec![Vec::new(); 2 * NEAR_SLICES as usize];
+    let mut below: BTreeMap<i64, Vec<Point3f>> = BTreeMap::new();
+    for point in cloud.points.iter().filter(|p| is_finite(p)) {
+        let number = lround(point.z / SLICE_HEIGHT);
+        let place = usize::try_from(number.saturating_add(NEAR_SLICES)).ok();
+        match place.and_then(|place| near.get_mut(place)) {
+            Some(slice) => slice.push(*point),
+            None => below.entry(number).or_default().push(*point),
+        }
+    }
+    let above = below.split_off(&0);
+    below.into_values().chain(near).chain(above.into_values())
 }
 
 fn centroid(points: &[Point3f]) -> Vector2f {
@@ -45,14 +59,22 @@ fn centroid(points: &[Point3f]) -> Vector2f {
 /// The points of a slice not too near to its centroid, by the angle around it.
 fn sorted_by_angle(slice: Vec<Point3f>) -> Vec<Point3f> {
     let center = centroid(&slice);
-    let mut by_angle: Vec<(f32, Point3f)> = slice
-        .into_iter()
-        .map(|p| (p.coords.xy() - center, p))
-        .filter(|(offset, _)| offset.norm() >= MIN_DISTANCE)
-        .map(|(offset, p)| (offset.y.atan2(offset.x), p))
-        .collect();
-    by_angle.sort_by(|a, b| a.0.total_cmp(&b.0));
-    by_angle.into_iter().map(|(_, p)| p).collect()
+    let mut by_angle = Vec::with_capacity(slice.len());
+    for (p, i) in slice.iter().zip(0_u32..) {
+        let offset = p.coords.xy() - center;
+        if offset.norm() >= MIN_DISTANCE {
+            by_angle.push(u64::from(ascending(offset.y.atan2(offset.x))) << 32 | u64::from(i));
+        }
+    }
+    // Of equal angles the first point comes first: its number stands below the angle.
+    by_angle.sort_unstable();
+    by_angle.into_iter().filter_map(|key| slice.get(key as u32 as usize).copied()).collect()
+}
+
+/// Bits that ascend as numbers do ([`f32::total_cmp`]).
+fn ascending(number: f32) -> u32 {
+    let bits = number.to_bits();
+    if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
 }
 
 fn add_slice(slice: &[Point3f], histogram: &mut [f32]) {
@@ -128,6 +150,18 @@ mod tests {
             let score = histogram_similarity(&histogram, &rotate_histogram(&histogram, 0.1 + angle));
             assert!((score - golden).abs() < 1e-6, "{angle}: {score}");
         }
+    }
+
+    #[test]
+    fn slices_come_in_order_of_their_height() {
+        let heights = [1e30, -1e30, 0.0, 500.0, -500.0, 0.3, -0.3, 102.4, -102.3, 0.31];
+        let points = heights.map(|z| Point3f::new(0.0, 0.0, z)).to_vec();
+        let slices: Vec<Vec<f32>> =
+            slices_of(&PointCloud::new(points)).map(|s| s.iter().map(|p| p.z).collect()).collect();
+        let full: Vec<&[f32]> = slices.iter().map(Vec::as_slice).filter(|s| !s.is_empty()).collect();
+        let expected: [&[f32]; 9] =
+            [&[-1e30], &[-500.0], &[-102.3], &[-0.3], &[0.0], &[0.3, 0.31], &[102.4], &[500.0], &[1e30]];
+        assert_eq!(full, expected);
     }
 
     #[test]

@@ -2,12 +2,12 @@
 
 use portolan_geometry::Point3f;
 
-use super::voxel::{VoxelKey, for_each_voxel};
+use super::voxel::{BATCH, Numbered, VoxelKey, for_each_batch};
 
 /// Smallest number of slots; a power of two.
 const MIN_SLOTS: usize = 256;
 /// A first call begins with two slots for each point, and no more than this: tables that grow are filled twice.
-const MOST_FIRST_SLOTS: usize = 1 << 16;
+const MOST_FIRST_SLOTS: usize = 1 << 17;
 
 /// What is known of one voxel.
 #[derive(Clone, Copy)]
@@ -25,8 +25,8 @@ pub(super) fn sample(points: impl ExactSizeIterator<Item = Point3f>, edge: f32) 
         return points.zip(0..).filter(|(p, _)| is_finite(p)).map(|(_, number)| number).collect();
     }
     let mut reservoir = Reservoir::new(points.len());
-    for_each_voxel(points, edge, |key, number| {
-        reservoir.visit(key, number);
+    for_each_batch(points, edge, |batch| {
+        reservoir.visit_all(batch);
         true
     });
     reservoir.chosen()
@@ -53,19 +53,40 @@ impl Reservoir {
         }
     }
 
+    /// At most [`BATCH`] points. The slots in which their voxels are expected are read before the first is changed, so that these
+    /// reads overlap.
+    fn visit_all(&mut self, batch: &[Numbered]) {
+        let mut expected = [0; BATCH];
+        for (expected, (key, _)) in expected.iter_mut().zip(batch) {
+            *expected = self.slots[key.slot(self.slots.len())];
+        }
+        for (expected, (key, number)) in expected.into_iter().zip(batch) {
+            match self.voxels.get((expected as usize).wrapping_sub(1)) {
+                Some(voxel) if voxel.key == *key => self.count(expected, *number),
+                _ => self.visit(*key, *number),
+            }
+        }
+    }
+
+    /// One more point of a voxel that is known by its number.
+    #[inline]
+    fn count(&mut self, voxel: u32, number: u32) {
+        let voxel = &mut self.voxels[voxel as usize - 1];
+        voxel.count += 1;
+        if self.random.draws_last_of(voxel.count) {
+            let chosen_before = std::mem::replace(&mut voxel.kept, number);
+            self.is_chosen[chosen_before as usize / 64] &= !(1 << (chosen_before % 64));
+            self.is_chosen[number as usize / 64] |= 1 << (number % 64);
+        }
+    }
+
     #[inline]
     fn visit(&mut self, key: VoxelKey, number: u32) {
         let mask = self.slots.len() - 1;
         let mut i = key.slot(self.slots.len());
         while self.slots[i] != 0 {
-            let voxel = &mut self.voxels[self.slots[i] as usize - 1];
-            if voxel.key == key {
-                voxel.count += 1;
-                if self.random.draws_last_of(voxel.count) {
-                    let chosen_before = std::mem::replace(&mut voxel.kept, number);
-                    self.is_chosen[chosen_before as usize / 64] &= !(1 << (chosen_before % 64));
-                    self.is_chosen[number as usize / 64] |= 1 << (number % 64);
-                }
+            if self.voxels[self.slots[i] as usize - 1].key == key {
+                self.count(self.slots[i], number);
                 return;
             }
             i = (i + 1) & mask;

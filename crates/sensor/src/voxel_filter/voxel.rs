@@ -9,6 +9,9 @@ pub(super) const BATCH: usize = 8;
 /// Indices below this are rounded many at once.
 const MAX_SMALL_INDEX: f32 = (1 << 22) as f32;
 
+/// A point: the voxel around it, and its number.
+pub(super) type Numbered = (VoxelKey, u32);
+
 /// Hands on the index of the voxel with this edge (positive, metres) around each point whose coordinates are finite,
 /// and the number of the point, until `visit` gives false.
 pub(super) fn for_each_voxel(
@@ -16,27 +19,47 @@ pub(super) fn for_each_voxel(
     edge: f32,
     mut visit: impl FnMut(VoxelKey, u32) -> bool,
 ) {
+    for_each_batch(points, edge, |batch| batch.iter().all(|(key, number)| visit(*key, *number)));
+}
+
+/// The same for at most [`BATCH`] points at once.
+pub(super) fn for_each_batch(
+    points: impl Iterator<Item = Point3f>,
+    edge: f32,
+    mut visit: impl FnMut(&[Numbered]) -> bool,
+) {
     let mut points = points.fuse();
     let mut batch = [[0.0; 3]; BATCH];
+    let mut voxels = [Numbered::default(); BATCH];
     let mut first = 0;
     loop {
         let mut filled = 0;
-        for (place, point) in batch.iter_mut().zip(points.by_ref()) {
-            *place = point.coords.data.0[0];
+        while filled < BATCH
+            && let Some(point) = points.next()
+        {
+            batch[filled] = [point.x, point.y, point.z];
             filled += 1;
         }
         // A count of points beyond u32 would need 48 GiB of them.
-        let small = small_indices(&batch, edge);
-        for i in 0..filled {
-            let key = match &small {
-                Some(indices) => Some(VoxelKey::of_index(indices[i])),
-                None => VoxelKey::of_point(&batch[i], edge),
-            };
-            if key.is_some_and(|key| !visit(key, first + i as u32)) {
-                return;
+        let finite = match small_indices(&batch, edge) {
+            Some(indices) => {
+                for (i, index) in indices.iter().enumerate() {
+                    voxels[i] = (VoxelKey::of_index(*index), first + i as u32);
+                }
+                filled
             }
-        }
-        if filled < BATCH {
+            None => {
+                let mut finite = 0;
+                for (point, number) in batch[..filled].iter().zip(first..) {
+                    if let Some(key) = VoxelKey::of_point(point, edge) {
+                        voxels[finite] = (key, number);
+                        finite += 1;
+                    }
+                }
+                finite
+            }
+        };
+        if !visit(&voxels[..finite]) || filled < BATCH {
             return;
         }
         first += BATCH as u32;
@@ -64,13 +87,12 @@ pub(super) struct VoxelKey(u64);
 impl VoxelKey {
     #[inline]
     fn of_index([x, y, z]: [i32; 3]) -> Self {
-        Self::of_indices([x, y, z].map(i64::from))
+        Self::of_indices([i64::from(x), i64::from(y), i64::from(z)])
     }
 
     #[inline]
-    fn of_indices(indices: [i64; 3]) -> Self {
-        let [x, y, z] = indices.map(|index| index as u64);
-        Self((x << 42).wrapping_add(y << 21).wrapping_add(z))
+    fn of_indices([x, y, z]: [i64; 3]) -> Self {
+        Self(((x as u64) << 42).wrapping_add((y as u64) << 21).wrapping_add(z as u64))
     }
 
     /// None for a point that is not finite.

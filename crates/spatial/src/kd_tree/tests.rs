@@ -29,6 +29,10 @@ proptest! {
         let tree = KdTree::new(&points);
         let all = brute(&points, query);
         prop_assert_eq!(tree.nearest(query, f32::INFINITY), all.first().copied());
+        for (index, position) in points.iter().enumerate().take(9) {
+            let near = Neighbour::of(query, index as u32, *position);
+            prop_assert_eq!(tree.nearest_from(query, radius, near), tree.nearest(query, radius));
+        }
         let mut found = Vec::new();
         tree.k_nearest(query, k, f32::INFINITY, &mut found);
         prop_assert_eq!(&found[..], &all[..k.min(all.len())]);

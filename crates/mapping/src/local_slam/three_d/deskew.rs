@@ -26,17 +26,17 @@ impl Gathered {
 
     pub fn new(ranges: &SynchronizedRanges, voxel_size: f32) -> Self {
         let kept = voxel_filter_indices(&ranges.points, |p| p.point.position, voxel_size);
-        let point = |i: u32| {
-            let p = ranges.points.get(i as usize)?;
-            Some(GatheredPoint {
+        let mut points = Vec::with_capacity(kept.len());
+        for i in kept {
+            let Some(p) = ranges.points.get(i as usize) else { continue };
+            let Some(origin) = ranges.origins.get(p.origin_index) else { continue };
+            points.push(GatheredPoint {
                 time: ranges.time + Duration::from_seconds(f64::from(p.point.time)),
                 position: p.point.position,
-                origin: *ranges.origins.get(p.origin_index)?,
+                origin: *origin,
                 intensity: ranges.intensities.get(i as usize).copied().unwrap_or(0.0),
-            })
-        };
-        let mut points = Vec::with_capacity(kept.len());
-        points.extend(kept.into_iter().filter_map(point));
+            });
+        }
         Self { points }
     }
 }
@@ -44,14 +44,13 @@ impl Gathered {
 /// The raw points in range of a sweep that ends at `end`.
 pub(super) fn raw_sweep(gathered: &[Gathered], end: Time, options: &TrajectoryBuilder3dOptions) -> Sweep {
     let in_range = options.min_range..=options.max_range;
-    let points = gathered.iter().flat_map(|message| &message.points);
-    let usable = points.filter(|p| in_range.contains(&(p.position - p.origin).norm()));
     let mut sweep = Vec::with_capacity(gathered.iter().map(Gathered::len).sum());
-    sweep.extend(usable.map(|p| SweepPoint {
-        time: p.time.seconds_since(end).min(0.0) as f32,
-        position: p.position,
-        intensity: p.intensity,
-    }));
+    for message in gathered {
+        for p in message.points.iter().filter(|p| in_range.contains(&(p.position - p.origin).norm())) {
+            let time = p.time.seconds_since(end).min(0.0) as f32;
+            sweep.push(SweepPoint { time, position: p.position, intensity: p.intensity });
+        }
+    }
     Sweep { end, points: sweep }
 }
 

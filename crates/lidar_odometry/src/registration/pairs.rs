@@ -1,0 +1,70 @@
+//! Which planes the points of a scan are paired with.
+
+use std::ops::Range;
+
+use nalgebra as na;
+use portolan_geometry::Point3f;
+use portolan_sensor::TimedPoint;
+
+use crate::deskew::PiecewiseLinearTrajectory;
+use crate::plane_map::{Plane, PlaneMap};
+
+/// Points whose planes are looked for together.
+pub(super) const AT_ONCE: usize = 32;
+
+/// The plane that a point was paired with, and where the point was then.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pair {
+    looked_up_at: na::Vector3<f32>,
+    pub plane: Option<Plane>,
+}
+
+/// The pairs of all points, kept from one iteration to the next.
+pub(super) struct Pairs {
+    pub pairs: Vec<Pair>,
+    /// Points that moved farther are paired anew, m².
+    squared_slack: f32,
+}
+
+/// Where a point is on a trajectory, in the frame of the planes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Ray {
+    /// From the scanner to the point.
+    pub turned: na::Vector3<f32>,
+    /// The point.
+    pub place: na::Vector3<f32>,
+}
+
+impl Pairs {
+    /// Nothing paired yet; points that move by `slack` metres are paired anew.
+    pub fn new(num_points: usize, slack: f32) -> Self {
+        let nowhere = Pair { looked_up_at: na::Vector3::repeat(f32::INFINITY), plane: None };
+        Self { pairs: vec![nowhere; num_points], squared_slack: slack.powi(2) }
+    }
+
+    /// Where at most [`AT_ONCE`] of the points are on a trajectory, into `rays`; pairs those that moved with planes.
+    pub fn renew(
+        &mut self,
+        range: Range<usize>,
+        points: &[TimedPoint],
+        planes: &PlaneMap,
+        trajectory: &PiecewiseLinearTrajectory,
+        rays: &mut [Ray; AT_ONCE],
+    ) {
+        let (points, pairs) = (&points[range.clone()], &mut self.pairs[range]);
+        let (mut moved, mut places, mut num_moved) = ([0; AT_ONCE], [Point3f::origin(); AT_ONCE], 0);
+        for (i, ((ray, point), pair)) in rays.iter_mut().zip(points).zip(&*pairs).enumerate() {
+            let (turned, from) = trajectory.ray(&point.position, point.time);
+            *ray = Ray { turned, place: turned + from };
+            if (ray.place - pair.looked_up_at).norm_squared() > self.squared_slack {
+                (moved[num_moved], places[num_moved]) = (i, ray.place.into());
+                num_moved += 1;
+            }
+        }
+        planes.read_ahead(&places[..num_moved]);
+        for (i, place) in moved[..num_moved].iter().zip(&places) {
+            let toward = rays[*i].turned.try_normalize(1e-6).map_or_else(na::Vector3::zeros, |v| -v);
+            pairs[*i] = Pair { looked_up_at: place.coords, plane: planes.plane_seen(place, &toward) };
+        }
+    }
+}

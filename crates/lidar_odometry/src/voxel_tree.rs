@@ -1,0 +1,224 @@
+//! Which voxels of a planar voxel map there are: the largest ones in a hash table, the eight smaller ones in each of them
+//! in a table of their own. Hits that come one after another lie near each other, and so do these tables: voxels of all
+//! sizes in one hash table are a wait for memory each.
+
+use nalgebra as na;
+use portolan_spatial::DenseIndex;
+
+/// Sizes of voxels, each half of the one before.
+pub(super) const LEVELS: u32 = 3;
+/// Voxels of each size reach this far from the origin along each axis.
+const MAX_INDEX: u32 = 1 << INDEX_BITS >> 1;
+const INDEX_BITS: u32 = 11;
+/// Smallest voxels along the edge of a largest one, and along the edge of all largest ones.
+pub(super) const SMALLEST_IN_LARGEST: f32 = (1 << (LEVELS - 1)) as f32;
+pub(super) const SMALLEST_IN_ALL: f32 = (1 << SMALLEST_BITS) as f32;
+const SMALLEST_BITS: u32 = INDEX_BITS + LEVELS - 1;
+/// No voxel has this number.
+const NONE: u32 = u32::MAX;
+/// The numbers of the smaller voxels in one that has none.
+const NO_CHILDREN: [u32; 8] = [NONE; 8];
+
+/// Numbers of voxels: dense, in the order in which they were added.
+#[derive(Clone, Debug)]
+pub(super) struct VoxelTree {
+    largest: DenseIndex,
+    /// Of each voxel, the place in `tables` of the smaller ones in it. The first table is that of voxels without any.
+    table_of: Vec<u32>,
+    /// By [`Smallest::octant`].
+    tables: Vec<[u32; 8]>,
+}
+
+impl VoxelTree {
+    /// Without voxels; takes so many before it grows.
+    pub fn with_capacity(voxels: usize) -> Self {
+        Self {
+            largest: DenseIndex::with_capacity(0),
+            table_of: Vec::with_capacity(voxels),
+            tables: vec![NO_CHILDREN],
+        }
+    }
+
+    /// Memory taken, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.largest.memory_bytes()
+            + self.table_of.capacity() * size_of::<u32>()
+            + self.tables.capacity() * size_of::<[u32; 8]>()
+    }
+
+    /// How many voxels there are: the number of the next one.
+    pub fn len(&self) -> usize {
+        self.table_of.len()
+    }
+
+    /// The number of the largest voxel around a place.
+    #[inline]
+    pub fn largest(&self, smallest: Smallest) -> Option<usize> {
+        self.largest.get(smallest.key())
+    }
+
+    /// The number of the voxel of a size (not the largest) around a place, in the next larger one.
+    #[inline]
+    pub fn child(&self, parent: usize, smallest: Smallest, level: u32) -> Option<usize> {
+        let children = &self.tables[self.table_of[parent] as usize];
+        let number = children[smallest.octant(level)];
+        (number != NONE).then_some(number as usize)
+    }
+
+    /// Adds the largest voxel around a place, which is not there yet. Its number.
+    pub fn add_largest(&mut self, smallest: Smallest) -> usize {
+        self.largest.insert(smallest.key(), self.len());
+        self.add()
+    }
+
+    /// Adds a smaller voxel (there are fewer than 2²⁸ of them), which is not there yet. Its number.
+    pub fn add_child(&mut self, parent: usize, smallest: Smallest, level: u32) -> usize {
+        self.set_child(parent, smallest.octant(level), self.len());
+        self.add()
+    }
+
+    fn add(&mut self) -> usize {
+        self.table_of.push(0);
+        self.table_of.len() - 1
+    }
+
+    fn set_child(&mut self, parent: usize, octant: usize, number: usize) {
+        if self.table_of[parent] == 0 {
+            self.table_of[parent] = self.tables.len() as u32;
+            self.tables.push(NO_CHILDREN);
+        }
+        self.tables[self.table_of[parent] as usize][octant] = number as u32;
+    }
+
+    /// The voxels that are wanted, of those that lie in none that is not, and their numbers here, ascending.
+    pub fn filtered(&self, is_wanted: impl Fn(usize) -> bool) -> (Self, Vec<usize>) {
+        let wanted_largest = || self.largest.iter().filter(|(_, number)| is_wanted(*number));
+        let mut kept: Vec<usize> = wanted_largest().map(|(_, number)| number).collect();
+        let mut i = 0;
+        while let Some(parent) = kept.get(i) {
+            let children = self.children(*parent).map(|(_, number)| number).filter(|n| is_wanted(*n));
+            let children: Vec<usize> = children.collect();
+            kept.extend(children);
+            i += 1;
+        }
+        kept.sort_unstable();
+        let new_number = |number: usize| kept.binary_search(&number).ok();
+        let mut filtered = Self::with_capacity(kept.len());
+        filtered.largest = DenseIndex::with_capacity(wanted_largest().count());
+        filtered.table_of.resize(kept.len(), 0);
+        for (key, number) in wanted_largest() {
+            if let Some(number) = new_number(number) {
+                filtered.largest.insert(key, number);
+            }
+        }
+        for (parent, number) in kept.iter().enumerate() {
+            for (octant, child) in self.children(*number) {
+                if let Some(child) = new_number(child) {
+                    filtered.set_child(parent, octant, child);
+                }
+            }
+        }
+        (filtered, kept)
+    }
+
+    /// Octants and numbers of the voxels in a larger one.
+    fn children(&self, parent: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let children = self.tables[self.table_of[parent] as usize].iter().enumerate();
+        children.filter(|(_, number)| **number != NONE).map(|(octant, number)| (octant, *number as usize))
+    }
+}
+
+/// Indices of a smallest voxel from the corner of all of them. A larger one has those without their last bits.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Smallest {
+    x: u32,
+    y: u32,
+    z: u32,
+}
+
+impl Smallest {
+    /// The voxel around a place in smallest voxels from the corner, if it is one of all.
+    #[inline]
+    pub fn around(scaled: &na::Vector3<f32>) -> Option<Self> {
+        // Numbers from here to twice that share their exponent, and what they are more stands in the bits below it.
+        const EXPONENT: u32 = SMALLEST_IN_ALL.to_bits();
+        const BELOW: u32 = f32::MANTISSA_DIGITS - 1 - SMALLEST_BITS;
+        let bits = |v: f32| (v + SMALLEST_IN_ALL).to_bits() ^ EXPONENT;
+        let (x, y, z) = (bits(scaled.x), bits(scaled.y), bits(scaled.z));
+        let is_one = (x | y | z) >> (f32::MANTISSA_DIGITS - 1) == 0;
+        is_one.then_some(Self { x: x >> BELOW, y: y >> BELOW, z: z >> BELOW })
+    }
+
+    /// The key of the largest voxel around it: its indices.
+    #[inline]
+    fn key(self) -> u64 {
+        let index = |smallest: u32| u64::from(smallest >> (LEVELS - 1));
+        index(self.x) | index(self.y) << 12 | index(self.z) << 24
+    }
+
+    /// Which of the eight in the next larger voxel the one of this size (not the largest) around it is.
+    #[inline]
+    fn octant(self, level: u32) -> usize {
+        let bit = |smallest: u32| smallest >> (LEVELS - 1 - level) & 1;
+        (bit(self.x) | bit(self.y) << 1 | bit(self.z) << 2) as usize
+    }
+
+    /// Whether there are voxels of this size around it.
+    #[inline]
+    pub fn is_in_reach(self, level: u32) -> bool {
+        let first = (MAX_INDEX << level) - MAX_INDEX;
+        let from_first = |smallest: u32| (smallest >> (LEVELS - 1 - level)).wrapping_sub(first);
+        (from_first(self.x) | from_first(self.y) | from_first(self.z)) >> INDEX_BITS == 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(x: f32, y: f32, z: f32) -> Smallest {
+        Smallest::around(&na::Vector3::new(x, y, z)).unwrap()
+    }
+
+    #[test]
+    fn voxels_lie_in_larger_ones() {
+        let mut tree = VoxelTree::with_capacity(0);
+        let (one, other) = (place(4000.0, 4000.0, 4001.5), place(4003.0, 4001.0, 4001.5));
+        assert_eq!(tree.largest(one), None);
+        let largest = tree.add_largest(one);
+        assert_eq!((tree.largest(other), tree.largest(place(3999.0, 4000.0, 4000.0))), (Some(largest), None));
+        let middle = tree.add_child(largest, one, 1);
+        assert_eq!((tree.child(largest, one, 1), tree.child(largest, other, 1)), (Some(middle), None));
+        let small = tree.add_child(middle, one, 2);
+        let beside = place(4000.0, 4000.0, 4000.5);
+        assert_eq!((tree.child(middle, one, 2), tree.child(middle, beside, 2)), (Some(small), None));
+        assert_eq!((largest, middle, small, tree.len()), (0, 1, 2, 3));
+    }
+
+    #[test]
+    fn small_voxels_reach_less_far() {
+        let at = |x: f32| [0, 1, 2].map(|level| place(x, 4096.0, 4096.0).is_in_reach(level));
+        assert_eq!([at(4096.0), at(4096.0 + 1030.0)], [[true; 3], [true, true, false]]);
+        assert_eq!([at(4096.0 - 2050.0), at(8191.0)], [[true, false, false]; 2]);
+        assert!(Smallest::around(&na::Vector3::new(8192.0, 0.0, 0.0)).is_none());
+        assert!(Smallest::around(&na::Vector3::new(-0.5, f32::NAN, 0.0)).is_none());
+    }
+
+    #[test]
+    fn what_lies_in_an_unwanted_voxel_is_not_kept() {
+        let mut tree = VoxelTree::with_capacity(0);
+        let places = [place(10.0, 10.0, 10.0), place(500.0, 10.0, 10.0)];
+        for place in places {
+            let largest = tree.add_largest(place);
+            let middle = tree.add_child(largest, place, 1);
+            tree.add_child(middle, place, 2);
+        }
+        let (filtered, kept) = tree.filtered(|number| number != 1);
+        assert_eq!((kept, filtered.len()), (vec![0, 3, 4, 5], 4));
+        let numbers = places.map(|place| {
+            let middle = filtered.child(filtered.largest(place)?, place, 1)?;
+            filtered.child(middle, place, 2)
+        });
+        assert_eq!(numbers, [None, Some(3)]);
+    }
+}
