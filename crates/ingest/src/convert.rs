@@ -105,6 +105,27 @@ pub(crate) fn imu(
 #[derive(Clone, Debug, Default)]
 pub(crate) struct LocalFixes {
     origin: Option<(GeodeticPosition, Rigid3)>,
+    newest: Option<SatelliteFix>,
+}
+
+/// A satellite fix, and how well it is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SatelliteFix {
+    /// Its time.
+    pub time: Time,
+    /// Where the antenna was.
+    pub place: GeodeticPosition,
+    /// Standard deviation along the worst horizontal direction, metres; none if the receiver does not say.
+    pub horizontal_sigma: Option<f64>,
+}
+
+/// The standard deviation of a fix along the worst horizontal direction. Receivers that know nothing say 0, or that the type
+/// of their covariance is unknown.
+fn horizontal_sigma(message: &NavSatFix) -> Option<f64> {
+    let [ee, en, _, ne, nn, ..] = message.position_covariance;
+    let (mean, half, cross) = (0.5 * (ee + nn), 0.5 * (ee - nn), 0.5 * (en + ne));
+    let variance = mean + half.hypot(cross);
+    (message.position_covariance_type != 0 && variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
 }
 
 impl LocalFixes {
@@ -121,10 +142,16 @@ impl LocalFixes {
         if !place.is_valid() {
             return None;
         }
+        self.newest = Some(SatelliteFix { time, place, horizontal_sigma: horizontal_sigma(message) });
         let (_, local_from_ecef) = self.origin.get_or_insert_with(|| (place, place.local_from_ecef()));
         let position = *local_from_ecef * nalgebra::Point3::from(place.to_ecef());
         let pose = Rigid3::from_parts(position.coords.into(), Quaternion::identity());
         Some(FixedFramePoseData { time, fixed_from_tracking: Some(pose) })
+    }
+
+    /// The newest fix.
+    pub fn newest(&self) -> Option<SatelliteFix> {
+        self.newest
     }
 
     /// The place of the first fix.

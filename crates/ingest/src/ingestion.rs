@@ -14,7 +14,7 @@ use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
 use crate::azimuth_time::{AzimuthTimes, Turn};
 use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, Order, SensorClock};
-use crate::convert::{Frames, LocalFixes};
+use crate::convert::{Frames, LocalFixes, SatelliteFix};
 use crate::even_stamps::{EvenStamps, StampPolicy, doubtful_beginnings};
 use crate::laser::BeamDirections;
 use crate::options::IngestOptions;
@@ -257,6 +257,11 @@ impl Ingestion {
         issues.merge(&self.source.issues());
         issues.append(self.source.tf.issues());
         issues.list()
+    }
+
+    /// The newest satellite fix that was read, if it is of this time: that of the measurement that was just taken.
+    pub fn satellite_fix(&self, time: Time) -> Option<SatelliteFix> {
+        self.fixes.newest().filter(|fix| fix.time == time)
     }
 
     /// Where the frame of satellite fixes begins: the first fix.

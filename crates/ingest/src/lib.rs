@@ -28,6 +28,7 @@ mod urdf;
 
 pub use azimuth_time::{AzimuthTimes, Turn};
 pub use beam_elevation::{BeamElevation, ElevationOffset};
+pub use convert::SatelliteFix;
 pub use even_stamps::StampPolicy;
 pub use ingestion::{IngestError, Ingestion};
 pub use options::{ConfiguredSensors, IngestOptions, SamplingRatios};

@@ -9,13 +9,11 @@ use crate::change_regions::{Region, regions};
 use crate::known_cells::{Known, KnownCells};
 use crate::placed_scan::{PlacedScan, around};
 
-/// A scan counts if the standard deviation of its place is at most this, metres.
-pub(crate) const CERTAIN_PLACE: f64 = 0.08;
 /// A cell has changed if so many scans say so, this fraction of those that say anything, from two places at least so far
 /// apart, metres: somebody who stands for a moment is seen from one place.
-const SCANS: u16 = 4;
+pub(crate) const SCANS: u16 = 4;
 pub(crate) const FRACTION: f64 = 0.75;
-const VIEWPOINTS: f64 = 1.0;
+pub(crate) const VIEWPOINTS: f64 = 1.0;
 /// Smaller regions are left out, square metres: three cells in a row are an edge that moved with the map's own error.
 const LEAST_AREA: f64 = 0.035;
 
@@ -38,6 +36,14 @@ impl ChangeKind {
     }
 }
 
+/// Counts contradictions of scans whose places are known.
+pub trait ChangeCounter: Send {
+    /// Takes a scan.
+    fn add(&mut self, scan: &PlacedScan);
+    /// Regions that have changed.
+    fn changes(&self) -> Vec<Change>;
+}
+
 /// A region of the plane in which a recording contradicts the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change {
@@ -45,8 +51,10 @@ pub struct Change {
     pub kind: ChangeKind,
     /// Its outline in the map, metres, counter-clockwise, and then its holes, clockwise; the first point is not repeated.
     pub rings: Vec<Vec<[f64; 2]>>,
-    /// Of the cells that changed, square metres.
+    /// Of the cells that changed, square metres; in 3D seen from above.
     pub area: f64,
+    /// From which height to which it reaches, metres in the map; none in 2D.
+    pub heights: Option<[f64; 2]>,
     /// Times of the first and the last scan that say so.
     pub seen: (Time, Time),
     /// So many scans say so of one of its cells.
@@ -79,40 +87,6 @@ impl ChangeGrid {
         Self { map, hits: vec![0; cells], passes: vec![0; cells], witnesses: BTreeMap::new() }
     }
 
-    /// Takes a scan.
-    pub(crate) fn add(&mut self, scan: &PlacedScan) {
-        let limits = &self.map.limits;
-        let hit = scan.ends(limits);
-        let passed: BTreeSet<usize> = scan.passed(limits).collect();
-        let around = around(limits, &hit);
-        let free_and_hit = |cell: &&usize| self.map.known[**cell] == Known::Free;
-        let new: Vec<usize> = hit.iter().filter(free_and_hit).copied().collect();
-        let gone: Vec<usize> =
-            passed.iter().filter(|cell| self.map.known[**cell] == Known::Solid).copied().collect();
-        let gone: Vec<usize> = gone.into_iter().filter(|cell| !around.contains(cell)).collect();
-        for cell in &hit {
-            self.hits[*cell] = self.hits[*cell].saturating_add(1);
-        }
-        // A point beside a cell that was solid is of what was there.
-        for cell in around.iter().filter(|cell| !hit.contains(cell)) {
-            if self.map.known[*cell] == Known::Solid {
-                self.hits[*cell] = self.hits[*cell].saturating_add(1);
-            }
-        }
-        for cell in passed.iter().filter(|cell| !around.contains(cell)) {
-            self.passes[*cell] = self.passes[*cell].saturating_add(1);
-        }
-        for cell in new.into_iter().chain(gone) {
-            self.witness(cell, scan);
-        }
-    }
-
-    /// Regions that have changed.
-    pub(crate) fn changes(&self) -> Vec<Change> {
-        let of_kind = |kind| self.changed_regions(kind).into_iter().map(move |r| self.change(kind, &r));
-        of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone)).collect()
-    }
-
     /// All cells of these regions.
     pub(crate) fn changed_cells(&self) -> ChangedCells {
         let of_kind = |kind| self.changed_regions(kind).into_iter().map(move |region| (kind, region));
@@ -132,10 +106,11 @@ impl ChangeGrid {
     }
 
     fn witness(&mut self, cell: usize, scan: &PlacedScan) {
-        let new = Witness { first: scan.time, last: scan.time, from: scan.origin, is_seen_from_two: false };
+        let new =
+            Witness { first: scan.time, last: scan.time, from: scan.origin.xy(), is_seen_from_two: false };
         let witness = self.witnesses.entry(cell).or_insert(new);
         witness.last = scan.time;
-        witness.is_seen_from_two |= (scan.origin - witness.from).norm() >= VIEWPOINTS;
+        witness.is_seen_from_two |= (scan.origin.xy() - witness.from).norm() >= VIEWPOINTS;
     }
 
     /// What has become of a cell.
@@ -169,9 +144,44 @@ impl ChangeGrid {
             kind,
             rings,
             area: region.cells.len() as f64 * edge * edge,
+            heights: None,
             seen: (first.unwrap_or_default(), last.unwrap_or_default()),
             scans: u32::from(scans),
         }
+    }
+}
+
+impl ChangeCounter for ChangeGrid {
+    fn add(&mut self, scan: &PlacedScan) {
+        let limits = &self.map.limits;
+        let hit = scan.ends(limits);
+        let passed: BTreeSet<usize> = scan.passed(limits).collect();
+        let around = around(limits, &hit);
+        let free_and_hit = |cell: &&usize| self.map.known[**cell] == Known::Free;
+        let new: Vec<usize> = hit.iter().filter(free_and_hit).copied().collect();
+        let gone: Vec<usize> =
+            passed.iter().filter(|cell| self.map.known[**cell] == Known::Solid).copied().collect();
+        let gone: Vec<usize> = gone.into_iter().filter(|cell| !around.contains(cell)).collect();
+        for cell in &hit {
+            self.hits[*cell] = self.hits[*cell].saturating_add(1);
+        }
+        // A point beside a cell that was solid is of what was there.
+        for cell in around.iter().filter(|cell| !hit.contains(cell)) {
+            if self.map.known[*cell] == Known::Solid {
+                self.hits[*cell] = self.hits[*cell].saturating_add(1);
+            }
+        }
+        for cell in passed.iter().filter(|cell| !around.contains(cell)) {
+            self.passes[*cell] = self.passes[*cell].saturating_add(1);
+        }
+        for cell in new.into_iter().chain(gone) {
+            self.witness(cell, scan);
+        }
+    }
+
+    fn changes(&self) -> Vec<Change> {
+        let of_kind = |kind| self.changed_regions(kind).into_iter().map(move |r| self.change(kind, &r));
+        of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone)).collect()
     }
 }
 

@@ -138,7 +138,7 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
         }
         let here = map.find(&self.scan_of(stop.node).scan, &truth, ON_THE_WAY);
         let own = Hypothesis::along(map, &recent, &truth);
-        let mut others = self.searcher.propose(&recent, &|pose| !is_elsewhere(pose, &truth));
+        let mut others = self.searcher.propose(&recent, None, &|pose| !is_elsewhere(pose, &truth));
         others.retain(|other| is_elsewhere(&other.belief.pose, &truth));
         let other = others.first().map(|other| OtherPlace {
             map_from_tracking: other.belief.pose * scan_from_tracking,

@@ -1,9 +1,9 @@
 //! From scans in the local map to places in the known one: searching, tracking, getting lost and being found.
 
-use portolan_geometry::{Point3f, Rigid3, Time, project_2d, to_f32};
+use portolan_geometry::{Point3f, Rigid3, Time, to_f32};
 use portolan_sensor::PointCloud;
 
-use crate::changes::{CERTAIN_PLACE, Change, ChangeGrid};
+use crate::changes::{Change, ChangeCounter};
 use crate::evidence::{Support, Verdict};
 use crate::hypothesis::{Hypothesis, fit};
 use crate::known_map::{KnownMap, Window};
@@ -11,7 +11,7 @@ use crate::pace::Pace;
 use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
 use crate::rivals::{BETTER_BY, BETTER_FIT, Rivals};
-use crate::search::{Decision, Due, Places, Searcher, ToldStart};
+use crate::search::{Decision, Due, Places, PositionFix, Searcher, TimedPose, ToldStart};
 use crate::state::{Estimate, Place, Reason, State};
 
 /// A scan that contradicts the map where it is believed to be is looked for so far around, metres and radians, and
@@ -26,14 +26,20 @@ const CHECK_SURE: f64 = 10.0;
 const CHECK_WAY: f64 = 3.0;
 /// Another place is better if it is in so many searches.
 const BETTER_SEARCHES: u32 = 2;
-/// A start is looked around at if its heading is known to this standard deviation, radians.
+/// A start is looked around at if its heading is known to this standard deviation, radians; at any heading otherwise, if the
+/// area where it may be is not wider than this, metres: of a wider one the search of the whole map is as good.
 const WIDEST_START: f64 = 1.0;
+const WIDEST_AREA: f64 = 100.0;
+/// A satellite fix of so long before the scan before is not where the scanner is, seconds.
+const STALE_FIX: f64 = 0.5;
 /// Outside of the map the place is lost when its standard deviation reaches this, metres.
 const WIDEST: f64 = 2.0;
 
 /// A scan as local SLAM found it.
-pub(crate) struct LocalScan<'a> {
+pub struct LocalScan<'a> {
+    /// When it was taken.
     pub time: Time,
+    /// Where local SLAM put it.
     pub local_from_tracking: Rigid3,
     /// In the local map.
     pub returns: &'a PointCloud,
@@ -64,13 +70,6 @@ struct Track {
     doubt: Reason,
 }
 
-/// Where the last scan was taken.
-#[derive(Clone, Copy)]
-struct Last {
-    time: Time,
-    local_from_scan: Rigid3,
-}
-
 /// A scan on its way through.
 struct Current<S> {
     time: Time,
@@ -86,18 +85,20 @@ pub(crate) struct Finder<M: KnownMap> {
     searcher: Searcher<M>,
     recent: RecentScans<M::Scan>,
     mode: Mode,
-    last: Option<Last>,
+    last: Option<TimedPose>,
     pace: Pace,
     start: Option<(Rigid3, (f64, f64))>,
     told: Option<ToldStart>,
-    changes: Option<ChangeGrid>,
+    /// One that scans have not reached yet.
+    fix: Option<PositionFix>,
+    changes: Box<dyn ChangeCounter>,
 }
 
 impl<M: KnownMap> Finder<M> {
     /// With the start that somebody told, and its standard deviations in metres and radians.
     pub fn new(searcher: Searcher<M>, start: Option<(Rigid3, (f64, f64))>) -> Self {
         let mode = Mode::Searching { places: Places::default(), lost: None };
-        let changes = searcher.map.change_grid();
+        let changes = searcher.map.change_counter();
         Self {
             searcher,
             recent: RecentScans::default(),
@@ -106,7 +107,16 @@ impl<M: KnownMap> Finder<M> {
             pace: Pace::default(),
             start,
             told: None,
+            fix: None,
             changes,
+        }
+    }
+
+    /// Takes a satellite fix: while no place is known it is where the scanner may be.
+    pub fn add_fix(&mut self, fix: PositionFix) {
+        // The newest one of all may always be ahead of the scans.
+        if self.fix.is_none() && matches!(self.mode, Mode::Searching { .. }) {
+            self.fix = Some(fix);
         }
     }
 
@@ -122,6 +132,7 @@ impl<M: KnownMap> Finder<M> {
             let map_from_scan = M::local_from_scan(&pose);
             self.told = Some(ToldStart { map_from_scan, sigmas, local_from_scan });
         }
+        self.reach_fix(&TimedPose { time: scan.time, local_from_scan });
         let current = self.current(scan, local_from_scan);
         let mode =
             std::mem::replace(&mut self.mode, Mode::Searching { places: Places::default(), lost: None });
@@ -140,7 +151,23 @@ impl<M: KnownMap> Finder<M> {
 
     /// Where scans contradicted the map.
     pub fn changes(&self) -> Vec<Change> {
-        self.changes.as_ref().map_or_else(Vec::new, ChangeGrid::changes)
+        self.changes.changes()
+    }
+
+    /// Where the recording was told to be, by a start or a satellite fix, when it was last looked for: the pose in the map, and
+    /// standard deviations in metres and radians.
+    pub fn told(&self) -> Option<(Rigid3, (f64, f64))> {
+        self.told.map(|told| (told.map_from_scan, told.sigmas))
+    }
+
+    /// Takes the fix that waits for a scan of its time.
+    fn reach_fix(&mut self, now: &TimedPose) {
+        let Some(fix) = self.fix.filter(|fix| fix.time <= now.time) else { return };
+        self.fix = None;
+        let before = self.last.as_ref().unwrap_or(now);
+        if before.time.seconds_since(fix.time) < STALE_FIX && matches!(self.mode, Mode::Searching { .. }) {
+            self.told = Some(ToldStart::of_fix(&fix, before, now));
+        }
     }
 
     /// What the map is searched with.
@@ -150,17 +177,17 @@ impl<M: KnownMap> Finder<M> {
 
     /// Compares a scan whose place is known with the map.
     fn count_changes(&mut self, scan: &LocalScan, current: &Current<M::Scan>) {
-        let (Some(changes), Mode::Tracking(track)) = (&mut self.changes, &self.mode) else { return };
+        let Mode::Tracking(track) = &self.mode else { return };
         let belief = &track.place.belief;
-        if belief.sigmas().0 > CERTAIN_PLACE {
+        if belief.sigmas().0 > M::CERTAIN_PLACE {
             return;
         }
         let map_from_local = belief.pose * current.local_from_scan.inverse();
         let origin = map_from_local * scan.origin.cast::<f64>();
-        changes.add(&PlacedScan {
+        self.changes.add(&PlacedScan {
             time: scan.time,
-            origin: origin.xy().coords,
-            map_from_local: project_2d(&map_from_local),
+            origin: origin.coords,
+            map_from_local,
             returns: &scan.returns.points,
         });
     }
@@ -187,7 +214,7 @@ impl<M: KnownMap> Finder<M> {
     fn current(&mut self, scan: &LocalScan, local_from_scan: Rigid3) -> Current<M::Scan> {
         let scan_from_local = to_f32(&local_from_scan.inverse());
         let seen = self.searcher.map.scan(&scan.returns.transformed(&scan_from_local));
-        let last = self.last.replace(Last { time: scan.time, local_from_scan });
+        let last = self.last.replace(TimedPose { time: scan.time, local_from_scan });
         let motion = last.map_or_else(Rigid3::identity, |l| l.local_from_scan.inverse() * local_from_scan);
         let seconds = last.map_or(0.0, |l| scan.time.seconds_since(l.time));
         let offered = self.recent.offer(KeyScan { time: scan.time, local_from_scan, scan: seen.clone() });
@@ -249,17 +276,31 @@ impl<M: KnownMap> Finder<M> {
         let Some(newest) = self.recent.iter().next_back() else { return Vec::new() };
         let motion = newest.local_from_scan.inverse() * current.local_from_scan;
         let is_known = |pose: &Rigid3| known.iter().any(|place| place.is_at(&(*pose * motion)));
-        let mut found = self.searcher.propose(&self.recent, &is_known);
-        // Where it may head anywhere, the search of the whole map has looked there as well.
-        if let Some(told) = self.told.as_ref().filter(|told| told.sigmas.1 <= WIDEST_START) {
-            let near = told.map_from_scan * told.local_from_scan.inverse() * newest.local_from_scan;
-            let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
-            let map = &self.searcher.map;
-            let settled = map.settle(&map.joint(&self.recent), &near, window);
-            found.extend(Hypothesis::along(map, &self.recent, &settled));
+        let mut found = self.searcher.propose(&self.recent, None, &is_known);
+        if let Some(told) = &self.told {
+            found.extend(self.propose_told(told, &newest.local_from_scan, &is_known));
         }
         found.iter_mut().for_each(|place| place.predict(&motion, 0.0));
         found
+    }
+
+    /// Places where the recent scans fit around where the recording was told to be.
+    fn propose_told(
+        &self,
+        told: &ToldStart,
+        local_from_scan: &Rigid3,
+        is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
+    ) -> Vec<Hypothesis> {
+        if told.sigmas.1 > WIDEST_START {
+            let area = Some(told.area(local_from_scan)).filter(|area| area.metres <= WIDEST_AREA);
+            return area
+                .map_or_else(Vec::new, |area| self.searcher.propose(&self.recent, Some(area), is_known));
+        }
+        let near = told.map_from_scan * told.local_from_scan.inverse() * local_from_scan;
+        let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
+        let map = &self.searcher.map;
+        let settled = map.settle(&map.joint(&self.recent), &near, window);
+        Hypothesis::along(map, &self.recent, &settled).into_iter().collect()
     }
 
     fn track(&mut self, track: Box<Track>, current: &Current<M::Scan>) -> (Mode, State, Reason) {

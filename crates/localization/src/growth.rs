@@ -1,11 +1,13 @@
 //! A map that grows by a recording that was localised in it.
 
+use portolan_geometry::Time;
 use portolan_mapping::{Extension, LocalTrack, Placement, PoseGraph, TrackedNode, TrajectoryId};
 
 use crate::known_map::KnownMap;
 use crate::renewal::Renewal;
 use crate::state::{Estimate, State};
 use crate::trust::trusted_spans;
+use crate::voxel_changes::KeptSweep;
 
 /// What becomes of a map that a recording was localised in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,41 +45,36 @@ pub enum GrowthError {
          believed; record a longer way through what the map knows"
     )]
     NothingTrusted,
-    /// Maps in 3D.
-    #[error("maps in 3D cannot be renewed yet, only extended (--save-map)")]
-    CannotRenew,
 }
 
 /// Adds a recording to the pose graph of the map that it was localised in.
 pub(crate) fn grow<M: KnownMap>(
     map: &M,
     graph: &mut PoseGraph<M::Space>,
-    track: LocalTrack<M::Space>,
+    (track, sweeps): (LocalTrack<M::Space>, &[KeptSweep]),
     estimates: &[Estimate],
     growth: Growth,
 ) -> Result<Grown, GrowthError> {
     if !estimates.iter().any(|e| e.state == State::Localised) {
         return Err(GrowthError::NeverLocalised);
     }
-    if growth == Growth::Renew && !M::RENEWS {
-        return Err(GrowthError::CannotRenew);
-    }
     let mut track = track;
     let spans = trusted_spans(estimates);
-    track.judge(|node: &TrackedNode<M::Space>| {
-        let is_trusted = spans.iter().any(|(first, last)| (*first..=*last).contains(&node.time()));
-        match node.placement {
-            _ if !is_trusted => Placement::Unknown,
-            Placement::Carried(_) if growth == Growth::Renew => Placement::Unknown,
-            placement => placement,
-        }
+    let is_trusted = |time: Time| spans.iter().any(|(first, last)| (*first..=*last).contains(&time));
+    track.judge(|node: &TrackedNode<M::Space>| match node.placement {
+        _ if !is_trusted(node.time()) => Placement::Unknown,
+        Placement::Carried(_) if growth == Growth::Renew => Placement::Unknown,
+        placement => placement,
     });
     let last = graph.state().trajectories.keys().next_back();
     let trajectory_id = TrajectoryId(last.map_or(0, |id| id.0.saturating_add(1)));
     let extension = graph.extend(trajectory_id, &track).ok_or(GrowthError::NothingTrusted)?;
     let renewal = match growth {
         Growth::Extend => None,
-        Growth::Renew => map.renew(graph, trajectory_id),
+        Growth::Renew => {
+            let sweeps: Vec<&KeptSweep> = sweeps.iter().filter(|sweep| is_trusted(sweep.time)).collect();
+            Some(map.renew(graph, trajectory_id, &sweeps))
+        }
     };
     let trusted = track.nodes().iter().filter(|node| node.placement != Placement::Unknown);
     Ok(Grown {

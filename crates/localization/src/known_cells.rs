@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use portolan_geometry::{Vector2, project_2d};
 use portolan_grids::{CellIndex, GridError, MapLimits, ProbabilityGrid};
 use portolan_mapping::{GraphState, Planar};
 
@@ -18,7 +17,7 @@ const CELL: f64 = 0.1;
 const SOLID: f32 = 0.6;
 const FREE: f32 = 0.4;
 /// So far, metres, what is new lies from all that was solid, and beams go on behind what is gone: scans, walls and their
-/// places in the map err together by a third of it ([`CERTAIN_PLACE`](crate::changes::CERTAIN_PLACE) and the 3.5 cm of the map).
+/// places in the map err together by a third of it ([`KnownMap::CERTAIN_PLACE`] and the 3.5 cm of the map).
 pub(crate) const CLEARANCE: f64 = 0.25;
 
 /// What the map says of a cell.
@@ -92,8 +91,8 @@ fn for_each_scan(state: &GraphState<Planar>, mut visit: impl FnMut(&PlacedScan))
         let map_from_tracking = node.map_from_tracking;
         visit(&PlacedScan {
             time: node.data.time,
-            origin: Vector2::new(map_from_tracking.translation.x, map_from_tracking.translation.y),
-            map_from_local: project_2d(&map_from_tracking),
+            origin: map_from_tracking.translation.vector,
+            map_from_local: map_from_tracking,
             returns: &PlanarMap::points_in_tracking(&node.data).points,
         });
     }

@@ -1,15 +1,17 @@
 //! What a saved map has to be able to for scans to be found in it: what differs between the plane and space.
 
-use portolan_geometry::Rigid3;
+use portolan_geometry::{Rigid3, Vector2};
 use portolan_grids::{GridError, ScanAgreement};
 use portolan_mapping::{NodeData, PoseGraph, Space, TrajectoryId};
 use portolan_matching::MatcherOptionError;
 use portolan_sensor::PointCloud;
 
 use crate::belief::{Freedom, Matrix6};
-use crate::changes::ChangeGrid;
+use crate::changes::ChangeCounter;
+use crate::finder::LocalScan;
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
+use crate::voxel_changes::KeptSweep;
 
 /// Why a map cannot be localised in.
 #[derive(Debug, thiserror::Error)]
@@ -40,6 +42,15 @@ pub struct Window {
     pub radians: f64,
 }
 
+/// A part of the map, seen from above: what lies within so many metres of a place along each axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Area {
+    /// The place in the map, metres.
+    pub centre: Vector2,
+    /// To each side.
+    pub metres: f64,
+}
+
 /// Where earlier scans of the way are looked for.
 pub(crate) const ON_THE_WAY: Window = Window { metres: 0.1, radians: 0.03 };
 
@@ -67,12 +78,12 @@ pub trait KnownMap: Sized + Send + Sync {
     type Joint: Send + Sync;
     /// How the scanner moves.
     const FREEDOM: Freedom;
+    /// The standard deviation to which a place is certain enough for contradictions to count there, metres: less than the cells
+    /// in which they are counted.
+    const CERTAIN_PLACE: f64;
     /// While no place is known, the whole map is searched at least so often where something new was seen, seconds: as long as
     /// a search costs, so that a recording is localised no slower than it was made.
     const LONGEST_PAUSE: f64;
-
-    /// Whether such maps can be renewed.
-    const RENEWS: bool;
 
     /// The frame of a scan in the local map.
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3;
@@ -82,19 +93,26 @@ pub trait KnownMap: Sized + Send + Sync {
     fn scan(&self, returns: &PointCloud) -> Self::Scan;
     /// The recent scans as one.
     fn joint(&self, recent: &RecentScans<Self::Scan>) -> Self::Joint;
-    /// Poses anywhere in the map where the joint scan may have been taken, without any guess, the best first.
-    fn propose(&self, joint: &Self::Joint, is_known: &(dyn Fn(&Rigid3) -> bool + Sync)) -> Vec<Rigid3>;
+    /// Poses in an area, or anywhere in the map, where the joint scan may have been taken, at any heading, the best first.
+    fn propose(
+        &self,
+        joint: &Self::Joint,
+        area: Option<Area>,
+        is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
+    ) -> Vec<Rigid3>;
     /// The pose in a window around a guess where the joint scan fits best.
     fn settle(&self, joint: &Self::Joint, guess: &Rigid3, window: Window) -> Rigid3;
     /// Finds a scan in a window around a guess.
     fn find(&self, scan: &Self::Scan, guess: &Rigid3, window: Window) -> ScanMatch;
     /// What the map says to a scan at a pose.
     fn agreement(&self, scan: &Self::Scan, pose: &Rigid3) -> ScanAgreement;
-    /// Renews the pose graph that holds this map by a trajectory that was localised in it and added to it; none if that is
-    /// not done in such maps.
-    fn renew(&self, _graph: &mut PoseGraph<Self::Space>, _new: TrajectoryId) -> Option<Renewal> {
+    /// What a scan is kept as, to renew the map by; none where nodes keep enough of it. The returns are in the local map.
+    fn kept_sweep(_scan: &LocalScan, _place: &Rigid3) -> Option<KeptSweep> {
         None
     }
-    /// Where scans are compared with the map cell by cell; none if that is not done in such maps.
-    fn change_grid(&self) -> Option<ChangeGrid>;
+    /// Renews the pose graph that holds this map by a trajectory that was localised in it and added to it, and by the scans
+    /// that were kept of it.
+    fn renew(&self, graph: &mut PoseGraph<Self::Space>, new: TrajectoryId, sweeps: &[&KeptSweep]) -> Renewal;
+    /// Where scans are compared with the map cell by cell.
+    fn change_counter(&self) -> Box<dyn ChangeCounter>;
 }

@@ -6,7 +6,8 @@ use portolan_config::Options;
 use portolan_geometry::Rigid3;
 use portolan_issue::IssueLog;
 use portolan_mapping::{
-    LocalSlam, LocalTrack, MapperError, MatchingResult, PoseGraph, SensorCollation, Space, TrajectoryId,
+    LocalSlam, LocalTrack, MapperError, MatchingResult, Placement, PoseGraph, SensorCollation, Space,
+    TrajectoryId,
 };
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 
@@ -14,8 +15,9 @@ use crate::changes::Change;
 use crate::finder::{Finder, LocalScan};
 use crate::growth::{Grown, Growth, GrowthError, grow};
 use crate::known_map::KnownMap;
-use crate::search::Searcher;
+use crate::search::{PositionFix, Searcher};
 use crate::state::Estimate;
+use crate::voxel_changes::KeptSweep;
 
 /// Where a recording starts, as far as somebody knows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,6 +67,8 @@ pub struct Localizer<M: KnownMap> {
     local_slam: <M::Space as Space>::LocalSlam,
     finder: Finder<M>,
     track: Option<LocalTrack<M::Space>>,
+    /// What is kept with the track to renew the map by.
+    sweeps: Vec<KeptSweep>,
 }
 
 /// The one trajectory.
@@ -83,7 +87,9 @@ impl<M: KnownMap> Localizer<M> {
     ) -> Result<Self, LocalizerError> {
         let ranges: Vec<SensorId> = sensors.iter().filter(|s| s.kind == SensorKind::Range).cloned().collect();
         let mut collation = SensorCollation::new(options.map_builder.collate_by_trajectory);
-        collation.add_trajectory(TRAJECTORY, sensors, &options.trajectory_builder);
+        // Fixes are taken as they come: scans do not wait for them.
+        let ordered = sensors.iter().filter(|s| s.kind != SensorKind::FixedFramePose).cloned().collect();
+        collation.add_trajectory(TRAJECTORY, &ordered, &options.trajectory_builder);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build()?;
         let searcher = Searcher { map, pool };
         let start = settings.start.map(|s| (s.map_from_tracking, (s.sigma_metres, s.sigma_radians)));
@@ -92,13 +98,23 @@ impl<M: KnownMap> Localizer<M> {
             local_slam: M::Space::new_local_slam(options, &ranges)?,
             finder: Finder::new(searcher, start),
             track: settings.keeps_track.then(LocalTrack::default),
+            sweeps: Vec::new(),
         })
     }
 
     /// Takes a measurement; what is known after each scan whose turn has come with it.
     pub fn add(&mut self, sensor_id: &SensorId, measurement: Measurement) -> Vec<Estimate> {
+        if sensor_id.kind == SensorKind::FixedFramePose {
+            return Vec::new();
+        }
         let ready = self.collation.add(TRAJECTORY, sensor_id, measurement);
         ready.into_iter().flat_map(|(_, id, measurement)| self.dispatch(&id, measurement)).collect()
+    }
+
+    /// Takes a satellite fix: as long as no place is known it is one more place where the scanner may be, which scans have to
+    /// confirm.
+    pub fn add_fix(&mut self, fix: PositionFix) {
+        self.finder.add_fix(fix);
     }
 
     /// Ends the recording: uses what waits.
@@ -126,8 +142,9 @@ impl<M: KnownMap> Localizer<M> {
         growth: Growth,
     ) -> Result<Grown, GrowthError> {
         let track = self.track.take().unwrap_or_default();
+        let sweeps = std::mem::take(&mut self.sweeps);
         let searcher = self.finder.searcher();
-        searcher.pool.install(|| grow(&searcher.map, graph, track, estimates, growth))
+        searcher.pool.install(|| grow(&searcher.map, graph, (track, &sweeps), estimates, growth))
     }
 
     /// What was dropped or repaired so far.
@@ -137,7 +154,7 @@ impl<M: KnownMap> Localizer<M> {
         issues
     }
 
-    /// Where scans contradicted the map while it was localised (2D).
+    /// Where scans contradicted the map while it was localised.
     pub fn changes(&self) -> Vec<Change> {
         self.finder.changes()
     }
@@ -145,6 +162,12 @@ impl<M: KnownMap> Localizer<M> {
     /// Whether the start that was told agrees with the place that is known; none while none is known, or none was told.
     pub fn start_agrees(&self) -> Option<bool> {
         self.finder.start_agrees()
+    }
+
+    /// Where the recording was told to be when it was last looked for: the start, or a satellite fix.
+    pub fn told(&self) -> Option<StartPose> {
+        let (map_from_tracking, (sigma_metres, sigma_radians)) = self.finder.told()?;
+        Some(StartPose { map_from_tracking, sigma_metres, sigma_radians })
     }
 
     fn dispatch(&mut self, sensor_id: &SensorId, measurement: Measurement) -> Vec<Estimate> {
@@ -164,17 +187,24 @@ impl<M: KnownMap> Localizer<M> {
     }
 
     fn find(&mut self, matched: Vec<MatchingResult<M::Space>>) -> Vec<Estimate> {
-        let (finder, track) = (&mut self.finder, &mut self.track);
+        let (finder, track, sweeps) = (&mut self.finder, &mut self.track, &mut self.sweeps);
         let find = |scan: MatchingResult<M::Space>| {
-            let estimate = finder.add(&LocalScan {
+            let local = LocalScan {
                 time: scan.time,
                 local_from_tracking: scan.local_from_tracking,
                 returns: &scan.range_data_in_local.returns,
                 origin: scan.range_data_in_local.origin,
                 begins_anew: scan.lost.as_ref().is_some_and(|lost| lost.bridge.is_none()),
-            });
+            };
+            let estimate = finder.add(&local);
             if let Some(track) = track {
-                track.add(&scan, estimate.placement());
+                let placement = estimate.placement(M::CERTAIN_PLACE);
+                if let Placement::Found(place) = placement
+                    && !sweeps.last().is_some_and(|last| last.is_like(&place))
+                {
+                    sweeps.extend(M::kept_sweep(&local, &place));
+                }
+                track.add(&scan, placement);
             }
             estimate
         };

@@ -1,13 +1,15 @@
 //! What of space is solid and what is free, over a whole map.
 
 use portolan_geometry::{Point3f, to_f32};
-use portolan_grids::{GridError, HybridGrid};
+use portolan_grids::{GridError, HybridGrid, VoxelIndex};
 use portolan_mapping::{GraphState, Spatial};
 
 /// Edge of a cell, metres.
-const CELL: f32 = 0.2;
+pub(crate) const CELL: f32 = 0.2;
 /// Cells of submaps of this probability are solid.
-const SOLID: f32 = 0.55;
+pub(crate) const SOLID: f32 = 0.55;
+/// Cells of submaps of less than this are free, if nothing solid is near: what was there is gone.
+const GONE: f32 = 0.12;
 /// How the two are kept.
 const IS_SOLID: f32 = 0.9;
 const IS_FREE: f32 = 0.1;
@@ -25,7 +27,7 @@ impl Occupancy {
     /// Of all submaps and nodes, where the pose graph puts them.
     pub fn new(state: &GraphState<Spatial>) -> Result<Self, GridError> {
         let mut cells = HybridGrid::new(CELL)?;
-        let mut set = |point: &Point3f, probability: f32| {
+        let set = |cells: &mut HybridGrid, point: &Point3f, probability: f32| {
             if let Some(cell) = cells.cell_index(point)
                 && !cells.is_known(cell)
             {
@@ -37,9 +39,16 @@ impl Occupancy {
             let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
             grid.for_each_cell(|cell, _| {
                 if grid.probability(cell) > SOLID {
-                    set(&(pose * grid.cell_center(cell)), IS_SOLID);
+                    set(&mut cells, &(pose * grid.cell_center(cell)), IS_SOLID);
                 }
             });
+        }
+        for place in faded(state) {
+            let is_near =
+                cells.cell_index(&place).is_none_or(|cell| around(cell).any(|c| is_solid(&cells, c)));
+            if !is_near && let Some(cell) = cells.cell_index(&place) {
+                cells.set_probability(cell, IS_FREE);
+            }
         }
         for node in state.nodes.values() {
             let pose = to_f32(&node.map_from_tracking);
@@ -49,10 +58,31 @@ impl Occupancy {
                 let beam = pose * point - origin;
                 let length = beam.norm();
                 let steps = ((length.min(RANGE) - IN_FRONT) / CELL).max(0.0) as u32;
-                (2..steps).for_each(|i| set(&(origin + beam * (i as f32 * CELL / length)), IS_FREE));
+                (2..steps)
+                    .for_each(|i| set(&mut cells, &(origin + beam * (i as f32 * CELL / length)), IS_FREE));
             }
         }
         Ok(Self { cells })
+    }
+
+    /// The cell of a point; none where there can be none.
+    pub fn cell(&self, point: &Point3f) -> Option<VoxelIndex> {
+        self.cells.cell_index(point)
+    }
+
+    /// The middle of a cell, metres.
+    pub fn middle(&self, cell: VoxelIndex) -> Point3f {
+        self.cells.cell_center(cell)
+    }
+
+    /// Whether a cell is solid.
+    pub fn is_solid(&self, cell: VoxelIndex) -> bool {
+        is_solid(&self.cells, cell)
+    }
+
+    /// Whether beams went through a cell, or what was there is gone.
+    pub fn is_free_cell(&self, cell: VoxelIndex) -> bool {
+        self.cells.is_known(cell) && self.cells.probability(cell) < 0.5
     }
 
     /// Middles of the solid cells.
@@ -80,6 +110,30 @@ impl Occupancy {
     /// Whether a point is where beams went through.
     pub fn is_free(&self, point: &Point3f) -> bool {
         let Some(cell) = self.cells.cell_index(point) else { return false };
-        self.cells.is_known(cell) && self.cells.probability(cell) < 0.5
+        self.is_free_cell(cell)
     }
+}
+
+fn is_solid(cells: &HybridGrid, cell: VoxelIndex) -> bool {
+    cells.is_known(cell) && cells.probability(cell) > 0.5
+}
+
+/// A cell and the 26 around it.
+pub(crate) fn around([x, y, z]: VoxelIndex) -> impl Iterator<Item = VoxelIndex> {
+    (-1..=1).flat_map(move |i| (-1..=1).flat_map(move |j| (-1..=1).map(move |k| [x + i, y + j, z + k])))
+}
+
+/// Where fine cells of submaps say that nothing is there.
+fn faded(state: &GraphState<Spatial>) -> Vec<Point3f> {
+    let mut places = Vec::new();
+    for (id, entry) in &state.submaps {
+        let (Some(submap), Some(pose)) = (&entry.submap, state.map_from_submap(*id)) else { continue };
+        let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
+        grid.for_each_cell(|cell, _| {
+            if grid.probability(cell) < GONE {
+                places.push(pose * grid.cell_center(cell));
+            }
+        });
+    }
+    places
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use portolan_geometry::{Point3f, Rigid2, Time, Vector2};
+use portolan_geometry::{Point3f, Rigid3, Time, Vector2, Vector3, project_2d};
 use portolan_grids::{CellIndex, MapLimits};
 
 use crate::known_cells::CLEARANCE;
@@ -11,11 +11,13 @@ use crate::known_cells::CLEARANCE;
 const RANGE: f64 = 10.0;
 
 /// A scan whose place is known.
-pub(crate) struct PlacedScan<'a> {
+pub struct PlacedScan<'a> {
+    /// When it was taken.
     pub time: Time,
     /// Where its beams begin, in the map.
-    pub origin: Vector2,
-    pub map_from_local: Rigid2,
+    pub origin: Vector3,
+    /// Where the local map lies.
+    pub map_from_local: Rigid3,
     /// Returns in the local map, metres.
     pub returns: &'a [Point3f],
 }
@@ -24,7 +26,7 @@ impl PlacedScan<'_> {
     /// The cells in which beams end.
     pub(crate) fn ends(&self, limits: &MapLimits) -> BTreeSet<usize> {
         let near = self.beams().filter(|(_, length)| *length <= RANGE);
-        near.filter_map(|(beam, _)| cell_at(limits, &(self.origin + beam))).collect()
+        near.filter_map(|(beam, _)| cell_at(limits, &(self.origin.xy() + beam))).collect()
     }
 
     /// The cells through which beams pass well before their ends, some of them often.
@@ -32,16 +34,17 @@ impl PlacedScan<'_> {
         let step = 0.5 * limits.resolution();
         self.beams().flat_map(move |(beam, length)| {
             let steps = ((length - CLEARANCE).min(RANGE) / step).max(0.0) as u32;
-            let at = move |i| self.origin + beam * (f64::from(i) * step / length);
+            let at = move |i| self.origin.xy() + beam * (f64::from(i) * step / length);
             (1..steps).filter_map(move |i| cell_at(limits, &at(i)))
         })
     }
 
-    /// From the origin to the ends, and the lengths.
+    /// From the origin to the ends seen from above, and the lengths.
     fn beams(&self) -> impl Iterator<Item = (Vector2, f64)> + use<'_> {
-        let beams = self.returns.iter().map(|point| {
+        let (map_from_local, origin) = (project_2d(&self.map_from_local), self.origin.xy());
+        let beams = self.returns.iter().map(move |point| {
             let end = Vector2::new(f64::from(point.x), f64::from(point.y));
-            let beam = self.map_from_local.transform_point(&end) - self.origin;
+            let beam = map_from_local.transform_point(&end) - origin;
             (beam, beam.norm())
         });
         beams.filter(|(_, length)| length.is_finite() && *length > 0.0)

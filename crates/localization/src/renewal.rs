@@ -14,7 +14,7 @@ use portolan_mapping::{
     CellFate, Planar, PoseGraph, Replacement, Space, SubmapEntry, SubmapId, TrajectoryId, of_trajectory,
 };
 
-use crate::changes::{ChangeGrid, ChangeKind, ChangedCells};
+use crate::changes::{ChangeCounter, ChangeGrid, ChangeKind, ChangedCells};
 use crate::placed_scan::PlacedScan;
 use crate::planar_map::PlanarMap;
 use crate::recent::is_alike;
@@ -24,7 +24,13 @@ const LEAST_NEW_AREA: f64 = 4.0;
 /// What only a submap that is removed knows, at most, square metres.
 const MOST_ALONE: f64 = 0.1;
 /// Two submaps show each place, as local SLAM draws them.
-const REPLACEMENT: Replacement = Replacement { newest: 2, least_seen: 2.0, most_alone: MOST_ALONE };
+const REPLACEMENT: Replacement = Replacement {
+    newest: 2,
+    least_seen: 2.0,
+    most_alone: MOST_ALONE,
+    least_share: 0.0,
+    most_share_alone: 0.0,
+};
 /// Edge of the cells in which areas are counted, metres.
 const CELL: f64 = 0.1;
 
@@ -79,7 +85,8 @@ struct Shown {
 pub(crate) fn renew(graph: &mut PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMap) -> Renewal {
     let changes = changed_cells(graph, new, before);
     let all = shown(graph, new, before, &changes);
-    let mut kept = discovering(&all);
+    let unknown = all.iter().map(|(id, shown)| (*id, &shown.unknown)).collect();
+    let mut kept = discovering(&unknown, (LEAST_NEW_AREA / (CELL * CELL)).ceil() as usize);
     let discovered: BTreeSet<Cell> =
         kept.iter().filter_map(|id| all.get(id)).flat_map(|shown| shown.unknown.iter().copied()).collect();
     let mut removed = replace(graph, new, &all, &changes, &mut kept);
@@ -133,8 +140,8 @@ fn changed_cells(graph: &PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMa
         let returns = whole.as_ref().unwrap_or(&node.data.filtered_gravity_aligned_point_cloud);
         grid.add(&PlacedScan {
             time: node.data.time,
-            origin: map_from_node.translation.vector.xy(),
-            map_from_local: project_2d(&map_from_node),
+            origin: map_from_node.translation.vector,
+            map_from_local: map_from_node,
             returns: &returns.points,
         });
     }
@@ -164,18 +171,20 @@ fn shown(
     of_trajectory(&state.submaps, new).filter_map(of_submap).collect()
 }
 
-/// The submaps that show enough of what the map does not know: one after the other the one that shows most of what no other
-/// shows yet.
-fn discovering(all: &BTreeMap<SubmapId, Shown>) -> BTreeSet<SubmapId> {
-    let mut unknown = BTreeSet::new();
+/// The submaps that show so many cells or more that the map does not know: one after the other the one that shows most of
+/// what no other shows yet.
+pub(crate) fn discovering<C: Ord + Copy>(
+    all: &BTreeMap<SubmapId, &BTreeSet<C>>,
+    least_cells: usize,
+) -> BTreeSet<SubmapId> {
+    let mut known = BTreeSet::new();
     let mut chosen = BTreeSet::new();
     loop {
         let rest = all.iter().filter(|(id, _)| !chosen.contains(*id));
-        let worth = rest.map(|(id, shown)| (shown.unknown.difference(&unknown).count(), Reverse(*id)));
+        let worth = rest.map(|(id, unknown)| (unknown.difference(&known).count(), Reverse(*id)));
         let Some((cells, Reverse(best))) = worth.max() else { return chosen };
-        let is_worth_it = cells as f64 * CELL * CELL >= LEAST_NEW_AREA;
-        let Some(shown) = all.get(&best).filter(|_| is_worth_it) else { return chosen };
-        unknown.extend(shown.unknown.iter().copied());
+        let Some(unknown) = all.get(&best).filter(|_| cells >= least_cells) else { return chosen };
+        known.extend(unknown.iter().copied());
         chosen.insert(best);
     }
 }

@@ -8,13 +8,14 @@ use portolan_matching::{GradientMatcher2d, GradientMatcherOptions2d, MatcherOpti
 use portolan_sensor::PointCloud;
 
 use crate::belief::Freedom;
-use crate::changes::ChangeGrid;
+use crate::changes::{ChangeCounter, ChangeGrid};
 use crate::information::{Contact, information};
-use crate::known_map::{KnownMap, ScanMatch, Window};
+use crate::known_map::{Area, KnownMap, ScanMatch, Window};
 use crate::planar_map::PlanarMap;
 use crate::planar_scan::{PlanarJoint, PlanarScan};
 use crate::recent::RecentScans;
 use crate::renewal::{Renewal, renew};
+use crate::voxel_changes::KeptSweep;
 
 /// Descent that leaves the place which the search found is not believed beyond this, metres and radians.
 const FARTHEST_DESCENT: f64 = 0.25;
@@ -75,7 +76,7 @@ impl KnownMap for PlanarMap {
     type Scan = PlanarScan;
     type Joint = PlanarJoint;
     const FREEDOM: Freedom = Freedom::Plane;
-    const RENEWS: bool = true;
+    const CERTAIN_PLACE: f64 = 0.08;
     const LONGEST_PAUSE: f64 = 1.0;
 
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
@@ -95,8 +96,18 @@ impl KnownMap for PlanarMap {
         PlanarJoint::of(recent)
     }
 
-    fn propose(&self, joint: &PlanarJoint, is_known: &(dyn Fn(&Rigid3) -> bool + Sync)) -> Vec<Rigid3> {
-        let found = self.places.find(&joint.cloud, &PROPOSALS);
+    fn propose(
+        &self,
+        joint: &PlanarJoint,
+        area: Option<Area>,
+        is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
+    ) -> Vec<Rigid3> {
+        let found = match area {
+            Some(Area { centre, metres }) => {
+                self.places.find_within(&joint.cloud, &PROPOSALS, &centre, metres)
+            }
+            None => self.places.find(&joint.cloud, &PROPOSALS),
+        };
         let poses = found.places.iter().map(|place| embed_3d(&place.pose)).filter(|pose| !is_known(pose));
         poses.map(|pose| self.settle(joint, &pose, AROUND_PROPOSAL)).collect()
     }
@@ -117,12 +128,12 @@ impl KnownMap for PlanarMap {
         scan_agreement(&self.grid, &project_2d(pose), &scan.cloud).unwrap_or_default()
     }
 
-    fn renew(&self, graph: &mut PoseGraph<Planar>, new: TrajectoryId) -> Option<Renewal> {
-        Some(renew(graph, new, self))
+    fn renew(&self, graph: &mut PoseGraph<Planar>, new: TrajectoryId, _sweeps: &[&KeptSweep]) -> Renewal {
+        renew(graph, new, self)
     }
 
-    fn change_grid(&self) -> Option<ChangeGrid> {
-        Some(ChangeGrid::new(self.cells.clone()))
+    fn change_counter(&self) -> Box<dyn ChangeCounter> {
+        Box::new(ChangeGrid::new(self.cells.clone()))
     }
 }
 

@@ -1,10 +1,10 @@
 //! Places proposed by a search of the whole map, and when one of them is believed.
 
-use portolan_geometry::{Rigid3, Time, normalize_angle, project_2d};
+use portolan_geometry::{Quaternion, Rigid3, Time, Vector3, normalize_angle, project_2d};
 use rayon::prelude::*;
 
 use crate::hypothesis::Hypothesis;
-use crate::known_map::KnownMap;
+use crate::known_map::{Area, KnownMap};
 use crate::recent::RecentScans;
 use crate::state::Reason;
 
@@ -35,16 +35,40 @@ const TENTATIVE: f64 = 0.35;
 /// By so much a place is preferred that lies where the start was told to be.
 const TOLD: f64 = 0.2;
 
-/// Where somebody says that the recording starts.
+/// Where somebody says that the recording starts, or a satellite fix that it goes on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ToldStart {
     pub map_from_scan: Rigid3,
-    /// Standard deviations, metres and radians.
+    /// Standard deviations, metres and radians; the heading is not known where the latter is [`ANY_HEADING`].
     pub sigmas: (f64, f64),
     pub local_from_scan: Rigid3,
 }
 
+/// Standard deviation of a heading of which nothing is known, radians.
+pub(crate) const ANY_HEADING: f64 = std::f64::consts::PI;
+
 impl ToldStart {
+    /// That of a satellite fix, told while the scanner goes from one pose in the local map to another.
+    pub fn of_fix(fix: &PositionFix, before: &TimedPose, now: &TimedPose) -> Self {
+        let seconds = now.time.seconds_since(before.time);
+        let share = if seconds > 0.0 { fix.time.seconds_since(before.time) / seconds } else { 1.0 };
+        let [a, b] = [before, now].map(|at| at.local_from_scan.translation.vector);
+        let place = a + share.clamp(0.0, 1.0) * (b - a);
+        Self {
+            map_from_scan: Rigid3::from_parts(fix.position.into(), Quaternion::identity()),
+            sigmas: (fix.sigma_metres, ANY_HEADING),
+            local_from_scan: Rigid3::from_parts(place.into(), now.local_from_scan.rotation),
+        }
+    }
+
+    /// Where a scanner of which the heading is not known may be by now, within three standard deviations and the way that it
+    /// went since, at this pose in the local map.
+    pub fn area(&self, local_from_scan: &Rigid3) -> Area {
+        let way = self.local_from_scan.translation.vector - local_from_scan.translation.vector;
+        let centre = self.map_from_scan.translation.vector.xy();
+        Area { centre, metres: 3.0 * self.sigmas.0 + way.norm() }
+    }
+
     /// How well the start agrees with a place, 0 to 1.
     pub fn agreement(&self, place: &Hypothesis, local_from_scan: &Rigid3) -> f64 {
         let map_from_local = place.belief.pose * local_from_scan.inverse();
@@ -57,6 +81,24 @@ impl ToldStart {
         let beyond = (metres.hypot(radians) - 3.0).max(0.0);
         (-0.5 * beyond * beyond).exp()
     }
+}
+
+/// A satellite fix in the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PositionFix {
+    /// Its time.
+    pub time: Time,
+    /// Where the scanner was in the map, metres; the height does not count.
+    pub position: Vector3,
+    /// Standard deviation along each horizontal axis, metres.
+    pub sigma_metres: f64,
+}
+
+/// Where a scan was taken in the local map.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TimedPose {
+    pub time: Time,
+    pub local_from_scan: Rigid3,
 }
 
 /// What is believed of several places.
@@ -95,15 +137,16 @@ pub(crate) struct Searcher<M> {
 }
 
 impl<M: KnownMap> Searcher<M> {
-    /// Places in the whole map where the recent scans fit, found without any guess; the best first.
+    /// Places in an area, or in the whole map, where the recent scans fit, at any heading; the best first.
     /// Places like one that is `known` already are left out.
     pub fn propose(
         &self,
         recent: &RecentScans<M::Scan>,
+        area: Option<Area>,
         known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Hypothesis> {
         let mut found: Vec<Hypothesis> = self.pool.install(|| {
-            let proposed = self.map.propose(&self.map.joint(recent), known);
+            let proposed = self.map.propose(&self.map.joint(recent), area, known);
             proposed.par_iter().filter_map(|pose| Hypothesis::along(&self.map, recent, pose)).collect()
         });
         found.sort_by(|a, b| b.fit().total_cmp(&a.fit()));

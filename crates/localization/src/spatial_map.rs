@@ -1,23 +1,29 @@
 //! A saved map of space: its planes, what is solid and free, and what stands upright seen from above.
 
+use std::sync::Arc;
+
 use nalgebra as na;
 use portolan_geometry::{
     Point3f, Rigid3, Vector2, Vector3, embed_3d, is_valid_pose, rotation_from_roll_pitch_yaw, to_f32, yaw,
 };
 use portolan_grids::{Grid2d, MapLimits, ProbabilityGrid, ScanAgreement};
 use portolan_lidar_odometry::{PlaneMap, PosePrior, Registration, RegistrationSettings, Sigmas};
-use portolan_mapping::{GraphState, NodeData, Spatial};
+use portolan_mapping::{GraphState, NodeData, PoseGraph, Spatial, TrajectoryId};
 use portolan_matching::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d, SeveralPlaces};
 use portolan_sensor::PointCloud;
 use rayon::prelude::*;
 
 use crate::belief::Freedom;
-use crate::changes::ChangeGrid;
+use crate::changes::ChangeCounter;
+use crate::finder::LocalScan;
 use crate::information::{Contact, information};
-use crate::known_map::{KnownMap, KnownMapError, ScanMatch, Window};
+use crate::known_map::{Area, KnownMap, KnownMapError, ScanMatch, Window};
 use crate::occupancy::Occupancy;
 use crate::recent::RecentScans;
+use crate::renewal::Renewal;
+use crate::spatial_renewal::renew;
 use crate::spatial_scan::{COLUMN, SpatialJoint, SpatialScan, upright_columns};
+use crate::voxel_changes::{KeptSweep, KnownVoxels, VoxelChanges};
 
 /// Edge of the largest voxels of planes, metres.
 const VOXEL: f32 = 1.0;
@@ -57,8 +63,10 @@ const USUAL_CHANCE: f32 = 0.6;
 
 /// A saved map of space.
 pub struct SpatialMap {
-    planes: PlaneMap,
-    occupancy: Occupancy,
+    planes: Arc<PlaneMap>,
+    pub(crate) occupancy: Arc<Occupancy>,
+    /// What scans may contradict.
+    pub(crate) voxels: Arc<KnownVoxels>,
     /// Finds places from above.
     places: FastCorrelativeMatcher2d,
     /// Where nodes were taken.
@@ -90,8 +98,9 @@ impl SpatialMap {
         let nodes = state.nodes.values().map(|node| node.map_from_tracking.translation.vector).collect();
         let settings = RegistrationSettings { final_scale: 0.1 * f64::from(VOXEL), ..Default::default() };
         let registration = Registration::new(settings);
-        let planes = planes(state);
-        let mut map = Self { planes, occupancy, places, nodes, registration, by_chance: 0.0 };
+        let (planes, occupancy) = (Arc::new(planes(state)), Arc::new(occupancy));
+        let voxels = Arc::new(KnownVoxels::new(&occupancy, &planes, state)?);
+        let mut map = Self { planes, occupancy, voxels, places, nodes, registration, by_chance: 0.0 };
         map.by_chance = map.explained_by_chance(state);
         Ok(map)
     }
@@ -254,7 +263,7 @@ impl KnownMap for SpatialMap {
     type Scan = SpatialScan;
     type Joint = SpatialJoint;
     const FREEDOM: Freedom = Freedom::Space;
-    const RENEWS: bool = false;
+    const CERTAIN_PLACE: f64 = 0.12;
     const LONGEST_PAUSE: f64 = 3.0;
 
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
@@ -275,8 +284,19 @@ impl KnownMap for SpatialMap {
         SpatialJoint::of(recent)
     }
 
-    fn propose(&self, joint: &SpatialJoint, is_known: &(dyn Fn(&Rigid3) -> bool + Sync)) -> Vec<Rigid3> {
-        let found = self.places.match_several(&joint.columns.cloud, &PROPOSALS);
+    fn propose(
+        &self,
+        joint: &SpatialJoint,
+        area: Option<Area>,
+        is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
+    ) -> Vec<Rigid3> {
+        let columns = &joint.columns.cloud;
+        let found = match area {
+            Some(Area { centre, metres }) => {
+                self.places.match_several_within(columns, &PROPOSALS, &centre, metres)
+            }
+            None => self.places.match_several(columns, &PROPOSALS),
+        };
         let lifted: Vec<Rigid3> =
             found.iter().flat_map(|place| self.lifted(&embed_3d(&place.pose))).collect();
         let settled = lifted.par_iter().filter(|pose| !is_known(pose)).map(|pose| {
@@ -303,7 +323,15 @@ impl KnownMap for SpatialMap {
         self.agreement_of(&scan.judged, pose)
     }
 
-    fn change_grid(&self) -> Option<ChangeGrid> {
-        None
+    fn kept_sweep(scan: &LocalScan, place: &Rigid3) -> Option<KeptSweep> {
+        Some(KeptSweep::new(scan, place))
+    }
+
+    fn renew(&self, graph: &mut PoseGraph<Spatial>, new: TrajectoryId, sweeps: &[&KeptSweep]) -> Renewal {
+        renew(graph, new, self, sweeps)
+    }
+
+    fn change_counter(&self) -> Box<dyn ChangeCounter> {
+        Box::new(VoxelChanges::new(Arc::clone(&self.voxels)))
     }
 }

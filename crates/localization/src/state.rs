@@ -8,7 +8,6 @@ use portolan_grids::ScanAgreement;
 use portolan_mapping::Placement;
 
 use crate::belief::Matrix6;
-use crate::changes::CERTAIN_PLACE;
 
 /// What is known of the place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -133,13 +132,13 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// What a node of this scan is worth for the map.
-    pub(crate) fn placement(&self) -> Placement {
+    /// What a node of this scan is worth for the map, where places are certain to a standard deviation of so many metres.
+    pub(crate) fn placement(&self, certain: f64) -> Placement {
         let Some(place) = self.place.filter(|_| self.state == State::Localised) else {
             return Placement::Unknown;
         };
         let worst = place.covariance.fixed_view::<3, 3>(0, 0).symmetric_eigenvalues().max();
-        match worst.max(0.0).sqrt() <= CERTAIN_PLACE {
+        match worst.max(0.0).sqrt() <= certain {
             true => Placement::Found(place.map_from_tracking),
             false => Placement::Carried(place.map_from_tracking),
         }

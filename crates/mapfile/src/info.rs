@@ -72,6 +72,8 @@ pub struct TrajectoryInfo {
     pub gravity_constant: Option<f64>,
     /// Whether a fixed frame (GNSS) was placed in the map.
     pub has_fixed_frame: bool,
+    /// Where on the Earth that frame begins, if the file says it: latitude and longitude in degrees, altitude in metres.
+    pub fixed_frame_on_earth: Option<[f64; 3]>,
     /// The options in protobuf text.
     pub options: String,
 }
@@ -264,6 +266,9 @@ impl MapInfo {
         if let Some(trajectory) = self.trajectories.iter_mut().find(|t| t.id == data.trajectory_id) {
             trajectory.gravity_constant = Some(data.gravity_constant);
             trajectory.has_fixed_frame = data.fixed_frame_origin_in_map.is_some();
+            let on_earth = data.fixed_frame_origin_on_earth;
+            trajectory.fixed_frame_on_earth =
+                on_earth.map(|place| [place.latitude_degrees, place.longitude_degrees, place.altitude]);
         }
     }
 

@@ -4,6 +4,7 @@
 mod convert;
 mod derived_imu;
 mod edit;
+mod georeference;
 mod info;
 mod info_text;
 mod load_textures;
@@ -29,6 +30,7 @@ pub use edit::{
     EditError, EditReport, FoundLoop, JoinedMap, LoopResidual, LoopWeights, MapDraft, MapOptimization,
     PoseReplacement, Walls, find_walls,
 };
+pub use georeference::Georeference;
 pub use info::{ConstraintCounts, Extent, GridInfo, MapInfo, SensorInfo, TrajectoryInfo, info};
 pub use load_textures::{MapTextures, load_textures, submap_texture};
 pub use migrate::{MigrateError, MigrateOptions, MigrateReport, migrate};

@@ -38,7 +38,7 @@ pub use portolan_optimization::{
 pub use pose_graph::{
     CellFate, Coverage, Extension, GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap,
     LoopSearchPolicy, PoseGraph, PoseGraphPolicy, Replacement, SearchCounts, SelfConsistency, SubmapEntry,
-    TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer,
+    TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
 };
 pub use space::{MatchAcceptance, MatchedPose, Nearby, PlaceFinder, SearchRegion, Space};
 pub use spatial::{Spatial, SpatialMatcher};

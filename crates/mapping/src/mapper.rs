@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use portolan_config::{Options, TrajectoryBuilderOptions};
-use portolan_geometry::Time;
+use portolan_geometry::{GeodeticPosition, Time};
 use portolan_issue::IssueLog;
 use portolan_motion::MotionFilter;
 use portolan_numeric::LatencyHistogram;
@@ -97,6 +97,8 @@ pub struct EndedTrajectory {
     pub sensors: BTreeSet<SensorId>,
     /// Every scan.
     pub scans: Spool<ScanPose>,
+    /// Where on the Earth its fixed frame begins, if that was measured: the first satellite fix.
+    pub fixed_frame_on_earth: Option<GeodeticPosition>,
 }
 
 impl<S: Space> Mapper<S> {
@@ -291,6 +293,7 @@ impl<S: Space> Mapper<S> {
             options: trajectory.options.clone(),
             sensors: trajectory.sensors.clone(),
             scans: std::mem::replace(&mut trajectory.scans, begun),
+            fixed_frame_on_earth: None,
         };
         (trajectory.last_node, trajectory.next_node) = (None, 0);
         self.ended.insert(before, ended);
@@ -324,6 +327,7 @@ impl<S: Space> Mapper<S> {
                 options: trajectory.options,
                 sensors: trajectory.sensors,
                 scans: trajectory.scans,
+                fixed_frame_on_earth: None,
             },
         );
         self.backend.enqueue(move |graph| graph.finish_trajectory(piece, remaining))?;

@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Quaternion, Rigid3, Vector2, Vector3};
+use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, Vector3};
 use portolan_grids::ScanAgreement;
 use portolan_optimization::{OptimizationData, OptimizationSummary};
 use portolan_sensor::SensorId;
@@ -208,6 +208,12 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
     /// Centres of the known cells of the submap in the submap's own frame, metres; `None` where
     /// coverage is not defined (3D).
     fn known_cell_centers(submap: &Self::Submap) -> Option<Vec<Vector2>>;
+
+    /// Middles of what is solid in the submap, in its own frame, metres; `None` in 2D, where
+    /// [`Space::known_cell_centers`] says what it covers.
+    fn solid_cell_centers(_submap: &Self::Submap) -> Option<Vec<Point3f>> {
+        None
+    }
 
     /// Edge length of the cells that [`Space::known_cell_centers`] lists, metres.
     fn cell_size(submap: &Self::Submap) -> f64;

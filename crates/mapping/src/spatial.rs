@@ -1,7 +1,7 @@
 //! Space itself as a space to map in.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Quaternion, Rigid3, Vector2, is_valid_pose};
+use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
 use portolan_matching::{
     FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SearchReach3d, SubmapToSearch,
 };
@@ -16,6 +16,9 @@ use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion
 /// 3D mapping: poses in 3D, hybrid grids.
 #[derive(Clone, Copy, Debug)]
 pub struct Spatial;
+
+/// Cells of this probability are solid.
+const SOLID: f32 = 0.55;
 
 /// What finds nodes in one finished submap.
 pub struct SpatialMatcher {
@@ -159,6 +162,17 @@ impl Space for Spatial {
 
     fn known_cell_centers(_submap: &Submap3d) -> Option<Vec<Vector2>> {
         None
+    }
+
+    fn solid_cell_centers(submap: &Submap3d) -> Option<Vec<Point3f>> {
+        let grid = &submap.high_resolution_grid;
+        let mut centers = Vec::new();
+        grid.for_each_cell(|cell, _| {
+            if grid.probability(cell) > SOLID {
+                centers.push(grid.cell_center(cell));
+            }
+        });
+        Some(centers)
     }
 
     fn cell_size(submap: &Submap3d) -> f64 {

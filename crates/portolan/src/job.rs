@@ -17,6 +17,7 @@ mod error;
 mod event;
 mod examine;
 mod examined_places;
+mod fixes;
 mod journal;
 mod known_map;
 mod last_pose;

@@ -292,9 +292,14 @@ pub fn map_recording<S: Space>(
     let scan_times = mapper.scan_times().clone();
     let degenerate_intervals = mapper.degenerate_intervals().to_vec();
     let losses = mapper.losses().to_vec();
-    let (map, mapping_issues) = mapper.finish()?;
+    let (mut map, mapping_issues) = mapper.finish()?;
     if scans == 0 {
         return Err(PipelineError::NoScans);
+    }
+    for id in std::iter::once(trajectory_id).chain(losses.iter().map(|loss| loss.piece)) {
+        if let Some(ended) = map.trajectories.get_mut(&id) {
+            ended.fixed_frame_on_earth = ingestion.nav_sat_origin();
+        }
     }
     let mut issues = known_issues;
     issues.merge(&ingestion.issues());

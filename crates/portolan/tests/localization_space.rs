@@ -113,7 +113,7 @@ fn walks_are_found_without_a_start() {
 }
 
 #[test]
-fn a_walk_becomes_a_trajectory_of_the_map_which_cannot_be_renewed() {
+fn a_walk_becomes_a_trajectory_of_the_map() {
     let known = Known::new(Scene3d::Museum, 40.0);
     let today = walk(Scene3d::Museum, 1, 2, 25.0);
     let folder = tempfile::tempdir().unwrap();
@@ -121,8 +121,6 @@ fn a_walk_becomes_a_trajectory_of_the_map_which_cannot_be_renewed() {
         let save_map = Some(SaveMap { path: folder.path().join("both.pbstream"), growth });
         LocalizeRequest { save_map, ..known.request() }
     };
-    let error = localize(&today, &request(Growth::Renew), &mut unobserved).err().unwrap();
-    assert!(error.to_string().contains("maps in 3D cannot be renewed"), "{error}");
     let found = localize(&today, &request(Growth::Extend), &mut unobserved).unwrap();
     let Some(SavedMap::Written { path, grown }) = found.saved_map else { panic!("{:?}", found.saved_map) };
     assert!(grown.extension.ties > 5 && grown.extension.median_correction < 0.1, "{grown:?}");

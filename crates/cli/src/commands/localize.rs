@@ -25,11 +25,12 @@ use crate::progress::Progress;
 ///
 /// The place is searched in the whole map; the map's file stays as it is, and memory does not grow with time. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
 /// reason and covariance, `path.png` the path in the map coloured by state (green localised, orange uncertain, violet
-/// dots tentative), `changes.geojson` in 2D the places that have changed since the map was made, `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
+/// dots tentative), `changes.geojson` the places that have changed since the map was made, `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan localize house/map.pbstream today.bag -o today\n  \
     portolan localize house/map.pbstream today.bag --start 3.5,-2,90\n  \
     portolan localize house/map.pbstream today.bag --start 3.5,-2,90 --start-sigma 2,45\n  \
+    portolan localize house/map.pbstream today.bag --start gnss\n  \
     portolan localize house/map.pbstream today.bag --start-from yesterday/poses.csv\n  \
     portolan localize house/map.pbstream today.bag --update house/map_today.pbstream")]
 pub struct LocalizeArgs {
@@ -45,10 +46,11 @@ pub struct LocalizeArgs {
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
 
-    /// Where in the map the recording starts: metres and degrees; also X,Y,Z,YAW or X,Y,Z,ROLL,PITCH,YAW. A
-    /// wrong one costs seconds; without it the whole map is searched.
-    #[arg(long, value_name = "X,Y,YAW", value_parser = start_pose, allow_hyphen_values = true)]
-    pub start: Option<Rigid3>,
+    /// Where in the map the recording starts: metres and degrees; also X,Y,Z,YAW or X,Y,Z,ROLL,PITCH,YAW. `gnss`: where its
+    /// satellite fixes are, in a map that was made with --gnss; that is also done by itself where both are there. `unknown`: the
+    /// whole map is searched, fixes or not. A wrong start costs seconds: scans have to confirm it.
+    #[arg(long, value_name = "X,Y,YAW", value_parser = told_start, allow_hyphen_values = true)]
+    pub start: Option<ToldStart>,
 
     /// Start at a landmark of the map, by its name (a wrong one lists them), heading anywhere. A start like any other.
     #[arg(long, value_name = "NAME", conflicts_with_all = ["start", "start_from"])]
@@ -79,7 +81,7 @@ pub struct LocalizeArgs {
     pub save_map: Option<PathBuf>,
 
     /// Also write the map brought up to date: what this recording shows to be gone has faded, what is new has appeared, and
-    /// submaps that it covers are replaced, so that the file grows with the area and not with time (2D). May be the map itself.
+    /// submaps that it covers are replaced, so that the file grows with the area and not with time. May be the map itself.
     #[arg(long, value_name = "FILE.pbstream", conflicts_with = "save_map")]
     pub update: Option<PathBuf>,
 
@@ -91,6 +93,22 @@ pub struct LocalizeArgs {
 
     #[command(flatten)]
     pub cut: CutArgs,
+}
+
+/// What `--start` takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ToldStart {
+    At(Rigid3),
+    Fixes,
+    Unknown,
+}
+
+fn told_start(text: &str) -> Result<ToldStart, String> {
+    match text {
+        "gnss" => Ok(ToldStart::Fixes),
+        "unknown" => Ok(ToldStart::Unknown),
+        pose => start_pose(pose).map(ToldStart::At).map_err(|error| format!("{error}; or gnss, or unknown")),
+    }
 }
 
 /// What `--jumps` takes.
@@ -207,14 +225,19 @@ fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
         let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_LANDMARK);
         return Ok(Some(Start::Landmark { name: name.clone(), sigma_metres, sigma_radians }));
     }
-    if args.start_sigma.is_some() && args.start.is_none() {
-        return Err(CliError::Usage(
-            "--start-sigma is of --start or --start-landmark: say one of them".to_owned(),
-        ));
-    }
+    let told = match args.start {
+        Some(ToldStart::At(pose)) => pose,
+        _ if args.start_sigma.is_some() => {
+            return Err(CliError::Usage(
+                "--start-sigma is of --start X,Y,YAW or --start-landmark: say one of them".to_owned(),
+            ));
+        }
+        Some(ToldStart::Fixes) => return Ok(Some(Start::Fixes)),
+        Some(ToldStart::Unknown) => return Ok(Some(Start::Unknown)),
+        None => return Ok(None),
+    };
     let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_POSE);
-    let pose = |map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians };
-    Ok(args.start.map(|map_from_tracking| Start::At(pose(map_from_tracking))))
+    Ok(Some(Start::At(StartPose { map_from_tracking: told, sigma_metres, sigma_radians })))
 }
 
 fn localize_with_progress(
@@ -262,8 +285,11 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
         shares.map(|(state, count)| format!("{state} {:.1} s", count.seconds)).collect();
     text += &format!("{} scans: {}\n", localized.estimates.len(), shares.join(", "));
     text += &format!("{all:.0} s of recording in {seconds:.1} s\n");
-    if localized.start_agrees == Some(false) {
-        text += "--start is WRONG: the recording starts elsewhere in the map\n";
+    match (localized.start_agrees, localized.starts_at_fix) {
+        (Some(false), false) => text += "--start is WRONG: the recording starts elsewhere in the map\n",
+        (Some(false), true) => text += "the satellite fix is WRONG: the recording is elsewhere in the map\n",
+        (Some(true), true) => text += "where the satellite fix says\n",
+        _ => {}
     }
     let last = localized.estimates.last();
     if let Some(estimate) = last.filter(|e| e.state != State::Localised) {

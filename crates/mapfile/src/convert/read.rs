@@ -18,7 +18,7 @@ use super::grid::MapSpace;
 use super::pose_graph::pose_in_memory;
 use super::sensors::{imu_state_from_proto, load_sensor_data};
 use super::trajectory_options::{initial_pose_from_proto, trajectory_options_from_proto};
-use super::values::{cloud_from_proto, pose_in_file, rotation_in_file};
+use super::values::{cloud_from_proto, place_in_file, pose_in_file, rotation_in_file};
 use portolan_pbstream::MapReader;
 use portolan_pbstream::ReadLimits;
 use portolan_pbstream::proto::mapping as m;
@@ -198,9 +198,9 @@ impl<'a, S: MapSpace> Loading<'a, S> {
                 return Err(MapConversionError::DuplicateTrajectory(trajectory.trajectory_id));
             }
             let (options, sensors) = trajectory_options_from_proto(options, &mut self.result.issues);
-            self.result
-                .trajectories
-                .insert(id, EndedTrajectory { options, sensors, scans: Default::default() });
+            let loaded =
+                EndedTrajectory { options, sensors, scans: Default::default(), fixed_frame_on_earth: None };
+            self.result.trajectories.insert(id, loaded);
             self.graph.load_trajectory(id, None);
         }
         if let FrozenTrajectories::Only(ids) = self.frozen
@@ -270,7 +270,13 @@ impl<'a, S: MapSpace> Loading<'a, S> {
         }
         let Some(origin) = &data.fixed_frame_origin_in_map else { return };
         match (self.result.trajectory_ids.get(&data.trajectory_id), pose_in_file(Some(origin))) {
-            (Some(id), Some(pose)) => self.graph.set_fixed_frame_origin(*id, pose),
+            (Some(id), Some(pose)) => {
+                self.graph.set_fixed_frame_origin(*id, pose);
+                if let Some(trajectory) = self.result.trajectories.get_mut(id) {
+                    trajectory.fixed_frame_on_earth =
+                        place_in_file(data.fixed_frame_origin_on_earth.as_ref());
+                }
+            }
             _ => self.count(IssueKind::InvalidFixedFrameOrigin, 1),
         }
     }

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
-use portolan_geometry::{Quaternion, Time};
+use portolan_geometry::{GeodeticPosition, Quaternion, Time};
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{PoseGraph, Space, TrajectoryId, of_trajectory};
 use portolan_optimization::ImuState;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, LandmarkObservation, OdometryData};
 
-use super::values::{id_to_proto, pose_in_file};
+use super::values::{id_to_proto, place_to_proto, pose_in_file};
 use super::{MapConversionError, WriteReport};
 use crate::derived_imu::DerivedImu;
 use portolan_pbstream::PbstreamError;
@@ -21,18 +21,21 @@ use portolan_pbstream::proto::transform::{Quaterniond, Vector3d};
 
 type Write<'a> = &'a mut dyn FnMut(Data) -> Result<(), PbstreamError>;
 
-/// Writes trajectory data, IMU, odometry, fixed-frame and landmark data of these trajectories.
+/// Writes trajectory data, IMU, odometry, fixed-frame and landmark data of these trajectories. With each comes where on the
+/// Earth its fixed frame begins.
 pub(super) fn write_sensors<S: Space>(
     graph: &PoseGraph<S>,
-    trajectories: &[TrajectoryId],
+    trajectories: &[(TrajectoryId, Option<GeodeticPosition>)],
     write: Write<'_>,
     report: &mut WriteReport,
 ) -> Result<(), MapConversionError> {
     let mut ids: Vec<(TrajectoryId, i32)> = Vec::new();
-    for id in trajectories {
+    for (id, _) in trajectories {
         ids.push((*id, id_to_proto(id.0)?));
     }
     ids.sort_unstable();
+    let on_earth: BTreeMap<TrajectoryId, GeodeticPosition> =
+        trajectories.iter().filter_map(|(id, place)| Some((*id, (*place)?))).collect();
     for (id, trajectory_id) in &ids {
         let origin = graph.problem().fixed_frame_origins.get(id).copied().flatten();
         let imu = graph.problem().sensors.get(id).map_or_else(ImuState::default, |s| s.imu_state);
@@ -42,6 +45,7 @@ pub(super) fn write_sensors<S: Space>(
             gravity_constant: imu.gravity_constant,
             imu_calibration: Some(Quaterniond { x: q.i, y: q.j, z: q.k, w: q.w }),
             fixed_frame_origin_in_map: origin.map(|pose| pose_to_proto(&pose)),
+            fixed_frame_origin_on_earth: on_earth.get(id).map(place_to_proto),
         }))?;
     }
     write_streams(graph, &ids, write)?;

@@ -1,7 +1,7 @@
 //! Ids, poses and point clouds, as they stand in files and in memory.
 
 use nalgebra as na;
-use portolan_geometry::{Quaternion, Rigid3, is_valid_pose};
+use portolan_geometry::{GeodeticPosition, Quaternion, Rigid3, is_valid_pose};
 use portolan_mapping::{NodeId, SubmapId, TrajectoryId};
 use portolan_sensor::{CompressedPointCloud, CompressedPointCloudError, PointCloud};
 
@@ -28,6 +28,19 @@ pub(super) fn submap_id_to_proto(id: SubmapId) -> Result<m::SubmapId, MapConvers
 /// The id of a node in a message.
 pub(super) fn node_id_to_proto(id: NodeId) -> Result<m::NodeId, MapConversionError> {
     Ok(m::NodeId { trajectory_id: id_to_proto(id.trajectory_id.0)?, node_index: id_to_proto(id.index)? })
+}
+
+/// A place on the Earth as a message.
+pub(super) fn place_to_proto(place: &GeodeticPosition) -> m::GeodeticPosition {
+    let GeodeticPosition { latitude_degrees, longitude_degrees, altitude } = *place;
+    m::GeodeticPosition { latitude_degrees, longitude_degrees, altitude }
+}
+
+/// A place on the Earth from its message; none where it is missing, or is none.
+pub(super) fn place_in_file(place: Option<&m::GeodeticPosition>) -> Option<GeodeticPosition> {
+    let m::GeodeticPosition { latitude_degrees, longitude_degrees, altitude } = *place?;
+    let place = GeodeticPosition { latitude_degrees, longitude_degrees, altitude };
+    place.is_valid().then_some(place)
 }
 
 /// An id for error messages.

@@ -86,7 +86,9 @@ pub fn write_graph<S: MapSpace>(
     writer.write(Data::AllTrajectoryBuilderOptions(all_options))?;
     write_submaps(graph, &selection, &mut writer)?;
     write_nodes(graph, &mut writer, &mut report)?;
-    write_sensors(graph, &selection.trajectories, &mut |data| writer.write(data), &mut report)?;
+    let on_earth = |id: &TrajectoryId| trajectories.get(id).and_then(|ended| ended.fixed_frame_on_earth);
+    let chosen: Vec<_> = selection.trajectories.iter().map(|id| (*id, on_earth(id))).collect();
+    write_sensors(graph, &chosen, &mut |data| writer.write(data), &mut report)?;
     report.messages = writer.messages();
     writer.finish()?;
     Ok(report)

@@ -15,6 +15,9 @@ use crate::{
 
 /// Submaps of fewer localised scans are left out: they show little, and hang by little.
 const FEWEST_SCANS: usize = 10;
+/// A submap that cannot be drawn from some of its scans is taken as it is if this share of them was localised: it is rigid, and
+/// lies where they put it.
+const LEAST_PLACED: f64 = 0.5;
 /// Matches to the map that are nearer together than this, metres, see the same errors of it; one of them is enough.
 const TIE_SPACING: f64 = 0.5;
 
@@ -44,7 +47,7 @@ impl<S: Space> PoseGraph<S> {
     /// of the map where they were found in it, and optimises. Frozen trajectories keep their poses. Nothing if no submap
     /// was filled by localised scans.
     ///
-    /// In 3D, and where scans are not kept, submaps are taken whole or not at all.
+    /// In 3D, and where scans are not kept, submaps are taken whole if half of their scans were localised, or not at all.
     pub fn extend(&mut self, id: TrajectoryId, track: &LocalTrack<S>) -> Option<Extension> {
         let parts = parts(track);
         if parts.is_empty() || self.state.submaps.is_empty() {
@@ -254,17 +257,19 @@ fn part<S: Space>(track: &LocalTrack<S>, submap: &Arc<S::Submap>, all: &[usize])
         (Arc::clone(data), local_from_submap.inverse() * local_from_node)
     };
     let scans: Vec<_> = nodes.iter().filter_map(|position| node(position).map(placed)).collect();
-    let drawn = S::drawn_from(submap, &mut scans.iter().map(|(data, pose)| (&**data, *pose)))?;
-    Some(Part { submap: Arc::new(drawn), local_from_submap, nodes })
+    let drawn = S::drawn_from(submap, &mut scans.iter().map(|(data, pose)| (&**data, *pose)));
+    let is_mostly_placed = nodes.len() as f64 >= LEAST_PLACED * all.len() as f64;
+    let submap = drawn.map(Arc::new).or_else(|| is_mostly_placed.then(|| Arc::clone(submap)))?;
+    Some(Part { submap, local_from_submap, nodes })
 }
 
 /// Which submap of a map is nearest to a place: one of the node that was taken nearest to it.
-struct NearestSubmaps {
+pub(super) struct NearestSubmaps {
     places: Vec<(Rigid3, SubmapId)>,
 }
 
 impl NearestSubmaps {
-    fn new<S: Space>(graph: &PoseGraph<S>, submaps: &BTreeSet<SubmapId>) -> Self {
+    pub fn new<S: Space>(graph: &PoseGraph<S>, submaps: &BTreeSet<SubmapId>) -> Self {
         let entries = submaps.iter().filter_map(|id| Some((*id, graph.state.submaps.get(id)?)));
         let places = entries.flat_map(|(id, entry)| {
             let of_nodes = entry.node_ids.iter().filter_map(|node| graph.state.nodes.get(node));
@@ -275,7 +280,7 @@ impl NearestSubmaps {
         Self { places: places.collect() }
     }
 
-    fn find(&self, place: &Rigid3) -> Option<SubmapId> {
+    pub fn find(&self, place: &Rigid3) -> Option<SubmapId> {
         let distance = |pose: &Rigid3| (pose.translation.vector - place.translation.vector).norm_squared();
         let nearest = self.places.iter().min_by(|a, b| distance(&a.0).total_cmp(&distance(&b.0)));
         nearest.map(|(_, id)| *id)

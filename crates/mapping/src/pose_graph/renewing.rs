@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use portolan_geometry::Rigid3;
+use portolan_geometry::{Point3f, Rigid3, to_f32};
 
 use super::PoseGraph;
 use crate::{NodeId, Space, SubmapId, TrajectoryId};
@@ -16,21 +16,68 @@ pub struct Replacement {
     pub least_seen: f64,
     /// … unless it alone knows more than this, square metres.
     pub most_alone: f64,
+    /// Where these are larger, shares of the submap count instead of the two areas.
+    pub least_share: f64,
+    /// The share that it alone may know.
+    pub most_share_alone: f64,
 }
 
-/// The cells of the map that submaps know, and how many of these know each.
+/// Edge of the cells in which is counted what submaps of space cover, metres.
+const VOXEL: f64 = 0.5;
+
+/// A cell of the map along x, y and, in 3D, z.
+type Cell = (i64, i64, i64);
+
+/// The cells of the map that submaps know, and how many of these know each; in 3D those in which something is solid, and
+/// that know a cell beside it, too: surfaces are never met in quite the same cells again.
 #[derive(Clone, Debug)]
 pub struct Coverage {
-    cells: BTreeMap<SubmapId, BTreeSet<(i64, i64)>>,
-    known: HashMap<(i64, i64), usize>,
+    cells: BTreeMap<SubmapId, BTreeSet<Cell>>,
+    known: HashMap<Cell, usize>,
     /// Edge of a cell, metres.
     cell_size: f64,
+    is_spatial: bool,
 }
 
 impl Coverage {
-    fn add(&mut self, id: SubmapId, cells: BTreeSet<(i64, i64)>) {
-        cells.iter().for_each(|cell| *self.known.entry(*cell).or_default() += 1);
+    fn add(&mut self, id: SubmapId, cells: BTreeSet<Cell>) {
+        self.with_beside(&cells).iter().for_each(|cell| *self.known.entry(*cell).or_default() += 1);
         self.cells.insert(id, cells);
+    }
+
+    /// Cells, and in 3D those beside them.
+    fn with_beside(&self, cells: &BTreeSet<Cell>) -> BTreeSet<Cell> {
+        if !self.is_spatial {
+            return cells.clone();
+        }
+        let near = || -1..=1;
+        let around = |(x, y, z): &Cell| {
+            let (x, y, z) = (*x, *y, *z);
+            near().flat_map(move |i| near().flat_map(move |j| near().map(move |k| (x + i, y + j, z + k))))
+        };
+        cells.iter().flat_map(around).collect()
+    }
+
+    /// How much of each submap is seen if every cell of the map counts for the first so many that know it, square metres.
+    fn seen(&self, newest_first: impl Iterator<Item = SubmapId>, counted: usize) -> BTreeMap<SubmapId, f64> {
+        let mut taken: HashMap<Cell, usize> = HashMap::new();
+        let mut areas = BTreeMap::new();
+        for id in newest_first {
+            let Some(own) = self.cells.get(&id) else { continue };
+            let seen = own.iter().filter(|cell| taken.get(*cell).is_none_or(|taken| *taken < counted));
+            areas.insert(id, self.area(seen.count()));
+            self.with_beside(own).into_iter().for_each(|cell| *taken.entry(cell).or_default() += 1);
+        }
+        areas
+    }
+
+    fn area(&self, cells: usize) -> f64 {
+        cells as f64 * self.cell_size * self.cell_size
+    }
+
+    /// What a submap knows, square metres.
+    fn area_of(&self, id: SubmapId) -> f64 {
+        self.area(self.cells.get(&id).map_or(0, BTreeSet::len))
     }
 
     /// Takes a submap over from another one.
@@ -42,11 +89,11 @@ impl Coverage {
     pub fn remove_unless_alone(&mut self, id: SubmapId, most_alone: f64) -> bool {
         let Some(own) = self.cells.get(&id) else { return false };
         let alone = own.iter().filter(|cell| self.known.get(*cell) == Some(&1)).count();
-        if alone as f64 * self.cell_size * self.cell_size > most_alone {
+        if self.area(alone) > most_alone {
             return false;
         }
-        for cell in own {
-            self.known.entry(*cell).and_modify(|count| *count = count.saturating_sub(1));
+        for cell in self.with_beside(own) {
+            self.known.entry(cell).and_modify(|count| *count = count.saturating_sub(1));
         }
         self.cells.remove(&id);
         true
@@ -90,39 +137,56 @@ impl<S: Space> PoseGraph<S> {
 
     /// Older submaps of which a trajectory leaves too little to be seen: each cell of the map is seen in the newest
     /// `replacement.newest` submaps that know it, where trajectories are as old as their numbers say. Submaps from which the
-    /// trajectory takes nothing are not among them, nor those that alone know a place, nor any in 3D.
+    /// trajectory takes nothing are not among them, nor those that alone know a place.
     pub fn covered_by(&self, new: TrajectoryId, replacement: Replacement) -> BTreeSet<SubmapId> {
         let newest_first = self.state.submaps.keys().rev().copied();
         let older = newest_first.clone().filter(|id| id.trajectory_id != new);
-        let (Some(with), Some(without)) = (
-            self.areas_seen(newest_first, replacement.newest),
-            self.areas_seen(older.clone(), replacement.newest),
-        ) else {
-            return BTreeSet::new();
-        };
-        let is_hidden = |id: &SubmapId| {
-            with.cells.get(id) < without.cells.get(id) && with.too_little(id, replacement.least_seen)
-        };
         let mut known = self.coverage(self.state.submaps.keys().copied());
+        let with = known.seen(newest_first, replacement.newest);
+        let without = known.seen(older.clone(), replacement.newest);
+        let is_hidden = |id: &SubmapId| {
+            let least = replacement.least_seen.max(replacement.least_share * known.area_of(*id));
+            with.get(id) < without.get(id) && with.get(id).is_some_and(|seen| *seen < least)
+        };
         let mut hidden: Vec<SubmapId> = older.filter(is_hidden).collect();
         hidden.reverse();
-        hidden.into_iter().filter(|id| known.remove_unless_alone(*id, replacement.most_alone)).collect()
+        let most_alone = |known: &Coverage, id| {
+            replacement.most_alone.max(replacement.most_share_alone * known.area_of(id))
+        };
+        let is_removed = |id: &SubmapId| known.remove_unless_alone(*id, most_alone(&known, *id));
+        hidden.into_iter().filter(is_removed).collect()
     }
 
-    /// The cells of the map that some submaps know (2D).
+    /// The cells of the map that some submaps know.
     pub fn coverage(&self, submaps: impl Iterator<Item = SubmapId>) -> Coverage {
-        let mut coverage = Coverage { cells: BTreeMap::new(), known: HashMap::new(), cell_size: 1.0 };
+        let mut coverage =
+            Coverage { cells: BTreeMap::new(), known: HashMap::new(), cell_size: 1.0, is_spatial: false };
         for id in submaps {
             let Some(submap) = self.state.submaps.get(&id).and_then(|entry| entry.submap.as_ref()) else {
                 continue;
             };
+            if let Some(centers) = S::solid_cell_centers(submap) {
+                (coverage.cell_size, coverage.is_spatial) = (VOXEL, true);
+                coverage.add(id, self.voxels(id, &centers));
+                continue;
+            }
             if coverage.cells.is_empty() {
                 coverage.cell_size = S::cell_size(submap);
             }
             let cells = self.covered_cells(id, coverage.cell_size).unwrap_or_default();
-            coverage.add(id, cells);
+            coverage.add(id, cells.into_iter().map(|(x, y)| (x, y, 0)).collect());
         }
         coverage
+    }
+
+    /// The cells of the map in which points of a submap lie.
+    fn voxels(&self, id: SubmapId, in_submap: &[Point3f]) -> BTreeSet<Cell> {
+        let Some(pose) = self.state.optimized_submaps.get(&id).map(to_f32) else { return BTreeSet::new() };
+        let cell = |point: &Point3f| {
+            let [x, y, z] = (pose * point).coords.map(|v| (f64::from(v) / VOXEL).round() as i64).into();
+            (x, y, z)
+        };
+        in_submap.iter().map(cell).collect()
     }
 
     /// Which parts of the graph hang together: each with the first one of its piece.
@@ -282,7 +346,13 @@ mod tests {
     #[test]
     fn only_what_newer_submaps_show_is_replaced() {
         let mut graph = chain();
-        let replacement = Replacement { newest: 2, least_seen: 2.0, most_alone: 0.1 };
+        let replacement = Replacement {
+            newest: 2,
+            least_seen: 2.0,
+            most_alone: 0.1,
+            least_share: 0.0,
+            most_share_alone: 0.0,
+        };
         let newer = TrajectoryId(1);
         graph.load_trajectory(newer, None);
         let far = Rigid3::translation(100.0, 0.0, 0.0);

@@ -1,6 +1,6 @@
 //! Matching anywhere in a finished submap.
 
-use portolan_geometry::{Point3f, Rigid2, normalize_angle};
+use portolan_geometry::{Point3f, Rigid2, Vector2, normalize_angle};
 use portolan_grids::{Grid2d, MapLimits, is_finite, value::CODE_COUNT};
 use portolan_sensor::PointCloud;
 
@@ -142,11 +142,24 @@ impl FastCorrelativeMatcher2d {
     /// All places on the grid, at any angle, where `points` (metres, in the gravity-aligned tracking frame) fit about as
     /// well as where they fit best; the best first.
     pub fn match_several(&self, points: &PointCloud, wanted: &SeveralPlaces) -> Vec<MatchResult<Rigid2>> {
-        let points: Vec<Point3f> = points.points.iter().copied().filter(is_finite).collect();
         let (centre, everywhere) = self.everywhere();
+        self.match_several_within(points, wanted, &centre.translation, everywhere)
+    }
+
+    /// As [`Self::match_several`], with the origin of the points so many metres from a place on the grid, at most, along each
+    /// axis.
+    pub fn match_several_within(
+        &self,
+        points: &PointCloud,
+        wanted: &SeveralPlaces,
+        place: &Vector2,
+        metres: f64,
+    ) -> Vec<MatchResult<Rigid2>> {
+        let points: Vec<Point3f> = points.points.iter().copied().filter(is_finite).collect();
+        let centre = Rigid2 { translation: *place, angle: 0.0 };
         let min_inside = self.min_points_inside(points.len(), wanted.min_score);
         let (Some(min_inside), false) = (min_inside, points.is_empty()) else { return Vec::new() };
-        let window = SearchWindow::new(&points, self.limits.resolution(), everywhere, std::f64::consts::PI);
+        let window = SearchWindow::new(&points, self.limits.resolution(), metres, std::f64::consts::PI);
         let mut search = self.joint_search(&points, &centre, window, min_inside);
         let found = search.run_several(wanted.min_score, wanted.share_of_best, wanted.lookups);
         let mut places: Vec<MatchResult<Rigid2>> = Vec::new();

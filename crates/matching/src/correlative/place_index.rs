@@ -10,7 +10,7 @@
 //! on the map; how many it finds depends on its width. The complete search proves that nothing is missed, at a cost that
 //! grows with the map.
 
-use portolan_geometry::{Point3f, Rigid2, normalize_angle};
+use portolan_geometry::{Point3f, Rigid2, Vector2, normalize_angle};
 use portolan_grids::{Grid2d, GridError, MapLimits, is_finite};
 use portolan_sensor::PointCloud;
 
@@ -118,15 +118,26 @@ impl PlaceIndex2d {
     /// The best places of `points`, metres in the level frame of a scanner whose origin is where it stood. Points that are
     /// not finite are left out.
     pub fn find(&self, points: &PointCloud, wanted: &WantedPlaces) -> FoundPlaces2d {
+        let everywhere = f64::from(MAX_LINEAR_STEPS) * self.limits.resolution();
+        self.find_within(points, wanted, &self.limits.max(), everywhere)
+    }
+
+    /// As [`Self::find`], of a scanner that stood so many metres from a place in the map, at most, along each axis.
+    pub fn find_within(
+        &self,
+        points: &PointCloud,
+        wanted: &WantedPlaces,
+        place: &Vector2,
+        metres: f64,
+    ) -> FoundPlaces2d {
         let points: Vec<Point3f> = points.points.iter().copied().filter(is_finite).collect();
         let stride = points.len().div_ceil(wanted.most_points.max(1)).max(1);
         let points: Vec<Point3f> = points.into_iter().step_by(stride).collect();
         if points.is_empty() || wanted.most == 0 {
             return FoundPlaces2d { is_complete: true, ..FoundPlaces2d::default() };
         }
-        let centre = Rigid2 { translation: self.limits.max(), angle: 0.0 };
-        let everywhere = f64::from(MAX_LINEAR_STEPS) * self.limits.resolution();
-        let window = SearchWindow::new(&points, self.limits.resolution(), everywhere, std::f64::consts::PI);
+        let centre = Rigid2 { translation: *place, angle: 0.0 };
+        let window = SearchWindow::new(&points, self.limits.resolution(), metres, std::f64::consts::PI);
         let mut search = self.search(&points, &centre, window);
         let min_score = wanted.min_score.max(NOTHING);
         let mut good = search.run_beam(min_score, wanted.beam);

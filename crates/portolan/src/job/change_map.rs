@@ -13,17 +13,20 @@ pub(super) fn geojson(changes: &[Change], recorded: impl Fn(Time) -> Time) -> Va
     };
     let feature = |change: &Change| {
         let rings: Vec<_> = change.rings.iter().map(closed).collect();
-        json!({
-            "type": "Feature",
-            "geometry": { "type": "Polygon", "coordinates": rings },
-            "properties": {
-                "kind": change.kind.name(),
-                "area_m2": (1e4 * change.area).round() / 1e4,
-                "first_seen": recorded(change.seen.0).unix_seconds(),
-                "last_seen": recorded(change.seen.1).unix_seconds(),
-                "scans": change.scans,
-            },
-        })
+        let mut properties = json!({
+            "kind": change.kind.name(),
+            "area_m2": (1e4 * change.area).round() / 1e4,
+            "first_seen": recorded(change.seen.0).unix_seconds(),
+            "last_seen": recorded(change.seen.1).unix_seconds(),
+            "scans": change.scans,
+        });
+        if let (Some([from, to]), Some(properties)) = (change.heights, properties.as_object_mut()) {
+            let millimetres = |height: f64| json!((1e3 * height).round() / 1e3);
+            properties.insert("from_z".to_owned(), millimetres(from));
+            properties.insert("to_z".to_owned(), millimetres(to));
+        }
+        let geometry = json!({ "type": "Polygon", "coordinates": rings });
+        json!({ "type": "Feature", "geometry": geometry, "properties": properties })
     };
     let features: Vec<Value> = changes.iter().map(feature).collect();
     json!({ "type": "FeatureCollection", "frame": "map, metres", "features": features })

@@ -6,7 +6,7 @@ use portolan_atomic_file::{AtomicFile, NoRoom, WriteError};
 use portolan_config::ConfigError;
 use portolan_export::PictureError;
 use portolan_ingest::IngestError;
-use portolan_localization::{GrowthError, KnownMapError, LocalizerError};
+use portolan_localization::{KnownMapError, LocalizerError};
 use portolan_mapfile::{EditError, MapConversionError, PaintError};
 use portolan_pointcloud::CloudError;
 use portolan_recording::RecordingError;
@@ -55,14 +55,16 @@ pub enum JobError {
         /// Those that it has.
         landmarks: Vec<String>,
     },
-    /// A map that cannot become what is wanted.
-    #[error("{}: {reason}", path.display())]
-    Growth {
-        /// The file that was to be written.
-        path: PathBuf,
-        /// Why.
-        reason: GrowthError,
-    },
+    /// A map that does not say where on the Earth it is.
+    #[error(
+        "{}: the map does not say where on the Earth it is, so that satellite fixes tell no start; map its recording again \
+         with --gnss",
+        .0.display()
+    )]
+    NotGeoreferenced(PathBuf),
+    /// A recording without satellite fixes that was to start at one.
+    #[error("the recording has no satellite fixes (sensor_msgs/NavSatFix) that could tell a start")]
+    NoFixes,
     /// A map in 3D whose places were to be examined.
     #[error("{}: this map is in 3D; places are examined in 2D only", .0.display())]
     PlacesInSpace(PathBuf),

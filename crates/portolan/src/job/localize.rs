@@ -19,6 +19,7 @@ use portolan_spool::Spool;
 
 use super::error::JobError;
 use super::event::{Event, Observer};
+use super::fixes::FixesInMap;
 use super::known_map::KnownMaps;
 use super::localized::LocalizedRecording;
 use super::saved_map::{SaveMap, SavedMap};
@@ -41,17 +42,23 @@ pub enum Start {
         /// Standard deviation of the heading from that of the landmark, radians; π where it tells nothing.
         sigma_radians: f64,
     },
+    /// Where its satellite fixes are, in a map that was made with fixes.
+    Fixes,
+    /// Nobody knows: it is searched in the whole map, even if there are fixes.
+    Unknown,
 }
 
 impl Start {
-    /// The place, in a map with these landmarks; the names of all of them if it is not among them.
-    fn in_map(&self, landmarks: &BTreeMap<String, LandmarkNode>) -> Result<StartPose, Vec<String>> {
+    /// The place that was told, if one was, in a map with these landmarks; the names of all of them if it is not among them.
+    fn in_map(&self, landmarks: &BTreeMap<String, LandmarkNode>) -> Result<Option<StartPose>, Vec<String>> {
         match self {
-            Self::At(pose) => Ok(*pose),
+            Self::At(pose) => Ok(Some(*pose)),
+            Self::Fixes | Self::Unknown => Ok(None),
             Self::Landmark { name, sigma_metres, sigma_radians } => {
                 let (sigma_metres, sigma_radians) = (*sigma_metres, *sigma_radians);
                 let pose = landmarks.get(name).and_then(|landmark| landmark.map_from_landmark);
                 pose.map(|map_from_tracking| StartPose { map_from_tracking, sigma_metres, sigma_radians })
+                    .map(Some)
                     .ok_or_else(|| landmarks.keys().cloned().collect())
             }
         }
@@ -69,7 +76,8 @@ pub struct LocalizeRequest {
     pub ingest: IngestOptions,
     /// Options that are asked for; the rest is chosen from the recording.
     pub requested: RequestedOptions,
-    /// Where the recording starts, as far as somebody knows.
+    /// Where the recording starts, as far as somebody knows. Without it, where its satellite fixes are, if the map was made
+    /// with fixes, too; else it is searched in the whole map.
     pub start: Option<Start>,
     /// What a driver reads of corrections, if `driver.tum` is wanted.
     pub jumps: Option<Jumps>,
@@ -97,16 +105,15 @@ pub fn localize(
     // Nothing is written here.
     let folder = OutputFolder::begin::<&str>(&request.folder, "localize", &[], false, observe)?;
     let job = Job::prepare_in(folder, recording, how, observe)?;
+    request.save_map.as_ref().map_or(Ok(()), SaveMap::check)?;
     match job.preparation().dimension {
         Dimension::Two => {
-            check_save::<PlanarMap>(request)?;
             let known = load::<Planar>(request, job.preparation(), observe)?;
             let map = PlanarMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
             let map = textured(map, known, submap_textures_2d, job.preparation());
             localize_in(map, recording, request, job.preparation(), observe)
         }
         Dimension::Three => {
-            check_save::<SpatialMap>(request)?;
             let known = load::<Spatial>(request, job.preparation(), observe)?;
             let map = SpatialMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
             let map = textured(map, known, submap_textures_3d, job.preparation());
@@ -125,8 +132,10 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
 ) -> Result<LocalizedRecording, JobError> {
     let LoadedMap { map, graph, textures, mut issues } = loaded;
     let start = start(request, &graph)?;
+    let mut plan = preparation.plan.clone();
+    let fixes = FixesInMap::of(request, &graph, preparation.inventory(), &mut plan)?;
     let mut ingestion =
-        Ingestion::with_plan(recording, preparation.inventory(), preparation.plan.clone(), &request.ingest)
+        Ingestion::with_plan(recording, preparation.inventory(), plan.clone(), &request.ingest)
             .map_err(PipelineError::from)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let settings =
@@ -137,6 +146,9 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     let mut interrupted = false;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement().map_err(PipelineError::from)? {
         silences.add(&sensor_id, measurement.time());
+        if let Some(fix) = fixes.as_ref().and_then(|fixes| fixes.newest(&ingestion, &measurement)) {
+            localizer.add_fix(fix);
+        }
         localizer.add(&sensor_id, measurement).into_iter().for_each(|estimate| estimates.push(estimate));
         let (position_bytes, total_bytes) = ingestion.progress();
         let state = estimates.last().map_or(State::Searching, |e| e.state);
@@ -168,8 +180,9 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     Ok(LocalizedRecording {
         estimates,
         dimension: preparation.dimension,
-        plan: preparation.plan.clone(),
-        start,
+        plan,
+        start: start.or_else(|| localizer.told()),
+        starts_at_fix: start.is_none() && localizer.told().is_some(),
         jumps: request.jumps,
         start_agrees: localizer.start_agrees(),
         changes: localizer.changes(),
@@ -211,11 +224,7 @@ fn unusable(request: &LocalizeRequest, reason: KnownMapError) -> JobError {
 fn start<S: Space>(request: &LocalizeRequest, map: &Map<S>) -> Result<Option<StartPose>, JobError> {
     let Some(start) = &request.start else { return Ok(None) };
     let no_such = |landmarks| JobError::NoSuchLandmark { path: request.map.clone(), landmarks };
-    start.in_map(&map.graph.problem().landmarks).map(Some).map_err(no_such)
-}
-
-fn check_save<M: KnownMap>(request: &LocalizeRequest) -> Result<(), JobError> {
-    request.save_map.as_ref().map_or(Ok(()), SaveMap::check::<M>)
+    start.in_map(&map.graph.problem().landmarks).map_err(no_such)
 }
 
 fn textured<M: KnownMap>(

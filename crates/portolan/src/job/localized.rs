@@ -31,13 +31,15 @@ pub struct LocalizedRecording {
     pub dimension: Dimension,
     /// Which topics were used as which sensors.
     pub plan: SensorPlan,
-    /// Where somebody said that it starts.
+    /// Where somebody said that it starts; or else where a satellite fix said that it was, while it was looked for.
     pub start: Option<StartPose>,
+    /// Whether that was a fix.
+    pub starts_at_fix: bool,
     /// What a driver reads of corrections; none if nobody asked.
     pub jumps: Option<Jumps>,
     /// Whether that agrees with where it was found; none if nobody said it, or it is not known at the end.
     pub start_agrees: Option<bool>,
-    /// Where it contradicts the map (2D).
+    /// Where it contradicts the map.
     pub changes: Vec<Change>,
     /// What was repaired or left out.
     pub issues: IssueLog,
@@ -147,8 +149,7 @@ impl LocalizedRecording {
 pub const LOCALIZED_FILES: [&str; 6] =
     ["poses.tum", "driver.tum", "poses.csv", "changes.geojson", "path.png", "report.json"];
 
-/// Writes [`LOCALIZED_FILES`], `driver.tum` only if it is wanted, `changes.geojson` only in 2D; their paths. It took
-/// `seconds`.
+/// Writes [`LOCALIZED_FILES`], `driver.tum` only if it is wanted; their paths. It took `seconds`.
 ///
 /// # Errors
 /// Fails if something cannot be written.
@@ -164,11 +165,9 @@ pub fn write_localized(
         write_tum(&folder.add("driver.tum", &mut files)?, &localized.driven(jumps))?;
     }
     write_csv(localized, &folder.add("poses.csv", &mut files)?)?;
-    if localized.dimension == Dimension::Two {
-        let changes = geojson(&localized.changes, |time| localized.recorded(time));
-        let changes = serde_json::to_vec_pretty(&changes)?;
-        write_file(&folder.add("changes.geojson", &mut files)?, &changes)?;
-    }
+    let changes = geojson(&localized.changes, |time| localized.recorded(time));
+    let changes = serde_json::to_vec_pretty(&changes)?;
+    write_file(&folder.add("changes.geojson", &mut files)?, &changes)?;
     let mut lines = outlines(&localized.changes);
     lines.extend(path(&localized.estimates));
     match draw_path(&localized.textures, &lines, &PictureOptions::default()) {
@@ -304,6 +303,7 @@ fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
         "states": states.into_iter().collect::<serde_json::Map<_, _>>(),
         "changes": changes(localized),
         "start": localized.start.map(|start| serde_json::json!({
+            "from": if localized.starts_at_fix { "satellite_fix" } else { "start" },
             "x": start.map_from_tracking.translation.x,
             "y": start.map_from_tracking.translation.y,
             "yaw": yaw(&start.map_from_tracking.rotation),

@@ -6,7 +6,7 @@ use portolan_atomic_file::AtomicFile;
 use portolan_config::Options;
 use portolan_issue::IssueLog;
 use portolan_localization::{Estimate, Grown, Growth, GrowthError, KnownMap, Localizer};
-use portolan_mapfile::{MapSpace, write_map};
+use portolan_mapfile::{Georeference, MapSpace, write_map};
 use portolan_mapping::{EndedTrajectory, Map, TrajectoryState};
 use portolan_pbstream::MapReader;
 use portolan_sensor::SensorId;
@@ -71,16 +71,9 @@ impl SaveMap {
     /// Says early what would go wrong late.
     ///
     /// # Errors
-    /// If such maps cannot become what is wanted, or the file cannot be written.
-    pub(super) fn check<M: KnownMap>(&self) -> Result<(), JobError> {
-        if self.growth == Growth::Renew && !M::RENEWS {
-            return Err(self.refused(GrowthError::CannotRenew));
-        }
+    /// If the file cannot be written.
+    pub(super) fn check(&self) -> Result<(), JobError> {
         AtomicFile::create(&self.path).map(drop).map_err(|error| JobError::file(&self.path, error.source))
-    }
-
-    fn refused(&self, reason: GrowthError) -> JobError {
-        JobError::Growth { path: self.path.clone(), reason }
     }
 
     /// Lets the map of the file `known` grow, and writes it.
@@ -93,6 +86,7 @@ impl SaveMap {
         estimates: &[Estimate],
     ) -> Result<SavedMap, JobError> {
         let mut map = map;
+        let georeference = Georeference::of(&map);
         let grown = match localizer.grow(&mut map.graph, estimates, self.growth) {
             Ok(grown) => grown,
             Err(reason) => return Ok(SavedMap::Refused(reason)),
@@ -102,9 +96,16 @@ impl SaveMap {
             return Ok(SavedMap::Unsound(issues));
         }
         let options = map.options.trajectory_builder.clone();
-        let added =
-            EndedTrajectory { options, sensors: sensors.into_iter().collect(), scans: Default::default() };
+        let added = EndedTrajectory {
+            options,
+            sensors: sensors.into_iter().collect(),
+            scans: Default::default(),
+            fixed_frame_on_earth: None,
+        };
         map.trajectories.insert(grown.trajectory_id, added);
+        if let Some(georeference) = georeference {
+            georeference.hand_on(&mut map, grown.trajectory_id);
+        }
         let state = map.graph.state();
         map.trajectories.retain(|id, _| state.trajectory_state(*id) != TrajectoryState::Deleted);
         if let Some(options) = configuration(known) {

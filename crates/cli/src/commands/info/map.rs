@@ -167,7 +167,11 @@ fn trajectory_text(trajectory: &TrajectoryInfo) -> String {
         lines.push(format!("gravity   {gravity:.4} m/s^2"));
     }
     if trajectory.has_fixed_frame {
-        lines.push("fixed frame (GNSS) placed in the map".to_owned());
+        let where_it_is = match trajectory.fixed_frame_on_earth {
+            Some([latitude, longitude, _]) => format!("; it begins at {latitude:.6}, {longitude:.6}"),
+            None => String::new(),
+        };
+        lines.push(format!("fixed frame (GNSS) placed in the map{where_it_is}"));
     }
     lines.iter().map(|line| format!("  {line}\n")).collect()
 }

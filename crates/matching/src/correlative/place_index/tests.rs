@@ -51,6 +51,18 @@ fn rooms_that_look_alike_are_all_told_and_no_place_twice() {
     }
 }
 
+#[test]
+fn a_search_around_a_place_finds_what_is_there_alone() {
+    let rooms = rooms(&[1, 2, 1, 3, 1]);
+    let index = index_of(&rooms);
+    let near = rooms[2].1.translation + Vector2::new(1.0, -0.8);
+    let found = index.find_within(&rooms[0].2, &WANTED, &near, 1.5);
+    assert!(is_at(&found.places[0], &rooms[2].1), "{found:?}");
+    assert!(found.places.iter().all(|p| (p.pose.translation - near).amax() < 1.8), "{found:?}");
+    let far_off = index.limits.max() + Vector2::new(500.0, 500.0);
+    assert!(index.find_within(&rooms[0].2, &WANTED, &far_off, 1.5).places.is_empty());
+}
+
 /// What a search through all placements finds.
 fn best_of_all(index: &PlaceIndex2d, cloud: &PointCloud) -> f32 {
     let wanted = WantedPlaces { most_points: 60, ..WANTED };

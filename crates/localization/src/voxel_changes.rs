@@ -1,0 +1,334 @@
+//! Where a recording contradicts a map of space: cells in which scans of known places end or pass otherwise than the map
+//! says.
+
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::sync::Arc;
+
+use portolan_geometry::{Point3f, Rigid3, Time, Vector3, to_f32};
+use portolan_grids::{GridError, HybridGrid, VoxelIndex};
+use portolan_lidar_odometry::PlaneMap;
+use portolan_mapping::{GraphState, Spatial};
+use portolan_sensor::voxel_filter_points;
+
+use crate::change_regions::regions;
+use crate::changes::{Change, ChangeCounter, ChangeKind, FRACTION, SCANS, VIEWPOINTS};
+use crate::finder::LocalScan;
+use crate::known_map::KnownMap;
+use crate::occupancy::{CELL, Occupancy, around};
+use crate::placed_scan::PlacedScan;
+use crate::spatial_map::SpatialMap;
+
+/// Beams count to this range, metres: headings of maps and matches err by 0.008 rad, half a cell there.
+const RANGE: f32 = 12.0;
+/// Beams pass to so far in front of what they hit, metres.
+const IN_FRONT: f32 = 0.8;
+/// A beam goes through a surface if it meets it more steeply than this, as the sine of the angle; else it goes along it.
+const STEEP: f32 = 0.3;
+/// Steps along a beam, and voxels to which scans are thinned, metres.
+const STEP: f32 = 0.1;
+const THINNED: f32 = 0.1;
+/// Of beams that are kept no more than this counts, metres; and points are thinned to this.
+const FARTHEST: f32 = RANGE + IN_FRONT + 0.1;
+const THINNED_TO_KEEP: f32 = 0.15;
+/// Scans are kept so far apart, metres and radians.
+const APART: f64 = 0.6;
+const TURNED: f64 = 0.35;
+/// Smaller regions are left out, cells, in all and seen from above.
+const LEAST_CELLS: usize = 8;
+const LEAST_COLUMNS: usize = 3;
+
+/// A scan that is kept until the recording ends, because nodes of 3D keep too few points to tell what has changed.
+#[derive(Clone, Debug)]
+pub struct KeptSweep {
+    pub(crate) time: Time,
+    /// Where it was taken.
+    pub(crate) map_from_tracking: Rigid3,
+    /// Where its beams begin, in the tracking frame.
+    origin: Point3f,
+    /// Returns in the tracking frame, thinned; those beyond the range that counts are drawn nearer along their beams.
+    returns: Vec<Point3f>,
+}
+
+impl KeptSweep {
+    /// Of a scan that was localised at a place of the map.
+    pub(crate) fn new(scan: &LocalScan, map_from_tracking: &Rigid3) -> Self {
+        let tracking_from_local = to_f32(&scan.local_from_tracking.inverse());
+        let origin = tracking_from_local * scan.origin;
+        let clipped = scan.returns.points.iter().map(|point| {
+            let beam = tracking_from_local * point - origin;
+            origin + beam * (FARTHEST / beam.norm().max(FARTHEST))
+        });
+        let clipped: Vec<Point3f> =
+            clipped.filter(|point| point.coords.iter().all(|v| v.is_finite())).collect();
+        Self {
+            time: scan.time,
+            map_from_tracking: *map_from_tracking,
+            origin,
+            returns: voxel_filter_points(&clipped, THINNED_TO_KEEP),
+        }
+    }
+
+    /// Whether another one would show the same.
+    pub(crate) fn is_like(&self, map_from_tracking: &Rigid3) -> bool {
+        let way = self.map_from_tracking.translation.vector - map_from_tracking.translation.vector;
+        way.norm() < APART && self.map_from_tracking.rotation.angle_to(&map_from_tracking.rotation) < TURNED
+    }
+
+    /// As it is compared with the map.
+    pub(crate) fn placed(&self) -> PlacedScan<'_> {
+        let origin = self.map_from_tracking * self.origin.cast::<f64>();
+        PlacedScan {
+            time: self.time,
+            origin: origin.coords,
+            map_from_local: self.map_from_tracking,
+            returns: &self.returns,
+        }
+    }
+}
+
+/// A cell and those as near to it as two cells: places of real drives are off by as much.
+fn near([x, y, z]: VoxelIndex) -> impl Iterator<Item = VoxelIndex> {
+    (-2..=2).flat_map(move |i| (-2..=2).flat_map(move |j| (-2..=2).map(move |k| [x + i, y + j, z + k])))
+}
+
+/// What a map says of the cells in which contradictions are counted.
+pub(crate) struct KnownVoxels {
+    occupancy: Arc<Occupancy>,
+    planes: Arc<PlaneMap>,
+    /// Cells in which scans of the map itself end.
+    ends: HybridGrid,
+}
+
+impl KnownVoxels {
+    /// Of a map, with the scans that it keeps.
+    ///
+    /// # Errors
+    /// If there is no such grid.
+    pub fn new(
+        occupancy: &Arc<Occupancy>,
+        planes: &Arc<PlaneMap>,
+        state: &GraphState<Spatial>,
+    ) -> Result<Self, GridError> {
+        let mut ends = HybridGrid::new(CELL)?;
+        for node in state.nodes.values() {
+            let pose = to_f32(&node.map_from_tracking);
+            for point in SpatialMap::points_in_tracking(&node.data).points {
+                if let Some(cell) = ends.cell_index(&(pose * point)) {
+                    ends.set_probability(cell, 0.9);
+                }
+            }
+        }
+        Ok(Self { occupancy: Arc::clone(occupancy), planes: Arc::clone(planes), ends })
+    }
+
+    /// Whether a cell is free, and nothing was ever seen in it or near it.
+    fn is_open(&self, cell: VoxelIndex) -> bool {
+        self.occupancy.is_free_cell(cell)
+            && !near(cell).any(|cell| self.occupancy.is_solid(cell) || self.ends.is_known(cell))
+    }
+
+    /// Whether a beam goes through what is solid at a point.
+    fn is_pierced(&self, point: &Point3f, cell: VoxelIndex, direction: &nalgebra::Vector3<f32>) -> bool {
+        self.occupancy.is_solid(cell)
+            && self.planes.plane_near(point).is_none_or(|plane| plane.normal.dot(direction).abs() > STEEP)
+    }
+}
+
+/// What scans said of a cell.
+#[derive(Clone, Copy, Debug)]
+struct Voxel {
+    kind: ChangeKind,
+    /// Scans with a point in the cell, of a solid one also near it, and scans with beams through it and no point there.
+    hits: u16,
+    passes: u16,
+    /// Of what contradicts the map.
+    seen: Option<Witness>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Witness {
+    first: Time,
+    last: Time,
+    from: Vector3,
+    is_seen_from_two: bool,
+}
+
+impl Voxel {
+    fn new(kind: ChangeKind) -> Self {
+        Self { kind, hits: 0, passes: 0, seen: None }
+    }
+
+    fn witness(&mut self, scan: &PlacedScan) {
+        let new = Witness { first: scan.time, last: scan.time, from: scan.origin, is_seen_from_two: false };
+        let seen = self.seen.get_or_insert(new);
+        seen.last = scan.time;
+        seen.is_seen_from_two |= (scan.origin - seen.from).norm() >= VIEWPOINTS;
+    }
+
+    fn contradictions(&self) -> u16 {
+        if self.kind == ChangeKind::Appeared { self.hits } else { self.passes }
+    }
+
+    fn has_changed(&self) -> bool {
+        let all = f64::from(self.hits) + f64::from(self.passes);
+        let scans = self.contradictions();
+        let is_clear = scans >= SCANS && f64::from(scans) >= FRACTION * all;
+        is_clear && self.seen.is_some_and(|seen| seen.is_seen_from_two)
+    }
+}
+
+/// Counts contradictions of scans whose places are known. Takes no more memory than the map.
+pub(crate) struct VoxelChanges {
+    map: Arc<KnownVoxels>,
+    voxels: BTreeMap<VoxelIndex, Voxel>,
+}
+
+impl VoxelChanges {
+    /// Nothing has contradicted the map.
+    pub fn new(map: Arc<KnownVoxels>) -> Self {
+        Self { map, voxels: BTreeMap::new() }
+    }
+
+    /// Cells that have changed, without those of regions that are too small to be told.
+    pub fn changed(&self) -> ChangedVoxels {
+        let all = self.regions().into_iter();
+        let kinds = all.flat_map(|(kind, cells)| cells.into_iter().map(move |cell| (cell, kind)));
+        ChangedVoxels { map: Arc::clone(&self.map), kinds: kinds.collect() }
+    }
+
+    /// Cells of one kind that touch each other, at corners at least.
+    fn regions(&self) -> Vec<(ChangeKind, BTreeSet<VoxelIndex>)> {
+        let mut found = Vec::new();
+        for kind in [ChangeKind::Appeared, ChangeKind::Gone] {
+            let changed = self.voxels.iter().filter(|(_, voxel)| voxel.kind == kind && voxel.has_changed());
+            let mut left: BTreeSet<VoxelIndex> = changed.map(|(cell, _)| *cell).collect();
+            while let Some(first) = left.pop_first() {
+                let (mut region, mut open) = (BTreeSet::from([first]), vec![first]);
+                while let Some(cell) = open.pop() {
+                    for beside in around(cell).filter(|beside| left.remove(beside)).collect::<Vec<_>>() {
+                        region.insert(beside);
+                        open.push(beside);
+                    }
+                }
+                let columns: BTreeSet<(i32, i32)> = region.iter().map(|[x, y, _]| (*x, *y)).collect();
+                if region.len() >= LEAST_CELLS && columns.len() >= LEAST_COLUMNS {
+                    found.push((kind, region));
+                }
+            }
+        }
+        found
+    }
+
+    /// A region as it is told: its outline from above, and its heights.
+    fn told(&self, kind: ChangeKind, cells: &BTreeSet<VoxelIndex>) -> Vec<Change> {
+        let least = |axis: usize| cells.iter().map(|cell| cell[axis]).min().unwrap_or(0);
+        let most = |axis: usize| cells.iter().map(|cell| cell[axis]).max().unwrap_or(0);
+        let (left, bottom) = (least(0), least(1));
+        let columns = (most(0) - left + 1).max(1) as usize;
+        let flat = |[x, y, _]: &VoxelIndex| (y - bottom) as usize * columns + (x - left) as usize;
+        let edge = f64::from(CELL);
+        let low =
+            self.map.occupancy.middle([left, bottom, least(2)]).coords.map(|v| f64::from(v) - 0.5 * edge);
+        let heights = Some([low.z, low.z + f64::from(most(2) - least(2) + 1) * edge]);
+        let corner = |[x, y]: &[i64; 2]| [low.x + *x as f64 * edge, low.y + *y as f64 * edge];
+        let voxels = cells.iter().filter_map(|cell| self.voxels.get(cell));
+        let seen = voxels.clone().filter_map(|voxel| voxel.seen);
+        let (first, last) = (seen.clone().map(|s| s.first).min(), seen.map(|s| s.last).max());
+        let scans = voxels.map(Voxel::contradictions).max().unwrap_or(0);
+        let outlines = regions(&cells.iter().map(flat).collect(), columns).into_iter();
+        let change = |region: crate::change_regions::Region| Change {
+            kind,
+            rings: region.rings.iter().map(|ring| ring.iter().map(corner).collect()).collect(),
+            area: region.cells.len() as f64 * edge * edge,
+            heights,
+            seen: (first.unwrap_or_default(), last.unwrap_or_default()),
+            scans: u32::from(scans),
+        };
+        outlines.map(change).collect()
+    }
+}
+
+impl ChangeCounter for VoxelChanges {
+    fn add(&mut self, scan: &PlacedScan) {
+        let map = Arc::clone(&self.map);
+        let (pose, origin) = (to_f32(&scan.map_from_local), Point3f::from(scan.origin.cast::<f32>()));
+        let points: Vec<Point3f> =
+            voxel_filter_points(scan.returns, THINNED).into_iter().map(|point| pose * point).collect();
+        let counted = points.iter().filter(|point| (*point - origin).norm() <= RANGE);
+        let ends: BTreeSet<VoxelIndex> = counted.filter_map(|point| map.occupancy.cell(point)).collect();
+        let mut beside: Vec<VoxelIndex> = ends.iter().flat_map(|cell| near(*cell)).collect();
+        beside.sort_unstable();
+        beside.dedup();
+        for cell in ends.iter().filter(|cell| map.is_open(**cell)) {
+            let voxel = self.voxels.entry(*cell).or_insert(Voxel::new(ChangeKind::Appeared));
+            voxel.hits = voxel.hits.saturating_add(1);
+            voxel.witness(scan);
+        }
+        // A point near a cell that was solid is of what was there.
+        for cell in beside.iter().filter(|cell| map.occupancy.is_solid(**cell)) {
+            let voxel = self.voxels.entry(*cell).or_insert(Voxel::new(ChangeKind::Gone));
+            voxel.hits = voxel.hits.saturating_add(1);
+        }
+        let beside: HashSet<VoxelIndex> = beside.into_iter().collect();
+        let mut passed: BTreeMap<VoxelIndex, ChangeKind> = BTreeMap::new();
+        for point in &points {
+            let beam = point - origin;
+            let length = beam.norm();
+            let direction = beam / length.max(STEP);
+            let steps = ((length - IN_FRONT).min(RANGE) / STEP).max(0.0) as u32;
+            for at in (2..steps).map(|i| origin + direction * (i as f32 * STEP)) {
+                let Some(cell) = map.occupancy.cell(&at).filter(|cell| !beside.contains(cell)) else {
+                    continue;
+                };
+                if map.is_pierced(&at, cell, &direction) {
+                    passed.insert(cell, ChangeKind::Gone);
+                } else if self.voxels.get(&cell).is_some_and(|voxel| voxel.kind == ChangeKind::Appeared) {
+                    passed.insert(cell, ChangeKind::Appeared);
+                }
+            }
+        }
+        for (cell, kind) in passed {
+            let voxel = self.voxels.entry(cell).or_insert(Voxel::new(kind));
+            voxel.passes = voxel.passes.saturating_add(1);
+            if kind == ChangeKind::Gone {
+                voxel.witness(scan);
+            }
+        }
+    }
+
+    fn changes(&self) -> Vec<Change> {
+        self.regions().iter().flat_map(|(kind, cells)| self.told(*kind, cells)).collect()
+    }
+}
+
+/// Cells of the map that have changed.
+pub(crate) struct ChangedVoxels {
+    map: Arc<KnownVoxels>,
+    kinds: BTreeMap<VoxelIndex, ChangeKind>,
+}
+
+impl ChangedVoxels {
+    /// Whether nothing has changed.
+    pub fn is_empty(&self) -> bool {
+        self.kinds.is_empty()
+    }
+
+    /// What has become of a point of the map.
+    pub fn at(&self, point: &Point3f) -> Option<ChangeKind> {
+        self.kinds.get(&self.map.occupancy.cell(point)?).copied()
+    }
+
+    /// Whether something is gone at a point of the map, or right beside it where nothing else is.
+    pub fn is_gone(&self, point: &Point3f) -> bool {
+        let is_gone = |cell: VoxelIndex| self.kinds.get(&cell) == Some(&ChangeKind::Gone);
+        let Some(cell) = self.map.occupancy.cell(point) else { return false };
+        is_gone(cell) || (!self.map.occupancy.is_solid(cell) && around(cell).any(is_gone))
+    }
+
+    /// Square metres, seen from above, that changed so.
+    pub fn area(&self, kind: ChangeKind) -> f64 {
+        let cells = self.kinds.iter().filter(|(_, of_cell)| **of_cell == kind);
+        let columns: BTreeSet<(i32, i32)> = cells.map(|([x, y, _], _)| (*x, *y)).collect();
+        columns.len() as f64 * f64::from(CELL * CELL)
+    }
+}

@@ -1,0 +1,133 @@
+//! Where on the Earth a map lies.
+
+use portolan_geometry::{GeodeticPosition, Rigid3, TransformBuffer, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_mapping::{EndedTrajectory, Map, PoseGraph, Space, TrajectoryId, of_trajectory};
+use portolan_numeric::median;
+
+/// So many fixes tell where a map lies.
+const FEWEST_FIXES: usize = 10;
+/// Fixes farther off than so many medians are outliers: reflected signals.
+const OUTLIER: f64 = 3.0;
+/// The way spreads at least so many times as far as fixes are off, so that they tell its heading to a few degrees.
+const LEAST_SPREAD: f64 = 3.0;
+/// Of a Rayleigh distribution: its median by the standard deviation along each axis.
+const MEDIAN_BY_SIGMA: f64 = 1.177_41;
+
+/// Where on the Earth a map lies: a trajectory of it was mapped with satellite fixes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Georeference {
+    /// Where the fixed frame of fixes begins …
+    origin: GeodeticPosition,
+    /// … and where this frame lies in the map.
+    map_from_fixed: Rigid3,
+    /// How far fixes lie off the map that was made with them: the standard deviation along each horizontal axis, metres;
+    /// none if the file has no fixes any more.
+    sigma: Option<f64>,
+}
+
+/// A fix in the fixed frame, and where the map says that it was taken.
+struct Pair {
+    in_fixed: Vector3,
+    in_map: Vector3,
+}
+
+impl Pair {
+    /// Horizontal distance, metres.
+    fn residual(&self, map_from_fixed: &Rigid3) -> f64 {
+        ((map_from_fixed * nalgebra::Point3::from(self.in_fixed)).coords - self.in_map).xy().norm()
+    }
+}
+
+/// The fixes of a trajectory, where it has nodes around them.
+fn pairs<S: Space>(graph: &PoseGraph<S>, id: TrajectoryId) -> Vec<Pair> {
+    let poses: TransformBuffer = of_trajectory(&graph.state().nodes, id)
+        .map(|(_, node)| (node.data.time, node.map_from_tracking))
+        .collect();
+    let fixes = graph.problem().sensors.get(&id).into_iter().flat_map(|sensors| sensors.fixed_frame.values());
+    let pair = |fix: &portolan_sensor::FixedFramePoseData| {
+        let in_fixed = fix.fixed_from_tracking?.translation.vector;
+        Some(Pair { in_fixed, in_map: poses.lookup(fix.time)?.translation.vector })
+    };
+    fixes.filter_map(pair).collect()
+}
+
+/// Where fixes fit the map best, upright in both: least squares (Horn 1987, about one axis), and once more without those that
+/// lie far off. None if they do not tell a heading: the way is not long enough for how far they are off.
+fn aligned(pairs: &[Pair], at_first: &Rigid3) -> Option<Rigid3> {
+    let all: Vec<&Pair> = pairs.iter().collect();
+    let rough = fitted(&all, at_first)?;
+    let mut off: Vec<f64> = all.iter().map(|pair| pair.residual(&rough)).collect();
+    let most = OUTLIER * median(&mut off)?;
+    let inliers: Vec<&Pair> = all.into_iter().filter(|pair| pair.residual(&rough) <= most).collect();
+    let fitted = fitted(&inliers, at_first)?;
+    let mean = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>() / inliers.len().max(1) as f64;
+    let centre = inliers.iter().map(|pair| pair.in_map).sum::<Vector3>() / inliers.len().max(1) as f64;
+    let spread = mean(&mut inliers.iter().map(|pair| (pair.in_map - centre).xy().norm_squared()));
+    let error = mean(&mut inliers.iter().map(|pair| pair.residual(&fitted).powi(2)));
+    (spread.sqrt() > LEAST_SPREAD * error.sqrt()).then_some(fitted)
+}
+
+fn fitted(pairs: &[&Pair], at_first: &Rigid3) -> Option<Rigid3> {
+    if pairs.len() < FEWEST_FIXES {
+        return None;
+    }
+    let count = pairs.len() as f64;
+    let in_fixed = pairs.iter().map(|pair| pair.in_fixed).sum::<Vector3>() / count;
+    let in_map = pairs.iter().map(|pair| pair.in_map).sum::<Vector3>() / count;
+    let (mut sine, mut cosine) = (0.0, 0.0);
+    for pair in pairs {
+        let (a, b) = ((pair.in_fixed - in_fixed).xy(), (pair.in_map - in_map).xy());
+        sine += a.perp(&b);
+        cosine += a.dot(&b);
+    }
+    let rotation = rotation_from_roll_pitch_yaw(0.0, 0.0, sine.atan2(cosine));
+    let mut shift = in_map - rotation * in_fixed;
+    // Heights of fixes are good for nothing here, and none in the plane.
+    shift.z = at_first.translation.z;
+    Some(Rigid3::from_parts(shift.into(), rotation))
+}
+
+impl Georeference {
+    /// That of a map; of several trajectories with fixes the first one counts. None if the map was not made with fixes, or
+    /// the file does not say where on the Earth they were.
+    pub fn of<S: Space>(map: &Map<S>) -> Option<Self> {
+        let mut all = map.trajectories.iter();
+        all.find_map(|(id, ended)| Self::of_trajectory(&map.graph, *id, ended))
+    }
+
+    fn of_trajectory<S: Space>(
+        graph: &PoseGraph<S>,
+        id: TrajectoryId,
+        ended: &EndedTrajectory,
+    ) -> Option<Self> {
+        let origin = ended.fixed_frame_on_earth?;
+        let map_from_fixed = graph.problem().fixed_frame_origins.get(&id).copied().flatten()?;
+        let pairs = pairs(graph, id);
+        // Optimisation may not have turned the frame of fixes to where they fit best.
+        let map_from_fixed = aligned(&pairs, &map_from_fixed).unwrap_or(map_from_fixed);
+        let mut off: Vec<f64> = pairs.iter().map(|pair| pair.residual(&map_from_fixed)).collect();
+        let sigma = median(&mut off).map(|distance| distance / MEDIAN_BY_SIGMA);
+        Some(Self { origin, map_from_fixed, sigma })
+    }
+
+    /// Where a place on the Earth is in the map, metres.
+    pub fn in_map(&self, place: &GeodeticPosition) -> Vector3 {
+        let in_fixed = self.origin.local_from_ecef() * nalgebra::Point3::from(place.to_ecef());
+        (self.map_from_fixed * in_fixed).coords
+    }
+
+    /// How far fixes lie off the map that was made with them, as far as is known: the standard deviation along each
+    /// horizontal axis, metres.
+    pub fn sigma(&self) -> Option<f64> {
+        self.sigma
+    }
+
+    /// Says of one more trajectory of the map where its fixed frame would lie, so that the map keeps its place on the Earth
+    /// when others are removed.
+    pub fn hand_on<S: Space>(&self, map: &mut Map<S>, id: TrajectoryId) {
+        if let Some(ended) = map.trajectories.get_mut(&id) {
+            ended.fixed_frame_on_earth = Some(self.origin);
+            map.graph.set_fixed_frame_origin(id, self.map_from_fixed);
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Maps of space that are brought up to date by simulated walks.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use portolan::RequestedOptions;
+use portolan::geometry::{Quaternion, Rigid3, Time, Vector3, nalgebra};
+use portolan::ingest::IngestOptions;
+use portolan::job::{
+    LocalizeRequest, LocalizedRecording, MapRequest, SaveMap, SavedMap, localize, map, unobserved,
+};
+use portolan::localization::{ChangeKind, Grown, Growth, State};
+use portolan::mapfile::{MapLoadSettings, read_map};
+use portolan::mapping::Spatial;
+use portolan::simulator::{Scenario3dOptions, Simulation3d};
+use portolan::worlds::three_d::Scene3d;
+
+/// A walk through a car park; the cars of another building stand in other places.
+fn walk(cars: u64, day: u64, seconds: f64) -> Simulation3d {
+    let mut options = Scenario3dOptions::new(Scene3d::Garage, day, 1);
+    options.building_seed = Some(cars);
+    options.duration = Some(seconds);
+    for lidar in &mut options.lidars {
+        lidar.beams.columns = 450;
+    }
+    Simulation3d::new(options).unwrap()
+}
+
+struct Known {
+    folder: tempfile::TempDir,
+    world_from_map: Rigid3,
+}
+
+/// The map of the first day.
+fn known() -> &'static Known {
+    static KNOWN: OnceLock<Known> = OnceLock::new();
+    KNOWN.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let first_day = walk(1, 1, 40.0);
+        map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
+        let trajectory = std::fs::read_to_string(folder.path().join("trajectory.tum")).unwrap();
+        let line = trajectory.lines().next().unwrap();
+        let first: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();
+        let rotation = nalgebra::Quaternion::new(first[7], first[4], first[5], first[6]);
+        let place = Vector3::new(first[1], first[2], first[3]);
+        let map_from_tracking = Rigid3::from_parts(place.into(), Quaternion::from_quaternion(rotation));
+        let truth = first_day.truth_at(Time::from_unix_seconds(first[0])).unwrap();
+        Known { folder, world_from_map: truth * map_from_tracking.inverse() }
+    })
+}
+
+impl Known {
+    fn map(&self) -> PathBuf {
+        self.folder.path().join("map.pbstream")
+    }
+
+    /// The median of metres by which localised poses are off.
+    fn error(&self, today: &Simulation3d, found: &LocalizedRecording) -> f64 {
+        let localised = found.estimates.iter().filter(|e| e.state == State::Localised);
+        let off = localised.filter_map(|e| {
+            let truth = self.world_from_map.inverse() * today.truth_at(e.time)?;
+            Some((truth.inverse() * e.place?.map_from_tracking).translation.vector.norm())
+        });
+        let mut off: Vec<f64> = off.collect();
+        off.sort_by(f64::total_cmp);
+        off[off.len() / 2]
+    }
+}
+
+fn find(today: &Simulation3d, map: &Path, update: Option<&Path>, threads: usize) -> LocalizedRecording {
+    let request = LocalizeRequest {
+        map: map.to_owned(),
+        folder: PathBuf::new(),
+        ingest: IngestOptions::default(),
+        requested: RequestedOptions::default(),
+        start: None,
+        jumps: None,
+        save_map: update.map(|path| SaveMap { path: path.to_owned(), growth: Growth::Renew }),
+        threads,
+    };
+    localize(today, &request, &mut unobserved).unwrap()
+}
+
+fn grown(found: &LocalizedRecording) -> Grown {
+    match &found.saved_map {
+        Some(SavedMap::Written { grown, .. }) => *grown,
+        other => panic!("{other:?}"),
+    }
+}
+
+fn changed(found: &LocalizedRecording, kind: ChangeKind) -> f64 {
+    found.changes.iter().filter(|c| c.kind == kind).map(|c| c.area).sum()
+}
+
+#[test]
+fn cars_that_moved_are_moved_in_the_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("updated.pbstream");
+    let unchanged = find(&walk(1, 2, 25.0), &known().map(), None, 2);
+    let second_day = find(&walk(2, 2, 40.0), &known().map(), Some(&path), 2);
+    let renewal = grown(&second_day).renewal.unwrap();
+    assert!(renewal.appeared > 1.0 && renewal.gone > 1.0, "{renewal:?}");
+    let third_day = walk(2, 3, 25.0);
+    let [in_old, in_new] = [known().map(), path].map(|map| find(&third_day, &map, None, 2));
+    for kind in [ChangeKind::Appeared, ChangeKind::Gone] {
+        let [none, old, new] = [&unchanged, &in_old, &in_new].map(|found| changed(found, kind));
+        println!("{kind:?}: {none} m² of nothing, {old} m² in the old map, {new} m² in the new one");
+        assert!(none < 0.2 * old, "{kind:?}: {none} m² where nothing has changed, {old} m² where cars have");
+        assert!(old > 1.0 && new < 0.4 * old, "{kind:?}: {old} m² in the old map, {new} m² in the new one");
+    }
+    let low = in_old.changes.iter().all(|c| c.heights.is_some_and(|[from, to]| from < to && to - from < 4.0));
+    assert!(low, "cars are not as high as that: {:?}", in_old.changes);
+    let [old, new] = [&in_old, &in_new].map(|found| known().error(&third_day, found));
+    println!("{old} m off in the old map, {new} m in the new one");
+    assert!(new < old + 0.02, "{old} m in the old map, {new} m in the new one");
+}
+
+#[test]
+fn updates_do_not_let_a_map_of_space_grow() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("living.pbstream");
+    std::fs::copy(known().map(), &path).unwrap();
+    let mut sizes = Vec::new();
+    let mut error = 0.0;
+    for update in 0..6 {
+        let today = walk(1 + update % 3, 2 + update % 2, 20.0);
+        let found = find(&today, &path, Some(&path), 2);
+        error = known().error(&today, &found);
+        let graph = read_map::<Spatial>(&path, &MapLoadSettings::default()).unwrap().graph;
+        let (submaps, nodes) = (graph.state().submaps.len(), graph.state().nodes.len());
+        sizes.push((std::fs::metadata(&path).unwrap().len(), submaps, nodes));
+    }
+    println!("{sizes:?}, {error} m");
+    let largest = |range: std::ops::Range<usize>| sizes[range].iter().map(|s| s.0).max().unwrap();
+    assert!(largest(4..6) as f64 <= 1.05 * largest(1..4) as f64, "{sizes:?}");
+    assert!(error < 0.1, "{error} m after six updates");
+}
+
+#[test]
+fn updated_maps_of_space_do_not_depend_on_the_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let today = walk(2, 2, 22.0);
+    let files = [1, 2, 4].map(|threads| {
+        let path = folder.path().join(format!("{threads}.pbstream"));
+        grown(&find(&today, &known().map(), Some(&path), threads));
+        std::fs::read(path).unwrap()
+    });
+    assert!(files[0] == files[1] && files[0] == files[2]);
+}
