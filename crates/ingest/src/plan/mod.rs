@@ -252,8 +252,10 @@ impl SensorPlan {
 
     /// Says that an IMU does not turn as the lidar does (`how`), and whether it is used all the same.
     pub fn doubt_imu(&mut self, topic: &str, how: &str, is_used: bool) {
-        let so = if is_used { "it is used all the same" } else { "it is left out" };
-        let change = if is_used { "--no-imu" } else { "right transforms, or --imu to use it" };
+        let (so, change) = match is_used {
+            true => ("it is used all the same", "--no-imu".to_owned()),
+            false => ("it is left out", format!("--imu {topic}")),
+        };
         self.warn(format!("the IMU {topic} {how}: {so}"), change);
     }
 
