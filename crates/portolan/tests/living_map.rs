@@ -1,16 +1,15 @@
 //! Maps that simulated drives are added to, and that are brought up to date by them.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
+mod known;
+
+use std::path::Path;
 use std::sync::OnceLock;
 
-use portolan::RequestedOptions;
+use known::{Known, changed, grown, request};
 use portolan::geometry::{Duration, Rigid3, Vector2, Vector3};
-use portolan::ingest::IngestOptions;
-use portolan::job::{
-    LocalizeRequest, LocalizedRecording, MapRequest, SaveMap, SavedMap, localize, map, unobserved,
-};
-use portolan::localization::{ChangeKind, Grown, Growth, GrowthError, State};
+use portolan::job::{LocalizeRequest, LocalizedRecording, SaveMap, SavedMap, localize, unobserved};
+use portolan::localization::{ChangeKind, Growth, GrowthError};
 use portolan::mapfile::{LoadedMap, MapLoadSettings, info, read_map_2d};
 use portolan::mapping::Planar;
 use portolan::pbstream::MapReader;
@@ -55,38 +54,10 @@ fn drive(day: u64, set: usize, seconds: f64) -> Simulation {
     Simulation::in_plan(options(day, seconds), plan_with_barrels(set)).unwrap()
 }
 
-struct Known {
-    folder: tempfile::TempDir,
-    world_from_map: Rigid3,
-}
-
 /// A map of the building with the first set of barrels.
 fn known() -> &'static Known {
     static KNOWN: OnceLock<Known> = OnceLock::new();
-    KNOWN.get_or_init(|| {
-        let folder = tempfile::tempdir().unwrap();
-        let first_day = drive(1, 0, 180.0);
-        map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
-        Known { folder, world_from_map: first_day.truth_at(first_day.start_time()).unwrap() }
-    })
-}
-
-impl Known {
-    fn map(&self) -> PathBuf {
-        self.folder.path().join("map.pbstream")
-    }
-
-    /// The median of metres by which localised poses are off.
-    fn error(&self, drive: &Simulation, found: &LocalizedRecording) -> f64 {
-        let localised = found.estimates.iter().filter(|e| e.state == State::Localised);
-        let off = localised.map(|e| {
-            let truth = self.world_from_map.inverse() * drive.truth_at(e.time).unwrap();
-            (truth.inverse() * e.place.unwrap().map_from_tracking).translation.vector.norm()
-        });
-        let mut off: Vec<f64> = off.collect();
-        off.sort_by(f64::total_cmp);
-        off[off.len() / 2]
-    }
+    KNOWN.get_or_init(|| Known::new(&drive(1, 0, 180.0)))
 }
 
 fn find(
@@ -95,28 +66,9 @@ fn find(
     save: Option<(&Path, Growth)>,
     threads: usize,
 ) -> LocalizedRecording {
-    let request = LocalizeRequest {
-        map: map.to_owned(),
-        folder: PathBuf::new(),
-        ingest: IngestOptions::default(),
-        requested: RequestedOptions::default(),
-        start: None,
-        jumps: None,
-        save_map: save.map(|(path, growth)| SaveMap { path: path.to_owned(), growth }),
-        threads,
-    };
+    let save_map = save.map(|(path, growth)| SaveMap { path: path.to_owned(), growth });
+    let request = LocalizeRequest { save_map, threads, ..request(map) };
     localize(recording, &request, &mut unobserved).unwrap()
-}
-
-fn grown(found: &LocalizedRecording) -> Grown {
-    match &found.saved_map {
-        Some(SavedMap::Written { grown, .. }) => *grown,
-        other => panic!("{other:?}"),
-    }
-}
-
-fn changed(found: &LocalizedRecording, kind: ChangeKind) -> f64 {
-    found.changes.iter().filter(|c| c.kind == kind).map(|c| c.area).sum()
 }
 
 fn read(path: &Path) -> LoadedMap<Planar> {

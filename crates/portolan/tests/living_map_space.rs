@@ -1,16 +1,14 @@
 //! Maps of space that are brought up to date by simulated walks.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
+mod known;
+
+use std::path::Path;
 use std::sync::OnceLock;
 
-use portolan::RequestedOptions;
-use portolan::geometry::{Quaternion, Rigid3, Time, Vector3, nalgebra};
-use portolan::ingest::IngestOptions;
-use portolan::job::{
-    LocalizeRequest, LocalizedRecording, MapRequest, SaveMap, SavedMap, localize, map, unobserved,
-};
-use portolan::localization::{ChangeKind, Grown, Growth, State};
+use known::{Known, changed, grown, request};
+use portolan::job::{LocalizeRequest, LocalizedRecording, SaveMap, localize, unobserved};
+use portolan::localization::{ChangeKind, Growth};
 use portolan::mapfile::{MapLoadSettings, read_map};
 use portolan::mapping::Spatial;
 use portolan::simulator::{Scenario3dOptions, Simulation3d};
@@ -27,70 +25,16 @@ fn walk(cars: u64, day: u64, seconds: f64) -> Simulation3d {
     Simulation3d::new(options).unwrap()
 }
 
-struct Known {
-    folder: tempfile::TempDir,
-    world_from_map: Rigid3,
-}
-
 /// The map of the first day.
 fn known() -> &'static Known {
     static KNOWN: OnceLock<Known> = OnceLock::new();
-    KNOWN.get_or_init(|| {
-        let folder = tempfile::tempdir().unwrap();
-        let first_day = walk(1, 1, 40.0);
-        map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
-        let trajectory = std::fs::read_to_string(folder.path().join("trajectory.tum")).unwrap();
-        let line = trajectory.lines().next().unwrap();
-        let first: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();
-        let rotation = nalgebra::Quaternion::new(first[7], first[4], first[5], first[6]);
-        let place = Vector3::new(first[1], first[2], first[3]);
-        let map_from_tracking = Rigid3::from_parts(place.into(), Quaternion::from_quaternion(rotation));
-        let truth = first_day.truth_at(Time::from_unix_seconds(first[0])).unwrap();
-        Known { folder, world_from_map: truth * map_from_tracking.inverse() }
-    })
-}
-
-impl Known {
-    fn map(&self) -> PathBuf {
-        self.folder.path().join("map.pbstream")
-    }
-
-    /// The median of metres by which localised poses are off.
-    fn error(&self, today: &Simulation3d, found: &LocalizedRecording) -> f64 {
-        let localised = found.estimates.iter().filter(|e| e.state == State::Localised);
-        let off = localised.filter_map(|e| {
-            let truth = self.world_from_map.inverse() * today.truth_at(e.time)?;
-            Some((truth.inverse() * e.place?.map_from_tracking).translation.vector.norm())
-        });
-        let mut off: Vec<f64> = off.collect();
-        off.sort_by(f64::total_cmp);
-        off[off.len() / 2]
-    }
+    KNOWN.get_or_init(|| Known::new(&walk(1, 1, 40.0)))
 }
 
 fn find(today: &Simulation3d, map: &Path, update: Option<&Path>, threads: usize) -> LocalizedRecording {
-    let request = LocalizeRequest {
-        map: map.to_owned(),
-        folder: PathBuf::new(),
-        ingest: IngestOptions::default(),
-        requested: RequestedOptions::default(),
-        start: None,
-        jumps: None,
-        save_map: update.map(|path| SaveMap { path: path.to_owned(), growth: Growth::Renew }),
-        threads,
-    };
+    let save_map = update.map(|path| SaveMap { path: path.to_owned(), growth: Growth::Renew });
+    let request = LocalizeRequest { save_map, threads, ..request(map) };
     localize(today, &request, &mut unobserved).unwrap()
-}
-
-fn grown(found: &LocalizedRecording) -> Grown {
-    match &found.saved_map {
-        Some(SavedMap::Written { grown, .. }) => *grown,
-        other => panic!("{other:?}"),
-    }
-}
-
-fn changed(found: &LocalizedRecording, kind: ChangeKind) -> f64 {
-    found.changes.iter().filter(|c| c.kind == kind).map(|c| c.area).sum()
 }
 
 #[test]

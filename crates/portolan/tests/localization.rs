@@ -1,13 +1,14 @@
 //! Finding simulated drives in a saved map of the building, and not finding them in that of another.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
+mod known;
+
+use std::path::Path;
 use std::sync::OnceLock;
 
-use portolan::RequestedOptions;
+use known::{Known, request};
 use portolan::config::Options;
-use portolan::geometry::{Duration, Rigid3, Time, Vector3, rotation_angle};
-use portolan::ingest::IngestOptions;
+use portolan::geometry::{Duration, Rigid3, Vector3};
 use portolan::job::{
     Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder, Start,
     examine_map, localize, map, unobserved, write_localized,
@@ -30,54 +31,10 @@ fn drive(building: u64, day: u64, seconds: f64) -> Simulation {
     Simulation::new(options).unwrap()
 }
 
-/// A map of the whole office, made once, and where it lies in the building.
-struct Known {
-    folder: tempfile::TempDir,
-    world_from_map: Rigid3,
-}
-
+/// A map of the whole office, made once.
 fn known() -> &'static Known {
     static KNOWN: OnceLock<Known> = OnceLock::new();
-    KNOWN.get_or_init(|| {
-        let folder = tempfile::tempdir().unwrap();
-        let first_day = drive(1, 1, 240.0);
-        map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
-        let world_from_map = first_day.truth_at(first_day.start_time()).unwrap();
-        Known { folder, world_from_map }
-    })
-}
-
-impl Known {
-    fn map(&self) -> PathBuf {
-        self.folder.path().join("map.pbstream")
-    }
-
-    fn truth(&self, drive: &Simulation, time: Time) -> Rigid3 {
-        self.world_from_map.inverse() * drive.truth_at(time).unwrap()
-    }
-
-    /// Metres and radians by which localised poses are off, with their times.
-    fn errors(&self, drive: &Simulation, found: &LocalizedRecording) -> Vec<(Time, f64, f64)> {
-        let localised = found.estimates.iter().filter(|e| e.state == State::Localised);
-        let off = localised.map(|e| {
-            let error = self.truth(drive, e.time).inverse() * e.place.unwrap().map_from_tracking;
-            (e.time, error.translation.vector.norm(), rotation_angle(&error))
-        });
-        off.collect()
-    }
-}
-
-fn request(map: &Path) -> LocalizeRequest {
-    LocalizeRequest {
-        map: map.to_owned(),
-        folder: PathBuf::new(),
-        ingest: IngestOptions::default(),
-        requested: RequestedOptions::default(),
-        start: None,
-        jumps: None,
-        save_map: None,
-        threads: 1,
-    }
+    KNOWN.get_or_init(|| Known::new(&drive(1, 1, 240.0)))
 }
 
 fn find(recording: &dyn Recording, start: Option<StartPose>) -> LocalizedRecording {
@@ -107,7 +64,7 @@ fn covariances_are_about_what_errors_are() {
     let squares: Vec<f64> = localised
         .map(|e| {
             let place = e.place.unwrap();
-            let error = known().truth(&today, e.time).inverse() * place.map_from_tracking;
+            let error = known().truth(&today, e.time).unwrap().inverse() * place.map_from_tracking;
             let in_map = place.map_from_tracking.rotation * error.translation.vector;
             let error = Vector3::new(in_map.x, in_map.y, error.rotation.euler_angles().2);
             (error.transpose() * place.planar_covariance().try_inverse().unwrap() * error)[(0, 0)]
@@ -122,7 +79,7 @@ fn covariances_are_about_what_errors_are() {
 #[test]
 fn a_wrong_start_costs_seconds() {
     let today = drive(1, 2, 30.0);
-    let right = known().truth(&today, today.start_time());
+    let right = known().truth(&today, today.start_time()).unwrap();
     let told = find(&today, Some(StartPose::new(right)));
     assert_eq!((told.found(), told.start_agrees), (Found::Throughout, Some(true)));
     let wrong =
@@ -139,7 +96,7 @@ fn a_landmark_of_the_map_is_a_start_like_any_other() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.pbstream");
     let today = drive(1, 2, 20.0);
-    let at_start = known().truth(&today, today.start_time());
+    let at_start = known().truth(&today, today.start_time()).unwrap();
     let mut loaded = read_map_2d(known().map(), &MapLoadSettings::default()).unwrap();
     let turned = Rigid3::new(Vector3::new(0.5, 0.5, 0.0), Vector3::z() * 2.0);
     loaded.graph.set_landmark_pose("dock", at_start * turned, true);
@@ -200,7 +157,8 @@ fn a_kidnapped_robot_knows_that_it_is_lost_and_is_found_again() {
     let kidnapped_at = second.start_time();
     let is_right = |estimate: &portolan::localization::Estimate| {
         let drive = if estimate.time < kidnapped_at { &first } else { &second };
-        let error = known().truth(drive, estimate.time).inverse() * estimate.place.unwrap().map_from_tracking;
+        let error = known().truth(drive, estimate.time).unwrap().inverse()
+            * estimate.place.unwrap().map_from_tracking;
         error.translation.vector.norm() < 0.3
     };
     let localised = || found.estimates.iter().filter(|e| e.state == State::Localised);

@@ -1,11 +1,12 @@
 //! Satellite fixes as starts in maps that were made with fixes.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
+mod known;
 
-use portolan::RequestedOptions;
+use std::path::Path;
+
+use known::request;
 use portolan::geometry::{Duration, EastNorthUp, GeodeticPosition, Rigid3, Vector3};
-use portolan::ingest::IngestOptions;
 use portolan::job::{
     JobError, LocalizeRequest, LocalizedRecording, MapRequest, Start, localize, map, unobserved,
 };
@@ -70,16 +71,7 @@ fn fixes(drive: &Simulation, off: &Vector3) -> Vec<RecordedMessage> {
 }
 
 fn find(recording: &dyn Recording, map: &Path, start: Option<Start>) -> Result<LocalizedRecording, JobError> {
-    let request = LocalizeRequest {
-        map: map.to_owned(),
-        folder: PathBuf::new(),
-        ingest: IngestOptions::default(),
-        requested: RequestedOptions::default(),
-        start,
-        jumps: None,
-        save_map: None,
-        threads: 1,
-    };
+    let request = LocalizeRequest { start, ..request(map) };
     localize(recording, &request, &mut unobserved)
 }
 
