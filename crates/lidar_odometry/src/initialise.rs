@@ -25,6 +25,10 @@ const PROMISING: f64 = 0.75;
 /// The first velocity, and the sweeps that it de-skews, are found in so many iterations; more change nothing.
 const ITERATIONS: u32 = 4;
 
+/// A tracking frame that leans by less, radians, is as good as level: posts of 3 m stay within a column of voxels. The vertical
+/// that a single sweep tells is not sure, either.
+const LEANS: f64 = 0.13;
+
 /// How far off what was found coarsely may be: hardly a prior.
 pub(crate) const COARSE: Sigmas = Sigmas { translation: 1.0, rotation: 0.1 };
 
@@ -107,8 +111,8 @@ impl<'a> FirstSweeps<'a> {
         let as_mounted = Self::new(first, rotation_at, settings, start);
         let reference = as_mounted.deskewed(first);
         let planes = planes_of(&reference, settings);
-        // What stands upright is told only where up is.
-        let still = Self { start: as_mounted.leveled(&planes), ..as_mounted };
+        let level = as_mounted.leveled(&planes);
+        let still = if leans(&level.rotation) { Self { start: level, ..as_mounted } } else { as_mounted };
         let Some(second) = second.filter(|s| s.end > first.end) else {
             return vec![still.leveled(&planes)];
         };
@@ -200,8 +204,14 @@ impl<'a> FirstSweeps<'a> {
         let settings = &self.settings.correlation;
         let seconds = second.end.seconds_since(self.first.end);
         let window = Window::after(seconds, self.rotation_at.is_some(), settings);
+        let before = self.pose_at(self.first.end).rotation;
+        if !leans(&before) {
+            let reference = UprightReference::new(reference, settings);
+            let peaks = reference.peaks(deskewed, &self.believed(second), window);
+            return peaks.into_iter().map(|peak| (peak.pose, peak.share)).collect();
+        }
         // Both at the scanner, and level, however it is mounted.
-        let local_from_first = Rigid3::from_parts(Default::default(), self.pose_at(self.first.end).rotation);
+        let local_from_first = Rigid3::from_parts(Default::default(), before);
         let believed = self.pose_at(second.end);
         let local_from_second = Rigid3::from_parts(Default::default(), believed.rotation);
         let level = |points: &[Point3f], rotation: &Rigid3| -> Vec<Point3f> {
@@ -301,6 +311,11 @@ impl<'a> FirstSweeps<'a> {
         let fit = found.evidence(self.settings.sweep.poor_rms);
         is_enough.then_some(Relative { motion: found.pose, fit })
     }
+}
+
+/// Whether the tracking frame leans so much that what stands upright has to be looked for in a level one.
+fn leans(local_from_tracking: &Quaternion) -> bool {
+    (local_from_tracking * Vector3::z()).z < LEANS.cos()
 }
 
 fn planes_of(points: &[Point3f], settings: &OdometrySettings) -> PlaneMap {
