@@ -94,6 +94,7 @@ fn types() -> BTreeMap<String, Again> {
     "mapping.proto.SubmapQuery.Response.SubmapTexture" => mapping::submap_query::response::SubmapTexture,
     "mapping.proto.SubmapsOptions2D" => mapping::SubmapsOptions2D,
     "mapping.proto.SubmapsOptions3D" => mapping::SubmapsOptions3D,
+    "mapping.proto.GeodeticPosition" => mapping::GeodeticPosition,
     "mapping.proto.Trajectory" => mapping::Trajectory,
     "mapping.proto.Trajectory.Node" => mapping::trajectory::Node,
     "mapping.proto.Trajectory.Submap" => mapping::trajectory::Submap,
