@@ -204,22 +204,18 @@ impl<'a> FirstSweeps<'a> {
         let settings = &self.settings.correlation;
         let seconds = second.end.seconds_since(self.first.end);
         let window = Window::after(seconds, self.rotation_at.is_some(), settings);
-        let before = self.pose_at(self.first.end).rotation;
-        if !leans(&before) {
-            let reference = UprightReference::new(reference, settings);
-            let peaks = reference.peaks(deskewed, &self.believed(second), window);
-            return peaks.into_iter().map(|peak| (peak.pose, peak.share)).collect();
-        }
-        // Both at the scanner, and level, however it is mounted.
-        let local_from_first = Rigid3::from_parts(Default::default(), before);
-        let believed = self.pose_at(second.end);
-        let local_from_second = Rigid3::from_parts(Default::default(), believed.rotation);
+        // Both at the scanner, and level if it is mounted at an angle.
+        let is_leaning = leans(&self.pose_at(self.first.end).rotation);
+        let [local_from_first, local_from_second] = [self.first.end, second.end].map(|end| {
+            let rotation = if is_leaning { self.pose_at(end).rotation } else { Quaternion::identity() };
+            Rigid3::from_parts(Default::default(), rotation)
+        });
         let level = |points: &[Point3f], rotation: &Rigid3| -> Vec<Point3f> {
             let rotation = to_f32(rotation);
             points.iter().map(|p| rotation * p).collect()
         };
         let reference = UprightReference::new(&level(reference, &local_from_first), settings);
-        let initial = Rigid3::from_parts(believed.translation, Quaternion::identity());
+        let initial = local_from_first * self.believed(second) * local_from_second.inverse();
         let peaks = reference.peaks(&level(deskewed, &local_from_second), &initial, window);
         let first_from_second = |peak: Peak| local_from_first.inverse() * peak.pose * local_from_second;
         peaks.into_iter().map(|peak| (first_from_second(peak), peak.share)).collect()
