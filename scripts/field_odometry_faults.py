@@ -81,6 +81,11 @@ FAULTS = {
     "stands 20 s": during(20.0, lambda s: (0.0, 0.0, 0.0)),
     "runs on 20 s": during(20.0, lambda s: (0.1, 0.0, 0.0)),
     "jump 3 m": jump,
+    "turned 180 deg": every(lambda s: (-s[0], -s[1], s[2])),
+    "turned 90 deg": every(lambda s: (-s[1], s[0], s[2])),
+    "turned 10 deg": every(lambda s: (0.985 * s[0] - 0.174 * s[1], 0.174 * s[0] + 0.985 * s[1], s[2])),
+    "in centimetres": every(lambda s: (100.0 * s[0], 100.0 * s[1], s[2])),
+    "turns in degrees": every(lambda s: (s[0], s[1], math.degrees(s[2]))),
     "wrong sign of turns": every(lambda s: (s[0], -s[1], -s[2])),
 }
 

@@ -7,18 +7,47 @@
     short   readings beyond 4 m see nothing, noise of 1 % of the range, as of the smallest scanners
     coarse  readings are rounded to 0.1 m             sides   only the third of the beams that look ahead sees anything
     post    a post of the robot itself hides a fifteenth of the beams, to the left of ahead, at 0.4 m
+    hull    the robot's own hull hides a twelfth of the beams on either side, at 0.25 to 0.35 m
+    leader  a person walks 0.9 to 1.6 m ahead, half a metre wide, and sways by 10 degrees
+    full    what sees nothing, or farther than 8 m, reads 8 m
+    zero    what sees nothing reads 0
+    flipped the scanner is mounted upside down: beams run the other way round, which nothing tells
     glass   one reading in five goes on through glass: it is 0.5 to 3 m too long, in runs of four beams
 
 Odometry stays as it is. Needs Python 3 alone.
 """
 import bz2
+import math
 import random
 import sys
 
 NOTHING = "81.83"
 
 
-def spoilt(ranges, how, chance):
+def behind_leader(ranges, count):
+    """A round body of 0.5 m ahead that comes nearer, goes off and sways, each with a time of its own."""
+    n = len(ranges)
+    away = 1.25 + 0.35 * math.sin(count / 37.0)
+    middle = n / 2 + math.radians(10.0) * math.sin(count / 23.0) / math.pi * n
+    half = math.asin(0.25 / away) / math.pi * n
+    seen = lambda i: away - 0.25 * math.sqrt(max(0.0, 1.0 - ((i - middle) / half) ** 2))
+    return [f"{min(float(r), seen(i)):.3f}" if abs(i - middle) < half else r for i, r in enumerate(ranges)]
+
+
+def spoilt(ranges, how, chance, count):
+    if how == "hull":
+        twelfth = len(ranges) // 12
+        own = lambda i: 0.25 + 0.1 * min(i, len(ranges) - 1 - i) / twelfth
+        is_own = lambda i: min(i, len(ranges) - 1 - i) < twelfth
+        return [f"{chance.gauss(own(i), 0.005):.3f}" if is_own(i) else r for i, r in enumerate(ranges)]
+    if how == "leader":
+        return behind_leader(ranges, count)
+    if how == "full":
+        return [r if 0.0 < float(r) < 8.0 else "8.00" for r in ranges]
+    if how == "zero":
+        return [r if float(r) < 80.0 else "0.00" for r in ranges]
+    if how == "flipped":
+        return ranges[::-1]
     if how == "half":
         return ranges[::2]
     if how == "near":
@@ -55,7 +84,7 @@ def main():
                     continue
                 words = line.split()
                 n = int(words[1])
-                ranges = spoilt(words[2 : 2 + n], how, chance)
+                ranges = spoilt(words[2 : 2 + n], how, chance, count)
                 line = " ".join(["FLASER", str(len(ranges)), *ranges, *words[2 + n :]]) + "\n"
             out.write(line)
 

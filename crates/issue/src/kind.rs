@@ -202,6 +202,7 @@ kinds! {
     ScanPointsTooOld Warning "scan with points older than ones already used; their poses are the last known one"
     ScanWithoutPose Error "scan whose pose could not be determined"
     ScanContradictsMap Warning "scan that contradicts the map; not inserted"
+    ReturnsMoveAlong Info "scan without some of its returns: those of the robot itself, or of somebody who walks beside it"
     ScanFarFromPrediction Info "scan matched far from its predicted pose"
     ScanAfterGapFound Info "scan after a gap in all sensors, relocalised by a wide search"
     ScanAfterGapNotFound Warning "scan after a gap in all sensors, not relocalised; its pose is a guess"

@@ -1,7 +1,9 @@
 //! Local SLAM in 2D (`slam2d.md` §5).
 
 mod belief;
+mod co_moving;
 mod degeneracy;
+mod gather;
 mod odometry_failure;
 mod odometry_scale;
 mod posterior;
@@ -15,14 +17,14 @@ use std::sync::Arc;
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{
-    Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, embed_3d, is_valid_pose, project_2d, to_f32,
+    Duration, Quaternion, Rigid2, Rigid3, Time, embed_3d, is_valid_pose, project_2d, to_f32,
 };
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_motion::{MotionFilter, PoseExtrapolator};
 use portolan_recall::Memory;
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollator, SensorId, SynchronizedRanges,
-    TimedPointCloudData, voxel_filter,
+    TimedPointCloudData,
 };
 
 use super::{
@@ -31,6 +33,8 @@ use super::{
 };
 use belief::Belief;
 pub(crate) use belief::refutes_place;
+use co_moving::CoMoving;
+use gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
 use scan::Scan;
 use tracking::{Found, Motion, Tracker};
 
@@ -68,6 +72,7 @@ pub struct LocalSlam2d {
     extras: LocalSlamExtras,
     tracker: Tracker,
     belief: Belief,
+    co_moving: CoMoving,
     /// The last pose that was sure, in the local map.
     last_sure: Rigid2,
     inserter: Arc<Inserter2d>,
@@ -80,14 +85,6 @@ pub struct LocalSlam2d {
     /// Scans that wait for the odometry pose after them.
     waiting_ranges: VecDeque<SynchronizedRanges>,
     issues: IssueLog,
-}
-
-/// Range data gathered since the last match, in the local map as predicted.
-#[derive(Default)]
-struct Accumulation {
-    messages: u32,
-    returns: Vec<Point3f>,
-    misses: Vec<Point3f>,
 }
 
 impl LocalSlam2d {
@@ -104,6 +101,7 @@ impl LocalSlam2d {
             extrapolator: None,
             extras,
             belief: Belief::default(),
+            co_moving: CoMoving::default(),
             last_sure: Rigid2::identity(),
             tracker: Tracker::new(options, &extras).map_err(|e| contradiction(&e))?,
             active_submaps: no_submaps(options, &extras),
@@ -193,9 +191,17 @@ impl LocalSlam2d {
     fn add_accumulated(
         &mut self,
         time: Time,
-        scan: &RangeData,
+        gathered: &GatheredScan,
         gravity: Quaternion,
     ) -> Option<MatchingResult<Planar>> {
+        let scan = &gathered.range_data;
+        let aligned_from_scanner = gathered.aligned_from_scanner(&gravity);
+        let marked = self.extras.adaptive_search.then(|| self.co_moving.mark(scan, aligned_from_scanner));
+        let without = marked.as_ref().and_then(|marked| marked.without_co_moving(scan));
+        if without.is_some() {
+            self.count(IssueKind::ReturnsMoveAlong, time);
+        }
+        let scan = without.as_ref().unwrap_or(scan);
         if scan.returns.is_empty() {
             self.count(IssueKind::ScanWithoutReturn, time);
             return None;
@@ -233,6 +239,9 @@ impl LocalSlam2d {
             (None, Belief::Lost { since }) => (self.last_sure, Some(self.begin_anew(since, time))),
             (None, Belief::Sure | Belief::Doubtful { .. }) => (pose, None),
         };
+        if let (None, Belief::Sure, Some(marked)) = (&lost, self.belief, marked) {
+            self.co_moving.learn(time, pose, marked);
+        }
         let local_from_tracking = embed_3d(&pose) * gravity;
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
@@ -257,6 +266,7 @@ impl LocalSlam2d {
         let remaining = self.active_submaps.finish();
         self.active_submaps = no_submaps(&self.options, &self.extras);
         self.motion_filter = motion_filter(&self.options.motion_filter);
+        self.co_moving = CoMoving::default();
         if self.extrapolator.as_ref().is_some_and(|e| !e.measured_since_last_pose()) {
             self.extrapolator = None;
             self.start_extrapolator(time);
@@ -343,64 +353,6 @@ impl LocalSlam2d {
 fn no_submaps(options: &TrajectoryBuilder2dOptions, extras: &LocalSlamExtras) -> ActiveSubmaps<Planar> {
     let scans_per_half = u32::try_from(options.submaps.num_range_data).unwrap_or(1);
     ActiveSubmaps::new(scans_per_half).with_length(extras.submap_length)
-}
-
-/// Puts every point where it was measured from, by the predicted pose at its own time, and sorts it
-/// into returns and misses. Returns the pose at the last point.
-fn unwarp(
-    ranges: &SynchronizedRanges,
-    extrapolator: &mut PoseExtrapolator,
-    options: &TrajectoryBuilder2dOptions,
-    accumulated: &mut Accumulation,
-) -> Rigid3f {
-    let mut pose_time = f32::NAN;
-    let mut pose = Rigid3f::identity();
-    for p in &ranges.points {
-        // Beams of one firing share a time; a scan without times needs a single pose.
-        if p.point.time != pose_time {
-            pose_time = p.point.time;
-            let time = ranges.time + Duration::from_seconds(f64::from(pose_time));
-            pose = to_f32(&extrapolator.extrapolate_pose(time));
-        }
-        // Without an origin there is no range, as where it is NaN. The collator gives every point one.
-        let Some(origin_in_tracking) = ranges.origins.get(p.origin_index) else { continue };
-        let origin = pose * origin_in_tracking;
-        let hit = pose * p.point.position;
-        let delta = hit - origin;
-        let range = delta.norm();
-        if range.is_nan() || range < options.min_range {
-            continue;
-        }
-        if range <= options.max_range {
-            accumulated.returns.push(hit);
-        } else {
-            accumulated.misses.push(origin + delta * (options.missing_data_ray_length / range));
-        }
-    }
-    pose
-}
-
-/// The gathered points in the gravity-aligned tracking frame of the last point, cropped in height and
-/// thinned.
-fn gravity_aligned(
-    accumulated: Accumulation,
-    last_local_from_tracking: &Rigid3f,
-    gravity: &Quaternion,
-    options: &TrajectoryBuilder2dOptions,
-) -> RangeData {
-    let aligned_from_local =
-        to_f32(&Rigid3::from_parts(Default::default(), *gravity)) * last_local_from_tracking.inverse();
-    let range_data = RangeData {
-        origin: Point3f::from(last_local_from_tracking.translation.vector),
-        returns: PointCloud::new(accumulated.returns),
-        misses: PointCloud::new(accumulated.misses),
-    };
-    let cropped = range_data.transformed(&aligned_from_local).cropped_z(options.min_z, options.max_z);
-    RangeData {
-        origin: cropped.origin,
-        returns: voxel_filter(&cropped.returns, options.voxel_filter_size),
-        misses: voxel_filter(&cropped.misses, options.voxel_filter_size),
-    }
 }
 
 impl LocalSlam<Planar> for LocalSlam2d {
