@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Rigid3, Time, Vector3};
+use portolan_geometry::{Dimension, Duration, Rigid3, Time, Vector3};
 use portolan_ingest::{
-    BeamDirections, CloudLayout, IngestOptions, Inventory, RecordingClock, SensorPlan, TfInput, TfTree,
-    TimedPoints, TopicSurvey, plan, points_of_echoes, points_of_laser_scan,
+    BeamDirections, CloudLayout, IngestOptions, Inventory, PlannedOdometry, RecordingClock, SensorPlan,
+    TfInput, TfTree, TimedPoints, TopicSurvey, plan, points_of_echoes, points_of_laser_scan,
 };
 use portolan_issue::{Issue, IssueKind, Severity};
 use portolan_recording::{
@@ -19,6 +19,8 @@ use crate::coverage::Coverage;
 use crate::finding::{Finding, Findings, Kind};
 use crate::imu::ImuChecks;
 use crate::odometry::OdometryChecks;
+use crate::odometry_comparison::compare_odometry;
+use crate::odometry_fault::OdometryFault;
 use crate::rotation::Turn;
 use crate::scan_turns::{CloudTurns, ScanTurns};
 use crate::scans::RangeChecks;
@@ -54,6 +56,12 @@ const CLOCK_SET: Kind = Kind {
     severity: Severity::Warning,
     effect: "what was measured before and after is put together as if the robot had stood still in between",
     to_do: "wait until the clock is set before recording; map one part alone with --skip or --duration",
+};
+const ODOMETRY_ELSEWHERE: Kind = Kind {
+    name: "odometry elsewhere",
+    severity: Severity::Error,
+    effect: "motion between scans is predicted wrongly: map leaves this odometry out",
+    to_do: "look at its units (metres, radians), at the transform from its frame to the scanner, and whether it is of this robot",
 };
 const REPAIRED: Kind = Kind {
     name: "repaired",
@@ -102,7 +110,10 @@ pub fn check_with_clocks(
         }
     }
     match &plan {
-        Ok(plan) => check.add_plan(plan),
+        Ok(plan) => {
+            check.add_plan(plan);
+            check.compare_odometry(recording, plan)?;
+        }
         Err(error) => check.findings.add(&NO_PLAN, "", || error.to_string()),
     }
     Ok(check.finish(plan.as_ref().ok(), compared, &reader.issues()))
@@ -300,6 +311,23 @@ impl<'a> Check<'a> {
 }
 
 impl Check<'_> {
+    /// Ways of odometry against those of scans. Where it turns otherwise, the comparison of turns tells it.
+    fn compare_odometry(
+        &mut self,
+        recording: &dyn Recording,
+        plan: &SensorPlan,
+    ) -> Result<(), RecordingError> {
+        let (Dimension::Two, Some(PlannedOdometry::Topic(odometry))) = (plan.dimension, &plan.odometry)
+        else {
+            return Ok(());
+        };
+        let fault = compare_odometry(recording, self.inventory, plan)?.fault;
+        if let Some(fault) = fault.filter(|fault| !matches!(fault, OdometryFault::Turns(_))) {
+            self.findings.add(&ODOMETRY_ELSEWHERE, &odometry.topic, || format!("odometry {fault}"));
+        }
+        Ok(())
+    }
+
     /// Turns of each sensor against odometry, or against the IMU if there is no odometry.
     fn compare_turns(&mut self, plan: Option<&SensorPlan>, offsets: &[ClockOffset]) {
         let (mut all, mut imus) = (Vec::new(), Vec::new());

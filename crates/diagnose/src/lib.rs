@@ -10,9 +10,11 @@ mod imu;
 mod imu_values;
 mod info;
 mod odometry;
-mod odometry_delay;
+mod odometry_comparison;
+mod odometry_fault;
 mod offset;
 mod rotation;
+mod scan_motion;
 mod scan_turns;
 mod scans;
 mod stamps;
@@ -23,7 +25,8 @@ pub use clock_offset::{ClockOffset, ImuComparison, ImuMounting};
 pub use finding::{Finding, findings_to_text};
 pub use histogram::Histogram;
 pub use info::{PlanDescription, RecordingInfo, TopicDescription, info};
-pub use odometry_delay::{SensorDelay, odometry_delay};
+pub use odometry_comparison::{OdometryComparison, SensorDelay, compare_odometry};
+pub use odometry_fault::OdometryFault;
 pub use portolan_issue::Severity;
 
 #[cfg(test)]

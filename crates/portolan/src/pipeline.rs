@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use portolan_config::Options;
-use portolan_diagnose::odometry_delay;
+use portolan_diagnose::compare_odometry;
 use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
 use portolan_issue::{IssueKind, IssueLog};
@@ -159,10 +159,8 @@ pub fn prepare(
 ) -> Result<Preparation, PipelineError> {
     let inventory = Inventory::of(recording, ingest)?;
     let mut plan = plan(&inventory, ingest).map_err(IngestError::from)?;
-    // What somebody configured or said of clocks is not to be known better.
-    let is_free = options.is_none() && plan.dimension == Dimension::Two && ingest.time_offsets.is_empty();
-    if is_free && let Some(delay) = odometry_delay(recording, &plan)? {
-        plan.delay_odometry(delay.seconds, delay.sigma);
+    if options.is_none() && plan.dimension == Dimension::Two {
+        plan = doubt_odometry(recording, &inventory, ingest, plan)?;
     }
     if options.is_none() && plan.dimension == Dimension::Three {
         plan = doubt_imu(recording, &inventory, ingest, plan)?;
@@ -182,6 +180,24 @@ pub fn prepare(
         spool_in: None,
         memory: Memory::default(),
     })
+}
+
+/// A plan in which the clock of the odometry is put right, or that leaves odometry out, where scans tell so. What somebody said of
+/// them stands.
+fn doubt_odometry(
+    recording: &dyn Recording,
+    inventory: &Inventory,
+    ingest: &IngestOptions,
+    mut plan: SensorPlan,
+) -> Result<SensorPlan, PipelineError> {
+    let compared = compare_odometry(recording, inventory, &plan)?;
+    if let Some(fault) = compared.fault {
+        let is_wanted = ingest.odometry_topic.is_some() || ingest.use_odometry == Some(true);
+        plan.doubt_odometry(&fault.to_string(), fault.is_mirrored(), is_wanted);
+    } else if let Some(delay) = compared.delay.filter(|_| ingest.time_offsets.is_empty()) {
+        plan.delay_odometry(delay.seconds, delay.sigma);
+    }
+    Ok(plan)
 }
 
 /// A plan in which the clock of the IMU is put right, or that leaves the IMU out, where turns of a lidar tell so. What somebody

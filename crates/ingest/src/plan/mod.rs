@@ -259,6 +259,26 @@ impl SensorPlan {
         self.warn(format!("the IMU {topic} {how}: {so}"), change);
     }
 
+    /// Says that odometry does not move as scans do (`how`), and leaves it out unless it `is_wanted`.
+    pub fn doubt_odometry(&mut self, how: &str, is_mirrored: bool, is_wanted: bool) {
+        let Some(PlannedOdometry::Topic(odometry)) = &self.odometry else { return };
+        let topic = odometry.topic.clone();
+        let (so, change) = match is_wanted {
+            true => ("it is used all the same", "--no-odom".to_owned()),
+            false => ("it is left out", format!("--odom {topic}")),
+        };
+        let mirrored = match is_mirrored {
+            true => {
+                "; a scanner mounted upside down without a transform that says so makes the map a mirror image"
+            }
+            false => "",
+        };
+        self.warn(format!("the odometry {topic} {how}: {so}{mirrored}"), change);
+        if !is_wanted {
+            (self.odometry, self.odometry_interval) = (None, None);
+        }
+    }
+
     fn note(&mut self, what: impl Into<String>, change: impl Into<String>) {
         self.push_notice(Severity::Info, what.into(), change.into());
     }

@@ -1,0 +1,215 @@
+//! Odometry in other units or another frame than said: it turns the other way, goes a hundred times as far, or to the side.
+//!
+//! Over windows of a second the motions of odometry, as complex numbers in the frame of the scanner, are laid over those of scans by
+//! one complex factor in the sense of least squares: its length tells units, its angle the direction in which the scanner is
+//! mounted. It is a fault only where the two agree well with the factor and badly without.
+
+use std::fmt;
+
+use portolan_geometry::nalgebra::Complex;
+use portolan_geometry::{Duration, Rigid2, Rigid3, TransformBuffer, project_2d};
+
+use crate::rotation::{Agreement, ENOUGH_TURNS, Turn, compare};
+use crate::scan_motion::TimedMotion;
+
+/// Motions are compared over so many seconds.
+const WINDOW: f64 = 1.0;
+/// A window counts if the scanner went so far in it, metres.
+const LEAST_WAY: f64 = 0.1;
+/// So many windows tell.
+const ENOUGH_WINDOWS: usize = 30;
+/// The share of windows that counts: scans are matched wrongly now and then, and wheels slip.
+const KEPT: f64 = 0.8;
+/// Motions do not agree if such a share of them (root mean square) is left …
+const LEFT: f64 = 0.5;
+/// … and less than this is left with the factor.
+const LEFT_OTHERWISE: f64 = 0.2;
+/// Turns that correlate so well agree but for a factor, and less than this they do not agree; a factor between these is a matter of
+/// calibration.
+const ALIKE: f64 = 0.8;
+const UNLIKE: f64 = 0.5;
+const CALIBRATION: std::ops::Range<f64> = 0.5..2.0;
+
+/// How the motions of odometry differ from those of scans.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OdometryFault {
+    /// It turns so many times as far as scans; negative if the other way round.
+    Turns(f64),
+    /// It goes elsewhere.
+    Ways {
+        /// So many times as far as scans.
+        factor: f64,
+        /// To the left of them by this angle, radians.
+        angle: f64,
+    },
+    /// Neither its turns nor its ways are those of scans, and no factor makes them so.
+    Unlike,
+}
+
+impl OdometryFault {
+    /// From turns of odometry and scanner, poses of odometry and motions of the scanner, where the scanner is in the frame of the
+    /// odometry, and by how many seconds its stamps are late.
+    pub(crate) fn find(
+        (of_wheels, of_scans): (&[Turn], &[Turn]),
+        (poses, motions): (&TransformBuffer, &[TimedMotion]),
+        (odometry_from_scanner, lag): (&Rigid3, f64),
+    ) -> Option<Self> {
+        let agreement = compare(of_wheels, of_scans).filter(|agreement| agreement.turned >= ENOUGH_TURNS);
+        if let Some(Agreement { correlation, slope, .. }) = agreement
+            && correlation.abs() > ALIKE
+            && !CALIBRATION.contains(&(1.0 / slope))
+        {
+            // Odometry that turns wrongly has its ways in wrong directions.
+            return Some(Self::Turns(1.0 / slope));
+        }
+        let fit = Fit::of(windows(poses, motions, odometry_from_scanner, lag))?;
+        if fit.as_said < LEFT {
+            return None;
+        }
+        if fit.explained < LEFT_OTHERWISE {
+            let odometry_from_scans = fit.factor.inv();
+            return Some(Self::Ways { factor: odometry_from_scans.norm(), angle: odometry_from_scans.arg() });
+        }
+        agreement.is_some_and(|agreement| agreement.correlation < UNLIKE).then_some(Self::Unlike)
+    }
+
+    /// Whether left and right are exchanged: by a scanner that is mounted upside down, or by the odometry.
+    pub fn is_mirrored(&self) -> bool {
+        matches!(self, Self::Turns(factor) if *factor < 0.0)
+    }
+}
+
+impl fmt::Display for OdometryFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Turns(factor) if factor < 0.0 => {
+                write!(f, "turns the other way than scans, {:.2} times as far", -factor)
+            }
+            Self::Turns(factor) => write!(f, "turns {factor:.2} times as far as scans"),
+            Self::Ways { factor, angle } => {
+                write!(f, "goes {factor:.2} times as far as scans, {:.0}° to their left", angle.to_degrees())
+            }
+            Self::Unlike => write!(f, "moves otherwise than scans"),
+        }
+    }
+}
+
+/// Ways that scans and odometry tell, metres in the frame of the scanner.
+type Pair = (Complex<f64>, Complex<f64>);
+
+fn windows(
+    poses: &TransformBuffer,
+    motions: &[TimedMotion],
+    odometry_from_scanner: &Rigid3,
+    lag: f64,
+) -> Vec<Pair> {
+    let lag = Duration::from_seconds(lag);
+    let pose = |time| Some(project_2d(&(poses.lookup(time - lag)? * odometry_from_scanner)));
+    let (mut pairs, mut window): (_, Option<TimedMotion>) = (Vec::new(), None);
+    for (begin, end, motion) in motions {
+        let joined =
+            window.filter(|(_, until, _)| until == begin).map(|(from, _, so_far)| (from, so_far * *motion));
+        let (from, moved) = joined.unwrap_or((*begin, *motion));
+        window = Some((from, *end, moved));
+        if end.seconds_since(from) < WINDOW {
+            continue;
+        }
+        window = None;
+        if moved.translation.norm() >= LEAST_WAY
+            && let (Some(first), Some(second)) = (pose(from), pose(*end))
+        {
+            let way = |motion: Rigid2| Complex::new(motion.translation.x, motion.translation.y);
+            pairs.push((way(moved), way(first.inverse() * second)));
+        }
+    }
+    pairs
+}
+
+/// Ways of odometry laid over those of scans.
+struct Fit {
+    /// What ways of odometry are multiplied by.
+    factor: Complex<f64>,
+    /// The share of the ways of scans that is left without it, and with it.
+    as_said: f64,
+    explained: f64,
+}
+
+impl Fit {
+    fn of(mut pairs: Vec<Pair>) -> Option<Self> {
+        if pairs.len() < ENOUGH_WINDOWS {
+            return None;
+        }
+        // Jumps of the odometry would decide a mean.
+        let mut factors: Vec<Complex<f64>> =
+            pairs.iter().filter(|p| p.1.norm() > 0.0).map(|p| p.0 / p.1).collect();
+        let median = Complex::new(median(&mut factors, |c| c.re)?, median(&mut factors, |c| c.im)?);
+        let left = |(scans, wheels): &Pair, factor: Complex<f64>| (scans - factor * wheels).norm_sqr();
+        pairs.sort_by(|a, b| left(a, median).total_cmp(&left(b, median)));
+        pairs.truncate((KEPT * pairs.len() as f64) as usize);
+        let common: Complex<f64> = pairs.iter().map(|(scans, wheels)| scans * wheels.conj()).sum();
+        let of_wheels: f64 = pairs.iter().map(|pair| pair.1.norm_sqr()).sum();
+        let of_scans: f64 = pairs.iter().map(|pair| pair.0.norm_sqr()).sum();
+        if of_wheels <= 0.0 || of_scans <= 0.0 || common.norm() <= 0.0 {
+            return None;
+        }
+        let factor = common / of_wheels;
+        let share = |factor| (pairs.iter().map(|pair| left(pair, factor)).sum::<f64>() / of_scans).sqrt();
+        Some(Self { factor, as_said: share(Complex::new(1.0, 0.0)), explained: share(factor) })
+    }
+}
+
+fn median(factors: &mut [Complex<f64>], of: impl Fn(&Complex<f64>) -> f64) -> Option<f64> {
+    factors.sort_by(|a, b| of(a).total_cmp(&of(b)));
+    factors.get(factors.len() / 2).map(of)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::{Time, embed_3d};
+
+    /// Scans and odometry of a drive with bends, of which odometry tells each step as `told`.
+    fn fault(told: impl Fn(Rigid2) -> Rigid2) -> Option<OdometryFault> {
+        let at = |i: i32| Time::from_ticks(i64::from(i) * 2_000_000);
+        let (mut of_wheels, mut of_scans, mut poses) = (Vec::new(), Vec::new(), TransformBuffer::default());
+        let (mut motions, mut pose) = (Vec::new(), Rigid2::identity());
+        poses.push(at(0), embed_3d(&pose));
+        for i in 0..600 {
+            let step = Rigid2::new(0.08, 0.0, 0.15 * (0.07 * f64::from(i)).sin());
+            let of_odometry = told(step);
+            pose = pose * of_odometry;
+            poses.push(at(i + 1), embed_3d(&pose));
+            of_wheels.push((at(i), at(i + 1), of_odometry.normalized_angle()));
+            of_scans.push((at(i), at(i + 1), step.angle));
+            motions.push((at(i), at(i + 1), step));
+        }
+        OdometryFault::find((&of_wheels, &of_scans), (&poses, &motions), (&Rigid3::identity(), 0.0))
+    }
+
+    #[test]
+    fn other_units_and_frames_are_told_and_calibration_is_not() {
+        let turned =
+            |m: Rigid2, angle: f64| Rigid2::new(0.0, 0.0, angle).inverse() * m * Rigid2::new(0.0, 0.0, angle);
+        let scaled = |m: Rigid2, factor: f64| Rigid2 { translation: m.translation * factor, ..m };
+        assert_eq!(fault(|m| m), None);
+        assert_eq!(fault(|m| scaled(m, 1.2)), None);
+        assert_eq!(fault(|m| turned(m, 0.17)), None);
+        assert_eq!(fault(|m| Rigid2 { angle: 0.8 * m.angle, ..m }), None);
+        let close = |a: f64, b: f64| (a / b - 1.0).abs() < 0.05;
+        let is_scale = |f| matches!(f, Some(OdometryFault::Ways { factor, angle }) if close(factor, 100.0) && angle.abs() < 0.05);
+        assert!(is_scale(fault(|m| scaled(m, 100.0))));
+        let is_turned = |f| matches!(f, Some(OdometryFault::Ways { factor, angle }) if close(factor, 1.0) && close(angle, -1.57));
+        assert!(is_turned(fault(|m| turned(m, 1.57))), "{:?}", fault(|m| turned(m, 1.57)));
+        let mirrored = fault(|m| Rigid2::new(m.translation.x, -m.translation.y, -m.angle)).unwrap();
+        assert!(
+            mirrored.is_mirrored() && matches!(mirrored, OdometryFault::Turns(f) if close(f, -1.0)),
+            "{mirrored}"
+        );
+        let steps = std::cell::Cell::new(0.0_f64);
+        let of_another_robot = |_| {
+            steps.set(steps.get() + 1.0);
+            Rigid2::new(0.2 * (0.023 * steps.get()).sin(), 0.0, 0.3 * (0.11 * steps.get()).cos())
+        };
+        assert_eq!(fault(of_another_robot), Some(OdometryFault::Unlike));
+    }
+}

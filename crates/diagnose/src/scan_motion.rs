@@ -1,0 +1,166 @@
+//! How far a planar scanner went from scan to scan: point-to-line matching of each scan to the one before (Censi 2008, "An ICP variant
+//! using a point-to-line metric"), with correspondences by direction.
+
+use std::f64::consts::TAU;
+
+use portolan_geometry::nalgebra::{Matrix3, Vector3};
+use portolan_geometry::{Rigid2, Time, Vector2};
+use portolan_recording::LaserScan;
+
+/// Scans farther apart than this are not compared, seconds.
+const MAX_INTERVAL: f64 = 0.5;
+/// So many motions suffice.
+const MAX_MOTIONS: usize = 1500;
+/// Directions are told apart by the degree.
+const CELLS: usize = 360;
+/// Most distances of a point from its line in one iteration after the other, metres.
+const GATES: [f64; 12] = [1.0, 0.7, 0.5, 0.4, 0.3, 0.2, 0.2, 0.15, 0.1, 0.1, 0.1, 0.1];
+/// The nearest point is looked for in so many directions to each side.
+const REACH: usize = 6;
+/// Neighbours farther apart than this are of different surfaces, metres.
+const EDGE: f64 = 0.4;
+/// A scan must find lines for so many of its points, at the end.
+const MATCHED: f64 = 0.6;
+/// The way is determined where the weaker of two directions has this share of the points across it.
+const DETERMINED: f64 = 0.05;
+
+/// A motion between two times, `first_from_second` in the frame of the scanner.
+pub(crate) type TimedMotion = (Time, Time, Rigid2);
+
+/// Motions of a scanner, of those scans whose motion is determined.
+#[derive(Debug, Default)]
+pub(crate) struct ScanMotions {
+    last: Option<(Time, Places)>,
+    pub motions: Vec<TimedMotion>,
+}
+
+/// The nearest point in each direction, metres, in the frame of the scanner.
+type Places = Vec<Option<Vector2>>;
+
+impl ScanMotions {
+    /// Takes the next scan.
+    pub fn add(&mut self, time: Time, scan: &LaserScan) {
+        if self.motions.len() >= MAX_MOTIONS {
+            return;
+        }
+        if let Some((last_time, last)) = self.last.replace((time, places(scan)))
+            && (0.0..MAX_INTERVAL).contains(&time.seconds_since(last_time))
+            && let Some((_, now)) = &self.last
+            && let Some(motion) = matched(&last, now)
+        {
+            self.motions.push((last_time, time, motion));
+        }
+    }
+}
+
+fn places(scan: &LaserScan) -> Places {
+    let limits = scan.range_min.max(0.05)..=scan.range_max;
+    let mut places: Places = vec![None; CELLS];
+    for (i, range) in scan.ranges.iter().enumerate().filter(|(_, range)| limits.contains(range)) {
+        let direction = f64::from(scan.angle_min) + f64::from(scan.angle_increment) * i as f64;
+        let place = Vector2::new(direction.cos(), direction.sin()) * f64::from(*range);
+        if let Some(known) = places.get_mut(cell(&place))
+            && known.is_none_or(|known: Vector2| place.norm() < known.norm())
+        {
+            *known = Some(place);
+        }
+    }
+    places
+}
+
+fn cell(place: &Vector2) -> usize {
+    ((place.y.atan2(place.x) / TAU + 0.5) * CELLS as f64) as usize % CELLS
+}
+
+/// `before_from_now`; none where too little fits or the way along a corridor is not determined.
+fn matched(before: &Places, now: &Places) -> Option<Rigid2> {
+    let mut motion = Rigid2::identity();
+    let points = now.iter().flatten().count() as f64;
+    let mut found = (0.0, 0.0);
+    for gate in GATES {
+        let (mut normal_matrix, mut right, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+        for place in now.iter().flatten() {
+            let at = motion.transform_point(place);
+            let Some((on_line, normal)) = line_near(before, &at) else { continue };
+            let distance = normal.dot(&(at - on_line));
+            if distance.abs() > gate {
+                continue;
+            }
+            let row = Vector3::new(normal.x, normal.y, normal.y * at.x - normal.x * at.y);
+            normal_matrix += row * row.transpose();
+            right -= row * distance;
+            count += 1.0;
+        }
+        let across = normal_matrix.fixed_view::<2, 2>(0, 0).symmetric_eigenvalues().min();
+        found = (count, across);
+        let change = normal_matrix.cholesky()?.solve(&right);
+        motion = Rigid2::new(change.x, change.y, change.z) * motion;
+        if !motion.is_finite() {
+            return None;
+        }
+    }
+    (found.0 > MATCHED * points && found.1 > DETERMINED * found.0).then_some(motion)
+}
+
+/// A point of the scan before on the line nearest to a place, and its normal.
+fn line_near(before: &Places, at: &Vector2) -> Option<(Vector2, Vector2)> {
+    let known = |c: usize| before.get(c % CELLS).copied().flatten();
+    let first = cell(at) + CELLS - REACH;
+    let distance = |place: &Vector2| (place - at).norm_squared();
+    let nearest = (first..=first + 2 * REACH)
+        .filter_map(|c| Some((c, known(c)?)))
+        .min_by(|a, b| distance(&a.1).total_cmp(&distance(&b.1)))?;
+    let (c, on_line) = nearest;
+    let beside = [c + 1, c + CELLS - 1].into_iter().filter_map(known);
+    let other = beside.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    let along = other - on_line;
+    let length = along.norm();
+    (length > 0.0 && length < EDGE).then(|| (on_line, Vector2::new(-along.y, along.x) / length))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A room of 8 m by 5 m with a cupboard in a corner, seen from a pose in it, degree by degree.
+    fn seen(pose: &Rigid2) -> Places {
+        let beam = |degrees: i32| {
+            let angle = pose.angle + f64::from(degrees).to_radians();
+            let (s, c) = angle.sin_cos();
+            let to_wall = |at: f64, step: f64, low: f64, high: f64| {
+                if step > 0.0 { (high - at) / step } else { (low - at) / step }
+            };
+            let room =
+                to_wall(pose.translation.x, c, -4.0, 4.0).min(to_wall(pose.translation.y, s, -2.5, 2.5));
+            let local = f64::from(degrees).to_radians();
+            Vector2::new(local.cos(), local.sin()) * room
+        };
+        let mut places: Places = vec![None; CELLS];
+        (-90..90).map(beam).for_each(|place| places[cell(&place)] = Some(place));
+        places
+    }
+
+    #[test]
+    fn motions_in_a_room_are_found() {
+        for (x, y, angle) in [(0.1, 0.0, 0.05), (-0.15, 0.02, -0.2), (0.0, 0.0, 0.3)] {
+            let (first, moved) = (Rigid2::new(0.3, -0.4, 0.2), Rigid2::new(x, y, angle));
+            let found = matched(&seen(&first), &seen(&(first * moved))).unwrap();
+            let off = found.inverse() * moved;
+            assert!(off.translation.norm() < 0.01 && off.angle.abs() < 0.01, "{moved:?}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn the_way_along_a_bare_wall_is_not_determined() {
+        let wall = |y: f64| -> Places {
+            let mut places: Places = vec![None; CELLS];
+            for degrees in 20..160 {
+                let angle = f64::from(degrees).to_radians();
+                let place = Vector2::new(y / angle.tan(), y);
+                places[cell(&place)] = Some(place);
+            }
+            places
+        };
+        assert_eq!(matched(&wall(1.5), &wall(1.45)), None);
+    }
+}
