@@ -87,7 +87,13 @@ impl fmt::Display for OdometryFault {
             }
             Self::Turns(factor) => write!(f, "turns {factor:.2} times as far as scans"),
             Self::Ways { factor, angle } => {
-                write!(f, "goes {factor:.2} times as far as scans, {:.0}° to their left", angle.to_degrees())
+                write!(f, "goes {factor:.2} times as far as scans")?;
+                let degrees = angle.to_degrees();
+                let side = if degrees > 0.0 { "left" } else { "right" };
+                match degrees.abs() < 5.0 {
+                    true => Ok(()),
+                    false => write!(f, ", {:.0}° to the {side} of them", degrees.abs()),
+                }
             }
             Self::Unlike => write!(f, "moves otherwise than scans"),
         }
