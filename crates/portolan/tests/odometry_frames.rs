@@ -1,0 +1,81 @@
+//! Odometry in other units or of another frame than said, before anything is mapped.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use portolan::geometry::{Rigid2, Rigid3, embed_3d, pose_from_xyz_quaternion, project_2d};
+use portolan::ingest::IngestOptions;
+use portolan::recording::{
+    Message, Pose, RecordedMessage, RecordingError, RecordingWriter, create, open_all,
+};
+use portolan::simulator::{ScenarioOptions, Simulation};
+use portolan::worlds::two_d::Scene;
+
+/// Writes odometry as `told` tells its pose.
+struct Told {
+    inner: Box<dyn RecordingWriter>,
+    told: fn(Rigid2) -> Rigid2,
+}
+
+fn rigid(pose: &Pose) -> Rigid3 {
+    pose_from_xyz_quaternion(pose.position, pose.orientation_xyzw).unwrap()
+}
+
+impl RecordingWriter for Told {
+    fn write(&mut self, message: &RecordedMessage) -> Result<(), RecordingError> {
+        let mut message = message.clone();
+        if let Message::Odometry(odometry) = &mut message.message {
+            let pose = embed_3d(&(self.told)(project_2d(&rigid(&odometry.pose))));
+            odometry.pose.position = pose.translation.vector.into();
+            odometry.pose.orientation_xyzw = pose.rotation.coords.into();
+        }
+        self.inner.write(&message)
+    }
+
+    fn finish(self: Box<Self>) -> Result<(), RecordingError> {
+        self.inner.finish()
+    }
+}
+
+/// What is said of odometry before a drive through an office is mapped, and whether it is used.
+fn said_of(told: fn(Rigid2) -> Rigid2, ingest: &IngestOptions) -> (String, bool) {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("drive.bag");
+    let options = ScenarioOptions { duration: Some(90.0), ..ScenarioOptions::new(Scene::Office, 3) };
+    let drive = Simulation::new(options).unwrap();
+    let mut writer = Told { inner: create(&bag, None).unwrap(), told };
+    drive.write_messages(&mut writer).unwrap();
+    Box::new(writer).finish().unwrap();
+    let recording = open_all(&[bag]).unwrap();
+    let plan = portolan::pipeline::prepare(recording.as_ref(), ingest, None).unwrap().plan;
+    let notices =
+        plan.notices.iter().map(|notice| notice.what.as_str()).filter(|what| what.contains("scans"));
+    (notices.collect::<Vec<_>>().join("\n"), plan.odometry.is_some())
+}
+
+/// The same motions as seen from a frame that is turned by a quarter.
+fn turned(pose: Rigid2) -> Rigid2 {
+    let quarter = Rigid2::new(0.0, 0.0, std::f64::consts::FRAC_PI_2);
+    quarter.inverse() * pose * quarter
+}
+
+#[test]
+fn odometry_that_moves_otherwise_than_scans_is_named_and_left_out() {
+    let free = IngestOptions::default();
+    assert_eq!(said_of(|pose| pose, &free), (String::new(), true));
+    for (told, words) in [
+        (turned as fn(Rigid2) -> Rigid2, "times as far as scans, 90° to the right of them"),
+        (
+            |pose| Rigid2::new(pose.translation.x, -pose.translation.y, -pose.angle),
+            "turns the other way than scans",
+        ),
+        (
+            |pose| Rigid2 { translation: pose.translation * 100.0, ..pose },
+            "times as far as scans: it is left out",
+        ),
+    ] {
+        let (said, is_used) = said_of(told, &free);
+        assert!(said.contains(words) && !is_used, "{words}: {said}");
+    }
+    let wanted = IngestOptions { odometry_topic: Some("/odom".to_owned()), ..free };
+    let (said, is_used) = said_of(turned, &wanted);
+    assert!(said.contains("it is used all the same") && is_used, "{said}");
+}
