@@ -1,44 +1,70 @@
-//! By which factor odometry measures distances wrong, as wheels of another size than assumed make it.
+//! By which factor odometry measures distances wrong, as wheels of another size than assumed make it, and in which direction, as a
+//! scanner makes it that is mounted at another yaw than said.
 //!
-//! Matched scans say by how much measured motion was too short. The factor is the state of a Kalman filter whose
-//! measurements are the innovations of the pose (calibration of odometry along with the pose: Martinelli, Tomatis,
-//! Siegwart, "Simultaneous localization and odometry self calibration for mobile robot", Autonomous Robots 22, 2007).
-//! Loads and floors change it slowly. Turns are left as measured: scans tell them well enough by themselves.
+//! Matched scans say by how much measured motion was too short, and how far to the side of it they went. Both shares of the way are states
+//! of Kalman filters whose measurements are the innovations of the pose (calibration of odometry along with the pose: Martinelli,
+//! Tomatis, Siegwart, "Simultaneous localization and odometry self calibration for mobile robot", Autonomous Robots 22, 2007).
+//! Loads and floors change them slowly. Turns are left as measured: scans tell them well enough by themselves.
 
-use portolan_geometry::Rigid2;
+use portolan_geometry::{Rigid2, Vector2};
 
-/// Standard deviation of the factor before anything was seen.
+/// Standard deviation of a share before anything was seen.
 const PRIOR: f64 = 0.05;
 /// What is known of it grows uncertain by this variance for each metre.
 const WALK_PER_METRE: f64 = 1e-5;
 /// An innovation counts as at most so many standard deviations: a slip or a stall says little of the wheels (Huber 1964).
 const LARGEST: f64 = 1.0;
-/// Errors up to this share are expected of any odometry, and searches are wide enough for them.
+/// Errors up to this share of the way are expected of any odometry, and searches are wide enough for them.
 const USUAL: f64 = 0.05;
 /// A larger one is corrected if it is so many standard deviations.
 const SIGNIFICANT: f64 = 3.0;
 
-/// What measured distances are to be multiplied by.
+/// What measured distances are to be multiplied by, and how far to the left of them it went.
 #[derive(Clone, Copy, Debug)]
 pub struct OdometryScale {
-    factor: f64,
+    /// Shares of the measured way, and how far they are from what odometry says.
+    along: Share,
+    across: Share,
+}
+
+/// A share of the measured way, as an offset from what it is for good odometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Share {
+    offset: f64,
     variance: f64,
+}
+
+impl Share {
+    const UNKNOWN: Self = Self { offset: 0.0, variance: PRIOR * PRIOR };
+
+    /// The offset if it is called for to correct it.
+    fn correction(&self) -> f64 {
+        let off = self.offset.abs();
+        if off < USUAL || off < SIGNIFICANT * self.variance.sqrt() { 0.0 } else { self.offset }
+    }
+
+    /// Takes by how much more the motion was than measured, over so many metres, with its standard deviation, metres.
+    fn add(&mut self, more: f64, metres: f64, sigma: f64) {
+        self.variance += WALK_PER_METRE * metres;
+        let innovation = (more - self.offset * metres).clamp(-LARGEST * sigma, LARGEST * sigma);
+        let gain = self.variance * metres / (self.variance * metres.powi(2) + sigma.powi(2));
+        self.offset += gain * innovation;
+        self.variance *= 1.0 - gain * metres;
+    }
 }
 
 impl Default for OdometryScale {
     fn default() -> Self {
-        Self { factor: 1.0, variance: PRIOR.powi(2) }
+        Self { along: Share::UNKNOWN, across: Share::UNKNOWN }
     }
 }
 
 impl OdometryScale {
     /// The motion that was measured, corrected if that is called for.
     pub fn corrected(&self, measured: &Rigid2) -> Rigid2 {
-        let off = (self.factor - 1.0).abs();
-        if off < USUAL || off < SIGNIFICANT * self.variance.sqrt() {
-            return *measured;
-        }
-        Rigid2 { translation: measured.translation * self.factor, ..*measured }
+        let (along, across) = (1.0 + self.along.correction(), self.across.correction());
+        let to_left = Vector2::new(-measured.translation.y, measured.translation.x);
+        Rigid2 { translation: measured.translation * along + to_left * across, ..*measured }
     }
 
     /// Takes what the motion was by matching, with the standard deviation that predictions of it have along each axis,
@@ -48,19 +74,15 @@ impl OdometryScale {
         if metres == 0.0 {
             return;
         }
-        self.variance += WALK_PER_METRE * metres;
-        let innovation = moved.translation.dot(&measured.translation) / metres - self.factor * metres;
-        let innovation = innovation.clamp(-LARGEST * sigma, LARGEST * sigma);
-        let gain = self.variance * metres / (self.variance * metres.powi(2) + sigma.powi(2));
-        self.factor += gain * innovation;
-        self.variance *= 1.0 - gain * metres;
+        let ahead = measured.translation / metres;
+        let to_left = Vector2::new(-ahead.y, ahead.x);
+        self.along.add(moved.translation.dot(&ahead) - metres, metres, sigma);
+        self.across.add(moved.translation.dot(&to_left), metres, sigma);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use portolan_geometry::Vector2;
-
     use super::*;
 
     const SIGMA: f64 = 0.025;
@@ -85,7 +107,7 @@ mod tests {
     fn wheels_of_another_size_are_learned() {
         for factor in [1.0, 1.2, 0.75] {
             let scale = learned(factor, 0.01);
-            assert!((scale.factor - factor).abs() < 0.02, "{factor}: {scale:?}");
+            assert!((1.0 + scale.along.offset - factor).abs() < 0.02, "{factor}: {scale:?}");
             let measured = Rigid2 { translation: Vector2::new(2.0, 0.0), angle: 0.3 };
             assert!((scale.corrected(&measured).translation.x - 2.0 * factor).abs() < 0.04);
             assert_eq!(scale.corrected(&measured).angle, 0.3);
@@ -98,9 +120,19 @@ mod tests {
         let slip = Rigid2 { translation: Vector2::new(-2.85, 0.0), angle: 1.4 };
         let measured = Rigid2 { translation: Vector2::new(0.15, 0.0), angle: 0.0 };
         scale.add(&measured, &slip, SIGMA);
-        assert!((scale.factor - 1.0).abs() < 0.02, "{scale:?}");
+        assert!(scale.along.offset.abs() < 0.02, "{scale:?}");
         let before = scale;
         scale.add(&Rigid2::identity(), &slip, SIGMA);
-        assert_eq!((scale.factor, scale.variance), (before.factor, before.variance));
+        assert_eq!((scale.along, scale.across), (before.along, before.across));
+    }
+
+    #[test]
+    fn a_scanner_mounted_at_another_yaw_is_learned() {
+        let (mut scale, measured) = (OdometryScale::default(), Rigid2::new(0.15, 0.0, 0.02));
+        let yaw = Rigid2::new(0.0, 0.0, 0.17);
+        let moved = Rigid2 { translation: yaw.transform_point(&measured.translation), ..measured };
+        (0..600).for_each(|_| scale.add(&measured, &moved, SIGMA));
+        let off = scale.corrected(&measured).translation - moved.translation;
+        assert!(off.norm() < 0.003, "{scale:?}");
     }
 }
