@@ -18,6 +18,7 @@ mod tests;
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, Time, Vector3, rotation_between};
+use portolan_numeric::CovarianceMatching;
 use portolan_sensor::ImuData;
 
 use crate::imu_buffer::ImuBuffer;
@@ -33,7 +34,7 @@ const MAX_ACCELERATION: f64 = 200.0;
 /// The noise of accelerations is learned from about so many sweeps.
 const COMPARED_SWEEPS: f64 = 20.0;
 /// Beyond this an accelerometer tells nothing.
-const MAX_NOISE_SCALE: f64 = 1e6;
+const MAX_NOISE_FACTOR: f64 = 1e6;
 
 /// A trajectory segment that the IMU predicts.
 #[derive(Clone, Debug)]
@@ -85,7 +86,7 @@ pub(crate) struct InertialFilter {
     last: Option<Time>,
     estimate: Option<Estimate>,
     /// How many times the variance of accelerations is what it is said to be.
-    noise_scale: f64,
+    noise: CovarianceMatching,
 }
 
 impl InertialFilter {
@@ -100,7 +101,7 @@ impl InertialFilter {
             samples: ImuBuffer::default(),
             last: None,
             estimate: None,
-            noise_scale: 1.0,
+            noise: CovarianceMatching::new(COMPARED_SWEEPS).within(1.0, MAX_NOISE_FACTOR),
         }
     }
 
@@ -123,7 +124,7 @@ impl InertialFilter {
             None => (up * self.imu.gravity, settings.first_force),
         };
         if !self.measures_gravity() {
-            self.noise_scale = MAX_NOISE_SCALE;
+            self.noise.distrust();
         }
         let rotation = start.local_from_tracking.rotation;
         self.estimate = Some(Estimate::first(rotation, force, self.imu.gravity, settings, &self.gyroscope));
@@ -201,7 +202,8 @@ impl InertialFilter {
     /// Goes on to the end of a sweep: prediction, correction by the registered pose, correction by a zero velocity.
     pub fn update(&mut self, end: Time, prediction: &InertialPrediction, measured: &PoseMeasurement<'_>) {
         let mut estimate = prediction.estimate.clone();
-        estimate.propagate(&prediction.measured, self.noise_scale, &self.settings, &self.gyroscope);
+        let noise = self.noise.variance_factor();
+        estimate.propagate(&prediction.measured, noise, &self.settings, &self.gyroscope);
         self.correct_rotation(&mut estimate, measured);
         self.correct_place(&mut estimate, measured);
         if measured.is_standing {
@@ -232,26 +234,14 @@ impl InertialFilter {
         let innovation = measured.local_from_tracking.translation.vector - estimate.place;
         let known = square(self.settings.place_error) + attenuation;
         let error = with_unknown(known, &measured.degenerate.translations);
-        self.adapt_noise(&innovation, &(estimate.covariance_of(PLACE) + error), measured);
-        estimate.correct(PLACE, &innovation, &error);
-    }
-
-    /// Innovations are as large as their covariance says, or else the accelerometer is worse than it is said to be: its
-    /// clock, axes or units may be wrong (covariance matching, Mehra 1972).
-    fn adapt_noise(
-        &mut self,
-        innovation: &Vector3,
-        expected: &na::Matrix3<f64>,
-        measured: &PoseMeasurement<'_>,
-    ) {
+        // Innovations are as large as their covariance says, or else the accelerometer is worse than it is said to be: its
+        // clock, axes or units may be wrong.
         let constrained = 3_usize.saturating_sub(measured.degenerate.translations.len());
-        if constrained == 0 {
-            return;
+        if constrained > 0 {
+            let squared = squared_mahalanobis(&innovation, &(estimate.covariance_of(PLACE) + error));
+            self.noise.add_relative(squared / constrained as f64);
         }
-        let most = self.contradiction_sigmas.powi(2);
-        let ratio = (squared_mahalanobis(innovation, expected) / constrained as f64).min(most);
-        let factor = 1.0 + (ratio - 1.0) / COMPARED_SWEEPS;
-        self.noise_scale = (self.noise_scale * factor).clamp(1.0, MAX_NOISE_SCALE);
+        estimate.correct(PLACE, &innovation, &error);
     }
 }
 
