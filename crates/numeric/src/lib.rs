@@ -1,11 +1,13 @@
 #![doc = include_str!("../README.md")]
 
+mod covariance_matching;
 mod histogram;
 mod latency;
 mod print;
 mod random;
 mod statistics;
 
+pub use covariance_matching::CovarianceMatching;
 pub use histogram::{Histogram, HistogramBins};
 pub use latency::LatencyHistogram;
 pub use print::{counted, format_general};

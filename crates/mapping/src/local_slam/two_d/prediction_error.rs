@@ -2,9 +2,10 @@
 //!
 //! The error of a prediction grows with the motion that was predicted. By which factor is estimated from the
 //! innovations (what matching adds to predictions), which have the covariance of the prediction where scans
-//! tell the pose well (covariance matching; Mehra 1970).
+//! tell the pose well.
 
 use portolan_geometry::Rigid2;
+use portolan_numeric::CovarianceMatching;
 
 /// Standard deviations of a prediction: metres and radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,22 +22,20 @@ const PER_METRE: PredictionSigmas = PredictionSigmas { translation: 0.05, rotati
 const PER_RADIAN: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation: 0.05 };
 /// About so many scans are remembered.
 const MEMORY: f64 = 50.0;
-/// One innovation counts as at most so many sigmas: a single slip says little of the rest.
-const LARGEST: f64 = 4.0;
 /// The factor stays between these.
 const FACTORS: (f64, f64) = (0.5, 6.0);
 
 /// What was learned so far.
 #[derive(Clone, Copy, Debug)]
 pub struct PredictionError {
-    /// Mean squares of innovations in units of what was expected before anything was learned.
-    translation: f64,
-    rotation: f64,
+    translation: CovarianceMatching,
+    rotation: CovarianceMatching,
 }
 
 impl Default for PredictionError {
     fn default() -> Self {
-        Self { translation: 1.0, rotation: 1.0 }
+        let as_assumed = CovarianceMatching::new(MEMORY);
+        Self { translation: as_assumed, rotation: as_assumed }
     }
 }
 
@@ -44,24 +43,20 @@ impl PredictionError {
     /// The error to be expected of a predicted motion.
     pub fn sigmas(&self, motion: &Rigid2) -> PredictionSigmas {
         let expected = expected(motion);
-        let factor = |mean_square: f64| mean_square.sqrt().clamp(FACTORS.0, FACTORS.1);
+        let factor = |learned: &CovarianceMatching| learned.sigma_factor().clamp(FACTORS.0, FACTORS.1);
         PredictionSigmas {
-            translation: factor(self.translation) * expected.translation,
-            rotation: factor(self.rotation) * expected.rotation,
+            translation: factor(&self.translation) * expected.translation,
+            rotation: factor(&self.rotation) * expected.rotation,
         }
     }
 
     /// Takes what matching added to the prediction of a motion.
     pub fn add(&mut self, motion: &Rigid2, innovation: &Rigid2) {
         let expected = expected(motion);
-        let learn = |mean_square: &mut f64, sigmas: f64| {
-            let largest = LARGEST * mean_square.sqrt();
-            *mean_square += (sigmas.min(largest).powi(2) - *mean_square) / MEMORY;
-        };
         // Two axes share the length.
         let along_each_axis = innovation.translation.norm() / std::f64::consts::SQRT_2;
-        learn(&mut self.translation, along_each_axis / expected.translation);
-        learn(&mut self.rotation, innovation.angle.abs() / expected.rotation);
+        self.translation.add((along_each_axis / expected.translation).powi(2));
+        self.rotation.add((innovation.angle / expected.rotation).powi(2));
     }
 }
 
