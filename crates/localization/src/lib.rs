@@ -31,6 +31,7 @@ mod spatial_scan;
 mod state;
 mod trust;
 mod voxel_changes;
+mod voxel_states;
 
 pub use belief::{Freedom, Matrix6};
 pub use changes::{Change, ChangeKind};
