@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod along;
 mod belief;
 mod change_regions;
 mod changes;
