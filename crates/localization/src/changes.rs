@@ -154,7 +154,7 @@ impl ChangeGrid {
 impl ChangeCounter for ChangeGrid {
     fn add(&mut self, scan: &PlacedScan) {
         let limits = &self.map.limits;
-        let hit = scan.ends(limits);
+        let hit: BTreeSet<usize> = scan.ends(limits).collect();
         let passed: BTreeSet<usize> = scan.passed(limits).collect();
         let around = around(limits, &hit);
         let free_and_hit = |cell: &&usize| self.map.known[**cell] == Known::Free;

@@ -12,6 +12,7 @@ const POINT_SIGMA: f64 = 0.1;
 const SPURIOUS: f64 = 0.04;
 
 /// A point at a surface: where it is from the scanner, in the axes of the map, and the normal of the surface there.
+#[derive(Clone, Copy)]
 pub(crate) struct Contact {
     pub lever: Vector3,
     pub normal: Vector3,

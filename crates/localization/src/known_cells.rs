@@ -1,14 +1,12 @@
 //! What a map says of the cells in which contradictions are counted.
 
-use std::collections::BTreeSet;
-
 use portolan_grids::{CellIndex, GridError, MapLimits, ProbabilityGrid};
 use portolan_mapping::{GraphState, Planar};
 
 use crate::changes::FRACTION;
 use crate::known_map::KnownMap;
 use crate::likelihood::LikelihoodField;
-use crate::placed_scan::{PlacedScan, around};
+use crate::placed_scan::PlacedScan;
 use crate::planar_map::PlanarMap;
 
 /// Edge of the cells in which contradictions are counted, metres.
@@ -61,20 +59,24 @@ impl KnownCells {
     /// Takes back that cells are free in which scans of the map itself end too often: glass and railings, which the grid
     /// holds free because most beams pass. The lidar is taken to be at the origin of the tracking frame.
     fn leave_out_see_through(&mut self, state: &GraphState<Planar>) {
-        let scan_ends = |scan: &PlacedScan| around(&self.limits, &scan.ends(&self.limits));
-        let mut hits = vec![0_u32; self.known.len()];
+        let (mut hits, mut passes) = (vec![0_u32; self.known.len()], vec![0_u32; self.known.len()]);
+        let (mut ends, mut passed) = (MarkedCells::new(self.known.len()), MarkedCells::new(self.known.len()));
         for_each_scan(state, |scan| {
-            for cell in scan_ends(scan).into_iter().filter(|cell| self.known[*cell] == Known::Free) {
-                hits[cell] += 1;
+            ends.clear();
+            for cell in scan.around_ends(&self.limits) {
+                if ends.insert(cell) && self.known[cell] == Known::Free {
+                    hits[cell] += 1;
+                }
             }
         });
-        let mut passes = vec![0_u32; self.known.len()];
         for_each_scan(state, |scan| {
-            let ends = scan_ends(scan);
-            let passed: BTreeSet<usize> =
-                scan.passed(&self.limits).filter(|cell| hits[*cell] > 0 && !ends.contains(cell)).collect();
-            for cell in passed {
-                passes[cell] += 1;
+            ends.clear();
+            passed.clear();
+            scan.around_ends(&self.limits).for_each(|cell| _ = ends.insert(cell));
+            for cell in scan.passed(&self.limits).filter(|cell| hits[*cell] > 0) {
+                if !ends.contains(cell) && passed.insert(cell) {
+                    passes[cell] += 1;
+                }
             }
         });
         for (cell, known) in self.known.iter_mut().enumerate() {
@@ -82,6 +84,33 @@ impl KnownCells {
                 *known = Known::Nothing;
             }
         }
+    }
+}
+
+/// A set of cells that is emptied at once.
+struct MarkedCells {
+    /// The round in which each cell was inserted last.
+    rounds: Vec<u32>,
+    round: u32,
+}
+
+impl MarkedCells {
+    /// Of so many cells; nothing is in it.
+    fn new(cells: usize) -> Self {
+        Self { rounds: vec![0; cells], round: 1 }
+    }
+
+    fn clear(&mut self) {
+        self.round += 1;
+    }
+
+    /// Whether it was not in it before.
+    fn insert(&mut self, cell: usize) -> bool {
+        std::mem::replace(&mut self.rounds[cell], self.round) != self.round
+    }
+
+    fn contains(&self, cell: usize) -> bool {
+        self.rounds[cell] == self.round
     }
 }
 

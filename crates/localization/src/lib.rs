@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod along;
 mod belief;
 mod change_regions;
 mod changes;
@@ -31,6 +32,7 @@ mod spatial_scan;
 mod state;
 mod trust;
 mod voxel_changes;
+mod voxel_states;
 
 pub use belief::{Freedom, Matrix6};
 pub use changes::{Change, ChangeKind};

@@ -1,8 +1,10 @@
 //! What of space is solid and what is free, over a whole map.
 
 use portolan_geometry::{Point3f, to_f32};
-use portolan_grids::{GridError, HybridGrid, VoxelIndex};
+use portolan_grids::{GridError, VoxelIndex, VoxelLattice};
 use portolan_mapping::{GraphState, Spatial};
+
+use crate::voxel_states::{VoxelState, VoxelStates};
 
 /// Edge of a cell, metres.
 pub(crate) const CELL: f32 = 0.2;
@@ -10,9 +12,6 @@ pub(crate) const CELL: f32 = 0.2;
 pub(crate) const SOLID: f32 = 0.55;
 /// Cells of submaps of less than this are free, if nothing solid is near: what was there is gone.
 const GONE: f32 = 0.12;
-/// How the two are kept.
-const IS_SOLID: f32 = 0.9;
-const IS_FREE: f32 = 0.1;
 /// Beams of nodes show free space to this range, and end so far in front of what they hit, metres: floors are met at
 /// grazing angles.
 const RANGE: f32 = 25.0;
@@ -20,34 +19,30 @@ const IN_FRONT: f32 = 0.8;
 
 /// Cells that are solid, free or not known.
 pub(crate) struct Occupancy {
-    cells: HybridGrid,
+    lattice: VoxelLattice,
+    cells: VoxelStates,
 }
 
 impl Occupancy {
     /// Of all submaps and nodes, where the pose graph puts them.
     pub fn new(state: &GraphState<Spatial>) -> Result<Self, GridError> {
-        let mut cells = HybridGrid::new(CELL)?;
-        let set = |cells: &mut HybridGrid, point: &Point3f, probability: f32| {
-            if let Some(cell) = cells.cell_index(point)
-                && !cells.is_known(cell)
-            {
-                cells.set_probability(cell, probability);
-            }
-        };
+        let lattice = VoxelLattice::new(CELL)?;
+        let mut cells = VoxelStates::new();
         for (id, entry) in &state.submaps {
             let (Some(submap), Some(pose)) = (&entry.submap, state.map_from_submap(*id)) else { continue };
             let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
             grid.for_each_cell(|cell, _| {
-                if grid.probability(cell) > SOLID {
-                    set(&mut cells, &(pose * grid.cell_center(cell)), IS_SOLID);
+                if grid.probability(cell) > SOLID
+                    && let Some(cell) = lattice.cell(&(pose * grid.cell_center(cell)))
+                {
+                    cells.learn(cell, VoxelState::Solid);
                 }
             });
         }
         for place in faded(state) {
-            let is_near =
-                cells.cell_index(&place).is_none_or(|cell| around(cell).any(|c| is_solid(&cells, c)));
-            if !is_near && let Some(cell) = cells.cell_index(&place) {
-                cells.set_probability(cell, IS_FREE);
+            let Some(cell) = lattice.cell(&place) else { continue };
+            if !around(cell).any(|cell| cells.get(cell) == Some(VoxelState::Solid)) {
+                cells.learn(cell, VoxelState::Free);
             }
         }
         for node in state.nodes.values() {
@@ -58,41 +53,40 @@ impl Occupancy {
                 let beam = pose * point - origin;
                 let length = beam.norm();
                 let steps = ((length.min(RANGE) - IN_FRONT) / CELL).max(0.0) as u32;
-                (2..steps)
-                    .for_each(|i| set(&mut cells, &(origin + beam * (i as f32 * CELL / length)), IS_FREE));
+                for i in 2..steps {
+                    if let Some(cell) = lattice.cell(&(origin + beam * (i as f32 * CELL / length))) {
+                        cells.learn(cell, VoxelState::Free);
+                    }
+                }
             }
         }
-        Ok(Self { cells })
+        Ok(Self { lattice, cells })
     }
 
     /// The cell of a point; none where there can be none.
     pub fn cell(&self, point: &Point3f) -> Option<VoxelIndex> {
-        self.cells.cell_index(point)
+        self.lattice.cell(point)
     }
 
     /// The middle of a cell, metres.
     pub fn middle(&self, cell: VoxelIndex) -> Point3f {
-        self.cells.cell_center(cell)
+        self.lattice.center(cell)
     }
 
     /// Whether a cell is solid.
     pub fn is_solid(&self, cell: VoxelIndex) -> bool {
-        is_solid(&self.cells, cell)
+        self.cells.get(cell) == Some(VoxelState::Solid)
     }
 
     /// Whether beams went through a cell, or what was there is gone.
     pub fn is_free_cell(&self, cell: VoxelIndex) -> bool {
-        self.cells.is_known(cell) && self.cells.probability(cell) < 0.5
+        self.cells.get(cell) == Some(VoxelState::Free)
     }
 
     /// Middles of the solid cells.
     pub fn solid(&self) -> Vec<Point3f> {
         let mut solid = Vec::new();
-        self.cells.for_each_cell(|cell, _| {
-            if self.cells.probability(cell) > 0.5 {
-                solid.push(self.cells.cell_center(cell));
-            }
-        });
+        self.cells.for_each_solid(|cell| solid.push(self.lattice.center(cell)));
         solid
     }
 
@@ -100,22 +94,15 @@ impl Occupancy {
     pub fn is_solid_near(&self, point: &Point3f) -> bool {
         const AROUND: [[i32; 3]; 7] =
             [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]];
-        let Some([x, y, z]) = self.cells.cell_index(point) else { return false };
-        AROUND.iter().any(|[i, j, k]| {
-            let cell = [x + i, y + j, z + k];
-            self.cells.is_known(cell) && self.cells.probability(cell) > 0.5
-        })
+        let Some([x, y, z]) = self.lattice.cell(point) else { return false };
+        AROUND.iter().any(|[i, j, k]| self.is_solid([x + i, y + j, z + k]))
     }
 
     /// Whether a point is where beams went through.
     pub fn is_free(&self, point: &Point3f) -> bool {
-        let Some(cell) = self.cells.cell_index(point) else { return false };
+        let Some(cell) = self.lattice.cell(point) else { return false };
         self.is_free_cell(cell)
     }
-}
-
-fn is_solid(cells: &HybridGrid, cell: VoxelIndex) -> bool {
-    cells.is_known(cell) && cells.probability(cell) > 0.5
 }
 
 /// A cell and the 26 around it.

@@ -23,10 +23,15 @@ pub struct PlacedScan<'a> {
 }
 
 impl PlacedScan<'_> {
-    /// The cells in which beams end.
-    pub(crate) fn ends(&self, limits: &MapLimits) -> BTreeSet<usize> {
+    /// The cells in which beams end, some of them often.
+    pub(crate) fn ends<'b>(&'b self, limits: &'b MapLimits) -> impl Iterator<Item = usize> + use<'b> {
         let near = self.beams().filter(|(_, length)| *length <= RANGE);
-        near.filter_map(|(beam, _)| cell_at(limits, &(self.origin.xy() + beam))).collect()
+        near.filter_map(|(beam, _)| cell_at(limits, &(self.origin.xy() + beam)))
+    }
+
+    /// The same and the cells around each of them.
+    pub(crate) fn around_ends<'b>(&'b self, limits: &'b MapLimits) -> impl Iterator<Item = usize> + use<'b> {
+        self.ends(limits).flat_map(move |cell| around_cell(limits, cell))
     }
 
     /// The cells through which beams pass well before their ends, some of them often.
@@ -53,13 +58,15 @@ impl PlacedScan<'_> {
 
 /// Cells and those around them.
 pub(crate) fn around(limits: &MapLimits, cells: &BTreeSet<usize>) -> BTreeSet<usize> {
+    cells.iter().flat_map(|cell| around_cell(limits, *cell)).collect()
+}
+
+/// A cell and those around it.
+fn around_cell(limits: &MapLimits, cell: usize) -> impl Iterator<Item = usize> + use<'_> {
     let columns = limits.num_x_cells() as usize;
-    let neighbours = |cell: &usize| {
-        let (x, y) = ((cell % columns) as i32, (cell / columns) as i32);
-        let around = (-1..=1).flat_map(move |j| (-1..=1).map(move |i| CellIndex::new(x + i, y + j)));
-        around.filter_map(|cell| limits.flat_index(cell))
-    };
-    cells.iter().flat_map(neighbours).collect()
+    let (x, y) = ((cell % columns) as i32, (cell / columns) as i32);
+    let around = (-1..=1).flat_map(move |j| (-1..=1).map(move |i| CellIndex::new(x + i, y + j)));
+    around.filter_map(|cell| limits.flat_index(cell))
 }
 
 fn cell_at(limits: &MapLimits, point: &Vector2) -> Option<usize> {

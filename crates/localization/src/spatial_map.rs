@@ -13,11 +13,12 @@ use portolan_matching::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d, Seve
 use portolan_sensor::PointCloud;
 use rayon::prelude::*;
 
-use crate::belief::Freedom;
+use crate::along::SolidField;
+use crate::belief::{Freedom, Matrix6};
 use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
 use crate::information::{Contact, information};
-use crate::known_map::{Area, KnownMap, KnownMapError, ScanMatch, Window};
+use crate::known_map::{Area, KnownMap, KnownMapError, ON_THE_WAY, ScanMatch, Window};
 use crate::occupancy::Occupancy;
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
@@ -53,6 +54,13 @@ const AROUND_PROPOSAL: Window = Window { metres: 0.8, radians: 0.12 };
 const FARTHEST: f64 = 0.8;
 /// Planes nearer than this to a point explain it, metres.
 const ON_PLANE: f32 = 0.15;
+/// Planes whose normals have no more than this of a direction, as a cosine, let points slide along it: normals are off by 20°.
+const SLIDING: f64 = 0.35;
+/// A proposed place is looked for along the open direction until it moves less than this, metres, or so often.
+const SETTLED: f64 = 0.05;
+const MOST_SLIDES: usize = 4;
+/// Places along it are compared at least so far to either side, metres.
+const NARROWEST_SLIDE: f64 = 0.3;
 /// Scans of so many nodes are put where they do not belong to see how well anything fits; turned by the golden angle
 /// against each other, radians.
 const MISPLACED: usize = 48;
@@ -65,6 +73,8 @@ const USUAL_CHANCE: f32 = 0.6;
 pub struct SpatialMap {
     planes: Arc<PlaneMap>,
     pub(crate) occupancy: Arc<Occupancy>,
+    /// Finds places along streets.
+    solid: SolidField,
     /// What scans may contradict.
     pub(crate) voxels: Arc<KnownVoxels>,
     /// Finds places from above.
@@ -100,7 +110,8 @@ impl SpatialMap {
         let registration = Registration::new(settings);
         let (planes, occupancy) = (Arc::new(planes(state)), Arc::new(occupancy));
         let voxels = Arc::new(KnownVoxels::new(&occupancy, &planes, state)?);
-        let mut map = Self { planes, occupancy, voxels, places, nodes, registration, by_chance: 0.0 };
+        let solid = SolidField::new(state)?;
+        let mut map = Self { planes, occupancy, solid, voxels, places, nodes, registration, by_chance: 0.0 };
         map.by_chance = map.explained_by_chance(state);
         Ok(map)
     }
@@ -146,6 +157,40 @@ impl SpatialMap {
         let prior = PosePrior { pose: *guess, sigmas };
         let found = self.registration.register_scan(&self.planes, points, guess, &prior, scale);
         found.map(|f| f.pose).filter(is_valid_pose).unwrap_or(*guess)
+    }
+
+    /// Moves a pose along the direction that planes leave most open to where the points are most likely; the pose, and what
+    /// planes (of the points that judge) and this tell of it.
+    fn slide(
+        &self,
+        (points, judged): (&[Point3f], &[Point3f]),
+        pose: &Rigid3,
+        window: Window,
+    ) -> (Rigid3, Matrix6) {
+        let contacts: Vec<Contact> = self.contacts(judged, pose).collect();
+        let by_planes = information(contacts.iter().copied(), Self::FREEDOM);
+        let shifts = by_planes.fixed_view::<3, 3>(0, 0).into_owned().symmetric_eigen();
+        let direction: Vector3 = shifts.eigenvectors.column(shifts.eigenvalues.argmin().0).into_owned();
+        let (map_from_scan, along) = (to_f32(pose), direction.cast::<f32>());
+        let tells = |point: &Point3f| {
+            self.planes.plane_near(point).is_none_or(|plane| {
+                let is_near = plane.normal.dot(&(point.coords - plane.point)).abs() < ON_PLANE;
+                !is_near || f64::from(plane.normal.dot(&along).abs()) > SLIDING
+            })
+        };
+        let placed: Vec<Point3f> = points.iter().map(|p| map_from_scan * p).filter(tells).collect();
+        let found = self.solid.along(&placed, &direction, window.metres.clamp(NARROWEST_SLIDE, FARTHEST));
+        // Planes that face along it know the place, too.
+        let facing = contacts.into_iter().filter(|c| c.normal.dot(&direction).abs() > SLIDING);
+        let of_facing = information(facing, Self::FREEDOM).fixed_view::<3, 3>(0, 0).into_owned();
+        let held = direction.dot(&(of_facing * direction)).max(0.0);
+        let share = found.information / (found.information + held).max(f64::MIN_POSITIVE);
+        let mut slid = *pose;
+        slid.translation.vector += share * found.shift * direction;
+        let mut both = by_planes;
+        let mut block = both.fixed_view_mut::<3, 3>(0, 0);
+        block += found.information * direction * direction.transpose();
+        (slid, both)
     }
 
     /// The same in windows of any size: of several places to begin with, the one that fits best.
@@ -310,12 +355,22 @@ impl KnownMap for SpatialMap {
     }
 
     fn settle(&self, joint: &SpatialJoint, guess: &Rigid3, window: Window) -> Rigid3 {
-        self.search(&joint.points, guess, window)
+        let mut pose = self.search(&joint.points, guess, window);
+        for _ in 0..MOST_SLIDES {
+            let (slid, _) = self.slide((&joint.thinned, &joint.points), &pose, window);
+            let moved = (slid.translation.vector - pose.translation.vector).norm();
+            pose = slid;
+            if moved < SETTLED {
+                break;
+            }
+            pose = self.register(&joint.points, &pose, ON_THE_WAY);
+        }
+        pose
     }
 
     fn find(&self, scan: &SpatialScan, guess: &Rigid3, window: Window) -> ScanMatch {
         let pose = self.register(&scan.points, guess, window);
-        let information = information(self.contacts(&scan.judged, &pose), Self::FREEDOM);
+        let (pose, information) = self.slide((&scan.thinned, &scan.judged), &pose, window);
         ScanMatch { pose, information, agreement: self.agreement(scan, &pose) }
     }
 

@@ -24,6 +24,7 @@ const UPRIGHT: usize = 2;
 /// The cloud of all kept scans: reach, metres, and points for registration.
 const REACH: f32 = 30.0;
 const MOST_JOINT_POINTS: usize = 900;
+const MOST_THINNED: usize = 8000;
 
 /// A scan in its own level frame.
 #[derive(Clone, Debug)]
@@ -32,8 +33,8 @@ pub struct SpatialScan {
     pub points: Vec<Point3f>,
     /// Points that judge a place.
     pub judged: Vec<Point3f>,
-    /// Points that upright surfaces are made of.
-    thinned: Vec<Point3f>,
+    /// All of them, thinned.
+    pub thinned: Vec<Point3f>,
 }
 
 impl SpatialScan {
@@ -88,6 +89,8 @@ pub(crate) fn upright_columns(points: impl Iterator<Item = Point3f>, slices: usi
 pub struct SpatialJoint {
     /// Points for registration, metres.
     pub points: Vec<Point3f>,
+    /// More of them.
+    pub thinned: Vec<Point3f>,
     /// What stands upright, seen from above.
     pub columns: PlanarJoint,
 }
@@ -102,7 +105,11 @@ impl SpatialJoint {
         }
         let columns = upright_columns(points.iter().copied(), UPRIGHT);
         let thinned = voxel_filter_points(&points, VOXEL);
-        Self { points: evenly(&thinned, MOST_JOINT_POINTS), columns: PlanarJoint::thinned(&columns) }
+        Self {
+            points: evenly(&thinned, MOST_JOINT_POINTS),
+            columns: PlanarJoint::thinned(&columns),
+            thinned: evenly(&thinned, MOST_THINNED),
+        }
     }
 }
 
