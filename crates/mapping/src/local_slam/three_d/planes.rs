@@ -219,13 +219,11 @@ fn odometry_settings(
         local_map: LocalMapSettings {
             voxel_size,
             keyframes_per_half: keyframes_per_half(options),
-            ..LocalMapSettings::default()
         },
         keyframes: KeyframeSettings {
             max_time: filter.max_time_seconds,
             max_distance: filter.max_distance_meters,
             max_angle: filter.max_angle_radians,
-            ..KeyframeSettings::default()
         },
         ..OdometrySettings::default()
     }
