@@ -39,9 +39,9 @@ settings! {
             "Neighbouring points share their error, so that so many count as one",
             origin: "tuned",
             larger: "the motion prior counts more";
-        small_step: f64 = 0.1, "1", 0.0..=10.0,
+        small_step: f64 = 0.25, "1", 0.0..=10.0,
             "The end is found when a step is smaller than so many standard deviations of the result (Newton decrement)",
-            origin: "0.03 to 0.25 differ by chance (docs/experiments/2026-11-fewer-settings.md)",
+            origin: "a tenth is no nearer to the truth",
             larger: "faster, less exact";
         repairing_per_edge: f32 = 0.03, "1", 0.0..=0.5,
             "A point is paired anew when it has moved by this fraction of the edge of the largest voxels",
