@@ -57,7 +57,7 @@ pub(crate) fn next_sweep(
     if prediction.segment.source != MotionSource::ConstantVelocity {
         return NextSweep::AsPredicted;
     }
-    let judges = settings.loss.sweeps;
+    let judges = settings.initialisation.judged_sweeps;
     if sweeps.len() < judges && !is_ended {
         return NextSweep::Waits;
     }
@@ -79,7 +79,7 @@ fn best(
         tracker.fork().fit_better(least, motion, sweeps, &mut Issues::default(), drop::<RegisteredSweep>)
     };
     let as_predicted = fit_better(f64::NEG_INFINITY, None).unwrap_or(0.0);
-    let mut best = (NextSweep::AsPredicted, as_predicted * settings.hypotheses.better_over_sweeps);
+    let mut best = (NextSweep::AsPredicted, as_predicted * settings.hypotheses.better_after_gap);
     for motion in motions {
         if let Some(fit) = fit_better(best.1, Some(motion)) {
             best = (NextSweep::After(motion), fit);

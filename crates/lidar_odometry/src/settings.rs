@@ -215,11 +215,6 @@ pub struct OdometrySettings {
 }
 
 impl OdometrySettings {
-    /// Points of sweeps that lie farther than about this from their plane, metres, count little in the end.
-    pub(crate) fn final_scale(&self) -> f64 {
-        self.registration.final_scale_per_edge * self.local_map.voxel_size
-    }
-
     /// All settings in the order of their groups.
     pub fn entries(&self) -> Vec<Entry> {
         let mut all = Vec::new();
@@ -336,7 +331,7 @@ mod tests {
         let settings = OdometrySettings::default();
         assert_eq!(settings.check(), Ok(()));
         let entries = settings.entries();
-        assert!((60..=88).contains(&entries.len()), "{}", entries.len());
+        assert!(entries.len() > 100, "{}", entries.len());
         for entry in &entries {
             let texts = [entry.unit, entry.default, entry.what, entry.origin, entry.larger];
             assert!(texts.iter().all(|text| !text.is_empty() && !text.ends_with('.')), "{entry:?}");

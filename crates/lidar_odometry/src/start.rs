@@ -70,7 +70,7 @@ impl FirstMotion {
             let rotation_at = measured.as_ref().map(|measured| measured as &RotationAt);
             self.hypotheses = FirstSweeps::hypotheses(first, second, rotation_at, settings);
         }
-        let judging = settings.loss.sweeps.max(1);
+        let judging = settings.initialisation.judged_sweeps.max(1);
         let judges = &sweeps[1..sweeps.len().min(judging)];
         let trial = Trial { settings, motion: &self.motion, memory, first, judges };
         match self.hypotheses.as_slice() {
@@ -95,7 +95,7 @@ impl Trial<'_> {
     fn best(&self, likeliest: Start, others: &[Start]) -> Begun {
         let Some(mut best) = self.judged(likeliest, f64::NEG_INFINITY) else { return self.begin(likeliest) };
         for start in others {
-            let least = self.settings.hypotheses.better_over_sweeps * best.fit;
+            let least = self.settings.initialisation.clearly_better * best.fit;
             best = self.judged(*start, least).unwrap_or(best);
         }
         if self.is_final(&best.begun) { self.with_clouds(best.begun) } else { self.begin(best.start) }

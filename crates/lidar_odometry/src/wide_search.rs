@@ -48,10 +48,8 @@ impl WideSearch<'_> {
             Registered { segment, registered, reason: Some(Reason::OtherMotion) }
         });
         let fit = |found: &Registered| found.registered.fit;
-        // A push right after the last sweep, harder than all that is unseen, takes it no farther.
-        let OdometrySettings { motion_prior, hypotheses, .. } = self.settings;
-        let push = hypotheses.contradiction_sigmas * motion_prior.acceleration;
-        let farthest = push * segment.seconds().powi(2);
+        // A push right after the last sweep.
+        let farthest = self.settings.hypotheses.hardest_push * segment.seconds().powi(2);
         let fits = |found: &Registered| {
             let from_predicted =
                 found.registered.local_from_tracking.translation.vector - end.translation.vector;

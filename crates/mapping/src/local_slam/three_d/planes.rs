@@ -48,11 +48,6 @@ impl Fallback for Grids<'_> {
         let (matched, _) = matcher.match_scan(local_from_tracking, [&high, &low], Some(submap));
         is_valid_pose(&matched).then_some(matched)
     }
-
-    /// Two cells.
-    fn error(&self) -> f64 {
-        2.0 * self.options.submaps.high_resolution
-    }
 }
 
 impl PlaneEngine {
