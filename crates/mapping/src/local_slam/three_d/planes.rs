@@ -211,11 +211,16 @@ fn odometry_settings(
     OdometrySettings {
         keeps_intensities: options.use_intensities,
         extrapolator: extrapolator_settings(options, settings),
-        local_map: LocalMapSettings { voxel_size, keyframes_per_half: keyframes_per_half(options) },
+        local_map: LocalMapSettings {
+            voxel_size,
+            keyframes_per_half: keyframes_per_half(options),
+            ..LocalMapSettings::default()
+        },
         keyframes: KeyframeSettings {
             max_time: filter.max_time_seconds,
             max_distance: filter.max_distance_meters,
             max_angle: filter.max_angle_radians,
+            ..KeyframeSettings::default()
         },
         ..OdometrySettings::default()
     }
