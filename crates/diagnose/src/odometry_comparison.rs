@@ -111,8 +111,12 @@ impl Both {
         match message {
             Message::Odometry(odometry) => {
                 self.wheels.add(topic, odometry, &mut Findings::default());
-                if let Some((pose, _)) = pose_of(&odometry.pose) {
-                    self.poses.push(odometry.header.stamp, pose);
+                let stamp = odometry.header.stamp;
+                // What goes back in time would have to be put in its place among all.
+                if self.poses.latest_time().is_none_or(|latest| latest < stamp)
+                    && let Some((pose, _)) = pose_of(&odometry.pose)
+                {
+                    self.poses.push(stamp, pose);
                 }
             }
             Message::LaserScan(scan) => {

@@ -20,6 +20,8 @@ const MOVED: f64 = 0.3;
 const TURNED: f64 = 0.5;
 /// … and that is no older.
 const OLDEST: Duration = Duration::from_ticks(50_000_000);
+/// So many scans are remembered at most, however close their stamps are.
+const MOST_VIEWS: usize = 256;
 /// Two returns may be of one place if they are no farther apart than this, metres, and this share of their range.
 const SAME: f64 = 0.05;
 const SAME_SHARE: f64 = 0.03;
@@ -93,7 +95,9 @@ impl CoMoving {
     pub fn learn(&mut self, time: Time, local_from_aligned: Rigid2, marked: Marked) {
         let Marked { profile, mut marks, .. } = marked;
         let local_from_scanner = local_from_aligned * profile.aligned_from_scanner;
-        while self.views.front().is_some_and(|view| time - view.time > OLDEST) {
+        while self.views.front().is_some_and(|view| time - view.time > OLDEST)
+            || self.views.len() >= MOST_VIEWS
+        {
             self.views.pop_front();
         }
         let from_now = |view: &View| view.local_from_scanner.inverse() * local_from_scanner;
