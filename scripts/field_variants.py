@@ -3,7 +3,8 @@
 
     scripts/field_variants.py [--programs target/release/portolan ...] [--logs aces,fhw] [--variants backwards,from-40]
 
-Variants: backwards (reverse.py), return (there and all the way back), mirrored (left is right), from-20, from-40, from-60 (the first so many per cent of the scans are missing), those of
+Variants: backwards (reverse.py), return (there and all the way back), mirrored (left is right), slow-0.1 and slow--0.1
+(slow_scans.py: scans take 0.1 s and do not say so, the last beam first), from-20, from-40, from-60 (the first so many per cent of the scans are missing), those of
 spoil.py, and several of them joined by +, as in backwards+half. Judged by the relations between scans that are left.
 Needs Python 3 alone. The data folder is $PORTOLAN_DATA, or ../shared/data.
 """
@@ -59,8 +60,15 @@ def mirrored(log, source, output, relations):
             out.write(" ".join(words) + "\n")
 
 
-def changed(log, relations, variant, folder):
-    """Log and relations after the changes that a variant names."""
+def slowed(program, log, output, seconds, more):
+    mapped = output.with_suffix("")
+    command = [program, "map", log, "-o", mapped, "--no-xray", "-q", *more]
+    subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
+    script("slow_scans.py", log, mapped / "trajectory.tum", output, seconds)
+
+
+def changed(log, relations, variant, folder, program, more):
+    """Log and relations after the changes that a variant names; a program maps it where a trajectory is needed."""
     for number, change in enumerate(variant.split("+")):
         plain = folder / f"{number}.clf"
         if change in ("backwards", "return", "mirrored"):
@@ -73,6 +81,8 @@ def changed(log, relations, variant, folder):
             relations = of_change
         elif change.startswith("from-"):
             begun_later(log, plain, int(change.removeprefix("from-")))
+        elif change.startswith("slow-"):
+            slowed(program.resolve(), log, plain, change.removeprefix("slow-"), more)
         else:
             script("spoil.py", log, plain, change)
         log = plain.with_suffix(".clf.bz2")
@@ -92,7 +102,7 @@ def main():
         paths = [data_folder() / "lidar2d" / path for path in (log, relations)]
         for variant in options.variants.split(","):
             with tempfile.TemporaryDirectory() as folder:
-                recording, left = changed(*paths, variant, pathlib.Path(folder))
+                recording, left = changed(*paths, variant, pathlib.Path(folder), options.programs[0], more)
                 for program in options.programs:
                     figures = map_log(program.resolve(), (name, recording, left, True, more), [])
                     print(row(f"{name} {variant}", figures), flush=True)

@@ -13,15 +13,16 @@ use portolan_recording::{
     Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording, RecordingError,
 };
 
+use crate::beam_times::ScanDuration;
 use crate::clock_offset::{ClockOffset, ImuComparison};
 use crate::clouds::CloudChecks;
 use crate::coverage::Coverage;
 use crate::finding::{Finding, Findings, Kind};
 use crate::imu::ImuChecks;
 use crate::odometry::OdometryChecks;
-use crate::odometry_comparison::compare_odometry;
 use crate::odometry_fault::OdometryFault;
 use crate::rotation::Turn;
+use crate::scan_comparison::compare_scans;
 use crate::scan_turns::{CloudTurns, ScanTurns};
 use crate::scans::RangeChecks;
 use crate::stamps::{Stamps, check_frames};
@@ -62,6 +63,12 @@ const ODOMETRY_ELSEWHERE: Kind = Kind {
     severity: Severity::Error,
     effect: "motion between scans is predicted wrongly: map leaves this odometry out",
     to_do: "look at its units (metres, radians), at the transform from its frame to the scanner, and whether it is of this robot",
+};
+const SCAN_DURATION: Kind = Kind {
+    name: "scan duration",
+    severity: Severity::Warning,
+    effect: "scans are bent where the robot turns; map de-skews them with the measured duration",
+    to_do: "let the driver fill in time_increment, the seconds from one beam to the next",
 };
 const REPAIRED: Kind = Kind {
     name: "repaired",
@@ -112,7 +119,7 @@ pub fn check_with_clocks(
     match &plan {
         Ok(plan) => {
             check.add_plan(plan);
-            check.compare_odometry(recording, plan)?;
+            check.compare_scans(recording, plan)?;
         }
         Err(error) => check.findings.add(&NO_PLAN, "", || error.to_string()),
     }
@@ -190,7 +197,7 @@ impl<'a> Check<'a> {
         match (checks, message) {
             (TopicChecks::Scan { ranges, turns, directions }, Message::LaserScan(scan)) => {
                 let header = &scan.header;
-                let (points, faults) = points_of_laser_scan(header.stamp, scan, false, directions);
+                let (points, faults) = points_of_laser_scan(header.stamp, (scan, None), false, directions);
                 ranges.add_scan(topic, scan, faults, findings);
                 ranges.add_points(topic, &header.frame_id, &points, findings);
                 turns.add(points.time, scan);
@@ -311,18 +318,22 @@ impl<'a> Check<'a> {
 }
 
 impl Check<'_> {
-    /// Ways of odometry against those of scans. Where it turns otherwise, the comparison of turns tells it.
-    fn compare_odometry(
-        &mut self,
-        recording: &dyn Recording,
-        plan: &SensorPlan,
-    ) -> Result<(), RecordingError> {
-        let (Dimension::Two, Some(PlannedOdometry::Topic(odometry))) = (plan.dimension, &plan.odometry)
-        else {
+    /// Scans against each other, and ways of odometry against theirs. Where it turns otherwise, the comparison of turns tells it.
+    fn compare_scans(&mut self, recording: &dyn Recording, plan: &SensorPlan) -> Result<(), RecordingError> {
+        if plan.dimension != Dimension::Two {
             return Ok(());
-        };
-        let fault = compare_odometry(recording, self.inventory, plan)?.fault;
-        if let Some(fault) = fault.filter(|fault| !matches!(fault, OdometryFault::Turns(_))) {
+        }
+        let compared = compare_scans(recording, self.inventory, plan)?;
+        for (topic, ScanDuration { seconds, sigma }) in compared.durations {
+            self.findings.add(&SCAN_DURATION, &topic, || {
+                format!(
+                    "scans last {:.3} s (sigma {sigma:.3} s), not as long as time_increment says",
+                    seconds.abs()
+                )
+            });
+        }
+        let Some(PlannedOdometry::Topic(odometry)) = &plan.odometry else { return Ok(()) };
+        if let Some(fault) = compared.fault.filter(|fault| !matches!(fault, OdometryFault::Turns(_))) {
             self.findings.add(&ODOMETRY_ELSEWHERE, &odometry.topic, || format!("odometry {fault}"));
         }
         Ok(())
@@ -386,7 +397,7 @@ fn add_echoes(
     directions: &mut BeamDirections,
     findings: &mut Findings,
 ) {
-    let (points, faults) = points_of_echoes(scan.header.stamp, scan, false, directions);
+    let (points, faults) = points_of_echoes(scan.header.stamp, (scan, None), false, directions);
     let first_echoes = scan.ranges.iter().map(|e| e.first().copied().unwrap_or(f32::INFINITY));
     let first = scan.with_readings(first_echoes.collect(), Vec::new());
     ranges.add_scan(topic, &first, faults, findings);

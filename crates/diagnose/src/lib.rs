@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod beam_times;
 mod check;
 mod clock_offset;
 mod clouds;
@@ -10,24 +11,25 @@ mod imu;
 mod imu_values;
 mod info;
 mod odometry;
-mod odometry_comparison;
 mod odometry_fault;
 mod offset;
 mod rotation;
+mod scan_comparison;
 mod scan_motion;
 mod scan_turns;
 mod scans;
 mod stamps;
 mod turns;
 
+pub use beam_times::ScanDuration;
 pub use check::{CheckReport, check, check_with_clocks};
 pub use clock_offset::{ClockOffset, ImuComparison, ImuMounting};
 pub use finding::{Finding, findings_to_text};
 pub use histogram::Histogram;
 pub use info::{PlanDescription, RecordingInfo, TopicDescription, info};
-pub use odometry_comparison::{OdometryComparison, SensorDelay, compare_odometry};
 pub use odometry_fault::OdometryFault;
 pub use portolan_issue::Severity;
+pub use scan_comparison::{ScanComparison, SensorDelay, compare_scans};
 
 #[cfg(test)]
 #[path = "../../ingest/src/test_messages.rs"]

@@ -9,8 +9,8 @@ use portolan_recording::LaserScan;
 
 /// Scans farther apart than this are not compared, seconds.
 const MAX_INTERVAL: f64 = 0.5;
-/// So many motions suffice.
-const MAX_MOTIONS: usize = 1500;
+/// So many scans suffice.
+const MAX_SCANS: usize = 1500;
 /// Directions are told apart by the degree.
 const CELLS: usize = 360;
 /// Most distances of a point from its line in one iteration after the other, metres.
@@ -27,42 +27,82 @@ const DETERMINED: f64 = 0.05;
 /// A motion between two times, `first_from_second` in the frame of the scanner.
 pub(crate) type TimedMotion = (Time, Time, Rigid2);
 
-/// Motions of a scanner, of those scans whose motion is determined.
+/// Scans of a scanner, in order of arrival, and their motions as far as those are determined.
 #[derive(Debug, Default)]
 pub(crate) struct ScanMotions {
-    last: Option<(Time, Places)>,
-    pub motions: Vec<TimedMotion>,
+    pub scans: Vec<PlacedScan>,
 }
 
-/// The nearest point in each direction, metres, in the frame of the scanner.
-type Places = Vec<Option<Vector2>>;
+/// A scan, and where it was taken.
+#[derive(Debug)]
+pub(crate) struct PlacedScan {
+    pub time: Time,
+    pub places: Places,
+    /// `before_from_this`, where the scan before was taken less than half a second ago and the motion is determined.
+    pub motion: Option<Rigid2>,
+}
+
+/// A point of a scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Seen {
+    /// Metres, in the frame of the scanner.
+    pub place: Vector2,
+    /// The share of the beams of the scan that come before this one, 0 to 1.
+    pub share: f64,
+}
+
+/// The nearest point in each direction.
+pub(crate) type Places = Vec<Option<Seen>>;
+
+/// A place on a line of a scan, the normal of the line, and the point of the scan next to it.
+pub(crate) struct OnLine {
+    pub place: Vector2,
+    pub normal: Vector2,
+    pub seen: Seen,
+}
 
 impl ScanMotions {
     /// Takes the next scan.
     pub fn add(&mut self, time: Time, scan: &LaserScan) {
-        if self.motions.len() >= MAX_MOTIONS {
+        if self.scans.len() >= MAX_SCANS {
             return;
         }
-        if let Some((last_time, last)) = self.last.replace((time, places(scan)))
-            && (0.0..MAX_INTERVAL).contains(&time.seconds_since(last_time))
-            && let Some((_, now)) = &self.last
-            && let Some(motion) = matched(&last, now)
-        {
-            self.motions.push((last_time, time, motion));
-        }
+        let places = places(scan);
+        let before = self.scans.last().filter(|b| (0.0..MAX_INTERVAL).contains(&time.seconds_since(b.time)));
+        let motion = before.and_then(|before| matched(&before.places, &places, Rigid2::identity()));
+        self.scans.push(PlacedScan { time, places, motion });
+    }
+
+    /// The motions that are determined.
+    pub fn motions(&self) -> impl Iterator<Item = TimedMotion> {
+        self.scans.windows(2).filter_map(|two| match two {
+            [before, this] => Some((before.time, this.time, this.motion?)),
+            _ => None,
+        })
     }
 }
 
-fn places(scan: &LaserScan) -> Places {
+/// The points of a scan, of each direction the nearest.
+pub(crate) fn places(scan: &LaserScan) -> Places {
     let limits = scan.range_min.max(0.05)..=scan.range_max;
+    let beams = scan.ranges.len() as f64;
+    let seen =
+        scan.ranges.iter().enumerate().filter(|(_, range)| limits.contains(range)).map(|(i, range)| {
+            let direction = f64::from(scan.angle_min) + f64::from(scan.angle_increment) * i as f64;
+            let place = Vector2::new(direction.cos(), direction.sin()) * f64::from(*range);
+            Seen { place, share: i as f64 / beams }
+        });
+    by_direction(seen)
+}
+
+/// Of each direction the nearest.
+pub(crate) fn by_direction(seen: impl Iterator<Item = Seen>) -> Places {
     let mut places: Places = vec![None; CELLS];
-    for (i, range) in scan.ranges.iter().enumerate().filter(|(_, range)| limits.contains(range)) {
-        let direction = f64::from(scan.angle_min) + f64::from(scan.angle_increment) * i as f64;
-        let place = Vector2::new(direction.cos(), direction.sin()) * f64::from(*range);
-        if let Some(known) = places.get_mut(cell(&place))
-            && known.is_none_or(|known: Vector2| place.norm() < known.norm())
+    for seen in seen {
+        if let Some(known) = places.get_mut(cell(&seen.place))
+            && known.is_none_or(|known: Seen| seen.place.norm() < known.place.norm())
         {
-            *known = Some(place);
+            *known = Some(seen);
         }
     }
     places
@@ -72,17 +112,17 @@ fn cell(place: &Vector2) -> usize {
     ((place.y.atan2(place.x) / TAU + 0.5) * CELLS as f64) as usize % CELLS
 }
 
-/// `before_from_now`; none where too little fits or the way along a corridor is not determined.
-fn matched(before: &Places, now: &Places) -> Option<Rigid2> {
-    let mut motion = Rigid2::identity();
+/// `before_from_now`, near a `start`; none where too little fits or the way along a corridor is not determined.
+pub(crate) fn matched(before: &Places, now: &Places, start: Rigid2) -> Option<Rigid2> {
+    let mut motion = start;
     let points = now.iter().flatten().count() as f64;
     let mut found = (0.0, 0.0);
     for gate in GATES {
         let (mut normal_matrix, mut right, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
-        for place in now.iter().flatten() {
-            let at = motion.transform_point(place);
-            let Some((on_line, normal)) = line_near(before, &at) else { continue };
-            let distance = normal.dot(&(at - on_line));
+        for seen in now.iter().flatten() {
+            let at = motion.transform_point(&seen.place);
+            let Some(OnLine { place, normal, .. }) = line_near(before, &at) else { continue };
+            let distance = normal.dot(&(at - place));
             if distance.abs() > gate {
                 continue;
             }
@@ -102,20 +142,21 @@ fn matched(before: &Places, now: &Places) -> Option<Rigid2> {
     (found.0 > MATCHED * points && found.1 > DETERMINED * found.0).then_some(motion)
 }
 
-/// A point of the scan before on the line nearest to a place, and its normal.
-fn line_near(before: &Places, at: &Vector2) -> Option<(Vector2, Vector2)> {
+/// The line of a scan nearest to a place.
+pub(crate) fn line_near(before: &Places, at: &Vector2) -> Option<OnLine> {
     let known = |c: usize| before.get(c % CELLS).copied().flatten();
     let first = cell(at) + CELLS - REACH;
-    let distance = |place: &Vector2| (place - at).norm_squared();
+    let distance = |seen: &Seen| (seen.place - at).norm_squared();
     let nearest = (first..=first + 2 * REACH)
         .filter_map(|c| Some((c, known(c)?)))
         .min_by(|a, b| distance(&a.1).total_cmp(&distance(&b.1)))?;
-    let (c, on_line) = nearest;
+    let (c, seen) = nearest;
     let beside = [c + 1, c + CELLS - 1].into_iter().filter_map(known);
     let other = beside.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-    let along = other - on_line;
+    let along = other.place - seen.place;
     let length = along.norm();
-    (length > 0.0 && length < EDGE).then(|| (on_line, Vector2::new(-along.y, along.x) / length))
+    let normal = Vector2::new(-along.y, along.x) / length;
+    (length > 0.0 && length < EDGE).then_some(OnLine { place: seen.place, normal, seen })
 }
 
 #[cfg(test)]
@@ -135,16 +176,14 @@ mod tests {
             let local = f64::from(degrees).to_radians();
             Vector2::new(local.cos(), local.sin()) * room
         };
-        let mut places: Places = vec![None; CELLS];
-        (-90..90).map(beam).for_each(|place| places[cell(&place)] = Some(place));
-        places
+        by_direction((-90..90).map(beam).map(|place| Seen { place, share: 0.0 }))
     }
 
     #[test]
     fn motions_in_a_room_are_found() {
         for (x, y, angle) in [(0.1, 0.0, 0.05), (-0.15, 0.02, -0.2), (0.0, 0.0, 0.3)] {
             let (first, moved) = (Rigid2::new(0.3, -0.4, 0.2), Rigid2::new(x, y, angle));
-            let found = matched(&seen(&first), &seen(&(first * moved))).unwrap();
+            let found = matched(&seen(&first), &seen(&(first * moved)), Rigid2::identity()).unwrap();
             let off = found.inverse() * moved;
             assert!(off.translation.norm() < 0.01 && off.angle.abs() < 0.01, "{moved:?}: {found:?}");
         }
@@ -153,14 +192,9 @@ mod tests {
     #[test]
     fn the_way_along_a_bare_wall_is_not_determined() {
         let wall = |y: f64| -> Places {
-            let mut places: Places = vec![None; CELLS];
-            for degrees in 20..160 {
-                let angle = f64::from(degrees).to_radians();
-                let place = Vector2::new(y / angle.tan(), y);
-                places[cell(&place)] = Some(place);
-            }
-            places
+            let place = |degrees: i32| Vector2::new(y / f64::from(degrees).to_radians().tan(), y);
+            by_direction((20..160).map(place).map(|place| Seen { place, share: 0.0 }))
         };
-        assert_eq!(matched(&wall(1.5), &wall(1.45)), None);
+        assert_eq!(matched(&wall(1.5), &wall(1.45), Rigid2::identity()), None);
     }
 }

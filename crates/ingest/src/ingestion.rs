@@ -48,6 +48,8 @@ enum Role {
         /// Where points have times of their own that count from the stamp.
         sweep_stamps: Option<SweepStamps>,
         coordinates: Coordinates,
+        /// Seconds from the first beam of a laser scan to the last, where scans do not say it right.
+        scan_duration: Option<f64>,
         directions: Box<BeamDirections>,
     },
     Imu {

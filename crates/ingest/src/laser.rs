@@ -53,6 +53,11 @@ impl ScanShape {
         }
     }
 
+    /// As if the scan took so many seconds from its first beam to its last; less than zero if the last comes first.
+    fn take(&mut self, seconds: f64) {
+        self.time_increment = (seconds / self.beams.saturating_sub(1).max(1) as f64) as f32;
+    }
+
     /// Makes the shape usable and says what was not.
     pub fn repair(&mut self) -> ScanFaults {
         let mut faults = ScanFaults::default();
@@ -110,21 +115,26 @@ impl BeamDirections {
 /// The readings of a scan between its limits as points in the frame of the scanner; times of points
 /// count to the last of them, whose time is that of the result (`spec/slam2d.md` §1).
 ///
-/// `readings` gives range and intensity of each beam.
+/// `readings` gives range and intensity of each beam; a `duration` stands for what the scan says of its own.
 pub(crate) fn points_of_scan(
     stamp: Time,
-    mut shape: ScanShape,
+    (mut shape, duration): (ScanShape, Option<f64>),
     readings: impl Iterator<Item = (f32, f32)>,
     with_intensities: bool,
     directions: &mut BeamDirections,
 ) -> (TimedPoints, ScanFaults) {
     let mut faults = shape.repair();
+    if let Some(seconds) = duration {
+        shape.take(seconds);
+    }
+    // The stamp is the time of the beam that is measured first (sensor_msgs/LaserScan), which may be the last of the scan.
+    let of_first = (-shape.time_increment * shape.beams.saturating_sub(1) as f32).max(0.0);
     let directions = directions.of(&shape);
     let mut result = TimedPoints::with_capacity(shape.beams, with_intensities);
     for (i, ((range, intensity), (cos, sin))) in readings.zip(directions).enumerate() {
         if shape.range_min <= range && range <= shape.range_max && range < HUGE {
             let position = Point3f::new(cos * range, sin * range, 0.0);
-            result.points.push(TimedPoint { position, time: i as f32 * shape.time_increment });
+            result.points.push(TimedPoint { position, time: of_first + i as f32 * shape.time_increment });
             if with_intensities {
                 result.intensities.push(intensity);
             }
@@ -140,22 +150,23 @@ pub(crate) fn points_of_scan(
 
 /// The readings of a scan between its limits as points in the frame of the scanner, and what was wrong with it; times of
 /// points count to the last of them, whose time is that of the result (`spec/slam2d.md` §1). `stamp` stands for that of
-/// the message, and `directions` are kept from scan to scan.
+/// the message, a `duration` in seconds from the first beam to the last for that of the scan, and `directions` are kept
+/// from scan to scan.
 pub fn points_of_laser_scan(
     stamp: Time,
-    scan: &LaserScan,
+    (scan, duration): (&LaserScan, Option<f64>),
     with_intensities: bool,
     directions: &mut BeamDirections,
 ) -> (TimedPoints, ScanFaults) {
     let intensity = |i: usize| scan.intensities.get(i).copied().unwrap_or(0.0);
     let readings = scan.ranges.iter().enumerate().map(|(i, range)| (*range, intensity(i)));
-    points_of_scan(stamp, ScanShape::of(scan), readings, with_intensities, directions)
+    points_of_scan(stamp, (ScanShape::of(scan), duration), readings, with_intensities, directions)
 }
 
 /// As [`points_of_laser_scan`], of the first echo of every beam.
 pub fn points_of_echoes(
     stamp: Time,
-    scan: &MultiEchoLaserScan,
+    (scan, duration): (&MultiEchoLaserScan, Option<f64>),
     with_intensities: bool,
     directions: &mut BeamDirections,
 ) -> (TimedPoints, ScanFaults) {
@@ -164,7 +175,7 @@ pub fn points_of_echoes(
     let readings = scan.ranges.iter().enumerate().map(|(i, echoes)| {
         (first(Some(echoes)).unwrap_or(f32::INFINITY), first(scan.intensities.get(i)).unwrap_or(0.0))
     });
-    points_of_scan(stamp, ScanShape::of(scan), readings, with_intensities, directions)
+    points_of_scan(stamp, (ScanShape::of(scan), duration), readings, with_intensities, directions)
 }
 
 #[cfg(test)]
@@ -189,7 +200,7 @@ mod tests {
     }
 
     fn convert(scan: &LaserScan) -> (TimedPoints, ScanFaults) {
-        points_of_laser_scan(scan.header.stamp, scan, false, &mut BeamDirections::default())
+        points_of_laser_scan(scan.header.stamp, (scan, None), false, &mut BeamDirections::default())
     }
 
     #[test]
@@ -227,6 +238,28 @@ mod tests {
         );
         let times: Vec<f32> = points.points.iter().map(|p| p.time).collect();
         assert_eq!(times, [-0.02, -0.01, 0.0]);
+    }
+
+    #[test]
+    fn a_measured_duration_stands_for_that_of_the_scan() {
+        let mut message = scan(vec![1.0; 5]);
+        message.time_increment = 0.3;
+        let times = |duration| {
+            let mut directions = BeamDirections::default();
+            let stamp = message.header.stamp;
+            let (points, _) = points_of_laser_scan(stamp, (&message, Some(duration)), false, &mut directions);
+            let end = points.time.seconds_since(stamp);
+            (end, points.points.iter().map(|p| (p.position.y.signum(), p.time)).collect::<Vec<_>>())
+        };
+        let (end, forward) = times(0.5);
+        assert!((end - 0.5).abs() < 1e-6);
+        assert_eq!(forward.iter().map(|p| p.1).collect::<Vec<_>>(), [-0.5, -0.375, -0.25, -0.125, 0.0]);
+        // The last beam comes first, at the stamp.
+        let (end, backward) = times(-0.5);
+        assert!((end - 0.5).abs() < 1e-6);
+        assert_eq!(backward.first().map(|p| p.1), Some(-0.5));
+        assert!(backward.iter().rev().map(|p| p.0).eq(forward.iter().map(|p| p.0)));
+        assert_eq!(times(0.0).0, 0.0);
     }
 
     #[test]

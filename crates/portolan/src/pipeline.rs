@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use portolan_config::Options;
-use portolan_diagnose::compare_odometry;
+use portolan_diagnose::compare_scans;
 use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
-use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
+use portolan_ingest::{AzimuthTimes, IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
     BackendProgress, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, Loss, Map, Mapper,
@@ -160,7 +160,7 @@ pub fn prepare(
     let inventory = Inventory::of(recording, ingest)?;
     let mut plan = plan(&inventory, ingest).map_err(IngestError::from)?;
     if options.is_none() && plan.dimension == Dimension::Two {
-        plan = doubt_odometry(recording, &inventory, ingest, plan)?;
+        plan = doubt_scans(recording, &inventory, ingest, plan)?;
     }
     if options.is_none() && plan.dimension == Dimension::Three {
         plan = doubt_imu(recording, &inventory, ingest, plan)?;
@@ -182,15 +182,20 @@ pub fn prepare(
     })
 }
 
-/// A plan in which the clock of the odometry is put right, or that leaves odometry out, where scans tell so. What somebody said of
-/// them stands.
-fn doubt_odometry(
+/// A plan in which the times of beams and the clock of the odometry are put right, or that leaves odometry out, where scans tell so.
+/// What somebody said of them stands.
+fn doubt_scans(
     recording: &dyn Recording,
     inventory: &Inventory,
     ingest: &IngestOptions,
     mut plan: SensorPlan,
 ) -> Result<SensorPlan, PipelineError> {
-    let compared = compare_odometry(recording, inventory, &plan)?;
+    let compared = compare_scans(recording, inventory, &plan)?;
+    if ingest.azimuth_times == AzimuthTimes::Auto {
+        for (topic, duration) in &compared.durations {
+            plan.time_beams(topic, duration.seconds, duration.sigma);
+        }
+    }
     if let Some(fault) = compared.fault {
         let is_wanted = ingest.odometry_topic.is_some() || ingest.use_odometry == Some(true);
         plan.doubt_odometry(&fault.to_string(), fault.is_mirrored(), is_wanted);

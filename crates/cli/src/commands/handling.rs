@@ -14,7 +14,8 @@ pub struct HandlingArgs {
     #[arg(long, value_name = "FILE")]
     pub urdf: Option<PathBuf>,
     /// Where the times of the points of clouds come from. On its own: those that were recorded; without any, those of a
-    /// spinning lidar follow from the azimuth. Whether the clouds are de-skewed already is found out.
+    /// spinning lidar follow from the azimuth. Whether the clouds are de-skewed already is found out, and so is how long
+    /// laser scans take.
     #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
     pub point_times: PointTimesArg,
     /// Raise all beams of the lidar: "auto" by the error of their calibration that motion shows, if it is clear; "off" not

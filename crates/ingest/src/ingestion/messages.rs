@@ -59,13 +59,15 @@ impl Ingestion {
     fn convert(&mut self, sensor: &mut Sensor, message: &RecordedMessage, stamp: Time) {
         let Some(header) = message.message.header() else { return };
         match (&mut sensor.role, &message.message) {
-            (Role::Range { directions, .. }, Message::LaserScan(scan)) => {
-                let (points, faults) = points_of_laser_scan(stamp, scan, self.with_intensities, directions);
+            (Role::Range { scan_duration, directions, .. }, Message::LaserScan(scan)) => {
+                let (points, faults) =
+                    points_of_laser_scan(stamp, (scan, *scan_duration), self.with_intensities, directions);
                 self.count_scan_faults(&sensor.topic, stamp, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }
-            (Role::Range { directions, .. }, Message::MultiEchoLaserScan(scan)) => {
-                let (points, faults) = points_of_echoes(stamp, scan, self.with_intensities, directions);
+            (Role::Range { scan_duration, directions, .. }, Message::MultiEchoLaserScan(scan)) => {
+                let (points, faults) =
+                    points_of_echoes(stamp, (scan, *scan_duration), self.with_intensities, directions);
                 self.count_scan_faults(&sensor.topic, stamp, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }

@@ -104,6 +104,7 @@ pub(super) fn sensors(
                     length_unit: range.length_unit,
                     raise: (range.beam_elevation != 0.0).then(|| Raise::new(range.beam_elevation)),
                 },
+                scan_duration: range.scan_duration,
                 directions: Box::default(),
             },
         );

@@ -123,6 +123,9 @@ pub struct PlannedRange {
     /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`] nor
     /// [`AzimuthTimes::Recorded`].
     pub azimuth_times: AzimuthTimes,
+    /// Seconds from the first beam of a scan to the last, less than zero if the last comes first; none: as the scan says
+    /// (laser scans only).
+    pub scan_duration: Option<f64>,
     /// Metres in one unit of the coordinates (point clouds only).
     pub length_unit: f32,
     /// What is added to the elevations of all beams (point clouds only), radians.
@@ -248,6 +251,19 @@ impl SensorPlan {
         let Some(imu) = &mut self.imu else { return };
         let (what, change) = imu.source.delay(seconds, sigma);
         self.note(what, change);
+    }
+
+    /// Gives the beams of a scanner times over so many seconds, as measured, and says so.
+    pub fn time_beams(&mut self, topic: &str, seconds: f64, sigma: f64) {
+        let Some(range) = self.range.iter_mut().find(|range| &*range.source.topic == topic) else { return };
+        range.scan_duration = Some(seconds);
+        let order = if seconds < 0.0 { ", the last beam first" } else { "" };
+        let what = format!(
+            "scans of {topic} are taken to last {:.3} s (sigma {sigma:.3} s){order}: so much they are bent where the \
+             robot turns",
+            seconds.abs()
+        );
+        self.note(what, "--point-times recorded");
     }
 
     /// Says that an IMU does not turn as the lidar does (`how`), and whether it is used all the same.

@@ -7,6 +7,7 @@ use super::beam_elevation::beam_elevation;
 use super::point_times::times_of_points;
 use super::request::Request;
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
+use crate::azimuth_time::AzimuthTimes;
 use crate::options::IngestOptions;
 use crate::survey::{Inventory, TopicSurvey, is_range};
 
@@ -229,6 +230,7 @@ pub(super) fn connect(
         plan.range.push(PlannedRange {
             source: chosen.planned(SensorKind::Range, &frame),
             point_time: times.recorded,
+            scan_duration: (options.azimuth_times == AzimuthTimes::Off && !is_cloud(&chosen)).then_some(0.0),
             length_unit: chosen.survey.length_unit,
             azimuth_times: times.by_azimuth,
             turn: times.turn,

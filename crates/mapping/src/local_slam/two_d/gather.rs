@@ -1,8 +1,7 @@
 //! Range data gathered into one scan: unwarped by the predicted motion, sorted into returns and misses, gravity-aligned.
 
 use portolan_config::TrajectoryBuilder2dOptions;
-use portolan_geometry::{Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, to_f32, yaw};
-use portolan_motion::PoseExtrapolator;
+use portolan_geometry::{Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, to_f32, yaw};
 use portolan_sensor::{PointCloud, RangeData, SynchronizedRanges, voxel_filter};
 
 /// Range data gathered since the last match, in the local map as predicted.
@@ -30,11 +29,11 @@ impl GatheredScan {
     }
 }
 
-/// Puts every point where it was measured from, by the predicted pose at its own time, and sorts it
-/// into returns and misses. Returns the pose at the last point.
+/// Puts every point where it was measured from, by the pose of the tracking frame in the local map at its own time, and sorts
+/// it into returns and misses. Returns the pose at the last point.
 pub(super) fn unwarp(
     ranges: &SynchronizedRanges,
-    extrapolator: &mut PoseExtrapolator,
+    mut local_from_tracking: impl FnMut(Time) -> Rigid3,
     options: &TrajectoryBuilder2dOptions,
     accumulated: &mut Accumulation,
 ) -> Rigid3f {
@@ -45,7 +44,7 @@ pub(super) fn unwarp(
         if p.point.time != pose_time {
             pose_time = p.point.time;
             let time = ranges.time + Duration::from_seconds(f64::from(pose_time));
-            pose = to_f32(&extrapolator.extrapolate_pose(time));
+            pose = to_f32(&local_from_tracking(time));
         }
         // Without an origin there is no range, as where it is NaN. The collator gives every point one.
         let Some(origin_in_tracking) = ranges.origins.get(p.origin_index) else { continue };

@@ -3,7 +3,9 @@
 mod belief;
 mod co_moving;
 mod degeneracy;
+mod deskew;
 mod gather;
+mod hypotheses;
 mod odometry_failure;
 mod odometry_scale;
 mod posterior;
@@ -172,7 +174,8 @@ impl LocalSlam2d {
             self.count(IssueKind::ScanOverlapsLast, ranges.time);
             return None;
         }
-        let last_pose = unwarp(ranges, extrapolator, &self.options, &mut self.accumulated);
+        let last_pose =
+            unwarp(ranges, |time| extrapolator.extrapolate_pose(time), &self.options, &mut self.accumulated);
         self.accumulated.messages += 1;
         let wanted = u32::try_from(self.options.num_accumulated_range_data).unwrap_or(1);
         if self.accumulated.messages < wanted {
@@ -184,7 +187,8 @@ impl LocalSlam2d {
         let accumulated = std::mem::take(&mut self.accumulated);
         let gravity = extrapolator.estimate_gravity_orientation(ranges.time);
         let scan = gravity_aligned(accumulated, &last_pose, &gravity, &self.options);
-        self.add_accumulated(ranges.time, &scan, gravity)
+        let deskewed = if wanted <= 1 { self.deskewed(ranges, &scan, gravity) } else { None };
+        self.add_accumulated(ranges.time, deskewed.as_ref().unwrap_or(&scan), gravity)
     }
 
     /// One whole scan in the gravity-aligned tracking frame: predict, match, insert.

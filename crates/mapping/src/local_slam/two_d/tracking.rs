@@ -15,6 +15,7 @@ use super::LocalSlamExtras;
 use super::OdometryBridge;
 use super::belief::is_hardly_explained;
 use super::degeneracy::WeakDirection;
+use super::hypotheses::{Hypothesis, Judgement, Looked};
 use super::odometry_failure::OdometryFailure;
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
@@ -24,13 +25,11 @@ use crate::remembered::RememberedScans;
 
 /// Scans are searched within so many standard deviations of their prediction.
 const WITHIN_SIGMAS: f64 = 3.5;
-/// A match beyond this fraction of the window may have its best place outside.
-const AT_EDGE: f64 = 0.85;
 /// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
 const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
 /// … for so many seconds, where the motion was measured and where it was not.
 pub(super) const LONGEST_MEASURED: f64 = 0.5;
-const LONGEST_UNMEASURED: f64 = 2.0;
+pub(super) const LONGEST_UNMEASURED: f64 = 2.0;
 /// Standard deviation of the acceleration of a scanner, m/s²: what constant velocity neglects.
 pub(super) const ACCELERATION: f64 = 1.0;
 /// The same of the angular acceleration, rad/s².
@@ -92,6 +91,8 @@ pub(super) struct Tracker {
     beam_evidence: BeamEvidence,
     /// Mean seconds from scan to scan, but for gaps.
     interval: Option<f64>,
+    /// Of the scan that is to be found next, if it was looked for.
+    looked: Option<Looked>,
     remembered: RememberedScans,
 }
 
@@ -114,6 +115,7 @@ impl Tracker {
             usual_score: UsualScore::default(),
             beam_evidence: BeamEvidence::default(),
             interval: None,
+            looked: None,
             remembered: RememberedScans::default(),
         })
     }
@@ -162,6 +164,21 @@ impl Tracker {
         self.remembered.answer(prediction, find).pose
     }
 
+    /// Where the scan fits best around its prediction, as far as predictions of what nothing measured were wrong lately. Nothing
+    /// is learned from it.
+    pub fn look(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Option<Rigid2> {
+        let window = self.window(&motion.to(&prediction));
+        let balanced = WeakDirection::of(scan.returns).map(|weak| weak.balanced(scan.returns));
+        let found = self.search((&scan, balanced.as_ref().unwrap_or(scan.cloud)), prediction, window);
+        self.looked = Some(Looked { around: prediction, window, found });
+        Some(found.pose).filter(Rigid2::is_finite)
+    }
+
+    /// Another scan is to be found than that which was looked for.
+    pub fn forget_look(&mut self) {
+        self.looked = None;
+    }
+
     /// Finds the scan around its prediction, as far as predictions were wrong lately, and as far as the scanner can
     /// have moved where it fits the map worse than scans did lately.
     pub fn find(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Found {
@@ -182,6 +199,7 @@ impl Tracker {
         let is_failing = motion.is_measured && !near.is_measured;
         let motion = Motion { is_measured: near.is_measured, ..motion };
         let (found, judgement) = self.judged(&near, motion, (&scan, cloud), window);
+        self.looked = None;
         let is_far = judgement == Judgement::Far;
         if let Some(score) = found.score {
             self.usual_score.add(score);
@@ -303,6 +321,9 @@ impl Tracker {
         around: Rigid2,
         window: SearchWindow,
     ) -> ScanMatch2d {
+        if let Some(looked) = self.looked.as_ref().filter(|l| l.around == around && l.window == window) {
+            return looked.found;
+        }
         let find = || self.matcher.match_scan(around, cloud, scan.returns, Some(scan.submap), Some(window));
         self.remembered.answer((around, window), find)
     }
@@ -369,32 +390,6 @@ impl Tracker {
             linear: usual.linear.max(WITHIN_SIGMAS * sigmas.translation).min(WIDEST.linear),
             angular: usual.angular.max(WITHIN_SIGMAS * sigmas.rotation).min(WIDEST.angular),
         }
-    }
-}
-
-/// Which of the places that a scan may have been taken at is believed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Judgement {
-    /// Where it was found near its prediction.
-    Near,
-    /// Where it was found far from it.
-    Far,
-    /// The prediction: what was found is not likely.
-    Predicted,
-}
-
-/// Where a scan was looked for, and what was found there.
-struct Hypothesis {
-    around: Rigid2,
-    found: ScanMatch2d,
-    /// Odometry or an IMU say that it is there.
-    is_measured: bool,
-}
-
-impl Hypothesis {
-    fn is_at_edge(&self, window: SearchWindow) -> bool {
-        let offset = self.around.inverse() * self.found.pose;
-        offset.translation.amax() > AT_EDGE * window.linear || offset.angle.abs() > AT_EDGE * window.angular
     }
 }
 

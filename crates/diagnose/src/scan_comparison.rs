@@ -1,0 +1,198 @@
+//! What scans of a planar scanner tell of the sensors before mapping begins: whether odometry tells the motion that they see, by how
+//! much the two are stamped apart, and how long a scan takes.
+
+use std::sync::Arc;
+
+use portolan_geometry::{Duration, Rigid2, Rigid3, Time, TransformBuffer, Vector3};
+use portolan_ingest::{Inventory, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan, pose_of};
+use portolan_recording::{Message, Recording, RecordingError, StampPattern, TopicInfo};
+
+use crate::beam_times::{ScanDuration, scan_duration};
+use crate::finding::Findings;
+use crate::odometry::OdometryChecks;
+use crate::odometry_fault::OdometryFault;
+use crate::rotation::{Turn, sure_offset};
+use crate::scan_motion::{ScanMotions, TimedMotion};
+use crate::scan_turns::ScanTurns;
+
+/// So much of the recording is looked at.
+const LOOK: Duration = Duration::from_ticks(600 * 10_000_000);
+
+/// Scanners whose axis is this upright (cosine) are level.
+const LEVEL: f64 = 0.9;
+
+/// An offset between the stamps of two sensors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorDelay {
+    /// By how many seconds scans are stamped too late against odometry.
+    pub seconds: f64,
+    /// Standard deviation of that, seconds.
+    pub sigma: f64,
+}
+
+/// What scans tell of the sensors.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ScanComparison {
+    /// How the clock of odometry differs; none where nothing is surely wrong.
+    pub delay: Option<SensorDelay>,
+    /// How the motions of odometry differ, where they surely do.
+    pub fault: Option<OdometryFault>,
+    /// Topics of scanners, and how long their scans take, where that is surely not what they say.
+    pub durations: Vec<(Arc<str>, ScanDuration)>,
+}
+
+/// Compares the scans of each scanner of the plan with each other, and those of the first with odometry, in the first ten minutes.
+/// Nothing is told of what the plan has not.
+///
+/// # Errors
+/// The recording cannot be read.
+pub fn compare_scans(
+    recording: &dyn Recording,
+    inventory: &Inventory,
+    plan: &SensorPlan,
+) -> Result<ScanComparison, RecordingError> {
+    let odometry = match &plan.odometry {
+        Some(PlannedOdometry::Topic(odometry)) => Some(odometry),
+        _ => None,
+    };
+    let mut wheels = Wheels::default();
+    let mut scanners: Vec<Scanner> = plan.range.iter().map(Scanner::new).collect();
+    let is_wanted = |topic: &TopicInfo| {
+        odometry.is_some_and(|odometry| odometry.topic == topic.topic)
+            || plan.range.iter().any(|range| range.source.topic == topic.topic)
+    };
+    let mut reader = recording.read(&is_wanted)?;
+    let mut first = None;
+    while let Some(message) = reader.next_message()? {
+        if message.log_time - *first.get_or_insert(message.log_time) > LOOK {
+            break;
+        }
+        wheels.add(&message.topic, &message.message);
+        for scanner in scanners.iter_mut().filter(|s| s.planned.source.topic == message.topic) {
+            scanner.add(&message.message);
+        }
+    }
+    // Stamps that are not believed tell nothing of motion.
+    scanners
+        .retain(|scanner| !StampPattern::of(&scanner.stamps).is_some_and(|pattern| pattern.is_disturbed()));
+    let durations = scanners.iter().filter_map(Scanner::wrong_duration).collect();
+    let first = scanners.into_iter().next().filter(|scanner| {
+        plan.range.first().is_some_and(|range| range.source.topic == scanner.planned.source.topic)
+    });
+    let (delay, fault) = match (odometry, first) {
+        (Some(odometry), Some(scanner)) => wheels.compare(inventory, odometry, scanner),
+        _ => (None, None),
+    };
+    Ok(ScanComparison { delay, fault, durations })
+}
+
+/// What a scanner tells.
+struct Scanner<'a> {
+    planned: &'a PlannedRange,
+    turns: ScanTurns,
+    motions: ScanMotions,
+    stamps: Vec<Time>,
+    /// Seconds from the first beam to the last, as the last scan says.
+    said_duration: f64,
+}
+
+impl<'a> Scanner<'a> {
+    fn new(planned: &'a PlannedRange) -> Self {
+        let (turns, motions) = (ScanTurns::default(), ScanMotions::default());
+        Self { planned, turns, motions, stamps: Vec::new(), said_duration: 0.0 }
+    }
+
+    fn add(&mut self, message: &Message) {
+        let Message::LaserScan(scan) = message else { return };
+        self.stamps.push(scan.header.stamp);
+        self.turns.add(scan.header.stamp, scan);
+        self.motions.add(scan.header.stamp, scan);
+        let said = f64::from(scan.time_increment) * scan.ranges.len().saturating_sub(1) as f64;
+        self.said_duration = if said.is_finite() && said > 0.0 { said } else { 0.0 };
+    }
+
+    /// How long a scan takes, where nobody has said it and it is surely not what scans say.
+    fn wrong_duration(&self) -> Option<(Arc<str>, ScanDuration)> {
+        if self.planned.scan_duration.is_some() {
+            return None;
+        }
+        let found = scan_duration(&self.motions, self.said_duration)?;
+        let interval = 1.0 / self.planned.statistics.rate;
+        let is_wrong = found.is_other_than(self.said_duration, interval);
+        is_wrong.then(|| (self.planned.source.topic.clone(), found))
+    }
+
+    /// As best known, seconds.
+    fn duration(&self) -> f64 {
+        let found = self.wrong_duration().map(|(_, found)| found.seconds);
+        found.or(self.planned.scan_duration).unwrap_or(self.said_duration)
+    }
+}
+
+/// What odometry tells.
+#[derive(Default)]
+struct Wheels {
+    checks: OdometryChecks,
+    poses: TransformBuffer,
+}
+
+impl Wheels {
+    fn add(&mut self, topic: &str, message: &Message) {
+        let Message::Odometry(odometry) = message else { return };
+        self.checks.add(topic, odometry, &mut Findings::default());
+        let stamp = odometry.header.stamp;
+        // What goes back in time would have to be put in its place among all.
+        if self.poses.latest_time().is_none_or(|latest| latest < stamp)
+            && let Some((pose, _)) = pose_of(&odometry.pose)
+        {
+            self.poses.push(stamp, pose);
+        }
+    }
+
+    /// Its clock and its motions against those of scans.
+    fn compare(
+        &self,
+        inventory: &Inventory,
+        odometry: &PlannedSensor,
+        scanner: Scanner,
+    ) -> (Option<SensorDelay>, Option<OdometryFault>) {
+        let source = &scanner.planned.source;
+        let odometry_from_scanner = inventory.tree.lookup_static(&odometry.frame, &source.frame);
+        let odometry_from_scanner = odometry_from_scanner.unwrap_or_else(Rigid3::identity);
+        let up = (odometry_from_scanner.rotation * Vector3::z()).z;
+        // What a scan saw was, in the mean, measured in its middle.
+        let middle = Duration::from_seconds(0.5 * scanner.duration());
+        let mut turns: Vec<Turn> = scanner
+            .turns
+            .turns
+            .iter()
+            .map(|(from, to, turn)| (*from + middle, *to + middle, *turn))
+            .collect();
+        let mut motions: Vec<TimedMotion> = scanner.motions.motions().collect();
+        if up < 0.0 {
+            turn_over(&mut turns, &mut motions);
+        }
+        let offset = sure_offset(&self.checks.turns, &turns, false);
+        let known = (source.clock_shift - odometry.clock_shift).seconds();
+        let delay = offset.map(|(lag, sigma)| SensorDelay { seconds: lag + known, sigma });
+        let lag = offset.map_or(0.0, |(lag, _)| lag);
+        // A scanner that leans tells other motions than those in the plane.
+        let is_level = up.abs() > LEVEL;
+        let find = || {
+            OdometryFault::find(
+                (&self.checks.turns, &turns),
+                (&self.poses, &motions),
+                (&odometry_from_scanner, lag),
+            )
+        };
+        (delay, is_level.then(find).flatten())
+    }
+}
+
+/// What a scanner tells that is mounted upside down, as seen from above.
+fn turn_over(turns: &mut [Turn], motions: &mut [TimedMotion]) {
+    turns.iter_mut().for_each(|(_, _, turn)| *turn = -*turn);
+    for (_, _, motion) in motions {
+        *motion = Rigid2::new(motion.translation.x, -motion.translation.y, -motion.angle);
+    }
+}

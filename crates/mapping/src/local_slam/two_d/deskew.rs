@@ -1,0 +1,73 @@
+//! De-skewing of scans whose motion nothing measured.
+//!
+//! The prediction of constant velocity is off by what the robot accelerated since the scan before, and a scan that is de-skewed by it is
+//! bent by that. Where the scan fits tells how far it is off at the end: the scan is de-skewed once more by the constant acceleration
+//! that explains it, before it is matched for good. After so long a gap that nothing is left of a velocity it is taken as it is.
+
+use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, project_2d};
+use portolan_sensor::{PointCloud, SynchronizedRanges};
+
+use super::gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
+use super::scan::{Scan, with_share};
+use super::tracking::{LONGEST_UNMEASURED, Motion};
+use super::{LocalSlam2d, filtered};
+
+impl LocalSlam2d {
+    /// The scan de-skewed by the motion that it shows itself, where nothing measured the motion and that moves its points.
+    pub(super) fn deskewed(
+        &mut self,
+        ranges: &SynchronizedRanges,
+        gathered: &GatheredScan,
+        gravity: Quaternion,
+    ) -> Option<GatheredScan> {
+        let begin = ranges.points.first().map(|p| f64::from(p.point.time)).filter(|time| *time < 0.0)?;
+        let extrapolator = self.extrapolator.as_mut()?;
+        let (last_time, last) = extrapolator.last_pose()?;
+        let seconds = ranges.time.seconds_since(last_time);
+        let is_measured = extrapolator.measured_since_last_pose();
+        if !self.tracker.is_adaptive() || is_measured {
+            return None;
+        }
+        let options = &self.options;
+        let by = |moving: &mut dyn FnMut(Time) -> Rigid3| {
+            let mut accumulated = Accumulation::default();
+            let last_pose = unwarp(ranges, moving, options, &mut accumulated);
+            Some(gravity_aligned(accumulated, &last_pose, &gravity, options))
+        };
+        if seconds > LONGEST_UNMEASURED {
+            return by(&mut |_| last);
+        }
+        let planar = |pose| project_2d(&(pose * gravity.inverse()));
+        let prediction = planar(extrapolator.extrapolate_pose(ranges.time));
+        let returns = &gathered.range_data.returns;
+        let cloud = filtered(returns, &options.adaptive_voxel_filter);
+        self.tracker.note(ranges.time, &prediction, [&cloud, returns]);
+        let scan = Scan::new(&cloud, returns, self.active_submaps.matching_submap()?);
+        let motion = Motion { last: planar(last), seconds, is_measured };
+        let error = prediction.inverse() * self.tracker.look(prediction, motion, scan)?;
+        let half_a_cell = 0.5 * f64::from(options.submaps.grid_options_2d.resolution);
+        let in_scan = 1.0 - error_share(1.0 + begin / seconds);
+        if in_scan * displacement(&error, returns) < half_a_cell {
+            return None;
+        }
+        self.tracker.forget_look();
+        by(&mut |time| {
+            let predicted = planar(extrapolator.extrapolate_pose(time));
+            let share = error_share(time.seconds_since(last_time) / seconds);
+            embed_3d(&with_share(&predicted, &(predicted * error), share)) * gravity
+        })
+    }
+}
+
+/// How much of the error of its end a prediction has on the way, at this fraction of an interval as long as the one before, whose mean
+/// velocity it continues, under constant acceleration.
+fn error_share(fraction: f64) -> f64 {
+    0.5 * fraction * (1.0 + fraction)
+}
+
+/// How far a motion moves the points of a scan, metres (root mean square of what rotation does, plus translation).
+fn displacement(motion: &Rigid2, points: &PointCloud) -> f64 {
+    let squares = points.points.iter().map(|p| f64::from(p.x * p.x + p.y * p.y));
+    let radius = (squares.sum::<f64>() / points.points.len().max(1) as f64).sqrt();
+    motion.translation.norm() + motion.normalized_angle().abs() * radius
+}
