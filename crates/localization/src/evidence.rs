@@ -53,13 +53,11 @@ pub(crate) struct Support {
     /// Scans in a row that spoke against the place, and the time of the first.
     against: Option<(u32, Time)>,
     last: Option<Time>,
-    /// The last scan that supported the place.
-    supported: Option<Time>,
 }
 
 impl Support {
     pub fn full() -> Self {
-        Self { level: 1.0, is_sure: true, against: None, last: None, supported: None }
+        Self { level: 1.0, is_sure: true, against: None, last: None }
     }
 
     pub fn add(&mut self, verdict: Verdict, time: Time) {
@@ -78,15 +76,7 @@ impl Support {
             (Verdict::Supports, _) => None,
             (_, against) => against,
         };
-        if verdict == Verdict::Supports {
-            self.supported = Some(time);
-        }
         self.judge();
-    }
-
-    /// When a scan supported the place for the last time, if one did since it is believed.
-    pub fn last_supported(&self) -> Option<Time> {
-        self.supported
     }
 
     /// Takes away what makes it sure.

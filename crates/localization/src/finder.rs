@@ -236,7 +236,7 @@ impl<M: KnownMap> Finder<M> {
         let is_new = current.offered != Offered::LeftOut;
         let due = places.due(current.time, is_new, M::LONGEST_PAUSE);
         match due {
-            Due::Search => places.merge(self.propose(&self.recent, current, &places.all), current.time),
+            Due::Search => places.merge(self.propose(current, &places.all), current.time),
             Due::Repetition => places.merge(Vec::new(), current.time),
             Due::Nothing => {}
         }
@@ -271,19 +271,14 @@ impl<M: KnownMap> Finder<M> {
         }
     }
 
-    /// Places where some recent scans fit, moved along to the current scan.
-    fn propose(
-        &self,
-        recent: &RecentScans<M::Scan>,
-        current: &Current<M::Scan>,
-        known: &[Hypothesis],
-    ) -> Vec<Hypothesis> {
-        let Some(newest) = recent.iter().next_back() else { return Vec::new() };
+    /// Places where the recent scans fit, moved along to the current scan.
+    fn propose(&self, current: &Current<M::Scan>, known: &[Hypothesis]) -> Vec<Hypothesis> {
+        let Some(newest) = self.recent.iter().next_back() else { return Vec::new() };
         let motion = newest.local_from_scan.inverse() * current.local_from_scan;
         let is_known = |pose: &Rigid3| known.iter().any(|place| place.is_at(&(*pose * motion)));
-        let mut found = self.searcher.propose(recent, None, &is_known);
+        let mut found = self.searcher.propose(&self.recent, None, &is_known);
         if let Some(told) = &self.told {
-            found.extend(self.propose_told(told, recent, &newest.local_from_scan, &is_known));
+            found.extend(self.propose_told(told, &newest.local_from_scan, &is_known));
         }
         found.iter_mut().for_each(|place| place.predict(&motion, 0.0));
         found
@@ -293,7 +288,6 @@ impl<M: KnownMap> Finder<M> {
     fn propose_told(
         &self,
         told: &ToldStart,
-        recent: &RecentScans<M::Scan>,
         local_from_scan: &Rigid3,
         is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Hypothesis> {
@@ -305,8 +299,8 @@ impl<M: KnownMap> Finder<M> {
         let near = told.map_from_scan * told.local_from_scan.inverse() * local_from_scan;
         let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
         let map = &self.searcher.map;
-        let settled = map.settle(&map.joint(recent), &near, window);
-        Hypothesis::along(map, recent, &settled).into_iter().collect()
+        let settled = map.settle(&map.joint(&self.recent), &near, window);
+        Hypothesis::along(map, &self.recent, &settled).into_iter().collect()
     }
 
     fn track(&mut self, track: Box<Track>, current: &Current<M::Scan>) -> (Mode, State, Reason) {
@@ -344,16 +338,12 @@ impl<M: KnownMap> Finder<M> {
             _ => {}
         }
         if let Some(rivals) = track.rivals.take_over(&track.place) {
-            return outdone(Some(&track.place), rivals, current.time);
+            return outdone(&track.place, rivals, current.time);
         }
         if track.is_check_due(current.time) {
-            if let Some((seen, places)) = self.carried_to(&track, current) {
-                self.recent = seen;
-                return outdone(None, places, current.time);
-            }
-            let rivals = self.propose(&self.recent, current, std::slice::from_ref(&track.place));
+            let rivals = self.propose(current, std::slice::from_ref(&track.place));
             if track.is_beaten(&rivals, current.time) {
-                return outdone(Some(&track.place), rivals, current.time);
+                return outdone(&track.place, rivals, current.time);
             }
         }
         let (state, reason) = match track.support.is_sure() {
@@ -362,29 +352,6 @@ impl<M: KnownMap> Finder<M> {
             false => (State::Uncertain, track.doubt),
         };
         (Mode::Tracking(track), state, reason)
-    }
-
-    /// Where the scanner may have been carried to without local SLAM noticing it: places of which one would be believed by what
-    /// was seen since the place that is believed was last supported, and these scans. What was seen before lies wrongly
-    /// beside them.
-    fn carried_to(
-        &self,
-        track: &Track,
-        current: &Current<M::Scan>,
-    ) -> Option<(RecentScans<M::Scan>, Vec<Hypothesis>)> {
-        let since = track.support.last_supported().filter(|_| !track.support.is_sure())?;
-        let seen = self.recent.after(since);
-        let mut own = track.place.clone();
-        own.keep_newest(seen.iter().len());
-        let mut places = Places::of_complete_search(self.propose(&seen, current, std::slice::from_ref(&own)));
-        places.all.push(own);
-        places.prune();
-        match places.decide(seen.motion(), None, &current.local_from_scan, true) {
-            Decision::Believed(best) if !places.all[best].is_same_place(&track.place) => {
-                Some((seen, places.all))
-            }
-            _ => None,
-        }
     }
 
     fn place_of(
@@ -411,11 +378,11 @@ fn lost(reason: Reason) -> (Mode, State, Reason) {
     (Mode::Searching { places: Places::default(), lost: Some(reason) }, State::Lost, reason)
 }
 
-/// Others are better than the place that was believed: all are looked at once more.
-fn outdone(believed: Option<&Hypothesis>, better: Vec<Hypothesis>, time: Time) -> (Mode, State, Reason) {
+/// Another place is better than the one that was believed: both are looked at once more.
+fn outdone(believed: &Hypothesis, better: Vec<Hypothesis>, time: Time) -> (Mode, State, Reason) {
     let mut places = Places::default();
     places.merge(better, time);
-    places.merge(believed.cloned().into_iter().collect(), time);
+    places.merge(vec![believed.clone()], time);
     let reason = Reason::AnotherPlaceFitsBetter;
     (Mode::Searching { places, lost: Some(reason) }, State::Lost, reason)
 }

@@ -68,11 +68,6 @@ impl Hypothesis {
         }
     }
 
-    /// Forgets all but the newest so many scans.
-    pub fn keep_newest(&mut self, scans: usize) {
-        self.fits.drain(..self.fits.len().saturating_sub(scans));
-    }
-
     /// How well the recent scans fit.
     pub fn fit(&self) -> f64 {
         self.fits.iter().map(fit).sum::<f64>() / self.fits.len().max(1) as f64

@@ -51,14 +51,17 @@ impl PlanarMap {
             .filter_map(|(id, entry)| Placed::new(entry, &project_2d(&state.map_from_submap(*id)?)))
             .collect();
         let limits = limits(&placed)?.ok_or(KnownMapError::NoGrids(state.submaps.len()))?;
-        let grid = fuse(&placed, limits);
-        let grid = grid.cropped();
-        let field = LikelihoodField::new(&grid);
+        let grids: Vec<(&Grid2d, Rigid2)> = placed.iter().map(|p| (p.grid, p.map_from_grid)).collect();
+        let fused = || {
+            let grid = fuse(&placed, limits).cropped();
+            let field = LikelihoodField::new(&grid);
+            (grid, field)
+        };
+        let ((grid, field), places) = rayon::join(fused, || PlaceIndex2d::new(&grids, COARSE));
         if !field.has_walls() {
             return Err(KnownMapError::NoWalls);
         }
-        let grids: Vec<(&Grid2d, Rigid2)> = placed.iter().map(|p| (p.grid, p.map_from_grid)).collect();
-        let places = PlaceIndex2d::new(&grids, COARSE)?.ok_or(KnownMapError::NoWalls)?;
+        let places = places?.ok_or(KnownMapError::NoWalls)?;
         let cell = grid.limits().resolution();
         let known = (0..grid.cells().len()).filter(|i| grid.cells()[*i] != 0).count();
         let known_square_metres = known as f64 * cell * cell;

@@ -67,14 +67,6 @@ impl<S> RecentScans<S> {
         self.scans.clear();
     }
 
-    /// Those after a time alone.
-    pub(crate) fn after(&self, time: Time) -> Self
-    where
-        S: Clone,
-    {
-        Self { scans: self.scans.iter().filter(|scan| scan.time > time).cloned().collect() }
-    }
-
     /// Forgets scans before a time.
     pub(crate) fn forget_before(&mut self, time: Time) {
         self.scans.retain(|scan| scan.time >= time);
