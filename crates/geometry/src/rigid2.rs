@@ -60,7 +60,14 @@ impl Rigid2 {
 
     /// Where a point goes.
     pub fn transform_point(&self, point: &Vector2) -> Vector2 {
-        self.rotation_matrix() * point + self.translation
+        self.point_transform()(point)
+    }
+
+    /// Where points go, for many of them: its sine and cosine are computed once.
+    #[inline]
+    pub fn point_transform(&self) -> impl Fn(&Vector2) -> Vector2 + Copy + use<> {
+        let (rotation, translation) = (self.rotation_matrix(), self.translation);
+        move |point| rotation * point + translation
     }
 }
 

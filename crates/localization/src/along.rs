@@ -5,9 +5,10 @@
 //! where all that was ever hit is kept (a histogram filter of one dimension: Thrun, Burgard and Fox, "Probabilistic
 //! Robotics", §4.1).
 
-use portolan_geometry::{Point3f, Vector3, to_f32};
+use portolan_geometry::{Point3f, Vector3};
 use portolan_grids::{GridError, HybridGrid, VoxelIndex};
-use portolan_mapping::{GraphState, Spatial};
+
+use crate::submap_cells::SubmapCells;
 
 /// Edge of a cell, metres, and what is no more solid than this is left out.
 const CELL: f32 = 0.2;
@@ -33,28 +34,23 @@ pub(crate) struct Along {
 }
 
 impl SolidField {
-    /// Of all submaps, where the pose graph puts them.
+    /// Of no submap.
     ///
     /// # Errors
     /// If there is no such grid.
-    pub fn new(state: &GraphState<Spatial>) -> Result<Self, GridError> {
-        let mut cells = HybridGrid::new(CELL)?;
-        for (id, entry) in &state.submaps {
-            let (Some(submap), Some(pose)) = (&entry.submap, state.map_from_submap(*id)) else { continue };
-            let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
-            grid.for_each_cell(|cell, _| {
-                let probability = grid.probability(cell);
-                if probability < LEAST {
-                    return;
-                }
-                if let Some(cell) = cells.cell_index(&(pose * grid.cell_center(cell)))
-                    && probability > cells.probability(cell)
-                {
-                    cells.set_probability(cell, probability);
-                }
-            });
+    pub fn new() -> Result<Self, GridError> {
+        Ok(Self { cells: HybridGrid::new(CELL)? })
+    }
+
+    /// Takes a submap.
+    pub fn add(&mut self, submap: &SubmapCells) {
+        for (place, probability) in submap.cells.iter().filter(|(_, probability)| *probability >= LEAST) {
+            if let Some(cell) = self.cells.cell_index(place)
+                && *probability > self.cells.probability(cell)
+            {
+                self.cells.set_probability(cell, *probability);
+            }
         }
-        Ok(Self { cells })
     }
 
     /// How likely a place is solid, between the centres of cells.

@@ -131,19 +131,20 @@ fn for_each_scan(state: &GraphState<Planar>, mut visit: impl FnMut(&PlacedScan))
 fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, factor: i32) -> Vec<Known> {
     let nearest = LikelihoodField::at_distance(CLEARANCE);
     let says = |cell: CellIndex| {
-        let inner = (0..factor).flat_map(|y| (0..factor).map(move |x| (x, y)));
-        let fine = inner.map(|(x, y)| CellIndex::new(factor * cell.x + x, factor * cell.y + y));
-        let known: Vec<CellIndex> = fine.clone().filter(|cell| grid.is_known(*cell)).collect();
-        let is_free = |cell: &CellIndex| {
-            grid.probability(*cell) < FREE && field.at(&grid.limits().cell_center(*cell)) < nearest
-        };
-        if known.iter().any(|cell| grid.probability(*cell) > SOLID) {
-            Known::Solid
-        } else if known.len() == (factor * factor) as usize && known.iter().all(is_free) {
-            Known::Free
-        } else {
-            Known::Nothing
+        let (mut unknown, mut near_solid) = (false, false);
+        for (x, y) in (0..factor).flat_map(|y| (0..factor).map(move |x| (x, y))) {
+            let cell = CellIndex::new(factor * cell.x + x, factor * cell.y + y);
+            if !grid.is_known(cell) {
+                unknown = true;
+                continue;
+            }
+            let probability = grid.probability(cell);
+            if probability > SOLID {
+                return Known::Solid;
+            }
+            near_solid |= probability >= FREE || field.at(&grid.limits().cell_center(cell)) >= nearest;
         }
+        if unknown || near_solid { Known::Nothing } else { Known::Free }
     };
     let (columns, rows) = (limits.num_x_cells() as i32, limits.num_y_cells() as i32);
     (0..rows).flat_map(|y| (0..columns).map(move |x| CellIndex::new(x, y))).map(says).collect()

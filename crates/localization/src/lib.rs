@@ -30,6 +30,7 @@ mod spatial_map;
 mod spatial_renewal;
 mod spatial_scan;
 mod state;
+mod submap_cells;
 mod trust;
 mod voxel_changes;
 mod voxel_states;

@@ -12,6 +12,8 @@ use crate::known_map::Window;
 const SOLID: f32 = 0.6;
 /// Standard deviation of the distance of a return from what it hit, metres: what makes steps of a search find it.
 const SIGMA: f64 = 0.12;
+/// Farther than so many standard deviations away a byte is 0.
+const FARTHEST: f64 = 4.0;
 /// Steps of the search, metres and radians.
 const STEP: f64 = 0.1;
 const TURN: f64 = 0.026;
@@ -31,7 +33,10 @@ impl LikelihoodField {
         let limits = *grid.limits();
         let distances = squared_distances(grid);
         let cells = SIGMA / limits.resolution();
-        let byte = |squared: f32| (255.0 * (-0.5 * f64::from(squared) / (cells * cells)).exp()).round() as u8;
+        let byte = |squared: f32| match f64::from(squared) / (cells * cells) {
+            far if far > FARTHEST * FARTHEST => 0,
+            near => (255.0 * (-0.5 * near).exp()).round() as u8,
+        };
         Self { limits, bytes: distances.into_iter().map(byte).collect() }
     }
 

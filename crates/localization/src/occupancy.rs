@@ -1,9 +1,10 @@
 //! What of space is solid and what is free, over a whole map.
 
 use portolan_geometry::{Point3f, to_f32};
-use portolan_grids::{GridError, VoxelIndex, VoxelLattice};
+use portolan_grids::{GridError, MAX_VOXEL_INDEX, VoxelIndex, VoxelLattice};
 use portolan_mapping::{GraphState, Spatial};
 
+use crate::submap_cells::SubmapCells;
 use crate::voxel_states::{VoxelState, VoxelStates};
 
 /// Edge of a cell, metres.
@@ -17,29 +18,50 @@ const GONE: f32 = 0.12;
 const RANGE: f32 = 25.0;
 const IN_FRONT: f32 = 0.8;
 
+/// No cell has an index below the negative of this.
+const FIRST: i32 = MAX_VOXEL_INDEX;
+
 /// Cells that are solid, free or not known.
 pub(crate) struct Occupancy {
     lattice: VoxelLattice,
     cells: VoxelStates,
 }
 
-impl Occupancy {
-    /// Of all submaps and nodes, where the pose graph puts them.
-    pub fn new(state: &GraphState<Spatial>) -> Result<Self, GridError> {
-        let lattice = VoxelLattice::new(CELL)?;
-        let mut cells = VoxelStates::new();
-        for (id, entry) in &state.submaps {
-            let (Some(submap), Some(pose)) = (&entry.submap, state.map_from_submap(*id)) else { continue };
-            let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
-            grid.for_each_cell(|cell, _| {
-                if grid.probability(cell) > SOLID
-                    && let Some(cell) = lattice.cell(&(pose * grid.cell_center(cell)))
-                {
-                    cells.learn(cell, VoxelState::Solid);
-                }
-            });
+/// An occupancy to which submaps are added, one after the other.
+pub(crate) struct OccupancyBuilder {
+    occupancy: Occupancy,
+    /// Where fine cells say that nothing is there.
+    faded: Vec<Point3f>,
+}
+
+impl OccupancyBuilder {
+    /// Of no submap.
+    ///
+    /// # Errors
+    /// If there is no such grid.
+    pub fn new() -> Result<Self, GridError> {
+        let occupancy = Occupancy { lattice: VoxelLattice::new(CELL)?, cells: VoxelStates::new() };
+        Ok(Self { occupancy, faded: Vec::new() })
+    }
+
+    /// Takes a submap.
+    pub fn add(&mut self, submap: &SubmapCells) {
+        let Occupancy { lattice, cells } = &mut self.occupancy;
+        for (place, probability) in &submap.cells {
+            if *probability < GONE {
+                self.faded.push(*place);
+            } else if *probability > SOLID
+                && let Some(cell) = lattice.cell(place)
+            {
+                cells.learn(cell, VoxelState::Solid);
+            }
         }
-        for place in faded(state) {
+    }
+
+    /// With the beams of all nodes.
+    pub fn finish(self, state: &GraphState<Spatial>) -> Occupancy {
+        let Self { occupancy: Occupancy { lattice, mut cells }, faded } = self;
+        for place in faded {
             let Some(cell) = lattice.cell(&place) else { continue };
             if !around(cell).any(|cell| cells.get(cell) == Some(VoxelState::Solid)) {
                 cells.learn(cell, VoxelState::Free);
@@ -53,16 +75,20 @@ impl Occupancy {
                 let beam = pose * point - origin;
                 let length = beam.norm();
                 let steps = ((length.min(RANGE) - IN_FRONT) / CELL).max(0.0) as u32;
+                // In cells, from where no index is negative: whole parts are then the indices.
+                let first = origin.coords.map(|v| v / CELL + 0.5 + FIRST as f32);
+                let step = beam / length;
                 for i in 2..steps {
-                    if let Some(cell) = lattice.cell(&(origin + beam * (i as f32 * CELL / length))) {
-                        cells.learn(cell, VoxelState::Free);
-                    }
+                    let cell = (first + step * i as f32).map(|v| (v as i32).saturating_sub(FIRST));
+                    cells.learn(cell.into(), VoxelState::Free);
                 }
             }
         }
-        Ok(Self { lattice, cells })
+        Occupancy { lattice, cells }
     }
+}
 
+impl Occupancy {
     /// The cell of a point; none where there can be none.
     pub fn cell(&self, point: &Point3f) -> Option<VoxelIndex> {
         self.lattice.cell(point)
@@ -108,19 +134,4 @@ impl Occupancy {
 /// A cell and the 26 around it.
 pub(crate) fn around([x, y, z]: VoxelIndex) -> impl Iterator<Item = VoxelIndex> {
     (-1..=1).flat_map(move |i| (-1..=1).flat_map(move |j| (-1..=1).map(move |k| [x + i, y + j, z + k])))
-}
-
-/// Where fine cells of submaps say that nothing is there.
-fn faded(state: &GraphState<Spatial>) -> Vec<Point3f> {
-    let mut places = Vec::new();
-    for (id, entry) in &state.submaps {
-        let (Some(submap), Some(pose)) = (&entry.submap, state.map_from_submap(*id)) else { continue };
-        let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
-        grid.for_each_cell(|cell, _| {
-            if grid.probability(cell) < GONE {
-                places.push(pose * grid.cell_center(cell));
-            }
-        });
-    }
-    places
 }

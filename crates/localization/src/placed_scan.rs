@@ -36,20 +36,27 @@ impl PlacedScan<'_> {
 
     /// The cells through which beams pass well before their ends, some of them often.
     pub(crate) fn passed<'b>(&'b self, limits: &'b MapLimits) -> impl Iterator<Item = usize> + use<'b> {
-        let step = 0.5 * limits.resolution();
+        let (step, edge, max) = (0.5 * limits.resolution(), limits.resolution(), limits.max());
+        // Columns run against y, rows against x; both in cells from the corner of the first cell.
+        let first = [max.y - self.origin.y, max.x - self.origin.x].map(|v| v / edge);
         self.beams().flat_map(move |(beam, length)| {
             let steps = ((length - CLEARANCE).min(RANGE) / step).max(0.0) as u32;
-            let at = move |i| self.origin.xy() + beam * (f64::from(i) * step / length);
-            (1..steps).filter_map(move |i| cell_at(limits, &at(i)))
+            let [x, y] = [-beam.y, -beam.x].map(|v| v * step / (edge * length));
+            let at = move |i| (first[0] + f64::from(i) * x, first[1] + f64::from(i) * y);
+            (1..steps).map(at).filter_map(move |(x, y)| {
+                // What lies before the first cell must not be rounded into it.
+                let is_inside = x >= 0.0 && y >= 0.0;
+                is_inside.then(|| limits.flat_index(CellIndex::new(x as i32, y as i32))).flatten()
+            })
         })
     }
 
     /// From the origin to the ends seen from above, and the lengths.
     fn beams(&self) -> impl Iterator<Item = (Vector2, f64)> + use<'_> {
-        let (map_from_local, origin) = (project_2d(&self.map_from_local), self.origin.xy());
+        let (to_map, origin) = (project_2d(&self.map_from_local).point_transform(), self.origin.xy());
         let beams = self.returns.iter().map(move |point| {
             let end = Vector2::new(f64::from(point.x), f64::from(point.y));
-            let beam = map_from_local.transform_point(&end) - origin;
+            let beam = to_map(&end) - origin;
             (beam, beam.norm())
         });
         beams.filter(|(_, length)| length.is_finite() && *length > 0.0)

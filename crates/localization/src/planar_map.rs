@@ -1,9 +1,7 @@
 //! A saved map of the plane as one grid, and what finds scans in it.
 
-use std::collections::BTreeMap;
-
 use portolan_geometry::{Rigid2, Vector2, project_2d};
-use portolan_grids::{CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid};
+use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid};
 use portolan_mapping::{GraphState, Planar, SubmapEntry};
 use portolan_matching::PlaceIndex2d;
 
@@ -53,14 +51,17 @@ impl PlanarMap {
             .filter_map(|(id, entry)| Placed::new(entry, &project_2d(&state.map_from_submap(*id)?)))
             .collect();
         let limits = limits(&placed)?.ok_or(KnownMapError::NoGrids(state.submaps.len()))?;
-        let grid = fuse(&placed, limits);
-        let grid = grid.cropped();
-        let field = LikelihoodField::new(&grid);
+        let grids: Vec<(&Grid2d, Rigid2)> = placed.iter().map(|p| (p.grid, p.map_from_grid)).collect();
+        let fused = || {
+            let grid = fuse(&placed, limits).cropped();
+            let field = LikelihoodField::new(&grid);
+            (grid, field)
+        };
+        let ((grid, field), places) = rayon::join(fused, || PlaceIndex2d::new(&grids, COARSE));
         if !field.has_walls() {
             return Err(KnownMapError::NoWalls);
         }
-        let grids: Vec<(&Grid2d, Rigid2)> = placed.iter().map(|p| (p.grid, p.map_from_grid)).collect();
-        let places = PlaceIndex2d::new(&grids, COARSE)?.ok_or(KnownMapError::NoWalls)?;
+        let places = places?.ok_or(KnownMapError::NoWalls)?;
         let cell = grid.limits().resolution();
         let known = (0..grid.cells().len()).filter(|i| grid.cells()[*i] != 0).count();
         let known_square_metres = known as f64 * cell * cell;
@@ -118,28 +119,64 @@ impl<'a> Placed<'a> {
 /// What a submap says of its cells.
 struct Evidence {
     limits: MapLimits,
-    /// Log odds; 0 where nothing is known.
+    /// The cells that are known, and one more to each side.
+    cells: CellBox,
+    /// Log odds of these; 0 where nothing is known.
     log_odds: Vec<f32>,
 }
 
 impl Evidence {
-    fn of(grid: &Grid2d) -> Self {
-        let limits = *grid.limits();
-        Self { limits, log_odds: all_cells(&limits).map(|cell| log_odds(grid, cell)).collect() }
+    fn of(grid: &Grid2d) -> Option<Self> {
+        let CellBox { min, max } = grid.known_cells_box()?;
+        let cells = CellBox { min, max: CellIndex::new(max.x + 1, max.y + 1) }
+            .extended(CellIndex::new(min.x - 1, min.y - 1));
+        Some(Self {
+            limits: *grid.limits(),
+            cells,
+            log_odds: cells.cells().map(|cell| log_odds(grid, cell)).collect(),
+        })
     }
 
-    /// Interpolated between the four cells around a point of the map.
-    fn at_point(&self, point: &Vector2) -> f32 {
-        let cell = 1.0 / self.limits.resolution();
-        let (x, y) =
-            ((self.limits.max().y - point.y) * cell - 0.5, (self.limits.max().x - point.x) * cell - 0.5);
-        let (left, top) = (x.floor(), y.floor());
-        let (u, v) = ((x - left) as f32, (y - top) as f32);
-        let at = |dx: i32, dy: i32| {
-            let index = CellIndex::new(left as i32 + dx, top as i32 + dy);
-            self.limits.flat_index(index).and_then(|i| self.log_odds.get(i)).copied().unwrap_or(0.0)
+    /// A point of the submap as columns and rows of these cells, from the centre of the first.
+    fn place(&self, point: &Vector2) -> Vector2 {
+        let off = self.limits.cell_center(self.cells.min) - point;
+        Vector2::new(off.y, off.x) / self.limits.resolution()
+    }
+
+    /// Interpolated between the four cells around a place.
+    #[inline]
+    fn at(&self, place: &Vector2) -> f32 {
+        if !(place.x >= 0.0 && place.y >= 0.0) {
+            return 0.0;
+        }
+        let (column, row, columns) = (place.x as usize, place.y as usize, self.cells.num_x_cells() as usize);
+        let (u, v) = ((place.x - column as f64) as f32, (place.y - row as f64) as f32);
+        let first = row.saturating_mul(columns).saturating_add(column);
+        let rows =
+            self.log_odds.get(first..).and_then(|of| Some((of.get(..2)?, of.get(columns..columns + 2)?)));
+        match rows {
+            Some(([a, b], [c, d])) if column + 1 < columns => {
+                (1.0 - v) * ((1.0 - u) * a + u * b) + v * ((1.0 - u) * c + u * d)
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// The cells of a grid of the map that this may reach.
+    fn reached(&self, map_from_grid: &Rigid2, limits: &MapLimits) -> CellBox {
+        let CellBox { min, max } = self.cells;
+        let to_map = map_from_grid.point_transform();
+        let corners = [(min.x, min.y), (min.x, max.y), (max.x, min.y), (max.x, max.y)].map(|(x, y)| {
+            limits.cell_index(to_map(&self.limits.cell_center(CellIndex::new(x, y))).cast::<f32>())
+        });
+        let range = |value: fn(&CellIndex) -> i32, count: u32| {
+            let (low, high) =
+                corners.iter().map(value).fold((i32::MAX, i32::MIN), |(l, h), v| (l.min(v), h.max(v)));
+            let last = count as i32 - 1;
+            (low.saturating_sub(1).clamp(0, last), high.saturating_add(1).clamp(0, last))
         };
-        (1.0 - v) * ((1.0 - u) * at(0, 0) + u * at(1, 0)) + v * ((1.0 - u) * at(0, 1) + u * at(1, 1))
+        let (x, y) = (range(|c| c.x, limits.num_x_cells()), range(|c| c.y, limits.num_y_cells()));
+        CellBox { min: CellIndex::new(x.0, y.0), max: CellIndex::new(x.1, y.1) }
     }
 }
 
@@ -181,54 +218,56 @@ fn limits(placed: &[Placed]) -> Result<Option<MapLimits>, GridError> {
 fn fuse(placed: &[Placed], limits: MapLimits) -> ProbabilityGrid {
     let mut evidence = vec![0.0_f32; limits.num_cells()];
     for submap in placed {
-        let says = Evidence::of(submap.grid);
+        let Some(says) = Evidence::of(submap.grid) else { continue };
         if limits.resolution() > 1.5 * says.limits.resolution() {
-            for (index, most) in most_in_larger_cells(submap, &says, &limits) {
-                evidence[index] += most;
-            }
+            add_most_in_larger_cells(&mut evidence, submap, &says, &limits);
             continue;
         }
-        let grid_from_map = submap.map_from_grid.inverse();
-        for cell in cells_around(submap, &limits) {
-            let Some(index) = limits.flat_index(cell) else { continue };
-            let point = grid_from_map.transform_point(&limits.cell_center(cell));
-            evidence[index] += says.at_point(&point);
-        }
+        add_between_cells(&mut evidence, submap, &says, &limits);
     }
     let mut grid = ProbabilityGrid::new(limits);
-    for cell in all_cells(&limits) {
-        match limits.flat_index(cell).map(|i| evidence[i]) {
-            Some(sum) if sum != 0.0 => {
-                grid.set_probability(cell, 1.0 / (1.0 + (-sum.clamp(-CERTAIN, CERTAIN)).exp()));
-            }
-            _ => {}
-        }
+    for (cell, sum) in all_cells(&limits).zip(evidence).filter(|(_, sum)| *sum != 0.0) {
+        grid.set_probability(cell, 1.0 / (1.0 + (-sum.clamp(-CERTAIN, CERTAIN)).exp()));
     }
     grid
 }
 
-/// The most that a submap says of each of some larger cells, so that walls do not get lost between their centres.
-fn most_in_larger_cells(submap: &Placed, says: &Evidence, limits: &MapLimits) -> BTreeMap<usize, f32> {
-    let mut most = BTreeMap::new();
-    for (cell, value) in all_cells(&says.limits).zip(&says.log_odds).filter(|(_, value)| **value != 0.0) {
-        let point = submap.map_from_grid.transform_point(&says.limits.cell_center(cell));
-        if let Some(index) = limits.flat_index(limits.cell_index(point.cast::<f32>())) {
-            most.entry(index).and_modify(|most: &mut f32| *most = most.max(*value)).or_insert(*value);
+/// Adds what a submap says of the centres of cells.
+fn add_between_cells(evidence: &mut [f32], submap: &Placed, says: &Evidence, limits: &MapLimits) {
+    let to_grid = submap.map_from_grid.inverse().point_transform();
+    let place = |x, y| says.place(&to_grid(&limits.cell_center(CellIndex::new(x, y))));
+    let first = place(0, 0);
+    let (by_column, by_row) = (place(1, 0) - first, place(0, 1) - first);
+    let CellBox { min, max } = says.reached(&submap.map_from_grid, limits);
+    for y in min.y..=max.y {
+        let row = first + f64::from(y) * by_row;
+        let start = y as usize * limits.num_x_cells() as usize;
+        let cells = evidence.get_mut(start + min.x as usize..=start + max.x as usize);
+        for (sum, x) in cells.into_iter().flatten().zip(min.x..) {
+            *sum += says.at(&(row + f64::from(x) * by_column));
         }
     }
-    most
 }
 
-/// The cells of a grid that a submap may reach.
-fn cells_around(submap: &Placed, limits: &MapLimits) -> impl Iterator<Item = CellIndex> + use<> {
-    let corners = submap.corners().map(|p| limits.cell_index(p.cast::<f32>()));
-    let range = |value: fn(&CellIndex) -> i32, count: u32| {
-        let (low, high) =
-            corners.iter().map(value).fold((i32::MAX, i32::MIN), |(l, h), v| (l.min(v), h.max(v)));
-        low.saturating_sub(1).max(0)..high.saturating_add(2).min(count as i32)
-    };
-    let (x, y) = (range(|c| c.x, limits.num_x_cells()), range(|c| c.y, limits.num_y_cells()));
-    y.flat_map(move |y| x.clone().map(move |x| CellIndex::new(x, y)))
+/// Adds the most that a submap says of each of some larger cells, so that walls do not get lost between their centres.
+fn add_most_in_larger_cells(evidence: &mut [f32], submap: &Placed, says: &Evidence, limits: &MapLimits) {
+    let reached = says.reached(&submap.map_from_grid, limits);
+    let (columns, rows) = (reached.num_x_cells() as usize, reached.num_y_cells() as usize);
+    let mut most = vec![f32::NEG_INFINITY; columns * rows];
+    let to_map = submap.map_from_grid.point_transform();
+    for (cell, value) in says.cells.cells().zip(&says.log_odds).filter(|(_, value)| **value != 0.0) {
+        let at = limits.cell_index(to_map(&says.limits.cell_center(cell)).cast::<f32>());
+        let (column, row) = (at.x.wrapping_sub(reached.min.x), at.y.wrapping_sub(reached.min.y));
+        if (column as u32 as usize) < columns && (row as u32 as usize) < rows {
+            let most = &mut most[row as usize * columns + column as usize];
+            *most = most.max(*value);
+        }
+    }
+    for (cell, value) in reached.cells().zip(most).filter(|(_, value)| value.is_finite()) {
+        if let Some(index) = limits.flat_index(cell) {
+            evidence[index] += value;
+        }
+    }
 }
 
 #[cfg(test)]

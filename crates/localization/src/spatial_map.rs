@@ -19,11 +19,12 @@ use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
 use crate::information::{Contact, information};
 use crate::known_map::{Area, KnownMap, KnownMapError, ON_THE_WAY, ScanMatch, Window};
-use crate::occupancy::Occupancy;
+use crate::occupancy::{Occupancy, OccupancyBuilder, SOLID};
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
 use crate::spatial_renewal::renew;
 use crate::spatial_scan::{COLUMN, SpatialJoint, SpatialScan, upright_columns};
+use crate::submap_cells::{SubmapCells, submap_cells};
 use crate::voxel_changes::{KeptSweep, KnownVoxels, VoxelChanges};
 
 /// Edge of the largest voxels of planes, metres.
@@ -98,19 +99,25 @@ impl SpatialMap {
         if state.submaps.values().all(|entry| entry.submap.is_none()) {
             return Err(KnownMapError::NoGrids(state.submaps.len()));
         }
-        let occupancy = Occupancy::new(state)?;
-        let solid = occupancy.solid();
-        if solid.is_empty() {
+        let (mut occupancy, mut solid, mut planes) =
+            (OccupancyBuilder::new()?, SolidField::new()?, PlaneMap::new(VOXEL));
+        for submap in submap_cells(state) {
+            occupancy.add(&submap);
+            solid.add(&submap);
+            add_solid(&mut planes, &submap, state);
+        }
+        let occupancy = occupancy.finish(state);
+        let solid_cells = occupancy.solid();
+        if solid_cells.is_empty() {
             return Err(KnownMapError::NoWalls);
         }
         let places =
-            FastCorrelativeMatcher2d::new(&from_above(&solid)?, &FastCorrelativeOptions2d::default())?;
+            FastCorrelativeMatcher2d::new(&from_above(&solid_cells)?, &FastCorrelativeOptions2d::default())?;
         let nodes = state.nodes.values().map(|node| node.map_from_tracking.translation.vector).collect();
         let settings = RegistrationSettings { final_scale: 0.1 * f64::from(VOXEL), ..Default::default() };
         let registration = Registration::new(settings);
-        let (planes, occupancy) = (Arc::new(planes(state)), Arc::new(occupancy));
+        let (planes, occupancy) = (Arc::new(with_nodes(planes, state)), Arc::new(occupancy));
         let voxels = Arc::new(KnownVoxels::new(&occupancy, &planes, state)?);
-        let solid = SolidField::new(state)?;
         let mut map = Self { planes, occupancy, solid, voxels, places, nodes, registration, by_chance: 0.0 };
         map.by_chance = map.explained_by_chance(state);
         Ok(map)
@@ -255,23 +262,18 @@ impl SpatialMap {
     }
 }
 
-/// The planes that nodes saw, where the pose graph puts them; of maps without the points of nodes, those of solid cells.
-fn planes(state: &GraphState<Spatial>) -> PlaneMap {
-    let mut planes = PlaneMap::new(VOXEL);
-    for (id, entry) in &state.submaps {
-        let (Some(submap), Some(pose)) = (&entry.submap, state.map_from_submap(*id)) else { continue };
-        let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
-        let nodes = entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
-        let origin = nodes.map(|node| node.map_from_tracking.translation.vector).next();
-        let origin = Point3f::from(origin.unwrap_or_else(|| pose.translation.vector.cast()).cast::<f32>());
-        let mut solid = Vec::new();
-        grid.for_each_cell(|cell, _| {
-            if grid.probability(cell) > 0.55 {
-                solid.push(pose * grid.cell_center(cell));
-            }
-        });
-        planes.insert_all(solid.into_iter(), &origin);
-    }
+/// Adds the solid cells of a submap to planes: those of maps without the points of nodes.
+fn add_solid(planes: &mut PlaneMap, submap: &SubmapCells, state: &GraphState<Spatial>) {
+    let mut nodes = submap.entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
+    let seen_from = nodes.next().map(|node| node.map_from_tracking.translation.vector.cast::<f32>());
+    let origin = seen_from.map_or(submap.origin, Point3f::from);
+    let solid = submap.cells.iter().filter(|(_, probability)| *probability > SOLID);
+    planes.insert_all(solid.map(|(place, _)| *place), &origin);
+}
+
+/// And the points that nodes saw, where the pose graph puts them.
+fn with_nodes(planes: PlaneMap, state: &GraphState<Spatial>) -> PlaneMap {
+    let mut planes = planes;
     for node in state.nodes.values() {
         let pose = to_f32(&node.map_from_tracking);
         let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];

@@ -47,12 +47,13 @@ impl PlaceGrid {
     }
 
     fn add(&mut self, grid: &Grid2d, map_from_grid: &Rigid2) {
+        let to_map = map_from_grid.point_transform();
         for cell in grid.known_cells_box().map(CellBox::cells).into_iter().flatten() {
             let known = known(grid, cell);
             if known == Known::Nothing {
                 continue;
             }
-            let point = map_from_grid.transform_point(&grid.limits().cell_center(cell));
+            let point = to_map(&grid.limits().cell_center(cell));
             let index = self.limits.flat_index(self.limits.cell_index(point.cast::<f32>()));
             let Some(index) = index else { continue };
             self.cells[index] = self.cells[index].max(known);

@@ -1,0 +1,24 @@
+//! The fine cells of the submaps of a map of space, where the pose graph puts them.
+
+use portolan_geometry::{Point3f, to_f32};
+use portolan_mapping::{GraphState, Spatial, SubmapEntry};
+
+/// A submap and its fine cells.
+pub(crate) struct SubmapCells<'a> {
+    pub entry: &'a SubmapEntry<Spatial>,
+    /// Where the submap lies, metres in the map.
+    pub origin: Point3f,
+    /// Centres of its known cells, metres in the map, and how likely each is solid.
+    pub cells: Vec<(Point3f, f32)>,
+}
+
+/// All submaps that have grids, one after the other: each is read once.
+pub(crate) fn submap_cells(state: &GraphState<Spatial>) -> impl Iterator<Item = SubmapCells<'_>> {
+    state.submaps.iter().filter_map(|(id, entry)| {
+        let (submap, pose) = (entry.submap.as_ref()?, state.map_from_submap(*id)?);
+        let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);
+        let mut cells = Vec::with_capacity(grid.num_cells());
+        grid.for_each_cell(|cell, _| cells.push((pose * grid.cell_center(cell), grid.probability(cell))));
+        Some(SubmapCells { entry, origin: Point3f::from(pose.translation.vector), cells })
+    })
+}
