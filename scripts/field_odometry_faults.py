@@ -84,6 +84,7 @@ FAULTS = {
     "turned 180 deg": every(lambda s: (-s[0], -s[1], s[2])),
     "turned 90 deg": every(lambda s: (-s[1], s[0], s[2])),
     "turned 10 deg": every(lambda s: (0.985 * s[0] - 0.174 * s[1], 0.174 * s[0] + 0.985 * s[1], s[2])),
+    "0.5 m behind": every(lambda s: compose(compose((0.5, 0.0, 0.0), s), (-0.5, 0.0, 0.0))),
     "in centimetres": every(lambda s: (100.0 * s[0], 100.0 * s[1], s[2])),
     "turns in degrees": every(lambda s: (s[0], s[1], math.degrees(s[2]))),
     "wrong sign of turns": every(lambda s: (s[0], -s[1], -s[2])),

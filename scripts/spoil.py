@@ -70,7 +70,9 @@ def spoilt(ranges, how, chance, count):
     if how == "noise":
         noisy = lambda r: max(0.05, float(r) + chance.gauss(0.0, 0.03))
         return [f"{noisy(r):.3f}" if float(r) < 60.0 else r for r in ranges]
-    return ranges
+    if how in ("third", "burst"):
+        return ranges
+    sys.exit(f"there is no way to spoil a log that is called {how}")
 
 
 def main():

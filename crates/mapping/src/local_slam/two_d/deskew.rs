@@ -4,7 +4,7 @@
 //! bent by that. Where the scan fits tells how far it is off at the end: the scan is de-skewed once more by the constant acceleration
 //! that explains it, before it is matched for good. After so long a gap that nothing is left of a velocity it is taken as it is.
 
-use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, project_2d};
+use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, project_2d, yaw};
 use portolan_sensor::{PointCloud, SynchronizedRanges};
 
 use super::gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
@@ -43,7 +43,7 @@ impl LocalSlam2d {
         let cloud = filtered(returns, &options.adaptive_voxel_filter);
         self.tracker.note(ranges.time, &prediction, [&cloud, returns]);
         let scan = Scan::new(&cloud, returns, self.active_submaps.matching_submap()?);
-        let motion = Motion { last: planar(last), seconds, is_measured };
+        let motion = Motion { last: planar(last), seconds, is_measured, tracking_yaw: yaw(&gravity) };
         let error = prediction.inverse() * self.tracker.look(prediction, motion, scan)?;
         let half_a_cell = 0.5 * f64::from(options.submaps.grid_options_2d.resolution);
         let in_scan = 1.0 - error_share(1.0 + begin / seconds);

@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{
-    Duration, Quaternion, Rigid2, Rigid3, Time, embed_3d, is_valid_pose, project_2d, to_f32,
+    Duration, Quaternion, Rigid2, Rigid3, Time, embed_3d, is_valid_pose, project_2d, to_f32, yaw,
 };
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_motion::{MotionFilter, PoseExtrapolator};
@@ -224,6 +224,7 @@ impl LocalSlam2d {
             last: project_2d(&(last * gravity.inverse())),
             seconds: time.seconds_since(last_time),
             is_measured: motion_was_measured,
+            tracking_yaw: yaw(&gravity),
         });
         let found = self.find(time, prediction, motion, &matching_cloud, &scan.returns);
         let pose = if found.pose.is_finite() { found.pose } else { prediction };

@@ -134,7 +134,8 @@ mod tests {
     /// What one scan says of odometry that measured so many metres while the scanner moved so far the scan before.
     fn measured(failure: &mut OdometryFailure, moved: f64, metres: f64) -> Option<(MotionPrior, f64)> {
         failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS);
-        let motion = Motion { last: Rigid2::identity(), seconds: SECONDS, is_measured: true };
+        let motion =
+            Motion { last: Rigid2::identity(), seconds: SECONDS, is_measured: true, tracking_yaw: 0.0 };
         failure
             .add_measured(motion, &MotionPrior { prediction: Rigid2::new(metres, 0.0, 0.0), sigmas: SIGMAS })
     }
@@ -184,7 +185,8 @@ mod tests {
     fn a_velocity_of_long_ago_says_nothing() {
         let mut failure = OdometryFailure::default();
         failure.add_motion(&Rigid2::new(1.0, 0.0, 0.0), 2.0);
-        let motion = Motion { last: Rigid2::identity(), seconds: SECONDS, is_measured: true };
+        let motion =
+            Motion { last: Rigid2::identity(), seconds: SECONDS, is_measured: true, tracking_yaw: 0.0 };
         let standing = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };
         assert!(failure.add_measured(motion, &standing).is_none());
     }

@@ -1,33 +1,41 @@
-//! By which factor odometry measures distances wrong, as wheels of another size than assumed make it, and in which direction, as a
-//! scanner makes it that is mounted at another yaw than said.
+//! By which factor odometry measures distances wrong, as wheels of another size than assumed make it, in which direction, as a
+//! scanner makes it that is mounted at another yaw than said, and how far from the scanner the point is whose motion it tells, as one
+//! makes it that is mounted elsewhere.
 //!
-//! Matched scans say by how much measured motion was too short, and how far to the side of it they went. Both shares of the way are states
-//! of Kalman filters whose measurements are the innovations of the pose (calibration of odometry along with the pose: Martinelli,
-//! Tomatis, Siegwart, "Simultaneous localization and odometry self calibration for mobile robot", Autonomous Robots 22, 2007).
-//! Loads and floors change them slowly. Turns are left as measured: scans tell them well enough by themselves.
+//! Matched scans say by how much measured motion was too short, how far to the side of it they went, and how far they went for each radian
+//! turned. These are states of Kalman filters whose measurements are the innovations of the pose (calibration of odometry along with the
+//! pose: Martinelli, Tomatis, Siegwart, "Simultaneous localization and odometry self calibration for mobile robot", Autonomous
+//! Robots 22, 2007). Loads and floors change them slowly. Turns are left as measured: scans tell them well enough by themselves.
 
 use portolan_geometry::{Rigid2, Vector2};
 
-/// Standard deviation of a share before anything was seen.
+/// Standard deviation of a share of the way before anything was seen, and of a part of the lever arm, metres.
 const PRIOR: f64 = 0.05;
-/// What is known of it grows uncertain by this variance for each metre.
-const WALK_PER_METRE: f64 = 1e-5;
+const PRIOR_OF_LEVER: f64 = 0.3;
+/// What is known of it grows uncertain by this variance for each metre or radian.
+const WALK: f64 = 1e-5;
 /// An innovation counts as at most so many standard deviations: a slip or a stall says little of the wheels (Huber 1964).
 const LARGEST: f64 = 1.0;
-/// Errors up to this share of the way are expected of any odometry, and searches are wide enough for them.
+/// Errors up to this share of the way, and up to so many metres for each radian, are expected of any odometry, and searches are wide
+/// enough for them.
 const USUAL: f64 = 0.05;
 /// A larger one is corrected if it is so many standard deviations.
 const SIGNIFICANT: f64 = 3.0;
+/// Turns beyond this tell nothing of the lever arm, radians.
+const LARGEST_TURN: f64 = 0.5;
 
-/// What measured distances are to be multiplied by, and how far to the left of them it went.
+/// What measured distances are to be multiplied by, how far to the left of them it went, and where the scanner is.
 #[derive(Clone, Copy, Debug)]
 pub struct OdometryScale {
     /// Shares of the measured way, and how far they are from what odometry says.
     along: Share,
     across: Share,
+    /// How far the scanner is ahead and to the left of where odometry has it, metres.
+    ahead: Share,
+    left: Share,
 }
 
-/// A share of the measured way, as an offset from what it is for good odometry.
+/// By how much more the motion was than measured, for each metre of it or for each radian, as far as that is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Share {
     offset: f64,
@@ -35,7 +43,9 @@ struct Share {
 }
 
 impl Share {
-    const UNKNOWN: Self = Self { offset: 0.0, variance: PRIOR * PRIOR };
+    fn unknown(sigma: f64) -> Self {
+        Self { offset: 0.0, variance: sigma.powi(2) }
+    }
 
     /// The offset if it is called for to correct it.
     fn correction(&self) -> f64 {
@@ -43,19 +53,22 @@ impl Share {
         if off < USUAL || off < SIGNIFICANT * self.variance.sqrt() { 0.0 } else { self.offset }
     }
 
-    /// Takes by how much more the motion was than measured, over so many metres, with its standard deviation, metres.
-    fn add(&mut self, more: f64, metres: f64, sigma: f64) {
-        self.variance += WALK_PER_METRE * metres;
-        let innovation = (more - self.offset * metres).clamp(-LARGEST * sigma, LARGEST * sigma);
-        let gain = self.variance * metres / (self.variance * metres.powi(2) + sigma.powi(2));
+    /// Takes by how much more the motion was than measured, over so many metres or radians, with its standard deviation, metres.
+    fn add(&mut self, more: f64, moved: f64, sigma: f64) {
+        self.variance += WALK * moved.abs();
+        let variance = self.variance * moved.powi(2) + sigma.powi(2);
+        let largest = LARGEST * variance.sqrt();
+        let innovation = (more - self.offset * moved).clamp(-largest, largest);
+        let gain = self.variance * moved / variance;
         self.offset += gain * innovation;
-        self.variance *= 1.0 - gain * metres;
+        self.variance *= 1.0 - gain * moved;
     }
 }
 
 impl Default for OdometryScale {
     fn default() -> Self {
-        Self { along: Share::UNKNOWN, across: Share::UNKNOWN }
+        let (share, lever) = (Share::unknown(PRIOR), Share::unknown(PRIOR_OF_LEVER));
+        Self { along: share, across: share, ahead: lever, left: lever }
     }
 }
 
@@ -63,22 +76,36 @@ impl OdometryScale {
     /// The motion that was measured, corrected if that is called for.
     pub fn corrected(&self, measured: &Rigid2) -> Rigid2 {
         let (along, across) = (1.0 + self.along.correction(), self.across.correction());
-        let to_left = Vector2::new(-measured.translation.y, measured.translation.x);
-        Rigid2 { translation: measured.translation * along + to_left * across, ..*measured }
+        let lever = Vector2::new(self.ahead.correction(), self.left.correction());
+        let turned = measured.rotation_matrix() * lever - lever;
+        let way = measured.translation * along + to_left(&measured.translation) * across;
+        Rigid2 { translation: way + turned, ..*measured }
     }
 
     /// Takes what the motion was by matching, with the standard deviation that predictions of it have along each axis,
     /// metres.
     pub fn add(&mut self, measured: &Rigid2, moved: &Rigid2, sigma: f64) {
+        let more = moved.translation - self.corrected(measured).translation;
+        // For a turn so small a lever arm moves across itself.
+        let turned = moved.normalized_angle();
+        if turned.abs() < LARGEST_TURN {
+            let (ahead, left) = (self.ahead.correction(), self.left.correction());
+            self.ahead.add(more.y + ahead * turned, turned, sigma);
+            self.left.add(more.x - left * turned, -turned, sigma);
+        }
         let metres = measured.translation.norm();
         if metres == 0.0 {
             return;
         }
         let ahead = measured.translation / metres;
-        let to_left = Vector2::new(-ahead.y, ahead.x);
-        self.along.add(moved.translation.dot(&ahead) - metres, metres, sigma);
-        self.across.add(moved.translation.dot(&to_left), metres, sigma);
+        let (along, across) = (self.along.correction(), self.across.correction());
+        self.along.add(more.dot(&ahead) + along * metres, metres, sigma);
+        self.across.add(more.dot(&to_left(&ahead)) + across * metres, metres, sigma);
     }
+}
+
+fn to_left(direction: &Vector2) -> Vector2 {
+    Vector2::new(-direction.y, direction.x)
 }
 
 #[cfg(test)]
@@ -124,6 +151,23 @@ mod tests {
         let before = scale;
         scale.add(&Rigid2::identity(), &slip, SIGMA);
         assert_eq!((scale.along, scale.across), (before.along, before.across));
+    }
+
+    #[test]
+    fn a_scanner_mounted_elsewhere_is_learned() {
+        let (mut scale, lever) = (OdometryScale::default(), Rigid2::new(0.5, -0.2, 0.0));
+        let step = |k: i32| Rigid2::new(0.1, 0.0, 0.1 * (0.2 * f64::from(k)).sin());
+        for k in 0..600 {
+            scale.add(&step(k), &(lever.inverse() * step(k) * lever), SIGMA);
+        }
+        assert!(
+            (scale.ahead.offset - 0.5).abs() < 0.02 && (scale.left.offset + 0.2).abs() < 0.02,
+            "{scale:?}"
+        );
+        assert!(scale.along.correction() == 0.0 && scale.across.correction() == 0.0, "{scale:?}");
+        let turn = Rigid2::new(0.1, 0.0, 0.3);
+        let off = scale.corrected(&turn).translation - (lever.inverse() * turn * lever).translation;
+        assert!(off.norm() < 0.01, "{scale:?}");
     }
 
     #[test]

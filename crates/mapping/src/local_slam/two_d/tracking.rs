@@ -57,6 +57,8 @@ pub(super) struct Motion {
     pub seconds: f64,
     /// Whether odometry or an IMU measured anything of it.
     pub is_measured: bool,
+    /// Yaw of the tracking frame in the gravity-aligned frame whose motion this is, radians.
+    pub tracking_yaw: f64,
 }
 
 impl Motion {
@@ -65,6 +67,21 @@ impl Motion {
         let motion = self.last.inverse() * *pose;
         Rigid2 { angle: motion.normalized_angle(), ..motion }
     }
+
+    /// A motion of the gravity-aligned frame as one of the tracking frame, and back.
+    fn of_tracking(&self, motion: &Rigid2) -> Rigid2 {
+        turned_by(-self.tracking_yaw, motion)
+    }
+
+    fn of_aligned(&self, motion: &Rigid2) -> Rigid2 {
+        turned_by(self.tracking_yaw, motion)
+    }
+}
+
+/// A motion as seen from a frame that is turned by the opposite angle.
+fn turned_by(angle: f64, motion: &Rigid2) -> Rigid2 {
+    let translation = Rigid2::new(0.0, 0.0, angle).transform_point(&motion.translation);
+    Rigid2 { translation, ..*motion }
 }
 
 /// Where a scan was found.
@@ -185,7 +202,8 @@ impl Tracker {
         // After so long nothing is left of a velocity.
         let is_unknown = !motion.is_measured && motion.seconds > LONGEST_UNMEASURED;
         let measured = motion.to(&prediction);
-        let scaled = self.odometry_scale.corrected(&measured);
+        let of_tracking = motion.of_tracking(&measured);
+        let scaled = motion.of_aligned(&self.odometry_scale.corrected(&of_tracking));
         let prediction = match motion.is_measured {
             true => motion.last * scaled,
             false if is_unknown => motion.last,
@@ -222,7 +240,8 @@ impl Tracker {
         // Where scans leave a direction open, they do not say how far it went.
         if motion.is_measured && !is_far && weak.is_none() && is_told {
             let sigma = self.prediction_error.sigmas(&measured).translation;
-            self.odometry_scale.add(&measured, &motion.to(&found.pose), sigma);
+            let moved = motion.of_tracking(&motion.to(&found.pose));
+            self.odometry_scale.add(&of_tracking, &moved, sigma);
         }
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud);
         if let Some(agreement) = &agreement {
@@ -423,7 +442,7 @@ mod tests {
         let extras = LocalSlamExtras { adaptive_search: true, ..LocalSlamExtras::default() };
         let mut tracker = Tracker::new(&options, &extras).unwrap();
         let mut is_gap = |seconds| {
-            let motion = Motion { last: Rigid2::identity(), seconds, is_measured: true };
+            let motion = Motion { last: Rigid2::identity(), seconds, is_measured: true, tracking_yaw: 0.0 };
             tracker.bridge(motion, &Rigid2::new(1.0, 0.0, 0.0), None).is_some()
         };
         assert!((0..50).all(|_| !is_gap(0.1)));
