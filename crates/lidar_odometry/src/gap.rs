@@ -9,6 +9,7 @@ use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
 };
 
+use crate::hypotheses::{self, Other};
 use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
 use crate::issues::Issues;
 use crate::segment::{MotionSource, TrajectorySegment};
@@ -67,8 +68,7 @@ pub(crate) fn next_sweep(
     best(tracker, settings, &sweeps[..sweeps.len().min(judges)], motions)
 }
 
-/// The motion under which the sweeps fit best; constant velocity unless another one is better by more than chance, because
-/// along a tunnel all fit alike.
+/// The motion under which the sweeps fit best; first of all constant velocity.
 fn best(
     tracker: &Tracker,
     settings: &OdometrySettings,
@@ -79,13 +79,10 @@ fn best(
         tracker.fork().fit_better(least, motion, sweeps, &mut Issues::default(), drop::<RegisteredSweep>)
     };
     let as_predicted = fit_better(f64::NEG_INFINITY, None).unwrap_or(0.0);
-    let mut best = (NextSweep::AsPredicted, as_predicted * settings.hypotheses.better_after_gap);
-    for motion in motions {
-        if let Some(fit) = fit_better(best.1, Some(motion)) {
-            best = (NextSweep::After(motion), fit);
-        }
-    }
-    best.0
+    let clearly_better = settings.hypotheses.better_after_gap;
+    let others = motions.into_iter().map(|motion| Other { motion, clearly_better });
+    let follow = |motion, least| Some((NextSweep::After(motion), fit_better(least, Some(motion))?));
+    hypotheses::best((NextSweep::AsPredicted, as_predicted), others, |followed| followed.1, follow).0
 }
 
 impl Velocities {

@@ -7,6 +7,7 @@ mod deskew;
 mod gap;
 mod gravity_initialisation;
 mod gyroscope;
+mod hypotheses;
 mod imu_buffer;
 mod inertial;
 mod initialise;

@@ -156,18 +156,18 @@ impl MotionState {
             let mut segment = extrapolated.clone();
             segment.rotation_is_measured = first.rotation_is_measured;
             let reason = Reason::AccelerometerFails;
-            alternatives.push(Alternative { reason, segment, required_ratio: 1.0 });
+            alternatives.push(Alternative { reason, segment, clearly_better: 1.0 });
         }
         if first.seconds() > settings.long_gap
             && let Some((_, last)) = self.extrapolator.last_pose()
         {
             let segment = predict::standing(&self.extrapolator, end, &last);
-            alternatives.push(Alternative { reason: Reason::LongGap, segment, required_ratio: 1.0 });
+            alternatives.push(Alternative { reason: Reason::LongGap, segment, clearly_better: 1.0 });
         }
         if first.rotation_is_measured {
             let segment = predict::with_constant_rotation(&mut self.extrapolator, end);
-            let required_ratio = if is_saturated { 1.0 } else { settings.clearly_better };
-            alternatives.push(Alternative { reason: Reason::GyroscopeFails, segment, required_ratio });
+            let clearly_better = if is_saturated { 1.0 } else { settings.clearly_better };
+            alternatives.push(Alternative { reason: Reason::GyroscopeFails, segment, clearly_better });
         }
         alternatives
     }

@@ -4,6 +4,7 @@ use portolan_geometry::{Rigid3, Time, quaternion_from_angle_axis};
 use portolan_motion::PoseExtrapolator;
 
 use crate::gap::Velocities;
+use crate::hypotheses::{self, Other};
 use crate::inertial::InertialPrediction;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::sweep_registration::RegisteredSegment;
@@ -29,8 +30,8 @@ pub(crate) struct Prediction {
 pub(crate) struct Alternative {
     pub reason: Reason,
     pub segment: TrajectorySegment,
-    /// It has to fit so many times better than what was found before.
-    pub required_ratio: f64,
+    /// It has to fit so many times better than the first.
+    pub clearly_better: f64,
 }
 
 /// Why the first hypothesis may be wrong.
@@ -47,14 +48,14 @@ pub(crate) enum Reason {
 }
 
 impl Alternative {
-    /// Whether it is worth trying beside what was found so far.
-    pub fn is_worth_trying(&self, prediction: &Prediction, best: &RegisteredSegment) -> bool {
+    /// Whether it is worth trying where the first hypothesis was registered like this.
+    fn is_worth_trying(&self, prediction: &Prediction, first: &RegisteredSegment) -> bool {
         match self.reason {
-            Reason::AccelerometerFails => best.found.is_none(),
+            Reason::AccelerometerFails => first.found.is_none(),
             Reason::LongGap => true,
             // It is no alternative of the prediction.
             Reason::OtherMotion => false,
-            Reason::GyroscopeFails => prediction.is_saturated || best.contradicts_rotation,
+            Reason::GyroscopeFails => prediction.is_saturated || first.contradicts_rotation,
         }
     }
 }
@@ -67,27 +68,34 @@ pub(crate) struct Registered {
     pub reason: Option<Reason>,
 }
 
+impl Registered {
+    /// How well it fits the map.
+    pub fn fit(&self) -> f64 {
+        self.registered.fit
+    }
+}
+
 impl Prediction {
     /// Whether an IMU tells the translation: by an accelerometer that is relied on, or because it is at rest.
     pub fn is_felt(&self) -> bool {
         self.standing.is_some() || matches!(self.segment.source, MotionSource::Inertial { .. })
     }
 
-    /// Registers the first hypothesis, then those others that are worth trying; each has to beat the best before.
+    /// Registers the first hypothesis, then those others that are worth trying.
     pub fn best(&self, register: impl Fn(&TrajectorySegment) -> RegisteredSegment) -> Registered {
-        let (segment, registered) = (self.segment.clone(), register(&self.segment));
-        let mut best = Registered { segment, registered, reason: None };
-        for alternative in &self.alternatives {
-            if !alternative.is_worth_trying(self, &best.registered) {
-                continue;
-            }
-            let other = register(&alternative.segment);
-            if other.fit > alternative.required_ratio * best.registered.fit {
-                let reason = Some(alternative.reason);
-                best = Registered { segment: alternative.segment.clone(), registered: other, reason };
-            }
-        }
-        best
+        let registered = |segment: &TrajectorySegment, reason| Registered {
+            segment: segment.clone(),
+            registered: register(segment),
+            reason,
+        };
+        let first = registered(&self.segment, None);
+        let worth_trying = |other: &&Alternative| other.is_worth_trying(self, &first.registered);
+        let others: Vec<&Alternative> = self.alternatives.iter().filter(worth_trying).collect();
+        let others =
+            others.into_iter().map(|other| Other { motion: other, clearly_better: other.clearly_better });
+        hypotheses::best(first, others, Registered::fit, |other, _| {
+            Some(registered(&other.segment, Some(other.reason)))
+        })
     }
 
     /// As a second witness corrects it, and how it moves then.

@@ -5,6 +5,7 @@ use portolan_recall::Memory;
 use portolan_sensor::RangeData;
 
 use crate::belief::Belief;
+use crate::hypotheses::{self, Other};
 use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::Issues;
 use crate::motion_state::MotionState;
@@ -90,14 +91,13 @@ impl Trial<'_> {
         Begun { tracker, registered: vec![registered], issues: Issues::default() }
     }
 
-    /// Begins with the hypothesis that the sweeps fit best; one that fits the first two less well has to be clearly better,
-    /// because along a tunnel all fit alike.
+    /// Begins with the hypothesis that the sweeps fit best; the likeliest fits the first two best.
     fn best(&self, likeliest: Start, others: &[Start]) -> Begun {
-        let Some(mut best) = self.judged(likeliest, f64::NEG_INFINITY) else { return self.begin(likeliest) };
-        for start in others {
-            let least = self.settings.initialisation.clearly_better * best.fit;
-            best = self.judged(*start, least).unwrap_or(best);
-        }
+        let Some(first) = self.judged(likeliest, f64::NEG_INFINITY) else { return self.begin(likeliest) };
+        let clearly_better = self.settings.initialisation.clearly_better;
+        let others = others.iter().map(|start| Other { motion: *start, clearly_better });
+        let best =
+            hypotheses::best(first, others, |judged| judged.fit, |start, least| self.judged(start, least));
         if self.is_final(&best.begun) { self.with_clouds(best.begun) } else { self.begin(best.start) }
     }
 

@@ -1,5 +1,6 @@
 //! Tracking: what is done with every sweep once there is a map.
 
+mod finding;
 mod observability;
 
 use portolan_geometry::nalgebra::Matrix3;
@@ -10,7 +11,7 @@ use portolan_sensor::{PointCloud, RangeData};
 use crate::belief::{Belief, FitMonitor, Support};
 use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals};
 use crate::deskew::deskewed;
-use crate::gap::GapMotion;
+use crate::gap::{GapMotion, Velocities};
 use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
 use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
@@ -19,14 +20,13 @@ use crate::motion_state::{MotionState, SweepEnd};
 use crate::pieces::PieceBegun;
 use crate::plane_map::PlaneMap;
 use crate::poles::{RecentPoles, SeenPoles};
-use crate::predict::{Prediction, Reason, Registered};
-use crate::remembered::{self, Finding};
+use crate::predict::{Prediction, Registered};
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
-use crate::sweep_registration::{RegisteredSegment, SweepRegistration, Target};
-use crate::wide_search::WideSearch;
+use crate::sweep_registration::{RegisteredSegment, SweepRegistration};
 use crate::witness::Witness;
+use finding::Found;
 
 pub use observability::Observability;
 
@@ -67,6 +67,15 @@ pub struct Keyframe {
 pub trait Fallback {
     /// Where de-skewed points (in the tracking frame) lie, near a predicted pose. None if it does not know either.
     fn locate(&mut self, deskewed: &PointCloud, local_from_tracking: &Rigid3) -> Option<Rigid3>;
+}
+
+/// Where a sweep ended.
+struct Place {
+    local_from_tracking: Rigid3,
+    /// Covariance of what attenuation may keep it off by, m² in the local map; none where the sweep fits nothing.
+    attenuation: Option<Matrix3<f64>>,
+    /// Whether it is that of a zero-velocity update.
+    is_standing: bool,
 }
 
 /// Follows sweep after sweep.
@@ -194,145 +203,83 @@ impl Tracker {
         fallback: Option<&mut (dyn Fallback + '_)>,
         issues: &mut Issues,
     ) -> RegisteredSweep {
-        let is_warming_up = self.is_warming_up();
         // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
-        let prediction = match &gap {
-            Some(motion) => self.motion.predict_after(sweep.end, motion),
-            None => self.motion.predict(sweep.end),
-        };
-        self.last_interval = prediction.segment.seconds();
-        let (prediction, velocities) = match self.witness.hear(&sweep, &prediction.segment) {
-            Some(discrepancy) => prediction.corrected(&discrepancy),
-            None => (prediction, gap.map(|motion| motion.after)),
-        };
-        // 2. Register the hypotheses to planes and poles; the one that fits best counts.
-        let (mut best, mut poles) = self.best_hypothesis(&sweep, &prediction, issues);
-        // 3. Does it fit as well as the sweeps before it? If not, it may have moved otherwise than predicted, unless an IMU
-        // felt nothing of it: then something else stands in front.
-        if !prediction.is_felt()
-            && self.fits.is_poor(&best.registered.sweep_fit())
-            && let Some(other) = self.search_widely(&sweep, &prediction, best.registered.fit)
-        {
-            // Poles were seen from where it was predicted.
-            (best, poles) = (other, None);
-        }
+        let (prediction, velocities) = self.predict(gap, &sweep);
+        // 2. Register all hypotheses of it to planes and poles; the one that fits best counts.
+        let Found { best, poles } = self.best_hypothesis(&sweep, &prediction, issues);
+        // 3. Does it fit as well as the sweeps before it?
         let is_measured = best.segment.source != MotionSource::ConstantVelocity;
         let support = Support { fit: best.registered.sweep_fit(), is_measured };
-        let belief = self.fits.after(sweep.end, support, is_warming_up);
+        let belief = self.fits.after(sweep.end, support, self.is_warming_up());
         // 4. Report directions that the sweep does not constrain.
         let observability = self.observability(sweep.end, &best, prediction.standing.is_some(), issues);
         // 5. De-skew with the registered motion.
-        let (fit, evidence) = (best.registered.fit, best.registered.evidence);
-        let Registered { segment, registered, reason } = best;
-        let deskewed = deskewed(&sweep.points, &registered.to_end, self.settings.keeps_intensities);
-        let mut pose = registered.local_from_tracking;
-        let found_planes = registered.found.is_some();
-        let mut attenuation = self.attenuation_in_local(&registered);
-        // 6. Where no plane fits, another map may know.
-        if self.asks_fallback(sweep.end, &segment, found_planes)
-            && let Some(fallback) = fallback
-        {
-            let error = self.settings.sweep.fallback_error;
-            attenuation = Some(Matrix3::from_diagonal_element(error * error));
-            pose = fallback.locate(&deskewed.returns, &pose).unwrap_or(pose);
-        }
-        // 7. Zero-velocity update: a platform at rest stands where the median of its last poses is.
-        let standing = self.motion.zero_velocity_update(sweep.end, &pose);
-        pose = standing.unwrap_or(pose);
-        // 8. Correct the inertial filter and the extrapolator.
+        let deskewed = deskewed(&sweep.points, &best.registered.to_end, self.settings.keeps_intensities);
+        // 6. Where no plane fits another map may know, and a platform at rest stands where it stood.
+        let place = self.place(sweep.end, &best, &deskewed, fallback);
+        // 7. Correct the inertial filter and the extrapolator.
+        let tells_rotation =
+            best.registered.found.is_some() && belief == Belief::Sure && !self.is_warming_up();
         let end = SweepEnd {
             time: sweep.end,
-            local_from_tracking: &pose,
+            local_from_tracking: &place.local_from_tracking,
             degenerate: &observability.degenerate,
-            attenuation,
-            is_standing: standing.is_some(),
-            tells_rotation: standing.is_some() || found_planes && belief == Belief::Sure && !is_warming_up,
+            attenuation: place.attenuation,
+            is_standing: place.is_standing,
+            tells_rotation: place.is_standing || tells_rotation,
             velocities,
         };
-        let inertial = prediction.inertial.as_ref().filter(|_| reason.is_none());
+        let inertial = prediction.inertial.as_ref().filter(|_| best.reason.is_none());
         let gravity = self.motion.update(&prediction, inertial, &end);
-        if let Some(poles) = poles.filter(|_| belief == Belief::Sure) {
-            self.poles.add(sweep.end, pose, poles);
-        }
-        // 9. Show the map what the sweep saw, as a key frame or not; nothing if it contradicts the map.
+        // 8. Show the map what the sweep saw, as a key frame or not; nothing if it contradicts the map.
         let mut result = RegisteredSweep {
             observability,
             belief,
-            fit,
-            evidence,
-            ..RegisteredSweep::new(sweep, pose, gravity, deskewed)
+            fit: best.registered.fit,
+            evidence: best.registered.evidence,
+            ..RegisteredSweep::new(sweep, place.local_from_tracking, gravity, deskewed)
         };
         if belief == Belief::Sure {
-            // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
-            let is_wanted = segment.rotation_is_measured && is_warming_up;
-            self.insert(&mut result, standing.is_some(), is_wanted);
-            self.last_fitting.clone_from(&result.in_local.returns.points);
-            let place = &result.local_from_tracking.translation.vector;
-            self.witness.add(result.sweep.end, &result.in_local.returns.points, place);
+            self.show(&mut result, poles, place.is_standing, best.segment.rotation_is_measured);
         } else {
             issues.count(Issue::ContradictsMap);
         }
         result
     }
 
-    /// Registers the hypotheses of the motion, and takes the one that fits best. With it come poles as seen from the
-    /// end of the sweep, if they are registered.
-    fn best_hypothesis(
-        &mut self,
-        sweep: &Sweep,
-        prediction: &Prediction,
-        issues: &mut Issues,
-    ) -> (Registered, Option<SeenPoles>) {
-        let map = self.local_map.older();
-        let question = self.memory.question(|question| {
-            remembered::ask(&mut self.seen, sweep, &prediction.segment);
-            question.add_word(self.seen.value());
-        });
-        let known = self.memory.recall(question);
-        let to_register = if known.is_some() {
-            None
-        } else {
-            self.poles.prepare(sweep, &prediction.segment, &map.local_from_map.inverse())
+    /// What is expected of a sweep, and how it moves then if that does not follow from the pose before.
+    fn predict(&mut self, gap: Option<GapMotion>, sweep: &Sweep) -> (Prediction, Option<Velocities>) {
+        let prediction = match &gap {
+            Some(motion) => self.motion.predict_after(sweep.end, motion),
+            None => self.motion.predict(sweep.end),
         };
-        let registration = &self.registration;
-        let Finding { sampled, reason, found } = known.unwrap_or_else(|| {
-            let poles = to_register.as_ref();
-            let target = Target { local_from_map: &map.local_from_map, planes: &map.planes, poles };
-            let sample = registration.sample(sweep);
-            let best = prediction.best(|segment| registration.register(&sample, segment, &target));
-            let (reason, found) = (best.reason, best.registered.found);
-            let finding = Finding { sampled: sample.len() as u64, reason, found };
-            self.memory.keep(question, &finding);
-            finding
-        });
-        let segment = prediction.segment_of(reason).clone();
-        let registered = registration.registered(&segment, &map.local_from_map, found);
-        self.registration.adapt(sampled);
-        self.registration.learn(&segment, &registered);
-        if reason == Some(Reason::GyroscopeFails) {
-            issues.count(Issue::GyroscopeOverruled);
+        self.last_interval = prediction.segment.seconds();
+        match self.witness.hear(sweep, &prediction.segment) {
+            Some(discrepancy) => prediction.corrected(&discrepancy),
+            None => (prediction, gap.map(|motion| motion.after)),
         }
-        let to_end = &registered.to_end;
-        let poles = match to_register {
-            Some(poles) => Some(poles.seen_from_end(to_end)),
-            None if !RecentPoles::are_wanted(&prediction.segment) => None,
-            None => Some(SeenPoles::unpicked(sweep, &prediction.segment, to_end)),
-        };
-        (Registered { segment, registered, reason }, poles)
     }
 
-    /// Where a sweep fits that fits poorly where it is predicted.
-    fn search_widely(&self, sweep: &Sweep, prediction: &Prediction, fit: f64) -> Option<Registered> {
-        let map = self.local_map.older();
-        let target = Target { local_from_map: &map.local_from_map, planes: &map.planes, poles: None };
-        let search = WideSearch {
-            settings: &self.settings,
-            registration: &self.registration,
-            target: &target,
-            fits: &self.fits,
-            before: &self.last_fitting,
-        };
-        search.find(sweep, prediction, self.settings.hypotheses.clearly_better * fit)
+    /// Where a sweep ended that was registered like this.
+    fn place(
+        &mut self,
+        end: Time,
+        best: &Registered,
+        deskewed: &RangeData,
+        fallback: Option<&mut (dyn Fallback + '_)>,
+    ) -> Place {
+        let mut pose = best.registered.local_from_tracking;
+        let mut attenuation = self.attenuation_in_local(&best.registered);
+        if self.asks_fallback(end, &best.segment, best.registered.found.is_some())
+            && let Some(fallback) = fallback
+        {
+            let error = self.settings.sweep.fallback_error;
+            attenuation = Some(Matrix3::from_diagonal_element(error * error));
+            pose = fallback.locate(&deskewed.returns, &pose).unwrap_or(pose);
+        }
+        // Zero-velocity update: a platform at rest stands where the median of its last poses is.
+        let standing = self.motion.zero_velocity_update(end, &pose);
+        Place { local_from_tracking: standing.unwrap_or(pose), attenuation, is_standing: standing.is_some() }
     }
 
     /// The covariance of what attenuation may keep a place off by, m² in the local map; none where a sweep fits nothing.
@@ -352,6 +299,26 @@ impl Tracker {
         !fits_planes
             && segment.source == MotionSource::ConstantVelocity
             && (!segment.rotation_is_measured || is_long)
+    }
+
+    /// Shows map, poles and witness a sweep that fits.
+    fn show(
+        &mut self,
+        registered: &mut RegisteredSweep,
+        poles: Option<SeenPoles>,
+        is_standing: bool,
+        rotation_is_measured: bool,
+    ) {
+        let end = registered.sweep.end;
+        if let Some(poles) = poles {
+            self.poles.add(end, registered.local_from_tracking, poles);
+        }
+        // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
+        let is_wanted = rotation_is_measured && self.is_warming_up();
+        self.insert(registered, is_standing, is_wanted);
+        self.last_fitting.clone_from(&registered.in_local.returns.points);
+        let place = &registered.local_from_tracking.translation.vector;
+        self.witness.add(end, &registered.in_local.returns.points, place);
     }
 
     /// Shows the map what a sweep saw, as a key frame if it is one.

@@ -8,6 +8,7 @@ use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to
 
 use crate::belief::FitMonitor;
 use crate::correlation::{Peak, UprightReference, Window};
+use crate::hypotheses::{self, Other};
 use crate::predict::{Prediction, Reason, Registered};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::OdometrySettings;
@@ -25,8 +26,8 @@ pub(crate) struct WideSearch<'a> {
 }
 
 impl WideSearch<'_> {
-    /// The hypothesis under which the sweep fits best, if about as well as others do, and at least as well as `least_fit` says.
-    pub fn find(&self, sweep: &Sweep, prediction: &Prediction, least_fit: f64) -> Option<Registered> {
+    /// The hypothesis under which the sweep fits best, if about as well as others do: the one that was registered, or another.
+    pub fn best(&self, sweep: &Sweep, prediction: &Prediction, first: Registered) -> Registered {
         let (segment, settings) = (&prediction.segment, &self.settings.correlation);
         let end = segment.end();
         let to_end = segment.deskewing(&SegmentCorrection::default());
@@ -40,24 +41,24 @@ impl WideSearch<'_> {
         let sample = self.registration.sample(sweep);
         let mut peaks = self.peaks(&before, &now, segment);
         peaks.truncate(settings.max_peaks);
-        let registered = peaks.into_iter().map(|peak| {
+        let register = |peak: Peak| {
             let place = end.translation.vector + peak.pose.translation.vector;
             let end = Rigid3::from_parts(place.into(), peak.pose.rotation * end.rotation);
             let segment = segment.ending_at(&end);
             let registered = self.registration.register_widely(&sample, &segment, self.target);
             Registered { segment, registered, reason: Some(Reason::OtherMotion) }
-        });
-        let fit = |found: &Registered| found.registered.fit;
+        };
         // A push right after the last sweep.
-        let farthest = self.settings.hypotheses.hardest_push * segment.seconds().powi(2);
-        let fits = |found: &Registered| {
+        let hypotheses = &self.settings.hypotheses;
+        let farthest = hypotheses.hardest_push * segment.seconds().powi(2);
+        let is_possible = |found: &Registered| {
             let from_predicted =
                 found.registered.local_from_tracking.translation.vector - end.translation.vector;
-            from_predicted.norm() <= farthest
-                && fit(found) >= least_fit
-                && !self.fits.is_poor(&found.registered.sweep_fit())
+            from_predicted.norm() <= farthest && !self.fits.is_poor(&found.registered.sweep_fit())
         };
-        registered.filter(fits).reduce(|best, other| if fit(&other) > fit(&best) { other } else { best })
+        let clearly_better = hypotheses.clearly_better;
+        let others = peaks.into_iter().map(|peak| Other { motion: peak, clearly_better });
+        hypotheses::best(first, others, Registered::fit, |peak, _| Some(register(peak)).filter(is_possible))
     }
 
     /// Where the sweep may be, relative to where it is predicted, the likeliest first.
