@@ -31,16 +31,15 @@ pub(crate) struct LocalMap {
 }
 
 impl GrowingMap {
-    /// Adds points seen from the origin of a sweep (both in the local map).
-    fn insert(&mut self, sweep_in_local: &RangeData) {
+    /// Adds points seen from an origin (both in the local map).
+    fn insert(&mut self, points: &[Point3f], origin: &Point3f) {
         let map_from_local = to_f32(&self.local_from_map.inverse());
-        let origin = map_from_local * sweep_in_local.origin;
+        let origin = map_from_local * origin;
         // A matrix turns many points sooner than a quaternion, and sums written out sooner than products of matrices.
         let (turn, shift) = (map_from_local.rotation.to_rotation_matrix(), map_from_local.translation.vector);
         let [x, y, z] = turn.matrix().data.0;
         let along = |axis: usize, p: &Point3f| x[axis] * p.x + y[axis] * p.y + z[axis] * p.z + shift[axis];
-        let points = sweep_in_local.returns.points.iter();
-        let points = points.map(|p| Point3f::new(along(0, p), along(1, p), along(2, p)));
+        let points = points.iter().map(|p| Point3f::new(along(0, p), along(1, p), along(2, p)));
         self.planes.insert_all(points, &origin);
     }
 }
@@ -61,7 +60,8 @@ impl LocalMap {
             older,
             newer: None,
         };
-        map.add_keyframe(sweep_in_local);
+        map.insert(&sweep_in_local.returns.points, &sweep_in_local.origin);
+        map.older.keyframes = 1;
         map
     }
 
@@ -80,42 +80,33 @@ impl LocalMap {
         (self.older.keyframes as usize) < self.warm_up_keyframes
     }
 
-    /// Shows all maps a sweep that is no key frame.
-    pub fn insert(&mut self, sweep_in_local: &RangeData) {
+    /// Shows all maps points that were seen from an origin (both in the local map).
+    pub fn insert(&mut self, points: &[Point3f], origin: &Point3f) {
         match &mut self.newer {
             Some(newer) => {
-                let points = sweep_in_local.returns.points.len();
-                both(points, || self.older.insert(sweep_in_local), || newer.insert(sweep_in_local));
+                both(points.len(), || self.older.insert(points, origin), || newer.insert(points, origin));
             }
-            None => self.older.insert(sweep_in_local),
+            None => self.older.insert(points, origin),
         }
     }
 
-    /// Inserts a key frame. Gives the older map away when it is complete.
-    pub fn insert_keyframe(
-        &mut self,
-        sweep_in_local: &RangeData,
-        local_from_gravity_aligned: Quaternion,
-    ) -> Option<PlaneMap> {
+    /// Counts a key frame, taken at an origin in the local map, before it is inserted. Whether it completes the older map.
+    pub fn count_keyframe(&mut self, origin: Point3f, local_from_gravity_aligned: Quaternion) -> bool {
         let half = self.settings.keyframes_per_half.max(1);
         if self.newer.is_none() && self.older.keyframes >= half {
-            let (origin, rotation) = (sweep_in_local.origin, local_from_gravity_aligned);
-            self.newer = Some(empty(&self.settings, &self.plane_fit, origin, rotation));
+            self.newer = Some(empty(&self.settings, &self.plane_fit, origin, local_from_gravity_aligned));
         }
-        self.add_keyframe(sweep_in_local);
-        if self.older.keyframes < 2 * half {
-            return None;
-        }
-        let complete = std::mem::replace(&mut self.older, self.newer.take()?);
-        Some(complete.planes.compacted())
-    }
-
-    fn add_keyframe(&mut self, sweep_in_local: &RangeData) {
-        self.insert(sweep_in_local);
         self.older.keyframes += 1;
         if let Some(newer) = &mut self.newer {
             newer.keyframes += 1;
         }
+        self.older.keyframes >= 2 * half
+    }
+
+    /// Gives the older map away, which is complete.
+    pub fn take_complete(&mut self) -> Option<PlaneMap> {
+        let complete = std::mem::replace(&mut self.older, self.newer.take()?);
+        Some(complete.planes.compacted())
     }
 }
 
@@ -145,6 +136,13 @@ mod tests {
         RangeData { origin, returns, misses: PointCloud::default() }
     }
 
+    /// Inserts a key frame. Whether it completed a map.
+    fn insert_keyframe(map: &mut LocalMap, x: f32) -> bool {
+        let is_complete = map.count_keyframe(sweep(x).origin, Quaternion::identity());
+        map.insert(&sweep(x).returns.points, &sweep(x).origin);
+        is_complete && map.take_complete().is_some()
+    }
+
     #[test]
     fn maps_overlap_by_half() {
         let mut settings = OdometrySettings::default();
@@ -153,7 +151,7 @@ mod tests {
         let mut complete = Vec::new();
         for i in 1..10 {
             assert_eq!(map.is_warming_up(), i < 3, "{i}");
-            if map.insert_keyframe(&sweep(i as f32), Quaternion::identity()).is_some() {
+            if insert_keyframe(&mut map, i as f32) {
                 complete.push(i);
             }
         }
@@ -168,7 +166,7 @@ mod tests {
         settings.local_map.keyframes_per_half = 0;
         let mut map = LocalMap::new(&settings, &sweep(0.0), Quaternion::identity());
         for i in 1..5 {
-            assert!(map.insert_keyframe(&sweep(i as f32), Quaternion::identity()).is_some(), "{i}");
+            assert!(insert_keyframe(&mut map, i as f32), "{i}");
         }
     }
 }

@@ -95,6 +95,8 @@ pub(crate) struct Tracker {
     fits: FitMonitor,
     /// Points of the last sweep that fitted, in the local map.
     last_fitting: Vec<Point3f>,
+    /// From where they were seen, if the map does not know them yet.
+    not_inserted: Option<Point3f>,
     /// When a sweep last fitted planes.
     fitted_at: Time,
     /// Seconds between the last two sweeps.
@@ -153,6 +155,7 @@ impl Tracker {
             intervals: DegenerateIntervals::new(settings),
             fits: FitMonitor::new(&settings.loss),
             last_fitting: Vec::new(),
+            not_inserted: None,
             fitted_at: registered.sweep.end,
             last_interval: f64::MAX,
             memory: Memory::default(),
@@ -206,6 +209,7 @@ impl Tracker {
         fallback: Option<&mut (dyn Fallback + '_)>,
         issues: &mut Issues,
     ) -> RegisteredSweep {
+        self.insert_last();
         // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
         let (prediction, velocities) = self.predict(gap, &sweep);
         // 2. Register all hypotheses of it to planes and poles; the one that fits best counts.
@@ -317,13 +321,13 @@ impl Tracker {
         }
         // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
         let is_wanted = rotation_is_measured && self.is_warming_up();
-        self.insert(registered, is_standing, is_wanted);
         self.last_fitting.clone_from(&registered.in_local.returns.points);
+        self.insert(registered, is_standing, is_wanted);
         let place = &registered.local_from_tracking.translation.vector;
         self.witness.add(end, &registered.in_local.returns.points, place);
     }
 
-    /// Shows the map what a sweep saw, as a key frame if it is one.
+    /// Shows the map what the last sweep saw, as a key frame if it is one; at once if that completes a map, else when it is asked to.
     fn insert(&mut self, registered: &mut RegisteredSweep, is_standing: bool, is_wanted: bool) {
         let decision = self.keyframes.decide(&Candidate {
             time: registered.sweep.end,
@@ -332,14 +336,22 @@ impl Tracker {
             is_wanted,
             may_be_ignored: !self.is_warming_up(),
         });
-        match decision {
-            Decision::KeyFrame => {
-                let rotation = registered.local_from_gravity();
-                let completed_map = self.local_map.insert_keyframe(&registered.in_local, rotation);
-                registered.keyframe = Some(Keyframe { completed_map });
-            }
-            Decision::MapOnly => self.local_map.insert(&registered.in_local),
-            Decision::Ignored => {}
+        let origin = registered.in_local.origin;
+        self.not_inserted = (decision != Decision::Ignored).then_some(origin);
+        if decision == Decision::KeyFrame {
+            let is_complete = self.local_map.count_keyframe(origin, registered.local_from_gravity());
+            let completed_map = is_complete.then(|| {
+                self.insert_last();
+                self.local_map.take_complete()
+            });
+            registered.keyframe = Some(Keyframe { completed_map: completed_map.flatten() });
+        }
+    }
+
+    /// Inserts the last sweep into the map, if that is still to be done.
+    pub fn insert_last(&mut self) {
+        if let Some(origin) = self.not_inserted.take() {
+            self.local_map.insert(&self.last_fitting, &origin);
         }
     }
 

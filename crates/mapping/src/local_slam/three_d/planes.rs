@@ -6,7 +6,7 @@ use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::settings::{ExtrapolatorSettings, KeyframeSettings, LocalMapSettings};
 use portolan_lidar_odometry::{
     DegenerateInterval, Fallback, Issue as OdometryIssue, LidarOdometry, OdometrySettings, PlaneMap,
-    RegisteredSweep, WaitingSweeps,
+    RegisteredSweep, WaitingSweeps, both,
 };
 use portolan_motion::{ExtrapolatorCounts, ImuBasedSettings};
 use portolan_recall::Memory;
@@ -125,41 +125,16 @@ impl PlaneEngine {
                 has_imu: self.odometry.has_imu().unwrap_or(true),
                 submaps: &mut insertion.submaps,
             };
-            let Some(registered) = self.odometry.advance(Some(&mut grids)) else { break };
-            results.push(self.insert(registered, insertion));
+            let Some(registered) = self.odometry.advance_before_inserting(Some(&mut grids)) else { break };
+            let (options, odometry) = (&self.options, &mut self.odometry);
+            let (result, ()) = both(
+                registered.deskewed.returns.len(),
+                || inserted(options, registered, insertion),
+                || odometry.insert_last(),
+            );
+            results.push(result);
         }
         results
-    }
-
-    /// A node of a key frame, and nothing of other sweeps.
-    fn insert(
-        &self,
-        mut registered: RegisteredSweep,
-        insertion: &mut KeyframeInsertion,
-    ) -> MatchingResult<Spatial> {
-        let lost = registered.begun.take().map(|begun| Lost {
-            since: begun.since,
-            remaining: insertion.begin_anew(begun.maps.into_iter()),
-            ended_from_begun: begun.ended_from_begun,
-            bridge: None,
-        });
-        let RegisteredSweep { sweep, local_from_tracking, gravity_from_tracking, deskewed, .. } = registered;
-        let result = match registered.keyframe {
-            None => not_inserted(sweep.end, local_from_tracking, registered.in_local),
-            Some(keyframe) => insertion.insert(KeyframeScan {
-                time: sweep.end,
-                local_from_tracking,
-                gravity_from_tracking,
-                scan: RangeData {
-                    returns: voxel_filter(&deskewed.returns, self.options.voxel_filter_size),
-                    ..deskewed
-                },
-                clouds: None,
-                open: OpenDirections::of(registered.observability),
-                completed_map: keyframe.completed_map,
-            }),
-        };
-        MatchingResult { measured: sweep.points, lost, ..result }
     }
 
     /// The planes of the maps that are being filled, oldest first.
@@ -188,6 +163,37 @@ impl PlaneEngine {
             self.issues.add(Issue::new(kind).at(time).times(new));
         }
     }
+}
+
+/// A node of a key frame, and nothing of other sweeps.
+fn inserted(
+    options: &TrajectoryBuilder3dOptions,
+    mut registered: RegisteredSweep,
+    insertion: &mut KeyframeInsertion,
+) -> MatchingResult<Spatial> {
+    let lost = registered.begun.take().map(|begun| Lost {
+        since: begun.since,
+        remaining: insertion.begin_anew(begun.maps.into_iter()),
+        ended_from_begun: begun.ended_from_begun,
+        bridge: None,
+    });
+    let RegisteredSweep { sweep, local_from_tracking, gravity_from_tracking, deskewed, .. } = registered;
+    let result = match registered.keyframe {
+        None => not_inserted(sweep.end, local_from_tracking, registered.in_local),
+        Some(keyframe) => insertion.insert(KeyframeScan {
+            time: sweep.end,
+            local_from_tracking,
+            gravity_from_tracking,
+            scan: RangeData {
+                returns: voxel_filter(&deskewed.returns, options.voxel_filter_size),
+                ..deskewed
+            },
+            clouds: None,
+            open: OpenDirections::of(registered.observability),
+            completed_map: keyframe.completed_map,
+        }),
+    };
+    MatchingResult { measured: sweep.points, lost, ..result }
 }
 
 /// The kind of an issue of the odometry.
