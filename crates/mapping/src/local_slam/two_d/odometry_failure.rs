@@ -10,7 +10,7 @@ use portolan_geometry::Rigid2;
 
 use super::posterior::{MotionPrior, anywhere_density, normal_density};
 use super::prediction_error::PredictionSigmas;
-use super::tracking::{ACCELERATION, ANGULAR_ACCELERATION, LONGEST_MEASURED, Motion};
+use super::tracking::{ACCELERATION, ANGULAR_ACCELERATION, FASTEST, LONGEST_MEASURED, Motion};
 
 /// Probability that odometry begins to fail between two scans …
 const BEGINS: f64 = 0.003;
@@ -33,10 +33,28 @@ const OF_MATCHES: PredictionSigmas = PredictionSigmas { translation: 0.02, rotat
 pub(super) struct OdometryFailure {
     /// Probability that it fails, before the next reading is looked at.
     failing: f64,
-    /// The last motion as scans were matched, and the seconds that it took.
-    last: Option<(Rigid2, f64)>,
+    last: Option<LastMotion>,
     /// Where the next scan is expected by either model, if failing is too improbable for it to be looked for there.
     unfollowed: Option<Expected>,
+}
+
+/// The last motion as scans were matched.
+#[derive(Clone, Copy, Debug)]
+struct LastMotion {
+    moved: Rigid2,
+    seconds: f64,
+    /// Standard deviation of its translation beyond that of matches, metres: what scans left open.
+    open: f64,
+}
+
+/// How well a scan tells how the scanner moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Told {
+    Well,
+    /// It leaves a direction open, or has few witnesses: most comes from the prediction.
+    Hardly,
+    /// And it was found far from the prediction.
+    Guessed,
 }
 
 /// What either model says of the pose of the next scan.
@@ -63,16 +81,23 @@ impl OdometryFailure {
         }
     }
 
-    /// Takes how the scanner moved.
-    pub fn add_motion(&mut self, moved: &Rigid2, seconds: f64) {
-        self.last = (seconds > 0.0 && seconds <= LONGEST_MEASURED).then_some((*moved, seconds));
+    /// Takes how the scanner moved, and how well a scan told it.
+    pub fn add_motion(&mut self, moved: &Rigid2, seconds: f64, told: Told) {
+        let before = self.last.map_or(0.0, |last| last.open * seconds / last.seconds);
+        let open = match told {
+            Told::Well => 0.0,
+            Told::Hardly => before.hypot(ACCELERATION * seconds.powi(2)),
+            Told::Guessed => FASTEST.linear * seconds,
+        };
+        let is_known = seconds > 0.0 && seconds <= LONGEST_MEASURED;
+        self.last = is_known.then_some(LastMotion { moved: *moved, seconds, open });
     }
 
     /// Takes what odometry measured. Where the scanner is if odometry fails, and the logarithm of the odds of that; none
     /// where it is improbable or nothing is known of the velocity.
     pub fn add_measured(&mut self, motion: Motion, measured: &MotionPrior) -> Option<(MotionPrior, f64)> {
         self.unfollowed = None;
-        let (moved, seconds) = self.last?;
+        let LastMotion { moved, seconds, open } = self.last?;
         if !motion.is_measured || motion.seconds > LONGEST_MEASURED {
             return None;
         }
@@ -81,7 +106,9 @@ impl OdometryFailure {
         let prediction = motion.last * Rigid2 { translation, angle: moved.angle * share };
         let square = motion.seconds.powi(2);
         let sigmas = PredictionSigmas {
-            translation: (OF_MATCHES.translation * (1.0 + share)).hypot(ACCELERATION * square),
+            translation: (OF_MATCHES.translation * (1.0 + share))
+                .hypot(ACCELERATION * square)
+                .hypot(open * share),
             rotation: (OF_MATCHES.rotation * (1.0 + share)).hypot(ANGULAR_ACCELERATION * square),
         };
         let both = PredictionSigmas {
@@ -133,7 +160,15 @@ mod tests {
 
     /// What one scan says of odometry that measured so many metres while the scanner moved so far the scan before.
     fn measured(failure: &mut OdometryFailure, moved: f64, metres: f64) -> Option<(MotionPrior, f64)> {
-        failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS);
+        measured_after(failure, (moved, Told::Well), metres)
+    }
+
+    fn measured_after(
+        failure: &mut OdometryFailure,
+        (moved, told): (f64, Told),
+        metres: f64,
+    ) -> Option<(MotionPrior, f64)> {
+        failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS, told);
         let motion =
             Motion { last: Rigid2::identity(), seconds: SECONDS, is_measured: true, tracking_yaw: 0.0 };
         failure
@@ -182,9 +217,26 @@ mod tests {
     }
 
     #[test]
+    fn a_velocity_that_scans_left_open_says_little() {
+        let odds = |told: [Told; 3]| {
+            let mut failure = OdometryFailure::default();
+            let (_, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is doubted");
+            assert!(failure.fails(log_odds + 5.0));
+            told.map(|told| {
+                measured_after(&mut failure, (0.4, told), 0.07)
+                    .map(|(prior, odds)| (prior.sigmas.translation, odds))
+            })
+        };
+        let [.., well] = odds([Told::Well; 3]).map(Option::unwrap);
+        let [.., open] = odds([Told::Guessed, Told::Hardly, Told::Hardly]).map(Option::unwrap);
+        assert!(well.0 < 0.06 && open.0 > 0.4, "{well:?} {open:?}");
+        assert!(open.1 < well.1 - 1.0, "{well:?} {open:?}");
+    }
+
+    #[test]
     fn a_velocity_of_long_ago_says_nothing() {
         let mut failure = OdometryFailure::default();
-        failure.add_motion(&Rigid2::new(1.0, 0.0, 0.0), 2.0);
+        failure.add_motion(&Rigid2::new(1.0, 0.0, 0.0), 2.0, Told::Well);
         let motion =
             Motion { last: Rigid2::identity(), seconds: SECONDS, is_measured: true, tracking_yaw: 0.0 };
         let standing = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };

@@ -16,7 +16,7 @@ use super::OdometryBridge;
 use super::belief::is_hardly_explained;
 use super::degeneracy::WeakDirection;
 use super::hypotheses::{Hypothesis, Judgement, Looked};
-use super::odometry_failure::OdometryFailure;
+use super::odometry_failure::{OdometryFailure, Told};
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
@@ -26,7 +26,7 @@ use crate::remembered::RememberedScans;
 /// Scans are searched within so many standard deviations of their prediction.
 const WITHIN_SIGMAS: f64 = 3.5;
 /// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
-const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
+pub(super) const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
 /// … for so many seconds, where the motion was measured and where it was not.
 pub(super) const LONGEST_MEASURED: f64 = 0.5;
 pub(super) const LONGEST_UNMEASURED: f64 = 2.0;
@@ -236,7 +236,12 @@ impl Tracker {
             Judgement::Predicted if scan.witnesses.are_few() => found.pose,
             _ => self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far),
         };
-        self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds);
+        let told = match (weak.is_some() || !is_told, is_far) {
+            (false, _) => Told::Well,
+            (true, false) => Told::Hardly,
+            (true, true) => Told::Guessed,
+        };
+        self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds, told);
         // Where scans leave a direction open, they do not say how far it went.
         if motion.is_measured && !is_far && weak.is_none() && is_told {
             let sigma = self.prediction_error.sigmas(&measured).translation;
