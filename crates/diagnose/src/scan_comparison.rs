@@ -75,12 +75,17 @@ pub fn compare_scans(
     // Stamps that are not believed tell nothing of motion.
     scanners
         .retain(|scanner| !StampPattern::of(&scanner.stamps).is_some_and(|pattern| pattern.is_disturbed()));
-    let durations = scanners.iter().filter_map(Scanner::wrong_duration).collect();
+    let durations: Vec<_> = scanners.iter().filter_map(Scanner::wrong_duration).collect();
     let first = scanners.into_iter().next().filter(|scanner| {
         plan.range.first().is_some_and(|range| range.source.topic == scanner.planned.source.topic)
     });
     let (delay, fault) = match (odometry, first) {
-        (Some(odometry), Some(scanner)) => wheels.compare(inventory, odometry, scanner),
+        (Some(odometry), Some(scanner)) => {
+            let found = durations.iter().find(|(topic, _)| *topic == scanner.planned.source.topic);
+            let seconds = found.map(|(_, found)| found.seconds).or(scanner.planned.scan_duration);
+            let seconds = seconds.unwrap_or(scanner.said_duration);
+            wheels.compare(inventory, odometry, (scanner, seconds))
+        }
         _ => (None, None),
     };
     Ok(ScanComparison { delay, fault, durations })
@@ -121,12 +126,6 @@ impl<'a> Scanner<'a> {
         let is_wrong = found.is_other_than(self.said_duration, interval);
         is_wrong.then(|| (self.planned.source.topic.clone(), found))
     }
-
-    /// As best known, seconds.
-    fn duration(&self) -> f64 {
-        let found = self.wrong_duration().map(|(_, found)| found.seconds);
-        found.or(self.planned.scan_duration).unwrap_or(self.said_duration)
-    }
 }
 
 /// What odometry tells.
@@ -149,19 +148,19 @@ impl Wheels {
         }
     }
 
-    /// Its clock and its motions against those of scans.
+    /// Its clock and its motions against those of scans that take so many seconds.
     fn compare(
         &self,
         inventory: &Inventory,
         odometry: &PlannedSensor,
-        scanner: Scanner,
+        (scanner, seconds): (Scanner, f64),
     ) -> (Option<SensorDelay>, Option<OdometryFault>) {
         let source = &scanner.planned.source;
         let odometry_from_scanner = inventory.tree.lookup_static(&odometry.frame, &source.frame);
         let odometry_from_scanner = odometry_from_scanner.unwrap_or_else(Rigid3::identity);
         let up = (odometry_from_scanner.rotation * Vector3::z()).z;
-        // What a scan saw was, in the mean, measured in its middle.
-        let middle = Duration::from_seconds(0.5 * scanner.duration());
+        // What a scan saw was, in the mean, measured in its middle. It begins at its stamp, whichever beam comes first.
+        let middle = Duration::from_seconds(0.5 * seconds.abs());
         let mut turns: Vec<Turn> = scanner
             .turns
             .turns

@@ -10,8 +10,7 @@ const SPANS: u32 = 5;
 const TIMES_AS_FAST: f64 = 3.0;
 const SHORTEST_JUMP: f64 = 2.0;
 /// What moves by itself changes its velocity by what friction holds at most, metres per second squared: beyond that it does not
-/// leave the way on which it was by so many metres. Stamps are off by so many seconds. (On real logs and drives local SLAM
-/// leaves it by up to 0.85 m: docs/experiments/2026-11-kidnapped.md.)
+/// leave the way on which it was by so many metres. Stamps are off by so many seconds.
 const FRICTION: f64 = 9.81;
 const FARTHEST_OFF: f64 = 1.0;
 const STAMPS: f64 = 0.3;
