@@ -21,7 +21,7 @@ const ENOUGH_PAIRS: usize = 30;
 /// Rounds of Gauss-Newton, and the change of the duration that ends them, seconds.
 const ROUNDS: usize = 8;
 const CONVERGED: f64 = 0.001;
-/// A duration is wrong if it differs by so many standard deviations, and by so many seconds.
+/// A duration is wrong if it differs by so many standard deviations more than so many seconds.
 const SURE: f64 = 4.0;
 const LEAST_ERROR: f64 = 0.03;
 /// Points this far from their line are of something else, metres.
@@ -40,7 +40,7 @@ impl ScanDuration {
     /// Whether it surely is another than what is said of scans that come so many seconds apart.
     pub(crate) fn is_other_than(&self, said: f64, interval: f64) -> bool {
         let difference = (self.seconds - said).abs();
-        difference > SURE * self.sigma && difference > LEAST_ERROR && self.seconds.abs() < 1.1 * interval
+        difference - SURE * self.sigma > LEAST_ERROR && self.seconds.abs() < 1.1 * interval
     }
 }
 
