@@ -4,7 +4,8 @@
     scripts/field_variants.py [--programs target/release/portolan ...] [--logs aces,fhw] [--variants backwards,from-40]
 
 Variants: backwards (reverse.py), return (there and all the way back), mirrored (left is right), slow-0.1 and slow--0.1
-(slow_scans.py: scans take 0.1 s and do not say so, the last beam first), from-20, from-40, from-60 (the first so many per cent of the scans are missing), those of
+(slow_scans.py: scans take 0.1 s and do not say so, the last beam first), jitter-0.03, late-0.06 (jitter_log.py: stamps are
+off by so many seconds), inline (odometry in the lines of scans alone), from-20, from-40, from-60 (the first so many per cent of the scans are missing), those of
 spoil.py, and several of them joined by +, as in backwards+half. Judged by the relations between scans that are left.
 Needs Python 3 alone. The data folder is $PORTOLAN_DATA, or ../shared/data.
 """
@@ -71,7 +72,12 @@ def changed(log, relations, variant, folder, program, more):
     """Log and relations after the changes that a variant names; a program maps it where a trajectory is needed."""
     for number, change in enumerate(variant.split("+")):
         plain = folder / f"{number}.clf"
-        if change in ("backwards", "return", "mirrored"):
+        if change.startswith(("jitter-", "late-")):
+            of_change = folder / f"{number}.relations"
+            how, seconds = change.split("-")
+            script("jitter_log.py", log, relations, plain, of_change, seconds, "late" if how == "late" else "gauss")
+            relations = of_change
+        elif change in ("backwards", "return", "mirrored"):
             of_change = folder / f"{number}.relations"
             if change == "mirrored":
                 mirrored(log, relations, plain, of_change)
@@ -81,6 +87,9 @@ def changed(log, relations, variant, folder, program, more):
             relations = of_change
         elif change.startswith("from-"):
             begun_later(log, plain, int(change.removeprefix("from-")))
+        elif change == "inline":
+            lines = bz2.open(log, "rt", errors="replace")
+            plain.write_text("".join(line for line in lines if not line.startswith("ODOM")))
         elif change.startswith("slow-"):
             slowed(program.resolve(), log, plain, change.removeprefix("slow-"), more)
         else:

@@ -70,6 +70,12 @@ const SCAN_DURATION: Kind = Kind {
     effect: "scans are bent where the robot turns; map de-skews them with the measured duration",
     to_do: "let the driver fill in time_increment, the seconds from one beam to the next",
 };
+const JITTER: Kind = Kind {
+    name: "stamp jitter",
+    severity: Severity::Warning,
+    effect: "the motion between scans is predicted and de-skewed for wrong times; map uses the times that the usual rate tells",
+    to_do: "let the driver stamp the time of measurement, not that of arrival",
+};
 const REPAIRED: Kind = Kind {
     name: "repaired",
     severity: Severity::Info,
@@ -329,6 +335,14 @@ impl Check<'_> {
                 format!(
                     "scans last {:.3} s (sigma {sigma:.3} s), not as long as time_increment says",
                     seconds.abs()
+                )
+            });
+        }
+        for (topics, jitter) in compared.jitters {
+            self.findings.add(&JITTER, &topics.join(", "), || {
+                format!(
+                    "stamps jitter by {:.3} s; scans move more evenly at even times",
+                    jitter.noise.of_stamps
                 )
             });
         }

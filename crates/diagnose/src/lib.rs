@@ -18,6 +18,7 @@ mod scan_comparison;
 mod scan_motion;
 mod scan_turns;
 mod scans;
+mod stamp_jitter;
 mod stamps;
 mod turns;
 

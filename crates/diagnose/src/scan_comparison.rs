@@ -1,10 +1,13 @@
 //! What scans of a planar scanner tell of the sensors before mapping begins: whether odometry tells the motion that they see, by how
 //! much the two are stamped apart, and how long a scan takes.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use portolan_geometry::{Duration, Rigid2, Rigid3, Time, TransformBuffer, Vector3};
-use portolan_ingest::{Inventory, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan, pose_of};
+use portolan_ingest::{
+    Inventory, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan, StampJitter, pose_of,
+};
 use portolan_recording::{Message, Recording, RecordingError, StampPattern, TopicInfo};
 
 use crate::beam_times::{ScanDuration, scan_duration};
@@ -14,6 +17,7 @@ use crate::odometry_fault::OdometryFault;
 use crate::rotation::{Turn, sure_offset};
 use crate::scan_motion::{ScanMotions, TimedMotion};
 use crate::scan_turns::ScanTurns;
+use crate::stamp_jitter::stamp_jitter;
 
 /// So much of the recording is looked at.
 const LOOK: Duration = Duration::from_ticks(600 * 10_000_000);
@@ -39,7 +43,12 @@ pub struct ScanComparison {
     pub fault: Option<OdometryFault>,
     /// Topics of scanners, and how long their scans take, where that is surely not what they say.
     pub durations: Vec<(Arc<str>, ScanDuration)>,
+    /// Topics whose stamps jitter, and how: those of a scanner, and of odometry that has its stamps.
+    pub jitters: Vec<(Vec<Arc<str>>, StampJitter)>,
 }
+
+/// This share of the stamps of odometry is that of a scanner, where both come in one message.
+const SHARED_STAMPS: f64 = 0.9;
 
 /// Compares the scans of each scanner of the plan with each other, and those of the first with odometry, in the first ten minutes.
 /// Nothing is told of what the plan has not.
@@ -75,6 +84,16 @@ pub fn compare_scans(
     // Stamps that are not believed tell nothing of motion.
     scanners
         .retain(|scanner| !StampPattern::of(&scanner.stamps).is_some_and(|pattern| pattern.is_disturbed()));
+    let mut jitters = Vec::new();
+    for scanner in &mut scanners {
+        let Some(jitter) = scanner.take_jitter_away() else { continue };
+        let mut topics = vec![scanner.planned.source.topic.clone()];
+        topics.extend(odometry.filter(|_| wheels.have_stamps_of(scanner)).map(|source| source.topic.clone()));
+        if topics.len() > 1 {
+            wheels.retime(&scanner.times);
+        }
+        jitters.push((topics, jitter));
+    }
     let durations: Vec<_> = scanners.iter().filter_map(Scanner::wrong_duration).collect();
     let first = scanners.into_iter().next().filter(|scanner| {
         plan.range.first().is_some_and(|range| range.source.topic == scanner.planned.source.topic)
@@ -88,7 +107,7 @@ pub fn compare_scans(
         }
         _ => (None, None),
     };
-    Ok(ScanComparison { delay, fault, durations })
+    Ok(ScanComparison { delay, fault, durations, jitters })
 }
 
 /// What a scanner tells.
@@ -97,6 +116,8 @@ struct Scanner<'a> {
     turns: ScanTurns,
     motions: ScanMotions,
     stamps: Vec<Time>,
+    /// When scans with these stamps were taken, where stamps jitter.
+    times: BTreeMap<Time, Time>,
     /// Seconds from the first beam to the last, as the last scan says.
     said_duration: f64,
 }
@@ -104,7 +125,8 @@ struct Scanner<'a> {
 impl<'a> Scanner<'a> {
     fn new(planned: &'a PlannedRange) -> Self {
         let (turns, motions) = (ScanTurns::default(), ScanMotions::default());
-        Self { planned, turns, motions, stamps: Vec::new(), said_duration: 0.0 }
+        let (stamps, times) = (Vec::new(), BTreeMap::new());
+        Self { planned, turns, motions, stamps, times, said_duration: 0.0 }
     }
 
     fn add(&mut self, message: &Message) {
@@ -114,6 +136,17 @@ impl<'a> Scanner<'a> {
         self.motions.add(scan.header.stamp, scan);
         let said = f64::from(scan.time_increment) * scan.ranges.len().saturating_sub(1) as f64;
         self.said_duration = if said.is_finite() && said > 0.0 { said } else { 0.0 };
+    }
+
+    /// How stamps jitter, if they do; then what the scanner tells is of the times of its measurements from now on.
+    fn take_jitter_away(&mut self) -> Option<StampJitter> {
+        let (jitter, times) = stamp_jitter(&self.stamps, &self.motions)?;
+        self.times = self.stamps.iter().copied().zip(times.iter().copied()).collect();
+        for (scan, time) in self.motions.scans.iter_mut().zip(&times) {
+            scan.time = *time;
+        }
+        retime(&mut self.turns.turns, &self.times);
+        Some(jitter)
     }
 
     /// How long a scan takes, where nobody has said it and it is surely not what scans say.
@@ -132,7 +165,7 @@ impl<'a> Scanner<'a> {
 #[derive(Default)]
 struct Wheels {
     checks: OdometryChecks,
-    poses: TransformBuffer,
+    poses: Vec<(Time, Rigid3)>,
 }
 
 impl Wheels {
@@ -141,11 +174,23 @@ impl Wheels {
         self.checks.add(topic, odometry, &mut Findings::default());
         let stamp = odometry.header.stamp;
         // What goes back in time would have to be put in its place among all.
-        if self.poses.latest_time().is_none_or(|latest| latest < stamp)
+        if self.poses.last().is_none_or(|(latest, _)| *latest < stamp)
             && let Some((pose, _)) = pose_of(&odometry.pose)
         {
-            self.poses.push(stamp, pose);
+            self.poses.push((stamp, pose));
         }
+    }
+
+    /// Whether they come in the messages of a scanner.
+    fn have_stamps_of(&self, scanner: &Scanner) -> bool {
+        let shared = self.poses.iter().filter(|(stamp, _)| scanner.times.contains_key(stamp)).count();
+        shared as f64 > SHARED_STAMPS * self.poses.len() as f64
+    }
+
+    /// Poses were at these times, for stamps, and so were the ends of turns.
+    fn retime(&mut self, times: &BTreeMap<Time, Time>) {
+        retime(&mut self.checks.turns, times);
+        self.poses.iter_mut().for_each(|(time, _)| *time = times.get(time).copied().unwrap_or(*time));
     }
 
     /// Its clock and its motions against those of scans that take so many seconds.
@@ -175,16 +220,26 @@ impl Wheels {
         let known = (source.clock_shift - odometry.clock_shift).seconds();
         let delay = offset.map(|(lag, sigma)| SensorDelay { seconds: lag + known, sigma });
         let lag = offset.map_or(0.0, |(lag, _)| lag);
+        let mut poses = TransformBuffer::default();
+        self.poses.iter().for_each(|(time, pose)| poses.push(*time, *pose));
         // A scanner that leans tells other motions than those in the plane.
         let is_level = up.abs() > LEVEL;
         let find = || {
             OdometryFault::find(
                 (&self.checks.turns, &turns),
-                (&self.poses, &motions),
+                (&poses, &motions),
                 (&odometry_from_scanner, lag),
             )
         };
         (delay, is_level.then(find).flatten())
+    }
+}
+
+/// Turns between the times of measurements instead of their stamps.
+fn retime(turns: &mut [Turn], times: &BTreeMap<Time, Time>) {
+    let time = |stamp: &Time| times.get(stamp).copied().unwrap_or(*stamp);
+    for (from, to, _) in turns {
+        (*from, *to) = (time(from), time(to));
     }
 }
 

@@ -14,11 +14,12 @@ use portolan_geometry::{Duration, Time};
 use portolan_recording::{RecordedMessage, Recording, RecordingError, StampPattern};
 
 use crate::repeats::read_without_repeats;
+use crate::steady_clock::{LOOK_AHEAD, StampJitter, SteadyClock, messages_ahead};
 
 /// How stamps of scanners and odometry are taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum StampPolicy {
-    /// As they are, unless they come in bursts, go back or make sweeps of a lidar overlap.
+    /// As they are, unless they come in bursts, go back, surely jitter or make sweeps of a lidar overlap.
     #[default]
     Auto,
     /// As they are.
@@ -29,10 +30,6 @@ pub enum StampPolicy {
 
 /// So many stamps of the recent past decide whether they are steady.
 const WINDOW: usize = 200;
-/// Later messages of so many seconds are looked at for one that came without delay, but not more than so many.
-/// (Other sensors are waited for up to 2 s.)
-const LOOK_AHEAD: f64 = 1.5;
-const MOST_AHEAD: usize = 64;
 /// Times are taken to be this much closer than the mean interval, since some messages are lost.
 const FASTER_THAN_MEAN: f64 = 0.97;
 
@@ -63,6 +60,17 @@ pub(crate) fn doubtful_beginnings(
         .collect())
 }
 
+/// What is wrong with the stamps of a sensor.
+#[derive(Debug)]
+enum Doubt {
+    /// Nothing.
+    None,
+    /// They come in bursts or go back; a period, seconds, that is a bit shorter than that of the messages.
+    Bursts(f64),
+    /// They jitter.
+    Jitter(SteadyClock),
+}
+
 /// Follows the stamps of one sensor and, while they do not tell when it was measured, makes them even.
 #[derive(Debug)]
 pub(crate) struct EvenStamps {
@@ -70,8 +78,7 @@ pub(crate) struct EvenStamps {
     /// The newest stamps as they came.
     recent: VecDeque<Time>,
     since_judged: usize,
-    /// Seconds between messages, once stamps are not believed any more.
-    period: Option<f64>,
+    doubt: Doubt,
     waiting: VecDeque<(Time, RecordedMessage)>,
     last: Option<Time>,
 }
@@ -82,7 +89,7 @@ impl EvenStamps {
             policy,
             recent: VecDeque::new(),
             since_judged: 0,
-            period: None,
+            doubt: Doubt::None,
             waiting: VecDeque::new(),
             last: None,
         }
@@ -91,7 +98,15 @@ impl EvenStamps {
     /// With stamps that are not believed from the beginning, if a period, seconds, is given.
     pub fn in_doubt(mut self, period: Option<f64>) -> Self {
         if self.policy != StampPolicy::AsIs {
-            self.period = period.map(|period| FASTER_THAN_MEAN * period);
+            self.doubt = period.map_or(Doubt::None, |period| Doubt::Bursts(FASTER_THAN_MEAN * period));
+        }
+        self
+    }
+
+    /// With stamps that jitter like this.
+    pub fn that_jitter(mut self, jitter: Option<&StampJitter>) -> Self {
+        if let (Some(jitter), true) = (jitter, self.policy != StampPolicy::AsIs) {
+            self.doubt = Doubt::Jitter(SteadyClock::new(jitter));
         }
         self
     }
@@ -110,7 +125,7 @@ impl EvenStamps {
             self.since_judged = 0;
             self.judge();
         }
-        if self.period.is_none() {
+        if matches!(self.doubt, Doubt::None) {
             self.last = self.last.max(Some(stamp));
             return false;
         }
@@ -124,32 +139,46 @@ impl EvenStamps {
     /// Once in doubt, stamps stay in doubt: good ones lie on the envelope and are not changed much.
     fn judge(&mut self) {
         let Some(pattern) = StampPattern::of(self.recent.make_contiguous()) else { return };
-        if self.period.is_some() || pattern.is_disturbed() || self.policy == StampPolicy::Regular {
-            self.period = Some(FASTER_THAN_MEAN * pattern.period);
+        let is_regular = self.policy == StampPolicy::Regular;
+        match self.doubt {
+            Doubt::None if !pattern.is_disturbed() && !is_regular => {}
+            Doubt::None | Doubt::Bursts(_) => self.doubt = Doubt::Bursts(FASTER_THAN_MEAN * pattern.period),
+            Doubt::Jitter(_) => {}
         }
     }
 
     /// The next message whose time is known, with the stamp that it came with and its time.
     pub fn pop(&mut self, at_end: bool) -> Option<(RecordedMessage, Time, Time)> {
-        let period = self.period?;
-        let ahead = MOST_AHEAD.min((LOOK_AHEAD / period) as usize + 1);
+        let period = match &self.doubt {
+            Doubt::None => return None,
+            Doubt::Bursts(period) => *period,
+            Doubt::Jitter(clock) => clock.period(),
+        };
+        let ahead = messages_ahead(period);
         let ((first, _), (newest, _)) = (self.waiting.front()?, self.waiting.back()?);
         // Messages behind a gap tell nothing of those before it.
         let is_old = newest.seconds_since(*first) > LOOK_AHEAD;
         if self.waiting.len() < ahead && !is_old && !at_end {
             return None;
         }
-        let latest = (0u32..)
-            .zip(self.waiting.iter().take(ahead))
-            .map(|(later, (stamp, _))| *stamp - Duration::from_seconds(f64::from(later) * period));
-        let latest = latest.min()?;
+        let stamps: Vec<Time> = self.waiting.iter().take(ahead).map(|(stamp, _)| *stamp).collect();
+        let time = match &mut self.doubt {
+            Doubt::Jitter(clock) => clock.time(&stamps)?,
+            _ => latest_of_first(&stamps, period)?,
+        };
         let (stamp, message) = self.waiting.pop_front()?;
         let earliest =
             self.last.map_or(Time::MIN, |last| last + Duration::from_seconds(StampPattern::BURST * period));
-        let time = latest.max(earliest);
+        let time = time.max(earliest);
         self.last = Some(time);
         Some((message, stamp, time))
     }
+}
+
+/// When the first of these messages was measured at the latest, if each of them was so many seconds after the one before.
+fn latest_of_first(stamps: &[Time], period: f64) -> Option<Time> {
+    let numbered = (0u32..).zip(stamps);
+    numbered.map(|(later, stamp)| *stamp - Duration::from_seconds(f64::from(later) * period)).min()
 }
 
 #[cfg(test)]

@@ -17,6 +17,7 @@ mod recording_clock;
 mod repeats;
 mod skew;
 mod statistics;
+mod steady_clock;
 mod survey;
 mod sweep_stamps;
 #[cfg(test)]
@@ -40,6 +41,7 @@ pub use point_time::{PointTime, PointTimeOrigin};
 pub use recording_clock::RecordingClock;
 pub use skew::{Skew, SkewFactor, SkewState};
 pub use statistics::{ImuStatistics, RangeStatistics};
+pub use steady_clock::StampJitter;
 pub use survey::{Inventory, TopicSurvey};
 pub use tf::{TfError, TfInput, TfTree, frame_name};
 pub use urdf::{FixedJoint, RobotDescription, parse_urdf, read_urdf};

@@ -40,5 +40,5 @@ pub use pose_graph::{
     LoopSearchPolicy, PoseGraph, PoseGraphPolicy, Replacement, SearchCounts, SelfConsistency, SubmapEntry,
     TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
 };
-pub use space::{MatchAcceptance, MatchedPose, Nearby, PlaceFinder, SearchRegion, Space};
+pub use space::{MatchAcceptance, MatchedPose, Nearby, PlaceFinder, ProposedPlaces, SearchRegion, Space};
 pub use spatial::{Spatial, SpatialMatcher};

@@ -4,7 +4,7 @@ use portolan_geometry::{Rigid3, embed_3d, project_2d};
 use portolan_matching::{PlaceIndex2d, WantedPlaces, joint_cloud_2d};
 use portolan_submaps::Submap2d;
 
-use crate::{NodeData, PlaceFinder};
+use crate::{NodeData, PlaceFinder, ProposedPlaces};
 
 /// Edge of a cell of the index, metres: walls of rooms and corridors are apart by several of them.
 const CELL: f64 = 0.2;
@@ -40,12 +40,13 @@ impl PlanarPlaces {
 }
 
 impl PlaceFinder for PlanarPlaces {
-    fn find(&self, scans: &[(Rigid3, &NodeData)]) -> Vec<Rigid3> {
+    fn find(&self, scans: &[(Rigid3, &NodeData)]) -> ProposedPlaces {
         let clouds = scans.iter().map(|(first_from_scan, node)| {
             (project_2d(first_from_scan), &node.filtered_gravity_aligned_point_cloud)
         });
         let found = self.index.find(&joint_cloud_2d(clouds, CELL), &WANTED);
-        found.places.iter().map(|place| embed_3d(&place.pose)).collect()
+        let poses = found.places.iter().map(|place| embed_3d(&place.pose)).collect();
+        ProposedPlaces { poses, lookups: found.lookups }
     }
 }
 
@@ -66,7 +67,7 @@ mod tests {
         let places = PlanarPlaces::new(&placed).unwrap();
         let (here, there) = (node(small, (0.5, -0.8)), node(small, (-1.0, 0.2)));
         let step = Rigid3::translation(-1.5, 1.0, 0.0);
-        let found = places.find(&[(Rigid3::identity(), &here), (step, &there)]);
+        let found = places.find(&[(Rigid3::identity(), &here), (step, &there)]).poses;
         let truth = pose * Rigid3::translation(0.5, -0.8, 0.0);
         let off = truth.inverse() * found[0];
         assert!(off.translation.vector.norm() < 0.3 && off.rotation.angle() < 0.06, "{off:?}");
@@ -80,7 +81,7 @@ mod tests {
         let poses = [Rigid3::identity(), Rigid3::translation(25.0, 3.0, 0.0)];
         let placed: Vec<_> = poses.into_iter().zip(&submaps).collect();
         let here = node(size, (1.0, 1.0));
-        let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)]);
+        let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)]).poses;
         for pose in poses {
             let truth = pose * Rigid3::translation(1.0, 1.0, 0.0);
             let off = |place: &Rigid3| (place.translation.vector - truth.translation.vector).norm();

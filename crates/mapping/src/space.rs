@@ -88,9 +88,17 @@ pub enum Nearby {
 
 /// Finds scans anywhere in a map at once.
 pub trait PlaceFinder: Send + Sync {
-    /// Poses in the map, in the frame that constraints use, where the first of some scans may have been taken, the most
-    /// likely first. Each scan comes with its pose in the frame of the first.
-    fn find(&self, scans: &[(Rigid3, &NodeData)]) -> Vec<Rigid3>;
+    /// Where the first of some scans may have been taken. Each scan comes with its pose in the frame of the first.
+    fn find(&self, scans: &[(Rigid3, &NodeData)]) -> ProposedPlaces;
+}
+
+/// Places that a scan may have been taken at.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ProposedPlaces {
+    /// Poses in the map, in the frame that constraints use, the most likely first.
+    pub poses: Vec<Rigid3>,
+    /// How many cells of the map were looked up for them: what the search cost, on any machine.
+    pub lookups: u64,
 }
 
 /// A space to map in: the planar or the full one. Poses cross this interface as [`Rigid3`].

@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use portolan_config::Options;
 use portolan_diagnose::compare_scans;
 use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
-use portolan_ingest::{AzimuthTimes, IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
+use portolan_ingest::{
+    AzimuthTimes, IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, StampPolicy, plan,
+};
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
     BackendProgress, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, Loss, Map, Mapper,
@@ -191,6 +193,9 @@ fn doubt_scans(
     mut plan: SensorPlan,
 ) -> Result<SensorPlan, PipelineError> {
     let compared = compare_scans(recording, inventory, &plan)?;
+    for (topics, jitter) in compared.jitters.iter().filter(|_| ingest.stamps != StampPolicy::AsIs) {
+        plan.doubt_stamps(topics, jitter);
+    }
     if ingest.azimuth_times == AzimuthTimes::Auto {
         for (topic, duration) in &compared.durations {
             plan.time_beams(topic, duration.seconds, duration.sigma);

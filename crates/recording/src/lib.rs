@@ -29,6 +29,6 @@ pub use portolan_ros_messages::{
     TfMessage, TransformStamped,
 };
 pub use source::*;
-pub use stamp_pattern::StampPattern;
+pub use stamp_pattern::{StampNoise, StampPattern};
 pub use text::{open_text_log, open_text_log_bytes};
 pub use writer::{BagCompression, McapCompression, RecordingFormat, RecordingWriter, create};

@@ -20,6 +20,36 @@ pub struct StampPattern {
     pub period: f64,
     /// Fraction of messages in bursts or with earlier stamps than the one before.
     pub disturbed: f64,
+    /// What makes intervals differ.
+    pub noise: StampNoise,
+}
+
+/// Why the intervals of a sensor differ: stamps `s_k = t_k + n_k` of times `t_(k+1) = t_k + period + w_k`. What is wrong with one
+/// stamp makes the interval before it longer and the one after it shorter; what the sensor does itself has no such trace. So the
+/// covariance of neighbouring intervals is that of the stamps, negated, and the rest of their variance is the sensor's.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StampNoise {
+    /// Standard deviation of stamps, seconds.
+    pub of_stamps: f64,
+    /// Standard deviation of the intervals between measurements, seconds.
+    pub of_intervals: f64,
+}
+
+impl StampNoise {
+    /// From stamps in order of arrival. Intervals longer or shorter than usual by more than a period count as that.
+    fn of(stamps: &[Time], period: f64) -> Self {
+        let intervals = stamps.iter().zip(stamps.iter().skip(1));
+        let off: Vec<f64> =
+            intervals.map(|(a, b)| (b.seconds_since(*a) - period).clamp(-period, period)).collect();
+        let mean = off.iter().sum::<f64>() / off.len().max(1) as f64;
+        let product = |lag: usize| {
+            let products = off.iter().zip(off.iter().skip(lag)).map(|(a, b)| (a - mean) * (b - mean));
+            products.sum::<f64>() / off.len().saturating_sub(lag).max(1) as f64
+        };
+        let (variance, covariance) = (product(0), product(1));
+        let of_stamps = (-covariance).clamp(0.0, 0.5 * variance);
+        Self { of_stamps: of_stamps.sqrt(), of_intervals: (variance - 2.0 * of_stamps).max(0.0).sqrt() }
+    }
 }
 
 impl StampPattern {
@@ -49,7 +79,8 @@ impl StampPattern {
         sorted.sort_unstable();
         let close = |(a, b): &(&Time, &Time)| b > a && b.seconds_since(**a) < Self::BURST * period;
         let bunched = sorted.iter().zip(sorted.iter().skip(1)).filter(close).count();
-        Some(Self { period, disturbed: (backward + bunched) as f64 / intervals })
+        let disturbed = (backward + bunched) as f64 / intervals;
+        Some(Self { period, disturbed, noise: StampNoise::of(stamps, period) })
     }
 
     /// Whether stamps like these do not tell when it was measured.

@@ -47,7 +47,7 @@ impl HandlingArgs {
 /// How stamps are taken.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StampsArg {
-    /// As they are, unless those of a sensor come in bursts, go back or make sweeps overlap.
+    /// As they are, unless those of a sensor come in bursts, go back, jitter or make sweeps overlap.
     #[default]
     Auto,
     /// As they are.

@@ -77,7 +77,8 @@ pub(super) fn sensors(
         let is_steady = matches!(role, Role::Range { .. } | Role::Imu { .. } | Role::Odometry);
         sensors.entry(source.topic.clone()).or_default().push(Sensor {
             even_stamps: EvenStamps::new(if is_steady { stamps } else { StampPolicy::AsIs })
-                .in_doubt(in_doubt.get(&source.topic).copied()),
+                .in_doubt(in_doubt.get(&source.topic).copied())
+                .that_jitter(source.jitter.as_ref()),
             id: source.sensor.clone(),
             topic: source.topic.clone(),
             role,

@@ -21,6 +21,7 @@ use crate::azimuth_time::{AzimuthTimes, Turn};
 use crate::options::IngestOptions;
 use crate::point_time::PointTime;
 use crate::statistics::{ImuStatistics, RangeStatistics};
+use crate::steady_clock::StampJitter;
 use crate::survey::{Inventory, TopicSurvey};
 use request::Request;
 
@@ -95,6 +96,8 @@ pub struct PlannedSensor {
     pub clock_shift: Duration,
     /// Usual time of recording minus shifted stamp.
     pub usual_lag: Option<Duration>,
+    /// How its stamps jitter, where scans tell that they do.
+    pub jitter: Option<StampJitter>,
 }
 
 impl PlannedSensor {
@@ -253,6 +256,25 @@ impl SensorPlan {
         self.note(what, change);
     }
 
+    /// Takes the stamps of sensors to jitter, as scans told, and says so.
+    pub fn doubt_stamps(&mut self, topics: &[Arc<str>], jitter: &StampJitter) {
+        let odometry = match &mut self.odometry {
+            Some(PlannedOdometry::Topic(odometry)) => Some(odometry),
+            _ => None,
+        };
+        let sources = self.range.iter_mut().map(|range| &mut range.source).chain(odometry);
+        for source in sources.filter(|source| topics.contains(&source.topic)) {
+            source.jitter = Some(*jitter);
+        }
+        let what = format!(
+            "stamps of {} jitter by {:.3} s: scans move more evenly at times that the order of arrival and the usual \
+             rate tell",
+            topics.join(" and "),
+            jitter.noise.of_stamps
+        );
+        self.note(what, "--stamps as-is");
+    }
+
     /// Gives the beams of a scanner times over so many seconds, as measured, and says so.
     pub fn time_beams(&mut self, topic: &str, seconds: f64, sigma: f64) {
         let Some(range) = self.range.iter_mut().find(|range| &*range.source.topic == topic) else { return };
@@ -336,6 +358,7 @@ impl<'a> Chosen<'a> {
             frame: frame.into(),
             clock_shift: Duration::ZERO,
             usual_lag: self.survey.lag,
+            jitter: None,
         }
     }
 }

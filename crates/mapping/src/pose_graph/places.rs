@@ -45,12 +45,19 @@ impl SearchedPart {
     }
 }
 
+/// Searches while mapping may look up so many cells for each node of the map, a few milliseconds' worth: as long as it takes to
+/// make a node. What is not used is saved, as far as a search can need; a search that needs more delays the next ones.
+const LOOKUPS_A_NODE: i64 = 3_000_000;
+const MOST_SAVED: i64 = 2_000_000_000;
+
 /// What is searched for the nodes of trajectories without a place, while they are being recorded.
 #[derive(Default)]
 pub(super) struct PlaceSearches {
     ready: Option<ReadyParts>,
     /// How far along its trajectory the last node was that was looked for, metres.
     last: BTreeMap<TrajectoryId, f64>,
+    /// Look-ups that may still be spent; below zero, those that were spent in advance.
+    saved: i64,
 }
 
 impl PlaceSearches {
@@ -58,6 +65,14 @@ impl PlaceSearches {
     pub fn looked_for(&self) -> impl Iterator<Item = TrajectoryId> {
         self.last.keys().copied()
     }
+}
+
+/// Where a node may be.
+#[derive(Default)]
+struct Proposals {
+    /// The node, a submap, and its pose in that submap.
+    pairs: Vec<(NodeId, SubmapId, Rigid3)>,
+    lookups: u64,
 }
 
 /// Parts of the map, as they were when they were made ready.
@@ -80,12 +95,13 @@ impl<S: Space> PoseGraph<S> {
     /// where odometry says that they lie, and everywhere only at the end.
     pub(super) fn look_everywhere(&mut self, node_id: NodeId) {
         let id = node_id.trajectory_id;
+        self.places.saved = (self.places.saved + LOOKUPS_A_NODE).min(MOST_SAVED);
         if !self.searches_whole_maps() || self.state.connectivity.components().len() < 2 {
             return;
         }
         let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
         let last = self.places.last.entry(id).or_insert(way);
-        if way - *last < self.policy.loops.spacing.max(SCAN_SPACING) {
+        if way - *last < self.policy.loops.spacing.max(SCAN_SPACING) || self.places.saved < 0 {
             return;
         }
         *last = way;
@@ -94,7 +110,8 @@ impl<S: Space> PoseGraph<S> {
             return;
         }
         let ready = self.ready_parts(without);
-        self.add_proposed(&[node_id], &ready.parts);
+        let lookups = self.add_proposed(&[node_id], &ready.parts);
+        self.places.saved = self.places.saved.saturating_sub_unsigned(lookups);
         self.places.ready = Some(ready);
     }
 
@@ -140,29 +157,33 @@ impl<S: Space> PoseGraph<S> {
         Some(SearchedPart { finder: S::place_finder(&grids)?, submaps })
     }
 
-    /// Schedules the search for nodes where whole parts of the map propose them.
-    pub(super) fn add_proposed(&mut self, node_ids: &[NodeId], parts: &[SearchedPart]) {
-        let proposed: Vec<Vec<(NodeId, SubmapId, Rigid3)>> =
+    /// Schedules the search for nodes where whole parts of the map propose them. Returns how many cells were looked up.
+    pub(super) fn add_proposed(&mut self, node_ids: &[NodeId], parts: &[SearchedPart]) -> u64 {
+        let proposed: Vec<Proposals> =
             node_ids.par_iter().map(|node_id| self.proposals(*node_id, parts)).collect();
+        let lookups = proposed.iter().map(|proposals| proposals.lookups).sum();
         let region = SearchRegion::WholeSubmap {
             acceptance: self.loop_search().acceptance,
             around_guess: Some(AROUND_PROPOSAL),
         };
-        for (node_id, submap_id, guess) in proposed.into_iter().flatten() {
+        for (node_id, submap_id, guess) in proposed.into_iter().flat_map(|proposals| proposals.pairs) {
             if let Some((submap, node)) = self.state.pair(submap_id, node_id) {
                 self.search.add_global(submap, node, guess, region);
             }
         }
+        lookups
     }
 
     /// Submaps in which a node may be, and where.
-    fn proposals(&self, node_id: NodeId, parts: &[SearchedPart]) -> Vec<(NodeId, SubmapId, Rigid3)> {
+    fn proposals(&self, node_id: NodeId, parts: &[SearchedPart]) -> Proposals {
         let scans = self.stretch_around(node_id);
-        let mut proposals = Vec::new();
+        let mut proposals = Proposals::default();
         for part in parts {
-            for map_from_node in part.finder.find(&scans) {
+            let found = part.finder.find(&scans);
+            proposals.lookups += found.lookups;
+            for map_from_node in found.poses {
                 let near = part.submaps_near(&map_from_node);
-                proposals.extend(near.map(|(id, pose)| (node_id, id, pose.inverse() * map_from_node)));
+                proposals.pairs.extend(near.map(|(id, pose)| (node_id, id, pose.inverse() * map_from_node)));
             }
         }
         proposals

@@ -28,8 +28,18 @@ pub(super) enum Judgement {
 pub(super) struct Hypothesis {
     pub around: Rigid2,
     pub found: ScanMatch2d,
-    /// Odometry or an IMU say that it is there.
-    pub is_measured: bool,
+    pub basis: Basis,
+}
+
+/// What says that a scan is somewhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Basis {
+    /// Odometry or an IMU.
+    Measured,
+    /// Odometry that was behind and has caught up.
+    CaughtUp,
+    /// Nothing but the motion before.
+    WentOn,
 }
 
 impl Hypothesis {

@@ -1,6 +1,7 @@
 //! Local SLAM in 2D (`slam2d.md` §5).
 
 mod belief;
+mod catching_up;
 mod co_moving;
 mod degeneracy;
 mod deskew;

@@ -14,8 +14,9 @@ use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow};
 use super::LocalSlamExtras;
 use super::OdometryBridge;
 use super::belief::is_hardly_explained;
+use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
-use super::hypotheses::{Hypothesis, Judgement, Looked};
+use super::hypotheses::{Basis, Hypothesis, Judgement, Looked};
 use super::odometry_failure::{OdometryFailure, Told};
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
@@ -104,6 +105,7 @@ pub(super) struct Tracker {
     odometry_scale: OdometryScale,
     prediction_error: PredictionError,
     odometry_failure: OdometryFailure,
+    catching_up: CatchingUp,
     usual_score: UsualScore,
     beam_evidence: BeamEvidence,
     /// Mean seconds from scan to scan, but for gaps.
@@ -129,6 +131,7 @@ impl Tracker {
             odometry_scale: OdometryScale::default(),
             prediction_error: PredictionError::default(),
             odometry_failure: OdometryFailure::default(),
+            catching_up: CatchingUp::default(),
             usual_score: UsualScore::default(),
             beam_evidence: BeamEvidence::default(),
             interval: None,
@@ -214,11 +217,14 @@ impl Tracker {
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion.to(&prediction));
         let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
-        let is_failing = motion.is_measured && !near.is_measured;
-        let motion = Motion { is_measured: near.is_measured, ..motion };
+        let is_failing = motion.is_measured && near.basis == Basis::WentOn;
+        let has_caught_up = near.basis == Basis::CaughtUp;
+        let told_motion = (motion.to(&prediction), motion.seconds);
+        let motion = Motion { is_measured: near.basis != Basis::WentOn, ..motion };
         let (found, judgement) = self.judged(&near, motion, (&scan, cloud), window);
         self.looked = None;
         let is_far = judgement == Judgement::Far;
+        self.catching_up.add(told_motion, near.around, is_far && motion.is_measured, has_caught_up);
         if let Some(score) = found.score {
             self.usual_score.add(score);
         }
@@ -243,7 +249,7 @@ impl Tracker {
         };
         self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds, told);
         // Where scans leave a direction open, they do not say how far it went.
-        if motion.is_measured && !is_far && weak.is_none() && is_told {
+        if near.basis == Basis::Measured && !is_far && weak.is_none() && is_told {
             let sigma = self.prediction_error.sigmas(&measured).translation;
             let moved = motion.of_tracking(&motion.to(&found.pose));
             self.odometry_scale.add(&of_tracking, &moved, sigma);
@@ -309,34 +315,53 @@ impl Tracker {
         scan: (&Scan, &PointCloud),
         window: SearchWindow,
     ) -> Hypothesis {
-        let around = |around, window| Hypothesis {
-            around,
-            found: self.search(scan, around, window),
-            is_measured: motion.is_measured,
-        };
-        let predicted = around(prediction, window);
+        let around = |around, basis| Hypothesis { around, found: self.search(scan, around, window), basis };
         if !motion.is_measured {
+            let predicted = around(prediction, Basis::WentOn);
             if motion.seconds <= self.gap {
                 return predicted;
             }
-            let stopped = around(motion.last, window);
+            let stopped = around(motion.last, Basis::WentOn);
             return if stopped.found.score > predicted.found.score { stopped } else { predicted };
         }
-        let prior = self.prior(prediction, motion);
+        let predicted = around(prediction, Basis::Measured);
+        let caught_up = self.catching_up.after(&motion.to(&prediction), motion.seconds);
+        let caught_up = caught_up.map(|caught_up| around(caught_up, Basis::CaughtUp));
+        let (measured, prior) = self.likelier(predicted, caught_up, motion, scan.0);
         let Some((went_on, log_odds)) = self.odometry_failure.add_measured(motion, &prior) else {
-            return predicted;
+            return measured;
         };
         let found = self.search(scan, went_on.prediction, self.window_of(&went_on.sigmas));
-        let other = Hypothesis { around: went_on.prediction, found, is_measured: false };
-        let likely = |prior: &MotionPrior, hypothesis: &Hypothesis| {
-            let pose = hypothesis.found.pose;
-            let agreement = scan_agreement(&scan.0.submap.grid, &pose, scan.0.cloud)?;
-            Some(prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.0.witnesses)))
+        let other = Hypothesis { around: went_on.prediction, found, basis: Basis::WentOn };
+        let likely = |prior, hypothesis| self.likely(prior, hypothesis, scan.0);
+        let (Some(works), Some(fails)) = (likely(&prior, &measured), likely(&went_on, &other)) else {
+            return measured;
         };
-        let (Some(works), Some(fails)) = (likely(&prior, &predicted), likely(&went_on, &other)) else {
-            return predicted;
-        };
-        if self.odometry_failure.fails(log_odds + fails - works) { other } else { predicted }
+        if self.odometry_failure.fails(log_odds + fails - works) { other } else { measured }
+    }
+
+    /// What odometry says, or what it says if it has caught up, and with which prior.
+    fn likelier(
+        &self,
+        predicted: Hypothesis,
+        caught_up: Option<Hypothesis>,
+        motion: Motion,
+        scan: &Scan,
+    ) -> (Hypothesis, MotionPrior) {
+        let prior = self.prior(predicted.around, motion);
+        let Some(caught_up) = caught_up else { return (predicted, prior) };
+        let other = MotionPrior { prediction: caught_up.around, ..prior };
+        match (self.likely(&prior, &predicted, scan), self.likely(&other, &caught_up, scan)) {
+            (Some(as_told), Some(later)) if later > as_told => (caught_up, other),
+            _ => (predicted, prior),
+        }
+    }
+
+    /// Logarithm of how likely it is that a scan was taken where it was found, up to a constant; none where the grid does not tell.
+    fn likely(&self, prior: &MotionPrior, hypothesis: &Hypothesis, scan: &Scan) -> Option<f64> {
+        let pose = hypothesis.found.pose;
+        let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
+        Some(prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.witnesses)))
     }
 
     fn search(

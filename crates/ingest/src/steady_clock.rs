@@ -1,0 +1,196 @@
+//! When a sensor with a steady rate measured, from stamps that jitter.
+//!
+//! Time and period of its measurements are the state of a Kalman filter: from one measurement to the next time goes on by the period
+//! and what the sensor itself does irregularly, and each stamp is its time with noise. Messages that come later tell of earlier ones,
+//! too (smoothing with a fixed lag: Rauch, Tung and Striebel 1965, Maximum likelihood estimates of linear dynamic systems, over the
+//! messages at hand).
+
+use portolan_geometry::nalgebra::{Matrix2, Vector2};
+use portolan_geometry::{Duration, Time};
+use portolan_recording::StampNoise;
+
+/// The period is known to this fraction at first, and changes by so much from measurement to measurement.
+const PERIOD_KNOWN: f64 = 0.02;
+const PERIOD_CHANGES: f64 = 1e-4;
+/// Measurements that are missing leave the time of the next one open by this fraction of the period.
+const OPEN_AFTER_GAP: f64 = 0.3;
+/// So many messages tell whether measurements are missing before them, or the first one came late.
+const TELL_A_GAP: usize = 6;
+/// Stamps that are more standard deviations off have less weight (Huber).
+const INLIER: f64 = 2.0;
+
+/// Time, seconds since the last one, and period of measurements with their covariance.
+#[derive(Clone, Copy, Debug)]
+struct Phase {
+    mean: Vector2<f64>,
+    covariance: Matrix2<f64>,
+}
+
+/// One step of the filter.
+struct Step {
+    transition: Matrix2<f64>,
+    predicted: Phase,
+    updated: Phase,
+}
+
+/// Later messages of so many seconds are looked at, but not more than so many. (Other sensors are waited for up to 2 s.)
+pub(crate) const LOOK_AHEAD: f64 = 1.5;
+const MOST_AHEAD: usize = 64;
+
+/// How many messages that come so many seconds apart are looked at to find the time of the first.
+pub(crate) fn messages_ahead(period: f64) -> usize {
+    MOST_AHEAD.min((LOOK_AHEAD / period) as usize + 1)
+}
+
+/// Stamps of a sensor with a steady rate that jitter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StampJitter {
+    /// Seconds between measurements.
+    pub period: f64,
+    /// How much stamps and intervals differ.
+    pub noise: StampNoise,
+}
+
+impl StampJitter {
+    /// The times of measurements with these stamps, in order of arrival; none where it cannot be told.
+    pub fn times(&self, stamps: &[Time]) -> Option<Vec<Time>> {
+        let mut clock = SteadyClock::new(self);
+        let ahead = messages_ahead(self.period);
+        let from = |k: usize| stamps.get(k..stamps.len().min(k + ahead));
+        (0..stamps.len()).map(|k| clock.time(from(k)?)).collect()
+    }
+}
+
+/// Follows the times of one sensor.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SteadyClock {
+    noise: StampNoise,
+    /// The time of the last measurement as known then, and the filter's state there.
+    last: Option<(Time, Phase)>,
+    /// Seconds.
+    usual_period: f64,
+}
+
+impl SteadyClock {
+    /// Of a sensor whose stamps jitter like this.
+    pub fn new(jitter: &StampJitter) -> Self {
+        Self { noise: jitter.noise, last: None, usual_period: jitter.period }
+    }
+
+    /// Seconds between measurements, as known by now.
+    pub fn period(&self) -> f64 {
+        self.last.map_or(self.usual_period, |(_, phase)| phase.mean.y)
+    }
+
+    /// The time of the first of these stamps, which are in order of arrival and follow the one before.
+    pub fn time(&mut self, stamps: &[Time]) -> Option<Time> {
+        let first = *stamps.first()?;
+        let base = self.last.map_or(first, |(time, _)| time);
+        let since: Vec<f64> = stamps.iter().map(|stamp| stamp.seconds_since(base)).collect();
+        let steps = self.filter(&since);
+        let filtered = steps.first()?.updated;
+        let mut smooth = steps.last()?.updated.mean;
+        for (step, next) in steps.iter().zip(steps.iter().skip(1)).rev() {
+            let predicted = next.predicted.covariance.try_inverse()?;
+            let gain = step.updated.covariance * next.transition.transpose() * predicted;
+            smooth = step.updated.mean + gain * (smooth - next.predicted.mean);
+        }
+        let mut left = filtered;
+        left.mean.x = 0.0;
+        self.last = Some((base + Duration::from_seconds(filtered.mean.x), left));
+        Some(base + Duration::from_seconds(smooth.x))
+    }
+
+    /// The filter over stamps, seconds since the last measurement.
+    fn filter(&self, since: &[f64]) -> Vec<Step> {
+        let mut steps: Vec<Step> = Vec::with_capacity(since.len());
+        let mut last = self.last.map(|(_, phase)| phase);
+        for (k, stamp) in since.iter().enumerate() {
+            let (transition, predicted) = match last {
+                Some(last) => self.predict(&last, since.get(k..).unwrap_or_default()),
+                None => (Matrix2::identity(), self.beginning(*stamp)),
+            };
+            let updated = self.update(&predicted, *stamp);
+            steps.push(Step { transition, predicted, updated });
+            last = Some(updated);
+        }
+        steps
+    }
+
+    /// Nothing is known but the rate.
+    fn beginning(&self, stamp: f64) -> Phase {
+        let spread = Vector2::new(OPEN_AFTER_GAP, PERIOD_KNOWN) * self.usual_period;
+        let covariance = Matrix2::from_diagonal(&spread.component_mul(&spread));
+        Phase { mean: Vector2::new(stamp, self.usual_period), covariance }
+    }
+
+    /// To the next measurement, from its stamp and the ones that follow it.
+    fn predict(&self, last: &Phase, stamps: &[f64]) -> (Matrix2<f64>, Phase) {
+        let (time, period) = (last.mean.x, last.mean.y);
+        let late = (1u32..).zip(stamps.iter().take(TELL_A_GAP));
+        let late = late.map(|(k, stamp)| stamp - time - f64::from(k) * period);
+        let missing = (late.fold(f64::INFINITY, f64::min) / period).round().clamp(0.0, 1e6);
+        let transition = Matrix2::new(1.0, 1.0 + missing, 0.0, 1.0);
+        let open = if missing > 0.0 { OPEN_AFTER_GAP * period } else { 0.0 };
+        let spread = Vector2::new(self.noise.of_intervals.hypot(open), PERIOD_CHANGES * period);
+        let covariance = transition * last.covariance * transition.transpose()
+            + Matrix2::from_diagonal(&spread.component_mul(&spread));
+        (transition, Phase { mean: transition * last.mean, covariance })
+    }
+
+    fn update(&self, predicted: &Phase, stamp: f64) -> Phase {
+        let column = predicted.covariance.column(0).into_owned();
+        let off = stamp - predicted.mean.x;
+        let mut variance = self.noise.of_stamps.powi(2);
+        let standard = off.abs() / (column.x + variance).sqrt().max(f64::MIN_POSITIVE);
+        if standard > INLIER {
+            variance *= standard / INLIER;
+        }
+        let gain = column / (column.x + variance).max(f64::MIN_POSITIVE);
+        Phase {
+            mean: predicted.mean + gain * off,
+            covariance: predicted.covariance - gain * column.transpose(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: f64) -> Time {
+        Time::from_unix_seconds(1e9) + Duration::from_seconds(seconds)
+    }
+
+    /// Root mean square of the errors of stamps and of times, of measurements at these times with stamps off by these, seconds.
+    fn errors(truth: &[f64], off: impl Fn(usize) -> f64, noise: StampNoise) -> (f64, f64) {
+        let stamps: Vec<Time> = truth.iter().enumerate().map(|(k, t)| at(t + off(k))).collect();
+        let times = StampJitter { period: 0.2, noise }.times(&stamps).unwrap();
+        let rms = |times: &[Time]| {
+            let squares = times.iter().zip(truth).map(|(time, truth)| time.seconds_since(at(*truth)).powi(2));
+            (squares.sum::<f64>() / truth.len() as f64).sqrt()
+        };
+        (rms(&stamps), rms(&times))
+    }
+
+    /// Without mean, spread evenly to 1 either way.
+    fn random(k: usize) -> f64 {
+        (k * 7919 % 1009) as f64 / 504.0 - 1.0
+    }
+
+    #[test]
+    fn jitter_of_a_steady_sensor_goes() {
+        let noise = StampNoise { of_stamps: 0.03, of_intervals: 0.001 };
+        let truth: Vec<f64> = (0..500).filter(|k| k % 97 > 3).map(|k| 0.2031 * f64::from(k)).collect();
+        let (before, after) = errors(&truth, |k| 0.05 * random(k), noise);
+        assert!(after < 0.35 * before, "{before} {after}");
+    }
+
+    #[test]
+    fn stamps_of_an_irregular_sensor_stay() {
+        let noise = StampNoise { of_stamps: 0.003, of_intervals: 0.04 };
+        let truth: Vec<f64> = (0..500).map(|k| 0.2 * k as f64 + 0.06 * random(k)).collect();
+        let (_, after) = errors(&truth, |_| 0.0, noise);
+        assert!(after < 0.002, "{after}");
+    }
+}
