@@ -182,7 +182,10 @@ fn an_interrupt_saves_what_was_mapped() {
     portolan_with_code(0, &["info", &text(&folder.path().join("map.pbstream"))]);
     let report = report(folder.path());
     if report["interrupted"] == true {
-        assert!(String::from_utf8_lossy(&finished.stdout).contains("interrupted: stopped before the end"));
+        assert!(
+            String::from_utf8_lossy(&finished.stdout)
+                .contains("interrupted: stopped before the map was finished")
+        );
     }
 }
 

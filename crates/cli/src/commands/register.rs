@@ -19,7 +19,7 @@ use portolan_registration::{
 use super::map::remarks;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json};
+use crate::output::{counted, print, print_json, print_summary};
 use crate::progress::{Progress, say};
 use input::{InputArgs, read_links, read_scans};
 use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
@@ -120,8 +120,10 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     };
     if args.json {
         print_json(&report(&work, &registered))?;
-    } else {
+    } else if files.is_empty() {
         print(&text(&work, &registered, &files))?;
+    } else {
+        print_summary(&text(&work, &registered, &files));
     }
     Ok(if lost || scans.lost_data { outcome.max(Outcome::DataLost) } else { outcome })
 }
