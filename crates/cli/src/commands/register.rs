@@ -12,7 +12,7 @@ use portolan::job::register::{
 };
 use portolan_geometry::{Rigid3, nalgebra as na, rotation_from_roll_pitch_yaw};
 use portolan_registration::{
-    GlobalReport, Link, ScanCloud, SequenceReport, links_by_distance, links_by_overlap,
+    GlobalReport, IcpError, Link, ScanCloud, SequenceReport, links_by_distance, links_by_overlap,
     register_globally_twice, register_sequence, unlinked_scans,
 };
 
@@ -175,14 +175,17 @@ fn first_poses(args: &RegisterArgs, scans: &mut Scans) -> Result<Vec<Rigid3>, Cl
     Ok(poses.iter().map(|pose| scans.about_origin(pose)).collect())
 }
 
-/// Says which scans could not be matched; whether there are any. That none could be is an error.
+/// Says which scans could not be matched; whether there are any. That none could be is an error, and where they do not overlap
+/// nothing is to be trusted.
 fn unmatched(scans: &Scans, report: &SequenceReport, quiet: bool) -> Result<bool, CliError> {
     let mut lost = 0;
     for (index, result) in report.matched.iter().enumerate() {
         let Some(Err(error)) = result else { continue };
         lost += 1;
         if scans.clouds.len() == 2 {
-            return Err(CliError::Failed(format!("{}: {error}", scans.names[index])));
+            let told = format!("{}: {error}", scans.names[index]);
+            let is_apart = matches!(error, IcpError::TooFewPairs { .. });
+            return Err(if is_apart { CliError::Untrusted(told) } else { CliError::Failed(told) });
         }
         if !quiet {
             say(&format!("{}: {error}; it was moved with the scan before it", scans.names[index]));
