@@ -41,6 +41,9 @@ pub enum CliError {
     /// Anything else, as a sentence that says what to do.
     #[error("{0}")]
     Failed(String),
+    /// It ran, and nothing of it can be trusted; why.
+    #[error("{0}")]
+    Untrusted(String),
     /// Of a recording no scan could be used.
     #[error("{0}")]
     NoScans(String),
@@ -77,6 +80,7 @@ impl CliError {
         match self {
             Self::Usage(_) => ExitStatus::Usage,
             _ if interrupt::interrupted() => ExitStatus::Interrupted,
+            Self::Untrusted(_) => ExitStatus::Untrusted,
             Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe => ExitStatus::ClosedPipe,
             _ => ExitStatus::Failed,
         }

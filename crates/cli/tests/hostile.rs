@@ -178,8 +178,8 @@ fn points_at_one_place_are_judged_in_bounded_time() {
 }
 
 /// The largest time that may pass between Ctrl-C and the end, seconds of the processor (those of the clock say how busy
-/// the machine is): a second on two cores. Measured: up to 1.6.
-const PROMPT: f64 = 2.0;
+/// the machine is). Measured: up to 0.3, half of it to write the map.
+const PROMPT: f64 = 0.8;
 
 /// Sends SIGINT when `is_time`, and gives the processor time until the end; none if it ended before.
 fn interrupted(arguments: &[&str], is_time: impl Fn(Duration) -> bool) -> Option<f64> {

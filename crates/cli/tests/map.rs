@@ -169,20 +169,26 @@ fn an_interrupt_saves_what_was_mapped() {
     let Some(aces) = real("lidar2d/aces/aces.bag") else { return };
     let folder = tempfile::tempdir().unwrap();
     let output = text(folder.path());
-    let child = std::process::Command::new(env!("CARGO_BIN_EXE_portolan"))
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_portolan"))
         .args(["map", &aces, "-o", &output, "--threads", "1"])
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap();
-    std::thread::sleep(std::time::Duration::from_millis(1500));
+    // The journal appears once something was mapped.
+    while !folder.path().join("map.journal").exists() && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
     std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     let finished = child.wait_with_output().unwrap();
     assert_eq!(finished.status.code(), Some(130), "{}", String::from_utf8_lossy(&finished.stderr));
     portolan_with_code(0, &["info", &text(&folder.path().join("map.pbstream"))]);
     let report = report(folder.path());
     if report["interrupted"] == true {
-        assert!(String::from_utf8_lossy(&finished.stdout).contains("interrupted: stopped before the end"));
+        assert!(
+            String::from_utf8_lossy(&finished.stdout)
+                .contains("interrupted: stopped before the map was finished")
+        );
     }
 }
 

@@ -125,6 +125,9 @@ fn scans_that_do_not_overlap_are_not_registered() {
         "{report}"
     );
     assert!(Path::new(&output).join("poses.tum").exists());
+    let far: Vec<_> = room(6.0, 5.0, 2.5).iter().map(|[x, y, z]| [x + 500.0, *y, *z]).collect();
+    let run = portolan_with_code(4, &["register", &here, &write(&at("far.xyz"), &far)]);
+    assert!(run.stderr.contains("points have a partner within"), "{}", run.stderr);
     // Of several scans the others are good.
     let run = portolan_with_code(3, &["register", &here, &again, &elsewhere, "--metascan"]);
     assert!(run.stderr.contains("elsewhere.xyz: NOT registered"), "{}", run.stderr);

@@ -51,6 +51,11 @@ fn damage_is_never_quiet() {
     std::fs::write(at("cut.pbstream"), &map[..map.len() - 10]).unwrap();
     let run = portolan_with_code(3, &["convert", &at("cut.pbstream"), "-o", &at("cut.tum")]);
     assert!(run.stderr.contains("damaged behind its poses"), "{}", run.stderr);
+    let relations = at("cut.relations");
+    let run = portolan_with_code(0, &["evaluate", "generate", &at("cut.pbstream"), "-o", &relations]);
+    assert!(run.stderr.contains("damaged behind its poses"), "{}", run.stderr);
+    let run = portolan_with_code(0, &["evaluate", "trajectory", &at("cut.pbstream"), &at("cut.tum")]);
+    assert!(run.stderr.contains("damaged behind its poses"), "{}", run.stderr);
     let run = portolan_with_code(3, &["info", &at("cut.pbstream")]);
     assert!(run.stdout.contains("1 trajectory") || run.stdout.contains("Trajectory"), "{}", run.stdout);
     assert!(run.stdout.contains("lost: "), "{}", run.stdout);

@@ -207,10 +207,10 @@ impl<'a> Check<'a> {
                 ranges.add_scan(topic, scan, faults, findings);
                 ranges.add_points(topic, &header.frame_id, &points, findings);
                 turns.add(points.time, scan);
-                return Some((first_time(&points), points.time));
+                return span_of(&points);
             }
             (TopicChecks::Echoes { ranges, directions }, Message::MultiEchoLaserScan(scan)) => {
-                add_echoes(topic, scan, ranges, directions, findings);
+                return add_echoes(topic, scan, ranges, directions, findings);
             }
             (TopicChecks::Cloud { ranges, clouds, turns }, Message::PointCloud2(cloud)) => {
                 let survey = self.inventory.topic(topic);
@@ -410,12 +410,13 @@ fn add_echoes(
     ranges: &mut RangeChecks,
     directions: &mut BeamDirections,
     findings: &mut Findings,
-) {
+) -> Option<(Time, Time)> {
     let (points, faults) = points_of_echoes(scan.header.stamp, (scan, None), false, directions);
     let first_echoes = scan.ranges.iter().map(|e| e.first().copied().unwrap_or(f32::INFINITY));
     let first = scan.with_readings(first_echoes.collect(), Vec::new());
     ranges.add_scan(topic, &first, faults, findings);
     ranges.add_points(topic, &scan.header.frame_id, &points, findings);
+    span_of(&points)
 }
 
 fn add_cloud(
@@ -439,13 +440,13 @@ fn add_cloud(
         ranges.add_points(topic, &cloud.header.frame_id, &points, findings);
         turns.add(&points);
     }
-    (!points.points.is_empty()).then(|| (first_time(&points), points.time))
+    span_of(&points)
 }
 
-/// When the first point was measured.
-fn first_time(points: &TimedPoints) -> Time {
-    let earliest = points.points.iter().map(|point| point.time).fold(0.0, f32::min);
-    points.time + Duration::from_seconds(f64::from(earliest))
+/// When the first and the last point were measured; none without a point.
+fn span_of(points: &TimedPoints) -> Option<(Time, Time)> {
+    let earliest = points.points.iter().map(|point| point.time).reduce(f32::min)?.min(0.0);
+    Some((points.time + Duration::from_seconds(f64::from(earliest)), points.time))
 }
 
 /// The sensor of a topic in the tracking frame, if that is known and fixed.

@@ -1,6 +1,6 @@
 use portolan_ingest::IngestOptions;
 use portolan_issue::Severity;
-use portolan_recording::{MemoryRecording, Message, RecordedMessage};
+use portolan_recording::{MemoryRecording, Message, MultiEchoLaserScan, RecordedMessage};
 
 use super::*;
 use crate::test_messages::{cloud, fixed, imu, moving, named, odometry, scan};
@@ -175,6 +175,47 @@ fn faults_of_scans() {
         find(&findings, part);
     }
     assert_eq!(find(&findings, "make 28.6 revolutions").severity, Severity::Error);
+}
+
+#[test]
+fn scans_without_a_single_distance_are_no_map() {
+    let is_error = |messages| {
+        let findings = checked(robot(messages));
+        let found = findings.iter().find(|f| f.what.contains("there is not one scan with a point"));
+        found.is_some_and(|found| found.severity == Severity::Error)
+    };
+    for range in [f32::INFINITY, f32::NAN, 0.0] {
+        assert!(is_error(scans(30, |_, message| message.ranges.fill(range))), "{range}");
+    }
+    assert!(is_error(scans(30, |_, message| message.ranges.clear())));
+    assert!(!is_error(scans(30, |i, message| {
+        if i > 0 {
+            message.ranges.fill(f32::INFINITY);
+        }
+    })));
+    let echoes = |change: fn(&mut Vec<Vec<f32>>)| {
+        let messages = scans(30, |_, _| {}).into_iter().map(|mut recorded| {
+            let Message::LaserScan(scan) = &recorded.message else { panic!() };
+            let mut ranges = scan.ranges.iter().map(|r| vec![*r]).collect();
+            change(&mut ranges);
+            recorded.message = Message::MultiEchoLaserScan(MultiEchoLaserScan {
+                header: scan.header.clone(),
+                angle_min: scan.angle_min,
+                angle_max: scan.angle_max,
+                angle_increment: scan.angle_increment,
+                time_increment: scan.time_increment,
+                scan_time: scan.scan_time,
+                range_min: scan.range_min,
+                range_max: scan.range_max,
+                ranges,
+                intensities: Vec::new(),
+            });
+            recorded
+        });
+        is_error(messages.collect())
+    };
+    assert!(!echoes(|_| {}));
+    assert!(echoes(|ranges| ranges.iter_mut().for_each(Vec::clear)));
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Maps for ROS: a grey image and a description (`formats.md §7`).
 
+use std::borrow::Cow;
 use std::ffi::OsString;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -27,12 +28,18 @@ pub fn write_ros_map(
     image_name: ImageName,
 ) -> Result<(PathBuf, PathBuf), WriteError> {
     let (image, description) = (with_ending(stem, ".pgm"), with_ending(stem, ".yaml"));
-    write_pgm(&image, map)?;
     let name = match image_name {
         ImageName::AsOpened => image.as_os_str(),
         ImageName::Beside => image.file_name().unwrap_or(image.as_os_str()),
     };
-    let text = ros_map_yaml(&name.to_string_lossy(), map.resolution, map.lower_left());
+    let name = name.to_str().ok_or_else(|| WriteError {
+        path: image.clone(),
+        source: std::io::Error::other(
+            "the description of a map for ROS can only name files whose names are Unicode (UTF-8)",
+        ),
+    })?;
+    let text = ros_map_yaml(name, map.resolution, map.lower_left());
+    write_pgm(&image, map)?;
     write_atomically(&description, text.as_bytes())?;
     Ok((image, description))
 }
@@ -65,10 +72,26 @@ fn pgm_header(resolution: f64, width: usize, height: usize) -> String {
 pub fn ros_map_yaml(image: &str, resolution: f64, lower_left: [f64; 2]) -> String {
     let [x, y] = lower_left.map(|v| format_general(v, 6));
     format!(
-        "image: {image}\nresolution: {}\norigin: [{x}, {y}, 0.0]\nnegate: 0\noccupied_thresh: \
+        "image: {}\nresolution: {}\norigin: [{x}, {y}, 0.0]\nnegate: 0\noccupied_thresh: \
          0.65\nfree_thresh: 0.196\n",
+        yaml_text(image),
         format_general(resolution, 6)
     )
+}
+
+/// A text as a value of YAML: as it is where no part of it means something else there, as usual names do not, else in quotes.
+fn yaml_text(text: &str) -> Cow<'_, str> {
+    let is_plain = |c: char| c.is_alphanumeric() || "/._+-() ".contains(c);
+    let begins = text.chars().next().is_some_and(|c| c.is_alphanumeric() || "/._".contains(c));
+    if begins && text.chars().all(is_plain) && !text.ends_with(' ') {
+        return Cow::Borrowed(text);
+    }
+    let quoted = |c: char| match c {
+        '"' | '\\' => format!("\\{c}"),
+        c if c.is_control() => format!("\\u{:04x}", u32::from(c)),
+        c => c.to_string(),
+    };
+    Cow::Owned(format!("\"{}\"", text.chars().map(quoted).collect::<String>()))
 }
 
 /// Whether a text is what [`ros_map_yaml`] gives for an image of this name, in whichever folder: a description that
@@ -76,8 +99,12 @@ pub fn ros_map_yaml(image: &str, resolution: f64, lower_left: [f64; 2]) -> Strin
 pub fn is_ros_map_yaml_of(text: &str, image: &Path) -> bool {
     let lines: Vec<&str> = text.lines().collect();
     let [name, resolution, origin, rest @ ..] = lines.as_slice() else { return false };
-    let name = name.strip_prefix("image: ").map(Path::new);
-    name.is_some_and(|name| name.file_name() == image.file_name())
+    let image = image.file_name().and_then(|name| name.to_str());
+    let is_named = |written: &str| {
+        let beside = Path::new(written).file_name().and_then(|name| name.to_str());
+        image.is_some_and(|image| beside == Some(image) || written == yaml_text(image))
+    };
+    name.strip_prefix("image: ").is_some_and(is_named)
         && resolution.starts_with("resolution: ")
         && origin.starts_with("origin: [")
         && *rest == ["negate: 0", "occupied_thresh: 0.65", "free_thresh: 0.196"]
@@ -94,6 +121,34 @@ mod tests {
         assert!(!is_ros_map_yaml_of(&text, Path::new("hall.pgm")));
         assert!(!is_ros_map_yaml_of(&text.replace("0.65", "0.7"), Path::new("house.pgm")));
         assert!(!is_ros_map_yaml_of("", Path::new("house.pgm")));
+    }
+
+    #[test]
+    fn names_that_mean_something_in_yaml_are_quoted() {
+        let line = |name| ros_map_yaml(name, 0.05, [0.0, 0.0]).lines().next().map(str::to_owned);
+        assert_eq!(line("the house (2).pgm").as_deref(), Some("image: the house (2).pgm"));
+        for (name, expected) in [
+            ("a: b #1.pgm", r#"image: "a: b #1.pgm""#),
+            (r#"the "house".pgm"#, r#"image: "the \"house\".pgm""#),
+            ("two\nlines.pgm", r#"image: "two\u000alines.pgm""#),
+            ("-1.pgm", r#"image: "-1.pgm""#),
+        ] {
+            assert_eq!(line(name).as_deref(), Some(expected));
+            assert!(is_ros_map_yaml_of(&ros_map_yaml(name, 0.05, [0.0, 0.0]), Path::new(name)), "{name}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn an_image_that_no_description_can_name_is_not_written() {
+        use std::os::unix::ffi::OsStrExt;
+        let folder = tempfile::tempdir().unwrap();
+        let stem = folder.path().join(std::ffi::OsStr::from_bytes(b"x\xffy"));
+        let map =
+            PaintedMap { width: 1, height: 1, resolution: 0.05, origin: [0.0, 0.0], pixels: vec![[0, 255]] };
+        let error = write_ros_map(&stem, &map, ImageName::Beside).unwrap_err();
+        assert!(error.to_string().contains("UTF-8"), "{error}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 
     #[test]

@@ -55,6 +55,25 @@ struct Shared {
     progress: Mutex<BackendProgress>,
 }
 
+/// How often somebody who waits for the end is told how far it is.
+const WATCH: Duration = Duration::from_millis(20);
+
+impl Shared {
+    fn progress(&self) -> BackendProgress {
+        let mut progress = *self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        progress.backlog = self.backlog.load(Ordering::Acquire);
+        progress
+    }
+
+    /// Waits for the end.
+    fn watch(&self, is_finished: impl Fn() -> bool, watch: &mut dyn FnMut(BackendProgress)) {
+        while !is_finished() {
+            watch(self.progress());
+            std::thread::sleep(WATCH);
+        }
+    }
+}
+
 /// Runs the pose graph: inline with one thread, else on a thread of its own.
 pub struct Backend<S: Space> {
     place: Place<S>,
@@ -179,22 +198,32 @@ impl<S: Space> Backend<S> {
 
     /// How far it is.
     pub fn progress(&self) -> BackendProgress {
-        let mut progress = *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner);
-        progress.backlog = self.shared.backlog.load(Ordering::Acquire);
-        progress
+        self.shared.progress()
     }
 
-    /// Finishes all work and gives the graph back.
-    pub fn into_graph(mut self) -> Result<PoseGraph<S>, MapperError> {
-        self.enqueue(|_| {})?;
-        match self.place {
-            Place::Inline { graph, .. } => Ok(*graph),
-            Place::Thread { sender, handle } => {
-                drop(sender);
-                let handle = handle.ok_or(MapperError::PoseGraphStopped)?;
-                handle.join().map_err(|_| MapperError::PoseGraphStopped)
-            }
+    /// Finishes all work, this as the last, and gives the graph back. Meanwhile `watch` is called now and then.
+    pub fn finish(
+        mut self,
+        last: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,
+        watch: &mut dyn FnMut(BackendProgress),
+    ) -> Result<PoseGraph<S>, MapperError> {
+        if matches!(self.place, Place::Thread { .. }) {
+            self.enqueue(last)?;
+            let shared = Arc::clone(&self.shared);
+            let Place::Thread { sender, handle: Some(handle) } = self.place else {
+                return Err(MapperError::PoseGraphStopped);
+            };
+            drop(sender);
+            shared.watch(|| handle.is_finished(), watch);
+            return handle.join().map_err(|_| MapperError::PoseGraphStopped);
         }
+        let Place::Inline { mut graph, pool } = self.place else { return Err(MapperError::PoseGraphStopped) };
+        std::thread::scope(|scope| {
+            let worker = scope.spawn(|| pool.install(|| last(&mut graph)));
+            self.shared.watch(|| worker.is_finished(), watch);
+            worker.join().map_err(|_| MapperError::PoseGraphStopped)
+        })?;
+        Ok(*graph)
     }
 }
 
@@ -214,4 +243,25 @@ fn publish<S: Space>(shared: &Shared, graph: &PoseGraph<S>) {
         backlog: 0,
     };
     *shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_config::Options;
+
+    use super::*;
+    use crate::Planar;
+
+    #[test]
+    fn who_waits_for_the_end_is_told_how_far_it_is() {
+        for threads in [1, 2] {
+            let graph = PoseGraph::<Planar>::new(Options::for_2d().map_builder.pose_graph);
+            let backend = Backend::start(graph, threads).unwrap();
+            // The last work ends only after that.
+            let (sender, receiver) = unbounded();
+            let last =
+                move |_: &mut PoseGraph<Planar>| receiver.recv_timeout(Duration::from_secs(60)).unwrap();
+            backend.finish(last, &mut |_| sender.send(()).unwrap_or_default()).unwrap();
+        }
+    }
 }

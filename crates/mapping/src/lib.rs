@@ -18,6 +18,7 @@ mod pose_graph;
 mod remembered;
 mod space;
 mod spatial;
+mod stop;
 
 pub use backend::{BackendProgress, MapperError};
 pub use collation::{Ready, SensorCollation};

@@ -22,6 +22,7 @@ use crate::collation::SensorCollation;
 use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, Lost, MatchingResult};
 use crate::map::{Map, ScanPose};
+use crate::stop::Stop;
 use crate::{
     DegenerateInterval, InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer,
 };
@@ -84,6 +85,7 @@ pub struct Mapper<S: Space> {
     degenerate_intervals: Vec<DegenerateInterval>,
     losses: Vec<Loss>,
     memory: Memory,
+    stop: Stop,
     /// Where what grows with time waits; in memory if there is no such folder.
     spool_folder: Option<PathBuf>,
 }
@@ -120,6 +122,7 @@ impl<S: Space> Mapper<S> {
         graph.complete_loaded_submaps(options);
         let next_trajectory = graph.state().trajectories.keys().last().map_or(0, |id| id.0 + 1);
         Ok(Self {
+            stop: graph.stop().clone(),
             backend: Backend::start(graph, settings.threads)?,
             collation: SensorCollation::new(options.map_builder.collate_by_trajectory),
             options: options.clone(),
@@ -372,15 +375,31 @@ impl<S: Space> Mapper<S> {
         issues
     }
 
+    /// From now on nothing is searched any more, and the map is optimised only once, at the end: it is wanted as it is.
+    pub fn stop(&self) {
+        self.stop.ask();
+    }
+
     /// Ends all trajectories, optimises for the last time, and gives the map.
-    pub fn finish(mut self) -> Result<(Map<S>, IssueLog), MapperError> {
+    pub fn finish(self) -> Result<(Map<S>, IssueLog), MapperError> {
+        self.finish_while(&mut |_| true)
+    }
+
+    /// As [`Self::finish`]; `goes_on` is told now and then how far it is, and with false it does as [`Self::stop`].
+    pub fn finish_while(
+        mut self,
+        goes_on: &mut dyn FnMut(BackendProgress) -> bool,
+    ) -> Result<(Map<S>, IssueLog), MapperError> {
         let active: Vec<TrajectoryId> = self.active.keys().copied().collect();
         for id in active {
             self.finish_trajectory(id)?;
         }
-        self.backend.enqueue(PoseGraph::run_final_optimization)?;
-        let issues = self.issues();
-        let graph = self.backend.into_graph()?;
+        let (issues, stop) = (self.issues(), self.stop.clone());
+        let graph = self.backend.finish(PoseGraph::run_final_optimization, &mut |progress| {
+            if !stop.is_asked() && !goes_on(progress) {
+                stop.ask();
+            }
+        })?;
         Ok((Map::new(self.options, graph, self.ended), issues))
     }
 }

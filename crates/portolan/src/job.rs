@@ -210,8 +210,7 @@ impl<'a> Job<'a> {
     ) -> Result<Self, JobError> {
         let configuration = request.requested.configuration.clone();
         let is_configured = configuration.is_some();
-        let with_cloud = request.cloud.file.is_some() && request.cloud.voxel_size_metres.is_none();
-        require_room(&request.folder, room::needed(recording.size_bytes(), with_cloud))?;
+        require_room(&request.folder, needed_room(recording, &request))?;
         let mut preparation = prepare(recording, &request.ingest, configuration)?;
         for notice in &preparation.plan.notices {
             event::remark(observe, Remark::Chosen(notice.clone()));
@@ -235,16 +234,17 @@ impl<'a> Job<'a> {
     pub fn keep_journal(&mut self, observe: &mut Observer) -> Result<(), JobError> {
         let identity = Identity::of(self.recording, &self.request, &self.preparation)?;
         let folder = &self.request.folder;
+        let reserve = needed_room(self.recording, &self.request);
         let path = folder.join(JOURNAL);
         let journal = if self.request.resume {
-            let (journal, Resumed { answers, cut_off }) = Journal::resume(folder, &identity)?;
+            let (journal, Resumed { answers, cut_off }) = Journal::resume(folder, &identity, reserve)?;
             event::remark(observe, Remark::Resumed { path, answers, cut_off });
             journal
         } else {
             if path.is_file() {
                 event::remark(observe, Remark::JournalReplaced(path));
             }
-            Journal::begin(folder, &identity)
+            Journal::begin(folder, &identity, reserve)
         };
         self.preparation.memory = journal.memory();
         self.journal = Some(journal);
@@ -271,6 +271,10 @@ impl<'a> Job<'a> {
             Err(error) => {
                 let (folder, reason) = (self.request.folder.clone(), error.to_string());
                 event::remark(observe, Remark::NoJournal { folder, reason });
+                if !interrupted && error.kind() == std::io::ErrorKind::StorageFull {
+                    // What there is of it serves nobody any more.
+                    std::fs::remove_file(self.request.folder.join(JOURNAL)).unwrap_or_default();
+                }
             }
             Ok(Some(path)) if interrupted => event::remark(observe, Remark::JournalLeft(path)),
             // Where it cannot be removed it harms nobody.
@@ -372,6 +376,12 @@ impl<'a> Job<'a> {
             is_sound: mapped.is_sound(),
         })
     }
+}
+
+/// What the results will need at the very least, bytes.
+fn needed_room(recording: &dyn Recording, request: &MapRequest) -> u64 {
+    let with_cloud = request.cloud.file.is_some() && request.cloud.voxel_size_metres.is_none();
+    room::needed(recording.size_bytes(), with_cloud)
 }
 
 /// Keeps going: for [`map`], where nobody wants to know what happens.

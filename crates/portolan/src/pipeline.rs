@@ -84,7 +84,7 @@ pub struct MappedRecording<S: Space> {
     pub recorded_times: BTreeMap<Time, Time>,
     /// The scans, if they were to be kept.
     pub kept_scans: KeptScans,
-    /// Whether it was stopped before the end.
+    /// Whether it was stopped before the end of the recording, or before the map was finished.
     pub interrupted: bool,
 }
 
@@ -299,6 +299,7 @@ pub fn map_recording<S: Space>(
         scans += matched.len() as u64;
     };
     let mut span: Option<(Time, Time)> = None;
+    let mut latest = None;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement()? {
         let time = measurement.time();
         let (first, last) = span.get_or_insert((time, time));
@@ -308,8 +309,11 @@ pub fn map_recording<S: Space>(
         take(mapper.add(trajectory_id, &sensor_id, measurement)?);
         let (position_bytes, total_bytes) = ingestion.progress();
         let backend = mapper.progress();
-        if !observe(&PipelineProgress { position_bytes, total_bytes, recording_seconds, backend }) {
+        let progress = PipelineProgress { position_bytes, total_bytes, recording_seconds, backend };
+        latest = Some(progress);
+        if !observe(&progress) {
             interrupted = true;
+            mapper.stop();
             break;
         }
     }
@@ -318,7 +322,12 @@ pub fn map_recording<S: Space>(
     let scan_times = mapper.scan_times().clone();
     let degenerate_intervals = mapper.degenerate_intervals().to_vec();
     let losses = mapper.losses().to_vec();
-    let (mut map, mapping_issues) = mapper.finish()?;
+    let was_read = !interrupted;
+    let (mut map, mapping_issues) = mapper.finish_while(&mut |backend| {
+        let goes_on = latest.is_none_or(|latest| observe(&PipelineProgress { backend, ..latest }));
+        interrupted |= !goes_on;
+        goes_on
+    })?;
     if scans == 0 {
         return Err(PipelineError::NoScans);
     }
@@ -329,7 +338,7 @@ pub fn map_recording<S: Space>(
     }
     let mut issues = known_issues;
     issues.merge(&ingestion.issues());
-    if !interrupted {
+    if was_read {
         issues.merge(&silences.issues());
     }
     issues.append(&mapping_issues);

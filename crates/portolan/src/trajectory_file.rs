@@ -84,7 +84,8 @@ impl TrajectoryFile<'_> {
     pub fn read_from(&self, mut input: Forward) -> Result<ReadTrajectory, TrajectoryFileError> {
         let mut notes = Vec::new();
         let (trajectory, repairs) = if peek(&mut input, self.path, MAGIC.len())? == MAGIC {
-            let pose_graph = pose_graph_from(input, self.path)?;
+            let (pose_graph, damage) = whole_pose_graph_from(input, self.path)?;
+            notes.extend(damage.map(|damage| damaged_behind_poses(&damage)));
             Trajectory::new(nodes(self.path, &pose_graph, self.trajectory_id)?)
         } else {
             self.read_text(input, &mut notes)?
@@ -193,6 +194,11 @@ pub fn whole_pose_graph_from(
             Err(error) => return Ok((graph, Some(error.to_string()))),
         }
     }
+}
+
+/// What to say of a map whose poses are whole, and what follows is not.
+pub fn damaged_behind_poses(damage: &str) -> String {
+    format!("damaged behind its poses, which are whole: {damage}")
 }
 
 /// One trajectory of a map.

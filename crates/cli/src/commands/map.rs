@@ -174,6 +174,9 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     cloud.check().map_err(|error| CliError::Usage(error.to_string()))?;
     cloud.make_room()?;
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
+    if folder.exists() && !folder.is_dir() {
+        return Err(CliError::in_file(&folder, "this is no folder, and results go to one"));
+    }
     std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
     let recording = open_all(&args.recordings)?;
     let mut requested = requested_options(&args.sensors, &args.config)?;

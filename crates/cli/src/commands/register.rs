@@ -12,14 +12,14 @@ use portolan::job::register::{
 };
 use portolan_geometry::{Rigid3, nalgebra as na, rotation_from_roll_pitch_yaw};
 use portolan_registration::{
-    GlobalReport, Link, ScanCloud, SequenceReport, links_by_distance, links_by_overlap,
+    GlobalReport, IcpError, Link, ScanCloud, SequenceReport, links_by_distance, links_by_overlap,
     register_globally_twice, register_sequence, unlinked_scans,
 };
 
 use super::map::remarks;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json};
+use crate::output::{counted, print, print_json, print_summary};
 use crate::progress::{Progress, say};
 use input::{InputArgs, read_links, read_scans};
 use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
@@ -120,8 +120,10 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     };
     if args.json {
         print_json(&report(&work, &registered))?;
-    } else {
+    } else if files.is_empty() {
         print(&text(&work, &registered, &files))?;
+    } else {
+        print_summary(&text(&work, &registered, &files));
     }
     Ok(if lost || scans.lost_data { outcome.max(Outcome::DataLost) } else { outcome })
 }
@@ -173,14 +175,17 @@ fn first_poses(args: &RegisterArgs, scans: &mut Scans) -> Result<Vec<Rigid3>, Cl
     Ok(poses.iter().map(|pose| scans.about_origin(pose)).collect())
 }
 
-/// Says which scans could not be matched; whether there are any. That none could be is an error.
+/// Says which scans could not be matched; whether there are any. That none could be is an error, and where they do not overlap
+/// nothing is to be trusted.
 fn unmatched(scans: &Scans, report: &SequenceReport, quiet: bool) -> Result<bool, CliError> {
     let mut lost = 0;
     for (index, result) in report.matched.iter().enumerate() {
         let Some(Err(error)) = result else { continue };
         lost += 1;
         if scans.clouds.len() == 2 {
-            return Err(CliError::Failed(format!("{}: {error}", scans.names[index])));
+            let told = format!("{}: {error}", scans.names[index]);
+            let is_apart = matches!(error, IcpError::TooFewPairs { .. });
+            return Err(if is_apart { CliError::Untrusted(told) } else { CliError::Failed(told) });
         }
         if !quiet {
             say(&format!("{}: {error}; it was moved with the scan before it", scans.names[index]));

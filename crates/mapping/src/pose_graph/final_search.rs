@@ -29,7 +29,7 @@ impl<S: Space> PoseGraph<S> {
     /// as many as wanted have been tried.
     pub(super) fn search_more(&mut self) {
         let missing = self.policy.min_searches.saturating_sub(self.search.counts().window_searched);
-        if missing > 0 {
+        if missing > 0 && !self.stop.is_asked() {
             self.schedule(self.untied_pairs(), missing as f64);
         }
     }
@@ -42,6 +42,9 @@ impl<S: Space> PoseGraph<S> {
         }
         let most = SHARE_OF_SEARCHES * self.search.counts().window_searched as f64;
         for _ in 0..MOST_ROUNDS {
+            if self.stop.is_asked() {
+                return;
+            }
             let travel = TravelGraph::new(&self.state, &self.ways);
             self.schedule(self.distant_neighbours(&travel), most);
             let before = self.state.constraints.len();

@@ -50,7 +50,7 @@ impl<S: Space> PoseGraph<S> {
         for id in looked_for.iter().copied() {
             let part = self.state.connectivity.members(id);
             let is_placed = part.iter().any(|member| !looked_for.contains(member));
-            if !is_placed && of_trajectory(&self.state.nodes, id).next().is_some() {
+            if !is_placed && !self.stop.is_asked() && of_trajectory(&self.state.nodes, id).next().is_some() {
                 self.place(id, &part.into_iter().collect());
             }
         }
@@ -86,7 +86,7 @@ impl<S: Space> PoseGraph<S> {
         let mut is_found = false;
         for (i, round) in spread.chunks(NODES_A_ROUND).enumerate() {
             let is_hopeless = S::SEARCHES_WHOLE_MAPS && !is_found && i * NODES_A_ROUND >= HOPELESS_NODES;
-            if self.is_joined(id, joining) || is_hopeless {
+            if self.is_joined(id, joining) || is_hopeless || self.stop.is_asked() {
                 return;
             }
             if S::SEARCHES_WHOLE_MAPS {
@@ -158,5 +158,67 @@ impl<S: Space> PoseGraph<S> {
             is_due
         });
         ways.map(|(id, _)| *id).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use portolan_config::Options;
+    use portolan_geometry::{Rigid3, Time};
+
+    use super::*;
+    use crate::made_rooms::{node, submap};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar, PoseGraphPolicy};
+
+    const ROOM: (f32, f32) = (9.0, 7.0);
+
+    /// A graph of so many pieces without a place, each of which saw the same room.
+    fn lost_again_and_again(pieces: u32) -> PoseGraph<Planar> {
+        let options = Options::for_2d();
+        let mut graph = PoseGraph::<Planar>::new(options.map_builder.pose_graph.clone());
+        graph.set_policy(PoseGraphPolicy::new(&options.portolan));
+        graph.add_trajectory(TrajectoryId(0), None);
+        let finished = Arc::new(submap(ROOM));
+        for id in (0..pieces).map(TrajectoryId) {
+            if let Some(before) = id.0.checked_sub(1).map(TrajectoryId) {
+                graph.begin_piece(before, Vec::new(), id, &Rigid3::identity(), None);
+            }
+            let data = NodeData { time: Time::from_unix_seconds(f64::from(id.0)), ..node(ROOM, (0.5, 0.2)) };
+            let finished = Some(Arc::clone(&finished));
+            let submaps = vec![InsertionSubmap { index: 0, local_from_submap: Rigid3::identity(), finished }];
+            graph.add_node(
+                id,
+                InsertedNode { data: Arc::new(data), submaps, open: Default::default(), agreement: None },
+            );
+        }
+        graph
+    }
+
+    #[test]
+    fn who_is_lost_again_and_again_is_looked_for_in_a_bounded_number_of_parts() {
+        let graph = lost_again_and_again(20);
+        assert_eq!(graph.state().connectivity.components().len(), 20);
+        assert_eq!(graph.searched_parts(&BTreeSet::new()).len(), 8);
+        let few = lost_again_and_again(3);
+        assert_eq!(few.searched_parts(&BTreeSet::from([TrajectoryId(0)])).len(), 2);
+    }
+
+    #[test]
+    fn a_map_that_is_wanted_as_it_is_is_not_searched() {
+        let searched = |is_wanted: bool| {
+            let mut graph = lost_again_and_again(3);
+            if is_wanted {
+                graph.stop().ask();
+            }
+            let before = graph.optimizations().0;
+            graph.run_final_optimization();
+            assert!(graph.optimizations().0 > before);
+            let counts = graph.search_counts();
+            counts.whole_submap_searched + counts.window_searched
+        };
+        assert!(searched(false) > 0);
+        assert_eq!(searched(true), 0);
     }
 }

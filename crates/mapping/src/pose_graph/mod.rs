@@ -67,6 +67,7 @@ use search::ConstraintSearch;
 
 use crate::histogram::Histogram;
 use crate::remembered::Remembered;
+use crate::stop::Stop;
 use crate::{Constraint, ConstraintTag, NodeId, Space, SubmapId, TrajectoryId};
 
 /// The pose graph.
@@ -97,14 +98,17 @@ pub struct PoseGraph<S: Space> {
     optimizations: u64,
     last_summary: OptimizationSummary,
     remembered: Remembered,
+    /// Once somebody wants the map as it is, no more is searched and drawn.
+    stop: Stop,
 }
 
 impl<S: Space> PoseGraph<S> {
     /// An empty graph.
     pub fn new(options: PoseGraphOptions) -> Self {
         let trimmers = options.overlapping_submaps_trimmer_2d.iter().map(Trimmer::overlapping).collect();
+        let stop = Stop::default();
         Self {
-            search: ConstraintSearch::new(options.constraint_builder.clone()),
+            search: ConstraintSearch::new(options.constraint_builder.clone(), stop.clone()),
             whole_submaps: WholeSubmapTurns::new(options.global_sampling_ratio),
             places: PlaceSearches::default(),
             usual_agreement: UsualAgreement::default(),
@@ -126,7 +130,13 @@ impl<S: Space> PoseGraph<S> {
             optimizations: 0,
             last_summary: OptimizationSummary::default(),
             remembered: Remembered::default(),
+            stop,
         }
+    }
+
+    /// The wish to have the map as it is.
+    pub(crate) fn stop(&self) -> &Stop {
+        &self.stop
     }
 
     /// Everything in the graph.
@@ -198,7 +208,7 @@ impl<S: Space> PoseGraph<S> {
             i64::from(self.options.optimize_every_n_nodes),
             self.state.nodes.len(),
         );
-        if due > 0 && self.nodes_since_optimization > due {
+        if due > 0 && self.nodes_since_optimization > due && !self.stop.is_asked() {
             self.optimize();
         }
         node_id
@@ -285,7 +295,7 @@ impl<S: Space> PoseGraph<S> {
     /// Optimises once more, with as many iterations as the options allow at the end: after searching for pieces of map
     /// that have no place yet, and more if too little was searched so far; again with loop closures that the optimised map
     /// shows to have been missed; and again after leaving out contradicted ones if that is wanted. Then submaps are drawn
-    /// again, and the map is compared with itself.
+    /// again, and the map is compared with itself. Once the map is wanted as it is, it is optimised once, and nothing else.
     pub fn run_final_optimization(&mut self) {
         self.place_pieces();
         self.tie_over_gaps();

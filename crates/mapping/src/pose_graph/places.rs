@@ -25,6 +25,10 @@ const AROUND_PROPOSAL: SearchWindow = SearchWindow { linear: 0.5, angular: 0.09 
 /// Parts of the map are made ready again when they have grown by this fraction.
 const GROWTH: f64 = 0.1;
 
+/// So many parts are searched, those of the most complete submaps: where a scanner was lost again and again, every piece would be
+/// looked for in every other, and time would grow with the square of the recording's.
+const MOST_PARTS: usize = 8;
+
 /// A connected part of the map that nodes are looked for in.
 pub(super) struct SearchedPart {
     finder: Box<dyn PlaceFinder>,
@@ -96,7 +100,8 @@ impl<S: Space> PoseGraph<S> {
     pub(super) fn look_everywhere(&mut self, node_id: NodeId) {
         let id = node_id.trajectory_id;
         self.places.saved = (self.places.saved + LOOKUPS_A_NODE).min(MOST_SAVED);
-        if !self.searches_whole_maps() || self.state.connectivity.components().len() < 2 {
+        let is_wanted = self.searches_whole_maps() && !self.stop.is_asked();
+        if !is_wanted || self.state.connectivity.components().len() < 2 {
             return;
         }
         let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
@@ -131,13 +136,25 @@ impl<S: Space> PoseGraph<S> {
         })
     }
 
-    /// The parts of the map without some trajectories, ready to be searched; none where whole maps cannot be searched.
+    /// The parts of the map without some trajectories, ready to be searched, at most [`MOST_PARTS`]; none where whole maps cannot
+    /// be searched.
     pub(super) fn searched_parts(&self, without: &BTreeSet<TrajectoryId>) -> Vec<SearchedPart> {
         let parts = self.state.connectivity.components().into_iter().map(|mut part| {
             part.retain(|id| !without.contains(id));
             part
         });
-        parts.filter_map(|part| self.searched_part(&part)).collect()
+        let complete = |id: &TrajectoryId| {
+            of_trajectory(&self.state.submaps, *id).filter(|(_, entry)| entry.insertion_finished).count()
+        };
+        let mut parts: Vec<(usize, Vec<TrajectoryId>)> =
+            parts.map(|part| (part.iter().map(complete).sum(), part)).collect();
+        if parts.len() > MOST_PARTS {
+            parts.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+            parts.truncate(MOST_PARTS);
+            parts.sort_by(|a, b| a.1.cmp(&b.1));
+        }
+        let wanted = parts.iter().take_while(|_| !self.stop.is_asked());
+        wanted.filter_map(|(_, part)| self.searched_part(part)).collect()
     }
 
     fn searched_part(&self, part: &[TrajectoryId]) -> Option<SearchedPart> {
@@ -178,7 +195,7 @@ impl<S: Space> PoseGraph<S> {
     fn proposals(&self, node_id: NodeId, parts: &[SearchedPart]) -> Proposals {
         let scans = self.stretch_around(node_id);
         let mut proposals = Proposals::default();
-        for part in parts {
+        for part in parts.iter().take_while(|_| !self.stop.is_asked()) {
             let found = part.finder.find(&scans);
             proposals.lookups += found.lookups;
             for map_from_node in found.poses {

@@ -12,13 +12,19 @@ use super::PoseGraph;
 use crate::{Space, SubmapId};
 
 impl<S: Space> PoseGraph<S> {
-    /// Draws all submaps of this job again, if that is wanted. Those of a known map stay as they are.
+    /// Draws all submaps of this job again, if that is wanted; none once the map is wanted as it is. Those of a known map stay
+    /// as they are.
     pub(super) fn redraw_submaps(&mut self) {
         if !self.policy.redraws {
             return;
         }
         let ids: Vec<SubmapId> = self.state.submaps.keys().copied().collect();
-        let redrawn: Vec<_> = ids.par_iter().filter_map(|id| Some((*id, self.redrawn(*id)?))).collect();
+        let goes_on = || !self.stop.is_asked();
+        let redrawn = ids.par_iter().filter(|_| goes_on()).filter_map(|id| Some((*id, self.redrawn(*id)?)));
+        let redrawn: Vec<_> = redrawn.collect();
+        if self.stop.is_asked() {
+            return;
+        }
         for (id, submap) in redrawn {
             self.search.delete_matcher(id);
             if let Some(entry) = self.state.submaps.get_mut(&id) {

@@ -14,6 +14,7 @@ use super::sampling::Samplers;
 use super::travel::TravelGraph;
 use crate::histogram::Histogram;
 use crate::remembered::Remembered;
+use crate::stop::Stop;
 use crate::{
     Constraint, ConstraintTag, MatchedPose, Nearby, NodeData, NodeId, SearchRegion, Space, SubmapId,
 };
@@ -69,11 +70,13 @@ pub struct ConstraintSearch<S: Space> {
     spacings: BTreeMap<SubmapId, Spacing>,
     matchers: MatcherCache<S>,
     counts: SearchCounts,
+    /// Once it is asked for, pairs are dropped instead of tried.
+    stop: Stop,
 }
 
 impl<S: Space> ConstraintSearch<S> {
     /// Nothing to try yet.
-    pub fn new(options: ConstraintBuilderOptions) -> Self {
+    pub fn new(options: ConstraintBuilderOptions, stop: Stop) -> Self {
         Self {
             samplers: Samplers::new(options.sampling_ratio),
             options,
@@ -82,6 +85,7 @@ impl<S: Space> ConstraintSearch<S> {
             spacings: BTreeMap::new(),
             matchers: MatcherCache::default(),
             counts: SearchCounts::default(),
+            stop,
         }
     }
 
@@ -230,7 +234,7 @@ impl<S: Space> ConstraintSearch<S> {
         found.into_iter().filter_map(|(_, result)| result).collect()
     }
 
-    /// Tries tasks of one submap, but those whose results are remembered.
+    /// Tries tasks of one submap, but those whose results are remembered. Gives nothing of those that were dropped.
     fn search_submap(
         &self,
         submap_id: SubmapId,
@@ -238,7 +242,8 @@ impl<S: Space> ConstraintSearch<S> {
         remembered: &Remembered,
     ) -> Vec<(usize, Option<Constraint>)> {
         let (memory, options) = (&remembered.memory, &self.options);
-        let pending = tasks.par_iter().map(|(i, task)| {
+        let goes_on = || !self.stop.is_asked();
+        let pending = tasks.par_iter().filter(|_| goes_on()).map(|(i, task)| {
             let pair = (task.submap_id, task.node_id);
             let question = remembered.where_is(pair, &task.guess_submap_from_node, &task.region);
             let outcome = match memory.recall::<Option<MatchedPose>>(question) {
@@ -252,7 +257,7 @@ impl<S: Space> ConstraintSearch<S> {
         let unknown = pending.iter().find(|(.., nearby)| *nearby == Nearby::Unknown);
         let matcher =
             unknown.and_then(|(_, task, ..)| self.matchers.get_or_build(submap_id, &task.submap, options));
-        let found = pending.into_par_iter().map(|(i, task, question, nearby)| {
+        let found = pending.into_par_iter().filter(|_| goes_on()).map(|(i, task, question, nearby)| {
             let found = match nearby {
                 Nearby::Found(found) => Some(found),
                 Nearby::Unknown => search_node(matcher.as_deref(), task, options),

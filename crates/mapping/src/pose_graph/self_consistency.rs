@@ -52,7 +52,12 @@ impl<S: Space> PoseGraph<S> {
             let way = self.ways.get(id).copied().unwrap_or(0.0);
             spacing.is_due((SubmapId::new(id.trajectory_id, 0), *id), way, SPACING)
         });
-        let contradicted: Vec<bool> = nodes.par_iter().filter_map(|id| self.is_contradicted(*id)).collect();
+        let goes_on = || !self.stop.is_asked();
+        let contradicted = nodes.par_iter().filter(|_| goes_on()).filter_map(|id| self.is_contradicted(*id));
+        let contradicted: Vec<bool> = contradicted.collect();
+        if self.stop.is_asked() {
+            return SelfConsistency::default();
+        }
         SelfConsistency {
             places: contradicted.len(),
             contradicted: contradicted.iter().filter(|contradicted| **contradicted).count(),

@@ -57,24 +57,24 @@ pub struct Resumed {
 
 impl Journal {
     /// Begins a journal in a folder; the file appears with the first answers that have been there for a moment. What
-    /// another run left of this name is replaced.
-    pub fn begin(folder: &Path, identity: &Identity) -> Self {
-        let writer = Writer::begin(folder.join(JOURNAL), identity);
+    /// another run left of this name is replaced. It ends where less than `reserve` bytes would be left for the results.
+    pub fn begin(folder: &Path, identity: &Identity, reserve: u64) -> Self {
+        let writer = Writer::begin(folder.join(JOURNAL), identity, reserve);
         Self { answers: Arc::new(Answers { known: BTreeMap::new(), writer: Mutex::new(Some(writer)) }) }
     }
 
-    /// Goes on with the journal in a folder.
+    /// Goes on with the journal in a folder, with a reserve as in [`Journal::begin`].
     ///
     /// # Errors
     /// There is none, it cannot be read, it belongs to another job, or another process is writing it.
-    pub fn resume(folder: &Path, identity: &Identity) -> Result<(Self, Resumed), JobError> {
+    pub fn resume(folder: &Path, identity: &Identity, reserve: u64) -> Result<(Self, Resumed), JobError> {
         let path = folder.join(JOURNAL);
         let Content { file, identity: found, known, cut_off } = file::read(&path)?;
         if let Some(difference) = identity.difference_from(&found) {
             return Err(JobError::JournalOfAnother { path, difference });
         }
         let resumed = Resumed { answers: known.len(), cut_off };
-        let writer = Mutex::new(Some(Writer::go_on(path, file)));
+        let writer = Mutex::new(Some(Writer::go_on(path, file, reserve)));
         Ok((Self { answers: Arc::new(Answers { known, writer }) }, resumed))
     }
 

@@ -57,6 +57,10 @@ impl OutputFolder {
         observe: &mut Observer,
     ) -> Result<Self, JobError> {
         let path = path.into();
+        if path.exists() && !path.is_dir() {
+            let reason = std::io::Error::other("this is no folder, and results go to one");
+            return Err(JobError::file(&path, reason));
+        }
         let Leftovers { removed, left } = remove_leftovers(&path);
         if !removed.is_empty() {
             remark(observe, Remark::LeftoversRemoved { folder: path.clone(), count: removed.len() });

@@ -2,7 +2,7 @@
 
 use std::io::{BufWriter, Write};
 
-use portolan::trajectory_file::{TrajectoryFile, nodes, whole_pose_graph_from};
+use portolan::trajectory_file::{TrajectoryFile, damaged_behind_poses, nodes, whole_pose_graph_from};
 use portolan_evaluation::{
     Trajectory, read_geojson, write_csv, write_csv_all, write_geojson, write_kitti, write_tum,
 };
@@ -119,7 +119,7 @@ fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<R
         Format::Map => {
             let (graph, damage) = whole_pose_graph_from(input, path)?;
             if let Some(damage) = damage {
-                say(&format!("{}: damaged behind its poses, which are whole: {damage}", path.display()));
+                say(&format!("{}: {}", path.display(), damaged_behind_poses(&damage)));
                 lost_data = true;
             }
             let ids: Vec<i32> = graph.trajectory.iter().map(|t| t.trajectory_id).collect();

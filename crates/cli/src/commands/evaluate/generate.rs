@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan::trajectory_file::{nodes, read_pose_graph, trajectory_of};
+use portolan::trajectory_file::{damaged_behind_poses, nodes, trajectory_of, whole_pose_graph_from};
 use portolan_evaluation::{
     GenerateOptions, MapConstraint, MapGraph, generate_relations, write_binary_relations,
     write_text_relations,
@@ -12,6 +12,7 @@ use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
+use crate::input::open_forward;
 use crate::output::{print_json, print_summary, write_file};
 use crate::progress::say;
 
@@ -81,7 +82,10 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
 
 /// What relations are made from.
 pub fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
-    let pose_graph = read_pose_graph(path)?;
+    let (pose_graph, damage) = whole_pose_graph_from(open_forward(path)?, path)?;
+    if let Some(damage) = damage {
+        say(&format!("{}: {}", path.display(), damaged_behind_poses(&damage)));
+    }
     let submaps = &trajectory_of(path, &pose_graph, 0)?.submap;
     let map_from_submap = submaps.iter().map(|submap| {
         let missing = || CliError::in_file(path, format!("submap {} has no valid pose", submap.submap_index));

@@ -25,17 +25,28 @@ pub(super) fn describe(state: &PipelineProgress, start: std::time::Instant) -> S
     )
 }
 
-/// One line for each issue; harmless ones only where they are wanted.
+/// So many issues of one kind and sensor have lines of their own; of more the first one stands for all.
+const MOST_ALIKE: usize = 3;
+
+/// One line for each issue; harmless ones only where they are wanted. They come with those of a kind together.
 fn issues(all: impl Iterator<Item = Issue>, with_harmless: bool) -> String {
-    let (mut text, mut harmless) = (String::new(), 0);
-    for issue in all {
-        if issue.severity == Severity::Info && !with_harmless {
-            harmless += 1;
-            continue;
+    let (harmless, told): (Vec<Issue>, Vec<Issue>) =
+        all.partition(|issue| issue.severity == Severity::Info && !with_harmless);
+    let mut text = String::new();
+    let are_alike = |a: &Issue, b: &Issue| (a.kind, &a.sensor, a.severity) == (b.kind, &b.sensor, b.severity);
+    for alike in told.chunk_by(are_alike) {
+        let shown = if alike.len() > MOST_ALIKE { 1 } else { alike.len() };
+        let (shown, others) = alike.split_at(shown);
+        for issue in shown {
+            let label = if issue.lost_data() { "lost" } else { "repaired" };
+            text += &format!("{label}: {issue} ({}x)\n", issue.count);
         }
-        let label = if issue.lost_data() { "lost" } else { "repaired" };
-        text += &format!("{label}: {issue} ({}x)\n", issue.count);
+        if !others.is_empty() {
+            let count = others.iter().fold(0u64, |sum, issue| sum.saturating_add(issue.count));
+            text += &format!("  and {count}x alike (report.json lists them)\n");
+        }
     }
+    let harmless = harmless.len() as u64;
     if harmless > 0 {
         text += &format!("{} [-v lists them]\n", counted(harmless, "harmless repair", "harmless repairs"));
     }
@@ -97,7 +108,7 @@ pub fn summary<S: Space>(
     text += &degenerate_intervals(&mapped.degenerate_intervals, mapped.recording_seconds);
     text += &issues(mapped.issues.iter(), with_harmless);
     if mapped.interrupted {
-        text += "interrupted: stopped before the end of the recording; what was mapped is saved\n";
+        text += "interrupted: stopped before the map was finished; what was mapped is saved\n";
     }
     for file in files {
         text += &format!("{}\n", file.display());

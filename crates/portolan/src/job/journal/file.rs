@@ -3,12 +3,15 @@
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
+use std::io::ErrorKind::StorageFull;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+use portolan_atomic_file::require_room_for;
 
 use super::Identity;
 use crate::job::JobError;
@@ -129,25 +132,26 @@ enum Target {
 }
 
 impl Writer {
-    /// Writes a new file, which appears with the first records.
-    pub fn begin(path: PathBuf, identity: &Identity) -> Self {
+    /// Writes a new file, which appears with the first records, as long as so many bytes stay free behind it.
+    pub fn begin(path: PathBuf, identity: &Identity, reserve: u64) -> Self {
         let mut header = MAGIC.to_vec();
         // A list of texts.
         let identity = serde_json::to_vec(identity).unwrap_or_default();
         add_record(&mut header, &identity);
-        Self::start(path, Target::New(header))
+        Self::start(path, Target::New(header), reserve)
     }
 
     /// Goes on with a file.
-    pub fn go_on(path: PathBuf, file: File) -> Self {
-        Self::start(path, Target::Open(file))
+    pub fn go_on(path: PathBuf, file: File, reserve: u64) -> Self {
+        Self::start(path, Target::Open(file), reserve)
     }
 
-    fn start(path: PathBuf, target: Target) -> Self {
+    fn start(path: PathBuf, target: Target, reserve: u64) -> Self {
         let pending = Arc::new(Pending::default());
         let records = Arc::clone(&pending);
         let name = "journal".to_owned();
-        let thread = std::thread::Builder::new().name(name).spawn(move || write(path, target, &records));
+        let thread =
+            std::thread::Builder::new().name(name).spawn(move || write(path, target, &records, reserve));
         Self { pending, thread: thread.ok() }
     }
 
@@ -170,8 +174,9 @@ impl Writer {
     }
 }
 
-/// Writes what comes until it is closed. A job that takes less than a moment leaves no file.
-fn write(path: PathBuf, mut target: Target, pending: &Pending) -> io::Result<Option<PathBuf>> {
+/// Writes what comes until it is closed, or until no more than the reserve would be free: results come before what only helps
+/// to make them. A job that takes less than a moment leaves no file.
+fn write(path: PathBuf, mut target: Target, pending: &Pending, reserve: u64) -> io::Result<Option<PathBuf>> {
     let began = Instant::now();
     let (mut written_at, mut synced_at) = (began, began);
     loop {
@@ -185,6 +190,8 @@ fn write(path: PathBuf, mut target: Target, pending: &Pending) -> io::Result<Opt
         let is_long = began.elapsed() >= WRITING || matches!(target, Target::Open(_));
         if is_long && !bytes.is_empty() {
             let file = opened(&path, &mut target)?;
+            let needed = reserve.saturating_add(bytes.len() as u64);
+            require_room_for(&path, needed).map_err(|no_room| io::Error::new(StorageFull, no_room))?;
             file.write_all(&bytes)?;
             if synced_at.elapsed() >= SYNCING {
                 file.sync_data()?;

@@ -10,7 +10,7 @@ fn identity(options: &str) -> Identity {
 /// A folder with the journal of a run of a moment that gave these answers.
 fn left(answers: &[f64]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let journal = Journal::begin(folder.path(), &identity("usual"));
+    let journal = Journal::begin(folder.path(), &identity("usual"), 0);
     let memory = journal.memory();
     for (question, answer) in answers.iter().enumerate() {
         memory.keep(Some(question as u64), answer);
@@ -28,13 +28,13 @@ fn answers(journal: &Journal) -> Vec<f64> {
 #[test]
 fn answers_come_back_and_more_are_added() {
     let folder = left(&[1.5, -0.0]);
-    let (journal, resumed) = Journal::resume(folder.path(), &identity("usual")).unwrap();
+    let (journal, resumed) = Journal::resume(folder.path(), &identity("usual"), 0).unwrap();
     assert_eq!(resumed, Resumed { answers: 3, cut_off: 0 });
     assert_eq!(answers(&journal), [1.5, -0.0]);
     journal.memory().keep(Some(0), &7.0);
     journal.memory().keep(Some(2), &2.5);
     drop(journal);
-    let (journal, resumed) = Journal::resume(folder.path(), &identity("usual")).unwrap();
+    let (journal, resumed) = Journal::resume(folder.path(), &identity("usual"), 0).unwrap();
     assert_eq!((answers(&journal), resumed.answers), (vec![1.5, -0.0, 2.5], 4));
 }
 
@@ -45,7 +45,7 @@ fn whatever_is_damaged_or_missing_at_the_end_is_cut_off() {
     let whole = fs::read(&path).unwrap();
     for end in 0..whole.len() {
         fs::write(&path, &whole[..end]).unwrap();
-        match Journal::resume(folder.path(), &identity("usual")) {
+        match Journal::resume(folder.path(), &identity("usual"), 0) {
             Ok((journal, resumed)) => {
                 let wanted = [1.5, 2.5, 3.5];
                 assert_eq!(answers(&journal), wanted[..resumed.answers.min(3)]);
@@ -58,7 +58,7 @@ fn whatever_is_damaged_or_missing_at_the_end_is_cut_off() {
         let mut damaged = whole.clone();
         damaged[at] ^= 0x10;
         fs::write(&path, &damaged).unwrap();
-        if let Ok((journal, _)) = Journal::resume(folder.path(), &identity("usual")) {
+        if let Ok((journal, _)) = Journal::resume(folder.path(), &identity("usual"), 0) {
             assert!([1.5, 2.5, 3.5].starts_with(&answers(&journal)), "{at}");
         }
     }
@@ -67,24 +67,24 @@ fn whatever_is_damaged_or_missing_at_the_end_is_cut_off() {
 #[test]
 fn journals_of_other_jobs_are_refused_with_what_differs() {
     let folder = left(&[1.5]);
-    let resume = |identity: &Identity| Journal::resume(folder.path(), identity).map(|_| ());
+    let resume = |identity: &Identity| Journal::resume(folder.path(), identity, 0).map(|_| ());
     let error = resume(&identity("others")).unwrap_err().to_string();
     assert!(error.contains("of another job: the options differ"), "{error}");
     resume(&identity("usual")).unwrap();
     let nothing = tempfile::tempdir().unwrap();
-    let error = Journal::resume(nothing.path(), &identity("usual")).map(|_| ()).unwrap_err().to_string();
+    let error = Journal::resume(nothing.path(), &identity("usual"), 0).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("nothing to go on with"), "{error}");
 }
 
 #[test]
 fn one_process_writes_at_a_time_and_foreign_files_stay() {
     let folder = left(&[1.5]);
-    let (_journal, _) = Journal::resume(folder.path(), &identity("usual")).unwrap();
-    let error = Journal::resume(folder.path(), &identity("usual")).map(|_| ()).unwrap_err().to_string();
+    let (_journal, _) = Journal::resume(folder.path(), &identity("usual"), 0).unwrap();
+    let error = Journal::resume(folder.path(), &identity("usual"), 0).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("another process is writing it"), "{error}");
     let foreign = tempfile::tempdir().unwrap();
     fs::write(foreign.path().join(JOURNAL), "my own notes").unwrap();
-    let journal = Journal::begin(foreign.path(), &identity("usual"));
+    let journal = Journal::begin(foreign.path(), &identity("usual"), 0);
     std::thread::sleep(Duration::from_millis(1100));
     journal.memory().keep(Some(1), &1.0);
     assert!(journal.close().unwrap_err().to_string().contains("no journal"));
@@ -94,7 +94,7 @@ fn one_process_writes_at_a_time_and_foreign_files_stay() {
 #[test]
 fn a_moment_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
-    let journal = Journal::begin(folder.path(), &identity("usual"));
+    let journal = Journal::begin(folder.path(), &identity("usual"), 0);
     journal.memory().keep(Some(1), &1.0);
     assert_eq!(journal.close().unwrap(), None);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
@@ -112,10 +112,22 @@ fn journals_damaged_in_any_way_are_cut_off_or_refused() {
         let mut random = Random::new(1, number);
         let layout = if random.once_in(2) { Layout::Pages(24) } else { Layout::HeaderThenRows };
         fs::write(&path, damaged(&whole, layout, &mut random)).unwrap();
-        let Ok((journal, resumed)) = Journal::resume(folder.path(), &identity("usual")) else { continue };
+        let Ok((journal, resumed)) = Journal::resume(folder.path(), &identity("usual"), 0) else { continue };
         // A record is whole or not there; it may be there twice.
         let found = answers(&journal);
         assert!(found.iter().all(|answer| known.contains(answer)), "case {number}: {found:?}");
         assert!(resumed.answers <= known.len() + 1, "case {number}: {resumed:?}");
     }
+}
+
+#[test]
+fn room_for_the_results_is_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let journal = Journal::begin(folder.path(), &identity("usual"), u64::MAX / 2);
+    journal.memory().keep(Some(1), &2.5);
+    std::thread::sleep(Duration::from_millis(1200));
+    journal.memory().keep(Some(2), &2.5);
+    let error = journal.close().unwrap_err();
+    assert_eq!(error.kind(), std::io::ErrorKind::StorageFull);
+    assert!(error.to_string().contains("are free"), "{error}");
 }
