@@ -152,6 +152,12 @@ impl HybridGrid {
         self.cells.for_each_in_file_order(visit);
     }
 
+    /// A grid of the same cells of which none is known.
+    #[must_use]
+    pub fn emptied(&self) -> Self {
+        Self::of_cells(self.lattice, VoxelMap::default())
+    }
+
     /// The same grid without spare memory, for submaps that are finished.
     #[must_use]
     pub fn compacted(&self) -> Self {
