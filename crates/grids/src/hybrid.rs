@@ -107,6 +107,7 @@ impl HybridGrid {
     }
 
     /// The cell of a point (metres, in the frame of the grid); none if it is not finite or too far away.
+    #[inline]
     pub fn cell_index(&self, point: &Point3f) -> Option<VoxelIndex> {
         self.lattice.cell(point)
     }

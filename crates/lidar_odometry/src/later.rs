@@ -32,16 +32,21 @@ impl<T: Send + 'static> Later<T> {
 
     /// Lets another thread change the value, once the change before is made.
     pub fn change(&self, work: impl FnOnce(&mut T) + Send + 'static) {
+        rayon::spawn(self.leave(work));
+    }
+
+    /// Leaves a change of the value, once the change before is made, to who calls what this gives.
+    pub fn leave(&self, work: impl FnOnce(&mut T) + Send + 'static) -> Box<dyn FnOnce() + Send> {
         let value = self.now();
         *held(&self.shared.work) = Some(Box::new(work));
         drop(value);
         let shared = Arc::clone(&self.shared);
-        // One that is held is being changed, or by someone who has need of it.
-        rayon::spawn(move || {
+        Box::new(move || {
+            // One that is held is being changed by someone who needs it.
             if let Ok(mut value) = shared.value.try_lock() {
                 shared.change(&mut value);
             }
-        });
+        })
     }
 }
 

@@ -32,8 +32,8 @@ pub(crate) struct LocalMap {
 }
 
 impl GrowingMap {
-    /// Adds points seen from an origin (both in the local map): many of them beside what else is done.
-    fn insert(&self, points: &Arc<Vec<Point3f>>, origin: &Point3f) {
+    /// Adds points seen from an origin (both in the local map); many of them are left to who does the work that this gives.
+    fn insert(&self, points: &Arc<Vec<Point3f>>, origin: &Point3f) -> Option<Box<dyn FnOnce() + Send>> {
         let map_from_local = to_f32(&self.local_from_map.inverse());
         let origin = map_from_local * origin;
         // A matrix turns many points sooner than a quaternion, and sums written out sooner than products of matrices.
@@ -44,9 +44,10 @@ impl GrowingMap {
         let in_map = move |p: &Point3f| Point3f::new(along(0, p), along(1, p), along(2, p));
         if is_worth_a_thread(points.len()) {
             let points = Arc::clone(points);
-            self.planes.change(move |planes| planes.insert_all(points.iter().map(in_map), &origin));
+            Some(self.planes.leave(move |planes| planes.insert_all(points.iter().map(in_map), &origin)))
         } else {
             self.planes.now().insert_all(points.iter().map(in_map), &origin);
+            None
         }
     }
 }
@@ -81,9 +82,13 @@ impl LocalMap {
         self.older.keyframes < self.settings.warm_up_keyframes
     }
 
-    /// Shows all maps points that were seen from an origin (both in the local map).
+    /// Shows all maps points that were seen from an origin (both in the local map). Many of them are inserted beside what else is
+    /// done, into the older map first, which is needed sooner.
     pub fn insert(&self, points: &Arc<Vec<Point3f>>, origin: &Point3f) {
-        self.all().for_each(|map| map.insert(points, origin));
+        let work: Vec<_> = self.all().filter_map(|map| map.insert(points, origin)).collect();
+        if !work.is_empty() {
+            rayon::spawn(|| work.into_iter().for_each(|insert| insert()));
+        }
     }
 
     /// Counts a key frame, taken at an origin in the local map, before it is inserted. Whether it completes the older map.

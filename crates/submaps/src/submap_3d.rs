@@ -111,7 +111,7 @@ pub struct Submap3d {
 }
 
 /// So many points are drawn at once: more would wait in memory.
-const MOST_WAITING_POINTS: usize = 30_000;
+const MOST_WAITING_POINTS: usize = 120_000;
 
 impl Submap3d {
     /// An empty submap at an origin in the local map, with the axes of a scan's gravity-aligned frame.
