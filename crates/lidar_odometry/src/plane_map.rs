@@ -3,6 +3,8 @@
 //! Octrees of three levels (Yuan et al. 2022, section III): every hit is counted in the voxel of each
 //! size around it, until a voxel has settled to be a plane.
 
+mod look_up;
+
 use nalgebra as na;
 use portolan_geometry::Point3f;
 
@@ -253,59 +255,6 @@ impl PlaneMap {
         let scaled = self.scaled(place);
         self.plane_around(&scaled, toward)
             .or_else(|| self.plane_around(&across_nearest_side(&scaled), toward))
-    }
-
-    /// The planes near at most [`BATCH`] places, as [`Self::plane_seen`] chooses them. All voxels of a size are read before the
-    /// first is judged, so that their reads overlap.
-    pub(crate) fn planes_seen(&self, places: &[(Point3f, na::Vector3<f32>)]) -> [Option<Plane>; BATCH] {
-        let mut numbers = [NO_VOXEL; BATCH];
-        let mut scaled = [na::Vector3::zeros(); BATCH];
-        for (scaled, (place, _)) in scaled.iter_mut().zip(places) {
-            *scaled = self.scaled(place);
-        }
-        self.voxels_around(&scaled, places, &mut numbers);
-        let mut across = [na::Vector3::repeat(f32::NAN); BATCH];
-        for ((across, scaled), _) in
-            across.iter_mut().zip(&scaled).zip(&numbers).filter(|(_, n)| **n == NO_VOXEL)
-        {
-            *across = across_nearest_side(scaled);
-        }
-        self.voxels_around(&across, places, &mut numbers);
-        numbers.map(|number| Some(self.cells.get(number)?.plane(self.fits.get(number)?)))
-    }
-
-    /// The numbers of the largest flat voxels around places, as [`Self::plane_around`] finds them, for those that have none yet.
-    fn voxels_around(
-        &self,
-        scaled: &[na::Vector3<f32>; BATCH],
-        places: &[(Point3f, na::Vector3<f32>)],
-        found: &mut [usize; BATCH],
-    ) {
-        let mut smallest = [Smallest::default(); BATCH];
-        let mut numbers = [NO_VOXEL; BATCH];
-        for k in (0..places.len().min(BATCH)).filter(|k| found[*k] == NO_VOXEL) {
-            let Some(around) = Smallest::around(&scaled[k]) else { continue };
-            smallest[k] = around;
-            numbers[k] = self.voxels.largest(around).unwrap_or(NO_VOXEL);
-        }
-        for level in 0..LEVELS {
-            // A loop without decisions, so that all these reads are under way at once.
-            let mut are_planes = [false; BATCH];
-            for (is_plane, number) in are_planes.iter_mut().zip(&numbers) {
-                *is_plane = self.cells.get(*number).is_some_and(|cell| cell.is_plane);
-            }
-            for (k, (_, toward)) in places.iter().enumerate() {
-                let number = std::mem::replace(&mut numbers[k], NO_VOXEL);
-                if number == NO_VOXEL {
-                    continue;
-                }
-                if are_planes[k] && !self.cells[number].shows_other_side(toward, &self.settings) {
-                    found[k] = number;
-                } else if level + 1 < LEVELS && smallest[k].is_in_reach(level + 1) {
-                    numbers[k] = self.voxels.child(number, smallest[k], level + 1).unwrap_or(NO_VOXEL);
-                }
-            }
-        }
     }
 
     /// The place is as [`Self::scaled`] gives it.
