@@ -107,6 +107,7 @@ impl HybridGrid {
     }
 
     /// The cell of a point (metres, in the frame of the grid); none if it is not finite or too far away.
+    #[inline]
     pub fn cell_index(&self, point: &Point3f) -> Option<VoxelIndex> {
         self.lattice.cell(point)
     }
@@ -150,6 +151,12 @@ impl HybridGrid {
     /// Hands on every known cell with its code, in the order of map files.
     pub fn for_each_cell(&self, visit: impl FnMut(VoxelIndex, u16)) {
         self.cells.for_each_in_file_order(visit);
+    }
+
+    /// A grid of the same cells of which none is known.
+    #[must_use]
+    pub fn emptied(&self) -> Self {
+        Self::of_cells(self.lattice, VoxelMap::default())
     }
 
     /// The same grid without spare memory, for submaps that are finished.

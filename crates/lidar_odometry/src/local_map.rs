@@ -1,12 +1,15 @@
 //! The planes around: two planar voxel maps that overlap by half. Sweeps are registered to the older one; both take them,
 //! so that every place is in two maps and the older one always knows half of its extent.
 
+use std::sync::Arc;
+
 use portolan_geometry::{Point3f, Quaternion, Rigid3, to_f32};
 use portolan_sensor::RangeData;
 
+use crate::later::Later;
 use crate::plane_map::PlaneMap;
 use crate::settings::{LocalMapSettings, OdometrySettings, PlaneFitSettings};
-use crate::two_threads::both;
+use crate::two_threads::is_worth_a_thread;
 
 /// A planar voxel map that takes key frames.
 #[derive(Clone, Debug)]
@@ -14,7 +17,7 @@ pub struct GrowingMap {
     /// Its frame: level, with its origin where the first key frame was taken.
     pub local_from_map: Rigid3,
     /// In that frame.
-    pub planes: PlaneMap,
+    pub planes: Later<PlaneMap>,
     /// Key frames inserted.
     pub keyframes: u32,
 }
@@ -29,16 +32,23 @@ pub(crate) struct LocalMap {
 }
 
 impl GrowingMap {
-    /// Adds points seen from an origin (both in the local map).
-    fn insert(&mut self, points: &[Point3f], origin: &Point3f) {
+    /// Adds points seen from an origin (both in the local map); many of them are left to who does the work that this gives.
+    fn insert(&self, points: &Arc<Vec<Point3f>>, origin: &Point3f) -> Option<Box<dyn FnOnce() + Send>> {
         let map_from_local = to_f32(&self.local_from_map.inverse());
         let origin = map_from_local * origin;
         // A matrix turns many points sooner than a quaternion, and sums written out sooner than products of matrices.
         let (turn, shift) = (map_from_local.rotation.to_rotation_matrix(), map_from_local.translation.vector);
         let [x, y, z] = turn.matrix().data.0;
-        let along = |axis: usize, p: &Point3f| x[axis] * p.x + y[axis] * p.y + z[axis] * p.z + shift[axis];
-        let points = points.iter().map(|p| Point3f::new(along(0, p), along(1, p), along(2, p)));
-        self.planes.insert_all(points, &origin);
+        let along =
+            move |axis: usize, p: &Point3f| x[axis] * p.x + y[axis] * p.y + z[axis] * p.z + shift[axis];
+        let in_map = move |p: &Point3f| Point3f::new(along(0, p), along(1, p), along(2, p));
+        if is_worth_a_thread(points.len()) {
+            let points = Arc::clone(points);
+            Some(self.planes.leave(move |planes| planes.insert_all(points.iter().map(in_map), &origin)))
+        } else {
+            self.planes.now().insert_all(points.iter().map(in_map), &origin);
+            None
+        }
     }
 }
 
@@ -52,7 +62,7 @@ impl LocalMap {
         let (plane_fit, settings) = (&settings.plane_fit, &settings.local_map);
         let older = empty(settings, plane_fit, sweep_in_local.origin, local_from_gravity_aligned);
         let mut map = Self { settings: settings.clone(), plane_fit: plane_fit.clone(), older, newer: None };
-        map.insert(&sweep_in_local.returns.points, &sweep_in_local.origin);
+        map.insert(&Arc::new(sweep_in_local.returns.points.clone()), &sweep_in_local.origin);
         map.older.keyframes = 1;
         map
     }
@@ -72,13 +82,12 @@ impl LocalMap {
         self.older.keyframes < self.settings.warm_up_keyframes
     }
 
-    /// Shows all maps points that were seen from an origin (both in the local map).
-    pub fn insert(&mut self, points: &[Point3f], origin: &Point3f) {
-        match &mut self.newer {
-            Some(newer) => {
-                both(points.len(), || self.older.insert(points, origin), || newer.insert(points, origin));
-            }
-            None => self.older.insert(points, origin),
+    /// Shows all maps points that were seen from an origin (both in the local map). Many of them are inserted beside what else is
+    /// done, into the older map first, which is needed sooner.
+    pub fn insert(&self, points: &Arc<Vec<Point3f>>, origin: &Point3f) {
+        let work: Vec<_> = self.all().filter_map(|map| map.insert(points, origin)).collect();
+        if !work.is_empty() {
+            rayon::spawn(|| work.into_iter().for_each(|insert| insert()));
         }
     }
 
@@ -98,7 +107,7 @@ impl LocalMap {
     /// Gives the older map away, which is complete.
     pub fn take_complete(&mut self) -> Option<PlaneMap> {
         let complete = std::mem::replace(&mut self.older, self.newer.take()?);
-        Some(complete.planes.compacted())
+        Some(complete.planes.now().compacted())
     }
 }
 
@@ -111,7 +120,7 @@ fn empty(
     let origin = origin_in_local.coords.cast::<f64>();
     GrowingMap {
         local_from_map: Rigid3::from_parts(origin.into(), local_from_gravity_aligned),
-        planes: PlaneMap::with_settings(settings.voxel_size as f32, plane_fit.clone()),
+        planes: Later::new(PlaneMap::with_settings(settings.voxel_size as f32, plane_fit.clone())),
         keyframes: 0,
     }
 }
@@ -131,7 +140,7 @@ mod tests {
     /// Inserts a key frame. Whether it completed a map.
     fn insert_keyframe(map: &mut LocalMap, x: f32) -> bool {
         let is_complete = map.count_keyframe(sweep(x).origin, Quaternion::identity());
-        map.insert(&sweep(x).returns.points, &sweep(x).origin);
+        map.insert(&Arc::new(sweep(x).returns.points), &sweep(x).origin);
         is_complete && map.take_complete().is_some()
     }
 

@@ -94,18 +94,7 @@ impl LidarOdometry {
     /// Gives the next sweep that is registered; none if more has to come first. Where it fits no plane, another map is
     /// asked. Sweeps that contradict the map are held back until others fit, or until it is clear that the pose is lost:
     /// then they are registered once more, and the first of them begins a new piece of map.
-    pub fn advance(&mut self, fallback: Option<&mut (dyn Fallback + '_)>) -> Option<RegisteredSweep> {
-        let registered = self.advance_before_inserting(fallback);
-        self.insert_last();
-        registered
-    }
-
-    /// As [`Self::advance`], but the local map takes the sweep with [`Self::insert_last`], side by side with what else becomes
-    /// of it, or when the next one comes.
-    pub fn advance_before_inserting(
-        &mut self,
-        mut fallback: Option<&mut (dyn Fallback + '_)>,
-    ) -> Option<RegisteredSweep> {
+    pub fn advance(&mut self, mut fallback: Option<&mut (dyn Fallback + '_)>) -> Option<RegisteredSweep> {
         while self.ready.is_empty() {
             // 1. Wait until an IMU has told which way is up, or until it is clear that there is none.
             if !self.begin_if_ready(None) {
@@ -117,7 +106,6 @@ impl LidarOdometry {
                 State::FirstSweep(_) => self.register_first()?,
                 // 3. All others are registered to planes that those before them saw.
                 State::Tracking(tracker) => {
-                    tracker.insert_last();
                     let sweeps = self.waiting.make_contiguous();
                     let gap = match gap::next_sweep(tracker, &self.settings, sweeps, self.is_ended) {
                         NextSweep::Waits => break,
@@ -136,13 +124,6 @@ impl LidarOdometry {
             self.ready.extend(self.recent.release());
         }
         self.ready.pop_front()
-    }
-
-    /// Inserts the last sweep into the local map, if that is still to be done.
-    pub fn insert_last(&mut self) {
-        if let State::Tracking(tracker) = &mut self.state {
-            tracker.insert_last();
-        }
     }
 
     fn judge(&mut self, mut registered: RegisteredSweep) {
@@ -170,14 +151,13 @@ impl LidarOdometry {
     fn begin_anew(&mut self, since: Time) {
         let initialisation =
             State::WaitingForGravity(GravityInitialisation::new(&self.settings.initialisation));
-        let State::Tracking(mut tracker) = std::mem::replace(&mut self.state, initialisation) else { return };
-        tracker.insert_last();
+        let State::Tracking(tracker) = std::mem::replace(&mut self.state, initialisation) else { return };
         self.ended.add(&tracker);
         self.attempts.ended(!tracker.is_warming_up());
         if tracker.is_warming_up() {
             self.ready.extend(self.recent.give_up_all_but(self.settings.initialisation.judged_sweeps));
         }
-        let maps = tracker.local_map().all().map(|map| map.planes.compacted()).collect();
+        let maps = tracker.local_map().all().map(|map| map.planes.now().compacted()).collect();
         self.begun = Some(PieceBegun { since, ended_from_begun: self.recent.ended_from_begun(), maps });
         let replay = self.recent.replay();
         replay.sweeps.into_iter().rev().for_each(|sweep| self.waiting.push_front(sweep));

@@ -3,6 +3,8 @@
 //! Octrees of three levels (Yuan et al. 2022, section III): every hit is counted in the voxel of each
 //! size around it, until a voxel has settled to be a plane.
 
+mod look_up;
+
 use nalgebra as na;
 use portolan_geometry::Point3f;
 
@@ -53,9 +55,10 @@ pub struct PlaneMap {
 /// No voxel has this number.
 const NO_VOXEL: usize = usize::MAX;
 /// So many hits are inserted at once. (Numbers of new voxels, and with them the order of planes, follow from it.)
-const BATCH: usize = 32;
+pub(crate) const BATCH: usize = 32;
 
 /// A hit to be inserted.
+#[derive(Clone, Copy, Default)]
 struct Hit {
     point: Point3f,
     /// Unit vector to where it was seen from, or zero.
@@ -133,21 +136,21 @@ impl PlaneMap {
 
     /// Adds hits that were seen from `origin` (all metres, in the frame of the map).
     pub fn insert_all(&mut self, points: impl Iterator<Item = Point3f>, origin: &Point3f) {
-        let mut points = points.fuse();
-        let mut hits = Vec::with_capacity(BATCH);
-        loop {
-            hits.clear();
-            hits.extend(points.by_ref().take(BATCH).map(|point| {
-                let toward = origin - point;
-                let distance = toward.norm();
-                let toward = if distance > 1e-6 { toward * (1.0 / distance) } else { na::Vector3::zeros() };
-                Hit::new(self, &point, toward)
-            }));
-            if hits.is_empty() {
-                return;
+        let mut hits = [Hit::default(); BATCH];
+        let mut filled = 0;
+        // A loop by hand: chains of iterators are not always compiled into one.
+        for point in points {
+            let toward = origin - point;
+            let distance = toward.norm();
+            let toward = if distance > 1e-6 { toward * (1.0 / distance) } else { na::Vector3::zeros() };
+            hits[filled] = Hit::new(self, &point, toward);
+            filled += 1;
+            if filled == BATCH {
+                self.insert_hits(&hits);
+                filled = 0;
             }
-            self.insert_hits(&hits);
         }
+        self.insert_hits(&hits[..filled]);
     }
 
     /// A place in smallest voxels from the corner of all of them.
@@ -250,27 +253,8 @@ impl PlaneMap {
     #[inline]
     pub fn plane_seen(&self, place: &Point3f, toward: &na::Vector3<f32>) -> Option<Plane> {
         let scaled = self.scaled(place);
-        self.plane_around(&scaled, toward).or_else(|| {
-            let to_side = (scaled / SMALLEST_IN_LARGEST).map(|v| v - (v as u32) as f32 - 0.5);
-            let axis = to_side.iamax();
-            let mut across = scaled;
-            across[axis] += to_side[axis].signum() * (0.51 - to_side[axis].abs()) * SMALLEST_IN_LARGEST;
-            self.plane_around(&across, toward)
-        })
-    }
-
-    /// Reads the largest voxels around places, so that these reads overlap and [`Self::plane_seen`] finds them in the cache.
-    pub(crate) fn read_ahead(&self, places: &[Point3f]) {
-        for places in places.chunks(BATCH) {
-            let mut numbers = [NO_VOXEL; BATCH];
-            for (number, place) in numbers.iter_mut().zip(places) {
-                let smallest = Smallest::around(&self.scaled(place));
-                *number = smallest.and_then(|s| self.voxels.largest(s)).unwrap_or(NO_VOXEL);
-            }
-            let known =
-                numbers.iter().filter_map(|number| self.cells.get(*number).zip(self.fits.get(*number)));
-            std::hint::black_box(known.map(|(cell, fit)| cell.normal.x + fit.variance).sum::<f32>());
-        }
+        self.plane_around(&scaled, toward)
+            .or_else(|| self.plane_around(&across_nearest_side(&scaled), toward))
     }
 
     /// The place is as [`Self::scaled`] gives it.
@@ -310,6 +294,16 @@ impl PlaneMap {
         let planes = self.cells.iter().zip(&self.fits).filter(|(cell, _)| cell.is_plane);
         planes.map(|(cell, fit)| (cell.plane(fit), u32::from(cell.count)))
     }
+}
+
+/// The place across the nearest side of the largest voxel, both as [`PlaneMap::scaled`] gives them.
+#[inline]
+fn across_nearest_side(scaled: &na::Vector3<f32>) -> na::Vector3<f32> {
+    let to_side = (scaled / SMALLEST_IN_LARGEST).map(|v| v - (v as u32) as f32 - 0.5);
+    let axis = to_side.iamax();
+    let mut across = *scaled;
+    across[axis] += to_side[axis].signum() * (0.51 - to_side[axis].abs()) * SMALLEST_IN_LARGEST;
+    across
 }
 
 #[cfg(test)]

@@ -3,6 +3,8 @@
 mod finding;
 mod observability;
 
+use std::sync::Arc;
+
 use portolan_geometry::nalgebra::Matrix3;
 use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, to_f32};
 use portolan_recall::{Fingerprint, Memory};
@@ -91,9 +93,7 @@ pub(crate) struct Tracker {
     intervals: DegenerateIntervals,
     fits: FitMonitor,
     /// Points of the last sweep that fitted, in the local map.
-    last_fitting: Vec<Point3f>,
-    /// From where they were seen, if the map does not know them yet.
-    not_inserted: Option<Point3f>,
+    last_fitting: Arc<Vec<Point3f>>,
     /// When a sweep last fitted planes.
     fitted_at: Time,
     /// Seconds between the last two sweeps.
@@ -151,8 +151,7 @@ impl Tracker {
             keyframes,
             intervals: DegenerateIntervals::new(&settings.degeneracy),
             fits: FitMonitor::new(&settings.loss),
-            last_fitting: Vec::new(),
-            not_inserted: None,
+            last_fitting: Arc::default(),
             fitted_at: registered.sweep.end,
             last_interval: f64::MAX,
             memory: Memory::default(),
@@ -206,7 +205,6 @@ impl Tracker {
         fallback: Option<&mut (dyn Fallback + '_)>,
         issues: &mut Issues,
     ) -> RegisteredSweep {
-        self.insert_last();
         // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
         let (prediction, velocities) = self.predict(gap, &sweep);
         // 2. Register all hypotheses of it to planes and poles; the one that fits best counts.
@@ -319,13 +317,13 @@ impl Tracker {
         }
         // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
         let is_wanted = rotation_is_measured && self.is_warming_up();
-        self.last_fitting.clone_from(&registered.in_local.returns.points);
+        self.last_fitting = Arc::new(registered.in_local.returns.points.clone());
         self.insert(registered, is_standing, is_wanted);
         let place = &registered.local_from_tracking.translation.vector;
         self.witness.add(end, &registered.in_local.returns.points, place);
     }
 
-    /// Shows the map what the last sweep saw, as a key frame if it is one; at once if that completes a map, else when it is asked to.
+    /// Shows the map what the last sweep saw, as a key frame if it is one.
     fn insert(&mut self, registered: &mut RegisteredSweep, is_standing: bool, is_wanted: bool) {
         let decision = self.keyframes.decide(&Candidate {
             time: registered.sweep.end,
@@ -335,22 +333,15 @@ impl Tracker {
             may_be_ignored: !self.is_warming_up(),
         });
         let origin = registered.in_local.origin;
-        self.not_inserted = (decision != Decision::Ignored).then_some(origin);
-        if decision == Decision::KeyFrame {
-            let is_complete = self.local_map.count_keyframe(origin, registered.local_from_gravity());
-            let completed_map = is_complete.then(|| {
-                self.insert_last();
-                self.local_map.take_complete()
-            });
-            registered.keyframe = Some(Keyframe { completed_map: completed_map.flatten() });
-        }
-    }
-
-    /// Inserts the last sweep into the map, if that is still to be done.
-    pub fn insert_last(&mut self) {
-        if let Some(origin) = self.not_inserted.take() {
+        let is_keyframe = decision == Decision::KeyFrame;
+        let is_complete =
+            is_keyframe && self.local_map.count_keyframe(origin, registered.local_from_gravity());
+        if decision != Decision::Ignored {
             self.local_map.insert(&self.last_fitting, &origin);
         }
+        registered.keyframe = is_keyframe.then(|| Keyframe {
+            completed_map: is_complete.then(|| self.local_map.take_complete()).flatten(),
+        });
     }
 
     /// Whether the map is made of too few key frames to learn from it.

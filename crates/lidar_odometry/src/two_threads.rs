@@ -3,6 +3,11 @@
 /// Fewer points are done with before a second thread has woken.
 const WORTHWHILE_POINTS: usize = 20_000;
 
+/// Whether work on so many points is worth another thread.
+pub fn is_worth_a_thread(points: usize) -> bool {
+    points >= WORTHWHILE_POINTS
+}
+
 /// Does both, on two threads if they are about many points. What comes out does not depend on it. The first is done here: a
 /// thread outside of the pool would hand both over and wait.
 pub fn both<A, B: Default + Send>(
@@ -10,7 +15,7 @@ pub fn both<A, B: Default + Send>(
     first: impl FnOnce() -> A,
     second: impl FnOnce() -> B + Send,
 ) -> (A, B) {
-    if points < WORTHWHILE_POINTS {
+    if !is_worth_a_thread(points) {
         return (first(), second());
     }
     let mut of_second = B::default();

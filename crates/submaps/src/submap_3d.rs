@@ -1,5 +1,6 @@
 //! Submaps in 3D: a fine and a coarse grid, directions of walls (`slam3d.md` §5).
 
+use std::borrow::BorrowMut;
 use std::sync::Arc;
 
 use portolan_config::Submaps3dOptions;
@@ -7,7 +8,7 @@ use portolan_geometry::{Point3f, Quaternion, Rigid3, to_f32, yaw};
 use portolan_grids::{
     GridError, HybridGrid, HybridInserter, HybridInserterOptions, InserterOptionError, IntensityGrid,
 };
-use portolan_lidar_odometry::{PlaneMap, both};
+use portolan_lidar_odometry::{Later, PlaneMap, both};
 use portolan_matching::rotate_histogram;
 use portolan_sensor::RangeData;
 
@@ -55,6 +56,17 @@ impl Inserter3d {
     pub fn drawing_late(self) -> Self {
         Self { draws_late: true, ..self }
     }
+
+    /// Draws scans, given in the frame of a submap, into its fine and its coarse grid.
+    fn draw<G: BorrowMut<HybridGrid> + Send>(&self, scans: &[RangeData], grids: &mut [G; 2]) {
+        let points = scans.iter().map(|scan| scan.returns.len()).sum();
+        let [high, low] = grids;
+        both(
+            points,
+            || self.inserter.insert_all(scans, self.high_resolution_max_range, high.borrow_mut()),
+            || self.inserter.insert_all(scans, f32::INFINITY, low.borrow_mut()),
+        );
+    }
 }
 
 /// A scan as it is inserted into submaps.
@@ -94,10 +106,12 @@ pub struct Submap3d {
     /// Scans that grids nobody looks at yet do not know so far, in the frame of the submap: drawn at once they take
     /// less time, because each place in memory is then visited once.
     waiting: Vec<RangeData>,
+    /// The fine and the coarse grid while another thread draws into them; empty ones are in their place.
+    drawing: Option<Later<[HybridGrid; 2]>>,
 }
 
-/// So many points are not kept waiting: drawing more holds up the next sweeps.
-const MOST_WAITING_POINTS: usize = 30_000;
+/// So many points are drawn at once: more would wait in memory.
+const MOST_WAITING_POINTS: usize = 120_000;
 
 impl Submap3d {
     /// An empty submap at an origin in the local map, with the axes of a scan's gravity-aligned frame.
@@ -121,12 +135,13 @@ impl Submap3d {
             refused_scans: 0,
             inserter: Some(Arc::clone(inserter)),
             waiting: Vec::new(),
+            drawing: None,
         })
     }
 
-    /// Draws a scan, given in the frame of the submap, into the grids; or keeps it until they are needed. False if that
-    /// is impossible.
-    fn insert_into_grids(&mut self, scan: RangeData, inserter: &Inserter3d) -> bool {
+    /// Draws a scan, given in the frame of the submap, into the grids; or keeps it until they are needed, or another thread
+    /// has time. False if that is impossible.
+    fn insert_into_grids(&mut self, scan: RangeData, inserter: &Arc<Inserter3d>) -> bool {
         let grids = [&self.high_resolution_grid, &self.low_resolution_grid];
         if grids.iter().any(|grid| grid.cell_index(&scan.origin).is_none()) {
             return false;
@@ -136,23 +151,36 @@ impl Submap3d {
         }
         self.waiting.push(scan);
         let waiting_points: usize = self.waiting.iter().map(|scan| scan.returns.len()).sum();
-        if !inserter.draws_late || waiting_points >= MOST_WAITING_POINTS {
+        if !inserter.draws_late {
             self.draw_grids();
+        } else if waiting_points >= MOST_WAITING_POINTS {
+            self.draw_grids_beside(inserter);
         }
         true
     }
 
+    /// Lets another thread draw the scans that wait into the grids.
+    fn draw_grids_beside(&mut self, inserter: &Arc<Inserter3d>) {
+        let (scans, inserter) = (std::mem::take(&mut self.waiting), Arc::clone(inserter));
+        let grids = || {
+            let grids = [&mut self.high_resolution_grid, &mut self.low_resolution_grid];
+            Later::new(grids.map(|grid| std::mem::replace(grid, grid.emptied())))
+        };
+        self.drawing.get_or_insert_with(grids).change(move |grids| inserter.draw(&scans, grids));
+    }
+
     /// Draws the scans that wait into the grids.
     pub fn draw_grids(&mut self) {
+        let mut grids = [&mut self.high_resolution_grid, &mut self.low_resolution_grid];
+        if let Some(drawing) = self.drawing.take() {
+            for (grid, drawn) in grids.iter_mut().zip(drawing.now().iter_mut()) {
+                std::mem::swap(*grid, drawn);
+            }
+        }
         let scans = std::mem::take(&mut self.waiting);
-        let Some(inserter) = &self.inserter else { return };
-        let (inserter, max_range) = (&inserter.inserter, inserter.high_resolution_max_range);
-        let points = scans.iter().map(|scan| scan.returns.len()).sum();
-        both(
-            points,
-            || inserter.insert_all(&scans, max_range, &mut self.high_resolution_grid),
-            || inserter.insert_all(&scans, f32::INFINITY, &mut self.low_resolution_grid),
-        );
+        if let Some(inserter) = &self.inserter {
+            inserter.draw(&scans, &mut grids);
+        }
     }
 
     /// A submap as a file has it.
@@ -175,6 +203,7 @@ impl Submap3d {
             refused_scans: 0,
             inserter: None,
             waiting: Vec::new(),
+            drawing: None,
         }
     }
 }

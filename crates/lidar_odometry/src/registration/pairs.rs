@@ -7,10 +7,10 @@ use portolan_geometry::Point3f;
 use portolan_sensor::TimedPoint;
 
 use crate::deskew::PiecewiseLinearTrajectory;
-use crate::plane_map::{Plane, PlaneMap};
+use crate::plane_map::{BATCH, Plane, PlaneMap};
 
 /// Points whose planes are looked for together.
-pub(super) const AT_ONCE: usize = 32;
+pub(super) const AT_ONCE: usize = BATCH;
 
 /// The plane that a point was paired with, and where the point was then.
 #[derive(Clone, Copy, Debug)]
@@ -52,19 +52,23 @@ impl Pairs {
         rays: &mut [Ray; AT_ONCE],
     ) {
         let (points, pairs) = (&points[range.clone()], &mut self.pairs[range]);
-        let (mut moved, mut places, mut num_moved) = ([0; AT_ONCE], [Point3f::origin(); AT_ONCE], 0);
+        let (mut moved, mut num_moved) = ([0; AT_ONCE], 0);
+        let mut places = [(Point3f::origin(), na::Vector3::zeros()); AT_ONCE];
         for (i, ((ray, point), pair)) in rays.iter_mut().zip(points).zip(&*pairs).enumerate() {
             let (turned, from) = trajectory.ray(&point.position, point.time);
             *ray = Ray { turned, place: turned + from };
             if (ray.place - pair.looked_up_at).norm_squared() > self.squared_slack {
-                (moved[num_moved], places[num_moved]) = (i, ray.place.into());
+                let toward = turned.try_normalize(1e-6).map_or_else(na::Vector3::zeros, |v| -v);
+                (moved[num_moved], places[num_moved]) = (i, (ray.place.into(), toward));
                 num_moved += 1;
             }
         }
-        planes.read_ahead(&places[..num_moved]);
-        for (i, place) in moved[..num_moved].iter().zip(&places) {
-            let toward = rays[*i].turned.try_normalize(1e-6).map_or_else(na::Vector3::zeros, |v| -v);
-            pairs[*i] = Pair { looked_up_at: place.coords, plane: planes.plane_seen(place, &toward) };
+        if num_moved == 0 {
+            return;
+        }
+        let planes = planes.planes_seen(&places[..num_moved]);
+        for ((i, (place, _)), plane) in moved[..num_moved].iter().zip(&places).zip(planes) {
+            pairs[*i] = Pair { looked_up_at: place.coords, plane };
         }
     }
 }

@@ -30,10 +30,11 @@ impl Tracker {
             return found;
         }
         let map = self.local_map.older();
+        let planes = map.planes.now();
         let search = WideSearch {
             settings: &self.settings,
             registration: &self.registration,
-            target: &Target { local_from_map: &map.local_from_map, planes: &map.planes, poles: None },
+            target: &Target { local_from_map: &map.local_from_map, planes: &planes, poles: None },
             fits: &self.fits,
             before: &self.last_fitting,
         };
@@ -59,8 +60,9 @@ impl Tracker {
         let registration = &self.registration;
         let Finding { sampled, reason, found } = known.unwrap_or_else(|| {
             let poles = to_register.as_ref();
-            let target = Target { local_from_map: &map.local_from_map, planes: &map.planes, poles };
             let sample = registration.sample(sweep);
+            let planes = map.planes.now();
+            let target = Target { local_from_map: &map.local_from_map, planes: &planes, poles };
             let best = prediction.best(|segment| registration.register(&sample, segment, &target));
             let (reason, found) = (best.reason, best.registered.found);
             let finding = Finding { sampled: sample.len() as u64, reason, found };

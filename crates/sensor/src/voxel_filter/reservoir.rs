@@ -37,8 +37,7 @@ struct Reservoir {
     /// the length is a power of two.
     slots: Vec<u32>,
     voxels: Vec<Voxel>,
-    /// One bit per point: whether it is chosen.
-    is_chosen: Vec<u64>,
+    points: usize,
     random: MinimalStandard,
 }
 
@@ -48,22 +47,27 @@ impl Reservoir {
         Self {
             slots: vec![0; slots],
             voxels: Vec::with_capacity(points.min(slots / 2)),
-            is_chosen: vec![0; points.div_ceil(64)],
+            points,
             random: MinimalStandard(1),
         }
     }
 
-    /// At most [`BATCH`] points. The slots in which their voxels are expected are read before the first is changed, so that these
-    /// reads overlap.
+    /// At most [`BATCH`] points. The slots in which their voxels are expected, and these, are read before the first is changed,
+    /// so that these reads overlap.
     fn visit_all(&mut self, batch: &[Numbered]) {
         let mut expected = [0; BATCH];
         for (expected, (key, _)) in expected.iter_mut().zip(batch) {
             *expected = self.slots[key.slot(self.slots.len())];
         }
-        for (expected, (key, number)) in expected.into_iter().zip(batch) {
-            match self.voxels.get((expected as usize).wrapping_sub(1)) {
-                Some(voxel) if voxel.key == *key => self.count(expected, *number),
-                _ => self.visit(*key, *number),
+        let mut are_known = [false; BATCH];
+        for ((is_known, expected), (key, _)) in are_known.iter_mut().zip(expected).zip(batch) {
+            let voxel = self.voxels.get((expected as usize).wrapping_sub(1));
+            *is_known = voxel.is_some_and(|voxel| voxel.key == *key);
+        }
+        for ((is_known, expected), (key, number)) in are_known.into_iter().zip(expected).zip(batch) {
+            match is_known {
+                true => self.count(expected, *number),
+                false => self.visit(*key, *number),
             }
         }
     }
@@ -73,11 +77,9 @@ impl Reservoir {
     fn count(&mut self, voxel: u32, number: u32) {
         let voxel = &mut self.voxels[voxel as usize - 1];
         voxel.count += 1;
-        if self.random.draws_last_of(voxel.count) {
-            let chosen_before = std::mem::replace(&mut voxel.kept, number);
-            self.is_chosen[chosen_before as usize / 64] &= !(1 << (chosen_before % 64));
-            self.is_chosen[number as usize / 64] |= 1 << (number % 64);
-        }
+        // Half of the draws cannot be foreseen: a choice of numbers costs less than one of ways.
+        let is_last = self.random.draws_last_of(voxel.count);
+        voxel.kept = std::hint::select_unpredictable(is_last, number, voxel.kept);
     }
 
     #[inline]
@@ -91,7 +93,6 @@ impl Reservoir {
             }
             i = (i + 1) & mask;
         }
-        self.is_chosen[number as usize / 64] |= 1 << (number % 64);
         self.voxels.push(Voxel { key, count: 1, kept: number });
         self.slots[i] = self.voxels.len() as u32;
         if 2 * self.voxels.len() >= self.slots.len() {
@@ -113,8 +114,13 @@ impl Reservoir {
     }
 
     fn chosen(&self) -> Vec<u32> {
+        // One bit per point puts them in order.
+        let mut is_chosen = vec![0_u64; self.points.div_ceil(64)];
+        for voxel in &self.voxels {
+            is_chosen[voxel.kept as usize / 64] |= 1 << (voxel.kept % 64);
+        }
         let mut chosen = Vec::with_capacity(self.voxels.len());
-        for (bits, first) in self.is_chosen.iter().zip((0u32..).step_by(64)) {
+        for (bits, first) in is_chosen.iter().zip((0u32..).step_by(64)) {
             let mut rest = *bits;
             while rest != 0 {
                 chosen.push(first + rest.trailing_zeros());
@@ -128,6 +134,17 @@ impl Reservoir {
 /// The generator `minstd_rand0` and the way in which libstdc++ draws integers from it.
 struct MinimalStandard(u64);
 
+/// The range divided by small numbers of points, the first left out.
+const SHARES: [u32; 64] = {
+    let mut shares = [u32::MAX; 64];
+    let mut n = 1;
+    while n < shares.len() {
+        shares[n] = MinimalStandard::RANGE / n as u32;
+        n += 1;
+    }
+    shares
+};
+
 impl MinimalStandard {
     const MODULUS: u64 = 2_147_483_647;
     /// Largest minus smallest value of the generator.
@@ -136,14 +153,20 @@ impl MinimalStandard {
     /// The next value less one, 0 to `RANGE`.
     #[inline]
     fn next(&mut self) -> u32 {
-        self.0 = self.0 * 16_807 % Self::MODULUS;
+        // The modulus is 2³¹ − 1: what is above 31 bits counts as ones.
+        let product = self.0 * 16_807;
+        let folded = (product & Self::MODULUS) + (product >> 31);
+        self.0 = if folded < Self::MODULUS { folded } else { folded - Self::MODULUS };
         self.0 as u32 - 1
     }
 
     /// Draws an integer from 1 to `n`; whether it is `n`.
     #[inline]
     fn draws_last_of(&mut self, n: u32) -> bool {
-        let share = Self::RANGE / n;
+        let share = match SHARES.get(n as usize) {
+            Some(share) => *share,
+            None => Self::RANGE / n,
+        };
         if share == 0 {
             // More points in one voxel than the generator has values.
             return false;

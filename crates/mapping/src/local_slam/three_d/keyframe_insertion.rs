@@ -5,7 +5,7 @@ use std::sync::Arc;
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Time, to_f32};
 use portolan_issue::IssueLog;
-use portolan_lidar_odometry::{PlaneMap, both};
+use portolan_lidar_odometry::{Later, PlaneMap, is_worth_a_thread};
 use portolan_matching::rotational_histogram;
 use portolan_sensor::{PointCloud, RangeData};
 use portolan_submaps::{Inserter3d, Scan3d, Submap3d};
@@ -28,6 +28,9 @@ pub(super) struct KeyframeScan {
     /// The map of planes that it completed, together with the older submap.
     pub completed_map: Option<PlaneMap>,
 }
+
+/// A point of a histogram takes so many times as long as one that is put into a voxel.
+const WORK_PER_POINT: usize = 4;
 
 /// Makes nodes and fills submaps.
 pub(super) struct KeyframeInsertion {
@@ -57,18 +60,16 @@ impl KeyframeInsertion {
     pub fn insert(&mut self, keyframe: KeyframeScan) -> MatchingResult<Spatial> {
         let KeyframeScan { time, local_from_tracking, scan, open, .. } = keyframe;
         let gravity = keyframe.gravity_from_tracking;
-        let ([high, low], histogram) = both(
-            scan.returns.len(),
-            || keyframe.clouds.unwrap_or_else(|| self.clouds(&scan.returns)),
-            || self.histogram(&scan.returns, &gravity),
-        );
+        let scan = Arc::new(scan);
+        let histogram = self.histogram(&scan, gravity);
+        let [high, low] = keyframe.clouds.unwrap_or_else(|| self.clouds(&scan.returns));
         let data = NodeData {
             time,
             gravity_alignment: gravity,
             filtered_gravity_aligned_point_cloud: PointCloud::default(),
             high_resolution_point_cloud: high,
             low_resolution_point_cloud: low,
-            rotational_scan_matcher_histogram: histogram,
+            rotational_scan_matcher_histogram: std::mem::take(&mut *histogram.now()),
             local_from_tracking,
             scan: None,
         };
@@ -111,10 +112,20 @@ impl KeyframeInsertion {
         clouds(returns, &self.options)
     }
 
-    fn histogram(&self, returns_in_tracking: &PointCloud, gravity_alignment: &Quaternion) -> Vec<f32> {
-        let level = Rigid3::from_parts(Default::default(), *gravity_alignment);
-        let aligned = returns_in_tracking.transformed(&to_f32(&level));
-        rotational_histogram(&aligned, self.options.rotational_histogram_size)
+    /// The histogram of a scan in the tracking frame, which another thread counts if it is worth that.
+    fn histogram(&self, scan: &Arc<RangeData>, gravity_alignment: Quaternion) -> Later<Vec<f32>> {
+        let (scan, size) = (Arc::clone(scan), self.options.rotational_histogram_size);
+        let work = WORK_PER_POINT * scan.returns.len();
+        let count = move |histogram: &mut Vec<f32>| {
+            let level = Rigid3::from_parts(Default::default(), gravity_alignment);
+            *histogram = rotational_histogram(&scan.returns.transformed(&to_f32(&level)), size);
+        };
+        let histogram = Later::new(Vec::new());
+        match is_worth_a_thread(work) {
+            true => histogram.change(count),
+            false => count(&mut histogram.now()),
+        }
+        histogram
     }
 
     /// Ends a piece of map as [`Self::finish`] does, and begins another one.

@@ -6,7 +6,7 @@ use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::settings::{ExtrapolatorSettings, KeyframeSettings, LocalMapSettings};
 use portolan_lidar_odometry::{
     DegenerateInterval, Fallback, Issue as OdometryIssue, LidarOdometry, OdometrySettings, PlaneMap,
-    RegisteredSweep, WaitingSweeps, both,
+    RegisteredSweep, WaitingSweeps,
 };
 use portolan_motion::{ExtrapolatorCounts, ImuBasedSettings};
 use portolan_recall::Memory;
@@ -120,21 +120,15 @@ impl PlaneEngine {
                 has_imu: self.odometry.has_imu().unwrap_or(true),
                 submaps: &mut insertion.submaps,
             };
-            let Some(registered) = self.odometry.advance_before_inserting(Some(&mut grids)) else { break };
-            let (options, odometry) = (&self.options, &mut self.odometry);
-            let (result, ()) = both(
-                registered.deskewed.returns.len(),
-                || inserted(options, registered, insertion),
-                || odometry.insert_last(),
-            );
-            results.push(result);
+            let Some(registered) = self.odometry.advance(Some(&mut grids)) else { break };
+            results.push(inserted(&self.options, registered, insertion));
         }
         results
     }
 
     /// The planes of the maps that are being filled, oldest first.
     pub fn growing_maps(&self) -> impl Iterator<Item = PlaneMap> {
-        self.odometry.local_maps().map(|map| map.planes.compacted())
+        self.odometry.local_maps().map(|map| map.planes.now().compacted())
     }
 
     pub fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
