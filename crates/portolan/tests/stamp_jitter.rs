@@ -24,7 +24,7 @@ impl RecordingWriter for Jittery {
             self.random ^= self.random >> 7;
             self.random ^= self.random << 17;
             let off = (self.random % 2001) as f64 / 1000.0 - 1.0;
-            scan.header.stamp = scan.header.stamp + Duration::from_seconds(3f64.sqrt() * self.jitter * off);
+            scan.header.stamp += Duration::from_seconds(3f64.sqrt() * self.jitter * off);
         }
         self.inner.write(&message)
     }
