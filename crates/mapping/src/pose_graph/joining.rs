@@ -30,6 +30,7 @@ impl<S: Space> PoseGraph<S> {
     pub fn join(&mut self, joining: &BTreeSet<TrajectoryId>) -> BTreeSet<TrajectoryId> {
         let all: Vec<TrajectoryId> = self.state.trajectories.keys().copied().collect();
         all.into_iter().for_each(|id| self.measure_way(id));
+        self.places.save_without_limit();
         for id in joining {
             self.place(*id, joining);
         }
@@ -43,11 +44,16 @@ impl<S: Space> PoseGraph<S> {
         lost
     }
 
-    /// Looks for pieces of map, and recordings, that have no place in the rest yet, with scans from all over each.
+    /// Looks for pieces of map, and recordings, that have no place in the rest yet, with scans from all over each: for the largest
+    /// first, and as long as searches may take in all.
     pub(super) fn place_pieces(&mut self) {
         let mut looked_for = self.pieces.clone();
         looked_for.extend(self.places.looked_for());
-        for id in looked_for.iter().copied() {
+        self.places.save_for(self.state.nodes.len());
+        let size = |id: &TrajectoryId| of_trajectory(&self.state.nodes, *id).count();
+        let mut by_size: Vec<(usize, TrajectoryId)> = looked_for.iter().map(|id| (size(id), *id)).collect();
+        by_size.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+        for (_, id) in by_size {
             let part = self.state.connectivity.members(id);
             let is_placed = part.iter().any(|member| !looked_for.contains(member));
             if !is_placed && !self.stop.is_asked() && of_trajectory(&self.state.nodes, id).next().is_some() {
@@ -86,11 +92,13 @@ impl<S: Space> PoseGraph<S> {
         let mut is_found = false;
         for (i, round) in spread.chunks(NODES_A_ROUND).enumerate() {
             let is_hopeless = S::SEARCHES_WHOLE_MAPS && !is_found && i * NODES_A_ROUND >= HOPELESS_NODES;
-            if self.is_joined(id, joining) || is_hopeless || self.stop.is_asked() {
+            let may_search = self.places.may_search() && !self.stop.is_asked();
+            if self.is_joined(id, joining) || is_hopeless || !may_search {
                 return;
             }
             if S::SEARCHES_WHOLE_MAPS {
-                self.add_proposed(round, &parts);
+                let lookups = self.add_proposed(round, &parts);
+                self.places.spend(lookups);
             } else {
                 self.add_everywhere(round, joining);
             }

@@ -49,8 +49,9 @@ impl SearchedPart {
     }
 }
 
-/// Searches while mapping may look up so many cells for each node of the map, a few milliseconds' worth: as long as it takes to
-/// make a node. What is not used is saved, as far as a search can need; a search that needs more delays the next ones.
+/// Searches may look up so many cells for each node of the map while mapping, and as many at the end: a few milliseconds' worth, as
+/// long as it takes to make a node. What is not used is saved, as far as a search can need; a search that needs more delays the
+/// next ones.
 const LOOKUPS_A_NODE: i64 = 3_000_000;
 const MOST_SAVED: i64 = 2_000_000_000;
 
@@ -68,6 +69,30 @@ impl PlaceSearches {
     /// The trajectories whose nodes were looked for.
     pub fn looked_for(&self) -> impl Iterator<Item = TrajectoryId> {
         self.last.keys().copied()
+    }
+
+    /// One more node came.
+    fn save(&mut self) {
+        self.saved = (self.saved + LOOKUPS_A_NODE).min(MOST_SAVED);
+    }
+
+    /// All of so many nodes are there.
+    pub fn save_for(&mut self, nodes: usize) {
+        let all = LOOKUPS_A_NODE.saturating_mul(i64::try_from(nodes).unwrap_or(i64::MAX));
+        self.saved = self.saved.max(0).saturating_add(all);
+    }
+
+    /// Somebody wants a place to be found whatever it takes.
+    pub fn save_without_limit(&mut self) {
+        self.saved = i64::MAX;
+    }
+
+    pub fn may_search(&self) -> bool {
+        self.saved >= 0
+    }
+
+    pub fn spend(&mut self, lookups: u64) {
+        self.saved = self.saved.saturating_sub_unsigned(lookups);
     }
 }
 
@@ -99,14 +124,15 @@ impl<S: Space> PoseGraph<S> {
     /// where odometry says that they lie, and everywhere only at the end.
     pub(super) fn look_everywhere(&mut self, node_id: NodeId) {
         let id = node_id.trajectory_id;
-        self.places.saved = (self.places.saved + LOOKUPS_A_NODE).min(MOST_SAVED);
-        let is_wanted = self.searches_whole_maps() && !self.stop.is_asked();
+        self.places.save();
+        let may_search = self.places.may_search() && !self.stop.is_asked();
+        let is_wanted = self.searches_whole_maps() && may_search;
         if !is_wanted || self.state.connectivity.components().len() < 2 {
             return;
         }
         let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
         let last = self.places.last.entry(id).or_insert(way);
-        if way - *last < self.policy.loops.spacing.max(SCAN_SPACING) || self.places.saved < 0 {
+        if way - *last < self.policy.loops.spacing.max(SCAN_SPACING) {
             return;
         }
         *last = way;
@@ -116,7 +142,7 @@ impl<S: Space> PoseGraph<S> {
         }
         let ready = self.ready_parts(without);
         let lookups = self.add_proposed(&[node_id], &ready.parts);
-        self.places.saved = self.places.saved.saturating_sub_unsigned(lookups);
+        self.places.spend(lookups);
         self.places.ready = Some(ready);
     }
 
