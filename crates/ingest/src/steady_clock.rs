@@ -82,7 +82,7 @@ impl SteadyClock {
         self.last.map_or(self.usual_period, |(_, phase)| phase.mean.y)
     }
 
-    /// The time of the first of these stamps, which are in order of arrival and follow the one before.
+    /// The time of the first of these stamps, which are in order of arrival and follow the one before; none if there are none.
     pub fn time(&mut self, stamps: &[Time]) -> Option<Time> {
         let first = *stamps.first()?;
         let base = self.last.map_or(first, |(time, _)| time);
@@ -91,8 +91,9 @@ impl SteadyClock {
         let filtered = steps.first()?.updated;
         let mut smooth = steps.last()?.updated.mean;
         for (step, next) in steps.iter().zip(steps.iter().skip(1)).rev() {
-            let predicted = next.predicted.covariance.try_inverse()?;
-            let gain = step.updated.covariance * next.transition.transpose() * predicted;
+            let gain = next.predicted.covariance.try_inverse().map_or_else(Matrix2::zeros, |information| {
+                step.updated.covariance * next.transition.transpose() * information
+            });
             smooth = step.updated.mean + gain * (smooth - next.predicted.mean);
         }
         let mut left = filtered;

@@ -13,12 +13,13 @@ mod sweeps;
 mod tracker;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use portolan_diagnose::{ClockOffset, ImuComparison, ImuMounting};
 use portolan_geometry::Duration;
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, PlannedRange, SensorPlan, plan};
 use portolan_recording::Recording;
-use portolan_sensor::{Measurement, SensorId, SensorKind, TimedPointCloudData};
+use portolan_sensor::{ImuData, Measurement, SensorId, SensorKind, TimedPointCloudData};
 
 use gyroscope::Gyroscope;
 use sweeps::{Sweep, SweepGatherer};
@@ -37,6 +38,8 @@ const DIFFERENT: f64 = 4.0;
 const MAX_WAITING: usize = 20;
 /// Clouds that are flatter are those of scanners in 2D, radians.
 const FLAT: f64 = 0.05;
+/// So many sweeps tell whether a gyroscope is in degrees a second.
+const SWEEPS_FOR_UNITS: usize = 2 * SWEEPS;
 
 /// Compares the turns of lidars in 3D with those of the IMU. Ends when enough was read. What cannot be read tells nothing: [`portolan_diagnose::check`] says why.
 /// `progress` is told the bytes read so far.
@@ -46,20 +49,47 @@ pub fn measure(
     options: &IngestOptions,
     progress: &mut dyn FnMut(u64),
 ) -> ImuComparison {
-    match Clocks::new(recording, inventory, options) {
-        Ok(Some((mut clocks, mut ingestion))) => {
-            // An error ends the reading, and what was read before it counts.
-            while let Ok(Some((id, measurement))) = ingestion.next_measurement() {
-                clocks.add(&id, measurement);
-                if clocks.is_enough() {
-                    break;
-                }
-                progress(ingestion.progress().0);
-            }
-            clocks.finish(ingestion.plan())
-        }
-        Ok(None) | Err(_) => ImuComparison::default(),
+    let as_planned = measure_scaled(recording, inventory, options, (1.0, MAX_SWEEPS), progress);
+    if as_planned.turns_alike || as_planned.comparison.mounting.is_some() {
+        return as_planned.comparison;
     }
+    // Sweeps that are straightened with rates in other units match nothing, so that they tell nothing of the units.
+    let scale = (1f64.to_radians(), SWEEPS_FOR_UNITS);
+    let in_degrees = measure_scaled(recording, inventory, options, scale, progress);
+    let imu = in_degrees.imu.filter(|_| in_degrees.turns_alike);
+    let mounting = imu.map(|imu| ImuMounting { imu, turned: 0.0, factor: 1f64.to_degrees() });
+    ImuComparison { mounting, ..as_planned.comparison }
+}
+
+/// What was measured with rates of the gyroscope that were scaled.
+#[derive(Default)]
+struct Measured {
+    comparison: ImuComparison,
+    /// Topic of the IMU.
+    imu: Option<Arc<str>>,
+    /// Whether it surely turns as all lidars do.
+    turns_alike: bool,
+}
+
+fn measure_scaled(
+    recording: &dyn Recording,
+    inventory: &Inventory,
+    options: &IngestOptions,
+    (scale, most_sweeps): (f64, usize),
+    progress: &mut dyn FnMut(u64),
+) -> Measured {
+    let Ok(Some((mut clocks, mut ingestion))) = Clocks::new(recording, inventory, options) else {
+        return Measured::default();
+    };
+    // An error ends the reading, and what was read before it counts.
+    while let Ok(Some((id, measurement))) = ingestion.next_measurement() {
+        clocks.add(&id, measurement, scale);
+        if clocks.is_enough(most_sweeps) {
+            break;
+        }
+        progress(ingestion.progress().0);
+    }
+    clocks.finish(ingestion.plan())
 }
 
 /// The offset of the clock of the IMU that all lidars tell, if it is beyond doubt: moving its stamps by it puts all
@@ -113,9 +143,11 @@ impl Clocks {
         Ok(Some((Self { gyroscope: Gyroscope::default(), lidars, next: SWEEPS }, ingestion)))
     }
 
-    fn add(&mut self, id: &SensorId, measurement: Measurement) {
+    fn add(&mut self, id: &SensorId, measurement: Measurement, scale: f64) {
         match measurement {
-            Measurement::Imu(imu) => self.gyroscope.add(&imu),
+            Measurement::Imu(imu) => {
+                self.gyroscope.add(&ImuData { angular_velocity: scale * imu.angular_velocity, ..imu });
+            }
             Measurement::Range(cloud) if id.kind == SensorKind::Range => {
                 if let Some(lidar) = self.lidars.get_mut(id) {
                     lidar.add(cloud, &self.gyroscope);
@@ -126,7 +158,7 @@ impl Clocks {
     }
 
     /// Whether all offsets are known well enough, or looked for long enough.
-    fn is_enough(&mut self) -> bool {
+    fn is_enough(&mut self, most_sweeps: usize) -> bool {
         let most = self.lidars.values().map(|lidar| lidar.sweeps).max().unwrap_or(0);
         if most < self.next {
             return false;
@@ -135,16 +167,18 @@ impl Clocks {
         let is_sure = |lidar: &Lidar| {
             lag::find_lag(&lidar.tracked, &self.gyroscope).is_some_and(|found| found.sigma < SURE)
         };
-        most >= MAX_SWEEPS || self.lidars.values().all(is_sure)
+        most >= most_sweeps || self.lidars.values().all(is_sure)
     }
 
-    fn finish(mut self, plan: &SensorPlan) -> ImuComparison {
-        let Some(imu) = &plan.imu else { return ImuComparison::default() };
-        let (mut offsets, mut mountings) = (Vec::new(), Vec::new());
+    fn finish(mut self, plan: &SensorPlan) -> Measured {
+        let Some(imu) = &plan.imu else { return Measured::default() };
+        let (mut offsets, mut mountings, mut turns_alike) = (Vec::new(), Vec::new(), true);
         for range in &plan.range {
             let Some(lidar) = self.lidars.get_mut(&range.source.sensor) else { continue };
             lidar.track(&self.gyroscope, 0);
-            mountings.push(mounting::find_mounting(&lag::turns(&lidar.tracked), &self.gyroscope));
+            let turns = lag::turns(&lidar.tracked);
+            mountings.push(mounting::find_mounting(&turns, &self.gyroscope));
+            turns_alike &= mounting::turns_alike(&turns, &self.gyroscope);
             let Some(found) = lag::find_lag(&lidar.tracked, &self.gyroscope) else { continue };
             offsets.push(ClockOffset {
                 lidar: range.source.topic.clone(),
@@ -158,7 +192,8 @@ impl Clocks {
         let mounting = mountings.into_iter().reduce(|all, one| all.and(one)).flatten();
         let mounting =
             mounting.map(|(turned, factor)| ImuMounting { imu: imu.source.topic.clone(), turned, factor });
-        ImuComparison { offsets, mounting }
+        let comparison = ImuComparison { offsets, mounting };
+        Measured { comparison, imu: Some(imu.source.topic.clone()), turns_alike }
     }
 }
 

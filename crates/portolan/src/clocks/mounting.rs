@@ -24,12 +24,21 @@ const KEPT: f64 = 0.8;
 /// By which angle, radians, the axes of the gyroscope are others than said, and how many times as fast it turns, where it does
 /// not turn as sweeps do and that explains it; none where it does, and where nothing explains it.
 pub(super) fn find_mounting(turns: &[SweepTurn], gyroscope: &Gyroscope) -> Option<(f64, f64)> {
-    let lags = (0..=STEPS).flat_map(|i| [STEP * f64::from(i), -STEP * f64::from(i)]);
-    let fits = lags.filter_map(|lag| Fit::of(turns, gyroscope, lag));
-    let best = fits.reduce(|best, fit| if fit.turned.left < best.turned.left { fit } else { best })?;
+    let best = fits(turns, gyroscope)
+        .reduce(|best, fit| if fit.turned.left < best.turned.left { fit } else { best })?;
     let simple = best.simple();
     let explains = best.as_said > LEFT && simple.left < LEFT_OTHERWISE;
     explains.then_some((simple.turned, simple.factor))
+}
+
+/// Whether the gyroscope surely turns as sweeps do.
+pub(super) fn turns_alike(turns: &[SweepTurn], gyroscope: &Gyroscope) -> bool {
+    fits(turns, gyroscope).any(|fit| fit.as_said < LEFT_OTHERWISE)
+}
+
+fn fits(turns: &[SweepTurn], gyroscope: &Gyroscope) -> impl Iterator<Item = Fit> {
+    let lags = (0..=STEPS).flat_map(|i| [STEP * f64::from(i), -STEP * f64::from(i)]);
+    lags.filter_map(move |lag| Fit::of(turns, gyroscope, lag))
 }
 
 /// One way to lay the turns of the gyroscope over those of sweeps.

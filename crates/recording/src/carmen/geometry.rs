@@ -79,7 +79,9 @@ fn usual(count: usize) -> (f64, f64) {
     let degrees =
         |field_of_view: f64, increment: f64| (-field_of_view.to_radians() / 2.0, increment.to_radians());
     match count {
-        // SICK LMS with 100° at a quarter of a degree.
+        // SICK LMS with 100° at a degree, half of one and a quarter.
+        101 => degrees(100.0, 1.0),
+        201 => degrees(100.0, 0.5),
         401 => degrees(100.0, 0.25),
         // Hokuyo with 270°.
         541 => degrees(270.0, 0.5),
@@ -112,7 +114,9 @@ mod tests {
             assert!((geometry.end(count).to_degrees() - end).abs() < 1e-9);
             assert_eq!(geometry.range_max, 80.0);
         }
-        assert!((old(401).end(401).to_degrees() - 50.0).abs() < 1e-9);
+        for count in [101, 201, 401] {
+            assert!((old(count).end(count).to_degrees() - 50.0).abs() < 1e-9);
+        }
     }
 
     #[test]
