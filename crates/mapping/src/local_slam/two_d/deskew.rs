@@ -8,8 +8,8 @@ use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, project_2d, 
 use portolan_sensor::{PointCloud, SynchronizedRanges};
 
 use super::gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
+use super::motion::{LONGEST_UNMEASURED, Motion};
 use super::scan::{Scan, with_share};
-use super::tracking::{LONGEST_UNMEASURED, Motion};
 use super::{LocalSlam2d, filtered};
 
 impl LocalSlam2d {

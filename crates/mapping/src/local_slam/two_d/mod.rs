@@ -7,6 +7,7 @@ mod degeneracy;
 mod deskew;
 mod gather;
 mod hypotheses;
+mod motion;
 mod odometry_failure;
 mod odometry_scale;
 mod posterior;
@@ -38,8 +39,9 @@ use belief::Belief;
 pub(crate) use belief::refutes_place;
 use co_moving::CoMoving;
 use gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
+use motion::Motion;
 use scan::Scan;
-use tracking::{Found, Motion, Tracker};
+use tracking::{Found, Tracker};
 
 use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
 use portolan_submaps::{Inserter2d, PlanarScan, Submap2d, search_after_gap};

@@ -8,9 +8,9 @@
 
 use portolan_geometry::Rigid2;
 
+use super::motion::{ACCELERATION, ANGULAR_ACCELERATION, FASTEST, LONGEST_MEASURED, Motion};
 use super::posterior::{MotionPrior, anywhere_density, normal_density};
 use super::prediction_error::PredictionSigmas;
-use super::tracking::{ACCELERATION, ANGULAR_ACCELERATION, FASTEST, LONGEST_MEASURED, Motion};
 
 /// Probability that odometry begins to fail between two scans …
 const BEGINS: f64 = 0.003;

@@ -27,7 +27,7 @@ const SCANS: f64 = 5.0;
 /// Probability that the motion was none that its learned errors explain.
 const OUTLIER: f64 = 0.003;
 /// Where the scanner may be then: as far to each side as is searched, at any heading.
-const OUTLIER_METRES: f64 = super::tracking::WIDEST.linear;
+const OUTLIER_METRES: f64 = super::motion::WIDEST.linear;
 
 /// What the motion says.
 #[derive(Clone, Copy, Debug)]

@@ -1,8 +1,6 @@
 //! Where a scan lies in the submap that is matched against: hypotheses of the motion, searches around them as wide as
 //! predictions were wrong lately, and a judgement of what was found.
 
-use std::f64::consts::PI;
-
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Rigid2, Time, embed_3d};
 use portolan_grids::{ScanAgreement, scan_agreement};
@@ -17,6 +15,7 @@ use super::belief::is_hardly_explained;
 use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
 use super::hypotheses::{Basis, Hypothesis, Judgement, Looked};
+use super::motion::{ACCELERATION, ANGULAR_ACCELERATION, LONGEST_UNMEASURED, Motion, WIDEST, wide_window};
 use super::odometry_failure::{OdometryFailure, Told};
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
@@ -26,15 +25,6 @@ use crate::remembered::RememberedScans;
 
 /// Scans are searched within so many standard deviations of their prediction.
 const WITHIN_SIGMAS: f64 = 3.5;
-/// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
-pub(super) const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
-/// … for so many seconds, where the motion was measured and where it was not.
-pub(super) const LONGEST_MEASURED: f64 = 0.5;
-pub(super) const LONGEST_UNMEASURED: f64 = 2.0;
-/// Standard deviation of the acceleration of a scanner, m/s²: what constant velocity neglects.
-pub(super) const ACCELERATION: f64 = 1.0;
-/// The same of the angular acceleration, rad/s².
-pub(super) const ANGULAR_ACCELERATION: f64 = 2.0;
 /// So many times the usual time from scan to scan are a gap …
 const INTERVALS_OF_A_GAP: f64 = 10.0;
 /// … if they are so many seconds: in less a robot goes no farther than scans are searched, whatever odometry says.
@@ -46,45 +36,6 @@ const INTERVALS_REMEMBERED: f64 = 20.0;
 const ELSEWHERE: SearchWindow = SearchWindow { linear: 0.15, angular: 0.1 };
 /// Where scans tell this share of their poses they tell how far predictions are off, too.
 const MOSTLY: f64 = 0.67;
-/// No scan is searched farther than this, metres and radians.
-pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
-
-/// The motion since the last scan.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
-    /// Pose of the last scan in the local map.
-    pub last: Rigid2,
-    /// Seconds since then.
-    pub seconds: f64,
-    /// Whether odometry or an IMU measured anything of it.
-    pub is_measured: bool,
-    /// Yaw of the tracking frame in the gravity-aligned frame whose motion this is, radians.
-    pub tracking_yaw: f64,
-}
-
-impl Motion {
-    /// From the last scan to a pose, turned by at most half a turn.
-    fn to(&self, pose: &Rigid2) -> Rigid2 {
-        let motion = self.last.inverse() * *pose;
-        Rigid2 { angle: motion.normalized_angle(), ..motion }
-    }
-
-    /// A motion of the gravity-aligned frame as one of the tracking frame, and back.
-    fn of_tracking(&self, motion: &Rigid2) -> Rigid2 {
-        turned_by(-self.tracking_yaw, motion)
-    }
-
-    fn of_aligned(&self, motion: &Rigid2) -> Rigid2 {
-        turned_by(self.tracking_yaw, motion)
-    }
-}
-
-/// A motion as seen from a frame that is turned by the opposite angle.
-fn turned_by(angle: f64, motion: &Rigid2) -> Rigid2 {
-    let translation = Rigid2::new(0.0, 0.0, angle).transform_point(&motion.translation);
-    Rigid2 { translation, ..*motion }
-}
-
 /// Where a scan was found.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Found {
@@ -444,19 +395,6 @@ impl Tracker {
 
 fn is_elsewhere(offset: &Rigid2) -> bool {
     offset.translation.norm() > ELSEWHERE.linear || offset.normalized_angle().abs() > ELSEWHERE.angular
-}
-
-/// As far as the scanner can have moved.
-fn wide_window(usual: SearchWindow, motion: Motion) -> SearchWindow {
-    let (seconds, widest_angle) = if motion.is_measured {
-        (motion.seconds.min(LONGEST_MEASURED), WIDEST.angular)
-    } else {
-        (motion.seconds.min(LONGEST_UNMEASURED), PI)
-    };
-    SearchWindow {
-        linear: (2.0 * usual.linear).max(FASTEST.linear * seconds).min(WIDEST.linear),
-        angular: (2.0 * usual.angular).max(FASTEST.angular * seconds).min(widest_angle),
-    }
 }
 
 #[cfg(test)]

@@ -1,0 +1,67 @@
+//! The motion from one scan to the next: what is known of it, and how far it can lead.
+
+use std::f64::consts::PI;
+
+use portolan_geometry::Rigid2;
+use portolan_submaps::SearchWindow;
+
+/// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
+pub(super) const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
+/// … for so many seconds, where the motion was measured and where it was not.
+pub(super) const LONGEST_MEASURED: f64 = 0.5;
+pub(super) const LONGEST_UNMEASURED: f64 = 2.0;
+/// Standard deviation of the acceleration of a scanner, m/s²: what constant velocity neglects.
+pub(super) const ACCELERATION: f64 = 1.0;
+/// The same of the angular acceleration, rad/s².
+pub(super) const ANGULAR_ACCELERATION: f64 = 2.0;
+/// No scan is searched farther than this, metres and radians.
+pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
+
+/// The motion since the last scan.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion {
+    /// Pose of the last scan in the local map.
+    pub last: Rigid2,
+    /// Seconds since then.
+    pub seconds: f64,
+    /// Whether odometry or an IMU measured anything of it.
+    pub is_measured: bool,
+    /// Yaw of the tracking frame in the gravity-aligned frame whose motion this is, radians.
+    pub tracking_yaw: f64,
+}
+
+impl Motion {
+    /// From the last scan to a pose, turned by at most half a turn.
+    pub fn to(&self, pose: &Rigid2) -> Rigid2 {
+        let motion = self.last.inverse() * *pose;
+        Rigid2 { angle: motion.normalized_angle(), ..motion }
+    }
+
+    /// A motion of the gravity-aligned frame as one of the tracking frame, and back.
+    pub fn of_tracking(&self, motion: &Rigid2) -> Rigid2 {
+        turned_by(-self.tracking_yaw, motion)
+    }
+
+    pub fn of_aligned(&self, motion: &Rigid2) -> Rigid2 {
+        turned_by(self.tracking_yaw, motion)
+    }
+}
+
+/// A motion as seen from a frame that is turned by the opposite angle.
+fn turned_by(angle: f64, motion: &Rigid2) -> Rigid2 {
+    let translation = Rigid2::new(0.0, 0.0, angle).transform_point(&motion.translation);
+    Rigid2 { translation, ..*motion }
+}
+
+/// As far as the scanner can have moved.
+pub(super) fn wide_window(usual: SearchWindow, motion: Motion) -> SearchWindow {
+    let (seconds, widest_angle) = if motion.is_measured {
+        (motion.seconds.min(LONGEST_MEASURED), WIDEST.angular)
+    } else {
+        (motion.seconds.min(LONGEST_UNMEASURED), PI)
+    };
+    SearchWindow {
+        linear: (2.0 * usual.linear).max(FASTEST.linear * seconds).min(WIDEST.linear),
+        angular: (2.0 * usual.angular).max(FASTEST.angular * seconds).min(widest_angle),
+    }
+}
