@@ -1,5 +1,7 @@
 //! All checks of a recording in one pass.
 
+mod kinds;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -8,7 +10,7 @@ use portolan_ingest::{
     BeamDirections, CloudLayout, IngestOptions, Inventory, PlannedOdometry, RecordingClock, SensorPlan,
     TfInput, TfTree, TimedPoints, TopicSurvey, plan, points_of_echoes, points_of_laser_scan,
 };
-use portolan_issue::{Issue, IssueKind, Severity};
+use portolan_issue::{Issue, IssueKind};
 use portolan_recording::{
     Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording, RecordingError,
 };
@@ -27,63 +29,13 @@ use crate::scan_turns::{CloudTurns, ScanTurns};
 use crate::scans::RangeChecks;
 use crate::stamps::{Stamps, check_frames};
 use crate::turns::{ImuTurns, Source, Turning, compare_all};
+use kinds::{
+    CLOCK_SET, DAMAGE, JITTER, MAP_PARENT, NO_PLAN, ODOMETRY_ELSEWHERE, REPAIRED, SCAN_DURATION, TRANSFORMS,
+};
 
-const MAP_PARENT: Kind = Kind {
-    name: "map parent",
-    severity: Severity::Warning,
-    effect: "these transforms are not used",
-    to_do: "nothing; record without them to keep the recording small",
-};
-const TRANSFORMS: Kind = Kind {
-    name: "transforms",
-    severity: Severity::Warning,
-    effect: "the transform is not used",
-    to_do: "look for two programs that publish the same frame",
-};
-const NO_PLAN: Kind = Kind {
-    name: "no plan",
-    severity: Severity::Error,
-    effect: "there is nothing to make a map of",
-    to_do: "see what is missing above; a robot description is given with --urdf, topics with --scan, --points",
-};
-const DAMAGE: Kind = Kind {
-    name: "damage",
-    severity: Severity::Error,
-    effect: "what could not be read is missing in the map",
-    to_do: "take an undamaged copy if there is one; the rest can be mapped",
-};
-const CLOCK_SET: Kind = Kind {
-    name: "clock set",
-    severity: Severity::Warning,
-    effect: "what was measured before and after is put together as if the robot had stood still in between",
-    to_do: "wait until the clock is set before recording; map one part alone with --skip or --duration",
-};
-const ODOMETRY_ELSEWHERE: Kind = Kind {
-    name: "odometry elsewhere",
-    severity: Severity::Error,
-    effect: "motion between scans is predicted wrongly: map leaves this odometry out",
-    to_do: "look at its units (metres, radians), at the transform from its frame to the scanner, and whether it is of this robot",
-};
-const SCAN_DURATION: Kind = Kind {
-    name: "scan duration",
-    severity: Severity::Warning,
-    effect: "scans are bent where the robot turns; map de-skews them with the measured duration",
-    to_do: "let the driver fill in time_increment, the seconds from one beam to the next",
-};
-const JITTER: Kind = Kind {
-    name: "stamp jitter",
-    severity: Severity::Warning,
-    effect: "the motion between scans is predicted and de-skewed for wrong times; map uses the times that the usual rate tells",
-    to_do: "let the driver stamp the time of measurement, not that of arrival",
-};
-const REPAIRED: Kind = Kind {
-    name: "repaired",
-    severity: Severity::Info,
-    effect: "nothing is lost; mapping repairs it in the same way",
-    to_do: "",
-};
 /// Transforms are kept this long while checking, seconds.
 const KEPT_TRANSFORMS: f64 = 10.0;
+
 /// Everything that was found.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct CheckReport {
