@@ -68,6 +68,21 @@ def jump(steps, _times):
     return [(x + 3.0, y, t) if k == at else (x, y, t) for k, (x, y, t) in enumerate(steps)]
 
 
+def held_back(every_seconds, seconds):
+    """Now and then motions are told later, all at once."""
+
+    def fault(steps, times):
+        told, behind = [], (0.0, 0.0, 0.0)
+        for step, time in zip(steps, times[1:]):
+            behind = compose(behind, step)
+            is_held = (time - times[0]) % every_seconds < seconds
+            told.append((0.0, 0.0, 0.0) if is_held else behind)
+            behind = behind if is_held else (0.0, 0.0, 0.0)
+        return told
+
+    return fault
+
+
 FAULTS = {
     "none": every(lambda s: s),
     "wheels 20 % small": every(lambda s: (1.2 * s[0], 1.2 * s[1], s[2])),
@@ -81,6 +96,8 @@ FAULTS = {
     "stands 20 s": during(20.0, lambda s: (0.0, 0.0, 0.0)),
     "runs on 20 s": during(20.0, lambda s: (0.1, 0.0, 0.0)),
     "jump 3 m": jump,
+    "held back 1.5 s": held_back(20.0, 1.5),
+    "once a second": held_back(1.0, 0.8),
     "turned 180 deg": every(lambda s: (-s[0], -s[1], s[2])),
     "turned 90 deg": every(lambda s: (-s[1], s[0], s[2])),
     "turned 10 deg": every(lambda s: (0.985 * s[0] - 0.174 * s[1], 0.174 * s[0] + 0.985 * s[1], s[2])),

@@ -328,7 +328,7 @@ fn scans_that_cannot_be_registered_are_named() {
         std::fs::write(folder.path().join(name), content).unwrap();
         text(&folder.path().join(name))
     };
-    let run = portolan_with_code(1, &["register", &a, &b, "--guess", "90,0,0,0,0,0"]);
+    let run = portolan_with_code(4, &["register", &a, &b, "--guess", "90,0,0,0,0,0"]);
     assert!(run.stderr.contains("b.xyz: only 0 of") && run.stderr.contains("m apart"), "{}", run.stderr);
     let empty = file("empty.xyz", "x y z\n");
     assert!(portolan_with_code(1, &["register", &a, &empty]).stderr.contains("no points"));
