@@ -338,7 +338,7 @@ fn scans_that_cannot_be_registered_are_named() {
     assert!(portolan_with_code(1, &["register", &a, &same]).stderr.contains("one place"));
     let line: String = (0..60).map(|i| format!("{} 0.5 0.5\n", 0.05 * f64::from(i))).collect();
     let line = file("line.xyz", &line);
-    portolan_with_code(1, &["register", &a, &line, "--method", "small-angle", "--max-distance", "0.0001"]);
+    portolan_with_code(4, &["register", &a, &line, "--method", "small-angle", "--max-distance", "0.0001"]);
     let millimetres: String =
         std::fs::read_to_string(&b).unwrap().lines().skip(1).fold(String::new(), |mut all, line| {
             let v: Vec<f64> = line.split(' ').map(|w| w.parse().unwrap()).collect();
