@@ -346,7 +346,7 @@ fn scans_that_cannot_be_registered_are_named() {
             all
         });
     let millimetres = file("mm.xyz", &millimetres);
-    let run = portolan_with_code(1, &["register", &a, &millimetres]);
+    let run = portolan_with_code(4, &["register", &a, &millimetres]);
     assert!(run.stderr.contains("of one unit?") && run.stderr.contains("--scale"), "{}", run.stderr);
     // One scan of elsewhere among others is a loss, and is told.
     let elsewhere =
