@@ -62,7 +62,7 @@ pub(crate) fn doubtful_beginnings(
 
 /// What is wrong with the stamps of a sensor.
 #[derive(Debug)]
-enum Doubt {
+enum StampFault {
     /// Nothing.
     None,
     /// They come in bursts or go back; a period, seconds, that is a bit shorter than that of the messages.
@@ -78,7 +78,7 @@ pub(crate) struct EvenStamps {
     /// The newest stamps as they came.
     recent: VecDeque<Time>,
     since_judged: usize,
-    doubt: Doubt,
+    fault: StampFault,
     waiting: VecDeque<(Time, RecordedMessage)>,
     last: Option<Time>,
 }
@@ -89,7 +89,7 @@ impl EvenStamps {
             policy,
             recent: VecDeque::new(),
             since_judged: 0,
-            doubt: Doubt::None,
+            fault: StampFault::None,
             waiting: VecDeque::new(),
             last: None,
         }
@@ -98,7 +98,8 @@ impl EvenStamps {
     /// With stamps that are not believed from the beginning, if a period, seconds, is given.
     pub fn in_doubt(mut self, period: Option<f64>) -> Self {
         if self.policy != StampPolicy::AsIs {
-            self.doubt = period.map_or(Doubt::None, |period| Doubt::Bursts(FASTER_THAN_MEAN * period));
+            self.fault =
+                period.map_or(StampFault::None, |period| StampFault::Bursts(FASTER_THAN_MEAN * period));
         }
         self
     }
@@ -106,7 +107,7 @@ impl EvenStamps {
     /// With stamps that jitter like this.
     pub fn that_jitter(mut self, jitter: Option<&StampJitter>) -> Self {
         if let (Some(jitter), true) = (jitter, self.policy != StampPolicy::AsIs) {
-            self.doubt = Doubt::Jitter(SteadyClock::new(jitter));
+            self.fault = StampFault::Jitter(SteadyClock::new(jitter));
         }
         self
     }
@@ -125,7 +126,7 @@ impl EvenStamps {
             self.since_judged = 0;
             self.judge();
         }
-        if matches!(self.doubt, Doubt::None) {
+        if matches!(self.fault, StampFault::None) {
             self.last = self.last.max(Some(stamp));
             return false;
         }
@@ -140,19 +141,21 @@ impl EvenStamps {
     fn judge(&mut self) {
         let Some(pattern) = StampPattern::of(self.recent.make_contiguous()) else { return };
         let is_regular = self.policy == StampPolicy::Regular;
-        match self.doubt {
-            Doubt::None if !pattern.is_disturbed() && !is_regular => {}
-            Doubt::None | Doubt::Bursts(_) => self.doubt = Doubt::Bursts(FASTER_THAN_MEAN * pattern.period),
-            Doubt::Jitter(_) => {}
+        match self.fault {
+            StampFault::None if !pattern.is_disturbed() && !is_regular => {}
+            StampFault::None | StampFault::Bursts(_) => {
+                self.fault = StampFault::Bursts(FASTER_THAN_MEAN * pattern.period)
+            }
+            StampFault::Jitter(_) => {}
         }
     }
 
     /// The next message whose time is known, with the stamp that it came with and its time.
     pub fn pop(&mut self, at_end: bool) -> Option<(RecordedMessage, Time, Time)> {
-        let period = match &self.doubt {
-            Doubt::None => return None,
-            Doubt::Bursts(period) => *period,
-            Doubt::Jitter(clock) => clock.period(),
+        let period = match &self.fault {
+            StampFault::None => return None,
+            StampFault::Bursts(period) => *period,
+            StampFault::Jitter(clock) => clock.period(),
         };
         let ahead = messages_ahead(period);
         let ((first, _), (newest, _)) = (self.waiting.front()?, self.waiting.back()?);
@@ -162,8 +165,8 @@ impl EvenStamps {
             return None;
         }
         let stamps: Vec<Time> = self.waiting.iter().take(ahead).map(|(stamp, _)| *stamp).collect();
-        let time = match &mut self.doubt {
-            Doubt::Jitter(clock) => clock.time(&stamps)?,
+        let time = match &mut self.fault {
+            StampFault::Jitter(clock) => clock.time(&stamps)?,
             _ => latest_of_first(&stamps, period)?,
         };
         let (stamp, message) = self.waiting.pop_front()?;
