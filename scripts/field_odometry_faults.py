@@ -119,6 +119,7 @@ def faulty(text, fault):
         poses.append(tuple(float(v) for v in words[i][end + 3 : end + 6]))
         times.append(float(words[i][end + 6]))
     steps = fault([between(a, b) for a, b in zip(poses, poses[1:])], times)
+    stands = [step == (0.0, 0.0, 0.0) for step in steps]
     changed = [poses[0]]
     for step in steps:
         changed.append(compose(changed[-1], step))
@@ -135,7 +136,9 @@ def faulty(text, fault):
                 w[at : at + 3] = [f"{v:.6f}" for v in pose]
             line = " ".join(w)
         elif w and w[0] == "ODOM":
-            pose = compose(latest, tuple(float(v) for v in w[1:4]))
+            # What is held back until a scan is not told before it either.
+            is_held = 0 < number and any(stands[max(number - 2, 0) : number])
+            pose = changed[number - 1] if is_held else compose(latest, tuple(float(v) for v in w[1:4]))
             w[1:4] = [f"{v:.6f}" for v in pose]
             line = " ".join(w)
         written.append(line)

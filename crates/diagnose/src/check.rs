@@ -30,7 +30,8 @@ use crate::scans::RangeChecks;
 use crate::stamps::{Stamps, check_frames};
 use crate::turns::{ImuTurns, Source, Turning, compare_all};
 use kinds::{
-    CLOCK_SET, DAMAGE, JITTER, MAP_PARENT, NO_PLAN, ODOMETRY_ELSEWHERE, REPAIRED, SCAN_DURATION, TRANSFORMS,
+    CLOCK_SET, DAMAGE, HELD_BACK, JITTER, MAP_PARENT, NO_PLAN, ODOMETRY_ELSEWHERE, REPAIRED, SCAN_DURATION,
+    TRANSFORMS,
 };
 
 /// Transforms are kept this long while checking, seconds.
@@ -299,6 +300,16 @@ impl Check<'_> {
             });
         }
         let Some(PlannedOdometry::Topic(odometry)) = &plan.odometry else { return Ok(()) };
+        if let Some(seconds) = compared.longest_hold {
+            self.findings.add(&HELD_BACK, &odometry.topic, || {
+                format!("odometry repeats its last pose for up to {seconds:.1} s while scans move, and tells the motion afterwards")
+            });
+        }
+        if let (Some(turns), Some(TopicChecks::Odometry(checks))) =
+            (compared.turns_without_repeats, self.topics.get_mut(&odometry.topic))
+        {
+            checks.turns = turns;
+        }
         if let Some(fault) = compared.fault.filter(|fault| !matches!(fault, OdometryFault::Turns(_))) {
             self.findings.add(&ODOMETRY_ELSEWHERE, &odometry.topic, || format!("odometry {fault}"));
         }

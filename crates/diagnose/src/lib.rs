@@ -12,6 +12,7 @@ mod imu_values;
 mod info;
 mod odometry;
 mod odometry_fault;
+mod odometry_held;
 mod offset;
 mod rotation;
 mod scan_comparison;

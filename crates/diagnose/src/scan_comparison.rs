@@ -4,9 +4,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Rigid2, Rigid3, Time, TransformBuffer, Vector3};
+use portolan_geometry::{Duration, Rigid2, Rigid3, Time, TransformBuffer, Vector3, yaw};
 use portolan_ingest::{
-    Inventory, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan, StampJitter, pose_of,
+    HeldPose, Inventory, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan, StampJitter, pose_of,
 };
 use portolan_recording::{Message, Recording, RecordingError, StampPattern, TopicInfo};
 
@@ -14,6 +14,7 @@ use crate::beam_times::{ScanDuration, scan_duration};
 use crate::finding::Findings;
 use crate::odometry::OdometryChecks;
 use crate::odometry_fault::OdometryFault;
+use crate::odometry_held::longest_hold;
 use crate::rotation::{Turn, sure_offset};
 use crate::scan_motion::{ScanMotions, TimedMotion};
 use crate::scan_turns::ScanTurns;
@@ -41,6 +42,10 @@ pub struct ScanComparison {
     pub delay: Option<SensorDelay>,
     /// How the motions of odometry differ, where they surely do.
     pub fault: Option<OdometryFault>,
+    /// For how many seconds at most odometry repeats a pose while scans move, and tells the motion afterwards, where it surely does.
+    pub longest_hold: Option<f64>,
+    /// Turns of odometry without those repeats.
+    pub(crate) turns_without_repeats: Option<Vec<Turn>>,
     /// Topics of scanners, and how long their scans take, where that is surely not what they say.
     pub durations: Vec<(Arc<str>, ScanDuration)>,
     /// Topics whose stamps jitter, and how: those of a scanner, and of odometry that has its stamps.
@@ -98,16 +103,16 @@ pub fn compare_scans(
     let first = scanners.into_iter().next().filter(|scanner| {
         plan.range.first().is_some_and(|range| range.source.topic == scanner.planned.source.topic)
     });
-    let (delay, fault) = match (odometry, first) {
+    let of_odometry = match (odometry, first) {
         (Some(odometry), Some(scanner)) => {
             let found = durations.iter().find(|(topic, _)| *topic == scanner.planned.source.topic);
             let seconds = found.map(|(_, found)| found.seconds).or(scanner.planned.scan_duration);
             let seconds = seconds.unwrap_or(scanner.said_duration);
             wheels.compare(inventory, odometry, (scanner, seconds))
         }
-        _ => (None, None),
+        _ => ScanComparison::default(),
     };
-    Ok(ScanComparison { delay, fault, durations, jitters })
+    Ok(ScanComparison { durations, jitters, ..of_odometry })
 }
 
 /// What a scanner tells.
@@ -193,13 +198,24 @@ impl Wheels {
         self.poses.iter_mut().for_each(|(time, _)| *time = times.get(time).copied().unwrap_or(*time));
     }
 
+    /// Leaves out the repeats of poses that are held back for so many seconds at most.
+    fn leave_out_repeats(&mut self, longest_hold: f64) {
+        let mut repeats = HeldPose::new(longest_hold);
+        self.poses.retain(|(time, pose)| !repeats.is_repeat(*time, pose));
+        let turns = self.poses.windows(2).filter_map(|two| match two {
+            [(from, first), (to, second)] => Some((*from, *to, yaw(&(first.inverse() * second).rotation))),
+            _ => None,
+        });
+        self.checks.turns = turns.collect();
+    }
+
     /// Its clock and its motions against those of scans that take so many seconds.
     fn compare(
-        &self,
+        &mut self,
         inventory: &Inventory,
         odometry: &PlannedSensor,
         (scanner, seconds): (Scanner, f64),
-    ) -> (Option<SensorDelay>, Option<OdometryFault>) {
+    ) -> ScanComparison {
         let source = &scanner.planned.source;
         let odometry_from_scanner = inventory.tree.lookup_static(&odometry.frame, &source.frame);
         let odometry_from_scanner = odometry_from_scanner.unwrap_or_else(Rigid3::identity);
@@ -216,6 +232,10 @@ impl Wheels {
         if up < 0.0 {
             turn_over(&mut turns, &mut motions);
         }
+        let longest_hold = longest_hold(&self.poses, &motions, &odometry_from_scanner);
+        if let Some(seconds) = longest_hold {
+            self.leave_out_repeats(seconds);
+        }
         let offset = sure_offset(&self.checks.turns, &turns, false);
         let known = (source.clock_shift - odometry.clock_shift).seconds();
         let delay = offset.map(|(lag, sigma)| SensorDelay { seconds: lag + known, sigma });
@@ -231,7 +251,9 @@ impl Wheels {
                 (&odometry_from_scanner, lag),
             )
         };
-        (delay, is_level.then(find).flatten())
+        let fault = is_level.then(find).flatten();
+        let turns_without_repeats = longest_hold.map(|_| std::mem::take(&mut self.checks.turns));
+        ScanComparison { delay, fault, longest_hold, turns_without_repeats, ..ScanComparison::default() }
     }
 }
 

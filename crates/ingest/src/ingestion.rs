@@ -16,6 +16,7 @@ use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, Order, SensorClock};
 use crate::convert::{Frames, LocalFixes, SatelliteFix};
 use crate::even_stamps::{EvenStamps, StampPolicy, doubtful_beginnings};
+use crate::held_pose::HeldPose;
 use crate::laser::BeamDirections;
 use crate::options::IngestOptions;
 use crate::plan::{ImuScale, PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};
@@ -55,7 +56,10 @@ enum Role {
     Imu {
         scale: ImuScale,
     },
-    Odometry,
+    Odometry {
+        /// Where it is held back.
+        held: Option<HeldPose>,
+    },
     NavSat,
     FixedFramePose,
     Landmarks,

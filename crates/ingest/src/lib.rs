@@ -6,6 +6,7 @@ mod beam_elevation;
 mod clock;
 mod convert;
 mod even_stamps;
+mod held_pose;
 mod ingestion;
 mod laser;
 mod options;
@@ -31,6 +32,7 @@ pub use azimuth_time::{AzimuthTimes, Turn};
 pub use beam_elevation::{BeamElevation, ElevationOffset};
 pub use convert::SatelliteFix;
 pub use even_stamps::StampPolicy;
+pub use held_pose::HeldPose;
 pub use ingestion::{IngestError, Ingestion};
 pub use options::{ConfiguredSensors, IngestOptions, SamplingRatios};
 pub use plan::{

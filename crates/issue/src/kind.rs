@@ -151,6 +151,7 @@ kinds! {
     ClockJump Info "the clock jumped; the jump was removed from the stamps after it"
     StampFarFromRecording Error "messages whose stamp jumps away from the time of recording by more than 10 s were left out"
     StampsEvened Info "stamps come in bursts, go back or jitter; times follow from the order of arrival and the usual rate (--stamps as-is keeps stamps)"
+    OdometryRepeats Info "poses of odometry that repeat the one before were left out: scans move meanwhile"
     RepeatedStamp Error "measurements with the time of the one before were left out"
     StampBackward Error "measurements with an earlier time than the one before were left out"
 

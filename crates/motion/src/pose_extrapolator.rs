@@ -363,6 +363,13 @@ impl PoseExtrapolator {
         pose
     }
 
+    /// Where odometry says that the tracking frame is, if its readings are too far apart to predict that by them: along what scans
+    /// do not tell it is the better witness all the same.
+    pub fn between_readings(&mut self, time: Time) -> Option<Rigid3> {
+        let (last_time, last) = self.last_pose()?;
+        Some(last * self.odometry.motion_between_readings(last_time, time)?)
+    }
+
     /// How the tracking frame turned since the last pose, as the trackers see it.
     fn turned(&mut self, trackers: Trackers, time: Time) -> Quaternion {
         // A tracker cannot go back: for an earlier time than before start again from the last pose.
@@ -454,11 +461,10 @@ impl PoseExtrapolator {
         self.odometry.len() > 1 && self.odometry.newest().is_some_and(reaches)
     }
 
-    /// Whether odometry or a gyroscope told anything of the motion since the last pose.
-    pub fn measured_since_last_pose(&self) -> bool {
-        let newest_odometry = self.odometry.newest().map(|data| data.time);
-        let newest_imu = self.imu.back().map(|data| data.time);
-        newest_odometry.max(newest_imu) > self.last_pose_time()
+    /// Whether odometry or a gyroscope told anything of the motion from the last pose to a time.
+    pub fn measured_since_last_pose(&self, until: Time) -> bool {
+        let Some(last) = self.last_pose_time() else { return false };
+        self.imu.back().is_some_and(|newest| newest.time > last) || self.odometry.is_dense(last, until)
     }
 
     /// Time of the last pose that was predicted, or taken.

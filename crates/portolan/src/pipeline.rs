@@ -201,8 +201,11 @@ fn doubt_scans(
             plan.time_beams(topic, duration.seconds, duration.sigma);
         }
     }
+    let is_wanted = ingest.odometry_topic.is_some() || ingest.use_odometry == Some(true);
+    if let Some(seconds) = compared.longest_hold {
+        plan.doubt_repeats(seconds, is_wanted);
+    }
     if let Some(fault) = compared.fault {
-        let is_wanted = ingest.odometry_topic.is_some() || ingest.use_odometry == Some(true);
         plan.doubt_odometry(&fault.to_string(), fault.is_mirrored(), is_wanted);
     } else if let Some(delay) = compared.delay.filter(|_| ingest.time_offsets.is_empty()) {
         plan.delay_odometry(delay.seconds, delay.sigma);

@@ -60,6 +60,13 @@ pub(super) const JITTER: Kind = Kind {
     to_do: "let the driver stamp the time of measurement, not that of arrival",
 };
 
+pub(super) const HELD_BACK: Kind = Kind {
+    name: "odometry held back",
+    severity: Severity::Warning,
+    effect: "odometry stands while the robot moves, and then jumps; map leaves out poses that repeat",
+    to_do: "hand on new poses alone, stamped when they were measured",
+};
+
 pub(super) const REPAIRED: Kind = Kind {
     name: "repaired",
     severity: Severity::Info,

@@ -80,7 +80,9 @@ impl Ingestion {
                 let scale = *scale;
                 self.take_imu(sensor, stamp, imu, scale);
             }
-            (Role::Odometry, Message::Odometry(odometry)) => self.take_odometry(sensor, stamp, odometry),
+            (Role::Odometry { .. }, Message::Odometry(odometry)) => {
+                self.take_odometry(sensor, stamp, odometry)
+            }
             (Role::NavSat, Message::NavSatFix(fix)) => self.take_fix(sensor, stamp, fix),
             (Role::FixedFramePose, Message::PoseStamped(pose)) => self.take_fixed_pose(sensor, stamp, pose),
             (Role::Landmarks, Message::LandmarkList(list)) => self.take_landmarks(sensor, stamp, list),
@@ -196,6 +198,11 @@ impl Ingestion {
             return self.count(&sensor.topic, stamp, IssueKind::InvalidPose, 1);
         };
         self.count(&sensor.topic, stamp, IssueKind::QuaternionNormalised, u64::from(normalised));
+        if let Role::Odometry { held: Some(held) } = &mut sensor.role
+            && held.is_repeat(stamp, &odom_from_child)
+        {
+            return self.count(&sensor.topic, stamp, IssueKind::OdometryRepeats, 1);
+        }
         let Some(tracking_from_child) = self.tracking_from(&sensor.topic, &message.child_frame_id, stamp)
         else {
             return;

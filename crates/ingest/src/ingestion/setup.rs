@@ -10,6 +10,7 @@ use crate::azimuth_time::AzimuthTimes;
 use crate::beam_elevation::Raise;
 use crate::clock::{Ascending, SensorClock};
 use crate::even_stamps::{EvenStamps, StampPolicy};
+use crate::held_pose::HeldPose;
 use crate::options::SamplingRatios;
 use crate::plan::{PlanError, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan};
 use crate::point_time::PointTimeOrigin;
@@ -34,7 +35,7 @@ impl Samplers {
     pub(super) fn of(&mut self, role: &Role) -> &mut FixedRatioSampler {
         match role {
             Role::Range { .. } => &mut self.range,
-            Role::Odometry => &mut self.odometry,
+            Role::Odometry { .. } => &mut self.odometry,
             Role::NavSat | Role::FixedFramePose => &mut self.fixed_frame_pose,
             Role::Imu { .. } => &mut self.imu,
             Role::Landmarks => &mut self.landmarks,
@@ -74,7 +75,7 @@ pub(super) fn sensors(
     let mut sensors: BTreeMap<Arc<str>, Vec<Sensor>> = BTreeMap::new();
     let mut add = |source: &PlannedSensor, role: Role| {
         // Fixes and landmarks have no steady rate.
-        let is_steady = matches!(role, Role::Range { .. } | Role::Imu { .. } | Role::Odometry);
+        let is_steady = matches!(role, Role::Range { .. } | Role::Imu { .. } | Role::Odometry { .. });
         sensors.entry(source.topic.clone()).or_default().push(Sensor {
             even_stamps: EvenStamps::new(if is_steady { stamps } else { StampPolicy::AsIs })
                 .in_doubt(in_doubt.get(&source.topic).copied())
@@ -114,7 +115,7 @@ pub(super) fn sensors(
         add(&imu.source, Role::Imu { scale: imu.scale });
     }
     if let Some(PlannedOdometry::Topic(source)) = &plan.odometry {
-        add(source, Role::Odometry);
+        add(source, Role::Odometry { held: plan.longest_odometry_hold.map(HeldPose::new) });
     }
     if let Some(source) = &plan.nav_sat {
         add(source, Role::NavSat);

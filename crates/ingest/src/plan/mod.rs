@@ -188,6 +188,8 @@ pub struct SensorPlan {
     pub odometry: Option<PlannedOdometry>,
     /// Interval between odometry messages, seconds.
     pub odometry_interval: Option<f64>,
+    /// For how many seconds at most odometry repeats a pose although the robot moves, where scans tell that it does.
+    pub longest_odometry_hold: Option<f64>,
     /// IMU, if used.
     pub imu: Option<PlannedImu>,
     /// Satellite fixes, if used.
@@ -273,6 +275,25 @@ impl SensorPlan {
             jitter.noise.of_stamps
         );
         self.note(what, "--stamps as-is");
+    }
+
+    /// Takes repeated poses of odometry, for so many seconds at most, to say nothing of the motion unless it `is_wanted` as it is, and
+    /// says so.
+    pub fn doubt_repeats(&mut self, longest_hold: f64, is_wanted: bool) {
+        let Some(PlannedOdometry::Topic(odometry)) = &self.odometry else { return };
+        let topic = odometry.topic.clone();
+        let (so, change) = match is_wanted {
+            true => ("it is used as it is all the same", "--no-odom".to_owned()),
+            false => ("poses that repeat are left out", format!("--odom {topic}")),
+        };
+        self.warn(
+            format!(
+                "the odometry {topic} repeats its last pose for up to {longest_hold:.1} s while scans move, and tells the \
+                 motion afterwards: {so}"
+            ),
+            change,
+        );
+        self.longest_odometry_hold = (!is_wanted).then_some(longest_hold);
     }
 
     /// Gives the beams of a scanner times over so many seconds, as measured, and says so.
@@ -372,6 +393,7 @@ pub fn plan(inventory: &Inventory, options: &IngestOptions) -> Result<SensorPlan
         range: Vec::new(),
         odometry: None,
         odometry_interval: None,
+        longest_odometry_hold: None,
         imu: None,
         nav_sat: None,
         fixed_frame_pose: None,

@@ -9,6 +9,8 @@ use super::screw_motion::ScrewMotion;
 
 /// Odometry is given up when it has been silent for this long, or for three of its usual intervals.
 const TIMEOUT: Duration = Duration::from_ticks(5_000_000);
+/// Readings that are nearer to each other tell the motion between scans, however near those are.
+const DENSE: Duration = Duration::from_ticks(2_500_000);
 /// Velocities are taken over at least this time, where there are data, so that jitter of stamps and
 /// coarse encoders do not show.
 const VELOCITY_BASELINE: Duration = Duration::from_ticks(500_000);
@@ -104,6 +106,23 @@ impl OdometryQueue {
         }
     }
 
+    /// Whether readings are dense enough to tell the motion from one time to a later one.
+    ///
+    /// Where a robot accelerates by a, motion over a part t of the time T between two readings is off by up to a·t·T/2 if it is
+    /// interpolated, and by a·t² if it goes on as over the last t. So the velocity of the last poses is the better witness where
+    /// t < T/2, and where there is no reading in t.
+    pub fn is_dense(&self, from: Time, to: Time) -> bool {
+        let enough = DENSE.max(to - from + (to - from));
+        let is_dense_at = |time| {
+            let after = self.data.partition_point(|d| d.time < time);
+            let (before, after) = (after.checked_sub(1).and_then(|i| self.data.get(i)), self.data.get(after));
+            before
+                .zip(after)
+                .is_none_or(|(before, after)| after.time == time || after.time - before.time <= enough)
+        };
+        self.newest().is_some_and(|newest| newest.time > from) && is_dense_at(from) && is_dense_at(to)
+    }
+
     /// How the robot moved from one time to a later one, seen from its pose at the first: between
     /// odometry poses interpolated, outside with the velocity at that end. None if odometry does not
     /// cover that time well enough.
@@ -111,9 +130,19 @@ impl OdometryQueue {
         let (oldest, newest) = (self.oldest()?.time, self.newest()?.time);
         let usual = newest - self.data.get(self.data.len().checked_sub(2)?)?.time;
         let timeout = TIMEOUT.max(usual + usual + usual);
-        if to - newest > timeout || oldest - from > timeout {
+        if to - newest > timeout || oldest - from > timeout || !self.is_dense(from, to) {
             return None;
         }
+        self.interpolated(from, to)
+    }
+
+    /// The same where readings are too far apart to tell how the robot moved between them, but do tell how far it came in all.
+    pub fn motion_between_readings(&mut self, from: Time, to: Time) -> Option<Rigid3> {
+        let is_covered = self.oldest()?.time <= from && self.newest()?.time >= to;
+        if is_covered && !self.is_dense(from, to) { self.interpolated(from, to) } else { None }
+    }
+
+    fn interpolated(&mut self, from: Time, to: Time) -> Option<Rigid3> {
         let known = self.last_piece.filter(|p| p.from == from && p.start <= to && to <= p.end);
         let piece = known.or_else(|| self.piece(from, to))?;
         self.last_piece = Some(piece);

@@ -24,7 +24,7 @@ impl LocalSlam2d {
         let extrapolator = self.extrapolator.as_mut()?;
         let (last_time, last) = extrapolator.last_pose()?;
         let seconds = ranges.time.seconds_since(last_time);
-        let is_measured = extrapolator.measured_since_last_pose();
+        let is_measured = extrapolator.measured_since_last_pose(ranges.time);
         if !self.tracker.is_adaptive() || is_measured {
             return None;
         }
@@ -43,7 +43,9 @@ impl LocalSlam2d {
         let cloud = filtered(returns, &options.adaptive_voxel_filter);
         self.tracker.note(ranges.time, &prediction, [&cloud, returns]);
         let scan = Scan::new(&cloud, returns, self.active_submaps.matching_submap()?);
-        let motion = Motion { last: planar(last), seconds, is_measured, tracking_yaw: yaw(&gravity) };
+        let tracking_yaw = yaw(&gravity);
+        let motion =
+            Motion { last: planar(last), seconds, is_measured, between_readings: None, tracking_yaw };
         let error = prediction.inverse() * self.tracker.look(prediction, motion, scan)?;
         let half_a_cell = 0.5 * f64::from(options.submaps.grid_options_2d.resolution);
         let in_scan = 1.0 - error_share(1.0 + begin / seconds);

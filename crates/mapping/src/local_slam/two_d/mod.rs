@@ -50,7 +50,7 @@ use portolan_submaps::{Inserter2d, PlanarScan, Submap2d, search_after_gap};
 const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 
 /// How much newer the newest scan may be than one that still waits for odometry.
-const LONGEST_WAIT: Duration = Duration::from_ticks(10_000_000);
+const LONGEST_WAIT: Duration = Duration::from_ticks(20_000_000);
 
 /// Settings of local SLAM in 2D beyond Cartographer's options.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -215,8 +215,9 @@ impl LocalSlam2d {
         }
         let extrapolator = self.extrapolator.as_mut()?;
         let last_pose = extrapolator.last_pose();
-        let motion_was_measured = extrapolator.measured_since_last_pose();
+        let motion_was_measured = extrapolator.measured_since_last_pose(time);
         let predicted = extrapolator.extrapolate_pose(time);
+        let between_readings = extrapolator.between_readings(time);
         let matching_cloud = filtered(&scan.returns, &self.options.adaptive_voxel_filter);
         if matching_cloud.is_empty() {
             self.count(IssueKind::ScanWithoutReturnInRange, time);
@@ -227,6 +228,7 @@ impl LocalSlam2d {
             last: project_2d(&(last * gravity.inverse())),
             seconds: time.seconds_since(last_time),
             is_measured: motion_was_measured,
+            between_readings: between_readings.map(|pose| project_2d(&(pose * gravity.inverse()))),
             tracking_yaw: yaw(&gravity),
         });
         let found = self.find(time, prediction, motion, &matching_cloud, &scan.returns);
@@ -275,7 +277,7 @@ impl LocalSlam2d {
         self.active_submaps = no_submaps(&self.options, &self.extras);
         self.motion_filter = motion_filter(&self.options.motion_filter);
         self.co_moving = CoMoving::default();
-        if self.extrapolator.as_ref().is_some_and(|e| !e.measured_since_last_pose()) {
+        if self.extrapolator.as_ref().is_some_and(|e| !e.measured_since_last_pose(time)) {
             self.extrapolator = None;
             self.start_extrapolator(time);
         }

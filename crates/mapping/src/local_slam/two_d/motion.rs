@@ -26,6 +26,8 @@ pub(super) struct Motion {
     pub seconds: f64,
     /// Whether odometry or an IMU measured anything of it.
     pub is_measured: bool,
+    /// The pose that odometry tells if its readings are too far apart to measure the motion.
+    pub between_readings: Option<Rigid2>,
     /// Yaw of the tracking frame in the gravity-aligned frame whose motion this is, radians.
     pub tracking_yaw: f64,
 }

@@ -164,6 +164,11 @@ impl Tracker {
             false => prediction,
         };
         let weak = WeakDirection::of(scan.returns);
+        // Readings far apart tell nothing of turns and stops between them, but how far it went along a corridor.
+        let prediction = match (&weak, motion.between_readings) {
+            (Some(weak), Some(told)) => weak.with_share(&told, &prediction, 0.0),
+            _ => prediction,
+        };
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion.to(&prediction));
@@ -357,7 +362,8 @@ impl Tracker {
         let (mut pose, mut observed) = (found, found);
         if let Some(weak) = weak {
             let learned = self.prediction_error.sigmas(&predicted_motion).translation;
-            let unmeasured = if motion.is_measured { 0.0 } else { ACCELERATION * motion.seconds.powi(2) };
+            let is_told = motion.is_measured || motion.between_readings.is_some();
+            let unmeasured = if is_told { 0.0 } else { ACCELERATION * motion.seconds.powi(2) };
             let gain =
                 weak.gain(&scan.submap.grid, scan.returns, (&around, &found), learned.hypot(unmeasured));
             pose = weak.with_share(&around, &found, gain);
@@ -410,7 +416,13 @@ mod tests {
         let extras = LocalSlamExtras { adaptive_search: true, ..LocalSlamExtras::default() };
         let mut tracker = Tracker::new(&options, &extras).unwrap();
         let mut is_gap = |seconds| {
-            let motion = Motion { last: Rigid2::identity(), seconds, is_measured: true, tracking_yaw: 0.0 };
+            let motion = Motion {
+                last: Rigid2::identity(),
+                seconds,
+                is_measured: true,
+                between_readings: None,
+                tracking_yaw: 0.0,
+            };
             tracker.bridge(motion, &Rigid2::new(1.0, 0.0, 0.0), None).is_some()
         };
         assert!((0..50).all(|_| !is_gap(0.1)));

@@ -1,0 +1,126 @@
+//! Odometry that is held back: a driver hands on the last pose that it has, again and again, and the motion of that time at once later.
+//!
+//! A pose that repeats to the last digit says that the robot stands, or that nothing new was measured. Where scans moved meanwhile,
+//! and the next pose that differs tells the motion of the whole time, it was the second.
+
+use portolan_geometry::nalgebra::Vector3;
+use portolan_geometry::{Rigid2, Rigid3, Time, project_2d};
+
+use crate::scan_motion::TimedMotion;
+
+/// Scans must have moved by so much while the pose was repeated, metres, a radian counting as one …
+const LEAST_MOTION: f64 = 0.1;
+/// … and so fast, m/s: those of a robot that stands drift.
+const LEAST_SPEED: f64 = 0.1;
+/// By so many standard deviations more repeats must have been told later than would be by chance, in a sign test.
+const SURE: f64 = 3.0;
+/// Scans between a pose and its last repeat, and from there to the next pose, begin and end so close to these at most, seconds.
+const NEAR: f64 = 0.5;
+
+/// How long odometry holds motions back at most, seconds, if it surely does.
+///
+/// `poses` of odometry, `motions` of the scanner, both in order of time, and where the scanner is in the frame of the odometry.
+pub(crate) fn longest_hold(
+    poses: &[(Time, Rigid3)],
+    motions: &[TimedMotion],
+    odometry_from_scanner: &Rigid3,
+) -> Option<f64> {
+    let runs: Vec<_> = poses.chunk_by(|(_, one), (_, next)| one == next).collect();
+    let (mut holds, mut never) = (Vec::new(), 0.0);
+    for run in runs.windows(2).filter_map(Run::of) {
+        match run.is_told_later(motions, odometry_from_scanner) {
+            Some(true) => holds.push(run.next.0.seconds_since(run.first.0)),
+            Some(false) => never += 1.0,
+            None => {}
+        }
+    }
+    let later = holds.len() as f64;
+    if later - never <= SURE * (later + never).sqrt() {
+        return None;
+    }
+    holds.into_iter().reduce(f64::max)
+}
+
+/// A pose, its last repeat and the pose after it.
+struct Run {
+    first: (Time, Rigid3),
+    last: Time,
+    next: (Time, Rigid3),
+}
+
+impl Run {
+    /// Equal poses and those after them; none if there is but one.
+    fn of(two: &[&[(Time, Rigid3)]]) -> Option<Self> {
+        let [[first, .., (last, _)], [next, ..]] = two else { return None };
+        Some(Self { first: *first, last: *last, next: *next })
+    }
+
+    /// Whether the motion while the pose was repeated is told with the next one; none if there was none, or scans do not tell it.
+    fn is_told_later(&self, motions: &[TimedMotion], odometry_from_scanner: &Rigid3) -> Option<bool> {
+        let (from, to) = (self.first.0, self.next.0);
+        let least = LEAST_MOTION.max(LEAST_SPEED * self.last.seconds_since(from));
+        let while_repeated = moved(motions, from, self.last).filter(|motion| size(motion) > least)?;
+        let afterwards = moved(motions, self.last, to)?;
+        let pose = |pose: Rigid3| project_2d(&(pose * odometry_from_scanner));
+        let told = pose(self.first.1).inverse() * pose(self.next.1);
+        let off = |motion: Rigid2| size(&(motion.inverse() * told));
+        Some(off(while_repeated * afterwards) < off(afterwards))
+    }
+}
+
+/// Metres, a radian counting as one.
+fn size(motion: &Rigid2) -> f64 {
+    Vector3::new(motion.translation.x, motion.translation.y, motion.normalized_angle()).norm()
+}
+
+/// The motion of the scanner from the first scan after one time to the last before another, if scans tell it all the way.
+fn moved(motions: &[TimedMotion], from: Time, to: Time) -> Option<Rigid2> {
+    let begin = motions.partition_point(|(start, ..)| *start < from);
+    let is_near = |a: Time, b: Time| a.seconds_since(b).abs() < NEAR;
+    let (mut until, mut motion) = (None, Rigid2::identity());
+    for (start, end, step) in motions.iter().skip(begin).take_while(|(_, end, _)| *end <= to) {
+        if !until.map_or(is_near(*start, from), |until| until == *start) {
+            return None;
+        }
+        (until, motion) = (Some(*end), motion * *step);
+    }
+    is_near(until.unwrap_or(from), to).then_some(motion)
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::embed_3d;
+
+    use super::*;
+
+    fn at(scan: u32) -> Time {
+        Time::from_ticks(i64::from(scan) * 2_000_000)
+    }
+
+    /// A drive of 400 scans, five a second; odometry tells the pose of the scan that `of` says.
+    fn hold(of: impl Fn(u32) -> u32, odometry: impl Fn(Rigid2) -> Rigid2) -> Option<f64> {
+        let step = |scan: u32| Rigid2::new(0.1, 0.0, 0.1 * (0.05 * f64::from(scan)).sin());
+        let mut way = vec![Rigid2::identity()];
+        for scan in 0..400 {
+            way.push(way[scan as usize] * step(scan));
+        }
+        let motions: Vec<_> = (0..400).map(|scan| (at(scan), at(scan + 1), step(scan))).collect();
+        let told = |scan: u32| odometry(way[of(scan) as usize]);
+        let poses: Vec<_> = (0..400).map(|scan| (at(scan), embed_3d(&told(scan)))).collect();
+        longest_hold(&poses, &motions, &Rigid3::identity())
+    }
+
+    #[test]
+    fn what_is_told_later_was_held_back() {
+        assert_eq!(hold(|scan| scan, |pose| pose), None);
+        let seconds = hold(|scan| scan / 5 * 5, |pose| pose).unwrap();
+        assert!((seconds - 1.0).abs() < 1e-9, "{seconds}");
+    }
+
+    #[test]
+    fn wheels_that_stall_tell_it_never() {
+        // Of five steps the last one alone is told.
+        let told = |scan: u32| scan / 5 + u32::from(scan % 5 == 4);
+        assert_eq!(hold(told, |pose| pose), None);
+    }
+}
