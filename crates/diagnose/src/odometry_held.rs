@@ -12,8 +12,8 @@ use crate::scan_motion::TimedMotion;
 const LEAST_MOTION: f64 = 0.1;
 /// … and so fast, m/s: those of a robot that stands drift.
 const LEAST_SPEED: f64 = 0.1;
-/// By so many standard deviations more repeats must have been told later than would be by chance, in a sign test.
-const SURE: f64 = 3.0;
+/// By so many standard deviations motions that were told must be nearer to those of the whole time than they would be by chance.
+const SURE: f64 = 2.5;
 /// Scans between a pose and its last repeat, and from there to the next pose, begin and end so close to these at most, seconds.
 const NEAR: f64 = 0.5;
 
@@ -26,19 +26,16 @@ pub(crate) fn longest_hold(
     odometry_from_scanner: &Rigid3,
 ) -> Option<f64> {
     let runs: Vec<_> = poses.chunk_by(|(_, one), (_, next)| one == next).collect();
-    let (mut holds, mut never) = (Vec::new(), 0.0);
+    let (mut sum, mut squares, mut longest) = (0.0, 0.0, 0.0_f64);
     for run in runs.windows(2).filter_map(Run::of) {
-        match run.is_told_later(motions, odometry_from_scanner) {
-            Some(true) => holds.push(run.next.0.seconds_since(run.first.0)),
-            Some(false) => never += 1.0,
-            None => {}
+        let Some(nearer) = run.nearer_if_later(motions, odometry_from_scanner) else { continue };
+        sum += nearer;
+        squares += nearer * nearer;
+        if nearer > 0.0 {
+            longest = longest.max(run.next.0.seconds_since(run.first.0));
         }
     }
-    let later = holds.len() as f64;
-    if later - never <= SURE * (later + never).sqrt() {
-        return None;
-    }
-    holds.into_iter().reduce(f64::max)
+    (sum > SURE * f64::sqrt(squares)).then_some(longest)
 }
 
 /// A pose, its last repeat and the pose after it.
@@ -55,8 +52,9 @@ impl Run {
         Some(Self { first: *first, last: *last, next: *next })
     }
 
-    /// Whether the motion while the pose was repeated is told with the next one; none if there was none, or scans do not tell it.
-    fn is_told_later(&self, motions: &[TimedMotion], odometry_from_scanner: &Rigid3) -> Option<bool> {
+    /// How much nearer the motion that the next pose tells is to that of scans since the pose came first than to that since its last
+    /// repeat, metres; none if scans did not move while it was repeated, or do not tell it.
+    fn nearer_if_later(&self, motions: &[TimedMotion], odometry_from_scanner: &Rigid3) -> Option<f64> {
         let (from, to) = (self.first.0, self.next.0);
         let least = LEAST_MOTION.max(LEAST_SPEED * self.last.seconds_since(from));
         let while_repeated = moved(motions, from, self.last).filter(|motion| size(motion) > least)?;
@@ -64,7 +62,7 @@ impl Run {
         let pose = |pose: Rigid3| project_2d(&(pose * odometry_from_scanner));
         let told = pose(self.first.1).inverse() * pose(self.next.1);
         let off = |motion: Rigid2| size(&(motion.inverse() * told));
-        Some(off(while_repeated * afterwards) < off(afterwards))
+        Some(off(afterwards) - off(while_repeated * afterwards))
     }
 }
 

@@ -397,3 +397,29 @@ fn an_imu_that_falls_silent_does_not_stop_the_robot() {
         extrapolator.add_pose(at(t), truth);
     }
 }
+
+#[test]
+fn readings_far_apart_tell_the_way_and_not_the_motion() {
+    let along = |x: f64| Rigid3::translation(x, 0.0, 0.0);
+    let drive = |readings: &[f64]| {
+        let mut extrapolator = PoseExtrapolator::new(0.1, 10.0, true);
+        for (t, x) in [(0.8, 0.0), (0.9, 0.1), (1.0, 0.2)] {
+            extrapolator.add_pose(at(t), along(x));
+        }
+        // Half as fast as the poses.
+        for t in readings {
+            extrapolator.add_odometry(&odometry(*t, along(0.5 * t))).unwrap();
+        }
+        let predicted = extrapolator.extrapolate_pose(at(1.2)).translation.x;
+        let told = extrapolator.between_readings(at(1.2)).map(|pose| pose.translation.x);
+        (extrapolator.measured_since_last_pose(at(1.2)), predicted, told)
+    };
+    let near = |found: f64, wanted: f64| (found - wanted).abs() < 1e-9;
+    let (is_measured, predicted, told) = drive(&[0.9, 1.1, 1.3]);
+    assert!(is_measured && near(predicted, 0.3) && told.is_none(), "{predicted} {told:?}");
+    let (is_measured, predicted, told) = drive(&[0.5, 1.5]);
+    assert!(!is_measured && near(predicted, 0.4) && near(told.unwrap(), 0.3), "{predicted} {told:?}");
+    // What came before the last pose tells nothing of what comes after it.
+    let (is_measured, predicted, told) = drive(&[0.8, 0.9]);
+    assert!(!is_measured && near(predicted, 0.4) && told.is_none(), "{predicted} {told:?}");
+}
