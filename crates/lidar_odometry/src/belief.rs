@@ -23,7 +23,7 @@ pub(crate) enum Belief {
         /// End of the first one.
         since: Time,
         /// How many there were.
-        sweeps: u32,
+        sweeps: usize,
     },
     /// The pose is not known any more.
     Lost {
@@ -85,7 +85,7 @@ impl FitMonitor {
         self.belief = match (contradicts, self.belief) {
             (false, _) => Belief::Sure,
             (true, Belief::Doubtful { since, sweeps })
-                if sweeps + 1 >= settings.sweeps && end.seconds_since(since) >= settings.seconds =>
+                if 2 * (sweeps + 1) >= settings.sweeps && end.seconds_since(since) >= settings.seconds =>
             {
                 Belief::Lost { since }
             }
@@ -94,7 +94,7 @@ impl FitMonitor {
         };
         if self.belief == Belief::Sure {
             self.recent.push_back(support.fit);
-            if self.recent.len() > settings.remembered {
+            if self.recent.len() > 2 * settings.sweeps {
                 self.recent.pop_front();
             }
         }
@@ -105,11 +105,11 @@ impl FitMonitor {
     /// added up before there are planes.
     fn is_chance(&mut self, support: &Support) -> bool {
         self.guesses.push_back(support.is_guess());
-        if self.guesses.len() > self.settings.guesses_among {
+        if self.guesses.len() > self.settings.sweeps {
             self.guesses.pop_front();
         }
         let guesses = self.guesses.iter().filter(|guess| **guess).count();
-        2 * guesses > self.settings.guesses_among
+        2 * guesses > self.settings.sweeps
     }
 
     /// Whether a sweep fits so much worse than those before it that it may have moved otherwise than predicted.
@@ -125,7 +125,7 @@ impl FitMonitor {
     /// Whether a sweep fits by less than this fraction of what is usual, and lies off planes.
     fn is_below(&self, ratio: f64, fit: &SweepFit) -> bool {
         let settings = &self.settings;
-        if self.recent.len() < settings.least_remembered {
+        if self.recent.len() < settings.sweeps {
             return false;
         }
         let usual_fit = median(&mut self.recent.iter().map(|f| f.fit).collect::<Vec<f64>>());

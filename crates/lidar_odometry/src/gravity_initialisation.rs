@@ -38,7 +38,6 @@ pub struct Beginning {
 /// Gathers what comes before a trajectory begins.
 #[derive(Clone, Debug)]
 pub struct GravityInitialisation {
-    imu_wait: Duration,
     leveling_time: Duration,
     imu: Vec<ImuData>,
     odometry: VecDeque<OdometryData>,
@@ -48,7 +47,6 @@ impl GravityInitialisation {
     /// Nothing yet. Accelerations are averaged as the settings say.
     pub fn new(settings: &InitialisationSettings) -> Self {
         Self {
-            imu_wait: Duration::from_seconds(settings.imu_wait),
             leveling_time: Duration::from_seconds(settings.leveling_time),
             imu: Vec::new(),
             odometry: VecDeque::new(),
@@ -84,11 +82,11 @@ impl GravityInitialisation {
             _ => Duration::ZERO,
         };
         match self.imu.len() {
-            0 => waited >= self.imu_wait,
+            0 => waited >= self.leveling_time,
             count => {
                 averaged >= self.leveling_time
                     || count >= MAX_SAMPLES
-                    || waited >= self.imu_wait + self.leveling_time
+                    || waited >= self.leveling_time + self.leveling_time
             }
         }
     }

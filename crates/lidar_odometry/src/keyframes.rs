@@ -67,8 +67,7 @@ impl KeyframePolicy {
     /// the longer that is.
     fn stood_lately(&self, time: Time) -> bool {
         let settings = &self.settings;
-        let interval = (settings.standing_interval * 2_f64.powi(self.standing.min(MOST_DOUBLINGS)))
-            .min(settings.longest_standing_interval);
+        let interval = settings.max_time * 2_f64.powi(self.standing.min(MOST_DOUBLINGS));
         self.last.is_some_and(|last| time.seconds_since(last) < interval)
     }
 }
@@ -104,8 +103,8 @@ mod tests {
         let decisions = decisions(true, 0.0);
         let found = keyframes(&decisions);
         let seconds: Vec<f64> = found.windows(2).map(|w| 0.1 * f64::from(w[1] - w[0])).collect();
-        assert!(seconds.windows(2).all(|w| w[1] > 1.5 * w[0]) && found.len() == 3, "{found:?}");
-        assert!(decisions.contains(&(10, Decision::Ignored)));
+        assert!(seconds.windows(2).all(|w| w[1] > 1.5 * w[0]) && found.len() == 5, "{found:?}");
+        assert!(decisions.contains(&(5, Decision::Ignored)));
     }
 
     #[test]
