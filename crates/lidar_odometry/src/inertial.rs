@@ -105,7 +105,7 @@ impl InertialFilter {
             prior: settings.motion_prior.clone(),
             place_error: settings.plane_fit.range_noise,
             contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
-            standing_velocity: settings.plane_fit.range_noise / (3.0 * settings.standstill.time),
+            standing_velocity: settings.plane_fit.range_noise / (3.0 * settings.initialisation.leveling_time),
             resting_error: settings.standstill.acceleration_error,
             samples: ImuBuffer::default(),
             last: None,

@@ -30,6 +30,8 @@ struct Bin {
 #[derive(Clone, Debug)]
 pub(crate) struct ZeroVelocityDetector {
     settings: StandstillSettings,
+    /// The IMU has to be at rest, and the last poses where those before them are, for so long, seconds.
+    time: f64,
     /// Standard deviations of registered poses: metres, and radians.
     place_error: f64,
     rotation_error: f64,
@@ -48,6 +50,7 @@ impl ZeroVelocityDetector {
     pub fn new(settings: &OdometrySettings) -> Self {
         Self {
             settings: settings.standstill.clone(),
+            time: settings.initialisation.leveling_time,
             place_error: settings.plane_fit.range_noise,
             rotation_error: settings.motion_prior.least_rotation_error,
             turn_rate_error: settings.gyroscope.bias,
@@ -84,11 +87,8 @@ impl ZeroVelocityDetector {
     /// Takes the pose at which a sweep was registered.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: &Rigid3) {
         self.poses.push_back((time, *local_from_tracking));
-        while self
-            .poses
-            .front()
-            .is_some_and(|(t, _)| time.seconds_since(*t) > REMEMBERED * self.settings.time)
-        {
+        let is_old = |(pose, _): &(Time, Rigid3)| time.seconds_since(*pose) > REMEMBERED * self.time;
+        while self.poses.front().is_some_and(is_old) {
             self.poses.pop_front();
         }
     }
@@ -112,9 +112,7 @@ impl ZeroVelocityDetector {
     /// Where the platform stands (tracking in local), if it does.
     pub fn pose(&self) -> Option<Rigid3> {
         let is_resting = self.bins.len() >= self.wanted_bins() && self.imu_rests();
-        let (first, last) = (self.poses.front()?, self.poses.back()?);
-        let is_long = last.0.seconds_since(first.0) >= self.settings.time;
-        if !is_resting || !is_long || self.poses.len() < LEAST_POSES {
+        if !is_resting || !self.sweeps_are_enough() {
             return None;
         }
         let all: Vec<Rigid3> = self.poses.iter().map(|(_, pose)| *pose).collect();
@@ -132,6 +130,14 @@ impl ZeroVelocityDetector {
         (is_steady && most_are_near(older)).then_some(stands)
     }
 
+    /// Whether the sweeps whose poses are known, each as long as from one to the next, cover the time that it has to stand, to
+    /// the nearest sweep.
+    fn sweeps_are_enough(&self) -> bool {
+        let (Some(first), Some(last)) = (self.poses.front(), self.poses.back()) else { return false };
+        let interval = last.0.seconds_since(first.0) / (self.poses.len() as f64 - 1.0).max(1.0);
+        self.poses.len() >= LEAST_POSES && (self.poses.len() as f64 + 0.5) * interval >= self.time
+    }
+
     /// The mean specific force (m/s²) of an IMU that has been at rest for half of the wanted time or more.
     pub fn force_at_rest(&self) -> Option<f64> {
         let sum: Vector3 = self.bins.iter().map(|bin| bin.acceleration).sum();
@@ -141,7 +147,7 @@ impl ZeroVelocityDetector {
 
     /// So many bins are as long as it has to be at rest.
     fn wanted_bins(&self) -> usize {
-        (self.settings.time / self.settings.bin).round() as usize
+        (self.time / self.settings.bin).round() as usize
     }
 
     /// The generalised likelihood ratio of an IMU at rest (Skog et al. 2010): accelerations are what they are in the mean, and

@@ -47,10 +47,6 @@ settings! {
             "Samples are averaged over this long, so that vibrations do not count",
             origin: "derived: motors shake faster than 20 Hz",
             larger: "more vibration is tolerated, starts are seen later";
-        time: f64 = 1.0, "s", 0.1..=60.0,
-            "The IMU has to be at rest, and the last poses where those before them are, for so long; poses are remembered three times as long",
-            origin: "tuned: half of 1 s to twice as much come out alike",
-            larger: "standing is found later; starts are, too";
         acceleration_error: f64 = 0.08, "m/s²", 0.001..=5.0,
             "Standard deviation of averaged accelerations at rest, at most",
             origin: "tuned: platforms with running motors",

@@ -4,9 +4,9 @@ settings! {
     /// The start: waiting for gravity, and the first two sweeps.
     InitialisationSettings {
         leveling_time: f64 = 1.0, "s", 0.0..=60.0,
-            "Accelerations are averaged over this before the first sweep: about two steps of a walker. Sweeps wait as long for the first IMU sample before it is decided that there is no IMU",
-            origin: "derived",
-            larger: "better level, later start";
+            "Accelerations are averaged over this before the first sweep: about two steps of a walker. Sweeps wait as long for the first IMU sample before it is decided that there is no IMU; and a platform that stands has rested, and was registered where it had been, for as long",
+            origin: "derived; at rest half to twice as much come out alike",
+            larger: "better level, later start; standing is found later, starts are, too";
         similar_fit: f64 = 0.6, "1", 0.0..=1.0,
             "Motions that fit by this fraction of the best are hypotheses that the next sweeps judge",
             origin: "measured (docs/experiments/2026-11-starts.md)",
