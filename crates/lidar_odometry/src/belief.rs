@@ -81,7 +81,7 @@ impl FitMonitor {
             return self.belief;
         }
         let settings = &self.settings;
-        let contradicts = is_chance || self.contradicts(&support.fit);
+        let contradicts = is_chance || self.is_poor(&support.fit);
         self.belief = match (contradicts, self.belief) {
             (false, _) => Belief::Sure,
             (true, Belief::Doubtful { since, sweeps })
@@ -112,18 +112,9 @@ impl FitMonitor {
         2 * guesses > self.settings.sweeps
     }
 
-    /// Whether a sweep fits so much worse than those before it that it may have moved otherwise than predicted.
+    /// Whether a sweep fits so much worse than those before it, and lies off planes, that it contradicts the map: it moved otherwise
+    /// than predicted, or is elsewhere.
     pub fn is_poor(&self, fit: &SweepFit) -> bool {
-        self.is_below(self.settings.poor_fit_ratio, fit)
-    }
-
-    /// Whether a sweep fits by chance alone.
-    fn contradicts(&self, fit: &SweepFit) -> bool {
-        self.is_below(self.settings.chance_fit_ratio, fit)
-    }
-
-    /// Whether a sweep fits by less than this fraction of what is usual, and lies off planes.
-    fn is_below(&self, ratio: f64, fit: &SweepFit) -> bool {
         let settings = &self.settings;
         if self.recent.len() < settings.sweeps {
             return false;
@@ -132,7 +123,7 @@ impl FitMonitor {
         let usual_rms = median(&mut self.recent.iter().filter_map(|f| f.rms).collect::<Vec<f64>>());
         let (Some(usual_fit), Some(usual_rms)) = (usual_fit, usual_rms) else { return false };
         let lies_off = fit.rms.is_none_or(|rms| rms > settings.poor_rms_ratio * usual_rms);
-        usual_fit >= settings.least_usual_fit && fit.fit < ratio * usual_fit && lies_off
+        usual_fit >= settings.least_usual_fit && fit.fit < settings.poor_fit_ratio * usual_fit && lies_off
     }
 }
 

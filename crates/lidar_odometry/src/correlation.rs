@@ -41,11 +41,8 @@ pub(crate) struct Window {
 impl Window {
     /// How far a platform may have come in so many seconds.
     pub fn after(seconds: f64, rotation_is_measured: bool, settings: &CorrelationSettings) -> Self {
-        let turn = if rotation_is_measured { 0.0 } else { settings.fastest_turn };
-        Self {
-            linear: (settings.fastest * seconds).min(settings.farthest),
-            angular: (turn * seconds).min(settings.widest),
-        }
+        let linear = (settings.fastest * seconds).min(settings.farthest);
+        Self { linear, angular: if rotation_is_measured { 0.0 } else { settings.widest } }
     }
 }
 

@@ -3,7 +3,7 @@
 
 use portolan_geometry::{Duration, Time, Vector3};
 
-use crate::settings::{DegeneracySettings, OdometrySettings};
+use crate::settings::OdometrySettings;
 
 /// More intervals are counted with the last one, which bounds memory.
 const MAX_INTERVALS: usize = 10_000;
@@ -101,7 +101,8 @@ pub(crate) struct DegenerateScan {
 /// Joins degenerate scans to intervals.
 #[derive(Clone, Debug)]
 pub(crate) struct DegenerateIntervals {
-    settings: DegeneracySettings,
+    /// Slower, m/s, it may as well stand: the direction of motion is not known anew.
+    resting_speed: f64,
     /// Velocities are averaged over about this long, seconds, as accelerations are; scans farther apart than this belong to
     /// different intervals.
     averaged_over: f64,
@@ -115,7 +116,7 @@ pub(crate) struct DegenerateIntervals {
 impl DegenerateIntervals {
     pub fn new(settings: &OdometrySettings) -> Self {
         Self {
-            settings: settings.degeneracy.clone(),
+            resting_speed: settings.standstill.resting_speed,
             averaged_over: settings.initialisation.leveling_time,
             intervals: Vec::new(),
             heading: None,
@@ -129,7 +130,7 @@ impl DegenerateIntervals {
         let weight = (seconds / self.averaged_over).min(1.0);
         self.velocity = self.velocity * (1.0 - weight) + translation * (weight / seconds.max(1e-9));
         let level = self.velocity - up * self.velocity.dot(up);
-        if level.norm() > self.settings.slow {
+        if level.norm() > self.resting_speed {
             self.heading = level.try_normalize(0.0).or(self.heading);
         }
     }

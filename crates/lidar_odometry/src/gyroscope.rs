@@ -11,7 +11,8 @@ impl GyroscopeSettings {
         noise / (noise + (self.scale_error * turn_rate).powi(2))
     }
 
-    /// A difference of turn rates beyond this, rad/s, is no bias but a poor registration or a saturated gyroscope.
+    /// A difference of turn rates beyond this, rad/s, is no bias but a poor registration or a saturated gyroscope; no
+    /// gyroscope ends at less, either.
     pub fn max_bias(&self) -> f64 {
         10.0 * self.bias
     }
@@ -50,7 +51,7 @@ impl SaturationDetector {
         let is_saturated = |axis: usize| {
             let value = self.last[axis];
             let is_large = (value == self.least[axis] || value == self.largest[axis])
-                && value.abs() >= settings.smallest_range;
+                && value.abs() >= settings.max_bias();
             let is_noisy = self.equal.iter().any(|equal| *equal < self.equal[axis]);
             is_large && is_noisy && self.equal[axis] >= settings.equal_in_a_row
         };

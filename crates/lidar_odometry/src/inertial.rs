@@ -84,7 +84,7 @@ pub(crate) struct InertialFilter {
     prior: MotionPriorSettings,
     /// Standard deviation of registered places, metres: the noise of ranges.
     place_error: f64,
-    contradiction_sigmas: f64,
+    outlier_sigmas: f64,
     /// Standard deviation of the velocity of a platform whose poses do not drift, m/s.
     standing_velocity: f64,
     /// Standard deviation of the force that an IMU at rest measures, m/s².
@@ -104,7 +104,7 @@ impl InertialFilter {
             imu: settings.imu.clone(),
             prior: settings.motion_prior.clone(),
             place_error: settings.plane_fit.range_noise,
-            contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
+            outlier_sigmas: settings.registration.outlier_sigmas,
             standing_velocity: settings.plane_fit.range_noise / (3.0 * settings.initialisation.leveling_time),
             resting_error: settings.standstill.acceleration_error,
             samples: ImuBuffer::default(),
@@ -230,7 +230,7 @@ impl InertialFilter {
         let innovation = estimate.rotation_to(&measured.local_from_tracking.rotation);
         let error = with_unknown(square(self.prior.least_rotation_error), &measured.degenerate.rotations);
         let expected = estimate.covariance_of(ROTATION) + error;
-        let is_possible = squared_mahalanobis(&innovation, &expected) < self.contradiction_sigmas.powi(2);
+        let is_possible = squared_mahalanobis(&innovation, &expected) < self.outlier_sigmas.powi(2);
         if !measured.gyroscope_holds || !is_possible {
             estimate.forget(ROTATION, UNKNOWN);
         } else if !measured.tells_rotation {

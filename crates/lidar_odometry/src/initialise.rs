@@ -138,7 +138,7 @@ impl<'a> FirstSweeps<'a> {
 
     /// What follows from first looks, the best first.
     fn all_followed(&self, looks: Vec<Relative>, second: &Sweep) -> Vec<Start> {
-        let settings = &self.settings.initialisation;
+        let least = self.settings.loss.poor_fit_ratio;
         let same_velocity =
             f64::from(self.settings.correlation.cell) / second.end.seconds_since(self.first.end);
         let mut found: Vec<(Start, f64)> = Vec::new();
@@ -151,7 +151,7 @@ impl<'a> FirstSweeps<'a> {
             }
         }
         let best = found.iter().map(|(_, fit)| *fit).fold(0.0, f64::max);
-        found.retain(|(_, fit)| *fit >= settings.similar_fit * best);
+        found.retain(|(_, fit)| *fit >= least * best);
         found.sort_by(|a, b| b.1.total_cmp(&a.1));
         found.into_iter().map(|(start, _)| start).collect()
     }
@@ -193,7 +193,7 @@ impl<'a> FirstSweeps<'a> {
             }
         }
         let best = found.iter().map(|relative| relative.fit).fold(0.0, f64::max);
-        found.retain(|relative| relative.fit >= PROMISING * self.settings.initialisation.similar_fit * best);
+        found.retain(|relative| relative.fit >= PROMISING * self.settings.loss.poor_fit_ratio * best);
         found
     }
 

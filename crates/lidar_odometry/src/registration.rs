@@ -153,7 +153,7 @@ impl Registration {
         let segment = TrajectorySegment::instantaneous(prior.pose);
         let first =
             SegmentCorrection { start: segment.correction_to(initial).end(), ..SegmentCorrection::default() };
-        let scene = Scene::new(planes, None, &points, &segment, &self.settings);
+        let scene = Scene::new(planes, None, &points, &segment);
         self.minimise(scene, &segment, first, &motion_prior, scale)
     }
 
@@ -179,7 +179,7 @@ impl Registration {
         let poles = poles.map(|(map, points)| {
             PoleResiduals::new(map, points, segment, self.settings.points_per_independent_one)
         });
-        let scene = Scene::new(planes, poles, points, segment, &self.settings);
+        let scene = Scene::new(planes, poles, points, segment);
         self.minimise(scene, segment, SegmentCorrection::default(), prior, scale)
     }
 
@@ -261,8 +261,7 @@ impl Registration {
         }
         // 3. What the points leave open, and what errors of normals hide.
         let degenerate = DegenerateDirections::of(&equations);
-        let attenuation =
-            prior.compensates_attenuation.then(|| Attenuation::of(&equations, scene.planes, settings));
+        let attenuation = prior.compensates_attenuation.then(|| Attenuation::of(&equations, scene.planes));
         // 4. The step of points and prior together.
         let step = solve(&equations, correction, prior, &degenerate, attenuation.as_ref())?;
         correction.start += step.correction.start;
@@ -283,9 +282,9 @@ impl Registration {
         let PlaneFitSettings { range_noise, normal_noise, .. } = scene.planes.settings();
         let range_variance = (range_noise * range_noise) as f32;
         let squared_scale = (scale * scale) as f32;
-        let squared_cutoff = settings.cutoff * settings.cutoff * squared_scale;
+        let squared_cutoff = settings.outlier_sigmas.powi(2) as f32 * squared_scale;
         let least_variance = (normal_noise * normal_noise) as f32;
-        let (uneven, noise) = (settings.uneven_factor, settings.noise_factor);
+        let uneven = settings.uneven_factor;
         let mut rays = [Ray::default(); AT_ONCE];
         for part in &scene.parts {
             let mut paired = 0..0;
@@ -310,7 +309,7 @@ impl Registration {
                 if i.is_multiple_of(ARM_SAMPLE) {
                     all.add_arm(&turned, weight * normal_variance * ARM_SAMPLE as f32);
                 }
-                let spurious_variance = uneven * least_variance + noise * plane.normal_variance;
+                let spurious_variance = uneven * least_variance + plane.normal_variance;
                 let (n, lever) = (&plane.normal, turned.cross(&plane.normal));
                 let fraction = match plane.unreliable {
                     None => 1.0,
@@ -339,10 +338,9 @@ impl<'a> Scene<'a> {
         poles: Option<PoleResiduals<'a>>,
         points: &'a [TimedPoint],
         segment: &TrajectorySegment,
-        settings: &RegistrationSettings,
     ) -> Self {
         let parts = parts_of(points, |p| p.time, segment);
-        let pairs = Pairs::new(points.len(), settings.repairing_per_edge * planes.edge());
+        let pairs = Pairs::new(points.len(), planes.settings().range_noise as f32);
         Self { planes, poles, points, parts, pairs }
     }
 }

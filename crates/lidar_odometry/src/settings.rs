@@ -78,7 +78,7 @@ pub use motion::{
     GyroscopeSettings, HypothesisSettings, ImuSettings, InertialSettings, MotionPriorSettings,
     StandstillSettings,
 };
-pub use registration::{DegeneracySettings, LossSettings, RegistrationSettings, SweepSettings};
+pub use registration::{LossSettings, RegistrationSettings, SweepSettings};
 pub use start::{CorrelationSettings, InitialisationSettings, VerticalSettings, WitnessSettings};
 
 /// One setting: what it is called, what it is, and what it does.
@@ -194,8 +194,6 @@ pub struct OdometrySettings {
     pub loss: LossSettings,
     /// Registration to planes.
     pub registration: RegistrationSettings,
-    /// Degenerate intervals.
-    pub degeneracy: DegeneracySettings,
     /// Vertical structures.
     pub poles: PoleSettings,
     /// Planes of voxels.
@@ -237,7 +235,6 @@ impl OdometrySettings {
         self.sweep.entries_into(&mut all);
         self.loss.entries_into(&mut all);
         self.registration.entries_into(&mut all);
-        self.degeneracy.entries_into(&mut all);
         self.poles.entries_into(&mut all);
         self.plane_fit.entries_into(&mut all);
         self.local_map.entries_into(&mut all);
@@ -265,7 +262,6 @@ impl OdometrySettings {
             "SweepSettings" => self.sweep.set_field(field, values),
             "LossSettings" => self.loss.set_field(field, values),
             "RegistrationSettings" => self.registration.set_field(field, values),
-            "DegeneracySettings" => self.degeneracy.set_field(field, values),
             "PoleSettings" => self.poles.set_field(field, values),
             "PlaneFitSettings" => self.plane_fit.set_field(field, values),
             "LocalMapSettings" => self.local_map.set_field(field, values),
@@ -341,7 +337,7 @@ mod tests {
         let settings = OdometrySettings::default();
         assert_eq!(settings.check(), Ok(()));
         let entries = settings.entries();
-        assert!((60..=89).contains(&entries.len()), "{}", entries.len());
+        assert!((60..=75).contains(&entries.len()), "{}", entries.len());
         for entry in &entries {
             let texts = [entry.unit, entry.default, entry.what, entry.origin, entry.larger];
             assert!(texts.iter().all(|text| !text.is_empty() && !text.ends_with('.')), "{entry:?}");

@@ -97,7 +97,7 @@ impl ZeroVelocityDetector {
     /// Scans that leave a direction open register where the scanner is believed to stand, and an IMU feels no even
     /// motion: what odometry saw moving does not stand.
     pub fn add_odometry(&mut self, translation: &Vector3, seconds: f64) {
-        if translation.norm() > self.settings.max_odometry_speed * seconds {
+        if translation.norm() > self.settings.resting_speed * seconds {
             self.poses.clear();
             self.drift = Vector3::zeros();
             return;

@@ -65,7 +65,7 @@ pub(crate) struct SweepRegistration {
     registration: Registration,
     settings: SweepSettings,
     prior: MotionPriorSettings,
-    contradiction_sigmas: f64,
+    outlier_sigmas: f64,
     /// How far off rotations are after a second, whose bias may not be known yet, rad/s.
     gyroscope_drift: f64,
     /// How far off points may be after a coarse alignment, metres.
@@ -86,7 +86,7 @@ impl SweepRegistration {
             registration: Registration::new(settings.registration.clone()),
             settings: settings.sweep.clone(),
             prior: settings.motion_prior.clone(),
-            contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
+            outlier_sigmas: settings.registration.outlier_sigmas,
             gyroscope_drift: settings.gyroscope.bias,
             coarse_scale: f64::from(settings.correlation.cell),
             final_scale: settings.final_scale(),
@@ -132,7 +132,7 @@ impl SweepRegistration {
     ) -> RegisteredSegment {
         let prior = self.motion_prior(segment);
         // As far off as does not contradict the prediction; points that lie farther from a plane are not in its voxel.
-        let possible = self.contradiction_sigmas * prior.growth.translation;
+        let possible = self.outlier_sigmas * prior.growth.translation;
         let diagonal = 3_f64.sqrt() * f64::from(target.planes.edge());
         self.register_with(sample, segment, target, &prior, possible.min(diagonal))
     }
@@ -181,8 +181,7 @@ impl SweepRegistration {
             to_end: in_map.deskewing(&correction),
             fit: found.as_ref().map_or(0.0, |f| f.fit(self.final_scale)),
             evidence: found.as_ref().map_or(0.0, |f| f.evidence(self.final_scale)),
-            contradicts_rotation: found.is_some()
-                && error > self.contradiction_sigmas * prior.growth.rotation,
+            contradicts_rotation: found.is_some() && error > self.outlier_sigmas * prior.growth.rotation,
             found,
         }
     }

@@ -9,6 +9,9 @@ use crate::settings::VerticalSettings;
 /// About so many normals are tried.
 const CANDIDATES: usize = 200;
 
+/// Fewer planes that are well known do not tell: three fix a room.
+const LEAST_PLANES: f64 = 3.0;
+
 /// A wall counts half as much as a floor: it fixes one direction of two.
 const WALL_WEIGHT: f64 = 0.5;
 
@@ -27,7 +30,7 @@ pub(crate) fn vertical_from_planes(
         .map(|(plane, hits)| (plane.normal.cast::<f64>(), f64::from(hits.min(settings.max_hits_per_plane))))
         .collect();
     let total: f64 = planes.iter().map(|(_, weight)| weight).sum();
-    if total < settings.min_hits {
+    if total < LEAST_PLANES * f64::from(settings.max_hits_per_plane) {
         return None;
     }
     let mut up = best_start(&planes, believed, settings)?;

@@ -49,8 +49,8 @@ impl WideSearch<'_> {
             Registered { segment, registered, reason: Some(Reason::OtherMotion) }
         };
         // A push right after the last sweep, harder than all that is unseen, takes it no farther.
-        let OdometrySettings { motion_prior, hypotheses, .. } = self.settings;
-        let push = hypotheses.contradiction_sigmas * motion_prior.acceleration;
+        let OdometrySettings { motion_prior, hypotheses, registration, .. } = self.settings;
+        let push = registration.outlier_sigmas * motion_prior.acceleration;
         let farthest = push * segment.seconds().powi(2);
         let is_possible = |found: &Registered| {
             let from_predicted =

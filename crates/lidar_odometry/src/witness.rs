@@ -22,6 +22,10 @@ pub(crate) struct Witness {
     /// What is believed goes wrong by no more than unseen accelerations since the witness last agreed.
     prior: MotionPriorSettings,
     correlation: CorrelationSettings,
+    /// So many points of a sweep are looked at, at most: twice as many as are registered, as only some stand upright.
+    max_points: usize,
+    /// Where less of the newest sweeps is met again, it is chance, as where less of a sweep lies on planes.
+    least_share: f64,
     /// Oldest first.
     seen: VecDeque<Seen>,
     asked_at: Option<Time>,
@@ -60,12 +64,16 @@ pub(crate) struct Discrepancy {
 impl Witness {
     pub fn new(settings: &OdometrySettings) -> Self {
         let (prior, correlation) = (settings.motion_prior.clone(), settings.correlation.clone());
+        let max_points = 2 * settings.sweep.wanted_points as usize;
+        let least_share = settings.registration.min_matched_fraction;
         let settings = settings.witness.clone();
         let (seen, open) = (VecDeque::new(), Vec::new());
         Self {
             settings,
             prior,
             correlation,
+            max_points,
+            least_share,
             seen,
             asked_at: None,
             told_at: None,
@@ -137,7 +145,7 @@ impl Witness {
     }
 
     fn seen(&self, end: Time, points: impl Iterator<Item = Point3f>, count: usize, place: &Vector3) -> Seen {
-        let stride = count.div_ceil(self.settings.max_points).max(1);
+        let stride = count.div_ceil(self.max_points).max(1);
         Seen { end, place: *place, points: points.step_by(stride).collect(), is_picked: false }
     }
 
@@ -181,7 +189,7 @@ impl Witness {
     /// How far off what is believed may be, metres.
     fn reach(&self, end: Time) -> f64 {
         let since = self.told_at.map_or(f64::MAX, |told| end.seconds_since(told));
-        (self.near() + self.prior.by_acceleration(since)).min(self.settings.farthest)
+        (self.near() + self.prior.by_acceleration(since)).min(self.correlation.farthest)
     }
 
     /// Places that are no farther apart are one to a correlation, metres.
@@ -192,9 +200,8 @@ impl Witness {
     /// The place that agrees with what is believed if there is one, else the best if there is no other; with it, whether it
     /// agrees and there is no other. Peaks come in order.
     fn likeliest(&self, peaks: &[Peak], reach: f64) -> Option<(Vector3, bool)> {
-        let is_possible = |peak: &&Peak| {
-            peak.pose.translation.vector.norm() <= reach && peak.share >= self.settings.least_share
-        };
+        let is_possible =
+            |peak: &&Peak| peak.pose.translation.vector.norm() <= reach && peak.share >= self.least_share;
         let peaks: Vec<&Peak> = peaks.iter().filter(is_possible).collect();
         let best = *peaks.first()?;
         let apart =

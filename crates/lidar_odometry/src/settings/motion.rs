@@ -33,10 +33,6 @@ settings! {
             "So many times in a row the largest value so far, or the smallest, is the end of the range",
             origin: "tuned: noise repeats fewer",
             larger: "saturation is found later";
-        smallest_range: f64 = 0.1, "rad/s", 0.0..=100.0,
-            "No gyroscope ends at less",
-            origin: "data sheets begin at 1 rad/s",
-            larger: "saturation of slow sensors is missed";
     }
 }
 
@@ -51,10 +47,10 @@ settings! {
             "Standard deviation of averaged accelerations at rest, at most",
             origin: "tuned: platforms with running motors",
             larger: "slow motion passes for rest";
-        max_odometry_speed: f64 = 0.02, "m/s", 0.0..=5.0,
-            "Wheels at rest report less speed",
+        resting_speed: f64 = 0.02, "m/s", 0.0..=5.0,
+            "Wheels at rest report less speed, and below it the direction of motion is not known anew",
             origin: "noise of encoders",
-            larger: "creeping passes for rest";
+            larger: "creeping passes for rest, and the direction of motion is kept longer";
     }
 }
 
@@ -113,10 +109,6 @@ settings! {
 settings! {
     /// When other predictions than the first are tried, and when they win.
     HypothesisSettings {
-        contradiction_sigmas: f64 = 4.0, "1", 1.0..=100.0,
-            "A result contradicts a measured rotation if it is so many standard deviations off",
-            origin: "usual",
-            larger: "a failing gyroscope is noticed later";
         clearly_better: f64 = 1.3, "1", 1.0..=10.0,
             "A result without the gyroscope has to fit so many times better than one with it, unless that is saturated",
             origin: "tuned",

@@ -12,13 +12,9 @@ settings! {
             origin: "tuned",
             larger: "predictions are relied on more often";
         uneven_factor: f32 = 4.0, "1", 0.0..=100.0,
-            "A direction is constrained by so many times more information than uneven surfaces feign, which are off alike over metres",
+            "A direction is constrained by so many times more information than uneven surfaces feign, which are off alike over metres; the noise of hits differs from plane to plane, so that its sum is known better, and counts once",
             origin: "tuned: counted once, a field without odometry passes for constrained half of the time",
             larger: "more directions count as degenerate";
-        noise_factor: f32 = 2.0, "1", 0.0..=100.0,
-            "And by so many times more than the noise of hits feigns, which differs from plane to plane, so that its sum is known better",
-            origin: "tuned: counted four times, walks that begin in a hall lose half a metre",
-            larger: "more directions count as degenerate, most of all in young maps";
         grazing_weight: f32 = 0.0, "1", 0.0..=1.0,
             "How much planes at grazing incidence count: they may be drawn by the beams themselves, and hold the scanner where it was",
             origin: "tuned: with a tenth four of twelve walks through parks without odometry are lost, with nothing two",
@@ -27,10 +23,10 @@ settings! {
             "How much ground with a downward normal counts: with all of its weight a field seems to hold a lidar that is carried over it",
             origin: "tuned: a tenth and a fiftieth do not differ",
             larger: "held back in fields";
-        cutoff: f32 = 3.0, "1", 1.0..=100.0,
-            "Points farther than so many scales from their plane are left out",
+        outlier_sigmas: f64 = 4.0, "1", 1.0..=100.0,
+            "What is so many standard deviations off belongs to something else: a point so many scales from its plane is left out, a result that far from what was predicted contradicts it",
             origin: "usual",
-            larger: "slower, hardly different";
+            larger: "slower; a failing gyroscope is noticed later";
         scale_decay: f64 = 0.45, "1", 0.05..=0.99,
             "The scale of the loss shrinks by this with every iteration",
             origin: "tuned",
@@ -43,14 +39,6 @@ settings! {
             "The end is found when a step is smaller than so many standard deviations of the result (Newton decrement)",
             origin: "0.03 to 0.25 differ by chance (docs/experiments/2026-11-fewer-settings.md)",
             larger: "faster, less exact";
-        repairing_per_edge: f32 = 0.03, "1", 0.0..=0.5,
-            "A point is paired anew when it has moved by this fraction of the edge of the largest voxels",
-            origin: "tuned: time",
-            larger: "faster, less exact";
-        attenuation_distance: f64 = 0.03, "m", 0.0..=1.0,
-            "Where normals are all that constrains a translation, planes hold the scanner so far from where it is: it goes so far until other planes are seen",
-            origin: "tuned: 0.01 to 0.1 come out alike; without it errors in parks triple",
-            larger: "the inertial prediction counts more";
     }
 }
 
@@ -69,26 +57,12 @@ settings! {
 }
 
 settings! {
-    /// How degenerate scans are joined to intervals.
-    DegeneracySettings {
-        slow: f64 = 0.1, "m/s", 0.0..=10.0,
-            "Below this speed the direction of motion is not known anew",
-            origin: "drift of poses within a second",
-            larger: "the direction of motion is kept longer";
-    }
-}
-
-settings! {
     /// When the pose is lost: sweeps that fit far worse than those before them.
     LossSettings {
         poor_fit_ratio: f64 = 0.5, "1", 0.0..=1.0,
-            "A sweep that fits by less than this fraction of what is usual is looked for with other motions, too",
-            origin: "measured (docs/experiments/2026-11-lost-in-3d.md): 0.9 and more where nothing is wrong, 0.14 to 0.37 for key frames whose motion was predicted wrongly",
-            larger: "slower, finds more of what is predicted wrongly";
-        chance_fit_ratio: f64 = 0.35, "1", 0.0..=1.0,
-            "A sweep that fits by less than this fraction of what is usual contradicts the map",
-            origin: "measured there: 0.10 to 0.26 after a cut",
-            larger: "lost sooner, now and then without reason";
+            "A sweep that fits by less than this fraction of what is usual contradicts the map, and is looked for with other motions, too; of first motions that fit by less than this fraction of the best none is followed",
+            origin: "measured (docs/experiments/2026-11-lost-in-3d.md): 0.9 and more where nothing is wrong, 0.14 to 0.37 for key frames whose motion was predicted wrongly, 0.10 to 0.26 after a cut",
+            larger: "slower, finds more of what is predicted wrongly; lost sooner; fewer hypotheses";
         poor_rms_ratio: f64 = 1.5, "1", 1.0..=100.0,
             "And if its points on planes lie farther off than usual by this factor; otherwise it sees something new",
             origin: "measured there: 1.9 to 4.7 after a cut",

@@ -7,10 +7,6 @@ settings! {
             "Accelerations are averaged over this before the first sweep: about two steps of a walker. Sweeps wait as long for the first IMU sample before it is decided that there is no IMU; and a platform that stands has rested, and was registered where it had been, for as long",
             origin: "derived; at rest half to twice as much come out alike",
             larger: "better level, later start; standing is found later, starts are, too";
-        similar_fit: f64 = 0.6, "1", 0.0..=1.0,
-            "Motions that fit by this fraction of the best are hypotheses that the next sweeps judge",
-            origin: "measured (docs/experiments/2026-11-starts.md)",
-            larger: "fewer hypotheses";
     }
 }
 
@@ -28,10 +24,6 @@ settings! {
         fastest: f64 = 40.0, "m/s", 0.1..=200.0,
             "Shifts are tried up to what this speed covers from one sweep to the next",
             origin: "cars on motorways",
-            larger: "slower";
-        fastest_turn: f64 = 2.0, "rad/s", 0.0..=20.0,
-            "Headings are tried up to what this rate covers, where no gyroscope measured the rotation",
-            origin: "a hand that turns quickly",
             larger: "slower";
         farthest: f64 = 10.0, "m", 0.5..=50.0,
             "No shift is tried that is longer, however long it is from sweep to sweep",
@@ -75,18 +67,6 @@ settings! {
             "Where planes leave translations open it is asked again after so many seconds",
             origin: "derived: a car that brakes hard is 5 cm off by then",
             larger: "faster; changes of velocity are seen later";
-        farthest: f64 = 5.0, "m", 0.5..=50.0,
-            "And by no more than this",
-            origin: "derived: what a cell of the correlation from one sweep to the next is worth in a second",
-            larger: "slower; cars ahead are taken for what stands";
-        least_share: f64 = 0.15, "1", 0.0..=1.0,
-            "Where less of the newest sweeps is met again, it is chance",
-            origin: "measured (docs/experiments/2026-11-few-points.md)",
-            larger: "says less";
-        max_points: usize = 6000, "points", 10.0..=1e6,
-            "So many points of a sweep are looked at, at most, evenly in order",
-            origin: "time",
-            larger: "slower";
     }
 }
 
@@ -101,10 +81,6 @@ settings! {
             "Planes this near to level or upright count, from the first candidates to the last iteration",
             origin: "tuned",
             larger: "ramps pull the vertical";
-        min_hits: f64 = 500.0, "hits", 0.0..=1e9,
-            "So many hits on planes are needed",
-            origin: "tuned",
-            larger: "level is assumed more often";
         min_fraction: f64 = 0.3, "1", 0.0..=1.0,
             "And so large a fraction of them on floors, ceilings and walls as found",
             origin: "tuned",
