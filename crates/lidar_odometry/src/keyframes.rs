@@ -5,8 +5,10 @@ use portolan_motion::MotionFilter;
 
 use crate::settings::KeyframeSettings;
 
-/// Standing intervals are doubled no more often than this, so that they stay finite.
-const MOST_DOUBLINGS: i32 = 8;
+/// The interval is doubled so often when it comes to rest, and once more with each key frame there.
+const DOUBLINGS_AT_REST: i32 = 2;
+/// No more often than this, so that what changes around a standing scanner is mapped.
+const MOST_DOUBLINGS: i32 = 5;
 
 /// What is known of a sweep when it is decided.
 #[derive(Clone, Copy, Debug)]
@@ -67,7 +69,8 @@ impl KeyframePolicy {
     /// the longer that is.
     fn stood_lately(&self, time: Time) -> bool {
         let settings = &self.settings;
-        let interval = settings.max_time * 2_f64.powi(self.standing.min(MOST_DOUBLINGS));
+        let doublings = (DOUBLINGS_AT_REST + self.standing).min(MOST_DOUBLINGS);
+        let interval = settings.max_time * 2_f64.powi(doublings);
         self.last.is_some_and(|last| time.seconds_since(last) < interval)
     }
 }
@@ -103,8 +106,8 @@ mod tests {
         let decisions = decisions(true, 0.0);
         let found = keyframes(&decisions);
         let seconds: Vec<f64> = found.windows(2).map(|w| 0.1 * f64::from(w[1] - w[0])).collect();
-        assert!(seconds.windows(2).all(|w| w[1] > 1.5 * w[0]) && found.len() == 5, "{found:?}");
-        assert!(decisions.contains(&(5, Decision::Ignored)));
+        assert!(seconds.windows(2).all(|w| w[1] > 1.5 * w[0]) && found.len() == 3, "{found:?}");
+        assert!(decisions.contains(&(10, Decision::Ignored)));
     }
 
     #[test]

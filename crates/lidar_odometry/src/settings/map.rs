@@ -56,7 +56,7 @@ settings! {
     /// Which sweeps are key frames.
     KeyframeSettings {
         max_time: f64 = 0.5, "s", 0.0..=1e6,
-            "A sweep this long after the last key frame is one; at rest it is doubled with each, as one from the same place tells nothing new",
+            "A sweep this long after the last key frame is one; four times as long at rest, doubled with each, as one from the same place tells nothing new",
             origin: "Cartographer",
             larger: "fewer key frames in slow motion and at rest";
         max_distance: f64 = 0.1, "m", 0.0..=1e6,
