@@ -23,7 +23,7 @@ pub(crate) enum Belief {
         /// End of the first one.
         since: Time,
         /// How many there were.
-        sweeps: u32,
+        sweeps: usize,
     },
     /// The pose is not known any more.
     Lost {
@@ -81,11 +81,11 @@ impl FitMonitor {
             return self.belief;
         }
         let settings = &self.settings;
-        let contradicts = is_chance || self.contradicts(&support.fit);
+        let contradicts = is_chance || self.is_poor(&support.fit);
         self.belief = match (contradicts, self.belief) {
             (false, _) => Belief::Sure,
             (true, Belief::Doubtful { since, sweeps })
-                if sweeps + 1 >= settings.sweeps && end.seconds_since(since) >= settings.seconds =>
+                if 2 * (sweeps + 1) >= settings.sweeps && end.seconds_since(since) >= settings.seconds =>
             {
                 Belief::Lost { since }
             }
@@ -94,7 +94,7 @@ impl FitMonitor {
         };
         if self.belief == Belief::Sure {
             self.recent.push_back(support.fit);
-            if self.recent.len() > settings.remembered {
+            if self.recent.len() > 2 * settings.sweeps {
                 self.recent.pop_front();
             }
         }
@@ -105,34 +105,25 @@ impl FitMonitor {
     /// added up before there are planes.
     fn is_chance(&mut self, support: &Support) -> bool {
         self.guesses.push_back(support.is_guess());
-        if self.guesses.len() > self.settings.guesses_among {
+        if self.guesses.len() > self.settings.sweeps {
             self.guesses.pop_front();
         }
         let guesses = self.guesses.iter().filter(|guess| **guess).count();
-        2 * guesses > self.settings.guesses_among
+        2 * guesses > self.settings.sweeps
     }
 
-    /// Whether a sweep fits so much worse than those before it that it may have moved otherwise than predicted.
+    /// Whether a sweep fits so much worse than those before it, and lies off planes, that it contradicts the map: it moved otherwise
+    /// than predicted, or is elsewhere.
     pub fn is_poor(&self, fit: &SweepFit) -> bool {
-        self.is_below(self.settings.poor_fit_ratio, fit)
-    }
-
-    /// Whether a sweep fits by chance alone.
-    fn contradicts(&self, fit: &SweepFit) -> bool {
-        self.is_below(self.settings.chance_fit_ratio, fit)
-    }
-
-    /// Whether a sweep fits by less than this fraction of what is usual, and lies off planes.
-    fn is_below(&self, ratio: f64, fit: &SweepFit) -> bool {
         let settings = &self.settings;
-        if self.recent.len() < settings.least_remembered {
+        if self.recent.len() < settings.sweeps {
             return false;
         }
         let usual_fit = median(&mut self.recent.iter().map(|f| f.fit).collect::<Vec<f64>>());
         let usual_rms = median(&mut self.recent.iter().filter_map(|f| f.rms).collect::<Vec<f64>>());
         let (Some(usual_fit), Some(usual_rms)) = (usual_fit, usual_rms) else { return false };
         let lies_off = fit.rms.is_none_or(|rms| rms > settings.poor_rms_ratio * usual_rms);
-        usual_fit >= settings.least_usual_fit && fit.fit < ratio * usual_fit && lies_off
+        usual_fit >= settings.least_usual_fit && fit.fit < settings.poor_fit_ratio * usual_fit && lies_off
     }
 }
 

@@ -10,6 +10,14 @@ use portolan_numeric::median;
 
 use crate::settings::CorrelationSettings;
 
+impl CorrelationSettings {
+    /// Height of voxels, metres. What stands upright has points in its column that are two to four voxels higher or lower:
+    /// less than a car is high, more than slopes rise in a column.
+    fn layer(&self) -> f32 {
+        0.5 * self.cell
+    }
+}
+
 /// Layers of a column of voxels, one bit each.
 const LAYERS: f32 = 64.0;
 
@@ -33,11 +41,8 @@ pub(crate) struct Window {
 impl Window {
     /// How far a platform may have come in so many seconds.
     pub fn after(seconds: f64, rotation_is_measured: bool, settings: &CorrelationSettings) -> Self {
-        let turn = if rotation_is_measured { 0.0 } else { settings.fastest_turn };
-        Self {
-            linear: (settings.fastest * seconds).min(settings.farthest),
-            angular: (turn * seconds).min(settings.widest),
-        }
+        let linear = (settings.fastest * seconds).min(settings.farthest);
+        Self { linear, angular: if rotation_is_measured { 0.0 } else { settings.widest } }
     }
 }
 
@@ -153,7 +158,7 @@ impl Columns {
     ) -> Option<(usize, u32)> {
         let half = 0.5 * self.side as f32;
         let [x, y] = [point.x / edge + moved[0] + half, point.y / edge + moved[1] + half];
-        let layer = point.z / settings.layer + 0.5 * LAYERS;
+        let layer = point.z / settings.layer() + 0.5 * LAYERS;
         let is_inside = |v: f32, end: f32| v >= 0.0 && v < end;
         let (end, inside) = (self.side as f32, is_inside(layer, LAYERS));
         (inside && is_inside(x, end) && is_inside(y, end))
@@ -259,8 +264,7 @@ impl Scores {
         let all = (-self.reach..=self.reach).flat_map(|y| (-self.reach..=self.reach).map(move |x| (x, y)));
         let is_peak = |(x, y): &(i32, i32)| {
             let share = self.share(*x, *y) / highest;
-            let is_initial = (*x, *y) == (0, 0) && share >= settings.as_good;
-            is_initial || share >= settings.nearly_as_good && self.is_maximum(*x, *y)
+            share >= settings.nearly_as_good && ((*x, *y) == (0, 0) || self.is_maximum(*x, *y))
         };
         let peak = |(x, y): (i32, i32)| {
             let (share, heading) = self.best.get(self.index(x, y)?).copied()?;

@@ -3,7 +3,7 @@
 
 use portolan_geometry::{Duration, Time, Vector3};
 
-use crate::settings::DegeneracySettings;
+use crate::settings::OdometrySettings;
 
 /// More intervals are counted with the last one, which bounds memory.
 const MAX_INTERVALS: usize = 10_000;
@@ -101,7 +101,11 @@ pub(crate) struct DegenerateScan {
 /// Joins degenerate scans to intervals.
 #[derive(Clone, Debug)]
 pub(crate) struct DegenerateIntervals {
-    settings: DegeneracySettings,
+    /// Slower, m/s, it may as well stand: the direction of motion is not known anew.
+    resting_speed: f64,
+    /// Velocities are averaged over about this long, seconds, as accelerations are; scans farther apart than this belong to
+    /// different intervals.
+    averaged_over: f64,
     intervals: Vec<DegenerateInterval>,
     /// The horizontal direction in which it last went, in the tracking frame.
     heading: Option<Vector3>,
@@ -110,17 +114,23 @@ pub(crate) struct DegenerateIntervals {
 }
 
 impl DegenerateIntervals {
-    pub fn new(settings: &DegeneracySettings) -> Self {
-        Self { settings: settings.clone(), intervals: Vec::new(), heading: None, velocity: Vector3::zeros() }
+    pub fn new(settings: &OdometrySettings) -> Self {
+        Self {
+            resting_speed: settings.standstill.resting_speed,
+            averaged_over: settings.initialisation.leveling_time,
+            intervals: Vec::new(),
+            heading: None,
+            velocity: Vector3::zeros(),
+        }
     }
 
     /// Takes notice of how it moved within some seconds: translation (metres) and the direction up, both in the tracking
     /// frame.
     pub fn moved(&mut self, translation: &Vector3, seconds: f64, up: &Vector3) {
-        let weight = (seconds / self.settings.averaged_over).min(1.0);
+        let weight = (seconds / self.averaged_over).min(1.0);
         self.velocity = self.velocity * (1.0 - weight) + translation * (weight / seconds.max(1e-9));
         let level = self.velocity - up * self.velocity.dot(up);
-        if level.norm() > self.settings.slow {
+        if level.norm() > self.resting_speed {
             self.heading = level.try_normalize(0.0).or(self.heading);
         }
     }
@@ -169,7 +179,7 @@ impl DegenerateIntervals {
         let DegenerateScan { time, seconds, taken } = *scan;
         // More are counted with the last one, so that memory is bounded.
         let full = self.intervals.len() >= MAX_INTERVALS;
-        let gap = Duration::from_seconds(self.settings.max_gap);
+        let gap = Duration::from_seconds(self.averaged_over);
         let last = self.intervals.iter_mut().rev().find(|s| s.motion == motion && s.taken == taken);
         match last.filter(|interval| full || time - interval.end <= gap) {
             // Both ways to tilt count once.
@@ -206,7 +216,7 @@ mod tests {
     use super::*;
 
     fn intervals() -> DegenerateIntervals {
-        DegenerateIntervals::new(&DegeneracySettings::default())
+        DegenerateIntervals::new(&OdometrySettings::default())
     }
 
     fn scan(t: f64) -> DegenerateScan {

@@ -58,7 +58,7 @@ pub(crate) fn next_sweep(
     if prediction.segment.source != MotionSource::ConstantVelocity {
         return NextSweep::AsPredicted;
     }
-    let judges = settings.initialisation.judged_sweeps;
+    let judges = settings.loss.sweeps;
     if sweeps.len() < judges && !is_ended {
         return NextSweep::Waits;
     }
@@ -79,7 +79,7 @@ fn best(
         tracker.fork().fit_better(least, motion, sweeps, &mut Issues::default(), drop::<RegisteredSweep>)
     };
     let as_predicted = fit_better(f64::NEG_INFINITY, None).unwrap_or(0.0);
-    let clearly_better = settings.hypotheses.better_after_gap;
+    let clearly_better = settings.hypotheses.better_over_sweeps;
     let others = motions.into_iter().map(|motion| Other { motion, clearly_better });
     let follow = |motion, least| Some((NextSweep::After(motion), fit_better(least, Some(motion))?));
     hypotheses::best((NextSweep::AsPredicted, as_predicted), others, |followed| followed.1, follow).0

@@ -38,8 +38,9 @@ pub struct Beginning {
 /// Gathers what comes before a trajectory begins.
 #[derive(Clone, Debug)]
 pub struct GravityInitialisation {
+    /// How long sweeps wait for the first sample, and accelerations are averaged.
     imu_wait: Duration,
-    leveling_time: Duration,
+    averaged_over: Duration,
     imu: Vec<ImuData>,
     odometry: VecDeque<OdometryData>,
 }
@@ -47,12 +48,18 @@ pub struct GravityInitialisation {
 impl GravityInitialisation {
     /// Nothing yet. Accelerations are averaged as the settings say.
     pub fn new(settings: &InitialisationSettings) -> Self {
+        let leveling_time = Duration::from_seconds(settings.leveling_time);
         Self {
-            imu_wait: Duration::from_seconds(settings.imu_wait),
-            leveling_time: Duration::from_seconds(settings.leveling_time),
+            imu_wait: leveling_time,
+            averaged_over: leveling_time,
             imu: Vec::new(),
             odometry: VecDeque::new(),
         }
+    }
+
+    /// Nothing yet. One sample tells which way is up; sweeps wait for it as the settings say.
+    pub fn of_one_sample(settings: &InitialisationSettings) -> Self {
+        Self { averaged_over: Duration::ZERO, ..Self::new(settings) }
     }
 
     /// Takes a sample, in order of time. Gives what is wrong with it.
@@ -86,9 +93,9 @@ impl GravityInitialisation {
         match self.imu.len() {
             0 => waited >= self.imu_wait,
             count => {
-                averaged >= self.leveling_time
+                averaged >= self.averaged_over
                     || count >= MAX_SAMPLES
-                    || waited >= self.imu_wait + self.leveling_time
+                    || waited >= self.imu_wait + self.averaged_over
             }
         }
     }
@@ -166,6 +173,15 @@ mod tests {
         assert!(initialisation.is_ready(None));
         let begun = initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).unwrap();
         assert_eq!((begun.imu.len(), begun.extrapolator.last_pose_time()), (2, Some(Time::from_ticks(0))));
+    }
+
+    #[test]
+    fn one_sample_is_waited_for_and_is_enough() {
+        let mut initialisation = GravityInitialisation::of_one_sample(&InitialisationSettings::default());
+        assert!(!initialisation.is_ready(None) && !initialisation.is_ready(Some(&waiting(0.9))));
+        assert!(initialisation.is_ready(Some(&waiting(1.0))));
+        assert_eq!(initialisation.add_imu(&sample(0.0, 9.8)), None);
+        assert!(initialisation.is_ready(None));
     }
 
     #[test]

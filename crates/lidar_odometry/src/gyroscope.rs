@@ -11,7 +11,8 @@ impl GyroscopeSettings {
         noise / (noise + (self.scale_error * turn_rate).powi(2))
     }
 
-    /// A difference of turn rates beyond this, rad/s, is no bias but a poor registration or a saturated gyroscope.
+    /// A difference of turn rates beyond this, rad/s, is no bias but a poor registration or a saturated gyroscope; no
+    /// gyroscope ends at less, either.
     pub fn max_bias(&self) -> f64 {
         10.0 * self.bias
     }
@@ -24,6 +25,8 @@ impl GyroscopeSettings {
 #[derive(Clone, Debug)]
 pub struct SaturationDetector {
     settings: GyroscopeSettings,
+    /// The ends of the values so far.
+    least: [f64; 3],
     largest: [f64; 3],
     last: [f64; 3],
     equal: [u32; 3],
@@ -32,21 +35,23 @@ pub struct SaturationDetector {
 impl SaturationDetector {
     /// Of a sensor that has measured nothing yet.
     pub fn new(settings: &GyroscopeSettings) -> Self {
-        Self { settings: settings.clone(), largest: [0.0; 3], last: [0.0; 3], equal: [0; 3] }
+        Self { settings: settings.clone(), least: [0.0; 3], largest: [0.0; 3], last: [0.0; 3], equal: [0; 3] }
     }
 
     /// Whether this sample, rad/s along the axes of the sensor, is at the end of the range.
     pub fn is_saturated(&mut self, angular_velocity: &Vector3) -> bool {
         for axis in 0..3 {
             let value = angular_velocity[axis];
-            self.largest[axis] = self.largest[axis].max(value.abs());
+            self.least[axis] = self.least[axis].min(value);
+            self.largest[axis] = self.largest[axis].max(value);
             self.equal[axis] = if value == self.last[axis] { self.equal[axis].saturating_add(1) } else { 1 };
             self.last[axis] = value;
         }
         let settings = &self.settings;
         let is_saturated = |axis: usize| {
-            let limit = (settings.fraction_of_largest * self.largest[axis]).max(settings.smallest_range);
-            let is_large = self.last[axis].abs() >= limit;
+            let value = self.last[axis];
+            let is_large = (value == self.least[axis] || value == self.largest[axis])
+                && value.abs() >= settings.max_bias();
             let is_noisy = self.equal.iter().any(|equal| *equal < self.equal[axis]);
             is_large && is_noisy && self.equal[axis] >= settings.equal_in_a_row
         };

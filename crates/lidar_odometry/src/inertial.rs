@@ -24,9 +24,13 @@ use portolan_sensor::ImuData;
 use crate::imu_buffer::ImuBuffer;
 use crate::registration::DegenerateDirections;
 use crate::segment::TrajectorySegment;
-use crate::settings::{GyroscopeSettings, ImuSettings, InertialSettings, OdometrySettings};
+use crate::settings::{
+    GyroscopeSettings, ImuSettings, InertialSettings, MotionPriorSettings, OdometrySettings,
+};
 use estimate::{Estimate, PLACE, Preintegrated, ROTATION, VELOCITY, worst_sigma};
 
+/// Gravity before it is estimated, m/s²: that of middle latitudes; 9.78 to 9.83 on Earth.
+const GRAVITY: f64 = 9.81;
 /// Standard deviation of what nothing measures: metres along degenerate directions, radians about them.
 const UNKNOWN: f64 = 30.0;
 /// An acceleration beyond this, m/s², is more than platforms do, and than most accelerometers measure: it is wrong.
@@ -77,7 +81,10 @@ pub(crate) struct InertialFilter {
     settings: InertialSettings,
     gyroscope: GyroscopeSettings,
     imu: ImuSettings,
-    contradiction_sigmas: f64,
+    prior: MotionPriorSettings,
+    /// Standard deviation of registered places, metres: the noise of ranges.
+    place_error: f64,
+    outlier_sigmas: f64,
     /// Standard deviation of the velocity of a platform whose poses do not drift, m/s.
     standing_velocity: f64,
     /// Standard deviation of the force that an IMU at rest measures, m/s².
@@ -95,8 +102,10 @@ impl InertialFilter {
             settings: settings.inertial.clone(),
             gyroscope: settings.gyroscope.clone(),
             imu: settings.imu.clone(),
-            contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
-            standing_velocity: settings.inertial.place_error / settings.standstill.memory,
+            prior: settings.motion_prior.clone(),
+            place_error: settings.plane_fit.range_noise,
+            outlier_sigmas: settings.registration.outlier_sigmas,
+            standing_velocity: settings.plane_fit.range_noise / (3.0 * settings.initialisation.leveling_time),
             resting_error: settings.standstill.acceleration_error,
             samples: ImuBuffer::default(),
             last: None,
@@ -121,13 +130,14 @@ impl InertialFilter {
         let settings = &self.settings;
         let force = match start.force_at_rest {
             Some(strength) => (up * strength, self.resting_error),
-            None => (up * self.imu.gravity, settings.first_force),
+            // A platform that speeds up while accelerations are averaged seems to lean.
+            None => (up * GRAVITY, self.prior.acceleration),
         };
         if !self.measures_gravity() {
             self.noise.distrust();
         }
         let rotation = start.local_from_tracking.rotation;
-        self.estimate = Some(Estimate::first(rotation, force, self.imu.gravity, settings, &self.gyroscope));
+        self.estimate = Some(Estimate::first(rotation, force, GRAVITY, settings, &self.gyroscope));
         self.begin_anew(time, start);
     }
 
@@ -135,13 +145,13 @@ impl InertialFilter {
     fn measures_gravity(&self) -> bool {
         let samples = self.samples.all();
         let sum: f64 = samples.iter().map(|sample| sample.linear_acceleration.norm()).sum();
-        (sum / samples.len().max(1) as f64 - self.imu.gravity).abs() < 0.5 * self.imu.gravity
+        (sum / samples.len().max(1) as f64 - GRAVITY).abs() < 0.5 * GRAVITY
     }
 
     /// Begins anew at the end of a sweep, after what it did not follow. Biases and gravity remain.
     pub fn begin_anew(&mut self, time: Time, start: &InertialStart) {
         let settings = &self.settings;
-        let sigmas = [settings.place_error, settings.rotation_error, settings.first_velocity];
+        let sigmas = [self.place_error, self.prior.least_rotation_error, settings.first_velocity];
         if let Some(estimate) = &mut self.estimate {
             estimate.moved_to(&start.local_from_tracking, start.velocity, sigmas);
         }
@@ -159,7 +169,7 @@ impl InertialFilter {
     pub fn is_reliable(&self) -> bool {
         let settings = &self.settings;
         let is_sure = |estimate: &Estimate| estimate.force_sigma() < settings.accelerometer_bias;
-        self.velocity_sigma() < settings.sure_velocity && self.estimate.as_ref().is_some_and(is_sure)
+        self.velocity_sigma() < 0.5 * settings.first_velocity && self.estimate.as_ref().is_some_and(is_sure)
     }
 
     /// From the tracking frame, which lies in the local map as given, to a gravity-aligned one of the same heading; none
@@ -218,9 +228,9 @@ impl InertialFilter {
     /// The registered rotation tells the bias of the gyroscope, unless that measured something else altogether.
     fn correct_rotation(&self, estimate: &mut Estimate, measured: &PoseMeasurement<'_>) {
         let innovation = estimate.rotation_to(&measured.local_from_tracking.rotation);
-        let error = with_unknown(square(self.settings.rotation_error), &measured.degenerate.rotations);
+        let error = with_unknown(square(self.prior.least_rotation_error), &measured.degenerate.rotations);
         let expected = estimate.covariance_of(ROTATION) + error;
-        let is_possible = squared_mahalanobis(&innovation, &expected) < self.contradiction_sigmas.powi(2);
+        let is_possible = squared_mahalanobis(&innovation, &expected) < self.outlier_sigmas.powi(2);
         if !measured.gyroscope_holds || !is_possible {
             estimate.forget(ROTATION, UNKNOWN);
         } else if !measured.tells_rotation {
@@ -232,7 +242,7 @@ impl InertialFilter {
     fn correct_place(&mut self, estimate: &mut Estimate, measured: &PoseMeasurement<'_>) {
         let Some(attenuation) = measured.attenuation else { return };
         let innovation = measured.local_from_tracking.translation.vector - estimate.place;
-        let known = square(self.settings.place_error) + attenuation;
+        let known = square(self.place_error) + attenuation;
         let error = with_unknown(known, &measured.degenerate.translations);
         // Innovations are as large as their covariance says, or else the accelerometer is worse than it is said to be: its
         // clock, axes or units may be wrong.

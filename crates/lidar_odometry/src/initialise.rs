@@ -14,7 +14,7 @@ use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::PlaneMap;
 use crate::registration::{PosePrior, Registration, Sigmas};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
-use crate::settings::{OdometrySettings, RegistrationSettings};
+use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
 use crate::vertical::vertical_from_planes;
 
@@ -24,6 +24,9 @@ const PROMISING: f64 = 0.75;
 
 /// The first velocity, and the sweeps that it de-skews, are found in so many iterations; more change nothing.
 const ITERATIONS: u32 = 4;
+
+/// A start needs so many times more points on planes than other sweeps: nothing predicts it.
+const UNPREDICTED: f64 = 2.0;
 
 /// A tracking frame that leans by less, radians, is as good as level: posts of 3 m stay within a column of voxels. The vertical
 /// that a single sweep tells is not sure, either.
@@ -129,14 +132,15 @@ impl<'a> FirstSweeps<'a> {
         if starts.is_empty() {
             starts.push(still.leveled(&planes));
         }
-        starts.truncate(settings.initialisation.max_hypotheses);
+        starts.truncate(settings.correlation.max_peaks);
         starts
     }
 
     /// What follows from first looks, the best first.
     fn all_followed(&self, looks: Vec<Relative>, second: &Sweep) -> Vec<Start> {
-        let settings = &self.settings.initialisation;
-        let same_velocity = settings.same_motion / second.end.seconds_since(self.first.end);
+        let least = self.settings.loss.poor_fit_ratio;
+        let same_velocity =
+            f64::from(self.settings.correlation.cell) / second.end.seconds_since(self.first.end);
         let mut found: Vec<(Start, f64)> = Vec::new();
         for relative in looks {
             let (start, fit) = self.clone().followed(relative, second);
@@ -147,7 +151,7 @@ impl<'a> FirstSweeps<'a> {
             }
         }
         let best = found.iter().map(|(_, fit)| *fit).fold(0.0, f64::max);
-        found.retain(|(_, fit)| *fit >= settings.similar_fit * best);
+        found.retain(|(_, fit)| *fit >= least * best);
         found.sort_by(|a, b| b.1.total_cmp(&a.1));
         found.into_iter().map(|(start, _)| start).collect()
     }
@@ -178,8 +182,8 @@ impl<'a> FirstSweeps<'a> {
     /// The second sweep (de-skewed) registered to the first from each of these places: results that differ, and fit well
     /// enough to be followed.
     fn registered(&self, planes: &PlaneMap, deskewed: &[Point3f], places: &[Rigid3]) -> Vec<Relative> {
-        let points = voxel_filter_points(deskewed, self.settings.initialisation.spacing);
-        let same_motion = self.settings.initialisation.same_motion;
+        let points = voxel_filter_points(deskewed, self.settings.first_spacing());
+        let same_motion = f64::from(self.settings.correlation.cell);
         let mut found: Vec<Relative> = Vec::new();
         for initial in places {
             let Some(relative) = self.register(planes, &points, initial) else { continue };
@@ -189,7 +193,7 @@ impl<'a> FirstSweeps<'a> {
             }
         }
         let best = found.iter().map(|relative| relative.fit).fold(0.0, f64::max);
-        found.retain(|relative| relative.fit >= PROMISING * self.settings.initialisation.similar_fit * best);
+        found.retain(|relative| relative.fit >= PROMISING * self.settings.loss.poor_fit_ratio * best);
         found
     }
 
@@ -227,7 +231,7 @@ impl<'a> FirstSweeps<'a> {
         let seconds = second.end.seconds_since(self.first.end);
         self.move_by(&relative.motion, seconds);
         for _ in 1..ITERATIONS {
-            let points = voxel_filter_points(&self.deskewed(second), self.settings.initialisation.spacing);
+            let points = voxel_filter_points(&self.deskewed(second), self.settings.first_spacing());
             let Some(next) = self.register(&self.planes(), &points, &self.believed(second)) else { break };
             relative = next;
             self.move_by(&relative.motion, seconds);
@@ -294,17 +298,15 @@ impl<'a> FirstSweeps<'a> {
 
     /// The second pose in the first near another one, if the points constrain it.
     fn register(&self, planes: &PlaneMap, points: &[Point3f], initial: &Rigid3) -> Option<Relative> {
-        let settings = &self.settings.initialisation;
         let prior = PosePrior { pose: *initial, sigmas: COARSE };
-        let registration = Registration::new(RegistrationSettings {
-            final_scale: self.settings.sweep.final_scale_per_edge * self.settings.local_map.voxel_size,
-            ..self.settings.registration.clone()
-        });
-        let found = registration.register_scan(planes, points, initial, &prior, settings.scale)?;
+        let registration = Registration::new(self.settings.registration.clone());
+        let scale = f64::from(self.settings.correlation.cell);
+        let found = registration.register_scan(planes, points, initial, &prior, scale)?;
         // A single sparse sweep among trees shows few planes, but they constrain translation if not rotation, too.
         let constrains_translation = self.rotation_at.is_some() && found.degenerate.translations.is_empty();
-        let is_enough = found.matched_fraction >= settings.min_matched_fraction || constrains_translation;
-        let fit = found.evidence(self.settings.sweep.poor_rms);
+        let least = UNPREDICTED * self.settings.registration.min_matched_fraction;
+        let is_enough = found.matched_fraction >= least || constrains_translation;
+        let fit = found.evidence(self.settings.final_scale());
         is_enough.then_some(Relative { motion: found.pose, fit })
     }
 }

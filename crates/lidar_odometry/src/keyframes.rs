@@ -5,8 +5,10 @@ use portolan_motion::MotionFilter;
 
 use crate::settings::KeyframeSettings;
 
-/// Standing intervals are doubled no more often than this, so that they stay finite.
-const MOST_DOUBLINGS: i32 = 8;
+/// The interval is doubled so often when it comes to rest, and once more with each key frame there.
+const DOUBLINGS_AT_REST: i32 = 2;
+/// No more often than this, so that what changes around a standing scanner is mapped.
+const MOST_DOUBLINGS: i32 = 5;
 
 /// What is known of a sweep when it is decided.
 #[derive(Clone, Copy, Debug)]
@@ -67,8 +69,8 @@ impl KeyframePolicy {
     /// the longer that is.
     fn stood_lately(&self, time: Time) -> bool {
         let settings = &self.settings;
-        let interval = (settings.standing_interval * 2_f64.powi(self.standing.min(MOST_DOUBLINGS)))
-            .min(settings.longest_standing_interval);
+        let doublings = (DOUBLINGS_AT_REST + self.standing).min(MOST_DOUBLINGS);
+        let interval = settings.max_time * 2_f64.powi(doublings);
         self.last.is_some_and(|last| time.seconds_since(last) < interval)
     }
 }

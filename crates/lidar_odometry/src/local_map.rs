@@ -27,6 +27,8 @@ pub struct GrowingMap {
 pub(crate) struct LocalMap {
     settings: LocalMapSettings,
     plane_fit: PlaneFitSettings,
+    /// A map of fewer is warming up: single sweeps show few planes, and what the first ones got wrong fits it.
+    warm_up_keyframes: usize,
     older: GrowingMap,
     newer: Option<GrowingMap>,
 }
@@ -59,9 +61,15 @@ impl LocalMap {
         sweep_in_local: &RangeData,
         local_from_gravity_aligned: Quaternion,
     ) -> Self {
-        let (plane_fit, settings) = (&settings.plane_fit, &settings.local_map);
-        let older = empty(settings, plane_fit, sweep_in_local.origin, local_from_gravity_aligned);
-        let mut map = Self { settings: settings.clone(), plane_fit: plane_fit.clone(), older, newer: None };
+        let OdometrySettings { plane_fit, local_map, loss, .. } = settings;
+        let older = empty(local_map, plane_fit, sweep_in_local.origin, local_from_gravity_aligned);
+        let mut map = Self {
+            settings: local_map.clone(),
+            plane_fit: plane_fit.clone(),
+            warm_up_keyframes: loss.sweeps,
+            older,
+            newer: None,
+        };
         map.insert(&Arc::new(sweep_in_local.returns.points.clone()), &sweep_in_local.origin);
         map.older.keyframes = 1;
         map
@@ -79,7 +87,7 @@ impl LocalMap {
 
     /// Whether the older map knows too few planes to be relied on.
     pub fn is_warming_up(&self) -> bool {
-        self.older.keyframes < self.settings.warm_up_keyframes
+        (self.older.keyframes as usize) < self.warm_up_keyframes
     }
 
     /// Shows all maps points that were seen from an origin (both in the local map). Many of them are inserted beside what else is
@@ -147,7 +155,7 @@ mod tests {
     #[test]
     fn maps_overlap_by_half() {
         let mut settings = OdometrySettings::default();
-        (settings.local_map.keyframes_per_half, settings.local_map.warm_up_keyframes) = (3, 3);
+        (settings.local_map.keyframes_per_half, settings.loss.sweeps) = (3, 3);
         let mut map = LocalMap::new(&settings, &sweep(0.0), Quaternion::identity());
         let mut complete = Vec::new();
         for i in 1..10 {

@@ -31,6 +31,8 @@ pub(crate) struct MotionState {
     zero_velocity: ZeroVelocityDetector,
     inertial: InertialFilter,
     hypotheses: HypothesisSettings,
+    /// What two sparse sweeps are off by, m/s.
+    first_velocity_error: f64,
 }
 
 /// What the end of a sweep says of the motion.
@@ -66,6 +68,7 @@ impl MotionState {
             zero_velocity: ZeroVelocityDetector::new(settings),
             inertial: InertialFilter::new(settings),
             hypotheses: settings.hypotheses.clone(),
+            first_velocity_error: settings.inertial.first_velocity,
         };
         if let Some(first) = imu.first() {
             // The extrapolator has it.
@@ -248,7 +251,7 @@ impl MotionState {
     fn inertial_start(&self, local_from_tracking: &Rigid3, velocity: Vector3) -> InertialStart {
         let force_at_rest = self.zero_velocity.force_at_rest();
         // An IMU rests in smooth motion, too.
-        let seems_to_stand = force_at_rest.is_some() && velocity.norm() < self.hypotheses.slow;
+        let seems_to_stand = force_at_rest.is_some() && velocity.norm() < self.first_velocity_error;
         let velocity = if seems_to_stand { Vector3::zeros() } else { velocity };
         InertialStart { local_from_tracking: *local_from_tracking, velocity, force_at_rest }
     }

@@ -155,7 +155,7 @@ impl LidarOdometry {
         self.ended.add(&tracker);
         self.attempts.ended(!tracker.is_warming_up());
         if tracker.is_warming_up() {
-            self.ready.extend(self.recent.give_up_all_but(self.settings.initialisation.judged_sweeps));
+            self.ready.extend(self.recent.give_up_all_but(self.settings.loss.sweeps));
         }
         let maps = tracker.local_map().all().map(|map| map.planes.now().compacted()).collect();
         self.begun = Some(PieceBegun { since, ended_from_begun: self.recent.ended_from_begun(), maps });

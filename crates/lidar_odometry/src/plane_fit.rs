@@ -96,7 +96,7 @@ impl PlaneCell {
     /// Whether a hit seen from the direction `toward` (unit length) shows the other side of the plane.
     #[inline]
     pub fn shows_other_side(&self, toward: &na::Vector3<f32>, settings: &PlaneFitSettings) -> bool {
-        self.is_one_sided && self.normal.dot(toward) < -settings.min_side
+        self.is_one_sided && self.normal.dot(toward) < -least_side(settings)
     }
 
     /// Counts a hit (Welford's update) seen from the direction `toward` (unit length, or zero if that is not
@@ -137,7 +137,7 @@ impl PlaneCell {
         let [xx, xy, xz, yy, yz, zz] = self.scatter;
         let (xx, xy, xz, yy, yz, zz) = (mean(xx), mean(xy), mean(xz), mean(yy), mean(yz), mean(zz));
         let covariance = na::Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
-        let thickness = settings.max_thickness + settings.max_thickness_per_edge * edge;
+        let thickness = settings.range_noise as f32 + settings.max_thickness_per_edge * edge;
         if is_thicker(&covariance, f64::from(thickness)) {
             self.is_plane = false;
             return PlaneFit::default();
@@ -153,9 +153,9 @@ impl PlaneCell {
         let normal: na::Vector3<f32> = normal.cast();
         let side = normal.dot(&self.toward) / count;
         self.normal = if side < 0.0 { -normal } else { normal };
-        self.is_one_sided = side.abs() > settings.min_side;
+        self.is_one_sided = side.abs() > least_side(settings);
         let seen = self.toward.norm() / count;
-        let is_grazed = side.abs() < seen * (settings.grazing_angle + 2.0 * normal_variance.sqrt());
+        let is_grazed = side.abs() < seen * (settings.normal_noise as f32 + 2.0 * normal_variance.sqrt());
         let looks_down = self.toward.z > 0.0 && self.normal.z < -settings.level_normal;
         let unreliable = match (looks_down, is_grazed) {
             (true, _) => Some(Unreliable::DownwardNormal),
@@ -164,6 +164,12 @@ impl PlaneCell {
         };
         PlaneFit { variance: across, normal_variance, unreliable }
     }
+}
+
+/// Cosine of the angle of incidence from which the side of a plane is known: three standard deviations of its normal.
+#[inline]
+fn least_side(settings: &PlaneFitSettings) -> f32 {
+    3.0 * settings.normal_noise as f32
 }
 
 /// Whether the smallest eigenvalue of a covariance (m²) is clearly larger than the square of a thickness, metres: what remains

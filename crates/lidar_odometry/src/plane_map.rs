@@ -90,6 +90,11 @@ impl PlaneMap {
         Self::with_settings(edge, PlaneFitSettings::default())
     }
 
+    /// How planes are fitted.
+    pub(crate) fn settings(&self) -> &PlaneFitSettings {
+        &self.settings
+    }
+
     /// An empty map with other settings of the fit than the defaults.
     pub fn with_settings(edge: f32, settings: PlaneFitSettings) -> Self {
         let edge = if edge.is_finite() { edge.max(1e-3) } else { 1.0 };

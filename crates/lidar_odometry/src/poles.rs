@@ -26,6 +26,24 @@ pub use map::PoleMap;
 pub(crate) use recent::{PolesToRegister, RecentPoles, SeenPoles};
 pub(crate) use residuals::PoleResiduals;
 
+/// Ground as steep as this, 30°, is not taken for what stands on it.
+const STEEPEST_GROUND: f32 = 0.577;
+
+/// Points of a wall spread so many times farther along it than across it: as those of planes.
+const ELONGATED: f32 = 3.0;
+
+impl PoleSettings {
+    /// Standard deviation of a pair, metres.
+    fn noise(&self) -> f32 {
+        0.5 * self.final_scale as f32
+    }
+
+    /// Points farther off than this, metres, are not paired.
+    fn reach(&self) -> f32 {
+        2.0 * self.final_scale as f32
+    }
+}
+
 /// A point of a vertical structure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PolePoint {
@@ -50,7 +68,8 @@ impl PolePoint {
         let standing = above_others(&all, settings);
         let walls = WallDirections::of(&standing, settings);
         let back = turn.inverse();
-        let kept = voxel_filter_indices(&standing, |(_, place)| *place, settings.spacing).into_iter();
+        let kept =
+            voxel_filter_indices(&standing, |(_, place)| *place, settings.final_scale as f32).into_iter();
         let point = |(point, place): &(TimedPoint, Point3f)| {
             let wall_direction =
                 walls.around(place, settings).map(|d| back * na::Vector3::new(d.x, d.y, 0.0));
@@ -75,7 +94,7 @@ fn above_others(all: &[(TimedPoint, Point3f)], settings: &PoleSettings) -> Vec<(
     let column_of: Vec<usize> = all.iter().map(|(_, place)| count(place)).collect();
     let stands = |place: &Point3f, column: usize| {
         let [lowest, highest] = columns.value(column);
-        highest - lowest > settings.min_height && place.z > lowest + settings.foot
+        highest - lowest > settings.column && place.z > lowest + STEEPEST_GROUND * settings.column
     };
     let standing = all.iter().zip(column_of).filter(|((_, place), column)| stands(place, *column));
     standing.map(|(point, _)| *point).collect()
@@ -111,9 +130,10 @@ impl WallDirections {
         let eigen = na::SymmetricEigen::new(products / count - mean * mean.transpose());
         let (long, narrow) = (eigen.eigenvalues.imax(), eigen.eigenvalues.imin());
         let [long_variance, narrow_variance] = [long, narrow].map(|i| eigen.eigenvalues[i]);
-        let (length, elongation) = (settings.wall_length, settings.wall_elongation);
+        // Half as much as a wall through all of the neighbourhood.
+        let length = 0.5 * (3.0 * settings.neighbourhood) / 12_f32.sqrt();
         let is_wall =
-            long_variance > length * length && narrow_variance * elongation * elongation < long_variance;
+            long_variance > length * length && narrow_variance * ELONGATED * ELONGATED < long_variance;
         is_wall.then(|| eigen.eigenvectors.column(long).into_owned())
     }
 }

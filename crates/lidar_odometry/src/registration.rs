@@ -11,7 +11,7 @@ use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::{PlaneMap, Unreliable};
 use crate::poles::{PoleMap, PolePoint, PoleResiduals};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
-use crate::settings::RegistrationSettings;
+use crate::settings::{PlaneFitSettings, RegistrationSettings};
 use attenuation::Attenuation;
 use normal_equations::{Accumulator, Matched, NormalEquations};
 use pairs::{AT_ONCE, Pairs, Ray};
@@ -33,6 +33,10 @@ const PARTS: f64 = 8.0;
 const ARM_SAMPLE: usize = 4;
 /// With this part of the least fraction of matched points there is no hope, once the loss has its final scale.
 const HOPELESS: f64 = 0.6;
+/// Iterations at most: fewer than half as many are needed.
+const MAX_ITERATIONS: u32 = 20;
+/// Fewer points on planes, three for each unknown, constrain nothing.
+const MIN_PAIRS: usize = 18;
 /// A scan that took no time has no growing correction.
 const RIGID: Sigmas = Sigmas { translation: 1e-6, rotation: 1e-6 };
 
@@ -90,14 +94,15 @@ pub struct RegistrationResult {
 }
 
 impl RegistrationResult {
-    /// How well it fits: the fraction of points on planes, halved where their root mean square distance is `poor_rms`.
-    pub(crate) fn fit(&self, poor_rms: f64) -> f64 {
-        self.matched_fraction / (1.0 + (self.rms / poor_rms).powi(2))
+    /// How well it fits: the fraction of points on planes, halved where their root mean square distance is the
+    /// final scale of the loss.
+    pub(crate) fn fit(&self, final_scale: f64) -> f64 {
+        self.matched_fraction / (1.0 + (self.rms / final_scale).powi(2))
     }
 
     /// How well what tells of the motion fits: as [`Self::fit`], of points on reliable planes alone.
-    pub(crate) fn evidence(&self, poor_rms: f64) -> f64 {
-        self.reliable_fraction / (1.0 + (self.rms / poor_rms).powi(2))
+    pub(crate) fn evidence(&self, final_scale: f64) -> f64 {
+        self.reliable_fraction / (1.0 + (self.rms / final_scale).powi(2))
     }
 }
 
@@ -114,8 +119,8 @@ struct Iteration {
     attenuation: Option<Attenuation>,
     /// What poles alone say of translation and rotation.
     by_poles: Option<[na::Matrix3<f64>; 2]>,
-    /// How far the end moved.
-    step: na::Vector6<f64>,
+    /// The squared length of the step in standard deviations of the result.
+    squared_decrement: f64,
 }
 
 /// What is registered, and to what.
@@ -148,7 +153,7 @@ impl Registration {
         let segment = TrajectorySegment::instantaneous(prior.pose);
         let first =
             SegmentCorrection { start: segment.correction_to(initial).end(), ..SegmentCorrection::default() };
-        let scene = Scene::new(planes, None, &points, &segment, &self.settings);
+        let scene = Scene::new(planes, None, &points, &segment);
         self.minimise(scene, &segment, first, &motion_prior, scale)
     }
 
@@ -174,8 +179,13 @@ impl Registration {
         let poles = poles.map(|(map, points)| {
             PoleResiduals::new(map, points, segment, self.settings.points_per_independent_one)
         });
-        let scene = Scene::new(planes, poles, points, segment, &self.settings);
+        let scene = Scene::new(planes, poles, points, segment);
         self.minimise(scene, segment, SegmentCorrection::default(), prior, scale)
+    }
+
+    /// Points farther off than about this, metres, count little in the end.
+    fn final_scale(&self, planes: &PlaneMap) -> f64 {
+        self.settings.final_scale_per_edge * f64::from(planes.edge())
     }
 
     /// Gauss-Newton with a robust loss whose scale shrinks (graduated non-convexity).
@@ -188,19 +198,18 @@ impl Registration {
         scale: f64,
     ) -> Option<RegistrationResult> {
         let settings = &self.settings;
-        let mut scale = scale.max(settings.final_scale);
+        let final_scale = self.final_scale(scene.planes);
+        let mut scale = scale.max(final_scale);
         let mut last = None;
-        for _ in 0..settings.max_iterations {
-            let is_coarse = scale > settings.final_scale;
+        for _ in 0..MAX_ITERATIONS {
+            let is_coarse = scale > final_scale;
             let iteration = self.iterate(&mut scene, segment, &mut correction, prior, scale)?;
-            let moved = iteration.step;
+            let is_small = iteration.squared_decrement < settings.small_step.powi(2);
             last = Some(iteration);
-            let is_small = moved.fixed_rows::<3>(0).norm() < settings.small_translation
-                && moved.fixed_rows::<3>(3).norm() < settings.small_rotation;
             if is_small && !is_coarse {
                 break;
             }
-            scale = (scale * settings.scale_decay).max(settings.final_scale);
+            scale = (scale * settings.scale_decay).max(final_scale);
         }
         let Iteration { mut equations, mut degenerate, attenuation, by_poles, .. } = last?;
         if let Some(by_poles) = by_poles {
@@ -214,10 +223,12 @@ impl Registration {
         }
         let Matched { points, reliable, squares } = equations.matched;
         let pose = segment.corrected_end(&correction);
-        pose.translation.vector.iter().all(|v| v.is_finite()).then(|| RegistrationResult {
+        let matched_fraction = points as f64 / scene.points.len().max(1) as f64;
+        let is_finite = pose.translation.vector.iter().all(|v| v.is_finite());
+        (is_finite && matched_fraction >= settings.min_matched_fraction).then(|| RegistrationResult {
             pose,
             correction,
-            matched_fraction: points as f64 / scene.points.len().max(1) as f64,
+            matched_fraction,
             reliable_fraction: reliable as f64 / scene.points.len().max(1) as f64,
             rms: (squares / points.max(1) as f64).sqrt(),
             information: equations.hessian,
@@ -245,17 +256,18 @@ impl Registration {
         // 2. Is it any use?
         let fraction = matched.points as f64 / scene.points.len() as f64;
         let is_hopeless = fraction < HOPELESS * settings.min_matched_fraction;
-        if matched.points < settings.min_pairs || scale <= settings.final_scale && is_hopeless {
+        if matched.points < MIN_PAIRS || scale <= self.final_scale(scene.planes) && is_hopeless {
             return None;
         }
         // 3. What the points leave open, and what errors of normals hide.
         let degenerate = DegenerateDirections::of(&equations);
-        let attenuation = prior.compensates_attenuation.then(|| Attenuation::of(&equations, settings));
+        let attenuation = prior.compensates_attenuation.then(|| Attenuation::of(&equations, scene.planes));
         // 4. The step of points and prior together.
         let step = solve(&equations, correction, prior, &degenerate, attenuation.as_ref())?;
-        correction.start += step.start;
-        correction.growth += step.growth;
-        Some(Iteration { equations, degenerate, attenuation, by_poles, step: step.end() })
+        correction.start += step.correction.start;
+        correction.growth += step.correction.growth;
+        let squared_decrement = step.squared_decrement;
+        Some(Iteration { equations, degenerate, attenuation, by_poles, squared_decrement })
     }
 
     /// Pairs points with planes where they moved, and adds what all of them say on a trajectory.
@@ -267,11 +279,12 @@ impl Registration {
         scale: f64,
     ) -> Matched {
         let settings = &self.settings;
-        let range_variance = (settings.range_noise * settings.range_noise) as f32;
+        let PlaneFitSettings { range_noise, normal_noise, .. } = scene.planes.settings();
+        let range_variance = (range_noise * range_noise) as f32;
         let squared_scale = (scale * scale) as f32;
-        let squared_cutoff = settings.cutoff * settings.cutoff * squared_scale;
-        let least_variance = (settings.normal_noise * settings.normal_noise) as f32;
-        let (uneven, noise) = (settings.uneven_factor, settings.noise_factor);
+        let squared_cutoff = settings.outlier_sigmas.powi(2) as f32 * squared_scale;
+        let least_variance = (normal_noise * normal_noise) as f32;
+        let uneven = settings.uneven_factor;
         let mut rays = [Ray::default(); AT_ONCE];
         for part in &scene.parts {
             let mut paired = 0..0;
@@ -296,7 +309,7 @@ impl Registration {
                 if i.is_multiple_of(ARM_SAMPLE) {
                     all.add_arm(&turned, weight * normal_variance * ARM_SAMPLE as f32);
                 }
-                let spurious_variance = uneven * least_variance + noise * plane.normal_variance;
+                let spurious_variance = uneven * least_variance + plane.normal_variance;
                 let (n, lever) = (&plane.normal, turned.cross(&plane.normal));
                 let fraction = match plane.unreliable {
                     None => 1.0,
@@ -325,10 +338,9 @@ impl<'a> Scene<'a> {
         poles: Option<PoleResiduals<'a>>,
         points: &'a [TimedPoint],
         segment: &TrajectorySegment,
-        settings: &RegistrationSettings,
     ) -> Self {
         let parts = parts_of(points, |p| p.time, segment);
-        let pairs = Pairs::new(points.len(), settings.repairing_per_edge * planes.edge());
+        let pairs = Pairs::new(points.len(), planes.settings().range_noise as f32);
         Self { planes, poles, points, parts, pairs }
     }
 }

@@ -14,6 +14,10 @@ use crate::settings::{OdometrySettings, StandstillSettings};
 
 /// Poses of a platform that stands lie within so many standard deviations of their median, but for outliers.
 const OUTLIER: f64 = 3.0;
+/// Poses are remembered so many times as long as it has to stand, and the newest third is compared with the others.
+const REMEMBERED: f64 = 3.0;
+/// Of fewer poses there are no thirds.
+const LEAST_POSES: usize = 3;
 
 /// The mean of the samples of a short time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -26,6 +30,8 @@ struct Bin {
 #[derive(Clone, Debug)]
 pub(crate) struct ZeroVelocityDetector {
     settings: StandstillSettings,
+    /// The IMU has to be at rest, and the last poses where those before them are, for so long, seconds.
+    time: f64,
     /// Standard deviations of registered poses: metres, and radians.
     place_error: f64,
     rotation_error: f64,
@@ -44,8 +50,9 @@ impl ZeroVelocityDetector {
     pub fn new(settings: &OdometrySettings) -> Self {
         Self {
             settings: settings.standstill.clone(),
-            place_error: settings.inertial.place_error,
-            rotation_error: settings.inertial.rotation_error,
+            time: settings.initialisation.leveling_time,
+            place_error: settings.plane_fit.range_noise,
+            rotation_error: settings.motion_prior.least_rotation_error,
             turn_rate_error: settings.gyroscope.bias,
             bins: VecDeque::new(),
             filling: None,
@@ -56,7 +63,7 @@ impl ZeroVelocityDetector {
 
     /// Takes a sample without the bias of the gyroscope.
     pub fn add_imu(&mut self, data: &ImuData) {
-        let duration = self.settings.bin;
+        let (duration, wanted_bins) = (self.settings.bin, self.wanted_bins());
         let (since, count, sum) = self.filling.get_or_insert((data.time, 0, Bin::default()));
         let age = data.time.seconds_since(*since);
         if !(0.0..duration).contains(&age) && *count > 0 {
@@ -67,7 +74,7 @@ impl ZeroVelocityDetector {
             if !(0.0..10.0 * duration).contains(&age) {
                 self.bins.clear();
             }
-            if self.bins.len() > self.settings.bins {
+            if self.bins.len() > wanted_bins {
                 self.bins.pop_front();
             }
             (*since, *count, *sum) = (data.time, 0, Bin::default());
@@ -80,7 +87,8 @@ impl ZeroVelocityDetector {
     /// Takes the pose at which a sweep was registered.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: &Rigid3) {
         self.poses.push_back((time, *local_from_tracking));
-        while self.poses.front().is_some_and(|(t, _)| time.seconds_since(*t) > self.settings.memory) {
+        let is_old = |(pose, _): &(Time, Rigid3)| time.seconds_since(*pose) > REMEMBERED * self.time;
+        while self.poses.front().is_some_and(is_old) {
             self.poses.pop_front();
         }
     }
@@ -89,7 +97,7 @@ impl ZeroVelocityDetector {
     /// Scans that leave a direction open register where the scanner is believed to stand, and an IMU feels no even
     /// motion: what odometry saw moving does not stand.
     pub fn add_odometry(&mut self, translation: &Vector3, seconds: f64) {
-        if translation.norm() > self.settings.max_odometry_speed * seconds {
+        if translation.norm() > self.settings.resting_speed * seconds {
             self.poses.clear();
             self.drift = Vector3::zeros();
             return;
@@ -103,9 +111,8 @@ impl ZeroVelocityDetector {
 
     /// Where the platform stands (tracking in local), if it does.
     pub fn pose(&self) -> Option<Rigid3> {
-        let settings = &self.settings;
-        let is_resting = self.bins.len() >= settings.bins && self.imu_rests();
-        if !is_resting || self.poses.len() < settings.min_poses {
+        let is_resting = self.bins.len() >= self.wanted_bins() && self.imu_rests();
+        if !is_resting || !self.sweeps_are_enough() {
             return None;
         }
         let all: Vec<Rigid3> = self.poses.iter().map(|(_, pose)| *pose).collect();
@@ -123,11 +130,24 @@ impl ZeroVelocityDetector {
         (is_steady && most_are_near(older)).then_some(stands)
     }
 
+    /// Whether the sweeps whose poses are known, each as long as from one to the next, cover the time that it has to stand, to
+    /// the nearest sweep.
+    fn sweeps_are_enough(&self) -> bool {
+        let (Some(first), Some(last)) = (self.poses.front(), self.poses.back()) else { return false };
+        let interval = last.0.seconds_since(first.0) / (self.poses.len() as f64 - 1.0).max(1.0);
+        self.poses.len() >= LEAST_POSES && (self.poses.len() as f64 + 0.5) * interval >= self.time
+    }
+
     /// The mean specific force (m/s²) of an IMU that has been at rest for half of the wanted time or more.
     pub fn force_at_rest(&self) -> Option<f64> {
         let sum: Vector3 = self.bins.iter().map(|bin| bin.acceleration).sum();
-        let is_resting = self.bins.len() >= self.settings.bins / 2 && self.imu_rests();
+        let is_resting = self.bins.len() >= self.wanted_bins() / 2 && self.imu_rests();
         is_resting.then(|| sum.norm() / self.bins.len() as f64)
+    }
+
+    /// So many bins are as long as it has to be at rest.
+    fn wanted_bins(&self) -> usize {
+        (self.time / self.settings.bin).round() as usize
     }
 
     /// The generalised likelihood ratio of an IMU at rest (Skog et al. 2010): accelerations are what they are in the mean, and

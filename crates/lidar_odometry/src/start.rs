@@ -71,7 +71,7 @@ impl FirstMotion {
             let rotation_at = measured.as_ref().map(|measured| measured as &RotationAt);
             self.hypotheses = FirstSweeps::hypotheses(first, second, rotation_at, settings);
         }
-        let judging = settings.initialisation.judged_sweeps.max(1);
+        let judging = settings.loss.sweeps.max(1);
         let judges = &sweeps[1..sweeps.len().min(judging)];
         let trial = Trial { settings, motion: &self.motion, memory, first, judges };
         match self.hypotheses.as_slice() {
@@ -94,7 +94,7 @@ impl Trial<'_> {
     /// Begins with the hypothesis that the sweeps fit best; the likeliest fits the first two best.
     fn best(&self, likeliest: Start, others: &[Start]) -> Begun {
         let Some(first) = self.judged(likeliest, f64::NEG_INFINITY) else { return self.begin(likeliest) };
-        let clearly_better = self.settings.initialisation.clearly_better;
+        let clearly_better = self.settings.hypotheses.better_over_sweeps;
         let others = others.iter().map(|start| Other { motion: *start, clearly_better });
         let best =
             hypotheses::best(first, others, |judged| judged.fit, |start, least| self.judged(start, least));

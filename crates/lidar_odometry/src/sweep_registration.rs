@@ -12,8 +12,15 @@ use crate::plane_map::PlaneMap;
 use crate::poles::PolesToRegister;
 use crate::registration::{MotionPrior, Registration, RegistrationResult, Sigmas};
 use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
-use crate::settings::{MotionPriorSettings, OdometrySettings, RegistrationSettings, SweepSettings};
+use crate::settings::{MotionPriorSettings, OdometrySettings, SweepSettings};
 use crate::sweep::Sweep;
+
+impl MotionPriorSettings {
+    /// How far unseen accelerations take a platform in so many seconds, metres.
+    pub(crate) fn by_acceleration(&self, seconds: f64) -> f64 {
+        0.5 * self.acceleration * seconds * seconds
+    }
+}
 
 /// A sweep that was registered, or would have been.
 pub(crate) struct RegisteredSegment {
@@ -58,11 +65,15 @@ pub(crate) struct SweepRegistration {
     registration: Registration,
     settings: SweepSettings,
     prior: MotionPriorSettings,
-    contradiction_sigmas: f64,
+    outlier_sigmas: f64,
     /// How far off rotations are after a second, whose bias may not be known yet, rad/s.
     gyroscope_drift: f64,
     /// How far off points may be after a coarse alignment, metres.
     coarse_scale: f64,
+    /// Points that far off, metres, count little.
+    final_scale: f64,
+    /// Edge of these voxels at least: closer points tell the same.
+    least_spacing: f32,
     /// Edge of the voxels of which one point each is registered, adapted from sweep to sweep.
     spacing: f32,
     /// How far off predicted rotations were that nothing measured.
@@ -71,19 +82,16 @@ pub(crate) struct SweepRegistration {
 
 impl SweepRegistration {
     pub fn new(settings: &OdometrySettings) -> Self {
-        let voxel_size = settings.local_map.voxel_size;
-        let registration = RegistrationSettings {
-            final_scale: settings.sweep.final_scale_per_edge * voxel_size,
-            ..settings.registration.clone()
-        };
         Self {
-            registration: Registration::new(registration),
+            registration: Registration::new(settings.registration.clone()),
             settings: settings.sweep.clone(),
             prior: settings.motion_prior.clone(),
-            contradiction_sigmas: settings.hypotheses.contradiction_sigmas,
+            outlier_sigmas: settings.registration.outlier_sigmas,
             gyroscope_drift: settings.gyroscope.bias,
-            coarse_scale: settings.initialisation.scale,
-            spacing: settings.sweep.first_spacing_per_edge * voxel_size as f32,
+            coarse_scale: f64::from(settings.correlation.cell),
+            final_scale: settings.final_scale(),
+            least_spacing: settings.plane_fit.range_noise as f32,
+            spacing: settings.first_spacing(),
             innovations: Innovations::default(),
         }
     }
@@ -102,10 +110,9 @@ impl SweepRegistration {
         if kept == 0 {
             return;
         }
-        let settings = &self.settings;
-        let wanted = (kept as f32 / settings.wanted_points).sqrt();
-        let adapted = self.spacing * wanted.clamp(settings.least_adaptation, settings.largest_adaptation);
-        self.spacing = adapted.clamp(settings.least_spacing, settings.largest_spacing);
+        // Points lie on surfaces.
+        let wanted = (kept as f32 / self.settings.wanted_points).sqrt();
+        self.spacing = (self.spacing * wanted).max(self.least_spacing);
     }
 
     /// Learns how far off a segment was predicted that was registered.
@@ -124,8 +131,10 @@ impl SweepRegistration {
         target: &Target<'_>,
     ) -> RegisteredSegment {
         let prior = self.motion_prior(segment);
-        let by_sigma = self.settings.scale_per_sigma * prior.growth.translation;
-        self.register_with(sample, segment, target, &prior, by_sigma.min(self.settings.max_scale))
+        // As far off as does not contradict the prediction; points that lie farther from a plane are not in its voxel.
+        let possible = self.outlier_sigmas * prior.growth.translation;
+        let diagonal = 3_f64.sqrt() * f64::from(target.planes.edge());
+        self.register_with(sample, segment, target, &prior, possible.min(diagonal))
     }
 
     /// Registers a sample near a segment that was found coarsely.
@@ -150,10 +159,8 @@ impl SweepRegistration {
     ) -> RegisteredSegment {
         let &Target { local_from_map, planes, poles } = target;
         let in_map = segment.seen_from(&local_from_map.inverse());
-        let settings = &self.settings;
         let poles = poles.map(|poles| (&poles.map, &poles.points[..]));
         let found = self.registration.register_sweep(planes, sample, &in_map, prior, scale, poles);
-        let found = found.filter(|found| found.matched_fraction >= settings.min_matched_fraction);
         self.registered(segment, local_from_map, found)
     }
 
@@ -172,10 +179,9 @@ impl SweepRegistration {
         RegisteredSegment {
             local_from_tracking,
             to_end: in_map.deskewing(&correction),
-            fit: found.as_ref().map_or(0.0, |f| f.fit(self.settings.poor_rms)),
-            evidence: found.as_ref().map_or(0.0, |f| f.evidence(self.settings.poor_rms)),
-            contradicts_rotation: found.is_some()
-                && error > self.contradiction_sigmas * prior.growth.rotation,
+            fit: found.as_ref().map_or(0.0, |f| f.fit(self.final_scale)),
+            evidence: found.as_ref().map_or(0.0, |f| f.evidence(self.final_scale)),
+            contradicts_rotation: found.is_some() && error > self.outlier_sigmas * prior.growth.rotation,
             found,
         }
     }
@@ -188,7 +194,7 @@ impl SweepRegistration {
             translation: match segment.source {
                 MotionSource::Measured => least + prior.odometry_drift * seconds,
                 MotionSource::Inertial { velocity_sigma } => least + velocity_sigma * seconds,
-                MotionSource::ConstantVelocity => least + 0.5 * prior.acceleration * seconds * seconds,
+                MotionSource::ConstantVelocity => least + prior.by_acceleration(seconds),
             },
             rotation: match segment.rotation_is_measured {
                 true => prior.least_rotation_error + self.gyroscope_drift * seconds,
@@ -204,7 +210,7 @@ impl SweepRegistration {
             growth.rotation *= self.innovations.fraction();
         }
         let start = Sigmas {
-            translation: prior.start_translation,
+            translation: prior.least_translation_error,
             rotation: match segment.rotation_is_measured {
                 true => growth.rotation,
                 false => prior.start_rotation,

@@ -69,6 +69,9 @@ pub struct Keyframe {
 pub trait Fallback {
     /// Where de-skewed points (in the tracking frame) lie, near a predicted pose. None if it does not know either.
     fn locate(&mut self, deskewed: &PointCloud, local_from_tracking: &Rigid3) -> Option<Rigid3>;
+
+    /// Standard deviation of the places that it tells, metres.
+    fn error(&self) -> f64;
 }
 
 /// Where a sweep ended.
@@ -147,9 +150,9 @@ impl Tracker {
             registration: SweepRegistration::new(settings),
             local_map: LocalMap::new(settings, &registered.in_local, registered.local_from_gravity()),
             poles: RecentPoles::new(&settings.poles),
-            witness: Witness::new(&settings.witness, &settings.correlation),
+            witness: Witness::new(settings),
             keyframes,
-            intervals: DegenerateIntervals::new(&settings.degeneracy),
+            intervals: DegenerateIntervals::new(settings),
             fits: FitMonitor::new(&settings.loss),
             last_fitting: Arc::default(),
             fitted_at: registered.sweep.end,
@@ -193,8 +196,8 @@ impl Tracker {
     pub fn is_after_gap(&self, end: Time) -> bool {
         let last = self.motion.extrapolator.last_pose_time();
         let seconds = last.map_or(0.0, |last| end.seconds_since(last));
-        let usual = self.settings.hypotheses.gap_intervals * self.last_interval;
-        seconds > self.settings.hypotheses.long_gap && seconds > usual
+        // Key frames are always far apart.
+        seconds - self.last_interval > self.settings.hypotheses.long_gap
     }
 
     /// Registers a sweep to the planes around; the first one after a gap may come after a motion that is assumed.
@@ -275,8 +278,7 @@ impl Tracker {
         if self.asks_fallback(end, &best.segment, best.registered.found.is_some())
             && let Some(fallback) = fallback
         {
-            let error = self.settings.sweep.fallback_error;
-            attenuation = Some(Matrix3::from_diagonal_element(error * error));
+            attenuation = Some(Matrix3::from_diagonal_element(fallback.error().powi(2)));
             pose = fallback.locate(&deskewed.returns, &pose).unwrap_or(pose);
         }
         // Zero-velocity update: a platform at rest stands where the median of its last poses is.
@@ -297,7 +299,7 @@ impl Tracker {
         if fits_planes {
             self.fitted_at = end;
         }
-        let is_long = end.seconds_since(self.fitted_at) > self.settings.sweep.max_unfitting_time;
+        let is_long = end.seconds_since(self.fitted_at) > self.settings.loss.seconds;
         !fits_planes
             && segment.source == MotionSource::ConstantVelocity
             && (!segment.rotation_is_measured || is_long)

@@ -9,6 +9,12 @@ use crate::settings::VerticalSettings;
 /// About so many normals are tried.
 const CANDIDATES: usize = 200;
 
+/// Fewer planes that are well known do not tell: three fix a room.
+const LEAST_PLANES: f64 = 3.0;
+
+/// A wall counts half as much as a floor: it fixes one direction of two.
+const WALL_WEIGHT: f64 = 0.5;
+
 /// The direction in the frame of the planes that floors and ceilings face and walls do not, near
 /// `believed` (unit vectors). None if they do not tell.
 ///
@@ -24,7 +30,7 @@ pub(crate) fn vertical_from_planes(
         .map(|(plane, hits)| (plane.normal.cast::<f64>(), f64::from(hits.min(settings.max_hits_per_plane))))
         .collect();
     let total: f64 = planes.iter().map(|(_, weight)| weight).sum();
-    if total < settings.min_hits {
+    if total < LEAST_PLANES * f64::from(settings.max_hits_per_plane) {
         return None;
     }
     let mut up = best_start(&planes, believed, settings)?;
@@ -38,7 +44,7 @@ pub(crate) fn vertical_from_planes(
                 sum -= normal * normal.transpose() * *weight;
                 used += weight;
             } else if cosine < tolerance.sin() {
-                sum += normal * normal.transpose() * (settings.wall_weight * weight);
+                sum += normal * normal.transpose() * (WALL_WEIGHT * weight);
                 used += weight;
             }
         }
@@ -53,13 +59,14 @@ pub(crate) fn vertical_from_planes(
 /// The believed direction, or the normal near it, that most planes agree with.
 fn best_start(planes: &[(Vector3, f64)], believed: &Vector3, settings: &VerticalSettings) -> Option<Vector3> {
     let believed = believed.try_normalize(1e-9)?;
+    let tolerance = *settings.tolerances.first()?;
     let agreement = |up: &Vector3| -> f64 {
         let part = |(normal, weight): &(Vector3, f64)| {
             let cosine = normal.dot(up).abs();
-            if cosine > settings.level_cosine {
+            if cosine > tolerance.cos() {
                 *weight
-            } else if cosine < settings.upright_cosine {
-                settings.wall_weight * weight
+            } else if cosine < tolerance.sin() {
+                WALL_WEIGHT * weight
             } else {
                 0.0
             }

@@ -48,9 +48,10 @@ impl WideSearch<'_> {
             let registered = self.registration.register_widely(&sample, &segment, self.target);
             Registered { segment, registered, reason: Some(Reason::OtherMotion) }
         };
-        // A push right after the last sweep.
-        let hypotheses = &self.settings.hypotheses;
-        let farthest = hypotheses.hardest_push * segment.seconds().powi(2);
+        // A push right after the last sweep, harder than all that is unseen, takes it no farther.
+        let OdometrySettings { motion_prior, hypotheses, registration, .. } = self.settings;
+        let push = registration.outlier_sigmas * motion_prior.acceleration;
+        let farthest = push * segment.seconds().powi(2);
         let is_possible = |found: &Registered| {
             let from_predicted =
                 found.registered.local_from_tracking.translation.vector - end.translation.vector;

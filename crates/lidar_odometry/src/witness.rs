@@ -12,14 +12,20 @@ use portolan_geometry::{Point3f, Rigid3, Time, Vector3, to_f32};
 
 use crate::correlation::{Peak, UprightReference, Window, upright};
 use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
-use crate::settings::{CorrelationSettings, WitnessSettings};
+use crate::settings::{CorrelationSettings, MotionPriorSettings, OdometrySettings, WitnessSettings};
 use crate::sweep::Sweep;
 
 /// What stood upright in the last sweeps, and what planes leave open.
 #[derive(Clone)]
 pub(crate) struct Witness {
     settings: WitnessSettings,
+    /// What is believed goes wrong by no more than unseen accelerations since the witness last agreed.
+    prior: MotionPriorSettings,
     correlation: CorrelationSettings,
+    /// So many points of a sweep are looked at, at most: twice as many as are registered, as only some stand upright.
+    max_points: usize,
+    /// Where less of the newest sweeps is met again, it is chance, as where less of a sweep lies on planes.
+    least_share: f64,
     /// Oldest first.
     seen: VecDeque<Seen>,
     asked_at: Option<Time>,
@@ -56,12 +62,18 @@ pub(crate) struct Discrepancy {
 }
 
 impl Witness {
-    pub fn new(settings: &WitnessSettings, correlation: &CorrelationSettings) -> Self {
-        let (settings, correlation) = (settings.clone(), correlation.clone());
+    pub fn new(settings: &OdometrySettings) -> Self {
+        let (prior, correlation) = (settings.motion_prior.clone(), settings.correlation.clone());
+        let max_points = 2 * settings.sweep.wanted_points as usize;
+        let least_share = settings.registration.min_matched_fraction;
+        let settings = settings.witness.clone();
         let (seen, open) = (VecDeque::new(), Vec::new());
         Self {
             settings,
+            prior,
             correlation,
+            max_points,
+            least_share,
             seen,
             asked_at: None,
             told_at: None,
@@ -73,7 +85,7 @@ impl Witness {
 
     /// Remembers a sweep that was registered: its points in the local map, and where it was taken.
     pub fn add(&mut self, end: Time, points: &[Point3f], place: &Vector3) {
-        let longest = self.settings.span + self.settings.group;
+        let longest = self.settings.span + self.group();
         while self.seen.front().is_some_and(|first| end.seconds_since(first.end) > longest) {
             self.seen.pop_front();
         }
@@ -96,10 +108,11 @@ impl Witness {
         self.told_at.is_some_and(|told| end.seconds_since(told) <= self.settings.span)
     }
 
-    /// Whether for so long planes left the way open, and the witness did not clearly agree with it, that it is a guess: what it
-    /// tells of a wrong way may be as wrong.
+    /// Whether planes left the way open, and the witness did not clearly agree with it, for half as long again as it looks back,
+    /// so that it is a guess: what it tells of a wrong way may be as wrong.
     pub fn is_guess(&self, end: Time) -> bool {
-        let is_long = |since: Option<Time>| since.is_none_or(|s| end.seconds_since(s) > self.settings.guess);
+        let is_long =
+            |since: Option<Time>| since.is_none_or(|s| end.seconds_since(s) > 1.5 * self.settings.span);
         self.open_since.is_some() && is_long(self.open_since) && is_long(self.agreed_at)
     }
 
@@ -132,17 +145,17 @@ impl Witness {
     }
 
     fn seen(&self, end: Time, points: impl Iterator<Item = Point3f>, count: usize, place: &Vector3) -> Seen {
-        let stride = count.div_ceil(self.settings.max_points).max(1);
+        let stride = count.div_ceil(self.max_points).max(1);
         Seen { end, place: *place, points: points.step_by(stride).collect(), is_picked: false }
     }
 
     /// Compares a sweep where it is believed to have been taken, and those right before it, with those about a second before.
     /// None where that tells nothing.
     fn compare(&mut self, mut now: Seen) -> Option<Discrepancy> {
-        let half = 0.5 * self.settings.group;
+        let half = 0.5 * self.group();
         let oldest = now.end.seconds_since(self.seen.front()?.end);
         let span = self.settings.span.min(oldest - half);
-        if span < self.settings.group {
+        if span < self.group() {
             return None;
         }
         self.seen.iter_mut().chain([&mut now]).for_each(|seen| seen.pick(&self.correlation));
@@ -168,10 +181,15 @@ impl Witness {
         Some(Discrepancy { shift, seconds: mean_age(&before) - mean_age(&after), power })
     }
 
+    /// Sweeps of so many seconds are put together: several thousand points where single ones have 1,400.
+    fn group(&self) -> f64 {
+        0.5 * self.settings.span
+    }
+
     /// How far off what is believed may be, metres.
     fn reach(&self, end: Time) -> f64 {
         let since = self.told_at.map_or(f64::MAX, |told| end.seconds_since(told));
-        (self.near() + 0.5 * self.settings.acceleration * since * since).min(self.settings.farthest)
+        (self.near() + self.prior.by_acceleration(since)).min(self.correlation.farthest)
     }
 
     /// Places that are no farther apart are one to a correlation, metres.
@@ -182,15 +200,14 @@ impl Witness {
     /// The place that agrees with what is believed if there is one, else the best if there is no other; with it, whether it
     /// agrees and there is no other. Peaks come in order.
     fn likeliest(&self, peaks: &[Peak], reach: f64) -> Option<(Vector3, bool)> {
-        let is_possible = |peak: &&Peak| {
-            peak.pose.translation.vector.norm() <= reach && peak.share >= self.settings.least_share
-        };
+        let is_possible =
+            |peak: &&Peak| peak.pose.translation.vector.norm() <= reach && peak.share >= self.least_share;
         let peaks: Vec<&Peak> = peaks.iter().filter(is_possible).collect();
         let best = *peaks.first()?;
         let apart =
             |a: &Peak, b: &Rigid3| (a.pose.translation.vector - b.translation.vector).norm() > self.near();
         let agrees = |peak: &&&Peak| {
-            !apart(peak, &Rigid3::identity()) && peak.share >= self.correlation.as_good * best.share
+            !apart(peak, &Rigid3::identity()) && peak.share >= self.correlation.nearly_as_good * best.share
         };
         let agreeing = peaks.iter().find(agrees).copied();
         let found = agreeing.unwrap_or(best);
@@ -253,7 +270,7 @@ mod tests {
         believed: fn(f64) -> f64,
         source: MotionSource,
     ) -> (Witness, Option<Discrepancy>) {
-        let mut witness = Witness::new(&WitnessSettings::default(), &CorrelationSettings::default());
+        let mut witness = Witness::new(&OdometrySettings::default());
         let pose = |x: f64| Rigid3::translation(x, 0.0, 0.0);
         for at in (0..14).map(|i| 0.1 * f64::from(i)) {
             let place = pose(believed(at));
@@ -299,7 +316,7 @@ mod tests {
 
     #[test]
     fn where_nothing_stands_upright_the_way_is_a_guess_after_a_while() {
-        let mut witness = Witness::new(&WitnessSettings::default(), &CorrelationSettings::default());
+        let mut witness = Witness::new(&OdometrySettings::default());
         let guessed: Vec<bool> = (0..40)
             .map(|i| {
                 let at = time(0.1 * f64::from(i));

@@ -114,7 +114,7 @@ impl SpatialMap {
         let places =
             FastCorrelativeMatcher2d::new(&from_above(&solid_cells)?, &FastCorrelativeOptions2d::default())?;
         let nodes = state.nodes.values().map(|node| node.map_from_tracking.translation.vector).collect();
-        let settings = RegistrationSettings { final_scale: 0.1 * f64::from(VOXEL), ..Default::default() };
+        let settings = RegistrationSettings { min_matched_fraction: 0.0, ..Default::default() };
         let registration = Registration::new(settings);
         let (planes, occupancy) = (Arc::new(with_nodes(planes, state)), Arc::new(occupancy));
         let voxels = Arc::new(KnownVoxels::new(&occupancy, &planes, state)?);

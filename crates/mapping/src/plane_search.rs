@@ -107,9 +107,7 @@ fn register_to_planes(
 ) -> Option<RegistrationResult> {
     let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
     let prior = PosePrior { pose: *initial, sigmas: SIGMAS };
-    let final_scale = 0.1 * f64::from(planes.edge());
     let registration = Registration::new(RegistrationSettings {
-        final_scale,
         min_matched_fraction: MIN_MATCHED_FRACTION,
         ..RegistrationSettings::default()
     });

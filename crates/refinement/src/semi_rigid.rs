@@ -12,6 +12,7 @@
 //! happens within a section is corrected, because pairs tie the elements that measured them.
 
 mod elements;
+mod options;
 mod sections;
 
 use nalgebra::{Matrix3, Matrix6};
@@ -26,6 +27,7 @@ use crate::continuous::{
 };
 use crate::{PointStore, RefineError};
 use elements::{ElementEquations, ElementPair, End};
+pub use options::SemiRigidOptions;
 use sections::{PointPair, Sections};
 
 /// Points of a section that look for a partner in another one, while sections are rigid and at last.
@@ -39,8 +41,6 @@ const ODOMETRY_SECONDS: f64 = 0.1;
 const KERNEL_SCATTER: f64 = 2.0;
 /// Least standard deviation of a pair, metres.
 const LEAST_DEVIATION: f64 = 0.005;
-/// Shortest element, seconds: poses are kept no finer than this.
-const SHORTEST_ELEMENT: f64 = 0.005;
 /// Beyond this fraction of the pair distance pairs lose weight (Cauchy).
 const KERNEL: f64 = 0.1;
 /// Links with less weight of pairs are not used.
@@ -51,85 +51,6 @@ const USUAL_STEPS: usize = 12;
 const SECTIONS_REST: f64 = 0.01;
 const ELEMENTS_REST: f64 = 0.002;
 const FAILED: RefineError = RefineError::Numerical("distribution over the elements");
-
-/// Parameters as in the paper.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct SemiRigidOptions {
-    /// Seconds of one element of the trajectory (a profile, a packet, or whole sweeps for the coarse mode).
-    pub element: f64,
-    /// A section is made every so many elements.
-    pub interval: usize,
-    /// It holds the points of so many elements on each side of its middle.
-    pub half_width: usize,
-    /// Edge of the voxels of which one point each is kept, metres.
-    pub voxel: f64,
-    /// Most iterations of the registration of the sections.
-    pub rigid_iterations: usize,
-    /// Sections with more pairs than this are linked.
-    pub min_pairs: usize,
-    /// Farthest points of a pair, metres.
-    pub max_distance: f64,
-    /// Only points recorded at least so many elements apart are paired.
-    pub time_window: usize,
-    /// How often sections are made and registered, and elements solved for.
-    pub outer_iterations: usize,
-    /// How wrong the motion of the input may be.
-    pub odometry: OdometryNoise,
-}
-
-impl Default for SemiRigidOptions {
-    fn default() -> Self {
-        Self {
-            element: 1.0 / 120.0,
-            interval: 300,
-            half_width: 150,
-            voxel: 0.10,
-            rigid_iterations: 20,
-            min_pairs: 400,
-            max_distance: 0.5,
-            time_window: 180,
-            outer_iterations: 1,
-            odometry: OdometryNoise { translation: 0.05, rotation: 0.5_f64.to_radians() },
-        }
-    }
-}
-
-impl SemiRigidOptions {
-    /// The coarse mode: the smallest element is two sweeps of `sweep_seconds`. Sections and the time window last as long as
-    /// before.
-    pub fn coarse(self, sweep_seconds: f64) -> Self {
-        let element = 2.0 * sweep_seconds;
-        let elements = |count: usize| (count as f64 * self.element / element).ceil().max(1.0) as usize;
-        let half_width = elements(self.half_width);
-        let interval = elements(self.interval).min(2 * half_width);
-        Self { element, interval, half_width, time_window: elements(self.time_window), ..self }
-    }
-
-    fn check(&self) -> Result<(), RefineError> {
-        let sensible =
-            [self.element, self.voxel, self.max_distance, self.odometry.translation, self.odometry.rotation]
-                .iter()
-                .all(|v| *v > 0.0 && *v < 1e6);
-        if !sensible || self.interval == 0 {
-            return Err(RefineError::Option(
-                "element, interval, voxel, pair distance and odometry noise must be above 0".to_owned(),
-            ));
-        }
-        if self.element < SHORTEST_ELEMENT {
-            return Err(RefineError::Option(format!(
-                "an element must last at least {SHORTEST_ELEMENT} s, but is {} s",
-                self.element
-            )));
-        }
-        if 2 * self.half_width < self.interval {
-            return Err(RefineError::Option(format!(
-                "with a half width of {} elements sections every {} elements leave gaps; it must be at least half of that",
-                self.half_width, self.interval
-            )));
-        }
-        Ok(())
-    }
-}
 
 /// Refines a trajectory as published. Arguments and errors as for
 /// [`refine_continuous`](crate::continuous::refine_continuous).

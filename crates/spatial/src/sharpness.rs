@@ -7,6 +7,7 @@ use nalgebra::Matrix3;
 use portolan_geometry::Vector3;
 use portolan_numeric::Lcg64;
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 use serde::Serialize;
 
 use crate::{KdTree, Moments};
@@ -132,9 +133,20 @@ impl ThinnedCloud {
     /// left out. The same for any number of threads.
     pub fn neighbourhoods(&self, options: &SharpnessOptions) -> Vec<Neighbourhood> {
         let queries = self.affordable(spread_sample(self.near.len(), options.queries), options.radius as f32);
+        // Points at one place have the same surroundings, which are looked at once: there may be very many of them.
+        let (mut number_at, mut distinct) = (FxHashMap::default(), Vec::new());
+        let number = |i: &u32| {
+            *number_at.entry(self.near[*i as usize].map(f32::to_bits)).or_insert_with(|| {
+                distinct.push(*i as usize);
+                distinct.len() - 1
+            })
+        };
+        let numbers: Vec<usize> = queries.iter().map(number).collect();
         let found: Vec<Option<Neighbourhood>> =
-            queries.par_iter().map(|i| self.neighbourhood(*i as usize, options)).collect();
-        found.into_iter().flatten().collect()
+            distinct.par_iter().map(|i| self.neighbourhood(*i, options)).collect();
+        let of_query =
+            |(i, n): (&u32, &usize)| Some(Neighbourhood { index: self.chosen[*i as usize], ..found[*n]? });
+        queries.iter().zip(&numbers).filter_map(of_query).collect()
     }
 
     /// As many of the queries, spread evenly, as can be answered with [`MOST_VISITS`] points in their neighbourhoods:
@@ -258,6 +270,17 @@ mod tests {
         let few = ThinnedCloud::new(&points[..1000], 1000);
         assert_eq!(few.affordable((0..1000).collect(), 0.15).len(), 1000);
         assert!(few.affordable(Vec::new(), 0.15).is_empty());
+    }
+
+    #[test]
+    fn points_at_one_place_share_their_surroundings() {
+        let at = |i: usize| [0.01 * (i % 7) as f64, 0.02 * (i % 5) as f64, 0.001 * (i % 3) as f64];
+        let points: Vec<[f64; 3]> = (0..400).map(|i| at(i % 90)).collect();
+        let (cloud, options) = (ThinnedCloud::new(&points, points.len()), SharpnessOptions::default());
+        let each: Vec<Neighbourhood> =
+            (0..points.len()).filter_map(|i| cloud.neighbourhood(i, &options)).collect();
+        assert_eq!(each.len(), points.len());
+        assert_eq!(cloud.neighbourhoods(&options), each);
     }
 
     #[test]

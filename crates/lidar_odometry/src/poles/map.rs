@@ -16,7 +16,7 @@ pub struct PoleMap {
 impl PoleMap {
     /// Of points in metres, in a frame whose z axis points up.
     pub fn new(points: impl Iterator<Item = Point3f>, settings: &PoleSettings) -> Self {
-        let mut cells = Cells::new(2.0 * settings.reach, Vec::new());
+        let mut cells = Cells::new(2.0 * settings.reach(), Vec::new());
         for point in points {
             let cell = cells.around(&point);
             cells.at_mut(key_of(cell)).push(point.coords);
@@ -37,12 +37,12 @@ impl PoleMap {
             cell[axis].saturating_add(if fraction > 0.5 { 1 } else { -1 })
         };
         let [x, y, z] = [0, 1, 2].map(|axis| [cell[axis], side(axis)]);
-        let (mut nearest, mut least) = (None, self.settings.reach * self.settings.reach);
+        let (mut nearest, mut least) = (None, self.settings.reach().powi(2));
         for i in 0..8 {
             let key = key_of([x[i & 1], y[i >> 1 & 1], z[i >> 2]]);
             for point in self.cells.at(key).into_iter().flatten() {
                 let off = point - place;
-                let squared = off.xy().norm_squared() + self.settings.height_weight * off.z * off.z;
+                let squared = off.norm_squared();
                 if squared < least {
                     (nearest, least) = (Some(*point), squared);
                 }

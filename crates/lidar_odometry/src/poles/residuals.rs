@@ -48,7 +48,8 @@ impl<'a> PoleResiduals<'a> {
         let mut information = [na::Matrix3::<f32>::zeros(); 2];
         let squared_scale = scale.max(settings.final_scale).powi(2) as f32;
         // Points that moved farther are paired anew.
-        let slack = settings.noise / 5.0;
+        let noise = settings.noise();
+        let slack = noise / 5.0;
         for part in &self.parts {
             for i in part.points.clone() {
                 let (PolePoint { point, wall_direction }, pair) = (&self.points[i], &mut self.pairs[i]);
@@ -60,7 +61,7 @@ impl<'a> PoleResiduals<'a> {
                 let Some(nearest) = pair.nearest else { continue };
                 let off = place - nearest;
                 let robust = squared_scale / (squared_scale + off.xy().norm_squared());
-                let weight = robust * robust / (settings.noise * settings.noise);
+                let weight = robust * robust / (noise * noise);
                 let wall = wall_direction
                     .map(|wall| trajectory.ray(&(point.position + wall), point.time).0 - turned);
                 for direction in constrained_by(wall).into_iter().flatten() {

@@ -5,7 +5,7 @@ use nalgebra as na;
 use portolan_geometry::Vector3;
 
 use super::normal_equations::NormalEquations;
-use crate::settings::RegistrationSettings;
+use crate::plane_map::PlaneMap;
 
 /// How far off a place may be for attenuation.
 pub(super) struct Attenuation {
@@ -17,10 +17,12 @@ pub(super) struct Attenuation {
 
 impl Attenuation {
     /// What the eigenvalues of the reliable information say.
-    pub fn of(equations: &NormalEquations, settings: &RegistrationSettings) -> Self {
+    pub fn of(equations: &NormalEquations, planes: &PlaneMap) -> Self {
         let reliable =
             na::SymmetricEigen::new(equations.hessian.fixed_view::<3, 3>(0, 0) - equations.unreliable[0]);
-        let (distance, most) = (settings.attenuation_distance, settings.max_attenuation);
+        // Where normals are all that constrains a translation, planes hold the scanner as far from where it is as ranges are off: it
+        // goes so far until other planes are seen. Farther off than a voxel, points are paired with other planes.
+        let (distance, most) = (planes.settings().range_noise, f64::from(planes.edge()));
         let variance = |information: f64| {
             (distance * equations.spurious_translation / information.max(f64::MIN_POSITIVE)).min(most).powi(2)
         };
@@ -46,11 +48,11 @@ mod tests {
 
     #[test]
     fn errors_of_normals_hold_what_they_feign() {
-        let settings = RegistrationSettings::default();
-        let (distance, most) = (settings.attenuation_distance, settings.max_attenuation);
+        let planes = PlaneMap::new(1.0);
+        let (distance, most) = (planes.settings().range_noise, f64::from(planes.edge()));
         let mut equations = NormalEquations { spurious_translation: 10.0, ..NormalEquations::default() };
         equations.hessian.fixed_view_mut::<3, 3>(0, 0).set_diagonal(&na::Vector3::new(1e5, 20.0, 0.0));
-        let attenuation = Attenuation::of(&equations, &settings);
+        let attenuation = Attenuation::of(&equations, &planes);
         let covariance = attenuation.covariance();
         let expected = [distance * 1e-4, distance * 0.5, most].map(|error| error * error);
         assert!((covariance.diagonal() - na::Vector3::from(expected)).norm() < 1e-9, "{covariance}");

@@ -10,6 +10,14 @@ use crate::segment::SegmentCorrection;
 /// In degenerate directions the prior decides: it counts so many times more than the points.
 const PRIOR_FACTOR: f64 = 30.0;
 
+/// A step.
+pub(super) struct Step {
+    pub correction: SegmentCorrection,
+    /// Its squared length in standard deviations of the result: `δᵀ H δ`, with the information of points and prior (the Newton
+    /// decrement: Boyd and Vandenberghe, "Convex Optimization", section 9.5.1).
+    pub squared_decrement: f64,
+}
+
 /// The step of start and growth together, twelve unknowns:
 ///
 /// ```text
@@ -24,7 +32,7 @@ pub(super) fn solve(
     prior: &MotionPrior,
     degenerate: &DegenerateDirections,
     attenuation: Option<&Attenuation>,
-) -> Option<SegmentCorrection> {
+) -> Option<Step> {
     let stiffness = |sigmas: &Sigmas| {
         let mut stiffness = na::Matrix6::zeros();
         for (at, sigma, directions) in
@@ -56,5 +64,7 @@ pub(super) fn solve(
     gradient.fixed_rows_mut::<6>(6).copy_from(&(equations.growth_gradient + by_growth * correction.growth));
     let step = hessian.cholesky()?.solve(&-gradient);
     let (start, growth) = (step.fixed_rows::<6>(0).into(), step.fixed_rows::<6>(6).into());
-    step.iter().all(|v| v.is_finite()).then_some(SegmentCorrection { start, growth })
+    let squared_decrement = -gradient.dot(&step);
+    let correction = SegmentCorrection { start, growth };
+    step.iter().all(|v| v.is_finite()).then_some(Step { correction, squared_decrement })
 }

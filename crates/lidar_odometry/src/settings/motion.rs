@@ -3,10 +3,6 @@
 settings! {
     /// Samples of the IMU.
     ImuSettings {
-        gravity: f64 = 9.81, "m/s²", 9.0..=10.5,
-            "Gravity before it is estimated",
-            origin: "middle latitudes; 9.78 to 9.83 on earth",
-            larger: "hardly a change: direction and force at rest are estimated";
         max_gap: f64 = 0.1, "s", 0.001..=10.0,
             "Longer than this without a sample, the motion in between is not known",
             origin: "ten samples of a slow IMU",
@@ -34,17 +30,9 @@ settings! {
             origin: "what is older than about 20 s is forgotten with this noise",
             larger: "the bias is followed faster, with more noise";
         equal_in_a_row: u32 = 5, "samples", 2.0..=1e6,
-            "So many equal values in a row are the end of the range",
+            "So many times in a row the largest value so far, or the smallest, is the end of the range",
             origin: "tuned: noise repeats fewer",
             larger: "saturation is found later";
-        fraction_of_largest: f64 = 0.98, "1", 0.5..=1.0,
-            "If they are this near to the largest value ever seen",
-            origin: "tuned",
-            larger: "asymmetric ranges are missed";
-        smallest_range: f64 = 0.1, "rad/s", 0.0..=100.0,
-            "No gyroscope ends at less",
-            origin: "data sheets begin at 1 rad/s",
-            larger: "saturation of slow sensors is missed";
     }
 }
 
@@ -55,26 +43,14 @@ settings! {
             "Samples are averaged over this long, so that vibrations do not count",
             origin: "derived: motors shake faster than 20 Hz",
             larger: "more vibration is tolerated, starts are seen later";
-        bins: usize = 20, "bins", 2.0..=1e4,
-            "The IMU has to be at rest for so many of these",
-            origin: "one second",
-            larger: "standing is found later";
         acceleration_error: f64 = 0.08, "m/s²", 0.001..=5.0,
             "Standard deviation of averaged accelerations at rest, at most",
             origin: "tuned: platforms with running motors",
             larger: "slow motion passes for rest";
-        max_odometry_speed: f64 = 0.02, "m/s", 0.0..=5.0,
-            "Wheels at rest report less speed",
+        resting_speed: f64 = 0.02, "m/s", 0.0..=5.0,
+            "Wheels at rest report less speed, and below it the direction of motion is not known anew",
             origin: "noise of encoders",
-            larger: "creeping passes for rest";
-        memory: f64 = 3.0, "s", 0.5..=60.0,
-            "Poses are remembered this long; the newest third tells whether it moves again",
-            origin: "tuned",
-            larger: "steadier, starts are seen later";
-        min_poses: usize = 10, "poses", 3.0..=1e4,
-            "So many poses are needed",
-            origin: "one second of sweeps",
-            larger: "standing is found later";
+            larger: "creeping passes for rest, and the direction of motion is kept longer";
     }
 }
 
@@ -82,25 +58,13 @@ settings! {
     /// The inertial filter.
     InertialSettings {
         first_velocity: f64 = 1.0, "m/s", 0.01..=100.0,
-            "Standard deviation of the first velocity",
-            origin: "what two sweeps say",
-            larger: "relied on later";
-        first_force: f64 = 3.0, "m/s²", 0.001..=10.0,
-            "Standard deviation of the first force at rest on the way",
-            origin: "a car that speeds up while accelerations are averaged leans by 0.8 m/s² (docs/experiments/2026-11-motion-state.md)",
-            larger: "relied on later";
+            "Standard deviation of the first velocity; accelerations are not relied on before half of it is known; a platform that seems slower while the IMU rests stands",
+            origin: "what two sparse sweeps are off by",
+            larger: "relied on later, smooth slow starts are taken for rest";
         accelerometer_bias: f64 = 0.1, "m/s²", 0.0..=10.0,
             "Standard deviation of biases before anything is known",
             origin: "10 mg, as data sheets say",
             larger: "gravity is learned more slowly, while the platform does not turn";
-        place_error: f64 = 0.02, "m", 0.001..=5.0,
-            "Standard deviation of registered places",
-            origin: "noise of ranges",
-            larger: "accelerations count more";
-        rotation_error: f64 = 0.005, "rad", 1e-5..=1.0,
-            "Standard deviation of registered rotations",
-            origin: "tuned",
-            larger: "turn rates count more";
         acceleration_noise: f64 = 0.05, "m/s² averaged over a second", 0.001..=10.0,
             "Noise of accelerations",
             origin: "measured on kitti_0059: 0.02 to 0.1 come out alike (docs/experiments/2026-11-motion-state.md); more where innovations say so",
@@ -109,20 +73,12 @@ settings! {
             "How fast gravity changes in the local map, because that drifts, and the bias of the accelerometer with it",
             origin: "tuned",
             larger: "gravity is followed faster, with more noise";
-        sure_velocity: f64 = 0.5, "m/s", 0.01..=100.0,
-            "Accelerations are not relied on before velocity is known so well",
-            origin: "tuned: about ten seconds of sweeps on the way, at once at rest",
-            larger: "relied on earlier";
     }
 }
 
 settings! {
     /// How far predicted trajectory segments may be off.
     MotionPriorSettings {
-        start_translation: f64 = 0.01, "m", 0.0001..=1.0,
-            "How far off the end of the sweep before may be",
-            origin: "tuned: a start held faster is a trap, errors come back with the opposite sign; 0.005 to 0.05 come out alike",
-            larger: "segments start elsewhere than the last one ended";
         start_rotation: f64 = 0.01, "rad", 0.0001..=1.0,
             "How far off the rotation at the end of the sweep before may be, where no gyroscope measures",
             origin: "tuned: half of it turns maps with swapped axes",
@@ -130,7 +86,7 @@ settings! {
         acceleration: f64 = 4.0, "m/s²", 0.1..=100.0,
             "What a platform accelerates by unseen",
             origin: "walkers, braking cars",
-            larger: "constant velocity counts less";
+            larger: "constant velocity counts less, the witness looks farther off";
         rotational_acceleration: f64 = 10.0, "rad/s²", 0.1..=1000.0,
             "What a platform's rotation accelerates by unseen",
             origin: "hand-held lidars",
@@ -140,50 +96,34 @@ settings! {
             origin: "slipping wheels",
             larger: "odometry counts less";
         least_translation_error: f64 = 0.01, "m", 0.0..=1.0,
-            "What any prediction of a translation may be off by at least",
-            origin: "jitter of stamps",
-            larger: "predictions count less";
-        least_rotation_error: f64 = 0.002, "rad", 0.0..=1.0,
-            "What any prediction of a rotation may be off by at least",
-            origin: "jitter of stamps",
-            larger: "predictions count less";
+            "What any prediction of a translation may be off by at least, and the end of the sweep before",
+            origin: "jitter of stamps; a start held faster is a trap, errors come back with the opposite sign; 0.005 to 0.05 come out alike there",
+            larger: "predictions count less, segments start elsewhere than the last one ended";
+        least_rotation_error: f64 = 0.005, "rad", 0.0..=1.0,
+            "What any prediction of a rotation may be off by at least, and a registered rotation (standard deviation)",
+            origin: "tuned: who stands sways by so much",
+            larger: "predicted rotations count less; slow rotations pass for rest";
     }
 }
 
 settings! {
     /// When other predictions than the first are tried, and when they win.
     HypothesisSettings {
-        contradiction_sigmas: f64 = 4.0, "1", 1.0..=100.0,
-            "A result contradicts a measured rotation if it is so many standard deviations off",
-            origin: "usual",
-            larger: "a failing gyroscope is noticed later";
         clearly_better: f64 = 1.3, "1", 1.0..=10.0,
             "A result without the gyroscope has to fit so many times better than one with it, unless that is saturated",
             origin: "tuned",
             larger: "the gyroscope is relied on longer";
-        long_gap: f64 = 0.5, "s", 0.01..=60.0,
-            "After so many seconds without a sweep it may have stopped or changed its velocity, or a clock jumped: other motions are tried, too",
-            origin: "tuned",
-            larger: "lost more often after gaps";
-        gap_intervals: f64 = 2.5, "intervals", 1.0..=1000.0,
-            "It is a gap only if it is so many times as long as the interval between the sweeps before: keyframes are always far apart",
-            origin: "derived: one missing sweep is no gap, two are",
-            larger: "sweeps are missing for longer before the motion meanwhile is doubted";
-        better_after_gap: f64 = 1.02, "1", 1.0..=10.0,
-            "Sweeps after a gap have to fit so many times better after another motion than after constant velocity",
-            origin: "measured: along a simulated tunnel fits differ by 0.5 %, where a car had braked by 2.6 % and more (docs/experiments/2026-11-gaps.md)",
-            larger: "constant velocity is kept more often";
-        hardest_push: f64 = 20.0, "m/s²", 0.1..=1e4,
-            "No sweep is looked for farther from where it is predicted than such an acceleration takes it",
-            origin: "twice that of hard braking; key frames at 2 Hz needed 1.2 to 1.6 (docs/experiments/2026-11-other-lidars.md)",
-            larger: "sweeps of sparse lidars are found where they are not";
         headings_each_side: usize = 2, "windows", 0.0..=100.0,
             "A sweep that contradicts the map is looked for in so many windows of headings to either side of the predicted one, if nothing measured the rotation",
             origin: "derived: a carried lidar turns by 60° between key frames at 2 Hz",
             larger: "slower where sweeps contradict the map";
-        slow: f64 = 1.0, "m/s", 0.0..=100.0,
-            "A platform that seems slower by its first two sweeps while the IMU rests stands",
-            origin: "what two sparse sweeps are off by",
-            larger: "smooth slow starts are taken for rest";
+        better_over_sweeps: f64 = 1.02, "1", 1.0..=10.0,
+            "Where the sweeps that follow judge, at starts and after gaps, another motion than the likeliest has to fit them so many times better",
+            origin: "measured: along a simulated tunnel fits differ by 0.5 %, where a car had braked by 2.6 % and more (docs/experiments/2026-11-gaps.md)",
+            larger: "the likeliest motion is kept more often";
+        long_gap: f64 = 0.5, "s", 0.01..=60.0,
+            "Where sweeps are missing for so many seconds it may have stopped or changed its velocity, or a clock jumped: other motions are tried, too",
+            origin: "tuned",
+            larger: "lost more often after gaps";
     }
 }

@@ -1,7 +1,5 @@
 //! Matching anywhere in a finished submap in 3D.
 
-use std::collections::BTreeMap;
-
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Rigid3f, to_f32, to_f64, yaw};
 use portolan_grids::value::{MAX_PROBABILITY, MIN_PROBABILITY};
 use portolan_grids::{HybridGrid, MAX_VOXEL_INDEX, VoxelLattice, is_finite};
@@ -13,10 +11,12 @@ use super::byte_score::ByteScore;
 use super::rotational::{histogram_similarity, rotate_histogram};
 use super::search_window::angular_steps_in_space;
 use crate::MatcherOptionError;
+use points::{evenly_over_heights, farthest, thinned};
 use pyramid::MaxPyramid3d;
 use scans::{MAX_SHIFT, Scans};
 use search::{Placement3d, Search3d};
 
+mod points;
 mod pyramid;
 mod scans;
 mod search;
@@ -60,16 +60,11 @@ impl Default for FastCorrelativeOptions3d {
 const MAX_DEPTH: u32 = 24;
 /// The search never starts with boxes larger than 2^6 cells; the widest windows kept are twice as wide.
 const MAX_EXPONENT: u32 = 6;
-/// Points at all yaws together that are searched at most, twice what a thousand points 60 m away at
-/// resolution 0.1 m ask for: some hundreds of megabytes.
-const MAX_TURNED_POINTS: usize = 1 << 23;
 /// Proposals are made with at most so many points, by following so many boxes of each size: some 50 ms. (In a
 /// museum and a garage 100 to 4000 boxes found the same; a park took 37, 26, 26 and 20 searches with 100, 300, 1000
 /// and 4000.)
 const MAX_PROPOSING_POINTS: usize = 160;
 const BEAM_WIDTH: usize = 1000;
-/// Height of the slices of which as many points each are chosen, metres.
-const SLICE_HEIGHT: f32 = 0.3;
 /// Histograms of more buckets are not compared.
 const MAX_BUCKETS: usize = 1 << 14;
 
@@ -389,43 +384,9 @@ impl FastCorrelativeMatcher3d {
     }
 }
 
-/// As many points, evenly chosen, as can be turned so often; all of them unless cloud or grid is absurd.
-fn thinned(mut points: Vec<Point3f>, turns: usize) -> Vec<Point3f> {
-    let most = (MAX_TURNED_POINTS / turns.max(1)).max(1);
-    let (stride, mut index) = (points.len().div_ceil(most).max(1), 0);
-    points.retain(|_| {
-        index += 1;
-        (index - 1) % stride == 0
-    });
-    points
-}
-
-/// At most about `most` points, chosen so that as many as possible are of each height (slices of
-/// [`SLICE_HEIGHT`] after a level rotation).
-fn evenly_over_heights(points: &[Point3f], level: &Rigid3f, most: usize) -> Vec<Point3f> {
-    let slice = |p: &Point3f| ((level.rotation * p).z / SLICE_HEIGHT).floor() as i32;
-    let mut slices: BTreeMap<i32, Vec<Point3f>> = BTreeMap::new();
-    for point in points {
-        slices.entry(slice(point)).or_default().push(*point);
-    }
-    // The largest fraction of each slice with which all of them together are few enough.
-    let kept = |share: usize| slices.values().map(|s| s.len().min(share)).sum::<usize>();
-    let largest = slices.values().map(Vec::len).max().unwrap_or(0);
-    let share = (1..=largest).rev().find(|share| kept(*share) <= most).unwrap_or(1);
-    let evenly = |slice: &Vec<Point3f>| {
-        let count = slice.len().min(share);
-        (0..count).filter_map(|i| slice.get(i * slice.len() / count).copied()).collect::<Vec<_>>()
-    };
-    slices.values().flat_map(evenly).collect()
-}
-
 /// The largest boxes of a search.
 fn max_exponent(options: &FastCorrelativeOptions3d) -> u32 {
     (options.branch_and_bound_depth - 1).min(MAX_EXPONENT)
-}
-
-fn farthest(points: &[Point3f]) -> f32 {
-    points.iter().map(|p| p.coords.norm()).fold(0.0, f32::max)
 }
 
 /// How well a node fits a submap at a pose, with the scores that a search goes by.

@@ -95,7 +95,7 @@ impl Default for SweepTracker {
         // Turns alone are wanted here, and of these planes seen edge-on tell something: without them the offset of a
         // sparse second lidar among trees is not found.
         let options = RegistrationSettings {
-            final_scale: 0.1 * EDGE,
+            min_matched_fraction: 0.0,
             grazing_weight: 0.1,
             ..RegistrationSettings::default()
         };

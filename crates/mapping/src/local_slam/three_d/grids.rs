@@ -50,11 +50,9 @@ impl GridEngine {
         settings: &LocalSlam3dSettings,
         matcher: GridMatcher,
     ) -> Self {
-        // One sample tells which way is up.
-        let at_once = InitialisationSettings { leveling_time: 0.0, ..InitialisationSettings::default() };
         Self {
             extrapolator_settings: extrapolator_settings(options, settings),
-            initialisation: GravityInitialisation::new(&at_once),
+            initialisation: GravityInitialisation::of_one_sample(&InitialisationSettings::default()),
             extrapolator: None,
             has_imu: false,
             matcher,

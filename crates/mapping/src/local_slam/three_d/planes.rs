@@ -48,6 +48,11 @@ impl Fallback for Grids<'_> {
         let (matched, _) = matcher.match_scan(local_from_tracking, [&high, &low], Some(submap));
         is_valid_pose(&matched).then_some(matched)
     }
+
+    /// Two cells.
+    fn error(&self) -> f64 {
+        2.0 * self.options.submaps.high_resolution
+    }
 }
 
 impl PlaneEngine {
@@ -211,16 +216,11 @@ fn odometry_settings(
     OdometrySettings {
         keeps_intensities: options.use_intensities,
         extrapolator: extrapolator_settings(options, settings),
-        local_map: LocalMapSettings {
-            voxel_size,
-            keyframes_per_half: keyframes_per_half(options),
-            ..LocalMapSettings::default()
-        },
+        local_map: LocalMapSettings { voxel_size, keyframes_per_half: keyframes_per_half(options) },
         keyframes: KeyframeSettings {
             max_time: filter.max_time_seconds,
             max_distance: filter.max_distance_meters,
             max_angle: filter.max_angle_radians,
-            ..KeyframeSettings::default()
         },
         ..OdometrySettings::default()
     }
