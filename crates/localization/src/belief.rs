@@ -12,9 +12,10 @@ pub type Matrix6 = na::Matrix6<f64>;
 pub(crate) type Vector6 = na::Vector6<f64>;
 
 /// Drift of local SLAM as a random walk: metres and radians per root of a metre in the plane, and in space, where sweeps are
-/// registered to planes (of real drives the one that drifts most: docs/experiments/2026-11-starts-in-3d-maps.md).
+/// registered to planes (the direction and the drive of real ones that drift most:
+/// docs/experiments/2026-11-starts-in-3d-maps.md).
 const BY_WAY_IN_THE_PLANE: (f64, f64) = (0.04, 0.012);
-const BY_WAY_IN_SPACE: (f64, f64) = (0.02, 0.001);
+const BY_WAY_IN_SPACE: (f64, f64) = (0.03, 0.0015);
 /// Radians per root of a radian, and metres and radians per root of a second.
 const TURN_BY_TURN: f64 = 0.02;
 const SHIFT_BY_TIME: f64 = 0.005;
@@ -176,7 +177,7 @@ mod tests {
 
     #[test]
     fn a_corridor_tells_nothing_along_it() {
-        for (freedom, expected) in [(Freedom::Plane, 0.35), (Freedom::Space, 0.25)] {
+        for (freedom, expected) in [(Freedom::Plane, 0.35), (Freedom::Space, 0.29)] {
             let mut belief = Belief::new(Rigid3::identity(), freedom, MapError::USUAL, (0.2, 0.02));
             let across = Matrix6::from_diagonal(&Vector6::new(0.0, 1e4, 1e4, 1e5, 1e5, 1e5));
             for _ in 0..100 {
@@ -186,7 +187,7 @@ mod tests {
                 belief.update(&found, &across);
             }
             let covariance = belief.covariance();
-            // 4 or 2 cm a root of a metre over 50 m, and what it began with.
+            // 4 or 3 cm a root of a metre over 50 m, and what it began with.
             assert!((covariance[(0, 0)].sqrt() - expected).abs() < 0.02, "{covariance}");
             assert!(covariance[(1, 1)].sqrt() < 0.05 && (belief.pose.translation.x - 50.0).abs() < 1e-6);
             assert!(covariance[(2, 2)].sqrt() < 0.05);

