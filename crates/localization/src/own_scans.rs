@@ -16,8 +16,8 @@ const GOLDEN_ANGLE: f64 = 2.399_963;
 /// The share that is explained by chance is taken for no more than this, and for this if no node has points.
 const MOST_BY_CHANCE: f32 = 0.9;
 const USUAL_CHANCE: f32 = 0.6;
-/// No map is known better than this: about what the noise of ranges leaves.
-const LEAST: MapError = MapError { metres: 0.005, radians: 0.001 };
+/// No map is known better than this, metres: about what the noise of ranges leaves.
+const LEAST: f64 = 0.005;
 
 /// The scan of a node, and the frame in which it is level, in the map.
 fn scan_of(node: &Node) -> (SpatialScan, Rigid3) {
@@ -45,22 +45,19 @@ pub(crate) fn explained_by_chance(map: &SpatialMap, state: &GraphState<Spatial>)
     shares.get(shares.len() / 2).map_or(USUAL_CHANCE, |share| share.min(MOST_BY_CHANCE))
 }
 
-/// How far from where they were taken the map finds its own scans: root mean square along and about each axis.
+/// How far from where they were taken the map finds its own scans: root mean square along each axis. Turns are those of any
+/// map: own scans lie in its planes, and tell too little of them.
 pub(crate) fn error_of_own_scans(map: &SpatialMap, state: &GraphState<Spatial>) -> MapError {
     let nodes: Vec<_> = state.nodes.values().collect();
-    let squares = |k: usize| {
+    let square = |k: usize| {
         let (scan, level) = scan_of(nodes.get(k * nodes.len() / ASKED)?);
-        let off = level.inverse() * map.find(&scan, &level, ON_THE_WAY).pose;
-        let squares = (off.translation.vector.norm_squared(), off.rotation.angle().powi(2));
-        (!scan.judged.is_empty()).then_some(squares)
+        let found = map.find(&scan, &level, ON_THE_WAY).pose.translation.vector;
+        (!scan.judged.is_empty()).then(|| (found - level.translation.vector).norm_squared())
     };
-    let squares: Vec<(f64, f64)> = (0..ASKED).into_par_iter().filter_map(squares).collect();
+    let squares: Vec<f64> = (0..ASKED).into_par_iter().filter_map(square).collect();
     if squares.is_empty() {
         return MapError::USUAL;
     }
-    let of_axis = |sum: f64| (sum / squares.len() as f64 / 3.0).sqrt();
-    MapError {
-        metres: of_axis(squares.iter().map(|s| s.0).sum()).max(LEAST.metres),
-        radians: of_axis(squares.iter().map(|s| s.1).sum()).max(LEAST.radians),
-    }
+    let of_axis = (squares.iter().sum::<f64>() / squares.len() as f64 / 3.0).sqrt();
+    MapError { metres: of_axis.max(LEAST), ..MapError::USUAL }
 }
