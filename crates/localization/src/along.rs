@@ -18,6 +18,8 @@ const STEP: f64 = 0.05;
 /// Neighbouring points share the errors of the map, so that so many count as one: on two drives, sweeps then scatter as far as
 /// they say (docs/experiments/2026-11-along-streets.md).
 const POINTS_PER_INDEPENDENT_ONE: f64 = 50.0;
+/// So many points are asked, evenly from all of them: more say the same.
+const MOST_POINTS: usize = 1000;
 
 /// How solid the submaps say that places are.
 pub(crate) struct SolidField {
@@ -70,12 +72,14 @@ impl SolidField {
     /// Where points (metres, in the map) lie along a direction of unit length, within `reach` metres to either side: mean
     /// and variance of the places by their likelihood. What follows from the reach alone is no information.
     pub fn along(&self, points: &[Point3f], direction: &Vector3, reach: f64) -> Along {
+        let asked: Vec<&Point3f> = points.iter().step_by(points.len().div_ceil(MOST_POINTS).max(1)).collect();
+        let points_of_one = points.len() as f64 / asked.len().max(1) as f64;
         let count = (reach / STEP).round().max(1.0) as i32;
         let shifts: Vec<f64> = (-count..=count).map(|i| f64::from(i) * STEP).collect();
         let log_likelihood = |shift: &f64| {
             let by = (*shift * direction).cast::<f32>();
-            let sum: f64 = points.iter().map(|point| self.at(&(point + by)).ln()).sum();
-            sum / POINTS_PER_INDEPENDENT_ONE
+            let sum: f64 = asked.iter().map(|point| self.at(&(*point + by)).ln()).sum();
+            sum * points_of_one / POINTS_PER_INDEPENDENT_ONE
         };
         let logs: Vec<f64> = shifts.iter().map(log_likelihood).collect();
         let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);

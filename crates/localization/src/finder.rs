@@ -315,7 +315,7 @@ impl<M: KnownMap> Finder<M> {
             let is_better = fit(&wide.agreement) > fit(&track.place.agreement) + SLIPPED_FIT;
             if is_better && Verdict::of(&wide.agreement) == Verdict::Supports {
                 track.rivals.add_left(track.place.clone());
-                track.place.slip::<M>(&wide, SLIPPED_SIGMAS);
+                track.place.slip(&wide, SLIPPED_SIGMAS);
                 track.support.doubt();
             }
         }

@@ -56,7 +56,7 @@ impl Hypothesis {
             (place, after) = (here.pose, kept);
         }
         let found: ScanMatch = found?;
-        let belief = Belief::new(found.pose, M::FREEDOM, PROPOSED.0, PROPOSED.1);
+        let belief = Belief::new(found.pose, M::FREEDOM, map.error(), PROPOSED);
         Some(Self { belief, agreement: found.agreement, fits })
     }
 
@@ -120,8 +120,8 @@ impl Hypothesis {
     }
 
     /// Is where the newest scan was found, far from the prediction, with these standard deviations (metres, radians).
-    pub fn slip<M: KnownMap>(&mut self, found: &ScanMatch, (metres, radians): (f64, f64)) {
-        self.belief = Belief::new(found.pose, M::FREEDOM, metres, radians);
+    pub fn slip(&mut self, found: &ScanMatch, sigmas: (f64, f64)) {
+        self.belief = self.belief.elsewhere(found.pose, sigmas);
         self.agreement = found.agreement;
     }
 
@@ -150,7 +150,8 @@ impl Hypothesis {
 #[cfg(test)]
 pub(crate) fn test_place(x: f64, fits: &[f32]) -> Hypothesis {
     let agreement = |fit: &f32| ScanAgreement { explained: *fit, ..ScanAgreement::default() };
-    let belief = Belief::new(Rigid3::translation(x, 0.0, 0.0), crate::belief::Freedom::Plane, 0.1, 0.02);
+    let pose = Rigid3::translation(x, 0.0, 0.0);
+    let belief = Belief::new(pose, crate::belief::Freedom::Plane, crate::belief::MapError::USUAL, PROPOSED);
     Hypothesis {
         belief,
         agreement: fits.last().map(agreement).unwrap_or_default(),

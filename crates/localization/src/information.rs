@@ -10,6 +10,9 @@ const POINT_SIGMA: f64 = 0.1;
 /// Normals are off by some 10°: so much of the information of the strongest direction appears in the weakest
 /// without anything being there, and is taken off.
 const SPURIOUS: f64 = 0.04;
+/// In space, where what is strongest may tell nothing of the weakest: variance of a normal about each of two axes along its
+/// surface, rad².
+const NORMAL_VARIANCE: f64 = 0.03;
 
 /// A point at a surface: where it is from the scanner, in the axes of the map, and the normal of the surface there.
 #[derive(Clone, Copy)]
@@ -20,23 +23,43 @@ pub(crate) struct Contact {
 
 /// Point-to-surface constraints along normals (Censi 2007, "On achievable accuracy for range-finder localization").
 pub(crate) fn information(contacts: impl Iterator<Item = Contact>, freedom: Freedom) -> Matrix6 {
-    let mut sum = Matrix6::zeros();
+    let (mut sum, mut along_surfaces) = (Matrix6::zeros(), Matrix6::zeros());
     for Contact { lever, normal } in contacts {
-        let turn = lever.cross(&normal);
-        let row = Vector6::new(normal.x, normal.y, normal.z, turn.x, turn.y, turn.z);
-        sum += row * row.transpose();
+        let along_normal = outer(&lever, &normal);
+        sum += along_normal;
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+        along_surfaces += axes.map(|axis| outer(&lever, &axis)).iter().sum::<Matrix6>() - along_normal;
     }
-    without_spurious(&sum, freedom) / (POINT_SIGMA * POINT_SIGMA)
+    let kept = match freedom {
+        Freedom::Plane => without_spurious(&sum, freedom),
+        // n̂ = n + δ, with δ along the surface: E[n̂ n̂ᵀ] is n nᵀ and the variance of δ in both of its directions.
+        Freedom::Space => {
+            positive(&(sum - NORMAL_VARIANCE * along_surfaces), lever_scale(&sum, freedom), 0.0)
+        }
+    };
+    kept / (POINT_SIGMA * POINT_SIGMA)
+}
+
+/// What a distance along a direction tells of the pose of the scanner, whom the point is away from by a lever.
+fn outer(lever: &Vector3, direction: &Vector3) -> Matrix6 {
+    let turn = lever.cross(direction);
+    let row = Vector6::new(direction.x, direction.y, direction.z, turn.x, turn.y, turn.z);
+    row * row.transpose()
 }
 
 /// Takes off what errors of normals add in every direction.
 fn without_spurious(information: &Matrix6, freedom: Freedom) -> Matrix6 {
-    let lever = lever_scale(information, freedom);
+    positive(information, lever_scale(information, freedom), SPURIOUS)
+}
+
+/// With turns compared with shifts by a lever, metres: the part of it that is left when this fraction of the most is taken
+/// off in every direction.
+fn positive(information: &Matrix6, lever: f64, fraction: f64) -> Matrix6 {
     let scale = Vector6::new(1.0, 1.0, 1.0, lever, lever, lever);
     let scaled = information.component_mul(&(scale * scale.transpose()).map(|v: f64| 1.0 / v));
     let eigen = scaled.symmetric_eigen();
     let most = eigen.eigenvalues.max();
-    let kept = eigen.eigenvalues.map(|value| (value - SPURIOUS * most).max(0.0));
+    let kept = eigen.eigenvalues.map(|value| (value - fraction * most).max(0.0));
     let reduced = eigen.eigenvectors * Matrix6::from_diagonal(&kept) * eigen.eigenvectors.transpose();
     reduced.component_mul(&(scale * scale.transpose()))
 }
@@ -85,6 +108,22 @@ mod tests {
         };
         let contacts = normals.iter().flat_map(|n| (-5..=5).map(move |i| contact(n, i)));
         information(contacts, Freedom::Plane)
+    }
+
+    #[test]
+    fn in_space_ground_hides_nothing_of_what_trees_tell() {
+        let ground =
+            (-20..=20).flat_map(|i| (-20..=20).map(move |j| [0.5 * f64::from(i), 0.5 * f64::from(j)]));
+        let ground = ground.map(|[x, y]| Contact { lever: Vector3::new(x, y, -1.0), normal: Vector3::z() });
+        let trunks = (0..360).map(|i| {
+            let normal = Vector3::new(f64::from(i).to_radians().cos(), f64::from(i).to_radians().sin(), 0.0);
+            Contact { lever: 5.0 * normal, normal }
+        });
+        let of_ground = information(ground.clone(), Freedom::Space);
+        assert!(of_ground[(0, 0)] < 1e-4 * of_ground[(2, 2)] && of_ground[(5, 5)] < 1.0, "{of_ground}");
+        // 180 points face each axis, of which errors of 1681 + 180 normals may feign 0.03 each.
+        let both = information(ground.chain(trunks), Freedom::Space) * (POINT_SIGMA * POINT_SIGMA);
+        assert!((both[(0, 0)] - (180.0 - 0.03 * 1861.0)).abs() < 3.0, "{both}");
     }
 
     #[test]

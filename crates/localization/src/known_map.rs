@@ -6,7 +6,7 @@ use portolan_mapping::{NodeData, PoseGraph, Space, TrajectoryId};
 use portolan_matching::MatcherOptionError;
 use portolan_sensor::PointCloud;
 
-use crate::belief::{Freedom, Matrix6};
+use crate::belief::{Freedom, MapError, Matrix6};
 use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
 use crate::recent::RecentScans;
@@ -85,6 +85,10 @@ pub trait KnownMap: Sized + Send + Sync {
     /// a search costs, so that a recording is localised no slower than it was made.
     const LONGEST_PAUSE: f64;
 
+    /// How far places in the map are off although scans fit.
+    fn error(&self) -> MapError {
+        MapError::USUAL
+    }
     /// The frame of a scan in the local map.
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3;
     /// The points that a node keeps, in the tracking frame.

@@ -16,6 +16,7 @@ mod known_map;
 mod likelihood;
 mod localizer;
 mod occupancy;
+mod own_scans;
 mod pace;
 mod placed_scan;
 mod planar_map;

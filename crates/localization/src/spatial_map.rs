@@ -14,12 +14,13 @@ use portolan_sensor::PointCloud;
 use rayon::prelude::*;
 
 use crate::along::SolidField;
-use crate::belief::{Freedom, Matrix6};
+use crate::belief::{Freedom, MapError, Matrix6};
 use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
 use crate::information::{Contact, information};
 use crate::known_map::{Area, KnownMap, KnownMapError, ON_THE_WAY, ScanMatch, Window};
 use crate::occupancy::{Occupancy, OccupancyBuilder, SOLID};
+use crate::own_scans::{error_of_own_scans, explained_by_chance};
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
 use crate::spatial_renewal::renew;
@@ -50,7 +51,7 @@ const MOST_PROPOSED: usize = 8;
 const NODES_AROUND: f64 = 10.0;
 const STOREY: f64 = 1.0;
 /// Around a place where it is proposed.
-const AROUND_PROPOSAL: Window = Window { metres: 0.8, radians: 0.12 };
+pub(crate) const AROUND_PROPOSAL: Window = Window { metres: 0.8, radians: 0.12 };
 /// A registration reaches no farther than this, metres; wider windows are searched from several places.
 const FARTHEST: f64 = 0.8;
 /// Planes nearer than this to a point explain it, metres.
@@ -62,13 +63,6 @@ const SETTLED: f64 = 0.05;
 const MOST_SLIDES: usize = 4;
 /// Places along it are compared at least so far to either side, metres.
 const NARROWEST_SLIDE: f64 = 0.3;
-/// Scans of so many nodes are put where they do not belong to see how well anything fits; turned by the golden angle
-/// against each other, radians.
-const MISPLACED: usize = 48;
-const GOLDEN_ANGLE: f64 = 2.399_963;
-/// The share that is explained by chance is taken for no more than this, and for this if no node has points.
-const MOST_BY_CHANCE: f32 = 0.9;
-const USUAL_CHANCE: f32 = 0.6;
 
 /// A saved map of space.
 pub struct SpatialMap {
@@ -85,6 +79,7 @@ pub struct SpatialMap {
     registration: Registration,
     /// The share of a scan that the map explains where the scan does not belong: floors fit anywhere.
     by_chance: f32,
+    error: MapError,
 }
 
 impl SpatialMap {
@@ -118,30 +113,20 @@ impl SpatialMap {
         let registration = Registration::new(settings);
         let (planes, occupancy) = (Arc::new(with_nodes(planes, state)), Arc::new(occupancy));
         let voxels = Arc::new(KnownVoxels::new(&occupancy, &planes, state)?);
-        let mut map = Self { planes, occupancy, solid, voxels, places, nodes, registration, by_chance: 0.0 };
-        map.by_chance = map.explained_by_chance(state);
-        Ok(map)
-    }
-
-    /// The median share that the map explains of its own scans, put to wrong places.
-    fn explained_by_chance(&self, state: &GraphState<Spatial>) -> f32 {
-        let nodes: Vec<_> = state.nodes.values().collect();
-        let misplaced = |k: usize| {
-            let (here, there) = (k * nodes.len() / MISPLACED, (k * 7 + 1) * nodes.len() / MISPLACED / 2);
-            let (node, other) = (nodes.get(here)?, nodes.get(there % nodes.len())?);
-            let level = Self::local_from_scan(&node.map_from_tracking);
-            let scan_from_tracking = to_f32(&(level.inverse() * node.map_from_tracking));
-            let points = Self::points_in_tracking(&node.data);
-            let scan = SpatialScan::new(&points.transformed(&scan_from_tracking));
-            let turn = rotation_from_roll_pitch_yaw(0.0, 0.0, 1.0 + GOLDEN_ANGLE * k as f64);
-            let mut guess = Self::local_from_scan(&other.map_from_tracking);
-            guess.rotation = turn * level.rotation;
-            let pose = self.register(&scan.points, &guess, AROUND_PROPOSAL);
-            (!scan.judged.is_empty()).then(|| self.agreement_of(&scan.judged, &pose).explained)
+        let mut map = Self {
+            planes,
+            occupancy,
+            solid,
+            voxels,
+            places,
+            nodes,
+            registration,
+            by_chance: 0.0,
+            error: MapError::USUAL,
         };
-        let mut shares: Vec<f32> = (0..MISPLACED).into_par_iter().filter_map(misplaced).collect();
-        shares.sort_by(f32::total_cmp);
-        shares.get(shares.len() / 2).map_or(USUAL_CHANCE, |share| share.min(MOST_BY_CHANCE))
+        map.by_chance = explained_by_chance(&map, state);
+        map.error = error_of_own_scans(&map, state);
+        Ok(map)
     }
 
     /// Poses in space over a place seen from above: at the heights of the storeys there.
@@ -149,16 +134,20 @@ impl SpatialMap {
         let place = pose.translation.vector;
         let off = |node: &Vector3| (node.xy() - place.xy()).norm();
         let mut near: Vec<(f64, f64)> =
-            self.nodes.iter().filter(|n| off(n) < NODES_AROUND).map(|n| (n.z, off(n))).collect();
-        near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // The nearest node of each storey.
-        let storeys = near.chunk_by(|a, b| b.0 - a.0 < STOREY);
-        let heights = storeys.filter_map(|s| s.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map(|n| n.0));
-        heights.map(|z| Rigid3::translation(0.0, 0.0, z) * pose).collect()
+            self.nodes.iter().filter(|n| off(n) < NODES_AROUND).map(|n| (off(n), n.z)).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        // The nearest node at each height: stairs and ramps join storeys, so that no gap is between them.
+        let mut heights: Vec<f64> = Vec::new();
+        for (_, height) in near {
+            if heights.iter().all(|other| (height - other).abs() >= STOREY) {
+                heights.push(height);
+            }
+        }
+        heights.into_iter().map(|z| Rigid3::translation(0.0, 0.0, z) * pose).collect()
     }
 
     /// Puts points on planes near a guess; the guess itself where they fit none.
-    fn register(&self, points: &[Point3f], guess: &Rigid3, window: Window) -> Rigid3 {
+    pub(crate) fn register(&self, points: &[Point3f], guess: &Rigid3, window: Window) -> Rigid3 {
         let scale = window.metres.clamp(0.2, FARTHEST);
         let sigmas = Sigmas { translation: scale, rotation: window.radians.max(0.01) };
         let prior = PosePrior { pose: *guess, sigmas };
@@ -174,8 +163,7 @@ impl SpatialMap {
         pose: &Rigid3,
         window: Window,
     ) -> (Rigid3, Matrix6) {
-        let contacts: Vec<Contact> = self.contacts(judged, pose).collect();
-        let by_planes = information(contacts.iter().copied(), Self::FREEDOM);
+        let by_planes = information(self.contacts(judged, pose), Self::FREEDOM);
         let shifts = by_planes.fixed_view::<3, 3>(0, 0).into_owned().symmetric_eigen();
         let direction: Vector3 = shifts.eigenvectors.column(shifts.eigenvalues.argmin().0).into_owned();
         let (map_from_scan, along) = (to_f32(pose), direction.cast::<f32>());
@@ -188,9 +176,7 @@ impl SpatialMap {
         let placed: Vec<Point3f> = points.iter().map(|p| map_from_scan * p).filter(tells).collect();
         let found = self.solid.along(&placed, &direction, window.metres.clamp(NARROWEST_SLIDE, FARTHEST));
         // Planes that face along it know the place, too.
-        let facing = contacts.into_iter().filter(|c| c.normal.dot(&direction).abs() > SLIDING);
-        let of_facing = information(facing, Self::FREEDOM).fixed_view::<3, 3>(0, 0).into_owned();
-        let held = direction.dot(&(of_facing * direction)).max(0.0);
+        let held = direction.dot(&(by_planes.fixed_view::<3, 3>(0, 0) * direction)).max(0.0);
         let share = found.information / (found.information + held).max(f64::MIN_POSITIVE);
         let mut slid = *pose;
         slid.translation.vector += share * found.shift * direction;
@@ -224,7 +210,7 @@ impl SpatialMap {
 
     /// What is explained is the share beyond that which would be by chance (as in Cohen, "A coefficient of agreement for
     /// nominal scales", 1960): 1 where all points are, 0 where the place may be any.
-    fn agreement_of(&self, points: &[Point3f], pose: &Rigid3) -> ScanAgreement {
+    pub(crate) fn agreement_of(&self, points: &[Point3f], pose: &Rigid3) -> ScanAgreement {
         let pose = to_f32(pose);
         let (mut explained, mut in_free) = (0_u32, 0_u32);
         for point in points.iter().map(|p| pose * p) {
@@ -312,6 +298,10 @@ impl KnownMap for SpatialMap {
     const FREEDOM: Freedom = Freedom::Space;
     const CERTAIN_PLACE: f64 = 0.12;
     const LONGEST_PAUSE: f64 = 3.0;
+
+    fn error(&self) -> MapError {
+        self.error
+    }
 
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
         let heading = rotation_from_roll_pitch_yaw(0.0, 0.0, yaw(&local_from_tracking.rotation));
