@@ -7,6 +7,7 @@ use std::sync::Arc;
 use portolan_geometry::{Duration, Rigid2, Rigid3, Time, TransformBuffer, Vector3, yaw};
 use portolan_ingest::{
     HeldPose, Inventory, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan, StampJitter, pose_of,
+    read_without_repeats,
 };
 use portolan_recording::{Message, Recording, RecordingError, StampPattern, TopicInfo};
 
@@ -75,7 +76,7 @@ pub fn compare_scans(
         odometry.is_some_and(|odometry| odometry.topic == topic.topic)
             || plan.range.iter().any(|range| range.source.topic == topic.topic)
     };
-    let mut reader = recording.read(&is_wanted)?;
+    let mut reader = read_without_repeats(recording, &is_wanted)?;
     let mut first = None;
     while let Some(message) = reader.next_message()? {
         if message.log_time - *first.get_or_insert(message.log_time) > LOOK {

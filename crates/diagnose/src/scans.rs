@@ -30,7 +30,7 @@ const JUMP: f64 = 10.0;
 const REPEATED: Kind = Kind {
     name: "repeated data",
     severity: Severity::Error,
-    effect: "the robot seems to stand still; matching is misled",
+    effect: "what is sent again says that the robot stands; map leaves it out, so that scans are missing",
     to_do: "look for a driver that sends old data again",
 };
 const REPEATED_SELDOM: Kind = Kind {

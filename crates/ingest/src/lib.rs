@@ -41,6 +41,7 @@ pub use plan::{
 };
 pub use point_time::{PointTime, PointTimeOrigin};
 pub use recording_clock::RecordingClock;
+pub use repeats::read_without_repeats;
 pub use skew::{Skew, SkewFactor, SkewState};
 pub use statistics::{ImuStatistics, RangeStatistics};
 pub use steady_clock::StampJitter;

@@ -1,4 +1,4 @@
-//! Messages that come twice: from drivers that send again, and from recordings put together that overlap.
+//! Messages that come twice: from drivers that send again, and from recordings put together that overlap; and old scans under new stamps.
 
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -7,15 +7,18 @@ use std::sync::Arc;
 use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_recording::{
-    Header, Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo,
+    Header, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo,
 };
 
 /// Of the bytes of a cloud about so many are compared, evenly spread: two sweeps do not share them by chance.
 const COMPARED_BYTES: usize = 4096;
+/// A scan in which so many readings differ from those before them does not repeat by chance, wherever it stands: readings have noise.
+const READINGS_THAT_DIFFER: usize = 10;
 
 /// One pass over a recording, without the messages of range sensors, IMUs and odometry that repeat the one before on their
-/// topic: the same stamp and the same values. They are counted.
-pub(crate) fn read_without_repeats(
+/// topic: the same stamp and the same values. They are counted. So are scans and clouds with the values of the one before and
+/// another stamp: nothing new was measured.
+pub fn read_without_repeats(
     recording: &dyn Recording,
     wanted: &dyn Fn(&TopicInfo) -> bool,
 ) -> Result<Box<dyn MessageReader>, RecordingError> {
@@ -25,23 +28,37 @@ pub(crate) fn read_without_repeats(
 
 struct WithoutRepeats {
     reader: Box<dyn MessageReader>,
-    /// Digests of the last messages.
-    last: BTreeMap<Arc<str>, u64>,
+    last: BTreeMap<Arc<str>, Digests>,
     issues: IssueLog,
+}
+
+/// What a message is compared by.
+struct Digests {
+    stamp: Time,
+    /// Of stamp and values; none where stamps are not set.
+    message: Option<u64>,
+    /// Of the values of a scan or a cloud; none where they may be the same by chance.
+    scan: Option<u64>,
 }
 
 impl WithoutRepeats {
     fn is_repeat(&mut self, message: &RecordedMessage) -> bool {
-        let Some((stamp, digest)) = digest(&message.message) else { return false };
-        if self.last.get(&message.topic) == Some(&digest) {
-            self.issues.add(Issue::new(IssueKind::RepeatedMessage).of(message.topic.clone()).at(stamp));
-            return true;
-        }
-        match self.last.get_mut(&message.topic) {
-            Some(last) => *last = digest,
-            None => drop(self.last.insert(message.topic.clone(), digest)),
-        }
-        false
+        let Some(this) = digests(&message.message) else { return false };
+        let stamp = this.stamp;
+        let last = match self.last.get_mut(&message.topic) {
+            Some(last) => std::mem::replace(last, this),
+            None => return self.last.insert(message.topic.clone(), this).is_some(),
+        };
+        let Some(this) = self.last.get(&message.topic) else { return false };
+        let kind = if last.message.is_some() && last.message == this.message {
+            IssueKind::RepeatedMessage
+        } else if last.scan.is_some() && last.scan == this.scan {
+            IssueKind::RepeatedScan
+        } else {
+            return false;
+        };
+        self.issues.add(Issue::new(kind).of(message.topic.clone()).at(stamp));
+        true
     }
 }
 
@@ -66,39 +83,51 @@ impl MessageReader for WithoutRepeats {
     }
 }
 
-/// The stamp, and a digest of it and of what was measured; none for messages without a stamp, and for other kinds.
-fn digest(message: &Message) -> Option<(Time, u64)> {
+/// Digests of what was measured, and when; none for messages without a stamp, and for other kinds.
+fn digests(message: &Message) -> Option<Digests> {
     let mut digest = DefaultHasher::new();
-    let header: &Header = match message {
+    let (header, is_scan): (&Header, bool) = match message {
         Message::LaserScan(scan) => {
             scan.ranges.iter().for_each(|range| range.to_bits().hash(&mut digest));
-            &scan.header
+            (&scan.header, has_readings(scan))
         }
         Message::MultiEchoLaserScan(scan) => {
             scan.ranges.iter().flatten().for_each(|range| range.to_bits().hash(&mut digest));
-            &scan.header
+            (&scan.header, false)
         }
         Message::PointCloud2(cloud) => {
             (cloud.width, cloud.height, cloud.data.len()).hash(&mut digest);
             let stride = cloud.data.len().div_ceil(COMPARED_BYTES).max(1);
             cloud.data.iter().step_by(stride).for_each(|byte| digest.write_u8(*byte));
-            &cloud.header
+            (&cloud.header, cloud.data.len() > COMPARED_BYTES)
         }
         Message::Imu(imu) => {
             let values = imu.linear_acceleration.iter().chain(&imu.angular_velocity);
             values.for_each(|value| value.to_bits().hash(&mut digest));
-            &imu.header
+            (&imu.header, false)
         }
         Message::Odometry(odometry) => {
             let pose = odometry.pose.position.iter().chain(&odometry.pose.orientation_xyzw);
             let twist = odometry.linear_velocity.iter().chain(&odometry.angular_velocity);
             pose.chain(twist).for_each(|value| value.to_bits().hash(&mut digest));
-            &odometry.header
+            (&odometry.header, false)
         }
         _ => return None,
     };
-    header.stamp.hash(&mut digest);
-    (header.stamp != Time::UNIX_EPOCH).then(|| (header.stamp, digest.finish()))
+    let stamp = header.stamp;
+    let scan = is_scan.then(|| digest.finish());
+    stamp.hash(&mut digest);
+    let message = (stamp != Time::UNIX_EPOCH).then(|| digest.finish());
+    Some(Digests { stamp, message, scan })
+}
+
+/// Whether a scan has readings that have noise: not those of a scanner that sees nothing.
+fn has_readings(scan: &LaserScan) -> bool {
+    let differ = scan
+        .ranges
+        .windows(2)
+        .filter(|two| matches!(two, [a, b] if a.is_finite() && b.is_finite() && a != b));
+    differ.take(READINGS_THAT_DIFFER).count() >= READINGS_THAT_DIFFER
 }
 
 #[cfg(test)]
@@ -130,6 +159,37 @@ mod tests {
         assert_eq!(seen, [at(1.0), at(1.02), at(1.1)]);
         let counted: Vec<_> = reader.issues().iter().map(|issue| (issue.kind, issue.count)).collect();
         assert_eq!(counted, [(IssueKind::RepeatedMessage, 2)]);
+        Ok(())
+    }
+
+    #[test]
+    fn an_old_scan_under_a_new_stamp_is_left_out() -> Result<(), RecordingError> {
+        let message = |seconds: f64, readings: &dyn Fn(usize) -> f32| {
+            let mut message = scan(seconds, "laser");
+            if let Message::LaserScan(scan) = &mut message {
+                scan.ranges = (0..100).map(readings).collect();
+            }
+            named("/scan", seconds, message)
+        };
+        let (room, other) = (|i: usize| 2.0 + 0.1 * i as f32, |i: usize| 2.1 + 0.1 * i as f32);
+        let nothing = |_: usize| 80.0;
+        let recording = MemoryRecording::new(vec![
+            message(1.0, &room),
+            message(1.1, &room),
+            message(1.2, &room),
+            message(1.3, &other),
+            message(1.4, &nothing),
+            message(1.5, &nothing),
+            message(1.6, &room),
+        ]);
+        let mut reader = read_without_repeats(&recording, &|_| true)?;
+        let mut seen = Vec::new();
+        while let Some(message) = reader.next_message()? {
+            seen.push(message.log_time);
+        }
+        assert_eq!(seen, [at(1.0), at(1.3), at(1.4), at(1.5), at(1.6)]);
+        let counted: Vec<_> = reader.issues().iter().map(|issue| (issue.kind, issue.count)).collect();
+        assert_eq!(counted, [(IssueKind::RepeatedScan, 2)]);
         Ok(())
     }
 }

@@ -90,6 +90,7 @@ kinds! {
     LineNotLater Error "lines whose time is not later than that of the line before were left out"
     LinesReordered Info "lines out of order were put in order of time"
     LinesOutOfOrder Info "lines more than 10 s out of order were kept in the order of the file"
+    RepeatedScan Warning "scans with the readings of the one before and another stamp were left out: nothing new was measured"
     RepeatedMessage Info "messages that repeat the one before were left out"
     ScanInOtherFormat Info "scans that the log also has in a better format were left out"
     UnusedLines Info "lines of kind {kind} hold nothing that mapping uses"

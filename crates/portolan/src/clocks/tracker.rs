@@ -92,10 +92,12 @@ pub(super) struct SweepTracker {
 
 impl Default for SweepTracker {
     fn default() -> Self {
+        // What ends early agrees with the gyroscope that predicted it, whether that is right or not.
         // Turns alone are wanted here, and of these planes seen edge-on tell something: without them the offset of a
         // sparse second lidar among trees is not found.
         let options = RegistrationSettings {
             min_matched_fraction: 0.0,
+            small_step: 0.02,
             grazing_weight: 0.1,
             ..RegistrationSettings::default()
         };
