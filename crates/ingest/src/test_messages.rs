@@ -87,8 +87,10 @@ pub(crate) fn cloud(seconds: f64, frame: &str) -> Message {
     let mut points = Vec::new();
     for i in 0..720 {
         let angle = f64::from(i) / 720.0 * std::f64::consts::TAU;
+        // No two clouds are the same.
+        let range = 5.0 + 1e-5 * (100.0 * seconds + f64::from(i)).sin();
         for z in [-0.5, 0.0, 0.5, 1.0] {
-            points.push(vec![5.0 * angle.cos(), 5.0 * angle.sin(), z, 0.05 * f64::from(i) / 720.0]);
+            points.push(vec![range * angle.cos(), range * angle.sin(), z, 0.05 * f64::from(i) / 720.0]);
         }
     }
     let mut cloud = cloud_of(&fields, &points, false);

@@ -157,7 +157,8 @@ fn sample(begin: f64, column: usize, ring: usize, nothing: bool) -> Sample {
     let share = column as f64 / COLUMNS as f64;
     let azimuth = 1.0 - share * std::f64::consts::TAU;
     let elevation = (2.0 * ring as f64 - 7.0).to_radians();
-    let range = 6.0 + azimuth.sin();
+    // No two clouds are the same.
+    let range = 6.0 + azimuth.sin() + 1e-5 * (1e3 * begin + column as f64).sin();
     let position = [range * azimuth.cos(), range * azimuth.sin(), range * elevation.tan()].map(|v| v as f32);
     let position = if nothing { [f32::NAN; 3] } else { position };
     Sample { ring, since_begin: share * TURN, begin, position, intensity: (column % 100) as f32 }
