@@ -12,6 +12,8 @@
     full    what sees nothing, or farther than 8 m, reads 8 m
     zero    what sees nothing reads 0
     flipped the scanner is mounted upside down: beams run the other way round, which nothing tells
+    stale   every fifth scan has the readings of the one before under its own stamp
+    hang    so have all for 1.5 s of 20 s
     glass   one reading in five goes on through glass: it is 0.5 to 3 m too long, in runs of four beams
 
 Odometry stays as it is. Needs Python 3 alone.
@@ -70,14 +72,19 @@ def spoilt(ranges, how, chance, count):
     if how == "noise":
         noisy = lambda r: max(0.05, float(r) + chance.gauss(0.0, 0.03))
         return [f"{noisy(r):.3f}" if float(r) < 60.0 else r for r in ranges]
-    if how in ("third", "burst"):
+    if how in ("third", "burst", "stale", "hang"):
         return ranges
     sys.exit(f"there is no way to spoil a log that is called {how}")
 
 
+def is_stale(how, count, seconds):
+    """Whether the driver sends the readings before once more."""
+    return how == "stale" and count % 5 == 0 or how == "hang" and seconds % 20.0 < 1.5
+
+
 def main():
     log, output, how = sys.argv[1:]
-    chance, count = random.Random(7), 0
+    chance, count, first, last = random.Random(7), 0, None, None
     with bz2.open(log, "rt", errors="replace") as lines, open(output, "w") as out:
         for line in lines:
             if line.startswith("FLASER"):
@@ -87,6 +94,11 @@ def main():
                 words = line.split()
                 n = int(words[1])
                 ranges = spoilt(words[2 : 2 + n], how, chance, count)
+                stamp = float(words[-3])
+                first = stamp if first is None else first
+                if last and is_stale(how, count, stamp - first):
+                    ranges = last
+                last = ranges
                 line = " ".join(["FLASER", str(len(ranges)), *ranges, *words[2 + n :]]) + "\n"
             out.write(line)
 

@@ -13,6 +13,7 @@
     hull     and 300 points of the vehicle, up to 1.5 m away, are in every sweep
     gone     one sweep in five is missing, at random
     doubled  every sweep comes twice
+    stale    every fifth sweep has the points of the one before under its own stamp
     swapped  every tenth sweep comes behind the one after it
     one+two  both
 
@@ -114,7 +115,7 @@ def spoilt(cloud, how, chance):
 def main():
     source, output = sys.argv[1:3]
     hows = sys.argv[3].split("+")
-    chance, sweeps, waiting = np.random.default_rng(7), 0, None
+    chance, sweeps, waiting, last = np.random.default_rng(7), 0, None, None
     with Reader(source) as reader, Writer(output) as writer:
         added = add_connections(reader, writer)
         for c, time, data in reader.messages():
@@ -127,6 +128,10 @@ def main():
             cloud = STORE.deserialize_ros1(data, c.msgtype)
             for how in hows:
                 cloud = spoilt(cloud, how, chance)
+            if "stale" in hows and last and sweeps % 5 == 0:
+                last.header.stamp = cloud.header.stamp
+                cloud = last
+            last = cloud
             data = STORE.serialize_ros1(cloud, c.msgtype)
             if "swapped" in hows and sweeps % 10 == 0:
                 waiting = data
