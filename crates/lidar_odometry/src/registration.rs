@@ -133,6 +133,11 @@ struct Scene<'a> {
 }
 
 impl Registration {
+    /// What it was made with.
+    pub fn settings(&self) -> &RegistrationSettings {
+        &self.settings
+    }
+
     /// With these settings.
     pub fn new(settings: RegistrationSettings) -> Self {
         Self { settings }

@@ -40,6 +40,8 @@ const MAX_WAITING: usize = 20;
 const FLAT: f64 = 0.05;
 /// So many sweeps tell whether a gyroscope is in degrees a second.
 const SWEEPS_FOR_UNITS: usize = 2 * SWEEPS;
+/// A gyroscope that usually turns faster may be one in degrees a second, rad/s.
+const FAST: f64 = 0.5;
 
 /// Compares the turns of lidars in 3D with those of the IMU. Ends when enough was read. What cannot be read tells nothing: [`portolan_diagnose::check`] says why.
 /// `progress` is told the bytes read so far.
@@ -49,13 +51,17 @@ pub fn measure(
     options: &IngestOptions,
     progress: &mut dyn FnMut(u64),
 ) -> ImuComparison {
-    let as_planned = measure_scaled(recording, inventory, options, (1.0, MAX_SWEEPS), progress);
-    if as_planned.turns_alike || as_planned.comparison.mounting.is_some() {
+    let mut measured = |look| measure_scaled(recording, inventory, options, look, progress);
+    let as_planned = measured(Look { scale: 1.0, most_sweeps: MAX_SWEEPS, is_exact: false });
+    if as_planned.comparison.mounting.is_some() || as_planned.turns_alike && as_planned.usual_rate < FAST {
+        return as_planned.comparison;
+    }
+    let exactly = |scale| Look { scale, most_sweeps: SWEEPS_FOR_UNITS, is_exact: true };
+    if as_planned.turns_alike && measured(exactly(1.0)).turns_alike {
         return as_planned.comparison;
     }
     // Sweeps that are straightened with rates in other units match nothing, so that they tell nothing of the units.
-    let scale = (1f64.to_radians(), SWEEPS_FOR_UNITS);
-    let in_degrees = measure_scaled(recording, inventory, options, scale, progress);
+    let in_degrees = measured(exactly(1f64.to_radians()));
     let imu = in_degrees.imu.filter(|_| in_degrees.turns_alike);
     let mounting = imu.map(|imu| ImuMounting { imu, turned: 0.0, factor: 1f64.to_degrees() });
     ImuComparison { mounting, ..as_planned.comparison }
@@ -69,18 +75,33 @@ struct Measured {
     imu: Option<Arc<str>>,
     /// Whether it surely turns as all lidars do.
     turns_alike: bool,
+    /// Root mean square of its rates, rad/s.
+    usual_rate: f64,
+}
+
+/// How to look at sweeps and gyroscope.
+#[derive(Clone, Copy)]
+struct Look {
+    /// What rates of the gyroscope are multiplied by.
+    scale: f64,
+    most_sweeps: usize,
+    /// Whether sweeps are registered until nothing changes.
+    is_exact: bool,
 }
 
 fn measure_scaled(
     recording: &dyn Recording,
     inventory: &Inventory,
     options: &IngestOptions,
-    (scale, most_sweeps): (f64, usize),
+    Look { scale, most_sweeps, is_exact }: Look,
     progress: &mut dyn FnMut(u64),
 ) -> Measured {
     let Ok(Some((mut clocks, mut ingestion))) = Clocks::new(recording, inventory, options) else {
         return Measured::default();
     };
+    if is_exact {
+        clocks.lidars.values_mut().for_each(|lidar| lidar.tracker = SweepTracker::to_the_end());
+    }
     // An error ends the reading, and what was read before it counts.
     while let Ok(Some((id, measurement))) = ingestion.next_measurement() {
         clocks.add(&id, measurement, scale);
@@ -193,7 +214,8 @@ impl Clocks {
         let mounting =
             mounting.map(|(turned, factor)| ImuMounting { imu: imu.source.topic.clone(), turned, factor });
         let comparison = ImuComparison { offsets, mounting };
-        Measured { comparison, imu: Some(imu.source.topic.clone()), turns_alike }
+        let usual_rate = self.gyroscope.usual_rate();
+        Measured { comparison, imu: Some(imu.source.topic.clone()), turns_alike, usual_rate }
     }
 }
 

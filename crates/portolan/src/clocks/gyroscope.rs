@@ -47,6 +47,12 @@ impl Gyroscope {
         self.samples.push(sample);
     }
 
+    /// Root mean square of the rates, rad/s.
+    pub fn usual_rate(&self) -> f64 {
+        let squares: f64 = self.samples.iter().map(|sample| sample.rate.norm_squared()).sum();
+        (squares / self.samples.len().max(1) as f64).sqrt()
+    }
+
     /// Time of the last sample.
     pub fn end(&self) -> Option<Time> {
         self.samples.last().map(|sample| sample.time)

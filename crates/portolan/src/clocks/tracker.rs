@@ -92,12 +92,10 @@ pub(super) struct SweepTracker {
 
 impl Default for SweepTracker {
     fn default() -> Self {
-        // What ends early agrees with the gyroscope that predicted it, whether that is right or not.
         // Turns alone are wanted here, and of these planes seen edge-on tell something: without them the offset of a
         // sparse second lidar among trees is not found.
         let options = RegistrationSettings {
             min_matched_fraction: 0.0,
-            small_step: 0.02,
             grazing_weight: 0.1,
             ..RegistrationSettings::default()
         };
@@ -116,6 +114,13 @@ impl Default for SweepTracker {
 }
 
 impl SweepTracker {
+    /// Registers sweeps until nothing changes: what ends early agrees with the gyroscope that predicted it, right or not.
+    pub fn to_the_end() -> Self {
+        let default = Self::default();
+        let options = RegistrationSettings { small_step: 0.02, ..default.registration.settings().clone() };
+        Self { registration: Registration::new(options), ..default }
+    }
+
     /// Takes the next sweep; none if it tells no turn.
     pub fn add(&mut self, sweep: &Sweep, gyroscope: &Gyroscope) -> Option<TrackedSweep> {
         let Some(rotations) = Rotations::of(sweep, gyroscope) else {
