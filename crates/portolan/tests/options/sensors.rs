@@ -55,9 +55,11 @@ fn echoes(seconds: f64) -> Message {
 }
 
 fn cloud(seconds: f64) -> Message {
+    // No two clouds are the same.
+    let range = |a: f32| 4.0 + 1e-4 * (100.0 * seconds as f32 + a).sin();
     let points: Vec<[f32; 4]> = (0..90)
         .map(|i| 0.07 * i as f32)
-        .flat_map(|a| [-0.5, 0.0, 0.5].map(|z| [4.0 * a.cos(), 4.0 * a.sin(), z, 10.0 + a]))
+        .flat_map(|a| [-0.5, 0.0, 0.5].map(|z| [range(a) * a.cos(), range(a) * a.sin(), z, 10.0 + a]))
         .collect();
     let field = |(i, name): (u32, &str)| PointField {
         name: name.to_owned(),
