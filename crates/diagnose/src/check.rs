@@ -300,10 +300,8 @@ impl Check<'_> {
             });
         }
         let Some(PlannedOdometry::Topic(odometry)) = &plan.odometry else { return Ok(()) };
-        if let Some(seconds) = compared.longest_hold {
-            self.findings.add(&HELD_BACK, &odometry.topic, || {
-                format!("odometry repeats its last pose for up to {seconds:.1} s while scans move, and tells the motion afterwards")
-            });
+        if let Some(hold) = compared.hold {
+            self.findings.add(&HELD_BACK, &odometry.topic, || format!("odometry {hold}"));
         }
         if let (Some(turns), Some(TopicChecks::Odometry(checks))) =
             (compared.turns_without_repeats, self.topics.get_mut(&odometry.topic))

@@ -30,6 +30,7 @@ pub use finding::{Finding, findings_to_text};
 pub use histogram::Histogram;
 pub use info::{PlanDescription, RecordingInfo, TopicDescription, info};
 pub use odometry_fault::OdometryFault;
+pub use odometry_held::OdometryHold;
 pub use portolan_issue::Severity;
 pub use scan_comparison::{ScanComparison, SensorDelay, compare_scans};
 

@@ -3,6 +3,8 @@
 //! A pose that repeats to the last digit says that the robot stands, or that nothing new was measured. Where scans moved meanwhile,
 //! and the next pose that differs tells the motion of the whole time, it was the second.
 
+use std::fmt;
+
 use portolan_geometry::nalgebra::Vector3;
 use portolan_geometry::{Rigid2, Rigid3, Time, project_2d};
 
@@ -17,25 +19,43 @@ const SURE: f64 = 2.5;
 /// Scans between a pose and its last repeat, and from there to the next pose, begin and end so close to these at most, seconds.
 const NEAR: f64 = 0.5;
 
-/// How long odometry holds motions back at most, seconds, if it surely does.
-///
-/// `poses` of odometry, `motions` of the scanner, both in order of time, and where the scanner is in the frame of the odometry.
-pub(crate) fn longest_hold(
-    poses: &[(Time, Rigid3)],
-    motions: &[TimedMotion],
-    odometry_from_scanner: &Rigid3,
-) -> Option<f64> {
-    let runs: Vec<_> = poses.chunk_by(|(_, one), (_, next)| one == next).collect();
-    let (mut sum, mut squares, mut longest) = (0.0, 0.0, 0.0_f64);
-    for run in runs.windows(2).filter_map(Run::of) {
-        let Some(nearer) = run.nearer_if_later(motions, odometry_from_scanner) else { continue };
-        sum += nearer;
-        squares += nearer * nearer;
-        if nearer > 0.0 {
-            longest = longest.max(run.next.0.seconds_since(run.first.0));
+/// How odometry holds motions back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OdometryHold {
+    /// It repeats a pose for so many seconds at most.
+    pub longest: f64,
+}
+
+impl OdometryHold {
+    /// From `poses` of odometry, `motions` of the scanner, both in order of time, and where the scanner is in the frame of the odometry;
+    /// none if nothing is surely held back.
+    pub(crate) fn find(
+        poses: &[(Time, Rigid3)],
+        motions: &[TimedMotion],
+        odometry_from_scanner: &Rigid3,
+    ) -> Option<Self> {
+        let runs: Vec<_> = poses.chunk_by(|(_, one), (_, next)| one == next).collect();
+        let (mut sum, mut squares, mut longest) = (0.0, 0.0, 0.0_f64);
+        for run in runs.windows(2).filter_map(Run::of) {
+            let Some(nearer) = run.nearer_if_later(motions, odometry_from_scanner) else { continue };
+            sum += nearer;
+            squares += nearer * nearer;
+            if nearer > 0.0 {
+                longest = longest.max(run.next.0.seconds_since(run.first.0));
+            }
         }
+        (sum > SURE * f64::sqrt(squares)).then_some(Self { longest })
     }
-    (sum > SURE * f64::sqrt(squares)).then_some(longest)
+}
+
+impl fmt::Display for OdometryHold {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let longest = self.longest;
+        write!(
+            f,
+            "repeats its last pose for up to {longest:.1} s while scans move, and tells the motion afterwards"
+        )
+    }
 }
 
 /// A pose, its last repeat and the pose after it.
@@ -105,7 +125,7 @@ mod tests {
         let motions: Vec<_> = (0..400).map(|scan| (at(scan), at(scan + 1), step(scan))).collect();
         let told = |scan: u32| odometry(way[of(scan) as usize]);
         let poses: Vec<_> = (0..400).map(|scan| (at(scan), embed_3d(&told(scan)))).collect();
-        longest_hold(&poses, &motions, &Rigid3::identity())
+        OdometryHold::find(&poses, &motions, &Rigid3::identity()).map(|hold| hold.longest)
     }
 
     #[test]

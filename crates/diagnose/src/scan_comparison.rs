@@ -15,7 +15,7 @@ use crate::beam_times::{ScanDuration, scan_duration};
 use crate::finding::Findings;
 use crate::odometry::OdometryChecks;
 use crate::odometry_fault::OdometryFault;
-use crate::odometry_held::longest_hold;
+use crate::odometry_held::OdometryHold;
 use crate::rotation::{Turn, sure_offset};
 use crate::scan_motion::{ScanMotions, TimedMotion};
 use crate::scan_turns::ScanTurns;
@@ -43,8 +43,8 @@ pub struct ScanComparison {
     pub delay: Option<SensorDelay>,
     /// How the motions of odometry differ, where they surely do.
     pub fault: Option<OdometryFault>,
-    /// For how many seconds at most odometry repeats a pose while scans move, and tells the motion afterwards, where it surely does.
-    pub longest_hold: Option<f64>,
+    /// How odometry holds motions back, where it surely does.
+    pub hold: Option<OdometryHold>,
     /// Turns of odometry without those repeats.
     pub(crate) turns_without_repeats: Option<Vec<Turn>>,
     /// Topics of scanners, and how long their scans take, where that is surely not what they say.
@@ -199,9 +199,9 @@ impl Wheels {
         self.poses.iter_mut().for_each(|(time, _)| *time = times.get(time).copied().unwrap_or(*time));
     }
 
-    /// Leaves out the repeats of poses that are held back for so many seconds at most.
-    fn leave_out_repeats(&mut self, longest_hold: f64) {
-        let mut repeats = HeldPose::new(longest_hold);
+    /// Leaves out poses that repeat because motions are held back.
+    fn leave_out_repeats(&mut self, hold: OdometryHold) {
+        let mut repeats = HeldPose::new(hold.longest);
         self.poses.retain(|(time, pose)| !repeats.is_repeat(*time, pose));
         let turns = self.poses.windows(2).filter_map(|two| match two {
             [(from, first), (to, second)] => Some((*from, *to, yaw(&(first.inverse() * second).rotation))),
@@ -233,9 +233,9 @@ impl Wheels {
         if up < 0.0 {
             turn_over(&mut turns, &mut motions);
         }
-        let longest_hold = longest_hold(&self.poses, &motions, &odometry_from_scanner);
-        if let Some(seconds) = longest_hold {
-            self.leave_out_repeats(seconds);
+        let hold = OdometryHold::find(&self.poses, &motions, &odometry_from_scanner);
+        if let Some(hold) = hold {
+            self.leave_out_repeats(hold);
         }
         let offset = sure_offset(&self.checks.turns, &turns, false);
         let known = (source.clock_shift - odometry.clock_shift).seconds();
@@ -253,8 +253,8 @@ impl Wheels {
             )
         };
         let fault = is_level.then(find).flatten();
-        let turns_without_repeats = longest_hold.map(|_| std::mem::take(&mut self.checks.turns));
-        ScanComparison { delay, fault, longest_hold, turns_without_repeats, ..ScanComparison::default() }
+        let turns_without_repeats = hold.map(|_| std::mem::take(&mut self.checks.turns));
+        ScanComparison { delay, fault, hold, turns_without_repeats, ..ScanComparison::default() }
     }
 }
 

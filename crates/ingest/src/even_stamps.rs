@@ -137,6 +137,12 @@ impl EvenStamps {
         true
     }
 
+    /// Whether a message waits that came so long before this time of the recording that others, which are not held back, would
+    /// overtake it: its sensor has fallen silent.
+    pub fn has_waited_long(&self, now: Time) -> bool {
+        self.waiting.front().is_some_and(|(_, message)| now.seconds_since(message.log_time) > LOOK_AHEAD)
+    }
+
     /// Once in doubt, stamps stay in doubt: good ones lie on the envelope and are not changed much.
     fn judge(&mut self) {
         let Some(pattern) = StampPattern::of(self.recent.make_contiguous()) else { return };
@@ -150,8 +156,8 @@ impl EvenStamps {
         }
     }
 
-    /// The next message whose time is known, with the stamp that it came with and its time.
-    pub fn pop(&mut self, at_end: bool) -> Option<(RecordedMessage, Time, Time)> {
+    /// The next message whose time is known when the recording has come so far, with the stamp that it came with and its time.
+    pub fn pop(&mut self, now: Time) -> Option<(RecordedMessage, Time, Time)> {
         let period = match &self.fault {
             StampFault::None => return None,
             StampFault::Bursts(period) => *period,
@@ -161,7 +167,7 @@ impl EvenStamps {
         let ((first, _), (newest, _)) = (self.waiting.front()?, self.waiting.back()?);
         // Messages behind a gap tell nothing of those before it.
         let is_old = newest.seconds_since(*first) > LOOK_AHEAD;
-        if self.waiting.len() < ahead && !is_old && !at_end {
+        if self.waiting.len() < ahead && !is_old && !self.has_waited_long(now) {
             return None;
         }
         let stamps: Vec<Time> = self.waiting.iter().take(ahead).map(|(stamp, _)| *stamp).collect();
@@ -210,9 +216,9 @@ mod tests {
             if !even.holds(*stamp, &message()) {
                 times.push(*stamp);
             }
-            times.extend(std::iter::from_fn(|| even.pop(false)).map(|(_, _, time)| time));
+            times.extend(std::iter::from_fn(|| even.pop(Time::MIN)).map(|(_, _, time)| time));
         }
-        times.extend(std::iter::from_fn(|| even.pop(true)).map(|(_, _, time)| time));
+        times.extend(std::iter::from_fn(|| even.pop(Time::MAX)).map(|(_, _, time)| time));
         times
     }
 
@@ -240,6 +246,15 @@ mod tests {
     }
 
     #[test]
+    fn a_sensor_that_falls_silent_does_not_keep_its_last_messages() {
+        let mut even = EvenStamps::new(StampPolicy::Auto).in_doubt(Some(0.2));
+        assert!(even.holds(at(0.0), &message()) && even.holds(at(0.2), &message()));
+        assert!(even.pop(at(LOOK_AHEAD)).is_none());
+        let mut left = || std::iter::from_fn(|| even.pop(at(LOOK_AHEAD + 0.1))).count();
+        assert_eq!((left(), left()), (2, 0));
+    }
+
+    #[test]
     fn steady_stamps_with_gaps_and_rests_stay_as_they_are() {
         let mut stamps: Vec<Time> =
             (0..2000).map(|k| at(0.2 * f64::from(k) + 0.003 * f64::from(k % 7))).collect();
@@ -262,8 +277,8 @@ mod tests {
             let mut times = Vec::new();
             for (i, stamp) in stamps.iter().enumerate() {
                 even.holds(*stamp, &message());
-                let at_end = i + 1 == stamps.len();
-                times.extend(std::iter::from_fn(|| even.pop(at_end)).map(|(_, _, time)| time));
+                let now = if i + 1 == stamps.len() { Time::MAX } else { Time::MIN };
+                times.extend(std::iter::from_fn(|| even.pop(now)).map(|(_, _, time)| time));
             }
             prop_assert!(times.is_sorted_by(|a, b| a < b));
         }

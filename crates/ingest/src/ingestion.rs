@@ -235,7 +235,7 @@ impl Ingestion {
                 None if self.ended => return Ok(None),
                 None => {
                     self.ended = true;
-                    self.take_waiting();
+                    self.take_waiting(Time::MAX);
                 }
             }
             self.ready.reverse();
@@ -283,6 +283,7 @@ impl Ingestion {
         if let Some(jump) = self.recording_clock.take(message.log_time) {
             self.issues.add(jump);
         }
+        self.take_waiting(message.log_time);
         // Taken out while they are at work, because they write to the rest of the ingestion.
         let Some(mut sensors) = self.sensors.remove(&message.topic) else { return };
         for sensor in &mut sensors {
@@ -291,11 +292,14 @@ impl Ingestion {
         self.sensors.insert(message.topic, sensors);
     }
 
-    /// Takes the messages that waited for later ones to tell their times.
-    fn take_waiting(&mut self) {
+    /// Takes the messages that waited too long, when the recording has come so far, for later ones to tell their times.
+    fn take_waiting(&mut self, now: Time) {
+        if !self.sensors.values().flatten().any(|sensor| sensor.even_stamps.has_waited_long(now)) {
+            return;
+        }
         let mut all = std::mem::take(&mut self.sensors);
         for sensor in all.values_mut().flatten() {
-            self.take_evened(sensor, true);
+            self.take_evened(sensor, now);
         }
         self.sensors = all;
     }

@@ -202,8 +202,8 @@ fn doubt_scans(
         }
     }
     let is_wanted = ingest.odometry_topic.is_some() || ingest.use_odometry == Some(true);
-    if let Some(seconds) = compared.longest_hold {
-        plan.doubt_repeats(seconds, is_wanted);
+    if let Some(hold) = compared.hold {
+        plan.doubt_repeats(&hold.to_string(), hold.longest, is_wanted);
     }
     if let Some(fault) = compared.fault {
         plan.doubt_odometry(&fault.to_string(), fault.is_mirrored(), is_wanted);

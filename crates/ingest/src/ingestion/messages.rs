@@ -40,15 +40,15 @@ impl Ingestion {
         let Some(header) = message.message.header() else { return };
         let Some(stamp) = self.stamp(sensor, header.stamp, message.log_time) else { return };
         if sensor.even_stamps.holds(stamp, message) {
-            self.take_evened(sensor, false);
+            self.take_evened(sensor, message.log_time);
         } else {
             self.convert(sensor, message, stamp);
         }
     }
 
-    /// Takes messages of a sensor whose stamps are made even, as far as their times are known by now.
-    pub(super) fn take_evened(&mut self, sensor: &mut Sensor, at_end: bool) {
-        while let Some((message, stamp, time)) = sensor.even_stamps.pop(at_end) {
+    /// Takes messages of a sensor whose stamps are made even, as far as their times are known when the recording has come so far.
+    pub(super) fn take_evened(&mut self, sensor: &mut Sensor, now: Time) {
+        while let Some((message, stamp, time)) = sensor.even_stamps.pop(now) {
             self.count(&sensor.topic, time, IssueKind::StampsEvened, 1);
             self.stamp_correction = stamp - time;
             self.convert(sensor, &message, time);

@@ -277,22 +277,16 @@ impl SensorPlan {
         self.note(what, "--stamps as-is");
     }
 
-    /// Takes repeated poses of odometry, for so many seconds at most, to say nothing of the motion unless it `is_wanted` as it is, and
-    /// says so.
-    pub fn doubt_repeats(&mut self, longest_hold: f64, is_wanted: bool) {
+    /// Says that odometry repeats poses (`how`) while it moves, and leaves the repeats of so many seconds at most out unless it
+    /// `is_wanted` as it is.
+    pub fn doubt_repeats(&mut self, how: &str, longest_hold: f64, is_wanted: bool) {
         let Some(PlannedOdometry::Topic(odometry)) = &self.odometry else { return };
         let topic = odometry.topic.clone();
         let (so, change) = match is_wanted {
             true => ("it is used as it is all the same", "--no-odom".to_owned()),
             false => ("poses that repeat are left out", format!("--odom {topic}")),
         };
-        self.warn(
-            format!(
-                "the odometry {topic} repeats its last pose for up to {longest_hold:.1} s while scans move, and tells the \
-                 motion afterwards: {so}"
-            ),
-            change,
-        );
+        self.warn(format!("the odometry {topic} {how}: {so}"), change);
         self.longest_odometry_hold = (!is_wanted).then_some(longest_hold);
     }
 

@@ -33,6 +33,18 @@ pub(super) struct Motion {
 }
 
 impl Motion {
+    /// From the origin, over so many seconds.
+    #[cfg(test)]
+    pub fn measured(seconds: f64) -> Self {
+        Self {
+            last: Rigid2::identity(),
+            seconds,
+            is_measured: true,
+            between_readings: None,
+            tracking_yaw: 0.0,
+        }
+    }
+
     /// From the last scan to a pose, turned by at most half a turn.
     pub fn to(&self, pose: &Rigid2) -> Rigid2 {
         let motion = self.last.inverse() * *pose;

@@ -169,13 +169,7 @@ mod tests {
         metres: f64,
     ) -> Option<(MotionPrior, f64)> {
         failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS, told);
-        let motion = Motion {
-            last: Rigid2::identity(),
-            seconds: SECONDS,
-            is_measured: true,
-            between_readings: None,
-            tracking_yaw: 0.0,
-        };
+        let motion = Motion::measured(SECONDS);
         failure
             .add_measured(motion, &MotionPrior { prediction: Rigid2::new(metres, 0.0, 0.0), sigmas: SIGMAS })
     }
@@ -242,13 +236,7 @@ mod tests {
     fn a_velocity_of_long_ago_says_nothing() {
         let mut failure = OdometryFailure::default();
         failure.add_motion(&Rigid2::new(1.0, 0.0, 0.0), 2.0, Told::Well);
-        let motion = Motion {
-            last: Rigid2::identity(),
-            seconds: SECONDS,
-            is_measured: true,
-            between_readings: None,
-            tracking_yaw: 0.0,
-        };
+        let motion = Motion::measured(SECONDS);
         let standing = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };
         assert!(failure.add_measured(motion, &standing).is_none());
     }

@@ -415,16 +415,8 @@ mod tests {
         options.use_online_correlative_scan_matching = true;
         let extras = LocalSlamExtras { adaptive_search: true, ..LocalSlamExtras::default() };
         let mut tracker = Tracker::new(&options, &extras).unwrap();
-        let mut is_gap = |seconds| {
-            let motion = Motion {
-                last: Rigid2::identity(),
-                seconds,
-                is_measured: true,
-                between_readings: None,
-                tracking_yaw: 0.0,
-            };
-            tracker.bridge(motion, &Rigid2::new(1.0, 0.0, 0.0), None).is_some()
-        };
+        let mut is_gap =
+            |seconds| tracker.bridge(Motion::measured(seconds), &Rigid2::new(1.0, 0.0, 0.0), None).is_some();
         assert!((0..50).all(|_| !is_gap(0.1)));
         assert!(!is_gap(2.5) && is_gap(5.0));
         assert!((0..50).all(|_| !is_gap(0.1)));
