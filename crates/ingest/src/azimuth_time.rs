@@ -70,6 +70,8 @@ pub struct Turn {
     pub begin_radians: f32,
     /// Whether the head turns clockwise, seen from above.
     pub is_clockwise: bool,
+    /// How long a turn takes, in intervals between clouds: 1, or less where clouds are missing again and again.
+    pub in_intervals: f64,
 }
 
 /// Neighbouring points farther apart than this are of other beams, radians.
@@ -133,6 +135,23 @@ fn sense_of_turn<'a>(points: impl Iterator<Item = &'a Point3f>) -> f32 {
     if forward >= 0 { 1.0 } else { -1.0 }
 }
 
+/// Parts of a cloud, and how much alike the azimuths in each must be (mean resultant length) if the points stand in the order in which
+/// they were measured.
+const BLOCKS: usize = 8;
+const ALIKE: f32 = 0.8;
+
+/// Whether the points of a turn stand in the order of their azimuth, all beams of one firing together: then the first one is where the
+/// turn begins. Many drivers write one beam after the other, from an azimuth of their own.
+pub(crate) fn is_in_firing_order(points: &[Point3f]) -> bool {
+    let blocks = points.chunks(points.len().div_ceil(BLOCKS).max(1));
+    let alike = blocks.map(|block| {
+        let sums = block.iter().map(azimuth).fold((0.0, 0.0), |(c, s), a| (c + a.cos(), s + a.sin()));
+        f32::hypot(sums.0, sums.1) / block.len() as f32
+    });
+    // NaN, where points have no azimuth, says no.
+    alike.sum::<f32>() / BLOCKS as f32 > ALIKE
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -175,10 +194,22 @@ mod tests {
     }
 
     #[test]
+    fn the_order_of_firing_is_told_from_that_of_beams() {
+        for clockwise in [true, false] {
+            for by_ring in [true, false] {
+                let points: Vec<Point3f> =
+                    turn(clockwise, by_ring).points.iter().map(|p| p.position).collect();
+                assert_eq!(is_in_firing_order(&points), !by_ring, "{clockwise}");
+            }
+        }
+        assert!(!is_in_firing_order(&[]) && !is_in_firing_order(&[Point3f::new(f32::NAN, 1.0, 1.0); 9]));
+    }
+
+    #[test]
     fn where_turns_begin_may_be_known_better_than_by_the_first_point() {
         // The points come from the left on, counter-clockwise; the head turns clockwise from behind.
         let mut points = turn(false, true);
-        let known = Turn { begin_radians: PI, is_clockwise: true };
+        let known = Turn { begin_radians: PI, is_clockwise: true, in_intervals: 1.0 };
         let (stamp, meaning) = (Time::from_ros(100, 0), AzimuthTimes::FromStamp);
         assign(&mut points, &TimedTurn { stamp, seconds: 0.1, meaning, turn: Some(known) });
         let end = points.time.seconds_since(stamp);

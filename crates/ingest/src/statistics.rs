@@ -4,6 +4,7 @@ use portolan_geometry::{Point3f, Vector3};
 use portolan_numeric::median;
 use portolan_recording::{Imu, LaserScan, MultiEchoLaserScan, PointCloud2};
 
+use crate::azimuth_time::is_in_firing_order;
 use crate::point_cloud2::CloudLayout;
 use crate::point_time::{PointTime, TimeSpan, detect};
 use crate::skew::{Skew, SkewEstimator};
@@ -54,6 +55,10 @@ pub struct RangeStatistics {
     /// How much of the motion of the lidar is in its clouds; none if it did not move while it was looked at, or if
     /// clouds are no sweeps in space.
     pub skew: Option<Skew>,
+    /// Whether the lidar stood while it was looked at, so that nothing can be said of the motion in its clouds.
+    pub only_stood: bool,
+    /// Whether the points of clouds without times stand in the order in which a spinning lidar measured them.
+    pub is_in_firing_order: bool,
 }
 
 impl RangeStatistics {
@@ -104,6 +109,8 @@ pub(crate) struct RangeSampler {
     sweeps: Vec<f64>,
     time_spans: Vec<TimeSpan>,
     skew: SkewEstimator,
+    /// Clouds whose points stand in the order of firing, less those whose do not.
+    in_firing_order: i64,
     sweep: Vec<Point3f>,
     times: Vec<f64>,
     /// Metres in one unit of the coordinates of clouds, once a cloud told it.
@@ -124,6 +131,7 @@ impl Default for RangeSampler {
             sweeps: Vec::new(),
             time_spans: Vec::new(),
             skew: SkewEstimator::default(),
+            in_firing_order: 0,
             sweep: Vec::new(),
             times: Vec::new(),
             length_unit: None,
@@ -231,11 +239,14 @@ impl RangeSampler {
         let span = self.time_spans.last().filter(|_| layout.has_time());
         match span {
             None if layout.has_time() => {}
-            None => self.skew.add(&self.sweep, None),
+            None => {
+                self.in_firing_order += if is_in_firing_order(&self.sweep) { 1 } else { -1 };
+                self.skew.add(cloud.header.stamp, &self.sweep, None);
+            }
             Some(span) if span.span > 0.0 => {
                 let share = |time: &f64| ((time - span.least) / span.span).clamp(0.0, 1.0) as f32;
                 let shares: Vec<f32> = self.times.iter().map(share).collect();
-                self.skew.add(&self.sweep, Some(&shares));
+                self.skew.add(cloud.header.stamp, &self.sweep, Some(&shares));
             }
             Some(_) => {}
         }
@@ -313,6 +324,8 @@ impl RangeSampler {
             saturation_range,
             sweep_duration,
             skew: self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty)),
+            only_stood: self.skew.only_stood(),
+            is_in_firing_order: self.in_firing_order > 0,
         }
     }
 }

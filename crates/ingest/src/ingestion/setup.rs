@@ -92,7 +92,7 @@ pub(super) fn sensors(
         let is_asked = range.azimuth_times != AzimuthTimes::Off && rate > 0.0 && rate.is_finite();
         let by_azimuth = is_asked.then(|| TimesByAzimuth {
             meaning: range.azimuth_times,
-            clock: TurnClock::new(1.0 / rate),
+            clock: TurnClock::new(range.turn.map_or(1.0, |turn| turn.in_intervals) / rate),
             keeps_stamps: stamps == StampPolicy::AsIs,
             turn: range.turn,
         });

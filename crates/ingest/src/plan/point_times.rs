@@ -115,11 +115,29 @@ fn by_azimuth_or_none(
         );
         return PointTimes::OF_STAMP;
     }
-    let by_azimuth = AzimuthTimes::of_stamps(chosen.survey.lag, 1.0 / statistics.rate);
+    // Points that stand beam by beam may begin anywhere in the turn, and times counted from there distort more than none. Of who stood,
+    // it is not known whether they would.
+    if turn.is_none() && !statistics.only_stood && !statistics.is_in_firing_order {
+        plan.note(
+            format!(
+                "the points of {topic} have no times, and neither whether they are de-skewed nor where turns begin is \
+                 known: all count as measured at the stamp"
+            ),
+            CHANGE,
+        );
+        return PointTimes::OF_STAMP;
+    }
+    let interval = 1.0 / statistics.rate;
+    let seconds = turn.map_or(1.0, |turn| turn.in_intervals) * interval;
+    let by_azimuth = AzimuthTimes::of_stamps(chosen.survey.lag, seconds);
     let when = by_azimuth.where_stamp_is();
     let how = turn.map_or_else(String::new, |turn| {
         let way = if turn.is_clockwise { "clockwise" } else { "counter-clockwise" };
-        format!(", go {way} from azimuth {:.0}°", turn.begin_radians.to_degrees())
+        let missing = match turn.in_intervals < 1.0 {
+            true => format!(", and take {seconds:.2} s of the {interval:.2} s between clouds"),
+            false => String::new(),
+        };
+        format!(", go {way} from azimuth {:.0}°{missing}", turn.begin_radians.to_degrees())
     });
     plan.note(
         format!(

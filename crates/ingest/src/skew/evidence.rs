@@ -23,19 +23,21 @@ pub(super) struct TurnTimes {
     pub begin: f32,
     /// 1 where phases grow with time, −1 where they fall.
     pub sense: f32,
+    /// How long a turn takes, in intervals between clouds: 1, or 1/2 where every other cloud is missing.
+    pub part: f64,
 }
 
 impl TurnTimes {
     /// Phases are shares of the sweep already.
-    pub const OF_SHARES: Self = Self { begin: 0.0, sense: 1.0 };
+    pub const OF_SHARES: Self = Self { begin: 0.0, sense: 1.0, part: 1.0 };
 
-    /// Share of the turn since its middle, −0.5 to 0.5.
+    /// Time since the middle of the turn, in intervals between clouds.
     pub fn share(&self, phase: f32) -> f64 {
         // The last point of a sweep is at its end, not at its beginning.
         if *self == Self::OF_SHARES {
             return f64::from(phase) - 0.5;
         }
-        f64::from((self.sense * (phase - self.begin)).rem_euclid(1.0)) - 0.5
+        self.part * (f64::from((self.sense * (phase - self.begin)).rem_euclid(1.0)) - 0.5)
     }
 }
 
@@ -174,7 +176,7 @@ pub(super) fn largest_steps(pairs: &[&Pair], of_one: Step, one: TurnTimes) -> Op
 
 fn turns() -> impl Iterator<Item = TurnTimes> {
     let begin = |i: usize| i as f32 / BINS as f32;
-    (0..BINS).flat_map(move |i| [1.0, -1.0].map(|sense| TurnTimes { begin: begin(i), sense }))
+    (0..BINS).flat_map(move |i| [1.0, -1.0].map(|sense| TurnTimes { begin: begin(i), sense, part: 1.0 }))
 }
 
 /// Normal equations of the times of all phases, poses eliminated: first of translation, then of rotation.

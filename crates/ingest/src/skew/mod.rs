@@ -12,7 +12,8 @@
 //! in the points, 0: none), follow from linear least squares with the poses eliminated (`evidence`). As nearest points are paired anew when
 //! points move, one step of that finds a third of the way; the factor is therefore where the step vanishes, on the
 //! line through the steps at 0 and at 1. Its standard deviation is that of sums over directions taken as
-//! independent. What the factors mean is believed if sweeps do not fit clearly better otherwise (`fit`).
+//! independent. What the factors mean is believed if sweeps do not fit clearly better otherwise (`fit`). Where every other
+//! cloud is missing a turn takes half of the interval between clouds, and half of its motion is in the points (`turn_part`).
 
 mod beams;
 mod evidence;
@@ -21,10 +22,11 @@ mod follow;
 mod target;
 #[cfg(test)]
 mod tests;
+mod turn_part;
 
 use std::f32::consts::{PI, TAU};
 
-use portolan_geometry::{Point3f, Vector2};
+use portolan_geometry::{Point3f, Time, Vector2};
 
 use crate::azimuth_time::Turn;
 use crate::beam_elevation::ElevationOffset;
@@ -58,6 +60,9 @@ pub struct Skew {
     pub begin_radians: f32,
     /// Whether the head turns clockwise, seen from above. Without meaning if points have times.
     pub is_clockwise: bool,
+    /// How long a turn takes, in intervals between clouds: 1, or less where clouds are missing again and again. Factors are in units of
+    /// the motion during a turn.
+    pub turn_in_intervals: f64,
     /// Whether sweeps fit better if the motion in their points is taken for another one than the factors say.
     pub is_contradicted: bool,
     /// What the elevations of all beams are off by, once it is known how much of the motion is in the points.
@@ -89,9 +94,9 @@ pub enum SkewState {
 }
 
 impl SkewFactor {
-    /// What it means.
-    pub fn state(&self) -> SkewState {
-        if self.sigma.is_nan() || self.sigma > SURE {
+    /// What it means, if a turn takes so many intervals between clouds.
+    fn state(&self, turn_in_intervals: f64) -> SkewState {
+        if self.sigma.is_nan() || self.sigma * turn_in_intervals > SURE {
             SkewState::Unknown
         } else if self.factor.abs() <= NEAR && self.at_most < 1.0 - NEAR {
             SkewState::Removed
@@ -104,7 +109,7 @@ impl SkewFactor {
         }
     }
 
-    /// In units of the motion during such a part of the interval between clouds.
+    /// In units of the motion during such a part of what they were in units of.
     fn of_part(self, part: f64) -> Self {
         let [factor, sigma, at_most] = [self.factor, self.sigma, self.at_most].map(|v| v / part);
         Self { factor, sigma, at_most }
@@ -117,8 +122,9 @@ impl Skew {
         if self.is_contradicted {
             return SkewState::Unknown;
         }
-        match (self.translation.state(), self.rotation.state()) {
-            (SkewState::Unknown, _) | (_, SkewState::Unknown) => self.combined().state(),
+        let state = |factor: SkewFactor| factor.state(self.turn_in_intervals);
+        match (state(self.translation), state(self.rotation)) {
+            (SkewState::Unknown, _) | (_, SkewState::Unknown) => state(self.combined()),
             (translation, rotation) if translation == rotation => translation,
             _ => SkewState::Partial,
         }
@@ -146,7 +152,7 @@ impl Skew {
         }
     }
 
-    /// In units of the motion during such a part of the interval between clouds.
+    /// In units of the motion during such a part of what they were in units of.
     pub(crate) fn of_part(self, part: f64) -> Self {
         let (translation, rotation) = (self.translation.of_part(part), self.rotation.of_part(part));
         Self { translation, rotation, ..self }
@@ -164,7 +170,8 @@ impl Skew {
 
     /// How the lidar turns.
     pub(crate) fn turn(&self) -> Turn {
-        Turn { begin_radians: self.begin_radians, is_clockwise: self.is_clockwise }
+        let Self { begin_radians, is_clockwise, turn_in_intervals, .. } = *self;
+        Turn { begin_radians, is_clockwise, in_intervals: turn_in_intervals }
     }
 }
 
@@ -174,8 +181,13 @@ pub(crate) struct SkewEstimator {
     pending: Vec<Sample>,
     batches: Vec<Batch>,
     has_times: bool,
+    /// Seconds between the last two sweeps.
+    interval: f64,
+    last: Option<Time>,
     /// Edge of the voxels that thin sweeps, metres; follows from the sweeps before.
     edge: f32,
+    /// Whether sweeps were seen from one place.
+    stood: bool,
     skew: Option<Skew>,
 }
 
@@ -189,10 +201,11 @@ struct Batch {
 impl SkewEstimator {
     /// Takes the points of the next sweep, in the frame of the lidar, metres, each with the share of the sweep that
     /// had passed (0 to 1) if that is known. Sweeps must follow each other.
-    pub fn add(&mut self, points: &[Point3f], shares: Option<&[f32]>) {
+    pub fn add(&mut self, stamp: Time, points: &[Point3f], shares: Option<&[f32]>) {
         if self.is_done() {
             return;
         }
+        self.interval = self.last.replace(stamp).map_or(0.0, |last| stamp.seconds_since(last));
         self.has_times = shares.is_some();
         let phase = |(i, p): (usize, &Point3f)| match shares {
             Some(shares) => shares.get(i).copied().unwrap_or(0.5),
@@ -213,6 +226,11 @@ impl SkewEstimator {
         self.batches.len() >= MAX_BATCHES || self.skew.is_some_and(is_known)
     }
 
+    /// Whether the lidar stood as long as it was looked at.
+    pub fn only_stood(&self) -> bool {
+        self.stood && self.batches.is_empty()
+    }
+
     /// What is known by now; none as long as nothing moved.
     pub fn skew(&self) -> Option<Skew> {
         self.skew
@@ -221,6 +239,7 @@ impl SkewEstimator {
     fn judge(&mut self) {
         let samples = std::mem::take(&mut self.pending);
         if follow::stands(&samples) {
+            self.stood = true;
             return;
         }
         let Some(as_is) = follow::follow(&samples, None, None) else { return };
@@ -235,7 +254,7 @@ impl SkewEstimator {
             false => evidence::most_likely_turn(&as_is)?,
         };
         for round in 0.. {
-            let straightened = self.straightened(times)?;
+            let mut straightened = self.straightened(times)?;
             let pairs: Vec<_> = straightened.iter().flat_map(|f| &f.pairs).collect();
             let better =
                 evidence::better_turn(&pairs, times).filter(|_| !self.has_times && round < SEAM_ROUNDS);
@@ -250,6 +269,10 @@ impl SkewEstimator {
                 evidence::largest_steps(&as_is, at_none, times)?
             };
             let mut skew = skew(at_none, at_all, largest, times);
+            if let Some((shorter, fits)) = self.shorter_turn(&skew, times, &straightened) {
+                (times, straightened) = (shorter, fits);
+                skew = Skew { turn_in_intervals: times.part, ..skew.of_part(times.part) };
+            }
             skew.is_contradicted = self.is_contradicted(skew.state(), &straightened);
             skew.elevation = match skew.state() {
                 SkewState::Raw => beams::elevation(&self.batches, &straightened, Some(times)),
@@ -275,6 +298,20 @@ impl SkewEstimator {
                 .any(|straightened| fits_worse_as_is(&straightened)),
             SkewState::Partial | SkewState::Unknown => false,
         }
+    }
+
+    /// The same turn in a part of the interval between clouds, with the sweeps as they are then, if that is what factors say and sweeps fit
+    /// clearly better so.
+    fn shorter_turn(
+        &self,
+        skew: &Skew,
+        times: TurnTimes,
+        straightened: &[Followed],
+    ) -> Option<(TurnTimes, Vec<Followed>)> {
+        let one_in = if self.has_times { None } else { turn_part::one_cloud_in(skew, self.interval) };
+        let times = TurnTimes { part: one_in?.recip(), ..times };
+        let shorter = self.straightened(times)?;
+        fit::is_better(straightened, &shorter).then_some((times, shorter))
     }
 
     /// All sweeps with the motion of such turns taken out; none if they do not fit then.
@@ -311,6 +348,7 @@ fn skew(at_none: Step, at_all: Step, largest: Vector2, times: TurnTimes) -> Skew
         rotation: part(|both| both.y),
         begin_radians: times.begin * TAU - PI,
         is_clockwise: times.sense < 0.0,
+        turn_in_intervals: 1.0,
         is_contradicted: false,
         elevation: None,
     }

@@ -1,4 +1,4 @@
-use portolan_geometry::{Rigid3, Vector3, nalgebra::Point3, quaternion_from_angle_axis};
+use portolan_geometry::{Duration, Rigid3, Vector3, nalgebra::Point3, quaternion_from_angle_axis};
 
 use super::*;
 use crate::beam_elevation::Raise;
@@ -66,11 +66,15 @@ fn sweep(index: usize, factor: f64, motion: impl Fn(f64) -> Rigid3) -> (Vec<Poin
     points.into_iter().unzip()
 }
 
+fn at(index: usize) -> Time {
+    Time::from_unix_seconds(1e9) + Duration::from_seconds(PERIOD * index as f64)
+}
+
 fn estimated(factor: f64, has_times: bool, motion: impl Fn(f64) -> Rigid3 + Copy) -> Option<Skew> {
     let mut estimator = SkewEstimator::default();
     for index in 0..MAX_BATCHES * SWEEPS_OF_A_BATCH {
         let (points, shares) = sweep(index, factor, motion);
-        estimator.add(&points, has_times.then_some(&shares));
+        estimator.add(at(index), &points, has_times.then_some(&shares));
         if estimator.is_done() {
             break;
         }
@@ -103,13 +107,22 @@ fn a_part_is_a_part() {
 }
 
 #[test]
+fn every_other_cloud_of_a_lidar_is_known_by_the_motion_in_its_points() {
+    // Half of the motion between clouds is in the points.
+    let skew = estimated(0.5, false, pose).unwrap();
+    assert_eq!((skew.state(), skew.turn_in_intervals), (SkewState::Raw, 0.5), "{skew:?}");
+    assert!(skew.is_clockwise && (skew.begin_radians.to_degrees() - 90.0).abs() <= 10.0, "{skew:?}");
+    assert_eq!(estimated(1.0, false, pose).unwrap().turn_in_intervals, 1.0);
+}
+
+#[test]
 fn beams_that_point_too_low_are_found_and_right_ones_are_left() {
     for (error, factor, has_times) in [(0.008, 1.0, true), (0.0, 1.0, true), (0.0, 0.0, false)] {
         let mut estimator = SkewEstimator::default();
         for index in 0..MAX_BATCHES * SWEEPS_OF_A_BATCH {
             let (points, shares) = sweep(index, factor, pose);
             let lowered: Vec<Point3f> = points.iter().map(|p| Raise::new(-error).point(p)).collect();
-            estimator.add(&lowered, has_times.then_some(&shares));
+            estimator.add(at(index), &lowered, has_times.then_some(&shares));
             if estimator.is_done() {
                 break;
             }
@@ -135,8 +148,8 @@ fn clouds_of_any_kind_do_no_harm() {
     for points in [vec![], vec![Point3f::origin(); 3], wild, line, vec![Point3f::new(5.0, 5.0, 5.0); 3000]] {
         for shares in [None, Some(vec![0.5; points.len()]), Some(vec![f32::NAN; points.len()])] {
             let mut estimator = SkewEstimator::default();
-            for _ in 0..3 * SWEEPS_OF_A_BATCH {
-                estimator.add(&points, shares.as_deref());
+            for index in 0..3 * SWEEPS_OF_A_BATCH {
+                estimator.add(at(index), &points, shares.as_deref());
             }
             let state = estimator.skew().map_or(SkewState::Unknown, |skew| skew.state());
             assert_eq!(state, SkewState::Unknown);
