@@ -2,7 +2,7 @@
 
 use portolan_config::Options;
 use portolan_geometry::Dimension;
-use portolan_ingest::{AzimuthTimes, PlannedRange, RangeStatistics, SensorPlan, SensorStatistics};
+use portolan_ingest::{RangeStatistics, SensorPlan, SensorStatistics};
 
 /// Beams that lie further apart than this on a typical wall, metres, do not fill cells of 5 cm.
 const SPARSE_BEAM_SPACING: f64 = 0.05;
@@ -13,8 +13,6 @@ const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
 /// Enough for single walls in recordings of a minute, and less than what one of ten minutes tries anyway.
 const MIN_SEARCHES: usize = 1000;
 
-/// No lidar turns more slowly; clouds a second.
-const KEY_FRAME_RATE: f64 = 4.0;
 /// Sweeps of 10 Hz come at up to so many more, clouds a second.
 const STAMP_JITTER: f64 = 1.0;
 /// Range data are gathered to scans of at most about this long, seconds.
@@ -106,22 +104,18 @@ pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
 /// Options for mapping in 3D with the sensors of a recording.
 pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
     let mut options = settings_for(&Sensors::of(plan, statistics, Dimension::Three));
-    if let ([planned], [(_, range)]) = (&plan.range[..], &statistics.range[..])
-        && is_scan_each(planned, range)
+    if let [(_, range)] = &statistics.range[..]
+        && is_scan_each(range)
     {
         options.portolan.min_scan_duration = 0.0;
     }
     options
 }
 
-/// Whether each cloud is a scan: clouds that come as rarely as key frames, and sweeps whose points are all of one moment, which do not
-/// say how long they took.
-fn is_scan_each(planned: &PlannedRange, range: &RangeStatistics) -> bool {
-    let is_cloud = range.vertical_field_of_view > 0.0;
-    let is_of_one_moment =
-        is_cloud && planned.point_time.is_none() && planned.azimuth_times == AzimuthTimes::Off;
-    let enough = if is_of_one_moment { 1.0 / MAX_SCAN_DURATION + STAMP_JITTER } else { KEY_FRAME_RATE };
-    range.rate > 0.0 && range.rate < enough
+/// Whether each message is a scan: not if several scanners take turns, or a turn of one comes in pieces. How long a scan takes by the times of
+/// its points does not tell: clouds may be cropped, or of one moment.
+fn is_scan_each(range: &RangeStatistics) -> bool {
+    range.rate > 0.0 && range.rate < 1.0 / MAX_SCAN_DURATION + STAMP_JITTER
 }
 
 fn settings_2d(sensors: &Sensors) -> Options {

@@ -1,5 +1,7 @@
 //! Choosing range sensors, and whether to map in 2D or in 3D.
 
+use std::cmp::Ordering;
+
 use portolan_geometry::{Dimension, Vector3};
 use portolan_sensor::SensorKind;
 
@@ -17,6 +19,9 @@ const MAX_TILT_DEGREES: f64 = 20.0;
 const MIN_VERTICAL_DEGREES: f64 = 5.0;
 /// … and one with at least this horizontal field of view is from a lidar rather than a depth camera.
 const MIN_HORIZONTAL_DEGREES: f64 = 150.0;
+
+/// Frames that move against every sensor, by convention of programs for mapping: what they put there are results.
+const FIXED_FRAMES: [&str; 7] = ["map", "odom", "world", "earth", "camera_init", "odom_lidar", "global"];
 
 /// The range sensors: those asked for, or all that fit together. Sets the dimension.
 pub(super) fn choose<'a>(
@@ -71,7 +76,9 @@ fn without_results<'a>(
 ) -> Vec<Chosen<'a>> {
     let is_result = |t: &TopicSurvey| {
         let frame = t.frame.as_deref().unwrap_or("");
-        frame == options.map_frame || matches!(frame, "map" | "odom" | "world" | "earth")
+        // Robots put their name before it.
+        let name = frame.rsplit('/').next().unwrap_or(frame);
+        frame == options.map_frame || FIXED_FRAMES.contains(&name)
     };
     let (results, sensors): (Vec<_>, Vec<_>) = candidates.into_iter().partition(|t| is_result(t));
     for result in results {
@@ -87,13 +94,26 @@ fn without_results<'a>(
     sensors.into_iter().map(Chosen::named_after_topic).collect()
 }
 
-/// Of several topics of one frame, which are the same scans processed in several ways, the one with most
-/// messages (then the shortest name, then the first by name).
-fn one_per_frame<'a>(sensors: Vec<Chosen<'a>>, plan: &mut SensorPlan) -> Vec<Chosen<'a>> {
-    let better = |a: &Chosen, b: &Chosen| {
-        let count = |c: &Chosen| c.survey.info.count.unwrap_or(c.survey.seen);
-        (count(b), a.topic().len(), a.topic()) < (count(a), b.topic().len(), b.topic())
+/// The order of topics that hold the same scans processed in several ways, the best first: clouds with times of points before others, then
+/// those with more points in all, then the topic with more messages, the shorter name, the first by name.
+fn by_rawness(a: &Chosen, b: &Chosen) -> Ordering {
+    let count = |c: &Chosen| c.survey.info.count.unwrap_or(c.survey.seen);
+    let points = |c: &Chosen| {
+        let returns = c.survey.range.as_ref().filter(|_| is_cloud(c)).map_or(0, |range| range.returns);
+        returns as u64 * count(c)
     };
+    let has_times = |c: &Chosen| is_cloud(c) && c.survey.point_time.is_some();
+    has_times(b)
+        .cmp(&has_times(a))
+        .then_with(|| points(b).cmp(&points(a)))
+        .then_with(|| count(b).cmp(&count(a)))
+        .then_with(|| a.topic().len().cmp(&b.topic().len()))
+        .then_with(|| a.topic().cmp(b.topic()))
+}
+
+/// Of several topics of one frame, which are the same scans processed in several ways, the rawest.
+fn one_per_frame<'a>(sensors: Vec<Chosen<'a>>, plan: &mut SensorPlan) -> Vec<Chosen<'a>> {
+    let better = |a: &Chosen, b: &Chosen| by_rawness(a, b).is_lt();
     let mut kept: Vec<Chosen> = Vec::new();
     for sensor in sensors {
         let twin = kept.iter_mut().find(|k| {

@@ -151,6 +151,31 @@ fn odometry_in_transforms_and_results_of_mapping() {
 }
 
 #[test]
+fn the_raw_cloud_is_mapped_and_not_what_programs_made_of_it() {
+    let timeless = |t: f64| timeless(t, 0.0);
+    let half = |t: f64| {
+        let Message::PointCloud2(mut message) = timeless(t) else { panic!() };
+        message.width /= 2;
+        let length = message.data.len() / 2;
+        message.data.truncate(length);
+        Message::PointCloud2(message)
+    };
+    // Shorter names and an earlier place in the alphabet do not help.
+    let clouds = recording(&[("/cropped", &half), ("/velodyne_points", &timeless)]);
+    let plan = planned(&clouds, &IngestOptions::default()).unwrap();
+    assert_eq!(topics(&plan), ["/velodyne_points"]);
+    let with_times = recording(&[("/driver/points_raw", &|t| cloud(t, "lidar")), ("/points", &timeless)]);
+    let plan = planned(&with_times, &IngestOptions::default()).unwrap();
+    assert_eq!(topics(&plan), ["/driver/points_raw"]);
+    // What a program for mapping put into its own frame.
+    let registered =
+        recording(&[("/cloud_registered", &|t| cloud(t, "robot/camera_init")), ("/points", &timeless)]);
+    let plan = planned(&registered, &IngestOptions::default()).unwrap();
+    assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/points"], "lidar"));
+    assert!(plan.notices.iter().any(|n| n.what.contains("is that of a map")), "{:?}", plan.notices);
+}
+
+#[test]
 fn a_lone_scanner_and_nothing_at_all() {
     let lone = recording(&[("/scan", &|t| scan(t, "laser")), ("/odom", &|t| odometry(t, t))]);
     let plan = planned(&lone, &IngestOptions::default()).unwrap();
