@@ -134,6 +134,14 @@ impl HybridGrid {
         PROBABILITY_CODE.decode(self.code(cell), MIN_PROBABILITY)
     }
 
+    /// The probabilities of the eight cells from `low` to `low + (1, 1, 1)`, in the order of [`VoxelMap::corners`].
+    #[inline]
+    pub fn corner_probabilities(&self, low: VoxelIndex) -> [f32; 8] {
+        let decode =
+            |code: Option<u16>| PROBABILITY_CODE.decode(code.unwrap_or(UNKNOWN_CELL), MIN_PROBABILITY);
+        self.cells.corners(low).map(decode)
+    }
+
     /// Sets the probability of a cell, clamped to [0.1, 0.9]. Whether there is such a cell.
     pub fn set_probability(&mut self, cell: VoxelIndex, probability: f32) -> bool {
         self.set_code(cell, PROBABILITY_CODE.encode(probability))

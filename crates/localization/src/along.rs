@@ -5,6 +5,7 @@
 //! where all that was ever hit is kept (a histogram filter of one dimension: Thrun, Burgard and Fox, "Probabilistic
 //! Robotics", §4.1).
 
+use nalgebra as na;
 use portolan_geometry::{Point3f, Vector3};
 use portolan_grids::{GridError, HybridGrid, VoxelIndex};
 
@@ -24,6 +25,13 @@ const MOST_POINTS: usize = 1000;
 /// How solid the submaps say that places are.
 pub(crate) struct SolidField {
     cells: HybridGrid,
+}
+
+/// Eight cells around a place, and how solid they are.
+#[derive(Clone, Copy, Default)]
+struct Cube {
+    first: Option<VoxelIndex>,
+    probabilities: [f32; 8],
 }
 
 /// A place along a direction.
@@ -55,18 +63,33 @@ impl SolidField {
         }
     }
 
-    /// How likely a place is solid, between the centres of cells.
-    fn at(&self, place: &Point3f) -> f64 {
+    /// How likely a place is solid, between the centres of cells. `around` are the cells around the place that was asked
+    /// before it: neighbouring places most often lie between the same ones.
+    #[inline]
+    fn at(&self, place: &Point3f, around: &mut Cube) -> f64 {
         let scaled = place.coords / self.cells.resolution();
         let low = scaled.map(f32::floor);
         let part = scaled - low;
-        let corner = |bits: i32| {
-            let side = [bits & 1, bits >> 1 & 1, bits >> 2 & 1];
-            let weight = |axis: usize| if side[axis] == 1 { part[axis] } else { 1.0 - part[axis] };
-            let cell: VoxelIndex = [0, 1, 2].map(|axis| low[axis] as i32 + side[axis]);
-            weight(0) * weight(1) * weight(2) * self.cells.probability(cell)
-        };
+        let first = [low.x as i32, low.y as i32, low.z as i32];
+        if around.first != Some(first) {
+            *around = Cube { first: Some(first), probabilities: self.cells.corner_probabilities(first) };
+        }
+        let [x, y, z] = [0, 1, 2].map(|axis| [1.0 - part[axis], part[axis]]);
+        let corner = |bits: usize| x[bits & 1] * y[bits >> 1 & 1] * z[bits >> 2] * around.probabilities[bits];
         f64::from((0..8).map(corner).sum::<f32>())
+    }
+
+    /// Sums of the logarithms of how likely points are solid, moved by each shift along a direction.
+    fn log_likelihoods(&self, points: &[&Point3f], direction: &Vector3, shifts: &[f64]) -> Vec<f64> {
+        let moves: Vec<na::Vector3<f32>> = shifts.iter().map(|shift| (*shift * direction).cast()).collect();
+        let mut sums = vec![0.0; shifts.len()];
+        for point in points {
+            let mut around = Cube::default();
+            for (sum, by) in sums.iter_mut().zip(&moves) {
+                *sum += self.at(&(*point + by), &mut around).ln();
+            }
+        }
+        sums
     }
 
     /// Where points (metres, in the map) lie along a direction of unit length, within `reach` metres to either side: mean
@@ -76,12 +99,8 @@ impl SolidField {
         let points_of_one = points.len() as f64 / asked.len().max(1) as f64;
         let count = (reach / STEP).round().max(1.0) as i32;
         let shifts: Vec<f64> = (-count..=count).map(|i| f64::from(i) * STEP).collect();
-        let log_likelihood = |shift: &f64| {
-            let by = (*shift * direction).cast::<f32>();
-            let sum: f64 = asked.iter().map(|point| self.at(&(*point + by)).ln()).sum();
-            sum * points_of_one / POINTS_PER_INDEPENDENT_ONE
-        };
-        let logs: Vec<f64> = shifts.iter().map(log_likelihood).collect();
+        let sums = self.log_likelihoods(&asked, direction, &shifts).into_iter();
+        let logs: Vec<f64> = sums.map(|sum| sum * points_of_one / POINTS_PER_INDEPENDENT_ONE).collect();
         let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let weights: Vec<f64> = logs.iter().map(|log| (log - most).exp()).collect();
         let all: f64 = weights.iter().sum();

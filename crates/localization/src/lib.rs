@@ -15,6 +15,7 @@ mod known_cells;
 mod known_map;
 mod likelihood;
 mod localizer;
+mod near_cells;
 mod occupancy;
 mod own_scans;
 mod pace;

@@ -90,6 +90,7 @@ impl OccupancyBuilder {
 
 impl Occupancy {
     /// The cell of a point; none where there can be none.
+    #[inline]
     pub fn cell(&self, point: &Point3f) -> Option<VoxelIndex> {
         self.lattice.cell(point)
     }
@@ -100,11 +101,13 @@ impl Occupancy {
     }
 
     /// Whether a cell is solid.
+    #[inline]
     pub fn is_solid(&self, cell: VoxelIndex) -> bool {
         self.cells.get(cell) == Some(VoxelState::Solid)
     }
 
     /// Whether beams went through a cell, or what was there is gone.
+    #[inline]
     pub fn is_free_cell(&self, cell: VoxelIndex) -> bool {
         self.cells.get(cell) == Some(VoxelState::Free)
     }

@@ -1,7 +1,7 @@
 //! Where a recording contradicts a map of space: cells in which scans of known places end or pass otherwise than the map
 //! says.
 
-use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use portolan_geometry::{Point3f, Rigid3, Time, Vector3, to_f32};
@@ -14,6 +14,7 @@ use crate::change_regions::regions;
 use crate::changes::{Change, ChangeCounter, ChangeKind, FRACTION, SCANS, VIEWPOINTS};
 use crate::finder::LocalScan;
 use crate::known_map::KnownMap;
+use crate::near_cells::NearCells;
 use crate::occupancy::{CELL, Occupancy, around};
 use crate::placed_scan::PlacedScan;
 use crate::spatial_map::SpatialMap;
@@ -22,6 +23,8 @@ use crate::spatial_map::SpatialMap;
 const RANGE: f32 = 12.0;
 /// Beams pass to so far in front of what they hit, metres.
 const IN_FRONT: f32 = 0.8;
+/// All cells that beams reach, and those beside, are near the scanner.
+const _: () = assert!((RANGE / CELL) as i32 + 1 + 2 <= NearCells::REACH);
 /// A beam goes through a surface if it meets it more steeply than this, as the sine of the angle; else it goes along it.
 const STEEP: f32 = 0.3;
 /// Steps along a beam, and voxels to which scans are thinned, metres.
@@ -127,10 +130,9 @@ impl KnownVoxels {
             && !near(cell).any(|cell| self.occupancy.is_solid(cell) || self.ends.is_known(cell))
     }
 
-    /// Whether a beam goes through what is solid at a point.
-    fn is_pierced(&self, point: &Point3f, cell: VoxelIndex, direction: &nalgebra::Vector3<f32>) -> bool {
-        self.occupancy.is_solid(cell)
-            && self.planes.plane_near(point).is_none_or(|plane| plane.normal.dot(direction).abs() > STEEP)
+    /// Whether a beam goes through the surface at a point, and not along it.
+    fn is_steep(&self, point: &Point3f, direction: &nalgebra::Vector3<f32>) -> bool {
+        self.planes.plane_near(point).is_none_or(|plane| plane.normal.dot(direction).abs() > STEEP)
     }
 }
 
@@ -248,46 +250,68 @@ impl VoxelChanges {
     }
 }
 
-impl ChangeCounter for VoxelChanges {
-    fn add(&mut self, scan: &PlacedScan) {
+impl VoxelChanges {
+    /// Counts the ends of beams; the cells of which they leave nothing more to tell.
+    fn count_ends(&mut self, scan: &PlacedScan, ends: &NearCells) -> NearCells {
         let map = Arc::clone(&self.map);
-        let (pose, origin) = (to_f32(&scan.map_from_local), Point3f::from(scan.origin.cast::<f32>()));
-        let points: Vec<Point3f> =
-            voxel_filter_points(scan.returns, THINNED).into_iter().map(|point| pose * point).collect();
-        let counted = points.iter().filter(|point| (*point - origin).norm() <= RANGE);
-        let ends: BTreeSet<VoxelIndex> = counted.filter_map(|point| map.occupancy.cell(point)).collect();
-        let mut beside: Vec<VoxelIndex> = ends.iter().flat_map(|cell| near(*cell)).collect();
-        beside.sort_unstable();
-        beside.dedup();
-        for cell in ends.iter().filter(|cell| map.is_open(**cell)) {
-            let voxel = self.voxels.entry(*cell).or_insert(Voxel::new(ChangeKind::Appeared));
+        for cell in ends.iter().filter(|cell| map.is_open(*cell)) {
+            let voxel = self.voxels.entry(cell).or_insert(Voxel::new(ChangeKind::Appeared));
             voxel.hits = voxel.hits.saturating_add(1);
             voxel.witness(scan);
         }
         // A point near a cell that was solid is of what was there.
-        for cell in beside.iter().filter(|cell| map.occupancy.is_solid(**cell)) {
-            let voxel = self.voxels.entry(*cell).or_insert(Voxel::new(ChangeKind::Gone));
+        let beside = ends.with_two_around();
+        for cell in beside.iter().filter(|cell| map.occupancy.is_solid(*cell)) {
+            let voxel = self.voxels.entry(cell).or_insert(Voxel::new(ChangeKind::Gone));
             voxel.hits = voxel.hits.saturating_add(1);
         }
-        let beside: HashSet<VoxelIndex> = beside.into_iter().collect();
-        let mut passed: BTreeMap<VoxelIndex, ChangeKind> = BTreeMap::new();
-        for point in &points {
+        beside
+    }
+
+    /// Cells through which beams pass, each once, with what that contradicts. Cells that are `decided` are not looked at.
+    fn passed(
+        &self,
+        points: &[Point3f],
+        origin: &Point3f,
+        decided: NearCells,
+    ) -> Vec<(VoxelIndex, ChangeKind)> {
+        let (map, mut decided, mut passed) = (&self.map, decided, Vec::new());
+        for point in points {
             let beam = point - origin;
             let length = beam.norm();
             let direction = beam / length.max(STEP);
             let steps = ((length - IN_FRONT).min(RANGE) / STEP).max(0.0) as u32;
             for at in (2..steps).map(|i| origin + direction * (i as f32 * STEP)) {
-                let Some(cell) = map.occupancy.cell(&at).filter(|cell| !beside.contains(cell)) else {
+                let Some(cell) = map.occupancy.cell(&at).filter(|cell| !decided.contains(*cell)) else {
                     continue;
                 };
-                if map.is_pierced(&at, cell, &direction) {
-                    passed.insert(cell, ChangeKind::Gone);
+                if map.occupancy.is_solid(cell) {
+                    // Another beam may meet it more steeply.
+                    if !map.is_steep(&at, &direction) {
+                        continue;
+                    }
+                    passed.push((cell, ChangeKind::Gone));
                 } else if self.voxels.get(&cell).is_some_and(|voxel| voxel.kind == ChangeKind::Appeared) {
-                    passed.insert(cell, ChangeKind::Appeared);
+                    passed.push((cell, ChangeKind::Appeared));
                 }
+                decided.insert(cell);
             }
         }
-        for (cell, kind) in passed {
+        passed
+    }
+}
+
+impl ChangeCounter for VoxelChanges {
+    fn add(&mut self, scan: &PlacedScan) {
+        let (pose, origin) = (to_f32(&scan.map_from_local), Point3f::from(scan.origin.cast::<f32>()));
+        let Some(place) = self.map.occupancy.cell(&origin) else { return };
+        let points: Vec<Point3f> =
+            voxel_filter_points(scan.returns, THINNED).into_iter().map(|point| pose * point).collect();
+        let counted = points.iter().filter(|point| (*point - origin).norm() <= RANGE);
+        let mut ends = NearCells::around(place);
+        counted.filter_map(|point| self.map.occupancy.cell(point)).for_each(|cell| ends.insert(cell));
+        let beside = self.count_ends(scan, &ends);
+        for (cell, kind) in self.passed(&points, &origin, beside) {
             let voxel = self.voxels.entry(cell).or_insert(Voxel::new(kind));
             voxel.passes = voxel.passes.saturating_add(1);
             if kind == ChangeKind::Gone {
