@@ -226,4 +226,17 @@ mod tests {
         assert!(grid.is_known(cell) && (grid.probability(cell) - 0.7).abs() < 1e-4);
         assert!(HybridGrid::new(0.0).is_err() && HybridGrid::new(f32::NAN).is_err());
     }
+    #[test]
+    fn corners_have_the_probabilities_of_their_cells() {
+        let (mut grid, mut lcg) = (HybridGrid::new(1.0).unwrap(), Lcg::new(4));
+        let mut cell = || [0; 3].map(|_| lcg.symmetric(6.0) as i32);
+        for i in 0..400 {
+            grid.set_probability(cell(), 0.1 + 0.002 * i as f32);
+        }
+        for low in (0..400).map(|_| cell()).chain([[MAX_VOXEL_INDEX - 1; 3]]) {
+            let expected = [0, 1, 2, 3, 4, 5, 6, 7]
+                .map(|c| grid.probability([low[0] + (c & 1), low[1] + (c >> 1 & 1), low[2] + (c >> 2)]));
+            assert_eq!(grid.corner_probabilities(low), expected, "{low:?}");
+        }
+    }
 }
