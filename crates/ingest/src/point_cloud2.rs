@@ -251,8 +251,8 @@ impl CloudLayout {
     pub fn last_after_stamp(&self, cloud: &PointCloud2, time: PointTime) -> Option<f64> {
         let field = self.time?;
         let middle = self.middle_time(cloud, field);
-        let (_, last) = self.span_of_times(cloud, field, |value| is_near(value, middle, time));
-        last.is_finite().then_some(last * time.unit)
+        let (least, largest) = self.span_of_times(cloud, field, |value| is_near(value, middle, time));
+        largest.is_finite().then(|| (least * time.unit).max(largest * time.unit))
     }
 
     /// Smallest and largest value of points that are there and meet a condition.
@@ -375,7 +375,7 @@ impl CloudLayout {
 
 /// Whether a time value can belong to the sweep whose median it is compared with.
 fn is_near(value: f64, middle: f64, time: PointTime) -> bool {
-    (value - middle).abs() * time.unit <= time.reach
+    (value - middle).abs() * time.unit.abs() <= time.reach
 }
 
 #[cfg(test)]

@@ -37,7 +37,7 @@ pub enum PointTimeOrigin {
 /// How to read the time field of a cloud.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointTime {
-    /// Seconds per unit of the field.
+    /// Seconds per unit of the field; less than zero where values fall with time.
     pub unit: f64,
     /// What values count from.
     pub origin: PointTimeOrigin,

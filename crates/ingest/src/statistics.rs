@@ -24,6 +24,9 @@ const MIN_SPACE: f64 = 5.0;
 /// Turns of spinning lidars a second. Clouds that come more rarely are key frames that somebody chose, not turns.
 const SPINNING_RATES: std::ops::RangeInclusive<f64> = 4.0..=50.0;
 
+/// Sweeps last such a part of the interval between clouds, by times that may be wrong; others tell nothing of the motion.
+const DUTIES: std::ops::Range<f64> = 0.2..5.0;
+
 /// What a range sensor is like. Angles in radians, distances in metres, times in seconds.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct RangeStatistics {
@@ -55,6 +58,8 @@ pub struct RangeStatistics {
     /// How much of the motion of the lidar is in its clouds; none if it did not move while it was looked at, or if
     /// clouds are no sweeps in space.
     pub skew: Option<Skew>,
+    /// What the times of points are to be multiplied with, as the motion in clouds tells; none if they are right as far as is known.
+    pub time_scale: Option<f64>,
     /// Whether the lidar stood while it was looked at, so that nothing can be said of the motion in its clouds.
     pub only_stood: bool,
     /// Whether the points of clouds without times stand in the order in which a spinning lidar measured them.
@@ -308,7 +313,10 @@ impl RangeSampler {
         let sweep_duration = median(&mut sweeps).unwrap_or(0.0);
         // Sweeps that last a part of the interval have a part of its motion in them.
         let duty = interval.map_or(0.0, |interval| sweep_duration / interval);
-        let duty = if (0.2..1.0).contains(&duty) { duty } else { 1.0 };
+        let duty = if DUTIES.contains(&duty) { duty } else { 1.0 };
+        let skew = self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty));
+        let has_times = sweep_duration > 0.0;
+        let time_scale = skew.filter(|_| has_times).and_then(|skew| skew.scale_of_times());
         let vertical = f64::from(self.elevation.1 - self.elevation.0);
         RangeStatistics {
             messages: self.readings.len(),
@@ -323,7 +331,8 @@ impl RangeSampler {
             max_range: quantile(1.0),
             saturation_range,
             sweep_duration,
-            skew: self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty)),
+            skew,
+            time_scale,
             only_stood: self.skew.only_stood(),
             is_in_firing_order: self.in_firing_order > 0,
         }

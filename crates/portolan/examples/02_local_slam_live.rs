@@ -22,6 +22,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         angular_resolution_radians: 1.0_f64.to_radians(),
         median_range_metres: 3.0,
         max_range_metres: 12.0,
+        scans_hz: 10.0,
     };
     let sensors = Sensors { has_odometry: true, ..Sensors::new(Dimension::Two, lidar, "base_link") };
     // A measurement never waits for the pose graph, which works in threads of its own.

@@ -29,6 +29,8 @@ pub struct Lidar {
     /// What it reads where it sees nothing, or else the longest distance that it measures, metres; infinite if that is
     /// not known.
     pub max_range_metres: f64,
+    /// Scans or clouds a second; zero if that is not known.
+    pub scans_hz: f64,
 }
 
 /// What settings depend on of the sensors.
@@ -38,6 +40,8 @@ pub struct Sensors {
     pub dimension: Dimension,
     /// The lidar, or the first of several; none: settings as for any lidar.
     pub lidar: Option<Lidar>,
+    /// Whether there are more of them.
+    pub has_more_lidars: bool,
     /// Whether there is an IMU.
     pub has_imu: bool,
     /// Whether the tracking frame is that of the IMU.
@@ -55,6 +59,7 @@ impl Sensors {
         Self {
             dimension,
             lidar: Some(lidar),
+            has_more_lidars: false,
             has_imu: false,
             tracks_imu: false,
             has_odometry: false,
@@ -67,6 +72,7 @@ impl Sensors {
         Self {
             dimension,
             lidar: statistics.range.first().map(|(_, range)| Lidar::from(range)),
+            has_more_lidars: statistics.range.len() > 1,
             has_imu: plan.imu.is_some(),
             tracks_imu: plan.imu.as_ref().is_some_and(|imu| *imu.source.frame == *plan.tracking_frame),
             has_odometry: plan.odometry.is_some(),
@@ -81,6 +87,7 @@ impl From<&RangeStatistics> for Lidar {
             angular_resolution_radians: range.angular_resolution,
             median_range_metres: range.median_range,
             max_range_metres: range.saturation_range.unwrap_or(range.max_range),
+            scans_hz: range.rate,
         }
     }
 }
@@ -103,19 +110,7 @@ pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
 
 /// Options for mapping in 3D with the sensors of a recording.
 pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
-    let mut options = settings_for(&Sensors::of(plan, statistics, Dimension::Three));
-    if let [(_, range)] = &statistics.range[..]
-        && is_scan_each(range)
-    {
-        options.portolan.min_scan_duration = 0.0;
-    }
-    options
-}
-
-/// Whether each message is a scan: not if several scanners take turns, or a turn of one comes in pieces. How long a scan takes by the times of
-/// its points does not tell: clouds may be cropped, or of one moment.
-fn is_scan_each(range: &RangeStatistics) -> bool {
-    range.rate > 0.0 && range.rate < 1.0 / MAX_SCAN_DURATION + STAMP_JITTER
+    settings_for(&Sensors::of(plan, statistics, Dimension::Three))
 }
 
 fn settings_2d(sensors: &Sensors) -> Options {
@@ -123,6 +118,13 @@ fn settings_2d(sensors: &Sensors) -> Options {
     set_local_slam(&mut options, sensors);
     set_pose_graph(&mut options);
     options
+}
+
+/// Whether each message is a scan: not if several lidars take turns, or a turn of one comes in pieces. How long a scan takes by the times of
+/// its points does not tell: clouds may be cropped, or of one moment.
+fn is_message_a_scan(sensors: &Sensors) -> bool {
+    let hertz = sensors.lidar.map_or(0.0, |lidar| lidar.scans_hz);
+    !sensors.has_more_lidars && hertz > 0.0 && hertz < 1.0 / MAX_SCAN_DURATION + STAMP_JITTER
 }
 
 fn settings_3d(sensors: &Sensors) -> Options {
@@ -137,7 +139,7 @@ fn settings_3d(sensors: &Sensors) -> Options {
     }
     options.portolan.match_surfaces = true;
     // A tenth of a second is one sweep of most lidars, and short enough to go straight in.
-    options.portolan.min_scan_duration = MAX_SCAN_DURATION;
+    options.portolan.min_scan_duration = if is_message_a_scan(sensors) { 0.0 } else { MAX_SCAN_DURATION };
     // About every second sweep at walking speed is a key frame; the sweeps between are matched, too. Every sweep a
     // key frame costs a fourth more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).
     local.motion_filter.max_distance_meters = 0.15;

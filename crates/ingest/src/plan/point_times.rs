@@ -2,7 +2,7 @@
 
 use super::{Chosen, SensorPlan};
 use crate::azimuth_time::{AzimuthTimes, Turn};
-use crate::point_time::PointTime;
+use crate::point_time::{PointTime, PointTimeOrigin};
 use crate::skew::{Skew, SkewFactor, SkewState};
 use crate::statistics::RangeStatistics;
 
@@ -62,6 +62,19 @@ fn recorded_or_none(
 ) -> PointTimes {
     let Some(skew) = statistics.skew else { return PointTimes::recorded(times) };
     let topic = chosen.topic();
+    if let (Some(scale), Some(times)) = (statistics.time_scale, times)
+        && times.origin == PointTimeOrigin::Stamp
+    {
+        let how = if scale < 0.0 { "backwards".to_owned() } else { format!("{scale} times as fast") };
+        plan.warn(
+            format!(
+                "the times of the points of {topic} do not fit their motion ({}): they are taken to run {how}",
+                told(skew)
+            ),
+            CHANGE,
+        );
+        return PointTimes::recorded(Some(PointTime { unit: scale * times.unit, ..times }));
+    }
     match skew.state() {
         SkewState::Raw | SkewState::Unknown => PointTimes::recorded(times),
         SkewState::Removed => {

@@ -111,8 +111,9 @@ impl SkewFactor {
 
     /// In units of the motion during such a part of what they were in units of.
     fn of_part(self, part: f64) -> Self {
-        let [factor, sigma, at_most] = [self.factor, self.sigma, self.at_most].map(|v| v / part);
-        Self { factor, sigma, at_most }
+        // Where time runs backwards nothing is known of the largest.
+        let at_most = if part > 0.0 { self.at_most / part } else { f64::INFINITY };
+        Self { factor: self.factor / part, sigma: self.sigma / part.abs(), at_most }
     }
 }
 
@@ -156,6 +157,11 @@ impl Skew {
     pub(crate) fn of_part(self, part: f64) -> Self {
         let (translation, rotation) = (self.translation.of_part(part), self.rotation.of_part(part));
         Self { translation, rotation, ..self }
+    }
+
+    /// What the times of points are to be multiplied with, if factors are in units of the motion during the time that they span and say so.
+    pub(crate) fn scale_of_times(&self) -> Option<f64> {
+        turn_part::scale_of_times(self)
     }
 
     /// Whether more of the motion is in the points than was taken out.

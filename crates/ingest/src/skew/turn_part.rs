@@ -1,13 +1,16 @@
-//! Whether a turn takes less time than passes between clouds.
+//! Whether a turn takes less time than passes between clouds, and whether times of points are wrong by a factor.
 //!
 //! A recording may hold every other cloud of a lidar, or one in three: to save space, or because its topic was throttled. Clouds
 //! without times do not say so. If all of the motion of a turn is in the points, and it is a half or a third of that
-//! between clouds, so long is the turn.
+//! between clouds, so long is the turn. Times of points may count backwards, as the age of points at the end of the sweep, or be made for
+//! another rate of revolution.
 
 use super::{Skew, SkewFactor};
 
 /// One cloud in so many is there.
 const ONE_IN: [f64; 2] = [2.0, 3.0];
+/// What times of points may be wrong by: they are ages; for 20 instead of 10 turns a second; the other way round.
+const TIME_SCALES: [f64; 3] = [-1.0, 2.0, 0.5];
 /// Lidars turn up to 20 times a second, give or take.
 const FASTEST_HZ: f64 = 21.0;
 /// One step along the secant is off by some such share of the factor, whatever its standard deviation says: factors of raw drives
@@ -21,25 +24,36 @@ const MARGIN: f64 = 6.0;
 /// One cloud in how many there is, if these come each `interval` seconds and it is not each, as their factors in units of the motion between
 /// clouds tell.
 pub(super) fn one_cloud_in(skew: &Skew, interval: f64) -> Option<f64> {
+    let possible = ONE_IN.into_iter().filter(|one_in| *one_in <= FASTEST_HZ * interval);
+    told(skew, possible.map(f64::recip)).map(f64::recip)
+}
+
+/// What the times of points are to be multiplied with, as factors in units of the motion during the time that they span tell; none if they
+/// are right, the motion was taken out, or that is not known.
+pub(super) fn scale_of_times(skew: &Skew) -> Option<f64> {
+    told(skew, TIME_SCALES.into_iter())
+}
+
+/// Which of these both factors are, if neither 0 nor 1 is likely.
+fn told(skew: &Skew, expected: impl Iterator<Item = f64>) -> Option<f64> {
     let factors = [skew.translation, skew.rotation];
     let misfit = |expected: f64| -> f64 {
         let known = factors.iter().filter(|f: &&SkewFactor| f.sigma.is_finite());
         known.map(|f| ((f.factor - expected) / f.sigma.hypot(SECANT_ERROR * expected)).powi(2)).sum()
     };
-    let possible = ONE_IN.into_iter().filter(|one_in| *one_in <= FASTEST_HZ * interval);
-    let (one_in, least) =
-        possible.map(|one_in| (one_in, misfit(one_in.recip()))).min_by(|a, b| a.1.total_cmp(&b.1))?;
-    (least < LIKELY && misfit(0.0).min(misfit(1.0)) > least + MARGIN).then_some(one_in)
+    let (found, least) =
+        expected.map(|factor| (factor, misfit(factor))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (least < LIKELY && misfit(0.0).min(misfit(1.0)) > least + MARGIN).then_some(found)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn told(interval: f64, translation: (f64, f64), rotation: (f64, f64)) -> Option<f64> {
+    fn skew(translation: (f64, f64), rotation: (f64, f64)) -> Skew {
         let factor =
             |(factor, sigma): (f64, f64)| SkewFactor { factor, sigma, at_most: factor + 2.5 * sigma };
-        let skew = Skew {
+        Skew {
             translation: factor(translation),
             rotation: factor(rotation),
             begin_radians: 0.0,
@@ -47,8 +61,32 @@ mod tests {
             turn_in_intervals: 1.0,
             is_contradicted: false,
             elevation: None,
-        };
-        one_cloud_in(&skew, interval)
+        }
+    }
+
+    fn told(interval: f64, translation: (f64, f64), rotation: (f64, f64)) -> Option<f64> {
+        one_cloud_in(&skew(translation, rotation), interval)
+    }
+
+    #[test]
+    fn times_that_are_wrong_by_a_factor_are_told() {
+        let unknown = (7.0, f64::INFINITY);
+        for (translation, rotation, expected) in [
+            ((-1.03, 0.35), (-1.1, 0.17), Some(-1.0)),
+            ((1.6, 0.2), (1.7, 0.25), Some(2.0)),
+            ((0.41, 0.12), (0.47, 0.07), Some(0.5)),
+            ((0.77, 0.12), (1.01, 0.03), None),
+            ((-0.1, 0.1), (0.02, 0.02), None),
+            ((-0.6, 0.5), unknown, None),
+            // Rotation was taken out, translation was not.
+            ((1.0, 0.1), (0.0, 0.1), None),
+        ] {
+            assert_eq!(
+                scale_of_times(&skew(translation, rotation)),
+                expected,
+                "{translation:?} {rotation:?}"
+            );
+        }
     }
 
     #[test]

@@ -48,6 +48,7 @@ fn settings_follow_what_lidars_see() {
         angular_resolution_radians: 0.25_f64.to_radians(),
         median_range_metres: 3.0,
         max_range_metres: f64::INFINITY,
+        scans_hz: 10.0,
     };
     let cell = |lidar| {
         let options = settings_for(&Sensors::new(Dimension::Two, lidar, "laser"));
@@ -63,6 +64,14 @@ fn settings_follow_what_lidars_see() {
             Dimension::Three => builder.trajectory_builder_3d.max_range,
         }
     };
+    let gathered = |scans_hz, has_more_lidars| {
+        let lidar = Lidar { scans_hz, ..lidar };
+        let sensors = Sensors { has_more_lidars, ..Sensors::new(Dimension::Three, lidar, "lidar") };
+        settings_for(&sensors).portolan.min_scan_duration > 0.0
+    };
+    assert_eq!((gathered(10.0, false), gathered(2.0, false)), (false, false));
+    // Several lidars, pieces of a turn, and who knows.
+    assert_eq!((gathered(10.0, true), gathered(75.0, false), gathered(0.0, false)), (true, true, true));
     let marked = Lidar { max_range_metres: 10.0, ..lidar };
     let outside = Lidar { median_range_metres: 12.0, ..lidar };
     assert_eq!(farthest(Some(marked), Dimension::Two), 9.8);

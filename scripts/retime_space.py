@@ -1,0 +1,74 @@
+#!/usr/bin/env python3
+"""retime_space.py BAG OUT.bag ... : a ROS 1 bag of a 3D lidar with fewer sweeps, and with other times of points or none.
+
+    --every N          one sweep in N
+    --sweeps A:B       from the A-th sweep on, before the B-th
+    --times WHAT       none: the field is renamed; half, double: too small, too large by two; ages: the sign is wrong
+    --by-beam          points beam by beam from ahead, counter-clockwise, as KITTI's files have them, not firing by firing
+    --alone            the lidar alone, without IMU and all else
+
+Needs rosbags and numpy. Beams are taken to lie 0.42 degrees apart, as those of an HDL-64.
+"""
+import argparse
+
+import numpy as np
+from bags import add_connections
+from rosbags.rosbag1 import Reader, Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS1_NOETIC)
+LIDAR = "sensor_msgs/msg/PointCloud2"
+TIMES = ("time", "t", "timestamp", "offset_time")
+SCALES = {"half": 0.5, "double": 2.0, "ages": -1.0}
+BEAM_DEGREES = 0.42
+
+
+def floats(points, offset, count):
+    return np.ascontiguousarray(points[:, offset : offset + 4 * count]).view("<f4")
+
+
+def changed(message, times, by_beam):
+    """The cloud with other times, in another order."""
+    points = np.frombuffer(bytes(message.data), np.uint8).reshape(-1, message.point_step).copy()
+    for field in message.fields:
+        if field.name in TIMES and times in SCALES:
+            scaled = floats(points, field.offset, 1) * np.float32(SCALES[times])
+            points[:, field.offset : field.offset + 4] = scaled.view(np.uint8)
+        elif field.name in TIMES and times == "none":
+            field.name = "no_" + field.name
+    if by_beam:
+        x, y, z = floats(points, 0, 3).astype(float).T
+        beam = np.round(np.degrees(np.arctan2(z, np.hypot(x, y))) / BEAM_DEGREES)
+        points = points[np.lexsort((np.arctan2(y, x) % (2 * np.pi), -beam))]
+    message.data = points.reshape(-1)
+    return message
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("bag")
+    parser.add_argument("out")
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--sweeps", default=":")
+    parser.add_argument("--times", choices=["none", *SCALES])
+    parser.add_argument("--by-beam", action="store_true")
+    parser.add_argument("--alone", action="store_true")
+    args = parser.parse_args()
+    first, last = (int(part) if part else None for part in args.sweeps.split(":"))
+    wanted = range(10**9)[first : last : 1]
+    with Reader(args.bag) as reader, Writer(args.out) as writer:
+        added, sweep = add_connections(reader, writer), 0
+        for connection, time, data in reader.messages():
+            if connection.msgtype != LIDAR:
+                if not args.alone:
+                    writer.write(added[connection.id], time, data)
+                continue
+            if sweep in wanted and sweep % args.every == 0:
+                message = STORE.deserialize_ros1(data, LIDAR)
+                data = STORE.serialize_ros1(changed(message, args.times, args.by_beam), LIDAR)
+                writer.write(added[connection.id], time, data)
+            sweep += 1
+
+
+if __name__ == "__main__":
+    main()
