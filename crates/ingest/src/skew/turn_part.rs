@@ -20,22 +20,25 @@ const SECANT_ERROR: f64 = 0.15;
 const LIKELY: f64 = 12.0;
 /// … and by how much more they must be off from 0 and from 1.
 const MARGIN: f64 = 6.0;
+/// By so much more where nothing but the factors tells.
+const CLEAR_MARGIN: f64 = 16.0;
 
 /// One cloud in how many there is, if these come each `interval` seconds and it is not each, as their factors in units of the motion between
 /// clouds tell.
 pub(super) fn one_cloud_in(skew: &Skew, interval: f64) -> Option<f64> {
     let possible = ONE_IN.into_iter().filter(|one_in| *one_in <= FASTEST_HZ * interval);
-    told(skew, possible.map(f64::recip)).map(f64::recip)
+    told(skew, possible.map(f64::recip), MARGIN).map(f64::recip)
 }
 
 /// What the times of points are to be multiplied with, as factors in units of the motion during the time that they span tell; none if they
 /// are right, the motion was taken out, or that is not known.
 pub(super) fn scale_of_times(skew: &Skew) -> Option<f64> {
-    told(skew, TIME_SCALES.into_iter())
+    let is_known = skew.translation.sigma.is_finite() && skew.rotation.sigma.is_finite();
+    told(skew, TIME_SCALES.into_iter(), CLEAR_MARGIN).filter(|_| is_known)
 }
 
 /// Which of these both factors are, if neither 0 nor 1 is likely.
-fn told(skew: &Skew, expected: impl Iterator<Item = f64>) -> Option<f64> {
+fn told(skew: &Skew, expected: impl Iterator<Item = f64>, margin: f64) -> Option<f64> {
     let factors = [skew.translation, skew.rotation];
     let misfit = |expected: f64| -> f64 {
         let known = factors.iter().filter(|f: &&SkewFactor| f.sigma.is_finite());
@@ -43,7 +46,7 @@ fn told(skew: &Skew, expected: impl Iterator<Item = f64>) -> Option<f64> {
     };
     let (found, least) =
         expected.map(|factor| (factor, misfit(factor))).min_by(|a, b| a.1.total_cmp(&b.1))?;
-    (least < LIKELY && misfit(0.0).min(misfit(1.0)) > least + MARGIN).then_some(found)
+    (least < LIKELY && misfit(0.0).min(misfit(1.0)) > least + margin).then_some(found)
 }
 
 #[cfg(test)]
@@ -73,7 +76,8 @@ mod tests {
         let unknown = (7.0, f64::INFINITY);
         for (translation, rotation, expected) in [
             ((-1.03, 0.35), (-1.1, 0.17), Some(-1.0)),
-            ((1.6, 0.2), (1.7, 0.25), Some(2.0)),
+            ((1.9, 0.15), (2.1, 0.2), Some(2.0)),
+            ((0.16, 0.28), (0.45, 0.15), None),
             ((0.41, 0.12), (0.47, 0.07), Some(0.5)),
             ((0.77, 0.12), (1.01, 0.03), None),
             ((-0.1, 0.1), (0.02, 0.02), None),
