@@ -226,6 +226,7 @@ mod tests {
         assert!(grid.is_known(cell) && (grid.probability(cell) - 0.7).abs() < 1e-4);
         assert!(HybridGrid::new(0.0).is_err() && HybridGrid::new(f32::NAN).is_err());
     }
+
     #[test]
     fn corners_have_the_probabilities_of_their_cells() {
         let (mut grid, mut lcg) = (HybridGrid::new(1.0).unwrap(), Lcg::new(4));

@@ -13,8 +13,8 @@ const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
 /// Enough for single walls in recordings of a minute, and less than what one of ten minutes tries anyway.
 const MIN_SEARCHES: usize = 1000;
 
-/// Sweeps of 10 Hz come at up to so many more, clouds a second.
-const STAMP_JITTER: f64 = 1.0;
+/// Whole sweeps come at most so often, clouds a second: a lidar that turns ten times a second, whose stamps jitter. More clouds may be pieces.
+const MAX_SWEEPS_HZ: f64 = 11.0;
 /// Range data are gathered to scans of at most about this long, seconds.
 const MAX_SCAN_DURATION: f64 = 0.1;
 
@@ -124,7 +124,7 @@ fn settings_2d(sensors: &Sensors) -> Options {
 /// its points does not tell: clouds may be cropped, or of one moment.
 fn is_message_a_scan(sensors: &Sensors) -> bool {
     let hertz = sensors.lidar.map_or(0.0, |lidar| lidar.scans_hz);
-    !sensors.has_more_lidars && hertz > 0.0 && hertz < 1.0 / MAX_SCAN_DURATION + STAMP_JITTER
+    !sensors.has_more_lidars && hertz > 0.0 && hertz < MAX_SWEEPS_HZ
 }
 
 fn settings_3d(sensors: &Sensors) -> Options {

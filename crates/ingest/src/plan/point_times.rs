@@ -128,8 +128,8 @@ fn by_azimuth_or_none(
         );
         return PointTimes::OF_STAMP;
     }
-    // Points that stand beam by beam may begin anywhere in the turn, and times counted from there distort more than none. Of who stood,
-    // it is not known whether they would.
+    // Points that stand beam by beam may begin anywhere in the turn, and times counted from there distort more than none. Nothing is
+    // known of a lidar that only stood: it gets times from the first point on, which is right for most drivers.
     if turn.is_none() && !statistics.only_stood && !statistics.is_in_firing_order {
         plan.note(
             format!(

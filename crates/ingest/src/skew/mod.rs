@@ -13,16 +13,16 @@
 //! points move, one step of that finds a third of the way; the factor is therefore where the step vanishes, on the
 //! line through the steps at 0 and at 1. Its standard deviation is that of sums over directions taken as
 //! independent. What the factors mean is believed if sweeps do not fit clearly better otherwise (`fit`). Where every other
-//! cloud is missing a turn takes half of the interval between clouds, and half of its motion is in the points (`turn_part`).
+//! cloud is missing a turn takes half of the interval between clouds, and half of its motion is in the points (`hypotheses`).
 
 mod beams;
 mod evidence;
 mod fit;
 mod follow;
+mod hypotheses;
 mod target;
 #[cfg(test)]
 mod tests;
-mod turn_part;
 
 use std::f32::consts::{PI, TAU};
 
@@ -161,7 +161,7 @@ impl Skew {
 
     /// What the times of points are to be multiplied with, if factors are in units of the motion during the time that they span and say so.
     pub(crate) fn scale_of_times(&self) -> Option<f64> {
-        turn_part::scale_of_times(self)
+        hypotheses::scale_of_times(self)
     }
 
     /// Whether more of the motion is in the points than was taken out.
@@ -314,7 +314,7 @@ impl SkewEstimator {
         times: TurnTimes,
         straightened: &[Followed],
     ) -> Option<(TurnTimes, Vec<Followed>)> {
-        let one_in = if self.has_times { None } else { turn_part::one_cloud_in(skew, self.interval) };
+        let one_in = if self.has_times { None } else { hypotheses::one_cloud_in(skew, self.interval) };
         let times = TurnTimes { part: one_in?.recip(), ..times };
         let shorter = self.straightened(times)?;
         fit::is_better(straightened, &shorter).then_some((times, shorter))

@@ -1,4 +1,4 @@
-//! Whether a turn takes less time than passes between clouds, and whether times of points are wrong by a factor.
+//! What factors that are neither 0 nor 1 mean: a turn takes less time than passes between clouds, or times of points are wrong by a factor.
 //!
 //! A recording may hold every other cloud of a lidar, or one in three: to save space, or because its topic was throttled. Clouds
 //! without times do not say so. If all of the motion of a turn is in the points, and it is a half or a third of that
