@@ -68,7 +68,7 @@ pub struct Loss {
     /// The trajectory that the new piece is in the map.
     pub piece: TrajectoryId,
     /// It is a gap without scans in which odometry measured the motion.
-    pub is_bridged: bool,
+    pub is_gap: bool,
 }
 
 /// Builds a map of any number of trajectories.
@@ -289,8 +289,7 @@ impl<S: Space> Mapper<S> {
         let begun = self.scan_poses();
         let Some(trajectory) = self.active.get_mut(&id) else { return Ok(()) };
         self.next_trajectory += 1;
-        let is_bridged = lost.bridge.is_some();
-        self.losses.push(Loss { since: lost.since, until: time, piece, is_bridged });
+        self.losses.push(Loss { since: lost.since, until: time, piece, is_gap: lost.is_gap() });
         let before = std::mem::replace(&mut trajectory.piece, piece);
         let ended = EndedTrajectory {
             options: trajectory.options.clone(),

@@ -26,7 +26,7 @@ impl<S: Space> MappedRecording<S> {
                 true => format!("at {since:.1} s"),
                 false => format!("from {since:.1} to {until:.1} s"),
             };
-            let what = match loss.is_bridged {
+            let what = match loss.is_gap {
                 true => format!("no scans {when}"),
                 false => format!("lost {when}: scans did not fit the map any more"),
             };

@@ -101,11 +101,16 @@ impl<S: Space> MappedRecording<S> {
         !before.into_iter().any(|id| connectivity.are_connected(id, loss.piece))
     }
 
+    /// Whether odometry alone tells where a piece lies although scans contradicted the map before it.
+    pub fn is_unconfirmed(&self, loss: &Loss) -> bool {
+        !loss.is_gap && self.map.graph.is_tied_by_odometry(loss.piece)
+    }
+
     /// Whether data were lost, of the recording, of known maps or while mapping, something was mapped that nothing ties to
     /// the rest, or parts of the map lie over each other.
     pub fn lost_data(&self) -> bool {
         self.issues.lost_data()
-            || self.losses.iter().any(|loss| self.is_apart(loss))
+            || self.losses.iter().any(|loss| self.is_apart(loss) || self.is_unconfirmed(loss))
             || self.map.graph.self_consistency().is_contradictory()
     }
 

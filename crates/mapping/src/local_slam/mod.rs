@@ -48,6 +48,8 @@ pub struct OdometryBridge {
     pub translation: f64,
     /// Radians.
     pub rotation: f64,
+    /// There were scans meanwhile, and they contradict the map: the scanner may have been carried elsewhere.
+    pub is_contradicted: bool,
 }
 
 /// The end of a piece of map, after which nothing, or odometry alone, constrained the pose of the scanner.
@@ -63,6 +65,13 @@ pub struct Lost<S: Space> {
     /// Odometry measured the motion from the last scan of the old piece to the first one of the new piece, which both are
     /// drawn in one local map; none where nothing did.
     pub bridge: Option<OdometryBridge>,
+}
+
+impl<S: Space> Lost<S> {
+    /// Whether there were no scans meanwhile, and odometry measured the motion; else scans did not fit.
+    pub fn is_gap(&self) -> bool {
+        self.bridge.is_some_and(|bridge| !bridge.is_contradicted)
+    }
 }
 
 /// A scan is matched when so many points are gathered, however many messages it was to have.

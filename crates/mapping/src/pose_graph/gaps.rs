@@ -1,7 +1,9 @@
-//! Trajectories that go on after a gap without scans, over which odometry alone measured the motion.
+//! Trajectories that go on after a gap over which odometry alone measured the motion: there were no scans, or they contradicted the
+//! map.
 //!
 //! It may have failed then, and nothing shows it: so the parts before and after a gap are apart until scans agree how they
-//! lie. Where none do, odometry ties them at the end, as loosely as it is known to measure.
+//! lie. Where none do, odometry ties them at the end, as loosely as it is known to measure. Where scans contradicted the map the
+//! scanner may have been carried elsewhere, and the part after it is looked for everywhere, as if odometry had told nothing.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +16,7 @@ impl<S: Space> PoseGraph<S> {
         self.tied_by_odometry.contains(&id)
     }
 
-    /// Whether two trajectories are parts of one, with gaps between.
+    /// Whether two trajectories are parts of one, with gaps without scans between.
     pub(super) fn is_beyond_gap(&self, a: TrajectoryId, b: TrajectoryId) -> bool {
         self.first_before_gaps(a) == self.first_before_gaps(b)
     }
@@ -27,7 +29,8 @@ impl<S: Space> PoseGraph<S> {
     }
 
     fn first_before_gaps(&self, mut id: TrajectoryId) -> TrajectoryId {
-        while let Some(gap) = self.state.trajectories.get(&id).and_then(|entry| entry.after_gap) {
+        let gap = |id| self.state.trajectories.get(&id).and_then(|entry| entry.after_gap);
+        while let Some(gap) = gap(id).filter(|gap| !gap.bridge.is_contradicted) {
             id = gap.before;
         }
         id
@@ -90,14 +93,18 @@ mod tests {
 
     #[test]
     fn what_no_scan_ties_lies_where_odometry_says() {
+        [false, true].map(is_tied_after_a_gap);
+    }
+
+    fn is_tied_after_a_gap(is_contradicted: bool) {
         let options = Options::for_2d().map_builder.pose_graph;
         let mut graph = PoseGraph::<Planar>::new(options);
         let [before, after] = [0, 1].map(TrajectoryId);
         graph.add_trajectory(before, None);
         let first = graph.add_node(before, inserted((9.0, 7.0), 0.0, 0.0));
-        let bridge = OdometryBridge { translation: 0.5, rotation: 0.1 };
+        let bridge = OdometryBridge { translation: 0.5, rotation: 0.1, is_contradicted };
         graph.begin_piece(before, Vec::new(), after, &Rigid3::identity(), Some(bridge));
-        assert!(graph.is_beyond_gap(before, after) && !graph.is_beyond_gap(before, TrajectoryId(2)));
+        assert!(graph.is_beyond_gap(before, after) != is_contradicted && !graph.is_beyond_gap(before, TrajectoryId(2)));
         let second = graph.add_node(after, inserted((6.0, 5.0), 10.0, 200.0));
         assert!(!graph.state().connectivity.are_connected(before, after));
         graph.run_final_optimization();

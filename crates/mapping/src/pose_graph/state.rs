@@ -58,7 +58,7 @@ pub struct TrimmedTies {
     pub first: Time,
 }
 
-/// A gap between two trajectories that share their local map.
+/// A gap between two trajectories that share their local map: without scans, or with scans that contradicted the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gap {
     /// The trajectory before it.

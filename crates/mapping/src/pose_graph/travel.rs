@@ -43,7 +43,7 @@ impl TravelGraph {
             previous = Some((*id, entry));
         }
         for (id, trajectory) in &state.trajectories {
-            let Some(gap) = &trajectory.after_gap else { continue };
+            let Some(gap) = trajectory.after_gap.filter(|gap| !gap.bridge.is_contradicted) else { continue };
             let last = of_trajectory(&state.submaps, gap.before).next_back();
             let first = of_trajectory(&state.submaps, *id).next();
             if let (Some((last, _)), Some((first, _))) = (last, first) {

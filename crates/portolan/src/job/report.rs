@@ -134,7 +134,7 @@ fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
             "to": recorded(loss.until),
             "trajectory": loss.piece.0,
             "is_connected": !mapped.is_apart(loss),
-            "is_gap_without_scans": loss.is_bridged,
+            "is_gap_without_scans": loss.is_gap,
             "is_tied_by_odometry_alone": mapped.map.graph.is_tied_by_odometry(loss.piece),
         })
     };

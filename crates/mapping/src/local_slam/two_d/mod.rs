@@ -3,6 +3,7 @@
 mod belief;
 mod catching_up;
 mod co_moving;
+mod dead_reckoning;
 mod degeneracy;
 mod deskew;
 mod gather;
@@ -38,6 +39,7 @@ use super::{
 use belief::Belief;
 pub(crate) use belief::refutes_place;
 use co_moving::CoMoving;
+use dead_reckoning::DeadReckoning;
 use gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
 use motion::Motion;
 use scan::Scan;
@@ -80,6 +82,8 @@ pub struct LocalSlam2d {
     co_moving: CoMoving,
     /// The last pose that was sure, in the local map.
     last_sure: Rigid2,
+    /// Where odometry says that the scanner went from there.
+    reckoned: DeadReckoning,
     inserter: Arc<Inserter2d>,
     active_submaps: ActiveSubmaps<Planar>,
     motion_filter: MotionFilter,
@@ -108,6 +112,7 @@ impl LocalSlam2d {
             belief: Belief::default(),
             co_moving: CoMoving::default(),
             last_sure: Rigid2::identity(),
+            reckoned: DeadReckoning::from(Rigid2::identity()),
             tracker: Tracker::new(options, &extras).map_err(|e| contradiction(&e))?,
             active_submaps: no_submaps(options, &extras),
             motion_filter: motion_filter(&options.motion_filter),
@@ -244,9 +249,13 @@ impl LocalSlam2d {
             Some(_) => Belief::Sure,
             None => self.belief.after(time, found.agreement, motion_was_measured),
         };
+        if let Some(motion) = &motion {
+            let step = motion.of_tracking(&motion.to(&prediction));
+            self.reckoned.add(motion, &step, self.tracker.sigmas(&step));
+        }
         let (pose, lost) = match (gap, self.belief) {
             (Some((seconds, bridge)), _) => (prediction, Some(self.begin_after_gap(time, seconds, bridge))),
-            (None, Belief::Lost { since }) => (self.last_sure, Some(self.begin_anew(since, time))),
+            (None, Belief::Lost { since }) => self.begin_where_reckoned(since, time, yaw(&gravity)),
             (None, Belief::Sure | Belief::Doubtful { .. }) => (pose, None),
         };
         if let (None, Belief::Sure, Some(marked)) = (&lost, self.belief, marked) {
@@ -259,7 +268,7 @@ impl LocalSlam2d {
             self.count(IssueKind::ScanContradictsMap, time);
             None
         } else {
-            self.last_sure = pose;
+            (self.last_sure, self.reckoned) = (pose, DeadReckoning::from(project_2d(&local_from_tracking)));
             (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
                 let scans = [scan, &range_data_in_local];
                 let inserted = self.insert(time, scans, matching_cloud, local_from_tracking, gravity);
@@ -282,6 +291,24 @@ impl LocalSlam2d {
             self.start_extrapolator(time);
         }
         Lost { since, remaining, ended_from_begun: Rigid3::identity(), bridge: None }
+    }
+
+    /// Ends the piece of map that scans do not fit any more: new submaps are drawn from where odometry says that the scanner is,
+    /// or, where it says nothing, from where it was last seen.
+    fn begin_where_reckoned(
+        &mut self,
+        since: Time,
+        time: Time,
+        tracking_yaw: f64,
+    ) -> (Rigid2, Option<Lost<Planar>>) {
+        let lost = self.begin_anew(since, time);
+        match self.reckoned.bridge() {
+            Some((tracking, bridge)) => {
+                let aligned = Rigid2 { angle: tracking.angle - tracking_yaw, ..tracking };
+                (aligned, Some(Lost { bridge: Some(bridge), ..lost }))
+            }
+            None => (self.last_sure, Some(lost)),
+        }
     }
 
     /// Ends the piece of map that odometry alone ties to what comes: new submaps are drawn from where it says that the

@@ -106,6 +106,11 @@ impl Tracker {
         self.is_adaptive && self.matcher.usual_window().is_some()
     }
 
+    /// How far predictions of this motion are off, as far as is known.
+    pub fn sigmas(&self, motion: &Rigid2) -> PredictionSigmas {
+        self.prediction_error.sigmas(motion)
+    }
+
     /// How well odometry tells the motion to the next scan if it alone does: after a gap, where the map does not know what
     /// is seen.
     pub fn bridge(
@@ -125,7 +130,11 @@ impl Tracker {
             return None;
         }
         let sigmas = self.prediction_error.sigmas(&motion.to(prediction));
-        Some(OdometryBridge { translation: sigmas.translation, rotation: sigmas.rotation })
+        Some(OdometryBridge {
+            translation: sigmas.translation,
+            rotation: sigmas.rotation,
+            is_contradicted: false,
+        })
     }
 
     /// Finds the scan as the options say, without judging it.
