@@ -7,8 +7,9 @@ use std::sync::Arc;
 
 use portolan_geometry::{Dimension, Duration, Rigid3, Time, Vector3};
 use portolan_ingest::{
-    BeamDirections, CloudLayout, IngestOptions, Inventory, PlannedOdometry, RecordingClock, SensorPlan,
-    TfInput, TfTree, TimedPoints, TopicSurvey, plan, points_of_echoes, points_of_laser_scan,
+    BeamDirections, BeamSmoothing, CloudLayout, IngestOptions, Inventory, PlannedOdometry, RecordingClock,
+    ScanCorrections, SensorPlan, TfInput, TfTree, TimedPoints, TopicSurvey, plan, points_of_echoes,
+    points_of_laser_scan,
 };
 use portolan_issue::{Issue, IssueKind};
 use portolan_recording::{
@@ -30,8 +31,8 @@ use crate::scans::RangeChecks;
 use crate::stamps::{Stamps, check_frames};
 use crate::turns::{ImuTurns, Source, Turning, compare_all};
 use kinds::{
-    CLOCK_SET, DAMAGE, HELD_BACK, JITTER, MAP_PARENT, NO_PLAN, ODOMETRY_ELSEWHERE, REPAIRED, SCAN_DURATION,
-    TRANSFORMS,
+    CLOCK_SET, DAMAGE, HELD_BACK, JITTER, MAP_PARENT, NO_PLAN, NOISY, ODOMETRY_ELSEWHERE, REPAIRED,
+    SCAN_DURATION, TRANSFORMS,
 };
 
 /// Transforms are kept this long while checking, seconds.
@@ -156,7 +157,8 @@ impl<'a> Check<'a> {
         match (checks, message) {
             (TopicChecks::Scan { ranges, turns, directions }, Message::LaserScan(scan)) => {
                 let header = &scan.header;
-                let (points, faults) = points_of_laser_scan(header.stamp, (scan, None), false, directions);
+                let (points, faults) =
+                    points_of_laser_scan(header.stamp, (scan, ScanCorrections::default()), false, directions);
                 ranges.add_scan(topic, scan, faults, findings);
                 ranges.add_points(topic, &header.frame_id, &points, findings);
                 turns.add(points.time, scan);
@@ -290,6 +292,12 @@ impl Check<'_> {
                     seconds.abs()
                 )
             });
+        }
+        for (topic, sigma) in compared.noises {
+            if BeamSmoothing::of(sigma).is_some() {
+                self.findings
+                    .add(&NOISY, &topic, || format!("readings scatter by {sigma:.3} m about straight walls"));
+            }
         }
         for (topics, jitter) in compared.jitters {
             self.findings.add(&JITTER, &topics.join(", "), || {

@@ -1,13 +1,13 @@
 //! What scans of a planar scanner tell of the sensors before mapping begins: whether odometry tells the motion that they see, by how
-//! much the two are stamped apart, and how long a scan takes.
+//! much the two are stamped apart, how long a scan takes, and how noisy its readings are.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use portolan_geometry::{Duration, Rigid2, Rigid3, Time, TransformBuffer, Vector3, yaw};
 use portolan_ingest::{
-    HeldPose, Inventory, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan, StampJitter, pose_of,
-    read_without_repeats,
+    HeldPose, Inventory, PlannedOdometry, PlannedRange, PlannedSensor, RangeNoiseEstimator, SensorPlan,
+    StampJitter, pose_of, read_without_repeats,
 };
 use portolan_recording::{Message, Recording, RecordingError, StampPattern, TopicInfo};
 
@@ -49,6 +49,8 @@ pub struct ScanComparison {
     pub(crate) turns_without_repeats: Option<Vec<Turn>>,
     /// Topics of scanners, and how long their scans take, where that is surely not what they say.
     pub durations: Vec<(Arc<str>, ScanDuration)>,
+    /// Topics of scanners, and the standard deviation of their readings, metres.
+    pub noises: Vec<(Arc<str>, f64)>,
     /// Topics whose stamps jitter, and how: those of a scanner, and of odometry that has its stamps.
     pub jitters: Vec<(Vec<Arc<str>>, StampJitter)>,
 }
@@ -87,6 +89,7 @@ pub fn compare_scans(
             scanner.add(&message.message);
         }
     }
+    let noises = scanners.iter().filter_map(Scanner::range_noise).collect();
     // Stamps that are not believed tell nothing of motion.
     scanners
         .retain(|scanner| !StampPattern::of(&scanner.stamps).is_some_and(|pattern| pattern.is_disturbed()));
@@ -113,7 +116,7 @@ pub fn compare_scans(
         }
         _ => ScanComparison::default(),
     };
-    Ok(ScanComparison { durations, jitters, ..of_odometry })
+    Ok(ScanComparison { durations, noises, jitters, ..of_odometry })
 }
 
 /// What a scanner tells.
@@ -121,6 +124,7 @@ struct Scanner<'a> {
     planned: &'a PlannedRange,
     turns: ScanTurns,
     motions: ScanMotions,
+    noise: RangeNoiseEstimator,
     stamps: Vec<Time>,
     /// When scans with these stamps were taken, where stamps jitter.
     times: BTreeMap<Time, Time>,
@@ -131,8 +135,9 @@ struct Scanner<'a> {
 impl<'a> Scanner<'a> {
     fn new(planned: &'a PlannedRange) -> Self {
         let (turns, motions) = (ScanTurns::default(), ScanMotions::default());
+        let noise = RangeNoiseEstimator::default();
         let (stamps, times) = (Vec::new(), BTreeMap::new());
-        Self { planned, turns, motions, stamps, times, said_duration: 0.0 }
+        Self { planned, turns, motions, noise, stamps, times, said_duration: 0.0 }
     }
 
     fn add(&mut self, message: &Message) {
@@ -140,6 +145,7 @@ impl<'a> Scanner<'a> {
         self.stamps.push(scan.header.stamp);
         self.turns.add(scan.header.stamp, scan);
         self.motions.add(scan.header.stamp, scan);
+        self.noise.add(scan);
         let said = f64::from(scan.time_increment) * scan.ranges.len().saturating_sub(1) as f64;
         self.said_duration = if said.is_finite() && said > 0.0 { said } else { 0.0 };
     }
@@ -153,6 +159,10 @@ impl<'a> Scanner<'a> {
         }
         retime(&mut self.turns.turns, &self.times);
         Some(jitter)
+    }
+
+    fn range_noise(&self) -> Option<(Arc<str>, f64)> {
+        Some((self.planned.source.topic.clone(), self.noise.sigma()?))
     }
 
     /// How long a scan takes, where nobody has said it and it is surely not what scans say.

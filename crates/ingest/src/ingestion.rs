@@ -13,6 +13,7 @@ use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
 
 use crate::azimuth_time::{AzimuthTimes, Turn};
 use crate::beam_elevation::Raise;
+use crate::beam_smoothing::BeamSmoothing;
 use crate::clock::{Ascending, Order, SensorClock};
 use crate::convert::{Frames, LocalFixes, SatelliteFix};
 use crate::even_stamps::{EvenStamps, StampPolicy, doubtful_beginnings};
@@ -51,6 +52,8 @@ enum Role {
         coordinates: Coordinates,
         /// Seconds from the first beam of a laser scan to the last, where scans do not say it right.
         scan_duration: Option<f64>,
+        /// Where readings are noisy.
+        smoothing: Option<BeamSmoothing>,
         directions: Box<BeamDirections>,
     },
     Imu {

@@ -4,6 +4,7 @@ use portolan_geometry::{Point3f, Time};
 use portolan_recording::{LaserScan, MultiEchoLaserScan};
 use portolan_sensor::TimedPoint;
 
+use crate::beam_smoothing::BeamSmoothing;
 use crate::timed_points::TimedPoints;
 
 /// Readings beyond this are no distances, metres.
@@ -148,19 +149,31 @@ pub(crate) fn points_of_scan(
     (result, faults)
 }
 
+/// What is known of a scan better than it says itself.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ScanCorrections {
+    /// Seconds from the first beam to the last, less than zero if the last comes first; none: as the scan says.
+    pub duration: Option<f64>,
+    /// How noisy readings are smoothed.
+    pub smoothing: Option<BeamSmoothing>,
+}
+
 /// The readings of a scan between its limits as points in the frame of the scanner, and what was wrong with it; times of
 /// points count to the last of them, whose time is that of the result (`spec/slam2d.md` §1). `stamp` stands for that of
-/// the message, a `duration` in seconds from the first beam to the last for that of the scan, and `directions` are kept
-/// from scan to scan.
+/// the message, and `directions` are kept from scan to scan.
 pub fn points_of_laser_scan(
     stamp: Time,
-    (scan, duration): (&LaserScan, Option<f64>),
+    (scan, corrections): (&LaserScan, ScanCorrections),
     with_intensities: bool,
     directions: &mut BeamDirections,
 ) -> (TimedPoints, ScanFaults) {
     let intensity = |i: usize| scan.intensities.get(i).copied().unwrap_or(0.0);
-    let readings = scan.ranges.iter().enumerate().map(|(i, range)| (*range, intensity(i)));
-    points_of_scan(stamp, (ScanShape::of(scan), duration), readings, with_intensities, directions)
+    let limits = [scan.range_min, scan.range_max];
+    let smoothed = corrections.smoothing.map(|s| s.smoothed(&scan.ranges, scan.angle_increment, limits));
+    let ranges = smoothed.as_ref().unwrap_or(&scan.ranges);
+    let readings = ranges.iter().enumerate().map(|(i, range)| (*range, intensity(i)));
+    let shape = (ScanShape::of(scan), corrections.duration);
+    points_of_scan(stamp, shape, readings, with_intensities, directions)
 }
 
 /// As [`points_of_laser_scan`], of the first echo of every beam.
@@ -200,7 +213,12 @@ mod tests {
     }
 
     fn convert(scan: &LaserScan) -> (TimedPoints, ScanFaults) {
-        points_of_laser_scan(scan.header.stamp, (scan, None), false, &mut BeamDirections::default())
+        points_of_laser_scan(
+            scan.header.stamp,
+            (scan, ScanCorrections::default()),
+            false,
+            &mut BeamDirections::default(),
+        )
     }
 
     #[test]
@@ -247,7 +265,8 @@ mod tests {
         let times = |duration| {
             let mut directions = BeamDirections::default();
             let stamp = message.header.stamp;
-            let (points, _) = points_of_laser_scan(stamp, (&message, Some(duration)), false, &mut directions);
+            let how = ScanCorrections { duration: Some(duration), smoothing: None };
+            let (points, _) = points_of_laser_scan(stamp, (&message, how), false, &mut directions);
             let end = points.time.seconds_since(stamp);
             (end, points.points.iter().map(|p| (p.position.y.signum(), p.time)).collect::<Vec<_>>())
         };

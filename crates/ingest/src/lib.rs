@@ -3,6 +3,7 @@
 
 mod azimuth_time;
 mod beam_elevation;
+mod beam_smoothing;
 mod clock;
 mod convert;
 mod even_stamps;
@@ -13,6 +14,8 @@ mod options;
 mod plan;
 mod point_cloud2;
 mod point_time;
+mod polar_line;
+mod range_noise;
 mod read_ahead;
 mod recording_clock;
 mod repeats;
@@ -30,6 +33,7 @@ mod urdf;
 
 pub use azimuth_time::{AzimuthTimes, Turn};
 pub use beam_elevation::{BeamElevation, ElevationOffset};
+pub use beam_smoothing::BeamSmoothing;
 pub use convert::SatelliteFix;
 pub use even_stamps::StampPolicy;
 pub use held_pose::HeldPose;
@@ -40,6 +44,7 @@ pub use plan::{
     SensorStatistics, plan,
 };
 pub use point_time::{PointTime, PointTimeOrigin};
+pub use range_noise::{RangeNoise, RangeNoiseEstimator};
 pub use recording_clock::RecordingClock;
 pub use repeats::read_without_repeats;
 pub use skew::{Skew, SkewFactor, SkewState};
@@ -51,7 +56,7 @@ pub use urdf::{FixedJoint, RobotDescription, parse_urdf, read_urdf};
 
 // How single messages are read, for those who judge recordings by what mapping would make of them.
 pub use convert::{MAX_ACCELERATION, MAX_ANGULAR_VELOCITY, pose_of};
-pub use laser::{BeamDirections, ScanFaults, points_of_echoes, points_of_laser_scan};
+pub use laser::{BeamDirections, ScanCorrections, ScanFaults, points_of_echoes, points_of_laser_scan};
 pub use point_cloud2::{CloudError, CloudFaults, CloudLayout};
 pub use statistics::{FAST_TURN, is_partial};
 pub use timed_points::TimedPoints;

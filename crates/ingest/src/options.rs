@@ -6,6 +6,7 @@ use crate::RobotDescription;
 use crate::azimuth_time::AzimuthTimes;
 use crate::beam_elevation::BeamElevation;
 use crate::even_stamps::StampPolicy;
+use crate::range_noise::RangeNoise;
 
 /// Sensors as a robot configuration names them (`spec/options.md` §8): `scan` or `scan_1` …,
 /// `echoes`, `points2`, and `odom`, `imu`, `fix`, `landmark`.
@@ -92,6 +93,8 @@ pub struct IngestOptions {
     pub azimuth_times: AzimuthTimes,
     /// By what the beams of spinning lidars are raised.
     pub beam_elevation: BeamElevation,
+    /// How noisy the readings of planar scanners are: noisy ones are smoothed.
+    pub range_noise: RangeNoise,
     /// Pairs of a topic and what to add to its stamps and times of points.
     pub time_offsets: Vec<(String, Duration)>,
     /// How stamps are taken.
@@ -131,6 +134,7 @@ impl Default for IngestOptions {
             num_subdivisions_per_laser_scan: 1,
             azimuth_times: AzimuthTimes::default(),
             beam_elevation: BeamElevation::default(),
+            range_noise: RangeNoise::default(),
             time_offsets: Vec::new(),
             stamps: StampPolicy::default(),
             sampling: SamplingRatios::default(),

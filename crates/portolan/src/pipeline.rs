@@ -7,7 +7,7 @@ use portolan_config::Options;
 use portolan_diagnose::compare_scans;
 use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
 use portolan_ingest::{
-    AzimuthTimes, IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, StampPolicy, plan,
+    AzimuthTimes, IngestError, IngestOptions, Ingestion, Inventory, RangeNoise, SensorPlan, StampPolicy, plan,
 };
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
@@ -204,6 +204,11 @@ fn doubt_scans(
     if ingest.azimuth_times == AzimuthTimes::Auto {
         for (topic, duration) in &compared.durations {
             plan.time_beams(topic, duration.seconds, duration.sigma);
+        }
+    }
+    if ingest.range_noise == RangeNoise::Auto {
+        for (topic, sigma) in &compared.noises {
+            plan.smooth_ranges(topic, *sigma);
         }
     }
     let is_wanted = ingest.odometry_topic.is_some() || ingest.use_odometry == Some(true);

@@ -1,7 +1,7 @@
 //! Arguments that several verbs have in common: ids, poses, areas.
 
 use portolan_geometry::{Duration, Rigid3, Vector3, rotation_from_roll_pitch_yaw};
-use portolan_ingest::BeamElevation;
+use portolan_ingest::{BeamElevation, RangeNoise};
 use portolan_mapfile::{FrozenTrajectories, MapArea};
 use portolan_pbstream::IdInFile;
 
@@ -71,6 +71,17 @@ pub fn beam_elevation(text: &str) -> Result<BeamElevation, String> {
             fixed.ok_or_else(|| format!("expected auto, off or degrees (-5 to 5), not \"{text}\""))
         }
     }
+}
+
+/// How noisy ranges are: `auto`, or a standard deviation in metres.
+pub fn range_noise(text: &str) -> Result<RangeNoise, String> {
+    /// Noisier readings are none of a lidar.
+    const MOST_METRES: f64 = 1.0;
+    if text == "auto" {
+        return Ok(RangeNoise::Auto);
+    }
+    let metres = text.parse::<f64>().ok().filter(|metres| (0.0..=MOST_METRES).contains(metres));
+    metres.map(RangeNoise::Fixed).ok_or_else(|| format!("expected auto or metres (0 to 1), not \"{text}\""))
 }
 
 /// x, y, z, roll, pitch, yaw: metres and degrees.

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use portolan_ingest::{AzimuthTimes, BeamElevation, IngestOptions, StampPolicy, read_urdf};
+use portolan_ingest::{AzimuthTimes, BeamElevation, IngestOptions, RangeNoise, StampPolicy, read_urdf};
 
-use super::argument::beam_elevation;
+use super::argument::{beam_elevation, range_noise};
 use crate::error::CliError;
 
 /// How points and stamps are taken.
@@ -22,6 +22,10 @@ pub struct HandlingArgs {
     /// at all; or by so many degrees. Beams that point too low bend a straight drive.
     #[arg(long, value_name = "HOW", default_value = "auto", value_parser = beam_elevation, allow_hyphen_values = true)]
     pub beam_elevation: BeamElevation,
+    /// Noise of the readings of a planar scanner: "auto" as scans tell, or a standard deviation in metres. Noisier ones than
+    /// 0.03 m are smoothed along walls; 0 takes all as they are.
+    #[arg(long, value_name = "NOISE", default_value = "auto", value_parser = range_noise)]
+    pub range_noise: RangeNoise,
     /// How stamps are taken: a computer that is busy stamps several messages at once, and later than they were
     /// measured.
     #[arg(long, value_name = "HOW", default_value = "auto")]
@@ -36,6 +40,7 @@ impl HandlingArgs {
     pub fn configure(&self, ingest: &mut IngestOptions) -> Result<(), CliError> {
         ingest.azimuth_times = self.point_times.into();
         ingest.beam_elevation = self.beam_elevation;
+        ingest.range_noise = self.range_noise;
         ingest.stamps = self.stamps.into();
         if let Some(path) = &self.urdf {
             ingest.description = Some(read_urdf(path)?);

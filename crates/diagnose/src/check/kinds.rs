@@ -53,6 +53,13 @@ pub(super) const SCAN_DURATION: Kind = Kind {
     to_do: "let the driver fill in time_increment, the seconds from one beam to the next",
 };
 
+pub(super) const NOISY: Kind = Kind {
+    name: "noisy ranges",
+    severity: Severity::Warning,
+    effect: "walls are thicker than a cell; map smooths the readings along walls, and small things are lost",
+    to_do: "see whether the scanner has a mode with less noise; far readings of small scanners may be left out",
+};
+
 pub(super) const JITTER: Kind = Kind {
     name: "stamp jitter",
     severity: Severity::Warning,

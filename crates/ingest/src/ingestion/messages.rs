@@ -13,7 +13,7 @@ use super::{Coordinates, Ingestion, Role, Sensor, TimesByAzimuth};
 use crate::azimuth_time::{self, TimedTurn};
 use crate::clock::Stamp;
 use crate::convert::{self, Frames, ImuFault};
-use crate::laser::{ScanFaults, points_of_echoes, points_of_laser_scan};
+use crate::laser::{ScanCorrections, ScanFaults, points_of_echoes, points_of_laser_scan};
 use crate::plan::ImuScale;
 use crate::point_cloud2::{CloudFaults, CloudLayout};
 use crate::point_time::PointTime;
@@ -59,9 +59,11 @@ impl Ingestion {
     fn convert(&mut self, sensor: &mut Sensor, message: &RecordedMessage, stamp: Time) {
         let Some(header) = message.message.header() else { return };
         match (&mut sensor.role, &message.message) {
-            (Role::Range { scan_duration, directions, .. }, Message::LaserScan(scan)) => {
-                let (points, faults) =
-                    points_of_laser_scan(stamp, (scan, *scan_duration), self.with_intensities, directions);
+            (Role::Range { scan_duration, smoothing, directions, .. }, Message::LaserScan(scan)) => {
+                let (points, faults) = {
+                    let how = ScanCorrections { duration: *scan_duration, smoothing: *smoothing };
+                    points_of_laser_scan(stamp, (scan, how), self.with_intensities, directions)
+                };
                 self.count_scan_faults(&sensor.topic, stamp, faults);
                 self.give_subdivided(sensor, points, &header.frame_id);
             }

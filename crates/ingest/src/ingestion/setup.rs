@@ -8,6 +8,7 @@ use portolan_sensor::FixedRatioSampler;
 use super::{Coordinates, Role, Samplers, Sensor, TimesByAzimuth};
 use crate::azimuth_time::AzimuthTimes;
 use crate::beam_elevation::Raise;
+use crate::beam_smoothing::BeamSmoothing;
 use crate::clock::{Ascending, SensorClock};
 use crate::even_stamps::{EvenStamps, StampPolicy};
 use crate::held_pose::HeldPose;
@@ -107,6 +108,7 @@ pub(super) fn sensors(
                     raise: (range.beam_elevation != 0.0).then(|| Raise::new(range.beam_elevation)),
                 },
                 scan_duration: range.scan_duration,
+                smoothing: range.range_noise.and_then(BeamSmoothing::of),
                 directions: Box::default(),
             },
         );

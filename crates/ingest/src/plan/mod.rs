@@ -18,6 +18,7 @@ use portolan_issue::Severity;
 use portolan_sensor::{SensorId, SensorKind};
 
 use crate::azimuth_time::{AzimuthTimes, Turn};
+use crate::beam_smoothing::BeamSmoothing;
 use crate::options::IngestOptions;
 use crate::point_time::PointTime;
 use crate::statistics::{ImuStatistics, RangeStatistics};
@@ -129,6 +130,8 @@ pub struct PlannedRange {
     /// Seconds from the first beam of a scan to the last, less than zero if the last comes first; none: as the scan says
     /// (laser scans only).
     pub scan_duration: Option<f64>,
+    /// Standard deviation of the readings, metres, if they are to be smoothed (laser scans only).
+    pub range_noise: Option<f64>,
     /// Metres in one unit of the coordinates (point clouds only).
     pub length_unit: f32,
     /// What is added to the elevations of all beams (point clouds only), radians.
@@ -301,6 +304,17 @@ impl SensorPlan {
             seconds.abs()
         );
         self.note(what, "--point-times recorded");
+    }
+
+    /// Smooths the readings of a scanner with this standard deviation, metres, as measured, and says so; good ones stay as they are.
+    pub fn smooth_ranges(&mut self, topic: &str, sigma: f64) {
+        let Some(range) = self.range.iter_mut().find(|range| &*range.source.topic == topic) else { return };
+        if BeamSmoothing::of(sigma).is_none() {
+            return;
+        }
+        range.range_noise = Some(sigma);
+        let what = format!("readings of {topic} have noise of {sigma:.3} m: they are smoothed along walls");
+        self.note(what, "--range-noise 0");
     }
 
     /// Says that an IMU does not turn as the lidar does (`how`), and whether it is used all the same.

@@ -11,6 +11,7 @@ use super::request::Request;
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
 use crate::azimuth_time::AzimuthTimes;
 use crate::options::IngestOptions;
+use crate::range_noise::RangeNoise;
 use crate::survey::{Inventory, TopicSurvey, is_range};
 
 /// A scanner in 2D may lean this much.
@@ -62,6 +63,13 @@ fn what_there_is(inventory: &Inventory) -> String {
         "the recording has no LaserScan, MultiEchoLaserScan or PointCloud2, only {}{advice}",
         types.join(", ")
     )
+}
+
+fn fixed_noise(noise: RangeNoise) -> Option<f64> {
+    match noise {
+        RangeNoise::Auto => None,
+        RangeNoise::Fixed(sigma) => Some(sigma),
+    }
 }
 
 fn is_cloud(chosen: &Chosen) -> bool {
@@ -251,6 +259,7 @@ pub(super) fn connect(
             source: chosen.planned(SensorKind::Range, &frame),
             point_time: times.recorded,
             scan_duration: (options.azimuth_times == AzimuthTimes::Off && !is_cloud(&chosen)).then_some(0.0),
+            range_noise: fixed_noise(options.range_noise).filter(|_| !is_cloud(&chosen)),
             length_unit: chosen.survey.length_unit,
             azimuth_times: times.by_azimuth,
             turn: times.turn,

@@ -104,7 +104,10 @@ mod tests {
         let first = graph.add_node(before, inserted((9.0, 7.0), 0.0, 0.0));
         let bridge = OdometryBridge { translation: 0.5, rotation: 0.1, is_contradicted };
         graph.begin_piece(before, Vec::new(), after, &Rigid3::identity(), Some(bridge));
-        assert!(graph.is_beyond_gap(before, after) != is_contradicted && !graph.is_beyond_gap(before, TrajectoryId(2)));
+        assert!(
+            graph.is_beyond_gap(before, after) != is_contradicted
+                && !graph.is_beyond_gap(before, TrajectoryId(2))
+        );
         let second = graph.add_node(after, inserted((6.0, 5.0), 10.0, 200.0));
         assert!(!graph.state().connectivity.are_connected(before, after));
         graph.run_final_optimization();

@@ -40,8 +40,7 @@ impl DeadReckoning {
         self.is_whole &= motion.is_measured
             && length <= FASTEST.linear * seconds + STANDING.0
             && turn <= FASTEST.angular * seconds + STANDING.1;
-        self.translation_variance +=
-            sigmas.translation.powi(2) + length * length * self.rotation_variance;
+        self.translation_variance += sigmas.translation.powi(2) + length * length * self.rotation_variance;
         self.rotation_variance += sigmas.rotation.powi(2);
         self.moved = (self.moved.0 + length, self.moved.1 + turn);
         self.pose = self.pose * *step;

@@ -1,0 +1,85 @@
+//! How noisy the readings of a planar scanner are, told by scans themselves: by how much neighbouring readings differ from lines.
+
+use portolan_numeric::quantile;
+use portolan_recording::LaserScan;
+
+use crate::polar_line::LineSums;
+
+/// The noise of the ranges of planar scanners.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum RangeNoise {
+    /// As the scans tell.
+    #[default]
+    Auto,
+    /// Standard deviation, metres; zero takes readings as they are.
+    Fixed(f64),
+}
+
+/// So many neighbouring readings are compared with a line, but for those of them that are farthest from it: dust, people and edges
+/// are no noise.
+const BEAMS: usize = 9;
+const OUTLIERS: usize = 3;
+/// Degrees of freedom that are left.
+const FREEDOM: f64 = (BEAMS - OUTLIERS - 2) as f64;
+/// Of all groups of readings at least this share sees a straight wall.
+const STRAIGHT: f64 = 0.2;
+/// The scatter of normally distributed readings over their standard deviation that this share of groups stays below (by
+/// simulation).
+const QUANTILE_FACTOR: f64 = 0.26;
+/// Readings beyond this are few and far apart, metres.
+const FARTHEST: f32 = 30.0;
+/// With fewer groups nothing is said, and so many say enough.
+const GROUPS: std::ops::Range<usize> = 500..100_000;
+
+/// What scans tell of the noise of their readings.
+#[derive(Clone, Debug, Default)]
+pub struct RangeNoiseEstimator {
+    /// Root mean squares of the deviations of groups of readings from their lines, metres.
+    scatters: Vec<f64>,
+}
+
+impl RangeNoiseEstimator {
+    /// Takes a scan.
+    pub fn add(&mut self, scan: &LaserScan) {
+        if self.scatters.len() >= GROUPS.end {
+            return;
+        }
+        let increment = f64::from(scan.angle_increment);
+        let is_seen =
+            |range: &f32| scan.range_min <= *range && *range <= scan.range_max.min(FARTHEST) && *range > 0.0;
+        let groups = scan.ranges.chunks_exact(BEAMS).filter(|group| group.iter().all(is_seen));
+        self.scatters.extend(groups.filter_map(|group| scatter(group, increment)));
+    }
+
+    /// Standard deviation of the ranges, metres; none where too little was seen.
+    pub fn sigma(&self) -> Option<f64> {
+        let mut scatters = self.scatters.clone();
+        let straight = quantile(&mut scatters, STRAIGHT)?;
+        (scatters.len() >= GROUPS.start).then_some(straight / QUANTILE_FACTOR)
+    }
+}
+
+/// By how much readings scatter about their line, metres, without the farthest.
+fn scatter(group: &[f32], increment: f64) -> Option<f64> {
+    let middle = (BEAMS / 2) as f64;
+    let mut readings: Vec<((f64, f64), f64)> = group
+        .iter()
+        .enumerate()
+        .map(|(i, range)| ((increment * (i as f64 - middle)).sin_cos(), f64::from(*range)))
+        .collect();
+    let mut squares = squared_residuals(&readings)?;
+    for _ in 0..OUTLIERS {
+        let (farthest, _) = squares.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
+        readings.remove(farthest);
+        squares = squared_residuals(&readings)?;
+    }
+    Some((squares.iter().sum::<f64>() / FREEDOM).sqrt()).filter(|scatter| scatter.is_finite())
+}
+
+/// Of readings, each a direction and a range, from the line through all of them, metres².
+fn squared_residuals(readings: &[((f64, f64), f64)]) -> Option<Vec<f64>> {
+    let mut sums = LineSums::default();
+    readings.iter().for_each(|(direction, range)| sums.add(*direction, *range));
+    let line = sums.line()?;
+    readings.iter().map(|(direction, range)| Some((range - line.range(*direction)?).powi(2))).collect()
+}
