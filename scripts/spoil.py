@@ -4,6 +4,8 @@
     third   every third scan                          half    every second beam
     near    readings beyond 8 m see nothing           drop    half of the readings, at random, see nothing
     noise   3 cm of noise on every reading            burst   40 of every 160 scans are missing
+    noise10, noise20  10 or 20 cm of noise            rel2    noise of 2 % of the range
+    salt    every fifth reading ends on the way, anywhere, as in dust and rain
     short   readings beyond 4 m see nothing, noise of 1 % of the range, as of the smallest scanners
     coarse  readings are rounded to 0.1 m             sides   only the third of the beams that look ahead sees anything
     post    a post of the robot itself hides a fifteenth of the beams, to the left of ahead, at 0.4 m
@@ -24,6 +26,8 @@ import random
 import sys
 
 NOTHING = "81.83"
+# Standard deviations of noise: metres, and metres for each metre of range.
+NOISES = {"noise": (0.03, 0.0), "noise10": (0.1, 0.0), "noise20": (0.2, 0.0), "rel2": (0.0, 0.02)}
 
 
 def behind_leader(ranges, count):
@@ -69,8 +73,12 @@ def spoilt(ranges, how, chance, count):
     if how == "glass":
         longer = [chance.uniform(0.5, 3.0) if chance.random() < 0.2 else 0.0 for _ in ranges[::4]]
         return [f"{float(r) + longer[i // 4]:.3f}" if float(r) < 60.0 else r for i, r in enumerate(ranges)]
-    if how == "noise":
-        noisy = lambda r: max(0.05, float(r) + chance.gauss(0.0, 0.03))
+    if how == "salt":
+        way = lambda r: chance.uniform(0.1, min(float(r), 20.0))
+        return [f"{way(r):.3f}" if chance.random() < 0.2 else r for r in ranges]
+    if how in NOISES:
+        of_all, of_metre = NOISES[how]
+        noisy = lambda r: max(0.05, float(r) + chance.gauss(0.0, of_all + of_metre * float(r)))
         return [f"{noisy(r):.3f}" if float(r) < 60.0 else r for r in ranges]
     if how in ("third", "burst", "stale", "hang"):
         return ranges
