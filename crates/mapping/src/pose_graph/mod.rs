@@ -52,8 +52,7 @@ use summary_ties::SummaryTies;
 use travel::TravelGraph;
 pub use trimmed_nodes::{TrimmedNode, TrimmedNodes};
 pub use trimming::Trimmer;
-pub(crate) use usual_agreement::AT_WRONG_PLACES;
-use usual_agreement::UsualAgreement;
+pub(crate) use usual_agreement::{AT_WRONG_PLACES, UsualAgreement};
 
 use localisation::Localisation;
 use places::PlaceSearches;

@@ -27,7 +27,7 @@ pub(crate) struct Shares {
 
 /// Means over the scans of a recording, each compared with the map without it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct UsualAgreement {
+pub(crate) struct UsualAgreement {
     scans: f32,
     mean: Shares,
 }
@@ -47,6 +47,13 @@ impl UsualAgreement {
         self.scans += 1.0;
         self.mean.explained += (agreement.explained - self.mean.explained) / self.scans;
         self.mean.contradiction += (agreement.contradiction() - self.mean.contradiction) / self.scans;
+    }
+
+    /// Whether a scan agrees with the map less as scans of this recording do at their places than as scans do at wrong ones.
+    pub fn looks_wrong(&self, agreement: &ScanAgreement) -> bool {
+        let wrong = AT_WRONG_PLACES;
+        agreement.explained < (wrong.explained + self.mean.explained) / 2.0
+            && agreement.contradiction() > (wrong.contradiction + self.mean.contradiction) / 2.0
     }
 
     /// Limits that lie between wrong and right places of this recording as the wanted ones do between those of the

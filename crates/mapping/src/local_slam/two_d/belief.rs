@@ -28,6 +28,8 @@ pub(super) enum Belief {
         since: Time,
         /// How many there were.
         scans: u32,
+        /// The first one fits only far from where odometry has it, and badly: it may see a place that the map does not know.
+        is_elsewhere: bool,
     },
     /// The pose is not known any more.
     Lost {
@@ -37,29 +39,40 @@ pub(super) enum Belief {
 }
 
 impl Belief {
-    /// After one more scan, which agrees with the map as `agreement` says; none without anything to compare with.
-    pub fn after(self, time: Time, agreement: Option<ScanAgreement>, is_measured: bool) -> Self {
-        if !agreement.is_some_and(|agreement| self.is_doubted(&agreement, is_measured)) {
-            return Self::Sure;
+    /// After one more scan, which agrees with the map as `agreement` says; none without anything to compare with. With it, whether
+    /// odometry measured the motion, and whether the agreement looks more like that of wrong places than of right ones.
+    pub fn after(self, time: Time, agreement: Option<ScanAgreement>, how: (bool, bool)) -> Self {
+        match agreement.is_some_and(|agreement| self.is_doubted(&agreement, how)) {
+            true => self.doubted(time, false),
+            false => Self::Sure,
         }
-        let (since, scans) = match self {
-            Self::Doubtful { since, scans } => (since, scans + 1),
-            Self::Sure | Self::Lost { .. } => (time, 1),
+    }
+
+    /// After one more scan that fits only far from where odometry has it, and badly: the best of all the places that were looked
+    /// at is none then.
+    pub fn after_refuted_jump(self, time: Time) -> Self {
+        self.doubted(time, true)
+    }
+
+    fn doubted(self, time: Time, is_jump: bool) -> Self {
+        let (since, scans, is_elsewhere) = match self {
+            Self::Doubtful { since, scans, is_elsewhere } => (since, scans + 1, is_elsewhere),
+            Self::Sure | Self::Lost { .. } => (time, 1, is_jump),
         };
         if scans >= SCANS && time.seconds_since(since) >= SECONDS {
             return Self::Lost { since };
         }
-        Self::Doubtful { since, scans }
+        Self::Doubtful { since, scans, is_elsewhere }
     }
 
     /// Whether a scan fits nothing. Where odometry measured the motion this takes more: scans of a new room may contradict
     /// what was seen of it through a door, and those among people contradict everything; odometry bridges them.
-    fn is_doubted(self, agreement: &ScanAgreement, is_measured: bool) -> bool {
+    fn is_doubted(self, agreement: &ScanAgreement, (is_measured, looks_wrong): (bool, bool)) -> bool {
         if !is_measured {
             return agreement.contradicted() >= CONTRADICTED;
         }
         match self {
-            Self::Doubtful { .. } => fits_badly(agreement),
+            Self::Doubtful { is_elsewhere, .. } => fits_badly(agreement) || is_elsewhere && looks_wrong,
             Self::Sure | Self::Lost { .. } => refutes_place(agreement),
         }
     }
@@ -91,14 +104,31 @@ mod tests {
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
         let mut belief = Belief::Sure;
         for i in 0..4 {
-            belief = belief.after(at(i), agreement(0.1), false);
+            belief = belief.after(at(i), agreement(0.1), (false, false));
         }
-        assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 4 });
-        assert_eq!(belief.after(at(4), agreement(0.8), false), Belief::Sure);
-        assert_eq!(belief.after(at(4), None, false), Belief::Sure);
-        belief = belief.after(at(4), agreement(0.1), false);
-        assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 5 });
-        assert_eq!(belief.after(at(5), agreement(0.1), false), Belief::Lost { since: at(0) });
+        assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 4, is_elsewhere: false });
+        assert_eq!(belief.after(at(4), agreement(0.8), (false, false)), Belief::Sure);
+        assert_eq!(belief.after(at(4), None, (false, false)), Belief::Sure);
+        belief = belief.after(at(4), agreement(0.1), (false, false));
+        assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 5, is_elsewhere: false });
+        assert_eq!(belief.after(at(5), agreement(0.1), (false, false)), Belief::Lost { since: at(0) });
+    }
+
+    #[test]
+    fn a_jump_to_where_little_fits_is_refuted_until_something_does() {
+        let at = |i: i64| Time::from_ticks(2_000_000 * i);
+        let agreement = |explained| Some(ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.1 });
+        let mut belief = Belief::Sure.after_refuted_jump(at(0));
+        assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 1, is_elsewhere: true });
+        assert_eq!(belief.after(at(1), agreement(0.6), (true, false)), Belief::Sure);
+        for i in 1..=5 {
+            belief = belief.after(at(i), agreement(0.45), (true, true));
+        }
+        assert_eq!(belief, Belief::Lost { since: at(0) });
+        // Else it takes more.
+        let door = Belief::Sure.after(at(0), agreement(0.1), (true, true));
+        assert_eq!(door, Belief::Doubtful { since: at(0), scans: 1, is_elsewhere: false });
+        assert_eq!(door.after(at(1), agreement(0.45), (true, true)), Belief::Sure);
     }
 
     #[test]
@@ -108,7 +138,7 @@ mod tests {
             let agreement = ScanAgreement { explained: 0.1, in_free_space: 0.6, through_solid };
             (0..10).map(at).fold(Belief::Sure, |b, time| match b {
                 Belief::Lost { .. } => b,
-                _ => b.after(time, Some(agreement), true),
+                _ => b.after(time, Some(agreement), (true, false)),
             })
         };
         assert_eq!(believed(0.0), Belief::Sure);

@@ -45,6 +45,7 @@ use motion::Motion;
 use scan::Scan;
 use tracking::{Found, Tracker};
 
+use crate::pose_graph::UsualAgreement;
 use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
 use portolan_submaps::{Inserter2d, PlanarScan, Submap2d, search_after_gap};
 
@@ -79,6 +80,8 @@ pub struct LocalSlam2d {
     extras: LocalSlamExtras,
     tracker: Tracker,
     belief: Belief,
+    /// How scans agree with the map where they were found.
+    usual_agreement: UsualAgreement,
     co_moving: CoMoving,
     /// The last pose that was sure, in the local map.
     last_sure: Rigid2,
@@ -110,6 +113,7 @@ impl LocalSlam2d {
             extrapolator: None,
             extras,
             belief: Belief::default(),
+            usual_agreement: UsualAgreement::default(),
             co_moving: CoMoving::default(),
             last_sure: Rigid2::identity(),
             reckoned: DeadReckoning::from(Rigid2::identity()),
@@ -237,7 +241,10 @@ impl LocalSlam2d {
             tracking_yaw: yaw(&gravity),
         });
         let found = self.find(time, prediction, motion, &matching_cloud, &scan.returns);
-        let pose = if found.pose.is_finite() { found.pose } else { prediction };
+        let looks_wrong =
+            found.agreement.is_some_and(|a| motion_was_measured && self.usual_agreement.looks_wrong(&a));
+        let is_refuted = looks_wrong && found.is_far;
+        let pose = if found.pose.is_finite() && !is_refuted { found.pose } else { prediction };
         if !is_valid_pose(&(embed_3d(&pose) * gravity)) {
             self.count(IssueKind::ScanWithoutPose, time);
             return None;
@@ -247,7 +254,8 @@ impl LocalSlam2d {
         });
         self.belief = match gap {
             Some(_) => Belief::Sure,
-            None => self.belief.after(time, found.agreement, motion_was_measured),
+            None if is_refuted => self.belief.after_refuted_jump(time),
+            None => self.belief.after(time, found.agreement, (motion_was_measured, looks_wrong)),
         };
         if let Some(motion) = &motion {
             let step = motion.of_tracking(&motion.to(&prediction));
@@ -268,6 +276,7 @@ impl LocalSlam2d {
             self.count(IssueKind::ScanContradictsMap, time);
             None
         } else {
+            found.agreement.iter().for_each(|agreement| self.usual_agreement.add(agreement));
             (self.last_sure, self.reckoned) = (pose, DeadReckoning::from(project_2d(&local_from_tracking)));
             (!self.motion_filter.is_similar(time, &local_from_tracking)).then(|| {
                 let scans = [scan, &range_data_in_local];
