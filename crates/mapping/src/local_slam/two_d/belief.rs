@@ -16,6 +16,16 @@ const THROUGH_WALLS: f32 = 0.05;
 const SCANS: u32 = 5;
 const SECONDS: f64 = 1.0;
 
+/// How the map agrees with a scan where it was found.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Fit {
+    pub agreement: ScanAgreement,
+    /// Odometry measured the motion to there.
+    pub is_measured: bool,
+    /// The agreement is nearer to that of wrong places than to that of right ones in this recording.
+    pub looks_wrong: bool,
+}
+
 /// What is believed of the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum Belief {
@@ -39,10 +49,9 @@ pub(super) enum Belief {
 }
 
 impl Belief {
-    /// After one more scan, which agrees with the map as `agreement` says; none without anything to compare with. With it, whether
-    /// odometry measured the motion, and whether the agreement looks more like that of wrong places than of right ones.
-    pub fn after(self, time: Time, agreement: Option<ScanAgreement>, how: (bool, bool)) -> Self {
-        match agreement.is_some_and(|agreement| self.is_doubted(&agreement, how)) {
+    /// After one more scan, with how the map agrees with it; none without anything to compare with.
+    pub fn after(self, time: Time, fit: Option<Fit>) -> Self {
+        match fit.is_some_and(|fit| self.is_doubted(&fit)) {
             true => self.doubted(time, false),
             false => Self::Sure,
         }
@@ -67,12 +76,13 @@ impl Belief {
 
     /// Whether a scan fits nothing. Where odometry measured the motion this takes more: scans of a new room may contradict
     /// what was seen of it through a door, and those among people contradict everything; odometry bridges them.
-    fn is_doubted(self, agreement: &ScanAgreement, (is_measured, looks_wrong): (bool, bool)) -> bool {
+    fn is_doubted(self, fit: &Fit) -> bool {
+        let Fit { agreement, is_measured, looks_wrong } = fit;
         if !is_measured {
             return agreement.contradicted() >= CONTRADICTED;
         }
         match self {
-            Self::Doubtful { is_elsewhere, .. } => fits_badly(agreement) || is_elsewhere && looks_wrong,
+            Self::Doubtful { is_elsewhere, .. } => fits_badly(agreement) || is_elsewhere && *looks_wrong,
             Self::Sure | Self::Lost { .. } => refutes_place(agreement),
         }
     }
@@ -96,6 +106,10 @@ pub(crate) fn refutes_place(agreement: &ScanAgreement) -> bool {
 mod tests {
     use super::*;
 
+    fn fit(agreement: Option<ScanAgreement>, is_measured: bool, looks_wrong: bool) -> Option<Fit> {
+        agreement.map(|agreement| Fit { agreement, is_measured, looks_wrong })
+    }
+
     #[test]
     fn a_door_is_no_loss_and_ten_scans_of_something_else_are() {
         let agreement = |explained: f32| {
@@ -104,14 +118,14 @@ mod tests {
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
         let mut belief = Belief::Sure;
         for i in 0..4 {
-            belief = belief.after(at(i), agreement(0.1), (false, false));
+            belief = belief.after(at(i), fit(agreement(0.1), false, false));
         }
         assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 4, is_elsewhere: false });
-        assert_eq!(belief.after(at(4), agreement(0.8), (false, false)), Belief::Sure);
-        assert_eq!(belief.after(at(4), None, (false, false)), Belief::Sure);
-        belief = belief.after(at(4), agreement(0.1), (false, false));
+        assert_eq!(belief.after(at(4), fit(agreement(0.8), false, false)), Belief::Sure);
+        assert_eq!(belief.after(at(4), fit(None, false, false)), Belief::Sure);
+        belief = belief.after(at(4), fit(agreement(0.1), false, false));
         assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 5, is_elsewhere: false });
-        assert_eq!(belief.after(at(5), agreement(0.1), (false, false)), Belief::Lost { since: at(0) });
+        assert_eq!(belief.after(at(5), fit(agreement(0.1), false, false)), Belief::Lost { since: at(0) });
     }
 
     #[test]
@@ -120,15 +134,15 @@ mod tests {
         let agreement = |explained| Some(ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.1 });
         let mut belief = Belief::Sure.after_refuted_jump(at(0));
         assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 1, is_elsewhere: true });
-        assert_eq!(belief.after(at(1), agreement(0.6), (true, false)), Belief::Sure);
+        assert_eq!(belief.after(at(1), fit(agreement(0.6), true, false)), Belief::Sure);
         for i in 1..=5 {
-            belief = belief.after(at(i), agreement(0.45), (true, true));
+            belief = belief.after(at(i), fit(agreement(0.45), true, true));
         }
         assert_eq!(belief, Belief::Lost { since: at(0) });
         // Else it takes more.
-        let door = Belief::Sure.after(at(0), agreement(0.1), (true, true));
+        let door = Belief::Sure.after(at(0), fit(agreement(0.1), true, true));
         assert_eq!(door, Belief::Doubtful { since: at(0), scans: 1, is_elsewhere: false });
-        assert_eq!(door.after(at(1), agreement(0.45), (true, true)), Belief::Sure);
+        assert_eq!(door.after(at(1), fit(agreement(0.45), true, true)), Belief::Sure);
     }
 
     #[test]
@@ -138,7 +152,7 @@ mod tests {
             let agreement = ScanAgreement { explained: 0.1, in_free_space: 0.6, through_solid };
             (0..10).map(at).fold(Belief::Sure, |b, time| match b {
                 Belief::Lost { .. } => b,
-                _ => b.after(time, Some(agreement), (true, false)),
+                _ => b.after(time, fit(Some(agreement), true, false)),
             })
         };
         assert_eq!(believed(0.0), Belief::Sure);

@@ -36,8 +36,8 @@ use super::{
     ActiveSubmaps, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, OdometryBridge, count_collated,
     count_extrapolated, filtered, first_point_time, motion_filter, take_odometry,
 };
-use belief::Belief;
 pub(crate) use belief::refutes_place;
+use belief::{Belief, Fit};
 use co_moving::CoMoving;
 use dead_reckoning::DeadReckoning;
 use gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
@@ -241,9 +241,12 @@ impl LocalSlam2d {
             tracking_yaw: yaw(&gravity),
         });
         let found = self.find(time, prediction, motion, &matching_cloud, &scan.returns);
-        let looks_wrong =
-            found.agreement.is_some_and(|a| motion_was_measured && self.usual_agreement.looks_wrong(&a));
-        let is_refuted = looks_wrong && found.is_far;
+        let fit = found.agreement.map(|agreement| Fit {
+            agreement,
+            is_measured: motion_was_measured,
+            looks_wrong: self.usual_agreement.looks_wrong(&agreement),
+        });
+        let is_refuted = found.is_far && fit.is_some_and(|fit| fit.is_measured && fit.looks_wrong);
         let pose = if found.pose.is_finite() && !is_refuted { found.pose } else { prediction };
         if !is_valid_pose(&(embed_3d(&pose) * gravity)) {
             self.count(IssueKind::ScanWithoutPose, time);
@@ -255,7 +258,7 @@ impl LocalSlam2d {
         self.belief = match gap {
             Some(_) => Belief::Sure,
             None if is_refuted => self.belief.after_refuted_jump(time),
-            None => self.belief.after(time, found.agreement, (motion_was_measured, looks_wrong)),
+            None => self.belief.after(time, fit),
         };
         if let Some(motion) = &motion {
             let step = motion.of_tracking(&motion.to(&prediction));
