@@ -9,7 +9,7 @@ use std::path::Path;
 
 use common::{portolan, portolan_with_code, real, text, trajectory_errors};
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors, read_tum};
-use portolan_geometry::{Rigid3, Vector3};
+use portolan_geometry::{Rigid2, Rigid3, Vector3};
 use portolan_recording::{Message, RecordedMessage};
 use portolan_testing::is_fast;
 
@@ -195,7 +195,7 @@ fn real_drives_are_followed() {
 fn rewritten(
     recording: &str,
     output: &Path,
-    change: impl Fn(usize, RecordedMessage) -> Vec<RecordedMessage>,
+    mut change: impl FnMut(usize, RecordedMessage) -> Vec<RecordedMessage>,
 ) {
     let recording = portolan_recording::open(recording).unwrap();
     let mut reader = recording.read(&|_| true).unwrap();
@@ -226,6 +226,38 @@ fn scans_of_a_few_beams_are_weighed_with_odometry() {
     map(&text(&short), folder.path(), &[]);
     let (metres, _) = relation_errors(folder.path(), &relations);
     assert!(metres <= 1.3 * 0.189, "{metres} m");
+}
+
+/// Odometry that sees the way but not the turns of some seconds, in scans that are one to three metres apart.
+#[test]
+fn turns_that_odometry_misses_are_found_in_sparse_scans() {
+    let Some(recording) = real("lidar2d/orebro/orebro.clf.bz2") else { return };
+    let relations = real("lidar2d/orebro/orebro.relations").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let missed = folder.path().join("missed.bag");
+    let is_missed =
+        |seconds: f64| [(121.4, 141.0), (227.0, 230.5)].iter().any(|(a, b)| (*a..*b).contains(&seconds));
+    let mut start = None;
+    let mut last: Option<[Rigid2; 2]> = None;
+    rewritten(&recording, &missed, |_, mut message| {
+        let seconds = message.log_time.seconds_since(*start.get_or_insert(message.log_time));
+        if let Message::Odometry(odometry) = &mut message.message {
+            let ([x, y, _], [_, _, sine, cosine]) = (odometry.pose.position, odometry.pose.orientation_xyzw);
+            let told = Rigid2::new(x, y, 2.0 * sine.atan2(cosine));
+            let written = last.map_or(told, |[told_before, written_before]| {
+                let step = told_before.inverse() * told;
+                written_before * Rigid2 { angle: if is_missed(seconds) { 0.0 } else { step.angle }, ..step }
+            });
+            last = Some([told, written]);
+            let (sine, cosine) = (written.angle / 2.0).sin_cos();
+            odometry.pose.position = [written.translation.x, written.translation.y, 0.0];
+            odometry.pose.orientation_xyzw = [0.0, 0.0, sine, cosine];
+        }
+        vec![message]
+    });
+    map(&text(&missed), folder.path(), &[]);
+    let (metres, _) = relation_errors(folder.path(), &relations);
+    assert!(metres <= 1.3 * 0.07, "{metres} m");
 }
 
 /// Stamps come in bursts from the first second on.

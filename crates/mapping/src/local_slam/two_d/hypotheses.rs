@@ -29,6 +29,8 @@ pub(super) struct Hypothesis {
     pub around: Rigid2,
     pub found: ScanMatch2d,
     pub basis: Basis,
+    /// What odometry says, where it is believed to have caught up.
+    pub as_told: Option<Rigid2>,
 }
 
 /// What says that a scan is somewhere.

@@ -11,7 +11,7 @@ use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow};
 
 use super::LocalSlamExtras;
 use super::OdometryBridge;
-use super::belief::is_hardly_explained;
+use super::belief::{is_hardly_explained, refutes_place};
 use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
 use super::hypotheses::{Basis, Hypothesis, Judgement, Looked};
@@ -236,16 +236,15 @@ impl Tracker {
         window: SearchWindow,
     ) -> (ScanMatch2d, Judgement) {
         let found = near.found;
+        let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
         let is_low = found.score.is_some_and(|score| self.usual_score.is_low(score));
-        let wide = (is_low || near.is_at_edge(window))
-            .then(|| self.search((scan, cloud), near.around, wide_window(window, motion)));
-        let agreement = || scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
+        let is_refuted = agreement.as_ref().is_some_and(refutes_place);
+        let wide = (is_low || is_refuted || near.is_at_edge(window))
+            .then(|| self.search_wide((scan, cloud), near, wide_window(window, motion)));
         let prior = self.prior(near.around, motion);
-        let is_doubted = || {
-            scan.witnesses.are_few() && is_elsewhere(&(near.around.inverse() * found.pose))
-                || agreement().is_some_and(|agreement| is_hardly_explained(&agreement))
-        };
-        if wide.is_none() && !is_doubted() {
+        let is_doubted = scan.witnesses.are_few() && is_elsewhere(&(near.around.inverse() * found.pose))
+            || agreement.as_ref().is_some_and(is_hardly_explained);
+        if wide.is_none() && !is_doubted {
             return (found, Judgement::Near);
         }
         // A prediction that nothing measured is no witness.
@@ -254,6 +253,21 @@ impl Tracker {
             (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, Judgement::Predicted),
             (Some(2), Some(wide)) => (wide, Judgement::Far),
             _ => (found, Judgement::Near),
+        }
+    }
+
+    /// The best match far around what is believed of the motion and, where that is that odometry has caught up, around what it
+    /// says without.
+    fn search_wide(
+        &self,
+        scan: (&Scan, &PointCloud),
+        near: &Hypothesis,
+        window: SearchWindow,
+    ) -> ScanMatch2d {
+        let found = self.search(scan, near.around, window);
+        match near.as_told.map(|as_told| self.search(scan, as_told, window)) {
+            Some(other) if other.score > found.score => other,
+            _ => found,
         }
     }
 
@@ -280,7 +294,12 @@ impl Tracker {
         scan: (&Scan, &PointCloud),
         window: SearchWindow,
     ) -> Hypothesis {
-        let around = |around, basis| Hypothesis { around, found: self.search(scan, around, window), basis };
+        let around = |around, basis| Hypothesis {
+            around,
+            found: self.search(scan, around, window),
+            basis,
+            as_told: None,
+        };
         if !motion.is_measured {
             let predicted = around(prediction, Basis::WentOn);
             if motion.seconds <= self.gap {
@@ -297,7 +316,7 @@ impl Tracker {
             return measured;
         };
         let found = self.search(scan, went_on.prediction, self.window_of(&went_on.sigmas));
-        let other = Hypothesis { around: went_on.prediction, found, basis: Basis::WentOn };
+        let other = Hypothesis { around: went_on.prediction, found, basis: Basis::WentOn, as_told: None };
         let likely = |prior, hypothesis| self.likely(prior, hypothesis, scan.0);
         let (Some(works), Some(fails)) = (likely(&prior, &measured), likely(&went_on, &other)) else {
             return measured;
@@ -317,7 +336,9 @@ impl Tracker {
         let Some(caught_up) = caught_up else { return (predicted, prior) };
         let other = MotionPrior { prediction: caught_up.around, ..prior };
         match (self.likely(&prior, &predicted, scan), self.likely(&other, &caught_up, scan)) {
-            (Some(as_told), Some(later)) if later > as_told => (caught_up, other),
+            (Some(as_told), Some(later)) if later > as_told => {
+                (Hypothesis { as_told: Some(predicted.around), ..caught_up }, other)
+            }
             _ => (predicted, prior),
         }
     }
