@@ -99,7 +99,9 @@ impl SpatialMap {
         for submap in submap_cells(state) {
             occupancy.add(&submap);
             solid.add(&submap);
-            add_solid(&mut planes, &submap, state);
+            if !has_points(&submap, state) {
+                add_solid(&mut planes, &submap, state);
+            }
         }
         let occupancy = occupancy.finish(state);
         let solid_cells = occupancy.solid();
@@ -248,7 +250,18 @@ impl SpatialMap {
     }
 }
 
-/// Adds the solid cells of a submap to planes: those of maps without the points of nodes.
+/// Whether any node of a submap keeps points. Its cells then say nothing more of planes, and what they say is biased: all points
+/// of a surface that lies along the lattice are moved to the middles of the same cells, by up to half an edge, and
+/// no number of them makes that smaller (docs/experiments/2026-11-along-streets.md).
+fn has_points(submap: &SubmapCells, state: &GraphState<Spatial>) -> bool {
+    let mut nodes = submap.entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
+    nodes.any(|node| {
+        let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];
+        clouds.iter().any(|cloud| !cloud.points.is_empty())
+    })
+}
+
+/// Adds the solid cells of a submap to planes.
 fn add_solid(planes: &mut PlaneMap, submap: &SubmapCells, state: &GraphState<Spatial>) {
     let mut nodes = submap.entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
     let seen_from = nodes.next().map(|node| node.map_from_tracking.translation.vector.cast::<f32>());
