@@ -245,7 +245,7 @@ impl RangeSampler {
         match span {
             None if layout.has_time() => {}
             None => {
-                self.in_firing_order += if is_in_firing_order(&self.sweep) { 1 } else { -1 };
+                self.in_firing_order += if is_in_firing_order(self.sweep.iter()) { 1 } else { -1 };
                 self.skew.add(cloud.header.stamp, &self.sweep, None);
             }
             Some(span) if span.span > 0.0 => {
@@ -316,6 +316,10 @@ impl RangeSampler {
         let duty = if DUTIES.contains(&duty) { duty } else { 1.0 };
         let skew = self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty));
         let has_times = sweep_duration > 0.0;
+        if std::env::var_os("TIMES_DEBUG").is_some() {
+            eprintln!("{:?} {skew:?} duty {duty} has {has_times}", interval);
+            self.skew.debug_fits(duty);
+        }
         let time_scale = skew.filter(|_| has_times).and_then(|skew| skew.scale_of_times());
         let vertical = f64::from(self.elevation.1 - self.elevation.0);
         RangeStatistics {

@@ -320,6 +320,26 @@ impl SkewEstimator {
         fit::is_better(straightened, &shorter).then_some((times, shorter))
     }
 
+    pub fn debug_fits(&self, duty: f64) {
+        if !self.has_times {
+            return;
+        }
+        let of = |scale: f64| self.straightened(TurnTimes { part: duty * scale, ..TurnTimes::OF_SHARES });
+        let Some(base) = of(1.0) else { return };
+        for scale in [-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 4.0] {
+            let Some(other) = of(scale) else { eprintln!("{scale} none"); continue };
+            let line: Vec<String> = base.iter().zip(&other).map(|(a, b)| {
+                let gains: Vec<f64> = a.pairs.iter().zip(&b.pairs).map(|(a, b)| b.explained - a.explained).collect();
+                let n = gains.len() as f64;
+                let mean = gains.iter().sum::<f64>() / n;
+                let var = gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0);
+                format!("{mean:.1}({:.1}) n{n}", (var / n).sqrt())
+            }).collect();
+            let all: f64 = base.iter().flat_map(|f| &f.pairs).map(|p| p.explained).sum::<f64>() / base.iter().map(|f| f.pairs.len()).sum::<usize>() as f64;
+            eprintln!("scale {scale}: {line:?} of {all:.0}");
+        }
+    }
+
     /// All sweeps with the motion of such turns taken out; none if they do not fit then.
     fn straightened(&self, times: TurnTimes) -> Option<Vec<Followed>> {
         self.batches.iter().map(|batch| batch.straightened(times)).collect()
