@@ -207,7 +207,10 @@ mod tests {
                 assert_eq!(is_in_firing_order(points.iter()), !by_ring, "{clockwise}");
             }
         }
-        assert!(!is_in_firing_order([].iter()) && !is_in_firing_order([Point3f::new(f32::NAN, 1.0, 1.0); 9].iter()));
+        assert!(
+            !is_in_firing_order([].iter())
+                && !is_in_firing_order([Point3f::new(f32::NAN, 1.0, 1.0); 9].iter())
+        );
     }
 
     #[test]
