@@ -67,7 +67,7 @@ fn recorded_or_none(
     {
         let how = match scale {
             0.0 => "all points count as measured at the stamp".to_owned(),
-            0.0.. => format!("they are taken to run {scale} times as fast"),
+            0.0.. => format!("they are taken to run {} times as fast", (100.0 * scale).round() / 100.0),
             _ => "they are taken to run backwards".to_owned(),
         };
         let doubt = if statistics.times_in_doubt { "what fits best, but not clearly, is that " } else { "" };

@@ -73,9 +73,20 @@ pub(super) trait Fits {
     fn explained(&self, scale: f64) -> f64;
 }
 
-/// Everything that times may be multiplied with, as they are and not used included.
-pub(super) fn scales_of_times() -> impl Iterator<Item = f64> {
-    TIME_SCALES.into_iter().chain([0.0, 1.0])
+/// Whether times that span such a part of the interval between clouds span a turn.
+pub(super) fn is_whole_turn(duty: f64) -> bool {
+    (duty - 1.0).abs() < WHOLE_TURN
+}
+
+/// What times may be wrong by that span the share `duty` of the interval between clouds, from one cloud to the next included.
+fn wrong_scales(duty: f64) -> impl Iterator<Item = f64> {
+    let is_new = |whole: &f64| TIME_SCALES.iter().chain(&[1.0]).all(|scale| !is_whole_turn(whole / scale));
+    TIME_SCALES.into_iter().chain(Some(duty.recip()).filter(is_new))
+}
+
+/// The same, with times as they are and times not used.
+pub(super) fn scales_of_times(duty: f64) -> impl Iterator<Item = f64> {
+    wrong_scales(duty).chain([0.0, 1.0])
 }
 
 /// What the times of points are to be multiplied with, as factors and fits together tell; none if nothing speaks against them. Factors are
@@ -85,17 +96,17 @@ pub(super) fn told_by_fits(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<T
         let sigmas = fits.sigmas_better(from, to);
         misfit(skew, from) - misfit(skew, to) + sigmas * sigmas.abs()
     };
-    let is_whole_turn = |scale: f64| (scale.abs() * duty - 1.0).abs() < WHOLE_TURN;
+    let spans_turn = |scale: f64| is_whole_turn(scale.abs() * duty);
     // A sweep takes the time from one cloud to the next: times that span another one are doubtful by themselves.
-    let margin = |scale| if is_whole_turn(scale) && !is_whole_turn(1.0) { MARGIN } else { CLEAR_MARGIN };
+    let margin = |scale| if spans_turn(scale) && !spans_turn(1.0) { MARGIN } else { CLEAR_MARGIN };
     let exceeds = |scale: f64| evidence(1.0, scale).min(evidence(0.0, scale)) - margin(scale);
-    let likely = TIME_SCALES.into_iter().filter(|scale| misfit(skew, *scale) < LIKELY);
+    let likely = wrong_scales(duty).filter(|scale| misfit(skew, *scale) < LIKELY);
     let clear = likely.map(|scale| (exceeds(scale), scale)).max_by(|a, b| a.0.total_cmp(&b.0));
     if let Some((_, scale)) = clear.filter(|(exceeds, _)| *exceeds > 0.0) {
         return Some(TimesTold { scale, is_clear: true });
     }
-    let is_contradicted = scales_of_times().any(|scale| fits.sigmas_better(1.0, scale) > CONTRADICTED);
-    let scale = scales_of_times().max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
+    let is_contradicted = scales_of_times(duty).any(|scale| fits.sigmas_better(1.0, scale) > CONTRADICTED);
+    let scale = scales_of_times(duty).max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
     is_contradicted.then_some(TimesTold { scale, is_clear: false })
 }
 

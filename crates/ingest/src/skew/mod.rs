@@ -323,11 +323,14 @@ impl SkewEstimator {
         if let Some(scale) = hypotheses::scale_of_times(skew) {
             return Some(TimesTold { scale, is_clear: true });
         }
-        if !self.has_times || matches!(skew.state(), SkewState::Raw | SkewState::Removed) {
+        let is_settled =
+            hypotheses::is_whole_turn(duty) && matches!(skew.state(), SkewState::Raw | SkewState::Removed);
+        if !self.has_times || is_settled {
             return None;
         }
         let times = |scale: f64| TurnTimes { part: scale * duty, ..TurnTimes::OF_SHARES };
-        let fits = hypotheses::scales_of_times().map(|scale| Some((scale, self.straightened(times(scale))?)));
+        let fits =
+            hypotheses::scales_of_times(duty).map(|scale| Some((scale, self.straightened(times(scale))?)));
         hypotheses::told_by_fits(skew, duty, &FitsOfTimes(fits.collect::<Option<_>>()?))
     }
 
