@@ -173,8 +173,10 @@ mod tests {
             told_by_fits(&skew(translation, rotation), duty, &Explained(fit, error))
                 .map(|told| (told.scale, told.is_clear))
         };
-        let (right, back): (fn(f64) -> f64, fn(f64) -> f64) = (|s| -(s - 1.0).abs(), |s| -(s + 1.0).abs());
-        let (double, nothing): (fn(f64) -> f64, fn(f64) -> f64) = (|s| -(s - 2.0).abs(), |_| 0.0);
+        let right: fn(f64) -> f64 = |s| -(s - 1.0).abs();
+        let back: fn(f64) -> f64 = |s| -(s + 1.0).abs();
+        let double: fn(f64) -> f64 = |s| -(s - 2.0).abs();
+        let nothing: fn(f64) -> f64 = |_| 0.0;
         // Factors know nothing: fits tell alone, or that times are wrong, or nothing.
         assert_eq!(told(unknown, unknown, 1.0, back, 0.2), Some((-1.0, true)));
         assert_eq!(told(unknown, unknown, 1.0, back, 0.7), Some((-1.0, false)));
