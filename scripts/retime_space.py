@@ -3,7 +3,8 @@
 
     --every N          one sweep in N
     --sweeps A:B       from the A-th sweep on, before the B-th
-    --times WHAT       none: the field is renamed; half, double: too small, too large by two; ages: the sign is wrong
+    --times WHAT       none: the field is renamed; half, double, longer: too small, too large by two, by a half; ages: the sign is
+                       wrong; wrapped: turns begin half a turn off; mixed: those of other points of the sweep
     --by-beam          points beam by beam from ahead, counter-clockwise, as KITTI's files have them, not firing by firing
     --alone            the lidar alone, without IMU and all else
 
@@ -19,7 +20,12 @@ from rosbags.typesys import Stores, get_typestore
 STORE = get_typestore(Stores.ROS1_NOETIC)
 LIDAR = "sensor_msgs/msg/PointCloud2"
 TIMES = ("time", "t", "timestamp", "offset_time")
-SCALES = {"half": 0.5, "double": 2.0, "ages": -1.0}
+SCALES = {"half": 0.5, "double": 2.0, "ages": -1.0, "longer": 1.5}
+OTHERS = {
+    "wrapped": lambda times: times.min() + (times - times.min() + 0.5 * np.ptp(times)) % max(np.ptp(times), 1e-9),
+    "mixed": lambda times: np.random.default_rng(len(times)).permutation(times),
+}
+CHANGES = {**{name: lambda times, scale=scale: times * scale for name, scale in SCALES.items()}, **OTHERS}
 BEAM_DEGREES = 0.42
 
 
@@ -31,9 +37,9 @@ def changed(message, times, by_beam):
     """The cloud with other times, in another order."""
     points = np.frombuffer(bytes(message.data), np.uint8).reshape(-1, message.point_step).copy()
     for field in message.fields:
-        if field.name in TIMES and times in SCALES:
-            scaled = floats(points, field.offset, 1) * np.float32(SCALES[times])
-            points[:, field.offset : field.offset + 4] = scaled.view(np.uint8)
+        if field.name in TIMES and times in CHANGES:
+            changed_times = CHANGES[times](floats(points, field.offset, 1)[:, 0]).astype("<f4")
+            points[:, field.offset : field.offset + 4] = changed_times.reshape(-1, 1).view(np.uint8)
         elif field.name in TIMES and times == "none":
             field.name = "no_" + field.name
     if by_beam:
@@ -50,7 +56,7 @@ def main():
     parser.add_argument("out")
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--sweeps", default=":")
-    parser.add_argument("--times", choices=["none", *SCALES])
+    parser.add_argument("--times", choices=["none", *CHANGES])
     parser.add_argument("--by-beam", action="store_true")
     parser.add_argument("--alone", action="store_true")
     args = parser.parse_args()

@@ -102,7 +102,9 @@ pub(crate) fn assign(points: &mut TimedPoints, timed: &TimedTurn) {
     let begin = turn.filter(|_| !begins_at_first).map_or(of_first, |t| t.begin_radians);
     let by_order = || sense_of_turn(points.points.iter().map(|p| &p.position));
     let sign = turn.map_or_else(by_order, |t| if t.is_clockwise { -1.0 } else { 1.0 });
-    let early = if begins_at_first { (points.points.len() as f32 * EDGE) as usize } else { 0 };
+    // Where points stand beam by beam, the first ones are of all azimuths.
+    let has_edge = begins_at_first && is_in_firing_order(points.points.iter().map(|p| &p.position));
+    let early = if has_edge { (points.points.len() as f32 * EDGE) as usize } else { 0 };
     let at_stamp = meaning.share_at_stamp();
     for (index, point) in points.points.iter_mut().enumerate() {
         let mut share = (sign * (azimuth(&point.position) - begin)).rem_euclid(TAU) / TAU;
@@ -142,12 +144,15 @@ const ALIKE: f32 = 0.8;
 
 /// Whether the points of a turn stand in the order of their azimuth, all beams of one firing together: then the first one is where the
 /// turn begins. Many drivers write one beam after the other, from an azimuth of their own.
-pub(crate) fn is_in_firing_order(points: &[Point3f]) -> bool {
-    let blocks = points.chunks(points.len().div_ceil(BLOCKS).max(1));
-    let alike = blocks.map(|block| {
-        let sums = block.iter().map(azimuth).fold((0.0, 0.0), |(c, s), a| (c + a.cos(), s + a.sin()));
-        f32::hypot(sums.0, sums.1) / block.len() as f32
-    });
+pub(crate) fn is_in_firing_order<'a>(points: impl ExactSizeIterator<Item = &'a Point3f>) -> bool {
+    let of_block = points.len().div_ceil(BLOCKS).max(1);
+    let mut blocks = [(0.0_f32, 0.0_f32, 0.0_f32); BLOCKS];
+    for (index, azimuth) in points.map(azimuth).enumerate() {
+        if let Some((count, c, s)) = blocks.get_mut(index / of_block) {
+            (*count, *c, *s) = (*count + 1.0, *c + azimuth.cos(), *s + azimuth.sin());
+        }
+    }
+    let alike = blocks.iter().map(|(count, c, s)| f32::hypot(*c, *s) / count.max(1.0));
     // NaN, where points have no azimuth, says no.
     alike.sum::<f32>() / BLOCKS as f32 > ALIKE
 }
@@ -199,10 +204,13 @@ mod tests {
             for by_ring in [true, false] {
                 let points: Vec<Point3f> =
                     turn(clockwise, by_ring).points.iter().map(|p| p.position).collect();
-                assert_eq!(is_in_firing_order(&points), !by_ring, "{clockwise}");
+                assert_eq!(is_in_firing_order(points.iter()), !by_ring, "{clockwise}");
             }
         }
-        assert!(!is_in_firing_order(&[]) && !is_in_firing_order(&[Point3f::new(f32::NAN, 1.0, 1.0); 9]));
+        assert!(
+            !is_in_firing_order([].iter())
+                && !is_in_firing_order([Point3f::new(f32::NAN, 1.0, 1.0); 9].iter())
+        );
     }
 
     #[test]
@@ -231,6 +239,20 @@ mod tests {
             (4e8, UntilStamp),
         ] {
             assert_eq!(AzimuthTimes::of_stamps(Some(Duration::from_seconds(lag)), 0.1), expected, "{lag}");
+        }
+    }
+
+    #[test]
+    fn beams_that_begin_with_the_turn_but_go_the_other_way_are_of_one_turn() {
+        // Clockwise from the first point on, beams counter-clockwise: the points after the first are the last of the turn.
+        let mut points = turn(false, true);
+        let known = Turn { begin_radians: 2.0, is_clockwise: true, in_intervals: 1.0 };
+        let (stamp, meaning) = (Time::from_ros(100, 0), AzimuthTimes::FromStamp);
+        assign(&mut points, &TimedTurn { stamp, seconds: 0.1, meaning, turn: Some(known) });
+        let end = points.time.seconds_since(stamp);
+        for p in &points.points {
+            let seconds = end + f64::from(p.time);
+            assert!(seconds > -1e-4 && seconds < 0.1 + 1e-4, "{seconds} {p:?}");
         }
     }
 

@@ -184,6 +184,9 @@ impl Ingestion {
             // Otherwise they are read again and counted then.
             issues.merge(&inventory.moving_issues);
         }
+        for range in plan.range.iter().filter(|range| range.times_in_doubt) {
+            issues.add(Issue::new(IssueKind::PointTimesInDoubt).of(Arc::clone(&range.source.topic)));
+        }
         Ok(Self {
             plan,
             source: ReadAhead::new(reader, inventory.tree.clone(), tf, needs_tf),

@@ -59,7 +59,10 @@ pub struct RangeStatistics {
     /// clouds are no sweeps in space.
     pub skew: Option<Skew>,
     /// What the times of points are to be multiplied with, as the motion in clouds tells; none if they are right as far as is known.
+    /// 0: they are not to be used.
     pub time_scale: Option<f64>,
+    /// Whether times are wrong by that, but it is not clear by what.
+    pub times_in_doubt: bool,
     /// Whether the lidar stood while it was looked at, so that nothing can be said of the motion in its clouds.
     pub only_stood: bool,
     /// Whether the points of clouds without times stand in the order in which a spinning lidar measured them.
@@ -245,7 +248,7 @@ impl RangeSampler {
         match span {
             None if layout.has_time() => {}
             None => {
-                self.in_firing_order += if is_in_firing_order(&self.sweep) { 1 } else { -1 };
+                self.in_firing_order += if is_in_firing_order(self.sweep.iter()) { 1 } else { -1 };
                 self.skew.add(cloud.header.stamp, &self.sweep, None);
             }
             Some(span) if span.span > 0.0 => {
@@ -316,7 +319,7 @@ impl RangeSampler {
         let duty = if DUTIES.contains(&duty) { duty } else { 1.0 };
         let skew = self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty));
         let has_times = sweep_duration > 0.0;
-        let time_scale = skew.filter(|_| has_times).and_then(|skew| skew.scale_of_times());
+        let told = skew.filter(|_| has_times).and_then(|skew| self.skew.times_told(&skew, duty));
         let vertical = f64::from(self.elevation.1 - self.elevation.0);
         RangeStatistics {
             messages: self.readings.len(),
@@ -332,7 +335,8 @@ impl RangeSampler {
             saturation_range,
             sweep_duration,
             skew,
-            time_scale,
+            time_scale: told.map(|told| told.scale),
+            times_in_doubt: told.is_some_and(|told| !told.is_clear),
             only_stood: self.skew.only_stood(),
             is_in_firing_order: self.in_firing_order > 0,
         }

@@ -162,6 +162,7 @@ kinds! {
     NoDistance Info "messages without a single valid range were skipped"
     CloudWithoutCoordinates Error "clouds without fields x, y and z were left out"
     CloudFieldOutside Error "clouds with fields beyond the end of a point were left out"
+    PointTimesInDoubt Error "the times of points do not fit the motion of the lidar, and it is not clear which would: the map may be bent (--point-times says what they are)"
     CloudInMillimetres Warning "clouds in millimetres were converted to metres"
     PointNotFinite Info "points that are not a number or beyond 1,000 km were left out"
     PointTimeFar Info "points whose time lies far outside their cloud were left out"

@@ -127,6 +127,8 @@ pub struct PlannedRange {
     /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`] nor
     /// [`AzimuthTimes::Recorded`].
     pub azimuth_times: AzimuthTimes,
+    /// Whether the motion in the points says that their times are wrong, but not clearly what is right, and nobody chose.
+    pub times_in_doubt: bool,
     /// Seconds from the first beam of a scan to the last, less than zero if the last comes first; none: as the scan says
     /// (laser scans only).
     pub scan_duration: Option<f64>,

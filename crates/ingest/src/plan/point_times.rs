@@ -63,17 +63,25 @@ fn recorded_or_none(
     let Some(skew) = statistics.skew else { return PointTimes::recorded(times) };
     let topic = chosen.topic();
     if let (Some(scale), Some(times)) = (statistics.time_scale, times)
-        && times.origin == PointTimeOrigin::Stamp
+        && (times.origin == PointTimeOrigin::Stamp || scale == 0.0)
     {
-        let how = if scale < 0.0 { "backwards".to_owned() } else { format!("{scale} times as fast") };
+        let how = match scale {
+            0.0 => "all points count as measured at the stamp".to_owned(),
+            0.0.. => format!("they are taken to run {} times as fast", (100.0 * scale).round() / 100.0),
+            _ => "they are taken to run backwards".to_owned(),
+        };
+        let doubt = if statistics.times_in_doubt { "what fits best, but not clearly, is that " } else { "" };
         plan.warn(
             format!(
-                "the times of the points of {topic} do not fit their motion ({}): they are taken to run {how}",
+                "the times of the points of {topic} do not fit their motion ({}): {doubt}{how}",
                 told(skew)
             ),
             CHANGE,
         );
-        return PointTimes::recorded(Some(PointTime { unit: scale * times.unit, ..times }));
+        return match scale {
+            0.0 => PointTimes::OF_STAMP,
+            _ => PointTimes::recorded(Some(PointTime { unit: scale * times.unit, ..times })),
+        };
     }
     match skew.state() {
         SkewState::Raw | SkewState::Unknown => PointTimes::recorded(times),

@@ -255,7 +255,9 @@ pub(super) fn connect(
         }
         let beam_elevation = beam_elevation(&chosen, is_cloud(&chosen), options, plan);
         let times = times_of_points(&chosen, is_cloud(&chosen), options.azimuth_times, plan);
+        let statistics = chosen.survey.range.clone().unwrap_or_default();
         plan.range.push(PlannedRange {
+            times_in_doubt: options.azimuth_times == AzimuthTimes::Auto && statistics.times_in_doubt,
             source: chosen.planned(SensorKind::Range, &frame),
             point_time: times.recorded,
             scan_duration: (options.azimuth_times == AzimuthTimes::Off && !is_cloud(&chosen)).then_some(0.0),
@@ -264,7 +266,7 @@ pub(super) fn connect(
             azimuth_times: times.by_azimuth,
             turn: times.turn,
             beam_elevation,
-            statistics: chosen.survey.range.clone().unwrap_or_default(),
+            statistics,
         });
     }
     if plan.range.is_empty() {

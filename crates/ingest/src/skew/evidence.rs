@@ -34,8 +34,8 @@ impl TurnTimes {
     /// Time since the middle of the turn, in intervals between clouds.
     pub fn share(&self, phase: f32) -> f64 {
         // The last point of a sweep is at its end, not at its beginning.
-        if *self == Self::OF_SHARES {
-            return f64::from(phase) - 0.5;
+        if self.begin == 0.0 && self.sense > 0.0 {
+            return self.part * (f64::from(phase) - 0.5);
         }
         self.part * (f64::from((self.sense * (phase - self.begin)).rem_euclid(1.0)) - 0.5)
     }

@@ -4,6 +4,7 @@
 //! outliers, and linear least squares may see nothing of the motion where only they could show it. How many points lie on
 //! surfaces when the motion of a turn is taken out shows it.
 
+use super::INFLATION;
 use super::evidence::TurnTimes;
 use super::follow::Followed;
 
@@ -21,18 +22,42 @@ pub(super) fn usual_turns() -> impl Iterator<Item = TurnTimes> {
 
 /// Whether sweeps fit clearly better in the second way; both were followed from the same pairs.
 pub(super) fn is_better(one: &[Followed], other: &[Followed]) -> bool {
-    let gains: Vec<f64> = (one.iter().zip(other))
+    is_clearly_positive(&gains(one, other))
+}
+
+/// By how many standard errors sweeps fit better in the second way, or worse if less than zero. Pairs that share sweeps are not
+/// independent: errors are inflated as those of factors. Zero if there are too few pairs.
+pub(super) fn sigmas_better(one: &[Followed], other: &[Followed]) -> f64 {
+    let (mean, error) = mean_and_error(&gains(one, other));
+    let sigmas = mean / (INFLATION * error);
+    if sigmas.is_finite() { sigmas } else { 0.0 }
+}
+
+/// How many points of all pairs lie on surfaces.
+pub(super) fn explained(followed: &[Followed]) -> f64 {
+    followed.iter().flat_map(|followed| &followed.pairs).map(|pair| pair.explained).sum()
+}
+
+/// How many more points of each pair lie on surfaces in the second way.
+fn gains(one: &[Followed], other: &[Followed]) -> Vec<f64> {
+    (one.iter().zip(other))
         .flat_map(|(one, other)| one.pairs.iter().zip(&other.pairs))
         .map(|(one, other)| other.explained - one.explained)
-        .collect();
-    is_clearly_positive(&gains)
+        .collect()
+}
+
+/// The mean and its standard error, as if values were independent; NaN if they are too few.
+fn mean_and_error(values: &[f64]) -> (f64, f64) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let error = if values.len() >= MIN_PAIRS { (variance / n).sqrt() } else { f64::NAN };
+    (mean, error)
 }
 
 fn is_clearly_positive(gains: &[f64]) -> bool {
-    let n = gains.len() as f64;
-    let mean = gains.iter().sum::<f64>() / n;
-    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    gains.len() >= MIN_PAIRS && mean > CLEARLY * (variance / n).sqrt()
+    let (mean, error) = mean_and_error(gains);
+    mean > CLEARLY * error
 }
 
 #[cfg(test)]

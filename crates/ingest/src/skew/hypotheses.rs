@@ -20,8 +20,12 @@ const SECANT_ERROR: f64 = 0.15;
 const LIKELY: f64 = 12.0;
 /// … and by how much more they must be off from 0 and from 1.
 const MARGIN: f64 = 6.0;
-/// By so much more where nothing but the factors tells.
+/// By so much more where nothing but the factors tells, or times span one turn as they are.
 const CLEAR_MARGIN: f64 = 16.0;
+/// Times span a whole turn if it is one but for such a part.
+const WHOLE_TURN: f64 = 0.1;
+/// Times are contradicted if sweeps fit better with others by so many standard deviations.
+const CONTRADICTED: f64 = 2.5;
 
 /// One cloud in how many there is, if these come each `interval` seconds and it is not each, as their factors in units of the motion between
 /// clouds tell.
@@ -39,14 +43,71 @@ pub(super) fn scale_of_times(skew: &Skew) -> Option<f64> {
 
 /// Which of these both factors are, if neither 0 nor 1 is likely.
 fn told(skew: &Skew, expected: impl Iterator<Item = f64>, margin: f64) -> Option<f64> {
-    let factors = [skew.translation, skew.rotation];
-    let misfit = |expected: f64| -> f64 {
-        let known = factors.iter().filter(|f: &&SkewFactor| f.sigma.is_finite());
-        known.map(|f| ((f.factor - expected) / f.sigma.hypot(SECANT_ERROR * expected)).powi(2)).sum()
-    };
     let (found, least) =
-        expected.map(|factor| (factor, misfit(factor))).min_by(|a, b| a.1.total_cmp(&b.1))?;
-    (least < LIKELY && misfit(0.0).min(misfit(1.0)) > least + margin).then_some(found)
+        expected.map(|factor| (factor, misfit(skew, factor))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (least < LIKELY && misfit(skew, 0.0).min(misfit(skew, 1.0)) > least + margin).then_some(found)
+}
+
+/// Squared standard deviations that those factors that are known are off from an expected one.
+fn misfit(skew: &Skew, expected: f64) -> f64 {
+    let factors = [skew.translation, skew.rotation];
+    let known = factors.iter().filter(|f: &&SkewFactor| f.sigma.is_finite());
+    known.map(|f| ((f.factor - expected) / f.sigma.hypot(SECANT_ERROR * expected)).powi(2)).sum()
+}
+
+/// What sweeps say of the times of their points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct TimesTold {
+    /// What times are to be multiplied with; 0: they are not to be used.
+    pub scale: f64,
+    /// Whether it is clear that this is right, not only that times are wrong as they are.
+    pub is_clear: bool,
+}
+
+/// How sweeps fit if times are multiplied with this or that.
+pub(super) trait Fits {
+    /// By how many standard deviations sweeps fit better with times multiplied with `to` than with `from`.
+    fn sigmas_better(&self, from: f64, to: f64) -> f64;
+
+    /// How many points lie on surfaces with times multiplied like this.
+    fn explained(&self, scale: f64) -> f64;
+}
+
+/// Whether times that span such a part of the interval between clouds span a turn.
+pub(super) fn is_whole_turn(duty: f64) -> bool {
+    (duty - 1.0).abs() < WHOLE_TURN
+}
+
+/// What times may be wrong by that span the share `duty` of the interval between clouds, from one cloud to the next included.
+fn wrong_scales(duty: f64) -> impl Iterator<Item = f64> {
+    let is_new = |whole: &f64| TIME_SCALES.iter().chain(&[1.0]).all(|scale| !is_whole_turn(whole / scale));
+    TIME_SCALES.into_iter().chain(Some(duty.recip()).filter(is_new))
+}
+
+/// The same, with times as they are and times not used.
+pub(super) fn scales_of_times(duty: f64) -> impl Iterator<Item = f64> {
+    wrong_scales(duty).chain([0.0, 1.0])
+}
+
+/// What the times of points are to be multiplied with, as factors and fits together tell; none if nothing speaks against them. Factors are
+/// in units of the motion during the time that times span, which is the share `duty` of the interval between clouds.
+pub(super) fn told_by_fits(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<TimesTold> {
+    let evidence = |from: f64, to: f64| {
+        let sigmas = fits.sigmas_better(from, to);
+        misfit(skew, from) - misfit(skew, to) + sigmas * sigmas.abs()
+    };
+    let spans_turn = |scale: f64| is_whole_turn(scale.abs() * duty);
+    // A sweep takes the time from one cloud to the next: times that span another one are doubtful by themselves.
+    let margin = |scale| if spans_turn(scale) && !spans_turn(1.0) { MARGIN } else { CLEAR_MARGIN };
+    let exceeds = |scale: f64| evidence(1.0, scale).min(evidence(0.0, scale)) - margin(scale);
+    let likely = wrong_scales(duty).filter(|scale| misfit(skew, *scale) < LIKELY);
+    let clear = likely.map(|scale| (exceeds(scale), scale)).max_by(|a, b| a.0.total_cmp(&b.0));
+    if let Some((_, scale)) = clear.filter(|(exceeds, _)| *exceeds > 0.0) {
+        return Some(TimesTold { scale, is_clear: true });
+    }
+    let is_contradicted = scales_of_times(duty).any(|scale| fits.sigmas_better(1.0, scale) > CONTRADICTED);
+    let scale = scales_of_times(duty).max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
+    is_contradicted.then_some(TimesTold { scale, is_clear: false })
 }
 
 #[cfg(test)]
@@ -91,6 +152,42 @@ mod tests {
                 "{translation:?} {rotation:?}"
             );
         }
+    }
+
+    struct Explained(fn(f64) -> f64, f64);
+
+    impl Fits for Explained {
+        fn sigmas_better(&self, from: f64, to: f64) -> f64 {
+            (self.explained(to) - self.explained(from)) / self.1
+        }
+
+        fn explained(&self, scale: f64) -> f64 {
+            self.0(scale)
+        }
+    }
+
+    #[test]
+    fn fits_tell_where_factors_are_not_clear() {
+        let unknown = (-0.8, f64::INFINITY);
+        let told = |translation, rotation, duty, fit, error| {
+            told_by_fits(&skew(translation, rotation), duty, &Explained(fit, error))
+                .map(|told| (told.scale, told.is_clear))
+        };
+        let right: fn(f64) -> f64 = |s| -(s - 1.0).abs();
+        let back: fn(f64) -> f64 = |s| -(s + 1.0).abs();
+        let double: fn(f64) -> f64 = |s| -(s - 2.0).abs();
+        let nothing: fn(f64) -> f64 = |_| 0.0;
+        // Factors know nothing: fits tell alone, or that times are wrong, or nothing.
+        assert_eq!(told(unknown, unknown, 1.0, back, 0.2), Some((-1.0, true)));
+        assert_eq!(told(unknown, unknown, 1.0, back, 0.7), Some((-1.0, false)));
+        assert_eq!(told(unknown, unknown, 1.0, back, 1.0), None);
+        assert_eq!(told(unknown, unknown, 1.0, right, 0.2), None);
+        // A sweep of half of the interval between clouds, whose factors leave open what fits do not tell.
+        let factors = ((1.58, 0.21), (1.64, 0.25));
+        assert_eq!(told(factors.0, factors.1, 0.5, nothing, 1.0), Some((2.0, true)));
+        assert_eq!(told(factors.0, factors.1, 1.0, nothing, 1.0), None);
+        assert_eq!(told(factors.0, factors.1, 1.0, double, 0.3), Some((2.0, true)));
+        assert_eq!(told(factors.0, factors.1, 0.5, right, 0.2), None);
     }
 
     #[test]

@@ -32,6 +32,8 @@ use crate::azimuth_time::Turn;
 use crate::beam_elevation::ElevationOffset;
 use evidence::{Step, TurnTimes};
 use follow::{Followed, Sample};
+use hypotheses::Fits;
+pub(crate) use hypotheses::TimesTold;
 
 /// Sweeps that are judged together.
 const SWEEPS_OF_A_BATCH: usize = 16;
@@ -157,11 +159,6 @@ impl Skew {
     pub(crate) fn of_part(self, part: f64) -> Self {
         let (translation, rotation) = (self.translation.of_part(part), self.rotation.of_part(part));
         Self { translation, rotation, ..self }
-    }
-
-    /// What the times of points are to be multiplied with, if factors are in units of the motion during the time that they span and say so.
-    pub(crate) fn scale_of_times(&self) -> Option<f64> {
-        hypotheses::scale_of_times(self)
     }
 
     /// Whether more of the motion is in the points than was taken out.
@@ -320,6 +317,23 @@ impl SkewEstimator {
         fit::is_better(straightened, &shorter).then_some((times, shorter))
     }
 
+    /// What the times of points are to be multiplied with, if they are not right; they span such a share of the interval between
+    /// clouds, and the skew is in units of the motion during that.
+    pub fn times_told(&self, skew: &Skew, duty: f64) -> Option<TimesTold> {
+        if let Some(scale) = hypotheses::scale_of_times(skew) {
+            return Some(TimesTold { scale, is_clear: true });
+        }
+        let is_settled =
+            hypotheses::is_whole_turn(duty) && matches!(skew.state(), SkewState::Raw | SkewState::Removed);
+        if !self.has_times || is_settled {
+            return None;
+        }
+        let times = |scale: f64| TurnTimes { part: scale * duty, ..TurnTimes::OF_SHARES };
+        let fits =
+            hypotheses::scales_of_times(duty).map(|scale| Some((scale, self.straightened(times(scale))?)));
+        hypotheses::told_by_fits(skew, duty, &FitsOfTimes(fits.collect::<Option<_>>()?))
+    }
+
     /// All sweeps with the motion of such turns taken out; none if they do not fit then.
     fn straightened(&self, times: TurnTimes) -> Option<Vec<Followed>> {
         self.batches.iter().map(|batch| batch.straightened(times)).collect()
@@ -327,6 +341,25 @@ impl SkewEstimator {
 
     fn as_is(&self) -> Vec<Followed> {
         self.batches.iter().map(|batch| batch.as_is.clone()).collect()
+    }
+}
+
+/// Sweeps by what their times were multiplied with.
+struct FitsOfTimes(Vec<(f64, Vec<Followed>)>);
+
+impl FitsOfTimes {
+    fn with(&self, scale: f64) -> &[Followed] {
+        self.0.iter().find(|(s, _)| *s == scale).map_or(&[], |(_, followed)| followed)
+    }
+}
+
+impl Fits for FitsOfTimes {
+    fn sigmas_better(&self, from: f64, to: f64) -> f64 {
+        fit::sigmas_better(self.with(from), self.with(to))
+    }
+
+    fn explained(&self, scale: f64) -> f64 {
+        fit::explained(self.with(scale))
     }
 }
 

@@ -116,6 +116,23 @@ fn every_other_cloud_of_a_lidar_is_known_by_the_motion_in_its_points() {
 }
 
 #[test]
+fn times_that_are_wrong_are_told_and_right_ones_are_left() {
+    for (sense, duty, expected) in
+        [(1.0, 1.0, None), (1.0, 1.5, Some(1.0 / 1.5)), (1.0, 0.5, Some(2.0)), (-1.0, 1.0, Some(-1.0))]
+    {
+        let mut estimator = SkewEstimator::default();
+        for index in 0..2 * SWEEPS_OF_A_BATCH {
+            let (points, mut shares) = sweep(index, 1.0, pose);
+            shares.iter_mut().for_each(|share| *share = 0.5 + sense * (*share - 0.5));
+            estimator.add(at(index), &points, Some(&shares));
+        }
+        let skew = estimator.skew().unwrap().of_part(duty);
+        let told = estimator.times_told(&skew, duty).map(|told| (told.scale, told.is_clear));
+        assert_eq!(told, expected.map(|scale| (scale, true)), "{sense} {duty}: {skew:?}");
+    }
+}
+
+#[test]
 fn beams_that_point_too_low_are_found_and_right_ones_are_left() {
     for (error, factor, has_times) in [(0.008, 1.0, true), (0.0, 1.0, true), (0.0, 0.0, false)] {
         let mut estimator = SkewEstimator::default();
