@@ -95,6 +95,7 @@ pub(super) fn report<S: Space>(
         "self_consistency": {
             "places": mapped.map.graph.self_consistency().places,
             "contradicted": mapped.map.graph.self_consistency().contradicted,
+            "longest_row": mapped.map.graph.self_consistency().longest_row,
             "contradictory": mapped.map.graph.self_consistency().is_contradictory(),
         },
         "known_map": Localisation::of(mapped).map(|l| serde_json::json!({
