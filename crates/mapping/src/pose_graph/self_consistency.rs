@@ -20,8 +20,9 @@ const KNOWN: f32 = 0.5;
 const CONTRADICTORY: f64 = 0.1;
 /// Fewer contradicted places are not reported: a gate that was moved or a crowd explains them.
 const FEWEST: usize = 5;
-/// A scan that fits within so many metres and radians of its place contradicts nothing: the map is bent there, not torn.
-const NEAR_BY: (f64, f64) = (0.2, 0.04);
+/// A scan that fits within so many metres and radians of its place, a wall or two of the grid, contradicts nothing: the map is bent
+/// there, not torn.
+const NEAR_BY: (f64, f64) = (0.1, 0.02);
 /// So many contradicted places in a row are a part that lies over another one, however large the rest of the map is.
 const IN_A_ROW: usize = 4;
 
