@@ -13,6 +13,7 @@ mod information;
 mod jumps;
 mod known_cells;
 mod known_map;
+mod known_planes;
 mod likelihood;
 mod localizer;
 mod near_cells;

@@ -19,13 +19,14 @@ use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
 use crate::information::{Contact, information};
 use crate::known_map::{Area, KnownMap, KnownMapError, ON_THE_WAY, ScanMatch, Window};
-use crate::occupancy::{Occupancy, OccupancyBuilder, SOLID};
+use crate::known_planes::{add_cells, with_nodes};
+use crate::occupancy::{Occupancy, OccupancyBuilder};
 use crate::own_scans::{error_of_own_scans, explained_by_chance};
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
 use crate::spatial_renewal::renew;
 use crate::spatial_scan::{COLUMN, SpatialJoint, SpatialScan, upright_columns};
-use crate::submap_cells::{SubmapCells, submap_cells};
+use crate::submap_cells::submap_cells;
 use crate::voxel_changes::{KeptSweep, KnownVoxels, VoxelChanges};
 
 /// Edge of the largest voxels of planes, metres.
@@ -99,9 +100,7 @@ impl SpatialMap {
         for submap in submap_cells(state) {
             occupancy.add(&submap);
             solid.add(&submap);
-            if !has_points(&submap, state) {
-                add_solid(&mut planes, &submap, state);
-            }
+            add_cells(&mut planes, &submap, state);
         }
         let occupancy = occupancy.finish(state);
         let solid_cells = occupancy.solid();
@@ -248,38 +247,6 @@ impl SpatialMap {
             is_near.then_some(Contact { lever, normal: plane.normal.cast() })
         })
     }
-}
-
-/// Whether any node of a submap keeps points. Its cells then say nothing more of planes, and what they say is biased: all points
-/// of a surface that lies along the lattice are moved to the middles of the same cells, by up to half an edge, and
-/// no number of them makes that smaller (docs/experiments/2026-11-along-streets.md).
-fn has_points(submap: &SubmapCells, state: &GraphState<Spatial>) -> bool {
-    let mut nodes = submap.entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
-    nodes.any(|node| {
-        let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];
-        clouds.iter().any(|cloud| !cloud.points.is_empty())
-    })
-}
-
-/// Adds the solid cells of a submap to planes.
-fn add_solid(planes: &mut PlaneMap, submap: &SubmapCells, state: &GraphState<Spatial>) {
-    let mut nodes = submap.entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
-    let seen_from = nodes.next().map(|node| node.map_from_tracking.translation.vector.cast::<f32>());
-    let origin = seen_from.map_or(submap.origin, Point3f::from);
-    let solid = submap.cells.iter().filter(|(_, probability)| *probability > SOLID);
-    planes.insert_all(solid.map(|(place, _)| *place), &origin);
-}
-
-/// And the points that nodes saw, where the pose graph puts them.
-fn with_nodes(planes: PlaneMap, state: &GraphState<Spatial>) -> PlaneMap {
-    let mut planes = planes;
-    for node in state.nodes.values() {
-        let pose = to_f32(&node.map_from_tracking);
-        let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];
-        let points = clouds.into_iter().flat_map(|cloud| &cloud.points).map(|p| pose * p);
-        planes.insert_all(points, &Point3f::from(pose.translation.vector));
-    }
-    planes.compacted()
 }
 
 /// What stands upright, seen from above.
