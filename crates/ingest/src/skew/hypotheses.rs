@@ -105,7 +105,12 @@ pub(super) fn told_by_fits(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<T
     if let Some((_, scale)) = clear.filter(|(exceeds, _)| *exceeds > 0.0) {
         return Some(TimesTold { scale, is_clear: true });
     }
-    let is_contradicted = scales_of_times(duty).any(|scale| fits.sigmas_better(1.0, scale) > CONTRADICTED);
+    // Where sweeps tell nothing of the motion, as those that never repeat, all points at one time fit best, whatever is right.
+    let is_known = skew.translation.sigma.is_finite() || skew.rotation.sigma.is_finite();
+    let contradicts = |scale: f64| {
+        fits.sigmas_better(1.0, scale) > CONTRADICTED && (is_known || fits.sigmas_better(0.0, scale) > 0.0)
+    };
+    let is_contradicted = scales_of_times(duty).any(contradicts);
     let scale = scales_of_times(duty).max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
     is_contradicted.then_some(TimesTold { scale, is_clear: false })
 }
@@ -182,6 +187,9 @@ mod tests {
         assert_eq!(told(unknown, unknown, 1.0, back, 0.7), Some((-1.0, false)));
         assert_eq!(told(unknown, unknown, 1.0, back, 1.0), None);
         assert_eq!(told(unknown, unknown, 1.0, right, 0.2), None);
+        let none: fn(f64) -> f64 = |s| -s.abs();
+        assert_eq!(told(unknown, unknown, 1.0, none, 0.2), None);
+        assert_eq!(told((0.3, 0.4), unknown, 1.0, none, 0.3), Some((0.0, false)));
         // A sweep of half of the interval between clouds, whose factors leave open what fits do not tell.
         let factors = ((1.58, 0.21), (1.64, 0.25));
         assert_eq!(told(factors.0, factors.1, 0.5, nothing, 1.0), Some((2.0, true)));
