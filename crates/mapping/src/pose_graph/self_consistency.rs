@@ -15,8 +15,9 @@ use crate::{NodeId, Space, SubmapId};
 const SPACING: f64 = 1.0;
 /// A submap knows a place if it explains or contradicts this fraction of the beams of its scan.
 const KNOWN: f32 = 0.5;
-/// A map of which more places than this fraction are contradicted lies over itself. Seven real logs come to 0, with a fifth of the
-/// beams behind glass to 0.07, maps that are torn to 0.08 to 0.18 (docs/experiments/2026-11-self-consistency.md).
+/// A map of which more places than this fraction are contradicted lies over itself. Seven real logs come to at most 0.01, with a
+/// fifth of the beams behind glass to 0.07; maps that are torn in a small part only come to less, and are told by
+/// `IN_A_ROW` (docs/experiments/2026-11-self-consistency.md).
 const CONTRADICTORY: f64 = 0.1;
 /// Fewer contradicted places are not reported: a gate that was moved or a crowd explains them.
 const FEWEST: usize = 5;
@@ -33,7 +34,7 @@ pub struct SelfConsistency {
     pub places: usize,
     /// Those that at least half of these submaps contradict.
     pub contradicted: usize,
-    /// How many of them follow each other along the way.
+    /// The most of them that follow each other along the way.
     pub longest_row: usize,
 }
 
