@@ -95,6 +95,16 @@ impl<'a> UprightReference<'a> {
         }
         scores.peaks(settings, initial)
     }
+
+    /// How much of points that stand upright is met again where they are shifted by so much, metres.
+    pub fn share_of_upright(&self, upright: &[Point3f], shift: &Vector3) -> f64 {
+        let shift = shift.cast::<f32>();
+        let moved: Vec<Point3f> = upright.iter().map(|p| p + shift).collect();
+        let columns = Columns::of(&moved, self.settings.cell, self.settings.range, [0.0; 2], self.settings);
+        let mut score = Scores::new(0.0, self.settings.cell);
+        score.add(&self.columns, &columns, [0, 0], 0.0, self.settings);
+        score.share(0, 0)
+    }
 }
 
 fn turned(initial: &Rigid3, heading: f64) -> portolan_geometry::Quaternion {

@@ -95,7 +95,6 @@ impl Witness {
 
     /// Takes note of the translations that planes leave open in a sweep, orthonormal, in the local map.
     pub fn leaves_open(&mut self, end: Time, open: Vec<Vector3>) {
-        let is_horizontal = |open: &Vector3| open.z.abs() < std::f64::consts::FRAC_1_SQRT_2;
         self.open_since = match open.iter().any(is_horizontal) {
             true => self.open_since.or(Some(end)),
             false => None,
@@ -173,8 +172,10 @@ impl Witness {
         let reach = self.reach(now.end);
         let window = Window { linear: reach + f64::from(self.correlation.cell), angular: 0.0 };
         let reference = UprightReference::of_upright(&at_scanner(&before), &self.correlation);
-        let peaks = reference.peaks_of_upright(&at_scanner(&after), &Rigid3::identity(), window);
+        let after_at_scanner = at_scanner(&after);
+        let peaks = reference.peaks_of_upright(&after_at_scanner, &Rigid3::identity(), window);
         let (shift, agrees) = self.likeliest(&peaks, reach)?;
+        let agrees = agrees && self.falls_along_open(&reference, &after_at_scanner, &shift);
         let power = if self.has_told(now.end) { 2 } else { 1 };
         self.told_at = Some(now.end);
         self.agreed_at = if agrees { self.told_at } else { self.agreed_at };
@@ -216,6 +217,16 @@ impl Witness {
             .then(|| (found.pose.translation.vector + found.between, is_clear && agreeing.is_some()))
     }
 
+    /// Whether less is met again to both sides along each horizontal direction that planes leave open. Along a corridor
+    /// without doors nearly as much is met wherever it is taken to be.
+    fn falls_along_open(&self, reference: &UprightReference, upright: &[Point3f], shift: &Vector3) -> bool {
+        let share = |shift: Vector3| reference.share_of_upright(upright, &shift);
+        let enough = self.correlation.nearly_as_good * share(*shift);
+        let aside = 2.0 * self.near();
+        let mut horizontal = self.open.iter().filter(|open| is_horizontal(open));
+        horizontal.all(|open| [-aside, aside].iter().all(|by| share(shift + open * *by) < enough))
+    }
+
     /// Moves what was seen where a discrepancy says that it is.
     fn correct(&mut self, end: Time, discrepancy: &Discrepancy) {
         for seen in &mut self.seen {
@@ -224,6 +235,10 @@ impl Witness {
             seen.place += shift.cast::<f64>();
         }
     }
+}
+
+fn is_horizontal(direction: &Vector3) -> bool {
+    direction.z.abs() < std::f64::consts::FRAC_1_SQRT_2
 }
 
 impl Seen {
@@ -312,6 +327,42 @@ mod tests {
         // Less than a correlation resolves, and more.
         assert_eq!(heard(|t| 4.0 * t, |t| 3.9 * t, inertial).1, None);
         assert!(heard(|t| 4.0 * t, |t| 3.0 * t, inertial).1.unwrap().shift.x > 0.7);
+    }
+
+    /// Walls of a corridor along x as far as the scanner sees them, and posts between them if there are any.
+    fn corridor(seen_from: f32, has_posts: bool) -> Vec<Point3f> {
+        let column = |x: f32, y: f32| (0..12).map(move |k| Point3f::new(x, y, 0.25 * k as f32 - 1.2));
+        let walls = (-12..=12).flat_map(|i| [-1.5, 1.5].map(|y| column(0.3 * i as f32, y)));
+        let mut points: Vec<Point3f> = walls.flatten().collect();
+        let posts = (-4..=4)
+            .map(|i| 2.3 * i as f32 + 0.3 * (i * i % 5) as f32 - seen_from)
+            .filter(|x| has_posts && x.abs() < 9.0);
+        points.extend(posts.flat_map(|x| [-0.9, 0.9].map(|y| column(x, y))).flatten());
+        points
+    }
+
+    #[test]
+    fn along_uniform_walls_the_way_is_a_guess_though_nearly_everything_is_met_again() {
+        let guesses_after = |has_posts: bool| {
+            let mut witness = Witness::new(&OdometrySettings::default());
+            for i in 0..30 {
+                let (at, x) = (0.1 * f64::from(i), 0.1 * i as f32);
+                let points = corridor(x, has_posts);
+                let sweep_points =
+                    points.iter().map(|p| SweepPoint { time: 0.0, position: *p, intensity: 0.0 });
+                let sweep = Sweep { end: time(at), points: sweep_points.collect() };
+                let pose = move |t: Time| Rigid3::translation(t.seconds_since(time(0.0)), 0.0, 0.0);
+                let segment = TrajectorySegment::new(time(at - 0.1), time(at), pose);
+                witness.hear(&sweep, &segment);
+                let in_local: Vec<Point3f> =
+                    points.iter().map(|p| p + Vector3::x().cast::<f32>() * x).collect();
+                witness.add(time(at), &in_local, &(Vector3::x() * f64::from(x)));
+                witness.leaves_open(time(at), vec![Vector3::x()]);
+            }
+            assert!(witness.has_told(time(2.9)));
+            witness.is_guess(time(2.9))
+        };
+        assert!(guesses_after(false) && !guesses_after(true));
     }
 
     #[test]
