@@ -130,10 +130,7 @@ impl EvenStamps {
             self.last = self.last.max(Some(stamp));
             return false;
         }
-        // A repeated message is not another measurement.
-        if self.waiting.back().is_none_or(|(last, _)| *last != stamp) {
-            self.waiting.push_back((stamp, message.clone()));
-        }
+        self.waiting.push_back((stamp, message.clone()));
         true
     }
 
@@ -243,6 +240,16 @@ mod tests {
         }
         let steps: Vec<f64> = times.windows(2).skip(200).map(|w| w[1].seconds_since(w[0])).collect();
         assert!(steps.iter().all(|s| (0.1..0.4).contains(s)), "{steps:?}");
+    }
+
+    #[test]
+    fn a_clock_of_whole_seconds_loses_nothing() {
+        let stamps: Vec<Time> = (0..1000).map(|k| at((0.2 * f64::from(k)).floor())).collect();
+        let mut even = EvenStamps::new(StampPolicy::Auto).in_doubt(Some(0.2));
+        assert!(stamps.iter().all(|stamp| even.holds(*stamp, &message())));
+        let times: Vec<Time> = std::iter::from_fn(|| even.pop(Time::MAX)).map(|(_, _, time)| time).collect();
+        assert!(times.len() == stamps.len() && times.is_sorted_by(|a, b| a < b));
+        assert!(times.iter().zip(&stamps).all(|(time, stamp)| time.seconds_since(*stamp).abs() < 1.0));
     }
 
     #[test]

@@ -77,7 +77,7 @@ impl StampPattern {
         let backward = stamps.iter().zip(stamps.iter().skip(1)).filter(|(a, b)| b < a).count();
         let mut sorted = stamps.to_vec();
         sorted.sort_unstable();
-        let close = |(a, b): &(&Time, &Time)| b > a && b.seconds_since(**a) < Self::BURST * period;
+        let close = |(a, b): &(&Time, &Time)| b.seconds_since(**a) < Self::BURST * period;
         let bunched = sorted.iter().zip(sorted.iter().skip(1)).filter(close).count();
         let disturbed = (backward + bunched) as f64 / intervals;
         Some(Self { period, disturbed, noise: StampNoise::of(stamps, period) })
@@ -104,6 +104,9 @@ mod tests {
         assert!((steady.period - 0.2).abs() < 0.001 && !steady.is_disturbed(), "{steady:?}");
         let bursts = pattern(|k| (0.2 * f64::from(k) / 0.9).ceil() * 0.9 + 0.001 * f64::from(k % 5)).unwrap();
         assert!((bursts.period - 0.2).abs() < 0.02 && bursts.is_disturbed(), "{bursts:?}");
+        // A clock that tells whole seconds.
+        let coarse = pattern(|k| (0.2 * f64::from(k)).floor()).unwrap();
+        assert!((coarse.period - 0.2).abs() < 0.001 && coarse.is_disturbed(), "{coarse:?}");
         assert_eq!(pattern(|k| 4.0 * f64::from(k)), None);
         assert_eq!(StampPattern::of(&[Time::UNIX_EPOCH; StampPattern::ENOUGH - 1]), None);
     }

@@ -54,6 +54,19 @@ fn fr079_tells_where_its_scanner_sits() {
 }
 
 #[test]
+fn scans_of_one_time_repeat_only_if_their_readings_do() {
+    let scan = |x: f64, time: f64| format!("FLASER 3 1.0 2.0 {x} 0 0 0 0 0 0 {time} host {time}\n");
+    let text: String = [(3.0, 5.0), (3.1, 5.0), (3.1, 5.0), (3.2, 6.0)].map(|(x, t)| scan(x, t)).concat();
+    let log = open_text_log_bytes(Path::new("a.clf"), text.as_bytes()).unwrap().unwrap();
+    let (messages, issues) = read_all(&*log);
+    assert_eq!(count(&messages, "/scan"), 3);
+    assert!(
+        issues.iter().any(|issue| issue.kind == portolan_issue::IssueKind::RepeatedMessage),
+        "{issues:?}"
+    );
+}
+
+#[test]
 fn coreslam_logs() {
     for (name, scans) in [("exp1", 756), ("exp2", 641)] {
         let Some(path) = real_data(&format!("lidar2d/coreslam/{name}.dat")) else { return };

@@ -26,7 +26,7 @@ type Waiting = (usize, Message);
 struct Output {
     topic: Arc<str>,
     is_wanted: bool,
-    last_stamp: Option<Time>,
+    last: Option<Message>,
 }
 
 /// Place of odometry among the topics; the scanners follow.
@@ -62,7 +62,7 @@ impl CarmenReader {
         let topics = std::iter::once("/odom".into()).chain(layout.scanners.iter().map(|s| s.topic.clone()));
         let output = |topic: Arc<str>| {
             let is_wanted = wanted_topics.contains(&topic);
-            Output { topic, is_wanted, last_stamp: None }
+            Output { topic, is_wanted, last: None }
         };
         let outputs: Vec<Output> = topics.map(output).collect();
         let frames = Frames { odom: "odom".into(), base: "base_link".into() };
@@ -153,12 +153,12 @@ impl CarmenReader {
                 self.issues.add(IssueKind::LinesOutOfOrder);
             }
             let Some(output) = self.outputs.get_mut(topic) else { continue };
-            let stamp = message.header().map(|h| h.stamp);
-            if stamp == output.last_stamp {
+            // Clocks of whole seconds give one stamp to several measurements: the values have to be the same, too.
+            if output.last.as_ref() == Some(&message) {
                 self.issues.add(IssueKind::RepeatedMessage);
                 continue;
             }
-            output.last_stamp = stamp;
+            output.last = Some(message.clone());
             return Some(RecordedMessage { topic: output.topic.clone(), log_time, message });
         }
     }
