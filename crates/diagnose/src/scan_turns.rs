@@ -13,8 +13,10 @@ const MAX_BEAMS: usize = 360;
 const MAX_TURN: f32 = 0.6;
 /// Differences of ranges beyond this count alike, metres.
 const MAX_DIFFERENCE: f32 = 0.3;
-/// Fraction of the beams that must be seen by both scans.
+/// Fraction of the beams with readings, of the scan that has fewer of them, that must be seen by both scans.
 const MIN_OVERLAP: f32 = 0.3;
+/// Fewer beams tell nothing.
+const FEWEST: f32 = 10.0;
 /// So many scans are compared.
 const MAX_SCANS: usize = 20_000;
 /// Scans farther apart than this are not compared, seconds.
@@ -62,7 +64,7 @@ impl ScanTurns {
 /// By how many beams `now` is shifted against `before`, to a fraction of a beam.
 fn best_shift(before: &[f32], now: &[f32], window: usize, costs: &mut Vec<f32>) -> Option<f32> {
     costs.clear();
-    let enough = MIN_OVERLAP * before.len() as f32;
+    let enough = enough(before, now);
     for shift in 0..=2 * window {
         let (a, b) =
             if shift <= window { (&before[window - shift..], now) } else { (before, &now[shift - window..]) };
@@ -139,11 +141,12 @@ fn profile(cloud: &TimedPoints) -> Profile {
 fn best_turn(before: &Profile, now: &Profile, costs: &mut Vec<f32>) -> Option<FoundTurn> {
     let cell = std::f32::consts::TAU / CELLS as f32;
     let window = (MAX_TURN / cell) as usize;
+    let enough = enough(&before.ranges, &now.ranges);
     costs.clear();
     for shift in 0..=2 * window {
         // What was seen ahead of the turn is seen straight on after it.
         let (a, b) = before.ranges.split_at((CELLS + shift - window) % CELLS);
-        costs.push(cost(b.iter().chain(a), now.ranges.iter(), MIN_OVERLAP * CELLS as f32));
+        costs.push(cost(b.iter().chain(a), now.ranges.iter(), enough));
     }
     let turn = (lowest(costs)? - window as f32) * cell;
     Some(turn_and_shift(before, now, turn).unwrap_or(FoundTurn { turn, offsets: None }))
@@ -189,7 +192,7 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
             right += row * f64::from(difference);
             count += 1.0;
         }
-        if count < MIN_OVERLAP * CELLS as f32 {
+        if count < enough(&before.ranges, &now.ranges) {
             return None;
         }
         // Along a bare corridor the shift is not determined; then it is taken as none.
@@ -201,6 +204,12 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
         shift = [shift[0] + change.y as f32, shift[1] + change.z as f32];
     }
     (turn.abs() < MAX_TURN).then_some(FoundTurn { turn, offsets })
+}
+
+/// So many beams must be seen by both scans.
+fn enough(before: &[f32], now: &[f32]) -> f32 {
+    let seen = |profile: &[f32]| profile.iter().filter(|range| range.is_finite()).count() as f32;
+    (MIN_OVERLAP * seen(before).min(seen(now))).max(FEWEST)
 }
 
 /// Mean difference of two profiles.
@@ -216,7 +225,7 @@ fn cost<'a>(before: impl Iterator<Item = &'a f32>, now: impl Iterator<Item = &'a
     if count >= enough { sum / count } else { f32::INFINITY }
 }
 
-/// Where the costs are lowest, to a fraction; none at the edge, or if nothing fits.
+/// Where the costs are lowest, to a fraction; none at the edge of what was compared, or if nothing fits.
 fn lowest(costs: &[f32]) -> Option<f32> {
     let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
     if best == 0 || best + 1 >= costs.len() || !costs[best].is_finite() || costs[best] > 0.5 * MAX_DIFFERENCE
@@ -224,9 +233,11 @@ fn lowest(costs: &[f32]) -> Option<f32> {
         return None;
     }
     let (left, middle, right) = (costs[best - 1], costs[best], costs[best + 1]);
+    if !(left.is_finite() && right.is_finite()) {
+        return None;
+    }
     let curvature = left - 2.0 * middle + right;
-    let fraction =
-        if curvature.is_finite() && curvature > 0.0 { 0.5 * (left - right) / curvature } else { 0.0 };
+    let fraction = if curvature > 0.0 { 0.5 * (left - right) / curvature } else { 0.0 };
     Some(best as f32 + fraction)
 }
 
@@ -239,8 +250,8 @@ mod tests {
     use portolan_recording::Header;
     use portolan_sensor::TimedPoint;
 
-    #[test]
-    fn scans_of_a_turning_robot_in_a_room_tell_its_turns() {
+    /// How the turns of a robot in a room compare with those of its scans, of which so many beams of half a degree see anything.
+    fn agreement(beams: std::ops::Range<i32>) -> crate::rotation::Agreement {
         // A room of 8 m by 5 m, seen from (1, 0.5).
         let range = |angle: f64| {
             let (s, c) = angle.sin_cos();
@@ -251,11 +262,8 @@ mod tests {
         let mut scans = ScanTurns::default();
         for i in 0..100 {
             let t = 0.2 * f64::from(i);
-            let ranges = (0..360)
-                .map(|k| {
-                    range(heading(t) + (-90.0 + 0.5 * f64::from(k)) * std::f64::consts::PI / 180.0) as f32
-                })
-                .collect();
+            let beam = |k: i32| heading(t) + (-90.0 + 0.5 * f64::from(k)).to_radians();
+            let seen = |k| if beams.contains(&k) { range(beam(k)) as f32 } else { f32::INFINITY };
             let scan = LaserScan {
                 header: Header { stamp: at(t), frame_id: "laser".into() },
                 angle_min: -std::f32::consts::FRAC_PI_2,
@@ -265,13 +273,24 @@ mod tests {
                 scan_time: 0.0,
                 range_min: 0.0,
                 range_max: 30.0,
-                ranges,
+                ranges: (0..360).map(seen).collect(),
                 intensities: Vec::new(),
             };
             scans.add(at(t), &scan);
         }
-        let agreement = compare(&turns(0.0, 1.0, 0.05), &scans.turns).unwrap();
-        assert!((agreement.slope - 1.0).abs() < 0.02 && agreement.lag.abs() < 0.03, "{agreement:?}");
+        compare(&turns(0.0, 1.0, 0.05), &scans.turns).unwrap()
+    }
+
+    #[test]
+    fn scans_of_a_turning_robot_in_a_room_tell_its_turns() {
+        let all_around = agreement(0..360);
+        assert!((all_around.slope - 1.0).abs() < 0.02 && all_around.lag.abs() < 0.03, "{all_around:?}");
+    }
+
+    #[test]
+    fn so_do_those_of_a_scanner_that_sees_60_degrees() {
+        let ahead = agreement(120..240);
+        assert!((ahead.slope - 1.0).abs() < 0.05 && ahead.lag.abs() < 0.03, "{ahead:?}");
     }
 
     #[test]
