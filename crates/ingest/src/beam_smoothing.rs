@@ -121,6 +121,21 @@ mod tests {
         ranges.iter().map(|range| range + (sigma * normal()) as f32).collect()
     }
 
+    fn scan(ranges: Vec<f32>, angle_increment: f32) -> LaserScan {
+        LaserScan {
+            header: Header { stamp: Time::UNIX_EPOCH, frame_id: "laser".into() },
+            angle_min: 0.0,
+            angle_max: angle_increment * (ranges.len() - 1) as f32,
+            angle_increment,
+            time_increment: 0.0,
+            scan_time: 0.0,
+            range_min: 0.1,
+            range_max: 20.0,
+            ranges,
+            intensities: Vec::new(),
+        }
+    }
+
     fn error(ranges: &[f32], right: &[f32]) -> f64 {
         let squares = ranges.iter().zip(right).filter(|(_, right)| right.is_finite());
         let squares: Vec<f64> = squares.map(|(a, b)| f64::from(a - b)).collect();
@@ -133,18 +148,7 @@ mod tests {
         for sigma in [0.005, 0.03, 0.1] {
             let mut estimator = RangeNoiseEstimator::default();
             for _ in 0..60 {
-                estimator.add(&LaserScan {
-                    header: Header { stamp: Time::UNIX_EPOCH, frame_id: "laser".into() },
-                    angle_min: 0.0,
-                    angle_max: INCREMENT * 269.0,
-                    angle_increment: INCREMENT,
-                    time_increment: 0.0,
-                    scan_time: 0.0,
-                    range_min: 0.1,
-                    range_max: 20.0,
-                    ranges: noisy(&right, sigma, &mut random),
-                    intensities: Vec::new(),
-                });
+                estimator.add(&scan(noisy(&right, sigma, &mut random), INCREMENT));
             }
             let measured = estimator.sigma().unwrap();
             assert!((measured / sigma - 1.0).abs() < 0.15, "{measured} for {sigma}");
@@ -159,6 +163,14 @@ mod tests {
             assert!(smooth[200].is_infinite() && (smooth[31] - 2.0).abs() < 3.0 * sigma as f32);
         }
         assert!(RangeNoiseEstimator::default().sigma().is_none());
+    }
+
+    #[test]
+    fn corners_between_beams_far_apart_are_no_noise() {
+        let every_tenth: Vec<f32> = room().into_iter().step_by(10).collect();
+        let mut estimator = RangeNoiseEstimator::default();
+        (0..600).for_each(|_| estimator.add(&scan(every_tenth.clone(), 10.0 * INCREMENT)));
+        assert_eq!(estimator.sigma(), None);
     }
 
     #[test]

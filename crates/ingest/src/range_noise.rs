@@ -26,6 +26,9 @@ const STRAIGHT: f64 = 0.2;
 /// The scatter of normally distributed readings over their standard deviation that this share of groups stays below (by
 /// simulation).
 const QUANTILE_FACTOR: f64 = 0.26;
+/// Groups that are wider, radians from the first beam to the last, hardly ever see one straight wall, and corners and steps
+/// would pass for noise: beams of scanners of a degree and finer are compared.
+const WIDEST: f64 = 0.2;
 /// Readings beyond this are few and far apart, metres.
 const FARTHEST: f32 = 30.0;
 /// With fewer groups nothing is said, and so many say enough.
@@ -45,6 +48,9 @@ impl RangeNoiseEstimator {
             return;
         }
         let increment = f64::from(scan.angle_increment);
+        if (BEAMS - 1) as f64 * increment.abs() > WIDEST {
+            return;
+        }
         let is_seen =
             |range: &f32| scan.range_min <= *range && *range <= scan.range_max.min(FARTHEST) && *range > 0.0;
         let groups = scan.ranges.chunks_exact(BEAMS).filter(|group| group.iter().all(is_seen));
