@@ -1,7 +1,7 @@
 //! `portolan check` names offsets between the clocks of lidar and IMU, where turns are gentle and nothing is straight.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use common::{portolan, portolan_with_code, simulated_once, text, trajectory_errors};
 use portolan_testing::is_fast;

@@ -1,7 +1,7 @@
 //! `portolan evaluate cloud`, `portolan register`, and the page that `portolan refine` writes.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use std::fmt::Write as _;
 use std::path::Path;

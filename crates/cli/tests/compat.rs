@@ -1,7 +1,7 @@
 //! A recording on the way through the programs of Cartographer: mapped, written, compared.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! `portolan config`.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{portolan_with_code, real};
 

@@ -1,7 +1,7 @@
 //! `portolan map --from`: going on with a map that was saved.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
 //! `portolan evaluate`.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{portolan, portolan_with_code, real, simulated};
 

@@ -1,10 +1,10 @@
 //! Results byte for byte: a change that is not meant to change any shows here.
 //!
-//! After a wanted change `PORTOLAN_BLESS=1 cargo test -p portolan-cli --test fingerprints` writes the new table. Rows
+//! After a wanted change `PORTOLAN_BLESS=1 cargo test -p portolan-cli --test all fingerprints::` writes the new table. Rows
 //! of recordings that are not at hand stay as they are.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

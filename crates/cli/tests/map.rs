@@ -1,7 +1,7 @@
 //! `portolan map` and `portolan demo`, from recordings to files.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

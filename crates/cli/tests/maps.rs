@@ -1,7 +1,7 @@
 //! Maps as documents: `repair`, `migrate`, `render`, `edit`, `convert`, `optimize`, `compat`.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

@@ -3,7 +3,7 @@
 //! Without the data nothing here is tested; see TESTING.md.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! `portolan simulate`.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

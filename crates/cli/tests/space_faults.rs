@@ -1,7 +1,7 @@
 //! What goes wrong with recordings in 3D: each fault ends in a map or a named error, and `portolan check` names it.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! Where scans do not constrain the motion: what is used instead, and how it is reported.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{portolan_with_code, simulated_once, text, trajectory_errors};
 use portolan_testing::is_fast;

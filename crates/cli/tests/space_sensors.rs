@@ -1,7 +1,7 @@
 //! Sensors besides lidar and IMU in 3D: two lidars with their own clocks, wheels, satellites, landmarks.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{portolan_with_code, simulated_once, text, trajectory_errors};
 use portolan_testing::is_fast;

@@ -1,7 +1,7 @@
 //! What failed does not look done: exit code 4, plain words, and no result that looks like one.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! What is said: kinds of wrong files, spelling, each error once; damage is never quiet.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{portolan_with_code, simulated, text};
 

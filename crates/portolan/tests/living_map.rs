@@ -1,7 +1,7 @@
 //! Maps that simulated drives are added to, and that are brought up to date by them.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod known;
+use crate::known;
 
 use std::path::Path;
 use std::sync::OnceLock;

@@ -1,34 +1,21 @@
 //! Maps of space that are brought up to date by simulated walks.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod known;
+use crate::known;
 
 use std::path::Path;
-use std::sync::OnceLock;
 
-use known::{Known, changed, grown, request};
+use known::{changed, garage, grown, request};
 use portolan::job::{LocalizeRequest, LocalizedRecording, SaveMap, localize, unobserved};
 use portolan::localization::{ChangeKind, Growth};
 use portolan::mapfile::{MapLoadSettings, read_map};
 use portolan::mapping::Spatial;
-use portolan::simulator::{Scenario3dOptions, Simulation3d};
+use portolan::simulator::Simulation3d;
 use portolan::worlds::three_d::Scene3d;
 
 /// A walk through a car park; the cars of another building stand in other places.
 fn walk(cars: u64, day: u64, seconds: f64) -> Simulation3d {
-    let mut options = Scenario3dOptions::new(Scene3d::Garage, day, 1);
-    options.building_seed = Some(cars);
-    options.duration = Some(seconds);
-    for lidar in &mut options.lidars {
-        lidar.beams.columns = 450;
-    }
-    Simulation3d::new(options).unwrap()
-}
-
-/// The map of the first day.
-fn known() -> &'static Known {
-    static KNOWN: OnceLock<Known> = OnceLock::new();
-    KNOWN.get_or_init(|| Known::new(&walk(1, 1, 40.0)))
+    known::walk(Scene3d::Garage, cars, day, seconds)
 }
 
 fn find(today: &Simulation3d, map: &Path, update: Option<&Path>, threads: usize) -> LocalizedRecording {
@@ -41,12 +28,12 @@ fn find(today: &Simulation3d, map: &Path, update: Option<&Path>, threads: usize)
 fn cars_that_moved_are_moved_in_the_map() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("updated.pbstream");
-    let unchanged = find(&walk(1, 2, 25.0), &known().map(), None, 2);
-    let second_day = find(&walk(2, 2, 40.0), &known().map(), Some(&path), 2);
+    let unchanged = find(&walk(1, 2, 25.0), &garage().map(), None, 2);
+    let second_day = find(&walk(2, 2, 40.0), &garage().map(), Some(&path), 2);
     let renewal = grown(&second_day).renewal.unwrap();
     assert!(renewal.appeared > 1.0 && renewal.gone > 1.0, "{renewal:?}");
     let third_day = walk(2, 3, 25.0);
-    let [in_old, in_new] = [known().map(), path].map(|map| find(&third_day, &map, None, 2));
+    let [in_old, in_new] = [garage().map(), path].map(|map| find(&third_day, &map, None, 2));
     for kind in [ChangeKind::Appeared, ChangeKind::Gone] {
         let [none, old, new] = [&unchanged, &in_old, &in_new].map(|found| changed(found, kind));
         println!("{kind:?}: {none} m² of nothing, {old} m² in the old map, {new} m² in the new one");
@@ -55,7 +42,7 @@ fn cars_that_moved_are_moved_in_the_map() {
     }
     let low = in_old.changes.iter().all(|c| c.heights.is_some_and(|[from, to]| from < to && to - from < 4.0));
     assert!(low, "cars are not as high as that: {:?}", in_old.changes);
-    let [old, new] = [&in_old, &in_new].map(|found| known().error(&third_day, found));
+    let [old, new] = [&in_old, &in_new].map(|found| garage().error(&third_day, found));
     println!("{old} m off in the old map, {new} m in the new one");
     assert!(new < old + 0.02, "{old} m in the old map, {new} m in the new one");
 }
@@ -64,13 +51,13 @@ fn cars_that_moved_are_moved_in_the_map() {
 fn updates_do_not_let_a_map_of_space_grow() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("living.pbstream");
-    std::fs::copy(known().map(), &path).unwrap();
+    std::fs::copy(garage().map(), &path).unwrap();
     let mut sizes = Vec::new();
     let mut error = 0.0;
     for update in 0..6 {
         let today = walk(1 + update % 3, 2 + update % 2, 20.0);
         let found = find(&today, &path, Some(&path), 2);
-        error = known().error(&today, &found);
+        error = garage().error(&today, &found);
         let graph = read_map::<Spatial>(&path, &MapLoadSettings::default()).unwrap().graph;
         let (submaps, nodes) = (graph.state().submaps.len(), graph.state().nodes.len());
         sizes.push((std::fs::metadata(&path).unwrap().len(), submaps, nodes));
@@ -87,7 +74,7 @@ fn updated_maps_of_space_do_not_depend_on_the_number_of_threads() {
     let today = walk(2, 2, 22.0);
     let files = [1, 2, 4].map(|threads| {
         let path = folder.path().join(format!("{threads}.pbstream"));
-        grown(&find(&today, &known().map(), Some(&path), threads));
+        grown(&find(&today, &garage().map(), Some(&path), threads));
         std::fs::read(path).unwrap()
     });
     assert!(files[0] == files[1] && files[0] == files[2]);

@@ -1,7 +1,7 @@
 //! Finding simulated drives in a saved map of the building, and not finding them in that of another.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod known;
+use crate::known;
 
 use std::path::Path;
 use std::sync::OnceLock;

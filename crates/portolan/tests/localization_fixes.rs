@@ -1,7 +1,7 @@
 //! Satellite fixes as starts in maps that were made with fixes.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod known;
+use crate::known;
 
 use std::path::Path;
 

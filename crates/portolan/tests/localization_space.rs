@@ -1,9 +1,9 @@
 //! Finding simulated walks in saved maps of space, and not finding them in those of other places.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod known;
+use crate::known;
 
-use known::{Known, request};
+use known::{Known, garage, museum, request, walk};
 use portolan::job::{
     Found, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, OutputFolder, SaveMap, SavedMap, Start,
     localize, unobserved, write_localized,
@@ -11,24 +11,8 @@ use portolan::job::{
 use portolan::localization::{Growth, KnownMapError, SpatialMap, StartPose};
 use portolan::mapfile::{MapLoadSettings, read_map};
 use portolan::mapping::{GraphState, Spatial};
-use portolan::simulator::{Scenario3dOptions, Simulation3d};
+use portolan::simulator::Simulation3d;
 use portolan::worlds::three_d::Scene3d;
-
-/// A walk through a place; another day, another way through it.
-fn walk(scene: Scene3d, building: u64, day: u64, seconds: f64) -> Simulation3d {
-    let mut options = Scenario3dOptions::new(scene, day, 1);
-    options.building_seed = Some(building);
-    options.duration = Some(seconds);
-    for lidar in &mut options.lidars {
-        lidar.beams.columns = 450;
-    }
-    Simulation3d::new(options).unwrap()
-}
-
-/// The map of a place.
-fn known(scene: Scene3d, seconds: f64) -> Known {
-    Known::new(&walk(scene, 1, 1, seconds))
-}
 
 fn in_map(known: &Known) -> LocalizeRequest {
     LocalizeRequest { threads: 2, ..request(&known.map()) }
@@ -47,10 +31,9 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 
 #[test]
 fn walks_are_found_without_a_start() {
-    for (scene, seconds) in [(Scene3d::Museum, 60.0), (Scene3d::Garage, 40.0)] {
-        let known = known(scene, seconds);
+    for (scene, known) in [(Scene3d::Museum, museum()), (Scene3d::Garage, garage())] {
         let today = walk(scene, 1, 2, 15.0);
-        let found = find(&known, &today, None);
+        let found = find(known, &today, None);
         assert_ne!(found.found(), Found::Never, "{scene:?}: {:?}", found.state_counts());
         let errors = known.errors(&today, &found);
         let middle = median(errors.iter().map(|e| e.1));
@@ -61,19 +44,19 @@ fn walks_are_found_without_a_start() {
             // Car parks differ in their cars alone.
             _ => walk(Scene3d::Museum, 1, 2, 8.0),
         };
-        let elsewhere = find(&known, &elsewhere, None);
+        let elsewhere = find(known, &elsewhere, None);
         assert_eq!(elsewhere.found(), Found::Never, "{scene:?}: {:?}", elsewhere.state_counts());
     }
 }
 
 #[test]
 fn a_walk_becomes_a_trajectory_of_the_map() {
-    let known = known(Scene3d::Museum, 40.0);
+    let known = museum();
     let today = walk(Scene3d::Museum, 1, 2, 25.0);
     let folder = tempfile::tempdir().unwrap();
     let request = |growth| {
         let save_map = Some(SaveMap { path: folder.path().join("both.pbstream"), growth });
-        LocalizeRequest { save_map, ..in_map(&known) }
+        LocalizeRequest { save_map, ..in_map(known) }
     };
     let found = localize(&today, &request(Growth::Extend), &mut unobserved).unwrap();
     let Some(SavedMap::Written { path, grown }) = found.saved_map else { panic!("{:?}", found.saved_map) };
@@ -90,19 +73,19 @@ fn a_walk_becomes_a_trajectory_of_the_map() {
 
 #[test]
 fn a_car_park_is_known_although_other_cars_stand_in_it() {
-    let known = known(Scene3d::Garage, 40.0);
+    let known = garage();
     let today = walk(Scene3d::Garage, 2, 2, 8.0);
-    let found = find(&known, &today, None);
+    let found = find(known, &today, None);
     let errors = known.errors(&today, &found);
     assert!(errors.iter().all(|e| e.1 < 0.5 && e.2 < 0.17), "{errors:?}");
 }
 
 #[test]
 fn files_do_not_depend_on_the_number_of_threads_and_have_six_dimensions() {
-    let known = known(Scene3d::Museum, 20.0);
+    let known = museum();
     let today = walk(Scene3d::Museum, 1, 1, 8.0);
     let files = [1, 2, 4].map(|threads| {
-        let request = LocalizeRequest { threads, ..in_map(&known) };
+        let request = LocalizeRequest { threads, ..in_map(known) };
         let found = localize(&today, &request, &mut unobserved).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let output = OutputFolder::begin(folder.path(), "localize", &LOCALIZED_FILES, false, &mut unobserved);

@@ -6,6 +6,7 @@
 //! - [`Fingerprints`]: results byte for byte, in a table that is written anew on demand.
 //! - [`damage`]: damaged files.
 //! - [`clouds`]: random points, the same every time.
+//! - [`assert_files_are_modules`]: no file of tests is forgotten.
 //!
 //! It depends on `portolan-geometry` alone, so that every crate above may use it in its tests.
 #![allow(clippy::unwrap_used, clippy::panic)] // in tests this is how errors are shown
@@ -17,8 +18,10 @@ mod folders;
 mod left_out;
 mod program;
 mod real_data;
+mod test_files;
 
 pub use fingerprints::Fingerprints;
 pub use left_out::{is_fast, left_out};
 pub use program::{Program, Run};
 pub use real_data::{real_data, real_maps, spec_data};
+pub use test_files::assert_files_are_modules;

@@ -1,8 +1,8 @@
 //! What tests of localisation share: a map of a simulated day, where it lies in the world, and how far off other days are
-//! found in it. Each test program uses a part of this.
-#![allow(dead_code)]
+//! found in it.
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use portolan::RequestedOptions;
 use portolan::geometry::{Quaternion, Rigid3, Time, Vector3, nalgebra, rotation_angle};
@@ -10,7 +10,8 @@ use portolan::ingest::IngestOptions;
 use portolan::job::{LocalizeRequest, LocalizedRecording, MapRequest, SavedMap, map, unobserved};
 use portolan::localization::{ChangeKind, Grown, State};
 use portolan::recording::Recording;
-use portolan::simulator::{Simulation, Simulation3d};
+use portolan::simulator::{Scenario3dOptions, Simulation, Simulation3d};
+use portolan::worlds::three_d::Scene3d;
 
 /// A recording of which the truth is known.
 pub trait Day: Recording {
@@ -76,6 +77,30 @@ impl Known {
         off.sort_by(f64::total_cmp);
         off[off.len() / 2]
     }
+}
+
+/// A walk through a place of space; another day, another way through it. In a car park the cars of another building stand
+/// in other places.
+pub fn walk(scene: Scene3d, building: u64, day: u64, seconds: f64) -> Simulation3d {
+    let mut options = Scenario3dOptions::new(scene, day, 1);
+    options.building_seed = Some(building);
+    options.duration = Some(seconds);
+    for lidar in &mut options.lidars {
+        lidar.beams.columns = 450;
+    }
+    Simulation3d::new(options).unwrap()
+}
+
+/// The map of a museum, made once for all tests.
+pub fn museum() -> &'static Known {
+    static KNOWN: OnceLock<Known> = OnceLock::new();
+    KNOWN.get_or_init(|| Known::new(&walk(Scene3d::Museum, 1, 1, 60.0)))
+}
+
+/// The map of a car park, made once for all tests.
+pub fn garage() -> &'static Known {
+    static KNOWN: OnceLock<Known> = OnceLock::new();
+    KNOWN.get_or_init(|| Known::new(&walk(Scene3d::Garage, 1, 1, 40.0)))
 }
 
 /// What localises in a map without a start, on one thread.

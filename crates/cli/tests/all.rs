@@ -1,0 +1,32 @@
+//! The tests of the program in one program: it is linked once, and a long test of one file
+//! ends while another runs. What changes something of the whole process has a program of its own.
+
+mod check;
+mod clocks;
+mod clouds;
+mod common;
+mod compat;
+mod config;
+mod continue_map;
+mod documents;
+mod evaluate;
+mod fingerprints;
+mod foreign_files;
+mod hostile;
+mod info;
+mod map;
+mod maps;
+mod pipes;
+mod real_recordings;
+mod resume;
+mod simulate;
+mod space_faults;
+mod space_open;
+mod space_sensors;
+mod untrusted;
+mod words;
+
+#[test]
+fn every_file_is_run() {
+    portolan_testing::assert_files_are_modules(env!("CARGO_MANIFEST_DIR"), include_str!("all.rs"), &[]);
+}
