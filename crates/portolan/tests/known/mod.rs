@@ -1,6 +1,8 @@
 //! What tests of localisation share: a map of a simulated day, where it lies in the world, and how far off other days are
 //! found in it.
 
+#![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
+
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -40,7 +42,8 @@ pub struct Known {
 impl Known {
     /// The map of a day.
     pub fn new(first_day: &dyn Day) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        // Maps that all tests share are never dropped: what is left of them is in a folder that `.ci/run` empties.
+        let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
         map(first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
         let trajectory = std::fs::read_to_string(folder.path().join("trajectory.tum")).unwrap();
         let line = trajectory.lines().next().unwrap();
