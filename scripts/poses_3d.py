@@ -32,6 +32,14 @@ class Way:
         self.times, self.positions = table[:, 0], table[:, 1:4]
         self.rotations = Rotation.from_quat(table[:, 4:8])
 
+    @classmethod
+    def of(cls, times, poses):
+        """Of poses at times that ascend."""
+        way = cls.__new__(cls)
+        way.times, way.positions = np.array(times), np.array([pose.position for pose in poses])
+        way.rotations = Rotation.concatenate([pose.rotation for pose in poses])
+        return way
+
     def at(self, time):
         """None outside of the way."""
         after = bisect.bisect_left(self.times, time)
@@ -43,6 +51,36 @@ class Way:
         share = (time - self.times[before]) / (self.times[after] - self.times[before])
         position = self.positions[before] + share * (self.positions[after] - self.positions[before])
         return Pose(position, Slerp([0, 1], self.rotations[[before, after]])(share))
+
+
+class WayBetween:
+    """A way of every other sweep, with the motion between its poses that the whole way has: a car rolls and pitches faster than
+    every other sweep tells."""
+
+    def __init__(self, way, whole):
+        self.whole = whole
+        pairs = [(time, Pose(way.positions[i], way.rotations[i]), whole.at(time)) for i, time in enumerate(way.times)]
+        pairs = [(time, here * there.inverse()) for time, here, there in pairs if there]
+        self.motions = Way.of([time for time, _ in pairs], [motion for _, motion in pairs])
+        self.scatter = self.scatter_of_sweeps()
+
+    def scatter_of_sweeps(self):
+        """Covariance, 6 x 6 in the axes of the car, of how the two ways' poses of one sweep scatter from sweep to sweep: a
+        second difference of independent errors has one and a half times their variance."""
+        offsets = []
+        for before, time, after in zip(self.motions.times, self.motions.times[1:], self.motions.times[2:]):
+            there = self.whole.at(time)
+            here = self.motions.at(time) * there
+            share = (time - before) / (after - before)
+            smooth = Way.of([0.0, 1.0], [self.motions.at(before) * there, self.motions.at(after) * there]).at(share)
+            turn = (here.rotation * smooth.rotation.inv()).as_rotvec()
+            offsets.append(here.rotation.inv().apply([here.position - smooth.position, turn]).ravel())
+        return np.diag(np.mean(np.square(offsets), axis=0) / 1.5)
+
+    def at(self, time):
+        """None outside of either way."""
+        there, motion = self.whole.at(time), self.motions.at(time)
+        return motion * there if there and motion else None
 
 
 def laid_over(positions, others):
@@ -68,24 +106,29 @@ def normalised(error, matrix):
     return float(error @ np.linalg.solve(matrix, error))
 
 
-def errors(folder, truth):
-    """For each scan of `localize`'s results: time, state, error in metres and degrees, NEES of the position (3) and of the
-    pose (6). Errors are None where there is no place or no truth."""
+def errors(folder, truth, scatter=None):
+    """For each scan of `localize`'s results: time, state, error in metres and degrees, NEES of the position (3), of the
+    pose (6), and of the rotation (3). Errors are None where there is no place or no truth. The truth may scatter, too: a
+    covariance in the axes of the car."""
     rows = []
     table = pathlib.Path(folder) / "poses.csv"
     for row in csv.DictReader(table.open()) if table.exists() else []:
         time = float(row["time"])
         true = truth(time)
         if not row["x"] or true is None:
-            rows.append((time, row["state"], None, None, None, None))
+            rows.append((time, row["state"], None, None, None, None, None))
             continue
         shift = np.array([float(row[axis]) for axis in "xyz"]) - true.position
         found = Rotation.from_euler("xyz", [float(row[angle]) for angle in AXES[3:]])
         turn = (found * true.rotation.inv()).as_rotvec()
         matrix = covariance(row)
+        if scatter is not None:
+            to_map = np.kron(np.eye(2), true.rotation.as_matrix())
+            matrix = matrix + to_map @ scatter @ to_map.T
         of_pose = normalised(np.concatenate([shift, turn]), matrix)
         metres, degrees = float(np.linalg.norm(shift)), float(np.degrees(np.linalg.norm(turn)))
-        rows.append((time, row["state"], metres, degrees, normalised(shift, matrix[:3, :3]), of_pose))
+        of_parts = normalised(shift, matrix[:3, :3]), of_pose, normalised(turn, matrix[3:, 3:])
+        rows.append((time, row["state"], metres, degrees, *of_parts))
     return rows
 
 

@@ -8,6 +8,8 @@ from field_localize_log import LASTING, is_wrong, longest_false
 
 # The bounds that 95 % of the NEES of positions and of poses stay below: chi square of three and of six.
 BOUNDS = {3: 7.815, 6: 12.592}
+# Columns of rows, and degrees of freedom.
+COLUMNS = {"positions": (4, 3), "poses": (5, 6), "rotations": (6, 3)}
 
 
 def right_rows(pieces, rows="rows"):
@@ -18,9 +20,10 @@ def median(values):
     return statistics.median(values) if values else float("nan")
 
 
-def nees(rows, degrees):
-    """Mean of the NEES of positions (3) or poses (6), and the share within the 95 % bound."""
-    values = [row[4 if degrees == 3 else 5] for row in rows]
+def nees(rows, of):
+    """Mean of the NEES of positions (3), rotations (3) or poses (6), and the share within the 95 % bound."""
+    column, degrees = COLUMNS[of]
+    values = [row[column] for row in rows]
     mean = np.mean(np.minimum(values, 100)) if values else float("nan")
     return f"{mean:.1f} ({degrees}), within 95 %: {share(sum(value < BOUNDS[degrees] for value in values), len(values))}"
 
@@ -35,12 +38,12 @@ def start_figures(pieces):
     metres = sorted(row[2] for row in rows) or [float("nan")]
     return (f"found {share(len(found), len(known))}, after {spread(after, 's')}; false > {LASTING:.0f} s: {len(wrong)} {wrong or ''}; "
             f"error {median(metres):.3f} m (90 %: {metres[int(0.9 * len(metres))]:.3f}), {median([row[3] for row in rows]):.2f} deg; "
-            f"NEES of positions {nees(rows, 3)}; of poses {nees(rows, 6)}; {median([piece['cpu'] for piece in pieces]):.1f} CPU-s")
+            f"NEES of positions {nees(rows, 'positions')}; of rotations {nees(rows, 'rotations')}; of poses {nees(rows, 'poses')}; {median([piece['cpu'] for piece in pieces]):.1f} CPU-s")
 
 
 def one_start(piece):
     first, own = first_right(piece), right_rows([piece])
     found = f"found after {first[0] - piece['rows'][0][0]:.1f} s" if first else "never found"
     last = piece["rows"][-1][1] if piece["rows"] else "without a scan"
-    return (f"{found}, ends {last}, error {median([row[2] for row in own]):.3f} m, NEES {nees(own, 3)}, "
+    return (f"{found}, ends {last}, error {median([row[2] for row in own]):.3f} m, NEES {nees(own, 'positions')}, of rotations {nees(own, 'rotations')}, "
             f"false {longest_false(piece['rows']):.1f} s, {piece['cpu']:.1f} CPU-s")

@@ -136,7 +136,7 @@ impl Belief {
         let tiny = Matrix6::identity() * 1e-6;
         let Some(of_match) = (information + tiny).try_inverse() else { return f64::INFINITY };
         let Some(weight) = (self.covariance() + of_match).try_inverse() else { return f64::INFINITY };
-        let offset = self.offset(found);
+        let offset = offset(&self.pose, found);
         (offset.transpose() * weight * offset)[(0, 0)]
     }
 
@@ -145,20 +145,21 @@ impl Belief {
         let information = information * self.fresh;
         let Some(prior) = self.covariance.try_inverse() else { return };
         let Some(covariance) = (prior + information).try_inverse() else { return };
-        let step = covariance * information * self.offset(found);
+        let step = covariance * information * offset(&self.pose, found);
         self.covariance = self.freedom.restricted(&covariance);
         self.pose.translation.vector += Vector3::new(step[0], step[1], step[2]);
         let turn = quaternion_from_angle_axis(&Vector3::new(step[3], step[4], step[5]));
         self.pose.rotation = turn * self.pose.rotation;
         self.fresh = 0.0;
     }
+}
 
-    fn offset(&self, found: &Rigid3) -> Vector6 {
-        let shift = found.translation.vector - self.pose.translation.vector;
-        let turn: Quaternion = found.rotation * self.pose.rotation.inverse();
-        let turn = angle_axis_from_quaternion(&turn);
-        Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
-    }
+/// From one pose to another one: along the axes of the map, and as a rotation vector about them.
+pub(crate) fn offset(from: &Rigid3, to: &Rigid3) -> Vector6 {
+    let shift = to.translation.vector - from.translation.vector;
+    let turn: Quaternion = to.rotation * from.rotation.inverse();
+    let turn = angle_axis_from_quaternion(&turn);
+    Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ const POINT_SIGMA: f64 = 0.1;
 const SPURIOUS: f64 = 0.04;
 /// In space, where what is strongest may tell nothing of the weakest: variance of a normal about each of two axes along its
 /// surface, rad².
-const NORMAL_VARIANCE: f64 = 0.03;
+pub(crate) const NORMAL_VARIANCE: f64 = 0.03;
 
 /// A point at a surface: where it is from the scanner, in the axes of the map, and the normal of the surface there.
 #[derive(Clone, Copy)]
@@ -25,36 +25,45 @@ pub(crate) struct Contact {
 pub(crate) fn information(contacts: impl Iterator<Item = Contact>, freedom: Freedom) -> Matrix6 {
     let (mut sum, mut along_surfaces) = (Matrix6::zeros(), Matrix6::zeros());
     for Contact { lever, normal } in contacts {
-        let along_normal = outer(&lever, &normal);
+        let (_, along_normal) = outer(&lever, &normal);
         sum += along_normal;
-        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
-        along_surfaces += axes.map(|axis| outer(&lever, &axis)).iter().sum::<Matrix6>() - along_normal;
+        along_surfaces += along_surface(&lever, &along_normal);
     }
     let kept = match freedom {
         Freedom::Plane => without_spurious(&sum, freedom),
         // n̂ = n + δ, with δ along the surface: E[n̂ n̂ᵀ] is n nᵀ and the variance of δ in both of its directions.
-        Freedom::Space => {
-            positive(&(sum - NORMAL_VARIANCE * along_surfaces), lever_scale(&sum, freedom), 0.0)
-        }
+        Freedom::Space => reduced(&(sum - NORMAL_VARIANCE * along_surfaces), lever_scale(&sum, freedom), 0.0),
     };
     kept / (POINT_SIGMA * POINT_SIGMA)
 }
 
-/// What a distance along a direction tells of the pose of the scanner, whom the point is away from by a lever.
-fn outer(lever: &Vector3, direction: &Vector3) -> Matrix6 {
+/// How a distance along a direction changes with the pose of the scanner, whom the point is away from by a lever, and what it
+/// tells of the pose.
+pub(crate) fn outer(lever: &Vector3, direction: &Vector3) -> (Vector6, Matrix6) {
     let turn = lever.cross(direction);
     let row = Vector6::new(direction.x, direction.y, direction.z, turn.x, turn.y, turn.z);
-    row * row.transpose()
+    (row, row * row.transpose())
+}
+
+/// What distances along both directions of a surface would tell, where the distance along its normal tells this.
+pub(crate) fn along_surface(lever: &Vector3, along_normal: &Matrix6) -> Matrix6 {
+    let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+    axes.map(|axis| outer(lever, &axis).1).iter().sum::<Matrix6>() - along_normal
+}
+
+/// In space: the part of it that tells something.
+pub(crate) fn positive(information: &Matrix6) -> Matrix6 {
+    reduced(information, lever_scale(information, Freedom::Space), 0.0)
 }
 
 /// Takes off what errors of normals add in every direction.
 fn without_spurious(information: &Matrix6, freedom: Freedom) -> Matrix6 {
-    positive(information, lever_scale(information, freedom), SPURIOUS)
+    reduced(information, lever_scale(information, freedom), SPURIOUS)
 }
 
 /// With turns compared with shifts by a lever, metres: the part of it that is left when this fraction of the most is taken
 /// off in every direction.
-fn positive(information: &Matrix6, lever: f64, fraction: f64) -> Matrix6 {
+fn reduced(information: &Matrix6, lever: f64, fraction: f64) -> Matrix6 {
     let scale = Vector6::new(1.0, 1.0, 1.0, lever, lever, lever);
     let scaled = information.component_mul(&(scale * scale.transpose()).map(|v: f64| 1.0 / v));
     let eigen = scaled.symmetric_eigen();

@@ -2,7 +2,7 @@
 
 use portolan_geometry::{Point3f, to_f32};
 use portolan_lidar_odometry::PlaneMap;
-use portolan_mapping::{GraphState, Spatial};
+use portolan_mapping::{GraphState, Node, Spatial};
 
 use crate::occupancy::SOLID;
 use crate::submap_cells::SubmapCells;
@@ -30,10 +30,10 @@ fn has_points(submap: &SubmapCells, state: &GraphState<Spatial>) -> bool {
     })
 }
 
-/// And the points that nodes saw, where the pose graph puts them.
-pub(crate) fn with_nodes(planes: PlaneMap, state: &GraphState<Spatial>) -> PlaneMap {
+/// And the points that these nodes saw, where the pose graph puts them.
+pub(crate) fn with_nodes<'a>(planes: PlaneMap, nodes: impl Iterator<Item = &'a Node>) -> PlaneMap {
     let mut planes = planes;
-    for node in state.nodes.values() {
+    for node in nodes {
         let pose = to_f32(&node.map_from_tracking);
         let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];
         let points = clouds.into_iter().flat_map(|cloud| &cloud.points).map(|p| pose * p);
@@ -42,12 +42,17 @@ pub(crate) fn with_nodes(planes: PlaneMap, state: &GraphState<Spatial>) -> Plane
     planes.compacted()
 }
 
+/// The planes of the first node, the third and so on, by which the scans of the others are judged.
+pub(crate) fn planes_of_every_other_node(state: &GraphState<Spatial>, edge: f32) -> PlaneMap {
+    with_nodes(PlaneMap::new(edge), state.nodes.values().step_by(2))
+}
+
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
     use portolan_geometry::{Quaternion, Rigid3, Time};
-    use portolan_mapping::{Node, NodeData, NodeId, SubmapEntry, TrajectoryId};
+    use portolan_mapping::{NodeData, NodeId, SubmapEntry, TrajectoryId};
     use portolan_sensor::PointCloud;
 
     use super::*;
@@ -91,7 +96,7 @@ mod tests {
         let cells = floor().map(|p| (Point3f::from(p.coords.map(middle)), 0.9)).collect();
         let mut planes = PlaneMap::new(1.0);
         add_cells(&mut planes, &SubmapCells { entry: &entry, origin: Point3f::origin(), cells }, &state);
-        let planes = with_nodes(planes, &state);
+        let planes = with_nodes(planes, state.nodes.values());
         let plane = planes.plane_near(&Point3f::new(0.4, 0.4, FLOOR)).unwrap();
         assert!(plane.normal.z > 0.99, "{plane:?}");
         plane.point.z

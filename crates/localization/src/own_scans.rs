@@ -1,10 +1,11 @@
 //! What a map of space says to its own scans: put where they were taken, and where they were not.
 
-use portolan_geometry::{Rigid3, rotation_from_roll_pitch_yaw, to_f32};
+use nalgebra::Matrix3;
+use portolan_geometry::{Rigid3, Vector3, rotation_from_roll_pitch_yaw, to_f32};
 use portolan_mapping::{GraphState, Node, Spatial};
 use rayon::prelude::*;
 
-use crate::belief::MapError;
+use crate::belief::{MapError, Matrix6, Vector6, offset};
 use crate::known_map::{KnownMap, ON_THE_WAY};
 use crate::spatial_map::{AROUND_PROPOSAL, SpatialMap};
 use crate::spatial_scan::SpatialScan;
@@ -18,6 +19,17 @@ const MOST_BY_CHANCE: f32 = 0.9;
 const USUAL_CHANCE: f32 = 0.6;
 /// No map is known better than this, metres: about what the noise of ranges leaves.
 const LEAST: f64 = 0.005;
+/// And no turn in it, radians: two centimetres at ten metres. What a wrong motion during a sweep does to all of it at once turns
+/// its points alike, and neither their scatter nor that of other scans shows it.
+const LEAST_TURN: f64 = 0.002;
+/// None is told to be worse.
+const MOST: f64 = 1.0;
+/// From one standard deviation that is tried to the next.
+const FINENESS: f64 = 1.05;
+/// Half of the squares of three standard normal numbers add up to less.
+const MEDIAN_OF_THREE: f64 = 2.366;
+/// Information of what is open.
+const NOTHING: f64 = 1e-6;
 
 /// The scan of a node, and the frame in which it is level, in the map.
 fn scan_of(node: &Node) -> (SpatialScan, Rigid3) {
@@ -45,19 +57,69 @@ pub(crate) fn explained_by_chance(map: &SpatialMap, state: &GraphState<Spatial>)
     shares.get(shares.len() / 2).map_or(USUAL_CHANCE, |share| share.min(MOST_BY_CHANCE))
 }
 
-/// How far from where they were taken the map finds its own scans: root mean square along each axis. Turns are those of any
-/// map: own scans lie in its planes, and tell too little of them.
+/// What the map is off by where every other of its scans is looked for in planes that only the rest made: so much variance,
+/// along and about each axis, that half of the scans lie as near to where they were taken as half of all should, beyond what
+/// they say of themselves (as Paule and Mandel 1982 take the variance between laboratories, with the median for the mean).
 pub(crate) fn error_of_own_scans(map: &SpatialMap, state: &GraphState<Spatial>) -> MapError {
-    let nodes: Vec<_> = state.nodes.values().collect();
-    let square = |k: usize| {
-        let (scan, level) = scan_of(nodes.get(k * nodes.len() / ASKED)?);
-        let found = map.find(&scan, &level, ON_THE_WAY).pose.translation.vector;
-        (!scan.judged.is_empty()).then(|| (found - level.translation.vector).norm_squared())
+    let nodes: Vec<_> = state.nodes.values().skip(1).step_by(2).collect();
+    let asked = ASKED.min(nodes.len());
+    let found = |k: usize| {
+        let (scan, level) = scan_of(nodes.get(k * nodes.len() / asked)?);
+        let found = map.find(&scan, &level, ON_THE_WAY);
+        let covariance = (found.information + Matrix6::identity() * NOTHING).try_inverse()?;
+        (!scan.judged.is_empty()).then(|| (offset(&level, &found.pose), covariance))
     };
-    let squares: Vec<f64> = (0..ASKED).into_par_iter().filter_map(square).collect();
-    if squares.is_empty() {
+    let found: Vec<(Vector6, Matrix6)> = (0..asked).into_par_iter().filter_map(found).collect();
+    if found.is_empty() {
         return MapError::USUAL;
     }
-    let of_axis = (squares.iter().sum::<f64>() / squares.len() as f64 / 3.0).sqrt();
-    MapError { metres: of_axis.max(LEAST), ..MapError::USUAL }
+    let of_block = |first: usize, least: f64| {
+        let block = |(offset, covariance): &(Vector6, Matrix6)| {
+            (
+                offset.fixed_rows::<3>(first).into_owned(),
+                covariance.fixed_view::<3, 3>(first, first).into_owned(),
+            )
+        };
+        unexplained(&found.iter().map(block).collect::<Vec<_>>(), least)
+    };
+    MapError { metres: of_block(0, LEAST), radians: of_block(3, LEAST_TURN) }
+}
+
+/// The standard deviation along each axis, no less than the least, with which half of the offsets lie within the bound of half
+/// of all.
+fn unexplained(offsets: &[(Vector3, Matrix3<f64>)], least: f64) -> f64 {
+    let half_is_within = |sigma: f64| {
+        let more = Matrix3::identity() * (sigma * sigma);
+        let is_within = |(offset, covariance): &&(Vector3, Matrix3<f64>)| {
+            let inverse = (covariance + more).try_inverse();
+            inverse.is_some_and(|inverse| offset.dot(&(inverse * offset)) < MEDIAN_OF_THREE)
+        };
+        2 * offsets.iter().filter(is_within).count() >= offsets.len()
+    };
+    let steps = (0..).map(|i| least * FINENESS.powi(i)).take_while(|sigma| *sigma < MOST);
+    steps.into_iter().find(|sigma| half_is_within(*sigma)).unwrap_or(MOST)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The shares of a normal distribution that lie between numbers which lie evenly in it, along one axis after the other.
+    fn offsets(sigma: f64) -> Vec<Vector3> {
+        let normal = [-1.53, -0.89, -0.49, -0.16, 0.16, 0.49, 0.89, 1.53];
+        let pairs = normal.into_iter().flat_map(|x| normal.map(|y| (x, y)));
+        pairs.flat_map(|(x, y)| normal.map(|z| sigma * Vector3::new(x, y, z))).collect()
+    }
+
+    #[test]
+    fn what_scans_do_not_say_of_themselves_is_the_maps() {
+        let with = |sigma: f64, known: f64| {
+            let covariance = Matrix3::identity() * (known * known);
+            let offsets: Vec<_> = offsets(sigma).into_iter().map(|offset| (offset, covariance)).collect();
+            unexplained(&offsets, 0.005)
+        };
+        assert!((with(0.05, 0.01) - 0.05).abs() < 0.008, "{}", with(0.05, 0.01));
+        assert!((with(0.05, 0.03) - 0.04).abs() < 0.008, "{}", with(0.05, 0.03));
+        assert!((with(0.02, 0.03) - 0.005).abs() < 1e-9, "explained, and no map is better than that");
+    }
 }

@@ -2,14 +2,16 @@
 
 use std::sync::Arc;
 
-use nalgebra as na;
 use portolan_geometry::{
-    Point3f, Rigid3, Vector2, Vector3, embed_3d, is_valid_pose, rotation_from_roll_pitch_yaw, to_f32, yaw,
+    Point3f, Rigid2, Rigid3, Vector3, embed_3d, is_valid_pose, normalize_angle, rotation_from_roll_pitch_yaw,
+    to_f32, yaw,
 };
-use portolan_grids::{Grid2d, MapLimits, ProbabilityGrid, ScanAgreement};
+use portolan_grids::ScanAgreement;
 use portolan_lidar_odometry::{PlaneMap, PosePrior, Registration, RegistrationSettings, Sigmas};
 use portolan_mapping::{GraphState, NodeData, PoseGraph, Spatial, TrajectoryId};
-use portolan_matching::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d, SeveralPlaces};
+use portolan_matching::{
+    FastCorrelativeMatcher2d, FastCorrelativeOptions2d, PlaceIndex2d, SeveralPlaces, WantedPlaces,
+};
 use portolan_sensor::PointCloud;
 use rayon::prelude::*;
 
@@ -17,39 +19,45 @@ use crate::along::SolidField;
 use crate::belief::{Freedom, MapError, Matrix6};
 use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
+use crate::from_above::from_above;
 use crate::information::{Contact, information};
 use crate::known_map::{Area, KnownMap, KnownMapError, ON_THE_WAY, ScanMatch, Window};
-use crate::known_planes::{add_cells, with_nodes};
+use crate::known_planes::{add_cells, planes_of_every_other_node, with_nodes};
 use crate::occupancy::{Occupancy, OccupancyBuilder};
 use crate::own_scans::{error_of_own_scans, explained_by_chance};
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
+use crate::residuals::Residuals;
 use crate::spatial_renewal::renew;
-use crate::spatial_scan::{COLUMN, SpatialJoint, SpatialScan, upright_columns};
+use crate::spatial_scan::{SpatialJoint, SpatialScan};
 use crate::submap_cells::submap_cells;
 use crate::voxel_changes::{KeptSweep, KnownVoxels, VoxelChanges};
 
 /// Edge of the largest voxels of planes, metres.
 const VOXEL: f32 = 1.0;
-/// A column of the map stands if so many of its slices are solid.
-const UPRIGHT: usize = 3;
-/// Cells of the picture from above, at most: 1.2 km by 1.2 km; maps farther across get larger cells.
-const MAX_CELLS: f64 = (1 << 24) as f64;
-/// Probability of a cell in which something stands upright.
-const STANDS: f32 = 0.9;
 /// What a search of the picture from above proposes: what scores at least this, and this share of the best.
 const PROPOSALS: SeveralPlaces = SeveralPlaces {
     min_score: 0.3,
     share_of_best: 0.7,
     separation: (1.0, 0.2),
     most: 24,
-    lookups: 150_000_000,
+    lookups: 75_000_000,
+};
+/// And where each column counts as much as it tells: the share of what all points may tell at most is smaller.
+const TELLING: WantedPlaces = WantedPlaces {
+    min_score: 0.15,
+    share_of_best: PROPOSALS.share_of_best,
+    separation: PROPOSALS.separation,
+    most: PROPOSALS.most,
+    most_points: 320,
+    beam: 65_536,
+    lookups: 0,
 };
 /// So many of them, which fit best after registration, are looked into.
 const MOST_PROPOSED: usize = 8;
 /// The scanner is at the height of a node no farther than this from its place, metres; nodes whose heights differ by
 /// so much are on different storeys.
-const NODES_AROUND: f64 = 10.0;
+pub(crate) const NODES_AROUND: f64 = 10.0;
 const STOREY: f64 = 1.0;
 /// Around a place where it is proposed.
 pub(crate) const AROUND_PROPOSAL: Window = Window { metres: 0.8, radians: 0.12 };
@@ -73,8 +81,10 @@ pub struct SpatialMap {
     solid: SolidField,
     /// What scans may contradict.
     pub(crate) voxels: Arc<KnownVoxels>,
-    /// Finds places from above.
+    /// Finds places from above, where all columns count the same.
     places: FastCorrelativeMatcher2d,
+    /// The same, where each counts as much as it tells.
+    telling: PlaceIndex2d,
     /// Where nodes were taken.
     nodes: Vec<Vector3>,
     registration: Registration,
@@ -107,12 +117,13 @@ impl SpatialMap {
         if solid_cells.is_empty() {
             return Err(KnownMapError::NoWalls);
         }
-        let places =
-            FastCorrelativeMatcher2d::new(&from_above(&solid_cells)?, &FastCorrelativeOptions2d::default())?;
-        let nodes = state.nodes.values().map(|node| node.map_from_tracking.translation.vector).collect();
+        let nodes: Vec<Vector3> =
+            state.nodes.values().map(|node| node.map_from_tracking.translation.vector).collect();
+        let (picture, telling) = from_above(&solid_cells, &nodes)?;
+        let places = FastCorrelativeMatcher2d::new(&picture, &FastCorrelativeOptions2d::default())?;
         let settings = RegistrationSettings { min_matched_fraction: 0.0, ..Default::default() };
         let registration = Registration::new(settings);
-        let (planes, occupancy) = (Arc::new(with_nodes(planes, state)), Arc::new(occupancy));
+        let (planes, occupancy) = (Arc::new(with_nodes(planes, state.nodes.values())), Arc::new(occupancy));
         let voxels = Arc::new(KnownVoxels::new(&occupancy, &planes, state)?);
         let mut map = Self {
             planes,
@@ -120,14 +131,46 @@ impl SpatialMap {
             solid,
             voxels,
             places,
+            telling,
             nodes,
             registration,
             by_chance: 0.0,
             error: MapError::USUAL,
         };
         map.by_chance = explained_by_chance(&map, state);
+        // Scans in planes to which they gave no point.
+        let all = std::mem::replace(&mut map.planes, Arc::new(planes_of_every_other_node(state, VOXEL)));
         map.error = error_of_own_scans(&map, state);
+        map.planes = all;
         Ok(map)
+    }
+
+    /// Places in an area, or anywhere, where columns fit: those that are best where all count the same, and those that are where
+    /// each counts as much as it tells. Most columns stand where the map is dense, and the first search may never leave it.
+    fn seen_from_above(&self, columns: &PointCloud, area: Option<Area>) -> Vec<Rigid2> {
+        let alike = || match area {
+            Some(Area { centre, metres }) => {
+                self.places.match_several_within(columns, &PROPOSALS, &centre, metres)
+            }
+            None => self.places.match_several(columns, &PROPOSALS),
+        };
+        let telling = || match area {
+            Some(Area { centre, metres }) => self.telling.find_within(columns, &TELLING, &centre, metres),
+            None => self.telling.find(columns, &TELLING),
+        };
+        let (alike, telling) = rayon::join(alike, telling);
+        let (metres, radians) = PROPOSALS.separation;
+        let mut places: Vec<Rigid2> = Vec::new();
+        for place in alike.into_iter().chain(telling.places).map(|found| found.pose) {
+            let is_near = |other: &Rigid2| {
+                (other.translation - place.translation).norm() < metres
+                    && normalize_angle(other.angle - place.angle).abs() < radians
+            };
+            if !places.iter().any(is_near) {
+                places.push(place);
+            }
+        }
+        places
     }
 
     /// Poses in space over a place seen from above: at the heights of the storeys there.
@@ -157,10 +200,10 @@ impl SpatialMap {
     }
 
     /// Moves a pose along the direction that planes leave most open to where the points are most likely; the pose, and what
-    /// planes (of the points that judge) and this tell of it.
+    /// planes and this tell of it. Points that judge choose the direction; those that were registered say how sure the planes are.
     fn slide(
         &self,
-        (points, judged): (&[Point3f], &[Point3f]),
+        (points, judged, registered): (&[Point3f], &[Point3f], &[Point3f]),
         pose: &Rigid3,
         window: Window,
     ) -> (Rigid3, Matrix6) {
@@ -181,7 +224,7 @@ impl SpatialMap {
         let share = found.information / (found.information + held).max(f64::MIN_POSITIVE);
         let mut slid = *pose;
         slid.translation.vector += share * found.shift * direction;
-        let mut both = by_planes;
+        let mut both = Residuals::new(&self.planes, registered, pose).information();
         let mut block = both.fixed_view_mut::<3, 3>(0, 0);
         block += found.information * direction * direction.transpose();
         (slid, both)
@@ -249,28 +292,6 @@ impl SpatialMap {
     }
 }
 
-/// What stands upright, seen from above.
-fn from_above(solid: &[Point3f]) -> Result<Grid2d, KnownMapError> {
-    let columns = upright_columns(solid.iter().copied(), UPRIGHT);
-    let first = columns.first().ok_or(KnownMapError::NoWalls)?;
-    let (low, high) =
-        columns.iter().fold((first.coords, first.coords), |(l, h), p| (l.inf(&p.coords), h.sup(&p.coords)));
-    let size: na::Vector3<f64> = (high - low).cast();
-    let mut resolution = f64::from(COLUMN);
-    let cells = |length: f64, resolution: f64| (length / resolution).ceil() + 3.0;
-    while cells(size.x, resolution) * cells(size.y, resolution) > MAX_CELLS {
-        resolution *= 2.0;
-    }
-    let max = Vector2::new(f64::from(high.x) + 1.5 * resolution, f64::from(high.y) + 1.5 * resolution);
-    let count = |length: f64| cells(length, resolution) as u32;
-    let mut grid = ProbabilityGrid::new(MapLimits::new(resolution, max, count(size.y), count(size.x))?);
-    for column in columns {
-        let cell = grid.limits().cell_index(column.xy().coords);
-        grid.set_probability(cell, STANDS);
-    }
-    Ok(Grid2d::Probability(grid))
-}
-
 impl KnownMap for SpatialMap {
     type Space = Spatial;
     type Scan = SpatialScan;
@@ -307,15 +328,8 @@ impl KnownMap for SpatialMap {
         area: Option<Area>,
         is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Rigid3> {
-        let columns = &joint.columns.cloud;
-        let found = match area {
-            Some(Area { centre, metres }) => {
-                self.places.match_several_within(columns, &PROPOSALS, &centre, metres)
-            }
-            None => self.places.match_several(columns, &PROPOSALS),
-        };
-        let lifted: Vec<Rigid3> =
-            found.iter().flat_map(|place| self.lifted(&embed_3d(&place.pose))).collect();
+        let found = self.seen_from_above(&joint.columns.cloud, area);
+        let lifted: Vec<Rigid3> = found.iter().flat_map(|place| self.lifted(&embed_3d(place))).collect();
         let settled = lifted.par_iter().filter(|pose| !is_known(pose)).map(|pose| {
             let pose = self.settle(joint, pose, AROUND_PROPOSAL);
             let agreement = self.agreement_of(&joint.points, &pose);
@@ -329,7 +343,7 @@ impl KnownMap for SpatialMap {
     fn settle(&self, joint: &SpatialJoint, guess: &Rigid3, window: Window) -> Rigid3 {
         let mut pose = self.search(&joint.points, guess, window);
         for _ in 0..MOST_SLIDES {
-            let (slid, _) = self.slide((&joint.thinned, &joint.points), &pose, window);
+            let (slid, _) = self.slide((&joint.thinned, &joint.points, &joint.points), &pose, window);
             let moved = (slid.translation.vector - pose.translation.vector).norm();
             pose = slid;
             if moved < SETTLED {
@@ -342,7 +356,7 @@ impl KnownMap for SpatialMap {
 
     fn find(&self, scan: &SpatialScan, guess: &Rigid3, window: Window) -> ScanMatch {
         let pose = self.register(&scan.points, guess, window);
-        let (pose, information) = self.slide((&scan.thinned, &scan.judged), &pose, window);
+        let (pose, information) = self.slide((&scan.thinned, &scan.judged, &scan.points), &pose, window);
         ScanMatch { pose, information, agreement: self.agreement(scan, &pose) }
     }
 

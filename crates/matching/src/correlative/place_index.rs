@@ -11,7 +11,7 @@
 //! grows with the map.
 
 use portolan_geometry::{Point3f, Rigid2, Vector2, normalize_angle};
-use portolan_grids::{Grid2d, GridError, MapLimits, is_finite};
+use portolan_grids::{CellIndex, Grid2d, GridError, MapLimits, is_finite};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
@@ -73,7 +73,7 @@ pub struct PlaceIndex2d {
     limits: MapLimits,
     score: ByteScore,
     pyramid: MaxPyramid,
-    /// 1 where something is known to be free.
+    /// 1 where something is known to be free, or a scanner may stand.
     free: MaxPyramid,
 }
 
@@ -96,13 +96,32 @@ impl PlaceIndex2d {
         };
         let bytes: Vec<u8> = cells.iter().map(|known| score.byte(value(known))).collect();
         let free: Vec<u8> = has_free.iter().map(|free| u8::from(*free)).collect();
+        Ok(Some(Self::of_bytes(limits, score, &bytes, &free)))
+    }
+
+    /// Of cells that count each so much for a point that ends there, from 0 to 1; others count nothing. A scanner stands in the
+    /// cells that are open, in the order of [`MapLimits::flat_index`].
+    pub fn of_cells(limits: MapLimits, counts: &[(CellIndex, f32)], is_open: &[bool]) -> Self {
+        let score = ByteScore::new(FREE, SOLID);
+        let mut bytes = vec![score.byte(NOTHING); limits.num_cells()];
+        for (cell, count) in counts {
+            if let Some(byte) = limits.flat_index(*cell).and_then(|index| bytes.get_mut(index)) {
+                *byte = score.byte(count.clamp(NOTHING, SOLID));
+            }
+        }
+        let mut open: Vec<u8> = is_open.iter().map(|open| u8::from(*open)).collect();
+        open.resize(bytes.len(), 0);
+        Self::of_bytes(limits, score, &bytes, &open)
+    }
+
+    fn of_bytes(limits: MapLimits, score: ByteScore, bytes: &[u8], free: &[u8]) -> Self {
         let (num_x, num_y) = (limits.num_x_cells() as usize, limits.num_y_cells() as usize);
-        Ok(Some(Self {
+        Self {
             limits,
             score,
-            pyramid: MaxPyramid::new(&bytes, num_x, num_y, MAX_EXPONENT + 2, score.byte(NOTHING)),
-            free: MaxPyramid::new(&free, num_x, num_y, MAX_EXPONENT, 0),
-        }))
+            pyramid: MaxPyramid::new(bytes, num_x, num_y, MAX_EXPONENT + 2, score.byte(NOTHING)),
+            free: MaxPyramid::new(free, num_x, num_y, MAX_EXPONENT, 0),
+        }
     }
 
     /// Memory that it takes, bytes.

@@ -144,3 +144,42 @@ fn very_wide_maps_get_larger_cells() {
     let wide = PlaceIndex2d::new(&far, 0.01).unwrap().unwrap();
     assert!(narrow.resolution() == 0.2 && wide.resolution() > 0.1 && wide.memory_bytes() < 1 << 30);
 }
+
+/// Posts around a scanner, metres. Scanners are tried at corners of cells: there all of these are in the middle of one.
+const POSTS: [[f32; 2]; 5] = [[0.1, 0.3], [2.1, 0.7], [0.7, -1.9], [-1.3, 0.9], [-0.5, 2.7]];
+
+/// The posts around places of a map, and how much each post counts there; a map that is longer than wide, in cells of 0.2 m.
+fn posts_at(places: &[(Vector2, f32)]) -> (MapLimits, Vec<(CellIndex, f32)>) {
+    let limits = MapLimits::new(0.2, Vector2::new(10.0, 6.0), 70, 110).unwrap();
+    let post = |place: &Vector2, [x, y]: [f32; 2]| place.cast::<f32>() + nalgebra::Vector2::new(x, y);
+    let around =
+        |(place, count): &(Vector2, f32)| POSTS.map(|at| (limits.cell_index(post(place, at)), *count));
+    (limits, places.iter().flat_map(around).collect())
+}
+
+fn best_place(index: &PlaceIndex2d, beam: usize, lookups: u64) -> MatchResult<Rigid2> {
+    let points = PointCloud::new(POSTS.map(|[x, y]| Point3f::new(x, y, 0.0)).to_vec());
+    let wanted = WantedPlaces { min_score: 0.1, most: 1, beam, lookups, ..WANTED };
+    index.find(&points, &wanted).places[0]
+}
+
+#[test]
+fn what_tells_more_decides_and_a_scanner_stands_where_it_is_open() {
+    let [telling, other] = [Vector2::new(4.0, -3.0), Vector2::new(-7.0, 1.0)];
+    let (limits, counts) = posts_at(&[(other, 0.4), (telling, 0.9)]);
+    let near = |cell: CellIndex, place: &Vector2| (limits.cell_center(cell) - place).norm() < 1.0;
+    let cells = || (0..limits.num_cells()).map(|i| CellIndex::new((i % 70) as i32, (i / 70) as i32));
+    let everywhere = PlaceIndex2d::of_cells(limits, &counts, &vec![true; limits.num_cells()]);
+    let open: Vec<bool> = cells().map(|cell| near(cell, &other)).collect();
+    let around_the_other = PlaceIndex2d::of_cells(limits, &counts, &open);
+    for (beam, lookups) in [(4096, 0), (1, 1 << 40)] {
+        for (index, place, count) in [(&everywhere, telling, 0.9), (&around_the_other, other, 0.4)] {
+            let found = best_place(index, beam, lookups);
+            assert!((found.pose.translation - place).norm() < 1e-6, "{found:?}");
+            assert!(found.pose.angle.abs() < 1e-6 && (found.score - count).abs() < 0.004, "{found:?}");
+        }
+    }
+    let nowhere = PlaceIndex2d::of_cells(limits, &counts, &[]);
+    let points = PointCloud::new(POSTS.map(|[x, y]| Point3f::new(x, y, 0.0)).to_vec());
+    assert!(nowhere.find(&points, &WANTED).places.is_empty());
+}
