@@ -16,6 +16,12 @@
     flipped the scanner is mounted upside down: beams run the other way round, which nothing tells
     stale   every fifth scan has the readings of the one before under its own stamp
     hang    so have all for 1.5 s of 20 s
+    camera  only 57 degrees ahead see anything, 0.5 to 5 m, with noise of 0.003 of the squared range, as a depth camera
+    fifth   every fifth beam
+    right   only the beams to the right see anything
+    long5   readings are 5 cm too long
+    seconds, tenths   stamps tell whole seconds, or tenths
+    untimed all stamps are 0
     glass   one reading in five goes on through glass: it is 0.5 to 3 m too long, in runs of four beams
 
 Odometry stays as it is. Needs Python 3 alone.
@@ -26,6 +32,8 @@ import random
 import sys
 
 NOTHING = "81.83"
+# What stamps are rounded down to, seconds; 0: there are none.
+CLOCKS = {"seconds": 1.0, "tenths": 0.1, "untimed": 0.0}
 # Standard deviations of noise: metres, and metres for each metre of range.
 NOISES = {"noise": (0.03, 0.0), "noise10": (0.1, 0.0), "noise20": (0.2, 0.0), "rel2": (0.0, 0.02)}
 
@@ -56,6 +64,17 @@ def spoilt(ranges, how, chance, count):
         return ranges[::-1]
     if how == "half":
         return ranges[::2]
+    if how == "fifth":
+        return ranges[::5]
+    if how == "right":
+        return [r if i < len(ranges) // 2 else NOTHING for i, r in enumerate(ranges)]
+    if how == "long5":
+        return [f"{float(r) + 0.05:.3f}" if float(r) < 60.0 else r for r in ranges]
+    if how == "camera":
+        each_side = round(len(ranges) * 57 / 180 / 2)
+        is_seen = lambda i, r: abs(i - len(ranges) / 2) <= each_side and 0.5 <= r <= 5.0
+        noisy = lambda r: f"{max(0.1, chance.gauss(r, 0.003 * r * r)):.3f}"
+        return [noisy(float(r)) if is_seen(i, float(r)) else NOTHING for i, r in enumerate(ranges)]
     if how == "near":
         return [r if float(r) < 8.0 else NOTHING for r in ranges]
     if how == "drop":
@@ -80,7 +99,7 @@ def spoilt(ranges, how, chance, count):
         of_all, of_metre = NOISES[how]
         noisy = lambda r: max(0.05, float(r) + chance.gauss(0.0, of_all + of_metre * float(r)))
         return [f"{noisy(r):.3f}" if float(r) < 60.0 else r for r in ranges]
-    if how in ("third", "burst", "stale", "hang"):
+    if how in ("third", "burst", "stale", "hang", *CLOCKS):
         return ranges
     sys.exit(f"there is no way to spoil a log that is called {how}")
 
@@ -88,6 +107,15 @@ def spoilt(ranges, how, chance, count):
 def is_stale(how, count, seconds):
     """Whether the driver sends the readings before once more."""
     return how == "stale" and count % 5 == 0 or how == "hang" and seconds % 20.0 < 1.5
+
+
+def with_clock(line, resolution):
+    """A line of FLASER or ODOM with the stamps of a coarse clock."""
+    words = line.split()
+    for field in (-3, -1):
+        stamp = math.floor(float(words[field]) / resolution) * resolution if resolution else 0.0
+        words[field] = f"{stamp:.6f}"
+    return " ".join(words) + "\n"
 
 
 def main():
@@ -108,6 +136,8 @@ def main():
                     ranges = last
                 last = ranges
                 line = " ".join(["FLASER", str(len(ranges)), *ranges, *words[2 + n :]]) + "\n"
+            if how in CLOCKS and line.startswith(("FLASER", "ODOM")):
+                line = with_clock(line, CLOCKS[how])
             out.write(line)
 
 
