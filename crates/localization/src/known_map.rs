@@ -9,6 +9,7 @@ use portolan_sensor::PointCloud;
 use crate::belief::{Freedom, MapError, Matrix6};
 use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
+use crate::localizer::LocalizerWork;
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
 use crate::voxel_changes::KeptSweep;
@@ -69,7 +70,7 @@ pub struct ScanMatch {
 ///
 /// Frames of scans are level: z points up as in the local map, the origin is that of the tracking frame, in the plane at
 /// height 0.
-pub trait KnownMap: Sized + Send + Sync {
+pub trait KnownMap: Sized + Send + Sync + 'static {
     /// Where local SLAM works.
     type Space: Space;
     /// A scan in its frame, as it is matched and judged.
@@ -84,6 +85,9 @@ pub trait KnownMap: Sized + Send + Sync {
     /// While no place is known, the whole map is searched at least so often where something new was seen, seconds: as long as
     /// a search costs, so that a recording is localised no slower than it was made.
     const LONGEST_PAUSE: f64;
+
+    /// What a localizer in such a map does.
+    fn localizer_work() -> &'static LocalizerWork<Self>;
 
     /// How far places in the map are off although scans fit.
     fn error(&self) -> MapError {

@@ -46,7 +46,7 @@ pub use distinctness::{Distinctness, ExaminedPlace, OtherPlace, PlaceExaminer};
 pub use growth::{Grown, Growth, GrowthError};
 pub use jumps::{Corrections, Jumps};
 pub use known_map::{Area, KnownMap, KnownMapError, ScanMatch, Window};
-pub use localizer::{Localizer, LocalizerError, LocalizerSettings, StartPose};
+pub use localizer::{Localizer, LocalizerError, LocalizerSettings, LocalizerWork, StartPose};
 pub use planar_map::PlanarMap;
 pub use recent::RecentScans;
 pub use renewal::Renewal;

@@ -11,6 +11,7 @@ use crate::belief::Freedom;
 use crate::changes::{ChangeCounter, ChangeGrid};
 use crate::information::{Contact, information};
 use crate::known_map::{Area, KnownMap, ScanMatch, Window};
+use crate::localizer::LocalizerWork;
 use crate::planar_map::PlanarMap;
 use crate::planar_scan::{PlanarJoint, PlanarScan};
 use crate::recent::RecentScans;
@@ -71,6 +72,8 @@ impl Matcher {
     }
 }
 
+static LOCALIZER_WORK: LocalizerWork<PlanarMap> = LocalizerWork::compiled();
+
 impl KnownMap for PlanarMap {
     type Space = Planar;
     type Scan = PlanarScan;
@@ -78,6 +81,10 @@ impl KnownMap for PlanarMap {
     const FREEDOM: Freedom = Freedom::Plane;
     const CERTAIN_PLACE: f64 = 0.08;
     const LONGEST_PAUSE: f64 = 1.0;
+
+    fn localizer_work() -> &'static LocalizerWork<Self> {
+        &LOCALIZER_WORK
+    }
 
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3 {
         embed_3d(&project_2d(local_from_tracking))

@@ -23,6 +23,7 @@ use crate::from_above::from_above;
 use crate::information::{Contact, information};
 use crate::known_map::{Area, KnownMap, KnownMapError, ON_THE_WAY, ScanMatch, Window};
 use crate::known_planes::{add_cells, planes_of_every_other_node, with_nodes};
+use crate::localizer::LocalizerWork;
 use crate::occupancy::{Occupancy, OccupancyBuilder};
 use crate::own_scans::{error_of_own_scans, explained_by_chance};
 use crate::recent::RecentScans;
@@ -292,6 +293,8 @@ impl SpatialMap {
     }
 }
 
+static LOCALIZER_WORK: LocalizerWork<SpatialMap> = LocalizerWork::compiled();
+
 impl KnownMap for SpatialMap {
     type Space = Spatial;
     type Scan = SpatialScan;
@@ -299,6 +302,10 @@ impl KnownMap for SpatialMap {
     const FREEDOM: Freedom = Freedom::Space;
     const CERTAIN_PLACE: f64 = 0.12;
     const LONGEST_PAUSE: f64 = 3.0;
+
+    fn localizer_work() -> &'static LocalizerWork<Self> {
+        &LOCALIZER_WORK
+    }
 
     fn error(&self) -> MapError {
         self.error

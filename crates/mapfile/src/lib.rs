@@ -21,8 +21,8 @@ mod texture;
 mod texture_3d;
 
 pub use convert::{
-    FrozenTrajectories, LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings, MapSpace,
-    WriteReport, builder_options_from_proto, builder_options_to_proto, check_graph, encode_grid_2d,
+    FileWork, FrozenTrajectories, LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings,
+    MapSpace, WriteReport, builder_options_from_proto, builder_options_to_proto, check_graph, encode_grid_2d,
     encode_hybrid_grid, load_map, read_map, read_map_2d, submap_textures_2d, submap_textures_3d,
     trajectory_options_from_proto, trajectory_options_to_proto, write_graph, write_map, write_map_2d,
 };

@@ -139,6 +139,10 @@ impl<S: Space> Backend<S> {
         &mut self,
         work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,
     ) -> Result<(), MapperError> {
+        self.enqueue_boxed(Box::new(work))
+    }
+
+    fn enqueue_boxed(&mut self, work: Work<S>) -> Result<(), MapperError> {
         match &mut self.place {
             Place::Inline { graph, pool } => {
                 pool.install(|| work(graph));

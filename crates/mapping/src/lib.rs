@@ -25,7 +25,7 @@ pub use collation::{Ready, SensorCollation};
 pub use local_slam::{ActiveSubmaps, LocalSlam, Lost, MatchingResult};
 pub use local_track::{LocalTrack, Placement, TrackedNode};
 pub use map::{Map, ScanPose};
-pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings};
+pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings, MapperWork};
 pub use node::{Node, NodeData};
 pub use planar::Planar;
 pub use portolan_lidar_odometry::{DegenerateInterval, DegenerateMotion, Substitute, SweepPoint};

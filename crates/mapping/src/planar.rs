@@ -9,6 +9,7 @@ use portolan_sensor::SensorId;
 use portolan_submaps::{SearchWindow, Submap2d, fast_matcher_options, gradient_matcher};
 
 use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
+use crate::mapper::MapperWork;
 use crate::place_finder_2d::PlanarPlaces;
 use crate::pose_graph::AT_WRONG_PLACES;
 use crate::{
@@ -38,6 +39,8 @@ impl PlanarMatcher {
     }
 }
 
+static MAPPER_WORK: MapperWork<Planar> = MapperWork::compiled();
+
 impl Space for Planar {
     type Submap = Submap2d;
     type Matcher = PlanarMatcher;
@@ -45,6 +48,10 @@ impl Space for Planar {
 
     const OPTIMIZES_WITH_IMU: bool = false;
     const SEARCHES_WHOLE_MAPS: bool = true;
+
+    fn mapper_work() -> &'static MapperWork<Self> {
+        &MAPPER_WORK
+    }
 
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam2d, MapperError> {
         let extras = LocalSlamExtras {

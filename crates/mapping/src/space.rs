@@ -10,6 +10,7 @@ use portolan_sensor::SensorId;
 use portolan_submaps::SearchWindow;
 
 use crate::local_slam::LocalSlam;
+use crate::mapper::MapperWork;
 use crate::{Constraint, MapperError, NodeData};
 
 /// How far a node may be from where it is believed to be.
@@ -110,6 +111,9 @@ pub trait Space: Copy + Debug + Send + Sync + 'static {
 
     /// The local SLAM of this space.
     type LocalSlam: LocalSlam<Self>;
+
+    /// What a mapper in this space does.
+    fn mapper_work() -> &'static MapperWork<Self>;
 
     /// Whether the optimisation uses IMU samples, so that they are kept.
     const OPTIMIZES_WITH_IMU: bool;

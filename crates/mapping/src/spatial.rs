@@ -10,6 +10,7 @@ use portolan_sensor::SensorId;
 use portolan_submaps::{Submap3d, clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 
 use crate::local_slam::three_d::{LocalSlam3d, LocalSlam3dSettings};
+use crate::mapper::MapperWork;
 use crate::plane_search::{confirmed, find_nearby, planes_of_loaded, reach_after, refined_by_planes};
 use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion, Space};
 
@@ -26,6 +27,8 @@ pub struct SpatialMatcher {
     refinement: GradientMatcher3d,
 }
 
+static MAPPER_WORK: MapperWork<Spatial> = MapperWork::compiled();
+
 impl Space for Spatial {
     type Submap = Submap3d;
     type Matcher = SpatialMatcher;
@@ -34,6 +37,10 @@ impl Space for Spatial {
     const OPTIMIZES_WITH_IMU: bool = true;
     /// Building one takes 70 ms, keeping one 10 MB (submap of a hall of 30 m by 20 m).
     const MATCHER_CACHE_BYTES: usize = 160 << 20;
+
+    fn mapper_work() -> &'static MapperWork<Self> {
+        &MAPPER_WORK
+    }
 
     fn new_local_slam(options: &Options, range_sensors: &[SensorId]) -> Result<LocalSlam3d, MapperError> {
         let settings = LocalSlam3dSettings {

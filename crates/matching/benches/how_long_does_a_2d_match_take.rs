@@ -8,16 +8,15 @@ mod common;
 #[allow(dead_code)]
 mod recording;
 
-use criterion::{Criterion, criterion_group, criterion_main};
 use portolan_geometry::Rigid2;
 use portolan_grids::{Grid2d, Tsdf2d, TsdfInserter, TsdfInserterOptions};
 use portolan_matching::{
     GradientMatcher2d, GradientMatcherOptions2d, RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions,
 };
 use portolan_sensor::PointCloud;
+use portolan_testing::Stopwatch;
 
-fn matches(c: &mut Criterion) {
-    let mut group = c.benchmark_group("match2d");
+fn matches(watch: &Stopwatch) {
     let mut scenes: Vec<(String, Grid2d, PointCloud, Rigid2)> = Vec::new();
     let mut tsdf = Tsdf2d::new(common::room_limits(), 0.3, 10.0).unwrap();
     let tsdf_inserter = TsdfInserter::new(&TsdfInserterOptions::default()).unwrap();
@@ -48,18 +47,17 @@ fn matches(c: &mut Criterion) {
                 ..Default::default()
             })
             .unwrap();
-            group.bench_function(format!("correlative, {window} window, {name}"), |b| {
-                b.iter(|| matcher.match_scan(initial, scan, grid));
+            watch.time(&format!("correlative, {window} window, {name}"), || {
+                matcher.match_scan(initial, scan, grid)
             });
         }
         let found = gradient.match_scan(initial.translation, initial, scan, grid);
         let name = format!("gradient, {name}, {} iterations", found.summary.iterations);
-        group.bench_function(name, |b| {
-            b.iter(|| gradient.match_scan(initial.translation, initial, scan, grid));
-        });
+        watch.time(&name, || gradient.match_scan(initial.translation, initial, scan, grid));
     }
-    group.finish();
 }
 
-criterion_group!(benches, matches);
-criterion_main!(benches);
+fn main() {
+    let watch = Stopwatch::of_arguments();
+    matches(&watch);
+}

@@ -9,14 +9,14 @@ mod common;
 #[allow(dead_code)]
 mod hall;
 
-use criterion::{Criterion, criterion_group, criterion_main};
 use portolan_geometry::{Rigid3, rotation_from_roll_pitch_yaw};
 use portolan_matching::{
     CloudInGrid, GradientMatcher3d, GradientMatcherOptions3d, RealTimeCorrelativeMatcher3d,
     RealTimeCorrelativeOptions,
 };
+use portolan_testing::Stopwatch;
 
-fn matches(c: &mut Criterion) {
+fn matches(watch: &Stopwatch) {
     let submap = hall::HallSubmap::of_walk(20.0, 600);
     let truth = hall::walk(20.3);
     let sweep = hall::sweep(&truth, 600, &mut common::Lcg::new(99));
@@ -24,7 +24,6 @@ fn matches(c: &mut Criterion) {
     let error =
         Rigid3::from_parts([0.06, -0.04, 0.03].into(), rotation_from_roll_pitch_yaw(0.005, -0.004, 0.015));
     let initial = truth * error;
-    let mut group = c.benchmark_group("match_3d");
     let gradient = GradientMatcher3d::new(&GradientMatcherOptions3d::default(), 2).unwrap();
     let clouds = [
         CloudInGrid { cloud: &high, grid: &submap.high, intensities: None },
@@ -35,9 +34,7 @@ fn matches(c: &mut Criterion) {
     eprintln!("gradient: {:.4} m, {:.4} rad left", left.translation.vector.norm(), left.rotation.angle());
     let name =
         format!("gradient, {} + {} points, {} iterations", high.len(), low.len(), found.summary.iterations);
-    group.bench_function(name, |b| {
-        b.iter(|| gradient.match_scan(initial.translation.vector, &initial, &clouds));
-    });
+    watch.time(&name, || gradient.match_scan(initial.translation.vector, &initial, &clouds));
     for (linear, degrees) in [(0.15, 1.0f64), (0.25, 2.0)] {
         let options = RealTimeCorrelativeOptions {
             linear_search_window: linear,
@@ -45,12 +42,13 @@ fn matches(c: &mut Criterion) {
             ..Default::default()
         };
         let matcher = RealTimeCorrelativeMatcher3d::new(&options).unwrap();
-        group.bench_function(format!("correlative, {linear} m, {degrees}°, {} points", high.len()), |b| {
-            b.iter(|| matcher.match_scan(&initial, &high, &submap.high));
+        watch.time(&format!("correlative, {linear} m, {degrees}°, {} points", high.len()), || {
+            matcher.match_scan(&initial, &high, &submap.high)
         });
     }
-    group.finish();
 }
 
-criterion_group!(benches, matches);
-criterion_main!(benches);
+fn main() {
+    let watch = Stopwatch::of_arguments();
+    matches(&watch);
+}

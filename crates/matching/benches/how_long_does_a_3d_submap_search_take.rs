@@ -9,13 +9,13 @@ mod common;
 #[allow(dead_code)]
 mod hall;
 
-use criterion::{Criterion, criterion_group, criterion_main};
 use portolan_geometry::{Quaternion, Rigid3, rotation_from_roll_pitch_yaw};
 use portolan_matching::{
     FastCorrelativeMatcher3d, FastCorrelativeOptions3d, NodeToFind, SubmapToSearch, rotational_histogram,
 };
+use portolan_testing::Stopwatch;
 
-fn search(c: &mut Criterion) {
+fn search(watch: &Stopwatch) {
     let submap = hall::HallSubmap::of_walk(40.0, 300);
     let sizes =
         [submap.high.num_cells(), submap.high.compacted().memory_bytes(), common::stored_bytes(&submap.high)];
@@ -33,15 +33,11 @@ fn search(c: &mut Criterion) {
         gravity_alignment: truth.rotation,
     };
     let target = SubmapToSearch { low_resolution_grid: &submap.low, rotational_histogram: &histograms[0] };
-    let mut group = c.benchmark_group("submap_search_3d");
-    group.sample_size(10);
     let options = FastCorrelativeOptions3d::default();
     let all_yaws = FastCorrelativeOptions3d { min_rotational_score: 0.0, ..options.clone() };
     let matcher = FastCorrelativeMatcher3d::new(&submap.high, &options).unwrap();
     eprintln!("cells, bytes, bytes in a file: {sizes:?}; matcher {} bytes", matcher.memory_bytes());
-    group.bench_function("prepare", |b| {
-        b.iter(|| FastCorrelativeMatcher3d::new(&submap.high, &options).unwrap());
-    });
+    watch.time("prepare", || FastCorrelativeMatcher3d::new(&submap.high, &options).unwrap());
     let error = Rigid3::from_parts([1.5, -2.0, 0.3].into(), rotation_from_roll_pitch_yaw(0.0, 0.0, 0.1));
     let (guess, identity) = (truth * error, Rigid3::identity());
     for (name, options) in [("default", &options), ("any direction of walls", &all_yaws)] {
@@ -55,20 +51,17 @@ fn search(c: &mut Criterion) {
                     .map(|f| (f.found.score, (f.found.pose.inverse() * truth).translation.vector.norm()));
                 eprintln!("{name} {what} {min_score}: score and metres left {left:?}, {found:?}");
             }
-            group.bench_function(format!("local, {name}, {} points, above {min_score}", high.len()), |b| {
-                b.iter(local);
-            });
-            group.bench_function(format!("full, {name}, {} points, above {min_score}", high.len()), |b| {
-                b.iter(full);
-            });
+            watch.time(&format!("local, {name}, {} points, above {min_score}", high.len()), local);
+            watch.time(&format!("full, {name}, {} points, above {min_score}", high.len()), full);
         }
         let elsewhere = guess * Rigid3::translation(8.0, 0.0, 0.0);
-        group.bench_function(format!("local where the node is not, {name}, above 0.55"), |b| {
-            b.iter(|| matcher.match_local(&elsewhere, &identity, &node, &target, 0.55));
+        watch.time(&format!("local where the node is not, {name}, above 0.55"), || {
+            matcher.match_local(&elsewhere, &identity, &node, &target, 0.55)
         });
     }
-    group.finish();
 }
 
-criterion_group!(benches, search);
-criterion_main!(benches);
+fn main() {
+    let watch = Stopwatch::of_arguments();
+    search(&watch);
+}

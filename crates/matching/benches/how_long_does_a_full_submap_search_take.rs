@@ -10,16 +10,14 @@ mod common;
 #[allow(dead_code)]
 mod recording;
 
-use criterion::{Criterion, criterion_group, criterion_main};
 use portolan_geometry::Rigid2;
 use portolan_matching::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d};
+use portolan_testing::Stopwatch;
 
-fn search(c: &mut Criterion) {
+fn search(watch: &Stopwatch) {
     let Some(scans) = recording::posed_scans("fr079") else { return };
     let inserter = common::default_inserter();
     let options = FastCorrelativeOptions2d::default();
-    let mut group = c.benchmark_group("submap_search");
-    group.sample_size(10);
     let closures = (0..scans.len()).step_by(90).filter_map(|start| {
         recording::loop_closure(&scans, &inserter, start).map(|(grid, later)| (start, grid, later))
     });
@@ -28,23 +26,20 @@ fn search(c: &mut Criterion) {
         let matcher = FastCorrelativeMatcher2d::new(&grid, &options).unwrap();
         let (width, height) = (grid.limits().num_x_cells(), grid.limits().num_y_cells());
         let name = format!("{start}, {width}x{height} cells, {} points", scan.len());
-        group.bench_function(format!("prepare {name}"), |b| {
-            b.iter(|| FastCorrelativeMatcher2d::new(&grid, &options).unwrap());
-        });
+        watch.time(&format!("prepare {name}"), || FastCorrelativeMatcher2d::new(&grid, &options).unwrap());
         let shift = nalgebra::Vector2::new(1.5, -2.0);
         let guess = Rigid2 { translation: truth.translation + shift, angle: truth.angle + 0.2 };
         for min_score in [0.55, 0.4] {
             eprintln!("{name}: {:?}, truth {truth:?}", matcher.match_full(&scan, min_score));
-            group.bench_function(format!("local {name}, above {min_score}"), |b| {
-                b.iter(|| matcher.match_local(&guess, &scan, min_score));
+            watch.time(&format!("local {name}, above {min_score}"), || {
+                matcher.match_local(&guess, &scan, min_score)
             });
-            group.bench_function(format!("full {name}, above {min_score}"), |b| {
-                b.iter(|| matcher.match_full(&scan, min_score));
-            });
+            watch.time(&format!("full {name}, above {min_score}"), || matcher.match_full(&scan, min_score));
         }
     }
-    group.finish();
 }
 
-criterion_group!(benches, search);
-criterion_main!(benches);
+fn main() {
+    let watch = Stopwatch::of_arguments();
+    search(&watch);
+}

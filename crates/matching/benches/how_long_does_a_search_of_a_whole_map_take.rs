@@ -5,8 +5,8 @@
 #[allow(dead_code)]
 mod common;
 
-use criterion::{Criterion, criterion_group, criterion_main};
 use portolan_matching::{PlaceIndex2d, WantedPlaces};
+use portolan_testing::Stopwatch;
 
 const WANTED: WantedPlaces = WantedPlaces {
     min_score: 0.5,
@@ -18,9 +18,7 @@ const WANTED: WantedPlaces = WantedPlaces {
     lookups: 1 << 40,
 };
 
-fn search(c: &mut Criterion) {
-    let mut group = c.benchmark_group("whole_map_search");
-    group.sample_size(10);
+fn search(watch: &Stopwatch) {
     for count in [50, 500] {
         let rooms = common::rooms::rooms(&(0..count).collect::<Vec<_>>());
         let grids: Vec<_> = rooms.iter().map(|(grid, pose, _)| (grid, *pose)).collect();
@@ -29,11 +27,12 @@ fn search(c: &mut Criterion) {
         for (name, cloud) in [("known", &rooms[7].2), ("unknown", &unknown)] {
             let found = index.find(cloud, &WANTED);
             eprintln!("{count} rooms, {name}: {} look-ups, {:?}", found.lookups, found.places);
-            group.bench_function(format!("{count} rooms, {name}"), |b| b.iter(|| index.find(cloud, &WANTED)));
+            watch.time(&format!("{count} rooms, {name}"), || index.find(cloud, &WANTED));
         }
     }
-    group.finish();
 }
 
-criterion_group!(benches, search);
-criterion_main!(benches);
+fn main() {
+    let watch = Stopwatch::of_arguments();
+    search(&watch);
+}

@@ -34,7 +34,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         ControlFlow::Continue(())
     })?;
 
-    writeln!(out, "{seconds:.0} s mapped; data lost: {}", finished.lost_data)?;
+    writeln!(out, "{seconds:.0} s mapped; data lost: {}", finished.summary.lost_data)?;
     for file in &finished.files {
         writeln!(out, "{}: {} bytes", file.display(), std::fs::metadata(file)?.len())?;
     }

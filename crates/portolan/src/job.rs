@@ -35,6 +35,7 @@ mod report;
 mod results;
 mod room;
 mod saved_map;
+mod summary;
 mod xray;
 
 use std::ops::ControlFlow;
@@ -69,6 +70,7 @@ pub use output_folder::{MANIFEST, OutputFolder, Stale};
 pub use read_cloud::{ReadCloud, read_cloud, read_cloud_from};
 pub use results::{ResultFiles, ResultSpace, add_to_report, write_results};
 pub use saved_map::{SaveMap, SavedMap, is_same_file};
+pub use summary::MappingSummary;
 
 use crate::RequestedOptions;
 use crate::automatic::search_in_known_map;
@@ -121,19 +123,13 @@ impl MapRequest {
 }
 
 /// What came of a recording.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Finished {
-    /// The files, in the order in which they were written.
+    /// The files, in the order in which they were written. Unless the map is to be trusted
+    /// ([`MappingSummary::is_trusted`]) it is not among them, or it was forced.
     pub files: Vec<PathBuf>,
-    /// Whether it was stopped before the end of the recording.
-    pub interrupted: bool,
-    /// Whether data were lost while reading, or parts of the map are not tied to the rest.
-    pub lost_data: bool,
-    /// How well the recording was found in known maps; none without any. Unless that is to be trusted
-    /// ([`Localisation::is_trusted`]) there is no map among the files, or it was forced.
-    pub localisation: Option<Localisation>,
-    /// Whether the map is fit to be written; else there is none among the files, or it was forced.
-    pub is_sound: bool,
+    /// What was mapped, and how well.
+    pub summary: MappingSummary,
 }
 
 /// Maps a recording and leaves the results in the folder of the request. `observe` is told what happens.
@@ -153,10 +149,7 @@ pub fn map(
     request.requested.configure(&mut request.ingest)?;
     let mut job = Job::prepare(recording, request, observe)?;
     job.keep_journal(observe)?;
-    match job.preparation.dimension {
-        Dimension::Two => job.finish::<Planar>(observe),
-        Dimension::Three => job.finish::<Spatial>(observe),
-    }
+    job.run(observe)
 }
 
 /// A recording about to be mapped, and the steps to its results.
@@ -359,22 +352,32 @@ impl<'a> Job<'a> {
         Ok(clouds)
     }
 
-    fn finish<S: ResultSpace>(&self, observe: &mut Observer) -> Result<Finished, JobError> {
+    /// All steps: loads known maps, maps, writes the results and clouds.
+    ///
+    /// # Errors
+    /// As the steps.
+    pub fn run(&self, observe: &mut Observer) -> Result<Finished, JobError> {
+        match self.preparation.dimension {
+            Dimension::Two => self.run_in::<Planar>(observe),
+            Dimension::Three => self.run_in::<Spatial>(observe),
+        }
+    }
+
+    fn run_in<S: ResultSpace>(&self, observe: &mut Observer) -> Result<Finished, JobError> {
         let start = Instant::now();
         let known = self.load_known::<S>(observe)?;
         let mapped = self.map(known, observe)?;
-        let mut files = self.write_results(&mapped, start.elapsed().as_secs_f64(), observe)?;
-        if !mapped.interrupted {
-            files.extend(self.write_clouds(&mapped, observe)?.into_iter().flat_map(|clouds| clouds.files));
+        let seconds = start.elapsed().as_secs_f64();
+        let mut files = self.write_results(&mapped, seconds, observe)?;
+        let summary = MappingSummary::of(&mapped);
+        // What is written stays, whatever the observer answers.
+        let _ = observe(&Event::Written { summary: &summary, files: &files, seconds });
+        if let Some(clouds) = self.write_clouds(&mapped, observe)? {
+            let _ = observe(&Event::CloudsWritten(&clouds));
+            files.extend(clouds.files);
         }
         self.end(&mapped, observe)?;
-        Ok(Finished {
-            files,
-            interrupted: mapped.interrupted,
-            lost_data: mapped.lost_data(),
-            localisation: Localisation::of(&mapped),
-            is_sound: mapped.is_sound(),
-        })
+        Ok(Finished { files, summary })
     }
 }
 

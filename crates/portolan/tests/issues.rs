@@ -90,7 +90,7 @@ fn the_report_has_kinds_sensors_and_times() {
     let recording = room(&[(20, -0.45), (40, -0.45)]);
     let request = MapRequest::new(folder.path());
     let finished = map(&recording, request, &mut unobserved).unwrap();
-    assert!(finished.lost_data);
+    assert!(finished.summary.lost_data);
     let report = std::fs::read(folder.path().join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let issues = report["issues"].as_array().unwrap();

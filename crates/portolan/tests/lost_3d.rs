@@ -39,7 +39,7 @@ fn mapped(walks: [&Simulation3d; 2], folder: &Path) -> (serde_json::Value, Vec<(
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     assert_eq!(report["lost"].as_array().unwrap().len(), 1, "{}", report["lost"]);
     let lost = report["lost"][0].clone();
-    assert_eq!(finished.lost_data, lost["is_connected"] == false);
+    assert_eq!(finished.summary.lost_data, lost["is_connected"] == false);
     let trajectory = std::fs::read_to_string(folder.join("trajectory.tum")).unwrap();
     let pose = |line: &str| {
         let n: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();

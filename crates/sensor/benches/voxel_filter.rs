@@ -2,9 +2,9 @@
 
 use std::hint::black_box;
 
-use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use portolan_geometry::Point3f;
 use portolan_sensor::{adaptive_voxel_filter_indices, voxel_filter_points};
+use portolan_testing::Stopwatch;
 
 /// Points on the walls of a room of 20 m by 14 m and 3 m height, as a lidar in it would see them.
 fn room(rings: usize, columns: usize) -> Vec<Point3f> {
@@ -20,27 +20,24 @@ fn room(rings: usize, columns: usize) -> Vec<Point3f> {
     points
 }
 
-fn fixed(criterion: &mut Criterion) {
+fn fixed(watch: &Stopwatch) {
     for (name, rings, columns, resolution) in
         [("scan of 1080 at 2.5 cm", 1, 1080, 0.025), ("turn of 64 x 1024 at 15 cm", 64, 1024, 0.15)]
     {
         let cloud = room(rings, columns);
-        let mut group = criterion.benchmark_group("voxel_filter");
-        group.throughput(Throughput::Elements(cloud.len() as u64)).sample_size(20);
-        group.bench_function(name, |b| b.iter(|| voxel_filter_points(black_box(&cloud), resolution)));
-        group.finish();
+        watch.time(name, || voxel_filter_points(black_box(&cloud), resolution));
     }
 }
 
-fn adaptive(criterion: &mut Criterion) {
+fn adaptive(watch: &Stopwatch) {
     let cloud = room(1, 1080);
-    let mut group = criterion.benchmark_group("adaptive_voxel_filter");
-    group.throughput(Throughput::Elements(cloud.len() as u64)).sample_size(20);
-    group.bench_function("scan of 1080, at least 200 of 0.5 m", |b| {
-        b.iter(|| adaptive_voxel_filter_indices(black_box(&cloud), 0.5, 200, 50.0));
+    watch.time("scan of 1080, at least 200 of 0.5 m", || {
+        adaptive_voxel_filter_indices(black_box(&cloud), 0.5, 200, 50.0)
     });
-    group.finish();
 }
 
-criterion_group!(benches, fixed, adaptive);
-criterion_main!(benches);
+fn main() {
+    let watch = Stopwatch::of_arguments();
+    fixed(&watch);
+    adaptive(&watch);
+}

@@ -2,10 +2,10 @@
 
 #![allow(missing_docs)]
 
-use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Vector2, Vector3};
 use portolan_geometry::Rigid2;
 use portolan_solver::{DenseProblem, NormalEquations, SolverOptions, solve_dense};
+use portolan_testing::Stopwatch;
 
 struct Alignment {
     pairs: Vec<(Vector2<f64>, Vector2<f64>)>,
@@ -36,7 +36,7 @@ impl DenseProblem<3> for Alignment {
     }
 }
 
-fn small_fit(criterion: &mut Criterion) {
+fn small_fit(watch: &Stopwatch) {
     let truth = Rigid2::new(0.3, -0.2, 0.15);
     let pair = |i: usize| {
         let k = i as f64;
@@ -45,10 +45,10 @@ fn small_fit(criterion: &mut Criterion) {
         (point, truth.transform_point(&point) + noise)
     };
     let mut problem = Alignment { pairs: (0..500).map(pair).collect() };
-    criterion.bench_function("fit_500_points", |bencher| {
-        bencher.iter(|| solve_dense(&mut problem, Rigid2::identity(), &SolverOptions::default()));
-    });
+    watch.time("fit_500_points", || solve_dense(&mut problem, Rigid2::identity(), &SolverOptions::default()));
 }
 
-criterion_group!(benches, small_fit);
-criterion_main!(benches);
+fn main() {
+    let watch = Stopwatch::of_arguments();
+    small_fit(&watch);
+}

@@ -3,28 +3,25 @@
 
 #![allow(missing_docs, clippy::unwrap_used)]
 
-use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use portolan_solver::{Problem, SolverOptions};
+use portolan_testing::Stopwatch;
 
 #[path = "support/submaps.rs"]
 mod submaps;
 
-fn submap_graphs(criterion: &mut Criterion) {
+fn submap_graphs(watch: &Stopwatch) {
     let graph = submaps::submap_graph(3000);
     let options = SolverOptions { initial_trust_region_radius: 1e8, ..Default::default() };
-    let mut group = criterion.benchmark_group("submap_graph_3000_nodes");
-    group.sample_size(10);
-    group.bench_function("build_2d", |bencher| bencher.iter(|| graph.problem_2d()));
-    group.bench_function("build_3d", |bencher| bencher.iter(|| graph.problem_3d()));
-    let mut solve = |name: &str, build: &dyn Fn() -> Problem| {
-        group.bench_function(name, |bencher| {
-            bencher.iter_batched_ref(build, |p| p.solve(&options).unwrap(), BatchSize::LargeInput);
-        });
+    watch.time("build_2d", || graph.problem_2d());
+    watch.time("build_3d", || graph.problem_3d());
+    let solve = |name: &str, build: &dyn Fn() -> Problem| {
+        watch.time_on(name, build, |p| p.solve(&options).unwrap());
     };
     solve("solve_2d", &|| graph.problem_2d());
     solve("solve_3d", &|| graph.problem_3d());
-    group.finish();
 }
 
-criterion_group!(benches, submap_graphs);
-criterion_main!(benches);
+fn main() {
+    let watch = Stopwatch::of_arguments();
+    submap_graphs(&watch);
+}

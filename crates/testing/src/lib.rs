@@ -6,10 +6,11 @@
 //! - [`Fingerprints`]: results byte for byte, in a table that is written anew on demand.
 //! - [`damage`]: damaged files.
 //! - [`clouds`]: random points, the same every time.
+//! - [`Stopwatch`]: how long work takes, for benchmarks.
 //! - [`assert_files_are_modules`]: no file of tests is forgotten.
 //!
 //! It depends on `portolan-geometry` alone, so that every crate above may use it in its tests.
-#![allow(clippy::unwrap_used, clippy::panic)] // in tests this is how errors are shown
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)] // in tests this is how errors are shown
 
 pub mod clouds;
 pub mod damage;
@@ -18,10 +19,12 @@ mod folders;
 mod left_out;
 mod program;
 mod real_data;
+mod stopwatch;
 mod test_files;
 
 pub use fingerprints::Fingerprints;
 pub use left_out::{is_fast, left_out};
 pub use program::{Program, Run};
 pub use real_data::{real_data, real_maps, spec_data};
+pub use stopwatch::Stopwatch;
 pub use test_files::assert_files_are_modules;

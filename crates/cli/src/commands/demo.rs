@@ -3,11 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use portolan::job::{Job, MapRequest, ResultSpace};
-use portolan::pipeline::MappedRecording;
+use portolan::job::{Finished, Job, MapRequest};
+use portolan::trajectory_file::TrajectoryFile;
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors};
 use portolan_geometry::{Rigid3, Time};
-use portolan_mapping::{Planar, Spatial, TrajectoryId};
 use portolan_recording::{Recording, RecordingFormat, open};
 use portolan_simulator::{Scenario3dOptions, ScenarioOptions, Simulation, Simulation3d};
 use portolan_worlds::three_d::Scene3d;
@@ -58,11 +57,11 @@ fn office(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let options = ScenarioOptions { duration, ..ScenarioOptions::new(Scene::Office, args.seed) };
     let simulation = Simulation::new(options).map_err(|e| CliError::Usage(e.to_string()))?;
     create_folder(&args.output)?;
-    let mapped = mapped::<Planar>(&simulation, &args.output, global)?;
+    map(&simulation, &args.output, global)?;
     let truth: Vec<(Time, Rigid3)> = simulation.truth(100.0).collect();
     print_summary(&format!(
         "{}\nlook at {}; then try: portolan map YOUR_RECORDING.bag",
-        errors(&mapped, &truth, Alignment::Se2)?,
+        errors(&args.output, &truth, Alignment::Se2)?,
         args.output.join("map.png").display(),
     ));
     Ok(Outcome::Done)
@@ -82,7 +81,7 @@ fn museum(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
         say(&format!("{} simulated in {:.0} s", file.display(), start.elapsed().as_secs_f64()));
     }
     let recording = open(&file)?;
-    let mapped = mapped::<Spatial>(recording.as_ref(), &args.output, global)?;
+    map(recording.as_ref(), &args.output, global)?;
     let truth: Vec<(Time, Rigid3)> = simulation.truth(100.0).collect();
     let (file, output) = (file.display(), args.output.display());
     print_summary(&format!(
@@ -92,7 +91,7 @@ fn museum(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
          portolan map {file} -o again --cloud museum.laz --cloud-voxel 0.05\n  \
          portolan evaluate trajectory again/trajectory.tum {truth}\n  \
          portolan map YOUR_RECORDING.bag",
-        errors(&mapped, &truth, Alignment::Se3)?,
+        errors(&args.output, &truth, Alignment::Se3)?,
         start.elapsed().as_secs_f64(),
         truth = truth_file.display(),
     ));
@@ -115,26 +114,18 @@ fn record(simulation: &Simulation3d, path: &Path, truth: &Path, global: &GlobalA
 }
 
 /// Maps as `portolan map` does and leaves the same results.
-fn mapped<S: ResultSpace>(
-    recording: &dyn Recording,
-    folder: &Path,
-    global: &GlobalArgs,
-) -> Result<MappedRecording<S>, CliError> {
+fn map(recording: &dyn Recording, folder: &Path, global: &GlobalArgs) -> Result<Finished, CliError> {
     let request = MapRequest { threads: global.threads, ..MapRequest::new(folder) };
     let job = Job::prepare(recording, request, &mut remarks(global))?;
     run_job(&job, recording, global)
 }
 
-/// Errors of the nodes against the truth, for people.
-fn errors<S: ResultSpace>(
-    mapped: &MappedRecording<S>,
-    truth: &[(Time, Rigid3)],
-    alignment: Alignment,
-) -> Result<String, CliError> {
-    let estimate = mapped.map.node_poses(TrajectoryId(0));
-    let errors =
-        absolute_errors(&trajectory(truth), &trajectory(&estimate), Association::default(), alignment)
-            .map_err(|e| CliError::Failed(e.to_string()))?;
+/// Errors of the trajectory in the folder of results against the truth, for people.
+fn errors(folder: &Path, truth: &[(Time, Rigid3)], alignment: Alignment) -> Result<String, CliError> {
+    let path = folder.join("trajectory.tum");
+    let estimate = TrajectoryFile { path: &path, trajectory_id: 0, times: None }.read()?.trajectory;
+    let errors = absolute_errors(&trajectory(truth), &estimate, Association::default(), alignment)
+        .map_err(|e| CliError::Failed(e.to_string()))?;
     Ok(format!(
         "against the truth: {:.3} m and {:.2} deg rms, {:.3} m at most",
         errors.translation.rmse, errors.rotation_degrees.rmse, errors.translation.max,

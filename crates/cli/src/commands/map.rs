@@ -2,30 +2,28 @@
 
 mod cloud;
 mod degenerate;
+mod watching;
 mod words;
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use portolan::job::{CloudResults, Event, Job, JobError, Localisation, MapRequest, Remark, ResultSpace};
-use portolan::pipeline::{KnownMap, MappedRecording};
+use portolan::job::{Event, Job, MapRequest, MappingSummary, Remark};
 use portolan::{LIFELONG, RequestedOptions};
 use portolan_config::{Engine, Loader, Options};
-use portolan_geometry::{Dimension, Duration};
+use portolan_geometry::Duration;
 use portolan_ingest::IngestOptions;
-use portolan_mapping::{Planar, Space, Spatial};
 use portolan_recording::{Recording, open_all};
 
 use super::argument::{seconds, shifts, time_offset};
 use super::handling::HandlingArgs;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::interrupt::{self, Saving};
+use crate::interrupt;
 use crate::known_map::KnownMapArgs;
-use crate::output::print_summary;
-use crate::progress::{Progress, say};
+use crate::progress::say;
 use cloud::CloudArgs;
-pub use words::summary;
+pub use watching::run_job;
 
 /// Make a map of a recording: loop-closed map, trajectory, pictures and a report.
 ///
@@ -198,57 +196,13 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     };
     let mut job = Job::prepare(recording.as_ref(), request, &mut remarks(global))?;
     job.keep_journal(&mut remarks(global))?;
-    match job.preparation().dimension {
-        Dimension::Two => finish::<Planar>(&job, recording.as_ref(), &args, global),
-        Dimension::Three => finish::<Spatial>(&job, recording.as_ref(), &args, global),
-    }
-}
-
-fn finish<S: ResultSpace>(
-    job: &Job,
-    recording: &dyn Recording,
-    args: &MapArgs,
-    global: &GlobalArgs,
-) -> Result<Outcome, CliError> {
-    let mapped = run_job::<S>(job, recording, global);
-    let mapped = mapped.map_err(|error| nothing_left(error, recording, &args.cut))?;
-    Ok(match Localisation::of(&mapped) {
-        Some(found) if !found.is_trusted() => Outcome::Untrusted,
-        _ if !mapped.is_sound() => Outcome::Untrusted,
-        _ if mapped.lost_data() => Outcome::DataLost,
-        _ => Outcome::Done,
+    let finished = run_job(&job, recording.as_ref(), global);
+    let summary = finished.map_err(|error| nothing_left(error, recording.as_ref(), &args.cut))?.summary;
+    Ok(match summary {
+        MappingSummary { lost_data: true, .. } if summary.is_trusted() => Outcome::DataLost,
+        _ if summary.is_trusted() => Outcome::Done,
+        _ => Outcome::Untrusted,
     })
-}
-
-/// Maps with a bar that tells how far it is, writes the results and names them.
-pub fn run_job<S: ResultSpace>(
-    job: &Job,
-    recording: &dyn Recording,
-    global: &GlobalArgs,
-) -> Result<MappedRecording<S>, CliError> {
-    let start = std::time::Instant::now();
-    let known = job.load_known::<S>(&mut remarks(global))?;
-    let saving = Saving::begin();
-    let mapped = map_with_progress(job, recording, known, global)?;
-    let seconds = start.elapsed().as_secs_f64();
-    let files = job.write_results(&mapped, seconds, &mut remarks(global))?;
-    drop(saving);
-    print_summary(&summary(&mapped, &files, seconds, global.verbose > 0));
-    if let Some(clouds) = clouds_with_progress(job, &mapped, recording, global)? {
-        name_clouds(&clouds);
-    }
-    job.end(&mapped, &mut remarks(global))?;
-    Ok(mapped)
-}
-
-/// Names what the second pass gave.
-fn name_clouds(clouds: &CloudResults) {
-    let text = clouds.cloud.as_ref().map(|(points, unwound)| cloud::summary(*points, unwound));
-    let files = clouds.files.iter().map(|file| file.display().to_string());
-    let lines: Vec<String> = text.into_iter().chain(files).filter(|line| !line.is_empty()).collect();
-    if !lines.is_empty() {
-        print_summary(&lines.join("\n"));
-    }
 }
 
 /// Beside the working directory's other results: the recording's name with `_map`.
@@ -320,53 +274,6 @@ pub fn nothing_left(error: CliError, recording: &dyn Recording, cut: &CutArgs) -
         "{} leaves not a single scan that could be used of the {range:.1} s of the recording",
         cuts.join(" with ")
     ))
-}
-
-/// Maps with a bar that tells how far it is.
-fn map_with_progress<S: ResultSpace>(
-    job: &Job,
-    recording: &dyn Recording,
-    known: KnownMap<S>,
-    global: &GlobalArgs,
-) -> Result<MappedRecording<S>, JobError> {
-    let mut progress = Progress::start("mapping", recording.size_bytes(), global.quiet);
-    let start = std::time::Instant::now();
-    let mut tell = remarks(global);
-    let mapped = job.map(known, &mut |event| {
-        if let Event::Mapping(state) = event
-            && progress.is_due()
-        {
-            progress.update(state.position_bytes, state.total_bytes, words::describe(state, start));
-        }
-        tell(event)
-    });
-    progress.finish();
-    mapped
-}
-
-/// Writes clouds and pictures of them, with a bar while the recording is read again.
-fn clouds_with_progress<S: Space>(
-    job: &Job,
-    mapped: &MappedRecording<S>,
-    recording: &dyn Recording,
-    global: &GlobalArgs,
-) -> Result<Option<CloudResults>, JobError> {
-    let mut bar: Option<Progress> = None;
-    let mut tell = remarks(global);
-    job.write_clouds(mapped, &mut |event| {
-        match event {
-            Event::PlacingPoints { position_bytes, total_bytes } => {
-                let start = || Progress::start("placing points", recording.size_bytes(), global.quiet);
-                let progress = bar.get_or_insert_with(start);
-                if progress.is_due() {
-                    progress.update(*position_bytes, *total_bytes, String::new());
-                }
-            }
-            Event::PointsPlaced => bar.take().into_iter().for_each(Progress::finish),
-            _ => {}
-        }
-        tell(event)
-    })
 }
 
 /// Says what is worth knowing, and stops everything when the user asks for it.

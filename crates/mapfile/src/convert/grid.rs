@@ -9,6 +9,7 @@ use prost::Message as _;
 
 use super::MapConversionError;
 use super::values::pose_in_file;
+use super::work::FileWork;
 use portolan_pbstream::correspondence_cost_bounds;
 use portolan_pbstream::proto::mapping as m;
 use portolan_pbstream::proto::mapping::grid2_d;
@@ -17,6 +18,9 @@ use portolan_pbstream::{IdInFile, pose_to_proto};
 
 /// A space whose submaps files can hold.
 pub trait MapSpace: Space {
+    /// What reads and writes maps of this space.
+    fn file_work() -> &'static FileWork<Self>;
+
     /// Puts a submap into the message that has its id.
     fn submap_to_proto(submap: &Self::Submap, finished: bool, message: &mut m::Submap);
 
@@ -31,7 +35,13 @@ pub trait MapSpace: Space {
     ) -> Result<(Self::Submap, bool), MapConversionError>;
 }
 
+static FILE_WORK: FileWork<Planar> = FileWork::compiled();
+
 impl MapSpace for Planar {
+    fn file_work() -> &'static FileWork<Self> {
+        &FILE_WORK
+    }
+
     fn submap_to_proto(submap: &Submap2d, finished: bool, message: &mut m::Submap) {
         message.submap_2d = Some(m::Submap2D {
             local_pose: Some(pose_to_proto(&submap.local_from_submap)),

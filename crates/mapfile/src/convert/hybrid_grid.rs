@@ -7,11 +7,18 @@ use portolan_submaps::Submap3d;
 use prost::Message as _;
 
 use super::values::pose_in_file;
+use super::work::FileWork;
 use super::{MapConversionError, MapSpace};
 use portolan_pbstream::proto::mapping as m;
 use portolan_pbstream::{IdInFile, pose_to_proto};
 
+static FILE_WORK: FileWork<Spatial> = FileWork::compiled();
+
 impl MapSpace for Spatial {
+    fn file_work() -> &'static FileWork<Self> {
+        &FILE_WORK
+    }
+
     fn submap_to_proto(submap: &Submap3d, finished: bool, message: &mut m::Submap) {
         message.submap_3d = Some(m::Submap3D {
             local_pose: Some(pose_to_proto(&submap.local_from_submap)),

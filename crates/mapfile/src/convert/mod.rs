@@ -15,6 +15,7 @@ mod sensors;
 mod textures;
 mod trajectory_options;
 mod values;
+mod work;
 mod write;
 
 pub use error::MapConversionError;
@@ -30,4 +31,5 @@ pub use trajectory_options::{
     builder_options_from_proto, builder_options_to_proto, trajectory_options_from_proto,
     trajectory_options_to_proto,
 };
+pub use work::FileWork;
 pub use write::{WriteReport, check_graph, write_graph, write_map, write_map_2d};

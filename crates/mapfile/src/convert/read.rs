@@ -135,6 +135,14 @@ pub fn load_map<S: MapSpace>(
     graph: &mut PoseGraph<S>,
     frozen: &FrozenTrajectories,
 ) -> Result<LoadedTrajectories, MapConversionError> {
+    (S::file_work().load)(reader, graph, frozen)
+}
+
+pub(super) fn load_map_here<S: MapSpace>(
+    reader: &mut MapReader,
+    graph: &mut PoseGraph<S>,
+    frozen: &FrozenTrajectories,
+) -> Result<LoadedTrajectories, MapConversionError> {
     let mut loading = Loading::start(reader, graph, frozen)?;
     while let Some(message) = reader.next_message()? {
         match message.data {

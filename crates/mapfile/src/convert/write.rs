@@ -77,6 +77,16 @@ pub fn write_graph<S: MapSpace>(
     path: impl AsRef<Path>,
     include_unfinished: bool,
 ) -> Result<WriteReport, MapConversionError> {
+    (S::file_work().write)(graph, trajectories, options, path.as_ref(), include_unfinished)
+}
+
+pub(super) fn write_graph_here<S: MapSpace>(
+    graph: &PoseGraph<S>,
+    trajectories: &BTreeMap<TrajectoryId, EndedTrajectory>,
+    options: &Options,
+    path: &Path,
+    include_unfinished: bool,
+) -> Result<WriteReport, MapConversionError> {
     let mut writer = PbstreamWriter::create(path)?;
     let mut report = WriteReport::default();
     let selection = Selection::new(graph.state(), include_unfinished);
@@ -120,6 +130,12 @@ fn all_options_to_proto<S: MapSpace>(
 /// # Errors
 /// If a number does not fit the format.
 pub fn check_graph<S: MapSpace>(graph: &PoseGraph<S>) -> Result<Vec<Finding>, MapConversionError> {
+    (S::file_work().check)(graph)
+}
+
+pub(super) fn check_graph_here<S: MapSpace>(
+    graph: &PoseGraph<S>,
+) -> Result<Vec<Finding>, MapConversionError> {
     let selection = Selection::new(graph.state(), true);
     Ok(validate_pose_graph(&pose_graph_to_proto(graph, &selection, &mut WriteReport::default())?))
 }

@@ -13,10 +13,12 @@ use portolan_mapping::TrajectoryId;
 use portolan_numeric::counted;
 
 use super::error::named;
+use super::map_cloud::CloudResults;
+use super::summary::MappingSummary;
 use crate::pipeline::PipelineProgress;
 
 /// Is told what happens, and stops the job with [`ControlFlow::Break`]: what is done by then is kept. Answers to remarks
-/// and to [`Event::PointsPlaced`] do not count.
+/// and to what has ended do not count.
 pub type Observer<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
 
 /// What happens during a job.
@@ -24,6 +26,17 @@ pub type Observer<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
 pub enum Event<'a> {
     /// The recording is mapped, as far as this.
     Mapping(&'a PipelineProgress),
+    /// Map, trajectory, pictures and report are written.
+    Written {
+        /// What was mapped, and how well.
+        summary: &'a MappingSummary,
+        /// The files, in the order in which they were written.
+        files: &'a [PathBuf],
+        /// How long loading and mapping took.
+        seconds: f64,
+    },
+    /// Clouds and pictures of them are written.
+    CloudsWritten(&'a CloudResults),
     /// The recording is localised, as far as this.
     Localizing {
         /// Bytes of the recording read.

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use portolan::job::{Localisation, resident_and_peak_bytes};
-use portolan::pipeline::{MappedRecording, PipelineProgress};
+use portolan::job::{MappingSummary, resident_and_peak_bytes};
+use portolan::pipeline::PipelineProgress;
 use portolan_issue::{Issue, Severity};
-use portolan_mapping::Space;
+use portolan_numeric::LatencyHistogram;
 
 use super::degenerate::degenerate_intervals;
 use crate::known_map::sentence;
@@ -54,57 +54,28 @@ fn issues(all: impl Iterator<Item = Issue>, with_harmless: bool) -> String {
 }
 
 /// What was made, for people.
-pub fn summary<S: Space>(
-    mapped: &MappedRecording<S>,
+pub(super) fn summary(
+    mapped: &MappingSummary,
     files: &[PathBuf],
     seconds: f64,
     with_harmless: bool,
 ) -> String {
-    let state = mapped.map.graph.state();
-    let loops = state.constraints.iter().filter(|c| c.is_loop_closure()).count();
     let mut text = format!(
-        "{} scans matched to {}, {} nodes, {} submaps, {loops} loop closures; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
+        "{} scans matched to {}, {} nodes, {} submaps, {} loop closures; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
         mapped.scans,
-        mapped.map.options.engine(),
-        state.nodes.len(),
-        state.submaps.len(),
+        mapped.engine,
+        mapped.nodes,
+        mapped.submaps,
+        mapped.loop_closures,
         mapped.recording_seconds,
         mapped.recording_seconds / seconds.max(1e-3),
     );
-    if let Some(localisation) = Localisation::of(mapped) {
-        text += &format!("{}\n", sentence(&localisation));
+    if let Some(localisation) = &mapped.localisation {
+        text += &format!("{}\n", sentence(localisation));
     }
-    let times = &mapped.scan_times;
-    if times.count() > 0 {
-        text += &format!(
-            "local SLAM {:.2} ms a scan, 99 % within {:.2} ms",
-            1e3 * times.total().as_secs_f64() / times.count() as f64,
-            1e3 * times.quantile(0.99).as_secs_f64(),
-        );
-        text += &resident_and_peak_bytes()
-            .map_or_else(String::new, |(_, peak)| format!("; memory at most {} MB", peak / 1_000_000));
-        text += "\n";
-    }
-    let contradicted = mapped.map.graph.contradicted_loop_closures();
-    if contradicted > 0 {
-        text += &format!(
-            "{contradicted} more loop closures were rejected as outliers: the others contradict them\n"
-        );
-    }
-    let unsupported = mapped.map.graph.unsupported_loop_closures();
-    if unsupported > 0 {
-        text += &format!(
-            "{unsupported} more loop closures would have bent the map and were left out: too few others agree\n"
-        );
-    }
-    let consistency = mapped.map.graph.self_consistency();
-    if consistency.is_contradictory() {
-        text += &format!(
-            "the map contradicts itself at {} of {} places that were passed again: parts of it lie over each other (see map.png)\n",
-            consistency.contradicted, consistency.places,
-        );
-    }
-    text += &mapped.losses_in_words();
+    text += &times(&mapped.scan_times);
+    text += &doubts(mapped);
+    text += &mapped.losses;
     text += &degenerate_intervals(&mapped.degenerate_intervals, mapped.recording_seconds);
     text += &issues(mapped.issues.iter(), with_harmless);
     if mapped.interrupted {
@@ -114,4 +85,43 @@ pub fn summary<S: Space>(
         text += &format!("{}\n", file.display());
     }
     text.trim_end().to_owned()
+}
+
+/// How long scans took, and how much memory.
+fn times(times: &LatencyHistogram) -> String {
+    if times.count() == 0 {
+        return String::new();
+    }
+    let memory = resident_and_peak_bytes()
+        .map_or_else(String::new, |(_, peak)| format!("; memory at most {} MB", peak / 1_000_000));
+    format!(
+        "local SLAM {:.2} ms a scan, 99 % within {:.2} ms{memory}\n",
+        1e3 * times.total().as_secs_f64() / times.count() as f64,
+        1e3 * times.quantile(0.99).as_secs_f64(),
+    )
+}
+
+/// Loop closures that were not believed, and places that look otherwise each time.
+fn doubts(mapped: &MappingSummary) -> String {
+    let mut text = String::new();
+    let contradicted = mapped.contradicted_loop_closures;
+    if contradicted > 0 {
+        text += &format!(
+            "{contradicted} more loop closures were rejected as outliers: the others contradict them\n"
+        );
+    }
+    let unsupported = mapped.unsupported_loop_closures;
+    if unsupported > 0 {
+        text += &format!(
+            "{unsupported} more loop closures would have bent the map and were left out: too few others agree\n"
+        );
+    }
+    let consistency = mapped.self_consistency;
+    if consistency.is_contradictory() {
+        text += &format!(
+            "the map contradicts itself at {} of {} places that were passed again: parts of it lie over each other (see map.png)\n",
+            consistency.contradicted, consistency.places,
+        );
+    }
+    text
 }

@@ -1,21 +1,22 @@
 //! Measurements in, places out.
 
+mod work;
+
 use std::collections::BTreeSet;
+
+pub use work::LocalizerWork;
 
 use portolan_config::Options;
 use portolan_geometry::Rigid3;
 use portolan_issue::IssueLog;
-use portolan_mapping::{
-    LocalSlam, LocalTrack, MapperError, MatchingResult, Placement, PoseGraph, SensorCollation, Space,
-    TrajectoryId,
-};
-use portolan_sensor::{Measurement, SensorId, SensorKind};
+use portolan_mapping::{LocalTrack, MapperError, PoseGraph, SensorCollation, Space};
+use portolan_sensor::{Measurement, SensorId};
 
 use crate::changes::Change;
-use crate::finder::{Finder, LocalScan};
-use crate::growth::{Grown, Growth, GrowthError, grow};
+use crate::finder::Finder;
+use crate::growth::{Grown, Growth, GrowthError};
 use crate::known_map::KnownMap;
-use crate::search::{PositionFix, Searcher};
+use crate::search::PositionFix;
 use crate::state::Estimate;
 use crate::voxel_changes::KeptSweep;
 
@@ -71,9 +72,6 @@ pub struct Localizer<M: KnownMap> {
     sweeps: Vec<KeptSweep>,
 }
 
-/// The one trajectory.
-const TRAJECTORY: TrajectoryId = TrajectoryId(0);
-
 impl<M: KnownMap> Localizer<M> {
     /// For a recording with these sensors.
     ///
@@ -85,30 +83,12 @@ impl<M: KnownMap> Localizer<M> {
         sensors: &BTreeSet<SensorId>,
         settings: &LocalizerSettings,
     ) -> Result<Self, LocalizerError> {
-        let ranges: Vec<SensorId> = sensors.iter().filter(|s| s.kind == SensorKind::Range).cloned().collect();
-        let mut collation = SensorCollation::new(options.map_builder.collate_by_trajectory);
-        // Fixes are taken as they come: scans do not wait for them.
-        let ordered = sensors.iter().filter(|s| s.kind != SensorKind::FixedFramePose).cloned().collect();
-        collation.add_trajectory(TRAJECTORY, &ordered, &options.trajectory_builder);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build()?;
-        let searcher = Searcher { map, pool };
-        let start = settings.start.map(|s| (s.map_from_tracking, (s.sigma_metres, s.sigma_radians)));
-        Ok(Self {
-            collation,
-            local_slam: M::Space::new_local_slam(options, &ranges)?,
-            finder: Finder::new(searcher, start),
-            track: settings.keeps_track.then(LocalTrack::default),
-            sweeps: Vec::new(),
-        })
+        (M::localizer_work().new)(map, options, sensors, settings)
     }
 
     /// Takes a measurement; what is known after each scan whose turn has come with it.
     pub fn add(&mut self, sensor_id: &SensorId, measurement: Measurement) -> Vec<Estimate> {
-        if sensor_id.kind == SensorKind::FixedFramePose {
-            return Vec::new();
-        }
-        let ready = self.collation.add(TRAJECTORY, sensor_id, measurement);
-        ready.into_iter().flat_map(|(_, id, measurement)| self.dispatch(&id, measurement)).collect()
+        (M::localizer_work().add)(self, sensor_id, measurement)
     }
 
     /// Takes a satellite fix: as long as no place is known it is one more place where the scanner may be, which scans have to
@@ -119,15 +99,7 @@ impl<M: KnownMap> Localizer<M> {
 
     /// Ends the recording: uses what waits.
     pub fn finish(&mut self) -> Vec<Estimate> {
-        let ready = self.collation.finish_trajectory(TRAJECTORY);
-        let mut estimates: Vec<Estimate> =
-            ready.into_iter().flat_map(|(_, id, measurement)| self.dispatch(&id, measurement)).collect();
-        let late = self.local_slam.flush();
-        estimates.extend(self.find(late));
-        if let Some(track) = &mut self.track {
-            track.finish(&self.local_slam.finish());
-        }
-        estimates
+        (M::localizer_work().finish)(self)
     }
 
     /// Adds what was localised to the pose graph that holds the map, as one more trajectory; after [`Localizer::finish`], if
@@ -141,17 +113,12 @@ impl<M: KnownMap> Localizer<M> {
         estimates: &[Estimate],
         growth: Growth,
     ) -> Result<Grown, GrowthError> {
-        let track = self.track.take().unwrap_or_default();
-        let sweeps = std::mem::take(&mut self.sweeps);
-        let searcher = self.finder.searcher();
-        searcher.pool.install(|| grow(&searcher.map, graph, (track, &sweeps), estimates, growth))
+        (M::localizer_work().grow)(self, graph, estimates, growth)
     }
 
     /// What was dropped or repaired so far.
     pub fn issues(&self) -> IssueLog {
-        let mut issues = self.local_slam.issues();
-        issues.append(&self.collation.issues());
-        issues
+        (M::localizer_work().issues)(self)
     }
 
     /// Where scans contradicted the map while it was localised.
@@ -168,46 +135,5 @@ impl<M: KnownMap> Localizer<M> {
     pub fn told(&self) -> Option<StartPose> {
         let (map_from_tracking, (sigma_metres, sigma_radians)) = self.finder.told()?;
         Some(StartPose { map_from_tracking, sigma_metres, sigma_radians })
-    }
-
-    fn dispatch(&mut self, sensor_id: &SensorId, measurement: Measurement) -> Vec<Estimate> {
-        let matched = match measurement {
-            Measurement::Range(data) => self.local_slam.add_range_data(sensor_id, data),
-            Measurement::Odometry(data) => self.local_slam.add_odometry_data(&data),
-            Measurement::Imu(data) => {
-                self.local_slam.add_imu_data(&data);
-                if let Some(track) = &mut self.track {
-                    track.add_imu(&data);
-                }
-                Vec::new()
-            }
-            Measurement::FixedFramePose(_) | Measurement::Landmark(_) => Vec::new(),
-        };
-        self.find(matched)
-    }
-
-    fn find(&mut self, matched: Vec<MatchingResult<M::Space>>) -> Vec<Estimate> {
-        let (finder, track, sweeps) = (&mut self.finder, &mut self.track, &mut self.sweeps);
-        let find = |scan: MatchingResult<M::Space>| {
-            let local = LocalScan {
-                time: scan.time,
-                local_from_tracking: scan.local_from_tracking,
-                returns: &scan.range_data_in_local.returns,
-                origin: scan.range_data_in_local.origin,
-                begins_anew: scan.lost.as_ref().is_some_and(|lost| lost.bridge.is_none()),
-            };
-            let estimate = finder.add(&local);
-            if let Some(track) = track {
-                let placement = estimate.placement(M::CERTAIN_PLACE);
-                if let Placement::Found(place) = placement
-                    && !sweeps.last().is_some_and(|last| last.is_like(&place))
-                {
-                    sweeps.extend(M::kept_sweep(&local, &place));
-                }
-                track.add(&scan, placement);
-            }
-            estimate
-        };
-        matched.into_iter().map(find).collect()
     }
 }

@@ -1,117 +1,75 @@
-//! The mapper: measurements in, a map out.
-//!
-//! Local SLAM runs where [`Mapper::add`] is called; the pose graph runs behind it on a thread of its
-//! own, with more threads for searching. What comes out does not depend on how many there are: the
-//! pose graph takes its work in the order in which local SLAM made it.
+//! What a mapper does, compiled in this crate once for each space.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::path::Path;
+use std::time::Instant;
 
-use portolan_config::{Options, TrajectoryBuilderOptions};
-use portolan_geometry::{GeodeticPosition, Time};
+use portolan_config::Options;
+use portolan_geometry::Time;
 use portolan_issue::IssueLog;
-use portolan_motion::MotionFilter;
 use portolan_numeric::LatencyHistogram;
 use portolan_recall::Memory;
 use portolan_sensor::{Measurement, SensorId, SensorKind};
 use portolan_spool::Spool;
 
+use super::{ActiveTrajectory, EndedTrajectory, Loss, Mapper, MapperSettings};
 use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
 use crate::local_slam::motion_filter;
 use crate::local_slam::{LocalSlam, Lost, MatchingResult};
 use crate::map::{Map, ScanPose};
-use crate::stop::Stop;
-use crate::{
-    DegenerateInterval, InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer,
-};
+use crate::{InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer};
 
-/// How the mapper works, apart from what it maps.
-#[derive(Clone, Copy, Debug)]
-pub struct MapperSettings {
-    /// Threads for searching and optimising; with one everything happens where it is called.
-    pub threads: usize,
-    /// Work that may wait behind local SLAM before [`Mapper::add`] waits.
-    pub max_backlog: usize,
-    /// How long [`Mapper::add`] may wait: for ever when reading a file, zero when live.
-    pub max_wait: Duration,
+/// The functions behind the methods of [`Mapper`], by their names.
+///
+/// A generic function is compiled and optimised again by every crate and program that calls it, with all that it calls; for
+/// a mapper that takes half a minute. [`Space::mapper_work`] gives them as they were compiled here.
+#[allow(clippy::type_complexity)]
+pub struct MapperWork<S: Space> {
+    pub(super) with_graph: fn(
+        &Options,
+        MapperSettings,
+        PoseGraph<S>,
+        BTreeMap<TrajectoryId, EndedTrajectory>,
+    ) -> Result<Mapper<S>, MapperError>,
+    pub(super) remember_with: fn(&mut Mapper<S>, &Memory) -> Result<(), MapperError>,
+    pub(super) spool_in: fn(&mut Mapper<S>, &Path) -> Result<(), MapperError>,
+    pub(super) add_trajectory: fn(
+        &mut Mapper<S>,
+        &BTreeSet<SensorId>,
+        Option<InitialTrajectoryPose>,
+    ) -> Result<TrajectoryId, MapperError>,
+    pub(super) add: fn(
+        &mut Mapper<S>,
+        TrajectoryId,
+        &SensorId,
+        Measurement,
+    ) -> Result<Vec<MatchingResult<S>>, MapperError>,
+    pub(super) finish_trajectory:
+        fn(&mut Mapper<S>, TrajectoryId) -> Result<Vec<MatchingResult<S>>, MapperError>,
+    pub(super) issues: fn(&Mapper<S>) -> IssueLog,
+    pub(super) finish_while:
+        fn(Mapper<S>, &mut dyn FnMut(BackendProgress) -> bool) -> Result<(Map<S>, IssueLog), MapperError>,
 }
 
-impl Default for MapperSettings {
-    fn default() -> Self {
-        Self { threads: 2, max_backlog: 400, max_wait: Duration::from_secs(3600) }
+impl<S: Space> MapperWork<S> {
+    /// For a static item of the space.
+    pub(crate) const fn compiled() -> Self {
+        Self {
+            with_graph: Mapper::with_graph_here,
+            remember_with: Mapper::remember_with_here,
+            spool_in: Mapper::spool_in_here,
+            add_trajectory: Mapper::add_trajectory_here,
+            add: Mapper::add_here,
+            finish_trajectory: Mapper::finish_trajectory_here,
+            issues: Mapper::issues_here,
+            finish_while: Mapper::finish_while_here,
+        }
     }
-}
-
-/// A trajectory being mapped.
-struct ActiveTrajectory<S: Space> {
-    options: TrajectoryBuilderOptions,
-    sensors: BTreeSet<SensorId>,
-    local_slam: S::LocalSlam,
-    odometry_filter: Option<MotionFilter>,
-    scans: Spool<ScanPose>,
-    last_node: Option<u32>,
-    next_node: u32,
-    /// What it is in the pose graph now: a trajectory of its own for each piece of map.
-    piece: TrajectoryId,
-}
-
-/// A time from which on a trajectory was lost: what came later is a piece of map of its own, until a loop closure
-/// ties it to the rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Loss {
-    /// Time of the first scan that did not fit any more, or of the last one before a gap.
-    pub since: Time,
-    /// Time of the first scan of the new piece.
-    pub until: Time,
-    /// The trajectory that the new piece is in the map.
-    pub piece: TrajectoryId,
-    /// It is a gap without scans in which odometry measured the motion.
-    pub is_gap: bool,
-}
-
-/// Builds a map of any number of trajectories.
-pub struct Mapper<S: Space> {
-    options: Options,
-    settings: MapperSettings,
-    backend: Backend<S>,
-    collation: SensorCollation,
-    active: BTreeMap<TrajectoryId, ActiveTrajectory<S>>,
-    ended: BTreeMap<TrajectoryId, EndedTrajectory>,
-    next_trajectory: u32,
-    issues: IssueLog,
-    scan_times: LatencyHistogram,
-    degenerate_intervals: Vec<DegenerateInterval>,
-    losses: Vec<Loss>,
-    memory: Memory,
-    stop: Stop,
-    /// Where what grows with time waits; in memory if there is no such folder.
-    spool_folder: Option<PathBuf>,
-}
-
-/// What stays of a trajectory for the map.
-#[derive(Clone, Debug)]
-pub struct EndedTrajectory {
-    /// Its options.
-    pub options: TrajectoryBuilderOptions,
-    /// Its sensors.
-    pub sensors: BTreeSet<SensorId>,
-    /// Every scan.
-    pub scans: Spool<ScanPose>,
-    /// Where on the Earth its fixed frame begins, if that was measured: the first satellite fix.
-    pub fixed_frame_on_earth: Option<GeodeticPosition>,
 }
 
 impl<S: Space> Mapper<S> {
-    /// An empty map.
-    pub fn new(options: &Options, settings: MapperSettings) -> Result<Self, MapperError> {
-        let graph = PoseGraph::new(options.map_builder.pose_graph.clone());
-        Self::with_graph(options, settings, graph, BTreeMap::new())
-    }
-
-    /// Continues a map: `graph` holds its trajectories, `ended` what else is known of them.
-    pub fn with_graph(
+    fn with_graph_here(
         options: &Options,
         settings: MapperSettings,
         graph: PoseGraph<S>,
@@ -139,16 +97,13 @@ impl<S: Space> Mapper<S> {
         })
     }
 
-    /// Remembers what was matched, searched and optimised with this. To be called before anything is added.
-    pub fn remember_with(&mut self, memory: &Memory) -> Result<(), MapperError> {
+    fn remember_with_here(&mut self, memory: &Memory) -> Result<(), MapperError> {
         self.memory = memory.clone();
         let memory = memory.clone();
         self.backend.enqueue(move |graph| graph.remember_with(memory))
     }
 
-    /// Lets the poses of scans, and what stays of removed nodes, wait in nameless files in this folder instead of memory. To be
-    /// called before anything is added.
-    pub fn spool_in(&mut self, folder: &Path) -> Result<(), MapperError> {
+    fn spool_in_here(&mut self, folder: &Path) -> Result<(), MapperError> {
         self.spool_folder = Some(folder.to_owned());
         let folder = folder.to_owned();
         self.backend.enqueue(move |graph| graph.spool_in(&folder))
@@ -158,8 +113,7 @@ impl<S: Space> Mapper<S> {
         self.spool_folder.as_deref().map_or_else(Spool::default, Spool::in_folder)
     }
 
-    /// Starts a trajectory with these sensors.
-    pub fn add_trajectory(
+    fn add_trajectory_here(
         &mut self,
         sensors: &BTreeSet<SensorId>,
         initial_pose: Option<InitialTrajectoryPose>,
@@ -193,9 +147,7 @@ impl<S: Space> Mapper<S> {
         Ok(id)
     }
 
-    /// Takes a measurement. Returns what became of scans, this one or earlier ones that waited for
-    /// other sensors. Waits for the pose graph no longer than the settings say.
-    pub fn add(
+    fn add_here(
         &mut self,
         id: TrajectoryId,
         sensor_id: &SensorId,
@@ -307,8 +259,7 @@ impl<S: Space> Mapper<S> {
         })
     }
 
-    /// Ends a trajectory: what waits is used, its submaps are completed.
-    pub fn finish_trajectory(&mut self, id: TrajectoryId) -> Result<Vec<MatchingResult<S>>, MapperError> {
+    fn finish_trajectory_here(&mut self, id: TrajectoryId) -> Result<Vec<MatchingResult<S>>, MapperError> {
         let ready = self.collation.finish_trajectory(id);
         let mut results = self.dispatch_all(ready)?;
         if let Some(trajectory) = self.active.get_mut(&id) {
@@ -336,36 +287,7 @@ impl<S: Space> Mapper<S> {
         Ok(results)
     }
 
-    /// How long local SLAM took for each scan that it matched.
-    pub fn scan_times(&self) -> &LatencyHistogram {
-        &self.scan_times
-    }
-
-    /// Where scans of ended trajectories left directions open.
-    pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
-        &self.degenerate_intervals
-    }
-
-    /// When trajectories were lost, in order of time.
-    pub fn losses(&self) -> &[Loss] {
-        &self.losses
-    }
-
-    /// How far the pose graph is.
-    pub fn progress(&self) -> BackendProgress {
-        self.backend.progress()
-    }
-
-    /// Gives access to the pose graph after everything given so far; waits for the answer.
-    pub fn with_pose_graph<R: Send + 'static>(
-        &mut self,
-        work: impl FnOnce(&mut PoseGraph<S>) -> R + Send + 'static,
-    ) -> Result<R, MapperError> {
-        self.backend.call(work)
-    }
-
-    /// What was dropped or repaired in ended trajectories and in ordering the sensors.
-    pub fn issues(&self) -> IssueLog {
+    fn issues_here(&self) -> IssueLog {
         let mut issues = self.issues.clone();
         issues.append(&self.collation.issues());
         for trajectory in self.active.values() {
@@ -374,26 +296,15 @@ impl<S: Space> Mapper<S> {
         issues
     }
 
-    /// From now on nothing is searched any more, and the map is optimised only once, at the end: it is wanted as it is.
-    pub fn stop(&self) {
-        self.stop.ask();
-    }
-
-    /// Ends all trajectories, optimises for the last time, and gives the map.
-    pub fn finish(self) -> Result<(Map<S>, IssueLog), MapperError> {
-        self.finish_while(&mut |_| true)
-    }
-
-    /// As [`Self::finish`]; `goes_on` is told now and then how far it is, and with false it does as [`Self::stop`].
-    pub fn finish_while(
+    fn finish_while_here(
         mut self,
         goes_on: &mut dyn FnMut(BackendProgress) -> bool,
     ) -> Result<(Map<S>, IssueLog), MapperError> {
         let active: Vec<TrajectoryId> = self.active.keys().copied().collect();
         for id in active {
-            self.finish_trajectory(id)?;
+            self.finish_trajectory_here(id)?;
         }
-        let (issues, stop) = (self.issues(), self.stop.clone());
+        let (issues, stop) = (self.issues_here(), self.stop.clone());
         let graph = self.backend.finish(PoseGraph::run_final_optimization, &mut |progress| {
             if !stop.is_asked() && !goes_on(progress) {
                 stop.ask();

@@ -1,0 +1,210 @@
+//! The mapper: measurements in, a map out.
+//!
+//! Local SLAM runs where [`Mapper::add`] is called; the pose graph runs behind it on a thread of its
+//! own, with more threads for searching. What comes out does not depend on how many there are: the
+//! pose graph takes its work in the order in which local SLAM made it.
+
+mod work;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+pub use work::MapperWork;
+
+use portolan_config::{Options, TrajectoryBuilderOptions};
+use portolan_geometry::{GeodeticPosition, Time};
+use portolan_issue::IssueLog;
+use portolan_motion::MotionFilter;
+use portolan_numeric::LatencyHistogram;
+use portolan_recall::Memory;
+use portolan_sensor::{Measurement, SensorId};
+use portolan_spool::Spool;
+
+use crate::backend::{Backend, BackendProgress, MapperError};
+use crate::collation::SensorCollation;
+use crate::local_slam::MatchingResult;
+use crate::map::{Map, ScanPose};
+use crate::stop::Stop;
+use crate::{DegenerateInterval, InitialTrajectoryPose, PoseGraph, Space, TrajectoryId};
+
+/// How the mapper works, apart from what it maps.
+#[derive(Clone, Copy, Debug)]
+pub struct MapperSettings {
+    /// Threads for searching and optimising; with one everything happens where it is called.
+    pub threads: usize,
+    /// Work that may wait behind local SLAM before [`Mapper::add`] waits.
+    pub max_backlog: usize,
+    /// How long [`Mapper::add`] may wait: for ever when reading a file, zero when live.
+    pub max_wait: Duration,
+}
+
+impl Default for MapperSettings {
+    fn default() -> Self {
+        Self { threads: 2, max_backlog: 400, max_wait: Duration::from_secs(3600) }
+    }
+}
+
+/// A trajectory being mapped.
+struct ActiveTrajectory<S: Space> {
+    options: TrajectoryBuilderOptions,
+    sensors: BTreeSet<SensorId>,
+    local_slam: S::LocalSlam,
+    odometry_filter: Option<MotionFilter>,
+    scans: Spool<ScanPose>,
+    last_node: Option<u32>,
+    next_node: u32,
+    /// What it is in the pose graph now: a trajectory of its own for each piece of map.
+    piece: TrajectoryId,
+}
+
+/// A time from which on a trajectory was lost: what came later is a piece of map of its own, until a loop closure
+/// ties it to the rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Loss {
+    /// Time of the first scan that did not fit any more, or of the last one before a gap.
+    pub since: Time,
+    /// Time of the first scan of the new piece.
+    pub until: Time,
+    /// The trajectory that the new piece is in the map.
+    pub piece: TrajectoryId,
+    /// It is a gap without scans in which odometry measured the motion.
+    pub is_gap: bool,
+}
+
+/// Builds a map of any number of trajectories.
+pub struct Mapper<S: Space> {
+    options: Options,
+    settings: MapperSettings,
+    backend: Backend<S>,
+    collation: SensorCollation,
+    active: BTreeMap<TrajectoryId, ActiveTrajectory<S>>,
+    ended: BTreeMap<TrajectoryId, EndedTrajectory>,
+    next_trajectory: u32,
+    issues: IssueLog,
+    scan_times: LatencyHistogram,
+    degenerate_intervals: Vec<DegenerateInterval>,
+    losses: Vec<Loss>,
+    memory: Memory,
+    stop: Stop,
+    /// Where what grows with time waits; in memory if there is no such folder.
+    spool_folder: Option<PathBuf>,
+}
+
+/// What stays of a trajectory for the map.
+#[derive(Clone, Debug)]
+pub struct EndedTrajectory {
+    /// Its options.
+    pub options: TrajectoryBuilderOptions,
+    /// Its sensors.
+    pub sensors: BTreeSet<SensorId>,
+    /// Every scan.
+    pub scans: Spool<ScanPose>,
+    /// Where on the Earth its fixed frame begins, if that was measured: the first satellite fix.
+    pub fixed_frame_on_earth: Option<GeodeticPosition>,
+}
+
+impl<S: Space> Mapper<S> {
+    /// An empty map.
+    pub fn new(options: &Options, settings: MapperSettings) -> Result<Self, MapperError> {
+        let graph = PoseGraph::new(options.map_builder.pose_graph.clone());
+        Self::with_graph(options, settings, graph, BTreeMap::new())
+    }
+
+    /// Continues a map: `graph` holds its trajectories, `ended` what else is known of them.
+    pub fn with_graph(
+        options: &Options,
+        settings: MapperSettings,
+        graph: PoseGraph<S>,
+        ended: BTreeMap<TrajectoryId, EndedTrajectory>,
+    ) -> Result<Self, MapperError> {
+        (S::mapper_work().with_graph)(options, settings, graph, ended)
+    }
+
+    /// Remembers what was matched, searched and optimised with this. To be called before anything is added.
+    pub fn remember_with(&mut self, memory: &Memory) -> Result<(), MapperError> {
+        (S::mapper_work().remember_with)(self, memory)
+    }
+
+    /// Lets the poses of scans, and what stays of removed nodes, wait in nameless files in this folder instead of memory. To be
+    /// called before anything is added.
+    pub fn spool_in(&mut self, folder: &Path) -> Result<(), MapperError> {
+        (S::mapper_work().spool_in)(self, folder)
+    }
+
+    /// Starts a trajectory with these sensors.
+    pub fn add_trajectory(
+        &mut self,
+        sensors: &BTreeSet<SensorId>,
+        initial_pose: Option<InitialTrajectoryPose>,
+    ) -> Result<TrajectoryId, MapperError> {
+        (S::mapper_work().add_trajectory)(self, sensors, initial_pose)
+    }
+
+    /// Takes a measurement. Returns what became of scans, this one or earlier ones that waited for
+    /// other sensors. Waits for the pose graph no longer than the settings say.
+    pub fn add(
+        &mut self,
+        id: TrajectoryId,
+        sensor_id: &SensorId,
+        measurement: Measurement,
+    ) -> Result<Vec<MatchingResult<S>>, MapperError> {
+        (S::mapper_work().add)(self, id, sensor_id, measurement)
+    }
+
+    /// Ends a trajectory: what waits is used, its submaps are completed.
+    pub fn finish_trajectory(&mut self, id: TrajectoryId) -> Result<Vec<MatchingResult<S>>, MapperError> {
+        (S::mapper_work().finish_trajectory)(self, id)
+    }
+
+    /// How long local SLAM took for each scan that it matched.
+    pub fn scan_times(&self) -> &LatencyHistogram {
+        &self.scan_times
+    }
+
+    /// Where scans of ended trajectories left directions open.
+    pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
+        &self.degenerate_intervals
+    }
+
+    /// When trajectories were lost, in order of time.
+    pub fn losses(&self) -> &[Loss] {
+        &self.losses
+    }
+
+    /// How far the pose graph is.
+    pub fn progress(&self) -> BackendProgress {
+        self.backend.progress()
+    }
+
+    /// Gives access to the pose graph after everything given so far; waits for the answer.
+    pub fn with_pose_graph<R: Send + 'static>(
+        &mut self,
+        work: impl FnOnce(&mut PoseGraph<S>) -> R + Send + 'static,
+    ) -> Result<R, MapperError> {
+        self.backend.call(work)
+    }
+
+    /// What was dropped or repaired in ended trajectories and in ordering the sensors.
+    pub fn issues(&self) -> IssueLog {
+        (S::mapper_work().issues)(self)
+    }
+
+    /// From now on nothing is searched any more, and the map is optimised only once, at the end: it is wanted as it is.
+    pub fn stop(&self) {
+        self.stop.ask();
+    }
+
+    /// Ends all trajectories, optimises for the last time, and gives the map.
+    pub fn finish(self) -> Result<(Map<S>, IssueLog), MapperError> {
+        self.finish_while(&mut |_| true)
+    }
+
+    /// As [`Self::finish`]; `goes_on` is told now and then how far it is, and with false it does as [`Self::stop`].
+    pub fn finish_while(
+        self,
+        goes_on: &mut dyn FnMut(BackendProgress) -> bool,
+    ) -> Result<(Map<S>, IssueLog), MapperError> {
+        (S::mapper_work().finish_while)(self, goes_on)
+    }
+}
