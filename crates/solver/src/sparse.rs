@@ -2,18 +2,23 @@
 
 mod block_pattern;
 mod block_system;
+mod cholesky;
 mod condition;
 mod covariance;
 mod elimination_order;
 mod factor;
 mod factor_view;
+mod fill;
 mod jacobian_check;
 mod linearization;
 mod manifold;
+mod minimum_degree;
 mod normal_blocks;
+mod panel;
 mod problem;
 mod products;
 mod solve;
+mod supernodes;
 
 pub(crate) use block_system::BlockSystem;
 pub use covariance::Covariance;

@@ -1,21 +1,11 @@
 //! Symmetric sparse linear equations with blocks: storage, damping, Cholesky factorisation.
 
-use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
-use faer::linalg::cholesky::llt::factor::LltRegularization;
-use faer::sparse::linalg::SymbolicSupernodalParams;
-use faer::sparse::linalg::cholesky::{simplicial, supernodal};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, MatMut, Par};
-
 use super::ProblemError;
 use super::block_pattern::BlockPattern;
+use super::cholesky::{Cholesky, zeros};
 
 /// Pivots below this fraction of the diagonal are rounding, see [`BlockSystem::smallest_pivot_ratio`].
 pub(crate) const SINGULAR_PIVOT: f64 = 1e-14;
-
-/// Neighbouring columns of the factor up to so many are kept as one panel if this part of it would be zeros
-/// at most. Blocks are panels already; the library's own rule would merge them over 80 % of zeros.
-const RELAX: &[(usize, f64)] = &[(24, 0.1), (usize::MAX, 0.02)];
 
 /// `A x = b` with a symmetric positive definite `A` of blocks, in the order of elimination. The pattern is
 /// analysed once; the values are refilled as often as wanted without allocation.
@@ -23,11 +13,7 @@ pub(crate) struct BlockSystem {
     pub pattern: BlockPattern,
     /// Values in the layout of [`BlockPattern`].
     pub values: Vec<f64>,
-    column_starts: Vec<u32>,
-    row_indices: Vec<u32>,
-    symbolic: supernodal::SymbolicSupernodalCholesky<u32>,
-    factor: Vec<f64>,
-    memory: MemBuffer,
+    factor: Cholesky,
     diagonal: Vec<f64>,
 }
 
@@ -35,26 +21,11 @@ impl BlockSystem {
     /// Analyses the pattern of blocks of the given dimensions; `pairs` as for [`BlockPattern::new`].
     pub fn new(dimensions: &[u32], pairs: &[(u32, u32)]) -> Result<Self, ProblemError> {
         let pattern = BlockPattern::new(dimensions, pairs)?;
-        let symbolic = analyse(&pattern)?;
-        let (column_starts, row_indices) = pattern.scalar_lower();
-        let request = StackReq::or(
-            supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(
-                &symbolic,
-                Par::Seq,
-                Default::default(),
-            ),
-            symbolic.solve_in_place_scratch::<f64>(1, Par::Seq),
-        );
-        let memory = MemBuffer::try_new(request).map_err(|_| ProblemError::OutOfMemory)?;
         Ok(Self {
             values: zeros(pattern.value_count())?,
-            factor: zeros(symbolic.len_val())?,
+            factor: Cholesky::new(&pattern)?,
             diagonal: vec![0.0; pattern.size()],
             pattern,
-            column_starts,
-            row_indices,
-            symbolic,
-            memory,
         })
     }
 
@@ -93,46 +64,23 @@ impl BlockSystem {
             diagonal[i] = values[at];
             values[at] += damping[i];
         });
-        let n = self.pattern.size();
-        let pattern =
-            SymbolicSparseColMatRef::new_checked(n, n, &self.column_starts, None, &self.row_indices);
-        let result = supernodal::factorize_supernodal_numeric_llt(
-            &mut self.factor,
-            SparseColMatRef::new(pattern, &self.values),
-            LltRegularization::default(),
-            &self.symbolic,
-            Par::Seq,
-            MemStack::new(&mut self.memory),
-            Default::default(),
-        );
+        let is_definite = self.factor.factorize(&self.pattern, &self.values);
         let (values, diagonal) = (&mut self.values, &self.diagonal);
         Self::for_each_diagonal(&self.pattern, |i, at| values[at] = diagonal[i]);
-        result.is_ok()
+        is_definite
     }
 
     /// How well the worst determined unknown is determined, from 0 to 1: the smallest ratio of a squared pivot of the last
     /// factor to the diagonal entry without damping. It is the share of the information about an unknown that remains
     /// while those that come earlier in the elimination may move as well. Of a singular matrix rounding leaves about 1e-16.
     pub fn smallest_pivot_ratio(&self) -> f64 {
-        let factor = supernodal::SupernodalLltRef::new(&self.symbolic, &self.factor);
-        let mut smallest = f64::INFINITY;
-        for index in 0..self.symbolic.n_supernodes() {
-            let supernode = factor.supernode(index);
-            let values = supernode.val();
-            for k in 0..values.ncols() {
-                let pivot = values[(k, k)];
-                smallest = smallest.min(pivot * pivot / self.diagonal[supernode.start() + k]);
-            }
-        }
-        smallest
+        let ratio = |(pivot, diagonal): (f64, &f64)| pivot * pivot / diagonal;
+        self.factor.pivots().zip(&self.diagonal).map(ratio).fold(f64::INFINITY, f64::min)
     }
 
     /// Solves with the last factor, in place.
     pub fn solve(&mut self, x: &mut [f64]) {
-        let n = self.pattern.size();
-        let factor = supernodal::SupernodalLltRef::new(&self.symbolic, &self.factor);
-        let rhs = MatMut::from_column_major_slice_mut(x, n, 1);
-        factor.solve_in_place_with_conj(Conj::No, rhs, Par::Seq, MemStack::new(&mut self.memory));
+        self.factor.solve(x);
     }
 
     /// `y = A x`, without damping.
@@ -164,31 +112,6 @@ impl BlockSystem {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-fn zeros(count: usize) -> Result<Vec<f64>, ProblemError> {
-    let mut values = Vec::new();
-    values.try_reserve_exact(count).map_err(|_| ProblemError::OutOfMemory)?;
-    values.resize(count, 0.0);
-    Ok(values)
-}
-
-/// Elimination tree, column counts and supernodes of the factor.
-fn analyse(pattern: &BlockPattern) -> Result<supernodal::SymbolicSupernodalCholesky<u32>, ProblemError> {
-    let n = pattern.size();
-    let (column_starts, row_indices) = pattern.scalar_upper();
-    let upper = SymbolicSparseColMatRef::new_checked(n, n, &column_starts, None, &row_indices);
-    let request = StackReq::or(
-        simplicial::prefactorize_symbolic_cholesky_scratch::<u32>(n, row_indices.len()),
-        supernodal::factorize_supernodal_symbolic_cholesky_scratch::<u32>(n),
-    );
-    let mut memory = MemBuffer::try_new(request).map_err(|_| ProblemError::OutOfMemory)?;
-    let stack = MemStack::new(&mut memory);
-    let (mut tree, mut counts) = (vec![0i32; n], vec![0u32; n]);
-    let tree = simplicial::prefactorize_symbolic_cholesky(&mut tree, &mut counts, upper, stack);
-    let params = SymbolicSupernodalParams { relax: Some(RELAX) };
-    supernodal::factorize_supernodal_symbolic_cholesky(upper, tree, &counts, stack, params)
-        .map_err(|_| ProblemError::TooLarge("factor"))
 }
 
 #[cfg(test)]

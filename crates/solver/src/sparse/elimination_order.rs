@@ -1,13 +1,9 @@
 //! The order in which the blocks of a sparse symmetric matrix are eliminated, so that its factor stays sparse.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::sparse::SymbolicSparseColMatRef;
-use faer::sparse::linalg::amd;
-use faer::sparse::linalg::cholesky::simplicial;
-
 use portolan_numeric::Lcg64;
 
-use super::ProblemError;
+use super::fill::{factor_rows, postorder};
+use super::minimum_degree::minimum_degree;
 
 /// From so many multiplications of blocks on other orders are tried, too: the best of several is some percent
 /// better, in memory and in every factorisation, and costs less than one of these.
@@ -15,95 +11,53 @@ const WORTH_TRYING: u64 = 2_000_000;
 /// How many others are tried.
 const TRIALS: u64 = 12;
 
-/// Which blocks are coupled (both numbers, each pair once), by columns of the upper triangle.
-struct Couplings {
-    starts: Vec<u32>,
-    rows: Vec<u32>,
-}
-
-impl Couplings {
-    /// Of `n` blocks that got the numbers `number_of`.
-    fn new(n: usize, pairs: &[(u32, u32)], number_of: impl Fn(u32) -> u32) -> Self {
-        let mut starts = vec![0u32; n + 1];
-        let place = |(a, b): &(u32, u32)| {
-            let (a, b) = (number_of(*a), number_of(*b));
-            (a.min(b), a.max(b))
-        };
-        for pair in pairs {
-            starts[place(pair).1 as usize + 1] += 1;
-        }
-        for i in 0..n {
-            starts[i + 1] += starts[i];
-        }
-        let mut next = starts.clone();
-        let mut rows = vec![0u32; pairs.len()];
-        for pair in pairs {
-            let (row, column) = place(pair);
-            rows[next[column as usize] as usize] = row;
-            next[column as usize] += 1;
-        }
-        for column in 0..n {
-            rows[starts[column] as usize..starts[column + 1] as usize].sort_unstable();
-        }
-        Self { starts, rows }
-    }
-
-    fn matrix(&self) -> SymbolicSparseColMatRef<'_, u32> {
-        let n = self.starts.len() - 1;
-        SymbolicSparseColMatRef::new_checked(n, n, &self.starts, None, &self.rows)
-    }
-}
-
 /// An order of elimination, `order[new] = old`. Approximate minimum degree decides ties by the numbers of the
 /// blocks, which means nothing: for large systems the best of several numberings is taken.
-pub(super) fn elimination_order(n: usize, pairs: &[(u32, u32)]) -> Result<Vec<u32>, ProblemError> {
-    let mut best = minimum_degree(n, &Couplings::new(n, pairs, |block| block))?;
-    let mut least = work(n, pairs, &best)?;
-    if least < WORTH_TRYING {
-        return Ok(best);
-    }
-    for seed in 1..=TRIALS {
-        let block_of = shuffled(n, seed);
-        let number_of = inverse(&block_of);
-        let couplings = Couplings::new(n, pairs, |block| number_of[block as usize]);
-        let numbers = minimum_degree(n, &couplings)?;
-        let order: Vec<u32> = numbers.iter().map(|number| block_of[*number as usize]).collect();
-        let found = work(n, pairs, &order)?;
-        if found < least {
-            (best, least) = (order, found);
+pub(super) fn elimination_order(n: usize, pairs: &[(u32, u32)]) -> Vec<u32> {
+    let mut best = Order::of(n, pairs, minimum_degree(neighbours(n, pairs, |block| block)));
+    if best.work >= WORTH_TRYING {
+        for seed in 1..=TRIALS {
+            let block_of = shuffled(n, seed);
+            let number_of = inverse(&block_of);
+            let numbers = minimum_degree(neighbours(n, pairs, |block| number_of[block as usize]));
+            let order = numbers.iter().map(|number| block_of[*number as usize]).collect();
+            let found = Order::of(n, pairs, order);
+            if found.work < best.work {
+                best = found;
+            }
         }
     }
-    Ok(best)
+    best.order
 }
 
-/// Approximate minimum degree.
-fn minimum_degree(n: usize, couplings: &Couplings) -> Result<Vec<u32>, ProblemError> {
-    let (mut order, mut inverse) = (vec![0u32; n], vec![0u32; n]);
-    if n == 0 {
-        return Ok(order);
+struct Order {
+    order: Vec<u32>,
+    /// Multiplications of blocks that a factorisation takes: the squares of the column heights.
+    work: u64,
+}
+
+impl Order {
+    /// This order, with columns of the factor that have the same rows side by side.
+    fn of(n: usize, pairs: &[(u32, u32)], order: Vec<u32>) -> Self {
+        let position = inverse(&order);
+        let coupled = neighbours(n, pairs, |block| position[block as usize]);
+        let rows = factor_rows(n, |column| &coupled[column]);
+        let work = rows.iter().map(|rows| (rows.len() as u64 + 1).pow(2)).sum();
+        let order = postorder(&rows).iter().map(|column| order[*column as usize]).collect();
+        Self { order, work }
     }
-    let request = amd::order_scratch::<u32>(n, couplings.rows.len());
-    let mut memory = MemBuffer::try_new(request).map_err(|_| ProblemError::OutOfMemory)?;
-    let control = amd::Control::default();
-    amd::order(&mut order, &mut inverse, couplings.matrix(), control, MemStack::new(&mut memory))
-        .map_err(|_| ProblemError::TooLarge("couplings"))?;
-    Ok(order)
 }
 
-/// Multiplications of blocks that a factorisation in this order takes: the squares of the column heights.
-fn work(n: usize, pairs: &[(u32, u32)], order: &[u32]) -> Result<u64, ProblemError> {
-    let position = inverse(order);
-    let couplings = Couplings::new(n, pairs, |block| position[block as usize]);
-    let request = simplicial::prefactorize_symbolic_cholesky_scratch::<u32>(n, couplings.rows.len());
-    let mut memory = MemBuffer::try_new(request).map_err(|_| ProblemError::OutOfMemory)?;
-    let (mut tree, mut heights) = (vec![0i32; n], vec![0u32; n]);
-    simplicial::prefactorize_symbolic_cholesky(
-        &mut tree,
-        &mut heights,
-        couplings.matrix(),
-        MemStack::new(&mut memory),
-    );
-    Ok(heights.iter().map(|height| u64::from(*height).pow(2)).sum())
+/// What each of `n` blocks, which get the numbers `number_of`, is coupled with, ascending.
+fn neighbours(n: usize, pairs: &[(u32, u32)], number_of: impl Fn(u32) -> u32) -> Vec<Vec<u32>> {
+    let mut lists = vec![Vec::new(); n];
+    for (a, b) in pairs {
+        let (a, b) = (number_of(*a), number_of(*b));
+        lists[a as usize].push(b);
+        lists[b as usize].push(a);
+    }
+    lists.iter_mut().for_each(|list| list.sort_unstable());
+    lists
 }
 
 fn inverse(order: &[u32]) -> Vec<u32> {
@@ -148,15 +102,15 @@ mod tests {
         for edge in [3, 120] {
             let pairs = torus(edge);
             let n = (edge * edge) as usize;
-            let order = elimination_order(n, &pairs).unwrap();
+            let order = elimination_order(n, &pairs);
             let mut sorted = order.clone();
             sorted.sort_unstable();
             assert!(sorted.iter().enumerate().all(|(i, block)| i as u32 == *block));
-            let plain = minimum_degree(n, &Couplings::new(n, &pairs, |block| block)).unwrap();
-            let (found, known) = (work(n, &pairs, &order).unwrap(), work(n, &pairs, &plain).unwrap());
+            let plain = minimum_degree(neighbours(n, &pairs, |block| block));
+            let [found, known] = [order, plain].map(|order| Order::of(n, &pairs, order).work);
             assert!(found <= known, "{found} {known}");
             assert_eq!(known >= WORTH_TRYING, edge == 120, "{known}");
         }
-        assert_eq!(elimination_order(0, &[]).unwrap(), [] as [u32; 0]);
+        assert_eq!(elimination_order(0, &[]), [] as [u32; 0]);
     }
 }
