@@ -108,8 +108,8 @@ impl Cholesky {
         for (c, column) in rows[..columns].iter().enumerate() {
             let target = &mut panel[(*column as usize - own.first) * own.height..][..own.height];
             let product = &self.product[c * rows.len()..][..rows.len()];
-            for (row, value) in rows[c..].iter().zip(&product[c..]) {
-                target[self.place[*row as usize] as usize] += value;
+            for i in c..rows.len().min(product.len()) {
+                target[self.place[rows[i] as usize] as usize] += product[i];
             }
         }
         self.given[giver] += columns as u32;

@@ -50,10 +50,16 @@ fn subtract_tile<const COLUMNS: usize>(
 ) {
     let mut sums = [f64x4::ZERO; COLUMNS];
     for k in 0..inner {
-        let left = load(&a.values[k * a.stride..]);
-        let Some(right) = b.values[k * b.stride..].first_chunk::<COLUMNS>() else { return };
-        for (sum, factor) in sums.iter_mut().zip(right) {
-            *sum += left * f64x4::splat(*factor);
+        let (Some(left), Some(right)) = (
+            a.values[k * a.stride..].first_chunk::<TILE>(),
+            b.values[k * b.stride..].first_chunk::<COLUMNS>(),
+        ) else {
+            return;
+        };
+        let left = f64x4::from(*left);
+        // By index: iterators are calls here where nothing is inlined across units of a crate.
+        for column in 0..COLUMNS {
+            sums[column] += left * f64x4::splat(right[column]);
         }
     }
     for (column, sum) in sums.into_iter().enumerate() {
@@ -77,10 +83,6 @@ fn subtract_corner(
             *place -= (0..inner).map(product).sum::<f64>();
         }
     }
-}
-
-fn load(values: &[f64]) -> f64x4 {
-    values.first_chunk::<TILE>().map_or(f64x4::ZERO, |four| f64x4::from(*four))
 }
 
 /// Cholesky factorisation of the first `width` rows of a panel of as many columns, and what follows from it for the rows below.
@@ -109,7 +111,9 @@ fn factorize_strip(strip: &mut [f64], height: usize, first: usize) -> bool {
         for earlier in before.chunks_exact(height) {
             let earlier = &earlier[first + column..];
             let factor = earlier[0];
-            own.iter_mut().zip(earlier).for_each(|(value, other)| *value -= factor * other);
+            for i in 0..own.len().min(earlier.len()) {
+                own[i] -= factor * earlier[i];
+            }
         }
         let pivot = own[0];
         // Not a number is no pivot either.
