@@ -5,7 +5,7 @@
 
 #[path = "common/any_message.rs"]
 mod any_message;
-mod common;
+use crate::common;
 
 use std::collections::BTreeMap;
 

@@ -1,7 +1,7 @@
 //! 3D maps of other programs go into memory and come out again.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-mod common;
+use crate::common;
 
 use std::path::Path;
 

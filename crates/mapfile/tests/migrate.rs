@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-mod common;
+use crate::common;
 
 use common::small_map::SmallMap;
 use portolan_mapfile::{MapDraft, MigrateError, MigrateOptions, load_textures, migrate};

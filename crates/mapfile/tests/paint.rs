@@ -2,8 +2,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-mod common;
-
 use portolan_geometry::Rigid3;
 use portolan_mapfile::{
     MapArea, PaintError, PaintOptions, PaintedMap, PlacedTexture, SubmapTexture, load_textures, paint,
