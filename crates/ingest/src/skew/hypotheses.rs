@@ -91,10 +91,13 @@ impl AzimuthWitness {
 
     /// Squared standard deviations that factors are off if these are the times.
     fn misfit(&self, times: Times) -> f64 {
-        misfit(&self.skew, match times {
-            Times::Scaled(scale) => scale * self.slope,
-            Times::ByAzimuth(_) => 1.0,
-        })
+        misfit(
+            &self.skew,
+            match times {
+                Times::Scaled(scale) => scale * self.slope,
+                Times::ByAzimuth(_) => 1.0,
+            },
+        )
     }
 }
 
@@ -138,9 +141,8 @@ pub(super) fn told_by_fits(
     let turned = by_azimuth.and_then(|witness| clear_by_azimuth(&witness, scaled, fits));
     if let Some(times) = turned.or(scaled) {
         // Another hypothesis that fits better, though not clearly, leaves open which is right.
-        let is_rivalled = by_azimuth.is_some_and(|witness| {
-            turned.is_none() && fits.sigmas_better(times, witness.times()) > 0.0
-        });
+        let is_rivalled = by_azimuth
+            .is_some_and(|witness| turned.is_none() && fits.sigmas_better(times, witness.times()) > 0.0);
         if !is_rivalled {
             return Some(Told { times, is_clear: true });
         }

@@ -21,9 +21,9 @@ mod fit;
 mod follow;
 mod hypotheses;
 mod target;
-mod times;
 #[cfg(test)]
 mod tests;
+mod times;
 
 use std::f32::consts::{PI, TAU};
 
@@ -194,6 +194,8 @@ pub(crate) struct SkewEstimator {
     /// Whether sweeps were seen from one place.
     stood: bool,
     skew: Option<Skew>,
+    /// Whether the motion was taken out by recorded times, and azimuths leave that open.
+    is_open: bool,
 }
 
 /// Sweeps that follow each other, registered as they came.
@@ -226,8 +228,9 @@ impl SkewEstimator {
     /// Whether more sweeps would tell nothing new.
     pub fn is_done(&self) -> bool {
         let is_open = |offset: ElevationOffset| !offset.is_clear() && offset.may_be_there();
-        let is_known =
-            |skew: Skew| skew.state() != SkewState::Unknown && !skew.elevation.is_some_and(is_open);
+        let is_known = |skew: Skew| {
+            skew.state() != SkewState::Unknown && !self.is_open && !skew.elevation.is_some_and(is_open)
+        };
         self.batches.len() >= MAX_BATCHES || self.skew.is_some_and(is_known)
     }
 
@@ -249,21 +252,28 @@ impl SkewEstimator {
         }
         let Some(as_is) = follow::follow(&samples, None, None) else { return };
         self.batches.push(Batch { samples, as_is });
-        self.skew = self.estimate().or(self.skew);
+        if let Some((skew, is_open)) = self.estimate() {
+            (self.skew, self.is_open) = (Some(skew), is_open);
+        }
     }
 
-    fn estimate(&self) -> Option<Skew> {
+    /// What is known by now, and whether azimuths leave it open.
+    fn estimate(&self) -> Option<(Skew, bool)> {
         let Judged { mut skew, times, straightened } = match self.has_times {
             true => self.judged(TurnTimes::RECORDED)?,
             false => self.judged_by_azimuth()?,
         };
-        skew.is_contradicted = self.is_contradicted(skew.state(), &straightened);
+        // By their times points are as if seen from one place; that may be because these are of other points.
+        let may_be_raw = self.has_times && skew.state() == SkewState::Removed;
+        let by_azimuth = if may_be_raw { self.other_state_by_azimuth() } else { None };
+        skew.is_contradicted = matches!(by_azimuth, Some(SkewState::Raw | SkewState::Partial))
+            || self.is_contradicted(skew.state(), &straightened);
         skew.elevation = match skew.state() {
             SkewState::Raw => beams::elevation(&self.batches, &straightened, Some(times)),
             SkewState::Removed => beams::elevation(&self.batches, &self.as_is(), None),
             SkewState::Partial | SkewState::Unknown => None,
         };
-        Some(skew)
+        Some((skew, by_azimuth == Some(SkewState::Unknown)))
     }
 }
 
@@ -278,7 +288,8 @@ impl SkewEstimator {
     fn judged(&self, times: TurnTimes) -> Option<Judged> {
         let as_is = self.pairs_as_is();
         let straightened = self.straightened(times)?;
-        let (at_none, at_all) = (evidence::step(&as_is, times)?, evidence::step(&pairs(&straightened), times)?);
+        let (at_none, at_all) =
+            (evidence::step(&as_is, times)?, evidence::step(&pairs(&straightened), times)?);
         let largest = match times.clock {
             Clock::Recorded => at_none.factors + at_none.sigmas * evidence::LIKELY,
             Clock::Azimuth => evidence::largest_steps(&as_is, at_none, times)?,
@@ -290,7 +301,9 @@ impl SkewEstimator {
     fn judged_by_azimuth(&self) -> Option<Judged> {
         let mut judged = self.judged(evidence::most_likely_turn(&self.pairs_as_is())?)?;
         for _ in 0..SEAM_ROUNDS {
-            let Some(better) = evidence::better_turn(&pairs(&judged.straightened), judged.times) else { break };
+            let Some(better) = evidence::better_turn(&pairs(&judged.straightened), judged.times) else {
+                break;
+            };
             judged = self.judged(better)?;
         }
         if let Some((times, straightened)) = self.shorter_turn(&judged) {
@@ -312,7 +325,6 @@ impl SkewEstimator {
                 fit::is_better(straightened, &self.as_is())
                     || (self.has_times && self.turns_begin_elsewhere(straightened))
             }
-            // By their times they are as if seen from one place; that may be because the times are wrong.
             SkewState::Removed => {
                 (self.has_times && fits_worse_as_is(straightened))
                     || fit::usual_turns()

@@ -144,8 +144,10 @@ fn of_another(shares: &mut [f32]) {
 
 #[test]
 fn times_of_other_points_and_of_other_turns_are_told_from_those_of_the_azimuth() {
-    let elsewhere = |shift: f32| move |shares: &mut [f32]| {
-        shares.iter_mut().for_each(|share| *share = (*share + shift).rem_euclid(1.0));
+    let elsewhere = |shift: f32| {
+        move |shares: &mut [f32]| {
+            shares.iter_mut().for_each(|share| *share = (*share + shift).rem_euclid(1.0));
+        }
     };
     let spoilers: [Box<dyn Fn(&mut [f32])>; 4] =
         [Box::new(elsewhere(0.5)), Box::new(elsewhere(0.25)), Box::new(elsewhere(0.1)), Box::new(of_another)];

@@ -11,6 +11,9 @@ use crate::beam_elevation::ElevationOffset;
 /// Times by azimuth are the recorded ones if the two are so much alike (coefficient of correlation, mean resultant length).
 const SAME_TIMES: f64 = 0.9;
 
+/// A lidar that turns sees something in each of so many directions.
+const SECTORS: usize = 24;
+
 /// What sweeps say of the times of their points.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TimesTold {
@@ -26,8 +29,9 @@ impl SkewEstimator {
     /// What the times of points are, if not what was recorded. These span such a share of the interval between
     /// clouds, and the skew is in units of the motion during that. A lidar that spins may have others by azimuth.
     pub fn times_told(&self, skew: &Skew, duty: f64, spins: bool) -> Option<TimesTold> {
-        let is_settled =
-            hypotheses::is_whole_turn(duty) && matches!(skew.state(), SkewState::Raw | SkewState::Removed);
+        let is_settled = hypotheses::is_whole_turn(duty)
+            && !self.is_open
+            && matches!(skew.state(), SkewState::Raw | SkewState::Removed);
         if !self.has_times || is_settled {
             return None;
         }
@@ -58,6 +62,25 @@ impl SkewEstimator {
         let alike = self.alike(judged.times)?;
         let witness = AzimuthWitness { skew: judged.skew, slope: alike.slope * duty / judged.times.part };
         (alike.correlation.abs() < SAME_TIMES).then_some((judged, witness))
+    }
+
+    /// What azimuths say of the motion in points; none if they say the same as recorded times, or do not go all around.
+    pub(super) fn other_state_by_azimuth(&self) -> Option<SkewState> {
+        if !self.sees_all_around() {
+            return None;
+        }
+        let (judged, _) = self.other_times_by_azimuth(1.0)?;
+        Some(judged.skew.state())
+    }
+
+    fn sees_all_around(&self) -> bool {
+        let mut seen = [false; SECTORS];
+        for phases in self.batches.iter().flat_map(|b| &b.samples).flat_map(|sample| &sample.phases) {
+            if let Some(seen) = seen.get_mut((phases.azimuth * SECTORS as f32) as usize) {
+                *seen = true;
+            }
+        }
+        seen.iter().all(|seen| *seen)
     }
 
     /// Whether sweeps say that turns begin elsewhere than by recorded times, whose motion was taken out.
