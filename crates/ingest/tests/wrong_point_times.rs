@@ -19,7 +19,7 @@ fn sweeps(path: &Path) -> Vec<RecordedMessage> {
 }
 
 /// A cloud with other times of its points.
-fn retimed(cloud: &mut PointCloud2, change: &dyn Fn(&mut [f32])) {
+fn retimed(cloud: &mut PointCloud2, change: Change) {
     let field = cloud.fields.iter().find(|f| &*f.name == "time").unwrap();
     assert_eq!(field.field_type, Some(FieldType::Float32));
     let (offset, step) = (field.offset as usize, cloud.point_step as usize);
@@ -32,8 +32,11 @@ fn retimed(cloud: &mut PointCloud2, change: &dyn Fn(&mut [f32])) {
     }
 }
 
+/// What is done to the times of a sweep.
+type Change<'a> = &'a dyn Fn(&mut [f32]);
+
 /// The lidar as it is planned if the times of its points are changed like this.
-fn planned(sweeps: &[RecordedMessage], change: &dyn Fn(&mut [f32])) -> PlannedRange {
+fn planned(sweeps: &[RecordedMessage], change: Change) -> PlannedRange {
     let changed = sweeps.iter().cloned().map(|mut message| {
         if let Message::PointCloud2(cloud) = &mut message.message {
             retimed(cloud, change);
@@ -81,7 +84,7 @@ fn times_of_other_points_are_replaced_by_those_of_the_azimuth() {
         let sweeps = sweeps(&file);
         let right = planned(&sweeps, &|_| {});
         assert!(right.point_time.is_some() && right.azimuth_times == AzimuthTimes::Off, "{path}: {right:?}");
-        let changes: [(&str, &dyn Fn(&mut [f32])); 4] = [
+        let changes: [(&str, Change); 4] = [
             ("half a turn", &elsewhere(0.5)),
             ("a quarter", &elsewhere(0.25)),
             ("mixed", &mixed),

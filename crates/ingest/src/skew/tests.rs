@@ -135,6 +135,9 @@ fn times_that_are_wrong_are_told_and_right_ones_are_left() {
     }
 }
 
+/// What is done to the shares of a sweep.
+type Spoiler = Box<dyn Fn(&mut [f32])>;
+
 /// The share of another point of the sweep.
 fn of_another(shares: &mut [f32]) {
     for index in 0..shares.len() {
@@ -149,7 +152,7 @@ fn times_of_other_points_and_of_other_turns_are_told_from_those_of_the_azimuth()
             shares.iter_mut().for_each(|share| *share = (*share + shift).rem_euclid(1.0));
         }
     };
-    let spoilers: [Box<dyn Fn(&mut [f32])>; 4] =
+    let spoilers: [Spoiler; 4] =
         [Box::new(elsewhere(0.5)), Box::new(elsewhere(0.25)), Box::new(elsewhere(0.1)), Box::new(of_another)];
     for (case, spoil) in spoilers.iter().enumerate() {
         let mut estimator = SkewEstimator::default();
