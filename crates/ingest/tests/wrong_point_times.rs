@@ -79,25 +79,24 @@ fn shares(times: &mut [f32]) {
 
 #[test]
 fn times_of_other_points_are_replaced_by_those_of_the_azimuth() {
-    for (path, begin_degrees) in [("lidar3d/walk.bag", 0.0_f32)] {
-        let Some(file) = real_data(path) else { return };
-        let sweeps = sweeps(&file);
-        let right = planned(&sweeps, &|_| {});
-        assert!(right.point_time.is_some() && right.azimuth_times == AzimuthTimes::Off, "{path}: {right:?}");
-        let changes: [(&str, Change); 4] = [
-            ("half a turn", &elsewhere(0.5)),
-            ("a quarter", &elsewhere(0.25)),
-            ("mixed", &mixed),
-            ("all alike", &|times| times.fill(0.0)),
-        ];
-        for (name, change) in changes {
-            let range = planned(&sweeps, change);
-            assert!(range.point_time.is_none() && !range.times_in_doubt, "{path} {name}: {range:?}");
-            assert_eq!(range.azimuth_times, AzimuthTimes::FromStamp, "{path} {name}");
-            let turn = range.turn.unwrap();
-            let off = (turn.begin_radians.to_degrees() - begin_degrees + 180.0).rem_euclid(360.0) - 180.0;
-            assert!(turn.is_clockwise && off.abs() <= 15.0, "{path} {name}: {turn:?}");
-        }
+    let (path, begin_degrees) = ("lidar3d/walk.bag", 0.0_f32);
+    let Some(file) = real_data(path) else { return };
+    let sweeps = sweeps(&file);
+    let right = planned(&sweeps, &|_| {});
+    assert!(right.point_time.is_some() && right.azimuth_times == AzimuthTimes::Off, "{path}: {right:?}");
+    let changes: [(&str, Change); 4] = [
+        ("half a turn", &elsewhere(0.5)),
+        ("a quarter", &elsewhere(0.25)),
+        ("mixed", &mixed),
+        ("all alike", &|times| times.fill(0.0)),
+    ];
+    for (name, change) in changes {
+        let range = planned(&sweeps, change);
+        assert!(range.point_time.is_none() && !range.times_in_doubt, "{path} {name}: {range:?}");
+        assert_eq!(range.azimuth_times, AzimuthTimes::FromStamp, "{path} {name}");
+        let turn = range.turn.unwrap();
+        let off = (turn.begin_radians.to_degrees() - begin_degrees + 180.0).rem_euclid(360.0) - 180.0;
+        assert!(turn.is_clockwise && off.abs() <= 15.0, "{path} {name}: {turn:?}");
     }
 }
 
