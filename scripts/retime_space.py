@@ -4,7 +4,10 @@
     --every N          one sweep in N
     --sweeps A:B       from the A-th sweep on, before the B-th
     --times WHAT       none: the field is renamed; half, double, longer: too small, too large by two, by a half; ages: the sign is
-                       wrong; wrapped: turns begin half a turn off; mixed: those of other points of the sweep
+                       wrong; wrapped, quarter, tenth: turns begin such a part of a turn off; alternating: in every other sweep
+                       half a turn; mixed: those of other points of the sweep; holes: zero for every other point; zero: all alike;
+                       shares: of the sweep, 0 to 1; ticks: of 55.296 us; coarse: a clock of 10 ms; late, early: half a sweep too
+                       late, a whole one too early
     --by-beam          points beam by beam from ahead, counter-clockwise, as KITTI's files have them, not firing by firing
     --alone            the lidar alone, without IMU and all else
 
@@ -21,9 +24,26 @@ STORE = get_typestore(Stores.ROS1_NOETIC)
 LIDAR = "sensor_msgs/msg/PointCloud2"
 TIMES = ("time", "t", "timestamp", "offset_time")
 SCALES = {"half": 0.5, "double": 2.0, "ages": -1.0, "longer": 1.5}
+
+
+def turned(part):
+    """Times of a turn that begins such a part of a turn off."""
+    return lambda times: times.min() + (times - times.min() + part * np.ptp(times)) % max(np.ptp(times), 1e-9)
+
+
 OTHERS = {
-    "wrapped": lambda times: times.min() + (times - times.min() + 0.5 * np.ptp(times)) % max(np.ptp(times), 1e-9),
+    "wrapped": turned(0.5),
+    "quarter": turned(0.25),
+    "tenth": turned(0.1),
+    "alternating": turned(0.5),
     "mixed": lambda times: np.random.default_rng(len(times)).permutation(times),
+    "holes": lambda times: np.where(np.arange(len(times)) % 2, times, 0.0),
+    "zero": lambda times: 0.0 * times,
+    "shares": lambda times: (times - times.min()) / max(np.ptp(times), 1e-9),
+    "ticks": lambda times: np.round(times / 55.296e-6),
+    "coarse": lambda times: np.floor(times / 0.01) * 0.01,
+    "late": lambda times: times + 0.5 * np.ptp(times),
+    "early": lambda times: times - np.ptp(times),
 }
 CHANGES = {**{name: lambda times, scale=scale: times * scale for name, scale in SCALES.items()}, **OTHERS}
 BEAM_DEGREES = 0.42
@@ -71,7 +91,8 @@ def main():
                 continue
             if sweep in wanted and sweep % args.every == 0:
                 message = STORE.deserialize_ros1(data, LIDAR)
-                data = STORE.serialize_ros1(changed(message, args.times, args.by_beam), LIDAR)
+                times = None if args.times == "alternating" and sweep % 2 else args.times
+                data = STORE.serialize_ros1(changed(message, times, args.by_beam), LIDAR)
                 writer.write(added[connection.id], time, data)
             sweep += 1
 

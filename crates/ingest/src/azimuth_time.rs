@@ -44,6 +44,14 @@ impl AzimuthTimes {
         }
     }
 
+    /// What stamps mean if the first point of a turn of so many seconds is measured so many seconds after them; none if neither its
+    /// beginning, its middle nor its end is near.
+    pub(super) fn of_begin(after_stamp: f64, turn: f64) -> Option<Self> {
+        let kinds = [Self::FromStamp, Self::AroundStamp, Self::UntilStamp];
+        let off = |kind: &Self| (after_stamp / turn + f64::from(kind.share_at_stamp())).abs();
+        kinds.into_iter().filter(|kind| off(kind) < 0.25).min_by(|a, b| off(a).total_cmp(&off(b)))
+    }
+
     /// Fraction of the turn that had passed at the stamp.
     fn share_at_stamp(self) -> f32 {
         match self {
@@ -239,6 +247,21 @@ mod tests {
             (4e8, UntilStamp),
         ] {
             assert_eq!(AzimuthTimes::of_stamps(Some(Duration::from_seconds(lag)), 0.1), expected, "{lag}");
+        }
+    }
+
+    #[test]
+    fn times_that_are_wrong_still_tell_where_in_the_turn_stamps_are() {
+        use AzimuthTimes::{AroundStamp, FromStamp, UntilStamp};
+        for (begin, expected) in [
+            (0.0, Some(FromStamp)),
+            (0.004, Some(FromStamp)),
+            (-0.05, Some(AroundStamp)),
+            (-0.1, Some(UntilStamp)),
+            (0.05, None),
+            (f64::NAN, None),
+        ] {
+            assert_eq!(AzimuthTimes::of_begin(begin, 0.1), expected, "{begin}");
         }
     }
 

@@ -57,6 +57,19 @@ pub(crate) struct TimeSpan {
     pub span: f64,
 }
 
+impl TimeSpan {
+    /// Whether times tell one point from another: they are not all alike, and no dates in single precision.
+    pub fn tells(&self) -> bool {
+        self.span > 0.0 && (self.field_type != FieldType::Float32 || self.date_unit().is_none())
+    }
+
+    /// The unit in which values are dates, if they are far larger than their span.
+    fn date_unit(&self) -> Option<f64> {
+        let is_far = self.least.abs().min(self.largest.abs()) > 100.0 * self.span;
+        UNITS.into_iter().find(|unit| is_far && (1e8..1e10).contains(&(self.least * unit)))
+    }
+}
+
 const UNITS: [f64; 4] = [1.0, 1e-3, 1e-6, 1e-9];
 /// Interval between sweeps where none is known, seconds.
 const USUAL_INTERVAL: f64 = 0.1;

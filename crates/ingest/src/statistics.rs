@@ -4,10 +4,10 @@ use portolan_geometry::{Point3f, Vector3};
 use portolan_numeric::median;
 use portolan_recording::{Imu, LaserScan, MultiEchoLaserScan, PointCloud2};
 
-use crate::azimuth_time::is_in_firing_order;
+use crate::azimuth_time::{Turn, is_in_firing_order};
 use crate::point_cloud2::CloudLayout;
-use crate::point_time::{PointTime, TimeSpan, detect};
-use crate::skew::{Skew, SkewEstimator};
+use crate::point_time::{PointTime, PointTimeOrigin, TimeSpan, detect};
+use crate::skew::{Skew, SkewEstimator, Times};
 
 /// So many scans or clouds tell enough.
 const MAX_MESSAGES: usize = 200;
@@ -25,7 +25,7 @@ const MIN_SPACE: f64 = 5.0;
 const SPINNING_RATES: std::ops::RangeInclusive<f64> = 4.0..=50.0;
 
 /// Sweeps last such a part of the interval between clouds, by times that may be wrong; others tell nothing of the motion.
-const DUTIES: std::ops::Range<f64> = 0.2..5.0;
+const DUTIES: std::ops::Range<f64> = 1e-3..5.0;
 
 /// What a range sensor is like. Angles in radians, distances in metres, times in seconds.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -61,7 +61,11 @@ pub struct RangeStatistics {
     /// What the times of points are to be multiplied with, as the motion in clouds tells; none if they are right as far as is known.
     /// 0: they are not to be used.
     pub time_scale: Option<f64>,
-    /// Whether times are wrong by that, but it is not clear by what.
+    /// How the lidar turns, where the azimuth tells times that fit the motion and recorded ones do not.
+    pub turn_told: Option<Turn>,
+    /// Seconds from the stamp of a cloud to its first point, by recorded times; none if these count from something else.
+    pub sweep_begin: Option<f64>,
+    /// Whether recorded times are wrong, but it is not clear what is right.
     pub times_in_doubt: bool,
     /// Whether the lidar stood while it was looked at, so that nothing can be said of the motion in its clouds.
     pub only_stood: bool,
@@ -247,16 +251,16 @@ impl RangeSampler {
         let span = self.time_spans.last().filter(|_| layout.has_time());
         match span {
             None if layout.has_time() => {}
-            None => {
-                self.in_firing_order += if is_in_firing_order(self.sweep.iter()) { 1 } else { -1 };
-                self.skew.add(cloud.header.stamp, &self.sweep, None);
-            }
-            Some(span) if span.span > 0.0 => {
+            Some(span) if span.tells() => {
                 let share = |time: &f64| ((time - span.least) / span.span).clamp(0.0, 1.0) as f32;
                 let shares: Vec<f32> = self.times.iter().map(share).collect();
                 self.skew.add(cloud.header.stamp, &self.sweep, Some(&shares));
             }
-            Some(_) => {}
+            // Times that are all alike are none, or say that the motion was taken out: sweeps tell.
+            None | Some(_) => {
+                self.in_firing_order += if is_in_firing_order(self.sweep.iter()) { 1 } else { -1 };
+                self.skew.add(cloud.header.stamp, &self.sweep, None);
+            }
         }
     }
 
@@ -308,7 +312,8 @@ impl RangeSampler {
             let index = ((self.ranges.len() as f64 - 1.0) * share).round().max(0.0) as usize;
             self.ranges.get(index).map_or(0.0, |r| f64::from(*r))
         };
-        let unit = self.point_time(interval).map_or(0.0, |t| t.unit);
+        let point_time = self.point_time(interval);
+        let unit = point_time.map_or(0.0, |t| t.unit);
         let mut sweeps = std::mem::take(&mut self.sweeps);
         sweeps.extend(self.time_spans.iter().map(|s| s.span * unit));
         let is_sweep_rate = interval.is_some_and(|interval| SPINNING_RATES.contains(&(1.0 / interval)));
@@ -318,10 +323,8 @@ impl RangeSampler {
         let duty = interval.map_or(0.0, |interval| sweep_duration / interval);
         let duty = if DUTIES.contains(&duty) { duty } else { 1.0 };
         let skew = self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty));
-        let has_times = sweep_duration > 0.0;
-        let told = skew.filter(|_| has_times).and_then(|skew| self.skew.times_told(&skew, duty));
         let vertical = f64::from(self.elevation.1 - self.elevation.0);
-        RangeStatistics {
+        let mut statistics = RangeStatistics {
             messages: self.readings.len(),
             rate: interval.map_or(0.0, |i| 1.0 / i),
             readings: median_count(&mut self.readings),
@@ -335,12 +338,41 @@ impl RangeSampler {
             saturation_range,
             sweep_duration,
             skew,
-            time_scale: told.map(|told| told.scale),
-            times_in_doubt: told.is_some_and(|told| !told.is_clear),
+            time_scale: None,
+            turn_told: None,
+            sweep_begin: point_time.and_then(|times| sweep_begin(&self.time_spans, times)),
+            times_in_doubt: false,
             only_stood: self.skew.only_stood(),
             is_in_firing_order: self.in_firing_order > 0,
+        };
+        self.judge_times(&mut statistics, duty);
+        statistics
+    }
+
+    /// Whether the times of points are right, as the motion in clouds tells.
+    fn judge_times(&self, statistics: &mut RangeStatistics, duty: f64) {
+        let spins = statistics.is_spinning();
+        let Some(skew) = statistics.skew.as_mut().filter(|_| statistics.sweep_duration > 0.0) else { return };
+        let Some(told) = self.skew.times_told(skew, duty, spins) else { return };
+        if told.is_clear {
+            skew.elevation = told.elevation;
+        }
+        statistics.times_in_doubt = !told.is_clear;
+        match told.times {
+            Times::Scaled(scale) => statistics.time_scale = Some(scale),
+            Times::ByAzimuth(turn) => statistics.turn_told = Some(turn),
         }
     }
+}
+
+/// Seconds from the stamp of clouds to their first points, by times that may be those of other points of the cloud.
+fn sweep_begin(spans: &[TimeSpan], times: PointTime) -> Option<f64> {
+    let begin = |span: &TimeSpan| match times.origin {
+        PointTimeOrigin::Stamp => Some(span.least * times.unit),
+        PointTimeOrigin::Epoch => Some(span.least * times.unit - span.stamp.unix_seconds()),
+        PointTimeOrigin::OtherClock => None,
+    };
+    median(&mut spans.iter().filter_map(begin).collect::<Vec<_>>())
 }
 
 const METRE: f32 = 1.0;

@@ -62,6 +62,9 @@ fn recorded_or_none(
 ) -> PointTimes {
     let Some(skew) = statistics.skew else { return PointTimes::recorded(times) };
     let topic = chosen.topic();
+    if let Some(turn) = statistics.turn_told {
+        return by_azimuth_instead(chosen, statistics, turn, plan);
+    }
     if let (Some(scale), Some(times)) = (statistics.time_scale, times)
         && (times.origin == PointTimeOrigin::Stamp || scale == 0.0)
     {
@@ -70,14 +73,7 @@ fn recorded_or_none(
             0.0.. => format!("they are taken to run {} times as fast", (100.0 * scale).round() / 100.0),
             _ => "they are taken to run backwards".to_owned(),
         };
-        let doubt = if statistics.times_in_doubt { "what fits best, but not clearly, is that " } else { "" };
-        plan.warn(
-            format!(
-                "the times of the points of {topic} do not fit their motion ({}): {doubt}{how}",
-                told(skew)
-            ),
-            CHANGE,
-        );
+        warn_of_times(chosen, statistics, &how, plan);
         return match scale {
             0.0 => PointTimes::OF_STAMP,
             _ => PointTimes::recorded(Some(PointTime { unit: scale * times.unit, ..times })),
@@ -109,6 +105,52 @@ fn recorded_or_none(
     }
 }
 
+/// Says that recorded times are wrong, and how points are taken.
+fn warn_of_times(chosen: &Chosen, statistics: &RangeStatistics, how: &str, plan: &mut SensorPlan) {
+    let doubt = if statistics.times_in_doubt { "what fits best, but not clearly, is that " } else { "" };
+    let factors = statistics.skew.map_or_else(String::new, told);
+    plan.warn(
+        format!(
+            "the times of the points of {} do not fit their motion ({factors}): {doubt}{how}",
+            chosen.topic()
+        ),
+        CHANGE,
+    );
+}
+
+/// Times by azimuth for the points of a spinning lidar whose recorded ones are of other points. Where in the turn stamps are is still
+/// known by these.
+fn by_azimuth_instead(
+    chosen: &Chosen,
+    statistics: &RangeStatistics,
+    turn: Turn,
+    plan: &mut SensorPlan,
+) -> PointTimes {
+    let interval = 1.0 / statistics.rate;
+    let seconds = turn.in_intervals * interval;
+    let by_azimuth = (statistics.sweep_begin)
+        .and_then(|begin| AzimuthTimes::of_begin(begin, seconds))
+        .unwrap_or_else(|| AzimuthTimes::of_stamps(chosen.survey.lag, seconds));
+    let how = format!(
+        "they are taken from the azimuth: sweeps {}{}",
+        by_azimuth.where_stamp_is(),
+        how_it_turns(turn, interval)
+    );
+    warn_of_times(chosen, statistics, &how, plan);
+    PointTimes { by_azimuth, turn: Some(turn), ..PointTimes::OF_STAMP }
+}
+
+/// The way that a lidar turns whose clouds come each `interval` seconds.
+fn how_it_turns(turn: Turn, interval: f64) -> String {
+    let way = if turn.is_clockwise { "clockwise" } else { "counter-clockwise" };
+    let seconds = turn.in_intervals * interval;
+    let missing = match turn.in_intervals < 1.0 {
+        true => format!(", and take {seconds:.2} s of the {interval:.2} s between clouds"),
+        false => String::new(),
+    };
+    format!(", go {way} from azimuth {:.0}°{missing}", turn.begin_radians.to_degrees())
+}
+
 /// Times by azimuth for the points of a spinning lidar that have none, unless their motion was taken out.
 fn by_azimuth_or_none(
     chosen: &Chosen,
@@ -117,10 +159,11 @@ fn by_azimuth_or_none(
     plan: &mut SensorPlan,
 ) -> PointTimes {
     let topic = chosen.topic();
-    // A field of times that are all alike says that the points are of one moment.
-    if chosen.survey.has_time_field {
+    // A field of times that are all alike says that the points are of one moment, as long as sweeps do not say otherwise.
+    if chosen.survey.has_time_field && turn.is_none() {
         return PointTimes::OF_STAMP;
     }
+    let lack = if chosen.survey.has_time_field { "times that are all alike" } else { "no times" };
     let state = statistics.skew.map_or(SkewState::Unknown, |skew| skew.state());
     let told = statistics
         .skew
@@ -131,7 +174,7 @@ fn by_azimuth_or_none(
     if is_removed {
         let how_much = if state == SkewState::Removed { "already" } else { "in part" };
         plan.note(
-            format!("the points of {topic} have no times, and they are de-skewed {how_much} ({told})"),
+            format!("the points of {topic} have {lack}, and they are de-skewed {how_much} ({told})"),
             CHANGE,
         );
         return PointTimes::OF_STAMP;
@@ -152,17 +195,10 @@ fn by_azimuth_or_none(
     let seconds = turn.map_or(1.0, |turn| turn.in_intervals) * interval;
     let by_azimuth = AzimuthTimes::of_stamps(chosen.survey.lag, seconds);
     let when = by_azimuth.where_stamp_is();
-    let how = turn.map_or_else(String::new, |turn| {
-        let way = if turn.is_clockwise { "clockwise" } else { "counter-clockwise" };
-        let missing = match turn.in_intervals < 1.0 {
-            true => format!(", and take {seconds:.2} s of the {interval:.2} s between clouds"),
-            false => String::new(),
-        };
-        format!(", go {way} from azimuth {:.0}°{missing}", turn.begin_radians.to_degrees())
-    });
+    let how = turn.map_or_else(String::new, |turn| how_it_turns(turn, interval));
     plan.note(
         format!(
-            "the points of {topic} have no times; they get them from their azimuth: sweeps {when}{how} \
+            "the points of {topic} have {lack}; they get them from their azimuth: sweeps {when}{how} \
              ({told})"
         ),
         CHANGE,

@@ -16,9 +16,26 @@ pub(super) const LIKELY: f64 = 2.5;
 /// Another seam must fit so much better, in standard deviations.
 const CLEARLY: f64 = 4.0;
 
+/// What tells when a point was measured: shares of a turn or of a sweep, 0 to 1.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Phases {
+    /// Of the turn by azimuth, from behind, counter-clockwise.
+    pub azimuth: f32,
+    /// Of the sweep by the time that was recorded with the point.
+    pub recorded: f32,
+}
+
+/// Which phase times follow from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Clock {
+    Azimuth,
+    Recorded,
+}
+
 /// When in a turn which phase was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TurnTimes {
+    pub clock: Clock,
     /// Phase at which turns begin, 0 to 1.
     pub begin: f32,
     /// 1 where phases grow with time, −1 where they fall.
@@ -28,11 +45,24 @@ pub(super) struct TurnTimes {
 }
 
 impl TurnTimes {
-    /// Phases are shares of the sweep already.
-    pub const OF_SHARES: Self = Self { begin: 0.0, sense: 1.0, part: 1.0 };
+    /// Times as they were recorded.
+    pub const RECORDED: Self = Self { clock: Clock::Recorded, begin: 0.0, sense: 1.0, part: 1.0 };
+
+    /// A turn whose azimuths tell the time.
+    pub fn by_azimuth(begin: f32, sense: f32) -> Self {
+        Self { clock: Clock::Azimuth, begin, sense, part: 1.0 }
+    }
 
     /// Time since the middle of the turn, in intervals between clouds.
-    pub fn share(&self, phase: f32) -> f64 {
+    pub fn share(&self, phases: Phases) -> f64 {
+        self.share_at(match self.clock {
+            Clock::Azimuth => phases.azimuth,
+            Clock::Recorded => phases.recorded,
+        })
+    }
+
+    /// The same by the phase that counts.
+    fn share_at(&self, phase: f32) -> f64 {
         // The last point of a sweep is at its end, not at its beginning.
         if self.begin == 0.0 && self.sense > 0.0 {
             return self.part * (f64::from(phase) - 0.5);
@@ -50,7 +80,7 @@ pub(super) struct Row {
     pub residual: f64,
     pub weight: f64,
     /// Of the point, and of the surface that it is on.
-    pub phases: [f32; 2],
+    pub phases: [Phases; 2],
     /// What the residual changes by if these are given one turn more: by translation and by rotation.
     pub gains: [Vector2; 2],
     /// What the residual changes by for each radian that all beams are raised.
@@ -76,11 +106,11 @@ pub(super) struct Step {
 
 /// What the factors should be changed by, poses being free.
 pub(super) fn step(pairs: &[&Pair], times: TurnTimes) -> Option<Step> {
-    step_toward(pairs, |phase| times.share(phase))
+    step_toward(pairs, |phases| times.share(phases))
 }
 
-/// The change of the factors of any function of the phase, in turns.
-fn step_toward(pairs: &[&Pair], share: impl Fn(f32) -> f64) -> Option<Step> {
+/// The change of the factors of any function of the phases, in turns.
+fn step_toward(pairs: &[&Pair], share: impl Fn(Phases) -> f64) -> Option<Step> {
     solve(pairs, |row| row.slopes(&share))
 }
 
@@ -131,7 +161,7 @@ fn held(information: Matrix2<f64>) -> Matrix2<f64> {
 }
 
 impl Row {
-    fn slopes(&self, share: impl Fn(f32) -> f64) -> Vector2 {
+    fn slopes(&self, share: impl Fn(Phases) -> f64) -> Vector2 {
         self.gains[0] * share(self.phases[0]) + self.gains[1] * share(self.phases[1])
     }
 
@@ -144,17 +174,17 @@ impl Row {
 /// better.
 pub(super) fn most_likely_turn(pairs: &[&Pair]) -> Option<TurnTimes> {
     let equations = BinEquations::of(pairs)?;
-    let sure = |times: &TurnTimes| equations.step(|phase| times.share(phase)).sureness();
+    let sure = |times: &TurnTimes| equations.step(|phase| times.share_at(phase)).sureness();
     turns().max_by(|a, b| sure(a).total_cmp(&sure(b)))
 }
 
 /// A turn that fits clearly better than the one whose motion was taken out already.
 pub(super) fn better_turn(pairs: &[&Pair], taken_out: TurnTimes) -> Option<TurnTimes> {
     let equations = BinEquations::of(pairs)?;
-    let change = |times: &TurnTimes, phase: f32| times.share(phase) - taken_out.share(phase);
+    let change = |times: &TurnTimes, phase: f32| times.share_at(phase) - taken_out.share_at(phase);
     let sure = |times: &TurnTimes| equations.step(|phase| change(times, phase)).sureness();
     let best = turns().filter(|t| *t != taken_out).max_by(|a, b| sure(a).total_cmp(&sure(b)))?;
-    let step = step_toward(pairs, |phase| change(&best, phase))?;
+    let step = step_toward(pairs, |phases| change(&best, phases.azimuth))?;
     // A third of the way is what one step finds.
     let is_better = |factor: f64, sigma: f64| factor > (CLEARLY * sigma).max(0.2);
     let Step { factors, sigmas } = step;
@@ -165,10 +195,10 @@ pub(super) fn better_turn(pairs: &[&Pair], taken_out: TurnTimes) -> Option<TurnT
 /// those of one.
 pub(super) fn largest_steps(pairs: &[&Pair], of_one: Step, one: TurnTimes) -> Option<Vector2> {
     let equations = BinEquations::of(pairs)?;
-    let formal = equations.step(|phase| one.share(phase)).sigmas();
+    let formal = equations.step(|phase| one.share_at(phase)).sigmas();
     let scale = of_one.sigmas.component_div(&formal);
     let likely = |times: TurnTimes| {
-        let step = equations.step(|phase| times.share(phase));
+        let step = equations.step(|phase| times.share_at(phase));
         step.factors() + scale.component_mul(&step.sigmas()) * LIKELY
     };
     turns().map(likely).reduce(|a, b| a.sup(&b))
@@ -176,7 +206,7 @@ pub(super) fn largest_steps(pairs: &[&Pair], of_one: Step, one: TurnTimes) -> Op
 
 fn turns() -> impl Iterator<Item = TurnTimes> {
     let begin = |i: usize| i as f32 / BINS as f32;
-    (0..BINS).flat_map(move |i| [1.0, -1.0].map(|sense| TurnTimes { begin: begin(i), sense, part: 1.0 }))
+    (0..BINS).flat_map(move |i| [1.0, -1.0].map(|sense| TurnTimes::by_azimuth(begin(i), sense)))
 }
 
 /// Normal equations of the times of all phases, poses eliminated: first of translation, then of rotation.
@@ -224,7 +254,7 @@ impl BinEquations {
         Some(Self { information, gradient })
     }
 
-    /// Of the factors of these times.
+    /// Of the factors of times by azimuth.
     fn step(&self, share: impl Fn(f32) -> f64) -> FactorEquations {
         let times = DVector::from_fn(BINS, |i, _| share((i as f32 + 0.5) / BINS as f32));
         let block = |i: usize, j: usize| {
@@ -240,7 +270,7 @@ impl BinEquations {
 impl Row {
     /// What the residual changes by with the times of bins, by translation and by rotation.
     fn bin_gains(&self) -> [(usize, f64); 4] {
-        let bins = self.phases.map(|phase| (phase * BINS as f32) as usize % BINS);
+        let bins = self.phases.map(|phases| (phases.azimuth * BINS as f32) as usize % BINS);
         let [source, target] = self.gains;
         [(bins[0], source.x), (bins[1], target.x), (BINS + bins[0], source.y), (BINS + bins[1], target.y)]
     }

@@ -17,7 +17,7 @@ const MIN_PAIRS: usize = 4;
 pub(super) fn usual_turns() -> impl Iterator<Item = TurnTimes> {
     [0.0, 0.25, 0.5, 0.75]
         .into_iter()
-        .flat_map(|begin| [1.0, -1.0].map(|sense| TurnTimes { begin, sense, part: 1.0 }))
+        .flat_map(|begin| [1.0, -1.0].map(|sense| TurnTimes::by_azimuth(begin, sense)))
 }
 
 /// Whether sweeps fit clearly better in the second way; both were followed from the same pairs.

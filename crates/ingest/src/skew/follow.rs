@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use portolan_geometry::{Point3f, Rigid3, Vector2, Vector3, angle_axis_from_quaternion};
 use portolan_spatial::reduce_indices;
 
-use super::evidence::{Pair, Row, TurnTimes};
+use super::evidence::{Pair, Phases, Row, TurnTimes};
 use super::target::{FEWER, LAST_GATE, LEAST_SCALE, Match, Surface, Target, scale_of, weight};
 use crate::beam_elevation::{Raise, by_elevation};
 
@@ -43,8 +43,7 @@ const STILL: f64 = 0.004;
 pub(super) struct Sample {
     /// In the frame of the lidar, metres.
     points: Vec<[f32; 3]>,
-    /// Share of the turn by azimuth from behind, counter-clockwise, or of the sweep by time; 0 to 1.
-    phases: Vec<f32>,
+    pub phases: Vec<Phases>,
     median_range: f32,
 }
 
@@ -82,9 +81,9 @@ impl Twist {
 
 impl Sample {
     /// One point for each voxel, whose edge is adapted from sweep to sweep.
-    pub fn thinned(points: &[Point3f], phases: &[f32], edge: &mut f32) -> Self {
+    pub fn thinned(points: &[Point3f], phases: &[Phases], edge: &mut f32) -> Self {
         let stride = points.len().div_ceil(MAX_POINTS).max(1);
-        let mut some: Vec<(f32, &Point3f, f32)> = (points.iter().zip(phases).step_by(stride))
+        let mut some: Vec<(f32, &Point3f, Phases)> = (points.iter().zip(phases).step_by(stride))
             .map(|(point, phase)| (point.coords.norm(), point, *phase))
             .collect();
         some.retain(|(range, ..)| range.is_finite() && *range > 0.0);
@@ -109,8 +108,8 @@ impl Sample {
         Self { points, phases, median_range }
     }
 
-    /// One of its points, and the phase of this point.
-    fn point(&self, index: usize) -> Option<(Vector3, f32)> {
+    /// One of its points, and the phases of this point.
+    fn point(&self, index: usize) -> Option<(Vector3, Phases)> {
         let point = Vector3::from(self.points.get(index)?.map(f64::from));
         Some((point, *self.phases.get(index)?))
     }
@@ -124,9 +123,9 @@ impl Sample {
     /// With the motion taken out that its points have by these times.
     fn straightened(&self, times: Option<TurnTimes>, twist: &Twist) -> Vec<[f32; 3]> {
         let Some(times) = times else { return self.points.clone() };
-        let moved = |(p, phase): (&[f32; 3], &f32)| {
+        let moved = |(p, phases): (&[f32; 3], &Phases)| {
             let point = Vector3::from(p.map(f64::from));
-            (point + twist.of(&point) * times.share(*phase)).cast::<f32>().into()
+            (point + twist.of(&point) * times.share(*phases)).cast::<f32>().into()
         };
         self.points.iter().zip(&self.phases).map(moved).collect()
     }
@@ -248,14 +247,14 @@ fn first_pose(target: &mut Target, sources: &[Vec<(usize, Vector3)>]) -> Option<
 fn pair([from, to]: [(&Sample, &Twist); 2], pose: &Rigid3, matches: &[Match]) -> Pair {
     let scale = scale_of(matches);
     let row = |m: &Match| {
-        let (source, source_phase) = from.0.point(m.source)?;
-        let (target, target_phase) = to.0.point(m.target as usize)?;
+        let (source, source_phases) = from.0.point(m.source)?;
+        let (target, target_phases) = to.0.point(m.target as usize)?;
         let in_source = pose.rotation.inverse() * m.normal;
         Some(Row {
             jacobian: m.jacobian(),
             residual: m.residual,
             weight: weight(m.residual, scale),
-            phases: [source_phase, target_phase],
+            phases: [source_phases, target_phases],
             gains: [from.1.parts(&source, &in_source), -to.1.parts(&target, &m.normal)],
             by_elevation: in_source.dot(&by_elevation(&source)) - m.normal.dot(&by_elevation(&target)),
             direction: m.place.y.atan2(m.place.x) as f32,

@@ -3,9 +3,11 @@
 //! A recording may hold every other cloud of a lidar, or one in three: to save space, or because its topic was throttled. Clouds
 //! without times do not say so. If all of the motion of a turn is in the points, and it is a half or a third of that
 //! between clouds, so long is the turn. Times of points may count backwards, as the age of points at the end of the sweep, or be made for
-//! another rate of revolution.
+//! another rate of revolution. Or they are those of other points: of another lidar, of a turn that begins elsewhere, shuffled. Where a lidar
+//! spins the azimuth tells the times of its points, too.
 
 use super::{Skew, SkewFactor};
+use crate::azimuth_time::Turn;
 
 /// One cloud in so many is there.
 const ONE_IN: [f64; 2] = [2.0, 3.0];
@@ -55,22 +57,57 @@ fn misfit(skew: &Skew, expected: f64) -> f64 {
     known.map(|f| ((f.factor - expected) / f.sigma.hypot(SECANT_ERROR * expected)).powi(2)).sum()
 }
 
+/// What the times of points may be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Times {
+    /// Those that were recorded, multiplied with this; 0: they are not to be used.
+    Scaled(f64),
+    /// Those that follow from the azimuth, of a lidar that turns like this.
+    ByAzimuth(Turn),
+}
+
 /// What sweeps say of the times of their points.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct TimesTold {
-    /// What times are to be multiplied with; 0: they are not to be used.
-    pub scale: f64,
+pub(super) struct Told {
+    /// What they are.
+    pub times: Times,
     /// Whether it is clear that this is right, not only that times are wrong as they are.
     pub is_clear: bool,
 }
 
-/// How sweeps fit if times are multiplied with this or that.
-pub(super) trait Fits {
-    /// By how many standard deviations sweeps fit better with times multiplied with `to` than with `from`.
-    fn sigmas_better(&self, from: f64, to: f64) -> f64;
+/// What sweeps say if the azimuth tells times, where it tells others than those recorded.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AzimuthWitness {
+    /// Factors in units of the motion by azimuth.
+    pub skew: Skew,
+    /// What they are if recorded times are right.
+    pub slope: f64,
+}
 
-    /// How many points lie on surfaces with times multiplied like this.
-    fn explained(&self, scale: f64) -> f64;
+impl AzimuthWitness {
+    fn times(&self) -> Times {
+        Times::ByAzimuth(self.skew.turn())
+    }
+
+    /// Squared standard deviations that factors are off if these are the times.
+    fn misfit(&self, times: Times) -> f64 {
+        misfit(
+            &self.skew,
+            match times {
+                Times::Scaled(scale) => scale * self.slope,
+                Times::ByAzimuth(_) => 1.0,
+            },
+        )
+    }
+}
+
+/// How sweeps fit if these are the times of points.
+pub(super) trait Fits {
+    /// By how many standard deviations sweeps fit better with the second ones.
+    fn sigmas_better(&self, from: Times, to: Times) -> f64;
+
+    /// How many points lie on surfaces with these.
+    fn explained(&self, times: Times) -> f64;
 }
 
 /// Whether times that span such a part of the interval between clouds span a turn.
@@ -89,11 +126,43 @@ pub(super) fn scales_of_times(duty: f64) -> impl Iterator<Item = f64> {
     wrong_scales(duty).chain([0.0, 1.0])
 }
 
-/// What the times of points are to be multiplied with, as factors and fits together tell; none if nothing speaks against them. Factors are
+const AS_RECORDED: Times = Times::Scaled(1.0);
+const NONE: Times = Times::Scaled(0.0);
+
+/// What the times of points are, as factors and fits together tell; none if nothing speaks against those recorded. Factors are
 /// in units of the motion during the time that times span, which is the share `duty` of the interval between clouds.
-pub(super) fn told_by_fits(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<TimesTold> {
+pub(super) fn told_by_fits(
+    skew: &Skew,
+    duty: f64,
+    by_azimuth: Option<AzimuthWitness>,
+    fits: &impl Fits,
+) -> Option<Told> {
+    let scaled = clear_scale(skew, duty, fits);
+    let turned = by_azimuth.and_then(|witness| clear_by_azimuth(&witness, scaled, fits));
+    if let Some(times) = turned.or(scaled) {
+        // Another hypothesis that fits better, though not clearly, leaves open which is right.
+        let is_rivalled = by_azimuth
+            .is_some_and(|witness| turned.is_none() && fits.sigmas_better(times, witness.times()) > 0.0);
+        if !is_rivalled {
+            return Some(Told { times, is_clear: true });
+        }
+    }
+    let all = || scales_of_times(duty).map(Times::Scaled).chain(by_azimuth.map(|witness| witness.times()));
+    // Where sweeps tell nothing of the motion, as those that never repeat, all points at one time fit best, whatever is right.
+    let is_known = skew.translation.sigma.is_finite() || skew.rotation.sigma.is_finite();
+    let contradicts = |times: Times| {
+        fits.sigmas_better(AS_RECORDED, times) > CONTRADICTED
+            && (is_known || fits.sigmas_better(NONE, times) > 0.0)
+    };
+    let is_contradicted = scaled.is_some() || all().any(contradicts);
+    let times = all().max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
+    is_contradicted.then_some(Told { times, is_clear: false })
+}
+
+/// What recorded times are to be multiplied with, if that is clear.
+fn clear_scale(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<Times> {
     let evidence = |from: f64, to: f64| {
-        let sigmas = fits.sigmas_better(from, to);
+        let sigmas = fits.sigmas_better(Times::Scaled(from), Times::Scaled(to));
         misfit(skew, from) - misfit(skew, to) + sigmas * sigmas.abs()
     };
     let spans_turn = |scale: f64| is_whole_turn(scale.abs() * duty);
@@ -102,17 +171,19 @@ pub(super) fn told_by_fits(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<T
     let exceeds = |scale: f64| evidence(1.0, scale).min(evidence(0.0, scale)) - margin(scale);
     let likely = wrong_scales(duty).filter(|scale| misfit(skew, *scale) < LIKELY);
     let clear = likely.map(|scale| (exceeds(scale), scale)).max_by(|a, b| a.0.total_cmp(&b.0));
-    if let Some((_, scale)) = clear.filter(|(exceeds, _)| *exceeds > 0.0) {
-        return Some(TimesTold { scale, is_clear: true });
-    }
-    // Where sweeps tell nothing of the motion, as those that never repeat, all points at one time fit best, whatever is right.
-    let is_known = skew.translation.sigma.is_finite() || skew.rotation.sigma.is_finite();
-    let contradicts = |scale: f64| {
-        fits.sigmas_better(1.0, scale) > CONTRADICTED && (is_known || fits.sigmas_better(0.0, scale) > 0.0)
+    clear.filter(|(exceeds, _)| *exceeds > 0.0).map(|(_, scale)| Times::Scaled(scale))
+}
+
+/// Times by azimuth, if it is clear that these are right: the clock of the sweep is taken from its points then.
+fn clear_by_azimuth(witness: &AzimuthWitness, scaled: Option<Times>, fits: &impl Fits) -> Option<Times> {
+    let times = witness.times();
+    let evidence = |from: Times| {
+        let sigmas = fits.sigmas_better(from, times);
+        witness.misfit(from) - witness.misfit(times) + sigmas * sigmas.abs()
     };
-    let is_contradicted = scales_of_times(duty).any(contradicts);
-    let scale = scales_of_times(duty).max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
-    is_contradicted.then_some(TimesTold { scale, is_clear: false })
+    let exceeds = |from: Times| evidence(from) > CLEAR_MARGIN;
+    let is_clear = exceeds(AS_RECORDED) && exceeds(NONE) && scaled.is_none_or(exceeds);
+    (is_clear && witness.misfit(times) < LIKELY).then_some(times)
 }
 
 #[cfg(test)]
@@ -162,21 +233,29 @@ mod tests {
     struct Explained(fn(f64) -> f64, f64);
 
     impl Fits for Explained {
-        fn sigmas_better(&self, from: f64, to: f64) -> f64 {
+        fn sigmas_better(&self, from: Times, to: Times) -> f64 {
             (self.explained(to) - self.explained(from)) / self.1
         }
 
-        fn explained(&self, scale: f64) -> f64 {
-            self.0(scale)
+        fn explained(&self, times: Times) -> f64 {
+            match times {
+                Times::Scaled(scale) => self.0(scale),
+                Times::ByAzimuth(_) => BY_AZIMUTH,
+            }
         }
     }
+
+    /// How sweeps fit with times by azimuth.
+    const BY_AZIMUTH: f64 = 1.0;
 
     #[test]
     fn fits_tell_where_factors_are_not_clear() {
         let unknown = (-0.8, f64::INFINITY);
         let told = |translation, rotation, duty, fit, error| {
-            told_by_fits(&skew(translation, rotation), duty, &Explained(fit, error))
-                .map(|told| (told.scale, told.is_clear))
+            told_by_fits(&skew(translation, rotation), duty, None, &Explained(fit, error)).map(|told| {
+                let Times::Scaled(scale) = told.times else { panic!("{told:?}") };
+                (scale, told.is_clear)
+            })
         };
         let right: fn(f64) -> f64 = |s| -(s - 1.0).abs();
         let back: fn(f64) -> f64 = |s| -(s + 1.0).abs();
@@ -196,6 +275,28 @@ mod tests {
         assert_eq!(told(factors.0, factors.1, 1.0, nothing, 1.0), None);
         assert_eq!(told(factors.0, factors.1, 1.0, double, 0.3), Some((2.0, true)));
         assert_eq!(told(factors.0, factors.1, 0.5, right, 0.2), None);
+    }
+
+    #[test]
+    fn times_by_azimuth_must_fit_better_than_all_others() {
+        let unknown = (7.0, f64::INFINITY);
+        let told = |by_azimuth, slope, fit, error| {
+            let witness = AzimuthWitness { skew: skew(by_azimuth, unknown), slope };
+            told_by_fits(&skew((0.1, 0.2), (0.0, 0.2)), 1.0, Some(witness), &Explained(fit, error))
+        };
+        let by_azimuth = |is_clear| {
+            let times = Times::ByAzimuth(skew(unknown, unknown).turn());
+            Some(Told { times, is_clear })
+        };
+        let none: fn(f64) -> f64 = |s| -s.abs();
+        // Factors alone, where fits agree; fits alone; both together; neither.
+        assert_eq!(told((1.0, 0.1), -0.5, none, 1.0), by_azimuth(true));
+        assert_eq!(told(unknown, 0.0, none, 0.2), by_azimuth(true));
+        assert_eq!(told((0.9, 0.3), 0.0, none, 0.3), by_azimuth(true));
+        assert_eq!(told((0.9, 0.3), 0.0, none, 0.7), by_azimuth(false));
+        assert_eq!(told((0.9, 0.4), 0.0, none, 1.0), None);
+        // Points move as recorded times say.
+        assert_eq!(told((0.5, 0.1), 0.5, |s| 1.0 - (s - 1.0).abs(), 1.0), None);
     }
 
     #[test]

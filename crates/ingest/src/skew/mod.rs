@@ -23,6 +23,7 @@ mod hypotheses;
 mod target;
 #[cfg(test)]
 mod tests;
+mod times;
 
 use std::f32::consts::{PI, TAU};
 
@@ -30,10 +31,11 @@ use portolan_geometry::{Point3f, Time, Vector2};
 
 use crate::azimuth_time::Turn;
 use crate::beam_elevation::ElevationOffset;
-use evidence::{Step, TurnTimes};
+use evidence::{Clock, Pair, Phases, Step, TurnTimes};
 use follow::{Followed, Sample};
-use hypotheses::Fits;
-pub(crate) use hypotheses::TimesTold;
+pub(crate) use hypotheses::Times;
+#[cfg(test)]
+use times::TimesTold;
 
 /// Sweeps that are judged together.
 const SWEEPS_OF_A_BATCH: usize = 16;
@@ -192,6 +194,8 @@ pub(crate) struct SkewEstimator {
     /// Whether sweeps were seen from one place.
     stood: bool,
     skew: Option<Skew>,
+    /// Whether the motion was taken out by recorded times, and azimuths leave that open.
+    is_open: bool,
 }
 
 /// Sweeps that follow each other, registered as they came.
@@ -210,11 +214,11 @@ impl SkewEstimator {
         }
         self.interval = self.last.replace(stamp).map_or(0.0, |last| stamp.seconds_since(last));
         self.has_times = shares.is_some();
-        let phase = |(i, p): (usize, &Point3f)| match shares {
-            Some(shares) => shares.get(i).copied().unwrap_or(0.5),
-            None => (p.y.atan2(p.x) + PI) / TAU,
+        let phases = |(i, p): (usize, &Point3f)| Phases {
+            azimuth: (p.y.atan2(p.x) + PI) / TAU,
+            recorded: shares.and_then(|shares| shares.get(i).copied()).unwrap_or(0.5),
         };
-        let phases: Vec<f32> = points.iter().enumerate().map(phase).collect();
+        let phases: Vec<Phases> = points.iter().enumerate().map(phases).collect();
         self.pending.push(Sample::thinned(points, &phases, &mut self.edge));
         if self.pending.len() == SWEEPS_OF_A_BATCH {
             self.judge();
@@ -224,8 +228,9 @@ impl SkewEstimator {
     /// Whether more sweeps would tell nothing new.
     pub fn is_done(&self) -> bool {
         let is_open = |offset: ElevationOffset| !offset.is_clear() && offset.may_be_there();
-        let is_known =
-            |skew: Skew| skew.state() != SkewState::Unknown && !skew.elevation.is_some_and(is_open);
+        let is_known = |skew: Skew| {
+            skew.state() != SkewState::Unknown && !self.is_open && !skew.elevation.is_some_and(is_open)
+        };
         self.batches.len() >= MAX_BATCHES || self.skew.is_some_and(is_known)
     }
 
@@ -247,91 +252,96 @@ impl SkewEstimator {
         }
         let Some(as_is) = follow::follow(&samples, None, None) else { return };
         self.batches.push(Batch { samples, as_is });
-        self.skew = self.estimate().or(self.skew);
+        if let Some((skew, is_open)) = self.estimate() {
+            (self.skew, self.is_open) = (Some(skew), is_open);
+        }
     }
 
-    fn estimate(&self) -> Option<Skew> {
-        let as_is: Vec<_> = self.batches.iter().flat_map(|b| &b.as_is.pairs).collect();
-        let mut times = match self.has_times {
-            true => TurnTimes::OF_SHARES,
-            false => evidence::most_likely_turn(&as_is)?,
+    /// What is known by now, and whether azimuths leave it open.
+    fn estimate(&self) -> Option<(Skew, bool)> {
+        let Judged { mut skew, times, straightened } = match self.has_times {
+            true => self.judged(TurnTimes::RECORDED)?,
+            false => self.judged_by_azimuth()?,
         };
-        for round in 0.. {
-            let mut straightened = self.straightened(times)?;
-            let pairs: Vec<_> = straightened.iter().flat_map(|f| &f.pairs).collect();
-            let better =
-                evidence::better_turn(&pairs, times).filter(|_| !self.has_times && round < SEAM_ROUNDS);
-            if let Some(better) = better {
-                times = better;
-                continue;
-            }
-            let (at_none, at_all) = (evidence::step(&as_is, times)?, evidence::step(&pairs, times)?);
-            let largest = if self.has_times {
-                at_none.factors + at_none.sigmas * evidence::LIKELY
-            } else {
-                evidence::largest_steps(&as_is, at_none, times)?
-            };
-            let mut skew = skew(at_none, at_all, largest, times);
-            if let Some((shorter, fits)) = self.shorter_turn(&skew, times, &straightened) {
-                (times, straightened) = (shorter, fits);
-                skew = Skew { turn_in_intervals: times.part, ..skew.of_part(times.part) };
-            }
-            skew.is_contradicted = self.is_contradicted(skew.state(), &straightened);
-            skew.elevation = match skew.state() {
-                SkewState::Raw => beams::elevation(&self.batches, &straightened, Some(times)),
-                SkewState::Removed => beams::elevation(&self.batches, &self.as_is(), None),
-                SkewState::Partial | SkewState::Unknown => None,
-            };
-            return Some(skew);
-        }
-        None
+        // By their times points are as if seen from one place; that may be because these are of other points.
+        let may_be_raw = self.has_times && skew.state() == SkewState::Removed;
+        let by_azimuth = if may_be_raw { self.other_state_by_azimuth() } else { None };
+        skew.is_contradicted = matches!(by_azimuth, Some(SkewState::Raw | SkewState::Partial))
+            || self.is_contradicted(skew.state(), &straightened);
+        skew.elevation = match skew.state() {
+            SkewState::Raw => beams::elevation(&self.batches, &straightened, Some(times)),
+            SkewState::Removed => beams::elevation(&self.batches, &self.as_is(), None),
+            SkewState::Partial | SkewState::Unknown => None,
+        };
+        Some((skew, by_azimuth == Some(SkewState::Unknown)))
     }
 }
 
+/// What is in the points if they were measured at such times, and the sweeps with that motion taken out.
+struct Judged {
+    skew: Skew,
+    times: TurnTimes,
+    straightened: Vec<Followed>,
+}
+
 impl SkewEstimator {
+    fn judged(&self, times: TurnTimes) -> Option<Judged> {
+        let as_is = self.pairs_as_is();
+        let straightened = self.straightened(times)?;
+        let (at_none, at_all) =
+            (evidence::step(&as_is, times)?, evidence::step(&pairs(&straightened), times)?);
+        let largest = match times.clock {
+            Clock::Recorded => at_none.factors + at_none.sigmas * evidence::LIKELY,
+            Clock::Azimuth => evidence::largest_steps(&as_is, at_none, times)?,
+        };
+        Some(Judged { skew: skew(at_none, at_all, largest, times), times, straightened })
+    }
+
+    /// The same by azimuth, with the turn that is most likely.
+    fn judged_by_azimuth(&self) -> Option<Judged> {
+        let mut judged = self.judged(evidence::most_likely_turn(&self.pairs_as_is())?)?;
+        for _ in 0..SEAM_ROUNDS {
+            let Some(better) = evidence::better_turn(&pairs(&judged.straightened), judged.times) else {
+                break;
+            };
+            judged = self.judged(better)?;
+        }
+        if let Some((times, straightened)) = self.shorter_turn(&judged) {
+            let skew = Skew { turn_in_intervals: times.part, ..judged.skew.of_part(times.part) };
+            judged = Judged { skew, times, straightened };
+        }
+        Some(judged)
+    }
+
+    fn pairs_as_is(&self) -> Vec<&Pair> {
+        self.batches.iter().flat_map(|batch| &batch.as_is.pairs).collect()
+    }
+
     /// Whether sweeps fit better as they came although they are said to be raw, or the other way round.
     fn is_contradicted(&self, state: SkewState, straightened: &[Followed]) -> bool {
-        let fits_better_as_is = |straightened: &[Followed]| fit::is_better(straightened, &self.as_is());
         let fits_worse_as_is = |straightened: &[Followed]| fit::is_better(&self.as_is(), straightened);
         match state {
-            SkewState::Raw => fits_better_as_is(straightened),
-            SkewState::Removed if self.has_times => fits_worse_as_is(straightened),
-            SkewState::Removed => fit::usual_turns()
-                .filter_map(|turn| self.straightened(turn))
-                .any(|straightened| fits_worse_as_is(&straightened)),
+            SkewState::Raw => {
+                fit::is_better(straightened, &self.as_is())
+                    || (self.has_times && self.turns_begin_elsewhere(straightened))
+            }
+            SkewState::Removed => {
+                (self.has_times && fits_worse_as_is(straightened))
+                    || fit::usual_turns()
+                        .filter_map(|turn| self.straightened(turn))
+                        .any(|straightened| fits_worse_as_is(&straightened))
+            }
             SkewState::Partial | SkewState::Unknown => false,
         }
     }
 
     /// The same turn in a part of the interval between clouds, with the sweeps as they are then, if that is what factors say and sweeps fit
     /// clearly better so.
-    fn shorter_turn(
-        &self,
-        skew: &Skew,
-        times: TurnTimes,
-        straightened: &[Followed],
-    ) -> Option<(TurnTimes, Vec<Followed>)> {
-        let one_in = if self.has_times { None } else { hypotheses::one_cloud_in(skew, self.interval) };
-        let times = TurnTimes { part: one_in?.recip(), ..times };
+    fn shorter_turn(&self, judged: &Judged) -> Option<(TurnTimes, Vec<Followed>)> {
+        let one_in = hypotheses::one_cloud_in(&judged.skew, self.interval);
+        let times = TurnTimes { part: one_in?.recip(), ..judged.times };
         let shorter = self.straightened(times)?;
-        fit::is_better(straightened, &shorter).then_some((times, shorter))
-    }
-
-    /// What the times of points are to be multiplied with, if they are not right; they span such a share of the interval between
-    /// clouds, and the skew is in units of the motion during that.
-    pub fn times_told(&self, skew: &Skew, duty: f64) -> Option<TimesTold> {
-        if let Some(scale) = hypotheses::scale_of_times(skew) {
-            return Some(TimesTold { scale, is_clear: true });
-        }
-        let is_settled =
-            hypotheses::is_whole_turn(duty) && matches!(skew.state(), SkewState::Raw | SkewState::Removed);
-        if !self.has_times || is_settled {
-            return None;
-        }
-        let times = |scale: f64| TurnTimes { part: scale * duty, ..TurnTimes::OF_SHARES };
-        let fits =
-            hypotheses::scales_of_times(duty).map(|scale| Some((scale, self.straightened(times(scale))?)));
-        hypotheses::told_by_fits(skew, duty, &FitsOfTimes(fits.collect::<Option<_>>()?))
+        fit::is_better(&judged.straightened, &shorter).then_some((times, shorter))
     }
 
     /// All sweeps with the motion of such turns taken out; none if they do not fit then.
@@ -344,23 +354,8 @@ impl SkewEstimator {
     }
 }
 
-/// Sweeps by what their times were multiplied with.
-struct FitsOfTimes(Vec<(f64, Vec<Followed>)>);
-
-impl FitsOfTimes {
-    fn with(&self, scale: f64) -> &[Followed] {
-        self.0.iter().find(|(s, _)| *s == scale).map_or(&[], |(_, followed)| followed)
-    }
-}
-
-impl Fits for FitsOfTimes {
-    fn sigmas_better(&self, from: f64, to: f64) -> f64 {
-        fit::sigmas_better(self.with(from), self.with(to))
-    }
-
-    fn explained(&self, scale: f64) -> f64 {
-        fit::explained(self.with(scale))
-    }
+fn pairs(followed: &[Followed]) -> Vec<&Pair> {
+    followed.iter().flat_map(|followed| &followed.pairs).collect()
 }
 
 impl Batch {

@@ -127,8 +127,50 @@ fn times_that_are_wrong_are_told_and_right_ones_are_left() {
             estimator.add(at(index), &points, Some(&shares));
         }
         let skew = estimator.skew().unwrap().of_part(duty);
-        let told = estimator.times_told(&skew, duty).map(|told| (told.scale, told.is_clear));
-        assert_eq!(told, expected.map(|scale| (scale, true)), "{sense} {duty}: {skew:?}");
+        for spins in [false, true] {
+            let told = estimator.times_told(&skew, duty, spins).map(|told| (told.times, told.is_clear));
+            let expected = expected.map(|scale| (Times::Scaled(scale), true));
+            assert_eq!(told, expected, "{sense} {duty} {spins}: {skew:?}");
+        }
+    }
+}
+
+/// What is done to the shares of a sweep.
+type Spoiler = Box<dyn Fn(&mut [f32])>;
+
+/// The share of another point of the sweep.
+fn of_another(shares: &mut [f32]) {
+    for index in 0..shares.len() {
+        shares.swap(index, index * 7919 % shares.len());
+    }
+}
+
+#[test]
+fn times_of_other_points_and_of_other_turns_are_told_from_those_of_the_azimuth() {
+    let elsewhere = |shift: f32| {
+        move |shares: &mut [f32]| {
+            shares.iter_mut().for_each(|share| *share = (*share + shift).rem_euclid(1.0));
+        }
+    };
+    let spoilers: [Spoiler; 4] =
+        [Box::new(elsewhere(0.5)), Box::new(elsewhere(0.25)), Box::new(elsewhere(0.1)), Box::new(of_another)];
+    for (case, spoil) in spoilers.iter().enumerate() {
+        let mut estimator = SkewEstimator::default();
+        for index in 0..2 * SWEEPS_OF_A_BATCH {
+            let (points, mut shares) = sweep(index, 1.0, pose);
+            spoil(&mut shares);
+            estimator.add(at(index), &points, Some(&shares));
+        }
+        let skew = estimator.skew().unwrap();
+        let told = estimator.times_told(&skew, 1.0, true);
+        let Some(TimesTold { times: Times::ByAzimuth(turn), is_clear: true, .. }) = told else {
+            panic!("{case}: {told:?}, {skew:?}")
+        };
+        let degrees = turn.begin_radians.to_degrees();
+        assert!(turn.is_clockwise && (degrees - 90.0).abs() <= 10.0, "{case}: {turn:?}");
+        // What does not spin has no times by azimuth.
+        let told = estimator.times_told(&skew, 1.0, false);
+        assert!(!matches!(told, Some(TimesTold { times: Times::ByAzimuth(_), .. })), "{case}: {told:?}");
     }
 }
 
