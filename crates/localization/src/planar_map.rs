@@ -63,7 +63,7 @@ impl PlanarMap {
         }
         let places = places?.ok_or(KnownMapError::NoWalls)?;
         let cell = grid.limits().resolution();
-        let known = (0..grid.cells().len()).filter(|i| grid.cells()[*i] != 0).count();
+        let known = grid.cells().iter().filter(|cell| **cell != 0).count();
         let known_square_metres = known as f64 * cell * cell;
         let cells = KnownCells::new(&grid, &field, state)?;
         Ok(Self {
@@ -258,14 +258,14 @@ fn add_most_in_larger_cells(evidence: &mut [f32], submap: &Placed, says: &Eviden
     for (cell, value) in says.cells.cells().zip(&says.log_odds).filter(|(_, value)| **value != 0.0) {
         let at = limits.cell_index(to_map(&says.limits.cell_center(cell)).cast::<f32>());
         let (column, row) = (at.x.wrapping_sub(reached.min.x), at.y.wrapping_sub(reached.min.y));
-        if (column as u32 as usize) < columns && (row as u32 as usize) < rows {
-            let most = &mut most[row as usize * columns + column as usize];
+        let (column, row) = (column as u32 as usize, row as u32 as usize);
+        if let Some(most) = most.get_mut(row.saturating_mul(columns) + column).filter(|_| column < columns) {
             *most = most.max(*value);
         }
     }
     for (cell, value) in reached.cells().zip(most).filter(|(_, value)| value.is_finite()) {
-        if let Some(index) = limits.flat_index(cell) {
-            evidence[index] += value;
+        if let Some(sum) = limits.flat_index(cell).and_then(|index| evidence.get_mut(index)) {
+            *sum += value;
         }
     }
 }
