@@ -143,7 +143,9 @@ impl Inverse {
         self.text.clear();
         let mut number = 0;
         while let missing @ 1.. = length - self.text.len() {
-            let Some(Piece { lane, begin, end, behind, .. }) = self.pieces.get(number).copied() else { return };
+            let Some(Piece { lane, begin, end, behind, .. }) = self.pieces.get(number).copied() else {
+                return;
+            };
             let Some(steps) = self.steps.get(begin..end).filter(|_| lane < LANES) else { return };
             let bytes = steps.iter().take(missing).map(|step| step.get(lane).copied().unwrap_or_default());
             self.text.extend(bytes);

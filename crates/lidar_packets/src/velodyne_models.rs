@@ -143,7 +143,8 @@ impl VelodyneModel {
                 (0..32).map(|i| [base(i) + (i / 2) as f64 * 4.0 / 3.0, 0.0]).collect()
             }
             Self::Hdl64e => {
-                let mut ranks: Vec<(usize, f64)> = HDL64_ORDER.into_iter().zip((0..).map(f64::from)).collect();
+                let mut ranks: Vec<(usize, f64)> =
+                    HDL64_ORDER.into_iter().zip((0..).map(f64::from)).collect();
                 ranks.sort_by_key(|(laser, _)| *laser);
                 let block = |lowest: f64, step: f64, spread: f64| {
                     let lasers = ranks.iter().zip(HDL64_SPREAD);

@@ -186,3 +186,23 @@ fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, fa
     let (columns, rows) = (limits.num_x_cells() as i32, limits.num_y_cells() as i32);
     (0..rows).flat_map(|y| (0..columns).map(move |x| CellIndex::new(x, y))).map(says).collect()
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use portolan_geometry::Vector2;
+
+    use super::*;
+
+    #[test]
+    fn a_map_of_tiny_cells_is_looked_through_once() {
+        for resolution in [1e-9, 1e-300] {
+            let limits = MapLimits::new(resolution, Vector2::zeros(), 100, 100).unwrap();
+            let mut grid = ProbabilityGrid::new(limits);
+            grid.set_probability(CellIndex::new(50, 50), 0.9);
+            let field = LikelihoodField::new(&grid);
+            let cells = KnownCells::new(&grid, &field, &GraphState::default()).unwrap();
+            assert_eq!(cells.known, [Known::Solid]);
+        }
+    }
+}

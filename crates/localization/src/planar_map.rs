@@ -206,7 +206,7 @@ fn limits(placed: &[Placed]) -> Result<Option<MapLimits>, GridError> {
     let finest = placed.iter().map(|p| p.grid.limits().resolution()).fold(f64::INFINITY, f64::min);
     let mut resolution = finest;
     let cells = |resolution: f64| (high - low).map(|length| (length / resolution).ceil() + 2.0);
-    while cells(resolution).product() > MAX_CELLS && resolution < 1e6 {
+    while cells(resolution).product() > MAX_CELLS {
         resolution *= 2.0;
     }
     let max = high.map(|v| ((v / resolution).ceil() + 1.0) * resolution);
@@ -312,6 +312,16 @@ mod tests {
     fn probability(map: &PlanarMap, x: f64, y: f64) -> f32 {
         let Grid2d::Probability(grid) = &map.grid else { panic!() };
         grid.probability(grid.limits().cell_index(Vector2::new(x, y).cast::<f32>()))
+    }
+
+    #[test]
+    fn a_submap_beyond_the_earth_takes_no_memory() {
+        let far = |x: f64| Rigid3::translation(x, x, 0.0);
+        for places in [[far(1e300), far(1e300)], [far(0.0), far(1e300)], [far(-1e308), far(1e308)]] {
+            // In cells so large nothing is left of the walls, or everything.
+            let cells = PlanarMap::new(&state(&places)).map_or(0, |map| map.cells.limits.num_cells());
+            assert!(cells <= 1 << 26, "{cells}");
+        }
     }
 
     #[test]

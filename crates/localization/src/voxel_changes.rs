@@ -232,8 +232,7 @@ impl VoxelChanges {
         let columns = (right - left + 1).max(1) as usize;
         let flat = |[x, y, _]: &VoxelIndex| (y - bottom) as usize * columns + (x - left) as usize;
         let edge = f64::from(CELL);
-        let low =
-            self.map.occupancy.middle([left, bottom, lowest]).coords.map(|v| f64::from(v) - 0.5 * edge);
+        let low = self.map.occupancy.middle([left, bottom, lowest]).coords.map(|v| f64::from(v) - 0.5 * edge);
         let heights = Some([low.z, low.z + f64::from(highest - lowest + 1) * edge]);
         let corner = |[x, y]: &[i64; 2]| [low.x + *x as f64 * edge, low.y + *y as f64 * edge];
         let voxels = cells.iter().filter_map(|cell| self.voxels.get(cell));

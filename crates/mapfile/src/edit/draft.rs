@@ -10,8 +10,8 @@ use prost::Message as _;
 use serde::Serialize;
 
 use super::EditError;
-use super::error::FARTHEST_MOVE;
 use super::clear::ClearedArea;
+use super::error::FARTHEST_MOVE;
 use super::rest::Rest;
 use super::unread::{TrajectoryOptions, Unread};
 use portolan_pbstream::MapReader;

@@ -168,7 +168,8 @@ impl<'a> Rest<'a> {
             return Ok(None);
         }
         let mut submap = Submap::decode(&*content).map_err(|error| error.to_string())?;
-        let cleared: u64 = self.cleared.iter().map(|area| area.clear(id, &mut submap)).sum::<Result<_, _>>()?;
+        let cleared: u64 =
+            self.cleared.iter().map(|area| area.clear(id, &mut submap)).sum::<Result<_, _>>()?;
         self.cells_cleared += cleared;
         if cleared == 0 {
             return Ok(None);
