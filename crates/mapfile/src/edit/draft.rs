@@ -192,7 +192,7 @@ impl MapDraft {
     pub fn transform(&mut self, new_from_old: &Rigid3) -> Result<(), EditError> {
         let metres = new_from_old.translation.vector.norm();
         if metres.is_nan() || metres > FARTHEST_MOVE {
-            return Err(EditError::TooFar { metres });
+            return Err(EditError::TooFar);
         }
         let out_of_plane = {
             let up = new_from_old.rotation * nalgebra::Vector3::z();

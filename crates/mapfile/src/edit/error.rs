@@ -64,11 +64,8 @@ pub enum EditError {
     #[error("{0}")]
     Dimension(&'static str),
     /// A map moved farther than anything on Earth lies apart: positions there would lose their digits.
-    #[error("the map would be moved by {:.0} km; it can be moved by {:.0} km at most", metres / 1e3, FARTHEST_MOVE / 1e3)]
-    TooFar {
-        /// How far it was to be moved.
-        metres: f64,
-    },
+    #[error("a map can be moved by {:.0} km at most", FARTHEST_MOVE / 1e3)]
+    TooFar,
     /// Maps of different versions.
     #[error("the maps have the format versions {0} and {1}; `migrate` the older one first")]
     Versions(u32, u32),
