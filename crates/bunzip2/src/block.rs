@@ -41,7 +41,7 @@ impl Default for Transformed {
 
 impl Transformed {
     pub(crate) fn bytes(&self) -> &[u8] {
-        &self.room[..self.length]
+        self.room.get(..self.length).unwrap_or_default()
     }
 
     /// Empties it for a block of at most `largest` bytes.
@@ -56,7 +56,7 @@ impl Transformed {
         let place = self.room.get_mut(self.length).ok_or_else(too_long)?;
         *place = byte;
         self.length += 1;
-        self.counts[usize::from(byte)] += 1;
+        self.count(byte, 1);
         Ok(())
     }
 
@@ -67,12 +67,21 @@ impl Transformed {
             return Err(too_long());
         }
         while self.length < end {
-            self.room[self.length..self.length + SPARE].fill(byte);
+            let room = self.room.get_mut(self.length..self.length + SPARE).ok_or_else(too_long)?;
+            room.fill(byte);
             self.length += SPARE;
         }
         self.length = end;
-        self.counts[usize::from(byte)] += length as u32;
+        self.count(byte, length as u32);
         Ok(())
+    }
+
+    #[inline]
+    fn count(&mut self, byte: u8, more: u32) {
+        // There is one for each byte.
+        if let Some(count) = self.counts.get_mut(usize::from(byte)) {
+            *count += more;
+        }
     }
 }
 
@@ -122,7 +131,9 @@ impl BlockReader {
                     return Err(damaged("a table of codes that is not there"));
                 }
             }
-            order[..=place].rotate_right(1);
+            if let Some(to_front) = order.get_mut(..=place) {
+                to_front.rotate_right(1);
+            }
             self.selectors.push(order[0]);
         }
         self.tables.iter_mut().take(tables).try_for_each(|table| table.read(bits, symbols))
@@ -138,7 +149,8 @@ impl BlockReader {
     ) -> Result<()> {
         let (mut run, mut digit) = (0usize, 1usize);
         for &selector in &self.selectors {
-            let table = &self.tables[usize::from(selector)];
+            let table = self.tables.get(usize::from(selector));
+            let table = table.ok_or_else(|| damaged("a table of codes that is not there"))?;
             for _ in 0..GROUP {
                 bits.refill();
                 let symbol = table.symbol(bits)?;
@@ -173,8 +185,10 @@ fn used_bytes(bits: &mut Bits<'_>) -> Result<(Order, usize)> {
     for row in (0..16u32).filter(|row| rows >> (15 - row) & 1 == 1) {
         let columns = bits.take(16)?;
         for column in (0..16u32).filter(|column| columns >> (15 - column) & 1 == 1) {
-            order.0[used] = (16 * row + column) as u8;
-            used += 1;
+            if let Some(place) = order.0.get_mut(used) {
+                *place = (16 * row + column) as u8;
+                used += 1;
+            }
         }
     }
     if used == 0 {
@@ -198,8 +212,9 @@ impl Order {
         if place < 16 {
             return self.move_within_sixteen(place);
         }
-        let byte = self.0[place & 255];
-        self.0.copy_within(..place & 255, 1);
+        let place = place & 255;
+        let byte = self.0.get(place).copied().unwrap_or_default();
+        self.0.copy_within(..place, 1);
         self.0[0] = byte;
         byte
     }

@@ -53,41 +53,34 @@ impl Codes {
             }
             *of_symbol = length as u8;
         }
-        self.assign(&lengths[..symbols])
+        self.assign(lengths.get(..symbols).unwrap_or(&lengths))
     }
 
     /// Shorter codes come first, and among those of a length the symbols in their order.
     fn assign(&mut self, lengths: &[u8]) -> Result<()> {
         self.quick.fill(0);
         let (mut code, mut number) = (0u32, 0usize);
-        for length in 1..=MAX_LENGTH {
-            self.offset[length] = number as i32 - code as i32;
+        let by_length = self.offset.iter_mut().zip(&mut self.bound).enumerate().skip(1);
+        for (length, (offset, bound)) in by_length {
+            *offset = number as i32 - code as i32;
             for (symbol, _) in lengths.iter().enumerate().filter(|(_, of)| usize::from(**of) == length) {
-                if code >> length != 0 {
-                    return Err(damaged("there are more codes than their lengths allow"));
-                }
-                self.symbols[number] = symbol as u16;
-                self.enter(code, length as u32, symbol as u16);
+                let place = self.symbols.get_mut(number).filter(|_| code >> length == 0);
+                let place = place.ok_or_else(|| damaged("there are more codes than their lengths allow"))?;
+                *place = symbol as u16;
+                enter(&mut self.quick, code, length as u32, symbol as u16);
                 (code, number) = (code + 1, number + 1);
             }
             let end = u64::from(code) << (64 - length);
-            self.bound[length] = if code >> length != 0 { u64::MAX } else { end };
+            *bound = if code >> length != 0 { u64::MAX } else { end };
             code <<= 1;
         }
         Ok(())
     }
 
-    fn enter(&mut self, code: u32, length: u32, symbol: u16) {
-        if let Some(rest) = QUICK.checked_sub(length) {
-            let first = (code << rest) as usize;
-            self.quick[first..first + (1 << rest)].fill(symbol << 5 | length as u16);
-        }
-    }
-
     /// The next symbol. [`Bits::refill`] must have brought 20 bits.
     #[inline]
     pub(crate) fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16> {
-        let entry = self.quick[(bits.peek() >> (64 - QUICK)) as usize];
+        let entry = self.quick.get((bits.peek() >> (64 - QUICK)) as usize).copied().unwrap_or_default();
         if entry != 0 {
             bits.skip(u32::from(entry & 31));
             return Ok(entry >> 5);
@@ -97,14 +90,24 @@ impl Codes {
 
     fn long_symbol(&self, bits: &mut Bits<'_>) -> Result<u16> {
         let ahead = bits.peek();
-        for length in QUICK as usize + 1..=MAX_LENGTH {
-            if ahead < self.bound[length] {
+        let by_length = self.bound.iter().zip(self.offset).enumerate().skip(QUICK as usize + 1);
+        for (length, (bound, offset)) in by_length {
+            if ahead < *bound {
                 let code = (ahead >> (64 - length)) as i32;
                 bits.skip(length as u32);
-                let symbol = self.symbols.get((code + self.offset[length]) as usize);
+                let symbol = self.symbols.get((code + offset) as usize);
                 return symbol.copied().ok_or_else(|| damaged("a code that means nothing"));
             }
         }
         Err(damaged("a code that means nothing"))
+    }
+}
+
+/// Enters a symbol for whatever its code begins.
+fn enter(quick: &mut [u16; 1 << QUICK], code: u32, length: u32, symbol: u16) {
+    let Some(rest) = QUICK.checked_sub(length) else { return };
+    let first = (code << rest) as usize;
+    if let Some(entries) = quick.get_mut(first..first + (1 << rest)) {
+        entries.fill(symbol << 5 | length as u16);
     }
 }

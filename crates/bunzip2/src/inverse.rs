@@ -73,8 +73,10 @@ impl Inverse {
         self.next.resize(ENTRIES, 0);
         let Some(next) = self.next.first_chunk_mut::<ENTRIES>() else { return };
         for (index, &byte) in transformed.bytes().iter().enumerate() {
-            let place = &mut places[usize::from(byte)];
-            next[*place as usize & INDEX] = (index as u32) << 8 | u32::from(byte);
+            let Some(place) = places.get_mut(usize::from(byte)) else { return };
+            if let Some(entry) = next.get_mut(*place as usize & INDEX) {
+                *entry = (index as u32) << 8 | u32::from(byte);
+            }
             *place += 1;
         }
         next[REST] = (REST as u32) << 8;
@@ -86,11 +88,9 @@ impl Inverse {
         let pieces = length.div_ceil(PIECE_BYTES);
         let evenly = (0..pieces).map(|i| i * length / pieces);
         for place in std::iter::once(origin).chain(evenly) {
-            let entry = self.next[place];
-            if entry & BEGIN == 0 {
-                self.next[place] = BEGIN | self.pieces.len() as u32;
-                self.pieces.push(Piece { first: entry, ..Piece::default() });
-            }
+            let Some(entry) = self.next.get_mut(place).filter(|entry| **entry & BEGIN == 0) else { continue };
+            let first = std::mem::replace(entry, BEGIN | self.pieces.len() as u32);
+            self.pieces.push(Piece { first, ..Piece::default() });
         }
     }
 
@@ -100,18 +100,17 @@ impl Inverse {
         self.steps.clear();
         let mut entries = [(REST as u32) << 8; LANES];
         let mut pieces = [None; LANES];
-        let (mut waiting, mut busy) = (0, 0);
-        for lane in 0..LANES.min(self.pieces.len()) {
-            entries[lane] = self.pieces[waiting].first;
-            self.pieces[waiting].lane = lane;
-            pieces[lane] = Some(waiting);
-            (waiting, busy) = (waiting + 1, busy + 1);
+        let lanes = entries.iter_mut().zip(&mut pieces).enumerate();
+        for ((lane, (entry, number)), piece) in lanes.zip(&mut self.pieces) {
+            (*entry, *number, piece.lane) = (piece.first, Some(lane), lane);
         }
+        let mut waiting = LANES.min(self.pieces.len());
+        let mut busy = waiting;
         while busy > 0 {
             self.steps.push(entries.map(|entry| entry as u8));
             let mut marks = 0;
             for entry in &mut entries {
-                *entry = next[(*entry >> 8) as usize & INDEX];
+                *entry = next.get((*entry >> 8) as usize & INDEX).copied().unwrap_or(BEGIN);
                 marks |= *entry;
             }
             if marks & BEGIN == 0 {
@@ -119,9 +118,9 @@ impl Inverse {
             }
             for (entry, piece) in entries.iter_mut().zip(&mut pieces) {
                 let (Some(ended), true) = (*piece, *entry & BEGIN != 0) else { continue };
-                let (end, lane) = (self.steps.len(), self.pieces[ended].lane);
-                self.pieces[ended].end = end;
-                self.pieces[ended].behind = (*entry & !BEGIN) as usize;
+                let Some(ended) = self.pieces.get_mut(ended) else { continue };
+                let (end, lane) = (self.steps.len(), ended.lane);
+                (ended.end, ended.behind) = (end, (*entry & !BEGIN) as usize);
                 *piece = None;
                 match self.pieces.get_mut(waiting) {
                     Some(new) => {
@@ -143,10 +142,13 @@ impl Inverse {
     fn join(&mut self, length: usize) {
         self.text.clear();
         let mut number = 0;
-        while self.text.len() < length {
-            let Piece { lane, begin, end, behind, .. } = self.pieces[number];
-            let missing = length - self.text.len();
-            self.text.extend(self.steps[begin..end].iter().take(missing).map(|step| step[lane]));
+        while let missing @ 1.. = length - self.text.len() {
+            let Some(Piece { lane, begin, end, behind, .. }) = self.pieces.get(number).copied() else {
+                return;
+            };
+            let Some(steps) = self.steps.get(begin..end).filter(|_| lane < LANES) else { return };
+            let bytes = steps.iter().take(missing).map(|step| step.get(lane).copied().unwrap_or_default());
+            self.text.extend(bytes);
             number = behind;
         }
     }

@@ -16,9 +16,9 @@ pub(crate) fn expand(text: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<u3
     let begin = into.len();
     let mut rest = text;
     while !rest.is_empty() {
-        let plain = plain_length(rest);
-        into.extend_from_slice(&rest[..plain]);
-        rest = &rest[plain..];
+        let (plain, behind) = rest.split_at_checked(plain_length(rest)).unwrap_or((rest, &[]));
+        into.extend_from_slice(plain);
+        rest = behind;
         if let (Some((&more, behind)), Some(&byte)) = (rest.split_first(), into.last()) {
             into.resize(into.len() + usize::from(more), byte);
             rest = behind;
@@ -28,7 +28,7 @@ pub(crate) fn expand(text: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<u3
             return Err(damaged("more data than announced"));
         }
     }
-    Ok(checksum(&into[begin..]))
+    Ok(checksum(into.get(begin..).unwrap_or_default()))
 }
 
 /// Length of the part that ends with the first four equal bytes, or of everything.
@@ -56,7 +56,7 @@ fn checksum(data: &[u8]) -> u32 {
         for (to, from) in reversed.iter_mut().zip(part) {
             *to = from.reverse_bits();
         }
-        hasher.update(&reversed[..part.len()]);
+        hasher.update(reversed.get(..part.len()).unwrap_or_default());
     }
     hasher.finalize().reverse_bits()
 }

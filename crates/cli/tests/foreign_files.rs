@@ -113,3 +113,30 @@ fn what_an_earlier_run_left_is_removed_and_said() {
     place.map(0, &["--cloud", "cloud.ply"]);
     assert!(fs::read(at("cloud.ply")).unwrap().starts_with(b"ply"));
 }
+
+#[test]
+fn a_map_is_not_saved_under_the_name_of_another_result() {
+    let place = Place::new();
+    place.map(0, &["-q"]);
+    let map = text(&place.output().join("map.pbstream"));
+    let found = place.folder.path().join("found");
+    fs::create_dir(&found).unwrap();
+    let (output, poses) = (text(&found), text(&found.join("poses.csv")));
+    let run = portolan_with_code(2, &["localize", &map, &place.recording, "-o", &output, "--update", &poses]);
+    assert!(run.stderr.contains("another result has this name"), "{}", run.stderr);
+    assert_eq!(fs::read_dir(&found).unwrap().count(), 0);
+}
+
+#[test]
+fn what_is_edited_to_nothing_names_the_option() {
+    let place = Place::new();
+    place.map(0, &["-q"]);
+    let (map, out) =
+        (text(&place.output().join("map.pbstream")), text(&place.folder.path().join("out.pbstream")));
+    for (option, value) in [("--delete", "0"), ("--move", "1e300,0"), ("--origin", "-1e308,0")] {
+        let run = portolan_with_code(1, &["edit", &map, "-o", &out, &format!("{option}={value}")]);
+        let is_named = run.stderr.ends_with("nothing would be left of the map after --delete\n");
+        assert!(is_named == (option == "--delete"), "{}", run.stderr);
+        assert!(!Path::new(&out).exists());
+    }
+}

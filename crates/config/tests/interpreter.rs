@@ -140,6 +140,7 @@ fn memory_and_depth_are_limited() {
         "local t = {} t.t = t return t",
         "local t = {} for i = 1, 40 do t = { t, t } end return t",
         "local s, t = ('x'):rep(1e7), {} for i = 1, 100 do t[i] = s end return t",
+        "local t, u = { [('x'):rep(1e6)] = 1 }, {} for i = 1, 200 do u[i] = t end return u",
         "local function f() return 1 + f() end f()",
     ] {
         assert!(run(text).is_err(), "{text}");
@@ -194,6 +195,12 @@ fn includes_are_bounded() {
         error.contains("more than 100 files are included") || error.contains("stack overflow"),
         "{error}"
     );
+    // One large file by many names.
+    std::fs::write(at(0), format!("--{}\nreturn {{}}", "x".repeat(9 << 20))).unwrap();
+    let names = (1..=5).map(|i| format!("include \"{}0.lua\"\n", "./".repeat(i)));
+    std::fs::write(at(1), names.collect::<String>() + "return {}").unwrap();
+    let error = evaluate_file(&at(1), &[], Limits::default()).unwrap_err().to_string();
+    assert!(error.contains("1.lua:4: ") && error.contains("larger than 32 MiB"), "{error}");
 }
 
 #[test]

@@ -89,7 +89,9 @@ pub fn info(
     let (counts, range, mut issues) = match recording.time_range() {
         Some(range) if indexed => {
             let counts = recording.topics().into_iter().map(|t| (t.topic, t.count.unwrap_or(0))).collect();
-            let reader = recording.read(&|_| false)?;
+            let mut reader = recording.read(&|_| false)?;
+            // Where nothing is wanted this reads what leads to the messages, and tells whether all of that is whole.
+            while reader.next_message()?.is_some() {}
             (counts, Some(range), reader.issues())
         }
         _ => count_messages(recording, progress)?,

@@ -81,11 +81,11 @@ pub(crate) struct OusterDecoder {
 impl OusterDecoder {
     /// A sensor with what is known about it.
     pub fn new(metadata: OusterMetadata, layout: PacketLayout) -> Self {
-        let mut order: Vec<usize> = (0..metadata.altitudes.len()).collect();
-        order.sort_by(|a, b| metadata.altitudes[*a].total_cmp(&metadata.altitudes[*b]));
-        let mut rings = vec![0; order.len()];
-        for (ring, beam) in order.into_iter().enumerate() {
-            rings[beam] = ring as u16;
+        let mut rings = vec![0; metadata.altitudes.len()];
+        let mut order: Vec<(f64, &mut u16)> = metadata.altitudes.iter().copied().zip(&mut rings).collect();
+        order.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        for (number, (_, ring)) in order.into_iter().enumerate() {
+            *ring = number as u16;
         }
         let beams = metadata.altitudes.iter().zip(&metadata.azimuths).zip(rings);
         let beams = beams.map(|((altitude, azimuth), ring)| {

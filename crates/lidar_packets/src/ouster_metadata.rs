@@ -61,7 +61,7 @@ impl OusterMetadata {
         let gaps = channels.saturating_sub(1).max(1) as f64;
         Self {
             altitudes: (0..channels).map(|i| half - 2.0 * half * i as f64 / gaps).collect(),
-            azimuths: (0..channels).map(|i| [3.1, 1.0, -1.0, -3.1][i % 4]).collect(),
+            azimuths: [3.1, 1.0, -1.0, -3.1].into_iter().cycle().take(channels).collect(),
             beam_origin: 0.0158,
             columns_per_frame,
             columns_per_packet: crate::ouster::USUAL_COLUMNS,
@@ -102,19 +102,19 @@ impl OusterMetadata {
         if let Some(origin) = number("lidar_origin_to_beam_origin_mm").filter(|mm| mm.abs() < 1000.0) {
             metadata.beam_origin = 0.001 * origin;
         }
-        if let Some(matrix) = numbers("lidar_to_sensor_transform").filter(|m| m.len() == 16) {
-            metadata.rotation = [0, 1, 2].map(|row| [0, 1, 2].map(|column| matrix[4 * row + column]));
-            metadata.translation = [0, 1, 2].map(|row| 0.001 * matrix[4 * row + 3]);
+        let matrix = numbers("lidar_to_sensor_transform").filter(|m| m.len() == 16);
+        if let Some([a, b, c, _]) = matrix.as_deref().map(|m| m.as_chunks::<4>().0) {
+            metadata.rotation = [a, b, c].map(|[x, y, z, _]| [*x, *y, *z]);
+            metadata.translation = [a, b, c].map(|[.., millimetres]| 0.001 * millimetres);
         }
         Some(metadata)
     }
 
     /// A point of the lidar's frame in that of the sensor, metres.
-    pub fn sensor_from_lidar(&self, point: [f64; 3]) -> [f64; 3] {
-        [0, 1, 2].map(|row| {
-            let [a, b, c] = self.rotation[row];
-            a * point[0] + b * point[1] + c * point[2] + self.translation[row]
-        })
+    pub fn sensor_from_lidar(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let turned = self.rotation.map(|[a, b, c]| a * x + b * y + c * z);
+        let ([x, y, z], [a, b, c]) = (turned, self.translation);
+        [x + a, y + b, z + c]
     }
 }
 

@@ -143,12 +143,14 @@ impl VelodyneModel {
                 (0..32).map(|i| [base(i) + (i / 2) as f64 * 4.0 / 3.0, 0.0]).collect()
             }
             Self::Hdl64e => {
-                let mut angles = vec![[0.0; 2]; 64];
-                for (rank, laser) in HDL64_ORDER.into_iter().enumerate() {
-                    angles[laser] = [-8.52 + 0.34 * rank as f64, HDL64_SPREAD[laser]];
-                    angles[laser + 32] = [-24.7 + 0.51 * rank as f64, 1.7 * HDL64_SPREAD[laser]];
-                }
-                angles
+                let mut ranks: Vec<(usize, f64)> =
+                    HDL64_ORDER.into_iter().zip((0..).map(f64::from)).collect();
+                ranks.sort_by_key(|(laser, _)| *laser);
+                let block = |lowest: f64, step: f64, spread: f64| {
+                    let lasers = ranks.iter().zip(HDL64_SPREAD);
+                    lasers.map(move |((_, rank), azimuth)| [lowest + step * rank, spread * azimuth])
+                };
+                block(-8.52, 0.34, 1.0).chain(block(-24.7, 0.51, 1.7)).collect()
             }
         };
         let laser = |[elevation, azimuth]: &[f64; 2]| Laser {
@@ -172,10 +174,10 @@ fn puck(half_angle: f64) -> Vec<[f64; 2]> {
 
 /// Numbers rings from below.
 pub(crate) fn with_rings(mut lasers: Vec<Laser>) -> Vec<Laser> {
-    let mut order: Vec<usize> = (0..lasers.len()).collect();
-    order.sort_by(|a, b| lasers[*a].elevation.total_cmp(&lasers[*b].elevation));
+    let mut order: Vec<&mut Laser> = lasers.iter_mut().collect();
+    order.sort_by(|a, b| a.elevation.total_cmp(&b.elevation));
     for (ring, laser) in order.into_iter().enumerate() {
-        lasers[laser].ring = ring as u16;
+        laser.ring = ring as u16;
     }
     lasers
 }

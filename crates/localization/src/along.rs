@@ -74,9 +74,12 @@ impl SolidField {
         if around.first != Some(first) {
             *around = Cube { first: Some(first), probabilities: self.cells.corner_probabilities(first) };
         }
-        let [x, y, z] = [0, 1, 2].map(|axis| [1.0 - part[axis], part[axis]]);
-        let corner = |bits: usize| x[bits & 1] * y[bits >> 1 & 1] * z[bits >> 2] * around.probabilities[bits];
-        f64::from((0..8).map(corner).sum::<f32>())
+        let [[x, u], [y, v], [z, w]] = [part.x, part.y, part.z].map(|part| [1.0 - part, part]);
+        // Along x first, then along y, as the cells around.
+        let low = [x * y * z, u * y * z, x * v * z, u * v * z];
+        let high = [x * y * w, u * y * w, x * v * w, u * v * w];
+        let corners = low.into_iter().chain(high).zip(around.probabilities);
+        f64::from(corners.map(|(weight, probability)| weight * probability).sum::<f32>())
     }
 
     /// Sums of the logarithms of how likely points are solid, moved by each shift along a direction.

@@ -2,9 +2,7 @@
 //! matches of scans to the map.
 
 use nalgebra as na;
-use portolan_geometry::{
-    Quaternion, Rigid3, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
-};
+use portolan_geometry::{Quaternion, Rigid3, angle_axis_from_quaternion, quaternion_from_angle_axis};
 
 /// Covariance, or information, of a pose in the map: x, y, z, and a small rotation about these axes; metres and radians.
 pub type Matrix6 = na::Matrix6<f64>;
@@ -137,7 +135,7 @@ impl Belief {
         let Some(of_match) = (information + tiny).try_inverse() else { return f64::INFINITY };
         let Some(weight) = (self.covariance() + of_match).try_inverse() else { return f64::INFINITY };
         let offset = offset(&self.pose, found);
-        (offset.transpose() * weight * offset)[(0, 0)]
+        (offset.transpose() * weight * offset).x
     }
 
     /// Takes a match into account; directions in which it has no information stay as they are.
@@ -147,8 +145,8 @@ impl Belief {
         let Some(covariance) = (prior + information).try_inverse() else { return };
         let step = covariance * information * offset(&self.pose, found);
         self.covariance = self.freedom.restricted(&covariance);
-        self.pose.translation.vector += Vector3::new(step[0], step[1], step[2]);
-        let turn = quaternion_from_angle_axis(&Vector3::new(step[3], step[4], step[5]));
+        self.pose.translation.vector += step.fixed_rows::<3>(0);
+        let turn = quaternion_from_angle_axis(&step.fixed_rows::<3>(3).into_owned());
         self.pose.rotation = turn * self.pose.rotation;
         self.fresh = 0.0;
     }

@@ -60,10 +60,10 @@ fn rings(cells: &BTreeSet<[i64; 2]>) -> Vec<Vec<[i64; 2]>> {
     // Edges of cells with nothing behind them, from corner to corner around each cell; no corner has two.
     let mut edges: BTreeMap<[i64; 2], [i64; 2]> = BTreeMap::new();
     for [x, y] in cells {
-        let corners = [[*x, *y], [x + 1, *y], [x + 1, y + 1], [*x, y + 1]];
-        let behind = [[*x, y - 1], [x + 1, *y], [*x, y + 1], [x - 1, *y]];
-        for side in (0..4).filter(|side| !cells.contains(&behind[*side])) {
-            edges.insert(corners[side], corners[(side + 1) % 4]);
+        let [a, b, c, d] = [[*x, *y], [x + 1, *y], [x + 1, y + 1], [*x, y + 1]];
+        let sides = [(a, b, [*x, y - 1]), (b, c, [x + 1, *y]), (c, d, [*x, y + 1]), (d, a, [x - 1, *y])];
+        for (from, to, _) in sides.into_iter().filter(|(.., behind)| !cells.contains(behind)) {
+            edges.insert(from, to);
         }
     }
     let mut rings = Vec::new();
@@ -82,12 +82,13 @@ fn rings(cells: &BTreeSet<[i64; 2]>) -> Vec<Vec<[i64; 2]>> {
 
 /// A ring without the corners at which it goes straight on.
 fn turning_points(ring: &[[i64; 2]]) -> Vec<[i64; 2]> {
-    let count = ring.len();
-    let turns = |i: &usize| {
-        let (before, at, after) = (ring[(i + count - 1) % count], ring[*i], ring[(i + 1) % count]);
-        (at[0] - before[0], at[1] - before[1]) != (after[0] - at[0], after[1] - at[1])
+    let before = ring.iter().cycle().skip(ring.len().saturating_sub(1));
+    let after = ring.iter().cycle().skip(1);
+    let turns = |([ax, ay], [bx, by], [cx, cy]): (&[i64; 2], &[i64; 2], &[i64; 2])| {
+        (bx - ax, by - ay) != (cx - bx, cy - by)
     };
-    (0..count).filter(turns).map(|i| ring[i]).collect()
+    let around = before.zip(ring).zip(after).map(|((before, at), after)| (before, at, after));
+    around.filter(|corners| turns(*corners)).map(|(_, at, _)| *at).collect()
 }
 
 #[cfg(test)]

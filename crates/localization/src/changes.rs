@@ -6,7 +6,7 @@ use portolan_geometry::{Time, Vector2};
 use portolan_grids::{CellIndex, MapLimits};
 
 use crate::change_regions::{Region, regions};
-use crate::known_cells::{Known, KnownCells};
+use crate::known_cells::{Counts, Known, KnownCells};
 use crate::placed_scan::{PlacedScan, around};
 
 /// A cell has changed if so many scans say so, this fraction of those that say anything, from two places at least so far
@@ -74,8 +74,8 @@ struct Witness {
 pub struct ChangeGrid {
     map: KnownCells,
     /// Scans with a point in or beside the cell, and scans with beams through it and no point there.
-    hits: Vec<u16>,
-    passes: Vec<u16>,
+    hits: Counts,
+    passes: Counts,
     /// Of cells that were contradicted.
     witnesses: BTreeMap<usize, Witness>,
 }
@@ -84,7 +84,7 @@ impl ChangeGrid {
     /// Nothing has contradicted the map.
     pub(crate) fn new(map: KnownCells) -> Self {
         let cells = map.limits.num_cells();
-        Self { map, hits: vec![0; cells], passes: vec![0; cells], witnesses: BTreeMap::new() }
+        Self { map, hits: Counts::new(cells), passes: Counts::new(cells), witnesses: BTreeMap::new() }
     }
 
     /// All cells of these regions.
@@ -116,14 +116,14 @@ impl ChangeGrid {
     /// What has become of a cell.
     fn changed(&self, cell: usize) -> Option<ChangeKind> {
         let witness = self.witnesses.get(&cell)?;
-        let (hits, passes) = (self.hits[cell], self.passes[cell]);
-        let (kind, for_it) = match self.map.known[cell] {
+        let (hits, passes) = (self.hits.of(cell), self.passes.of(cell));
+        let (kind, for_it) = match self.map.at(cell) {
             Known::Free => (ChangeKind::Appeared, hits),
             Known::Solid => (ChangeKind::Gone, passes),
             Known::Nothing => return None,
         };
         let all = f64::from(hits) + f64::from(passes);
-        let is_clear = for_it >= SCANS && f64::from(for_it) >= FRACTION * all;
+        let is_clear = for_it >= u32::from(SCANS) && f64::from(for_it) >= FRACTION * all;
         (is_clear && witness.is_seen_from_two).then_some(kind)
     }
 
@@ -136,8 +136,8 @@ impl ChangeGrid {
         let seen = region.cells.iter().filter_map(|cell| self.witnesses.get(cell));
         let (first, last) = (seen.clone().map(|w| w.first).min(), seen.map(|w| w.last).max());
         let count = |cell: &usize| match kind {
-            ChangeKind::Appeared => self.hits[*cell],
-            ChangeKind::Gone => self.passes[*cell],
+            ChangeKind::Appeared => self.hits.of(*cell),
+            ChangeKind::Gone => self.passes.of(*cell),
         };
         let scans = region.cells.iter().map(count).max().unwrap_or(0);
         Change {
@@ -146,7 +146,7 @@ impl ChangeGrid {
             area: region.cells.len() as f64 * edge * edge,
             heights: None,
             seen: (first.unwrap_or_default(), last.unwrap_or_default()),
-            scans: u32::from(scans),
+            scans,
         }
     }
 }
@@ -157,22 +157,20 @@ impl ChangeCounter for ChangeGrid {
         let hit: BTreeSet<usize> = scan.ends(limits).collect();
         let passed: BTreeSet<usize> = scan.passed(limits).collect();
         let around = around(limits, &hit);
-        let free_and_hit = |cell: &&usize| self.map.known[**cell] == Known::Free;
+        let free_and_hit = |cell: &&usize| self.map.at(**cell) == Known::Free;
         let new: Vec<usize> = hit.iter().filter(free_and_hit).copied().collect();
         let gone: Vec<usize> =
-            passed.iter().filter(|cell| self.map.known[**cell] == Known::Solid).copied().collect();
+            passed.iter().filter(|cell| self.map.at(**cell) == Known::Solid).copied().collect();
         let gone: Vec<usize> = gone.into_iter().filter(|cell| !around.contains(cell)).collect();
-        for cell in &hit {
-            self.hits[*cell] = self.hits[*cell].saturating_add(1);
-        }
+        hit.iter().for_each(|cell| self.hits.count(*cell));
         // A point beside a cell that was solid is of what was there.
         for cell in around.iter().filter(|cell| !hit.contains(cell)) {
-            if self.map.known[*cell] == Known::Solid {
-                self.hits[*cell] = self.hits[*cell].saturating_add(1);
+            if self.map.at(*cell) == Known::Solid {
+                self.hits.count(*cell);
             }
         }
         for cell in passed.iter().filter(|cell| !around.contains(cell)) {
-            self.passes[*cell] = self.passes[*cell].saturating_add(1);
+            self.passes.count(*cell);
         }
         for cell in new.into_iter().chain(gone) {
             self.witness(cell, scan);
@@ -213,7 +211,9 @@ impl ChangedCells {
             let (x, y) = ((cell % columns) as i32, (cell / columns) as i32);
             let around = (-reach..=reach).flat_map(|j| (-reach..=reach).map(move |i| (x + i, y + j)));
             for index in around.filter_map(|(x, y)| self.limits.flat_index(CellIndex::new(x, y))) {
-                is_in[index] = true;
+                if let Some(is_in) = is_in.get_mut(index) {
+                    *is_in = true;
+                }
             }
         }
         CellSet { limits: self.limits, is_in }
@@ -237,6 +237,6 @@ impl CellSet {
     /// Whether the cell at a point of the map is in it.
     pub(crate) fn contains(&self, point: &Vector2) -> bool {
         let cell = self.limits.flat_index(self.limits.cell_index(point.cast::<f32>()));
-        cell.is_some_and(|cell| self.is_in[cell])
+        cell.and_then(|cell| self.is_in.get(cell)).is_some_and(|is_in| *is_in)
     }
 }

@@ -193,15 +193,18 @@ fn stops<M: KnownMap>(state: &GraphState<M::Space>) -> Vec<Stop<'_>> {
     let step = |a: &Node, b: &Node| {
         (a.map_from_tracking.translation.vector - b.map_from_tracking.translation.vector).norm()
     };
-    let way = |nodes: &Vec<(NodeId, &Node)>| nodes.windows(2).map(|w| step(w[0].1, w[1].1)).sum::<f64>();
+    let way = |nodes: &Vec<(NodeId, &Node)>| {
+        nodes.iter().zip(nodes.iter().skip(1)).map(|((_, a), (_, b))| step(a, b)).sum::<f64>()
+    };
     let spacing = SPACING.max(trajectories.iter().map(way).sum::<f64>() / MOST_PLACES);
     let mut stops = Vec::new();
     for nodes in &trajectories {
         let (mut way, mut next) = (0.0, 0.0);
         for (i, (id, node)) in nodes.iter().enumerate() {
-            way += i.checked_sub(1).map_or(0.0, |last| step(nodes[last].1, node));
+            let (before, _) = nodes.split_at(i);
+            way += before.last().map_or(0.0, |(_, last)| step(last, node));
             if way >= next {
-                let before = way_there::<M>(&nodes[..i], node);
+                let before = way_there::<M>(before, node);
                 stops.push(Stop { id: *id, node, way, before });
                 (way, next) = (0.0, spacing);
             }

@@ -88,9 +88,13 @@ impl Crowd {
                 *sum = 1;
             }
         }
-        for i in width + 1..sums.len() {
-            if !i.is_multiple_of(width + 1) {
-                sums[i] = (sums[i] + sums[i - 1] + sums[i - width - 1]) - sums[i - width - 2];
+        let mut above = vec![0; width + 1];
+        for row in sums.chunks_exact_mut(width + 1) {
+            let mut of_row = 0;
+            for (sum, above) in row.iter_mut().zip(&mut above) {
+                of_row += *sum;
+                *sum = of_row + *above;
+                *above = *sum;
             }
         }
         Self { width, height, reach: (SURROUNDINGS / limits.resolution()).round() as usize, sums }

@@ -84,7 +84,7 @@ impl Hypothesis {
         let differences = self.fits.iter().rev().zip(other.fits.iter().rev()).take(scans);
         let differences: Vec<f64> = differences.map(|(own, other)| fit(own) - fit(other)).collect();
         let mean = |scans: usize| {
-            let newest = &differences[..scans.min(differences.len())];
+            let newest = differences.get(..scans).unwrap_or(&differences);
             newest.iter().sum::<f64>() / newest.len().max(1) as f64
         };
         [KEPT / 4, KEPT / 2, KEPT].into_iter().map(mean).fold(f64::INFINITY, f64::min)

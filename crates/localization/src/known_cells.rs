@@ -56,16 +56,21 @@ impl KnownCells {
         Ok(cells)
     }
 
+    /// What it says of a cell; nothing of those that it does not have.
+    pub(crate) fn at(&self, cell: usize) -> Known {
+        self.known.get(cell).copied().unwrap_or(Known::Nothing)
+    }
+
     /// Takes back that cells are free in which scans of the map itself end too often: glass and railings, which the grid
     /// holds free because most beams pass. The lidar is taken to be at the origin of the tracking frame.
     fn leave_out_see_through(&mut self, state: &GraphState<Planar>) {
-        let (mut hits, mut passes) = (vec![0_u32; self.known.len()], vec![0_u32; self.known.len()]);
+        let (mut hits, mut passes) = (Counts::new(self.known.len()), Counts::new(self.known.len()));
         let (mut ends, mut passed) = (MarkedCells::new(self.known.len()), MarkedCells::new(self.known.len()));
         for_each_scan(state, |scan| {
             ends.clear();
             for cell in scan.around_ends(&self.limits) {
-                if ends.insert(cell) && self.known[cell] == Known::Free {
-                    hits[cell] += 1;
+                if ends.insert(cell) && self.at(cell) == Known::Free {
+                    hits.count(cell);
                 }
             }
         });
@@ -73,17 +78,41 @@ impl KnownCells {
             ends.clear();
             passed.clear();
             scan.around_ends(&self.limits).for_each(|cell| _ = ends.insert(cell));
-            for cell in scan.passed(&self.limits).filter(|cell| hits[*cell] > 0) {
+            for cell in scan.passed(&self.limits).filter(|cell| hits.of(*cell) > 0) {
                 if !ends.contains(cell) && passed.insert(cell) {
-                    passes[cell] += 1;
+                    passes.count(cell);
                 }
             }
         });
         for (cell, known) in self.known.iter_mut().enumerate() {
-            if f64::from(hits[cell]) > (1.0 - FRACTION) * f64::from(hits[cell] + passes[cell]) {
+            let (hits, passes) = (f64::from(hits.of(cell)), f64::from(passes.of(cell)));
+            if hits > (1.0 - FRACTION) * (hits + passes) {
                 *known = Known::Nothing;
             }
         }
+    }
+}
+
+/// How often something was seen of each cell; the largest numbers stay.
+#[derive(Clone, Debug)]
+pub(crate) struct Counts(Vec<u32>);
+
+impl Counts {
+    /// Of so many cells; nothing was seen.
+    pub(crate) fn new(cells: usize) -> Self {
+        Self(vec![0; cells])
+    }
+
+    /// Once more of a cell.
+    pub(crate) fn count(&mut self, cell: usize) {
+        if let Some(count) = self.0.get_mut(cell) {
+            *count = count.saturating_add(1);
+        }
+    }
+
+    /// How often of a cell.
+    pub(crate) fn of(&self, cell: usize) -> u32 {
+        self.0.get(cell).copied().unwrap_or_default()
     }
 }
 
@@ -106,11 +135,12 @@ impl MarkedCells {
 
     /// Whether it was not in it before.
     fn insert(&mut self, cell: usize) -> bool {
-        std::mem::replace(&mut self.rounds[cell], self.round) != self.round
+        let round = self.rounds.get_mut(cell);
+        round.is_some_and(|round| std::mem::replace(round, self.round) != self.round)
     }
 
     fn contains(&self, cell: usize) -> bool {
-        self.rounds[cell] == self.round
+        self.rounds.get(cell) == Some(&self.round)
     }
 }
 
@@ -130,10 +160,17 @@ fn for_each_scan(state: &GraphState<Planar>, mut visit: impl FnMut(&PlacedScan))
 /// What the grid says of larger cells.
 fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, factor: i32) -> Vec<Known> {
     let nearest = LikelihoodField::at_distance(CLEARANCE);
+    // The cells of the grid within a larger one; what of it lies beyond the grid is not known.
+    let within = |cell: i32, count: u32| {
+        let first = factor.saturating_mul(cell);
+        (first, first.saturating_add(factor).min(count as i32))
+    };
     let says = |cell: CellIndex| {
-        let (mut unknown, mut near_solid) = (false, false);
-        for (x, y) in (0..factor).flat_map(|y| (0..factor).map(move |x| (x, y))) {
-            let cell = CellIndex::new(factor * cell.x + x, factor * cell.y + y);
+        let (left, right) = within(cell.x, grid.limits().num_x_cells());
+        let (top, bottom) = within(cell.y, grid.limits().num_y_cells());
+        let (mut unknown, mut near_solid) = (right - left < factor || bottom - top < factor, false);
+        for (x, y) in (top..bottom).flat_map(|y| (left..right).map(move |x| (x, y))) {
+            let cell = CellIndex::new(x, y);
             if !grid.is_known(cell) {
                 unknown = true;
                 continue;
@@ -148,4 +185,24 @@ fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, fa
     };
     let (columns, rows) = (limits.num_x_cells() as i32, limits.num_y_cells() as i32);
     (0..rows).flat_map(|y| (0..columns).map(move |x| CellIndex::new(x, y))).map(says).collect()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use portolan_geometry::Vector2;
+
+    use super::*;
+
+    #[test]
+    fn a_map_of_tiny_cells_is_looked_through_once() {
+        for resolution in [1e-9, 1e-300] {
+            let limits = MapLimits::new(resolution, Vector2::zeros(), 100, 100).unwrap();
+            let mut grid = ProbabilityGrid::new(limits);
+            grid.set_probability(CellIndex::new(50, 50), 0.9);
+            let field = LikelihoodField::new(&grid);
+            let cells = KnownCells::new(&grid, &field, &GraphState::default()).unwrap();
+            assert_eq!(cells.known, [Known::Solid]);
+        }
+    }
 }

@@ -113,10 +113,10 @@ fn squared_distances(grid: &ProbabilityGrid) -> Vec<f32> {
         row.copy_from_slice(&line);
     }
     for column in 0..columns {
-        let values = (0..rows).map(|row| distances[row * columns + column]);
+        let values = distances.iter().skip(column).step_by(columns).copied();
         let line = transform.run(values).to_vec();
-        for (row, value) in line.into_iter().enumerate() {
-            distances[row * columns + column] = value;
+        for (distance, value) in distances.iter_mut().skip(column).step_by(columns).zip(line) {
+            *distance = value;
         }
     }
     distances
@@ -126,8 +126,8 @@ fn squared_distances(grid: &ProbabilityGrid) -> Vec<f32> {
 #[derive(Default)]
 struct Transform {
     values: Vec<f32>,
-    /// Where the parabolas of the envelope stand, and from where on each is the lowest.
-    envelope: Vec<(usize, f32)>,
+    /// Where the parabolas of the envelope stand, how high, and from where on each is the lowest.
+    envelope: Vec<(f32, f32, f32)>,
     result: Vec<f32>,
 }
 
@@ -138,24 +138,24 @@ impl Transform {
         self.envelope.clear();
         for (i, value) in self.values.iter().enumerate().filter(|(_, v)| v.is_finite()) {
             let mut from = f32::NEG_INFINITY;
-            while let Some((j, start)) = self.envelope.last() {
-                let (a, b) = (i as f32, *j as f32);
-                from = ((value + a * a) - (self.values[*j] + b * b)) / (2.0 * (a - b));
+            while let Some((b, height, start)) = self.envelope.last() {
+                let a = i as f32;
+                from = ((value + a * a) - (height + b * b)) / (2.0 * (a - b));
                 if from > *start {
                     break;
                 }
                 self.envelope.pop();
                 from = f32::NEG_INFINITY;
             }
-            self.envelope.push((i, from));
+            self.envelope.push((i as f32, *value, from));
         }
         self.result.clear();
         let mut k = 0;
         for i in 0..self.values.len() {
-            while self.envelope.get(k + 1).is_some_and(|(_, from)| *from < i as f32) {
+            while self.envelope.get(k + 1).is_some_and(|(.., from)| *from < i as f32) {
                 k += 1;
             }
-            let distance = |(j, _): &(usize, f32)| (i as f32 - *j as f32).powi(2) + self.values[*j];
+            let distance = |(at, height, _): &(f32, f32, f32)| (i as f32 - at).powi(2) + height;
             self.result.push(self.envelope.get(k).map_or(f32::INFINITY, distance));
         }
         &self.result

@@ -25,15 +25,17 @@ impl NearCells {
     /// Adds a cell.
     #[inline]
     pub fn insert(&mut self, cell: VoxelIndex) {
-        if let Some((row, bit)) = self.place(cell) {
-            self.rows[row] |= bit;
+        if let Some((row, bit)) = self.place(cell)
+            && let Some(row) = self.rows.get_mut(row)
+        {
+            *row |= bit;
         }
     }
 
     /// Whether a cell is in the set.
     #[inline]
     pub fn contains(&self, cell: VoxelIndex) -> bool {
-        self.place(cell).is_some_and(|(row, bit)| self.rows[row] & bit != 0)
+        self.place(cell).is_some_and(|(row, bit)| self.rows.get(row).is_some_and(|row| row & bit != 0))
     }
 
     /// The same with all cells that are as near as two along each axis to those in it: axis by axis.
@@ -58,8 +60,9 @@ impl NearCells {
     /// The row of a cell, and its bit.
     #[inline]
     fn place(&self, cell: VoxelIndex) -> Option<(usize, u128)> {
-        let from_first = |axis: usize| cell[axis].wrapping_sub(self.first[axis]) as u32;
-        let (x, y, z) = (from_first(0), from_first(1), from_first(2));
+        let ([x, y, z], [first_x, first_y, first_z]) = (cell, self.first);
+        let from = |first: i32, index: i32| index.wrapping_sub(first) as u32;
+        let (x, y, z) = (from(first_x, x), from(first_y, y), from(first_z, z));
         let edge = EDGE as u32;
         (x < edge && y < edge && z < edge).then(|| ((z * edge + y) as usize, 1 << x))
     }
@@ -70,11 +73,11 @@ fn joined(rows: Vec<u128>, step: usize) -> Vec<u128> {
     let edge = EDGE as usize;
     let at = |i: usize, by: usize| {
         let along = i / step % edge;
-        let before = if along >= by { rows[i - by * step] } else { 0 };
-        let after = if along + by < edge { rows[i + by * step] } else { 0 };
-        before | after
+        let row = |is_there: bool, i: usize| rows.get(i).filter(|_| is_there).copied().unwrap_or(0);
+        let before = row(along >= by, i.wrapping_sub(by * step));
+        before | row(along + by < edge, i + by * step)
     };
-    (0..rows.len()).map(|i| rows[i] | at(i, 1) | at(i, 2)).collect()
+    rows.iter().enumerate().map(|(i, row)| row | at(i, 1) | at(i, 2)).collect()
 }
 
 #[cfg(test)]

@@ -38,11 +38,11 @@ impl PlacedScan<'_> {
     pub(crate) fn passed<'b>(&'b self, limits: &'b MapLimits) -> impl Iterator<Item = usize> + use<'b> {
         let (step, edge, max) = (0.5 * limits.resolution(), limits.resolution(), limits.max());
         // Columns run against y, rows against x; both in cells from the corner of the first cell.
-        let first = [max.y - self.origin.y, max.x - self.origin.x].map(|v| v / edge);
+        let [first_x, first_y] = [max.y - self.origin.y, max.x - self.origin.x].map(|v| v / edge);
         self.beams().flat_map(move |(beam, length)| {
             let steps = ((length - CLEARANCE).min(RANGE) / step).max(0.0) as u32;
             let [x, y] = [-beam.y, -beam.x].map(|v| v * step / (edge * length));
-            let at = move |i| (first[0] + f64::from(i) * x, first[1] + f64::from(i) * y);
+            let at = move |i| (first_x + f64::from(i) * x, first_y + f64::from(i) * y);
             (1..steps).map(at).filter_map(move |(x, y)| {
                 // What lies before the first cell must not be rounded into it.
                 let is_inside = x >= 0.0 && y >= 0.0;

@@ -63,7 +63,7 @@ impl PlanarMap {
         }
         let places = places?.ok_or(KnownMapError::NoWalls)?;
         let cell = grid.limits().resolution();
-        let known = (0..grid.cells().len()).filter(|i| grid.cells()[*i] != 0).count();
+        let known = grid.cells().iter().filter(|cell| **cell != 0).count();
         let known_square_metres = known as f64 * cell * cell;
         let cells = KnownCells::new(&grid, &field, state)?;
         Ok(Self {
@@ -206,7 +206,7 @@ fn limits(placed: &[Placed]) -> Result<Option<MapLimits>, GridError> {
     let finest = placed.iter().map(|p| p.grid.limits().resolution()).fold(f64::INFINITY, f64::min);
     let mut resolution = finest;
     let cells = |resolution: f64| (high - low).map(|length| (length / resolution).ceil() + 2.0);
-    while cells(resolution).product() > MAX_CELLS && resolution < 1e6 {
+    while cells(resolution).product() > MAX_CELLS {
         resolution *= 2.0;
     }
     let max = high.map(|v| ((v / resolution).ceil() + 1.0) * resolution);
@@ -258,14 +258,14 @@ fn add_most_in_larger_cells(evidence: &mut [f32], submap: &Placed, says: &Eviden
     for (cell, value) in says.cells.cells().zip(&says.log_odds).filter(|(_, value)| **value != 0.0) {
         let at = limits.cell_index(to_map(&says.limits.cell_center(cell)).cast::<f32>());
         let (column, row) = (at.x.wrapping_sub(reached.min.x), at.y.wrapping_sub(reached.min.y));
-        if (column as u32 as usize) < columns && (row as u32 as usize) < rows {
-            let most = &mut most[row as usize * columns + column as usize];
+        let (column, row) = (column as u32 as usize, row as u32 as usize);
+        if let Some(most) = most.get_mut(row.saturating_mul(columns) + column).filter(|_| column < columns) {
             *most = most.max(*value);
         }
     }
     for (cell, value) in reached.cells().zip(most).filter(|(_, value)| value.is_finite()) {
-        if let Some(index) = limits.flat_index(cell) {
-            evidence[index] += value;
+        if let Some(sum) = limits.flat_index(cell).and_then(|index| evidence.get_mut(index)) {
+            *sum += value;
         }
     }
 }
@@ -312,6 +312,16 @@ mod tests {
     fn probability(map: &PlanarMap, x: f64, y: f64) -> f32 {
         let Grid2d::Probability(grid) = &map.grid else { panic!() };
         grid.probability(grid.limits().cell_index(Vector2::new(x, y).cast::<f32>()))
+    }
+
+    #[test]
+    fn a_submap_beyond_the_earth_takes_no_memory() {
+        let far = |x: f64| Rigid3::translation(x, x, 0.0);
+        for places in [[far(1e300), far(1e300)], [far(0.0), far(1e300)], [far(-1e308), far(1e308)]] {
+            // In cells so large nothing is left of the walls, or everything.
+            let cells = PlanarMap::new(&state(&places)).map_or(0, |map| map.cells.limits.num_cells());
+            assert!(cells <= 1 << 26, "{cells}");
+        }
     }
 
     #[test]

@@ -30,11 +30,12 @@ impl PlanarScan {
         let tangents = surface_tangents(returns);
         let kept = voxel_filter_indices(&returns.points, |p| *p, VOXEL);
         let stride = kept.len().div_ceil(MOST_POINTS).max(1);
-        let kept: Vec<usize> = kept.into_iter().step_by(stride).map(|i| i as usize).collect();
-        let flat = |i: &usize| Point3f::new(returns.points[*i].x, returns.points[*i].y, 0.0);
-        let cloud = PointCloud::new(kept.iter().map(flat).collect());
+        let all = |i: usize| Some((returns.points.get(i)?, tangents.get(i).copied()?));
+        let kept = kept.into_iter().step_by(stride).filter_map(|i| all(i as usize));
+        let (flat, tangents) = kept.map(|(p, tangent)| (Point3f::new(p.x, p.y, 0.0), tangent)).unzip();
+        let cloud = PointCloud::new(flat);
         let points = cloud.points.iter().map(plane).collect();
-        Self { cloud, points, tangents: kept.iter().map(|i| tangents[*i]).collect() }
+        Self { cloud, points, tangents }
     }
 }
 

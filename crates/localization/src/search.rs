@@ -214,10 +214,9 @@ impl Places {
         was_searched: bool,
     ) -> Decision {
         let bonus = |p: &Hypothesis| told.map_or(0.0, |told| TOLD * told.agreement(p, local_from_scan));
-        let ratings: Vec<f64> = self.all.iter().map(|p| p.fit() + bonus(p)).collect();
-        let by_rating = |a: &usize, b: &usize| ratings[*a].total_cmp(&ratings[*b]).then(b.cmp(a));
-        let Some(best) = (0..ratings.len()).max_by(by_rating) else { return Decision::Nothing };
-        let place = &self.all[best];
+        let rated = self.all.iter().enumerate().map(|(i, place)| (i, place, place.fit() + bonus(place)));
+        let best = rated.max_by(|(i, _, a), (j, _, b)| a.total_cmp(b).then(j.cmp(i)));
+        let Some((best, place, _)) = best else { return Decision::Nothing };
         if place.fit() < TENTATIVE {
             return Decision::Nothing;
         }

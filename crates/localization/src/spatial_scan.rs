@@ -63,7 +63,7 @@ fn over_heights(points: &[Point3f]) -> Vec<Point3f> {
     for (i, slice) in by_size.iter().enumerate() {
         let share = left / (by_size.len() - i);
         let count = slice.len().min(share);
-        chosen.extend((0..count).map(|k| slice[k * slice.len() / count]));
+        chosen.extend((0..count).filter_map(|k| slice.get(k * slice.len() / count)));
         left -= count;
     }
     chosen

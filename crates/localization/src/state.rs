@@ -111,8 +111,8 @@ pub struct Place {
 impl Place {
     /// Covariance of x, y and yaw alone.
     pub fn planar_covariance(&self) -> Matrix3<f64> {
-        let axes = [0, 1, 5];
-        Matrix3::from_fn(|i, j| self.covariance[(axes[i], axes[j])])
+        let axis = |i: usize| if i < 2 { i } else { 5 };
+        Matrix3::from_fn(|i, j| self.covariance.get((axis(i), axis(j))).copied().unwrap_or_default())
     }
 }
 

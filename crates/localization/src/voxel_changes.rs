@@ -223,15 +223,17 @@ impl VoxelChanges {
 
     /// A region as it is told: its outline from above, and its heights.
     fn told(&self, kind: ChangeKind, cells: &BTreeSet<VoxelIndex>) -> Vec<Change> {
-        let least = |axis: usize| cells.iter().map(|cell| cell[axis]).min().unwrap_or(0);
-        let most = |axis: usize| cells.iter().map(|cell| cell[axis]).max().unwrap_or(0);
-        let (left, bottom) = (least(0), least(1));
-        let columns = (most(0) - left + 1).max(1) as usize;
+        let from_to = |of: fn(&VoxelIndex) -> i32| {
+            let along = || cells.iter().map(of);
+            (along().min().unwrap_or(0), along().max().unwrap_or(0))
+        };
+        let ((left, right), (bottom, _)) = (from_to(|[x, ..]| *x), from_to(|[_, y, _]| *y));
+        let (lowest, highest) = from_to(|[.., z]| *z);
+        let columns = (right - left + 1).max(1) as usize;
         let flat = |[x, y, _]: &VoxelIndex| (y - bottom) as usize * columns + (x - left) as usize;
         let edge = f64::from(CELL);
-        let low =
-            self.map.occupancy.middle([left, bottom, least(2)]).coords.map(|v| f64::from(v) - 0.5 * edge);
-        let heights = Some([low.z, low.z + f64::from(most(2) - least(2) + 1) * edge]);
+        let low = self.map.occupancy.middle([left, bottom, lowest]).coords.map(|v| f64::from(v) - 0.5 * edge);
+        let heights = Some([low.z, low.z + f64::from(highest - lowest + 1) * edge]);
         let corner = |[x, y]: &[i64; 2]| [low.x + *x as f64 * edge, low.y + *y as f64 * edge];
         let voxels = cells.iter().filter_map(|cell| self.voxels.get(cell));
         let seen = voxels.clone().filter_map(|voxel| voxel.seen);

@@ -15,11 +15,16 @@ pub(crate) enum VoxelState {
     Free,
 }
 
-/// One bit for each cell: a word for each height, a byte of it for each y.
+/// One bit for each cell: a layer for each height, with a byte for each y.
 #[derive(Clone, Copy, Debug, Default)]
 struct Block {
-    solid: [u64; 8],
-    free: [u64; 8],
+    layers: [Layer; 8],
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Layer {
+    solid: u64,
+    free: u64,
 }
 
 /// States of cells; those never set have none.
@@ -41,8 +46,9 @@ impl VoxelStates {
     #[inline]
     pub fn get(&self, cell: VoxelIndex) -> Option<VoxelState> {
         let (_, block) = self.blocks.get(self.index.get(key(cell)?)?)?;
-        let (word, bit) = place(cell);
-        match (block.solid[word] & bit != 0, block.free[word] & bit != 0) {
+        let (layer, bit) = place(cell);
+        let Layer { solid, free } = block.layers.get(layer)?;
+        match (solid & bit != 0, free & bit != 0) {
             (true, _) => Some(VoxelState::Solid),
             (_, true) => Some(VoxelState::Free),
             _ => None,
@@ -53,20 +59,21 @@ impl VoxelStates {
     #[inline]
     pub fn learn(&mut self, cell: VoxelIndex, state: VoxelState) {
         let Some(number) = self.block_of(cell) else { return };
-        let (word, bit) = place(cell);
-        let Block { solid, free } = &mut self.blocks[number].1;
+        let (layer, bit) = place(cell);
+        let Some((_, block)) = self.blocks.get_mut(number) else { return };
+        let Some(Layer { solid, free }) = block.layers.get_mut(layer) else { return };
         match state {
-            VoxelState::Solid => solid[word] |= bit & !free[word],
-            VoxelState::Free => free[word] |= bit & !solid[word],
+            VoxelState::Solid => *solid |= bit & !*free,
+            VoxelState::Free => *free |= bit & !*solid,
         }
     }
 
     /// Hands on all solid cells, block by block in the order in which these became known.
     pub fn for_each_solid(&self, mut visit: impl FnMut(VoxelIndex)) {
         for ([x, y, z], block) in &self.blocks {
-            for (word, layer) in (0..).zip(block.solid) {
-                for bit in (0..64).filter(|bit| layer >> bit & 1 == 1) {
-                    visit([x + (bit & 7), y + (bit >> 3), z + word]);
+            for (height, layer) in (0..).zip(block.layers) {
+                for bit in (0..64).filter(|bit| layer.solid >> bit & 1 == 1) {
+                    visit([x + (bit & 7), y + (bit >> 3), z + height]);
                 }
             }
         }
@@ -96,7 +103,7 @@ fn key([x, y, z]: VoxelIndex) -> Option<u64> {
     (is_possible(x) & is_possible(y) & is_possible(z)).then(|| block(z) << 24 | block(y) << 12 | block(x))
 }
 
-/// The word of a cell in its block, and its bit.
+/// The layer of a cell in its block, and its bit there.
 #[inline]
 fn place([x, y, z]: VoxelIndex) -> (usize, u64) {
     ((z & 7) as usize, 1 << ((y & 7) << 3 | (x & 7)))

@@ -1,5 +1,7 @@
 //! Textures of all submaps of a map file.
 
+use std::collections::BTreeSet;
+
 use portolan_geometry::Rigid3;
 use rayon::prelude::*;
 
@@ -30,7 +32,13 @@ pub struct MapTextures {
 /// named in the result; the others follow (unlike in other programs, which stop painting there).
 pub fn load_textures(reader: &mut MapReader) -> Result<MapTextures, PbstreamError> {
     let poses = submap_poses(reader.pose_graph());
-    load_placed_textures(reader, &|id| Some((id, poses.get(&id).copied())))
+    let mut loaded = load_placed_textures(reader, &|id| Some((id, poses.get(&id).copied())))?;
+    let (textures, skipped) =
+        (loaded.textures.iter().map(|t| t.id), loaded.skipped.iter().map(|(id, _)| *id));
+    let there: BTreeSet<IdInFile> = textures.chain(skipped).collect();
+    let missing = poses.keys().filter(|id| !there.contains(id));
+    loaded.skipped.extend(missing.map(|id| (*id, TextureError::Missing)));
+    Ok(loaded)
 }
 
 /// [`load_textures`] with ids and poses from elsewhere; submaps without an id are left out.

@@ -31,6 +31,9 @@ pub struct SubmapTexture {
 /// Why a submap has no texture.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TextureError {
+    /// The pose graph has the submap, and the file does not.
+    #[error("the submap is missing in the file")]
+    Missing,
     /// There is no grid in the message, or in 3D not both.
     #[error("the submap has no grid")]
     NoGrid,

@@ -95,6 +95,16 @@ fn maps_that_other_programs_cannot_optimise_are_found() {
 }
 
 #[test]
+fn places_beyond_the_earth_are_found() {
+    let (found, report) = damaged(false, |map| {
+        let node = map.graph.trajectory[0].node[1].pose.as_mut().unwrap();
+        node.translation.get_or_insert_default().x = 1e12;
+    });
+    assert_eq!(found, [FindingKind::FarAway]);
+    assert!(report.repairs.is_empty(), "{report:?}");
+}
+
+#[test]
 fn impossible_poses_are_found() {
     let (found, report) = damaged(false, |map| {
         let node = map.graph.trajectory[0].node[1].pose.as_mut().unwrap();

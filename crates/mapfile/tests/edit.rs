@@ -191,6 +191,58 @@ fn what_is_taken_out_by_area_is_not_seen_any_more() {
 }
 
 #[test]
+fn what_cannot_be_cut_moved_or_optimised_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, out) = (folder.path().join("small.pbstream"), folder.path().join("out.pbstream"));
+    let changed = |change: fn(&mut SmallMap)| {
+        let mut map = SmallMap::new(false);
+        change(&mut map);
+        map.write(&path);
+        draft(&path)
+    };
+    // Nobody knows where the cells of such a grid are.
+    let mut map = changed(|map| {
+        map.submap_2d(0).grid.as_mut().unwrap().limits.as_mut().unwrap().resolution = f64::NAN;
+    });
+    map.cut_area(&MapArea { min_x: 50.0, min_y: 50.0, max_x: 51.0, max_y: 51.0 }, false).unwrap();
+    let error = map.write(&out).unwrap_err().to_string();
+    assert!(error.contains("submap 0,0 cannot be cut") && error.contains("`repair`"), "{error}");
+    // Marked cells are as good as others.
+    let mut map = changed(|map| {
+        let cells = &mut map.submap_2d(0).grid.as_mut().unwrap().cells;
+        cells
+            .iter_mut()
+            .filter(|cell| **cell > 0 && **cell < 32_768)
+            .take(1)
+            .for_each(|cell| *cell += 32_768);
+    });
+    map.cut_area(&MapArea { min_x: 50.0, min_y: 50.0, max_x: 51.0, max_y: 51.0 }, false).unwrap();
+    map.write(&out).unwrap();
+    std::fs::remove_file(&out).unwrap();
+    let error = changed(|_| {}).transform(&Rigid3::translation(1e300, 0.0, 0.0)).unwrap_err();
+    assert!(matches!(error, EditError::TooFar), "{error}");
+    let mut map = changed(|map| {
+        let pose = map.graph.constraint[0].relative_pose.as_mut().unwrap();
+        pose.translation.as_mut().unwrap().x = 1e300;
+    });
+    let error = map.optimize(&Options::for_2d(), 10).unwrap_err();
+    assert!(matches!(error, EditError::Optimization(_)), "{error}");
+    assert!(!out.exists());
+}
+
+#[test]
+fn submaps_that_are_missing_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("small.pbstream");
+    let mut map = SmallMap::new(false);
+    map.rest.retain(|data| !matches!(data, Data::Submap(_)));
+    let submaps: usize = map.graph.trajectory.iter().map(|t| t.submap.len()).sum();
+    map.write(&path);
+    let loaded = load_textures(&mut MapReader::open(&path).unwrap()).unwrap();
+    assert_eq!((loaded.textures.len(), loaded.skipped.len()), (0, submaps));
+}
+
+#[test]
 fn loops_are_dropped_found_again_and_optimised() {
     let Some(path) = real_data("maps/reference/aces.pbstream") else { return };
     let folder = tempfile::tempdir().unwrap();

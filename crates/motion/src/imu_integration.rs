@@ -48,10 +48,11 @@ pub fn integrate_imu(data: &BTreeMap<Time, ImuData>, start: Time, end: Time) -> 
 /// The specific force integrated between the middles of two intervals, in the frame of the time between
 /// them (`slam3d.md` §8). None where samples are missing.
 pub fn velocity_change(imu: &BTreeMap<Time, ImuData>, times: [Time; 3]) -> Option<Vector3> {
-    let middle = |i: usize| times[i] + Duration::from_ticks((times[i + 1] - times[i]).ticks() / 2);
-    let whole = integrate_imu(imu, times[0], times[1])?;
-    let half = integrate_imu(imu, times[0], middle(0))?;
-    let between = integrate_imu(imu, middle(0), middle(1))?;
+    let [first, second, third] = times;
+    let middle = |from: Time, to: Time| from + Duration::from_ticks((to - from).ticks() / 2);
+    let whole = integrate_imu(imu, first, second)?;
+    let half = integrate_imu(imu, first, middle(first, second))?;
+    let between = integrate_imu(imu, middle(first, second), middle(second, third))?;
     Some((whole.delta_rotation.inverse() * half.delta_rotation) * between.delta_velocity)
 }
 

@@ -112,6 +112,8 @@ pub struct OptimizationSummary {
     pub iterations: u32,
     /// Whether a tolerance stopped it, not the number of iterations.
     pub converged: bool,
+    /// Whether it could not be done, as with numbers that are too large: nothing was moved.
+    pub failed: bool,
 }
 
 impl OptimizationData {

@@ -292,11 +292,12 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
                     final_cost: summary.final_cost,
                     iterations: summary.iterations,
                     converged: summary.termination.is_convergence(),
+                    failed: false,
                 }
             }
             Err(error) => {
                 tracing::warn!("the pose graph was not optimised: {error}");
-                OptimizationSummary::default()
+                OptimizationSummary { failed: true, ..OptimizationSummary::default() }
             }
         }
     }

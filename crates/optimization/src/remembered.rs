@@ -69,12 +69,13 @@ impl Answer for ImuState {
 
 impl Answer for OptimizationSummary {
     fn write(&self, words: &mut impl Sink) {
-        ([self.initial_cost, self.final_cost], (self.iterations, self.converged)).write(words);
+        let ended = (self.iterations, (self.converged, self.failed));
+        ([self.initial_cost, self.final_cost], ended).write(words);
     }
 
     fn read(words: &mut Words<'_>) -> Option<Self> {
-        let ([initial_cost, final_cost], (iterations, converged)) = Answer::read(words)?;
-        Some(Self { initial_cost, final_cost, iterations, converged })
+        let ([initial_cost, final_cost], (iterations, (converged, failed))) = Answer::read(words)?;
+        Some(Self { initial_cost, final_cost, iterations, converged, failed })
     }
 }
 

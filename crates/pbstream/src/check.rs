@@ -60,7 +60,12 @@ pub enum FindingKind {
     Imu,
     /// A trajectory none of whose nodes has a constraint.
     Unconstrained,
+    /// A place farther from the origin than anything on Earth.
+    FarAway,
 }
+
+/// Nothing on Earth is farther from the origin of a map, metres, however that is georeferenced.
+const FARTHEST: f64 = 1e8;
 
 impl FindingKind {
     /// What `repair` of `portolan-mapfile` does about it; none where nothing has to be done or nothing can.
@@ -69,7 +74,7 @@ impl FindingKind {
             Self::Damage => Some("keeps the records that are whole"),
             Self::Header => Some("makes a header"),
             Self::Order => Some("makes what is missing, drops what is there twice"),
-            Self::UnknownMessage | Self::Unconstrained => None,
+            Self::UnknownMessage | Self::Unconstrained | Self::FarAway => None,
             Self::Imu => Some("adds samples that agree with the poses"),
             Self::Options => Some("makes empty options, takes back impossible starts"),
             Self::DuplicateId => Some("keeps the first"),
@@ -277,6 +282,12 @@ impl Check {
             let problem =
                 if pose.is_some_and(|p| p.rotation.is_some()) { "is not valid" } else { "is missing" };
             self.error(FindingKind::Pose, format!("the pose of {what} {problem}"));
+        }
+        if let Some(metres) = valid.map(|pose| pose.translation.vector.norm()).filter(|far| *far > FARTHEST) {
+            self.warn(
+                FindingKind::FarAway,
+                format!("{what} lies {metres:.1e} m from where it is measured from"),
+            );
         }
         valid
     }

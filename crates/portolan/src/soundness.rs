@@ -44,6 +44,10 @@ impl<S: MapSpace> MappedRecording<S> {
         let count = pieces.map(|id| left_out(self.map.scan_poses(id))).sum::<usize>();
         self.issues.add(Issue::new(IssueKind::PoseNotFinite).times(count as u64));
         self.issues.append(&unsoundness(&self.map.graph)?);
+        if self.map.graph.optimizations().1.failed {
+            let finding = "its poses could not be optimised";
+            self.issues.add(Issue::new(IssueKind::GraphUnsound).with("finding", finding));
+        }
         Ok(())
     }
 }

@@ -39,8 +39,8 @@ impl<'a> WireReader<'a> {
             Encoding::Ros1 => Ok(packed),
             Encoding::Unknown => Err(DecodeError("its encoding is unknown")),
             Encoding::Cdr => {
-                let (header, data) = message.split_at_checked(4).ok_or(TOO_SHORT)?;
-                let big_endian = match (header[0], header[1]) {
+                let ([kind_high, kind_low, _, _], data) = message.split_first_chunk().ok_or(TOO_SHORT)?;
+                let big_endian = match (*kind_high, *kind_low) {
                     (0, 0) => true,
                     (0, 1) => false,
                     (0, 2 | 3) => return Err(DecodeError("it is a CDR parameter list, not plain CDR")),

@@ -143,7 +143,7 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         requested,
         start: start(args)?,
         jumps: args.jumps.map(Jumps::from),
-        save_map: save_map(args)?,
+        save_map: save_map(args, folder.path())?,
         threads: global.threads,
     };
     let saving = Saving::begin();
@@ -163,8 +163,8 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     })
 }
 
-/// The map that is wanted.
-fn save_map(args: &LocalizeArgs) -> Result<Option<SaveMap>, CliError> {
+/// The map that is wanted, beside the other results.
+fn save_map(args: &LocalizeArgs, output: &Path) -> Result<Option<SaveMap>, CliError> {
     let (path, growth) = match (&args.save_map, &args.update) {
         (Some(path), _) => (path, Growth::Extend),
         (None, Some(path)) => (path, Growth::Renew),
@@ -173,6 +173,14 @@ fn save_map(args: &LocalizeArgs) -> Result<Option<SaveMap>, CliError> {
     if args.recordings.iter().any(|recording| is_same_file(recording, path)) {
         return Err(CliError::Usage(format!(
             "{}: this is a recording, which the map would replace: name another file",
+            path.display()
+        )));
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let is_result = path.file_name().is_some_and(|name| LOCALIZED_FILES.iter().any(|file| name == *file));
+    if is_result && (folder == output || is_same_file(folder, output)) {
+        return Err(CliError::Usage(format!(
+            "{}: another result has this name: name another file for the map",
             path.display()
         )));
     }

@@ -106,6 +106,8 @@ impl State {
 
 /// A configuration of a robot includes three files.
 const MAX_INCLUDED: usize = 100;
+/// Most bytes of files that are kept for messages, outside of the memory that the interpreter counts.
+const MAX_SOURCES: usize = 32 << 20;
 const TOO_LONG: &str = "it ran longer than ";
 
 /// The error that ends a run at its deadline.
@@ -164,6 +166,11 @@ fn include(lua: &Lua, session: &Session, arguments: &MultiValue) -> mlua::Result
         }
         if state.included.len() >= MAX_INCLUDED {
             return Err(located(lua, &format!("more than {MAX_INCLUDED} files are included")));
+        }
+        let kept: usize = state.sources.iter().map(|source| source.content.len()).sum();
+        if kept + found.content.len() > MAX_SOURCES {
+            let most = MAX_SOURCES >> 20;
+            return Err(located(lua, &format!("the files that are included are larger than {most} MiB")));
         }
         state.included.push(found.path.clone());
         state.sources.push(found.clone());

@@ -10,7 +10,7 @@ const MAX_DEPTH: usize = 64;
 /// Most values in all tables together, counted as often as they are reached.
 const MAX_VALUES: usize = 1_000_000;
 
-/// Most bytes in all strings together, counted as often as they are reached.
+/// Most bytes in all strings and keys together, counted as often as they are reached.
 const MAX_TEXT: usize = 64 << 20;
 
 /// Copies tables without calling metamethods.
@@ -48,7 +48,9 @@ impl<'a> Snapshot<'a> {
         for pair in table.pairs::<LuaValue, LuaValue>() {
             let (key, value) = pair.map_err(|error| self.unusable(error.to_string()))?;
             let LuaValue::String(key) = key else { continue };
-            let key = key.to_str().map_err(|_| self.unusable("a key is not UTF-8".to_owned()))?.to_owned();
+            let key = key.to_str().map_err(|_| self.unusable("a key is not UTF-8".to_owned()))?;
+            self.count(&key)?;
+            let key = key.to_owned();
             self.path.push(key.clone());
             let value = self.value(value)?;
             self.path.pop();
@@ -68,10 +70,7 @@ impl<'a> Snapshot<'a> {
             LuaValue::Number(number) => Value::Number(number),
             LuaValue::String(string) => match string.to_str() {
                 Ok(text) => {
-                    self.text += text.len();
-                    if self.text > MAX_TEXT {
-                        return Err(self.unusable(format!("more than {} MiB of text", MAX_TEXT >> 20)));
-                    }
+                    self.count(&text)?;
                     Value::Text(text.to_owned())
                 }
                 Err(_) => return Err(self.unusable("the string is not UTF-8".to_owned())),
@@ -79,6 +78,14 @@ impl<'a> Snapshot<'a> {
             LuaValue::Table(table) => Value::Table(self.table(&table)?),
             other => Value::Other(other.type_name()),
         })
+    }
+
+    fn count(&mut self, text: &str) -> Result<(), ConfigError> {
+        self.text += text.len();
+        if self.text > MAX_TEXT {
+            return Err(self.unusable(format!("more than {} MiB of text", MAX_TEXT >> 20)));
+        }
+        Ok(())
     }
 
     fn unusable(&self, reason: String) -> ConfigError {

@@ -9,7 +9,7 @@ use crate::paint::MapArea;
 use portolan_pbstream::proto::mapping::grid2_d::Grid;
 use portolan_pbstream::proto::mapping::{Grid2D, HybridGrid, Submap};
 use portolan_pbstream::{IdInFile, pose_from_proto};
-use portolan_pbstream::{check_grid_2d, check_hybrid_grid, mend_grid_2d};
+use portolan_pbstream::{check_grid_2d, check_hybrid_grid, mend_grid_2d, mend_hybrid_grid};
 
 /// A rectangle of the global map in which submaps keep no cells, and where they lay when that was said.
 pub(super) struct ClearedArea {
@@ -18,22 +18,26 @@ pub(super) struct ClearedArea {
 }
 
 impl ClearedArea {
-    /// Makes the cells in the rectangle unknown; returns how many were known. Damaged grids stay as they are.
-    pub fn clear(&self, id: IdInFile, submap: &mut Submap) -> u64 {
-        let Some(map_from_submap) = self.submaps.get(&id) else { return 0 };
+    /// Makes the cells in the rectangle unknown; returns how many were known.
+    ///
+    /// # Errors
+    /// What is wrong with a grid of which nobody knows where its cells are.
+    pub fn clear(&self, id: IdInFile, submap: &mut Submap) -> Result<u64, String> {
+        let Some(map_from_submap) = self.submaps.get(&id) else { return Ok(0) };
         let mut cleared = 0;
         if let Some(submap) = &mut submap.submap_2d
             && let (Some(grid), Some(local_from_submap)) =
                 (&mut submap.grid, pose_from_proto(submap.local_pose.as_ref()))
         {
-            cleared += self.clear_plane(grid, &(map_from_submap * local_from_submap.inverse()));
+            cleared += self.clear_plane(grid, &(map_from_submap * local_from_submap.inverse()))?;
         }
         if let Some(submap) = &mut submap.submap_3d {
-            for grid in [&mut submap.high_resolution_hybrid_grid, &mut submap.low_resolution_hybrid_grid] {
-                cleared += grid.as_mut().map_or(0, |grid| self.clear_space(grid, map_from_submap));
+            let grids = [&mut submap.high_resolution_hybrid_grid, &mut submap.low_resolution_hybrid_grid];
+            for grid in grids.into_iter().flatten() {
+                cleared += self.clear_space(grid, map_from_submap)?;
             }
         }
-        cleared
+        Ok(cleared)
     }
 
     fn holds(&self, p: &Point3<f64>) -> bool {
@@ -41,9 +45,11 @@ impl ClearedArea {
         (area.min_x..=area.max_x).contains(&p.x) && (area.min_y..=area.max_y).contains(&p.y)
     }
 
-    fn clear_plane(&self, grid: &mut Grid2D, map_from_local: &Rigid3) -> u64 {
-        if !check_grid_2d(grid).is_good() {
-            return 0;
+    fn clear_plane(&self, grid: &mut Grid2D, map_from_local: &Rigid3) -> Result<u64, String> {
+        let report = check_grid_2d(grid);
+        if !report.is_good() {
+            report.broken.map_or(Ok(()), Err)?;
+            mend_grid_2d(grid);
         }
         let limits = grid.limits.unwrap_or_default();
         let (corner, size) = (limits.max.unwrap_or_default(), limits.cell_limits.unwrap_or_default());
@@ -69,12 +75,14 @@ impl ClearedArea {
             // The box of known cells is another one.
             mend_grid_2d(grid);
         }
-        cleared
+        Ok(cleared)
     }
 
-    fn clear_space(&self, grid: &mut HybridGrid, map_from_submap: &Rigid3) -> u64 {
-        if !check_hybrid_grid(grid).is_good() {
-            return 0;
+    fn clear_space(&self, grid: &mut HybridGrid, map_from_submap: &Rigid3) -> Result<u64, String> {
+        let report = check_hybrid_grid(grid);
+        if !report.is_good() {
+            report.broken.map_or(Ok(()), Err)?;
+            mend_hybrid_grid(grid);
         }
         let metres = |i: i32| f64::from(grid.resolution) * f64::from(i);
         let indices = grid.x_indices.iter().zip(&grid.y_indices).zip(&grid.z_indices);
@@ -84,6 +92,6 @@ impl ClearedArea {
             let mut keep = keep.iter();
             values.retain(|_| keep.next().copied().unwrap_or(true));
         }
-        keep.iter().filter(|keep| !**keep).count() as u64
+        Ok(keep.iter().filter(|keep| !**keep).count() as u64)
     }
 }

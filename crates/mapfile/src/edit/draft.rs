@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use super::EditError;
 use super::clear::ClearedArea;
+use super::error::FARTHEST_MOVE;
 use super::rest::Rest;
 use super::unread::{TrajectoryOptions, Unread};
 use portolan_pbstream::MapReader;
@@ -187,8 +188,12 @@ impl MapDraft {
     /// Moves the whole map: a point at `p` in the old global map is at `new_from_old · p` afterwards.
     ///
     /// # Errors
-    /// If a 2D map would leave its plane.
+    /// If a 2D map would leave its plane, or a map would be moved farther than the Earth is wide.
     pub fn transform(&mut self, new_from_old: &Rigid3) -> Result<(), EditError> {
+        let metres = new_from_old.translation.vector.norm();
+        if metres.is_nan() || metres > FARTHEST_MOVE {
+            return Err(EditError::TooFar);
+        }
         let out_of_plane = {
             let up = new_from_old.rotation * nalgebra::Vector3::z();
             new_from_old.translation.z != 0.0 || (up - nalgebra::Vector3::z()).norm() > 1e-9

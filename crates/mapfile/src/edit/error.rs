@@ -6,6 +6,9 @@ use crate::convert::MapConversionError;
 use portolan_pbstream::IdInFile;
 use portolan_pbstream::PbstreamError;
 
+/// Maps are not moved farther at once, metres: a position has its millimetres there.
+pub(super) const FARTHEST_MOVE: f64 = 1e8;
+
 /// Why a map cannot be edited.
 #[derive(Debug, thiserror::Error)]
 pub enum EditError {
@@ -60,6 +63,9 @@ pub enum EditError {
     /// A 2D and a 3D map, or a 2D map moved out of its plane.
     #[error("{0}")]
     Dimension(&'static str),
+    /// A map moved farther than anything on Earth lies apart: positions there would lose their digits.
+    #[error("a map can be moved by {:.0} km at most", FARTHEST_MOVE / 1e3)]
+    TooFar,
     /// Maps of different versions.
     #[error("the maps have the format versions {0} and {1}; `migrate` the older one first")]
     Versions(u32, u32),

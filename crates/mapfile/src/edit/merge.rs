@@ -78,7 +78,7 @@ impl MapDraft {
         let is_first = |id: &IdInFile| ids.values().min() == Some(&id.0);
         let first = self.all_node_poses().into_iter().find(|(id, _)| is_first(id));
         let (_, summary) = graph.optimizations();
-        let optimization = self.take_over::<S>(graph.problem(), graph.state().constraints.len(), summary);
+        let optimization = self.take_over::<S>(graph.problem(), graph.state().constraints.len(), summary)?;
         let moved = first.and_then(|(id, old)| Some(self.all_node_poses().get(&id)? * old.inverse()));
         let loop_closures = self.take_over_loops(&graph, &joining);
         Ok(JoinedMap {

@@ -46,7 +46,7 @@ impl MapDraft {
     /// ([`MapDraft::options`]): weights that it was not made with bend it.
     ///
     /// # Errors
-    /// If the files cannot be read, a node lacks its pose, or there is nothing to optimise.
+    /// If the files cannot be read, a node lacks its pose, there is nothing to optimise, or it cannot be done.
     pub fn optimize(&mut self, options: &Options, iterations: u32) -> Result<MapOptimization, EditError> {
         match self.dimension {
             Some(Dimension::Three) => self.optimize_in::<Spatial>(options, iterations),
@@ -70,7 +70,7 @@ impl MapDraft {
         }
         let summary =
             S::optimize(&mut data, &constraints, &options.map_builder.pose_graph.optimization_problem);
-        Ok(self.take_over::<S>(&data, constraints.len(), summary))
+        self.take_over::<S>(&data, constraints.len(), summary)
     }
 
     fn problem<S: Space>(&self, collected: &Collected) -> OptimizationData {
@@ -130,7 +130,12 @@ impl MapDraft {
         data: &OptimizationData,
         constraints: usize,
         summary: OptimizationSummary,
-    ) -> MapOptimization {
+    ) -> Result<MapOptimization, EditError> {
+        if summary.failed {
+            let reason =
+                "poses, constraints or weights are too large to be reckoned with; see `portolan check`";
+            return Err(EditError::Optimization(reason.to_owned()));
+        }
         let submaps: BTreeMap<IdInFile, Rigid3> =
             data.submaps.iter().map(|(id, pose)| (in_file(id.trajectory_id, id.index), *pose)).collect();
         let tracking_pose =
@@ -161,7 +166,7 @@ impl MapDraft {
                 landmark.global_pose = Some(pose_to_proto(&pose));
             }
         }
-        MapOptimization {
+        Ok(MapOptimization {
             initial_cost: summary.initial_cost,
             final_cost: summary.final_cost,
             iterations: summary.iterations,
@@ -170,7 +175,7 @@ impl MapDraft {
             nodes: nodes.len() as u64,
             constraints: constraints as u64,
             largest_move,
-        }
+        })
     }
 }
 

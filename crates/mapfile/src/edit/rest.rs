@@ -139,7 +139,11 @@ impl<'a> Rest<'a> {
         if !wanted.remove(&(*new, index)) {
             return Ok(());
         }
-        let content = self.without_cleared_cells((*new, index), kind, content);
+        let broken = |reason: String| {
+            let reason = format!("the grid of submap {trajectory},{index} cannot be cut: {reason}");
+            EditError::Broken { path: source.path.clone(), reason }
+        };
+        let content = self.without_cleared_cells((*new, index), kind, content).map_err(broken)?;
         if *new == trajectory && content.is_none() {
             return write(raw.bytes.clone());
         }
@@ -159,20 +163,21 @@ impl<'a> Rest<'a> {
         id: IdInFile,
         kind: MessageKind,
         content: Vec<u8>,
-    ) -> Option<Vec<u8>> {
+    ) -> Result<Option<Vec<u8>>, String> {
         if kind != MessageKind::Submap || self.cleared.is_empty() {
-            return None;
+            return Ok(None);
         }
-        let mut submap = Submap::decode(&*content).ok()?;
-        let cleared: u64 = self.cleared.iter().map(|area| area.clear(id, &mut submap)).sum();
+        let mut submap = Submap::decode(&*content).map_err(|error| error.to_string())?;
+        let cleared: u64 =
+            self.cleared.iter().map(|area| area.clear(id, &mut submap)).sum::<Result<_, _>>()?;
         self.cells_cleared += cleared;
         if cleared == 0 {
-            return None;
+            return Ok(None);
         }
         let rest = [SUBMAP_ID, SUBMAP_2D, SUBMAP_3D].iter().fold(content, |rest, n| without_field(&rest, *n));
         let mut bytes = submap.encode_to_vec();
         bytes.extend(rest);
-        Some(bytes)
+        Ok(Some(bytes))
     }
 
     fn trajectory_data(

@@ -172,7 +172,8 @@ impl ImuBasedExtrapolator {
         self.solution = variables.iter().map(|(time, id)| (*time, problem.se3(*id))).collect();
         let predicted = problem.se3(variables.last()?.1);
         let gravity_from_newest = problem.se3(variables.get(newest)?.1);
-        let local_from_tracking = self.poses[newest].1 * gravity_from_newest.inverse() * predicted;
+        let (_, local_from_newest) = self.poses.back()?;
+        let local_from_tracking = local_from_newest * gravity_from_newest.inverse() * predicted;
         let prediction = Prediction { time, local_from_tracking, gravity_from_tracking: predicted.rotation };
         is_valid_pose(&local_from_tracking).then_some(prediction)
     }
@@ -190,7 +191,7 @@ impl ImuBasedExtrapolator {
                 (*t, fitted.unwrap_or(self.gravity_from_local * pose))
             })
             .collect();
-        let [(before_time, before), (last_time, last)] = [nodes.len() - 2, nodes.len() - 1].map(|i| nodes[i]);
+        let [.., (before_time, before), (last_time, last)] = *nodes.as_slice() else { return None };
         let motion = integrate_imu(&self.imu, last_time, time)?;
         let (interval, ahead) = (last_time.seconds_since(before_time), time.seconds_since(last_time));
         let velocity = (last.translation.vector - before.translation.vector) / interval;

@@ -3,6 +3,7 @@
 //! A small file there ([`MANIFEST`]) names what was written, by which verb, with size and checksum. A file that it does
 //! not name, or that was changed since, is not overwritten unless somebody asks for it.
 
+mod claim;
 mod manifest;
 
 use std::collections::BTreeSet;
@@ -13,6 +14,7 @@ use portolan_atomic_file::{Leftovers, remove_leftovers};
 
 use super::error::{JobError, write_file};
 use super::event::{Observer, Remark, remark};
+use claim::Claim;
 pub use manifest::MANIFEST;
 use manifest::{Content, Manifest, Record, is_plain};
 
@@ -40,6 +42,8 @@ struct State {
     written: BTreeSet<String>,
     /// Files that are being written: their checksums are not known yet.
     open: BTreeSet<String>,
+    /// Keeps other runs out.
+    claim: Claim,
 }
 
 impl OutputFolder {
@@ -48,7 +52,8 @@ impl OutputFolder {
     /// overwritten.
     ///
     /// # Errors
-    /// A file of such a name was not written by an earlier run of this verb, or was changed since.
+    /// A file of such a name was not written by an earlier run of this verb, or was changed since; another run is writing
+    /// there.
     pub fn begin<N: AsRef<str>>(
         path: impl Into<PathBuf>,
         verb: &'static str,
@@ -60,6 +65,10 @@ impl OutputFolder {
         if path.exists() && !path.is_dir() {
             let reason = std::io::Error::other("this is no folder, and results go to one");
             return Err(JobError::file(&path, reason));
+        }
+        let mut claim = Claim::default();
+        if !names.is_empty() {
+            claim.make(&path)?;
         }
         let Leftovers { removed, left } = remove_leftovers(&path);
         if !removed.is_empty() {
@@ -76,7 +85,7 @@ impl OutputFolder {
         if !force && !files.is_empty() {
             return Err(JobError::ForeignFiles { folder: path, verb, files });
         }
-        let state = Mutex::new(State { manifest, ..State::default() });
+        let state = Mutex::new(State { manifest, claim, ..State::default() });
         Ok(Self { path, verb, state })
     }
 
@@ -88,7 +97,7 @@ impl OutputFolder {
     /// The path of a file that is written next; those that were named before are complete by then.
     ///
     /// # Errors
-    /// The folder cannot be made or written to.
+    /// The folder cannot be made or written to, or another run is writing there.
     pub fn file(&self, name: &str) -> Result<PathBuf, JobError> {
         self.files(&[name])?;
         Ok(self.path.join(name))
@@ -112,6 +121,7 @@ impl OutputFolder {
     pub fn files<N: AsRef<str>>(&self, names: &[N]) -> Result<(), JobError> {
         std::fs::create_dir_all(&self.path).map_err(|source| JobError::file(&self.path, source))?;
         let mut state = self.lock();
+        state.claim.make(&self.path)?;
         self.close_files(&mut state);
         for name in names.iter().map(AsRef::as_ref).filter(|name| is_plain(name)) {
             let record = Record { by: self.verb.to_owned(), content: None };
@@ -157,7 +167,9 @@ impl OutputFolder {
         if !left.is_empty() {
             remark(observe, Remark::EarlierLeft { folder: self.path.clone(), files: left });
         }
-        self.save(&state)
+        self.save(&state)?;
+        state.claim = Claim::default();
+        Ok(())
     }
 
     /// Notes size and checksum of what is complete. What is not there was not written after all.

@@ -87,6 +87,10 @@ fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
             "whatever optimises the map tears the trajectory off, or leaves it where it is",
             "use it frozen; or map its recording again",
         ),
+        FindingKind::FarAway => (
+            "places so far away have no millimetres; optimisation fails, or bends the rest",
+            "map the recording again, or take the part out with `portolan edit`",
+        ),
         FindingKind::Time => (
             "interpolation between these times is wrong",
             "check the stamps of the recording with `portolan check`; map it again or `portolan repair`",

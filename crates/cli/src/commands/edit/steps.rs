@@ -89,7 +89,11 @@ fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> R
         draft.retain_trajectories(|id| !args.delete.contains(&id));
     }
     if draft.trajectory_ids().next().is_none() {
-        return Err(nothing_left("--keep and --delete"));
+        return Err(match (args.keep.is_empty(), args.delete.is_empty()) {
+            (false, _) => nothing_left("--keep"),
+            (_, false) => nothing_left("--delete"),
+            _ => CliError::Failed("the map has no trajectories: there is nothing to edit".to_owned()),
+        });
     }
     if !args.rename.is_empty() {
         let names: BTreeMap<i32, i32> = args.rename.iter().copied().collect();

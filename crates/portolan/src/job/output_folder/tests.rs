@@ -124,3 +124,20 @@ fn damaged_lists_and_names_that_lead_elsewhere_harm_nobody() {
     assert!(error.contains(MANIFEST), "{error}");
     assert!(["a/b", "../a", "/a", "..", ""].iter().all(|name| !is_plain(name)) && is_plain("a b.c"));
 }
+
+#[test]
+fn one_run_at_a_time_writes_to_a_folder() {
+    let folder = written(&["map.png"]);
+    let first = begin(folder.path(), "map", false).0.unwrap();
+    let error = begin(folder.path(), "localize", true).0.unwrap_err().to_string();
+    assert!(error.contains("another run"), "{error}");
+    drop(first);
+    drop(begin(folder.path(), "map", false).0.unwrap());
+    // Of a folder that neither of them found there.
+    let new = folder.path().join("new");
+    let [first, second] = [(), ()].map(|()| begin(&new, "map", false).0.unwrap());
+    write(&first, "map.png");
+    let error = second.file("map.pbstream").unwrap_err().to_string();
+    assert!(error.contains("another run"), "{error}");
+    assert_eq!(names(&new), ["map.png", MANIFEST]);
+}
