@@ -10,6 +10,11 @@ use portolan_sensor::{SensorId, SensorKind};
 const MIN_SILENCE: f64 = 2.0;
 const MIN_PERIODS: f64 = 20.0;
 
+/// Whether so many seconds without messages that usually come each `period` seconds are a silence.
+pub(crate) fn is_silence(seconds: f64, period: f64) -> bool {
+    seconds > MIN_SILENCE && seconds > MIN_PERIODS * period
+}
+
 /// When each sensor was first and last heard of.
 #[derive(Debug, Default)]
 pub(crate) struct Silences {
@@ -45,7 +50,7 @@ impl Silences {
             let end = self.end?;
             let silent = end.seconds_since(heard.last);
             let period = heard.last.seconds_since(heard.first) / heard.messages.max(1) as f64;
-            let is_long = silent > MIN_SILENCE && silent > MIN_PERIODS * period;
+            let is_long = is_silence(silent, period);
             let issue = Issue::new(IssueKind::SensorSilent).of(id.id.clone());
             let issue = issue.with_number("seconds", format_args!("{silent:.1}")).between(heard.last, end);
             (is_long && is_steady(id)).then_some(issue)

@@ -287,10 +287,14 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
     };
     let mut text = format!("{found}\n");
     let counts = localized.state_counts();
-    let all: f64 = counts.iter().map(|(_, count)| count.seconds).sum();
+    let silent = localized.seconds_without_scans();
+    let all = counts.iter().map(|(_, count)| count.seconds).sum::<f64>() + silent;
     let shares = counts.iter().filter(|(_, count)| count.scans > 0);
-    let shares: Vec<String> =
+    let mut shares: Vec<String> =
         shares.map(|(state, count)| format!("{state} {:.1} s", count.seconds)).collect();
+    if silent > 0.0 {
+        shares.push(format!("no scans for {silent:.1} s"));
+    }
     text += &format!("{} scans: {}\n", localized.estimates.len(), shares.join(", "));
     text += &format!("{all:.0} s of recording in {seconds:.1} s\n");
     match (localized.start_agrees, localized.starts_at_fix) {

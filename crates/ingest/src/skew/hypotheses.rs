@@ -137,6 +137,8 @@ pub(super) fn told_by_fits(
     by_azimuth: Option<AzimuthWitness>,
     fits: &impl Fits,
 ) -> Option<Told> {
+    // Fits alone do not tell that a lidar spins: sweeps that never repeat hardly show the same things.
+    let by_azimuth = by_azimuth.filter(|witness| is_known(&witness.skew) && is_known(skew));
     let scaled = clear_scale(skew, duty, fits);
     let turned = by_azimuth.and_then(|witness| clear_by_azimuth(&witness, scaled, fits));
     if let Some(times) = turned.or(scaled) {
@@ -149,7 +151,7 @@ pub(super) fn told_by_fits(
     }
     let all = || scales_of_times(duty).map(Times::Scaled).chain(by_azimuth.map(|witness| witness.times()));
     // Where sweeps tell nothing of the motion, as those that never repeat, all points at one time fit best, whatever is right.
-    let is_known = skew.translation.sigma.is_finite() || skew.rotation.sigma.is_finite();
+    let is_known = is_known(skew);
     let contradicts = |times: Times| {
         fits.sigmas_better(AS_RECORDED, times) > CONTRADICTED
             && (is_known || fits.sigmas_better(NONE, times) > 0.0)
@@ -157,6 +159,11 @@ pub(super) fn told_by_fits(
     let is_contradicted = scaled.is_some() || all().any(contradicts);
     let times = all().max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
     is_contradicted.then_some(Told { times, is_clear: false })
+}
+
+/// Whether a factor is known at all.
+fn is_known(skew: &Skew) -> bool {
+    skew.translation.sigma.is_finite() || skew.rotation.sigma.is_finite()
 }
 
 /// What recorded times are to be multiplied with, if that is clear.

@@ -14,6 +14,7 @@ use portolan_ingest::SensorPlan;
 use portolan_issue::IssueLog;
 use portolan_localization::{Change, Corrections, Estimate, Jumps, Place, StartPose, State};
 use portolan_mapfile::PlacedTexture;
+use portolan_numeric::median;
 use portolan_spool::Spool;
 
 use super::REPORT_VERSION;
@@ -22,6 +23,7 @@ use super::error::{JobError, write_file};
 use super::event::{Observer, Remark, remark};
 use super::output_folder::{OutputFolder, Stale};
 use super::saved_map::SavedMap;
+use crate::silence::is_silence;
 
 /// A recording that was looked for in a map.
 pub struct LocalizedRecording {
@@ -80,7 +82,7 @@ impl Found {
 pub struct StateCount {
     /// Scans after which it was so.
     pub scans: usize,
-    /// Seconds until the next scan, summed up.
+    /// Seconds until the next scan, summed up; where scans were missing for long, those until one was due.
     pub seconds: f64,
 }
 
@@ -116,14 +118,26 @@ impl LocalizedRecording {
     /// How often and how long each state was, in the order of [`State::ALL`].
     pub fn state_counts(&self) -> [(State, StateCount); 5] {
         let mut counts = State::ALL.map(|state| (state, StateCount::default()));
-        let mut estimates = self.estimates.iter().peekable();
-        while let Some(estimate) = estimates.next() {
-            for (_, count) in counts.iter_mut().filter(|(state, _)| *state == estimate.state) {
+        let (lasting, _) = lasting(&self.intervals());
+        let states = self.estimates.iter().map(|estimate| estimate.state);
+        for (state, seconds) in states.zip(lasting.into_iter().chain([0.0])) {
+            for (_, count) in counts.iter_mut().filter(|(counted, _)| *counted == state) {
                 count.scans += 1;
-                count.seconds += estimates.peek().map_or(0.0, |next| next.time.seconds_since(estimate.time));
+                count.seconds += seconds;
             }
         }
         counts
+    }
+
+    /// Seconds in which scans were due and none came, so that no state is known.
+    pub fn seconds_without_scans(&self) -> f64 {
+        lasting(&self.intervals()).1
+    }
+
+    /// Seconds from each scan to the next.
+    fn intervals(&self) -> Vec<f64> {
+        let later = self.estimates.iter().skip(1);
+        self.estimates.iter().zip(later).map(|(scan, next)| next.time.seconds_since(scan.time)).collect()
     }
 
     /// Poses of the tracking frame in the map where it was localised, under the times of the recording.
@@ -143,6 +157,16 @@ impl LocalizedRecording {
     fn recorded(&self, time: Time) -> Time {
         self.recorded_times.get(&time).copied().unwrap_or(time)
     }
+}
+
+/// For how long a scan tells where it is, by the seconds to the next one, and for how long altogether none does: of a silence it
+/// is the time after which a scan was due.
+fn lasting(intervals: &[f64]) -> (Vec<f64>, f64) {
+    let period = median(&mut intervals.to_vec()).unwrap_or_default();
+    let lasting = |seconds: &f64| if is_silence(*seconds, period) { period } else { *seconds };
+    let told: Vec<f64> = intervals.iter().map(lasting).collect();
+    let silent = intervals.iter().zip(&told).map(|(seconds, told)| seconds - told).sum();
+    (told, silent)
 }
 
 /// The files of [`write_localized`].
@@ -301,6 +325,7 @@ fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
         "found_after_seconds": localized.found_after_seconds(),
         "scans": localized.estimates.len(),
         "states": states.into_iter().collect::<serde_json::Map<_, _>>(),
+        "seconds_without_scans": (1e3 * localized.seconds_without_scans()).round() / 1e3,
         "changes": changes(localized),
         "start": localized.start.map(|start| serde_json::json!({
             "from": if localized.starts_at_fix { "satellite_fix" } else { "start" },
@@ -330,4 +355,21 @@ fn changes(localized: &LocalizedRecording) -> Vec<serde_json::Value> {
         serde_json::json!({ "time": time, "state": e.state.name(), "reason": e.reason.name() })
     };
     changed.map(entry).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_an_hour_without_scans_nothing_is_known() {
+        let mut intervals = vec![0.1; 60];
+        assert_eq!(lasting(&intervals), (intervals.clone(), 0.0));
+        // Scans that are rare are none that are missing.
+        assert_eq!(lasting(&[3.0, 3.0, 12.0]).1, 0.0);
+        intervals[30] = 3600.0;
+        let (told, silent) = lasting(&intervals);
+        assert!((told.iter().sum::<f64>() - 6.0).abs() < 1e-9 && (silent - 3599.9).abs() < 1e-9);
+        assert_eq!(lasting(&[]), (Vec::new(), 0.0));
+    }
 }
