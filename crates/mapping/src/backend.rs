@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Sender, bounded, unbounded};
 use rayon::ThreadPool;
 
+use portolan_local_slam::LocalSlamError;
 use portolan_optimization::OptimizationSummary;
 
 use crate::{PoseGraph, SearchCounts, Space};
@@ -22,8 +23,8 @@ pub enum MapperError {
     #[error("the pose graph has stopped because of an internal fault; please report it with the recording")]
     PoseGraphStopped,
     /// Options that contradict each other.
-    #[error("these options cannot be used together: {0}")]
-    Options(String),
+    #[error(transparent)]
+    Options(#[from] LocalSlamError),
     /// A trajectory that does not exist or has ended.
     #[error("trajectory {0} does not exist or has ended")]
     NoSuchTrajectory(crate::TrajectoryId),

@@ -4,7 +4,6 @@
 mod backend;
 mod collation;
 mod histogram;
-mod local_slam;
 mod local_track;
 #[cfg(test)]
 mod made_rooms;
@@ -22,13 +21,16 @@ mod stop;
 
 pub use backend::{BackendProgress, MapperError};
 pub use collation::{Ready, SensorCollation};
-pub use local_slam::{ActiveSubmaps, LocalSlam, Lost, MatchingResult};
 pub use local_track::{LocalTrack, Placement, TrackedNode};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings, MapperWork};
-pub use node::{Node, NodeData};
-pub use planar::Planar;
+pub use node::Node;
 pub use portolan_lidar_odometry::{DegenerateInterval, DegenerateMotion, Substitute, SweepPoint};
+/// What local SLAM hands to the pose graph.
+pub use portolan_local_slam::{
+    ActiveSubmaps, InsertedNode, InsertionSubmap, LocalSlam, LocalSpace, Lost, MatchAcceptance,
+    MatchingResult, NodeData, OdometryBridge, Planar, Spatial,
+};
 pub use portolan_motion::{
     ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter, PoseExtrapolator, integrate_imu,
 };
@@ -37,9 +39,9 @@ pub use portolan_optimization::{
     Constraint, ConstraintTag, IndexedId, NodeId, OpenDirections, SubmapId, TrajectoryId, of_trajectory,
 };
 pub use pose_graph::{
-    CellFate, Coverage, Extension, GraphState, InitialTrajectoryPose, InsertedNode, InsertionSubmap,
-    LoopSearchPolicy, PoseGraph, PoseGraphPolicy, Replacement, SearchCounts, SelfConsistency, SubmapEntry,
-    TrajectoryEntry, TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
+    CellFate, Coverage, Extension, GraphState, InitialTrajectoryPose, LoopSearchPolicy, PoseGraph,
+    PoseGraphPolicy, Replacement, SearchCounts, SelfConsistency, SubmapEntry, TrajectoryEntry,
+    TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
 };
-pub use space::{MatchAcceptance, MatchedPose, Nearby, PlaceFinder, ProposedPlaces, SearchRegion, Space};
-pub use spatial::{Spatial, SpatialMatcher};
+pub use space::{MatchedPose, Nearby, PlaceFinder, ProposedPlaces, SearchRegion, Space};
+pub use spatial::SpatialMatcher;

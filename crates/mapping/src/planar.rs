@@ -3,22 +3,17 @@
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Quaternion, Rigid3, Vector2, embed_3d, project_2d, to_f32};
 use portolan_grids::{CellBox, ScanAgreement, mean_of_solid_cells, scan_agreement};
+use portolan_local_slam::{AT_WRONG_PLACES, LocalSlam2d, LocalSlamExtras, Planar};
 use portolan_matching::{FastCorrelativeMatcher2d, GradientMatcher2d};
 use portolan_optimization::{OptimizationData, OptimizationSummary, optimize_2d};
 use portolan_sensor::SensorId;
 use portolan_submaps::{SearchWindow, Submap2d, fast_matcher_options, gradient_matcher};
 
-use crate::local_slam::two_d::{LocalSlam2d, LocalSlamExtras};
 use crate::mapper::MapperWork;
 use crate::place_finder_2d::PlanarPlaces;
-use crate::pose_graph::AT_WRONG_PLACES;
 use crate::{
     Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, PlaceFinder, SearchRegion, Space,
 };
-
-/// 2D mapping: poses (x, y, θ), grids of probabilities or signed distances.
-#[derive(Clone, Copy, Debug)]
-pub struct Planar;
 
 /// What finds nodes in one finished submap.
 pub struct PlanarMatcher {
@@ -42,7 +37,6 @@ impl PlanarMatcher {
 static MAPPER_WORK: MapperWork<Planar> = MapperWork::compiled();
 
 impl Space for Planar {
-    type Submap = Submap2d;
     type Matcher = PlanarMatcher;
     type LocalSlam = LocalSlam2d;
 
@@ -62,7 +56,7 @@ impl Space for Planar {
             submap_length: options.portolan.submap_length,
             keep_scans: options.portolan.redraw_submaps,
         };
-        LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)
+        Ok(LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)?)
     }
 
     fn local_from_submap(submap: &Submap2d) -> Rigid3 {

@@ -1,12 +1,11 @@
 //! What is remembered of matches, searches and optimisations, so that a job that was cut off can go on.
 
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::Rigid3;
 use portolan_optimization::{OptimizationData, OptimizationSummary, remembered_optimum};
 use portolan_recall::{Answer, Fingerprint, Memory, Sink, Words};
-use portolan_sensor::PointCloud;
 
-use crate::pose_graph::InsertedNode;
 use crate::{Constraint, MatchedPose, NodeId, SearchRegion, Space, SubmapId, TrajectoryId};
+use portolan_local_slam::InsertedNode;
 
 /// A memory, and what has happened to a pose graph so far.
 #[derive(Clone, Debug, Default)]
@@ -67,46 +66,6 @@ impl Remembered {
         optimize: impl FnOnce(&mut OptimizationData, &[Constraint]) -> OptimizationSummary,
     ) -> OptimizationSummary {
         remembered_optimum(&self.memory, self.seen.value(), data, constraints, optimize)
-    }
-}
-
-/// A memory, and which scans local SLAM has seen so far.
-#[derive(Debug)]
-pub(crate) struct RememberedScans {
-    memory: Memory,
-    seen: Fingerprint,
-}
-
-impl Default for RememberedScans {
-    fn default() -> Self {
-        Self::new(&Memory::default())
-    }
-}
-
-impl RememberedScans {
-    /// Remembers with this.
-    pub fn new(memory: &Memory) -> Self {
-        Self { memory: memory.clone(), seen: Fingerprint::of("scans") }
-    }
-
-    /// Takes note of the next scan. Grids follow from the scans before.
-    pub fn note(&mut self, time: Time, prediction: &Rigid3, clouds: [&PointCloud; 2]) {
-        if !self.memory.is_on() {
-            return;
-        }
-        self.seen.add((time, *prediction));
-        for cloud in clouds {
-            self.seen.add_f32s(cloud.points.iter().flat_map(|p| [p.x, p.y, p.z]));
-        }
-    }
-
-    /// Where the scan is, looked for around a place, or what was found when it was done before.
-    pub fn answer<T: Answer>(&self, around: impl Answer, find: impl FnOnce() -> T) -> T {
-        let ask = |question: &mut Fingerprint| {
-            question.add_word(self.seen.value());
-            question.add(around);
-        };
-        self.memory.answer(ask, find)
     }
 }
 

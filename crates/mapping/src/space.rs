@@ -1,7 +1,5 @@
 //! What differs between 2D and 3D, so that the pose graph exists once.
 
-use std::fmt::Debug;
-
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, Vector3};
 use portolan_grids::ScanAgreement;
@@ -9,9 +7,8 @@ use portolan_optimization::{OptimizationData, OptimizationSummary};
 use portolan_sensor::SensorId;
 use portolan_submaps::SearchWindow;
 
-use crate::local_slam::LocalSlam;
 use crate::mapper::MapperWork;
-use crate::{Constraint, MapperError, NodeData};
+use crate::{Constraint, LocalSlam, LocalSpace, MapperError, MatchAcceptance, NodeData};
 
 /// How far a node may be from where it is believed to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,30 +36,6 @@ pub enum SearchRegion {
         /// Half of the size of the box along the axes of the submap, metres.
         half_size: Vector3,
     },
-}
-
-/// What a match in a submap has to be like to be believed, besides its score. A mean probability depends on how
-/// often the cells of the submap were seen; how many beams it explains and contradicts does not.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MatchAcceptance {
-    /// Least fraction of beams that must end at something that the submap knows.
-    pub min_explained: f32,
-    /// Largest fraction of beams that contradict the submap in all about which it knows something.
-    pub max_contradiction: f32,
-}
-
-impl Default for MatchAcceptance {
-    fn default() -> Self {
-        Self { min_explained: 0.0, max_contradiction: 1.0 }
-    }
-}
-
-impl MatchAcceptance {
-    /// Whether to believe a match; one that cannot be judged is believed.
-    pub fn accepts(&self, agreement: Option<ScanAgreement>) -> bool {
-        agreement
-            .is_none_or(|a| a.explained >= self.min_explained && a.contradiction() <= self.max_contradiction)
-    }
 }
 
 /// A node found in a submap.
@@ -103,9 +76,7 @@ pub struct ProposedPlaces {
 }
 
 /// A space to map in: the planar or the full one. Poses cross this interface as [`Rigid3`].
-pub trait Space: Copy + Debug + Send + Sync + 'static {
-    /// A submap as local SLAM builds it.
-    type Submap: Clone + Debug + Send + Sync + 'static;
+pub trait Space: LocalSpace {
     /// What is precomputed from a finished submap to find nodes in it.
     type Matcher: Send + Sync + 'static;
 

@@ -2,6 +2,7 @@
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
+use portolan_local_slam::{LocalSlam3d, LocalSlam3dSettings, Spatial};
 use portolan_matching::{
     FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SearchReach3d, SubmapToSearch,
 };
@@ -9,14 +10,9 @@ use portolan_optimization::{OptimizationData, OptimizationSummary, optimize_3d};
 use portolan_sensor::SensorId;
 use portolan_submaps::{Submap3d, clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 
-use crate::local_slam::three_d::{LocalSlam3d, LocalSlam3dSettings};
 use crate::mapper::MapperWork;
 use crate::plane_search::{confirmed, find_nearby, planes_of_loaded, reach_after, refined_by_planes};
 use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion, Space};
-
-/// 3D mapping: poses in 3D, hybrid grids.
-#[derive(Clone, Copy, Debug)]
-pub struct Spatial;
 
 /// Cells of this probability are solid.
 const SOLID: f32 = 0.55;
@@ -30,7 +26,6 @@ pub struct SpatialMatcher {
 static MAPPER_WORK: MapperWork<Spatial> = MapperWork::compiled();
 
 impl Space for Spatial {
-    type Submap = Submap3d;
     type Matcher = SpatialMatcher;
     type LocalSlam = LocalSlam3d;
 
@@ -48,7 +43,7 @@ impl Space for Spatial {
             min_scan_duration: options.portolan.min_scan_duration,
             plane_voxel_size: plane_voxel_size(options),
         };
-        LocalSlam3d::new(&options.trajectory_builder.trajectory_builder_3d, range_sensors, settings)
+        Ok(LocalSlam3d::new(&options.trajectory_builder.trajectory_builder_3d, range_sensors, settings)?)
     }
 
     fn local_from_submap(submap: &Submap3d) -> Rigid3 {

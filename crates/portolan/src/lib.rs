@@ -27,6 +27,7 @@ pub use portolan_ingest as ingest;
 pub use portolan_issue as issue;
 pub use portolan_lidar_odometry as lidar_odometry;
 pub use portolan_lidar_packets as lidar_packets;
+pub use portolan_local_slam as local_slam;
 pub use portolan_localization as localization;
 pub use portolan_mapfile as mapfile;
 pub use portolan_mapping as mapping;

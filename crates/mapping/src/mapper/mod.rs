@@ -23,10 +23,10 @@ use portolan_spool::Spool;
 
 use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
-use crate::local_slam::MatchingResult;
 use crate::map::{Map, ScanPose};
 use crate::stop::Stop;
 use crate::{DegenerateInterval, InitialTrajectoryPose, PoseGraph, Space, TrajectoryId};
+use portolan_local_slam::MatchingResult;
 
 /// How the mapper works, apart from what it maps.
 #[derive(Clone, Copy, Debug)]

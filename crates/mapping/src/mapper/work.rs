@@ -15,10 +15,9 @@ use portolan_spool::Spool;
 use super::{ActiveTrajectory, EndedTrajectory, Loss, Mapper, MapperSettings};
 use crate::backend::{Backend, BackendProgress, MapperError};
 use crate::collation::SensorCollation;
-use crate::local_slam::motion_filter;
-use crate::local_slam::{LocalSlam, Lost, MatchingResult};
 use crate::map::{Map, ScanPose};
 use crate::{InitialTrajectoryPose, PoseGraph, PoseGraphPolicy, Space, TrajectoryId, Trimmer};
+use portolan_local_slam::{LocalSlam, Lost, MatchingResult, motion_filter};
 
 /// The functions behind the methods of [`Mapper`], by their names.
 ///

@@ -8,10 +8,10 @@ use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_optimization::{ImuState, OptimizationNode};
 
 use super::{Gap, InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
-use crate::local_slam::OdometryBridge;
 use crate::{
     Constraint, ConstraintTag, InsertionSubmap, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId,
 };
+use portolan_local_slam::OdometryBridge;
 
 /// A piece of map takes over measurements from so long before it, so that its first node lies between two of them.
 const BEFORE_PIECE: Duration = Duration::from_ticks(2_000_000);

@@ -74,9 +74,9 @@ mod tests {
     use portolan_geometry::{Rigid3, Time};
 
     use super::*;
-    use crate::local_slam::OdometryBridge;
     use crate::made_rooms::{node, submap};
     use crate::{InsertedNode, InsertionSubmap, NodeData, Planar};
+    use portolan_local_slam::OdometryBridge;
 
     /// A scan of a room of this size at `x` metres in the local map, and the submap that it completes.
     fn inserted(room: (f32, f32), seconds: f64, x: f64) -> InsertedNode<Planar> {

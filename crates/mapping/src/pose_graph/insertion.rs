@@ -1,41 +1,16 @@
-//! What local SLAM hands to the pose graph, and how it enters: nodes and submaps get their identity and a first pose, and
+//! How what local SLAM hands to the pose graph enters it: nodes and submaps get their identity and a first pose, and
 //! are tied to each other (`slam2d.md` §14.3).
 
 use std::sync::Arc;
 
 use portolan_geometry::{Rigid3, Time};
-use portolan_grids::ScanAgreement;
+use portolan_local_slam::InsertedNode;
 use portolan_optimization::OptimizationNode;
 
 use super::{PoseGraph, SubmapEntry};
 use crate::{
-    Constraint, ConstraintTag, Node, NodeData, NodeId, OpenDirections, Space, SubmapId, TrajectoryId,
-    of_trajectory,
+    Constraint, ConstraintTag, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId, of_trajectory,
 };
-
-/// A submap into which local SLAM inserted a scan.
-#[derive(Clone, Debug)]
-pub struct InsertionSubmap<S: Space> {
-    /// Counted from zero within the trajectory.
-    pub index: u32,
-    /// Pose in the local map.
-    pub local_from_submap: Rigid3,
-    /// The grid, when this scan was the last one for it.
-    pub finished: Option<Arc<S::Submap>>,
-}
-
-/// A scan that local SLAM inserted.
-#[derive(Clone, Debug)]
-pub struct InsertedNode<S: Space> {
-    /// The node.
-    pub data: Arc<NodeData>,
-    /// The submaps that it was inserted into, oldest first.
-    pub submaps: Vec<InsertionSubmap<S>>,
-    /// What its scan left open.
-    pub open: OpenDirections,
-    /// How the map without its scan agrees with the scan (2D); none where there is nothing to compare with.
-    pub agreement: Option<ScanAgreement>,
-}
 
 /// Nodes this far apart at most, metres and radians, and at least so many seconds, were measured standing.
 const STANDING: (f64, f64) = (0.005, 0.003);

@@ -30,7 +30,6 @@ mod summary_ties;
 mod travel;
 mod trimmed_nodes;
 mod trimming;
-mod usual_agreement;
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -38,7 +37,6 @@ use std::sync::Arc;
 
 use agreement::WaitingMatches;
 pub use extension::Extension;
-pub use insertion::{InsertedNode, InsertionSubmap};
 pub use patching::CellFate;
 pub use patching_3d::VoxelFate;
 pub use policy::{LoopSearchPolicy, PoseGraphPolicy};
@@ -52,12 +50,12 @@ use summary_ties::SummaryTies;
 use travel::TravelGraph;
 pub use trimmed_nodes::{TrimmedNode, TrimmedNodes};
 pub use trimming::Trimmer;
-pub(crate) use usual_agreement::{AT_WRONG_PLACES, UsualAgreement};
 
 use localisation::Localisation;
 use places::PlaceSearches;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::Time;
+use portolan_local_slam::{InsertedNode, UsualAgreement};
 use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary};
 use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};

@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 use super::PoseGraph;
 use super::policy::Spacing;
-use crate::local_slam::refutes_place;
 use crate::{NodeId, Space, SubmapId};
+use portolan_local_slam::refutes_place;
 
 /// Places are this far apart along the way, metres.
 const SPACING: f64 = 1.0;

@@ -5,10 +5,8 @@
 
 use portolan_grids::ScanAgreement;
 
-use crate::MatchAcceptance;
-
 /// At a wrong place this share of the beams is explained, and this share of what is known is contradicted …
-pub(crate) const AT_WRONG_PLACES: Shares = Shares { explained: 0.25, contradiction: 0.5 };
+pub const AT_WRONG_PLACES: Shares = Shares { explained: 0.25, contradiction: 0.5 };
 /// … and at a right one, in recordings that the limits were chosen for.
 const AT_RIGHT_PLACES: Shares = Shares { explained: 0.8, contradiction: 1.0 / 12.0 };
 /// What was measured counts as much as what is expected after so many scans.
@@ -18,16 +16,40 @@ const KNOWN: f32 = 0.5;
 
 /// How a map agrees with a scan.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Shares {
+pub struct Shares {
     /// Of all beams.
     pub explained: f32,
     /// Of the beams about which the map knows something.
     pub contradiction: f32,
 }
 
+/// What a match in a submap has to be like to be believed, besides its score. A mean probability depends on how
+/// often the cells of the submap were seen; how many beams it explains and contradicts does not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MatchAcceptance {
+    /// Least fraction of beams that must end at something that the submap knows.
+    pub min_explained: f32,
+    /// Largest fraction of beams that contradict the submap in all about which it knows something.
+    pub max_contradiction: f32,
+}
+
+impl Default for MatchAcceptance {
+    fn default() -> Self {
+        Self { min_explained: 0.0, max_contradiction: 1.0 }
+    }
+}
+
+impl MatchAcceptance {
+    /// Whether to believe a match; one that cannot be judged is believed.
+    pub fn accepts(&self, agreement: Option<ScanAgreement>) -> bool {
+        agreement
+            .is_none_or(|a| a.explained >= self.min_explained && a.contradiction() <= self.max_contradiction)
+    }
+}
+
 /// Means over the scans of a recording, each compared with the map without it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct UsualAgreement {
+pub struct UsualAgreement {
     scans: f32,
     mean: Shares,
 }

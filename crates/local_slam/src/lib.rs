@@ -1,12 +1,20 @@
-//! Local SLAM: from measurements to nodes in the local map, without loop closure.
+#![doc = include_str!("../README.md")]
+#![cfg_attr(not(test), deny(clippy::indexing_slicing))]
 
 mod active_submaps;
-pub mod three_d;
-pub mod two_d;
-
-pub(crate) use two_d::refutes_place;
+mod node;
+mod remembered_scans;
+mod space;
+mod three_d;
+mod two_d;
+mod usual_agreement;
 
 pub use active_submaps::ActiveSubmaps;
+pub use node::{InsertedNode, InsertionSubmap, NodeData};
+pub use space::{LocalSpace, Planar, Spatial};
+pub use three_d::{LocalSlam3d, LocalSlam3dSettings};
+pub use two_d::{LocalSlam2d, LocalSlamExtras, refutes_place};
+pub use usual_agreement::{AT_WRONG_PLACES, MatchAcceptance, Shares, UsualAgreement};
 
 use std::collections::VecDeque;
 
@@ -21,11 +29,14 @@ use portolan_sensor::{
     TimedPointCloudData, adaptive_voxel_filter,
 };
 
-use crate::{InsertedNode, InsertionSubmap, Space};
+/// Options that contradict each other.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("these options cannot be used together: {0}")]
+pub struct LocalSlamError(pub String);
 
 /// What became of a scan.
 #[derive(Clone, Debug)]
-pub struct MatchingResult<S: Space> {
+pub struct MatchingResult<S: LocalSpace> {
     /// Time of its last point.
     pub time: Time,
     /// Where it was taken, in the local map.
@@ -54,7 +65,7 @@ pub struct OdometryBridge {
 
 /// The end of a piece of map, after which nothing, or odometry alone, constrained the pose of the scanner.
 #[derive(Clone, Debug)]
-pub struct Lost<S: Space> {
+pub struct Lost<S: LocalSpace> {
     /// Time of the first scan that did not fit any more, or of the last one before a gap.
     pub since: Time,
     /// The submaps that were being filled then.
@@ -67,7 +78,7 @@ pub struct Lost<S: Space> {
     pub bridge: Option<OdometryBridge>,
 }
 
-impl<S: Space> Lost<S> {
+impl<S: LocalSpace> Lost<S> {
     /// Whether there were no scans meanwhile, and odometry measured the motion; else scans did not fit.
     pub fn is_gap(&self) -> bool {
         self.bridge.is_some_and(|bridge| !bridge.is_contradicted)
@@ -78,7 +89,7 @@ impl<S: Space> Lost<S> {
 const MOST_GATHERED_POINTS: usize = 5_000_000;
 
 /// The local SLAM of one trajectory.
-pub trait LocalSlam<S: Space>: Send {
+pub trait LocalSlam<S: LocalSpace>: Send {
     /// A range measurement. Gives what became of scans whose turn has come, this one or earlier ones.
     fn add_range_data(&mut self, sensor_id: &SensorId, data: TimedPointCloudData) -> Vec<MatchingResult<S>>;
 

@@ -15,9 +15,10 @@ use super::deskew::{Deskewed, Gathered, deskew, raw_sweep};
 use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, not_inserted};
 use super::planes::{extrapolator_settings, kind_of};
-use crate::local_slam::motion_filter;
-use crate::remembered::RememberedScans;
-use crate::{MatchingResult, OpenDirections, Spatial};
+use crate::motion_filter;
+use crate::remembered_scans::RememberedScans;
+use crate::{MatchingResult, Spatial};
+use portolan_optimization::OpenDirections;
 
 /// Without an IMU a scan is de-skewed again with the pose it was matched at, so many times.
 const STRAIGHTENING_PASSES: u32 = 2;

@@ -17,7 +17,7 @@ use portolan_sensor::{
 use portolan_submaps::{Inserter3d, Submap3d};
 
 use super::{LocalSlam, MatchingResult, count_collated, count_extrapolated, first_point_time};
-use crate::{InsertionSubmap, MapperError, Spatial};
+use crate::{InsertionSubmap, LocalSlamError, Spatial};
 
 mod deskew;
 mod grid_matcher;
@@ -69,10 +69,10 @@ impl LocalSlam3d {
         options: &TrajectoryBuilder3dOptions,
         range_sensors: &[SensorId],
         settings: LocalSlam3dSettings,
-    ) -> Result<Self, MapperError> {
+    ) -> Result<Self, LocalSlamError> {
         let inserter =
             Inserter3d::new(&options.submaps, options.rotational_histogram_size, options.use_intensities)
-                .map_err(|e| MapperError::Options(e.to_string()))?;
+                .map_err(|e| LocalSlamError(e.to_string()))?;
         let matcher = GridMatcher::new(options)?;
         let (engine, inserter) = match settings.plane_voxel_size {
             Some(size) => {

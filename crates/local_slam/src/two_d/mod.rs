@@ -36,7 +36,7 @@ use super::{
     ActiveSubmaps, LocalSlam, Lost, MOST_GATHERED_POINTS, MatchingResult, OdometryBridge, count_collated,
     count_extrapolated, filtered, first_point_time, motion_filter, take_odometry,
 };
-pub(crate) use belief::refutes_place;
+pub use belief::refutes_place;
 use belief::{Belief, Fit};
 use co_moving::CoMoving;
 use dead_reckoning::DeadReckoning;
@@ -45,8 +45,7 @@ use motion::Motion;
 use scan::Scan;
 use tracking::{Found, Tracker};
 
-use crate::pose_graph::UsualAgreement;
-use crate::{InsertedNode, InsertionSubmap, MapperError, NodeData, Planar};
+use crate::{InsertedNode, InsertionSubmap, LocalSlamError, NodeData, Planar, UsualAgreement};
 use portolan_submaps::{Inserter2d, PlanarScan, Submap2d, search_after_gap};
 
 /// An odometry source that reported nothing for so long is not waited for.
@@ -105,8 +104,8 @@ impl LocalSlam2d {
         options: &TrajectoryBuilder2dOptions,
         range_sensors: &[SensorId],
         extras: LocalSlamExtras,
-    ) -> Result<Self, MapperError> {
-        let contradiction = |e: &dyn std::error::Error| MapperError::Options(e.to_string());
+    ) -> Result<Self, LocalSlamError> {
+        let contradiction = |e: &dyn std::error::Error| LocalSlamError(e.to_string());
         Ok(Self {
             inserter: Arc::new(Inserter2d::new(&options.submaps).map_err(|e| contradiction(&e))?),
             collator: RangeDataCollator::new(range_sensors.iter().map(|s| s.id.clone())),

@@ -98,7 +98,7 @@ fn fits_badly(agreement: &ScanAgreement) -> bool {
 }
 
 /// Whether what the map knows of a place says that the scan was not taken there, whatever moved meanwhile.
-pub(crate) fn refutes_place(agreement: &ScanAgreement) -> bool {
+pub fn refutes_place(agreement: &ScanAgreement) -> bool {
     fits_badly(agreement) && agreement.through_solid >= THROUGH_WALLS
 }
 

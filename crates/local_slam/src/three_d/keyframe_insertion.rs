@@ -10,8 +10,9 @@ use portolan_matching::rotational_histogram;
 use portolan_sensor::{PointCloud, RangeData};
 use portolan_submaps::{Inserter3d, Scan3d, Submap3d};
 
-use crate::local_slam::{ActiveSubmaps, filtered};
-use crate::{InsertedNode, InsertionSubmap, MatchingResult, NodeData, OpenDirections, Spatial};
+use crate::{ActiveSubmaps, filtered};
+use crate::{InsertedNode, InsertionSubmap, MatchingResult, NodeData, Spatial};
+use portolan_optimization::OpenDirections;
 
 /// A sweep that was registered and is a key frame.
 pub(super) struct KeyframeScan {

@@ -3,7 +3,7 @@
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_submaps::ScanMatcher3d;
 
-use crate::MapperError;
+use crate::LocalSlamError;
 
 /// Where no gyroscope makes predictions that are worth much, the weights of staying at the predicted pose are this
 /// fraction: on a walk of 87 m round a corridor without an IMU, in grids of 10 cm, the map is 13 m off with the weights as
@@ -19,9 +19,9 @@ pub(super) struct GridMatcher {
 
 impl GridMatcher {
     /// As the options say; weights that are not positive are an error.
-    pub fn new(options: &TrajectoryBuilder3dOptions) -> Result<Self, MapperError> {
+    pub fn new(options: &TrajectoryBuilder3dOptions) -> Result<Self, LocalSlamError> {
         let matcher = |options: &TrajectoryBuilder3dOptions| {
-            ScanMatcher3d::new(options).map_err(|e| MapperError::Options(e.to_string()))
+            ScanMatcher3d::new(options).map_err(|e| LocalSlamError(e.to_string()))
         };
         let mut weaker = options.clone();
         weaker.ceres_scan_matcher.translation_weight *= TRANSLATION_FRACTION;

@@ -6,7 +6,7 @@ use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_sensor::SynchronizedRanges;
 
 use super::deskew::Gathered;
-use crate::local_slam::{MOST_GATHERED_POINTS, first_point_time};
+use crate::{MOST_GATHERED_POINTS, first_point_time};
 
 /// Messages are thinned with voxels of this fraction of those that sweeps are thinned with.
 const VOXEL_FRACTION: f32 = 0.5;

@@ -21,7 +21,7 @@ use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
 use super::scan::{Scan, with_share};
-use crate::remembered::RememberedScans;
+use crate::remembered_scans::RememberedScans;
 
 /// Scans are searched within so many standard deviations of their prediction.
 const WITHIN_SIGMAS: f64 = 3.5;

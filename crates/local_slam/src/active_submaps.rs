@@ -7,10 +7,10 @@ use portolan_geometry::Point3f;
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_submaps::GrowingSubmap;
 
-use crate::{InsertionSubmap, Space};
+use crate::{InsertionSubmap, LocalSpace};
 
 /// None, one or two submaps that are being filled, oldest first.
-pub struct ActiveSubmaps<S: Space> {
+pub struct ActiveSubmaps<S: LocalSpace> {
     submaps: Vec<ActiveSubmap<S>>,
     next_index: u32,
     scans_per_half: u32,
@@ -25,14 +25,14 @@ pub struct ActiveSubmaps<S: Space> {
 const SPARSE_STEP: f64 = 0.25;
 
 /// A submap that is being filled.
-struct ActiveSubmap<S: Space> {
+struct ActiveSubmap<S: LocalSpace> {
     index: u32,
     submap: S::Submap,
     /// Way of the scanner since its first scan, metres.
     way: f64,
 }
 
-impl<S: Space> ActiveSubmap<S>
+impl<S: LocalSpace> ActiveSubmap<S>
 where
     S::Submap: GrowingSubmap,
 {
@@ -41,7 +41,7 @@ where
     }
 }
 
-impl<S: Space> ActiveSubmaps<S>
+impl<S: LocalSpace> ActiveSubmaps<S>
 where
     S::Submap: GrowingSubmap,
 {

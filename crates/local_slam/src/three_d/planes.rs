@@ -16,8 +16,9 @@ use super::LocalSlam3dSettings;
 use super::deskew::{Gathered, raw_sweep};
 use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, clouds, keyframes_per_half, not_inserted};
-use crate::local_slam::{ActiveSubmaps, Lost};
-use crate::{MatchingResult, OpenDirections, Spatial};
+use crate::{ActiveSubmaps, Lost};
+use crate::{MatchingResult, Spatial};
+use portolan_optimization::OpenDirections;
 
 /// Local SLAM by lidar odometry.
 pub(super) struct PlaneEngine {

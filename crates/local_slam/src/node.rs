@@ -1,0 +1,57 @@
+//! Nodes: scans that local SLAM inserted into submaps.
+
+use std::sync::Arc;
+
+use portolan_geometry::{Quaternion, Rigid3, Time};
+use portolan_grids::ScanAgreement;
+use portolan_optimization::OpenDirections;
+use portolan_sensor::PointCloud;
+use portolan_submaps::PlanarScan;
+
+use crate::LocalSpace;
+
+/// The unchanging part of a node. Files have the same fields in 2D and 3D; the dimension decides
+/// which clouds are filled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NodeData {
+    /// Time of the last point of the scan.
+    pub time: Time,
+    /// Rotation from the tracking frame to a gravity-aligned frame.
+    pub gravity_alignment: Quaternion,
+    /// 2D: the matching cloud, gravity aligned.
+    pub filtered_gravity_aligned_point_cloud: PointCloud,
+    /// 3D: the cloud matched against the fine grid, in the tracking frame.
+    pub high_resolution_point_cloud: PointCloud,
+    /// 3D: the cloud matched against the coarse grid, in the tracking frame.
+    pub low_resolution_point_cloud: PointCloud,
+    /// 3D: histogram of directions for rotational matching.
+    pub rotational_scan_matcher_histogram: Vec<f32>,
+    /// Pose of the tracking frame in the local map.
+    pub local_from_tracking: Rigid3,
+    /// 2D: the whole scan, gravity aligned, to draw submaps again; none if it came from a file.
+    pub scan: Option<PlanarScan>,
+}
+
+/// A submap into which local SLAM inserted a scan.
+#[derive(Clone, Debug)]
+pub struct InsertionSubmap<S: LocalSpace> {
+    /// Counted from zero within the trajectory.
+    pub index: u32,
+    /// Pose in the local map.
+    pub local_from_submap: Rigid3,
+    /// The grid, when this scan was the last one for it.
+    pub finished: Option<Arc<S::Submap>>,
+}
+
+/// A scan that local SLAM inserted.
+#[derive(Clone, Debug)]
+pub struct InsertedNode<S: LocalSpace> {
+    /// The node.
+    pub data: Arc<NodeData>,
+    /// The submaps that it was inserted into, oldest first.
+    pub submaps: Vec<InsertionSubmap<S>>,
+    /// What its scan left open.
+    pub open: OpenDirections,
+    /// How the map without its scan agrees with the scan (2D); none where there is nothing to compare with.
+    pub agreement: Option<ScanAgreement>,
+}

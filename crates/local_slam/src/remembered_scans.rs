@@ -1,0 +1,45 @@
+//! What is remembered of matches, so that a job that was cut off can go on.
+
+use portolan_geometry::{Rigid3, Time};
+use portolan_recall::{Answer, Fingerprint, Memory};
+use portolan_sensor::PointCloud;
+
+/// A memory, and which scans local SLAM has seen so far.
+#[derive(Debug)]
+pub(crate) struct RememberedScans {
+    memory: Memory,
+    seen: Fingerprint,
+}
+
+impl Default for RememberedScans {
+    fn default() -> Self {
+        Self::new(&Memory::default())
+    }
+}
+
+impl RememberedScans {
+    /// Remembers with this.
+    pub fn new(memory: &Memory) -> Self {
+        Self { memory: memory.clone(), seen: Fingerprint::of("scans") }
+    }
+
+    /// Takes note of the next scan. Grids follow from the scans before.
+    pub fn note(&mut self, time: Time, prediction: &Rigid3, clouds: [&PointCloud; 2]) {
+        if !self.memory.is_on() {
+            return;
+        }
+        self.seen.add((time, *prediction));
+        for cloud in clouds {
+            self.seen.add_f32s(cloud.points.iter().flat_map(|p| [p.x, p.y, p.z]));
+        }
+    }
+
+    /// Where the scan is, looked for around a place, or what was found when it was done before.
+    pub fn answer<T: Answer>(&self, around: impl Answer, find: impl FnOnce() -> T) -> T {
+        let ask = |question: &mut Fingerprint| {
+            question.add_word(self.seen.value());
+            question.add(around);
+        };
+        self.memory.answer(ask, find)
+    }
+}

@@ -1,0 +1,27 @@
+//! The spaces that local SLAM works in.
+
+use std::fmt::Debug;
+
+use portolan_submaps::{Submap2d, Submap3d};
+
+/// A space that local SLAM works in: the planar or the full one.
+pub trait LocalSpace: Copy + Debug + Send + Sync + 'static {
+    /// A submap as local SLAM builds it.
+    type Submap: Clone + Debug + Send + Sync + 'static;
+}
+
+/// 2D mapping: poses (x, y, θ), grids of probabilities or signed distances.
+#[derive(Clone, Copy, Debug)]
+pub struct Planar;
+
+impl LocalSpace for Planar {
+    type Submap = Submap2d;
+}
+
+/// 3D mapping: poses in 3D, hybrid grids.
+#[derive(Clone, Copy, Debug)]
+pub struct Spatial;
+
+impl LocalSpace for Spatial {
+    type Submap = Submap3d;
+}
