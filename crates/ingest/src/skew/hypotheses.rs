@@ -138,7 +138,7 @@ pub(super) fn told_by_fits(
     fits: &impl Fits,
 ) -> Option<Told> {
     // Fits alone do not tell that a lidar spins: sweeps that never repeat hardly show the same things.
-    let by_azimuth = by_azimuth.filter(|witness| is_known(&witness.skew) && is_known(skew));
+    let by_azimuth = by_azimuth.filter(|witness| is_known(&witness.skew));
     let scaled = clear_scale(skew, duty, fits);
     let turned = by_azimuth.and_then(|witness| clear_by_azimuth(&witness, scaled, fits));
     if let Some(times) = turned.or(scaled) {
@@ -296,9 +296,9 @@ mod tests {
             Some(Told { times, is_clear })
         };
         let none: fn(f64) -> f64 = |s| -s.abs();
-        // Factors alone, where fits agree; fits alone; both together; neither.
+        // Factors alone, where fits agree; both together; neither. Fits alone do not tell that a lidar spins.
         assert_eq!(told((1.0, 0.1), -0.5, none, 1.0), by_azimuth(true));
-        assert_eq!(told(unknown, 0.0, none, 0.2), by_azimuth(true));
+        assert_eq!(told(unknown, 0.0, none, 0.2), Some(Told { times: NONE, is_clear: false }));
         assert_eq!(told((0.9, 0.3), 0.0, none, 0.3), by_azimuth(true));
         assert_eq!(told((0.9, 0.3), 0.0, none, 0.7), by_azimuth(false));
         assert_eq!(told((0.9, 0.4), 0.0, none, 1.0), None);
