@@ -22,6 +22,12 @@
     long5   readings are 5 cm too long
     seconds, tenths   stamps tell whole seconds, or tenths
     untimed all stamps are 0
+    floor   the scanner stands 0.3 m high and looks 2.5 degrees down: beams end on the floor 6.9 m ahead at the latest
+    nod     the same, nodding by 2.5 degrees either way every 40 scans, as on a soft suspension
+    dirt    a third of the beams, in six runs that stay, read 0.2 to 0.5 m
+    wide    beams are 3 % farther apart than the log says
+    crowd   six persons walk around the robot, 0.8 to 3 m away, each with a time of its own
+    metric  readings are in millimetres
     glass   one reading in five goes on through glass: it is 0.5 to 3 m too long, in runs of four beams
 
 Odometry stays as it is. Needs Python 3 alone.
@@ -48,7 +54,45 @@ def behind_leader(ranges, count):
     return [f"{min(float(r), seen(i)):.3f}" if abs(i - middle) < half else r for i, r in enumerate(ranges)]
 
 
+def among_people(ranges, count):
+    """Six round bodies of 0.5 m go round the robot, nearer and farther, either way."""
+    n, nearest = len(ranges), [float(r) for r in ranges]
+    for k in range(6):
+        away = 1.9 + 1.1 * math.sin(count / (29.0 + 7.0 * k) + k)
+        middle = n * (0.5 + 0.6 * math.sin(count / (61.0 + 13.0 * k) + 2.0 * k))
+        half = math.asin(0.25 / away) / math.pi * n
+        for i in range(max(0, math.ceil(middle - half)), min(n, math.floor(middle + half) + 1)):
+            nearest[i] = min(nearest[i], away - 0.25 * math.sqrt(max(0.0, 1.0 - ((i - middle) / half) ** 2)))
+    return [f"{r:.3f}" for r in nearest]
+
+
+def above_floor(ranges, down_degrees):
+    """What a scanner 0.3 m above the floor sees that looks down ahead, and up behind."""
+    n, sees = len(ranges), []
+    for i, r in enumerate(ranges):
+        descent = math.sin(math.radians(down_degrees)) * math.cos((i / n - 0.5) * math.pi)
+        on_floor = 0.3 / descent if descent > 1e-3 else math.inf
+        sees.append(f"{on_floor:.3f}" if on_floor < float(r) else r)
+    return sees
+
+
 def spoilt(ranges, how, chance, count):
+    if how == "floor":
+        return above_floor(ranges, 2.5)
+    if how == "nod":
+        return above_floor(ranges, 2.5 * math.sin(count / 40.0 * math.tau))
+    if how == "crowd":
+        return among_people(ranges, count)
+    if how == "dirt":
+        on_glass = lambda i: 0.2 + 0.05 * (i * 6 // len(ranges))
+        is_dirty = lambda i: i * 18 // len(ranges) % 3 == 1
+        return [f"{chance.gauss(on_glass(i), 0.01):.3f}" if is_dirty(i) else r for i, r in enumerate(ranges)]
+    if how == "wide":
+        middle = (len(ranges) - 1) / 2
+        at = lambda i: round(middle + 1.03 * (i - middle))
+        return [ranges[at(i)] if 0 <= at(i) < len(ranges) else NOTHING for i in range(len(ranges))]
+    if how == "metric":
+        return [f"{1000.0 * float(r):.0f}" for r in ranges]
     if how == "hull":
         twelfth = len(ranges) // 12
         own = lambda i: 0.25 + 0.1 * min(i, len(ranges) - 1 - i) / twelfth

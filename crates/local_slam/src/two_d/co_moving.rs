@@ -13,10 +13,10 @@ use portolan_sensor::RangeData;
 
 /// Beams are told apart by the degree.
 const BINS: usize = 360;
-/// Only what is so near is looked at, metres: what is farther takes few beams.
-const REACH: f64 = 5.0;
-/// A scan is compared with one from which the scanner has moved or turned so far, metres and radians …
-const MOVED: f64 = 0.3;
+/// Returns up to so far away are compared with a scan from which the scanner has moved so far, metres. What is farther than the
+/// last is not looked at: at grazing incidence a floor is no longer seen there.
+const BANDS: [(f64, f64); 2] = [(5.0, 0.3), (20.0, 1.3)];
+/// Or turned, radians.
 const TURNED: f64 = 0.5;
 /// … and that is no older.
 const OLDEST: Duration = Duration::from_ticks(50_000_000);
@@ -101,13 +101,18 @@ impl CoMoving {
             self.views.pop_front();
         }
         let from_now = |view: &View| view.local_from_scanner.inverse() * local_from_scanner;
-        let has_moved = |m: &Rigid2| m.translation.norm() >= MOVED || m.normalized_angle().abs() >= TURNED;
-        let compared = self.views.iter().rev().find(|view| has_moved(&from_now(view)));
-        if let Some(view) = compared {
-            let before_from_now = from_now(view);
+        let motions: Vec<(&View, Rigid2)> =
+            self.views.iter().rev().map(|view| (view, from_now(view))).collect();
+        let compared = BANDS.map(|(reach, moved)| {
+            let has_moved =
+                |m: &Rigid2| m.translation.norm() >= moved || m.normalized_angle().abs() >= TURNED;
+            (reach, motions.iter().find(|(_, motion)| has_moved(motion)))
+        });
+        if compared.iter().any(|(_, view)| view.is_some()) {
             let verdict = |at: &Option<Vector2>| {
-                at.filter(|at| at.norm() < REACH)
-                    .map(|at| compare(at, &before_from_now, (&view.profile, &profile)))
+                let (at, range) = at.map(|at| (at, at.norm()))?;
+                let (_, view) = compared.iter().find(|(reach, _)| range < *reach)?;
+                view.map(|(view, motion)| compare(at, motion, (&view.profile, &profile)))
             };
             let verdicts: Vec<Option<Verdict>> = profile.returns.iter().map(verdict).collect();
             let count = |wanted| verdicts.iter().filter(|verdict| **verdict == Some(wanted)).count();
