@@ -15,6 +15,8 @@
     doubled  every sweep comes twice
     stale    every fifth sweep has the points of the one before under its own stamp
     swapped  every tenth sweep comes behind the one after it
+    mirror   y has the wrong sign, as where somebody mixed left-handed and right-handed frames
+    pieces   every sweep comes as six messages of a sixth of its points, in their order, without times of points
     one+two  both
 
 Other messages stay as they are. Needs rosbags and numpy. The seed is fixed: the same bag in every run.
@@ -90,6 +92,8 @@ def changed(points, how, chance):
     """The same points, elsewhere."""
     if how in ("tilted", "upside", "onside"):
         return mounted(points, how)
+    if how == "mirror":
+        return points * [1, -1, 1]
     if how in ("carrier", "hull"):
         return hidden(points, how, chance)
     return points * scaled(points, how, chance)[:, None]
@@ -112,6 +116,19 @@ def spoilt(cloud, how, chance):
     return cloud
 
 
+def pieces(cloud, count):
+    """The sweep as so many messages, whose stamps say when their points were taken if a turn takes 0.1 s."""
+    cloud.fields = [f for f in cloud.fields if f.name in ("x", "y", "z", "intensity", "ring")]
+    raw = np.frombuffer(bytes(cloud.data), np.uint8).reshape(-1, cloud.point_step)
+    start = cloud.header.stamp.sec * 10**9 + cloud.header.stamp.nanosec
+    for k, part in enumerate(np.array_split(raw, count)):
+        stamp = cloud.header.stamp
+        stamp.sec, stamp.nanosec = divmod(start + k * 10**8 // count, 10**9)
+        cloud.height, cloud.width, cloud.row_step = 1, len(part), part.size
+        cloud.data = part.reshape(-1).copy()
+        yield k * 10**8 // count, STORE.serialize_ros1(cloud, cloud.__msgtype__)
+
+
 def main():
     source, output = sys.argv[1:3]
     hows = sys.argv[3].split("+")
@@ -132,6 +149,10 @@ def main():
                 last.header.stamp = cloud.header.stamp
                 cloud = last
             last = cloud
+            if "pieces" in hows:
+                for later, data in pieces(cloud, 6):
+                    writer.write(added[c.id], time + later, data)
+                continue
             data = STORE.serialize_ros1(cloud, c.msgtype)
             if "swapped" in hows and sweeps % 10 == 0:
                 waiting = data

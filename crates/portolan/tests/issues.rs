@@ -105,3 +105,15 @@ fn the_report_has_kinds_sensors_and_times() {
     assert_eq!(late["text"], text);
     assert_eq!(report["data_lost"], true);
 }
+
+#[test]
+fn the_report_has_what_was_decided() {
+    let folder = tempfile::tempdir().unwrap();
+    let finished = map(&room(&[]), MapRequest::new(folder.path()), &mut unobserved).unwrap();
+    assert!(!finished.summary.lost_data);
+    let report = std::fs::read(folder.path().join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let choices = report["choices"].as_array().unwrap();
+    let said: Vec<&str> = choices.iter().map(|choice| choice["what"].as_str().unwrap()).collect();
+    assert!(said.iter().any(|what| what.contains("laser")), "no robot's frame is known: {said:?}");
+}

@@ -341,6 +341,7 @@ fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
         "interrupted": localized.interrupted,
         "tracking_frame": localized.plan.tracking_frame,
         "sensors": sensors,
+        "choices": localized.plan.notices,
         "issues": localized.issues,
         "data_lost": localized.issues.lost_data(),
     })

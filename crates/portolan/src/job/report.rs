@@ -118,6 +118,7 @@ pub(super) fn report<S: Space>(
         "interrupted": mapped.interrupted,
         "tracking_frame": mapped.plan.tracking_frame,
         "sensors": sensors,
+        "choices": mapped.plan.notices,
         "engine": mapped.map.options.engine().to_string(),
         "options_fingerprint": mapped.map.options.fingerprint(),
         "options": mapped.map.options,
