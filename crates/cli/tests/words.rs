@@ -102,6 +102,29 @@ fn what_cannot_be_written_is_named_once() {
 }
 
 #[test]
+fn negative_numbers_are_refused_by_what_takes_none() {
+    for (arguments, reason) in [
+        (vec!["map", "a.bag", "--range-noise", "-1"], "expected auto or metres"),
+        (vec!["render", "a.pbstream", "-o", "a.png", "--resolution", "-1"], "expected metres, more than 0"),
+        (vec!["render", "a.pbstream", "-o", "a.png", "--resolution", "0"], "expected metres, more than 0"),
+        (vec!["edit", "a.pbstream", "-o", "b.pbstream", "--drop-loops-beyond", "-1"], "more than 0"),
+        (vec!["optimize", "a.g2o", "-o", "b.g2o", "--iterations", "-1"], "-1 is not in 0"),
+        (vec!["simulate", "office", "--seconds", "-3", "-o", "/none/a.bag"], "duration must be from 0.1"),
+        (vec!["evaluate", "trajectory", "a.tum", "b.tum", "--rpe", "-1"], "expected seconds, more than 0"),
+    ] {
+        let run = portolan_with_code(2, &arguments);
+        assert!(
+            run.stderr.contains(reason) && !run.stderr.contains("'-- -"),
+            "{arguments:?}: {}",
+            run.stderr
+        );
+    }
+    // A name that begins like a number is none.
+    let run = portolan_with_code(2, &["map", "-1"]);
+    assert!(run.stderr.contains("'-1'"), "{}", run.stderr);
+}
+
+#[test]
 fn what_was_meant_is_found() {
     let run = portolan_with_code(2, &["config", "show", "--set", "constraint_builder.min_score=2"]);
     assert!(run.stderr.contains("0 to 1"), "{}", run.stderr);
