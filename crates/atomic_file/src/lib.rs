@@ -153,11 +153,12 @@ fn temporary_file(folder: &Path) -> io::Result<(Unfinished, NamedTempFile)> {
     Err(io::Error::new(io::ErrorKind::ResourceBusy, "another program removes temporary files there"))
 }
 
-/// What the system says, without the temporary name, which means nothing to anybody.
+/// What the system says, without the temporary name that `tempfile` adds and that means nothing to anybody.
 pub(crate) fn plain(error: io::Error) -> io::Error {
-    let cause =
-        error.get_ref().and_then(|error| error.source()).and_then(|cause| cause.downcast_ref::<io::Error>());
-    cause.and_then(io::Error::raw_os_error).map_or(error, io::Error::from_raw_os_error)
+    match error.to_string().split_once(" at path \"") {
+        Some((cause, _)) => io::Error::new(error.kind(), cause.to_owned()),
+        None => error,
+    }
 }
 
 /// Where a link leads, so that the link stays one.
