@@ -3,6 +3,7 @@
 mod disk;
 #[cfg(feature = "faults")]
 pub mod faults;
+mod folder;
 mod leftover;
 mod space;
 
@@ -14,6 +15,7 @@ use portolan_unfinished::Unfinished;
 use tempfile::NamedTempFile;
 
 use disk::{Disk, before_commit};
+pub use folder::ResultFolder;
 pub use leftover::{Leftovers, remove_leftovers};
 pub use space::{NoRoom, free_bytes, require_room, require_room_for};
 
@@ -143,12 +145,20 @@ fn temporary_file(folder: &Path) -> io::Result<(Unfinished, NamedTempFile)> {
     }
     for _ in 0..ATTEMPTS {
         let (unfinished, file) =
-            Unfinished::create_named(|| builder.tempfile_in(folder), NamedTempFile::path)?;
+            Unfinished::create_named(|| builder.tempfile_in(folder), NamedTempFile::path).map_err(plain)?;
         if leftover::claim(file.as_file(), file.path()) {
             return Ok((unfinished, file));
         }
     }
     Err(io::Error::new(io::ErrorKind::ResourceBusy, "another program removes temporary files there"))
+}
+
+/// What the system says, without the temporary name that `tempfile` adds and that means nothing to anybody.
+pub(crate) fn plain(error: io::Error) -> io::Error {
+    match error.to_string().split_once(" at path \"") {
+        Some((cause, _)) => io::Error::new(error.kind(), cause.to_owned()),
+        None => error,
+    }
 }
 
 /// Where a link leads, so that the link stays one.
@@ -240,6 +250,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let error = AtomicFile::create(folder.path().join("no/such/map")).err().unwrap();
         assert!(error.to_string().contains("does not exist"), "{error}");
+        #[cfg(target_os = "linux")]
+        assert!(!AtomicFile::create("/proc/map").err().unwrap().to_string().contains(".tmp"));
         let error = AtomicFile::create(folder.path()).err().unwrap();
         assert!(error.to_string().contains("folder of this name"), "{error}");
     }

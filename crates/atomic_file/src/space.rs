@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 /// A disk is too full.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error(
-    "{}: only {:.1} MB are free, and the results need at least {:.1} MB",
+    "{}: only {} are free, and the results need at least {}",
     folder.display(),
-    *free as f64 / 1048576.0,
-    *needed as f64 / 1048576.0
+    size(*free),
+    size(*needed)
 )]
 pub struct NoRoom {
     /// Where the results should go.
@@ -17,6 +17,15 @@ pub struct NoRoom {
     pub free: u64,
     /// Bytes that the results need at the very least.
     pub needed: u64,
+}
+
+/// Bytes in words.
+fn size(bytes: u64) -> String {
+    match bytes {
+        0..1024 => format!("{bytes} bytes"),
+        1024..1_048_576 => format!("{} kB", bytes.div_ceil(1024)),
+        _ => format!("{:.1} MB", bytes as f64 / 1_048_576.0),
+    }
 }
 
 /// Refuses a folder on a disk without that much room. Where it is not known how much there is, everything fits.
@@ -64,7 +73,9 @@ mod tests {
     #[test]
     fn disks_without_room_are_refused() {
         let error = require_room_for(Path::new("/proc/map"), 1 << 20).unwrap_err().to_string();
-        assert_eq!(error, "/proc: only 0.0 MB are free, and the results need at least 1.0 MB");
+        assert_eq!(error, "/proc: only 0 bytes are free, and the results need at least 1.0 MB");
+        let error = require_room_for(Path::new("/proc/map"), 4097).unwrap_err().to_string();
+        assert!(error.ends_with("at least 5 kB"), "{error}");
         let here = tempfile::tempdir().unwrap();
         require_room(here.path(), 1).unwrap();
         require_room(here.path(), u64::MAX).unwrap_err();

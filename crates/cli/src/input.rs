@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 use std::path::Path;
 
-use portolan_input::{Forward, kind_of, named, read_all, regular_file};
+use portolan_input::{Forward, named, read_all, regular_file, unwanted_kind_of};
 use portolan_pbstream::MAGIC;
 
 use crate::error::CliError;
@@ -40,9 +40,14 @@ pub fn open_map(path: &Path) -> Result<Option<Forward>, CliError> {
     Ok(is_map.then_some(input))
 }
 
-/// Refuses what is no text of numbers, and says what it is.
-pub fn must_be_text(input: &mut Forward, path: &Path) -> Result<(), CliError> {
-    match kind_of(peek(input, path, 16)?) {
+/// How the lines of pose graphs (g2o) begin.
+pub const GRAPH_TAGS: [&str; 3] = ["VERTEX", "EDGE", "FIX"];
+
+/// Refuses what is known to be no pose graph, and says what it is.
+pub fn may_be_graph(input: &mut Forward, path: &Path) -> Result<(), CliError> {
+    let start = peek(input, path, 16)?;
+    let is_graph = GRAPH_TAGS.iter().any(|tag| start.starts_with(tag.as_bytes()));
+    match unwanted_kind_of(start).filter(|_| !is_graph) {
         Some(kind) => Err(CliError::in_file(path, format!("this is {kind}"))),
         None => Ok(()),
     }

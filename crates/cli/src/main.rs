@@ -13,7 +13,7 @@ mod suggest;
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser};
+use clap::{CommandFactory, FromArgMatches, Parser};
 
 use error::CliError;
 use exit::ExitStatus;
@@ -67,7 +67,9 @@ impl GlobalArgs {
 
 fn main() -> ExitCode {
     let arguments = commands::compat::arguments(std::env::args_os());
-    let status = match Cli::try_parse_from(arguments) {
+    let parsed =
+        command_line().try_get_matches_from(arguments).and_then(|found| Cli::from_arg_matches(&found));
+    let status = match parsed {
         Ok(cli) => run(cli),
         Err(message) => show(&suggest::with_nearest_verb(message)),
     };
@@ -154,7 +156,16 @@ fn start_logging(global: &GlobalArgs) {
         .init();
 }
 
-/// The command line as data, from which man page and completions are made.
+/// The command line as data, from which man page and completions are made, too.
 fn command_line() -> clap::Command {
-    Cli::command()
+    with_negative_numbers(Cli::command())
+}
+
+/// Every option that takes a value takes negative numbers: where they make no sense it says so itself, and what it expects.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let takes = |argument: clap::Arg| {
+        let is_option = !argument.is_positional() && argument.get_action().takes_values();
+        if is_option { argument.allow_negative_numbers(true) } else { argument }
+    };
+    command.mut_args(takes).mut_subcommands(with_negative_numbers)
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use portolan_atomic_file::AtomicFile;
+use portolan_atomic_file::{AtomicFile, ResultFolder};
 pub use portolan_numeric::counted;
 
 use crate::error::CliError;
@@ -56,4 +56,12 @@ pub fn write_file(
         Ok(()) => Ok(file.commit()?),
         Err(source) => Err(file.error(source).into()),
     }
+}
+
+/// Makes a folder for results; it goes again with the value if nothing came into it.
+///
+/// # Errors
+/// It cannot be made or written to.
+pub fn make_folder(path: &Path) -> Result<ResultFolder, CliError> {
+    ResultFolder::make(path).map_err(|source| CliError::File { path: path.to_owned(), source })
 }

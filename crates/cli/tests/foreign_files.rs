@@ -140,3 +140,42 @@ fn what_is_edited_to_nothing_names_the_option() {
         assert!(!Path::new(&out).exists());
     }
 }
+
+#[test]
+fn what_fails_leaves_no_empty_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| text(&folder.path().join(name));
+    fs::write(at("t.tum"), "1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n").unwrap();
+    fs::write(at("prose.txt"), "nothing of use\n").unwrap();
+    fs::create_dir(at("mine")).unwrap();
+    let (out, deep, mine, cloud) = (at("out"), at("a/b/out"), at("mine"), at("clouds/c.ply"));
+    for arguments in [
+        vec!["map", &at("prose.txt"), "-o", &out],
+        vec!["map", &at("none"), "-o", &deep, "--cloud", &cloud],
+        vec!["map", &at("none"), "-o", &mine],
+        vec!["refine", "--recording", &at("prose.txt"), "--trajectory", &at("t.tum"), "-o", &out],
+        vec!["localize", &at("prose.txt"), &at("none"), "-o", &out],
+    ] {
+        portolan_with_code(1, &arguments);
+        let mut names: Vec<_> =
+            fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, ["mine", "prose.txt", "t.tum"], "{arguments:?}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_folder_that_takes_no_files_is_refused_before_the_work() {
+    let place = Place::new();
+    place.map(0, &["-q"]);
+    let map = text(&place.output().join("map.pbstream"));
+    // Where nobody can make a file, whoever they are.
+    for output in ["/proc/sys", "/proc/sys/results"] {
+        for verb in [vec!["map", &place.recording], vec!["localize", &map, &place.recording]] {
+            let run = portolan_with_code(1, &[&verb[..], &["-o", output]].concat());
+            assert!(run.stderr.starts_with(&format!("error: {output}: ")), "{}", run.stderr);
+            assert_eq!(run.stderr.lines().count(), 1, "{}", run.stderr);
+        }
+    }
+}

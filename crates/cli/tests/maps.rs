@@ -177,6 +177,39 @@ fn trajectories_and_graphs_are_converted() {
 }
 
 #[test]
+fn of_a_map_without_poses_nothing_is_converted() {
+    use portolan_pbstream::proto::mapping::serialized_data::Data;
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| text(&folder.path().join(name));
+    let empty = file("empty.pbstream");
+    let mut writer = portolan_pbstream::PbstreamWriter::create(&empty).unwrap();
+    writer.write_header(2).unwrap();
+    writer.write(Data::PoseGraph(Default::default())).unwrap();
+    writer.write(Data::AllTrajectoryBuilderOptions(Default::default())).unwrap();
+    writer.finish().unwrap();
+    for name in ["a.tum", "a.kitti", "a.csv", "a.geojson", "a.g2o"] {
+        let run = portolan_with_code(1, &["convert", &empty, "-o", &file(name)]);
+        assert!(run.stderr.contains("there are no poses"), "{name}: {}", run.stderr);
+        assert!(!Path::new(&file(name)).exists(), "{name}");
+    }
+}
+
+#[test]
+fn what_would_be_left_out_of_a_conversion_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(path) = map(folder.path(), "small_2d") else { return };
+    let file = |name: &str| text(&folder.path().join(name));
+    let [tum, g2o] = ["a.tum", "a.g2o"].map(&file);
+    portolan_with_code(2, &["convert", &path, "-o", &g2o, "--trajectory", "0"]);
+    portolan_with_code(2, &["convert", &path, "-o", &tum, "--into", &path]);
+    portolan_with_code(0, &["convert", &path, "-o", &g2o]);
+    portolan_with_code(
+        2,
+        &["convert", &g2o, "-o", &file("b.pbstream"), "--into", &path, "--trajectory", "0"],
+    );
+}
+
+#[test]
 fn graphs_and_maps_are_optimised() {
     let folder = tempfile::tempdir().unwrap();
     let out = text(&folder.path().join("out.g2o"));

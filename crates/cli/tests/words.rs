@@ -17,7 +17,7 @@ fn wrong_files_are_named_by_their_kind() {
         (vec!["optimize", &bag, "-o", &out("a.g2o")], "this is a ROS 1 bag: map it first"),
         (vec!["render", &bag, "-o", &out("a.png")], "no map (pbstream) but a ROS 1 bag"),
         (vec!["repair", &cloud, "-o", &out("a.pbstream")], "nothing can be saved"),
-        (vec!["map", &cloud, "-o", &out("m")], "it is a point cloud (E57), not a recording"),
+        (vec!["map", &cloud, "-o", &out("m")], "it is a point cloud (E57)"),
         (vec!["register", &bag, &bag], "it is a ROS 1 bag"),
         (vec!["info", "/none"], "No such file"),
     ] {
@@ -26,6 +26,102 @@ fn wrong_files_are_named_by_their_kind() {
         assert_eq!(run.stderr.matches(kind).count(), 1, "{}", run.stderr);
         assert!(!run.stderr.contains("because"), "{}", run.stderr);
     }
+}
+
+#[test]
+fn wrong_text_is_named_by_its_kind_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| text(&folder.path().join(name));
+    let out = |name: &str| at(name);
+    for (content, kind) in [
+        ("", "an empty file"),
+        ("<?xml version=\"1.0\"?><robot name=\"a\"/>", "a robot description (URDF) goes with --urdf"),
+        ("-- Copyright\nreturn {}\n", "a configuration goes with --config"),
+        ("{\"a\": 1}\n", "JSON"),
+        ("image: map.pgm\nresolution: 0.05\n", "the description of an image map (YAML)"),
+        (std::str::from_utf8(&[0; 4096]).unwrap(), "a file that begins with zeros"),
+    ] {
+        std::fs::write(at("wrong"), content).unwrap();
+        for verb in [
+            vec!["map", &at("wrong"), "-o", &out("m")],
+            vec!["info", &at("wrong")],
+            vec!["render", &at("wrong"), "-o", &out("a.png")],
+            vec!["edit", &at("wrong"), "-o", &out("a.pbstream"), "--move", "1,2"],
+            vec!["evaluate", "trajectory", &at("wrong"), &at("wrong")],
+            vec!["register", &at("wrong"), &at("wrong")],
+            vec!["optimize", &at("wrong"), "-o", &out("a.g2o")],
+        ] {
+            let run = portolan_with_code(1, &verb);
+            assert!(run.stderr.contains(kind), "{verb:?}: {}", run.stderr);
+            assert_eq!(
+                (run.stderr.lines().count(), run.stderr.matches("wrong").count()),
+                (1, 1),
+                "{}",
+                run.stderr
+            );
+        }
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left");
+}
+
+#[test]
+fn what_is_quoted_of_files_is_short_and_controls_no_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = text(&folder.path().join("a.tum"));
+    std::fs::write(&path, format!("\u{1b}[2J{} 1 2\n", "x".repeat(1000))).unwrap();
+    let run = portolan_with_code(1, &["evaluate", "trajectory", &path, &path]);
+    assert!(run.stderr.contains("is not a time in seconds"), "{}", run.stderr);
+    assert!(run.stderr.len() < 300 && !run.stderr.contains('\u{1b}'), "{:?}", run.stderr);
+}
+
+#[test]
+fn what_cannot_be_written_is_named_once() {
+    use portolan_pbstream::proto::mapping::serialized_data::Data;
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| text(&folder.path().join(name));
+    let (map, nowhere) = (at("map.pbstream"), at("none/out.pbstream"));
+    let mut writer = portolan_pbstream::PbstreamWriter::create(&map).unwrap();
+    writer.write_header(2).unwrap();
+    let trajectory = Default::default();
+    let graph =
+        portolan_pbstream::proto::mapping::PoseGraph { trajectory: vec![trajectory], ..Default::default() };
+    writer.write(Data::PoseGraph(graph)).unwrap();
+    let options = portolan_pbstream::proto::mapping::AllTrajectoryBuilderOptions {
+        options_with_sensor_ids: vec![Default::default()],
+        ..Default::default()
+    };
+    writer.write(Data::AllTrajectoryBuilderOptions(options)).unwrap();
+    writer.finish().unwrap();
+    for verb in [vec!["edit", &map, "-o", &nowhere, "--rename", "0=1"], vec!["migrate", &map, &nowhere]] {
+        let run = portolan_with_code(1, &verb);
+        assert_eq!(run.stderr.matches("out.pbstream").count(), 1, "{}", run.stderr);
+        assert!(!run.stderr.contains("map.pbstream"), "{}", run.stderr);
+    }
+    let run = portolan_with_code(1, &["edit", &at("none.pbstream"), "-o", &map]);
+    assert_eq!(run.stderr.matches("none.pbstream").count(), 1, "{}", run.stderr);
+}
+
+#[test]
+fn negative_numbers_are_refused_by_what_takes_none() {
+    for (arguments, reason) in [
+        (vec!["map", "a.bag", "--range-noise", "-1"], "expected auto or metres"),
+        (vec!["render", "a.pbstream", "-o", "a.png", "--resolution", "-1"], "expected metres, more than 0"),
+        (vec!["render", "a.pbstream", "-o", "a.png", "--resolution", "0"], "expected metres, more than 0"),
+        (vec!["edit", "a.pbstream", "-o", "b.pbstream", "--drop-loops-beyond", "-1"], "more than 0"),
+        (vec!["optimize", "a.g2o", "-o", "b.g2o", "--iterations", "-1"], "-1 is not in 0"),
+        (vec!["simulate", "office", "--seconds", "-3", "-o", "/none/a.bag"], "duration must be from 0.1"),
+        (vec!["evaluate", "trajectory", "a.tum", "b.tum", "--rpe", "-1"], "expected seconds, more than 0"),
+    ] {
+        let run = portolan_with_code(2, &arguments);
+        assert!(
+            run.stderr.contains(reason) && !run.stderr.contains("'-- -"),
+            "{arguments:?}: {}",
+            run.stderr
+        );
+    }
+    // A name that begins like a number is none.
+    let run = portolan_with_code(2, &["map", "-1"]);
+    assert!(run.stderr.contains("'-1'"), "{}", run.stderr);
 }
 
 #[test]

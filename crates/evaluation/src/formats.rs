@@ -15,6 +15,8 @@ pub(crate) use lines::{Lines, bad_line};
 
 use portolan_geometry::{Quaternion, Rigid3, Time, nalgebra as na};
 
+use portolan_input::quoted;
+
 use crate::EvaluationError;
 use crate::trajectory::TrajectoryRepairs;
 
@@ -24,16 +26,17 @@ const MAX_SECONDS: f64 = 1e11;
 /// A time in seconds, exact to 100 ns.
 pub(crate) fn parse_time(text: &str, line: usize) -> Result<Time, EvaluationError> {
     let time = Time::from_unix_decimal(text)
-        .ok_or_else(|| bad_line(line, format!("\"{text}\" is not a time in seconds")))?;
+        .ok_or_else(|| bad_line(line, format!("{} is not a time in seconds", quoted(text))))?;
     if time.unix_seconds().abs() > MAX_SECONDS {
-        let reason = format!("{text} s is too far away: are these nanoseconds? Times are in seconds");
+        let reason =
+            format!("{} s is too far away: are these nanoseconds? Times are in seconds", quoted(text));
         return Err(bad_line(line, reason));
     }
     Ok(time)
 }
 
 pub(crate) fn parse_number(text: &str, line: usize) -> Result<f64, EvaluationError> {
-    text.parse().map_err(|_| bad_line(line, format!("\"{text}\" is not a number")))
+    text.parse().map_err(|_| bad_line(line, format!("{} is not a number", quoted(text))))
 }
 
 /// A pose from translation and quaternion, which is normalised whatever its length; `None`, counted, if

@@ -30,6 +30,39 @@ pub fn kind_of(start: &[u8]) -> Option<&'static str> {
     KINDS.iter().find(|(magic, _)| start.starts_with(magic)).map(|(_, kind)| *kind)
 }
 
+/// The beginnings of text files that mean one thing only, and what they are.
+const TEXTS: [(&[u8], &str); 12] = [
+    (b"<", "XML: a robot description (URDF) goes with --urdf"),
+    (b"{", "JSON"),
+    (b"--", "a file of Lua: a configuration goes with --config"),
+    (b"include ", "a file of Lua: a configuration goes with --config"),
+    (b"return ", "a file of Lua: a configuration goes with --config"),
+    (b"VERTEX_", "a pose graph (g2o)"),
+    (b"EDGE_", "a pose graph (g2o)"),
+    (b"image:", "the description of an image map (YAML), of which the map cannot be made again"),
+    (b"P5\n", "a picture"),
+    (b"P6\n", "a picture"),
+    (b"\xff\xd8\xff", "a picture"),
+    (&[0; 8], "a file that begins with zeros: damaged, or copied in part"),
+];
+
+/// As [`kind_of`], of text, too, where none of these kinds is wanted.
+pub fn unwanted_kind_of(start: &[u8]) -> Option<&'static str> {
+    let text = start.trim_ascii_start();
+    let of_text = || TEXTS.iter().find(|(begin, _)| text.starts_with(begin)).map(|(_, kind)| *kind);
+    kind_of(start).or_else(of_text).or(start.is_empty().then_some("an empty file"))
+}
+
+/// Characters of text that are quoted.
+const QUOTED: usize = 40;
+
+/// A piece of a file in a message: its first characters in quotation marks, without those that control a terminal.
+pub fn quoted(text: &str) -> String {
+    let rest = if text.chars().nth(QUOTED).is_some() { " …" } else { "" };
+    let shown: String = text.chars().take(QUOTED).flat_map(char::escape_debug).collect();
+    format!("\"{}\"{rest}", shown.replace("\\\"", "\"").replace("\\'", "'"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -39,5 +72,24 @@ mod tests {
         assert!(kind_of(b"#ROSBAG V2.0\n").is_some_and(|kind| kind.contains("ROS 1 bag")));
         assert_eq!(kind_of(b"1 2 3\n"), None);
         assert_eq!(kind_of(b""), None);
+    }
+
+    #[test]
+    fn text_is_told_by_its_beginning_where_none_is_wanted() {
+        let kind = |start: &[u8]| unwanted_kind_of(start).unwrap_or_default();
+        assert!(kind(b"<?xml version").contains("URDF") && kind(b"\n  <robot>").contains("URDF"));
+        assert!(kind(b"-- Copyright").contains("--config") && kind(b"include \"map").contains("--config"));
+        assert_eq!(
+            (kind(b""), kind(b"VERTEX_S"), kind(b"1 2 3")),
+            ("an empty file", "a pose graph (g2o)", "")
+        );
+        assert!(kind(&[0; 16]).contains("zeros") && kind(b"#ROSBAG V2.0\n").contains("ROS 1 bag"));
+    }
+
+    #[test]
+    fn what_is_quoted_is_short_and_controls_no_terminal() {
+        assert_eq!(quoted("it's \"so\""), "\"it's \"so\"\"");
+        assert_eq!(quoted("\u{1b}[2J"), "\"\\u{1b}[2J\"");
+        assert_eq!(quoted(&"é".repeat(41)), format!("\"{}\" …", "é".repeat(40)));
     }
 }

@@ -9,17 +9,17 @@ use crate::gzip::GzipError;
 #[derive(Debug, thiserror::Error)]
 pub enum PbstreamError {
     /// The file could not be opened.
-    #[error("cannot open the map \"{}\": {source}", path.display())]
+    #[error("cannot open the map: {source}")]
     Open {
-        /// The file.
+        /// The file, for whoever says what this is about.
         path: PathBuf,
         /// What the system says.
         source: io::Error,
     },
     /// The file does not start with the magic number of pbstream files.
-    #[error("not a pbstream file: it starts with \"{found}\" instead of \"db01f55b7b1f1d7b\"")]
+    #[error("this is no map (pbstream): it begins with {found}")]
     Magic {
-        /// The first bytes in hexadecimal.
+        /// The first bytes, as text or in hexadecimal.
         found: String,
     },
     /// The file is one of another kind.

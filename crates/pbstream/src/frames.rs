@@ -1,7 +1,6 @@
 //! The container: a magic number, then records of a size and that many compressed bytes
 //! (`formats.md §2`).
 
-use std::fmt::Write as _;
 use std::io::{self, Read};
 
 use crate::error::{PbstreamError, RecordError};
@@ -45,14 +44,10 @@ impl FrameReader {
             return Err(PbstreamError::Record { index: 0, offset: 0, problem: error.into() });
         }
         if start != MAGIC {
-            if let Some(kind) = portolan_input::kind_of(&start) {
-                return Err(PbstreamError::OtherKind { kind });
-            }
-            let mut found = String::new();
-            start.iter().for_each(|b| {
-                let _ = write!(found, "{b:02x}");
+            return Err(match portolan_input::unwanted_kind_of(&start) {
+                Some(kind) => PbstreamError::OtherKind { kind },
+                None => PbstreamError::Magic { found: shown(&start) },
             });
-            return Err(PbstreamError::Magic { found });
         }
         Ok(Self { source, length, position: 8, index: 0, max_compressed_bytes, ended: false })
     }
@@ -114,6 +109,16 @@ impl FrameReader {
         }
         self.position = self.position.saturating_add(stated);
         Ok(Some(payload))
+    }
+}
+
+/// The beginning of a file: text as it stands there, other bytes in hexadecimal.
+fn shown(start: &[u8]) -> String {
+    match std::str::from_utf8(start) {
+        Ok(text) if !text.contains(|c: char| c.is_control() && !c.is_whitespace()) => {
+            portolan_input::quoted(text)
+        }
+        _ => start.iter().fold(String::new(), |shown, byte| format!("{shown}{byte:02x}")),
     }
 }
 

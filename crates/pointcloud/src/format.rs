@@ -155,7 +155,7 @@ pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn CloudReader>, CloudError> 
     } else {
         Err(CloudError::UnknownFormat {
             path: path.to_owned(),
-            detail: match portolan_input::kind_of(&start) {
+            detail: match portolan_input::unwanted_kind_of(&start) {
                 Some(kind) => format!("it is {kind}"),
                 None => "its content is not of PLY, PCD, LAS, LAZ, E57 or text with coordinates".to_owned(),
             },

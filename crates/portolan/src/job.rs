@@ -42,7 +42,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use portolan_atomic_file::require_room;
+use portolan_atomic_file::{ResultFolder, require_room};
 use portolan_config::{Engine, little_effect};
 use portolan_geometry::Dimension;
 use portolan_ingest::IngestOptions;
@@ -143,8 +143,9 @@ pub fn map(
     observe: &mut Observer,
 ) -> Result<Finished, JobError> {
     request.cloud.check()?;
-    request.cloud.make_room()?;
-    std::fs::create_dir_all(&request.folder).map_err(|source| JobError::file(&request.folder, source))?;
+    let folder =
+        ResultFolder::make(&request.folder).map_err(|source| JobError::file(&request.folder, source))?;
+    let _made = [request.cloud.make_room()?, folder];
     let mut request = request;
     request.requested.configure(&mut request.ingest)?;
     let mut job = Job::prepare(recording, request, observe)?;

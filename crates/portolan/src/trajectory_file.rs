@@ -8,7 +8,7 @@ use portolan_evaluation::{
     read_tum,
 };
 use portolan_geometry::Time;
-use portolan_input::{Forward, kind_of};
+use portolan_input::{Forward, unwanted_kind_of};
 use portolan_pbstream::proto::mapping::{self, PoseGraph};
 use portolan_pbstream::{MAGIC, MapReader, ReadLimits, pose_from_proto};
 
@@ -102,7 +102,7 @@ impl TrajectoryFile<'_> {
         mut input: Forward,
         notes: &mut Vec<String>,
     ) -> Result<(Trajectory, TrajectoryRepairs), TrajectoryFileError> {
-        if let Some(kind) = kind_of(peek(&mut input, self.path, 16)?) {
+        if let Some(kind) = unwanted_kind_of(peek(&mut input, self.path, 16)?) {
             return Err(TrajectoryFileError::in_file(self.path, format!("this is {kind}")));
         }
         let read = match text_format(peek(&mut input, self.path, HEAD)?) {

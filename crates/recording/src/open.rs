@@ -4,7 +4,7 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use portolan_input::{kind_of, named, regular_file};
+use portolan_input::{named, regular_file, unwanted_kind_of};
 
 use crate::container::{Source, UnpackedFile, most_unpacked};
 use crate::merge::MergedRecording;
@@ -233,12 +233,11 @@ fn io_error(path: &Path, source: io::Error) -> RecordingError {
 
 fn unknown(path: &Path, prefix: &[u8]) -> RecordingError {
     let found = match prefix {
-        [] => "the file is empty".to_owned(),
         prefix if prefix.starts_with(b"version https://git-lfs") => {
             "it is only the pointer of a git LFS file (run `git lfs pull`)".to_owned()
         }
-        prefix => match kind_of(prefix) {
-            Some(kind) => format!("it is {kind}, not a recording"),
+        prefix => match unwanted_kind_of(prefix) {
+            Some(kind) => format!("it is {kind}"),
             None => "its content is of no known format".to_owned(),
         },
     };

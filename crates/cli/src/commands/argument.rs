@@ -38,6 +38,12 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| format!("expected seconds, 0 or more, not \"{text}\""))
 }
 
+/// A length in metres.
+pub fn positive_metres(text: &str) -> Result<f64, String> {
+    let metres = text.parse::<f64>().ok().filter(|metres| metres.is_finite() && *metres > 0.0);
+    metres.ok_or_else(|| format!("expected metres, more than 0, not \"{text}\""))
+}
+
 /// x, y, yaw: metres and degrees.
 pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
     let [x, y, yaw] = numbers::<3>(text, "X,Y,YAW")?;

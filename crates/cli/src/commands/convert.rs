@@ -72,11 +72,18 @@ pub fn run(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError>
         Some(to) => to,
         None => Format::of_name(&args.output)?,
     };
+    refuse_unused(args, to)?;
     // A map that gets other poses stays about as large, whatever else is written may be small.
     let map = args.into.as_deref().and_then(|map| std::fs::metadata(map).ok());
     require_room_for(&args.output, (1 << 12) + map.map_or(0, |map| map.len() / 2))?;
     let mut input = open_forward(&args.input)?;
     match (Format::of_content(&mut input, &args.input)?, to) {
+        (Format::G2o, Format::Map) | (Format::Map, Format::G2o) if args.trajectory.is_some() => {
+            Err(CliError::Usage(
+                "--trajectory: a g2o file holds all trajectories of a map; `portolan edit --keep` makes a map of one"
+                    .to_owned(),
+            ))
+        }
         (Format::G2o, Format::Map) => graph::into_map(args, input, global),
         (Format::Map, Format::G2o) => graph::of_map(args),
         (Format::G2o, _) => Err(CliError::Usage(
@@ -86,5 +93,15 @@ pub fn run(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError>
         (_, Format::G2o) => graph::of_trajectory(args, input, global),
         (_, Format::Map) => trajectories::into_map(args, input, global),
         _ => trajectories::run(args, input, to, global),
+    }
+}
+
+/// Options that would be ignored without a word are refused.
+fn refuse_unused(args: &ConvertArgs, to: Format) -> Result<(), CliError> {
+    match args.into {
+        Some(_) if to != Format::Map => {
+            Err(CliError::Usage("--into MAP writes a map: name one with -o NEW.pbstream".to_owned()))
+        }
+        _ => Ok(()),
     }
 }

@@ -87,7 +87,7 @@ struct LoopArgs {
     #[arg(long, value_name = "SUBMAP:NODE", value_parser = values::pair)]
     drop_loop: Vec<(IdInFile, IdInFile)>,
     /// Remove loop closures that are further than this from the poses of the map.
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", value_parser = argument::positive_metres)]
     drop_loops_beyond: Option<f64>,
     /// Put in a loop closure: `0,3:0,812` looks for node 812 in submap 3, `0,3:0,812=1.5,0.2,90` says
     /// where in the submap the node is (x, y, yaw, or x, y, z, roll, pitch, yaw; metres and degrees).

@@ -18,7 +18,7 @@ use super::map::{ConfigArgs, CutArgs, SensorArgs, ingest_options, nothing_left, 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::Saving;
-use crate::output::{counted, print_summary};
+use crate::output::{counted, make_folder, print_summary};
 use crate::progress::Progress;
 
 /// Find a recording in a saved map, scan by scan: where it was, how sure that is, and when it was lost.
@@ -132,6 +132,7 @@ impl From<JumpPolicy> for Jumps {
 pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let begin = Instant::now();
     let output = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
+    let _made = make_folder(&output)?;
     let mut tell = remarks(global);
     let folder = OutputFolder::begin(&output, "localize", &LOCALIZED_FILES, args.force, &mut tell)?;
     let recording = open_all(&args.recordings)?;

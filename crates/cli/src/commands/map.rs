@@ -21,6 +21,7 @@ use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt;
 use crate::known_map::KnownMapArgs;
+use crate::output::make_folder;
 use crate::progress::say;
 use cloud::CloudArgs;
 pub use watching::run_job;
@@ -170,12 +171,8 @@ pub struct ConfigArgs {
 pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let cloud = args.cloud.request();
     cloud.check().map_err(|error| CliError::Usage(error.to_string()))?;
-    cloud.make_room()?;
     let folder = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
-    if folder.exists() && !folder.is_dir() {
-        return Err(CliError::in_file(&folder, "this is no folder, and results go to one"));
-    }
-    std::fs::create_dir_all(&folder).map_err(|source| CliError::File { path: folder.clone(), source })?;
+    let _made = [cloud.make_room()?, make_folder(&folder)?];
     let recording = open_all(&args.recordings)?;
     let mut requested = requested_options(&args.sensors, &args.config)?;
     if args.lifelong {

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use portolan_mapfile::{MigrateOptions, MigrateReport, migrate};
+use portolan_mapfile::{MigrateError, MigrateOptions, MigrateReport, migrate};
+use portolan_pbstream::PbstreamError;
 use serde::Serialize;
 
 use crate::error::{CliError, Outcome};
@@ -36,8 +37,10 @@ struct Report {
 
 pub fn run(args: &MigrateArgs) -> Result<Outcome, CliError> {
     let options = MigrateOptions { include_unfinished_submaps: !args.finished_only, ..Default::default() };
-    let report =
-        migrate(&args.old, &args.new, options).map_err(|error| CliError::in_file(&args.old, error))?;
+    let report = migrate(&args.old, &args.new, options).map_err(|error| match error {
+        MigrateError::File(error @ PbstreamError::Write { .. }) => CliError::Failed(error.to_string()),
+        other => CliError::in_file(&args.old, other),
+    })?;
     let output = args.new.display().to_string();
     if args.json {
         print_json(&Report { output, report })?;

@@ -12,7 +12,7 @@ use portolan_solver::g2o::{Initialization, OptimizeOptions};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::input::{is_map, must_be_text, open_forward};
+use crate::input::{is_map, may_be_graph, open_forward};
 
 /// Optimise a pose graph (g2o file) or a map (.pbstream).
 ///
@@ -118,6 +118,6 @@ pub fn run(args: &OptimizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     if is_map(&mut input, &args.input)? {
         return map::run(args, global);
     }
-    must_be_text(&mut input, &args.input)?;
+    may_be_graph(&mut input, &args.input)?;
     graph::run(args, input, global)
 }

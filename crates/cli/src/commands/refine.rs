@@ -23,7 +23,7 @@ use crate::commands::evaluate::input::read_trajectory;
 use crate::commands::map::remarks;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::{self, Saving};
-use crate::output::print_summary;
+use crate::output::{make_folder, print_summary};
 use crate::progress::Progress;
 use points::{OtherSensor, PointArgs, read_points_and};
 use summary::summary;
@@ -288,13 +288,9 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     let start = Instant::now();
     args.check_options()?;
     let input = read_input(args, global)?;
-    if args.output.exists() && !args.output.is_dir() {
-        return Err(CliError::Usage(format!("-o {} is no folder", args.output.display())));
-    }
+    let _made = make_folder(&args.output)?;
     let mut tell = remarks(global);
     let output = OutputFolder::begin(&args.output, "refine", &REFINED_FILES, args.force, &mut tell)?;
-    std::fs::create_dir_all(&args.output)
-        .map_err(|source| CliError::File { path: args.output.clone(), source })?;
     // Trajectory, report and pictures.
     require_room(&args.output, 1 << 20)?;
     let recording = open_all(&args.recording)?;

@@ -19,7 +19,7 @@ use portolan_registration::{
 use super::map::remarks;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print, print_json, print_summary};
+use crate::output::{counted, make_folder, print, print_json, print_summary};
 use crate::progress::{Progress, say};
 use input::{InputArgs, read_links, read_scans};
 use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
@@ -89,6 +89,7 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     if scans.clouds.len() < 2 {
         return Err(CliError::Usage(format!("{} holds one scan; two are needed", args.scans[0].display())));
     }
+    let _made = args.output.as_deref().map(make_folder).transpose()?;
     let folder = output_folder(args, scans.clouds.len(), global)?;
     let guesses = first_poses(args, &mut scans)?;
     let mut work = Registration {

@@ -36,7 +36,7 @@ pub struct RenderArgs {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Edge of a pixel. Default: 0.05 for .pgm and --grey, otherwise chosen to suit the map.
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", value_parser = argument::positive_metres)]
     resolution: Option<f64>,
     /// Only this rectangle of the map, metres.
     #[arg(long, value_name = "X1,Y1,X2,Y2", value_parser = argument::area, allow_hyphen_values = true)]

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use portolan_mapfile::{Repair, RepairReport, repair};
+use portolan_mapfile::{Repair, RepairError, RepairReport, repair};
 use portolan_pbstream::ReadLimits;
 use serde::Serialize;
 
@@ -37,8 +37,10 @@ struct Report<'a> {
 }
 
 pub fn run(args: &RepairArgs) -> Result<Outcome, CliError> {
-    let report = repair(&args.map, &args.output, ReadLimits::default())
-        .map_err(|error| CliError::in_file(&args.map, error))?;
+    let report = repair(&args.map, &args.output, ReadLimits::default()).map_err(|error| match error {
+        RepairError::Write(error) => CliError::Failed(error.to_string()),
+        other => CliError::in_file(&args.map, other),
+    })?;
     let lost_data = report.loses_data();
     if args.json {
         print_json(&Report { output: args.output.display().to_string(), report: &report, lost_data })?;

@@ -221,7 +221,7 @@ impl MapDraft {
             return Err(EditError::Nothing);
         }
         let output = output.as_ref();
-        let failed = |source| EditError::File { path: output.to_owned(), source };
+        let failed = EditError::Output;
         self.sort_trajectories();
         let mut writer = PbstreamWriter::create(output).map_err(failed)?;
         writer.write_header(self.version).map_err(failed)?;

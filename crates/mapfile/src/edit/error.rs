@@ -12,7 +12,10 @@ pub(super) const FARTHEST_MOVE: f64 = 1e8;
 /// Why a map cannot be edited.
 #[derive(Debug, thiserror::Error)]
 pub enum EditError {
-    /// Reading or writing failed.
+    /// The map could not be written.
+    #[error(transparent)]
+    Output(PbstreamError),
+    /// Reading failed.
     #[error("{}: {source}", path.display())]
     File {
         /// The map.

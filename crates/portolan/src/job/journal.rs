@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use portolan_recall::{Memory, Recall};
 
 use super::error::JobError;
-use file::{Content, Writer};
+use file::Writer;
 pub use identity::Identity;
 
 /// Name of the file in the folder of results.
@@ -69,11 +69,13 @@ impl Journal {
     /// There is none, it cannot be read, it belongs to another job, or another process is writing it.
     pub fn resume(folder: &Path, identity: &Identity, reserve: u64) -> Result<(Self, Resumed), JobError> {
         let path = folder.join(JOURNAL);
-        let Content { file, identity: found, known, cut_off } = file::read(&path)?;
-        if let Some(difference) = identity.difference_from(&found) {
+        let mut content = file::read(&path)?;
+        if let Some(difference) = identity.difference_from(&content.identity) {
             return Err(JobError::JournalOfAnother { path, difference });
         }
-        let resumed = Resumed { answers: known.len(), cut_off };
+        let known = std::mem::take(&mut content.known);
+        let resumed = Resumed { answers: known.len(), cut_off: content.cut_off };
+        let file = content.cut().map_err(|source| JobError::file(&path, source))?;
         let writer = Mutex::new(Some(Writer::go_on(path, file, reserve)));
         Ok((Self { answers: Arc::new(Answers { known, writer }) }, resumed))
     }

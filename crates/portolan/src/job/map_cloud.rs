@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan_atomic_file::ResultFolder;
 use portolan_geometry::{Dimension, Rigid3, Time};
 use portolan_ingest::IngestOptions;
 use portolan_mapping::Space;
@@ -61,22 +62,21 @@ impl CloudRequest {
         self.voxel_size_metres.map_or(Ok(()), |size| VoxelThinner::new(size).map(drop))
     }
 
-    /// Makes the folder of the cloud and tries whether files can be written there, so that this does not fail after
-    /// hours of mapping.
+    /// Makes the folder of the cloud, which goes again if nothing came into it, and tries whether files can be written
+    /// there.
     ///
     /// # Errors
     /// A folder that cannot be made or written to.
-    pub fn make_room(&self) -> Result<(), JobError> {
-        let Some(path) = &self.file else { return Ok(()) };
+    pub fn make_room(&self) -> Result<ResultFolder, JobError> {
+        let Some(path) = &self.file else { return Ok(ResultFolder::default()) };
         if path.is_dir() {
             return Err(JobError::file(path, std::io::ErrorKind::IsADirectory.into()));
         }
         // A name without a folder goes to the results, which are made on their own.
         let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else {
-            return Ok(());
+            return Ok(ResultFolder::default());
         };
-        std::fs::create_dir_all(folder).map_err(|source| JobError::file(folder, source))?;
-        tempfile::tempfile_in(folder).map(drop).map_err(|source| JobError::file(folder, source))
+        ResultFolder::make(folder).map_err(|source| JobError::file(folder, source))
     }
 
     fn path(&self, folder: &Path) -> Option<PathBuf> {

@@ -94,12 +94,16 @@ impl CarmenLog {
         let survey = Survey::of(&file)?;
         let clock = survey.clock(&options);
         let Some(time_range) = survey.time_range(clock) else {
-            return Err(RecordingError::UnknownFormat {
-                path: file.path().to_owned(),
-                detail:
+            let detail = match survey.is_empty() {
+                true => {
                     "it has no complete FLASER, RLASER, ROBOTLASER, RAWLASER or ODOM line as CARMEN logs have"
-                        .to_owned(),
-            });
+                }
+                false => {
+                    "no line of this CARMEN log has a possible time (seconds since 1970, or since its start)"
+                }
+            };
+            let (path, detail) = (file.path().to_owned(), detail.to_owned());
+            return Err(RecordingError::UnknownFormat { path, detail });
         };
         let scanners = scanners(&survey);
         let in_order_of_lines = survey.has_disturbed_stamps(clock);

@@ -298,4 +298,32 @@ mod tests {
         assert!(issues.iter().any(|r| r.text().contains("TRUEPOS")));
         assert!(issues.iter().any(|r| r.lost_data() && r.kind == IssueKind::UnreadableLine));
     }
+
+    #[test]
+    fn impossible_stamps_are_left_out_wherever_they_stand() {
+        let odometry = |stamp: &str| format!("ODOM 1 0 0 0 0 0 {stamp} host 1.0\n");
+        for [bad, good, expected] in [
+            ["1e300", "1300000001.5", "1300000001.5000000"],
+            ["99999999999999999", "1300000001.5", "1300000001.5000000"],
+            ["-5", "1300000001.5", "1300000001.5000000"],
+            ["nan", "1300000001.5", "1300000001.5000000"],
+            ["1e12", "1.5", "1000000001.5000000"],
+        ] {
+            for lines in [[bad, good], [good, bad]] {
+                let (messages, issues) = read(&lines.map(odometry).concat(), TimeColumn::Ipc);
+                assert_eq!(topics(&messages), ["/odom"], "{lines:?}");
+                assert_eq!(messages[0].log_time.unix_decimal(), expected, "{lines:?}");
+                assert_eq!((issues.len(), issues[0].kind), (1, IssueKind::UnreadableLineTime));
+            }
+        }
+    }
+
+    #[test]
+    fn a_log_without_a_possible_stamp_is_refused_for_that() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.log");
+        std::fs::write(&path, "ODOM 1 0 0 0 0 0 -1e300 host -1\n").unwrap();
+        let error = CarmenLog::open(&path, CarmenOptions::default()).err().unwrap().to_string();
+        assert!(error.contains("possible time"), "{error}");
+    }
 }

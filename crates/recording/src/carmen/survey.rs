@@ -1,6 +1,7 @@
 //! The first look over a CARMEN log: what it holds, when, and where its scanners sit.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use portolan_geometry::{Time, normalize_angle};
 
@@ -13,6 +14,8 @@ use crate::{RecordingError, StampPattern};
 const SHORTEST_UNIX_SECONDS: f64 = 1e8;
 /// What is added to those.
 const SHIFT_SECONDS: f64 = 1e9;
+/// Stamps outside of this, seconds since 1970 or since some start, are no times: ROS cannot hold them either.
+const POSSIBLE_SECONDS: Range<f64> = 0.0..4_294_967_296.0;
 /// So many stamps of each scanner are looked at.
 const MAX_STAMPS: usize = 1_000_000;
 /// In pieces of so many.
@@ -34,19 +37,23 @@ impl Clock {
     ///
     /// Unix times are read exactly. Times that count from a start are put 1,000,000,000 s later, by
     /// the double-precision sum in nanoseconds: the stamps that ROS recordings made from such logs
-    /// carry, so that both forms map to the same bytes.
+    /// carry, so that both forms map to the same bytes. None if that is no possible time.
     pub fn stamp(self, times: LineTimes) -> Option<Time> {
         let text = match self.column {
             TimeColumn::Ipc => times.ipc,
             TimeColumn::Logger => times.logger?,
         };
+        let seconds = possible_seconds(text)?;
         if !self.shifted {
             return Time::from_unix_decimal(text);
         }
-        let seconds: f64 = text.parse().ok()?;
-        let nanoseconds = (SHIFT_SECONDS + seconds) * 1e9;
-        nanoseconds.is_finite().then(|| Time::from_unix_nanoseconds(nanoseconds as i64))
+        Some(Time::from_unix_nanoseconds(((SHIFT_SECONDS + seconds) * 1e9) as i64))
     }
+}
+
+/// The time that stands in a line, if it can be one.
+fn possible_seconds(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|seconds| POSSIBLE_SECONDS.contains(seconds))
 }
 
 /// Where the laser sits on the robot, as its poses tell.
@@ -103,7 +110,7 @@ struct LaserSurvey {
 impl LaserSurvey {
     fn add_times(&mut self, times: LineTimes) {
         for (stamps, text) in self.stamps.iter_mut().zip([Some(times.ipc), times.logger]) {
-            let seconds = text.and_then(|text| text.parse().ok()).filter(|s: &f64| s.is_finite());
+            let seconds = text.and_then(possible_seconds);
             stamps.extend(seconds.filter(|_| self.count <= MAX_STAMPS as u64));
         }
     }
@@ -118,10 +125,7 @@ struct TimeSpan {
 
 impl TimeSpan {
     fn add(&mut self, text: &str) {
-        let Ok(time) = text.parse::<f64>() else { return };
-        if !time.is_finite() {
-            return;
-        }
+        let Some(time) = possible_seconds(text) else { return };
         self.range = Some(self.range.map_or((time, time), |(a, b)| (a.min(time), b.max(time))));
         *(if time < SHORTEST_UNIX_SECONDS { &mut self.small } else { &mut self.large }) += 1;
     }
@@ -175,6 +179,11 @@ impl Survey {
         if let Some(text) = times.logger {
             self.logger.add(text);
         }
+    }
+
+    /// Whether there is any scan or odometry, whatever its time.
+    pub fn is_empty(&self) -> bool {
+        self.odometry_lines == 0 && self.lasers.is_empty()
     }
 
     /// Number of scans of one kind.

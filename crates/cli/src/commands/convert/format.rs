@@ -5,7 +5,7 @@ use std::path::Path;
 use portolan_input::Forward;
 
 use crate::error::CliError;
-use crate::input::{is_map, peek};
+use crate::input::{GRAPH_TAGS, is_map, peek};
 
 /// Formats of trajectories and pose graphs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -54,7 +54,7 @@ impl Format {
         if first.starts_with('{') {
             return Ok(Self::Geojson);
         }
-        let is_tag = ["VERTEX", "EDGE", "FIX"].iter().any(|tag| first.starts_with(tag));
+        let is_tag = GRAPH_TAGS.iter().any(|tag| first.starts_with(tag));
         Ok(if is_tag { Self::G2o } else { Self::Tum })
     }
 

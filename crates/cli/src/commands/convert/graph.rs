@@ -7,16 +7,27 @@ use portolan_pbstream::ReadLimits;
 use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex, read_g2o, write_g2o};
 
 use super::ConvertArgs;
-use super::trajectories::read_one;
+use super::trajectories::{NO_POSES, read_one};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{print_json, print_summary, write_file};
+use crate::output::{counted, print_json, print_summary, write_file};
 use crate::progress::say;
 
 /// The constraints of a map.
 pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
-    let graph = MapDraft::open(&args.input, ReadLimits::default())?.to_graph()?;
-    write(args, &graph)
+    let draft = MapDraft::open(&args.input, ReadLimits::default())?;
+    let graph = draft.to_graph()?;
+    let outcome = write(args, &graph)?;
+    let lost = draft.pose_graph().constraint.len().saturating_sub(graph.edge_count());
+    if lost == 0 {
+        return Ok(outcome);
+    }
+    let lost = counted(lost as u64, "constraint", "constraints");
+    say(&format!(
+        "{}: {lost} to parts that are not there, or with impossible values, left out",
+        args.input.display()
+    ));
+    Ok(Outcome::DataLost)
 }
 
 /// A chain of poses.
@@ -41,6 +52,9 @@ pub fn of_trajectory(args: &ConvertArgs, input: Forward, global: &GlobalArgs) ->
 }
 
 fn write(args: &ConvertArgs, graph: &Graph) -> Result<Outcome, CliError> {
+    if graph.vertex_count() == 0 {
+        return Err(CliError::in_file(&args.input, NO_POSES));
+    }
     write_file(&args.output, |out| write_g2o(graph, std::io::BufWriter::new(out)))?;
     let (vertices, edges) = (graph.vertex_count(), graph.edge_count());
     let output = args.output.display().to_string();

@@ -19,6 +19,9 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, print_json, print_summary, write_file};
 use crate::progress::say;
 
+/// What is said of inputs of which nothing can be made.
+pub const NO_POSES: &str = "there are no poses";
+
 type Named = Vec<(i32, Trajectory)>;
 
 /// Trajectories, and whether the file they are from has lost something.
@@ -31,6 +34,10 @@ pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) 
         let (trajectory, lost_data) = read_one(args, input, global)?;
         (vec![(0, trajectory)], lost_data)
     };
+    let poses: usize = trajectories.iter().map(|(_, t)| t.len()).sum();
+    if poses == 0 {
+        return Err(CliError::in_file(&args.input, NO_POSES));
+    }
     let frame = args.origin.as_ref().map(EastNorthUp::at);
     let mut files = vec![args.output.clone()];
     write_file(&args.output, |out| {
@@ -53,7 +60,6 @@ pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) 
         })?;
         files.push(times);
     }
-    let poses: usize = trajectories.iter().map(|(_, t)| t.len()).sum();
     let names: Vec<String> = files.iter().map(|f| f.display().to_string()).collect();
     if args.json {
         let count = trajectories.len();
@@ -107,7 +113,7 @@ pub fn read_one(
     }
     match trajectories.pop() {
         Some((_, trajectory)) if !trajectory.is_empty() => Ok((trajectory, lost_data)),
-        _ => Err(CliError::in_file(&args.input, "there are no poses")),
+        _ => Err(CliError::in_file(&args.input, NO_POSES)),
     }
 }
 

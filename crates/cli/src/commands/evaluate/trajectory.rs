@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use super::input::{positive_seconds, read_trajectory};
 use crate::GlobalArgs;
+use crate::commands::argument::{positive_metres, seconds};
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json};
 use crate::progress::say;
@@ -46,10 +47,10 @@ pub struct TrajectoryArgs {
     #[arg(long, value_name = "SECONDS")]
     max_gap: Option<f64>,
     /// Relative errors over so many seconds; may be given several times. Default: 1.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = positive_step)]
     rpe: Vec<f64>,
     /// Relative errors over so many metres of the true path; may be given several times.
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", value_parser = positive_metres)]
     rpe_distance: Vec<f64>,
     /// Also the drift over segments of 100 to 800 m, as the KITTI benchmark measures it.
     #[arg(long)]
@@ -84,13 +85,21 @@ struct Report {
     drift: Option<Drift>,
 }
 
+/// A step of time in seconds.
+fn positive_step(text: &str) -> Result<f64, String> {
+    seconds(text)
+        .ok()
+        .filter(|step| *step > 0.0)
+        .ok_or_else(|| format!("expected seconds, more than 0, not \"{text}\""))
+}
+
 pub fn run(args: &TrajectoryArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
+    let association = association(args)?;
     let read = |path| {
         let times = args.times.as_deref();
         read_trajectory(TrajectoryFile { path, trajectory_id: args.trajectory, times }, global.quiet)
     };
     let (estimate, truth) = (read(&args.estimate)?, read(&args.truth)?);
-    let association = association(args)?;
     let alignment = alignment(args.align, &estimate);
     let absolute = absolute_errors(&truth, &estimate, association, alignment)?;
     let relative = |step| relative_errors(&truth, &estimate, association, step);

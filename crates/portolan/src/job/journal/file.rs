@@ -27,18 +27,29 @@ const SYNCING: Duration = Duration::from_secs(15);
 
 /// What a journal holds.
 pub(super) struct Content {
-    /// Open and locked, at the end of what is whole.
-    pub file: File,
+    /// Open and locked.
+    file: File,
     pub identity: Identity,
     pub known: BTreeMap<u64, Vec<u64>>,
-    /// Bytes that were not whole.
+    /// Bytes up to the end of what is whole.
+    whole: u64,
+    /// Bytes that are not.
     pub cut_off: u64,
 }
 
-/// Reads a journal and cuts off what is not whole.
+impl Content {
+    /// The file, which ends where it is not whole any more.
+    pub fn cut(mut self) -> io::Result<File> {
+        self.file.set_len(self.whole)?;
+        self.file.seek(SeekFrom::Start(self.whole))?;
+        Ok(self.file)
+    }
+}
+
+/// Reads a journal as far as it is whole.
 pub(super) fn read(path: &Path) -> Result<Content, JobError> {
     let failed = |source| JobError::file(path, source);
-    let mut file =
+    let file =
         OpenOptions::new().read(true).write(true).open(path).map_err(|source| match source.kind() {
             io::ErrorKind::NotFound => JobError::NoJournal(path.to_owned()),
             _ => failed(source),
@@ -61,9 +72,7 @@ pub(super) fn read(path: &Path) -> Result<Content, JobError> {
         whole += (FRAME + bytes.len()) as u64;
     }
     drop(reader);
-    file.set_len(whole).map_err(failed)?;
-    file.seek(SeekFrom::Start(whole)).map_err(failed)?;
-    Ok(Content { file, identity, known, cut_off: size.saturating_sub(whole) })
+    Ok(Content { file, identity, known, whole, cut_off: size.saturating_sub(whole) })
 }
 
 /// Bytes of a record beside its content.

@@ -77,6 +77,19 @@ fn journals_of_other_jobs_are_refused_with_what_differs() {
 }
 
 #[test]
+fn a_journal_that_is_refused_stays_as_it_is() {
+    let folder = left(&[1.5]);
+    let path = folder.path().join(JOURNAL);
+    let mut damaged = fs::read(&path).unwrap();
+    *damaged.last_mut().unwrap() ^= 1;
+    fs::write(&path, &damaged).unwrap();
+    Journal::resume(folder.path(), &identity("others"), 0).map(|_| ()).unwrap_err();
+    assert!(fs::read(&path).unwrap() == damaged);
+    let (_, resumed) = Journal::resume(folder.path(), &identity("usual"), 0).unwrap();
+    assert!(resumed.cut_off > 0 && fs::read(&path).unwrap().len() < damaged.len());
+}
+
+#[test]
 fn one_process_writes_at_a_time_and_foreign_files_stay() {
     let folder = left(&[1.5]);
     let (_journal, _) = Journal::resume(folder.path(), &identity("usual"), 0).unwrap();
