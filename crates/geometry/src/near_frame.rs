@@ -50,6 +50,11 @@ impl NearFrame {
         Self { origin }
     }
 
+    /// Whether it is the frame of the map itself.
+    pub fn is_map(&self) -> bool {
+        self.origin == Vector3::zeros()
+    }
+
     /// Its origin in the map, metres.
     pub fn origin(&self) -> Vector3 {
         self.origin
@@ -66,9 +71,11 @@ impl NearFrame {
     }
 }
 
-/// A pose moved along the axes of its frame, its rotation bit by bit as it was.
+/// A pose moved along the axes of its frame, metres: bit by bit as it was but for the axes along which it is moved.
 pub fn moved(pose: &Rigid3, by: &Vector3) -> Rigid3 {
-    Rigid3::from_parts((pose.translation.vector + by).into(), pose.rotation)
+    // Zero added to minus zero is zero.
+    let place = pose.translation.vector.zip_map(by, |v, by| if by == 0.0 { v } else { v + by });
+    Rigid3::from_parts(place.into(), pose.rotation)
 }
 
 #[cfg(test)]
@@ -85,7 +92,9 @@ mod tests {
         assert_eq!(NearFrame::around(way(Vector3::new(-3000.0, 900.0, 300.0))), NearFrame::default());
         assert_eq!(NearFrame::around([]), NearFrame::default());
         let pose = Rigid3::translation(0.1, -0.0, 1e-17);
-        assert_eq!(NearFrame::default().near(&pose), pose);
+        let bits = |pose: &Rigid3| pose.translation.vector.map(f64::to_bits);
+        assert_eq!(bits(&NearFrame::default().near(&pose)), bits(&pose));
+        assert_eq!(bits(&NearFrame::default().in_map(&pose)), bits(&pose));
     }
 
     #[test]

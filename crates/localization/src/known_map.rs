@@ -1,6 +1,6 @@
 //! What a saved map has to be able to for scans to be found in it: what differs between the plane and space.
 
-use portolan_geometry::{NearFrame, Rigid3, Vector2, Vector3};
+use portolan_geometry::{NearFrame, Rigid3, Vector2};
 use portolan_grids::{GridError, ScanAgreement};
 use portolan_mapping::{GraphState, NodeData, PoseGraph, Space, TrajectoryId};
 use portolan_matching::MatcherOptionError;
@@ -13,6 +13,9 @@ use crate::localizer::LocalizerWork;
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
 use crate::voxel_changes::KeptSweep;
+
+/// Single precision has steps of a centimetre so far from the origin, metres.
+const FARTHEST: f64 = 1e5;
 
 /// Why a map cannot be localised in.
 #[derive(Debug, thiserror::Error)]
@@ -44,8 +47,8 @@ impl KnownMapError {
     /// Refuses a map that does not lie near the origin.
     pub(crate) fn unless_near<S: Space>(state: &GraphState<S>) -> Result<(), Self> {
         let places = state.submaps.keys().filter_map(|id| state.map_from_submap(*id));
-        let origin = NearFrame::around(places.map(|pose| pose.translation.vector)).origin();
-        if origin == Vector3::zeros() { Ok(()) } else { Err(Self::Far(origin.norm())) }
+        let metres = NearFrame::around(places.map(|pose| pose.translation.vector)).origin().norm();
+        if metres < FARTHEST { Ok(()) } else { Err(Self::Far(metres)) }
     }
 }
 

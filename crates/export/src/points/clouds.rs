@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use portolan_atomic_file::AtomicFile;
-use portolan_geometry::{NearFrame, Vector3};
+use portolan_geometry::NearFrame;
 use portolan_numeric::format_general;
 
 use super::{Flush, Log, PointsBatch, PointsError, Stage};
@@ -25,8 +25,8 @@ pub(super) enum CloudKind {
 pub(super) struct WriteCloud {
     kind: CloudKind,
     path: PathBuf,
-    /// Of the frame of the points in the map, metres.
-    origin: Vector3,
+    /// Of the points.
+    frame: NearFrame,
     file: Option<AtomicFile>,
     /// Of the first points.
     content: Content,
@@ -47,8 +47,8 @@ impl WriteCloud {
     /// Begins the file, so that it is known at once if it cannot be.
     pub fn create(kind: CloudKind, path: PathBuf, frame: &NearFrame) -> Result<Self, PointsError> {
         let file = Some(AtomicFile::create(&path)?);
-        let (origin, content) = (frame.origin(), Content::default());
-        Ok(Self { kind, path, origin, file, content, count: 0, bytes: Vec::new() })
+        let (frame, content) = (*frame, Content::default());
+        Ok(Self { kind, path, frame, file, content, count: 0, bytes: Vec::new() })
     }
 
     fn check(&self, batch: &PointsBatch) -> Result<(), PointsError> {
@@ -66,7 +66,8 @@ impl WriteCloud {
     fn encode(&mut self, batch: &PointsBatch) {
         self.bytes.clear();
         for (i, point) in batch.points.iter().enumerate() {
-            let place = point.coords.cast::<f64>() + self.origin;
+            let near = point.coords.cast::<f64>();
+            let place = if self.content.is_double { near + self.frame.origin() } else { near };
             if self.kind == CloudKind::Xyz {
                 let digits = if self.content.is_double { DIGITS_FAR_AWAY } else { 6 };
                 let [x, y, z] = [place.x, place.y, place.z].map(|v| format_general(v, digits));
@@ -104,7 +105,7 @@ impl Stage for WriteCloud {
         if self.count == 0 {
             let colours = !batch.colors.is_empty() && self.kind != CloudKind::Xyz;
             let intensities = !batch.intensities.is_empty() && self.kind == CloudKind::Ply;
-            let is_double = self.origin != Vector3::zeros();
+            let is_double = !self.frame.is_map();
             self.content = Content { is_double, colours, intensities };
             self.write(header(self.kind, self.content, 0).as_bytes())?;
         }

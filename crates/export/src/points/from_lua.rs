@@ -223,6 +223,9 @@ fn xray(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {
 
 /// How a view of the map sees points that are in another frame, but for where the view has its own origin: pictures do not show it.
 fn view_from_points(view_from_map: &Rigid3, frame: &NearFrame) -> Rigid3 {
+    if frame.is_map() {
+        return *view_from_map;
+    }
     let view_from_points = view_from_map * frame.in_map(&Rigid3::identity());
     NearFrame::around([view_from_points.translation.vector]).near(&view_from_points)
 }

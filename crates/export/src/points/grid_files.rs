@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use portolan_atomic_file::{AtomicFile, write_atomically};
-use portolan_geometry::{NearFrame, Point3f, Rigid3, Time, Vector2, Vector3};
+use portolan_geometry::{NearFrame, Point3f, Rigid3, Time, Vector2};
 use portolan_grids::{
     CellIndex, Grid2d, HybridGrid, HybridInserter, MapLimits, ProbabilityGrid, ProbabilityInserter,
 };
@@ -181,7 +181,7 @@ impl WriteHybridGrid {
         path: PathBuf,
         frame: &NearFrame,
     ) -> Result<Self, PointsError> {
-        if frame.origin() != Vector3::zeros() {
+        if !frame.is_map() {
             return Err(too_far());
         }
         drop(AtomicFile::create(&path)?);

@@ -225,7 +225,7 @@ impl<S: Space> PoseGraph<S> {
 
     /// Moves the whole map along its axes, metres. To be called before anything is searched in it, or when it is finished.
     pub fn move_by(&mut self, shift: &Vector3) {
-        if shift.iter().all(|v| *v == 0.0) {
+        if *shift == Vector3::zeros() {
             return;
         }
         self.problem.move_by(shift);

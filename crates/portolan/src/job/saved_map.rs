@@ -90,7 +90,7 @@ impl SaveMap {
     /// Lets a known map grow, and writes it. Estimates are in the near frame.
     pub(super) fn save<M: KnownMap<Space: MapSpace>>(
         &self,
-        known: KnownFile<M::Space>,
+        known: KnownFile<'_, M::Space>,
         localizer: &mut Localizer<M>,
         sensors: Vec<SensorId>,
         estimates: &[Estimate],

@@ -1,6 +1,6 @@
 //! Vertices and edges.
 
-use portolan_geometry::{NearFrame, Rigid2, Rigid3, Vector3, is_on_earth};
+use portolan_geometry::{NearFrame, Rigid2, Rigid3, Vector3, is_on_earth, moved};
 
 use super::pose::GraphPose;
 use crate::ProblemError;
@@ -144,7 +144,8 @@ impl<P: GraphPose> PoseGraph<P> {
     /// Moves all vertices along the axes of the map, metres.
     pub(super) fn move_by(&mut self, shift: &Vector3) {
         for vertex in &mut self.vertices {
-            vertex.pose = vertex.pose.with_translation(&(place(&vertex.pose) + shift).into());
+            let place = moved(&Rigid3::from_parts(place(&vertex.pose).into(), Default::default()), shift);
+            vertex.pose = vertex.pose.with_translation(&place.translation.vector.into());
         }
     }
 
