@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use portolan_config::{ConfigError, Options};
-use portolan_geometry::{Dimension, NearFrame, Rigid3, Vector3, is_on_earth};
+use portolan_geometry::{Dimension, NearFrame, Rigid3, is_on_earth};
 use portolan_optimization::ImuState;
 use prost::Message as _;
 use serde::Serialize;
@@ -213,12 +213,12 @@ impl MapDraft {
     /// # Errors
     /// If a 2D map would leave its plane, or anything would be moved to where nothing on the Earth is.
     pub fn transform(&mut self, new_from_old: &Rigid3) -> Result<(), EditError> {
-        let mut places = self.all_poses().map(|pose| pose.translation.vector);
-        let leaves = |place: Vector3| {
-            let moved = new_from_old * nalgebra::Point3::from(place);
-            is_on_earth(&place) && !is_on_earth(&moved.coords)
+        let leaves = |pose: Rigid3| {
+            let moved = new_from_old * pose;
+            is_on_earth(&pose.translation.vector) && !is_on_earth(&moved.translation.vector)
         };
-        if !is_on_earth(&new_from_old.translation.vector) || places.any(leaves) {
+        let is_too_far = self.all_poses().any(leaves);
+        if is_too_far || !is_on_earth(&new_from_old.translation.vector) {
             return Err(EditError::TooFar);
         }
         let out_of_plane = {

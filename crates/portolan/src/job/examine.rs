@@ -80,7 +80,7 @@ pub fn examine_map(path: &Path, threads: usize, observe: &mut Observer) -> Resul
     drop(examiner);
     for place in &mut places {
         place.map_from_tracking = loaded.frame.in_map(&place.map_from_tracking);
-        for other in &mut place.other {
+        if let Some(other) = &mut place.other {
             other.map_from_tracking = loaded.frame.in_map(&other.map_from_tracking);
         }
     }
