@@ -60,7 +60,9 @@ impl Place {
             let out = self.path(&format!("{name}_{which}"));
             let arguments: Vec<String> = arguments
                 .iter()
-                .map(|argument| argument.replace("MAP", map).replace("OUT", &text(&out)).replace("WHICH", which))
+                .map(|argument| {
+                    argument.replace("MAP", map).replace("OUT", &text(&out)).replace("WHICH", which)
+                })
                 .collect();
             (out, portolan(&arguments))
         });
@@ -112,7 +114,11 @@ fn report(folder: &Path) -> serde_json::Value {
 fn corners(folder: &Path) -> Vec<[f64; 2]> {
     let changes = json(&folder.join("changes.geojson"));
     let rings = changes["features"].as_array().unwrap().iter().flat_map(|feature| {
-        feature["geometry"]["coordinates"].as_array().unwrap().iter().flat_map(|ring| ring.as_array().unwrap())
+        feature["geometry"]["coordinates"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .flat_map(|ring| ring.as_array().unwrap())
     });
     rings.map(|corner| [0, 1].map(|k| corner[k].as_f64().unwrap())).collect()
 }
@@ -127,7 +133,8 @@ fn assert_localised_alike(place: &Place, skip: &str, more: &[&str]) {
     assert_eq!(report(&near), report(&far));
     let (a, b) = (corners(&near), corners(&far));
     assert_eq!(a.len(), b.len());
-    let is_moved = |(a, b): (&[f64; 2], &[f64; 2])| (0..2).all(|k| (b[k] - a[k] - place.shift[k]).abs() < SAME);
+    let is_moved =
+        |(a, b): (&[f64; 2], &[f64; 2])| (0..2).all(|k| (b[k] - a[k] - place.shift[k]).abs() < SAME);
     assert!(a.iter().zip(&b).all(is_moved));
     let size = |folder: &Path| std::fs::read(folder.join("path.png")).unwrap()[16..24].to_vec();
     assert_eq!(size(&near), size(&far), "width and height");
@@ -161,7 +168,8 @@ fn a_start_in_utm_is_believed() {
 fn maps_in_utm_are_gone_on_with() {
     for (place, skip) in [(Place::office(), "50"), (Place::museum(), "0")] {
         for more in [&[][..], &["--frozen"]] {
-            let arguments = ["map", &place.recording, "--from", "MAP", "-o", "OUT", "-q", "--skip", skip, "--no-xray"];
+            let arguments =
+                ["map", &place.recording, "--from", "MAP", "-o", "OUT", "-q", "--skip", skip, "--no-xray"];
             let name = format!("on_{}", more.len());
             let [(near, run), (far, _)] = place.run_both(&name, &[&arguments, more].concat());
             assert_eq!(run.code, Some(0), "{}", run.stderr);
@@ -173,7 +181,8 @@ fn maps_in_utm_are_gone_on_with() {
 #[test]
 fn pictures_of_maps_in_utm_are_those_of_maps_near_the_origin() {
     for place in [Place::office(), Place::museum()] {
-        let [(near, _), (far, _)] = place.run_both("picture", &["render", "MAP", "-o", "OUT.png", "--grey", "-q"]);
+        let [(near, _), (far, _)] =
+            place.run_both("picture", &["render", "MAP", "-o", "OUT.png", "--grey", "-q"]);
         let [near, far] = [near, far].map(|path| std::fs::read(path.with_extension("png")).unwrap());
         assert_eq!(near[16..24], far[16..24], "width and height");
         // Not a pixel of a wall may be missing: single pixels round otherwise.
@@ -184,7 +193,8 @@ fn pictures_of_maps_in_utm_are_those_of_maps_near_the_origin() {
 #[test]
 fn maps_in_utm_are_optimised_merged_and_turned() {
     let place = Place::office();
-    let [(near, a), (far, b)] = place.run_both("optimised", &["optimize", "MAP", "-o", "OUT.pbstream", "--json"]);
+    let [(near, a), (far, b)] =
+        place.run_both("optimised", &["optimize", "MAP", "-o", "OUT.pbstream", "--json"]);
     let [a, b]: [serde_json::Value; 2] = [a, b].map(|run| serde_json::from_str(&run.stdout).unwrap());
     assert_eq!(a["iterations"], b["iterations"], "{a} {b}");
     place.assert_moved(&poses(&near), &poses(&far));

@@ -1,6 +1,8 @@
 //! Where on the Earth a map lies.
 
-use portolan_geometry::{GeodeticPosition, Rigid3, TransformBuffer, Vector3, moved, rotation_from_roll_pitch_yaw};
+use portolan_geometry::{
+    GeodeticPosition, Rigid3, TransformBuffer, Vector3, moved, rotation_from_roll_pitch_yaw,
+};
 use portolan_mapping::{EndedTrajectory, Map, PoseGraph, Space, TrajectoryId, of_trajectory};
 use portolan_numeric::median;
 

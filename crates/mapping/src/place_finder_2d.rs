@@ -83,7 +83,8 @@ mod tests {
         let submaps = [submap(large), submap(small)];
         let here = node(small, (0.5, -0.8));
         let found = |origin: Vector3| {
-            let poses = [Rigid3::translation(-20.0, 0.0, 0.0), Rigid3::new(Vector3::x() * 30.0, Vector3::z())];
+            let poses =
+                [Rigid3::translation(-20.0, 0.0, 0.0), Rigid3::new(Vector3::x() * 30.0, Vector3::z())];
             let placed: Vec<_> = poses.iter().map(|pose| moved(pose, &origin)).zip(&submaps).collect();
             let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)]);
             found.poses.iter().map(|pose| moved(pose, &-origin)).collect::<Vec<_>>()

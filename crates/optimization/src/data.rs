@@ -131,7 +131,8 @@ impl OptimizationData {
     /// Moves the whole map along its axes, metres.
     pub fn move_by(&mut self, shift: &Vector3) {
         let origins = self.fixed_frame_origins.values_mut().flatten();
-        let landmarks = self.landmarks.values_mut().filter_map(|landmark| landmark.map_from_landmark.as_mut());
+        let landmarks =
+            self.landmarks.values_mut().filter_map(|landmark| landmark.map_from_landmark.as_mut());
         let nodes = self.nodes.values_mut().map(|node| &mut node.map_from_node);
         for pose in self.submaps.values_mut().chain(nodes).chain(landmarks).chain(origins) {
             *pose = moved(pose, shift);

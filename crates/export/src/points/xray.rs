@@ -62,7 +62,8 @@ struct Column {
 impl WriteXray {
     pub fn new(options: XrayOptions) -> Result<Self, PointsError> {
         let pictures = (0..options.floors.len().max(1)).map(|_| Columns::default()).collect();
-        let xray = Self { view_from_points: to_f32(&options.view_from_points), options, pictures, bounds: None };
+        let xray =
+            Self { view_from_points: to_f32(&options.view_from_points), options, pictures, bounds: None };
         // Only to see now, not after hours, whether files can be written.
         drop(AtomicFile::create(xray.file(0))?);
         Ok(xray)

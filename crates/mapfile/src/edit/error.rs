@@ -7,7 +7,6 @@ use portolan_geometry::FARTHEST_COORDINATE;
 use portolan_pbstream::IdInFile;
 use portolan_pbstream::PbstreamError;
 
-
 /// Why a map cannot be edited.
 #[derive(Debug, thiserror::Error)]
 pub enum EditError {
@@ -66,7 +65,9 @@ pub enum EditError {
     #[error("a map can be moved by {0:.0} km at most, and to no place farther from its origin", FARTHEST_COORDINATE / 1e3)]
     TooFar,
     /// A part of a map that is not on the Earth.
-    #[error("a part of the map lies {0:.1e} m from its origin, farther than anything on the Earth: take it out first")]
+    #[error(
+        "a part of the map lies {0:.1e} m from its origin, farther than anything on the Earth: take it out first"
+    )]
     FarAway(f64),
     /// Maps of different versions.
     #[error("the maps have the format versions {0} and {1}; `migrate` the older one first")]

@@ -196,7 +196,8 @@ mod tests {
     #[test]
     fn the_walls_of_a_room_far_from_the_origin_are_found() {
         let mut room = room(7.3);
-        room.map_from_submap = portolan_geometry::moved(&room.map_from_submap, &Vector3::new(5e5, 5.4e6, 0.0));
+        room.map_from_submap =
+            portolan_geometry::moved(&room.map_from_submap, &Vector3::new(5e5, 5.4e6, 0.0));
         assert!((find_walls(&[room]).unwrap().angle.to_degrees() - 7.3).abs() < 0.05);
     }
 

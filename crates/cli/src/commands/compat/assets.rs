@@ -55,8 +55,11 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
         prefix => prefix.to_owned(),
     };
     let poses = |t: &Trajectory| t.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
-    let context =
-        PipelineContext { file_prefix: prefix, trajectories: trajectories.iter().map(poses).collect(), frame };
+    let context = PipelineContext {
+        file_prefix: prefix,
+        trajectories: trajectories.iter().map(poses).collect(),
+        frame,
+    };
     let (mut pipeline, tracking_frame) = read_pipeline(&flags, &context)?;
     let options = ingest_options(&flags, tracking_frame)?;
     let mut bags = bags
