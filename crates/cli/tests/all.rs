@@ -10,6 +10,7 @@ mod config;
 mod continue_map;
 mod documents;
 mod evaluate;
+mod far;
 mod fingerprints;
 mod foreign_files;
 mod hostile;

@@ -1,6 +1,6 @@
 //! A trajectory: poses in order of time.
 
-use portolan_geometry::{Duration, Rigid3, Time, interpolate, is_valid_pose};
+use portolan_geometry::{Duration, Rigid3, Time, Vector3, interpolate, is_on_earth, is_valid_pose, moved};
 use portolan_numeric::counted;
 use serde::Serialize;
 
@@ -26,7 +26,8 @@ pub struct TrajectoryRepairs {
     pub unsorted: usize,
     /// Poses at the time of another; the first was kept.
     pub duplicate_stamps: usize,
-    /// Poses with NaN, infinity or a quaternion of length zero; they were dropped.
+    /// Poses with NaN, infinity, a quaternion of length zero or places that are not on the Earth
+    /// ([`FARTHEST_COORDINATE`](portolan_geometry::FARTHEST_COORDINATE)); they were dropped.
     pub invalid_poses: usize,
     /// Quaternions whose length was off by more than 0.001; they were normalised.
     pub renormalized_quaternions: usize,
@@ -38,7 +39,7 @@ impl TrajectoryRepairs {
         let repaired = [
             (self.unsorted, "came after a later one: put in order"),
             (self.duplicate_stamps, "at the time of another: the first was kept"),
-            (self.invalid_poses, "with values that are no pose: left out"),
+            (self.invalid_poses, "with values that are no pose on the Earth: left out"),
             (self.renormalized_quaternions, "with a quaternion of a length other than one: normalised"),
         ];
         let repaired = repaired.into_iter().filter(|(count, _)| *count > 0);
@@ -52,7 +53,8 @@ impl Trajectory {
         let mut repairs = TrajectoryRepairs::default();
         let mut ordered: Vec<TimedPose> = Vec::new();
         for pose in poses {
-            if !is_valid_pose(&pose.map_from_tracking) {
+            let place = &pose.map_from_tracking.translation.vector;
+            if !is_valid_pose(&pose.map_from_tracking) || !is_on_earth(place) {
                 repairs.invalid_poses += 1;
                 continue;
             }
@@ -69,6 +71,14 @@ impl Trajectory {
     /// All poses in order.
     pub fn poses(&self) -> &[TimedPose] {
         &self.poses
+    }
+
+    /// Moved along the axes of the map, metres.
+    pub fn moved(mut self, by: &Vector3) -> Self {
+        for pose in &mut self.poses {
+            pose.map_from_tracking = moved(&pose.map_from_tracking, by);
+        }
+        self
     }
 
     /// How many poses.
@@ -153,7 +163,6 @@ pub(crate) fn covered_distances<'a>(poses: impl Iterator<Item = &'a Rigid3>) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_geometry::Vector3;
 
     fn pose(tick: i64, x: f64) -> TimedPose {
         TimedPose {

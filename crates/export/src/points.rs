@@ -15,7 +15,7 @@ mod xray;
 
 use std::path::PathBuf;
 
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{NearFrame, Rigid3, Time};
 
 pub use batch::PointsBatch;
 pub use error::PointsError;
@@ -53,8 +53,10 @@ pub(crate) trait Stage: Send {
 pub struct PipelineContext {
     /// Put before all names of files.
     pub file_prefix: String,
-    /// Poses of the tracking frame in the map, for each trajectory, in order of time: drawn into pictures.
+    /// Poses of the tracking frame, for each trajectory, in order of time: drawn into pictures.
     pub trajectories: Vec<Vec<(Time, Rigid3)>>,
+    /// The frame of these poses and of all points, which have single precision; files hold places in the map.
+    pub frame: NearFrame,
 }
 
 impl PipelineContext {

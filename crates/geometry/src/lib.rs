@@ -3,6 +3,7 @@
 mod buffer;
 mod dimension;
 mod geodesy;
+mod near_frame;
 mod rigid2;
 mod rotation;
 mod time;
@@ -12,6 +13,7 @@ pub use buffer::{TransformBuffer, interpolate};
 pub use dimension::Dimension;
 pub use geodesy::{EastNorthUp, GeodeticPosition, Trigonometry};
 pub use nalgebra;
+pub use near_frame::{FARTHEST_COORDINATE, NearFrame, is_on_earth, moved};
 pub use rigid2::{Rigid2, normalize_angle};
 pub use rotation::{
     angle_axis_from_quaternion, angular_distance, quaternion_from_angle_axis, roll_pitch_yaw,

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use portolan_geometry::{Time, Vector2};
+use portolan_geometry::{NearFrame, Time, Vector2};
 use portolan_grids::{CellIndex, MapLimits};
 
 use crate::change_regions::{Region, regions};
@@ -59,6 +59,19 @@ pub struct Change {
     pub seen: (Time, Time),
     /// So many scans say so of one of its cells.
     pub scans: u32,
+}
+
+impl Change {
+    /// That of a frame near the map, in the map.
+    pub fn in_map(mut self, frame: &NearFrame) -> Self {
+        let origin = frame.origin();
+        for [x, y] in self.rings.iter_mut().flatten() {
+            *x += origin.x;
+            *y += origin.y;
+        }
+        self.heights.iter_mut().flatten().for_each(|height| *height += origin.z);
+        self
+    }
 }
 
 /// What scans said of a cell.

@@ -1,8 +1,8 @@
 //! What a saved map has to be able to for scans to be found in it: what differs between the plane and space.
 
-use portolan_geometry::{Rigid3, Vector2};
+use portolan_geometry::{NearFrame, Rigid3, Vector2};
 use portolan_grids::{GridError, ScanAgreement};
-use portolan_mapping::{NodeData, PoseGraph, Space, TrajectoryId};
+use portolan_mapping::{GraphState, NodeData, PoseGraph, Space, TrajectoryId};
 use portolan_matching::MatcherOptionError;
 use portolan_sensor::PointCloud;
 
@@ -13,6 +13,9 @@ use crate::localizer::LocalizerWork;
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
 use crate::voxel_changes::KeptSweep;
+
+/// Single precision has steps of a centimetre so far from the origin, metres.
+const FARTHEST: f64 = 1e5;
 
 /// Why a map cannot be localised in.
 #[derive(Debug, thiserror::Error)]
@@ -26,12 +29,27 @@ pub enum KnownMapError {
     /// Grids in which nothing is solid.
     #[error("nothing in the map is solid: its grids show no wall to find scans by")]
     NoWalls,
+    /// It lies where single precision cannot tell cells apart.
+    #[error(
+        "the map lies {:.0} km from the origin of its frame, where grids have no place: bring it into a frame near it",
+        .0 / 1e3
+    )]
+    Far(f64),
     /// A grid cannot be made.
     #[error(transparent)]
     Grid(#[from] GridError),
     /// A matcher cannot be made.
     #[error(transparent)]
     Matcher(#[from] MatcherOptionError),
+}
+
+impl KnownMapError {
+    /// Refuses a map that does not lie near the origin.
+    pub(crate) fn unless_near<S: Space>(state: &GraphState<S>) -> Result<(), Self> {
+        let places = state.submaps.keys().filter_map(|id| state.map_from_submap(*id));
+        let metres = NearFrame::around(places.map(|pose| pose.translation.vector)).origin().norm();
+        if metres < FARTHEST { Ok(()) } else { Err(Self::Far(metres)) }
+    }
 }
 
 /// How far around a guess a scan is searched, metres and radians to either side.

@@ -45,6 +45,7 @@ impl PlanarMap {
         if state.submaps.is_empty() {
             return Err(KnownMapError::Empty);
         }
+        KnownMapError::unless_near(state)?;
         let placed: Vec<Placed> = state
             .submaps
             .iter()

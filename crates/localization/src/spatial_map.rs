@@ -103,6 +103,7 @@ impl SpatialMap {
         if state.submaps.is_empty() {
             return Err(KnownMapError::Empty);
         }
+        KnownMapError::unless_near(state)?;
         if state.submaps.values().all(|entry| entry.submap.is_none()) {
             return Err(KnownMapError::NoGrids(state.submaps.len()));
         }

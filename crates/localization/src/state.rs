@@ -3,7 +3,7 @@
 use std::fmt;
 
 use nalgebra::Matrix3;
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{NearFrame, Rigid3, Time};
 use portolan_grids::ScanAgreement;
 use portolan_mapping::Placement;
 
@@ -132,6 +132,14 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// That of a frame near the map, in the map.
+    pub fn in_map(mut self, frame: &NearFrame) -> Self {
+        if let Some(place) = &mut self.place {
+            place.map_from_tracking = frame.in_map(&place.map_from_tracking);
+        }
+        self
+    }
+
     /// What a node of this scan is worth for the map, where places are certain to a standard deviation of so many metres.
     pub(crate) fn placement(&self, certain: f64) -> Placement {
         let Some(place) = self.place.filter(|_| self.state == State::Localised) else {

@@ -1,6 +1,8 @@
 //! Where on the Earth a map lies.
 
-use portolan_geometry::{GeodeticPosition, Rigid3, TransformBuffer, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_geometry::{
+    GeodeticPosition, Rigid3, TransformBuffer, Vector3, moved, rotation_from_roll_pitch_yaw,
+};
 use portolan_mapping::{EndedTrajectory, Map, PoseGraph, Space, TrajectoryId, of_trajectory};
 use portolan_numeric::median;
 
@@ -108,6 +110,11 @@ impl Georeference {
         let mut off: Vec<f64> = pairs.iter().map(|pair| pair.residual(&map_from_fixed)).collect();
         let sigma = median(&mut off).map(|distance| distance / MEDIAN_BY_SIGMA);
         Some(Self { origin, map_from_fixed, sigma })
+    }
+
+    /// That of the map after it was moved along its axes, metres.
+    pub fn moved_by(self, shift: &Vector3) -> Self {
+        Self { map_from_fixed: moved(&self.map_from_fixed, shift), ..self }
     }
 
     /// Where a place on the Earth is in the map, metres.

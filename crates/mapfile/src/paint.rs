@@ -3,7 +3,7 @@
 //! Works on plain inputs, so that submaps of a file and submaps that are just being built can be
 //! painted alike.
 
-use portolan_geometry::Rigid3;
+use portolan_geometry::{NearFrame, Rigid3};
 use rayon::prelude::*;
 
 use crate::packed_texture::PackedTexture;
@@ -211,9 +211,16 @@ fn blend_all<P: Copy + Send>(
     if !resolution.is_finite() || resolution <= 0.0 {
         return Err(PaintError::Resolution(resolution));
     }
-    let slices = textures.iter().map(|t| Slice::new(t, resolution)).collect::<Result<Vec<_>, _>>()?;
+    // Single precision has no pixels far from the origin.
+    let frame = NearFrame::around(textures.iter().map(|t| t.map_from_submap.translation.vector));
+    let slices =
+        textures.iter().map(|t| Slice::new(t, &frame, resolution)).collect::<Result<Vec<_>, _>>()?;
+    let off = [frame.origin().x / resolution, -frame.origin().y / resolution];
     let (size, origin) = match &options.crop {
-        Some(area) => cropped(area, resolution)?,
+        Some(area) => {
+            let (size, [x, y]) = cropped(area, resolution)?;
+            (size, [x + off[0], y + off[1]])
+        }
         None => bounds(&slices).ok_or(PaintError::Nothing)?,
     };
     if size[0] * size[1] > options.max_pixels as f64 || size[0] > 1e9 || size[1] > 1e9 {
@@ -228,6 +235,7 @@ fn blend_all<P: Copy + Send>(
         blend_group(group, origin, width, &mut pixels, &blend);
         rest = after;
     }
+    let origin = [origin[0] - off[0], origin[1] - off[1]];
     Ok((Layout { width, height, origin }, pixels))
 }
 
@@ -261,7 +269,7 @@ fn blend_group<P: Copy + Send>(
     });
 }
 
-/// A texture with the affine map from its pixels to the picture, before the shift by the origin.
+/// A texture in the near frame with the affine map from its pixels to the picture, before the shift by the origin.
 struct Slice<'a> {
     texture: &'a PackedTexture,
     /// Columns: per texture column, per texture row, offset.
@@ -269,13 +277,13 @@ struct Slice<'a> {
 }
 
 impl<'a> Slice<'a> {
-    fn new(placed: &'a PlacedTexture, resolution: f64) -> Result<Self, PaintError> {
+    fn new(placed: &'a PlacedTexture, frame: &NearFrame, resolution: f64) -> Result<Self, PaintError> {
         let texture = &placed.texture;
         if texture.width.checked_mul(texture.height) != Some(texture.pixel_count()) {
             return Err(PaintError::Texture(placed.id));
         }
-        let map_from_slice = placed.map_from_submap * texture.submap_from_slice;
-        let columns: [[f64; 4]; 4] = map_from_slice.to_homogeneous().into();
+        let near_from_slice = frame.near(&placed.map_from_submap) * texture.submap_from_slice;
+        let columns: [[f64; 4]; 4] = near_from_slice.to_homogeneous().into();
         let [[xx, yx, ..], [xy, yy, ..], _, [x, y, ..]] = columns;
         let (r, s) = (texture.resolution / resolution, 1.0 / resolution);
         let picture_from_texture = [[r * yx, r * xx], [-r * yy, -r * xy], [s * x, -s * y]];

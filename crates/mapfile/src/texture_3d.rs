@@ -1,7 +1,7 @@
 //! X-ray pictures of 3D submaps, seen from above in the global map (`formats.md §4.7`).
 
 use nalgebra::{Quaternion as RawQuaternion, Translation3, Vector3};
-use portolan_geometry::{Quaternion, Rigid3, to_f32};
+use portolan_geometry::{NearFrame, Quaternion, Rigid3, to_f32};
 
 use crate::texture::{MAX_TEXTURE_PIXELS, SubmapTexture, TextureError};
 use portolan_pbstream::codes::{self, MAX_PROBABILITY, MIN_PROBABILITY, PROBABILITIES};
@@ -29,6 +29,8 @@ pub fn texture_3d(submap: &Submap3D, map_from_submap: &Rigid3) -> Result<SubmapT
 
 /// The X-ray of one hybrid grid.
 pub fn xray_texture(grid: &HybridGrid, map_from_submap: &Rigid3) -> Result<SubmapTexture, TextureError> {
+    // Where single precision tells voxels apart; the place of the picture in the submap is the same.
+    let map_from_submap = &NearFrame::around([map_from_submap.translation.vector]).near(map_from_submap);
     let voxels = occupied_voxels(grid, map_from_submap)?;
     let area = Area::around(&voxels);
     // A few voxels far apart must not need more memory than a real submap.

@@ -1,6 +1,6 @@
 //! Where in a planar map a stretch of way was seen: all submaps searched at once.
 
-use portolan_geometry::{Rigid3, embed_3d, project_2d};
+use portolan_geometry::{NearFrame, Rigid3, embed_3d, project_2d};
 use portolan_matching::{PlaceIndex2d, WantedPlaces, joint_cloud_2d};
 use portolan_submaps::Submap2d;
 
@@ -21,21 +21,24 @@ const WANTED: WantedPlaces = WantedPlaces {
 
 /// Finds stretches of way in a planar map.
 pub(crate) struct PlanarPlaces {
+    /// In which the index is.
+    frame: NearFrame,
     index: PlaceIndex2d,
 }
 
 impl PlanarPlaces {
     /// In submaps with these poses in the map; none if there is nothing to find scans by.
     pub fn new(submaps: &[(Rigid3, &Submap2d)]) -> Option<Self> {
+        let frame = NearFrame::around(submaps.iter().map(|(pose, _)| pose.translation.vector));
         let grids: Vec<_> = submaps
             .iter()
             .map(|(map_from_submap, submap)| {
                 let grid_from_submap = project_2d(&submap.local_from_submap);
-                (&submap.grid, project_2d(map_from_submap) * grid_from_submap.inverse())
+                (&submap.grid, project_2d(&frame.near(map_from_submap)) * grid_from_submap.inverse())
             })
             .collect();
         let index = PlaceIndex2d::new(&grids, CELL).ok().flatten()?;
-        Some(Self { index })
+        Some(Self { frame, index })
     }
 }
 
@@ -45,14 +48,14 @@ impl PlaceFinder for PlanarPlaces {
             (project_2d(first_from_scan), &node.filtered_gravity_aligned_point_cloud)
         });
         let found = self.index.find(&joint_cloud_2d(clouds, CELL), &WANTED);
-        let poses = found.places.iter().map(|place| embed_3d(&place.pose)).collect();
+        let poses = found.places.iter().map(|place| self.frame.in_map(&embed_3d(&place.pose))).collect();
         ProposedPlaces { poses, lookups: found.lookups }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use portolan_geometry::Vector3;
+    use portolan_geometry::{Vector3, moved};
 
     use super::*;
     use crate::made_rooms::{node, submap};
@@ -72,6 +75,25 @@ mod tests {
         let off = truth.inverse() * found[0];
         assert!(off.translation.vector.norm() < 0.3 && off.rotation.angle() < 0.06, "{off:?}");
         assert!(PlanarPlaces::new(&[]).is_none());
+    }
+
+    #[test]
+    fn a_part_far_from_the_origin_is_searched_as_one_near_it() {
+        let (large, small) = ((9.0, 7.0), (6.0, 5.0));
+        let submaps = [submap(large), submap(small)];
+        let here = node(small, (0.5, -0.8));
+        let found = |origin: Vector3| {
+            let poses =
+                [Rigid3::translation(-20.0, 0.0, 0.0), Rigid3::new(Vector3::x() * 30.0, Vector3::z())];
+            let placed: Vec<_> = poses.iter().map(|pose| moved(pose, &origin)).zip(&submaps).collect();
+            let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)]);
+            found.poses.iter().map(|pose| moved(pose, &-origin)).collect::<Vec<_>>()
+        };
+        let (near, far) = (found(Vector3::zeros()), found(Vector3::new(499_712.0, 5_400_576.0, 0.0)));
+        assert!(!near.is_empty() && near.len() == far.len(), "{near:?} {far:?}");
+        for (a, b) in near.iter().zip(&far) {
+            assert!((a.to_homogeneous() - b.to_homogeneous()).norm() < 1e-6, "{a} {b}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
 
-use portolan_geometry::{Duration, Quaternion, Rigid3, Time};
+use portolan_geometry::{Duration, NearFrame, Quaternion, Rigid3, Time, Vector3, moved};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkObservation, OdometryData};
 
 use crate::{NodeId, OpenDirections, SubmapId, TrajectoryConnectivity, TrajectoryId, of_trajectory};
@@ -128,6 +128,23 @@ impl OptimizationData {
         Some(map_from_submap.inverse() * self.nodes.get(&node_id)?.map_from_node)
     }
 
+    /// Moves the whole map along its axes, metres.
+    pub fn move_by(&mut self, shift: &Vector3) {
+        let origins = self.fixed_frame_origins.values_mut().flatten();
+        let landmarks =
+            self.landmarks.values_mut().filter_map(|landmark| landmark.map_from_landmark.as_mut());
+        let nodes = self.nodes.values_mut().map(|node| &mut node.map_from_node);
+        for pose in self.submaps.values_mut().chain(nodes).chain(landmarks).chain(origins) {
+            *pose = moved(pose, shift);
+        }
+    }
+
+    /// A frame near the map.
+    pub fn near_frame(&self) -> NearFrame {
+        let nodes = self.nodes.values().map(|node| &node.map_from_node);
+        NearFrame::around(self.submaps.values().chain(nodes).map(|pose| pose.translation.vector))
+    }
+
     /// Holds the first submap of every part of the map that neither a landmark nor a frozen trajectory holds.
     pub fn set_anchors(&mut self, connectivity: &TrajectoryConnectivity) {
         let sightings = self.landmarks.values().flat_map(|l| &l.sightings);
@@ -209,7 +226,6 @@ fn trim_gap<T>(data: &mut BTreeMap<Time, T>, previous: Option<Time>, next: Optio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_geometry::Vector3;
     use portolan_motion::integrate_imu;
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{Rigid3, Time, is_on_earth};
 use serde::Serialize;
 
 use crate::error::{PbstreamError, RecordError};
@@ -63,9 +63,6 @@ pub enum FindingKind {
     /// A place farther from the origin than anything on Earth.
     FarAway,
 }
-
-/// Nothing on Earth is farther from the origin of a map, metres, however that is georeferenced.
-const FARTHEST: f64 = 1e8;
 
 impl FindingKind {
     /// What `repair` of `portolan-mapfile` does about it; none where nothing has to be done or nothing can.
@@ -283,7 +280,8 @@ impl Check {
                 if pose.is_some_and(|p| p.rotation.is_some()) { "is not valid" } else { "is missing" };
             self.error(FindingKind::Pose, format!("the pose of {what} {problem}"));
         }
-        if let Some(metres) = valid.map(|pose| pose.translation.vector.norm()).filter(|far| *far > FARTHEST) {
+        if let Some(place) = valid.map(|pose| pose.translation.vector).filter(|place| !is_on_earth(place)) {
+            let metres = place.norm();
             self.warn(
                 FindingKind::FarAway,
                 format!("{what} lies {metres:.1e} m from where it is measured from"),

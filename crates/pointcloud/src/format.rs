@@ -60,7 +60,8 @@ pub enum Encoding {
 /// How coordinates are stored in PLY and PCD.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
-    /// Single in PCD, as PCL expects, and double in PLY.
+    /// Double in PLY, and single in PCD, as PCL expects; double there, too, if the first point is so far from the origin that
+    /// millimetres would be lost.
     #[default]
     Usual,
     /// Single.

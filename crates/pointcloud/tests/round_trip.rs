@@ -128,7 +128,7 @@ fn far_places_are_kept_and_what_is_no_number_is_left_out() {
     let mut cloud = PointCloud::single([4_000_000.0, 500_000.0, 300.0], Attributes::default());
     cloud.push([4_000_012.125, 500_001.5, 301.25], 0.0, 0.0, [0; 3]);
     cloud.push([f64::NAN, 0.0, 0.0], 0.0, 0.0, [0; 3]);
-    for name in ["a.ply", "a.las", "a.laz", "a.e57", "a.xyz"] {
+    for name in ["a.ply", "a.pcd", "a.las", "a.laz", "a.e57", "a.xyz"] {
         let path = folder.path().join(name);
         let mut writer = create(&path, Attributes::default(), &WriteOptions::default()).unwrap();
         writer.write(&cloud).unwrap();
@@ -140,7 +140,7 @@ fn far_places_are_kept_and_what_is_no_number_is_left_out() {
     // Nothing appears before it is complete, and nothing stays behind.
     let path = folder.path().join("never.ply");
     drop(create(&path, Attributes::default(), &WriteOptions::default()).unwrap());
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 5);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 6);
     assert!(create(folder.path().join("map.stl"), Attributes::default(), &WriteOptions::default()).is_err());
     let coarse = WriteOptions { resolution: 0.0, ..WriteOptions::default() };
     assert!(create(folder.path().join("map.las"), Attributes::default(), &coarse).is_err());

@@ -56,7 +56,7 @@ impl PlacedRecording {
         Ok(Self { path, recording, inventory, plan })
     }
 
-    /// Sends all points through the pipeline; how many were left out.
+    /// Sends all points through the pipeline, placed by a trajectory in the frame that the pipeline works in; how many were left out.
     ///
     /// # Errors
     /// Fails if the recording cannot be read, or a stage cannot write.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use portolan_config::Options;
 use portolan_diagnose::compare_scans;
-use portolan_geometry::{Dimension, Rigid3, Time, TransformBuffer};
+use portolan_geometry::{Dimension, NearFrame, Rigid3, Time, TransformBuffer};
 use portolan_ingest::{
     AzimuthTimes, IngestError, IngestOptions, Ingestion, Inventory, RangeNoise, SensorPlan, StampPolicy, plan,
 };
@@ -252,13 +252,15 @@ fn doubt_imu(
     Ok(plan)
 }
 
-/// A map that a recording is added to.
+/// A map that a recording is added to, in a frame near it.
 pub struct KnownMap<S: Space> {
     /// Its trajectories.
     pub graph: PoseGraph<S>,
+    /// The frame of the graph; that of the files until [`KnownMap::bring_near`].
+    pub frame: NearFrame,
     /// Options, sensors and scans of its trajectories.
     pub trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
-    /// Where in the map the recording starts (`map_from_tracking`), if that is known. Else it is searched
+    /// Where in that frame the recording starts (`map_from_tracking`), if that is known. Else it is searched
     /// in the whole map.
     pub start: Option<Rigid3>,
     /// What was repaired or left out when it was read.
@@ -269,7 +271,15 @@ impl<S: Space> KnownMap<S> {
     /// Nothing is known yet.
     pub fn empty(options: &Options) -> Self {
         let graph = PoseGraph::new(options.map_builder.pose_graph.clone());
-        Self { graph, trajectories: BTreeMap::new(), start: None, issues: IssueLog::default() }
+        let frame = NearFrame::default();
+        Self { graph, frame, trajectories: BTreeMap::new(), start: None, issues: IssueLog::default() }
+    }
+
+    /// Brings everything into a frame near the map, so that single precision is enough for what is reckoned in it.
+    pub fn bring_near(&mut self) {
+        self.frame = self.graph.near_frame();
+        self.graph.move_by(&-self.frame.origin());
+        self.start = self.start.map(|start| self.frame.near(&start));
     }
 
     /// The start as the pose graph wants it: at `time`, relative to the first trajectory of the map that has nodes.
@@ -298,7 +308,7 @@ pub fn map_recording<S: Space>(
     let Preparation { inventory, plan, options, keep_scans_in, spool_in, memory, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
-    let known_issues = known.issues;
+    let (known_issues, frame) = (known.issues, known.frame);
     let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
     mapper.remember_with(&memory)?;
     spool_in.map_or(Ok(()), |folder| mapper.spool_in(&folder))?;
@@ -344,6 +354,7 @@ pub fn map_recording<S: Space>(
     if scans == 0 {
         return Err(PipelineError::NoScans);
     }
+    map.graph.move_by(&frame.origin());
     for id in std::iter::once(trajectory_id).chain(losses.iter().map(|loss| loss.piece)) {
         if let Some(ended) = map.trajectories.get_mut(&id) {
             ended.fixed_frame_on_earth = ingestion.nav_sat_origin();

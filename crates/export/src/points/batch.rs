@@ -6,18 +6,18 @@ use portolan_geometry::{Point3f, Time};
 
 use crate::colour::Rgb;
 
-/// Points of one message of a sensor, in the map.
+/// Points of one message of a sensor, in a frame near the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointsBatch {
     /// Stamp of the message.
     pub start_time: Time,
-    /// Position of the sensor in the map, metres.
+    /// Position of the sensor in that frame, metres.
     pub origin: Point3f,
     /// Frame of the sensor.
     pub frame_id: Arc<str>,
     /// Number of the recording.
     pub trajectory_id: usize,
-    /// Positions in the map, metres.
+    /// Positions in that frame, metres.
     pub points: Vec<Point3f>,
     /// One for each point, or empty.
     pub intensities: Vec<f32>,

@@ -2,7 +2,7 @@
 
 use portolan_config::Value;
 use portolan_config::lua::Dictionary;
-use portolan_geometry::{Quaternion, Rigid3, rotation_from_roll_pitch_yaw};
+use portolan_geometry::{NearFrame, Quaternion, Rigid3, rotation_from_roll_pitch_yaw};
 use portolan_grids::{
     HybridInserter, HybridInserterOptions, ProbabilityInserter, ProbabilityInserterOptions,
 };
@@ -102,7 +102,7 @@ fn size(d: &Dictionary, key: &'static str, action: &'static str) -> Result<f64, 
 }
 
 fn cloud(kind: CloudKind, d: &Dictionary, context: &PipelineContext) -> Made {
-    Ok(Box::new(WriteCloud::create(kind, context.file(&d.string("filename")?))?))
+    Ok(Box::new(WriteCloud::create(kind, context.file(&d.string("filename")?), &context.frame)?))
 }
 
 fn color_points(d: &Dictionary, _: &PipelineContext, _: Log) -> Made {
@@ -158,7 +158,7 @@ fn hybrid_grid(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {
     };
     let voxel_size = size(d, "voxel_size", "write_hybrid_grid")?;
     let file = context.file(&d.string("filename")?);
-    Ok(Box::new(WriteHybridGrid::new(voxel_size, HybridInserter::new(&options)?, file)?))
+    Ok(Box::new(WriteHybridGrid::new(voxel_size, HybridInserter::new(&options)?, file, &context.frame)?))
 }
 
 fn planar_inserter(d: &Dictionary) -> Result<ProbabilityInserter, PointsError> {
@@ -191,13 +191,13 @@ fn probability_grid(d: &Dictionary, context: &PipelineContext, log: Log) -> Made
         other => return Err(setting(action, format!("output_type is \"{other}\": it must be png or pb"))),
     };
     let resolution = size(d, "resolution", action)?;
-    Ok(Box::new(WritePlanarGrid::new(resolution, planar_inserter(d)?, output)?))
+    Ok(Box::new(WritePlanarGrid::new(resolution, planar_inserter(d)?, output, &context.frame)?))
 }
 
 fn ros_map(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {
     let output = PlanarOutput::RosMap { stem: context.file(&d.string("filestem")?) };
     let resolution = size(d, "resolution", "write_ros_map")?;
-    Ok(Box::new(WritePlanarGrid::new(resolution, planar_inserter(d)?, output)?))
+    Ok(Box::new(WritePlanarGrid::new(resolution, planar_inserter(d)?, output, &context.frame)?))
 }
 
 fn xray(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {
@@ -213,12 +213,21 @@ fn xray(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {
     let options = XrayOptions {
         file: context.file(&d.string("filename")?),
         voxel_size: size(d, "voxel_size", action)? as f32,
-        view_from_map: transform(&d.dictionary("transform")?, action)?,
+        view_from_points: view_from_points(&transform(&d.dictionary("transform")?, action)?, &context.frame),
         saturation_factor: optional(d, "saturation_factor", Dictionary::number, 1.0)? as f32,
         floors,
         trajectories: if draw { context.trajectories.clone() } else { Vec::new() },
     };
     Ok(Box::new(WriteXray::new(options)?))
+}
+
+/// How a view of the map sees points that are in another frame, but for where the view has its own origin: pictures do not show it.
+fn view_from_points(view_from_map: &Rigid3, frame: &NearFrame) -> Rigid3 {
+    if frame.is_map() {
+        return *view_from_map;
+    }
+    let view_from_points = view_from_map * frame.in_map(&Rigid3::identity());
+    NearFrame::around([view_from_points.translation.vector]).near(&view_from_points)
 }
 
 /// A table with `translation` {x, y, z} and `rotation`: {roll, pitch, yaw}, or a quaternion with keys w, x, y, z.

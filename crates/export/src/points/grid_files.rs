@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use portolan_atomic_file::{AtomicFile, write_atomically};
-use portolan_geometry::{Point3f, Rigid3, Time};
+use portolan_geometry::{NearFrame, Point3f, Rigid3, Time, Vector2};
 use portolan_grids::{
     CellIndex, Grid2d, HybridGrid, HybridInserter, MapLimits, ProbabilityGrid, ProbabilityInserter,
 };
@@ -31,6 +31,8 @@ pub(super) enum PlanarOutput {
 /// Draws points and rays into a grid in 2D.
 pub(super) struct WritePlanarGrid {
     grid: ProbabilityGrid,
+    /// Of the frame of the grid in the map, metres.
+    origin: Vector2,
     inserter: ProbabilityInserter,
     output: PlanarOutput,
 }
@@ -40,15 +42,16 @@ impl WritePlanarGrid {
         resolution: f64,
         inserter: ProbabilityInserter,
         output: PlanarOutput,
+        frame: &NearFrame,
     ) -> Result<Self, PointsError> {
-        let limits = MapLimits::around(resolution, portolan_geometry::Vector2::zeros())?;
+        let limits = MapLimits::around(resolution, Vector2::zeros())?;
         let path = match &output {
             PlanarOutput::Png { path, .. } | PlanarOutput::Proto { path } => path,
             PlanarOutput::RosMap { stem } => stem,
         };
         // Only to see now, not after hours, whether files can be written.
         drop(AtomicFile::create(path)?);
-        Ok(Self { grid: ProbabilityGrid::new(limits), inserter, output })
+        Ok(Self { grid: ProbabilityGrid::new(limits), origin: frame.origin().xy(), inserter, output })
     }
 
     /// The known part, in grey.
@@ -99,7 +102,7 @@ impl WritePlanarGrid {
         let (width, height) = (old_height, old_width);
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (old_height - 1 - x) * old_width + y));
         let limits = self.grid.limits();
-        let (resolution, max) = (limits.resolution(), limits.max());
+        let (resolution, max) = (limits.resolution(), limits.max() + self.origin);
         let left = max.x - (f64::from(offset[1]) + width as f64) * resolution;
         let bottom = max.y - (f64::from(offset[0]) + height as f64) * resolution;
         PaintedMap {
@@ -145,7 +148,8 @@ impl Stage for WritePlanarGrid {
                 path
             }
             PlanarOutput::Proto { path } => {
-                write_atomically(path, &encode_grid_2d(&Grid2d::Probability(self.grid.clone())))?;
+                let grid = Grid2d::Probability(self.grid.clone());
+                write_atomically(path, &encode_grid_2d(&grid, &self.origin))?;
                 path
             }
             PlanarOutput::RosMap { stem } => {
@@ -158,6 +162,11 @@ impl Stage for WritePlanarGrid {
     }
 }
 
+fn too_far() -> PointsError {
+    let reason = "there are points farther than 8192 voxels from the origin".to_owned();
+    PointsError::TooLarge { action: "write_hybrid_grid", reason }
+}
+
 /// `write_hybrid_grid`.
 pub(super) struct WriteHybridGrid {
     grid: HybridGrid,
@@ -166,7 +175,15 @@ pub(super) struct WriteHybridGrid {
 }
 
 impl WriteHybridGrid {
-    pub fn new(voxel_size: f64, inserter: HybridInserter, path: PathBuf) -> Result<Self, PointsError> {
+    pub fn new(
+        voxel_size: f64,
+        inserter: HybridInserter,
+        path: PathBuf,
+        frame: &NearFrame,
+    ) -> Result<Self, PointsError> {
+        if !frame.is_map() {
+            return Err(too_far());
+        }
         drop(AtomicFile::create(&path)?);
         Ok(Self { grid: HybridGrid::new(voxel_size as f32)?, inserter, path })
     }
@@ -176,8 +193,7 @@ impl Stage for WriteHybridGrid {
     fn process(&mut self, batch: &mut PointsBatch) -> Result<bool, PointsError> {
         let outside = |p: &Point3f| self.grid.cell_index(p).is_none();
         if batch.points.iter().any(outside) {
-            let reason = "there are points farther than 8192 voxels from the origin".to_owned();
-            return Err(PointsError::TooLarge { action: "write_hybrid_grid", reason });
+            return Err(too_far());
         }
         self.inserter.insert(&range_data(batch), f32::INFINITY, &mut self.grid, None)?;
         Ok(true)

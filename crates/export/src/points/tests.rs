@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use portolan_config::lua::{Limits, evaluate_text};
-use portolan_geometry::{Point3f, Rigid3, Time};
+use portolan_geometry::{NearFrame, Point3f, Rigid3, Time, Vector3};
 use portolan_testing::clouds::Lcg;
 
 use super::{Flush, Pipeline, PipelineContext, PointsBatch, PointsError, pipeline_from_lua, table_of};
@@ -46,7 +46,7 @@ fn run(mut pipeline: Pipeline, batches: &[PointsBatch]) -> (usize, Vec<String>) 
 }
 
 fn context_in(folder: &Path) -> PipelineContext {
-    PipelineContext { file_prefix: format!("{}/", folder.display()), trajectories: Vec::new() }
+    PipelineContext { file_prefix: format!("{}/", folder.display()), ..PipelineContext::default() }
 }
 
 const GOLDEN: &str = r#"
@@ -103,6 +103,36 @@ fn the_files_are_the_golden_ones() {
     for name in ["xray_gray.png", "xray_col.png", "pg.png"] {
         assert_eq!(grey(&folder.path().join(name)), grey(&golden.join(name)), "{name}");
     }
+}
+
+#[test]
+fn files_hold_places_in_the_map_and_pictures_are_the_same_far_from_the_origin() {
+    let [near, far] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let frame = NearFrame::around([Vector3::new(499_712.0, 5_400_576.0, 0.0)]);
+    let text = GOLDEN.replace("write_hybrid_grid", "write_xyz").replace("hg.pb", "hg.xyz");
+    let text = text.replace(", voxel_size = 0.5,\n      range_data_inserter = { hit_probability = 0.55, miss_probability = 0.49, num_free_space_voxels = 2 }", "");
+    run(pipeline(&text, &context_in(near.path())).unwrap(), &golden_batches());
+    run(pipeline(&text, &PipelineContext { frame, ..context_in(far.path()) }).unwrap(), &golden_batches());
+    for name in ["xray_gray.png", "xray_col.png", "pg.png", "map.pgm"] {
+        let read = |folder: &tempfile::TempDir| std::fs::read(folder.path().join(name)).unwrap();
+        assert!(read(&near) == read(&far), "{name}");
+    }
+    let numbers = |folder: &tempfile::TempDir, name: &str| -> Vec<f64> {
+        let text = std::fs::read_to_string(folder.path().join(name)).unwrap();
+        text.split_whitespace().filter_map(|word| word.trim_matches(['[', ']', ',']).parse().ok()).collect()
+    };
+    let (a, b) = (numbers(&near, "points.xyz"), numbers(&far, "points.xyz"));
+    assert!(a.len() > 1000 && a.len() == b.len());
+    for (i, (a, b)) in a.iter().zip(&b).enumerate() {
+        assert!((b - a - frame.origin()[i % 3]).abs() < 1e-4, "{a} {b}");
+    }
+    let (a, b) = (numbers(&near, "map.yaml"), numbers(&far, "map.yaml"));
+    assert!(a.iter().zip(&b).any(|(a, b)| (b - a - 5_400_576.0).abs() < 1e-3), "{a:?} {b:?}");
+    let cloud = std::fs::read(far.path().join("points.ply")).unwrap();
+    assert!(String::from_utf8_lossy(&cloud[..300]).contains("property double y"));
+    // A hybrid grid has no place of its own in its file.
+    let refused = pipeline(GOLDEN, &PipelineContext { frame, ..context_in(far.path()) }).err().unwrap();
+    assert!(refused.to_string().contains("8192 voxels"), "{refused}");
 }
 
 /// Size and pixels of a picture, red, green and blue.

@@ -27,7 +27,7 @@ pub(super) struct XrayOptions {
     /// Metres.
     pub voxel_size: f32,
     /// The picture looks along the x axis of this view.
-    pub view_from_map: Rigid3,
+    pub view_from_points: Rigid3,
     pub saturation_factor: f32,
     /// One picture each; empty for one picture of everything.
     pub floors: Vec<Floor>,
@@ -38,7 +38,7 @@ pub(super) struct XrayOptions {
 /// Draws one picture, or one for each floor.
 pub(super) struct WriteXray {
     options: XrayOptions,
-    view_from_map: Rigid3f,
+    view_from_points: Rigid3f,
     pictures: Vec<Columns>,
     /// Smallest and largest (y, z) of all voxels.
     bounds: Option<[[i32; 2]; 2]>,
@@ -62,7 +62,8 @@ struct Column {
 impl WriteXray {
     pub fn new(options: XrayOptions) -> Result<Self, PointsError> {
         let pictures = (0..options.floors.len().max(1)).map(|_| Columns::default()).collect();
-        let xray = Self { view_from_map: to_f32(&options.view_from_map), options, pictures, bounds: None };
+        let xray =
+            Self { view_from_points: to_f32(&options.view_from_points), options, pictures, bounds: None };
         // Only to see now, not after hours, whether files can be written.
         drop(AtomicFile::create(xray.file(0))?);
         Ok(xray)
@@ -80,7 +81,7 @@ impl WriteXray {
     fn add(&mut self, batch: &PointsBatch, picture: usize) -> Result<(), PointsError> {
         let Some(columns) = self.pictures.get_mut(picture) else { return Ok(()) };
         for (i, point) in batch.points.iter().enumerate() {
-            let Some(voxel) = voxel_of(&(self.view_from_map * point), self.options.voxel_size) else {
+            let Some(voxel) = voxel_of(&(self.view_from_points * point), self.options.voxel_size) else {
                 continue;
             };
             let [_, y, z] = voxel;
@@ -121,7 +122,7 @@ impl WriteXray {
             let floor = self.options.floors.get(picture);
             let on_floor = trajectory.iter().filter(|(time, _)| floor.is_none_or(|f| f.contains(*time)));
             let pixel = |(_, pose): &(Time, Rigid3)| {
-                let place: Point3f = self.view_from_map * (to_f32(pose) * Point3f::origin());
+                let place: Point3f = self.view_from_points * (to_f32(pose) * Point3f::origin());
                 let [_, y, z] = voxel_of(&place, self.options.voxel_size)?;
                 Some([max[0] as f32 - y as f32, max[1] as f32 - z as f32])
             };

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 pub use work::LocalizerWork;
 
 use portolan_config::Options;
-use portolan_geometry::Rigid3;
+use portolan_geometry::{NearFrame, Rigid3};
 use portolan_issue::IssueLog;
 use portolan_mapping::{LocalTrack, MapperError, PoseGraph, SensorCollation, Space};
 use portolan_sensor::{Measurement, SensorId};
@@ -35,6 +35,16 @@ impl StartPose {
     /// A start that somebody read off a picture: half a metre and ten degrees.
     pub fn new(map_from_tracking: Rigid3) -> Self {
         Self { map_from_tracking, sigma_metres: 0.5, sigma_radians: 10f64.to_radians() }
+    }
+
+    /// That of a map, in a frame near it.
+    pub fn near(self, frame: &NearFrame) -> Self {
+        Self { map_from_tracking: frame.near(&self.map_from_tracking), ..self }
+    }
+
+    /// That of a frame near the map, in the map.
+    pub fn in_map(self, frame: &NearFrame) -> Self {
+        Self { map_from_tracking: frame.in_map(&self.map_from_tracking), ..self }
     }
 }
 

@@ -46,6 +46,20 @@ pub enum MapConversionError {
         /// Trajectory and index.
         id: IdInFile,
     },
+    /// A place that is not on the Earth.
+    #[error(
+        "the {what} ({}, {}) lies {metres:.1e} m from the origin of the map, farther than anything on the Earth; \
+         `portolan edit` takes such parts out",
+        .id.0, .id.1
+    )]
+    FarAway {
+        /// What lies there.
+        what: &'static str,
+        /// Trajectory and index.
+        id: IdInFile,
+        /// How far.
+        metres: f64,
+    },
     /// Something without its content.
     #[error("the {what} ({}, {}) has no content; `repair` leaves it out", .id.0, .id.1)]
     Content {

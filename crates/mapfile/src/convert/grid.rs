@@ -79,8 +79,13 @@ fn count_repairs(done: GridRepairs, issues: &mut IssueLog) {
 }
 
 /// A grid as a serialised `Grid2D`, the file that Cartographer's `write_probability_grid` writes.
-pub fn encode_grid_2d(grid: &Grid2d) -> Vec<u8> {
-    grid_to_proto(grid).encode_to_vec()
+/// `origin` is that of the frame of the grid in the map, metres.
+pub fn encode_grid_2d(grid: &Grid2d, origin: &Vector2) -> Vec<u8> {
+    let mut message = grid_to_proto(grid);
+    if let Some(max) = message.limits.as_mut().and_then(|limits| limits.max.as_mut()) {
+        (max.x, max.y) = (max.x + origin.x, max.y + origin.y);
+    }
+    message.encode_to_vec()
 }
 
 /// A grid as a message.

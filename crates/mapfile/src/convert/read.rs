@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use portolan_config::{Options, PoseGraphOptions};
-use portolan_geometry::{Rigid3, Time};
+use portolan_geometry::{Rigid3, Time, is_on_earth};
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
     Constraint, ConstraintTag, EndedTrajectory, InitialTrajectoryPose, Map, NodeData, NodeId, Planar,
@@ -373,6 +373,10 @@ fn global_poses(graph: &m::PoseGraph) -> Result<(Poses, Poses, u64), MapConversi
     let mut duplicates = 0;
     let mut add = |poses: &mut Poses, what, id, pose: Option<Rigid3>| {
         let pose = pose.ok_or(MapConversionError::Pose { what, id })?;
+        if !is_on_earth(&pose.translation.vector) {
+            let metres = pose.translation.vector.norm();
+            return Err(MapConversionError::FarAway { what, id, metres });
+        }
         if let Entry::Vacant(place) = poses.entry(id) {
             place.insert(pose);
         } else {

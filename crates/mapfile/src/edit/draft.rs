@@ -4,14 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use portolan_config::{ConfigError, Options};
-use portolan_geometry::{Dimension, Rigid3};
+use portolan_geometry::{Dimension, NearFrame, Rigid3, is_on_earth};
 use portolan_optimization::ImuState;
 use prost::Message as _;
 use serde::Serialize;
 
 use super::EditError;
 use super::clear::ClearedArea;
-use super::error::FARTHEST_MOVE;
 use super::rest::Rest;
 use super::unread::{TrajectoryOptions, Unread};
 use portolan_pbstream::MapReader;
@@ -164,6 +163,30 @@ impl MapDraft {
         Ok(ids)
     }
 
+    /// Global poses of submaps and nodes.
+    fn all_poses(&self) -> impl Iterator<Item = Rigid3> {
+        let poses = |trajectory: &Trajectory| {
+            let submaps = trajectory.submap.iter().map(|submap| submap.pose);
+            let nodes = trajectory.node.iter().map(|node| node.pose);
+            submaps.chain(nodes).collect::<Vec<_>>()
+        };
+        self.graph.trajectory.iter().flat_map(poses).filter_map(|pose| pose_from_proto(pose.as_ref()))
+    }
+
+    /// A frame near the map.
+    pub(super) fn near_frame(&self) -> NearFrame {
+        NearFrame::around(self.all_poses().map(|pose| pose.translation.vector))
+    }
+
+    /// Refuses to reckon with a map of which a part lies where nothing on the Earth is.
+    pub(super) fn require_on_earth(&self) -> Result<(), EditError> {
+        let mut places = self.all_poses().map(|pose| pose.translation.vector);
+        match places.find(|place| !is_on_earth(place)) {
+            Some(place) => Err(EditError::FarAway(place.norm())),
+            None => Ok(()),
+        }
+    }
+
     /// Global poses, constraints and landmarks as they are now.
     pub fn pose_graph(&self) -> &PoseGraph {
         &self.graph
@@ -188,10 +211,14 @@ impl MapDraft {
     /// Moves the whole map: a point at `p` in the old global map is at `new_from_old · p` afterwards.
     ///
     /// # Errors
-    /// If a 2D map would leave its plane, or a map would be moved farther than the Earth is wide.
+    /// If a 2D map would leave its plane, or anything would be moved to where nothing on the Earth is.
     pub fn transform(&mut self, new_from_old: &Rigid3) -> Result<(), EditError> {
-        let metres = new_from_old.translation.vector.norm();
-        if metres.is_nan() || metres > FARTHEST_MOVE {
+        let leaves = |pose: Rigid3| {
+            let moved = new_from_old * pose;
+            is_on_earth(&pose.translation.vector) && !is_on_earth(&moved.translation.vector)
+        };
+        let is_too_far = self.all_poses().any(leaves);
+        if is_too_far || !is_on_earth(&new_from_old.translation.vector) {
             return Err(EditError::TooFar);
         }
         let out_of_plane = {

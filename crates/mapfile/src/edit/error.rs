@@ -3,11 +3,9 @@
 use std::path::PathBuf;
 
 use crate::convert::MapConversionError;
+use portolan_geometry::FARTHEST_COORDINATE;
 use portolan_pbstream::IdInFile;
 use portolan_pbstream::PbstreamError;
-
-/// Maps are not moved farther at once, metres: a position has its millimetres there.
-pub(super) const FARTHEST_MOVE: f64 = 1e8;
 
 /// Why a map cannot be edited.
 #[derive(Debug, thiserror::Error)]
@@ -67,8 +65,13 @@ pub enum EditError {
     #[error("{0}")]
     Dimension(&'static str),
     /// A map moved farther than anything on Earth lies apart: positions there would lose their digits.
-    #[error("a map can be moved by {:.0} km at most", FARTHEST_MOVE / 1e3)]
+    #[error("a map can be moved by {0:.0} km at most, and to no place farther from its origin", FARTHEST_COORDINATE / 1e3)]
     TooFar,
+    /// A part of a map that is not on the Earth.
+    #[error(
+        "a part of the map lies {0:.1e} m from its origin, farther than anything on the Earth: take it out first"
+    )]
+    FarAway(f64),
     /// Maps of different versions.
     #[error("the maps have the format versions {0} and {1}; `migrate` the older one first")]
     Versions(u32, u32),

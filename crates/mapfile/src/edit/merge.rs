@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use portolan_config::Options;
-use portolan_geometry::{Dimension, Rigid3};
+use portolan_geometry::{Dimension, NearFrame, Rigid3};
 use portolan_issue::IssueLog;
 use portolan_mapping::{
     Constraint, ConstraintTag, NodeId, Planar, PoseGraph, PoseGraphPolicy, Spatial, SubmapId, TrajectoryId,
@@ -53,21 +53,26 @@ impl MapDraft {
         options: &Options,
     ) -> Result<JoinedMap, EditError> {
         let path = path.as_ref();
+        let frame = self.near_frame();
         let ids = self.append(path, &Rigid3::identity())?;
+        self.require_on_earth()?;
         match self.dimension {
-            Some(Dimension::Three) => self.join::<Spatial>(path, ids, options),
-            _ => self.join::<Planar>(path, ids, options),
+            Some(Dimension::Three) => self.join::<Spatial>(path, ids, options, &frame),
+            _ => self.join::<Planar>(path, ids, options, &frame),
         }
     }
 
+    /// Joined in a frame near this map, where the other one comes to lie.
     fn join<S: MapSpace>(
         &mut self,
         path: &Path,
         ids: BTreeMap<i32, i32>,
         options: &Options,
+        frame: &NearFrame,
     ) -> Result<JoinedMap, EditError> {
         let collected = Collected::read(self)?;
         let mut graph = self.pose_graph_in_memory::<S>(&collected, options)?;
+        graph.move_by(&-frame.origin());
         let joining: BTreeSet<TrajectoryId> = ids.values().map(|id| trajectory_in_memory(*id)).collect();
         let lost = graph.join(&joining);
         if !lost.is_empty() {
@@ -77,6 +82,7 @@ impl MapDraft {
         }
         let is_first = |id: &IdInFile| ids.values().min() == Some(&id.0);
         let first = self.all_node_poses().into_iter().find(|(id, _)| is_first(id));
+        graph.move_by(&frame.origin());
         let (_, summary) = graph.optimizations();
         let optimization = self.take_over::<S>(graph.problem(), graph.state().constraints.len(), summary)?;
         let moved = first.and_then(|(id, old)| Some(self.all_node_poses().get(&id)? * old.inverse()));

@@ -46,8 +46,10 @@ impl MapDraft {
     /// ([`MapDraft::options`]): weights that it was not made with bend it.
     ///
     /// # Errors
-    /// If the files cannot be read, a node lacks its pose, there is nothing to optimise, or it cannot be done.
+    /// If the files cannot be read, a node lacks its pose, there is nothing to optimise, a part lies where nothing on the Earth
+    /// is, or it cannot be done.
     pub fn optimize(&mut self, options: &Options, iterations: u32) -> Result<MapOptimization, EditError> {
+        self.require_on_earth()?;
         match self.dimension {
             Some(Dimension::Three) => self.optimize_in::<Spatial>(options, iterations),
             _ => self.optimize_in::<Planar>(options, iterations),
@@ -68,8 +70,12 @@ impl MapDraft {
         if data.nodes.is_empty() || data.submaps.is_empty() {
             return Err(EditError::Optimization("it has no nodes or no submaps".to_owned()));
         }
+        // Far from the origin steps would be too short for the solver in comparison with where poses are.
+        let frame = self.near_frame();
+        data.move_by(&-frame.origin());
         let summary =
             S::optimize(&mut data, &constraints, &options.map_builder.pose_graph.optimization_problem);
+        data.move_by(&frame.origin());
         self.take_over::<S>(&data, constraints.len(), summary)
     }
 

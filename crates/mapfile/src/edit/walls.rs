@@ -1,5 +1,6 @@
 //! The direction of the walls of a building.
 
+use portolan_geometry::NearFrame;
 use portolan_geometry::nalgebra::Point3;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -86,17 +87,18 @@ pub fn find_walls(textures: &[PlacedTexture]) -> Option<Walls> {
     (contrast >= MIN_CONTRAST).then_some(Walls { angle: wrapped.to_radians(), contrast })
 }
 
-/// Positions of occupied pixels in the global map.
+/// Positions of occupied pixels in a frame near the map.
 fn wall_points(textures: &[PlacedTexture]) -> Vec<[f64; 2]> {
     let is_wall = |p: &[u8; 2]| p[1] >= MIN_ALPHA;
     let count = |t: &PlacedTexture| t.texture.pixels().iter().filter(|p| is_wall(p)).count();
     let total: usize = textures.par_iter().map(count).sum();
     let stride = total.div_ceil(MAX_POINTS).max(1);
+    let frame = NearFrame::around(textures.iter().map(|placed| placed.map_from_submap.translation.vector));
     let mut points = Vec::with_capacity(total / stride + 1);
     let mut seen = 0;
     for placed in textures {
         let texture = &placed.texture;
-        let map_from_slice = placed.map_from_submap * texture.submap_from_slice;
+        let near_from_slice = frame.near(&placed.map_from_submap) * texture.submap_from_slice;
         for (index, _) in texture.pixels().iter().enumerate().filter(|(_, p)| is_wall(p)) {
             seen += 1;
             if seen % stride != 0 {
@@ -104,7 +106,7 @@ fn wall_points(textures: &[PlacedTexture]) -> Vec<[f64; 2]> {
             }
             let (row, column) = (index / texture.width.max(1), index % texture.width.max(1));
             let metres = |i: usize| -(i as f64 + 0.5) * texture.resolution;
-            let p = map_from_slice * Point3::new(metres(row), metres(column), 0.0);
+            let p = near_from_slice * Point3::new(metres(row), metres(column), 0.0);
             if p.x.is_finite() && p.y.is_finite() && p.x.abs() < 1e5 && p.y.abs() < 1e5 {
                 points.push([p.x, p.y]);
             }
@@ -189,6 +191,14 @@ mod tests {
             let off = (walls.angle.to_degrees() - degrees).rem_euclid(90.0);
             assert!(off.min(90.0 - off) < 0.05, "{degrees}: {walls:?}");
         }
+    }
+
+    #[test]
+    fn the_walls_of_a_room_far_from_the_origin_are_found() {
+        let mut room = room(7.3);
+        room.map_from_submap =
+            portolan_geometry::moved(&room.map_from_submap, &Vector3::new(5e5, 5.4e6, 0.0));
+        assert!((find_walls(&[room]).unwrap().angle.to_degrees() - 7.3).abs() < 0.05);
     }
 
     #[test]

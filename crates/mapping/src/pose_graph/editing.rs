@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use portolan_config::Options;
-use portolan_geometry::{Duration, Rigid3, Time};
+use portolan_geometry::{Duration, NearFrame, Rigid3, Time, Vector3, moved};
 use portolan_optimization::{ImuState, OptimizationNode};
 
 use super::{Gap, InitialTrajectoryPose, PoseGraph, SubmapEntry, TrajectoryState, Trimmer};
@@ -216,6 +216,29 @@ impl<S: Space> PoseGraph<S> {
         }
         self.state.constraints.push(constraint);
         true
+    }
+
+    /// A frame near the map.
+    pub fn near_frame(&self) -> NearFrame {
+        self.problem.near_frame()
+    }
+
+    /// Moves the whole map along its axes, metres. To be called before anything is searched in it, or when it is finished.
+    pub fn move_by(&mut self, shift: &Vector3) {
+        if *shift == Vector3::zeros() {
+            return;
+        }
+        self.problem.move_by(shift);
+        let state = &mut self.state;
+        let of_trajectories =
+            state.trajectories.values_mut().filter_map(|t| t.map_from_local_before_optimization.as_mut());
+        let nodes = state.nodes.values_mut().map(|node| &mut node.map_from_tracking);
+        for pose in state.optimized_submaps.values_mut().chain(nodes).chain(of_trajectories) {
+            *pose = moved(pose, shift);
+        }
+        for id in state.trajectories.keys() {
+            state.trimmed_nodes.shift(*id, &Rigid3::from_parts((*shift).into(), Default::default()));
+        }
     }
 
     /// Sets the pose of a landmark.

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use portolan_geometry::{NearFrame, Vector3};
+
 use super::lzf::compress;
 use crate::cloud::{Attributes, PointCloud};
 use crate::error::CloudError;
@@ -19,6 +21,8 @@ pub(crate) struct PcdWriter {
     output: Output,
     attributes: Attributes,
     encoding: Encoding,
+    precision: Precision,
+    /// Whether coordinates are in double precision; not final before the first point.
     is_double: bool,
     bytes: Vec<u8>,
     /// One for each column of a compressed file.
@@ -32,6 +36,7 @@ impl PcdWriter {
             output: Output::create(path)?,
             attributes,
             encoding: options.encoding,
+            precision: options.precision,
             is_double: options.precision == Precision::Double,
             bytes: Vec::new(),
             columns: Vec::new(),
@@ -46,6 +51,16 @@ impl PcdWriter {
         let header = writer.header();
         writer.output.append(header.as_bytes())?;
         Ok(writer)
+    }
+
+    /// Far from the origin single precision would lose decimetres: there coordinates are double, unless somebody wants otherwise.
+    fn choose_precision(&mut self, batch: &PointCloud) {
+        if self.written.points > 0 || self.precision != Precision::Usual {
+            return;
+        }
+        let mut places = (0..batch.len()).map(|index| Vector3::from(batch.position(index)));
+        let first = places.find(|place| place.iter().all(|v| v.is_finite()));
+        self.is_double = first.is_some_and(|place| !NearFrame::around([place]).is_map());
     }
 
     /// Bytes of each column.
@@ -158,6 +173,7 @@ fn push_text(text: &mut String, cloud: &PointCloud, index: usize, attributes: At
 
 impl CloudWriter for PcdWriter {
     fn write(&mut self, batch: &PointCloud) -> Result<(), CloudError> {
+        self.choose_precision(batch);
         self.bytes.clear();
         let mut text = String::new();
         for index in 0..batch.len() {

@@ -72,12 +72,19 @@ pub fn examine_map(path: &Path, threads: usize, observe: &mut Observer) -> Resul
     let options = Options::default();
     let known = KnownMaps { files: vec![path.to_owned()], frozen: FrozenTrajectories::All, start: None };
     // What had to be put right is for whoever checks the document to say.
-    let loaded = known.load::<Planar>(&options, &mut super::unobserved)?;
+    let mut loaded = known.load::<Planar>(&options, &mut super::unobserved)?;
     let unusable = |reason| JobError::UnusableMap { path: path.to_owned(), reason };
     let map = PlanarMap::new(loaded.graph.state()).map_err(unusable)?;
     let examiner = PlaceExaminer::new(map, loaded.graph.state(), threads).map_err(LocalizerError::from)?;
-    let places = examiner.examine(&mut |done, total| observe(&Event::Examining { done, total }));
+    let mut places = examiner.examine(&mut |done, total| observe(&Event::Examining { done, total }));
     drop(examiner);
+    for place in &mut places {
+        place.map_from_tracking = loaded.frame.in_map(&place.map_from_tracking);
+        if let Some(other) = &mut place.other {
+            other.map_from_tracking = loaded.frame.in_map(&other.map_from_tracking);
+        }
+    }
+    loaded.graph.move_by(&loaded.frame.origin());
     let textures = submap_textures_2d(&Map::new(options, loaded.graph, loaded.trajectories));
     Ok(ExaminedMap { places, textures })
 }

@@ -40,7 +40,7 @@ impl KnownMaps {
         Ok(submaps)
     }
 
-    /// Loads them; remarks say what they hold and what had to be repaired.
+    /// Loads them, in a frame near them; remarks say what they hold and what had to be repaired.
     ///
     /// # Errors
     /// A map that is damaged or of the other dimension; single trajectories to be frozen of several maps.
@@ -65,6 +65,7 @@ impl KnownMaps {
             remark(observe, Remark::KnownMapLoaded { path: path.clone(), trajectories });
             known.trajectories.extend(loaded.trajectories);
         }
+        known.bring_near();
         Ok(known)
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use portolan_geometry::Dimension;
+use portolan_geometry::{Dimension, NearFrame};
 use portolan_ingest::{IngestOptions, Ingestion};
 use portolan_issue::IssueLog;
 use portolan_localization::{
@@ -22,7 +22,7 @@ use super::event::{Event, Observer};
 use super::fixes::FixesInMap;
 use super::known_map::KnownMaps;
 use super::localized::LocalizedRecording;
-use super::saved_map::{SaveMap, SavedMap};
+use super::saved_map::{KnownFile, SaveMap, SavedMap};
 use super::{Job, MapRequest, OutputFolder};
 use crate::RequestedOptions;
 use crate::pipeline::{KnownMap as LoadedGraph, PipelineError, Preparation};
@@ -49,10 +49,15 @@ pub enum Start {
 }
 
 impl Start {
-    /// The place that was told, if one was, in a map with these landmarks; the names of all of them if it is not among them.
-    fn in_map(&self, landmarks: &BTreeMap<String, LandmarkNode>) -> Result<Option<StartPose>, Vec<String>> {
+    /// The place that was told, if one was, in a frame near the map, as these landmarks are; the names of all of them if it is not
+    /// among them.
+    fn in_frame(
+        &self,
+        landmarks: &BTreeMap<String, LandmarkNode>,
+        frame: &NearFrame,
+    ) -> Result<Option<StartPose>, Vec<String>> {
         match self {
-            Self::At(pose) => Ok(Some(*pose)),
+            Self::At(pose) => Ok(Some(pose.near(frame))),
             Self::Fixes | Self::Unknown => Ok(None),
             Self::Landmark { name, sigma_metres, sigma_radians } => {
                 let (sigma_metres, sigma_radians) = (*sigma_metres, *sigma_radians);
@@ -130,8 +135,8 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     preparation: &Preparation,
     observe: &mut Observer,
 ) -> Result<LocalizedRecording, JobError> {
-    let LoadedMap { map, graph, textures, mut issues } = loaded;
-    let start = start(request, &graph)?;
+    let LoadedMap { map, graph, frame, textures, mut issues } = loaded;
+    let start = start(request, &graph, &frame)?;
     let mut plan = preparation.plan.clone();
     let fixes = FixesInMap::of(request, &graph, preparation.inventory(), &mut plan)?;
     let mut ingestion =
@@ -149,7 +154,8 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
         if let Some(fix) = fixes.as_ref().and_then(|fixes| fixes.newest(&ingestion, &measurement)) {
             localizer.add_fix(fix);
         }
-        localizer.add(&sensor_id, measurement).into_iter().for_each(|estimate| estimates.push(estimate));
+        let known = localizer.add(&sensor_id, measurement).into_iter();
+        known.for_each(|estimate| estimates.push(estimate.in_map(&frame)));
         let (position_bytes, total_bytes) = ingestion.progress();
         let state = estimates.last().map_or(State::Searching, |e| e.state);
         if observe(&Event::Localizing { position_bytes, total_bytes, state }).is_break() {
@@ -157,7 +163,7 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
             break;
         }
     }
-    localizer.finish().into_iter().for_each(|estimate| estimates.push(estimate));
+    localizer.finish().into_iter().for_each(|estimate| estimates.push(estimate.in_map(&frame)));
     if estimates.is_empty() {
         return Err(PipelineError::NoScans.into());
     }
@@ -165,7 +171,8 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
         Some(_) if interrupted => Some(SavedMap::Interrupted),
         Some(wanted) => {
             let estimates: Vec<Estimate> = estimates.iter().collect();
-            Some(wanted.save(&request.map, &mut localizer, graph, ingestion.sensors(), &estimates)?)
+            let known = KnownFile { path: &request.map, map: graph, frame };
+            Some(wanted.save(known, &mut localizer, ingestion.sensors(), &estimates)?)
         }
         None => None,
     };
@@ -181,11 +188,11 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
         estimates,
         dimension: preparation.dimension,
         plan,
-        start: start.or_else(|| localizer.told()),
+        start: start.or_else(|| localizer.told()).map(|start| start.in_map(&frame)),
         starts_at_fix: start.is_none() && localizer.told().is_some(),
         jumps: request.jumps,
         start_agrees: localizer.start_agrees(),
-        changes: localizer.changes(),
+        changes: localizer.changes().into_iter().map(|change| change.in_map(&frame)).collect(),
         issues,
         recorded_times: ingestion.recorded_times().clone(),
         textures,
@@ -202,8 +209,10 @@ fn existing(folder: &Path) -> &Path {
 /// A map as the localizer wants it, what it looks like, and what was wrong with its file.
 struct LoadedMap<M: KnownMap> {
     map: M,
-    /// As it was loaded.
+    /// As it was loaded, in the near frame.
     graph: Map<M::Space>,
+    frame: NearFrame,
+    /// In the map.
     textures: Vec<PlacedTexture>,
     issues: IssueLog,
 }
@@ -221,10 +230,15 @@ fn unusable(request: &LocalizeRequest, reason: KnownMapError) -> JobError {
     JobError::UnusableMap { path: request.map.clone(), reason }
 }
 
-fn start<S: Space>(request: &LocalizeRequest, map: &Map<S>) -> Result<Option<StartPose>, JobError> {
+/// The start in the near frame.
+fn start<S: Space>(
+    request: &LocalizeRequest,
+    map: &Map<S>,
+    frame: &NearFrame,
+) -> Result<Option<StartPose>, JobError> {
     let Some(start) = &request.start else { return Ok(None) };
     let no_such = |landmarks| JobError::NoSuchLandmark { path: request.map.clone(), landmarks };
-    start.in_map(&map.graph.problem().landmarks).map_err(no_such)
+    start.in_frame(&map.graph.problem().landmarks, frame).map_err(no_such)
 }
 
 fn textured<M: KnownMap>(
@@ -234,5 +248,9 @@ fn textured<M: KnownMap>(
     preparation: &Preparation,
 ) -> LoadedMap<M> {
     let graph = Map::new(preparation.options.clone(), known.graph, known.trajectories);
-    LoadedMap { map, textures: textures(&graph), graph, issues: known.issues }
+    let mut textures = textures(&graph);
+    for texture in &mut textures {
+        texture.map_from_submap = known.frame.in_map(&texture.map_from_submap);
+    }
+    LoadedMap { map, graph, frame: known.frame, textures, issues: known.issues }
 }

@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 
 use portolan_atomic_file::AtomicFile;
 use portolan_config::Options;
+use portolan_geometry::NearFrame;
 use portolan_issue::IssueLog;
 use portolan_localization::{Estimate, Grown, Growth, GrowthError, KnownMap, Localizer};
 use portolan_mapfile::{Georeference, MapSpace, write_map};
-use portolan_mapping::{EndedTrajectory, Map, TrajectoryState};
+use portolan_mapping::{EndedTrajectory, Map, Space, TrajectoryState};
 use portolan_pbstream::MapReader;
 use portolan_sensor::SensorId;
 
@@ -21,6 +22,16 @@ pub struct SaveMap {
     pub path: PathBuf,
     /// What becomes of the known map.
     pub growth: Growth,
+}
+
+/// A known map, loaded.
+pub(super) struct KnownFile<'a, S: Space> {
+    /// Its file.
+    pub path: &'a Path,
+    /// In the near frame.
+    pub map: Map<S>,
+    /// That frame.
+    pub frame: NearFrame,
 }
 
 /// What became of the map that was wanted.
@@ -76,21 +87,21 @@ impl SaveMap {
         AtomicFile::create(&self.path).map(drop).map_err(|error| JobError::file(&self.path, error.source))
     }
 
-    /// Lets the map of the file `known` grow, and writes it.
+    /// Lets a known map grow, and writes it. Estimates are in the near frame.
     pub(super) fn save<M: KnownMap<Space: MapSpace>>(
         &self,
-        known: &Path,
+        known: KnownFile<'_, M::Space>,
         localizer: &mut Localizer<M>,
-        map: Map<M::Space>,
         sensors: Vec<SensorId>,
         estimates: &[Estimate],
     ) -> Result<SavedMap, JobError> {
-        let mut map = map;
+        let KnownFile { path, mut map, frame } = known;
         let georeference = Georeference::of(&map);
         let grown = match localizer.grow(&mut map.graph, estimates, self.growth) {
             Ok(grown) => grown,
             Err(reason) => return Ok(SavedMap::Refused(reason)),
         };
+        map.graph.move_by(&frame.origin());
         let issues = unsoundness(&map.graph)?;
         if !issues.is_empty() {
             return Ok(SavedMap::Unsound(issues));
@@ -104,11 +115,11 @@ impl SaveMap {
         };
         map.trajectories.insert(grown.trajectory_id, added);
         if let Some(georeference) = georeference {
-            georeference.hand_on(&mut map, grown.trajectory_id);
+            georeference.moved_by(&frame.origin()).hand_on(&mut map, grown.trajectory_id);
         }
         let state = map.graph.state();
         map.trajectories.retain(|id, _| state.trajectory_state(*id) != TrajectoryState::Deleted);
-        if let Some(options) = configuration(known) {
+        if let Some(options) = configuration(path) {
             map.options = options;
         }
         write_map(&map, &self.path, true)?;

@@ -1,6 +1,6 @@
 //! Vertices and edges.
 
-use portolan_geometry::{Rigid2, Rigid3};
+use portolan_geometry::{NearFrame, Rigid2, Rigid3, Vector3, is_on_earth, moved};
 
 use super::pose::GraphPose;
 use crate::ProblemError;
@@ -80,9 +80,22 @@ pub enum GraphError {
         /// Its index.
         index: usize,
     },
+    /// A vertex that is not on the Earth.
+    #[error("vertex {index} lies {metres:.1e} m from the origin, farther than anything on the Earth")]
+    FarAway {
+        /// Its index.
+        index: usize,
+        /// How far.
+        metres: f64,
+    },
     /// The least-squares problem could not be built or solved.
     #[error(transparent)]
     Problem(#[from] ProblemError),
+}
+
+/// Where a pose is; at height 0 in 2D.
+fn place<P: GraphPose>(pose: &P) -> Vector3 {
+    Vector3::from_fn(|i, _| if i < P::SPACE_DIMENSION { pose.translation_entry(i) } else { 0.0 })
 }
 
 impl<P: GraphPose> Default for PoseGraph<P> {
@@ -114,6 +127,26 @@ impl<P: GraphPose> PoseGraph<P> {
             }
         }
         Ok(())
+    }
+
+    /// A frame near the vertices.
+    ///
+    /// # Errors
+    /// If one of them is not on the Earth.
+    pub(super) fn near_frame(&self) -> Result<NearFrame, GraphError> {
+        let places: Vec<Vector3> = self.vertices.iter().map(|vertex| place(&vertex.pose)).collect();
+        match places.iter().position(|place| !is_on_earth(place)) {
+            Some(index) => Err(GraphError::FarAway { index, metres: places[index].norm() }),
+            None => Ok(NearFrame::around(places)),
+        }
+    }
+
+    /// Moves all vertices along the axes of the map, metres.
+    pub(super) fn move_by(&mut self, shift: &Vector3) {
+        for vertex in &mut self.vertices {
+            let place = moved(&Rigid3::from_parts(place(&vertex.pose).into(), Default::default()), shift);
+            vertex.pose = vertex.pose.with_translation(&place.translation.vector.into());
+        }
     }
 
     /// `eᵀΩe` of an edge at the current poses; zero if it points nowhere.

@@ -76,6 +76,19 @@ pub fn optimize_pose_graph<P: GraphPose>(
     options: &OptimizeOptions,
 ) -> Result<Report, GraphError> {
     graph.check()?;
+    // When steps are short enough is judged by how far poses are from the origin.
+    let frame = graph.near_frame()?;
+    graph.move_by(&-frame.origin());
+    let report = optimize_near(graph, options);
+    graph.move_by(&frame.origin());
+    report
+}
+
+/// Optimises a graph that lies near the origin.
+fn optimize_near<P: GraphPose>(
+    graph: &mut PoseGraph<P>,
+    options: &OptimizeOptions,
+) -> Result<Report, GraphError> {
     let adjacency = Adjacency::new(graph);
     let (components, anchored) = anchors(graph, &adjacency);
     let mut held: Vec<bool> = graph.vertices.iter().map(|v| v.fixed).collect();

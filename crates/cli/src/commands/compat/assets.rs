@@ -7,6 +7,7 @@ use portolan::trajectory_file::{nodes, read_pose_graph};
 use portolan_config::lua::{Limits, evaluate_file};
 use portolan_evaluation::Trajectory;
 use portolan_export::points::{Flush, Pipeline, PipelineContext, pipeline_from_lua, table_of};
+use portolan_geometry::NearFrame;
 use portolan_ingest::{IngestOptions, read_urdf};
 
 use super::Flags;
@@ -46,13 +47,19 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
         .iter()
         .map(|t| Ok(Trajectory::new(nodes(&map, &graph, t.trajectory_id)?).0))
         .collect::<Result<Vec<_>, CliError>>()?;
+    let places = trajectories.iter().flat_map(Trajectory::poses);
+    let frame = NearFrame::around(places.map(|pose| pose.map_from_tracking.translation.vector));
+    let trajectories: Vec<Trajectory> = trajectories.into_iter().map(|t| t.moved(&-frame.origin())).collect();
     let prefix = match flags.value("output_file_prefix") {
         "" => format!("{first_bag}_"),
         prefix => prefix.to_owned(),
     };
     let poses = |t: &Trajectory| t.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
-    let context =
-        PipelineContext { file_prefix: prefix, trajectories: trajectories.iter().map(poses).collect() };
+    let context = PipelineContext {
+        file_prefix: prefix,
+        trajectories: trajectories.iter().map(poses).collect(),
+        frame,
+    };
     let (mut pipeline, tracking_frame) = read_pipeline(&flags, &context)?;
     let options = ingest_options(&flags, tracking_frame)?;
     let mut bags = bags
