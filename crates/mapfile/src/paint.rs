@@ -213,8 +213,7 @@ fn blend_all<P: Copy + Send>(
     }
     // Single precision has no pixels far from the origin.
     let frame = NearFrame::around(textures.iter().map(|t| t.map_from_submap.translation.vector));
-    let slices =
-        textures.iter().map(|t| Slice::new(t, &frame, resolution)).collect::<Result<Vec<_>, _>>()?;
+    let slices = textures.iter().map(|t| Slice::new(t, &frame, resolution)).collect::<Result<Vec<_>, _>>()?;
     let off = [frame.origin().x / resolution, -frame.origin().y / resolution];
     let (size, origin) = match &options.crop {
         Some(area) => {
