@@ -28,7 +28,10 @@ impl ResultFolder {
         let is_missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
         let folder = Self { made: path.ancestors().take_while(is_missing).map(Path::to_owned).collect() };
         fs::create_dir_all(path)?;
-        tempfile::tempfile_in(path).map_err(crate::plain)?;
+        tempfile::tempfile_in(path).map_err(|error| {
+            let cause = crate::plain(error);
+            io::Error::new(cause.kind(), format!("no file can be written there: {cause}"))
+        })?;
         Ok(folder)
     }
 }
@@ -69,7 +72,7 @@ mod tests {
         assert!(error.contains("no folder"), "{error}");
         ResultFolder::make(here.path().join("file/inside")).unwrap_err();
         #[cfg(target_os = "linux")]
-        ResultFolder::make("/proc").unwrap_err();
+        assert!(ResultFolder::make("/proc").unwrap_err().to_string().starts_with("no file can be written"));
         assert_eq!(fs::read_dir(here.path()).unwrap().count(), 1);
     }
 }
