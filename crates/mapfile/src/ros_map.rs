@@ -70,7 +70,9 @@ fn pgm_header(resolution: f64, width: usize, height: usize) -> String {
 
 /// The description of a ROS map. `lower_left` is the position of the image's lower left corner, metres.
 pub fn ros_map_yaml(image: &str, resolution: f64, lower_left: [f64; 2]) -> String {
-    let [x, y] = lower_left.map(|v| format_general(v, 6));
+    // Cartographer's six digits would be centimetres from a kilometre on, and metres in UTM.
+    let digits = |v: f64| if v.abs() < 1000.0 { 6 } else { 12 };
+    let [x, y] = lower_left.map(|v| format_general(v, digits(v)));
     format!(
         "image: {}\nresolution: {}\norigin: [{x}, {y}, 0.0]\nnegate: 0\noccupied_thresh: \
          0.65\nfree_thresh: 0.196\n",
@@ -170,5 +172,11 @@ mod tests {
         let expected = "image: my.map.pgm\nresolution: 0.05\norigin: [-0.2625, 0.125, 0.0]\nnegate: \
                         0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
         assert_eq!(std::fs::read_to_string(description).unwrap(), expected);
+    }
+
+    #[test]
+    fn places_in_utm_keep_their_millimetres() {
+        let text = ros_map_yaml("map.pgm", 0.05, [499_693.975, 5_400_557.951]);
+        assert!(text.contains("origin: [499693.975, 5400557.951, 0.0]"), "{text}");
     }
 }
