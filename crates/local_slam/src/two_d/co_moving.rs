@@ -13,12 +13,12 @@ use portolan_sensor::RangeData;
 
 /// Beams are told apart by the degree.
 const BINS: usize = 360;
-/// Returns up to so far away are compared with a scan from which the scanner has moved so far, metres. What is farther than the
-/// last is not looked at: at grazing incidence a floor is no longer seen there.
+/// Returns up to a range, metres, are compared with the newest scan from which the scanner has moved by so much, metres: by twice
+/// what two returns of one place may be apart at the far end of the second band. What is farther is not looked at.
 const BANDS: [(f64, f64); 2] = [(5.0, 0.3), (20.0, 1.3)];
-/// Or turned, radians.
+/// A scan from which it has turned by so much, radians, will do, too.
 const TURNED: f64 = 0.5;
-/// … and that is no older.
+/// Scans that are older are not compared with.
 const OLDEST: Duration = Duration::from_ticks(50_000_000);
 /// So many scans are remembered at most, however close their stamps are.
 const MOST_VIEWS: usize = 256;
